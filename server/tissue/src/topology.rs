@@ -1,0 +1,302 @@
+//! What cuts change: rest positions, the wiring of the cells, and all that follows from them.
+//!
+//! A cut separates cells along faces that they share and doubles the nodes between them; no cell
+//! comes or goes. So the topology is: a rest position per node, eight corners per cell, and a mask
+//! of cut faces per cell. Springs, masses and the outer surface are derived from these, and only
+//! around the nodes that changed.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::springs::{DIAGONAL_SHARE, EDGE_SHARE, LENGTH_FLOOR};
+use crate::{FACES, Model, NO_CELL, RegionId, Spring, Springs, Vec3, cell_volume};
+
+/// Identifies a topology: equal hashes mean the same cells, wired alike, at the same rest
+/// positions, after the same number of cuts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct TopologyHash(pub u64);
+
+impl std::fmt::Display for TopologyHash {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:016x}", self.0)
+    }
+}
+
+/// One face of one cell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct FaceId(pub u32);
+
+impl FaceId {
+    /// Face `face` (0..6) of a cell.
+    pub const fn new(cell: u32, face: usize) -> Self {
+        Self(cell * 6 + face as u32)
+    }
+
+    /// The cell it belongs to.
+    pub const fn cell(self) -> u32 {
+        self.0 / 6
+    }
+
+    /// Which of the six faces of [`FACES`] it is.
+    pub const fn face(self) -> usize {
+        (self.0 % 6) as usize
+    }
+}
+
+/// The outer surface: closed, wound outwards, over the model's own nodes. Face `i` carries the
+/// triangles `2 i` and `2 i + 1`.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Boundary {
+    /// The exposed faces, those of the model as built first, those laid open by cuts after.
+    pub faces: Vec<FaceId>,
+    /// Two triangles per face, as node indices.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// The mutable wiring of a [`Model`].
+#[derive(Debug, Clone)]
+pub struct Topology {
+    pub(crate) model: Arc<Model>,
+    pub(crate) version: u32,
+    pub(crate) rest: Vec<Vec3>,
+    pub(crate) corners: Vec<[u32; 8]>,
+    /// Bit `f` is set when face `f` of the cell was cut.
+    pub(crate) cut: Vec<u8>,
+    /// Slot `c` of a node: the cell of which it is corner `c`, or [`NO_CELL`].
+    pub(crate) node_cells: Vec<[u32; 8]>,
+    pub(crate) cell_volume: Vec<f64>,
+    pub(crate) springs: Springs,
+    pub(crate) mass: Vec<f64>,
+    pub(crate) pinned: Vec<bool>,
+    pub(crate) boundary: Boundary,
+}
+
+impl Topology {
+    /// The uncut topology of a model.
+    pub fn new(model: Arc<Model>) -> Self {
+        let nodes = model.nodes.len();
+        let mut node_cells = vec![[NO_CELL; 8]; nodes];
+        for (index, cell) in model.cells.iter().enumerate() {
+            for (c, &node) in cell.corners.iter().enumerate() {
+                node_cells[node as usize][c] = index as u32;
+            }
+        }
+        let cell_volume = (0..model.cells.len())
+            .into_par_iter()
+            .map(|c| cell_volume(&model.corners_of(c)))
+            .collect();
+        let mut topology = Self {
+            version: 0,
+            rest: model.nodes.clone(),
+            corners: model.cells.iter().map(|c| c.corners).collect(),
+            cut: vec![0; model.cells.len()],
+            node_cells,
+            cell_volume,
+            springs: Springs::with_capacity(nodes),
+            mass: vec![0.0; nodes],
+            pinned: vec![false; nodes],
+            boundary: Boundary::default(),
+            model,
+        };
+        let rows: Vec<_> = (0..nodes as u32)
+            .into_par_iter()
+            .map(|n| topology.springs_of(n))
+            .collect();
+        for (node, row) in rows.iter().enumerate() {
+            topology.springs.set_row(node as u32, row);
+            topology.derive_node(node as u32);
+        }
+        topology.derive_boundary();
+        topology
+    }
+
+    /// The model that this is a topology of.
+    pub fn model(&self) -> &Arc<Model> {
+        &self.model
+    }
+
+    /// How many operations have changed it.
+    pub fn version(&self) -> u32 {
+        self.version
+    }
+
+    /// Number of nodes, doubled ones included.
+    pub fn node_count(&self) -> usize {
+        self.rest.len()
+    }
+
+    /// Number of cells.
+    pub fn cell_count(&self) -> usize {
+        self.corners.len()
+    }
+
+    /// Rest position of a node in m.
+    pub fn rest(&self, node: u32) -> Vec3 {
+        self.rest[node as usize]
+    }
+
+    /// Nodes at the corners of a cell.
+    pub fn corners(&self, cell: u32) -> [u32; 8] {
+        self.corners[cell as usize]
+    }
+
+    /// Cells around a node; slot `c` holds the cell of which the node is corner `c`.
+    pub fn cells_around(&self, node: u32) -> [u32; 8] {
+        self.node_cells[node as usize]
+    }
+
+    /// Region of a cell.
+    pub fn region(&self, cell: u32) -> RegionId {
+        self.model.cells[cell as usize].region
+    }
+
+    /// The cell behind a face, or [`NO_CELL`] where the face is outside or cut.
+    pub fn across(&self, face: FaceId) -> u32 {
+        let cell = face.cell() as usize;
+        if self.cut[cell] >> face.face() & 1 == 1 {
+            NO_CELL
+        } else {
+            self.model.cells[cell].neighbours[face.face()]
+        }
+    }
+
+    /// All springs.
+    pub fn springs(&self) -> &Springs {
+        &self.springs
+    }
+
+    /// Mass of a node in kg: an eighth of each of its cells.
+    pub fn mass(&self, node: u32) -> f64 {
+        self.mass[node as usize]
+    }
+
+    /// Whether a node belongs to a pinned region and does not move.
+    pub fn is_pinned(&self, node: u32) -> bool {
+        self.pinned[node as usize]
+    }
+
+    /// The outer surface, cut faces included.
+    pub fn boundary(&self) -> &Boundary {
+        &self.boundary
+    }
+
+    /// Rest volume of a cell in m³.
+    pub fn volume(&self, cell: u32) -> f64 {
+        self.cell_volume[cell as usize]
+    }
+
+    /// Whether a node is on the outer surface.
+    pub fn on_boundary(&self, node: u32) -> bool {
+        let cells = self.node_cells[node as usize];
+        cells.iter().enumerate().any(|(corner, &cell)| {
+            cell != NO_CELL
+                && (0..3).any(|axis| {
+                    let face = 2 * axis + (corner >> axis & 1);
+                    self.across(FaceId::new(cell, face)) == NO_CELL
+                })
+        })
+    }
+
+    /// Hash over version, wiring, cut faces and rest positions.
+    pub fn hash(&self) -> TopologyHash {
+        let mut hasher = xxhash_rust::xxh3::Xxh3::new();
+        hasher.update(&self.version.to_le_bytes());
+        for (corners, cut) in self.corners.iter().zip(&self.cut) {
+            let mut bytes = [0; 33];
+            for (c, node) in corners.iter().enumerate() {
+                bytes[4 * c..4 * c + 4].copy_from_slice(&node.to_le_bytes());
+            }
+            bytes[32] = *cut;
+            hasher.update(&bytes);
+        }
+        for p in &self.rest {
+            let mut bytes = [0; 24];
+            for (a, v) in p.iter().enumerate() {
+                bytes[8 * a..8 * a + 8].copy_from_slice(&v.to_bits().to_le_bytes());
+            }
+            hasher.update(&bytes);
+        }
+        TopologyHash(hasher.digest())
+    }
+
+    /// Mass and pinning of a node, from the cells around it.
+    pub(crate) fn derive_node(&mut self, node: u32) {
+        let mut mass = 0.0;
+        let mut pinned = false;
+        for cell in self.node_cells[node as usize] {
+            if cell != NO_CELL {
+                let region = &self.model.regions[self.region(cell).index()];
+                mass += region.material.density_kg_m3 * self.cell_volume[cell as usize] / 8.0;
+                pinned |= region.pinned;
+            }
+        }
+        self.mass[node as usize] = mass;
+        self.pinned[node as usize] = pinned;
+    }
+
+    /// The row of springs of a node, from the cells around it, sorted by their far end.
+    pub(crate) fn springs_of(&self, node: u32) -> Vec<Spring> {
+        let mut sums: Vec<(u32, f64)> = Vec::with_capacity(24);
+        let from = self.rest(node);
+        let floor = LENGTH_FLOOR * self.model.spacing_m;
+        for (corner, &cell) in self.node_cells[node as usize].iter().enumerate() {
+            if cell == NO_CELL {
+                continue;
+            }
+            let young = self.model.material_of(cell as usize).young_pa;
+            let energy = young * self.cell_volume[cell as usize].max(0.0);
+            // 1, 2, 4 lead along an edge, 3, 5, 6 across a face.
+            for step in [1, 2, 4, 3, 5, 6] {
+                let to = self.corners[cell as usize][corner ^ step];
+                let share = if step.count_ones() == 1 {
+                    EDGE_SHARE
+                } else {
+                    DIAGONAL_SHARE
+                };
+                let length = (self.rest(to) - from).norm().max(floor);
+                let stiffness = share * energy / (length * length);
+                match sums.iter_mut().find(|s| s.0 == to) {
+                    Some(sum) => sum.1 += stiffness,
+                    None => sums.push((to, stiffness)),
+                }
+            }
+        }
+        sums.sort_unstable_by_key(|s| s.0);
+        sums.into_iter()
+            .map(|(to, stiffness)| Spring {
+                to,
+                stiffness: stiffness as f32,
+                rest_length: (self.rest(to) - from).norm() as f32,
+            })
+            .collect()
+    }
+
+    /// Collects the exposed faces of all cells into the boundary.
+    fn derive_boundary(&mut self) {
+        let mut boundary = Boundary::default();
+        for cell in 0..self.cell_count() as u32 {
+            for face in 0..6 {
+                let id = FaceId::new(cell, face);
+                if self.across(id) == NO_CELL {
+                    boundary.faces.push(id);
+                    boundary.triangles.extend(self.face_triangles(id));
+                }
+            }
+        }
+        self.boundary = boundary;
+    }
+
+    /// Splits a face along its shorter diagonal at rest.
+    pub(crate) fn face_triangles(&self, face: FaceId) -> [[u32; 3]; 2] {
+        let corners = self.corners(face.cell());
+        let [a, b, c, d] = FACES[face.face()].map(|i| corners[i]);
+        let ac = (self.rest(c) - self.rest(a)).norm_squared();
+        let bd = (self.rest(d) - self.rest(b)).norm_squared();
+        if ac <= bd {
+            [[a, b, c], [a, c, d]]
+        } else {
+            [[a, b, d], [b, c, d]]
+        }
+    }
+}
