@@ -1,8 +1,39 @@
 //! The words on the wire and what they mean in time.
 //!
 //! This crate never opens a socket, never reads a clock and never spawns: time is an argument,
-//! bytes come in through `handle_*` and leave through `poll_*`.
+//! bytes come in through `handle_*` and leave through `poll_*`. It knows neither tissue nor
+//! devices: what it carries are plain arrays and integers, and the room and the client convert.
+//!
+//! Two kinds of traffic, of which one session state machine per peer takes care:
+//!
+//! | kind | carries | how |
+//! | --- | --- | --- |
+//! | operations | handshake, cuts, joins, compensation | length-prefixed frames on one ordered stream, numbered |
+//! | motion | tool samples, displacement corrections, clock probes | datagrams of at most [`DATAGRAM_MAX_BYTES`], packed by hand |
+//!
+//! Where to look: [`handshake`] and [`link`] for how a participant gets in, [`operation`] and
+//! [`request`] for what is ordered, [`datagram`] for what may get lost, [`session`] for the two
+//! state machines, [`clock`], [`compensation`] and [`timeline`] for the one moment everybody shares.
+#![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod codec;
+pub mod compensation;
+pub mod datagram;
+mod error;
+pub mod handshake;
+mod ids;
+pub mod link;
+pub mod operation;
+pub mod request;
+mod sample;
+mod sequence;
 mod time;
 
+pub use datagram::DATAGRAM_MAX_BYTES;
+pub use error::ProtocolError;
+pub use handshake::{ModelInfo, PROTOCOL_VERSION, Role};
+pub use ids::{Epoch, ModelHash, OperationId, ParticipantId, RequestId, TopologyHash};
+pub use link::{CertificateHash, Grant, JoinLink};
+pub use sample::{Pose, ToolSample, ToolTrack};
+pub use sequence::{Arrival, SequenceWindow, WINDOW_BITS};
 pub use time::{ClientTime, ServerTime, Span};

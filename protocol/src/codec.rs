@@ -1,0 +1,139 @@
+//! Messages of the operations stream as bytes: length-prefixed frames around bincode. The only
+//! file that names bincode.
+
+use std::marker::PhantomData;
+
+use bincode::config;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use crate::ProtocolError;
+use crate::request::{ClientMessage, ServerMessage};
+
+/// The largest frame once a session stands, bytes. It holds the longest stroke twice.
+pub const FRAME_MAX_BYTES: usize = 64 * 1024;
+
+/// The largest frame before anybody is known, bytes: a hello is at most some hundred.
+pub const HELLO_MAX_BYTES: usize = 4 * 1024;
+
+/// Bytes of the length prefix of a frame (u32, little endian).
+pub const PREFIX_BYTES: usize = 4;
+
+/// bincode counts what it claims before it reads, so that the last small number of a full frame
+/// needs some bytes more than the frame has.
+const DECODE_LIMIT: usize = FRAME_MAX_BYTES + 64;
+
+/// A message that travels in frames.
+pub trait Message: Serialize + DeserializeOwned {
+    /// What it is called in errors.
+    const NAME: &'static str;
+}
+
+impl Message for ClientMessage {
+    const NAME: &'static str = "client message";
+}
+
+impl Message for ServerMessage {
+    const NAME: &'static str = "server message";
+}
+
+/// One frame: the length prefix and the message.
+pub fn encode_frame<M: Message>(message: &M) -> Result<Vec<u8>, ProtocolError> {
+    let mut out = vec![0; PREFIX_BYTES];
+    let too_large = |bytes| ProtocolError::TooLarge {
+        what: M::NAME,
+        bytes,
+        limit: FRAME_MAX_BYTES,
+    };
+    let body =
+        bincode::serde::encode_to_vec(message, config::standard()).map_err(|_| too_large(0))?;
+    if body.len() > FRAME_MAX_BYTES {
+        return Err(too_large(body.len()));
+    }
+    out[..PREFIX_BYTES].copy_from_slice(&(body.len() as u32).to_le_bytes());
+    out.extend_from_slice(&body);
+    Ok(out)
+}
+
+/// Reads the body of one frame, all of it.
+pub fn decode_body<M: Message>(body: &[u8]) -> Result<M, ProtocolError> {
+    let bad = |detail: String| ProtocolError::BadFrame {
+        what: M::NAME,
+        bytes: body.len(),
+        detail,
+    };
+    let (message, used) =
+        bincode::serde::decode_from_slice(body, config::standard().with_limit::<DECODE_LIMIT>())
+            .map_err(|e| bad(e.to_string()))?;
+    if used != body.len() {
+        return Err(ProtocolError::TrailingBytes {
+            what: M::NAME,
+            extra: body.len() - used,
+        });
+    }
+    Ok(message)
+}
+
+/// Puts frames together again from a stream that arrives in any pieces.
+///
+/// Call [`push`](Self::push) with what arrived, then [`next`](Self::next) until it gives `None`.
+/// After an error the decoder is of no more use: the session closes. It holds at most one frame of
+/// the limit plus the largest piece pushed, provided that it is drained after each push.
+#[derive(Debug)]
+pub struct FrameDecoder<M> {
+    buffer: Vec<u8>,
+    read: usize,
+    limit: usize,
+    message: PhantomData<fn() -> M>,
+}
+
+impl<M: Message> FrameDecoder<M> {
+    /// A decoder that refuses frames longer than `limit` bytes.
+    pub fn new(limit: usize) -> Self {
+        Self {
+            buffer: Vec::new(),
+            read: 0,
+            limit: limit.min(FRAME_MAX_BYTES),
+            message: PhantomData,
+        }
+    }
+
+    /// Allows frames up to `limit` bytes from now on.
+    pub fn set_limit(&mut self, limit: usize) {
+        self.limit = limit.min(FRAME_MAX_BYTES);
+    }
+
+    /// Adds what arrived.
+    pub fn push(&mut self, bytes: &[u8]) {
+        if self.read > 0 {
+            self.buffer.drain(..self.read);
+            self.read = 0;
+        }
+        self.buffer.extend_from_slice(bytes);
+    }
+
+    /// The next whole message, if it is there.
+    #[expect(
+        clippy::should_implement_trait,
+        reason = "an iterator can not end and then go on"
+    )]
+    pub fn next(&mut self) -> Result<Option<M>, ProtocolError> {
+        let rest = &self.buffer[self.read..];
+        let Some((prefix, rest)) = rest.split_first_chunk::<PREFIX_BYTES>() else {
+            return Ok(None);
+        };
+        let len = u32::from_le_bytes(*prefix) as usize;
+        if len > self.limit {
+            return Err(ProtocolError::FrameTooLong {
+                bytes: len as u64,
+                limit: self.limit,
+            });
+        }
+        let Some(body) = rest.get(..len) else {
+            return Ok(None);
+        };
+        let message = decode_body(body)?;
+        self.read += PREFIX_BYTES + len;
+        Ok(Some(message))
+    }
+}

@@ -1,0 +1,128 @@
+//! Bytes in and out, in little endian, with the end in view.
+
+use crate::ProtocolError;
+
+/// Collects the bytes of one datagram.
+pub(super) struct Writer(Vec<u8>);
+
+macro_rules! put {
+    ($($name:ident: $t:ty),*) => {$(
+        pub(super) fn $name(&mut self, v: $t) {
+            self.0.extend_from_slice(&v.to_le_bytes());
+        }
+    )*};
+}
+
+impl Writer {
+    pub(super) fn with_capacity(bytes: usize) -> Self {
+        Self(Vec::with_capacity(bytes))
+    }
+
+    put!(u8: u8, u16: u16, u32: u32, i16: i16, i32: i32, i64: i64);
+
+    /// The low `N` bytes of a number.
+    pub(super) fn low<const N: usize>(&mut self, v: u64) {
+        self.0.extend_from_slice(&v.to_le_bytes()[..N]);
+    }
+
+    /// A number in groups of seven bits, low first, the top bit set on all but the last.
+    pub(super) fn varint(&mut self, mut v: u32) {
+        while v >= 0x80 {
+            self.0.push(v as u8 | 0x80);
+            v >>= 7;
+        }
+        self.0.push(v as u8);
+    }
+
+    pub(super) fn into_vec(self) -> Vec<u8> {
+        self.0
+    }
+}
+
+/// Reads a datagram from front to back.
+pub(super) struct Reader<'a> {
+    rest: &'a [u8],
+    what: &'static str,
+}
+
+macro_rules! take {
+    ($($name:ident: $t:ty),*) => {$(
+        pub(super) fn $name(&mut self) -> Result<$t, ProtocolError> {
+            self.array().map(<$t>::from_le_bytes)
+        }
+    )*};
+}
+
+impl<'a> Reader<'a> {
+    pub(super) fn new(bytes: &'a [u8], what: &'static str) -> Self {
+        Self { rest: bytes, what }
+    }
+
+    /// Says which part is read from here on, for errors.
+    pub(super) fn part(&mut self, what: &'static str) {
+        self.what = what;
+    }
+
+    fn truncated(&self) -> ProtocolError {
+        ProtocolError::DatagramTruncated { what: self.what }
+    }
+
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], ProtocolError> {
+        let (head, rest) = self
+            .rest
+            .split_first_chunk()
+            .ok_or_else(|| self.truncated())?;
+        self.rest = rest;
+        Ok(*head)
+    }
+
+    take!(u8: u8, u16: u16, u32: u32, i16: i16, i32: i32, i64: i64);
+
+    /// A number of `N` bytes.
+    pub(super) fn low<const N: usize>(&mut self) -> Result<u64, ProtocolError> {
+        let mut all = [0; 8];
+        all[..N].copy_from_slice(&self.array::<N>()?);
+        Ok(u64::from_le_bytes(all))
+    }
+
+    /// See [`Writer::varint`]; more than 32 bits are out of range.
+    pub(super) fn varint(&mut self) -> Result<u32, ProtocolError> {
+        let mut v = 0_u32;
+        for shift in (0..35).step_by(7) {
+            let byte = self.u8()?;
+            let part = u32::from(byte & 0x7f);
+            if shift == 28 && byte > 0x0f {
+                break;
+            }
+            v |= part << shift;
+            if byte < 0x80 {
+                return Ok(v);
+            }
+        }
+        Err(ProtocolError::OutOfRange {
+            what: "a packed number",
+            detail: "more than 32 bits".to_owned(),
+        })
+    }
+
+    /// Makes sure, before anything is allocated, that `count` items of at least `bytes` each can
+    /// still follow.
+    pub(super) fn expect_items(&self, count: usize, bytes: usize) -> Result<(), ProtocolError> {
+        if self.rest.len() < count * bytes {
+            Err(self.truncated())
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Nothing may follow.
+    pub(super) fn finish(self) -> Result<(), ProtocolError> {
+        if self.rest.is_empty() {
+            return Ok(());
+        }
+        Err(ProtocolError::TrailingBytes {
+            what: self.what,
+            extra: self.rest.len(),
+        })
+    }
+}

@@ -1,0 +1,107 @@
+//! What can be wrong with bytes that came from somebody else.
+
+use crate::handshake::PROTOCOL_VERSION;
+
+/// Something on the wire that this protocol does not allow. It can at worst close the one session
+/// it arrived on.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ProtocolError {
+    /// The stream does not begin with the magic bytes.
+    #[error(
+        "the other side does not speak palpate: its stream begins with {found:02x?} instead of \"PALP\"; check the port"
+    )]
+    NotPalpate {
+        /// The first four bytes that arrived.
+        found: [u8; 4],
+    },
+    /// Both speak palpate, in different versions.
+    #[error(
+        "the other side speaks protocol version {theirs}, this program speaks version {PROTOCOL_VERSION}; use the same release on both sides"
+    )]
+    Version {
+        /// The version in the other side's preamble.
+        theirs: u16,
+    },
+    /// A frame announces more bytes than its kind may have.
+    #[error("a frame of {bytes} bytes on the operations stream, where at most {limit} are allowed")]
+    FrameTooLong {
+        /// What the length prefix says, in bytes.
+        bytes: u64,
+        /// The limit that applied, in bytes.
+        limit: usize,
+    },
+    /// A frame's content is not a message.
+    #[error("a frame of {bytes} bytes that is not a {what}: {detail}")]
+    BadFrame {
+        /// The kind of message expected.
+        what: &'static str,
+        /// The length of the frame in bytes.
+        bytes: usize,
+        /// What the decoder said.
+        detail: String,
+    },
+    /// A message ended before its frame did.
+    #[error("a {what} followed by {extra} bytes that belong to nothing")]
+    TrailingBytes {
+        /// The kind of message.
+        what: &'static str,
+        /// How many bytes were left.
+        extra: usize,
+    },
+    /// A message of our own that can not be sent.
+    #[error("a {what} of {bytes} bytes is too large to send, at most {limit} are allowed")]
+    TooLarge {
+        /// The kind of message.
+        what: &'static str,
+        /// Its encoded size in bytes; 0 where it could not be encoded at all.
+        bytes: usize,
+        /// The limit in bytes.
+        limit: usize,
+    },
+    /// A datagram that is shorter than its content says.
+    #[error("a {what} datagram ends in the middle")]
+    DatagramTruncated {
+        /// The part that was being read.
+        what: &'static str,
+    },
+    /// A datagram of a kind that this version does not know.
+    #[error("a datagram of the unknown kind {kind}")]
+    DatagramKind {
+        /// The byte that names the kind.
+        kind: u8,
+    },
+    /// A value in a datagram or message outside its declared range.
+    #[error("{what} is out of range in a message: {detail}")]
+    OutOfRange {
+        /// Which value.
+        what: &'static str,
+        /// Its value and the range.
+        detail: String,
+    },
+    /// A message that is not allowed at this point of the session.
+    #[error("a {what} arrived while {state}")]
+    OutOfOrder {
+        /// The message that arrived.
+        what: &'static str,
+        /// What the session was doing.
+        state: &'static str,
+    },
+    /// The numbered operations have a hole.
+    #[error("operation {found} arrived where operation {expected} was due; rejoin the session")]
+    OperationGap {
+        /// The number that was due.
+        expected: u64,
+        /// The number that came.
+        found: u64,
+    },
+    /// The peer takes its operations more slowly than they are produced.
+    #[error(
+        "{bytes} bytes of operations wait for this peer, more than the limit of {limit}; its connection is too slow to follow"
+    )]
+    Backlog {
+        /// How many bytes wait.
+        bytes: usize,
+        /// The limit in bytes.
+        limit: usize,
+    },
+}

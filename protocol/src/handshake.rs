@@ -1,0 +1,306 @@
+//! How a participant gets in: a preamble that every version can read, then [`Hello`], then
+//! [`Welcome`] or [`Refused`].
+//!
+//! The preamble's layout never changes, whatever the version:
+//!
+//! ```text
+//! client -> server   "PALP"  version u16 LE   0 u16
+//! server -> client   "PALP"  version u16 LE   status u16   (status 1: length u16 LE, UTF-8 sentence)
+//! ```
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use crate::operation::CompensationSettings;
+use crate::{Epoch, Grant, ModelHash, ParticipantId, ProtocolError, ServerTime, TopologyHash};
+
+/// The version that this crate speaks. It grows with every change of any message.
+pub const PROTOCOL_VERSION: u16 = 1;
+
+/// What every palpate stream begins with.
+pub const MAGIC: [u8; 4] = *b"PALP";
+
+/// Size of the fixed part of a preamble in bytes.
+pub const PREAMBLE_BYTES: usize = 8;
+
+/// The longest sentence after a server's preamble, bytes; more is cut off when sending and is an
+/// error when receiving.
+pub const PREAMBLE_SENTENCE_MAX_BYTES: usize = 512;
+
+/// The longest name of a participant in bytes. A longer one is refused.
+pub const NAME_MAX_BYTES: usize = 64;
+
+/// The most participants of a session; a roster longer than this is a protocol error.
+pub const ROSTER_MAX: usize = 64;
+
+/// The fixed bytes that come before everything else.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Preamble {
+    /// The version that the sender speaks.
+    pub version: u16,
+    /// From the server: 0 to go on, 1 when it will not, and a sentence follows. From a client: 0.
+    pub status: u16,
+}
+
+impl Preamble {
+    /// The preamble of this version, all well.
+    pub const OURS: Self = Self {
+        version: PROTOCOL_VERSION,
+        status: 0,
+    };
+
+    /// The bytes on the wire.
+    pub fn to_bytes(self) -> [u8; PREAMBLE_BYTES] {
+        let mut out = [0; PREAMBLE_BYTES];
+        out[..4].copy_from_slice(&MAGIC);
+        out[4..6].copy_from_slice(&self.version.to_le_bytes());
+        out[6..].copy_from_slice(&self.status.to_le_bytes());
+        out
+    }
+
+    /// Reads a preamble; only the magic is checked, the version is the caller's to judge.
+    pub fn from_bytes(bytes: [u8; PREAMBLE_BYTES]) -> Result<Self, ProtocolError> {
+        let [a, b, c, d, v0, v1, s0, s1] = bytes;
+        let found = [a, b, c, d];
+        if found != MAGIC {
+            return Err(ProtocolError::NotPalpate { found });
+        }
+        Ok(Self {
+            version: u16::from_le_bytes([v0, v1]),
+            status: u16::from_le_bytes([s0, s1]),
+        })
+    }
+}
+
+/// What a participant may do in a session.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub enum Role {
+    /// Leads: a tool, cuts, and control over the others.
+    Instructor,
+    /// Has a tool and may cut.
+    Trainee,
+    /// Sees everything and touches nothing.
+    Spectator,
+    /// A program that writes everything down.
+    Recorder,
+}
+
+impl Role {
+    /// All roles, in the order in which they are listed to people.
+    pub const ALL: [Self; 4] = [
+        Self::Instructor,
+        Self::Trainee,
+        Self::Spectator,
+        Self::Recorder,
+    ];
+
+    /// The word for this role in links and on screens.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Instructor => "instructor",
+            Self::Trainee => "trainee",
+            Self::Spectator => "spectator",
+            Self::Recorder => "recorder",
+        }
+    }
+
+    /// Whether a participant of this role has a tool.
+    pub const fn has_tool(self) -> bool {
+        matches!(self, Self::Instructor | Self::Trainee)
+    }
+}
+
+impl fmt::Display for Role {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.word())
+    }
+}
+
+/// A word that names no role.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("\"{0}\" is no role; the roles are instructor, trainee, spectator and recorder")]
+pub struct UnknownRole(pub String);
+
+impl FromStr for Role {
+    type Err = UnknownRole;
+
+    fn from_str(s: &str) -> Result<Self, UnknownRole> {
+        Self::ALL
+            .into_iter()
+            .find(|r| r.word() == s)
+            .ok_or_else(|| UnknownRole(s.to_owned()))
+    }
+}
+
+/// A client's first message: who wants in, as what.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Hello {
+    /// The participant's name as others will read it, at most [`NAME_MAX_BYTES`].
+    pub name: String,
+    /// The role asked for; the grant must allow it.
+    pub role: Role,
+    /// The secret from the join link.
+    pub grant: Grant,
+    /// The tool the participant will hold, for roles that have one.
+    pub tool: Option<ToolDescription>,
+    /// To take a lost seat again.
+    pub resume: Option<Resume>,
+}
+
+/// What a tool looks like to the others.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ToolDescription {
+    /// What it does.
+    pub kind: ToolKind,
+    /// Radius of its spherical tip in metres.
+    pub radius_m: f64,
+}
+
+/// The tools that this version knows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum ToolKind {
+    /// A rounded probe that presses.
+    Probe,
+    /// A blade that cuts while its main button is held.
+    Scalpel,
+    /// Pulls on what it holds.
+    Grasper,
+}
+
+/// The seat that a returning client had.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Resume {
+    /// Who it was.
+    pub participant: ParticipantId,
+    /// The token from its [`Welcome`].
+    pub token: [u8; 16],
+}
+
+/// The model that a session runs on; fetched separately when the client does not hold it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ModelInfo {
+    /// Hash of the file's bytes.
+    pub hash: ModelHash,
+    /// Size of the file in bytes.
+    pub bytes: u64,
+}
+
+/// One line of the roster.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RosterEntry {
+    /// Who.
+    pub participant: ParticipantId,
+    /// Their name.
+    pub name: String,
+    /// Their role.
+    pub role: Role,
+    /// Their tool, where the role has one.
+    pub tool: Option<ToolDescription>,
+}
+
+/// The server's answer to a [`Hello`] it accepts. The whole log follows: first the
+/// `operations_so_far` operations from number 0, then each new one as it happens.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Welcome {
+    /// The newcomer's own number.
+    pub participant: ParticipantId,
+    /// Carried by every datagram from now on.
+    pub epoch: Epoch,
+    /// The role given.
+    pub role: Role,
+    /// The server's clock when this was written: a first guess, until the clock estimate locks.
+    pub server_time: ServerTime,
+    /// The model to hold.
+    pub model: ModelInfo,
+    /// Who is here, the newcomer included, at most [`ROSTER_MAX`].
+    pub roster: Vec<RosterEntry>,
+    /// How often the topology has changed after `operations_so_far` operations.
+    pub topology_version: u32,
+    /// The topology hash after `operations_so_far` operations.
+    pub topology_hash: TopologyHash,
+    /// How many operations the log holds; they follow on the stream at once.
+    pub operations_so_far: u64,
+    /// The artificial time compensation in force. Changes come as operations.
+    pub compensation: CompensationSettings,
+    /// The server's steps per second.
+    pub tick_hz: u32,
+    /// When the scripts began, if they did.
+    pub session_started_at: Option<ServerTime>,
+    /// What takes this seat again after a lost connection.
+    pub resume_token: [u8; 16],
+}
+
+/// The server's answer to a [`Hello`] it does not accept.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Refused {
+    /// For programs.
+    pub reason: RefusalReason,
+    /// For people: what was wrong and what to do.
+    pub sentence: String,
+}
+
+impl Refused {
+    /// A refusal with the sentence that goes with its reason.
+    pub fn because(reason: RefusalReason) -> Self {
+        let sentence = reason.to_string();
+        Self { reason, sentence }
+    }
+}
+
+/// Why a client is not let in.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+pub enum RefusalReason {
+    /// Another version of the protocol.
+    #[error(
+        "the server speaks protocol version {server_speaks}, this client speaks version {PROTOCOL_VERSION}; use the release that the server runs"
+    )]
+    Version {
+        /// The server's version.
+        server_speaks: u16,
+    },
+    /// No seat is left.
+    #[error(
+        "the session is full: all {seats} seats are taken; ask the host for a seat or join as a spectator"
+    )]
+    Full {
+        /// How many there are.
+        seats: u16,
+    },
+    /// The grant is unknown, or is for another role.
+    #[error(
+        "the grant in the join link does not allow the role {role}; ask the host for a new link"
+    )]
+    BadGrant {
+        /// The role asked for.
+        role: Role,
+    },
+    /// Somebody of that name is here.
+    #[error("somebody named \"{name}\" is already in the session; choose another name")]
+    NameTaken {
+        /// The name asked for.
+        name: String,
+    },
+    /// The name is empty, too long or has control characters.
+    #[error("the name must have 1 to {NAME_MAX_BYTES} bytes and no control characters")]
+    BadName,
+    /// The role needs a tool and none fit was offered.
+    #[error("the role {role} needs a tool with a radius between 0.1 mm and 100 mm")]
+    BadTool {
+        /// The role asked for.
+        role: Role,
+    },
+    /// The seat to resume is gone.
+    #[error("the seat to resume has been given up; join again without resuming")]
+    NoSuchSeat,
+    /// The session ends or the server stops.
+    #[error("the server is closing the session; try again later")]
+    Closing,
+}
+
+/// Whether a name can be shown: 1 to [`NAME_MAX_BYTES`] bytes, no control characters, not only
+/// white space.
+pub fn name_is_valid(name: &str) -> bool {
+    !name.trim().is_empty() && name.len() <= NAME_MAX_BYTES && !name.chars().any(char::is_control)
+}

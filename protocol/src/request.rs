@@ -1,0 +1,148 @@
+//! What a client asks of the server, and the messages on the operations stream as a whole.
+
+use serde::{Deserialize, Serialize};
+
+use crate::handshake::{Hello, Refused, ToolDescription, Welcome};
+use crate::operation::{BladePoint, Operation, STROKE_MAX_POINTS};
+use crate::{RequestId, ServerTime, TopologyHash};
+
+/// Everything that a client writes on the operations stream after the preamble.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum ClientMessage {
+    /// The first message, once.
+    Hello(Hello),
+    /// Everything later.
+    Request(Request),
+}
+
+/// Everything that the server writes on the operations stream after the preamble.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum ServerMessage {
+    /// The answer to a hello that is accepted.
+    Welcome(Box<Welcome>),
+    /// The answer to a hello that is not; nothing follows.
+    Refused(Refused),
+    /// The next operation of the log.
+    Operation(Operation),
+    /// A request that will not become an operation.
+    RequestRefused(RequestRefused),
+    /// The server ends this session, with a sentence; nothing follows.
+    Goodbye {
+        /// Why, for people.
+        sentence: String,
+    },
+}
+
+/// One request of a client.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Request {
+    /// Counts up from 1 within a session.
+    pub id: RequestId,
+    /// What is asked for.
+    pub kind: RequestKind,
+}
+
+/// What can be asked for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum RequestKind {
+    /// Cut here.
+    Cut(CutRequest),
+    /// Hold another tool.
+    SetTool(ToolDescription),
+    /// Go away politely.
+    Leave,
+    /// The artificial delay that this client needs to miss nothing.
+    ReportDelay(DelayReport),
+    /// The topology that this client has, for the server to compare.
+    TopologyReport {
+        /// How many topology changes it applied.
+        version: u32,
+        /// The hash it has.
+        hash: TopologyHash,
+    },
+}
+
+impl RequestKind {
+    /// Whether every number is in range; a request that is not is a protocol violation.
+    pub fn is_valid(&self) -> bool {
+        match self {
+            Self::Cut(cut) => cut.is_valid(),
+            Self::SetTool(tool) => tool_is_valid(tool),
+            Self::Leave | Self::ReportDelay(_) | Self::TopologyReport { .. } => true,
+        }
+    }
+}
+
+/// Whether a tool's tip radius is between 0.1 mm and 100 mm.
+pub fn tool_is_valid(tool: &ToolDescription) -> bool {
+    (1e-4..=0.1).contains(&tool.radius_m)
+}
+
+/// A stroke as the participant's hand made it: in the world frame, on the deformed tissue.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CutRequest {
+    /// The blade over time, oldest first, at most [`STROKE_MAX_POINTS`].
+    pub points: Vec<TimedBladePoint>,
+    /// Width of the blade in metres.
+    pub width_m: f64,
+}
+
+impl CutRequest {
+    /// Whether there are 1 to [`STROKE_MAX_POINTS`] valid points in the order of time and the
+    /// width is at most 0.1 m.
+    pub fn is_valid(&self) -> bool {
+        (1..=STROKE_MAX_POINTS).contains(&self.points.len())
+            && self.points.iter().all(|p| p.blade.is_valid())
+            && self.points.is_sorted_by_key(|p| p.time)
+            && (0.0..=0.1).contains(&self.width_m)
+    }
+}
+
+/// The blade in the world frame, at a moment of server time.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TimedBladePoint {
+    /// When.
+    pub time: ServerTime,
+    /// Where, world frame.
+    pub blade: BladePoint,
+}
+
+/// What one site measured about the age of the motion it receives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct DelayReport {
+    /// Mean age on arrival μ, microseconds.
+    pub mean_us: u32,
+    /// Mean deviation ν, microseconds.
+    pub deviation_us: u32,
+    /// The delay D* that this site needs, microseconds.
+    pub wanted_us: u32,
+}
+
+/// The answer to a request that is not done.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RequestRefused {
+    /// Which request.
+    pub id: RequestId,
+    /// Why not.
+    pub reason: RequestRefusal,
+}
+
+/// Why a request is not done.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+pub enum RequestRefusal {
+    /// The role does not allow it.
+    #[error("your role does not allow this")]
+    NotAllowed,
+    /// The stroke touches no tissue.
+    #[error("the stroke does not pass through the tissue")]
+    NothingCut,
+    /// The tissue refused the stroke.
+    #[error("the stroke can not be cut: {0}")]
+    CanNotCut(String),
+    /// More requests than the server takes.
+    #[error("too many requests; wait a moment")]
+    TooMany,
+    /// The topology differs from the server's: the client must rejoin.
+    #[error("your copy of the tissue differs from the server's; rejoin the session")]
+    TopologyDiffers,
+}

@@ -1,0 +1,48 @@
+//! Where a tool was, and when.
+
+use crate::{ParticipantId, ServerTime};
+
+/// A rigid pose in the world frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pose {
+    /// Position in metres.
+    pub position_m: [f64; 3],
+    /// Unit quaternion (x, y, z, w).
+    pub orientation: [f64; 4],
+}
+
+impl Pose {
+    /// The origin, not rotated.
+    pub const IDENTITY: Self = Self {
+        position_m: [0.0; 3],
+        orientation: [0.0, 0.0, 0.0, 1.0],
+    };
+}
+
+impl Default for Pose {
+    fn default() -> Self {
+        Self::IDENTITY
+    }
+}
+
+/// One sample of one tool, stamped in server time when it was taken.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ToolSample {
+    /// When the sample was taken.
+    pub time: ServerTime,
+    /// Where the tool was.
+    pub pose: Pose,
+    /// One bit per button; bit 0 is the main one.
+    pub buttons: u8,
+    /// The force that the participant felt, newtons, world frame, where known.
+    pub force_n: Option<[f64; 3]>,
+}
+
+/// Some samples of one participant's tool, oldest first.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ToolTrack {
+    /// Whose tool it is.
+    pub participant: ParticipantId,
+    /// The samples, oldest first, at most [`crate::datagram::TRACK_MAX_SAMPLES`].
+    pub samples: Vec<ToolSample>,
+}
