@@ -1,1 +1,29 @@
-//! Placeholder.
+//! What a haptic device is, one folder per driver, and a simulated hand that is always there.
+//!
+//! This crate never knows tissue or network, never reads a clock (time is an argument) and never
+//! decides a force: it says where the hand is and hands a wrench to the motors.
+//!
+//! - [`HapticDevice`] is the one trait; [`DeviceCaps`] says what a device can do, [`ClockOwner`]
+//!   whose clock drives it.
+//! - [`backend::sim`] is a hand model that follows a [`Script`] and feels our force.
+//! - [`conformance`] is the suite that every backend passes.
+//!
+//! Units are SI: metres, seconds, kilograms, newtons, newton metres, radians. Millimetres appear
+//! in script files only.
+
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+pub mod backend;
+pub mod conformance;
+mod device;
+mod sample;
+pub mod script;
+mod time;
+
+pub use device::{
+    Calibration, ClockOwner, DeviceCaps, DeviceFault, ForceState, HapticDevice, Rejection,
+    Workspace, Written,
+};
+pub use sample::{Buttons, Faults, Pose, Sample, Wrench};
+pub use script::{Script, ScriptError};
+pub use time::DeviceTime;

@@ -1,0 +1,238 @@
+//! What a device says in one reading, and what it is told to render.
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use crate::DeviceTime;
+
+/// Where the tool is and how it is turned, in the frame of the scene.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pose {
+    /// Position of the tool's tip, m.
+    pub position: Vector3<f64>,
+    /// Rotation from the tool's frame to the scene's.
+    pub orientation: UnitQuaternion<f64>,
+}
+
+impl Pose {
+    /// The pose at `position` (m), not turned.
+    pub fn at(position: Vector3<f64>) -> Self {
+        Self {
+            position,
+            orientation: UnitQuaternion::identity(),
+        }
+    }
+
+    /// Whether every number is finite.
+    pub fn is_finite(&self) -> bool {
+        is_finite(&self.position) && self.orientation.coords.iter().all(|c| c.is_finite())
+    }
+}
+
+impl Default for Pose {
+    fn default() -> Self {
+        Self::at(Vector3::zeros())
+    }
+}
+
+/// A force and a torque on the tool, and so on the hand that holds it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Wrench {
+    /// Force on the tool, N, in the frame of the scene.
+    pub force: Vector3<f64>,
+    /// Torque on the tool about its tip, N·m, in the frame of the scene.
+    pub torque: Vector3<f64>,
+}
+
+impl Wrench {
+    /// No force and no torque.
+    pub const ZERO: Self = Self {
+        force: Vector3::new(0.0, 0.0, 0.0),
+        torque: Vector3::new(0.0, 0.0, 0.0),
+    };
+
+    /// A pure force, N.
+    pub const fn from_force(force: Vector3<f64>) -> Self {
+        Self {
+            force,
+            torque: Vector3::new(0.0, 0.0, 0.0),
+        }
+    }
+
+    /// Whether every number is finite.
+    pub fn is_finite(&self) -> bool {
+        is_finite(&self.force) && is_finite(&self.torque)
+    }
+}
+
+/// The buttons of a tool, one bit each.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub struct Buttons(u32);
+
+impl Buttons {
+    /// No button held.
+    pub const NONE: Self = Self(0);
+    /// The main button: a blade cuts, a grasper grabs, while it is held.
+    pub const PRIMARY: Self = Self(1);
+    /// The second button.
+    pub const SECONDARY: Self = Self(1 << 1);
+
+    /// Buttons from their bits; bit 0 is the primary one.
+    pub const fn from_bits(bits: u32) -> Self {
+        Self(bits)
+    }
+
+    /// The bits; bit 0 is the primary button.
+    pub const fn bits(self) -> u32 {
+        self.0
+    }
+
+    /// Whether all of `other` are held.
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// These and `other`.
+    #[must_use]
+    pub const fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+}
+
+/// What a device reports as wrong while it still answers, one bit each.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub struct Faults(u32);
+
+impl Faults {
+    /// Nothing is wrong.
+    pub const NONE: Self = Self(0);
+    /// The time between two readings was too long to follow; the pose may have jumped.
+    pub const TIME_JUMP: Self = Self(1);
+    /// The motors are warm: the device may soon limit itself.
+    pub const MOTORS_WARM: Self = Self(1 << 1);
+    /// The tool is outside the workspace.
+    pub const OUT_OF_WORKSPACE: Self = Self(1 << 2);
+    /// More force was asked for than the device can give, and it protected itself.
+    pub const OVER_FORCE: Self = Self(1 << 3);
+    /// The link to the device lost a message.
+    pub const COMMUNICATION: Self = Self(1 << 4);
+    /// The emergency stop is pressed.
+    pub const EMERGENCY_STOP: Self = Self(1 << 5);
+    /// The pose can not be trusted: the device is not calibrated, or its readings contradict.
+    pub const UNTRUSTED_POSE: Self = Self(1 << 6);
+
+    const STOPPING: u32 = Self::OVER_FORCE.0
+        | Self::COMMUNICATION.0
+        | Self::EMERGENCY_STOP.0
+        | Self::UNTRUSTED_POSE.0;
+
+    /// The bits.
+    pub const fn bits(self) -> u32 {
+        self.0
+    }
+
+    /// Whether nothing is wrong.
+    pub const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// Whether all of `other` are set.
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// These and `other`.
+    #[must_use]
+    pub const fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// Whether any of them forbids force: what the device says of itself or of the hand can no
+    /// longer be trusted.
+    pub const fn forbid_force(self) -> bool {
+        self.0 & Self::STOPPING != 0
+    }
+}
+
+/// One reading of a device. It is plain data and crosses threads whole.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    /// When the reading was true, on the device's clock.
+    pub time: DeviceTime,
+    /// Where the tool is.
+    pub pose: Pose,
+    /// Velocity of the tip, m/s.
+    pub velocity: Vector3<f64>,
+    /// Angular velocity of the tool, rad/s, in the frame of the scene.
+    pub angular_velocity: Vector3<f64>,
+    /// The buttons held.
+    pub buttons: Buttons,
+    /// Opening of a gripper from 0 (shut) to 1 (open); `None` for a tool without one.
+    pub gripper: Option<f64>,
+    /// What is wrong.
+    pub faults: Faults,
+}
+
+impl Sample {
+    /// A tool that rests at `pose`.
+    pub fn resting(time: DeviceTime, pose: Pose) -> Self {
+        Self {
+            time,
+            pose,
+            velocity: Vector3::zeros(),
+            angular_velocity: Vector3::zeros(),
+            buttons: Buttons::NONE,
+            gripper: None,
+            faults: Faults::NONE,
+        }
+    }
+
+    /// Whether every number is finite.
+    pub fn is_finite(&self) -> bool {
+        self.pose.is_finite()
+            && is_finite(&self.velocity)
+            && is_finite(&self.angular_velocity)
+            && self.gripper.is_none_or(f64::is_finite)
+    }
+}
+
+fn is_finite(v: &Vector3<f64>) -> bool {
+    v.iter().all(|c| c.is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Buttons, Faults, Pose, Sample, Wrench};
+    use crate::DeviceTime;
+
+    #[test]
+    fn one_bad_number_anywhere_is_seen() {
+        let good = Sample::resting(DeviceTime::ZERO, Pose::default());
+        assert!(good.is_finite());
+        for field in 0..4 {
+            let mut bad = good;
+            match field {
+                0 => bad.pose.position.y = f64::NAN,
+                1 => bad.velocity.z = f64::INFINITY,
+                2 => bad.angular_velocity.x = f64::NAN,
+                _ => bad.gripper = Some(f64::NAN),
+            }
+            assert!(!bad.is_finite(), "field {field}");
+        }
+        assert!(Wrench::ZERO.is_finite());
+    }
+
+    #[test]
+    fn warm_motors_allow_force_and_an_emergency_stop_does_not() {
+        assert!(!Faults::MOTORS_WARM.with(Faults::TIME_JUMP).forbid_force());
+        assert!(
+            Faults::MOTORS_WARM
+                .with(Faults::EMERGENCY_STOP)
+                .forbid_force()
+        );
+        assert!(
+            Buttons::PRIMARY
+                .with(Buttons::SECONDARY)
+                .contains(Buttons::PRIMARY)
+        );
+    }
+}

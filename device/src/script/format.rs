@@ -1,0 +1,334 @@
+//! The file of a script: millimetres and TOML outside, metres and [`Script`] inside.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::{Ease, Hand, Script, ScriptError, Tool, ToolKind, WayPoint};
+
+/// The first line of every script.
+const FORMAT: &str = "palpate-script/1";
+
+/// Length of a blade's edge where the file names none, mm: about that of a number 10 blade.
+const BLADE_LENGTH_MM: f64 = 20.0;
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    format: String,
+    #[serde(default)]
+    repeat: bool,
+    tool: ToolTable,
+    #[serde(default)]
+    hand: HandTable,
+    #[serde(default)]
+    way: Vec<WayTable>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ToolTable {
+    kind: KindName,
+    radius_mm: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    length_mm: Option<f64>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum KindName {
+    Probe,
+    Blade,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct HandTable {
+    mass_kg: f64,
+    stiffness_n_per_m: f64,
+    damping_ns_per_m: f64,
+    tremor_mm: f64,
+    seed: u64,
+}
+
+impl Default for HandTable {
+    fn default() -> Self {
+        let hand = Hand::default();
+        Self {
+            mass_kg: hand.mass_kg,
+            stiffness_n_per_m: hand.stiffness_n_per_m,
+            damping_ns_per_m: hand.damping_ns_per_m,
+            tremor_mm: to_mm(hand.tremor_m),
+            seed: hand.seed,
+        }
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WayTable {
+    t_s: f64,
+    at_mm: [f64; 3],
+    #[serde(default)]
+    button: bool,
+    #[serde(default)]
+    ease: EaseName,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    quat: Option<[f64; 4]>,
+}
+
+#[derive(Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+enum EaseName {
+    #[default]
+    MinimumJerk,
+    Linear,
+}
+
+impl Script {
+    /// Parses a script; the format is described at the head of [`script`](crate::script).
+    pub fn from_toml(text: &str) -> Result<Self, ScriptError> {
+        let file: File = toml::from_str(text).map_err(|e| ScriptError::Syntax(explain(&e)))?;
+        if file.format != FORMAT {
+            return Err(ScriptError::Format { found: file.format });
+        }
+        let mut ways = Vec::with_capacity(file.way.len());
+        let mut orientation = UnitQuaternion::identity();
+        for (i, way) in file.way.iter().enumerate() {
+            if let Some(quat) = way.quat {
+                orientation = unit(quat).ok_or(ScriptError::Way {
+                    number: i + 1,
+                    t_s: way.t_s,
+                    rule: "quat = [w, x, y, z] must have length 1 (within 1 %)",
+                })?;
+            }
+            ways.push(WayPoint {
+                t_s: way.t_s,
+                position: Vector3::from(way.at_mm) / 1e3,
+                orientation,
+                button: way.button,
+                ease: match way.ease {
+                    EaseName::MinimumJerk => Ease::MinimumJerk,
+                    EaseName::Linear => Ease::Linear,
+                },
+            });
+        }
+        Self::new(tool(&file.tool), hand(&file.hand), ways, file.repeat)
+    }
+
+    /// The script as a file; parsing it gives the same script to within a nanometre.
+    pub fn to_toml(&self) -> String {
+        let (tool, hand) = (self.tool(), self.hand());
+        let file = File {
+            format: FORMAT.to_owned(),
+            repeat: self.repeats(),
+            tool: ToolTable {
+                kind: match tool.kind {
+                    ToolKind::Probe => KindName::Probe,
+                    ToolKind::Blade => KindName::Blade,
+                },
+                radius_mm: to_mm(tool.radius_m),
+                length_mm: (tool.kind == ToolKind::Blade).then(|| to_mm(tool.length_m)),
+            },
+            hand: HandTable {
+                mass_kg: hand.mass_kg,
+                stiffness_n_per_m: hand.stiffness_n_per_m,
+                damping_ns_per_m: hand.damping_ns_per_m,
+                tremor_mm: to_mm(hand.tremor_m),
+                seed: hand.seed,
+            },
+            way: self.ways().iter().map(way_table).collect(),
+        };
+        toml::to_string(&file).expect("a valid script has nothing that TOML can not say")
+    }
+}
+
+fn way_table(way: &WayPoint) -> WayTable {
+    let q = way.orientation.quaternion();
+    WayTable {
+        t_s: way.t_s,
+        at_mm: [
+            to_mm(way.position.x),
+            to_mm(way.position.y),
+            to_mm(way.position.z),
+        ],
+        button: way.button,
+        ease: match way.ease {
+            Ease::MinimumJerk => EaseName::MinimumJerk,
+            Ease::Linear => EaseName::Linear,
+        },
+        quat: Some([q.w, q.i, q.j, q.k]),
+    }
+}
+
+fn tool(table: &ToolTable) -> Tool {
+    let (kind, length_mm) = match table.kind {
+        KindName::Probe => (ToolKind::Probe, table.length_mm.unwrap_or(0.0)),
+        KindName::Blade => (ToolKind::Blade, table.length_mm.unwrap_or(BLADE_LENGTH_MM)),
+    };
+    Tool {
+        kind,
+        radius_m: table.radius_mm / 1e3,
+        length_m: length_mm / 1e3,
+    }
+}
+
+fn hand(table: &HandTable) -> Hand {
+    Hand {
+        mass_kg: table.mass_kg,
+        stiffness_n_per_m: table.stiffness_n_per_m,
+        damping_ns_per_m: table.damping_ns_per_m,
+        tremor_m: table.tremor_mm / 1e3,
+        seed: table.seed,
+    }
+}
+
+/// Millimetres, rounded to a picometre so that 0.0123 m is written 12.3 and not 12.299999999999999.
+fn to_mm(m: f64) -> f64 {
+    (m * 1e12).round() / 1e9
+}
+
+fn unit([w, x, y, z]: [f64; 4]) -> Option<UnitQuaternion<f64>> {
+    let q = Quaternion::new(w, x, y, z);
+    let off = (q.norm() - 1.0).abs();
+    if off <= 1e-12 {
+        // As exact as a file can be; normalising would change its last digit at every reading.
+        return Some(UnitQuaternion::new_unchecked(q));
+    }
+    (off <= 0.01).then(|| UnitQuaternion::from_quaternion(q))
+}
+
+/// The parser's message (it names line and column), and for an unknown key the nearest known one.
+fn explain(error: &toml::de::Error) -> String {
+    let text = error.to_string();
+    let mut names = error.message().split('`').skip(1).step_by(2);
+    let is_unknown = error.message().starts_with("unknown ");
+    let nearest = names.next().filter(|_| is_unknown).and_then(|unknown| {
+        names.max_by(|a, b| {
+            strsim::jaro_winkler(unknown, a).total_cmp(&strsim::jaro_winkler(unknown, b))
+        })
+    });
+    match nearest {
+        Some(nearest) => format!("{}\ndid you mean `{nearest}`?", text.trim_end()),
+        None => text.trim_end().to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+    use proptest::prelude::*;
+
+    use super::super::{Ease, Hand, Script, ScriptError, Tool, ToolKind, WayPoint};
+
+    /// The example at the head of the module, as the reader sees it.
+    fn example() -> String {
+        include_str!("mod.rs")
+            .lines()
+            .skip_while(|l| *l != "//! ```toml")
+            .skip(1)
+            .take_while(|l| *l != "//! ```")
+            .map(|l| l.trim_start_matches("//!").trim_start())
+            .collect::<Vec<_>>()
+            .join("\n")
+    }
+
+    #[test]
+    fn the_documented_example_parses() {
+        let script = Script::from_toml(&example()).unwrap();
+        assert_eq!(script.tool().kind, ToolKind::Probe);
+        assert_eq!(
+            script.hand(),
+            Hand::default(),
+            "the example shows the defaults"
+        );
+        assert_eq!(script.ways().len(), 2);
+        assert_eq!(script.ways()[1].position, Vector3::new(0.0, 0.0, 0.045));
+        assert!(script.ways()[1].button && !script.ways()[0].button);
+    }
+
+    #[test]
+    fn an_unknown_key_is_refused_with_its_line_and_the_nearest_known_one() {
+        let e = Script::from_toml(&example().replace("radius_mm", "radios_mm")).unwrap_err();
+        let text = e.to_string();
+        assert!(
+            text.contains("radios_mm") && text.contains("line"),
+            "{text}"
+        );
+        assert!(text.ends_with("did you mean `radius_mm`?"), "{text}");
+        let e = Script::from_toml(&example().replace("\"probe\"", "\"prob\"")).unwrap_err();
+        assert!(e.to_string().ends_with("did you mean `probe`?"), "{e}");
+    }
+
+    #[test]
+    fn another_format_is_refused_by_name() {
+        let e = Script::from_toml(&example().replace("script/1", "script/2")).unwrap_err();
+        assert!(matches!(&e, ScriptError::Format { found } if found == "palpate-script/2"));
+    }
+
+    #[test]
+    fn broken_values_name_their_way_point() {
+        for (from, to) in [
+            ("t_s = 1.5", "t_s = -1.5"),
+            ("t_s = 1.5", "t_s = nan"),
+            ("[0.0, 0.0, 45.0]", "[0.0, inf, 45.0]"),
+            ("quat = [1.0", "quat = [0.5"),
+        ] {
+            let text = example().replace(from, to);
+            assert_ne!(text, example(), "the example holds {from}");
+            let e = Script::from_toml(&text).unwrap_err();
+            assert!(e.to_string().starts_with("way point 2"), "{e}");
+        }
+    }
+
+    #[test]
+    fn a_blade_without_a_length_gets_the_usual_one_and_a_probe_none() {
+        let blade = Script::from_toml(&example().replace("\"probe\"", "\"blade\"")).unwrap();
+        assert_eq!(blade.tool().length_m, 0.02);
+        let e = Script::from_toml(&example().replace("# length_mm", "length_mm")).unwrap_err();
+        assert!(e.to_string().contains("only a blade"), "{e}");
+    }
+
+    proptest! {
+        #[test]
+        fn writing_and_reading_gives_the_same_script(
+            steps in proptest::collection::vec(
+                ((0.001f64..3.0, -0.5f64..0.5, -0.5f64..0.5), (any::<bool>(), any::<bool>(), -3.0f64..3.0)),
+                1..20
+            ),
+            blade in any::<bool>(),
+            seed in 0u64..1 << 62,
+        ) {
+            let mut t_s = 0.0;
+            let ways: Vec<_> = steps
+                .iter()
+                .map(|&((dt, x, y), (button, linear, turn))| {
+                    t_s += dt;
+                    WayPoint {
+                        t_s,
+                        position: Vector3::new(x, y, 0.1),
+                        orientation: UnitQuaternion::new(Vector3::new(turn, 0.1, 0.0)),
+                        button,
+                        ease: if linear { Ease::Linear } else { Ease::MinimumJerk },
+                    }
+                })
+                .collect();
+            let tool = if blade {
+                Tool { kind: ToolKind::Blade, radius_m: 0.0005, length_m: 0.0123 }
+            } else {
+                Tool { kind: ToolKind::Probe, radius_m: 0.0042, length_m: 0.0 }
+            };
+            let hand = Hand { tremor_m: 0.000_3, seed, ..Hand::default() };
+            let script = Script::new(tool, hand, ways, false).unwrap();
+            let text = script.to_toml();
+            let again = Script::from_toml(&text).unwrap();
+            prop_assert_eq!(again.tool().kind, tool.kind);
+            prop_assert_eq!(again.hand().seed, seed);
+            for (a, b) in script.ways().iter().zip(again.ways()) {
+                prop_assert!((a.position - b.position).norm() < 1e-9);
+                prop_assert!(a.orientation.angle_to(&b.orientation) < 1e-9);
+                prop_assert_eq!((a.t_s, a.button, a.ease), (b.t_s, b.button, b.ease));
+            }
+            prop_assert_eq!(again.to_toml(), text, "the second writing changes nothing");
+        }
+    }
+}

@@ -1,0 +1,533 @@
+//! Scripts: where a simulated hand wants to be, as way points in a documented TOML file.
+//!
+//! ```toml
+//! format = "palpate-script/1"
+//! repeat = false              # true: begin again at the first way point (the last must be there)
+//!
+//! [tool]
+//! kind = "probe"              # "probe" (a ball) or "blade" (cuts along the path of its tip)
+//! radius_mm = 4.0             # of the probe's ball, or half the thickness of the blade
+//! # length_mm = 20.0          # of the blade's edge, from the tip upwards; blades only
+//!
+//! [hand]                      # optional, as is each line of it
+//! mass_kg = 0.3
+//! stiffness_n_per_m = 400.0   # of the spring that pulls the hand to the script
+//! damping_ns_per_m = 12.0     # of the damper beside that spring
+//! tremor_mm = 0.0             # root mean square along each axis, 8 to 12 Hz
+//! seed = 1                    # of the tremor
+//!
+//! [[way]]
+//! t_s = 0.0
+//! at_mm = [0.0, 0.0, 80.0]
+//!
+//! [[way]]
+//! t_s = 1.5
+//! at_mm = [0.0, 0.0, 45.0]
+//! button = true               # the primary button is held from this way point on
+//! ease = "minimum-jerk"       # how this way point is reached; or "linear"
+//! quat = [1.0, 0.0, 0.0, 0.0] # w, x, y, z; without it the tool keeps the turn it had
+//! ```
+//!
+//! Before the first way point the hand stays at the first, after the last at the last.
+//!
+//! Minimum jerk (Flash and Hogan 1985): with u in 0..1 the share of the time between two way
+//! points, the share of the path is s = 10 u³ − 15 u⁴ + 6 u⁵, which starts and ends at rest.
+
+mod format;
+mod motion;
+
+use std::path::Path;
+
+use nalgebra::{UnitQuaternion, Vector3};
+use thiserror::Error;
+
+pub use motion::ScriptPose;
+
+/// Way points in one script. A point per millisecond for 100 s fits; more is refused, because a
+/// script is read whole.
+pub const WAYS_MAX: usize = 100_000;
+
+/// Bytes of a script file. More is refused before it is parsed.
+pub const SCRIPT_BYTES_MAX: u64 = 16 << 20;
+
+/// How far from the origin a way point may be, m. What is farther was most probably written in
+/// another unit, and is refused.
+pub const POSITION_MAX_M: f64 = 10.0;
+
+/// How far apart the first and the last way point of a repeated script may be, m; more would be a
+/// jump of the hand at every repetition.
+pub const REPEAT_GAP_MAX_M: f64 = 1e-4;
+
+/// What the hand holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum ToolKind {
+    /// A ball that presses.
+    Probe,
+    /// An edge that cuts along the path of its tip while the primary button is held.
+    Blade,
+}
+
+/// The tool of a script.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tool {
+    /// Its kind.
+    pub kind: ToolKind,
+    /// Radius of the probe's ball, or half the thickness of the blade, m.
+    pub radius_m: f64,
+    /// Length of the blade's edge from the tip upwards, m; zero for a probe.
+    pub length_m: f64,
+}
+
+/// The hand that is pulled along a script.
+///
+/// The defaults are a choice, not a measurement: a light grip (0.3 kg that move with the tool,
+/// 5.8 Hz, damping ratio 0.55), loose enough that tissue of 100 to 1000 N/m pushes it back
+/// visibly and stiff enough that it follows a script within a millimetre or two.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hand {
+    /// Mass that moves with the tool, kg.
+    pub mass_kg: f64,
+    /// Stiffness of the spring between hand and script, N/m.
+    pub stiffness_n_per_m: f64,
+    /// Damping between hand and script, N·s/m. It acts on the difference of their velocities, so
+    /// that a free hand in steady motion does not lag.
+    pub damping_ns_per_m: f64,
+    /// Root mean square of the free hand's tremor along each axis, m.
+    pub tremor_m: f64,
+    /// Seed of the tremor.
+    pub seed: u64,
+}
+
+impl Default for Hand {
+    fn default() -> Self {
+        Self {
+            mass_kg: 0.3,
+            stiffness_n_per_m: 400.0,
+            damping_ns_per_m: 12.0,
+            tremor_m: 0.0,
+            seed: 1,
+        }
+    }
+}
+
+/// How a way point is reached from the one before it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Ease {
+    /// Rest to rest, as a hand moves.
+    #[default]
+    MinimumJerk,
+    /// At constant speed.
+    Linear,
+}
+
+/// One way point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WayPoint {
+    /// When the script is here, s.
+    pub t_s: f64,
+    /// Where the tip is, m.
+    pub position: Vector3<f64>,
+    /// How the tool is turned.
+    pub orientation: UnitQuaternion<f64>,
+    /// Whether the primary button is held from here on.
+    pub button: bool,
+    /// How this point is reached.
+    pub ease: Ease,
+}
+
+impl WayPoint {
+    /// A way point at `t_s` seconds and `position` metres, reached rest to rest, not turned, no
+    /// button held.
+    pub fn new(t_s: f64, position: Vector3<f64>) -> Self {
+        Self {
+            t_s,
+            position,
+            orientation: UnitQuaternion::identity(),
+            button: false,
+            ease: Ease::MinimumJerk,
+        }
+    }
+
+    /// The same way point with the primary button held from it on.
+    #[must_use]
+    pub fn pressed(self) -> Self {
+        Self {
+            button: true,
+            ..self
+        }
+    }
+
+    /// The same way point, reached at constant speed.
+    #[must_use]
+    pub fn linear(self) -> Self {
+        Self {
+            ease: Ease::Linear,
+            ..self
+        }
+    }
+
+    /// The same way point with the tool turned.
+    #[must_use]
+    pub fn turned(self, orientation: UnitQuaternion<f64>) -> Self {
+        Self {
+            orientation,
+            ..self
+        }
+    }
+}
+
+/// Why a script was refused.
+#[derive(Debug, Error)]
+pub enum ScriptError {
+    /// The file could not be read.
+    #[error("cannot read the script {path}: {source}")]
+    Read {
+        /// The file.
+        path: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file is too large.
+    #[error("the script {path} has {bytes} bytes; {SCRIPT_BYTES_MAX} are the most")]
+    TooLarge {
+        /// The file.
+        path: String,
+        /// Its size.
+        bytes: u64,
+    },
+    /// Not TOML, a key that is not known, or a value of the wrong type.
+    #[error("the script is not understood: {0}")]
+    Syntax(String),
+    /// Another format, or another version of it.
+    #[error("format is \"{found}\", but this program reads \"palpate-script/1\"")]
+    Format {
+        /// What the file says.
+        found: String,
+    },
+    /// A value of `[tool]` or `[hand]` that can not be.
+    #[error("{key} = {value}: {rule}")]
+    Value {
+        /// The key with its table.
+        key: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it must be.
+        rule: &'static str,
+    },
+    /// No way point at all.
+    #[error("the script has no [[way]]; write at least one")]
+    NoWay,
+    /// More way points than the bound.
+    #[error("the script has {0} way points; {WAYS_MAX} are the most")]
+    TooManyWays(usize),
+    /// A way point that can not be.
+    #[error("way point {number} (at {t_s} s): {rule}")]
+    Way {
+        /// Which, the first being 1.
+        number: usize,
+        /// Its time.
+        t_s: f64,
+        /// What it must be.
+        rule: &'static str,
+    },
+    /// A repeated script that does not end where it begins.
+    #[error(
+        "repeat = true, but the last way point is {gap_mm} mm from the first; \
+         end the script where it begins"
+    )]
+    RepeatGap {
+        /// The distance, mm.
+        gap_mm: f64,
+    },
+}
+
+/// Where a simulated hand wants to be, over time. Valid by construction.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Script {
+    tool: Tool,
+    hand: Hand,
+    ways: Vec<WayPoint>,
+    repeat: bool,
+}
+
+impl Script {
+    /// A script from its parts; refuses what a file would be refused for.
+    pub fn new(
+        tool: Tool,
+        hand: Hand,
+        ways: Vec<WayPoint>,
+        repeat: bool,
+    ) -> Result<Self, ScriptError> {
+        check_tool(&tool)?;
+        check_hand(&hand)?;
+        check_ways(&ways, repeat)?;
+        Ok(Self {
+            tool,
+            hand,
+            ways,
+            repeat,
+        })
+    }
+
+    /// A probe that rests at `position` (m) for ever.
+    pub fn resting_probe(position: Vector3<f64>, radius_m: f64) -> Result<Self, ScriptError> {
+        let tool = Tool {
+            kind: ToolKind::Probe,
+            radius_m,
+            length_m: 0.0,
+        };
+        Self::new(
+            tool,
+            Hand::default(),
+            vec![WayPoint::new(0.0, position)],
+            false,
+        )
+    }
+
+    /// Reads a script file.
+    pub fn load(path: &Path) -> Result<Self, ScriptError> {
+        let name = || path.display().to_string();
+        let read = |source| ScriptError::Read {
+            path: name(),
+            source,
+        };
+        let bytes = std::fs::metadata(path).map_err(read)?.len();
+        if bytes > SCRIPT_BYTES_MAX {
+            return Err(ScriptError::TooLarge {
+                path: name(),
+                bytes,
+            });
+        }
+        Self::from_toml(&std::fs::read_to_string(path).map_err(read)?)
+    }
+
+    /// What the hand holds.
+    pub fn tool(&self) -> Tool {
+        self.tool
+    }
+
+    /// The hand.
+    pub fn hand(&self) -> Hand {
+        self.hand
+    }
+
+    /// The way points, in the order of time.
+    pub fn ways(&self) -> &[WayPoint] {
+        &self.ways
+    }
+
+    /// Whether the script begins again after its last way point.
+    pub fn repeats(&self) -> bool {
+        self.repeat
+    }
+
+    /// The time of the last way point, s. A repeated script goes on after it.
+    pub fn end_s(&self) -> f64 {
+        self.ways[self.ways.len() - 1].t_s
+    }
+}
+
+fn check_tool(tool: &Tool) -> Result<(), ScriptError> {
+    let refuse = |key, value_m: f64, rule| {
+        Err(ScriptError::Value {
+            key,
+            value: value_m * 1e3,
+            rule,
+        })
+    };
+    if !(tool.radius_m > 0.0 && tool.radius_m <= 0.1) {
+        return refuse(
+            "tool.radius_mm",
+            tool.radius_m,
+            "must be above 0 and at most 100",
+        );
+    }
+    match tool.kind {
+        ToolKind::Probe if tool.length_m != 0.0 => refuse(
+            "tool.length_mm",
+            tool.length_m,
+            "only a blade has a length; remove the line",
+        ),
+        ToolKind::Blade if !(tool.length_m > 0.0 && tool.length_m <= 0.5) => refuse(
+            "tool.length_mm",
+            tool.length_m,
+            "must be above 0 and at most 500",
+        ),
+        _ => Ok(()),
+    }
+}
+
+fn check_hand(hand: &Hand) -> Result<(), ScriptError> {
+    let between = |key, value: f64, low: f64, high: f64, rule| {
+        if value >= low && value <= high {
+            Ok(())
+        } else {
+            Err(ScriptError::Value { key, value, rule })
+        }
+    };
+    // The upper bounds keep the sub-step of the hand's integration stable: with the lightest
+    // hand, stiffness * dt² / mass <= 0.0125 and damping * dt / mass <= 0.5 at dt = 0.25 ms.
+    between(
+        "hand.mass_kg",
+        hand.mass_kg,
+        0.05,
+        20.0,
+        "must be from 0.05 to 20",
+    )?;
+    between(
+        "hand.stiffness_n_per_m",
+        hand.stiffness_n_per_m,
+        1.0,
+        10_000.0,
+        "must be from 1 to 10000",
+    )?;
+    between(
+        "hand.damping_ns_per_m",
+        hand.damping_ns_per_m,
+        0.0,
+        100.0,
+        "must be from 0 to 100",
+    )?;
+    between(
+        "hand.tremor_mm",
+        hand.tremor_m * 1e3,
+        0.0,
+        10.0,
+        "must be from 0 to 10",
+    )?;
+    // TOML has signed integers of 64 bits.
+    between(
+        "hand.seed",
+        hand.seed as f64,
+        0.0,
+        (1_u64 << 62) as f64,
+        "must be at most 2^62",
+    )
+}
+
+fn check_ways(ways: &[WayPoint], repeat: bool) -> Result<(), ScriptError> {
+    let Some((first, last)) = ways.first().zip(ways.last()) else {
+        return Err(ScriptError::NoWay);
+    };
+    if ways.len() > WAYS_MAX {
+        return Err(ScriptError::TooManyWays(ways.len()));
+    }
+    let mut before = f64::NEG_INFINITY;
+    for (i, way) in ways.iter().enumerate() {
+        let refuse = |rule| {
+            Err(ScriptError::Way {
+                number: i + 1,
+                t_s: way.t_s,
+                rule,
+            })
+        };
+        if !way.t_s.is_finite() || way.t_s.abs() > 1e6 {
+            return refuse("t_s must be a finite time below a million seconds");
+        }
+        if way.t_s <= before {
+            return refuse("t_s must be later than that of the way point before it");
+        }
+        if !way.position.iter().all(|c| c.abs() <= POSITION_MAX_M) {
+            return refuse("at_mm must be finite and within 10 m of the origin");
+        }
+        if !way.orientation.coords.iter().all(|c| c.is_finite()) {
+            return refuse("quat must be finite");
+        }
+        before = way.t_s;
+    }
+    let gap = (last.position - first.position).norm();
+    if repeat && ways.len() < 2 {
+        let rule = "repeat = true needs at least two way points";
+        return Err(ScriptError::Way {
+            number: 1,
+            t_s: first.t_s,
+            rule,
+        });
+    }
+    if repeat && gap > REPEAT_GAP_MAX_M {
+        return Err(ScriptError::RepeatGap { gap_mm: gap * 1e3 });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::{Hand, Script, ScriptError, Tool, ToolKind, WayPoint};
+
+    fn probe() -> Tool {
+        Tool {
+            kind: ToolKind::Probe,
+            radius_m: 0.004,
+            length_m: 0.0,
+        }
+    }
+
+    fn ways(at: &[(f64, f64)]) -> Vec<WayPoint> {
+        at.iter()
+            .map(|&(t, x)| WayPoint::new(t, Vector3::new(x, 0.0, 0.0)))
+            .collect()
+    }
+
+    #[test]
+    fn times_must_increase_and_the_message_names_the_way_point() {
+        let e = Script::new(
+            probe(),
+            Hand::default(),
+            ways(&[(0.0, 0.0), (1.0, 0.0), (1.0, 0.1)]),
+            false,
+        )
+        .unwrap_err();
+        assert!(matches!(e, ScriptError::Way { number: 3, .. }));
+        assert!(e.to_string().starts_with("way point 3 (at 1 s)"), "{e}");
+    }
+
+    #[test]
+    fn positions_beyond_ten_metres_or_not_finite_are_refused() {
+        for x in [10.1, f64::NAN, f64::INFINITY] {
+            let e = Script::new(probe(), Hand::default(), ways(&[(0.0, x)]), false).unwrap_err();
+            assert!(matches!(e, ScriptError::Way { number: 1, .. }), "{x}: {e}");
+        }
+        assert!(matches!(
+            Script::new(probe(), Hand::default(), vec![], false),
+            Err(ScriptError::NoWay)
+        ));
+    }
+
+    #[test]
+    fn a_repeated_script_ends_where_it_begins() {
+        let open = ways(&[(0.0, 0.0), (1.0, 0.1)]);
+        let shut = ways(&[(0.0, 0.0), (1.0, 0.1), (2.0, 0.0)]);
+        assert!(matches!(
+            Script::new(probe(), Hand::default(), open, true),
+            Err(ScriptError::RepeatGap { .. })
+        ));
+        assert!(Script::new(probe(), Hand::default(), shut, true).is_ok());
+    }
+
+    #[test]
+    fn a_hand_that_could_not_be_integrated_is_refused() {
+        for hand in [
+            Hand {
+                mass_kg: 0.0,
+                ..Hand::default()
+            },
+            Hand {
+                stiffness_n_per_m: f64::NAN,
+                ..Hand::default()
+            },
+            Hand {
+                damping_ns_per_m: 1e4,
+                ..Hand::default()
+            },
+            Hand {
+                tremor_m: -0.001,
+                ..Hand::default()
+            },
+        ] {
+            let e = Script::new(probe(), hand, ways(&[(0.0, 0.0)]), false).unwrap_err();
+            assert!(e.to_string().starts_with("hand."), "{e}");
+        }
+    }
+}
