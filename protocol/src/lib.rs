@@ -16,6 +16,7 @@
 //! state machines, [`clock`], [`compensation`] and [`timeline`] for the one moment everybody shares.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod clock;
 pub mod codec;
 pub mod compensation;
 pub mod datagram;
@@ -27,13 +28,16 @@ pub mod operation;
 pub mod request;
 mod sample;
 mod sequence;
+pub mod session;
 mod time;
+pub mod timeline;
+pub mod verlet;
 
 pub use datagram::DATAGRAM_MAX_BYTES;
 pub use error::ProtocolError;
 pub use handshake::{ModelInfo, PROTOCOL_VERSION, Role};
 pub use ids::{Epoch, ModelHash, OperationId, ParticipantId, RequestId, TopologyHash};
 pub use link::{CertificateHash, Grant, JoinLink};
-pub use sample::{Pose, ToolSample, ToolTrack};
+pub use sample::{LocalSample, Pose, ToolSample, ToolTrack};
 pub use sequence::{Arrival, SequenceWindow, WINDOW_BITS};
 pub use time::{ClientTime, ServerTime, Span};

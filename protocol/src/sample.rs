@@ -1,6 +1,6 @@
 //! Where a tool was, and when.
 
-use crate::{ParticipantId, ServerTime};
+use crate::{ClientTime, ParticipantId, ServerTime};
 
 /// A rigid pose in the world frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,11 +25,12 @@ impl Default for Pose {
     }
 }
 
-/// One sample of one tool, stamped in server time when it was taken.
+/// One sample of one tool, stamped when it was taken: in server time, or in the client's own time
+/// before it leaves that client ([`LocalSample`]).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct ToolSample {
+pub struct ToolSample<T = ServerTime> {
     /// When the sample was taken.
-    pub time: ServerTime,
+    pub time: T,
     /// Where the tool was.
     pub pose: Pose,
     /// One bit per button; bit 0 is the main one.
@@ -37,6 +38,9 @@ pub struct ToolSample {
     /// The force that the participant felt, newtons, world frame, where known.
     pub force_n: Option<[f64; 3]>,
 }
+
+/// A sample on the clock of the client that took it.
+pub type LocalSample = ToolSample<ClientTime>;
 
 /// Some samples of one participant's tool, oldest first.
 #[derive(Debug, Clone, PartialEq, Default)]

@@ -1,0 +1,149 @@
+//! One state machine per end of a connection: bytes in, events out.
+//!
+//! [`ClientSession`] is the client's end, [`ServerPeer`] the server's end for one client. Both are
+//! pure: the shell reads the clock, owns the socket and calls, after anything that happened,
+//!
+//! ```text
+//! handle_stream / handle_datagram / handle_timeout / a request          (one of them)
+//! then poll_stream, poll_datagram and poll_event, each until None
+//! then sleeps until poll_timeout
+//! ```
+//!
+//! What the peer sends wrong closes that one session, with a [`CloseReason`]; a datagram of noise
+//! is only counted, because anybody can make one arrive late, twice or cut off.
+
+mod client;
+mod link;
+mod server;
+
+use std::sync::Arc;
+
+use crate::clock::ClockMap;
+use crate::datagram::Corrections;
+use crate::handshake::{Hello, Refused, Welcome};
+use crate::operation::Operation;
+use crate::request::{DelayReport, Request, RequestRefused};
+use crate::{ParticipantId, ProtocolError, Span, ToolSample, ToolTrack};
+
+pub use client::ClientSession;
+pub use link::{LinkStats, NoiseCounters};
+pub use server::ServerPeer;
+
+/// A participant from whom nothing came for so long is gone, and its tool with it.
+pub const PEER_SILENCE: Span = Span::from_millis(2000);
+
+/// A server from which nothing came for so long is given up for the moment: force goes to zero.
+pub const SERVER_SILENCE: Span = Span::from_millis(1000);
+
+/// A handshake that takes longer is given up.
+pub const HANDSHAKE_TIMEOUT: Span = Span::from_millis(10_000);
+
+/// A datagram at least so often from either side, so that silence means something.
+pub const HEARTBEAT: Span = Span::from_millis(100);
+
+/// The most bytes of operations that may wait for one peer; beyond, it is too slow and is closed.
+/// It holds a thousand strokes of the longest kind.
+pub const STREAM_BACKLOG_MAX_BYTES: usize = 32 * 1024 * 1024;
+
+/// The most datagrams that may wait in one session; beyond, the oldest is dropped and counted.
+pub const DATAGRAM_BACKLOG_MAX: usize = 64;
+
+/// The most events that may wait in one session between two drains; a peer that causes more is
+/// closed.
+pub const EVENTS_MAX: usize = 4096;
+
+/// Why a session is over.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum CloseReason {
+    /// The other side broke the protocol.
+    #[error(transparent)]
+    Violation(#[from] ProtocolError),
+    /// Nothing came for too long.
+    #[error("nothing was heard from the other side for {} ms", .0.as_millis_f64())]
+    Silent(Span),
+    /// The handshake did not finish in time.
+    #[error("the handshake was not finished within {} s", HANDSHAKE_TIMEOUT.as_secs_f64())]
+    HandshakeTimeout,
+    /// The server did not let this client in.
+    #[error("{}", .0.sentence)]
+    Refused(Refused),
+    /// The participant asked to leave.
+    #[error("the participant left")]
+    Left,
+    /// The server said goodbye.
+    #[error("the server ended the session: {0}")]
+    Goodbye(String),
+    /// The connection under the session is gone.
+    #[error("the connection was lost: {0}")]
+    ConnectionLost(String),
+}
+
+/// What a client learns from its session.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ClientEvent {
+    /// The handshake is done. The operations of the log follow as events.
+    Welcomed(Box<Welcome>),
+    /// The next operation of the log; they come in order and without a hole.
+    Operation(Operation),
+    /// Every operation that the log held at the welcome has been given.
+    CaughtUp,
+    /// A request will not be done.
+    RequestRefused(RequestRefused),
+    /// Samples of somebody else's tool, oldest first; some may have been given before. For that
+    /// tool's [`Timeline`](crate::timeline::Timeline).
+    Motion(ToolTrack),
+    /// Where nodes of the tissue are on the server.
+    Corrections(Corrections),
+    /// What each participant needs of the artificial delay, for the screen.
+    Delays(Vec<(ParticipantId, DelayReport)>),
+    /// The clock estimate moved: the map from now on. The first one means that it is locked.
+    Clock(ClockMap),
+    /// Nothing came from the server for [`SERVER_SILENCE`]: let the force go to zero, and say so.
+    LinkLost,
+    /// The server is heard again.
+    LinkRestored,
+    /// The session is over. It is the last event.
+    Closed(CloseReason),
+}
+
+/// What a server learns from one client.
+#[derive(Debug, Clone, PartialEq)]
+pub enum PeerEvent {
+    /// Somebody wants in. Answer with [`PeerMessage::Welcome`] or [`PeerMessage::Refused`].
+    Hello(Hello),
+    /// A request; its numbers are within their ranges.
+    Request(Request),
+    /// Samples of this participant's tool, oldest first; some may have been given before.
+    Motion(Vec<ToolSample>),
+    /// The delay that this participant needs, from a datagram. The same value may also come as a
+    /// request.
+    Delay(DelayReport),
+    /// The session is over. It is the last event; the tool goes away.
+    Closed(CloseReason),
+}
+
+/// What a server tells one client reliably and in order.
+#[derive(Debug, Clone, PartialEq)]
+pub enum PeerMessage {
+    /// Lets the client in. Every operation of the log, from number 0, is sent after it.
+    Welcome(Box<Welcome>),
+    /// Does not let the client in; closes the session.
+    Refused(Refused),
+    /// The next operation.
+    Operation(Arc<Operation>),
+    /// Answers a request that is not done.
+    RequestRefused(RequestRefused),
+    /// Ends the session.
+    Goodbye(String),
+}
+
+/// What a server tells one client as long as there is room for it.
+#[derive(Debug, Clone, PartialEq)]
+pub enum PeerDatagram {
+    /// The tools of everybody; the client's own is left out when sending.
+    Motion(Arc<[ToolTrack]>),
+    /// Where nodes are, one piece of [`Corrections::pieces`].
+    Corrections(Arc<Corrections>),
+    /// What each participant needs of the artificial delay.
+    Delays(Arc<[(ParticipantId, DelayReport)]>),
+}

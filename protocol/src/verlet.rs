@@ -1,0 +1,1 @@
+//! Verlet steps.
