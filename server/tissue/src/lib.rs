@@ -10,18 +10,27 @@
 
 mod block;
 mod cell;
+mod file;
 mod material;
 mod model;
+pub mod scene;
 mod shape;
 mod springs;
+pub mod surface;
 mod topology;
 
 pub use block::block;
 pub use cell::{Cell, DIAGONALS, EDGES, FACES, NO_CELL, cell_volume};
-pub use material::Material;
+pub use file::{
+    CELLS_MAX, EnvelopeError, FileError, MODEL_FORMAT, ModelFile, NODES_MAX, REGIONS_MAX,
+    decode_model, encode_model,
+};
+pub use material::{MATERIAL_NAMES, Material, MaterialError, MaterialOverride};
 pub use model::{Model, Region, RegionId};
+pub use scene::{Scene, SceneError, SceneInput, SceneRegion};
 pub use shape::Shape;
 pub use springs::{SPRINGS_PER_NODE_MAX, Spring, Springs};
+pub use surface::{Aabb, CheckReport, Surface, SurfaceError, Unit};
 pub use topology::{Boundary, FaceId, Topology, TopologyHash};
 
 /// A vector or point of the model: metres, newtons or whatever the name beside it says.

@@ -1,0 +1,139 @@
+//! Walking a parsed TOML table key by key, with the line of everything that is wrong.
+
+use toml::de::{DeTable, DeValue};
+use toml::{Spanned, de};
+
+use super::SceneError;
+
+/// Edits per letter beyond which a name is not suggested. Reason: "musle" is one edit from
+/// "muscle"; names further than half their letters apart have nothing to do with each other.
+const EDITS_PER_LETTER_MAX: f64 = 0.5;
+
+/// The known name most similar to `name`, if any is similar at all.
+pub(crate) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let lower = name.to_lowercase();
+    known
+        .into_iter()
+        .map(|k| (strsim::damerau_levenshtein(&lower, &k.to_lowercase()), k))
+        .filter(|(edits, k)| {
+            let letters = k.chars().count().max(lower.chars().count());
+            *edits as f64 <= EDITS_PER_LETTER_MAX * letters as f64
+        })
+        .min()
+        .map(|(_, k)| k)
+}
+
+/// The text being read and the name it goes by in messages.
+pub(super) struct Text<'i> {
+    pub(super) file: String,
+    pub(super) text: &'i str,
+}
+
+impl<'i> Text<'i> {
+    /// An error at a byte of the text.
+    pub(super) fn error(&self, at: usize, what: impl Into<String>) -> SceneError {
+        let before = self
+            .text
+            .as_bytes()
+            .get(..at)
+            .unwrap_or(self.text.as_bytes());
+        SceneError::Line {
+            file: self.file.clone(),
+            line: 1 + before.iter().filter(|b| **b == b'\n').count(),
+            what: what.into(),
+        }
+    }
+
+    /// An error of the TOML parser.
+    pub(super) fn syntax(&self, e: &de::Error) -> SceneError {
+        let at = e.span().map_or(0, |s| s.start);
+        self.error(
+            at,
+            format!("not valid TOML: {}", e.message().replace('\n', ", ")),
+        )
+    }
+
+    /// Refuses a key that is not in `known`. `place` says where, such as "in [[region]]".
+    pub(super) fn refuse_unknown(
+        &self,
+        table: &DeTable<'i>,
+        known: &[&str],
+        place: &str,
+    ) -> Result<(), SceneError> {
+        let stray = table
+            .iter()
+            .filter(|(key, _)| !known.contains(&key.get_ref().as_ref()))
+            .min_by_key(|(key, _)| key.span().start);
+        let Some((key, _)) = stray else { return Ok(()) };
+        let name = key.get_ref();
+        let hint = match nearest(name, known.iter().copied()) {
+            Some(n) => format!("did you mean \"{n}\"?"),
+            None => format!("known are {}", known.join(", ")),
+        };
+        Err(self.error(
+            key.span().start,
+            format!("unknown key \"{name}\" {place}; {hint}"),
+        ))
+    }
+
+    /// A string.
+    pub(super) fn string(
+        &self,
+        key: &str,
+        value: &Spanned<DeValue<'i>>,
+    ) -> Result<String, SceneError> {
+        value
+            .get_ref()
+            .as_str()
+            .map(str::to_owned)
+            .ok_or_else(|| self.kind(key, value, "a text in quotes"))
+    }
+
+    /// A number, written with or without a decimal point.
+    pub(super) fn number(
+        &self,
+        key: &str,
+        value: &Spanned<DeValue<'i>>,
+    ) -> Result<f64, SceneError> {
+        let number = match value.get_ref() {
+            DeValue::Float(f) => f.as_str().parse().ok(),
+            DeValue::Integer(i) if i.radix() == 10 => i.as_str().parse().ok(),
+            _ => None,
+        };
+        number.ok_or_else(|| self.kind(key, value, "a number"))
+    }
+
+    /// An array of values, or of tables.
+    pub(super) fn array<'a>(
+        &self,
+        key: &str,
+        value: &'a Spanned<DeValue<'i>>,
+        wanted: &str,
+    ) -> Result<&'a [Spanned<DeValue<'i>>], SceneError> {
+        match value.get_ref() {
+            DeValue::Array(array) => Ok(array),
+            _ => Err(self.kind(key, value, wanted)),
+        }
+    }
+
+    /// A table.
+    pub(super) fn table<'a>(
+        &self,
+        key: &str,
+        value: &'a Spanned<DeValue<'i>>,
+        wanted: &str,
+    ) -> Result<&'a DeTable<'i>, SceneError> {
+        match value.get_ref() {
+            DeValue::Table(table) => Ok(table),
+            _ => Err(self.kind(key, value, wanted)),
+        }
+    }
+
+    fn kind(&self, key: &str, value: &Spanned<DeValue<'i>>, wanted: &str) -> SceneError {
+        let found = value.get_ref().type_str();
+        self.error(
+            value.span().start,
+            format!("\"{key}\" must be {wanted}, not {found}"),
+        )
+    }
+}

@@ -1,0 +1,105 @@
+//! Scenes: which surfaces make a model, what each is filled with, how finely it is divided.
+//!
+//! The file format is `palpate-scene/1`, in TOML:
+//!
+//! ```toml
+//! format = "palpate-scene/1"
+//! spacing_mm = 4.0
+//! pinned = ["femur"]               # regions that do not move
+//!
+//! [[region]]                       # later regions override earlier ones where they overlap
+//! name = "subcutaneous"
+//! surface = "thigh_skin.stl"       # relative to the scene file; millimetres unless unit = "m"
+//! material = "fat"
+//! [[region]]
+//! name = "femur"
+//! surface = "thigh_femur.stl"
+//! material = "bone"
+//!
+//! [material.fat]                   # optional: changes a built-in material or adds a new one
+//! young_kpa = 10.0
+//! ```
+
+mod error;
+mod input;
+mod keys;
+mod parse;
+mod write;
+
+pub use error::SceneError;
+pub use input::SceneInput;
+pub(crate) use keys::nearest;
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use crate::surface::Unit;
+use crate::{Material, MaterialOverride, Region};
+
+/// The one format this version reads and writes.
+pub const SCENE_FORMAT: &str = "palpate-scene/1";
+
+/// Most regions in one scene. Reason: a cell names its region by a 16-bit index, and each region
+/// costs one ray pass over its surface. At the bound the scene is refused.
+pub const REGIONS_MAX: usize = 256;
+
+/// Largest scene file in bytes. Reason: a scene of [`REGIONS_MAX`] regions is some 50 kB; a
+/// larger file is something else under the wrong name. At the bound it is refused unread.
+pub const SCENE_BYTES_MAX: u64 = 1 << 20;
+
+/// One region of a scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneRegion {
+    /// Its name, unique in the scene.
+    pub name: String,
+    /// File of its closed surface, as the scene gives it (see [`Scene::surface_path`]).
+    pub surface: PathBuf,
+    /// Name of its material: built in, or from `[material.NAME]`.
+    pub material: String,
+    /// The unit of the surface file.
+    pub unit: Unit,
+}
+
+/// What a scene file says, checked: names are unique, materials and pinned regions exist,
+/// numbers are in range. Surfaces have not been looked at.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scene {
+    /// Lattice spacing Δd in m.
+    pub spacing_m: f64,
+    /// Names of the regions that do not move.
+    pub pinned: Vec<String>,
+    /// In scene order: a later region overrides an earlier one where they overlap.
+    pub regions: Vec<SceneRegion>,
+    /// `[material.NAME]` tables: changes to built-in materials, and new ones.
+    pub materials: BTreeMap<String, MaterialOverride>,
+    /// The folder surface paths are relative to.
+    pub base: PathBuf,
+}
+
+impl Scene {
+    /// Where a region's surface file is.
+    pub fn surface_path(&self, region: usize) -> PathBuf {
+        self.base.join(&self.regions[region].surface)
+    }
+
+    /// The material a region is filled with, overrides applied.
+    pub fn material(&self, region: usize) -> Result<Material, SceneError> {
+        let name = &self.regions[region].material;
+        Material::resolve(name, self.materials.get(name)).map_err(SceneError::Material)
+    }
+
+    /// The regions as a [`crate::Model`] holds them.
+    pub fn model_regions(&self) -> Result<Vec<Region>, SceneError> {
+        (0..self.regions.len())
+            .map(|r| {
+                let name = self.regions[r].name.clone();
+                let pinned = self.pinned.contains(&name);
+                Ok(Region {
+                    material: self.material(r)?,
+                    name,
+                    pinned,
+                })
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,255 @@
+//! From TOML to a scene, with the line of everything that is wrong.
+
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use super::keys::{Text, nearest};
+use super::{REGIONS_MAX, SCENE_BYTES_MAX, SCENE_FORMAT, Scene, SceneError, SceneRegion};
+use crate::surface::Unit;
+use crate::{Material, MaterialOverride};
+
+const SCENE_KEYS: [&str; 5] = ["format", "spacing_mm", "pinned", "region", "material"];
+const REGION_KEYS: [&str; 4] = ["name", "surface", "material", "unit"];
+const MATERIAL_KEYS: [&str; 4] = [
+    "young_kpa",
+    "density_kg_m3",
+    "friction_static",
+    "friction_dynamic",
+];
+
+impl Scene {
+    /// Reads a scene file. Its surfaces are not looked at; [`super::SceneInput::load`] does that.
+    pub fn load(path: &Path) -> Result<Self, SceneError> {
+        let io = |source| SceneError::Io {
+            path: path.to_owned(),
+            source,
+        };
+        let file = std::fs::File::open(path).map_err(io)?;
+        let mut bytes = Vec::new();
+        file.take(SCENE_BYTES_MAX + 1)
+            .read_to_end(&mut bytes)
+            .map_err(io)?;
+        if bytes.len() as u64 > SCENE_BYTES_MAX {
+            let bytes = std::fs::metadata(path).map_or(bytes.len() as u64, |m| m.len());
+            return Err(SceneError::TooManyBytes {
+                path: path.to_owned(),
+                bytes,
+            });
+        }
+        let base = path.parent().unwrap_or(Path::new("")).to_owned();
+        let file = path.display().to_string();
+        let text = String::from_utf8(bytes).map_err(|e| {
+            let valid = &e.as_bytes()[..e.utf8_error().valid_up_to()];
+            SceneError::Line {
+                file: file.clone(),
+                line: 1 + valid.iter().filter(|b| **b == b'\n').count(),
+                what: "this is not a text in UTF-8; a scene is a TOML text".to_owned(),
+            }
+        })?;
+        read(&Text { file, text: &text }, base)
+    }
+
+    /// Reads a scene from a text; surfaces are relative to `base`.
+    pub fn parse(text: &str, base: &Path) -> Result<Self, SceneError> {
+        read(
+            &Text {
+                file: "scene".to_owned(),
+                text,
+            },
+            base.to_owned(),
+        )
+    }
+}
+
+fn read(text: &Text, base: PathBuf) -> Result<Scene, SceneError> {
+    let document = DeTable::parse(text.text).map_err(|e| text.syntax(&e))?;
+    let root = document.get_ref();
+    refuse_other_formats(text, root)?;
+    text.refuse_unknown(root, &SCENE_KEYS, "at the top of the scene")?;
+    let materials = materials(text, root)?;
+    let regions = regions(text, root, &materials)?;
+    Ok(Scene {
+        spacing_m: spacing(text, root)?,
+        pinned: pinned(text, root, &regions)?,
+        regions,
+        materials,
+        base,
+    })
+}
+
+/// The format comes first: a scene of another version may hold keys this one does not know.
+fn refuse_other_formats(text: &Text, root: &DeTable) -> Result<(), SceneError> {
+    let Some(format) = root.get("format") else {
+        let what =
+            format!("\"format\" is missing; a scene begins with format = \"{SCENE_FORMAT}\"");
+        return Err(text.error(0, what));
+    };
+    let found = text.string("format", format)?;
+    if found != SCENE_FORMAT {
+        let what =
+            format!("format \"{found}\" is not known; this version reads \"{SCENE_FORMAT}\"");
+        return Err(text.error(format.span().start, what));
+    }
+    if let Some((key, _)) = root.get_key_value("labels") {
+        let what = "label volumes (\"labels\") are not supported by this version; give each \
+                    region a closed surface instead: surface = \"FILE.stl\"";
+        return Err(text.error(key.span().start, what));
+    }
+    Ok(())
+}
+
+fn spacing(text: &Text, root: &DeTable) -> Result<f64, SceneError> {
+    let Some(value) = root.get("spacing_mm") else {
+        return Err(text.error(0, "\"spacing_mm\" is missing; add, say, spacing_mm = 4.0"));
+    };
+    let spacing_mm = text.number("spacing_mm", value)?;
+    if !(spacing_mm.is_finite() && spacing_mm > 0.0) {
+        let what = format!("spacing_mm = {spacing_mm} must be a finite number above 0");
+        return Err(text.error(value.span().start, what));
+    }
+    Ok(spacing_mm * 1e-3)
+}
+
+fn regions(
+    text: &Text,
+    root: &DeTable,
+    materials: &BTreeMap<String, MaterialOverride>,
+) -> Result<Vec<SceneRegion>, SceneError> {
+    let wanted = "a list of tables that begin with [[region]]";
+    let tables = match root.get("region") {
+        Some(value) => text.array("region", value, wanted)?,
+        None => &[],
+    };
+    if tables.is_empty() {
+        return Err(text.error(
+            0,
+            "the scene has no region; add a [[region]] with name, surface and material",
+        ));
+    }
+    if let Some(beyond) = tables.get(REGIONS_MAX) {
+        let what = format!("{} regions, the limit is {REGIONS_MAX}", tables.len());
+        return Err(text.error(beyond.span().start, what));
+    }
+    let mut regions: Vec<SceneRegion> = Vec::with_capacity(tables.len());
+    for value in tables {
+        let region = region(text, value, materials)?;
+        if regions.iter().any(|r| r.name == region.name) {
+            let what = format!("a second region is named \"{}\"; rename one", region.name);
+            return Err(text.error(value.span().start, what));
+        }
+        regions.push(region);
+    }
+    Ok(regions)
+}
+
+fn region(
+    text: &Text,
+    value: &Spanned<DeValue>,
+    materials: &BTreeMap<String, MaterialOverride>,
+) -> Result<SceneRegion, SceneError> {
+    let table = text.table("region", value, "a table that begins with [[region]]")?;
+    if let Some((key, _)) = table.get_key_value("label") {
+        let what = "label volumes (\"label\") are not supported by this version; give the region \
+                    a closed surface instead: surface = \"FILE.stl\"";
+        return Err(text.error(key.span().start, what));
+    }
+    text.refuse_unknown(table, &REGION_KEYS, "in [[region]]")?;
+    let needed = |key: &str| {
+        let Some(value) = table.get(key) else {
+            let what = format!("this [[region]] has no \"{key}\"; add {key} = \"...\"");
+            return Err(text.error(value.span().start, what));
+        };
+        let string = text.string(key, value)?;
+        if string.is_empty() {
+            return Err(text.error(value.span().start, format!("\"{key}\" is empty")));
+        }
+        Ok((string, value.span().start))
+    };
+    let (material, at) = needed("material")?;
+    Material::resolve(&material, materials.get(&material)).map_err(|e| {
+        // A scene's own materials are candidates for a slip of the finger too.
+        match nearest(&material, materials.keys().map(String::as_str)) {
+            Some(own) if Material::built_in(&material).is_none() && own != material => text.error(
+                at,
+                format!("no material \"{material}\", did you mean \"{own}\" of this scene?"),
+            ),
+            _ => text.error(at, e.to_string()),
+        }
+    })?;
+    let unit = match table.get("unit") {
+        None => Unit::default(),
+        Some(value) => match text.string("unit", value)?.as_str() {
+            "mm" => Unit::Millimetre,
+            "m" => Unit::Metre,
+            other => {
+                let what = format!("unit \"{other}\" is not known; it is \"mm\" or \"m\"");
+                return Err(text.error(value.span().start, what));
+            }
+        },
+    };
+    Ok(SceneRegion {
+        name: needed("name")?.0,
+        surface: needed("surface")?.0.into(),
+        material,
+        unit,
+    })
+}
+
+fn pinned(text: &Text, root: &DeTable, regions: &[SceneRegion]) -> Result<Vec<String>, SceneError> {
+    let Some(value) = root.get("pinned") else {
+        return Ok(Vec::new());
+    };
+    let mut pinned = Vec::new();
+    for value in text.array("pinned", value, "a list of region names")? {
+        let name = text.string("pinned", value)?;
+        if !regions.iter().any(|r| r.name == name) {
+            let names = || regions.iter().map(|r| r.name.as_str());
+            let hint = match nearest(&name, names()) {
+                Some(n) => format!("did you mean \"{n}\"?"),
+                None => format!("regions are {}", names().collect::<Vec<_>>().join(", ")),
+            };
+            let what = format!("pinned region \"{name}\" is no region of this scene; {hint}");
+            return Err(text.error(value.span().start, what));
+        }
+        if !pinned.contains(&name) {
+            pinned.push(name);
+        }
+    }
+    Ok(pinned)
+}
+
+fn materials(
+    text: &Text,
+    root: &DeTable,
+) -> Result<BTreeMap<String, MaterialOverride>, SceneError> {
+    let Some(value) = root.get("material") else {
+        return Ok(BTreeMap::new());
+    };
+    let tables = text.table("material", value, "tables that begin with [material.NAME]")?;
+    let mut materials = BTreeMap::new();
+    for (name, value) in tables {
+        let place = format!("[material.{}]", name.get_ref());
+        let table = text.table(
+            name.get_ref(),
+            value,
+            &format!("a table that begins with {place}"),
+        )?;
+        text.refuse_unknown(table, &MATERIAL_KEYS, &format!("in {place}"))?;
+        let number = |key: &str| table.get(key).map(|v| text.number(key, v)).transpose();
+        let change = MaterialOverride {
+            young_pa: number("young_kpa")?.map(|kpa| kpa * 1e3),
+            density_kg_m3: number("density_kg_m3")?,
+            friction_static: number("friction_static")?,
+            friction_dynamic: number("friction_dynamic")?,
+        };
+        // Also when no region uses it: a number out of range is a slip all the same.
+        Material::resolve(name.get_ref(), Some(&change))
+            .map_err(|e| text.error(name.span().start, e.to_string()))?;
+        materials.insert(name.get_ref().to_string(), change);
+    }
+    Ok(materials)
+}

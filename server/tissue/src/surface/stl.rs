@@ -1,0 +1,156 @@
+//! STL files, binary and ASCII.
+
+use std::io::{Cursor, ErrorKind};
+use std::path::Path;
+
+use stl_io::{Normal, Triangle, Vertex};
+
+use super::weld::Welder;
+use super::{Surface, SurfaceError, TRIANGLES_MAX, Unit};
+
+/// Bytes before the first triangle of a binary file: 80 of header, 4 of count.
+const HEADER_BYTES: u64 = 84;
+
+/// Bytes of one triangle in a binary file.
+const TRIANGLE_BYTES: u64 = 50;
+
+/// Size of a binary file with so many triangles.
+pub(super) const fn binary_bytes(triangles: u64) -> u64 {
+    HEADER_BYTES + TRIANGLE_BYTES * triangles
+}
+
+/// Reads either kind. Size decides, because many programs write binary files whose header begins
+/// with "solid", the word an ASCII file begins with.
+pub(super) fn read(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, SurfaceError> {
+    let count = bytes
+        .get(80..84)
+        .and_then(|b| b.try_into().ok())
+        .map(u32::from_le_bytes);
+    let is_binary = count.is_some_and(|n| binary_bytes(u64::from(n)) == bytes.len() as u64);
+    if is_binary {
+        return collect(path, bytes, unit);
+    }
+    if let Some(text) = ascii(bytes) {
+        return collect(path, &normalised(path, &text)?, unit);
+    }
+    match count {
+        // Bytes after the last triangle are harmless; too few of them are not.
+        Some(n) if binary_bytes(u64::from(n)) < bytes.len() as u64 && plausible(bytes) => {
+            collect(path, bytes, unit)
+        }
+        Some(n) if plausible(bytes) => Err(SurfaceError::Broken {
+            path: path.to_owned(),
+            place: format!(
+                "after {} triangles",
+                (bytes.len() as u64 - HEADER_BYTES) / TRIANGLE_BYTES
+            ),
+            what: format!("the file ends, but its header promises {n} triangles"),
+        }),
+        _ => Err(SurfaceError::NotASurface {
+            path: path.to_owned(),
+            what: "this is not an STL file".to_owned(),
+        }),
+    }
+}
+
+/// Does a file whose size is wrong look like a binary STL all the same? The first triangle must
+/// be there, with coordinates a drawing could have.
+fn plausible(bytes: &[u8]) -> bool {
+    let first = bytes.get(HEADER_BYTES as usize..(HEADER_BYTES + 48) as usize);
+    first.is_some_and(|b| {
+        b.chunks_exact(4).all(|f| {
+            let x = f32::from_le_bytes([f[0], f[1], f[2], f[3]]).abs();
+            x == 0.0 || (1e-12..1e6).contains(&x)
+        })
+    })
+}
+
+/// The text of an ASCII file, without case; `None` when it does not begin like one.
+fn ascii(bytes: &[u8]) -> Option<String> {
+    let begin = bytes.trim_ascii_start();
+    let word = begin.get(..5)?;
+    (word.eq_ignore_ascii_case(b"solid") && begin.get(5).is_none_or(u8::is_ascii_whitespace))
+        .then(|| String::from_utf8_lossy(bytes).to_lowercase())
+}
+
+/// One solid with plain headings, which is what the parser takes: names and the limits between
+/// several solids are dropped, and so are the written normals (some programs write `nan` there;
+/// the order of the corners says the same).
+fn normalised(path: &Path, text: &str) -> Result<Vec<u8>, SurfaceError> {
+    let mut out = String::with_capacity(text.len() + 16);
+    out.push_str("solid s\n");
+    let (mut facets, mut ended) = (0_u64, false);
+    for line in text.lines().map(str::trim) {
+        match line.split_whitespace().next() {
+            Some("solid") => ended = false,
+            Some("endsolid") => ended = true,
+            Some("facet") => {
+                facets += 1;
+                out.push_str("facet normal 0 0 0\n");
+            }
+            None => {}
+            Some(_) => {
+                out.push_str(line);
+                out.push('\n');
+            }
+        }
+    }
+    if facets > TRIANGLES_MAX {
+        return Err(SurfaceError::TooManyTriangles {
+            path: path.to_owned(),
+            triangles: facets,
+        });
+    }
+    if ended {
+        out.push_str("endsolid s\n");
+    }
+    Ok(out.into_bytes())
+}
+
+/// Parses and welds.
+fn collect(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, SurfaceError> {
+    let mut welder = Welder::new(unit.metres());
+    let broken = |triangles: usize, source: &std::io::Error| SurfaceError::Broken {
+        path: path.to_owned(),
+        place: format!("triangle {}", triangles + 1),
+        what: match source.kind() {
+            ErrorKind::UnexpectedEof => "the file ends in the middle".to_owned(),
+            _ => source.to_string(),
+        },
+    };
+    let mut cursor = Cursor::new(bytes);
+    let reader = stl_io::create_stl_reader(&mut cursor).map_err(|e| broken(0, &e))?;
+    for triangle in reader {
+        let triangle = triangle.map_err(|e| broken(welder.triangles(), &e))?;
+        welder.triangle(triangle.vertices.map(|v| v.0));
+    }
+    Ok(welder.finish())
+}
+
+impl Surface {
+    /// Writes a binary STL in millimetres with outward normals.
+    pub fn write_stl(&self, path: &Path) -> Result<(), SurfaceError> {
+        let io = |source| SurfaceError::Io {
+            path: path.to_owned(),
+            source,
+        };
+        let triangles: Vec<Triangle> = (0..self.triangles.len())
+            .map(|t| {
+                let [a, b, c] = self.corners(t);
+                let normal = (b - a)
+                    .cross(&(c - a))
+                    .try_normalize(0.0)
+                    .unwrap_or_default();
+                Triangle {
+                    normal: Normal::new([normal.x as f32, normal.y as f32, normal.z as f32]),
+                    vertices: [a, b, c].map(|p| {
+                        let p = p / Unit::Millimetre.metres();
+                        Vertex::new([p.x as f32, p.y as f32, p.z as f32])
+                    }),
+                }
+            })
+            .collect();
+        let mut file = std::fs::File::create(path).map_err(io)?;
+        stl_io::write_stl(&mut file, triangles.iter()).map_err(io)
+    }
+}
