@@ -1,0 +1,129 @@
+//! What must hold of a model that comes from outside, so that nothing later can panic over it.
+
+use crate::{EDGES, FACES, Model, NO_CELL};
+
+/// Most nodes of a model. At 16 million a topology takes about 12 GiB; a file with more is refused.
+pub const NODES_MAX: usize = 16_000_000;
+/// Most cells of a model; face numbers (six per cell) then fit 32 bits with room to spare.
+pub const CELLS_MAX: usize = 16_000_000;
+/// Most regions of a model: what a scene names by hand. More means a damaged file.
+pub const REGIONS_MAX: usize = 1024;
+/// Farthest lattice coordinate from the origin, so that products of coordinates fit 64 bits.
+const LATTICE_MAX: u32 = 1 << 20;
+/// Farthest node from the origin in m; anything beyond is a mistaken unit.
+const POSITION_MAX_M: f64 = 1e4;
+/// Lattice spacings that make sense, in m: from a tenth of a micrometre to ten metres.
+const SPACING_RANGE_M: std::ops::RangeInclusive<f64> = 1e-7..=10.0;
+/// Young's moduli that make sense, in Pa: from looser than mucus to a hundred times diamond. They
+/// keep every spring's stiffness finite in 32 bits.
+const YOUNG_RANGE_PA: std::ops::RangeInclusive<f64> = 1e-3..=1e14;
+/// Densities that make sense, in kg/m³.
+const DENSITY_RANGE_KG_M3: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
+/// Coefficients of friction that make sense.
+const FRICTION_RANGE: std::ops::RangeInclusive<f64> = 0.0..=10.0;
+
+/// The first thing that is wrong with a model, as the rest of "the model …".
+pub(crate) fn check(model: &Model) -> Result<(), String> {
+    check_counts(model)?;
+    if !SPACING_RANGE_M.contains(&model.spacing_m) {
+        return Err(format!("has a spacing of {} m", model.spacing_m));
+    }
+    check_regions(model)?;
+    for (node, (p, l)) in model.nodes.iter().zip(&model.lattice).enumerate() {
+        // Written so that a NaN fails.
+        if !p.iter().all(|v| v.abs() <= POSITION_MAX_M) {
+            return Err(format!("has node {node} at {p:?}, beyond all measure"));
+        }
+        if l.iter().any(|v| v.unsigned_abs() > LATTICE_MAX) {
+            return Err(format!("has node {node} at lattice point {l:?}"));
+        }
+    }
+    check_cells(model)
+}
+
+fn check_counts(model: &Model) -> Result<(), String> {
+    for (what, count, max) in [
+        ("nodes", model.nodes.len(), NODES_MAX),
+        ("cells", model.cells.len(), CELLS_MAX),
+        ("regions", model.regions.len(), REGIONS_MAX),
+    ] {
+        if count == 0 {
+            return Err(format!("has no {what}"));
+        }
+        if count > max {
+            return Err(format!("has {count} {what}; the limit is {max}"));
+        }
+    }
+    if model.lattice.len() != model.nodes.len() {
+        return Err("has not one lattice point per node".into());
+    }
+    Ok(())
+}
+
+fn check_regions(model: &Model) -> Result<(), String> {
+    for region in &model.regions {
+        let m = &region.material;
+        let fits = YOUNG_RANGE_PA.contains(&m.young_pa)
+            && DENSITY_RANGE_KG_M3.contains(&m.density_kg_m3)
+            && FRICTION_RANGE.contains(&m.friction_static)
+            && FRICTION_RANGE.contains(&m.friction_dynamic);
+        if !fits {
+            let (region, material) = (&region.name, &m.name);
+            return Err(format!(
+                "has in region `{region}` a material `{material}` with impossible values"
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn check_cells(model: &Model) -> Result<(), String> {
+    let nodes = model.nodes.len();
+    let mut slots = vec![0u8; nodes];
+    for (index, cell) in model.cells.iter().enumerate() {
+        if cell.region.index() >= model.regions.len() {
+            return Err(format!("has cell {index} in a region that is not there"));
+        }
+        for (corner, &node) in cell.corners.iter().enumerate() {
+            let Some(slot) = slots.get_mut(node as usize) else {
+                return Err(format!("has cell {index} on node {node} of {nodes}"));
+            };
+            if *slot >> corner & 1 == 1 {
+                return Err(format!("has two cells in one place at node {node}"));
+            }
+            *slot |= 1 << corner;
+        }
+        for [a, b] in EDGES {
+            let [from, to] = [a, b].map(|c| model.lattice[cell.corners[c] as usize]);
+            let axis = (a ^ b).trailing_zeros() as usize;
+            if (0..3).any(|i| to[i] - from[i] != i32::from(i == axis)) {
+                return Err(format!("has cell {index} off the lattice"));
+            }
+        }
+    }
+    if let Some(node) = slots.iter().position(|&s| s == 0) {
+        return Err(format!("has node {node} without a cell"));
+    }
+    check_neighbours(model)
+}
+
+fn check_neighbours(model: &Model) -> Result<(), String> {
+    for (index, cell) in model.cells.iter().enumerate() {
+        for (face, corners) in FACES.iter().enumerate() {
+            let neighbour = cell.neighbours[face];
+            if neighbour == NO_CELL {
+                continue;
+            }
+            let wrong = || format!("has cell {index} wired wrongly through face {face}");
+            let other = model.cells.get(neighbour as usize).ok_or_else(wrong)?;
+            let across = 1 << (face / 2);
+            let shares = corners
+                .iter()
+                .all(|&c| cell.corners[c] == other.corners[c ^ across]);
+            if !shares || other.neighbours[face ^ 1] != index as u32 {
+                return Err(wrong());
+            }
+        }
+    }
+    Ok(())
+}

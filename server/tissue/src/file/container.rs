@@ -1,0 +1,146 @@
+//! The envelope of every file of ours: magic, version, sizes, checksum, compressed content.
+//!
+//! ```text
+//! offset  bytes  little-endian
+//!      0      8  magic, which kind of file this is
+//!      8      4  format version
+//!     12      8  size of the content before compression
+//!     20      8  size of the content as stored
+//!     28      4  CRC-32 over bytes 12..28 and the stored content
+//!     32      …  content, raw deflate
+//! ```
+
+use std::io::{Read, Write};
+
+use flate2::Compression;
+use flate2::read::DeflateDecoder;
+use flate2::write::DeflateEncoder;
+
+/// Size in bytes of what stands before the content.
+pub(crate) const HEADER_BYTES: usize = 32;
+/// Largest content before compression, in bytes: 16 million nodes with their cells come to 1.3 GiB.
+/// A file that declares more is refused before anything is allocated.
+pub(crate) const CONTENT_BYTES_MAX: u64 = 2 << 30;
+/// Deflate can not shrink by more than 1032 to one; a file that declares more is lying about its
+/// size and is refused before anything is allocated.
+const SHRINKAGE_MAX: u64 = 1032;
+/// Deflate level: byte planes of coordinates gain little beyond it, and it is four times as fast
+/// as the default.
+const LEVEL: u32 = 3;
+
+/// What is wrong with an envelope.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum EnvelopeError {
+    /// The magic is another one.
+    #[error("it does not begin like one; check that the right file was given")]
+    WrongKind,
+    /// A version this program does not know.
+    #[error(
+        "it has format version {found}, and this program reads version {reads}; use the program \
+         that wrote it, or build it again"
+    )]
+    Version {
+        /// The version in the file.
+        found: u32,
+        /// The version this program reads.
+        reads: u32,
+    },
+    /// Shorter than it declares, or longer.
+    #[error("it should have {expected} bytes but has {found}: cut off, or copied in part")]
+    Length {
+        /// Bytes it should have.
+        expected: u64,
+        /// Bytes it has.
+        found: u64,
+    },
+    /// The checksum does not match.
+    #[error("its checksum does not match: it was damaged after it was written")]
+    Checksum,
+    /// A declared size is beyond what can be true.
+    #[error("it declares {declared} bytes of content; at most {max} are possible here")]
+    Size {
+        /// Declared size in bytes.
+        declared: u64,
+        /// The limit in bytes.
+        max: u64,
+    },
+    /// The compressed stream does not yield what it declares.
+    #[error("its content can not be decompressed")]
+    Stream,
+}
+
+/// Wraps content in an envelope.
+pub(crate) fn seal(magic: [u8; 8], version: u32, content: &[u8]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(HEADER_BYTES + content.len() / 3);
+    out.resize(HEADER_BYTES, 0);
+    let mut encoder = DeflateEncoder::new(out, Compression::new(LEVEL));
+    encoder
+        .write_all(content)
+        .expect("writing to memory does not fail");
+    let mut out = encoder.finish().expect("writing to memory does not fail");
+    let stored = (out.len() - HEADER_BYTES) as u64;
+    out[..8].copy_from_slice(&magic);
+    out[8..12].copy_from_slice(&version.to_le_bytes());
+    out[12..20].copy_from_slice(&(content.len() as u64).to_le_bytes());
+    out[20..28].copy_from_slice(&stored.to_le_bytes());
+    let sum = checksum(&out);
+    out[28..32].copy_from_slice(&sum.to_le_bytes());
+    out
+}
+
+/// Takes content out of its envelope, after every check the envelope allows.
+pub(crate) fn open(magic: [u8; 8], version: u32, bytes: &[u8]) -> Result<Vec<u8>, EnvelopeError> {
+    if bytes.len() < 8 || bytes[..8] != magic {
+        return Err(EnvelopeError::WrongKind);
+    }
+    let found = bytes.len() as u64;
+    if bytes.len() < HEADER_BYTES {
+        let expected = HEADER_BYTES as u64;
+        return Err(EnvelopeError::Length { expected, found });
+    }
+    let version_found = u32_at(bytes, 8);
+    if version_found != version {
+        return Err(EnvelopeError::Version {
+            found: version_found,
+            reads: version,
+        });
+    }
+    let content_bytes = u64_at(bytes, 12);
+    let stored = u64_at(bytes, 20);
+    let expected = stored.saturating_add(HEADER_BYTES as u64);
+    if found != expected {
+        return Err(EnvelopeError::Length { expected, found });
+    }
+    if checksum(bytes) != u32_at(bytes, 28) {
+        return Err(EnvelopeError::Checksum);
+    }
+    let max = CONTENT_BYTES_MAX.min(stored.saturating_mul(SHRINKAGE_MAX));
+    if content_bytes > max {
+        let declared = content_bytes;
+        return Err(EnvelopeError::Size { declared, max });
+    }
+    let mut content = Vec::with_capacity(content_bytes as usize);
+    DeflateDecoder::new(&bytes[HEADER_BYTES..])
+        .take(content_bytes + 1)
+        .read_to_end(&mut content)
+        .map_err(|_| EnvelopeError::Stream)?;
+    if content.len() as u64 != content_bytes {
+        return Err(EnvelopeError::Stream);
+    }
+    Ok(content)
+}
+
+fn checksum(sealed: &[u8]) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&sealed[12..28]);
+    hasher.update(&sealed[HEADER_BYTES..]);
+    hasher.finalize()
+}
+
+fn u32_at(bytes: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]))
+}
+
+fn u64_at(bytes: &[u8], at: usize) -> u64 {
+    u64::from_le_bytes(std::array::from_fn(|i| bytes[at + i]))
+}

@@ -1,0 +1,321 @@
+//! The model file: a [`Model`] with the report of how it was built.
+//!
+//! The content, inside the envelope of `container.rs`:
+//!
+//! ```text
+//! counts     nodes, cells, regions (u32 each), spacing in m (f64 bits)
+//! regions    name, pinned, material
+//! lattice    three columns of i32, as steps from node to node
+//! origin     where lattice point (0, 0, 0) would stand in m
+//! nodes      three columns of f64 bits, XOR the bits of origin + lattice · spacing
+//! cells      eight columns of corners and one of regions as steps from cell to cell,
+//!            one byte of neighbour bits per cell
+//! report     text that the program which built the model left for a reader
+//! ```
+//!
+//! Positions keep every bit; XOR with the lattice point they came from leaves their leading bytes
+//! zero. Which cell is behind a face follows from the corners: a node is corner `c` of one cell at
+//! most, so the neighbour along an axis is the cell of which it is corner `c` with that axis flipped.
+
+mod check;
+mod container;
+mod planes;
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+pub use check::{CELLS_MAX, NODES_MAX, REGIONS_MAX};
+pub use container::EnvelopeError;
+pub(crate) use container::{open, seal};
+pub(crate) use planes::{Content, Reader, Short};
+
+use crate::{Cell, FACES, Material, Model, NO_CELL, Region, RegionId, Vec3};
+
+const MAGIC: [u8; 8] = *b"palpmodl";
+/// Version of the model format that this program writes and reads.
+pub const MODEL_FORMAT: u32 = 1;
+/// Longest build report in bytes; a longer one is left out.
+const REPORT_BYTES_MAX: usize = 16 << 20;
+
+/// Why a model file can not be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    /// The operating system refused.
+    #[error("{}: {doing}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What was being done.
+        doing: &'static str,
+        /// What the operating system said.
+        source: std::io::Error,
+    },
+    /// Not a model file, of another version, or damaged.
+    #[error("this is no sound model file: {0}")]
+    Envelope(#[from] EnvelopeError),
+    /// The content contradicts itself.
+    #[error("the model file contradicts itself: the model {0}; build it again")]
+    Inconsistent(String),
+}
+
+impl From<Short> for FileError {
+    fn from(_: Short) -> Self {
+        Self::Inconsistent("ends before all that it declares".into())
+    }
+}
+
+/// What a model file holds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ModelFile {
+    /// The model.
+    pub model: Model,
+    /// The report of the program that built it, as JSON text; empty when there is none.
+    pub report_json: String,
+}
+
+impl ModelFile {
+    /// The bytes of the file.
+    pub fn encode(&self) -> Vec<u8> {
+        encode_with(&self.model, &self.report_json)
+    }
+
+    /// A file from its bytes, every number in it checked.
+    pub fn decode(bytes: &[u8]) -> Result<Self, FileError> {
+        let content = open(MAGIC, MODEL_FORMAT, bytes)?;
+        let mut reader = Reader(&content);
+        let model = read_model(&mut reader)?;
+        let report_json = reader.text()?;
+        if !reader.0.is_empty() {
+            return Err(FileError::Inconsistent("is followed by more".into()));
+        }
+        check::check(&model).map_err(FileError::Inconsistent)?;
+        Ok(Self { model, report_json })
+    }
+
+    /// Writes the file: beside its place first and then moved there, so that a reader finds the old
+    /// file or the new one, never half of one.
+    pub fn write(&self, path: &Path) -> Result<(), FileError> {
+        let mut name = path.file_name().unwrap_or_default().to_owned();
+        name.push(format!(".{}.part", std::process::id()));
+        let beside = path.with_file_name(name);
+        let bytes = self.encode();
+        let written = std::fs::File::create(&beside).and_then(|mut file| {
+            file.write_all(&bytes)?;
+            file.sync_all()
+        });
+        let moved = written.and_then(|()| std::fs::rename(&beside, path));
+        moved.map_err(|source| {
+            // What is left of the attempt is of no use; that it can not be removed either adds
+            // nothing to the first error.
+            let _ = std::fs::remove_file(&beside);
+            FileError::Io {
+                path: path.into(),
+                doing: "the model could not be written",
+                source,
+            }
+        })
+    }
+
+    /// Reads a file.
+    pub fn read(path: &Path) -> Result<Self, FileError> {
+        let bytes = std::fs::read(path).map_err(|source| FileError::Io {
+            path: path.into(),
+            doing: "the model could not be read",
+            source,
+        })?;
+        Self::decode(&bytes)
+    }
+}
+
+/// A model alone as the bytes of a model file, for sending it.
+pub fn encode_model(model: &Model) -> Vec<u8> {
+    encode_with(model, "")
+}
+
+/// The model in the bytes of a model file; see [`ModelFile::decode`].
+pub fn decode_model(bytes: &[u8]) -> Result<Model, FileError> {
+    ModelFile::decode(bytes).map(|file| file.model)
+}
+
+fn encode_with(model: &Model, report_json: &str) -> Vec<u8> {
+    let mut out = Content::default();
+    out.u32(model.nodes.len() as u32);
+    out.u32(model.cells.len() as u32);
+    out.u32(model.regions.len() as u32);
+    out.f64(model.spacing_m);
+    for region in &model.regions {
+        write_region(&mut out, region);
+    }
+    for axis in 0..3 {
+        out.steps32(model.lattice.iter().map(|l| l[axis] as u32));
+    }
+    let origin = origin_of(model);
+    for axis in 0..3 {
+        out.f64(origin[axis]);
+        let columns = model.nodes.iter().zip(&model.lattice);
+        out.plane64(columns.map(|(p, l)| {
+            p[axis].to_bits() ^ predicted(origin[axis], l[axis], model.spacing_m).to_bits()
+        }));
+    }
+    for corner in 0..8 {
+        out.steps32(model.cells.iter().map(|c| c.corners[corner]));
+    }
+    out.steps32(model.cells.iter().map(|c| u32::from(c.region.0)));
+    for cell in &model.cells {
+        let bit = |face: usize| u8::from(cell.neighbours[face] != NO_CELL) << face;
+        out.u8((0..6).map(bit).sum());
+    }
+    let fits = report_json.len() <= REPORT_BYTES_MAX;
+    out.text(if fits { report_json } else { "" });
+    seal(MAGIC, MODEL_FORMAT, &out.0)
+}
+
+/// The median over the nodes of what lies between a node and its lattice point.
+fn origin_of(model: &Model) -> [f64; 3] {
+    std::array::from_fn(|axis| {
+        let mut offsets: Vec<f64> = model
+            .nodes
+            .iter()
+            .zip(&model.lattice)
+            .map(|(p, l)| p[axis] - f64::from(l[axis]) * model.spacing_m)
+            .collect();
+        if offsets.is_empty() {
+            return 0.0;
+        }
+        let middle = offsets.len() / 2;
+        *offsets.select_nth_unstable_by(middle, f64::total_cmp).1
+    })
+}
+
+fn predicted(origin: f64, lattice: i32, spacing: f64) -> f64 {
+    origin + f64::from(lattice) * spacing
+}
+
+fn write_region(out: &mut Content, region: &Region) {
+    out.text(&region.name);
+    out.u8(u8::from(region.pinned));
+    let m = &region.material;
+    out.text(&m.name);
+    out.f64(m.young_pa);
+    out.f64(m.density_kg_m3);
+    out.f64(m.friction_static);
+    out.f64(m.friction_dynamic);
+    out.text(&m.source);
+}
+
+fn read_region(reader: &mut Reader<'_>) -> Result<Region, Short> {
+    Ok(Region {
+        name: reader.text()?,
+        pinned: reader.u8()? != 0,
+        material: Material {
+            name: reader.text()?,
+            young_pa: reader.f64()?,
+            density_kg_m3: reader.f64()?,
+            friction_static: reader.f64()?,
+            friction_dynamic: reader.f64()?,
+            source: reader.text()?,
+        },
+    })
+}
+
+fn read_model(reader: &mut Reader<'_>) -> Result<Model, FileError> {
+    let nodes = reader.u32()? as usize;
+    let cells = reader.u32()? as usize;
+    let regions = reader.u32()? as usize;
+    for (what, count, max) in [
+        ("nodes", nodes, NODES_MAX),
+        ("cells", cells, CELLS_MAX),
+        ("regions", regions, REGIONS_MAX),
+    ] {
+        if count > max {
+            let why = format!("declares {count} {what}; the limit is {max}");
+            return Err(FileError::Inconsistent(why));
+        }
+    }
+    let spacing_m = reader.f64()?;
+    let regions = (0..regions)
+        .map(|_| read_region(reader))
+        .collect::<Result<_, _>>()?;
+    let lattice: [Vec<u32>; 3] = read_columns(|| reader.steps32(nodes))?;
+    let mut columns = [const { Vec::new() }; 3];
+    let mut origin = [0.0; 3];
+    for axis in 0..3 {
+        origin[axis] = reader.f64()?;
+        columns[axis] = reader.plane64(nodes)?;
+    }
+    let lattice: Vec<[i32; 3]> = (0..nodes)
+        .map(|n| std::array::from_fn(|axis| lattice[axis][n] as i32))
+        .collect();
+    let nodes = (0..nodes)
+        .map(|n| {
+            Vec3::from_fn(|axis, _| {
+                let from = predicted(origin[axis], lattice[n][axis], spacing_m);
+                f64::from_bits(columns[axis][n] ^ from.to_bits())
+            })
+        })
+        .collect::<Vec<_>>();
+    let cells = read_cells(reader, nodes.len(), cells)?;
+    Ok(Model {
+        spacing_m,
+        regions,
+        nodes,
+        lattice,
+        cells,
+    })
+}
+
+fn read_columns<T, const N: usize>(
+    mut read: impl FnMut() -> Result<Vec<T>, Short>,
+) -> Result<[Vec<T>; N], Short> {
+    let mut columns = [const { Vec::new() }; N];
+    for column in &mut columns {
+        *column = read()?;
+    }
+    Ok(columns)
+}
+
+fn read_cells(
+    reader: &mut Reader<'_>,
+    nodes: usize,
+    count: usize,
+) -> Result<Vec<Cell>, FileError> {
+    let corners: [Vec<u32>; 8] = read_columns(|| reader.steps32(count))?;
+    let regions = reader.steps32(count)?;
+    let bits = reader.bytes(count)?;
+    let mut around = vec![[NO_CELL; 8]; nodes];
+    for (c, column) in corners.iter().enumerate() {
+        for (cell, &node) in column.iter().enumerate() {
+            let slots = around.get_mut(node as usize).ok_or_else(|| {
+                FileError::Inconsistent(format!("has cell {cell} on node {node} of {nodes}"))
+            })?;
+            slots[c] = cell as u32;
+        }
+    }
+    let behind = |cell: usize, face: usize| {
+        if bits[cell] >> face & 1 == 0 {
+            return Ok(NO_CELL);
+        }
+        let corner = FACES[face][0];
+        let node = corners[corner][cell];
+        match around[node as usize][corner ^ (1 << (face / 2))] {
+            NO_CELL => Err(FileError::Inconsistent(format!(
+                "says that a cell lies behind face {face} of cell {cell}, but none does"
+            ))),
+            other => Ok(other),
+        }
+    };
+    (0..count)
+        .map(|cell| {
+            let region = u16::try_from(regions[cell]).unwrap_or(u16::MAX);
+            let mut neighbours = [NO_CELL; 6];
+            for (face, slot) in neighbours.iter_mut().enumerate() {
+                *slot = behind(cell, face)?;
+            }
+            Ok(Cell {
+                corners: std::array::from_fn(|c| corners[c][cell]),
+                neighbours,
+                region: RegionId(region),
+            })
+        })
+        .collect()
+}

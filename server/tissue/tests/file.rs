@@ -1,0 +1,140 @@
+//! The model file keeps every bit, and nothing that was damaged gets in.
+
+#![allow(clippy::unwrap_used)]
+
+use palpate_tissue::{EnvelopeError, FileError, Material, Model, ModelFile, Vec3, block};
+use proptest::prelude::*;
+
+fn rubber() -> Material {
+    Material {
+        name: "rubber".into(),
+        young_pa: 1e5,
+        density_kg_m3: 1100.0,
+        friction_static: 0.5,
+        friction_dynamic: 0.4,
+        source: "made up for this test".into(),
+    }
+}
+
+/// A block whose nodes carry all their bits and whose lattice does not begin at zero.
+fn crooked() -> Model {
+    let mut model = block([7, 5, 4], 0.004, &rubber(), 1);
+    for (i, p) in model.nodes.iter_mut().enumerate() {
+        let t = i as f64;
+        *p += Vec3::new(t.sin(), (1.7 * t).cos(), (0.3 * t).sin()) * 3e-4 + Vec3::repeat(0.123);
+    }
+    for l in &mut model.lattice {
+        *l = [l[0] - 40, l[1] + 3, l[2]];
+    }
+    model
+}
+
+fn file() -> ModelFile {
+    ModelFile {
+        model: crooked(),
+        report_json: "{\"seconds\": 1.5}".into(),
+    }
+}
+
+#[test]
+fn a_model_comes_back_with_every_bit() {
+    let file = file();
+    let back = ModelFile::decode(&file.encode()).unwrap();
+    assert_eq!(back, file);
+    for (a, b) in back.model.nodes.iter().zip(&file.model.nodes) {
+        assert_eq!(a.map(f64::to_bits), b.map(f64::to_bits));
+    }
+}
+
+#[test]
+fn the_same_model_gives_the_same_bytes() {
+    assert_eq!(file().encode(), file().encode());
+}
+
+#[test]
+fn a_file_on_disk_comes_back_and_leaves_nothing_beside_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.palp");
+    file().write(&path).unwrap();
+    file().write(&path).unwrap();
+    assert_eq!(ModelFile::read(&path).unwrap(), file());
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn a_folder_that_is_not_there_is_named() {
+    let error = file().write("/nowhere/at/all/m.palp".as_ref()).unwrap_err();
+    assert!(error.to_string().contains("/nowhere/at/all/m.palp"));
+    let error = ModelFile::read("/nowhere/m.palp".as_ref()).unwrap_err();
+    assert!(error.to_string().contains("/nowhere/m.palp"));
+}
+
+#[test]
+fn each_kind_of_damage_has_its_own_word() {
+    let good = file().encode();
+    let kind = |bytes: &[u8]| match ModelFile::decode(bytes).unwrap_err() {
+        FileError::Envelope(e) => e,
+        other => panic!("{other}"),
+    };
+    assert_eq!(kind(b"solid thigh"), EnvelopeError::WrongKind);
+    assert_eq!(kind(b""), EnvelopeError::WrongKind);
+    let mut newer = good.clone();
+    newer[8] = 9;
+    assert_eq!(kind(&newer), EnvelopeError::Version { found: 9, reads: 1 });
+    assert!(matches!(
+        kind(&good[..good.len() - 1]),
+        EnvelopeError::Length { .. }
+    ));
+    assert!(matches!(kind(&good[..20]), EnvelopeError::Length { .. }));
+    let mut flipped = good.clone();
+    *flipped.last_mut().unwrap() ^= 1;
+    assert_eq!(kind(&flipped), EnvelopeError::Checksum);
+}
+
+#[test]
+fn every_flipped_byte_and_every_truncation_is_refused() {
+    let good = file().encode();
+    for at in 0..good.len() {
+        let mut bad = good.clone();
+        bad[at] ^= 0x41;
+        assert!(ModelFile::decode(&bad).is_err(), "byte {at}");
+        assert!(ModelFile::decode(&good[..at]).is_err(), "length {at}");
+    }
+}
+
+#[test]
+fn a_model_that_contradicts_itself_is_refused() {
+    type Harm = fn(&mut Model);
+    let harms: [(&str, Harm); 8] = [
+        ("region", |m| m.cells[3].region.0 = 7),
+        ("node", |m| m.cells[3].corners[2] = 9999),
+        ("none does", |m| m.cells[3].corners = m.cells[4].corners),
+        ("measure", |m| m.nodes[5].y = f64::NAN),
+        ("spacing", |m| m.spacing_m = 0.0),
+        ("material", |m| m.regions[0].material.young_pa = -1.0),
+        ("lattice", |m| m.lattice[8][1] += 1),
+        ("none does", |m| m.cells[0].neighbours[0] = 1),
+    ];
+    for (word, harm) in harms {
+        let mut file = file();
+        harm(&mut file.model);
+        let error = ModelFile::decode(&file.encode()).unwrap_err().to_string();
+        assert!(error.contains(word), "{word}: {error}");
+    }
+}
+
+proptest! {
+    /// Whoever forges the envelope too still can not do worse than an error.
+    #[test]
+    fn noise_behind_a_valid_header_is_an_error(noise in proptest::collection::vec(any::<u8>(), 0..200)) {
+        let mut bytes = file().encode();
+        bytes.truncate(32);
+        bytes.extend(&noise);
+        bytes[20..28].copy_from_slice(&(noise.len() as u64).to_le_bytes());
+        let mut sum = crc32fast::Hasher::new();
+        sum.update(&bytes[12..28]);
+        sum.update(&noise);
+        bytes[28..32].copy_from_slice(&sum.finalize().to_le_bytes());
+        prop_assert!(ModelFile::decode(&bytes).is_err());
+    }
+}
