@@ -1,64 +1,506 @@
 //! The client's end of a session.
 
-use crate::clock::ClockMap;
-use crate::handshake::Hello;
-use crate::request::RequestKind;
-use crate::session::{ClientEvent, LinkStats};
-use crate::{ClientTime, LocalSample, ParticipantId, ProtocolError, RequestId, Span};
+use std::collections::VecDeque;
 
-/// The client's end of a session.
-pub struct ClientSession {}
+use crate::clock::{ClockEstimate, ClockMap};
+use crate::codec::{self, FrameDecoder};
+use crate::compensation::{DelayEstimator, DelayRule, DelaySchedule};
+use crate::datagram::{Body, Header};
+use crate::handshake::{
+    Hello, PROTOCOL_VERSION, Preamble, ROSTER_MAX, RefusalReason, Refused, Welcome,
+};
+use crate::operation::{Operation, OperationKind};
+use crate::request::{ClientMessage, Request, RequestKind, ServerMessage};
+use crate::session::motion_batch::MotionBatch;
+use crate::session::outbox::Outbox;
+use crate::session::preamble::PreambleReader;
+use crate::session::{
+    ClientEvent, CloseReason, EVENTS_MAX, HANDSHAKE_TIMEOUT, Link, LinkStats, SERVER_SILENCE,
+};
+use crate::{
+    ClientTime, LocalSample, OperationId, ParticipantId, ProtocolError, RequestId, ServerTime,
+    Span, ToolTrack,
+};
 
-#[expect(unused_variables, reason = "bodies follow")]
+/// Between clock probes until the clock is locked.
+pub const PROBE_PERIOD_FIRST: Span = Span::from_millis(20);
+
+/// Between clock probes afterwards. They are also the client's heartbeat.
+pub const PROBE_PERIOD: Span = Span::from_millis(100);
+
+/// Between reports of the delay that this client needs.
+pub const DELAY_REPORT_PERIOD: Span = Span::from_millis(250);
+
+enum State {
+    /// The server's preamble has not come.
+    Preamble(PreambleReader),
+    /// It has, the welcome has not.
+    Hello,
+    Joined(Box<Joined>),
+    Closed,
+}
+
+struct Joined {
+    participant: ParticipantId,
+    next_operation: OperationId,
+    /// What was in the log at the welcome.
+    catch_up: u64,
+    schedule: DelaySchedule,
+    newest_shown: Vec<(ParticipantId, ServerTime)>,
+}
+
+/// The client's end of a session: see [`crate::session`] for the calling order.
+///
+/// Made with a [`Hello`], it writes the preamble and the hello at once. After
+/// [`ClientEvent::Closed`] it does nothing any more.
+pub struct ClientSession {
+    state: State,
+    decoder: FrameDecoder<ServerMessage>,
+    outbox: Outbox,
+    link: Link,
+    clock: ClockEstimate,
+    delay: DelayEstimator,
+    motion: MotionBatch,
+    events: VecDeque<ClientEvent>,
+    last_request: u32,
+    started: ClientTime,
+    heard: ClientTime,
+    link_lost: bool,
+    probe_due: ClientTime,
+    report_due: ClientTime,
+}
+
 impl ClientSession {
-    /// Begins the handshake.
+    /// Begins the handshake. An error only where the hello itself can not be encoded.
     pub fn new(hello: Hello, now: ClientTime) -> Result<Self, ProtocolError> {
-        unimplemented!()
+        let mut outbox = Outbox::default();
+        outbox.push_bytes(Preamble::OURS.to_bytes().to_vec())?;
+        let frame = codec::encode_frame(&ClientMessage::Hello(hello))?;
+        if frame.len() > codec::HELLO_MAX_BYTES {
+            return Err(ProtocolError::TooLarge {
+                what: "hello",
+                bytes: frame.len(),
+                limit: codec::HELLO_MAX_BYTES,
+            });
+        }
+        outbox.push_bytes(frame)?;
+        Ok(Self {
+            state: State::Preamble(PreambleReader::default()),
+            decoder: FrameDecoder::new(codec::FRAME_MAX_BYTES),
+            outbox,
+            link: Link::default(),
+            clock: ClockEstimate::new(),
+            delay: DelayEstimator::new(DelayRule::default()),
+            motion: MotionBatch::default(),
+            events: VecDeque::new(),
+            last_request: 0,
+            started: now,
+            heard: now,
+            link_lost: false,
+            probe_due: now,
+            report_due: now,
+        })
     }
+
     /// Bytes of the operations stream, in any pieces.
-    pub fn handle_stream(&mut self, bytes: &[u8], now: ClientTime) {}
-    /// One datagram.
-    pub fn handle_datagram(&mut self, bytes: &[u8], now: ClientTime) {}
-    /// Call when the time of `poll_timeout` has come.
-    pub fn handle_timeout(&mut self, now: ClientTime) {}
+    pub fn handle_stream(&mut self, bytes: &[u8], now: ClientTime) {
+        if let Err(error) = self.read_stream(bytes, now) {
+            self.close(CloseReason::Violation(error));
+        }
+    }
+
+    fn read_stream(&mut self, mut bytes: &[u8], now: ClientTime) -> Result<(), ProtocolError> {
+        if let State::Preamble(reader) = &mut self.state {
+            let Some(opening) = reader.push(bytes)? else {
+                return Ok(());
+            };
+            bytes = &bytes[bytes.len() - opening.left_over..];
+            let theirs = opening.preamble.version;
+            if theirs != PROTOCOL_VERSION {
+                let reason = RefusalReason::Version {
+                    server_speaks: theirs,
+                };
+                self.close(CloseReason::Refused(Refused::because(reason)));
+                return Ok(());
+            }
+            if let Some(sentence) = opening.sentence {
+                self.close(CloseReason::Goodbye(sentence));
+                return Ok(());
+            }
+            self.state = State::Hello;
+        }
+        self.hear(now);
+        self.decoder.push(bytes);
+        while !matches!(self.state, State::Closed) {
+            let Some(message) = self.decoder.next()? else {
+                return Ok(());
+            };
+            self.handle_message(message, now)?;
+        }
+        Ok(())
+    }
+
+    fn handle_message(
+        &mut self,
+        message: ServerMessage,
+        now: ClientTime,
+    ) -> Result<(), ProtocolError> {
+        let out_of_order = |what, state| Err(ProtocolError::OutOfOrder { what, state });
+        match (&self.state, message) {
+            (State::Hello, ServerMessage::Welcome(welcome)) => self.join(welcome, now)?,
+            (State::Hello, ServerMessage::Refused(refused)) => {
+                self.close(CloseReason::Refused(refused));
+            }
+            (_, ServerMessage::Goodbye { sentence }) => {
+                self.close(CloseReason::Goodbye(sentence));
+            }
+            (State::Joined(_), ServerMessage::Operation(operation)) => {
+                self.handle_operation(operation)?;
+            }
+            (State::Joined(_), ServerMessage::RequestRefused(refused)) => {
+                self.emit(ClientEvent::RequestRefused(refused));
+            }
+            (State::Joined(_), ServerMessage::Welcome(_) | ServerMessage::Refused(_)) => {
+                return out_of_order("second answer to the hello", "the session already stands");
+            }
+            _ => return out_of_order("server message", "the hello is not answered"),
+        }
+        Ok(())
+    }
+
+    fn join(&mut self, welcome: Box<Welcome>, now: ClientTime) -> Result<(), ProtocolError> {
+        if welcome.roster.len() > ROSTER_MAX {
+            return Err(ProtocolError::OutOfRange {
+                what: "the roster",
+                detail: format!("{} entries, at most {ROSTER_MAX}", welcome.roster.len()),
+            });
+        }
+        self.link.open(welcome.epoch, welcome.participant);
+        self.state = State::Joined(Box::new(Joined {
+            participant: welcome.participant,
+            next_operation: OperationId(0),
+            catch_up: welcome.operations_so_far,
+            schedule: DelaySchedule::new(&welcome.compensation),
+            newest_shown: Vec::new(),
+        }));
+        self.probe_due = now;
+        self.report_due = now + DELAY_REPORT_PERIOD;
+        let nothing_to_catch_up = welcome.operations_so_far == 0;
+        self.emit(ClientEvent::Welcomed(welcome));
+        if nothing_to_catch_up {
+            self.emit(ClientEvent::CaughtUp);
+        }
+        Ok(())
+    }
+
+    fn handle_operation(&mut self, operation: Operation) -> Result<(), ProtocolError> {
+        let State::Joined(joined) = &mut self.state else {
+            return Ok(());
+        };
+        if operation.id != joined.next_operation {
+            return Err(ProtocolError::OperationGap {
+                expected: joined.next_operation.0,
+                found: operation.id.0,
+            });
+        }
+        joined.next_operation = operation.id.next();
+        match &operation.kind {
+            OperationKind::Cut(stroke) if !stroke.is_valid() => {
+                return Err(ProtocolError::OutOfRange {
+                    what: "a stroke",
+                    detail: format!("{} points in {}", stroke.points.len(), operation.id),
+                });
+            }
+            OperationKind::Compensation {
+                delay_us,
+                effective_at,
+            } => {
+                joined.schedule.handle_change(*delay_us, *effective_at);
+            }
+            OperationKind::Left { participant, .. } => {
+                joined.newest_shown.retain(|(p, _)| p != participant);
+            }
+            _ => {}
+        }
+        let caught_up = joined.next_operation.0 == joined.catch_up;
+        self.emit(ClientEvent::Operation(operation));
+        if caught_up {
+            self.emit(ClientEvent::CaughtUp);
+        }
+        Ok(())
+    }
+
+    /// One datagram. Noise is counted and otherwise ignored.
+    pub fn handle_datagram(&mut self, bytes: &[u8], now: ClientTime) {
+        let Some(datagram) = self.link.accept(bytes) else {
+            return;
+        };
+        self.hear(now);
+        match datagram.body {
+            Body::Motion(tracks) => self.handle_motion(&datagram.header, tracks, now),
+            Body::Corrections(c) => self.emit(ClientEvent::Corrections(c)),
+            Body::Reply(reply) => {
+                if let Some(map) = self.clock.handle_reply(reply, now) {
+                    self.emit(ClientEvent::Clock(map));
+                }
+            }
+            Body::Delays(list) => self.emit(ClientEvent::Delays(list)),
+            Body::Probe(_) => self.link.count_misdirected(),
+        }
+    }
+
+    fn handle_motion(&mut self, header: &Header, tracks: Vec<ToolTrack>, now: ClientTime) {
+        let State::Joined(joined) = &mut self.state else {
+            return;
+        };
+        // The age of a datagram is that of its oldest news.
+        let mut oldest_news: Option<ServerTime> = None;
+        for track in &tracks {
+            let Some(newest) = track.samples.last().map(|s| s.time) else {
+                continue;
+            };
+            let known = joined
+                .newest_shown
+                .iter_mut()
+                .find(|(p, _)| *p == track.participant);
+            let is_news = match known {
+                Some((_, seen)) if *seen >= newest => false,
+                Some((_, seen)) => {
+                    *seen = newest;
+                    true
+                }
+                None => {
+                    // Bounded, so that invented participants can not fill the memory.
+                    if joined.newest_shown.len() < ROSTER_MAX {
+                        joined.newest_shown.push((track.participant, newest));
+                    }
+                    true
+                }
+            };
+            if is_news {
+                oldest_news = Some(oldest_news.map_or(newest, |o| o.min(newest)));
+            }
+        }
+        if let (Some(oldest), Some(map)) = (oldest_news, self.clock.map()) {
+            let arrival = map.to_server(now);
+            // Nothing is younger than the datagram that carries it.
+            let generated = oldest.min(header.generated);
+            self.delay
+                .handle_arrival(generated, arrival, joined.schedule.delay_at(arrival));
+        }
+        for track in tracks {
+            self.emit(ClientEvent::Motion(track));
+        }
+    }
+
+    /// Call when the time of [`poll_timeout`](Self::poll_timeout) has come; earlier does no harm.
+    pub fn handle_timeout(&mut self, now: ClientTime) {
+        match &self.state {
+            State::Closed => {}
+            State::Preamble(_) | State::Hello => {
+                if now - self.started >= HANDSHAKE_TIMEOUT {
+                    self.close(CloseReason::HandshakeTimeout);
+                }
+            }
+            State::Joined(joined) => {
+                let participant = joined.participant;
+                if now >= self.probe_due {
+                    let probe = self.clock.probe(now);
+                    self.link.enqueue(Body::Probe(probe));
+                    let locked = self.clock.map().is_some();
+                    self.probe_due = now
+                        + if locked {
+                            PROBE_PERIOD
+                        } else {
+                            PROBE_PERIOD_FIRST
+                        };
+                }
+                if now >= self.report_due {
+                    self.report_due = now + DELAY_REPORT_PERIOD;
+                    if let Some(report) = self.delay.report() {
+                        self.link.enqueue(Body::Delays(vec![(participant, report)]));
+                    }
+                }
+                if !self.link_lost && now - self.heard >= SERVER_SILENCE {
+                    self.link_lost = true;
+                    self.emit(ClientEvent::LinkLost);
+                }
+            }
+        }
+    }
+
     /// The connection under the session is gone.
-    pub fn handle_disconnect(&mut self, why: String) {}
-    /// Takes one sample of one's own tool (1 kHz).
-    pub fn send_motion(&mut self, sample: LocalSample) {}
-    /// Asks for something; the answer is an operation, or `RequestRefused`.
+    pub fn handle_disconnect(&mut self, why: String) {
+        self.close(CloseReason::ConnectionLost(why));
+    }
+
+    /// Takes one sample of one's own tool, oldest first; they leave in batches of four. A sample
+    /// that is not finite or out of range is refused and counted.
+    pub fn send_motion(&mut self, sample: LocalSample) {
+        if !self.motion.push(sample) {
+            self.link.count_refused_samples(1);
+        }
+    }
+
+    /// Asks for something; the answer is an operation, or [`ClientEvent::RequestRefused`].
     pub fn request(&mut self, kind: RequestKind) -> Result<RequestId, ProtocolError> {
-        unimplemented!()
+        if !matches!(self.state, State::Joined(_)) {
+            return Err(ProtocolError::OutOfOrder {
+                what: "request",
+                state: "the session does not stand",
+            });
+        }
+        if !kind.is_valid() {
+            return Err(ProtocolError::OutOfRange {
+                what: "a request",
+                detail: "its numbers are not finite, not ordered or too large".to_owned(),
+            });
+        }
+        let id = RequestId(self.last_request + 1);
+        let leaving = kind == RequestKind::Leave;
+        self.outbox
+            .push(&ClientMessage::Request(Request { id, kind }))?;
+        self.last_request = id.0;
+        if leaving {
+            self.close(CloseReason::Left);
+        }
+        Ok(id)
     }
-    /// Bytes for the operations stream.
+
+    /// Bytes for the operations stream, in order.
     pub fn poll_stream(&mut self) -> Option<Vec<u8>> {
-        None
+        self.outbox.pop()
     }
-    /// The next datagram, made just in time.
+
+    /// The next datagram, made from what is newest now.
     pub fn poll_datagram(&mut self, now: ClientTime) -> Option<Vec<u8>> {
-        None
+        let State::Joined(joined) = &self.state else {
+            return None;
+        };
+        let participant = joined.participant;
+        let Some(map) = self.clock.map() else {
+            return self.link.pop(ServerTime::ZERO);
+        };
+        let generated = map.to_server(now);
+        while let Some(samples) = self.motion.poll(now, &map) {
+            let track = ToolTrack {
+                participant,
+                samples,
+            };
+            if let Some(bytes) = self.link.encode(Body::Motion(vec![track]), generated) {
+                return Some(bytes);
+            }
+        }
+        self.link.count_refused_samples(self.motion.take_stale());
+        self.link.pop(generated)
     }
+
     /// The next event.
     pub fn poll_event(&mut self) -> Option<ClientEvent> {
-        None
+        self.events.pop_front()
     }
-    /// When `handle_timeout` is due.
+
+    /// When [`handle_timeout`](Self::handle_timeout) is due; `None` once closed.
     pub fn poll_timeout(&self) -> Option<ClientTime> {
-        None
+        match &self.state {
+            State::Closed => None,
+            State::Preamble(_) | State::Hello => Some(self.started + HANDSHAKE_TIMEOUT),
+            State::Joined(_) => {
+                let due = self.probe_due.min(self.report_due);
+                let silence = self.heard + SERVER_SILENCE;
+                Some(if self.link_lost {
+                    due
+                } else {
+                    due.min(silence)
+                })
+            }
+        }
     }
-    /// From one's own clock to the server's, once locked.
+
+    /// Whether the session is over; what [`poll_stream`](Self::poll_stream) still gives is to be
+    /// sent nevertheless.
+    pub fn is_closed(&self) -> bool {
+        matches!(self.state, State::Closed)
+    }
+
+    /// From one's own clock to the server's; `None` until it is locked.
     pub fn clock(&self) -> Option<ClockMap> {
-        None
+        self.clock.map()
     }
-    /// The artificial delay at a moment.
-    pub fn delay_at(&self, t: crate::ServerTime) -> Span {
-        Span::ZERO
+
+    /// The artificial delay D at a moment of server time; zero before the welcome.
+    pub fn delay_at(&self, t: ServerTime) -> Span {
+        match &self.state {
+            State::Joined(joined) => joined.schedule.delay_at(t),
+            _ => Span::ZERO,
+        }
     }
+
+    /// D over time, for another thread to keep a copy of; `None` before the welcome.
+    pub fn delay_schedule(&self) -> Option<&DelaySchedule> {
+        match &self.state {
+            State::Joined(joined) => Some(&joined.schedule),
+            _ => None,
+        }
+    }
+
     /// One's own number, once welcomed.
     pub fn participant(&self) -> Option<ParticipantId> {
-        None
+        match &self.state {
+            State::Joined(joined) => Some(joined.participant),
+            _ => None,
+        }
     }
+
     /// How the connection does.
-    pub fn stats(&self) -> LinkStats {
-        LinkStats::default()
+    pub fn stats(&self, now: ClientTime) -> LinkStats {
+        let compensation = self
+            .clock
+            .map()
+            .map(|map| self.delay_at(map.to_server(now)));
+        LinkStats {
+            rtt: self.clock.rtt(),
+            compensation,
+            ..self.link.stats()
+        }
+    }
+
+    fn hear(&mut self, now: ClientTime) {
+        self.heard = now;
+        if self.link_lost {
+            self.link_lost = false;
+            self.emit(ClientEvent::LinkRestored);
+        }
+    }
+
+    fn emit(&mut self, event: ClientEvent) {
+        if matches!(self.state, State::Closed) {
+            return;
+        }
+        if self.events.len() == EVENTS_MAX {
+            // Lossy news make room; a shell that never drains loses those first.
+            let lossy =
+                |e: &ClientEvent| matches!(e, ClientEvent::Motion(_) | ClientEvent::Corrections(_));
+            match self.events.iter().position(lossy) {
+                Some(i) => drop(self.events.remove(i)),
+                None => {
+                    let limit = EVENTS_MAX;
+                    let error = ProtocolError::TooLarge {
+                        what: "event queue",
+                        bytes: limit,
+                        limit,
+                    };
+                    return self.close(CloseReason::Violation(error));
+                }
+            }
+        }
+        self.events.push_back(event);
+    }
+
+    fn close(&mut self, reason: CloseReason) {
+        if !matches!(self.state, State::Closed) {
+            self.state = State::Closed;
+            self.events.push_back(ClientEvent::Closed(reason));
+        }
     }
 }

@@ -14,6 +14,9 @@
 
 mod client;
 mod link;
+mod motion_batch;
+mod outbox;
+mod preamble;
 mod server;
 
 use std::sync::Arc;
@@ -25,9 +28,11 @@ use crate::operation::Operation;
 use crate::request::{DelayReport, Request, RequestRefused};
 use crate::{ParticipantId, ProtocolError, Span, ToolSample, ToolTrack};
 
-pub use client::ClientSession;
+use link::Link;
+
+pub use client::{ClientSession, DELAY_REPORT_PERIOD, PROBE_PERIOD, PROBE_PERIOD_FIRST};
 pub use link::{LinkStats, NoiseCounters};
-pub use server::ServerPeer;
+pub use server::{FUTURE_MAX, REQUESTS_PER_SECOND_MAX, ServerPeer};
 
 /// A participant from whom nothing came for so long is gone, and its tool with it.
 pub const PEER_SILENCE: Span = Span::from_millis(2000);

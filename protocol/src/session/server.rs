@@ -1,49 +1,414 @@
 //! The server's end of one client's session.
 
-use crate::session::{LinkStats, PeerDatagram, PeerEvent, PeerMessage};
-use crate::{ProtocolError, ServerTime, Span};
+use std::collections::VecDeque;
 
-/// The server's end of one client's session.
-pub struct ServerPeer {}
+use crate::codec::{self, FrameDecoder};
+use crate::datagram::{Body, Probe, Reply, motion};
+use crate::datagram::{DATAGRAM_MAX_BYTES, HEADER_BYTES, TRACKS_MAX};
+use crate::handshake::{PROTOCOL_VERSION, Preamble, RefusalReason, Refused, name_is_valid};
+use crate::request::{
+    ClientMessage, Request, RequestKind, RequestRefusal, RequestRefused, ServerMessage,
+};
+use crate::session::outbox::Outbox;
+use crate::session::preamble::{self, PreambleReader};
+use crate::session::{
+    CloseReason, EVENTS_MAX, HANDSHAKE_TIMEOUT, HEARTBEAT, Link, LinkStats, PEER_SILENCE,
+    PeerDatagram, PeerEvent, PeerMessage,
+};
+use crate::{OperationId, ParticipantId, ProtocolError, ServerTime, Span, ToolTrack};
 
-#[expect(unused_variables, reason = "bodies follow")]
+/// More requests than this in one second are refused with [`RequestRefusal::TooMany`].
+pub const REQUESTS_PER_SECOND_MAX: u32 = 50;
+
+/// A sample may not claim to be from farther in the future than this; such a datagram is noise.
+pub const FUTURE_MAX: Span = Span::from_millis(500);
+
+enum State {
+    Preamble(PreambleReader),
+    Hello,
+    /// The room has the hello and has not answered.
+    Asked,
+    Joined {
+        participant: ParticipantId,
+        next_operation: OperationId,
+    },
+    Closed,
+}
+
+/// The server's end of one client's session: see [`crate::session`] for the calling order.
+///
+/// Answer [`PeerEvent::Hello`] with [`PeerMessage::Welcome`] or [`PeerMessage::Refused`]; after the
+/// welcome send every operation of the log from number 0 and then each new one.
+pub struct ServerPeer {
+    state: State,
+    decoder: FrameDecoder<ClientMessage>,
+    outbox: Outbox,
+    link: Link,
+    events: VecDeque<PeerEvent>,
+    started: ServerTime,
+    heard: ServerTime,
+    heartbeat_due: ServerTime,
+    /// The second that is being counted, and the requests in it.
+    requests: (ServerTime, u32),
+}
+
 impl ServerPeer {
     /// Waits for a client's preamble and hello.
     pub fn new(now: ServerTime) -> Self {
-        Self {}
+        Self {
+            state: State::Preamble(PreambleReader::default()),
+            decoder: FrameDecoder::new(codec::HELLO_MAX_BYTES),
+            outbox: Outbox::default(),
+            link: Link::default(),
+            events: VecDeque::new(),
+            started: now,
+            heard: now,
+            heartbeat_due: now,
+            requests: (now, 0),
+        }
     }
+
     /// Bytes of the operations stream, in any pieces.
-    pub fn handle_stream(&mut self, bytes: &[u8], now: ServerTime) {}
-    /// One datagram.
-    pub fn handle_datagram(&mut self, bytes: &[u8], now: ServerTime) {}
-    /// Call when the time of `poll_timeout` has come.
-    pub fn handle_timeout(&mut self, now: ServerTime) {}
-    /// The connection under the session is gone.
-    pub fn handle_disconnect(&mut self, why: String) {}
-    /// Something reliable for the client.
-    pub fn send(&mut self, message: &PeerMessage, now: ServerTime) -> Result<(), ProtocolError> {
+    pub fn handle_stream(&mut self, bytes: &[u8], now: ServerTime) {
+        if let Err(error) = self.read_stream(bytes, now) {
+            self.violation(error);
+        }
+    }
+
+    fn read_stream(&mut self, mut bytes: &[u8], now: ServerTime) -> Result<(), ProtocolError> {
+        if let State::Preamble(reader) = &mut self.state {
+            let Some(opening) = reader.push(bytes)? else {
+                return Ok(());
+            };
+            bytes = &bytes[bytes.len() - opening.left_over..];
+            let theirs = opening.preamble.version;
+            if theirs != PROTOCOL_VERSION {
+                let sentence = format!(
+                    "this server speaks protocol version {PROTOCOL_VERSION}, the client speaks version {theirs}; use the release that the server runs"
+                );
+                self.outbox.push_bytes(preamble::refusing(&sentence))?;
+                self.close(CloseReason::Violation(ProtocolError::Version { theirs }));
+                return Ok(());
+            }
+            self.outbox.push_bytes(Preamble::OURS.to_bytes().to_vec())?;
+            self.state = State::Hello;
+        }
+        self.heard = now;
+        self.decoder.push(bytes);
+        while !matches!(self.state, State::Closed) {
+            let Some(message) = self.decoder.next()? else {
+                return Ok(());
+            };
+            self.handle_message(message, now)?;
+        }
         Ok(())
     }
-    /// Something that may get lost.
-    pub fn send_datagram(&mut self, datagram: &PeerDatagram, now: ServerTime) {}
-    /// Bytes for the operations stream.
-    pub fn poll_stream(&mut self) -> Option<Vec<u8>> {
-        None
+
+    fn handle_message(
+        &mut self,
+        message: ClientMessage,
+        now: ServerTime,
+    ) -> Result<(), ProtocolError> {
+        match (&self.state, message) {
+            (State::Hello, ClientMessage::Hello(hello)) => {
+                if name_is_valid(&hello.name) {
+                    self.state = State::Asked;
+                    self.emit(PeerEvent::Hello(hello));
+                    Ok(())
+                } else {
+                    self.refuse(Refused::because(RefusalReason::BadName))
+                }
+            }
+            (State::Joined { .. }, ClientMessage::Request(request)) => {
+                self.handle_request(request, now)
+            }
+            (_, ClientMessage::Hello(_)) => Err(ProtocolError::OutOfOrder {
+                what: "hello",
+                state: "another hello was already there",
+            }),
+            (_, ClientMessage::Request(_)) => Err(ProtocolError::OutOfOrder {
+                what: "request",
+                state: "the hello is not answered",
+            }),
+        }
     }
+
+    fn handle_request(&mut self, request: Request, now: ServerTime) -> Result<(), ProtocolError> {
+        if !request.kind.is_valid() {
+            return Err(ProtocolError::OutOfRange {
+                what: "a request",
+                detail: format!(
+                    "the numbers of {} are not finite, not ordered or too large",
+                    request.id
+                ),
+            });
+        }
+        if request.kind == RequestKind::Leave {
+            self.close(CloseReason::Left);
+            return Ok(());
+        }
+        let (second, count) = self.requests;
+        self.requests = if now - second >= Span::from_millis(1000) {
+            (now, 1)
+        } else {
+            (second, count + 1)
+        };
+        if self.requests.1 > REQUESTS_PER_SECOND_MAX {
+            let refused = RequestRefused {
+                id: request.id,
+                reason: RequestRefusal::TooMany,
+            };
+            return self.outbox.push(&ServerMessage::RequestRefused(refused));
+        }
+        self.emit(PeerEvent::Request(request));
+        Ok(())
+    }
+
+    /// One datagram. Noise is counted and otherwise ignored.
+    pub fn handle_datagram(&mut self, bytes: &[u8], now: ServerTime) {
+        let Some(datagram) = self.link.accept(bytes) else {
+            return;
+        };
+        let State::Joined { participant, .. } = self.state else {
+            return;
+        };
+        self.heard = now;
+        match datagram.body {
+            Body::Motion(tracks) => self.handle_motion(tracks, participant, now),
+            Body::Probe(probe) => self.handle_probe(probe, now),
+            Body::Delays(list) => match list.as_slice() {
+                [(who, report)] if *who == participant => self.emit(PeerEvent::Delay(*report)),
+                _ => self.link.count_misdirected(),
+            },
+            Body::Corrections(_) | Body::Reply(_) => self.link.count_misdirected(),
+        }
+    }
+
+    fn handle_motion(
+        &mut self,
+        tracks: Vec<ToolTrack>,
+        participant: ParticipantId,
+        now: ServerTime,
+    ) {
+        for track in tracks {
+            let newest = track.samples.last().map_or(now, |s| s.time);
+            if track.participant == participant && newest <= now + FUTURE_MAX {
+                self.emit(PeerEvent::Motion(track.samples));
+            } else {
+                self.link.count_misdirected();
+            }
+        }
+    }
+
+    fn handle_probe(&mut self, probe: Probe, now: ServerTime) {
+        self.link.enqueue(Body::Reply(Reply {
+            id: probe.id,
+            client_sent: probe.client_sent,
+            server_received: now,
+            server_sent: now,
+        }));
+    }
+
+    /// Call when the time of [`poll_timeout`](Self::poll_timeout) has come; earlier does no harm.
+    pub fn handle_timeout(&mut self, now: ServerTime) {
+        match self.state {
+            State::Closed => {}
+            State::Preamble(_) | State::Hello | State::Asked => {
+                if now - self.started >= HANDSHAKE_TIMEOUT {
+                    self.close(CloseReason::HandshakeTimeout);
+                }
+            }
+            State::Joined { .. } => {
+                if now - self.heard >= PEER_SILENCE {
+                    self.close(CloseReason::Silent(PEER_SILENCE));
+                } else if now >= self.heartbeat_due {
+                    self.heartbeat_due = now + HEARTBEAT;
+                    self.link.enqueue(Body::Delays(Vec::new()));
+                }
+            }
+        }
+    }
+
+    /// The connection under the session is gone.
+    pub fn handle_disconnect(&mut self, why: String) {
+        self.close(CloseReason::ConnectionLost(why));
+    }
+
+    /// Something reliable for the client. An error closes the session; the event follows.
+    pub fn send(&mut self, message: &PeerMessage, now: ServerTime) -> Result<(), ProtocolError> {
+        if matches!(self.state, State::Closed) {
+            return Ok(());
+        }
+        let result = self.write(message, now);
+        if let Err(error) = &result {
+            self.close(CloseReason::Violation(error.clone()));
+        }
+        result
+    }
+
+    fn write(&mut self, message: &PeerMessage, now: ServerTime) -> Result<(), ProtocolError> {
+        let not_joined = |what| {
+            Err(ProtocolError::OutOfOrder {
+                what,
+                state: "nobody joined",
+            })
+        };
+        match (message, &mut self.state) {
+            (PeerMessage::Welcome(welcome), State::Asked) => {
+                self.outbox.push(&ServerMessage::Welcome(welcome.clone()))?;
+                self.link.open(welcome.epoch, welcome.participant);
+                self.decoder.set_limit(codec::FRAME_MAX_BYTES);
+                self.state = State::Joined {
+                    participant: welcome.participant,
+                    next_operation: OperationId(0),
+                };
+                self.heard = now;
+                Ok(())
+            }
+            (PeerMessage::Welcome(_), _) => not_joined("welcome that nobody asked for"),
+            (PeerMessage::Refused(refused), _) => self.refuse(refused.clone()),
+            (PeerMessage::Operation(operation), State::Joined { next_operation, .. }) => {
+                if operation.id != *next_operation {
+                    return Err(ProtocolError::OperationGap {
+                        expected: next_operation.0,
+                        found: operation.id.0,
+                    });
+                }
+                *next_operation = operation.id.next();
+                self.outbox
+                    .push(&ServerMessage::Operation(operation.as_ref().clone()))
+            }
+            (PeerMessage::RequestRefused(refused), State::Joined { .. }) => self
+                .outbox
+                .push(&ServerMessage::RequestRefused(refused.clone())),
+            (PeerMessage::Operation(_), _) => not_joined("operation"),
+            (PeerMessage::RequestRefused(_), _) => not_joined("refusal of a request"),
+            (PeerMessage::Goodbye(sentence), _) => {
+                self.outbox.push(&ServerMessage::Goodbye {
+                    sentence: sentence.clone(),
+                })?;
+                self.close(CloseReason::Goodbye(sentence.clone()));
+                Ok(())
+            }
+        }
+    }
+
+    fn refuse(&mut self, refused: Refused) -> Result<(), ProtocolError> {
+        self.outbox.push(&ServerMessage::Refused(refused.clone()))?;
+        self.close(CloseReason::Refused(refused));
+        Ok(())
+    }
+
+    /// Something that may get lost; before the welcome it is dropped.
+    pub fn send_datagram(&mut self, datagram: &PeerDatagram, now: ServerTime) {
+        let State::Joined { participant, .. } = self.state else {
+            return;
+        };
+        match datagram {
+            PeerDatagram::Motion(tracks) => self.enqueue_motion(tracks, participant),
+            PeerDatagram::Corrections(c) => {
+                self.link.enqueue(Body::Corrections(c.as_ref().clone()));
+            }
+            PeerDatagram::Delays(list) => {
+                for piece in list.chunks(crate::datagram::DELAYS_MAX) {
+                    self.link.enqueue(Body::Delays(piece.to_vec()));
+                }
+            }
+        }
+        self.heartbeat_due = now + HEARTBEAT;
+    }
+
+    /// Divides the tools of the others into datagrams.
+    fn enqueue_motion(&mut self, tracks: &[ToolTrack], own: ParticipantId) {
+        let room = DATAGRAM_MAX_BYTES - HEADER_BYTES - 1;
+        let mut bytes = 0;
+        let mut batch = Vec::new();
+        let others = tracks
+            .iter()
+            .filter(|t| t.participant != own && !t.samples.is_empty());
+        for track in others {
+            let more = motion::track_bytes(track);
+            if (bytes + more > room || batch.len() == TRACKS_MAX) && !batch.is_empty() {
+                self.link.enqueue(Body::Motion(std::mem::take(&mut batch)));
+                bytes = 0;
+            }
+            bytes += more;
+            batch.push(track.clone());
+        }
+        if !batch.is_empty() {
+            self.link.enqueue(Body::Motion(batch));
+        }
+    }
+
+    /// Bytes for the operations stream, in order.
+    pub fn poll_stream(&mut self) -> Option<Vec<u8>> {
+        self.outbox.pop()
+    }
+
     /// The next datagram.
     pub fn poll_datagram(&mut self, now: ServerTime) -> Option<Vec<u8>> {
-        None
+        match self.state {
+            State::Joined { .. } => self.link.pop(now),
+            _ => None,
+        }
     }
+
     /// The next event.
     pub fn poll_event(&mut self) -> Option<PeerEvent> {
-        None
+        self.events.pop_front()
     }
-    /// When `handle_timeout` is due.
+
+    /// When [`handle_timeout`](Self::handle_timeout) is due; `None` once closed.
     pub fn poll_timeout(&self) -> Option<ServerTime> {
-        None
+        match self.state {
+            State::Closed => None,
+            State::Preamble(_) | State::Hello | State::Asked => {
+                Some(self.started + HANDSHAKE_TIMEOUT)
+            }
+            State::Joined { .. } => Some(self.heartbeat_due.min(self.heard + PEER_SILENCE)),
+        }
     }
+
+    /// Whether the session is over; what [`poll_stream`](Self::poll_stream) still gives is to be
+    /// sent nevertheless.
+    pub fn is_closed(&self) -> bool {
+        matches!(self.state, State::Closed)
+    }
+
     /// How the connection does.
     pub fn stats(&self) -> LinkStats {
-        LinkStats::default()
+        self.link.stats()
+    }
+
+    fn emit(&mut self, event: PeerEvent) {
+        if matches!(self.state, State::Closed) {
+            return;
+        }
+        if self.events.len() == EVENTS_MAX {
+            let limit = EVENTS_MAX;
+            let error = ProtocolError::TooLarge {
+                what: "event queue",
+                bytes: limit,
+                limit,
+            };
+            return self.violation(error);
+        }
+        self.events.push_back(event);
+    }
+
+    fn violation(&mut self, error: ProtocolError) {
+        if !matches!(self.state, State::Closed | State::Preamble(_)) {
+            let sentence = error.to_string();
+            // What can not be sent any more is not worth a second error.
+            let _ = self.outbox.push(&ServerMessage::Goodbye { sentence });
+        }
+        self.close(CloseReason::Violation(error));
+    }
+
+    fn close(&mut self, reason: CloseReason) {
+        if !matches!(self.state, State::Closed) {
+            self.state = State::Closed;
+            self.events.push_back(PeerEvent::Closed(reason));
+        }
     }
 }

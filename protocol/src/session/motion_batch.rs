@@ -1,0 +1,90 @@
+//! One's own samples on their way into datagrams: four new ones, and the four before repeated.
+
+use std::collections::VecDeque;
+
+use crate::clock::ClockMap;
+use crate::datagram::{POSITION_MAX_M, TRACK_MAX_SAMPLES};
+use crate::{ClientTime, LocalSample, Span, ToolSample};
+
+/// New samples per datagram: 250 datagrams a second of a 1 kHz device.
+pub(super) const BATCH: usize = 4;
+
+/// What waited longer than this is not sent any more: others show something newer by then.
+const STALE: Span = Span::from_millis(50);
+
+/// An incomplete batch goes out after this, so that a slow device is not kept waiting.
+const BATCH_WAIT: Span = Span::from_millis(4);
+
+/// Samples kept: 64 ms of a 1 kHz device. Beyond it the oldest unsent one is lost, and counted.
+const KEPT_MAX: usize = 64;
+
+#[derive(Debug, Default)]
+pub(super) struct MotionBatch {
+    /// Oldest first; the last `unsent` have not been sent.
+    kept: VecDeque<LocalSample>,
+    unsent: usize,
+    stale: usize,
+}
+
+impl MotionBatch {
+    /// Takes a sample; `false` where it can not be sent.
+    pub(super) fn push(&mut self, sample: LocalSample) -> bool {
+        let norm = sample.pose.orientation.iter().map(|c| c * c).sum::<f64>();
+        let in_range = sample
+            .pose
+            .position_m
+            .iter()
+            .all(|x| x.abs() <= POSITION_MAX_M)
+            && (0.9..1.1).contains(&norm);
+        let ordered = self.kept.back().is_none_or(|last| last.time < sample.time);
+        if !in_range || !ordered {
+            return false;
+        }
+        if self.kept.len() == KEPT_MAX {
+            self.kept.pop_front();
+            if self.unsent == KEPT_MAX {
+                self.unsent -= 1;
+                self.stale += 1;
+            }
+        }
+        self.kept.push_back(sample);
+        self.unsent += 1;
+        true
+    }
+
+    /// The samples for the next datagram, oldest first, if one is due.
+    pub(super) fn poll(&mut self, now: ClientTime, map: &ClockMap) -> Option<Vec<ToolSample>> {
+        while self.unsent > 0 && now - self.kept[self.kept.len() - self.unsent].time > STALE {
+            self.unsent -= 1;
+            self.stale += 1;
+        }
+        if self.unsent == 0 {
+            return None;
+        }
+        let first_new = self.kept.len() - self.unsent;
+        if self.unsent < BATCH && now - self.kept[first_new].time < BATCH_WAIT {
+            return None;
+        }
+        let end = self.kept.len().min(first_new + BATCH);
+        let newest = self.kept[end - 1].time;
+        let start = end.saturating_sub(TRACK_MAX_SAMPLES);
+        self.unsent = self.kept.len() - end;
+        let recent = |s: &&LocalSample| newest - s.time <= STALE;
+        let samples = self
+            .kept
+            .range(start..end)
+            .filter(recent)
+            .map(|s| ToolSample {
+                time: map.to_server(s.time),
+                pose: s.pose,
+                buttons: s.buttons,
+                force_n: s.force_n.filter(|f| f.iter().all(|x| x.is_finite())),
+            });
+        Some(samples.collect())
+    }
+
+    /// How many were lost by waiting, since the last call.
+    pub(super) fn take_stale(&mut self) -> usize {
+        std::mem::take(&mut self.stale)
+    }
+}
