@@ -1,1 +1,40 @@
-//! Placeholder.
+//! One tick of the 1 kHz loop: from the newest contact model and the newest sample to a wrench
+//! that is safe for the hand.
+//!
+//! This crate never allocates, locks, logs or waits, never reads a clock and never talks to a
+//! device: [`Chain::tick`] takes the time and a sample and gives a wrench.
+//!
+//! Signs: every force is the force ON THE TOOL, and so on the hand. Normals point out of the
+//! tissue, so that a pressed tool has a positive normal force. Forces are newtons throughout;
+//! there is no gain to tune by feel.
+//!
+//! The order of the stages, one file each:
+//!
+//! ```text
+//! not-a-number check -> contact model (blended, stiffness capped) -> stick-slip friction
+//!   -> clamp to the device's continuous force -> soft start x watchdog -> slew limit
+//! ```
+//!
+//! The slew limit is last, so that no stage and no fault can make a step that reaches the hand.
+
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+mod blend;
+mod chain;
+mod contact;
+mod energy;
+mod events;
+mod friction;
+mod limits;
+mod soft_start;
+mod watchdog;
+
+pub use blend::BLEND_MAX;
+pub use chain::{Chain, ChainConfig, Tick};
+pub use contact::{CONTACTS_MAX, ContactModel};
+pub use energy::EnergyObserver;
+pub use events::{Counters, Events};
+pub use friction::{Contact, Friction, FrictionConfig, Grip};
+pub use limits::{Slew, StiffnessCap, clamp_force};
+pub use soft_start::SoftStart;
+pub use watchdog::{LinkGuard, Watchdog, WatchdogConfig};

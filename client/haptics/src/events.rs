@@ -1,0 +1,132 @@
+//! What happened in a tick, and how often.
+
+/// What happened in one tick, one bit each.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub struct Events(u16);
+
+impl Events {
+    /// Nothing in particular.
+    pub const NONE: Self = Self(0);
+    /// The force was clamped to what the device can hold.
+    pub const SATURATED: Self = Self(1);
+    /// The change of force was limited.
+    pub const SLEWED: Self = Self(1 << 1);
+    /// The contact model is old and fades.
+    pub const STALE: Self = Self(1 << 2);
+    /// The tool is outside the contact model's radius.
+    pub const LEFT_RADIUS: Self = Self(1 << 3);
+    /// The sample held a number that is not finite, and gave no force.
+    pub const BAD_SAMPLE: Self = Self(1 << 4);
+    /// The contact model was not usable, and was not taken.
+    pub const BAD_MODEL: Self = Self(1 << 5);
+    /// The tool came off the tissue in this tick.
+    pub const RELEASED: Self = Self(1 << 6);
+    /// The tool sticks to the tissue.
+    pub const STICK: Self = Self(1 << 7);
+    /// The tool slides over the tissue.
+    pub const SLIP: Self = Self(1 << 8);
+    /// The device is at fault and gets no force.
+    pub const FAULTED: Self = Self(1 << 9);
+    /// The link is lost and the force fades.
+    pub const LINK_LOST: Self = Self(1 << 10);
+    /// The soft start is not over.
+    pub const SOFT_START: Self = Self(1 << 11);
+
+    /// The bits.
+    pub const fn bits(self) -> u16 {
+        self.0
+    }
+
+    /// Whether all of `other` happened.
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// Adds `other` when `it_happened`.
+    pub(crate) fn set(&mut self, other: Self, it_happened: bool) {
+        if it_happened {
+            self.0 |= other.0;
+        }
+    }
+}
+
+/// How many ticks had each event, and the extremes of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Counters {
+    /// All ticks.
+    pub ticks: u64,
+    /// Ticks in contact.
+    pub in_contact: u64,
+    /// [`Events::SATURATED`].
+    pub saturated: u64,
+    /// [`Events::SLEWED`].
+    pub slewed: u64,
+    /// [`Events::STALE`].
+    pub stale: u64,
+    /// [`Events::LEFT_RADIUS`].
+    pub left_radius: u64,
+    /// [`Events::BAD_SAMPLE`].
+    pub bad_samples: u64,
+    /// [`Events::BAD_MODEL`].
+    pub bad_models: u64,
+    /// [`Events::RELEASED`].
+    pub released: u64,
+    /// [`Events::STICK`].
+    pub stick: u64,
+    /// [`Events::SLIP`].
+    pub slip: u64,
+    /// [`Events::FAULTED`].
+    pub faulted: u64,
+    /// [`Events::LINK_LOST`].
+    pub link_lost: u64,
+    /// Largest change of force between two ticks, N.
+    pub max_delta_force_n: f64,
+    /// Largest force, N.
+    pub max_force_n: f64,
+    /// Smallest energy the hand had put in since the start, J; see
+    /// [`EnergyObserver`](crate::EnergyObserver).
+    pub min_energy_j: f64,
+}
+
+impl Counters {
+    pub(crate) fn count(&mut self, events: Events) {
+        self.ticks += 1;
+        for (event, counter) in [
+            (Events::SATURATED, &mut self.saturated),
+            (Events::SLEWED, &mut self.slewed),
+            (Events::STALE, &mut self.stale),
+            (Events::LEFT_RADIUS, &mut self.left_radius),
+            (Events::BAD_SAMPLE, &mut self.bad_samples),
+            (Events::BAD_MODEL, &mut self.bad_models),
+            (Events::RELEASED, &mut self.released),
+            (Events::STICK, &mut self.stick),
+            (Events::SLIP, &mut self.slip),
+            (Events::FAULTED, &mut self.faulted),
+            (Events::LINK_LOST, &mut self.link_lost),
+        ] {
+            *counter += u64::from(events.contains(event));
+        }
+        self.in_contact +=
+            u64::from(events.contains(Events::STICK) || events.contains(Events::SLIP));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Counters, Events};
+
+    #[test]
+    fn every_event_is_counted_where_it_belongs() {
+        let mut c = Counters::default();
+        let mut e = Events::NONE;
+        e.set(Events::STALE, true);
+        e.set(Events::SLIP, true);
+        e.set(Events::SLEWED, false);
+        c.count(e);
+        c.count(Events::NONE);
+        assert_eq!(
+            (c.ticks, c.stale, c.slip, c.in_contact, c.slewed),
+            (2, 1, 1, 1, 0)
+        );
+    }
+}

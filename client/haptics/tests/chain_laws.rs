@@ -1,0 +1,340 @@
+//! The laws of the whole chain, on a virtual clock.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
+
+use nalgebra::{Matrix3, Vector3};
+use palpate_device::backend::sim::{ScriptStart, SimHand};
+use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
+use palpate_device::{DeviceTime, Faults, HapticDevice, Pose, Sample, Script};
+use palpate_haptics::{Chain, ChainConfig, ContactModel, Events, Tick};
+use palpate_protocol::ClientTime;
+use proptest::prelude::*;
+
+/// Virtual time begins here, as a machine that has been up for a while.
+const BOOT_US: i64 = 40_000_000;
+
+fn ms(ms: i64) -> ClientTime {
+    ClientTime::from_micros(BOOT_US + ms * 1000)
+}
+
+fn hand(ways: Vec<WayPoint>) -> SimHand {
+    let tool = Tool {
+        kind: ToolKind::Probe,
+        radius_m: 0.004,
+        length_m: 0.0,
+    };
+    let script = Script::new(tool, Hand::default(), ways, false).unwrap();
+    SimHand::new(script, ScriptStart::at(DeviceTime::from_micros(BOOT_US)))
+}
+
+fn chain() -> Chain {
+    let device = hand(vec![WayPoint::new(0.0, Vector3::zeros())]);
+    Chain::new(ChainConfig::default(), device.caps())
+}
+
+fn sample(x: Vector3<f64>) -> Sample {
+    Sample::resting(DeviceTime::ZERO, Pose::at(x))
+}
+
+/// Pressed with `force` N against 300 N/m, as solved at `at`.
+fn pressed(at: ClientTime, force: f64) -> ContactModel {
+    ContactModel {
+        topology_version: 1,
+        solved_at: at,
+        f0: Vector3::new(0.0, 0.0, force),
+        stiffness: Matrix3::from_diagonal_element(300.0),
+        damping: 0.5,
+        mu_static: 0.5,
+        mu_dynamic: 0.35,
+        radius: 0.01,
+        in_contact: true,
+        ..ContactModel::FREE
+    }
+}
+
+/// A chain that has held `force` for two seconds, and the time of its next tick, ms.
+fn holding(force: f64) -> (Chain, i64) {
+    let mut chain = chain();
+    let mut last = None;
+    for t in 0..2000 {
+        let model = pressed(ms(t - t % 4), force);
+        last = Some(chain.tick(ms(t), &sample(Vector3::zeros()), &model));
+    }
+    let n = last.unwrap().wrench.force.norm();
+    assert!(
+        (n - force.min(chain.force_limit_n())).abs() < 1e-9,
+        "{n} N held"
+    );
+    (chain, 2000)
+}
+
+/// Ticks until the force is zero, ms; panics when it takes longer than `limit`.
+fn fades(mut tick: impl FnMut(i64) -> Tick, limit: i64) -> i64 {
+    let mut before = f64::INFINITY;
+    for t in 0..=limit {
+        let n = tick(t).wrench.force.norm();
+        assert!(n <= before + 1e-9, "{n} N after {before} N while fading");
+        before = n;
+        if n == 0.0 {
+            return t;
+        }
+    }
+    panic!("{before} N left after {limit} ms");
+}
+
+#[test]
+fn force_is_zero_150_ms_after_the_last_solve() {
+    for force in [0.5, 4.0, 10.0, 50.0] {
+        let (mut chain, t0) = holding(force);
+        let last = pressed(ms(t0), force);
+        let at_rest = sample(Vector3::zeros());
+        let zero_at = fades(|t| chain.tick(ms(t0 + t), &at_rest, &last), 150);
+        assert!(
+            zero_at > 75,
+            "a delay of 75 ms is not a loss ({zero_at} ms)"
+        );
+        assert!(chain.counters().stale > 0);
+    }
+}
+
+#[test]
+fn a_model_that_is_not_finite_is_as_good_as_none() {
+    let (mut chain, t0) = holding(8.0);
+    let at_rest = sample(Vector3::zeros());
+    let bad = |t| ContactModel {
+        f0: Vector3::repeat(f64::NAN),
+        ..pressed(ms(t), 8.0)
+    };
+    // The last good one was solved up to 4 ms before.
+    fades(|t| chain.tick(ms(t0 + t), &at_rest, &bad(t0 + t)), 150);
+    assert!(chain.counters().bad_models > 0);
+}
+
+#[test]
+fn a_lost_link_takes_the_force_away_in_100_ms() {
+    for force in [0.5, 4.0, 10.0, 50.0] {
+        let (mut chain, t0) = holding(force);
+        chain.link_lost(ms(t0));
+        let at_rest = sample(Vector3::zeros());
+        fades(
+            |t| chain.tick(ms(t0 + t), &at_rest, &pressed(ms(t0 + t), force)),
+            100,
+        );
+    }
+}
+
+#[test]
+fn a_restored_link_brings_force_back_over_the_soft_start() {
+    let (mut chain, t0) = holding(8.0);
+    chain.link_lost(ms(t0));
+    let at_rest = sample(Vector3::zeros());
+    let mut n = [0.0; 3];
+    for t in t0..t0 + 1300 {
+        if t == t0 + 200 {
+            chain.link_restored(ms(t));
+        }
+        let tick = chain.tick(ms(t), &at_rest, &pressed(ms(t), 8.0));
+        match t - t0 {
+            199 => n[0] = tick.wrench.force.norm(),
+            700 => n[1] = tick.wrench.force.norm(),
+            1299 => n[2] = tick.wrench.force.norm(),
+            _ => {}
+        }
+    }
+    assert_eq!(n[0], 0.0);
+    assert!((n[1] - 4.0).abs() < 0.1, "half way: {} N", n[1]);
+    assert!((n[2] - 8.0).abs() < 1e-9);
+}
+
+#[test]
+fn a_tool_that_leaves_the_radius_loses_the_force() {
+    let (mut chain, t0) = holding(3.0);
+    let far = sample(Vector3::new(0.0, 0.0, -0.03));
+    for t in t0..t0 + 80 {
+        chain.tick(ms(t), &far, &pressed(ms(t0), 3.0));
+    }
+    let tick = chain.tick(ms(t0 + 80), &far, &pressed(ms(t0), 3.0));
+    assert!(tick.events.contains(Events::LEFT_RADIUS));
+    assert!(
+        tick.wrench.force.norm() < 1e-9,
+        "{} N",
+        tick.wrench.force.norm()
+    );
+}
+
+#[test]
+fn a_faulty_sample_takes_the_force_away_and_is_counted() {
+    let nan = sample(Vector3::new(f64::NAN, 0.0, 0.0));
+    let stopped = Sample {
+        faults: Faults::EMERGENCY_STOP,
+        ..sample(Vector3::zeros())
+    };
+    for bad in [nan, stopped] {
+        let (mut chain, t0) = holding(10.0);
+        let model = pressed(ms(t0), 10.0);
+        let zero_at = fades(|t| chain.tick(ms(t0 + t), &bad, &model), 20);
+        assert!(zero_at >= 15, "10 N do not vanish in {zero_at} ms");
+        let c = chain.counters();
+        assert!(c.bad_samples + c.faulted > 10);
+    }
+    let (mut chain, t0) = holding(10.0);
+    fades(|t| chain.tick_without_sample(ms(t0 + t)), 20);
+}
+
+#[test]
+fn the_soft_start_takes_its_second() {
+    let mut chain = chain();
+    for t in 0..=1000 {
+        let tick = chain.tick(ms(t), &sample(Vector3::zeros()), &pressed(ms(t), 6.0));
+        // The first contact also fades in over its blend, so it is never more than the ramp.
+        assert!(tick.wrench.force.norm() <= 6.0 * t as f64 / 1000.0 + 1e-9);
+        assert_eq!(tick.events.contains(Events::SOFT_START), t < 1000);
+    }
+}
+
+#[test]
+fn the_force_never_exceeds_what_the_device_can_hold() {
+    let (chain, _) = holding(500.0);
+    assert!(chain.counters().saturated > 900);
+    assert!(chain.counters().max_force_n <= 10.0 + 1e-12);
+}
+
+/// Tissue whose stiffness grows with depth, as real tissue's does: N = 200 d + 20000 d².
+fn stiffening(depth: f64) -> (f64, f64) {
+    let d = depth.max(0.0);
+    (200.0 * d + 2e4 * d * d, 200.0 + 4e4 * d)
+}
+
+/// A press of 12 mm in half a second, with models every `interval` ms that arrive `delay` ms
+/// after their sample; the largest change of force per tick that the chain gave, and the largest
+/// difference to the tissue's own force, both N.
+fn press(interval: i64, delay: i64) -> (f64, f64) {
+    let mut hand = hand(vec![
+        WayPoint::new(1.5, Vector3::new(0.0, 0.0, 0.002)),
+        WayPoint::new(2.0, Vector3::new(0.0, 0.0, -0.012)),
+        WayPoint::new(2.5, Vector3::new(0.0, 0.0, -0.012)),
+        WayPoint::new(3.0, Vector3::new(0.0, 0.0, 0.002)),
+    ]);
+    hand.enable_forces(true).unwrap();
+    let mut chain = Chain::new(ChainConfig::default(), hand.caps());
+    let (mut model, mut solving) = (ContactModel::FREE, ContactModel::FREE);
+    let (mut step, mut error) = (0.0_f64, 0.0_f64);
+    let mut before = Vector3::zeros();
+    for t in 0..3500 {
+        let device_now = DeviceTime::from_micros(BOOT_US + t * 1000);
+        let sample = hand.read(device_now).unwrap();
+        let x = sample.pose.position;
+        let (force, k) = stiffening(-x.z);
+        if t % interval == 0 {
+            solving = ContactModel {
+                x0: x,
+                stiffness: Matrix3::from_diagonal_element(k),
+                in_contact: x.z < 0.0,
+                ..pressed(ms(t), force)
+            };
+        }
+        if t % interval == delay {
+            model = solving;
+        }
+        let given = chain.tick(ms(t), &sample, &model).wrench;
+        let _ = hand.write(device_now, given);
+        if t > 1100 {
+            step = step.max((given.force - before).norm());
+            error = error.max((given.force.z - force).abs());
+        }
+        before = given.force;
+    }
+    assert_eq!(chain.counters().saturated + chain.counters().stale, 0);
+    (step, error)
+}
+
+#[test]
+fn models_at_250_hz_give_a_smooth_press() {
+    // The fastest the tissue itself changes: about 680 N/m at 12 mm, times 0.05 m/s, times 1 ms.
+    let (step, error) = press(4, 2);
+    println!("250 Hz: largest step {step:.4} N, largest error {error:.4} N");
+    assert!(step < 0.06, "a step of {step} N");
+    assert!(error < 0.1, "an error of {error} N");
+    let (step, error) = press(10, 8);
+    println!("100 Hz: largest step {step:.4} N, largest error {error:.4} N");
+    assert!(step < 0.12, "a step of {step} N");
+    assert!(error < 0.4, "an error of {error} N");
+}
+
+/// One tick of a run in which everything can break.
+#[derive(Debug, Clone)]
+struct Moment {
+    dt_us: i64,
+    x: (f64, f64, f64),
+    v: f64,
+    age_ms: i64,
+    force: f64,
+    what: u8,
+}
+
+fn moments() -> impl Strategy<Value = Vec<Moment>> {
+    let dt = prop_oneof![
+        20 => Just(1000_i64),
+        2 => 0_i64..20_000,
+        1 => Just(-50_000_i64),
+        1 => Just(2_000_000_i64),
+    ];
+    let moment = (
+        dt,
+        (-0.05_f64..0.05, -0.05_f64..0.05, -0.05_f64..0.05),
+        -2.0_f64..2.0,
+        prop_oneof![8 => 0_i64..8, 1 => 0_i64..500, 1 => -9000_i64..0],
+        prop_oneof![8 => 0.0_f64..20.0, 1 => -1e9_f64..1e9],
+        any::<u8>(),
+    );
+    let moment = moment.prop_map(|(dt_us, x, v, age_ms, force, what)| Moment {
+        dt_us,
+        x,
+        v,
+        age_ms,
+        force,
+        what,
+    });
+    proptest::collection::vec(moment, 1..400)
+}
+
+proptest! {
+    #[test]
+    fn no_sequence_of_faults_makes_a_step(run in moments()) {
+        let mut chain = chain();
+        let mut now_us = BOOT_US;
+        let mut before = Vector3::zeros();
+        let step = chain.slew_step_n();
+        for m in run {
+            now_us += m.dt_us;
+            let now = ClientTime::from_micros(now_us);
+            let mut s = sample(Vector3::new(m.x.0, m.x.1, m.x.2));
+            s.velocity = Vector3::new(0.0, m.v, -m.v);
+            let solved_at = ClientTime::from_micros(now_us - m.age_ms * 1000);
+            let mut model = pressed(solved_at, m.force);
+            match m.what {
+                0..8 => s.pose.position.y = f64::NAN,
+                8..14 => s.velocity.x = f64::INFINITY,
+                14..20 => model.f0.x = f64::NAN,
+                20..26 => model.stiffness = Matrix3::repeat(f64::MAX),
+                26..32 => model = ContactModel::free_at(solved_at, 1),
+                32..38 => s.faults = Faults::COMMUNICATION,
+                38..44 => chain.link_lost(now),
+                44..60 => chain.link_restored(now),
+                60..64 => s.pose.position *= 1e300,
+                64..70 => model.normal = Vector3::x(),
+                _ => {}
+            }
+            let tick = if (70..76).contains(&m.what) {
+                chain.tick_without_sample(now)
+            } else {
+                chain.tick(now, &s, &model)
+            };
+            let force = tick.wrench.force;
+            prop_assert!(tick.wrench.is_finite());
+            prop_assert!(force.norm() <= chain.force_limit_n() + 1e-9);
+            prop_assert!((force - before).norm() <= step + 1e-9, "{before:?} to {force:?}");
+            before = force;
+        }
+    }
+}

@@ -1,0 +1,125 @@
+//! A tick allocates nothing: ten thousand of them, the simulated device included, are counted.
+
+#![allow(clippy::unwrap_used)]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use nalgebra::{Matrix3, Vector3};
+use palpate_device::backend::sim::{ScriptStart, SimHand};
+use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
+use palpate_device::{DeviceTime, HapticDevice, Script};
+use palpate_haptics::{Chain, ChainConfig, ContactModel};
+use palpate_protocol::ClientTime;
+
+thread_local! {
+    /// Calls of the allocator on this thread. The test runner's other threads have their own.
+    static CALLS: Cell<u64> = const { Cell::new(0) };
+}
+
+fn note() {
+    // A thread that is being torn down has no counter any more, and none is needed.
+    let _ = CALLS.try_with(|c| c.set(c.get() + 1));
+}
+
+struct Counting;
+
+// SAFETY: every call is handed to the system's allocator with the caller's own arguments, so its
+// contract holds unchanged; `note` allocates nothing (a const thread-local without a destructor).
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        note();
+        // SAFETY: the caller's layout, unchanged.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, ptr: *mut u8, layout: Layout) {
+        note();
+        // SAFETY: `ptr` came from `System` with this layout, as `alloc` above gives no other.
+        unsafe { System.dealloc(ptr, layout) }
+    }
+
+    unsafe fn realloc(&self, ptr: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
+        note();
+        // SAFETY: as in `dealloc`, and the size is the caller's.
+        unsafe { System.realloc(ptr, layout, new_size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn tissue(us: i64, x: Vector3<f64>) -> ContactModel {
+    let depth = -x.z;
+    ContactModel {
+        topology_version: 1,
+        solved_at: ClientTime::from_micros(us),
+        x0: x,
+        f0: Vector3::new(0.0, 0.0, 400.0 * depth),
+        stiffness: Matrix3::from_diagonal_element(400.0),
+        damping: 0.5,
+        mu_static: 0.4,
+        mu_dynamic: 0.3,
+        radius: 0.005,
+        in_contact: depth > 0.0,
+        ..ContactModel::FREE
+    }
+}
+
+#[test]
+fn ten_thousand_ticks_allocate_nothing() {
+    let tool = Tool {
+        kind: ToolKind::Probe,
+        radius_m: 0.004,
+        length_m: 0.0,
+    };
+    let ways = vec![
+        WayPoint::new(0.0, Vector3::new(0.0, 0.0, 0.01)),
+        WayPoint::new(1.0, Vector3::new(0.0, 0.0, -0.02)),
+        WayPoint::new(2.0, Vector3::new(0.05, 0.0, -0.02)).pressed(),
+        WayPoint::new(3.0, Vector3::new(0.0, 0.0, 0.01)),
+    ];
+    let tremor = Hand {
+        tremor_m: 0.000_2,
+        ..Hand::default()
+    };
+    let script = Script::new(tool, tremor, ways, true).unwrap();
+    let mut hand = SimHand::new(script, ScriptStart::at(DeviceTime::ZERO));
+    hand.enable_forces(true).unwrap();
+    let mut chain = Chain::new(ChainConfig::default(), hand.caps());
+    let mut model = ContactModel::FREE;
+    let mut warm = 0;
+    for tick in 0..11_000_i64 {
+        if tick == 1000 {
+            warm = CALLS.with(Cell::get);
+        }
+        let us = tick * 1000;
+        // Faults too: a missed reading, a bad model, a lost and restored link.
+        let result = match tick % 2500 {
+            2400 => chain.tick_without_sample(ClientTime::from_micros(us)),
+            _ => {
+                let sample = hand.read(DeviceTime::from_micros(us)).unwrap();
+                if tick % 4 == 0 {
+                    model = tissue(us, sample.pose.position);
+                }
+                if tick % 3000 == 0 {
+                    model.f0.x = f64::NAN;
+                }
+                chain.tick(ClientTime::from_micros(us), &sample, &model)
+            }
+        };
+        let _ = hand.write(DeviceTime::from_micros(us), result.wrench);
+        match tick % 4000 {
+            3000 => chain.link_lost(ClientTime::from_micros(us)),
+            3300 => chain.link_restored(ClientTime::from_micros(us)),
+            _ => {}
+        }
+    }
+    let calls = CALLS.with(Cell::get) - warm;
+    let c = chain.counters();
+    assert!(
+        c.slip > 500 && c.stick > 500 && c.released > 0 && c.bad_models > 0,
+        "{c:?}"
+    );
+    assert_eq!(calls, 0, "calls of the allocator in 10,000 ticks");
+}
