@@ -1,0 +1,350 @@
+//! All contacts of one view: tools, their samples, and what they do to nodes.
+
+use super::index::SurfaceIndex;
+use super::proxy::Proxy;
+use super::reaction::Reaction;
+use super::surface::{Surface, area_normal, blend};
+use super::{FOUNDATION, TOOLS_MAX, Tool};
+use crate::equilibrium::law::Symmetric;
+use crate::{Topology, Vec3};
+
+/// Barycentric weights of the four samples of a triangle: the middles of its four equal parts.
+pub(crate) const SAMPLES: [[f64; 3]; 4] = [
+    [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0],
+    [2.0 / 3.0, 1.0 / 6.0, 1.0 / 6.0],
+    [1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0],
+    [1.0 / 6.0, 1.0 / 6.0, 2.0 / 3.0],
+];
+/// Samples per node of a surface of two triangles per node.
+const SAMPLES_PER_NODE: f64 = 8.0;
+/// Samples of all tools at most: a sphere of 20 spacings pressed in to its middle has about 20,000.
+/// Beyond it triangles are left out, in the order of the search.
+const SAMPLES_MAX: usize = 32_768;
+/// Cosine to the centre of the tool from which on a triangle counts in full; at zero it does not.
+const FACING: f64 = 0.3;
+const NONE: u32 = u32::MAX;
+
+/// One point of the surface that a tool may press on.
+pub(crate) struct Sample {
+    pub(crate) nodes: [u32; 3],
+    pub(crate) weights: [f64; 3],
+    /// κ in N/m, its area and facing taken in.
+    stiffness: f64,
+    /// Normal out of the tissue, for a point tool.
+    flat: Option<Vec3>,
+    proxy: u32,
+    triangle: u32,
+}
+
+/// The contacts of one shape.
+pub(crate) struct Contacts {
+    index: SurfaceIndex,
+    pub(crate) proxies: Vec<Proxy>,
+    pub(crate) samples: Vec<Sample>,
+    /// Nodes of the samples; position in it of every node; their samples as linked lists.
+    pub(crate) nodes: Vec<u32>,
+    place: Vec<u32>,
+    first: Vec<u32>,
+    next: Vec<u32>,
+    /// Tools of the last step that were not sound, or one too many.
+    pub(crate) ignored: usize,
+}
+
+impl Contacts {
+    pub(crate) fn new(topology: &Topology) -> Self {
+        Self {
+            index: SurfaceIndex::new(topology),
+            proxies: Vec::with_capacity(TOOLS_MAX),
+            samples: Vec::new(),
+            nodes: Vec::new(),
+            place: vec![NONE; topology.node_count()],
+            first: Vec::new(),
+            next: Vec::new(),
+            ignored: 0,
+        }
+    }
+
+    pub(crate) fn follow(&mut self, topology: &Topology) {
+        self.place.resize(topology.node_count(), NONE);
+        self.index.follow(topology);
+    }
+
+    /// Takes in the tools of a step. Returns whether anything is different from the last one.
+    pub(crate) fn begin(&mut self, tools: &[Tool]) -> bool {
+        let mut changed = false;
+        self.ignored = 0;
+        self.proxies.iter_mut().for_each(|p| p.seen = false);
+        for tool in tools {
+            let known = self.proxies.iter().position(|p| p.id == tool.id);
+            match known {
+                _ if !tool.is_sound() => self.ignored += 1,
+                Some(i) if self.proxies[i].seen => self.ignored += 1,
+                Some(i) => {
+                    let proxy = &mut self.proxies[i];
+                    changed |= proxy.target != tool.centre || proxy.radius != tool.radius_m;
+                    proxy.target = tool.centre;
+                    proxy.radius = tool.radius_m;
+                    proxy.seen = true;
+                }
+                None if self.proxies.len() < TOOLS_MAX => {
+                    self.proxies.push(Proxy::new(tool));
+                    changed = true;
+                }
+                None => self.ignored += 1,
+            }
+        }
+        let before = self.proxies.len();
+        self.proxies.retain(|p| p.seen);
+        changed | (self.proxies.len() != before)
+    }
+
+    /// Moves the proxies and gathers the samples within their reach. Returns whether any proxy has
+    /// not arrived yet.
+    pub(crate) fn gather(
+        &mut self,
+        topology: &Topology,
+        u: &[Vec3],
+        displaced: f64,
+        own_stiffness: &[f64],
+    ) -> bool {
+        self.clear();
+        let surface = Surface {
+            topology,
+            u,
+            index: &self.index,
+            displaced,
+        };
+        let spacing = topology.model().spacing_m;
+        let mut lags = false;
+        for (i, proxy) in self.proxies.iter_mut().enumerate() {
+            proxy.advance(&surface);
+            if proxy.touching {
+                lags |= proxy.lag() > 0.0;
+                if proxy.is_point(spacing) {
+                    sample_point(&mut self.samples, &surface, proxy, i, own_stiffness);
+                } else {
+                    sample_sphere(&mut self.samples, &surface, proxy, i, own_stiffness);
+                }
+            }
+        }
+        self.link();
+        lags
+    }
+
+    fn clear(&mut self) {
+        for &node in &self.nodes {
+            self.place[node as usize] = NONE;
+        }
+        self.nodes.clear();
+        self.first.clear();
+        self.next.clear();
+        self.samples.clear();
+    }
+
+    fn link(&mut self) {
+        self.next.resize(self.samples.len() * 3, NONE);
+        for (s, sample) in self.samples.iter().enumerate() {
+            for (k, &node) in sample.nodes.iter().enumerate() {
+                let place = &mut self.place[node as usize];
+                if *place == NONE {
+                    *place = self.nodes.len() as u32;
+                    self.nodes.push(node);
+                    self.first.push(NONE);
+                }
+                let entry = (3 * s + k) as u32;
+                self.next[entry as usize] = self.first[*place as usize];
+                self.first[*place as usize] = entry;
+            }
+        }
+    }
+
+    #[inline]
+    pub(crate) fn touches(&self, node: u32) -> bool {
+        self.place[node as usize] != NONE
+    }
+
+    /// Depth in m (above zero: pressed) and direction into the tissue of a sample.
+    pub(crate) fn press(&self, sample: &Sample, topology: &Topology, u: &[Vec3]) -> (f64, Vec3) {
+        let corners = sample.nodes.map(|n| topology.rest(n) + u[n as usize]);
+        let x = blend(&corners, &sample.weights);
+        let proxy = &self.proxies[sample.proxy as usize];
+        let v = x - proxy.at;
+        if let Some(out) = sample.flat {
+            return (proxy.radius + v.dot(&out), -out);
+        }
+        let distance = v.norm();
+        if distance >= proxy.radius || distance == 0.0 {
+            return (0.0, Vec3::zeros());
+        }
+        (proxy.radius - distance, v / distance)
+    }
+
+    /// Force on a node in N and its stiffness in N/m, added to `force` and `stiffness`.
+    pub(crate) fn add(
+        &self,
+        topology: &Topology,
+        u: &[Vec3],
+        node: u32,
+        force: &mut Vec3,
+        stiffness: &mut Symmetric,
+    ) {
+        let place = self.place[node as usize];
+        if place == NONE {
+            return;
+        }
+        let mut entry = self.first[place as usize];
+        while entry != NONE {
+            let sample = &self.samples[entry as usize / 3];
+            let w = sample.weights[entry as usize % 3];
+            let (depth, n) = self.press(sample, topology, u);
+            if depth > 0.0 {
+                *force += n * (w * sample.stiffness * depth);
+                let k = w * w * sample.stiffness;
+                stiffness[0] += k * n.x * n.x;
+                stiffness[1] += k * n.y * n.y;
+                stiffness[2] += k * n.z * n.z;
+                stiffness[3] += k * n.x * n.y;
+                stiffness[4] += k * n.x * n.z;
+                stiffness[5] += k * n.y * n.z;
+            }
+            entry = self.next[entry as usize];
+        }
+    }
+
+    /// Calls `visit` with every pressed sample, its κ and its direction.
+    pub(crate) fn pressed(
+        &self,
+        topology: &Topology,
+        u: &[Vec3],
+        mut visit: impl FnMut(&Sample, f64, Vec3),
+    ) {
+        for sample in &self.samples {
+            let (depth, n) = self.press(sample, topology, u);
+            if depth > 0.0 {
+                visit(sample, sample.stiffness, n);
+            }
+        }
+    }
+
+    /// Force on the tool of proxy `i`, with the samples that carry it.
+    pub(crate) fn force(&self, topology: &Topology, u: &[Vec3], i: usize) -> (Vec3, u32) {
+        let (mut force, mut count) = (Vec3::zeros(), 0);
+        for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
+            let (depth, n) = self.press(sample, topology, u);
+            if depth > 0.0 {
+                force -= n * (sample.stiffness * depth);
+                count += 1;
+            }
+        }
+        (force, count)
+    }
+
+    /// The reaction on the tool of proxy `i`; lets go of what no longer touches.
+    pub(crate) fn reaction(&mut self, topology: &Topology, u: &[Vec3], i: usize) -> Reaction {
+        let (mut force, mut count) = (Vec3::zeros(), 0);
+        let (mut still, mut sliding, mut sum) = (0.0, 0.0, 0.0);
+        for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
+            let (depth, n) = self.press(sample, topology, u);
+            if depth > 0.0 {
+                let f = sample.stiffness * depth;
+                force -= n * f;
+                count += 1;
+                let face = topology.boundary().faces[sample.triangle as usize / 2];
+                let material = topology.model().material_of(face.cell() as usize);
+                still += f * material.friction_static;
+                sliding += f * material.friction_dynamic;
+                sum += f;
+            }
+        }
+        let proxy = &mut self.proxies[i];
+        if count == 0 {
+            proxy.touching = false;
+            proxy.secant.clear();
+        }
+        let share = if sum > 0.0 { 1.0 / sum } else { 0.0 };
+        Reaction {
+            tool: proxy.id,
+            force,
+            stiffness: proxy.secant.stiffness(),
+            normal: force.try_normalize(1e-12).unwrap_or_else(Vec3::zeros),
+            contacts: count,
+            friction_static: still * share,
+            friction_dynamic: sliding * share,
+            force_error: 0.0,
+            at: proxy.at,
+        }
+    }
+}
+
+fn sample_sphere(
+    samples: &mut Vec<Sample>,
+    surface: &Surface<'_>,
+    proxy: &Proxy,
+    i: usize,
+    own: &[f64],
+) {
+    let reach = proxy.radius + 0.5 * surface.topology.model().spacing_m;
+    surface.near(proxy.at, reach, |triangle| {
+        if samples.len() + SAMPLES.len() > SAMPLES_MAX {
+            return;
+        }
+        let corners = surface.corners(triangle);
+        let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+        let extent = corners
+            .iter()
+            .map(|c| (c - middle).norm())
+            .fold(0.0, f64::max);
+        if (middle - proxy.at).norm() > reach + extent {
+            return;
+        }
+        let Some(normal) = area_normal(&corners).try_normalize(1e-30) else {
+            return;
+        };
+        let nodes = surface.topology.boundary().triangles[triangle as usize];
+        for weights in SAMPLES {
+            let v = proxy.at - blend(&corners, &weights);
+            let distance = v.norm();
+            if distance > reach || distance == 0.0 {
+                continue;
+            }
+            let facing = (v.dot(&normal) / distance / FACING).clamp(0.0, 1.0);
+            if facing > 0.0 {
+                let fade = facing * facing * (3.0 - 2.0 * facing);
+                let share = FOUNDATION / SAMPLES_PER_NODE * fade;
+                samples.push(Sample {
+                    nodes,
+                    weights,
+                    stiffness: share * foundation(own, &nodes, &weights),
+                    flat: None,
+                    proxy: i as u32,
+                    triangle,
+                });
+            }
+        }
+    });
+}
+
+fn sample_point(
+    samples: &mut Vec<Sample>,
+    surface: &Surface<'_>,
+    proxy: &Proxy,
+    i: usize,
+    own: &[f64],
+) {
+    let reach = proxy.radius + 2.0 * surface.topology.model().spacing_m;
+    if let Some(foot) = surface.nearest(proxy.at, reach) {
+        let nodes = surface.topology.boundary().triangles[foot.triangle as usize];
+        samples.push(Sample {
+            nodes,
+            weights: foot.weights,
+            stiffness: FOUNDATION * foundation(own, &nodes, &foot.weights),
+            flat: Some(foot.normal),
+            proxy: i as u32,
+            triangle: foot.triangle,
+        });
+    }
+}
+
+fn foundation(own: &[f64], nodes: &[u32; 3], weights: &[f64; 3]) -> f64 {
+    (0..3).map(|k| weights[k] * own[nodes[k] as usize]).sum()
+}

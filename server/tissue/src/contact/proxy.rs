@@ -1,0 +1,136 @@
+//! The proxy of a tool: where it is held while tissue stands in its way.
+
+use super::reaction::Secant;
+use super::surface::{Surface, area_normal};
+use super::{POINT_RADIUS, Tool};
+use crate::Vec3;
+
+/// Steps in which a free path is searched for the first touch; a longer one counts as a jump.
+const MARCH_MAX: usize = 64;
+/// Travel per iteration while touching, in radii (of at least half a spacing).
+const TRAVEL: f64 = 0.5;
+
+/// What is remembered of a tool between steps.
+pub(crate) struct Proxy {
+    pub(crate) id: u32,
+    pub(crate) radius: f64,
+    pub(crate) target: Vec3,
+    pub(crate) at: Vec3,
+    pub(crate) touching: bool,
+    pub(crate) placed: bool,
+    pub(crate) seen: bool,
+    pub(crate) secant: Secant,
+}
+
+impl Proxy {
+    pub(crate) fn new(tool: &Tool) -> Self {
+        Self {
+            id: tool.id,
+            radius: tool.radius_m,
+            target: tool.centre,
+            at: tool.centre,
+            touching: false,
+            placed: false,
+            seen: true,
+            secant: Secant::default(),
+        }
+    }
+
+    pub(crate) fn is_point(&self, spacing: f64) -> bool {
+        self.radius < POINT_RADIUS * spacing
+    }
+
+    /// Distance in m by which the proxy is behind its tool.
+    pub(crate) fn lag(&self) -> f64 {
+        (self.target - self.at).norm()
+    }
+
+    /// Moves towards the tool; stops at the first touch. Returns whether it moved.
+    pub(crate) fn advance(&mut self, surface: &Surface<'_>) -> bool {
+        let spacing = surface.topology.model().spacing_m;
+        let stride = TRAVEL * self.radius.max(0.5 * spacing);
+        if !self.placed {
+            self.place(surface);
+        }
+        let way = self.target - self.at;
+        let length = way.norm();
+        if length == 0.0 {
+            return false;
+        }
+        if self.touching {
+            self.at += way * (stride / length).min(1.0);
+            if length <= stride {
+                self.at = self.target;
+            }
+            return true;
+        }
+        let steps = (length / stride).ceil() as usize;
+        if steps > MARCH_MAX {
+            self.at = self.target;
+            self.place(surface);
+            return true;
+        }
+        let from = self.at;
+        for s in 1..=steps {
+            self.at = if s == steps {
+                self.target
+            } else {
+                from + way * (s as f64 / steps as f64)
+            };
+            if self.touches(surface, spacing) {
+                self.touching = true;
+                break;
+            }
+        }
+        true
+    }
+
+    /// Puts a tool without history where it is, or outside the surface if it is inside.
+    fn place(&mut self, surface: &Surface<'_>) {
+        self.placed = true;
+        self.touching = false;
+        let mut reach = self.radius + 2.0 * surface.topology.model().spacing_m;
+        let limit = surface.index.span() + surface.displaced;
+        let foot = loop {
+            if let Some(foot) = surface.nearest(self.at, reach) {
+                break Some(foot);
+            }
+            if reach > limit {
+                break None;
+            }
+            reach *= 2.0;
+        };
+        if let Some(foot) = foot {
+            let away = self.at - foot.at;
+            if away.dot(&foot.normal) < 0.0 {
+                self.at = foot.at + foot.normal * self.radius;
+                self.touching = true;
+            } else if away.norm() < self.radius {
+                self.touching = true;
+            }
+        }
+    }
+
+    fn touches(&self, surface: &Surface<'_>, spacing: f64) -> bool {
+        if self.is_point(spacing) {
+            let reach = self.radius + 0.5 * spacing;
+            return surface
+                .nearest(self.at, reach)
+                .is_some_and(|foot| (self.at - foot.at).dot(&foot.normal) < self.radius);
+        }
+        let mut touches = false;
+        surface.near(self.at, self.radius, |triangle| {
+            if !touches {
+                let corners = surface.corners(triangle);
+                let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+                let facing = (self.at - middle).dot(&area_normal(&corners)) > 0.0;
+                touches = facing
+                    && super::contacts::SAMPLES.iter().any(|w| {
+                        let x = super::surface::blend(&corners, w);
+                        (x - self.at).norm_squared() < self.radius * self.radius
+                    });
+            }
+        });
+        touches
+    }
+}

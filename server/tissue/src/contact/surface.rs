@@ -1,0 +1,156 @@
+//! Points of the deformed surface: triangles, nearest points, normals.
+
+use super::index::SurfaceIndex;
+use crate::{Topology, Vec3};
+
+/// The deformed outer surface, as the search sees it.
+#[derive(Clone, Copy)]
+pub(crate) struct Surface<'a> {
+    pub(crate) topology: &'a Topology,
+    pub(crate) u: &'a [Vec3],
+    pub(crate) index: &'a SurfaceIndex,
+    /// No node of the surface is displaced by more than this, in m.
+    pub(crate) displaced: f64,
+}
+
+/// A point of the surface.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Foot {
+    pub(crate) triangle: u32,
+    pub(crate) weights: [f64; 3],
+    pub(crate) at: Vec3,
+    /// Out of the tissue, interpolated between the nodes.
+    pub(crate) normal: Vec3,
+}
+
+impl Surface<'_> {
+    pub(crate) fn corners(&self, triangle: u32) -> [Vec3; 3] {
+        self.topology.boundary().triangles[triangle as usize]
+            .map(|n| self.topology.rest(n) + self.u[n as usize])
+    }
+
+    pub(crate) fn near(&self, centre: Vec3, reach: f64, visit: impl FnMut(u32)) {
+        self.index.near(centre, reach + self.displaced, visit);
+    }
+
+    /// The point of the surface nearest to `centre`, if one is within `reach`.
+    pub(crate) fn nearest(&self, centre: Vec3, reach: f64) -> Option<Foot> {
+        let mut best: Option<(f64, u32, [f64; 3])> = None;
+        self.near(centre, reach, |triangle| {
+            let corners = self.corners(triangle);
+            let w = nearest_weights(&corners, &centre);
+            let at = blend(&corners, &w);
+            let d = (at - centre).norm_squared();
+            // Ties (a shared edge) go to the lower index, whatever the order of the bins.
+            if d <= reach * reach && best.is_none_or(|b| d < b.0 || (d == b.0 && triangle < b.1)) {
+                best = Some((d, triangle, w));
+            }
+        });
+        let (_, triangle, weights) = best?;
+        let nodes = self.topology.boundary().triangles[triangle as usize];
+        let corners = self.corners(triangle);
+        let at = blend(&corners, &weights);
+        let mut normals = [Vec3::zeros(); 3];
+        self.near(at, 0.0, |other| {
+            let around = self.topology.boundary().triangles[other as usize];
+            let n = area_normal(&self.corners(other));
+            for (k, node) in nodes.iter().enumerate() {
+                if around.contains(node) {
+                    normals[k] += n;
+                }
+            }
+        });
+        let own = area_normal(&corners);
+        let normals = normals.map(|n| n.try_normalize(1e-30).unwrap_or_else(Vec3::zeros));
+        let normal = blend(&normals, &weights)
+            .try_normalize(1e-3)
+            .or_else(|| own.try_normalize(1e-30))?;
+        Some(Foot {
+            triangle,
+            weights,
+            at,
+            normal,
+        })
+    }
+}
+
+/// Normal of a triangle with twice its area as length.
+pub(crate) fn area_normal(corners: &[Vec3; 3]) -> Vec3 {
+    (corners[1] - corners[0]).cross(&(corners[2] - corners[0]))
+}
+
+pub(crate) fn blend(corners: &[Vec3; 3], w: &[f64; 3]) -> Vec3 {
+    corners[0] * w[0] + corners[1] * w[1] + corners[2] * w[2]
+}
+
+/// Barycentric weights of the point of a triangle nearest to `p` (by the regions of its corners,
+/// edges and face in turn).
+fn nearest_weights(corners: &[Vec3; 3], p: &Vec3) -> [f64; 3] {
+    let [a, b, c] = corners;
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return [1.0, 0.0, 0.0];
+    }
+    let bp = p - b;
+    let (d3, d4) = (ab.dot(&bp), ac.dot(&bp));
+    if d3 >= 0.0 && d4 <= d3 {
+        return [0.0, 1.0, 0.0];
+    }
+    let cp = p - c;
+    let (d5, d6) = (ab.dot(&cp), ac.dot(&cp));
+    if d6 >= 0.0 && d5 <= d6 {
+        return [0.0, 0.0, 1.0];
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+        let t = d1 / (d1 - d3);
+        return [1.0 - t, t, 0.0];
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+        let t = d2 / (d2 - d6);
+        return [1.0 - t, 0.0, t];
+    }
+    let va = d3 * d6 - d5 * d4;
+    if va <= 0.0 && d4 >= d3 && d5 >= d6 {
+        let t = (d4 - d3) / ((d4 - d3) + (d5 - d6));
+        return [0.0, 1.0 - t, t];
+    }
+    let sum = va + vb + vc;
+    if sum <= 0.0 || !sum.is_finite() {
+        return [1.0, 0.0, 0.0];
+    }
+    [va / sum, vb / sum, vc / sum]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_point_is_not_beaten_by_any_other_of_the_triangle() {
+        let corners = [
+            Vec3::new(0.0, 0.0, 0.0),
+            Vec3::new(2.0, 0.0, 0.5),
+            Vec3::new(0.3, 1.5, 0.0),
+        ];
+        for i in 0..125 {
+            let p = Vec3::new(
+                (i % 5) as f64 - 1.5,
+                (i / 5 % 5) as f64 - 1.5,
+                (i / 25) as f64 - 2.0,
+            );
+            let w = nearest_weights(&corners, &p);
+            assert!((w.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+            let d = (blend(&corners, &w) - p).norm();
+            for a in 0..=10 {
+                for b in 0..=10 - a {
+                    let v = [f64::from(a) / 10.0, f64::from(b) / 10.0];
+                    let other = blend(&corners, &[v[0], v[1], 1.0 - v[0] - v[1]]);
+                    assert!(d <= (other - p).norm() + 1e-12, "{p} {w:?}");
+                }
+            }
+        }
+    }
+}
