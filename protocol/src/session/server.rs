@@ -13,7 +13,7 @@ use crate::session::outbox::Outbox;
 use crate::session::preamble::{self, PreambleReader};
 use crate::session::{
     CloseReason, EVENTS_MAX, HANDSHAKE_TIMEOUT, HEARTBEAT, Link, LinkStats, PEER_SILENCE,
-    PeerDatagram, PeerEvent, PeerMessage,
+    PeerDatagram, PeerEvent, PeerMessage, STREAM_BACKLOG_MAX_BYTES,
 };
 use crate::{OperationId, ParticipantId, ProtocolError, ServerTime, Span, ToolTrack};
 
@@ -232,6 +232,15 @@ impl ServerPeer {
     /// The connection under the session is gone.
     pub fn handle_disconnect(&mut self, why: String) {
         self.close(CloseReason::ConnectionLost(why));
+    }
+
+    /// The room produced more for this peer than its queue holds.
+    pub fn handle_overflow(&mut self) {
+        let limit = STREAM_BACKLOG_MAX_BYTES;
+        self.violation(ProtocolError::Backlog {
+            bytes: limit,
+            limit,
+        });
     }
 
     /// Something reliable for the client. An error closes the session; the event follows.

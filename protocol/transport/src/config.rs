@@ -1,0 +1,129 @@
+//! The settings of quinn, measured for this traffic: its own would delay motion by a second.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use quinn::crypto::rustls::{QuicClientConfig, QuicServerConfig};
+use quinn::{ClientConfig, IdleTimeout, ServerConfig, TransportConfig, VarInt};
+use rustls::crypto::CryptoProvider;
+
+use crate::TransportError;
+use crate::controller::FloorConfig;
+use crate::identity::{Pinned, ServerIdentity};
+
+/// What a session's connection asks for in the TLS handshake.
+pub(crate) const ALPN_SESSION: &[u8] = b"palpate/1";
+
+/// What a model transfer's connection asks for.
+pub(crate) const ALPN_BULK: &[u8] = b"palpate-bulk/1";
+
+/// Datagrams waiting inside quinn, bytes: 14 of the largest. A longer queue is only delay.
+const DATAGRAM_SEND_BUFFER: usize = 16 * 1024;
+
+/// Datagrams that arrived and were not read, bytes; the oldest are dropped beyond.
+const DATAGRAM_RECEIVE_BUFFER: usize = 256 * 1024;
+
+/// A connection on which nothing arrives for so long is gone.
+const IDLE: Duration = Duration::from_secs(3);
+
+/// Something is sent at least so often, so that silence means something.
+const KEEP_ALIVE: Duration = Duration::from_millis(500);
+
+/// Incoming attempts that wait for us; quinn refuses more.
+const INCOMING_MAX: usize = 256;
+
+/// A packet counts as lost when so many later ones arrived. The default of 3 takes jitter for loss.
+const PACKET_THRESHOLD: u32 = 64;
+
+/// ... or when so many round trips passed. The default is 1.125.
+const TIME_THRESHOLD: f32 = 1.5;
+
+/// Bytes of one stream that may arrive unread: the largest frame many times over.
+const STREAM_WINDOW: u32 = 2 * 1024 * 1024;
+
+fn provider() -> Arc<CryptoProvider> {
+    Arc::new(rustls::crypto::ring::default_provider())
+}
+
+fn certificate_error(e: impl std::fmt::Display) -> TransportError {
+    TransportError::Certificate(e.to_string())
+}
+
+fn session_transport() -> TransportConfig {
+    let mut t = TransportConfig::default();
+    t.max_concurrent_bidi_streams(VarInt::from_u32(1))
+        .max_concurrent_uni_streams(VarInt::from_u32(0))
+        .stream_receive_window(VarInt::from_u32(STREAM_WINDOW))
+        .receive_window(VarInt::from_u32(STREAM_WINDOW))
+        .send_window(u64::from(STREAM_WINDOW))
+        .max_idle_timeout(Some(idle(IDLE)))
+        .keep_alive_interval(Some(KEEP_ALIVE))
+        .packet_threshold(PACKET_THRESHOLD)
+        .time_threshold(TIME_THRESHOLD)
+        .initial_rtt(Duration::from_millis(200))
+        .datagram_send_buffer_size(DATAGRAM_SEND_BUFFER)
+        .datagram_receive_buffer_size(Some(DATAGRAM_RECEIVE_BUFFER))
+        // Its probes of larger packets would only add to the motion's own.
+        .mtu_discovery_config(None)
+        .enable_segmentation_offload(false)
+        .congestion_controller_factory(Arc::new(FloorConfig));
+    t
+}
+
+fn bulk_transport() -> TransportConfig {
+    let mut t = TransportConfig::default();
+    t.max_concurrent_bidi_streams(VarInt::from_u32(1))
+        .max_concurrent_uni_streams(VarInt::from_u32(0))
+        .max_idle_timeout(Some(idle(4 * IDLE)))
+        .keep_alive_interval(Some(2 * KEEP_ALIVE))
+        .packet_threshold(PACKET_THRESHOLD)
+        .time_threshold(TIME_THRESHOLD)
+        .datagram_receive_buffer_size(None);
+    t
+}
+
+fn idle(d: Duration) -> IdleTimeout {
+    IdleTimeout::try_from(d).expect("some seconds fit into a QUIC number")
+}
+
+pub(crate) fn server(identity: &ServerIdentity) -> Result<ServerConfig, TransportError> {
+    let mut tls = rustls::ServerConfig::builder_with_provider(provider())
+        .with_protocol_versions(&[&rustls::version::TLS13])
+        .map_err(certificate_error)?
+        .with_no_client_auth()
+        .with_single_cert(vec![identity.certificate()], identity.key())
+        .map_err(certificate_error)?;
+    tls.alpn_protocols = vec![ALPN_SESSION.to_vec(), ALPN_BULK.to_vec()];
+    // What is sent before the handshake ends can be sent again by others: never for grants.
+    tls.max_early_data_size = 0;
+    let quic = QuicServerConfig::try_from(tls).map_err(certificate_error)?;
+    let mut config = ServerConfig::with_crypto(Arc::new(quic));
+    config.transport_config(Arc::new(session_transport()));
+    config.max_incoming(INCOMING_MAX);
+    Ok(config)
+}
+
+/// For both kinds of connection: the server learns the kind only after it has chosen.
+pub(crate) fn client(pinned: Arc<Pinned>, alpn: &[u8]) -> Result<ClientConfig, TransportError> {
+    let mut tls = rustls::ClientConfig::builder_with_provider(provider())
+        .with_protocol_versions(&[&rustls::version::TLS13])
+        .map_err(certificate_error)?
+        .dangerous()
+        .with_custom_certificate_verifier(pinned)
+        .with_no_client_auth();
+    tls.alpn_protocols = vec![alpn.to_vec()];
+    tls.enable_early_data = false;
+    let quic = QuicClientConfig::try_from(tls).map_err(certificate_error)?;
+    let mut config = ClientConfig::new(Arc::new(quic));
+    let transport = if alpn == ALPN_BULK {
+        bulk_transport()
+    } else {
+        session_transport()
+    };
+    config.transport_config(Arc::new(transport));
+    Ok(config)
+}
+
+pub(crate) fn pinned(expected: palpate_protocol::CertificateHash) -> Arc<Pinned> {
+    Pinned::new(expected, &provider())
+}

@@ -1,0 +1,123 @@
+//! One connection: the operations stream, datagrams, figures.
+
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+
+use quinn::{RecvStream, SendStream, VarInt};
+
+use crate::error::in_words;
+use crate::rate_cap::RateCap;
+
+/// The longest reason that is sent when closing, bytes.
+const REASON_MAX_BYTES: usize = 200;
+
+/// How a connection does, from the transport's own counters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct PathStats {
+    /// Round trip time, smoothed.
+    pub rtt: Duration,
+    /// Packets sent.
+    pub sent_packets: u64,
+    /// Packets of ours that were lost.
+    pub lost_packets: u64,
+    /// Datagrams that were not sent, because the buffer was full or the rate cap reached.
+    pub skipped_datagrams: u64,
+}
+
+/// One connection with its operations stream. Give it to
+/// [`spawn_client`](crate::spawn_client) or [`spawn_peer`](crate::spawn_peer).
+pub struct Connection {
+    quic: quinn::Connection,
+    pub(crate) send: SendStream,
+    pub(crate) recv: RecvStream,
+    cap: RateCap,
+    skipped: u64,
+    /// A client's own endpoint lives as long as its connection.
+    endpoint: Option<quinn::Endpoint>,
+}
+
+impl Connection {
+    pub(crate) fn new(
+        quic: quinn::Connection,
+        (send, recv): (SendStream, RecvStream),
+        endpoint: Option<quinn::Endpoint>,
+    ) -> Self {
+        Self {
+            quic,
+            send,
+            recv,
+            cap: RateCap::new(Instant::now()),
+            skipped: 0,
+            endpoint,
+        }
+    }
+
+    /// Where the other side is.
+    pub fn remote_address(&self) -> SocketAddr {
+        self.quic.remote_address()
+    }
+
+    /// Sends some bytes on the operations stream; the number that was taken.
+    pub async fn write(&mut self, bytes: &[u8]) -> Result<usize, String> {
+        self.send.write(bytes).await.map_err(|e| e.to_string())
+    }
+
+    /// Receives some bytes of the operations stream; `None` at its end.
+    pub async fn read(&mut self, buffer: &mut [u8]) -> Result<Option<usize>, String> {
+        self.recv.read(buffer).await.map_err(|e| e.to_string())
+    }
+
+    /// Sends a datagram, or skips it and counts where the buffer is full, the rate cap reached or
+    /// the path too narrow. `false` when skipped.
+    pub fn send_datagram(&mut self, bytes: Vec<u8>) -> bool {
+        let fits = self.quic.datagram_send_buffer_space() >= bytes.len()
+            && self.cap.take(bytes.len(), Instant::now());
+        let sent = fits && self.quic.send_datagram(bytes.into()).is_ok();
+        self.skipped += u64::from(!sent);
+        sent
+    }
+
+    /// The next datagram.
+    pub async fn read_datagram(&self) -> Result<Vec<u8>, String> {
+        self.quic
+            .read_datagram()
+            .await
+            .map(Vec::from)
+            .map_err(|e| in_words(&e))
+    }
+
+    /// A second grip on the same connection, for receiving datagrams while the stream is used.
+    pub(crate) fn quic(&self) -> quinn::Connection {
+        self.quic.clone()
+    }
+
+    /// How it does.
+    pub fn stats(&self) -> PathStats {
+        let path = self.quic.stats().path;
+        PathStats {
+            rtt: path.rtt,
+            sent_packets: path.sent_packets,
+            lost_packets: path.lost_packets,
+            skipped_datagrams: self.skipped,
+        }
+    }
+
+    /// Closes with a reason for people, after what was written has arrived (or half a second has
+    /// passed).
+    pub async fn close(mut self, reason: &str) {
+        if self.send.finish().is_ok() {
+            let arrived = self.send.stopped();
+            // The peer may be gone; then there is nobody to wait for.
+            let _ = tokio::time::timeout(Duration::from_millis(500), arrived).await;
+        }
+        let mut end = reason.len().min(REASON_MAX_BYTES);
+        while !reason.is_char_boundary(end) {
+            end -= 1;
+        }
+        self.quic
+            .close(VarInt::from_u32(0), &reason.as_bytes()[..end]);
+        if let Some(endpoint) = self.endpoint.take() {
+            let _ = tokio::time::timeout(Duration::from_millis(500), endpoint.wait_idle()).await;
+        }
+    }
+}

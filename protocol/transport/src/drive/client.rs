@@ -1,0 +1,148 @@
+//! A client session in a task.
+
+use std::time::Duration;
+
+use palpate_protocol::request::RequestKind;
+use palpate_protocol::session::{ClientEvent, ClientSession, LinkStats};
+use palpate_protocol::{ClientTime, LocalSample};
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinHandle;
+
+use crate::connection::Connection;
+use crate::drive::{DriverStats, Machine, drive};
+
+/// Commands that may wait: a second of motion.
+const COMMANDS_MAX: usize = 256;
+
+/// Events that may wait for the shell; beyond, the session drops motion first.
+const EVENTS_MAX: usize = 1024;
+
+/// What the shell tells the task that drives a client session.
+#[derive(Debug)]
+pub enum ClientCommand {
+    /// New samples of one's own tool, oldest first. Send them about every 4 ms: four samples make
+    /// a datagram, which leaves at once.
+    Motion(Vec<LocalSample>),
+    /// Ask for something.
+    Request(RequestKind),
+    /// Leave politely.
+    Leave,
+}
+
+/// A client session that runs in a task. Dropping `commands` leaves the session.
+pub struct ClientHandle {
+    /// Bounded; use `try_send` next to a real-time thread and drop what does not fit.
+    pub commands: mpsc::Sender<ClientCommand>,
+    /// Bounded; the last event is [`ClientEvent::Closed`].
+    pub events: mpsc::Receiver<ClientEvent>,
+    /// Newest figures, about ten times a second.
+    pub stats: watch::Receiver<DriverStats>,
+    /// Ends when everything is delivered and the connection is closed.
+    pub task: JoinHandle<()>,
+}
+
+/// Drives a client session in a task of its own. `clock` is the client's monotonic clock, the one
+/// that stamps its samples.
+pub fn spawn_client(
+    connection: Connection,
+    session: ClientSession,
+    clock: impl Fn() -> ClientTime + Send + 'static,
+) -> ClientHandle {
+    let (commands, command_receiver) = mpsc::channel(COMMANDS_MAX);
+    let (event_sender, events) = mpsc::channel(EVENTS_MAX);
+    let (stats_sender, stats) = watch::channel(DriverStats::default());
+    let machine = Client { session, clock };
+    let task = tokio::spawn(drive(
+        machine,
+        connection,
+        command_receiver,
+        event_sender,
+        stats_sender,
+    ));
+    ClientHandle {
+        commands,
+        events,
+        stats,
+        task,
+    }
+}
+
+struct Client<C> {
+    session: ClientSession,
+    clock: C,
+}
+
+impl<C: Fn() -> ClientTime + Send> Client<C> {
+    fn request(&mut self, kind: RequestKind) {
+        if let Err(error) = self.session.request(kind) {
+            tracing::warn!(%error, "a request was not sent");
+        }
+    }
+}
+
+impl<C: Fn() -> ClientTime + Send> Machine for Client<C> {
+    type Event = ClientEvent;
+    type Command = ClientCommand;
+
+    fn handle_stream(&mut self, bytes: &[u8]) {
+        self.session.handle_stream(bytes, (self.clock)());
+    }
+
+    fn handle_datagram(&mut self, bytes: &[u8]) {
+        self.session.handle_datagram(bytes, (self.clock)());
+    }
+
+    fn handle_timeout(&mut self) {
+        self.session.handle_timeout((self.clock)());
+    }
+
+    fn handle_disconnect(&mut self, why: String) {
+        self.session.handle_disconnect(why);
+    }
+
+    fn handle_command(&mut self, command: Option<ClientCommand>) {
+        match command {
+            Some(ClientCommand::Motion(samples)) => {
+                for sample in samples {
+                    self.session.send_motion(sample);
+                }
+            }
+            Some(ClientCommand::Request(kind)) => self.request(kind),
+            Some(ClientCommand::Leave) | None => {
+                if self.session.participant().is_some() {
+                    self.request(RequestKind::Leave);
+                } else {
+                    self.session
+                        .handle_disconnect("the participant left".to_owned());
+                }
+            }
+        }
+    }
+
+    fn poll_stream(&mut self) -> Option<Vec<u8>> {
+        self.session.poll_stream()
+    }
+
+    fn poll_datagram(&mut self) -> Option<Vec<u8>> {
+        self.session.poll_datagram((self.clock)())
+    }
+
+    fn poll_event(&mut self) -> Option<ClientEvent> {
+        self.session.poll_event()
+    }
+
+    fn until_timeout(&self) -> Option<Duration> {
+        let wait = self.session.poll_timeout()? - (self.clock)();
+        Some(Duration::from_micros(
+            u64::try_from(wait.as_micros()).unwrap_or(0),
+        ))
+    }
+
+    fn is_closed(&self) -> bool {
+        self.session.is_closed()
+    }
+
+    fn stats(&self) -> LinkStats {
+        self.session.stats((self.clock)())
+    }
+}

@@ -1,0 +1,206 @@
+//! The loop that drives one session over one connection, the same for both ends.
+//!
+//! Per turn: everything that the machine has to say is sent (datagrams first, made just in time),
+//! then the loop sleeps until the first of: stream bytes, a datagram, room in the stream, room in
+//! the events channel, a command, the machine's deadline. Nothing in it blocks the datagrams.
+
+pub(crate) mod client;
+pub(crate) mod peer;
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use palpate_protocol::session::LinkStats;
+use tokio::sync::{mpsc, watch};
+
+use crate::connection::{Connection, PathStats};
+
+/// How a session does, as both layers see it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct DriverStats {
+    /// What the session counted.
+    pub link: LinkStats,
+    /// What the transport counted.
+    pub path: PathStats,
+}
+
+/// Events taken out of a session ahead of a slow shell; the session bounds the rest.
+const EVENTS_AHEAD: usize = 64;
+
+/// Bytes read from the stream at once.
+const READ_BYTES: usize = 16 * 1024;
+
+/// Datagrams handled before the loop looks at anything else.
+const DATAGRAMS_PER_TURN: usize = 64;
+
+/// The figures are renewed this often.
+const STATS_PERIOD: Duration = Duration::from_millis(100);
+
+/// A session state machine together with its clock.
+pub(crate) trait Machine: Send {
+    type Event: Send;
+    type Command: Send;
+    fn handle_stream(&mut self, bytes: &[u8]);
+    fn handle_datagram(&mut self, bytes: &[u8]);
+    fn handle_timeout(&mut self);
+    fn handle_disconnect(&mut self, why: String);
+    /// `None`: the shell has dropped its end.
+    fn handle_command(&mut self, command: Option<Self::Command>);
+    fn poll_stream(&mut self) -> Option<Vec<u8>>;
+    fn poll_datagram(&mut self) -> Option<Vec<u8>>;
+    fn poll_event(&mut self) -> Option<Self::Event>;
+    /// Until the next timeout; `None` once closed.
+    fn until_timeout(&self) -> Option<Duration>;
+    fn is_closed(&self) -> bool;
+    fn stats(&self) -> LinkStats;
+}
+
+/// Where commands come from.
+pub(crate) trait Commands<C>: Send {
+    /// `None` once the shell has dropped its end. Cancelling it loses nothing.
+    fn next(&mut self) -> impl Future<Output = Option<C>> + Send;
+    /// What is there already.
+    fn try_next(&mut self) -> Option<C>;
+}
+
+impl<C: Send> Commands<C> for mpsc::Receiver<C> {
+    async fn next(&mut self) -> Option<C> {
+        self.recv().await
+    }
+
+    fn try_next(&mut self) -> Option<C> {
+        self.try_recv().ok()
+    }
+}
+
+/// What moved the loop.
+enum Moved<C> {
+    Read(Result<Option<usize>, String>),
+    Written(Result<usize, String>),
+    Datagram(Result<Vec<u8>, String>),
+    Command(Option<C>),
+    Room,
+    Time,
+}
+
+/// Runs until the session is over and its last event and bytes are delivered.
+pub(crate) async fn drive<M: Machine>(
+    mut machine: M,
+    mut connection: Connection,
+    mut commands: impl Commands<M::Command>,
+    events: mpsc::Sender<M::Event>,
+    stats: watch::Sender<DriverStats>,
+) {
+    let datagrams = connection.quic();
+    let mut buffer = vec![0; READ_BYTES];
+    let mut outgoing: Vec<u8> = Vec::new();
+    let mut pending: VecDeque<M::Event> = VecDeque::new();
+    let mut shell_is_there = true;
+    let mut stream_is_open = true;
+    let mut stats_at = tokio::time::Instant::now();
+    loop {
+        while let Some(bytes) = machine.poll_datagram() {
+            connection.send_datagram(bytes);
+        }
+        if outgoing.is_empty() {
+            outgoing = machine.poll_stream().unwrap_or_default();
+        }
+        deliver(&mut machine, &mut pending, &events);
+        if stats_at.elapsed() >= STATS_PERIOD {
+            stats_at = tokio::time::Instant::now();
+            stats.send_replace(DriverStats {
+                link: machine.stats(),
+                path: connection.stats(),
+            });
+        }
+        let unsent = !outgoing.is_empty() && stream_is_open;
+        let untold = !pending.is_empty() && !events.is_closed();
+        if machine.is_closed() && !unsent && !untold {
+            break;
+        }
+        let wait = machine.until_timeout().unwrap_or(STATS_PERIOD);
+        let (send, recv) = (&mut connection.send, &mut connection.recv);
+        let moved = tokio::select! {
+            r = datagrams.read_datagram(), if !machine.is_closed() => {
+                Moved::Datagram(r.map(Vec::from).map_err(|e| crate::error::in_words(&e)))
+            }
+            r = recv.read(&mut buffer), if stream_is_open && !machine.is_closed() => {
+                Moved::Read(r.map_err(|e| e.to_string()))
+            }
+            r = send.write(&outgoing), if unsent => Moved::Written(r.map_err(|e| e.to_string())),
+            c = commands.next(), if shell_is_there => Moved::Command(c),
+            _ = events.reserve(), if untold => Moved::Room,
+            () = tokio::time::sleep(wait) => Moved::Time,
+        };
+        match moved {
+            Moved::Datagram(Ok(bytes)) => {
+                machine.handle_datagram(&bytes);
+                drain_datagrams(&mut machine, &datagrams).await;
+            }
+            Moved::Read(Ok(Some(n))) => machine.handle_stream(&buffer[..n]),
+            Moved::Read(Ok(None)) => {
+                machine.handle_disconnect("the other side ended the stream".to_owned());
+            }
+            Moved::Written(Ok(n)) => drop(outgoing.drain(..n)),
+            Moved::Datagram(Err(why)) | Moved::Read(Err(why)) | Moved::Written(Err(why)) => {
+                stream_is_open = false;
+                // The connection knows better than its stream why it ended.
+                let why = datagrams
+                    .close_reason()
+                    .map_or(why, |e| crate::error::in_words(&e));
+                machine.handle_disconnect(why);
+            }
+            Moved::Command(command) => {
+                shell_is_there = command.is_some();
+                machine.handle_command(command);
+                while let Some(command) = commands.try_next() {
+                    machine.handle_command(Some(command));
+                }
+            }
+            Moved::Room => {}
+            Moved::Time => machine.handle_timeout(),
+        }
+    }
+    stats.send_replace(DriverStats {
+        link: machine.stats(),
+        path: connection.stats(),
+    });
+    connection.close("the session is over").await;
+}
+
+/// Moves events towards the shell as far as there is room.
+fn deliver<M: Machine>(
+    machine: &mut M,
+    pending: &mut VecDeque<M::Event>,
+    events: &mpsc::Sender<M::Event>,
+) {
+    loop {
+        while pending.len() < EVENTS_AHEAD {
+            let Some(event) = machine.poll_event() else {
+                break;
+            };
+            pending.push_back(event);
+        }
+        let Some(event) = pending.pop_front() else {
+            return;
+        };
+        match events.try_send(event) {
+            Ok(()) => {}
+            Err(mpsc::error::TrySendError::Full(event)) => return pending.push_front(event),
+            Err(mpsc::error::TrySendError::Closed(_)) => {}
+        }
+    }
+}
+
+/// Takes what else has already arrived.
+async fn drain_datagrams<M: Machine>(machine: &mut M, datagrams: &quinn::Connection) {
+    for _ in 1..DATAGRAMS_PER_TURN {
+        let next = tokio::select! {
+            biased;
+            r = datagrams.read_datagram() => r.ok(),
+            () = std::future::ready(()) => None,
+        };
+        let Some(bytes) = next else { return };
+        machine.handle_datagram(&bytes);
+    }
+}

@@ -1,0 +1,225 @@
+//! One peer of a server in a task.
+//!
+//! One task of the shell owns the room; every peer's task sends what it learns into the one bounded
+//! inbox of that task, and the room reaches every peer through a [`PeerHandle`] that never blocks:
+//! datagrams are dropped when their queue is full, and a peer whose reliable queue is full is closed.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use palpate_protocol::ServerTime;
+use palpate_protocol::session::{LinkStats, PeerDatagram, PeerEvent, PeerMessage, ServerPeer};
+use tokio::sync::{mpsc, watch};
+
+use crate::connection::Connection;
+use crate::drive::{Commands, DriverStats, Machine, drive};
+
+/// Reliable messages that may wait for a peer's task: a log of that length at a late join. Beyond
+/// it the peer is closed.
+pub const RELIABLE_QUEUE_MAX: usize = 16_384;
+
+/// Datagrams that may wait for a peer's task; beyond it they are dropped and counted.
+pub const DATAGRAM_QUEUE_MAX: usize = 256;
+
+/// One connection of a server.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PeerId(pub u64);
+
+/// Something from one peer, for the one task that owns the room.
+#[derive(Debug)]
+pub struct PeerInput {
+    /// From whom.
+    pub peer: PeerId,
+    /// When it was taken off the wire.
+    pub at: ServerTime,
+    /// What.
+    pub event: PeerEvent,
+}
+
+/// The room's end of one peer; nothing in it blocks. Dropping it closes the connection.
+pub struct PeerHandle {
+    id: PeerId,
+    reliable: mpsc::Sender<PeerMessage>,
+    datagrams: mpsc::Sender<PeerDatagram>,
+    overflow: mpsc::Sender<()>,
+    dropped: Arc<AtomicU64>,
+    stats: watch::Receiver<DriverStats>,
+}
+
+impl PeerHandle {
+    /// Whom it reaches.
+    pub fn id(&self) -> PeerId {
+        self.id
+    }
+
+    /// Something reliable. `false` when the peer is gone or too slow; too slow, it is closed, and a
+    /// [`PeerEvent::Closed`] follows.
+    pub fn send(&self, message: PeerMessage) -> bool {
+        match self.reliable.try_send(message) {
+            Ok(()) => true,
+            Err(mpsc::error::TrySendError::Closed(_)) => false,
+            Err(mpsc::error::TrySendError::Full(_)) => {
+                // One such note is enough.
+                let _ = self.overflow.try_send(());
+                false
+            }
+        }
+    }
+
+    /// Something that may get lost; `false` when it was dropped, which is counted.
+    pub fn send_datagram(&self, datagram: PeerDatagram) -> bool {
+        let sent = self.datagrams.try_send(datagram).is_ok();
+        self.dropped.fetch_add(u64::from(!sent), Ordering::Relaxed);
+        sent
+    }
+
+    /// Newest figures, renewed about ten times a second.
+    pub fn stats(&self) -> DriverStats {
+        let mut stats = *self.stats.borrow();
+        stats.path.skipped_datagrams += self.dropped.load(Ordering::Relaxed);
+        stats
+    }
+}
+
+/// Drives one peer in a task of its own; what it learns goes into the one bounded `inbox` of all
+/// peers. `clock` is the server's clock.
+pub fn spawn_peer(
+    connection: Connection,
+    id: PeerId,
+    clock: impl Fn() -> ServerTime + Send + 'static,
+    inbox: mpsc::Sender<PeerInput>,
+) -> PeerHandle {
+    let (reliable, reliable_receiver) = mpsc::channel(RELIABLE_QUEUE_MAX);
+    let (datagrams, datagram_receiver) = mpsc::channel(DATAGRAM_QUEUE_MAX);
+    let (overflow, overflow_receiver) = mpsc::channel(1);
+    let (stats_sender, stats) = watch::channel(DriverStats::default());
+    let machine = Peer {
+        id,
+        session: ServerPeer::new(clock()),
+        clock,
+    };
+    let source = FromRoom {
+        reliable: reliable_receiver,
+        datagrams: datagram_receiver,
+        overflow: overflow_receiver,
+    };
+    tokio::spawn(drive(machine, connection, source, inbox, stats_sender));
+    PeerHandle {
+        id,
+        reliable,
+        datagrams,
+        overflow,
+        dropped: Arc::default(),
+        stats,
+    }
+}
+
+/// What the room tells a peer's task.
+enum PeerCommand {
+    Reliable(PeerMessage),
+    Datagram(PeerDatagram),
+    Overflow,
+}
+
+struct FromRoom {
+    reliable: mpsc::Receiver<PeerMessage>,
+    datagrams: mpsc::Receiver<PeerDatagram>,
+    overflow: mpsc::Receiver<()>,
+}
+
+impl Commands<PeerCommand> for FromRoom {
+    async fn next(&mut self) -> Option<PeerCommand> {
+        tokio::select! {
+            biased;
+            Some(()) = self.overflow.recv() => Some(PeerCommand::Overflow),
+            m = self.reliable.recv() => m.map(PeerCommand::Reliable),
+            Some(d) = self.datagrams.recv() => Some(PeerCommand::Datagram(d)),
+        }
+    }
+
+    fn try_next(&mut self) -> Option<PeerCommand> {
+        let reliable = self.reliable.try_recv().ok().map(PeerCommand::Reliable);
+        reliable.or_else(|| self.datagrams.try_recv().ok().map(PeerCommand::Datagram))
+    }
+}
+
+struct Peer<C> {
+    id: PeerId,
+    session: ServerPeer,
+    clock: C,
+}
+
+impl<C: Fn() -> ServerTime + Send> Machine for Peer<C> {
+    type Event = PeerInput;
+    type Command = PeerCommand;
+
+    fn handle_stream(&mut self, bytes: &[u8]) {
+        self.session.handle_stream(bytes, (self.clock)());
+    }
+
+    fn handle_datagram(&mut self, bytes: &[u8]) {
+        self.session.handle_datagram(bytes, (self.clock)());
+    }
+
+    fn handle_timeout(&mut self) {
+        self.session.handle_timeout((self.clock)());
+    }
+
+    fn handle_disconnect(&mut self, why: String) {
+        self.session.handle_disconnect(why);
+    }
+
+    fn handle_command(&mut self, command: Option<PeerCommand>) {
+        let now = (self.clock)();
+        let result = match command {
+            Some(PeerCommand::Reliable(message)) => self.session.send(&message, now),
+            Some(PeerCommand::Datagram(datagram)) => {
+                self.session.send_datagram(&datagram, now);
+                Ok(())
+            }
+            Some(PeerCommand::Overflow) => {
+                self.session.handle_overflow();
+                Ok(())
+            }
+            None => self
+                .session
+                .send(&PeerMessage::Goodbye("the session was closed".into()), now),
+        };
+        if let Err(error) = result {
+            tracing::warn!(peer = self.id.0, %error, "a peer was closed");
+        }
+    }
+
+    fn poll_stream(&mut self) -> Option<Vec<u8>> {
+        self.session.poll_stream()
+    }
+
+    fn poll_datagram(&mut self) -> Option<Vec<u8>> {
+        self.session.poll_datagram((self.clock)())
+    }
+
+    fn poll_event(&mut self) -> Option<PeerInput> {
+        let event = self.session.poll_event()?;
+        Some(PeerInput {
+            peer: self.id,
+            at: (self.clock)(),
+            event,
+        })
+    }
+
+    fn until_timeout(&self) -> Option<Duration> {
+        let wait = self.session.poll_timeout()? - (self.clock)();
+        Some(Duration::from_micros(
+            u64::try_from(wait.as_micros()).unwrap_or(0),
+        ))
+    }
+
+    fn is_closed(&self) -> bool {
+        self.session.is_closed()
+    }
+
+    fn stats(&self) -> LinkStats {
+        self.session.stats()
+    }
+}

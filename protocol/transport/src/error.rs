@@ -1,0 +1,111 @@
+//! What can go wrong between two hosts.
+
+use std::io;
+use std::net::SocketAddr;
+
+use palpate_protocol::CertificateHash;
+
+/// What can go wrong between two hosts.
+#[derive(Debug, thiserror::Error)]
+pub enum TransportError {
+    /// The port is taken.
+    #[error(
+        "can not listen on {address}: another program already does; stop it, or choose another port (port 0 takes any free one)"
+    )]
+    PortTaken {
+        /// The address.
+        address: SocketAddr,
+    },
+    /// The address can not be listened on.
+    #[error(
+        "can not listen on {address}: {source}; choose an address of this machine, such as 0.0.0.0:4433"
+    )]
+    Bind {
+        /// The address.
+        address: SocketAddr,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The host in a join link has no address.
+    #[error(
+        "can not find the host \"{host}\" of the join link: {detail}; check its spelling and the network"
+    )]
+    Resolve {
+        /// The host.
+        host: String,
+        /// What the system said.
+        detail: String,
+    },
+    /// Nobody answered.
+    #[error(
+        "no answer from {address}; is the server running there, and does the network let UDP to this port pass?"
+    )]
+    NoAnswer {
+        /// Where nobody answered.
+        address: SocketAddr,
+    },
+    /// Another server, or somebody who poses as the server, answered.
+    #[error(
+        "the server at {address} has the certificate {found}, but the join link asks for {expected}: it is another server, or the link is old; ask the host for a new link"
+    )]
+    WrongCertificate {
+        /// Who answered.
+        address: SocketAddr,
+        /// The hash in the link.
+        expected: CertificateHash,
+        /// The hash of the certificate that was shown.
+        found: CertificateHash,
+    },
+    /// What answered speaks QUIC but not palpate.
+    #[error("the server at {address} does not speak palpate; check host and port of the join link")]
+    NotPalpate {
+        /// Who answered.
+        address: SocketAddr,
+    },
+    /// The connection could not be made, or is gone.
+    #[error("the connection to {address} was lost: {detail}")]
+    Lost {
+        /// The other side.
+        address: SocketAddr,
+        /// Why.
+        detail: String,
+    },
+    /// The server does not give the model to this grant.
+    #[error(
+        "the server does not give out the model {hash}: the grant or the model is unknown to it; ask the host for a new link"
+    )]
+    ModelRefused {
+        /// Which model.
+        hash: palpate_protocol::ModelHash,
+    },
+    /// The model is larger than a client accepts.
+    #[error(
+        "the model has {bytes} bytes, more than the limit of {limit}; build it with a coarser spacing"
+    )]
+    ModelTooLarge {
+        /// Its size in bytes.
+        bytes: u64,
+        /// The limit in bytes.
+        limit: u64,
+    },
+    /// The certificate can not be made or used.
+    #[error("the certificate can not be used: {0}")]
+    Certificate(String),
+    /// A message of our own can not be sent.
+    #[error(transparent)]
+    Protocol(#[from] palpate_protocol::ProtocolError),
+}
+
+/// A connection's end in words for people.
+pub(crate) fn in_words(error: &quinn::ConnectionError) -> String {
+    use quinn::ConnectionError as E;
+    match error {
+        E::TimedOut => "nothing was heard from the other side for too long".to_owned(),
+        E::ApplicationClosed(close) if !close.reason.is_empty() => {
+            String::from_utf8_lossy(&close.reason).into_owned()
+        }
+        E::Reset => "the other side was restarted".to_owned(),
+        E::LocallyClosed => "it was closed here".to_owned(),
+        other => other.to_string(),
+    }
+}
