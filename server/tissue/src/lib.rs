@@ -9,10 +9,14 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod block;
+mod build;
 mod cell;
+mod contact;
+mod equilibrium;
 mod file;
 mod material;
 mod model;
+pub mod sample;
 pub mod scene;
 mod shape;
 mod springs;
@@ -20,7 +24,13 @@ pub mod surface;
 mod topology;
 
 pub use block::block;
+pub use build::{
+    BUILD_NODES_MAX, BuildError, BuildReport, GRID_CELLS_MAX, Progress, QualityReport,
+    RegionReport, SpringCounts, SurfaceReport, build, report_surface,
+};
 pub use cell::{Cell, DIAGONALS, EDGES, FACES, NO_CELL, cell_volume};
+pub use contact::{Reaction, TOOLS_MAX, Tool};
+pub use equilibrium::{Budget, Solver, StepReport};
 pub use file::{
     CELLS_MAX, EnvelopeError, FileError, MODEL_FORMAT, ModelFile, NODES_MAX, REGIONS_MAX,
     decode_model, encode_model,

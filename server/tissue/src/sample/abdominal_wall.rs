@@ -1,0 +1,105 @@
+//! A block cut from the anterior abdominal wall above the umbilicus (Lin 2007, fig. 3.1).
+//!
+//! X points to the left side of the body, Y to the front, Z up. From the front: skin, fat, the
+//! rectus sheath (fascia) with the two rectus muscles in it and the linea alba between them,
+//! peritoneum. The block curves like the belly. The peritoneum and what lies behind it hold the
+//! block, so the peritoneum is pinned.
+//!
+//! Layers are at least as thick as the spacing of 3 mm: skin, sheath and peritoneum are drawn
+//! thicker than in life (2, 1 and below 1 mm). All layers but the muscles reach from the back of
+//! the block to their own front and share its back and sides; a later one overrides an earlier
+//! one, so what is left of each is its layer.
+
+use super::loft::{End, Loft};
+use super::slab::Slab;
+use super::{Body, Part};
+
+const HALF_WIDTH_MM: f64 = 72.0;
+const LENGTH_MM: f64 = 110.0;
+/// Triangles of about this size: the spacing of the default scene.
+const STEP_MM: f64 = 3.0;
+
+const PERITONEUM_MM: f64 = 4.0;
+/// Sheath behind and before the muscle.
+const SHEATH_MM: f64 = 4.0;
+/// Thickness of a rectus muscle at its middle.
+const RECTUS_MM: f64 = 12.0;
+/// Half the width of a rectus muscle.
+const RECTUS_HALF_WIDTH_MM: f64 = 27.0;
+/// Half the width of the linea alba.
+const LINEA_ALBA_MM: f64 = 5.0;
+const FAT_MM: f64 = 15.0;
+const SKIN_MM: f64 = 4.0;
+
+/// Height of the back of the block: a parabola, 9 mm lower at the sides than in the middle.
+fn back(x: f64, _: f64) -> f64 {
+    -9.0 * (x / HALF_WIDTH_MM).powi(2)
+}
+
+/// Thickness up to the front of the sheath, thinner at the linea alba.
+fn sheath(x: f64) -> f64 {
+    let full = PERITONEUM_MM + 2.0 * SHEATH_MM + RECTUS_MM;
+    full - 5.0 * (-(x / (1.2 * LINEA_ALBA_MM)).powi(2)).exp()
+}
+
+/// Thickness up to the front of the fat, fuller towards the umbilicus below.
+fn fat(x: f64, z: f64) -> f64 {
+    let full = PERITONEUM_MM + 2.0 * SHEATH_MM + RECTUS_MM + FAT_MM;
+    full + 2.0 * (1.0 - z / LENGTH_MM) - 2.0 * (-(x / 12.0).powi(2)).exp()
+}
+
+/// One of the two muscles: an oval that follows the curve of the block, cut with it.
+fn rectus(side: f64) -> Loft<'static> {
+    let middle = side * (LINEA_ALBA_MM + RECTUS_HALF_WIDTH_MM);
+    let height = PERITONEUM_MM + SHEATH_MM + 0.5 * RECTUS_MM;
+    // The back falls by so much per mm across the muscle; the oval is tilted with it.
+    let slope = -18.0 * middle / (HALF_WIDTH_MM * HALF_WIDTH_MM);
+    let (sin, cos) = slope.atan().sin_cos();
+    Loft {
+        z: [0.0, LENGTH_MM],
+        ends: [End::Flat; 2],
+        centre: Box::new(move |z| [middle, back(middle, z) + height]),
+        radius: Box::new(move |_, theta| {
+            let along = theta.cos() * cos + theta.sin() * sin;
+            let across = theta.sin() * cos - theta.cos() * sin;
+            // A fourth-power oval: flatter before and behind than an ellipse.
+            let [a, b] = [RECTUS_HALF_WIDTH_MM, 0.5 * RECTUS_MM];
+            ((along / a).powi(4) + (across / b).powi(4)).powf(-0.25)
+        }),
+    }
+}
+
+/// All of it.
+pub(super) fn body() -> Body {
+    let layer = |name, material, thickness: &dyn Fn(f64, f64) -> f64| {
+        let top = |x, z| back(x, z) + thickness(x, z);
+        let slab = Slab {
+            half_width: HALF_WIDTH_MM,
+            length: LENGTH_MM,
+            bottom: &back,
+            top: &top,
+        };
+        Part {
+            name,
+            material,
+            surface: slab.surface(STEP_MM),
+        }
+    };
+    let muscle = |name, side| Part {
+        name,
+        material: "muscle",
+        surface: rectus(side).surface(STEP_MM),
+    };
+    Body {
+        spacing_m: 3e-3,
+        pinned: &["peritoneum"],
+        parts: vec![
+            layer("skin", "skin", &|x, z| fat(x, z) + SKIN_MM),
+            layer("fat", "fat", &fat),
+            layer("sheath", "fascia", &|x, _| sheath(x)),
+            muscle("rectus_right", -1.0),
+            muscle("rectus_left", 1.0),
+            layer("peritoneum", "fascia", &|_, _| PERITONEUM_MM),
+        ],
+    }
+}

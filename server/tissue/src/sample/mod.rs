@@ -1,0 +1,202 @@
+//! Built-in samples: closed surfaces the program generates, so that it carries no data of others.
+//!
+//! The shapes are drawn from common anatomical proportions, smooth and simple; they are for
+//! trying the program and for tests, not for measuring a person. Layers thinner than the lattice
+//! spacing cannot be divided: where real skin (1 to 3 mm) is thinner, the outermost region holds
+//! skin and fat together, and the sample says so.
+
+mod abdominal_wall;
+mod handle;
+mod leg;
+mod loft;
+mod slab;
+mod thigh;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use thiserror::Error;
+
+use crate::scene::{Scene, SceneError, SceneInput, SceneRegion, nearest};
+use crate::surface::{Surface, SurfaceError, Unit};
+
+/// A built-in sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Sample {
+    /// A segment of a right thigh: subcutaneous tissue (with the skin), three muscle groups,
+    /// femur and marrow. 4 mm, some 50 000 nodes.
+    Thigh,
+    /// A block of the anterior abdominal wall: skin, fat, rectus sheath, the two rectus muscles,
+    /// peritoneum (Lin 2007, fig. 3.1). 3 mm.
+    AbdominalWall,
+    /// A right lower leg: subcutaneous tissue (with the skin), two muscle groups, tibia and
+    /// fibula. 4 mm.
+    Leg,
+    /// A product: a soft grip with finger grooves around a hard core (Lin 2007, fig. 7.2). 2 mm.
+    Handle,
+}
+
+/// Why a sample was not made.
+#[derive(Debug, Error)]
+pub enum SampleError {
+    /// No sample of that name.
+    #[error(
+        "no sample \"{name}\"{}; samples are {}",
+        nearest.map(|n| format!(", did you mean \"{n}\"?")).unwrap_or_default(),
+        Sample::ALL.map(Sample::name).join(", ")
+    )]
+    Unknown {
+        /// The name asked for.
+        name: String,
+        /// The most similar sample.
+        nearest: Option<&'static str>,
+    },
+    /// A file of that name is there already.
+    #[error("{} is there already; choose another folder, or ask to overwrite", .0.display())]
+    Exists(PathBuf),
+    /// The system refused to write.
+    #[error("{}: {source}; check that the folder can be written", path.display())]
+    Io {
+        /// The folder or file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A surface could not be written.
+    #[error(transparent)]
+    Surface(#[from] SurfaceError),
+}
+
+/// A generated scene with its surfaces, before it is written or built.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SampleFiles {
+    /// File name of the scene.
+    pub scene_file: String,
+    /// The scene; its surfaces are named as in `surfaces`.
+    pub scene: Scene,
+    /// File name and surface of each region, in scene order.
+    pub surfaces: Vec<(String, Surface)>,
+}
+
+impl Sample {
+    /// All of them, in the order they are listed to a person.
+    pub const ALL: [Self; 4] = [Self::Thigh, Self::AbdominalWall, Self::Leg, Self::Handle];
+
+    /// The name it goes by on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Thigh => "thigh",
+            Self::AbdominalWall => "abdominal-wall",
+            Self::Leg => "leg",
+            Self::Handle => "handle",
+        }
+    }
+
+    /// Generates the scene and its surfaces. The same sample is the same bits every time.
+    pub fn generate(self) -> SampleFiles {
+        let body = match self {
+            Self::Thigh => thigh::body(),
+            Self::AbdominalWall => abdominal_wall::body(),
+            Self::Leg => leg::body(),
+            Self::Handle => handle::body(),
+        };
+        let file = |part: &str| format!("{}_{part}.stl", self.name().replace('-', "_"));
+        let regions = body.parts.iter().map(|part| SceneRegion {
+            name: part.name.to_owned(),
+            surface: file(part.name).into(),
+            material: part.material.to_owned(),
+            unit: Unit::Millimetre,
+        });
+        let scene = Scene {
+            spacing_m: body.spacing_m,
+            pinned: body.pinned.iter().map(|&name| name.to_owned()).collect(),
+            regions: regions.collect(),
+            materials: BTreeMap::new(),
+            base: PathBuf::new(),
+        };
+        let surfaces = body
+            .parts
+            .into_iter()
+            .map(|p| (file(p.name), p.surface))
+            .collect();
+        SampleFiles {
+            scene_file: format!("{}.toml", self.name()),
+            scene,
+            surfaces,
+        }
+    }
+
+    /// Generates what a model is built from, without files.
+    pub fn input(self) -> Result<SceneInput, SceneError> {
+        let files = self.generate();
+        SceneInput::new(
+            files.scene,
+            files.surfaces.into_iter().map(|(_, s)| s).collect(),
+        )
+    }
+}
+
+impl FromStr for Sample {
+    type Err = SampleError;
+
+    fn from_str(name: &str) -> Result<Self, SampleError> {
+        Self::ALL
+            .into_iter()
+            .find(|s| s.name() == name)
+            .ok_or_else(|| SampleError::Unknown {
+                name: name.to_owned(),
+                nearest: nearest(name, Self::ALL.map(Self::name)),
+            })
+    }
+}
+
+impl std::fmt::Display for Sample {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl SampleFiles {
+    /// Writes the scene and its surfaces (binary STL in millimetres) into `dir`, which is made
+    /// when it is not there. Without `overwrite` nothing is written when one of the files exists.
+    /// Returns the scene file.
+    pub fn write(&self, dir: &Path, overwrite: bool) -> Result<PathBuf, SampleError> {
+        let io = |path: &Path| {
+            let path = path.to_owned();
+            move |source| SampleError::Io { path, source }
+        };
+        std::fs::create_dir_all(dir).map_err(io(dir))?;
+        let scene = dir.join(&self.scene_file);
+        if !overwrite {
+            let names = self.surfaces.iter().map(|(name, _)| dir.join(name));
+            if let Some(path) = std::iter::once(scene.clone())
+                .chain(names)
+                .find(|p| p.exists())
+            {
+                return Err(SampleError::Exists(path));
+            }
+        }
+        for (name, surface) in &self.surfaces {
+            surface.write_stl(&dir.join(name))?;
+        }
+        // Last, so that a scene that is there is complete.
+        std::fs::write(&scene, self.scene.to_toml()).map_err(io(&scene))?;
+        Ok(scene)
+    }
+}
+
+/// What each sample is made of.
+struct Body {
+    spacing_m: f64,
+    pinned: &'static [&'static str],
+    /// In scene order: a later one overrides an earlier one.
+    parts: Vec<Part>,
+}
+
+/// One region.
+struct Part {
+    name: &'static str,
+    material: &'static str,
+    surface: Surface,
+}
