@@ -1,0 +1,75 @@
+//! When the next tick is due.
+
+use palpate_protocol::{ClientTime, Span};
+
+/// Absolute deadlines on a fixed grid. A tick that ends after later deadlines skips them: a late
+/// loop goes on at the next point of the grid and never bursts to catch up, because two ticks at
+/// once would give the hand one force for two moments.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pace {
+    period: Span,
+    deadline: ClientTime,
+    missed: u64,
+}
+
+impl Pace {
+    /// The first deadline is one `period` after `now`.
+    pub(super) fn new(now: ClientTime, period: Span) -> Self {
+        Self {
+            period,
+            deadline: now + period,
+            missed: 0,
+        }
+    }
+
+    /// When the next tick is due.
+    pub(super) fn deadline(&self) -> ClientTime {
+        self.deadline
+    }
+
+    /// Deadlines that were skipped so far.
+    pub(super) fn missed(&self) -> u64 {
+        self.missed
+    }
+
+    /// The tick of the present deadline ended at `now`.
+    pub(super) fn done(&mut self, now: ClientTime) {
+        self.deadline = self.deadline + self.period;
+        let over = (now - self.deadline).as_micros();
+        if over >= 0 {
+            let skipped = over / self.period.as_micros() + 1;
+            self.missed += skipped as u64;
+            self.deadline = self.deadline + Span::from_micros(skipped * self.period.as_micros());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use palpate_protocol::{ClientTime, Span};
+
+    use super::Pace;
+
+    fn at(us: i64) -> ClientTime {
+        ClientTime::from_micros(us)
+    }
+
+    #[test]
+    fn a_loop_in_time_keeps_its_grid_whatever_the_lateness_of_each_tick() {
+        let mut pace = Pace::new(at(500), Span::from_millis(1));
+        for i in 1..100 {
+            assert_eq!(pace.deadline(), at(500 + i * 1000));
+            pace.done(at(500 + i * 1000 + (i * 37) % 999));
+        }
+        assert_eq!(pace.missed(), 0);
+    }
+
+    #[test]
+    fn a_late_loop_skips_to_the_next_point_of_the_grid() {
+        let mut pace = Pace::new(at(0), Span::from_millis(1));
+        pace.done(at(4_300));
+        assert_eq!((pace.deadline(), pace.missed()), (at(5_000), 3));
+        pace.done(at(6_000));
+        assert_eq!((pace.deadline(), pace.missed()), (at(7_000), 4));
+    }
+}

@@ -1,0 +1,261 @@
+//! The thread as a whole. Nothing here asserts how fast it is: a busy machine is no failure.
+
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use nalgebra::{Matrix3, Vector3};
+use palpate_device::backend::sim::{ScriptStart, SimHand};
+use palpate_device::{
+    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice, Pose,
+    Sample, Script, Wrench, Written,
+};
+use palpate_haptics::{Chain, ChainConfig, ContactModel};
+
+use super::{Frame, HapticHandle, HapticPorts, RealtimeConfig, SpawnError, monotonic_now, spawn};
+
+/// What a device that is watched did.
+#[derive(Default)]
+struct Diary {
+    written: Vec<Wrench>,
+    closed: bool,
+    written_after_close: bool,
+}
+
+/// A device at rest at the origin that can be told to fail.
+struct Watched {
+    caps: DeviceCaps,
+    clock: ClockOwner,
+    reads: u64,
+    fails_at: std::ops::Range<u64>,
+    panics_at: Option<u64>,
+    diary: Arc<Mutex<Diary>>,
+}
+
+impl Watched {
+    fn new() -> (Self, Arc<Mutex<Diary>>) {
+        let script = Script::resting_probe(Vector3::zeros(), 0.004).unwrap();
+        let caps = SimHand::new(script, ScriptStart::not_yet()).caps().clone();
+        let diary = Arc::default();
+        let watched = Self {
+            caps,
+            clock: ClockOwner::Ours,
+            reads: 0,
+            fails_at: 0..0,
+            panics_at: None,
+            diary: Arc::clone(&diary),
+        };
+        (watched, diary)
+    }
+}
+
+impl HapticDevice for Watched {
+    fn caps(&self) -> &DeviceCaps {
+        &self.caps
+    }
+    fn calibration(&self) -> Calibration {
+        Calibration::NotNeeded
+    }
+    fn clock(&self) -> ClockOwner {
+        self.clock
+    }
+    fn enable_forces(&mut self, _on: bool) -> Result<(), DeviceFault> {
+        Ok(())
+    }
+    fn force_state(&self) -> ForceState {
+        ForceState::On
+    }
+    fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
+        self.reads += 1;
+        assert!(self.panics_at != Some(self.reads), "the driver's own bug");
+        if self.fails_at.contains(&self.reads) {
+            return Err(DeviceFault::Unplugged);
+        }
+        Ok(Sample::resting(now, Pose::default()))
+    }
+    fn write(&mut self, _now: DeviceTime, wrench: Wrench) -> Written {
+        let mut diary = self.diary.lock().unwrap();
+        diary.written_after_close |= diary.closed;
+        diary.written.push(wrench);
+        Written::Applied
+    }
+    fn rendered(&self) -> Wrench {
+        Wrench::ZERO
+    }
+    fn close(&mut self) {
+        self.diary.lock().unwrap().closed = true;
+    }
+}
+
+/// A contact of 3 N, solved now.
+fn contact() -> ContactModel {
+    ContactModel {
+        topology_version: 1,
+        solved_at: monotonic_now(),
+        f0: Vector3::new(0.0, 0.0, 3.0),
+        stiffness: Matrix3::from_diagonal_element(300.0),
+        radius: 0.05,
+        in_contact: true,
+        ..ContactModel::FREE
+    }
+}
+
+fn start(device: impl HapticDevice + 'static) -> (HapticHandle, HapticPorts) {
+    let chain = Chain::new(ChainConfig::default(), device.caps());
+    // Without real-time priority: the tests of one run share the machine.
+    let config = RealtimeConfig {
+        priority: None,
+        ..RealtimeConfig::default()
+    };
+    spawn(Box::new(device), chain, config).unwrap()
+}
+
+/// Keeps the contact fresh until `is_enough`; the frames of the ring on the way.
+fn press_until(ports: &mut HapticPorts, mut is_enough: impl FnMut(&Frame) -> bool) -> Vec<Frame> {
+    let mut frames = Vec::new();
+    // A bound against a thread that never gets there, far above what any machine needs.
+    for _ in 0..20_000 {
+        ports.models.write(contact());
+        while let Ok(frame) = ports.frames.pop() {
+            frames.push(frame);
+        }
+        if is_enough(ports.newest.read()) {
+            return frames;
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    panic!("the thread never got there");
+}
+
+fn assert_no_step(written: &[Wrench]) {
+    for pair in written.windows(2) {
+        let step = (pair[1].force - pair[0].force).norm();
+        assert!(step <= 0.6 + 1e-9, "a step of {step} N");
+    }
+}
+
+#[test]
+fn a_published_contact_is_felt_and_a_stop_fades_it_before_the_device_closes() {
+    let (device, diary) = Watched::new();
+    let (handle, mut ports) = start(device);
+    let frames = press_until(&mut ports, |f| f.wrench.force.z > 1.0);
+    assert!(
+        frames.windows(2).all(|w| w[0].time < w[1].time),
+        "whole and in order"
+    );
+    let summary = handle.stop();
+    assert!(summary.panicked.is_none());
+    assert!(summary.stats.ticks > 0 && summary.stats.counters.ticks == summary.stats.ticks);
+    assert_eq!(summary.lateness_us.len(), summary.stats.ticks);
+    assert!(!summary.trace.points().is_empty());
+    let diary = diary.lock().unwrap();
+    assert_no_step(&diary.written);
+    assert_eq!(diary.written.last(), Some(&Wrench::ZERO));
+    assert!(diary.closed && !diary.written_after_close);
+}
+
+#[test]
+fn a_device_that_does_not_answer_gets_no_force_and_the_loop_goes_on() {
+    let (mut device, diary) = Watched::new();
+    device.fails_at = 600..700;
+    let (handle, mut ports) = start(device);
+    let mut ticks = 0;
+    press_until(&mut ports, |_| {
+        ticks = diary.lock().unwrap().written.len();
+        ticks > 1000
+    });
+    let summary = handle.stop();
+    assert_eq!(summary.stats.device_faults, 100);
+    assert_eq!(summary.stats.counters.faulted, 100);
+    let diary = diary.lock().unwrap();
+    assert_no_step(&diary.written);
+    assert!(
+        diary.written[598].force.norm() > 0.5,
+        "{:?}",
+        diary.written[598]
+    );
+    assert_eq!(diary.written[698], Wrench::ZERO);
+}
+
+#[test]
+fn a_panic_of_a_driver_ends_the_thread_and_closes_the_device() {
+    let (mut device, diary) = Watched::new();
+    device.panics_at = Some(50);
+    let (handle, _ports) = start(device);
+    while handle.is_running() {
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let summary = handle.stop();
+    assert!(summary.panicked.unwrap().contains("the driver's own bug"));
+    assert!(diary.lock().unwrap().closed);
+}
+
+#[test]
+fn a_lost_link_takes_the_force_and_a_found_one_gives_it_back() {
+    let (device, diary) = Watched::new();
+    let (handle, mut ports) = start(device);
+    press_until(&mut ports, |f| f.wrench.force.z > 1.0);
+    handle.set_link_lost(true);
+    press_until(&mut ports, |f| f.wrench == Wrench::ZERO);
+    handle.set_link_lost(false);
+    press_until(&mut ports, |f| f.wrench.force.z > 0.5);
+    drop(handle);
+    let diary = diary.lock().unwrap();
+    assert_no_step(&diary.written);
+    assert!(diary.closed, "dropping the handle is a stop");
+}
+
+#[test]
+fn a_reader_that_is_away_loses_frames_and_not_the_loop() {
+    let (device, diary) = Watched::new();
+    let (handle, ports) = start(device);
+    while diary.lock().unwrap().written.len() < 400 {
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let summary = handle.stop();
+    assert_eq!(ports.frames.slots(), 256);
+    assert_eq!(summary.stats.frames_dropped + 256, summary.stats.ticks);
+}
+
+#[test]
+fn a_simulated_hand_begins_its_script_when_the_session_does() {
+    use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
+    let tool = Tool {
+        kind: ToolKind::Probe,
+        radius_m: 0.004,
+        length_m: 0.0,
+    };
+    let ways = vec![
+        WayPoint::new(0.0, Vector3::zeros()),
+        WayPoint::new(0.1, Vector3::new(0.02, 0.0, 0.0)),
+    ];
+    let script = Script::new(tool, Hand::default(), ways, false).unwrap();
+    let begin = ScriptStart::not_yet();
+    let (handle, mut ports) = start(SimHand::new(script, begin.clone()));
+    let mut seen = 0;
+    while seen < 50 {
+        let Ok(frame) = ports.frames.pop() else {
+            std::thread::sleep(Duration::from_millis(2));
+            continue;
+        };
+        seen += 1;
+        assert_eq!(frame.sample.pose.position, Vector3::zeros());
+    }
+    begin.set(super::device_time(monotonic_now()));
+    press_free_until(&mut ports, |f| f.sample.pose.position.x > 0.015);
+    assert!(handle.stop().panicked.is_none());
+}
+
+fn press_free_until(ports: &mut HapticPorts, mut is_enough: impl FnMut(&Frame) -> bool) {
+    while !is_enough(ports.newest_for_view.read()) {
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+#[test]
+fn a_device_with_a_clock_of_its_own_is_refused_by_name() {
+    let (mut device, _diary) = Watched::new();
+    device.clock = ClockOwner::DeviceCallback;
+    let chain = Chain::new(ChainConfig::default(), device.caps());
+    let refused = spawn(Box::new(device), chain, RealtimeConfig::default());
+    assert!(matches!(refused, Err(SpawnError::ForeignClock { name }) if name == "simulated hand"));
+}

@@ -1,0 +1,309 @@
+//! The loop itself: wait, read, tick, write, hand over.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
+
+use palpate_device::{ClockOwner, Faults, HapticDevice, Pose, Sample, Wrench, Written};
+use palpate_haptics::{Chain, ContactModel, Events};
+use palpate_protocol::{ClientTime, Span};
+use triple_buffer::{Input, Output, triple_buffer};
+
+use super::handle::{HapticHandle, LoopSummary};
+use super::pace::Pace;
+use super::priority::{Priority, raise_this_thread};
+use super::stats::{LoopStats, Meter};
+use super::trace::{Trace, TracePoint};
+use super::{clock, device_time};
+
+/// How often the statistics are published.
+const STATS_EVERY: Span = Span::from_millis(250);
+
+/// After a stop is asked for, the ticks the force has to come down before the device is closed
+/// all the same. The chain needs 100.
+const STOP_TICKS_MAX: u32 = 150;
+
+/// How the thread runs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RealtimeConfig {
+    /// From tick to tick; the same as the chain's.
+    pub period: Span,
+    /// Priority under `SCHED_FIFO`, 1 to 99; `None` does not ask for it. 80 is above every
+    /// ordinary thread and below the kernel's own timers.
+    pub priority: Option<i32>,
+    /// Frames in the ring to the network: 256 is a quarter of a second, and a network task that
+    /// is away for longer loses the newest (counted) rather than holding up the loop.
+    pub ring_frames: usize,
+    /// Of how many ticks one is recorded in the trace; 0 records none.
+    pub trace_every: u32,
+    /// Points of the trace: 30,000 are 120 s of every fourth tick, or 2.6 MB.
+    pub trace_points_max: usize,
+    /// Whether the trace begins with the loop, or waits for
+    /// [`HapticHandle::set_recording`].
+    pub recording: bool,
+}
+
+impl Default for RealtimeConfig {
+    fn default() -> Self {
+        Self {
+            period: Span::from_millis(1),
+            priority: Some(80),
+            ring_frames: 256,
+            trace_every: 4,
+            trace_points_max: 30_000,
+            recording: true,
+        }
+    }
+}
+
+/// One tick as others see it. It crosses threads whole.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Frame {
+    /// When the tick was, on the client's clock.
+    pub time: ClientTime,
+    /// What the device said; after a failed reading the last sample, with
+    /// [`Faults::UNTRUSTED_POSE`].
+    pub sample: Sample,
+    /// What was written to the device.
+    pub wrench: Wrench,
+    /// What happened.
+    pub events: Events,
+    /// Age of the contact model that was used.
+    pub contact_age: Span,
+}
+
+/// The ends of the thread's buffers. Each goes to the one thread that uses it.
+pub struct HapticPorts {
+    /// The solver writes the newest contact model here.
+    pub models: Input<ContactModel>,
+    /// The newest frame, for the solver.
+    pub newest: Output<Frame>,
+    /// The newest frame once more, for the view.
+    pub newest_for_view: Output<Frame>,
+    /// Every frame with a good reading, for the network.
+    pub frames: rtrb::Consumer<Frame>,
+}
+
+/// Why the thread did not start.
+#[derive(Debug, thiserror::Error)]
+pub enum SpawnError {
+    /// The device wants to drive the loop itself.
+    #[error(
+        "the device \"{name}\" is driven by its own clock, and this program drives devices by its \
+         own; choose another device"
+    )]
+    ForeignClock {
+        /// What the device calls itself.
+        name: String,
+    },
+    /// The system gave no thread.
+    #[error("the system did not start the haptic thread: {0}")]
+    System(#[from] std::io::Error),
+}
+
+/// What the handle tells the thread.
+pub(super) struct Control {
+    pub(super) stop: AtomicBool,
+    pub(super) link_lost: AtomicBool,
+    pub(super) recording: AtomicBool,
+}
+
+/// Starts the haptic thread. It enables the device's forces, and closes the device at its end.
+pub fn spawn(
+    device: Box<dyn HapticDevice>,
+    chain: Chain,
+    config: RealtimeConfig,
+) -> Result<(HapticHandle, HapticPorts), SpawnError> {
+    if device.clock() != ClockOwner::Ours {
+        return Err(SpawnError::ForeignClock {
+            name: device.caps().name.clone(),
+        });
+    }
+    let now = clock::monotonic_now();
+    let frame = Frame {
+        time: now,
+        sample: Sample::resting(device_time(now), Pose::default()),
+        wrench: Wrench::ZERO,
+        events: Events::NONE,
+        contact_age: Span::ZERO,
+    };
+    let control = Arc::new(Control {
+        stop: AtomicBool::new(false),
+        link_lost: AtomicBool::new(false),
+        recording: AtomicBool::new(config.recording),
+    });
+    let (models_in, models_out) = triple_buffer(&ContactModel::FREE);
+    let (newest_in, newest_out) = triple_buffer(&frame);
+    let (view_in, view_out) = triple_buffer(&frame);
+    let (stats_in, stats_out) = triple_buffer(&LoopStats::default());
+    let (ring_in, ring_out) = rtrb::RingBuffer::new(config.ring_frames.max(1));
+    let haptic_loop = HapticLoop {
+        device,
+        chain,
+        control: Arc::clone(&control),
+        models: models_out,
+        newest: newest_in,
+        view: view_in,
+        frames: ring_in,
+        stats: stats_in,
+        meter: Meter::new(now),
+        trace: Trace::new(config.trace_every, config.trace_points_max),
+        last: frame,
+        link_is_lost: false,
+    };
+    let (tell, told) = mpsc::sync_channel(1);
+    let thread = std::thread::Builder::new()
+        .name("haptics".to_owned())
+        .spawn(move || {
+            let priority = raise_this_thread(config.priority);
+            let _ = tell.send(priority.clone());
+            haptic_loop.run(config.period, priority)
+        })?;
+    let priority = told.recv().unwrap_or_else(|_| Priority::Normal {
+        explanation: "The haptic thread ended before it began.".to_owned(),
+    });
+    let handle = HapticHandle::new(control, stats_out, thread, priority);
+    let ports = HapticPorts {
+        models: models_in,
+        newest: newest_out,
+        newest_for_view: view_out,
+        frames: ring_out,
+    };
+    Ok((handle, ports))
+}
+
+struct HapticLoop {
+    device: Box<dyn HapticDevice>,
+    chain: Chain,
+    control: Arc<Control>,
+    models: Output<ContactModel>,
+    newest: Input<Frame>,
+    view: Input<Frame>,
+    frames: rtrb::Producer<Frame>,
+    stats: Input<LoopStats>,
+    meter: Meter,
+    trace: Trace,
+    last: Frame,
+    link_is_lost: bool,
+}
+
+impl HapticLoop {
+    fn run(mut self, period: Span, priority: Priority) -> LoopSummary {
+        let began = clock::monotonic_now();
+        self.meter = Meter::new(began);
+        let mut pace = Pace::new(began, period);
+        // Neither a panic of ours nor one of a driver may leave a force standing.
+        let outcome = catch_unwind(AssertUnwindSafe(|| self.live(&mut pace)));
+        let closed = catch_unwind(AssertUnwindSafe(|| self.device.close()));
+        let panicked = outcome.and(closed).err().map(|p| message_of(p.as_ref()));
+        let stats = self.meter.snapshot(clock::monotonic_now(), pace.missed());
+        self.stats.write(stats);
+        let (lateness_us, work_us) = self.meter.into_histograms();
+        LoopSummary {
+            stats,
+            priority,
+            lateness_us,
+            work_us,
+            trace: self.trace,
+            panicked,
+        }
+    }
+
+    /// From enabled forces to zero force.
+    fn live(&mut self, pace: &mut Pace) {
+        if self.device.enable_forces(true).is_err() {
+            self.meter.stats.device_faults += 1;
+        }
+        let mut publish_at = pace.deadline() + STATS_EVERY;
+        let mut ticks_to_stop = STOP_TICKS_MAX;
+        loop {
+            let deadline = pace.deadline();
+            clock::sleep_until(deadline);
+            let woke = clock::monotonic_now();
+            self.steer(woke);
+            self.tick(woke);
+            let done = clock::monotonic_now();
+            self.meter.record(deadline, woke, done);
+            pace.done(done);
+            if done >= publish_at {
+                publish_at = done + STATS_EVERY;
+                let stats = self.meter.snapshot(done, pace.missed());
+                self.stats.write(stats);
+            }
+            if self.control.stop.load(Ordering::Acquire) {
+                ticks_to_stop -= 1;
+                if ticks_to_stop == 0 || self.last.wrench == Wrench::ZERO {
+                    return;
+                }
+            }
+        }
+    }
+
+    /// Follows the flags of the handle: a stop fades the force as a lost link does.
+    fn steer(&mut self, now: ClientTime) {
+        let lost = self.control.link_lost.load(Ordering::Acquire)
+            || self.control.stop.load(Ordering::Acquire);
+        if lost && !self.link_is_lost {
+            self.chain.link_lost(now);
+        } else if !lost && self.link_is_lost {
+            self.chain.link_restored(now);
+        }
+        self.link_is_lost = lost;
+    }
+
+    /// One tick: read, compute, write, hand over.
+    fn tick(&mut self, now: ClientTime) {
+        let reading = self.device.read(device_time(now));
+        let (sample, tick) = if let Ok(sample) = &reading {
+            (*sample, self.chain.tick(now, sample, self.models.read()))
+        } else {
+            self.meter.stats.device_faults += 1;
+            let last = self.last.sample;
+            let untrusted = Sample {
+                faults: last.faults.with(Faults::UNTRUSTED_POSE),
+                ..last
+            };
+            (untrusted, self.chain.tick_without_sample(now))
+        };
+        match self.device.write(device_time(now), tick.wrench) {
+            Written::Applied => {}
+            Written::Saturated { .. } => self.meter.stats.device_saturated += 1,
+            Written::Rejected(_) => self.meter.stats.device_rejected += 1,
+        }
+        let frame = Frame {
+            time: now,
+            sample,
+            wrench: tick.wrench,
+            events: tick.events,
+            contact_age: tick.contact_age,
+        };
+        self.hand_over(frame, reading.is_ok());
+    }
+
+    fn hand_over(&mut self, frame: Frame, is_good: bool) {
+        self.newest.write(frame);
+        self.view.write(frame);
+        if is_good && self.frames.push(frame).is_err() {
+            self.meter.stats.frames_dropped += 1;
+        }
+        if self.control.recording.load(Ordering::Relaxed) {
+            self.trace.record(TracePoint {
+                time: frame.time,
+                position: frame.sample.pose.position,
+                force: frame.wrench.force,
+                events: frame.events,
+            });
+        }
+        self.meter.stats.force_n = frame.wrench.force.norm();
+        self.meter.stats.counters = *self.chain.counters();
+        self.last = frame;
+    }
+}
+
+/// What a panic said.
+fn message_of(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().copied();
+    let text = text.or_else(|| panic.downcast_ref::<String>().map(String::as_str));
+    text.unwrap_or("a panic without a message").to_owned()
+}

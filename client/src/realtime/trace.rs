@@ -1,0 +1,95 @@
+//! The path and the force of a run, kept for plots and comparisons.
+
+use nalgebra::Vector3;
+use palpate_haptics::Events;
+use palpate_protocol::ClientTime;
+
+/// One recorded tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TracePoint {
+    /// When.
+    pub time: ClientTime,
+    /// Position of the tool, m.
+    pub position: Vector3<f64>,
+    /// Force on the tool, N.
+    pub force: Vector3<f64>,
+    /// What happened in the tick.
+    pub events: Events,
+}
+
+/// Every n-th tick of a run, in memory that is reserved beforehand.
+#[derive(Debug, Clone, Default)]
+pub struct Trace {
+    points: Vec<TracePoint>,
+    capacity: usize,
+    every: u32,
+    skipped: u32,
+    lost: u64,
+}
+
+impl Trace {
+    /// Room for `capacity` points, one of `every` ticks; `every` = 0 records nothing.
+    pub(super) fn new(every: u32, capacity: usize) -> Self {
+        let capacity = if every == 0 { 0 } else { capacity };
+        Self {
+            points: Vec::with_capacity(capacity),
+            capacity,
+            every,
+            skipped: 0,
+            lost: 0,
+        }
+    }
+
+    /// Records `point` if it is its turn and there is room. Never allocates.
+    pub(super) fn record(&mut self, point: TracePoint) {
+        if self.every == 0 {
+            return;
+        }
+        if self.skipped > 0 {
+            self.skipped -= 1;
+            return;
+        }
+        self.skipped = self.every - 1;
+        if self.points.len() < self.capacity {
+            self.points.push(point);
+        } else {
+            self.lost += 1;
+        }
+    }
+
+    /// The points in the order of time.
+    pub fn points(&self) -> &[TracePoint] {
+        &self.points
+    }
+
+    /// Points that found no room: the end of the run is missing by so many.
+    pub fn lost(&self) -> u64 {
+        self.lost
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+    use palpate_haptics::Events;
+    use palpate_protocol::ClientTime;
+
+    use super::{Trace, TracePoint};
+
+    #[test]
+    fn every_fourth_tick_is_kept_until_the_room_is_used_up() {
+        let mut trace = Trace::new(4, 10);
+        for i in 0..100 {
+            trace.record(TracePoint {
+                time: ClientTime::from_micros(i),
+                position: Vector3::zeros(),
+                force: Vector3::zeros(),
+                events: Events::NONE,
+            });
+        }
+        assert_eq!(trace.points().len(), 10);
+        assert_eq!(trace.points()[9].time, ClientTime::from_micros(36));
+        assert_eq!(trace.lost(), 15);
+        assert_eq!(trace.points.capacity(), 10);
+    }
+}
