@@ -13,6 +13,7 @@ mod build;
 mod cell;
 mod contact;
 mod equilibrium;
+mod cut;
 mod file;
 mod material;
 mod model;
@@ -31,6 +32,10 @@ pub use build::{
 pub use cell::{Cell, DIAGONALS, EDGES, FACES, NO_CELL, cell_volume};
 pub use contact::{Reaction, TOOLS_MAX, Tool};
 pub use equilibrium::{Budget, Solver, StepReport};
+pub use cut::{
+    BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, BladePoint, CutError, CutOutcome, CutStroke, Moved, RestPoint,
+    STROKE_LENGTH_MAX_M, WOUND_WIDTH_MAX_M, cut, to_rest,
+};
 pub use file::{
     CELLS_MAX, EnvelopeError, FileError, MODEL_FORMAT, ModelFile, NODES_MAX, REGIONS_MAX,
     decode_model, encode_model,

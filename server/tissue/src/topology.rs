@@ -70,6 +70,7 @@ pub struct Topology {
     pub(crate) mass: Vec<f64>,
     pub(crate) pinned: Vec<bool>,
     pub(crate) boundary: Boundary,
+    pub(crate) cut_index: crate::cut::CutIndex,
 }
 
 impl Topology {
@@ -97,6 +98,7 @@ impl Topology {
             mass: vec![0.0; nodes],
             pinned: vec![false; nodes],
             boundary: Boundary::default(),
+            cut_index: crate::cut::CutIndex::default(),
             model,
         };
         let rows: Vec<_> = (0..nodes as u32)

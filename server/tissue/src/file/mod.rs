@@ -274,11 +274,7 @@ fn read_columns<T, const N: usize>(
     Ok(columns)
 }
 
-fn read_cells(
-    reader: &mut Reader<'_>,
-    nodes: usize,
-    count: usize,
-) -> Result<Vec<Cell>, FileError> {
+fn read_cells(reader: &mut Reader<'_>, nodes: usize, count: usize) -> Result<Vec<Cell>, FileError> {
     let corners: [Vec<u32>; 8] = read_columns(|| reader.steps32(count))?;
     let regions = reader.steps32(count)?;
     let bits = reader.bytes(count)?;

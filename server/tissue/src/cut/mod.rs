@@ -1,0 +1,235 @@
+//! Cutting: a stroke of a blade parts the tissue (Lin 2007, chapter 5).
+//!
+//! Of that chapter only captions and the abstract survive; every algorithm here is a reconstruction.
+//! What they say: nodes near the cut are snapped onto it, doubled and displaced; no new elements are
+//! made; triangles along the cut show the layers; a refinement follows; the width varies with depth.
+//!
+//! A cut is a SHEET of faces between cells on opposite sides of the surface that the blade swept. The
+//! nodes of the sheet are snapped onto that surface, the cells are parted along the sheet, and every
+//! node is doubled once per further *fan* of cells around it that can no longer be reached through
+//! uncut faces. Nodes at the front of the cut, whose cells still hang together around it, stay
+//! single. Cells, and with them material, are neither made nor lost; crossing cuts, continued cuts,
+//! re-entry into an old cut and leaving through the surface are the same rule; each side of the cut
+//! keeps the springs of its own cells, which are half of those that were in its plane.
+//!
+//! ```text
+//! stroke.rs   what the blade did               snap.rs     nodes onto the swept surface
+//! ribbon.rs   the swept surface                refine.rs   the nodes around share the move
+//! sheet.rs    the faces it opens               part.rs     doubling, opening, deriving
+//! fans.rs     who hangs together at a node     follow.rs   how a deformed shape follows
+//! ```
+//!
+//! Everything runs in one order that depends on the topology and the stroke alone: the same strokes
+//! in the same order give the same topology hash everywhere.
+
+mod components;
+mod fans;
+mod follow;
+mod index;
+mod part;
+mod quality;
+mod refine;
+mod ribbon;
+mod sheet;
+mod snap;
+mod stroke;
+mod to_rest;
+mod trilinear;
+mod width;
+
+use std::collections::{BTreeSet, HashMap};
+
+pub use follow::Moved;
+pub(crate) use index::CutIndex;
+pub use stroke::{
+    BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, BladePoint, CutStroke, STROKE_LENGTH_MAX_M,
+    WOUND_WIDTH_MAX_M,
+};
+pub use to_rest::{RestPoint, to_rest};
+
+use crate::{NODES_MAX, RegionId, Topology};
+use quality::Moves;
+use refine::Surroundings;
+use ribbon::Ribbon;
+use snap::{Freedom, SheetNode};
+
+/// Farthest a node's rest position may ever be from where the model was built, in spacings, however
+/// many cuts pass; a node at this bound falls short of the next cut instead.
+pub(crate) const DRIFT_MAX: f64 = 1.0;
+/// How often the nodes that fell short try again while their surroundings give way.
+const RETRIES: usize = 3;
+
+/// Why a stroke cuts nothing. The topology is then as it was.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CutError {
+    /// Too few or too many blade points.
+    #[error("a stroke has 2 to {BLADE_POINTS_MAX} blade points; this one has {count}")]
+    Points {
+        /// How many it has.
+        count: usize,
+    },
+    /// A coordinate is not a number, or out of this world.
+    #[error("blade point {index} of the stroke is not a place")]
+    NotFinite {
+        /// Which point.
+        index: usize,
+    },
+    /// The axis is no direction.
+    #[error("the axis of blade point {index} is not a unit vector")]
+    Axis {
+        /// Which point.
+        index: usize,
+    },
+    /// The depth is not positive or too large.
+    #[error(
+        "blade point {index} is {depth_m} m deep; it must be above 0 and at most {BLADE_DEPTH_MAX_M} m"
+    )]
+    Depth {
+        /// Which point.
+        index: usize,
+        /// Its depth in m.
+        depth_m: f64,
+    },
+    /// The width is negative or too large.
+    #[error("the wound is {width_m} m wide; it must be 0 to {WOUND_WIDTH_MAX_M} m")]
+    Width {
+        /// Its width in m.
+        width_m: f64,
+    },
+    /// Two points in one place.
+    #[error("the blade does not move between its points {index} and {}; leave one out", index + 1)]
+    Step {
+        /// The first of the two.
+        index: usize,
+    },
+    /// The path is too long.
+    #[error(
+        "the stroke is {length_m} m long, more than {STROKE_LENGTH_MAX_M} m; make several of it"
+    )]
+    Length {
+        /// Its length in m.
+        length_m: f64,
+    },
+    /// The blade moves along itself.
+    #[error("the blade moves along its own axis and sweeps no surface; move it sideways")]
+    Stab,
+    /// The swept surface is too large for this lattice.
+    #[error(
+        "the stroke sweeps {swept_m2} m², too much for a lattice as fine as this; make several of it"
+    )]
+    Swept {
+        /// The swept surface in m².
+        swept_m2: f64,
+    },
+    /// No tissue there.
+    #[error("the blade passes through no tissue, or less deep than half a cell")]
+    Misses,
+    /// Only bone there.
+    #[error("the blade meets only the pinned region `{region}`, which it can not cut")]
+    Pinned {
+        /// The region's name.
+        region: String,
+    },
+    /// Nothing to part.
+    #[error(
+        "the stroke parts nothing: the tissue is already parted there, or the cut is narrower than \
+         two cells"
+    )]
+    NothingNew,
+    /// The topology can not grow any more.
+    #[error(
+        "the model has {NODES_MAX} nodes, and a cut would need more; no further cut is possible"
+    )]
+    Full,
+}
+
+/// What a cut did.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CutOutcome {
+    /// Version of the topology after it.
+    pub version: u32,
+    /// New nodes, each with the node it was doubled from; the new ones follow each other from the
+    /// old node count on.
+    pub doubled: Vec<(u32, u32)>,
+    /// Nodes whose rest position moved, and where their displacement comes from; sorted.
+    pub moved: Vec<Moved>,
+    /// All nodes whose rest position, springs or mass may have changed, sorted; new ones included.
+    pub touched: Vec<u32>,
+    /// Faces between cells that it opened; each added two faces to the boundary.
+    pub faces_opened: usize,
+    /// Nodes of the sheet that lie on the swept surface.
+    pub nodes_snapped: usize,
+    /// Nodes of the sheet that could not reach it without harm to a cell.
+    pub nodes_short: usize,
+    /// Connected components of the cells that touch the sheet, passing only among these: 1 while
+    /// they hang together around the cut's front. See [`Topology::components`] for the whole.
+    pub components_near: usize,
+    /// The regions that it cut, sorted.
+    pub regions_cut: Vec<RegionId>,
+}
+
+/// Cuts a topology with a stroke. On an error the topology is untouched.
+pub fn cut(topology: &mut Topology, stroke: &CutStroke) -> Result<CutOutcome, CutError> {
+    let spacing = topology.model.spacing_m;
+    stroke.check(spacing)?;
+    let crossed = sheet::crossed(topology, &Ribbon::swept(&stroke.points, spacing))?;
+    let sheet = sheet::erode(topology, crossed);
+    if sheet.is_empty() {
+        return Err(CutError::NothingNew);
+    }
+    let mut nodes = snap::sheet_nodes(topology, &sheet);
+    // A node has eight cells at most, so at most seven more nodes come of it.
+    if topology.node_count() + 7 * nodes.len() > NODES_MAX + NODES_MAX / 4 {
+        return Err(CutError::Full);
+    }
+
+    // From here on nothing can fail.
+    let ribbon = Ribbon::continued(&stroke.points, spacing);
+    let (moved, mut changed) = settle(topology, &ribbon, &mut nodes);
+    let doubled = part::double(topology, &sheet);
+    part::open(topology, &sheet, &doubled);
+    changed.extend(width::widen(topology, stroke, &ribbon, &doubled));
+    changed.extend(doubled.iter().flat_map(|d| [d.0, d.1]));
+    let touched = part::derive_around(topology, &changed);
+    topology.version += 1;
+
+    let mut around: Vec<u32> = nodes.iter().map(|n| n.node).collect();
+    around.extend(doubled.iter().map(|d| d.0));
+    let loose = nodes.iter().filter(|n| n.freedom != Freedom::Pinned);
+    let nodes_short = loose.clone().filter(|n| n.short).count();
+    let sides = sheet.iter().flat_map(|&f| [f, topology.behind(f)]);
+    let regions: BTreeSet<RegionId> = sides.map(|f| topology.region(f.cell())).collect();
+    Ok(CutOutcome {
+        version: topology.version,
+        moved,
+        touched,
+        faces_opened: sheet.len(),
+        nodes_snapped: loose.count() - nodes_short,
+        nodes_short,
+        components_near: topology.components_among(&around),
+        regions_cut: regions.into_iter().collect(),
+        doubled,
+    })
+}
+
+/// Moves the nodes of the sheet onto the ribbon and lets those around follow, all still single.
+fn settle(
+    topology: &mut Topology,
+    ribbon: &Ribbon,
+    nodes: &mut [SheetNode],
+) -> (Vec<Moved>, BTreeSet<u32>) {
+    let mut ids: Vec<u32> = nodes.iter().map(|n| n.node).collect();
+    ids.sort_unstable();
+    let surroundings = Surroundings::of(topology, &ids);
+    let mut moves = Moves {
+        topology,
+        old: HashMap::new(),
+    };
+    snap::snap(&mut moves, ribbon, nodes);
+    for _ in 0..RETRIES {
+        surroundings.relax(&mut moves, refine::SWEEPS_MAX / (RETRIES + 1));
+        snap::retry(&mut moves, ribbon, nodes);
+    }
+    surroundings.relax(&mut moves, refine::SWEEPS_MAX / (RETRIES + 1));
+    (follow::moved(&moves), moves.old.keys().copied().collect())
+}

@@ -1,0 +1,202 @@
+//! The swept surface of a blade as triangles: what it crosses, and the nearest point on it.
+//!
+//! Whether a segment p q crosses a triangle a b c is decided by the signs of exact determinants:
+//! p and q on different sides of the triangle's plane, and the line through them on the same side
+//! of its three edges. A zero counts as positive, with the ends of an edge in one order for both
+//! triangles that share it, so that a segment through a shared edge crosses exactly one of them.
+
+use robust::{Coord3D, orient3d};
+
+use super::index::{BUCKET, Key, keys_of_triangle};
+use super::stroke::BladePoint;
+use crate::Vec3;
+
+/// How far the surface that nodes are snapped onto reaches beyond the blade's own, in spacings, so
+/// that a node off the end of the cut is drawn into its plane and not to its rim.
+const BEYOND: f64 = 3.0;
+/// How far from a triangle its bins reach, in spacings; nodes farther away are not snapped.
+const REACH: f64 = 4.0;
+
+/// A triangle of the ribbon.
+#[derive(Debug, Clone)]
+pub(crate) struct Triangle {
+    pub(crate) points: [Vec3; 3],
+    /// Number of each point, the same in all triangles that share it.
+    ids: [u32; 3],
+    pub(crate) normal: Vec3,
+    /// Which step of the stroke it belongs to.
+    pub(crate) step: usize,
+}
+
+impl Triangle {
+    /// Whether a segment crosses it; see the file's head.
+    pub(crate) fn crosses(&self, p: &Vec3, q: &Vec3) -> bool {
+        let [a, b, c] = self.points.map(coordinates);
+        let [p, q] = [*p, *q].map(coordinates);
+        if (orient3d(a, b, c, p) >= 0.0) == (orient3d(a, b, c, q) >= 0.0) {
+            return false;
+        }
+        let side = |i: usize, j: usize| {
+            let [u, v] = [i, j].map(|k| coordinates(self.points[k]));
+            if self.ids[i] < self.ids[j] {
+                orient3d(p, q, u, v) >= 0.0
+            } else {
+                orient3d(p, q, v, u) < 0.0
+            }
+        };
+        let first = side(0, 1);
+        first == side(1, 2) && first == side(2, 0)
+    }
+
+    /// Distance of a point from its plane.
+    pub(crate) fn height(&self, p: &Vec3) -> f64 {
+        (p - self.points[0]).dot(&self.normal)
+    }
+
+    /// The nearest point of it, by the region of the plane that the point's foot falls into.
+    fn nearest(&self, p: &Vec3) -> Vec3 {
+        let [a, b, c] = self.points;
+        let (ab, ac) = (b - a, c - a);
+        let (ap, bp, cp) = (p - a, p - b, p - c);
+        let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
+        if d1 <= 0.0 && d2 <= 0.0 {
+            return a;
+        }
+        let (d3, d4) = (ab.dot(&bp), ac.dot(&bp));
+        if d3 >= 0.0 && d4 <= d3 {
+            return b;
+        }
+        let vc = d1 * d4 - d3 * d2;
+        if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+            return a + ab * (d1 / (d1 - d3));
+        }
+        let (d5, d6) = (ab.dot(&cp), ac.dot(&cp));
+        if d6 >= 0.0 && d5 <= d6 {
+            return c;
+        }
+        let vb = d5 * d2 - d1 * d6;
+        if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+            return a + ac * (d2 / (d2 - d6));
+        }
+        let va = d3 * d6 - d5 * d4;
+        if va <= 0.0 && d4 >= d3 && d5 >= d6 {
+            return b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)));
+        }
+        p - self.normal * self.height(p)
+    }
+}
+
+fn coordinates(p: Vec3) -> Coord3D<f64> {
+    Coord3D {
+        x: p.x,
+        y: p.y,
+        z: p.z,
+    }
+}
+
+/// A foot on the ribbon.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Foot {
+    pub(crate) point: Vec3,
+    pub(crate) normal: Vec3,
+    pub(crate) step: usize,
+}
+
+/// The swept surface.
+#[derive(Debug)]
+pub(crate) struct Ribbon {
+    pub(crate) triangles: Vec<Triangle>,
+    /// Bucket and triangle, sorted: which triangles are near a place.
+    bins: Vec<(Key, u32)>,
+    spacing: f64,
+}
+
+impl Ribbon {
+    /// What the blade swept.
+    pub(crate) fn swept(points: &[BladePoint], spacing: f64) -> Self {
+        let columns: Vec<[Vec3; 2]> = points.iter().map(|p| [p.tip, p.top()]).collect();
+        Self::between(&columns, spacing, 0)
+    }
+
+    /// The same surface, continued beyond all its rims.
+    pub(crate) fn continued(points: &[BladePoint], spacing: f64) -> Self {
+        let beyond = BEYOND * spacing;
+        let mut columns: Vec<[Vec3; 2]> = points
+            .iter()
+            .map(|p| [p.tip - p.axis * beyond, p.top() + p.axis * beyond])
+            .collect();
+        let last = points.len() - 1;
+        let out = |end: usize, before: usize| (points[end].tip - points[before].tip).normalize();
+        let (back, ahead) = (out(0, 1) * beyond, out(last, last - 1) * beyond);
+        columns.insert(0, columns[0].map(|p| p + back));
+        columns.push(columns[last + 1].map(|p| p + ahead));
+        Self::between(&columns, spacing, 1)
+    }
+
+    /// Two triangles between each pair of columns; `ahead` columns stand before the first step.
+    fn between(columns: &[[Vec3; 2]], spacing: f64, ahead: usize) -> Self {
+        let steps = columns.len() - 1 - 2 * ahead;
+        let mut triangles = Vec::with_capacity(2 * columns.len());
+        for (index, pair) in columns.windows(2).enumerate() {
+            let id = 2 * index as u32;
+            let [[a, b], [c, d]] = [pair[0], pair[1]];
+            for (points, ids) in [
+                ([a, c, d], [id, id + 2, id + 3]),
+                ([a, d, b], [id, id + 3, id + 1]),
+            ] {
+                let normal = (points[1] - points[0]).cross(&(points[2] - points[0]));
+                let size = normal.norm();
+                if size > 1e-9 * spacing * spacing {
+                    triangles.push(Triangle {
+                        points,
+                        ids,
+                        normal: normal / size,
+                        step: index.saturating_sub(ahead).min(steps - 1),
+                    });
+                }
+            }
+        }
+        let mut ribbon = Self {
+            triangles,
+            bins: Vec::new(),
+            spacing,
+        };
+        if ahead > 0 {
+            ribbon.fill_bins();
+        }
+        ribbon
+    }
+
+    fn fill_bins(&mut self) {
+        for (index, triangle) in self.triangles.iter().enumerate() {
+            let keys = keys_of_triangle(&triangle.points, self.spacing, REACH);
+            self.bins
+                .extend(keys.into_iter().map(|k| (k, index as u32)));
+        }
+        self.bins.sort_unstable();
+    }
+
+    /// The point of the surface nearest to `p`, if it is near at all.
+    pub(crate) fn nearest(&self, p: &Vec3) -> Option<Foot> {
+        let key = Key::of(p, BUCKET * self.spacing);
+        let start = self.bins.partition_point(|b| b.0 < key);
+        let mut best: Option<(f64, Foot)> = None;
+        for &(_, index) in self.bins[start..].iter().take_while(|b| b.0 == key) {
+            let triangle = &self.triangles[index as usize];
+            let point = triangle.nearest(p);
+            let distance = (point - p).norm_squared();
+            if best.is_none_or(|b| distance < b.0) {
+                let (normal, step) = (triangle.normal, triangle.step);
+                best = Some((
+                    distance,
+                    Foot {
+                        point,
+                        normal,
+                        step,
+                    },
+                ));
+            }
+        }
+        best.map(|b| b.1)
+    }
+}

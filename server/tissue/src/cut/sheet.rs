@@ -1,0 +1,227 @@
+//! The sheet of a cut: which faces between cells it opens.
+//!
+//! Reconstructed; of Lin 2007, chapter 5, captions survive. A face is crossed when the segment
+//! between the centres of its two cells crosses the swept surface. Around any edge of the lattice
+//! these segments form a loop, so crossed faces make a sheet that ends only where the swept surface
+//! ends. The sheet is then eroded until opening it leaves a proper surface:
+//!
+//! - a face none of whose four nodes would be doubled opens nothing, and leaves the sheet;
+//! - an edge whose ends both stay single may not have four exposed faces around it (a *chord*): the
+//!   least useful face at it leaves the sheet.
+//!
+//! Only faces of the new sheet leave it, so erosion ends, at worst with the topology as it was.
+
+use std::collections::{BTreeSet, HashMap};
+
+use super::fans::{Fans, Opening};
+use super::index::keys_of_triangle;
+use super::ribbon::Ribbon;
+use super::{CutError, DRIFT_MAX};
+use crate::{FACES, FaceId, NO_CELL, Topology, Vec3};
+
+/// Longest segment between centres of neighbours, in spacings.
+const SEGMENT_MAX: f64 = 2.5;
+/// A shift of all centres, in spacings, so small that it decides nothing but ties, of which cuts
+/// along the lattice of a block are full.
+const TIE: Vec3 = Vec3::new(6.13e-8, 3.71e-8, 7.93e-8);
+
+/// The faces that a ribbon crosses, each from its lower side along its axis, sorted; pinned and open
+/// ones left out.
+pub(crate) fn crossed(topology: &Topology, ribbon: &Ribbon) -> Result<Vec<FaceId>, CutError> {
+    let index = topology.cell_index();
+    let spacing = topology.model.spacing_m;
+    let mut faces = BTreeSet::new();
+    let mut pinned = None;
+    let mut open = false;
+    for triangle in &ribbon.triangles {
+        let reach = SEGMENT_MAX + DRIFT_MAX;
+        for key in keys_of_triangle(&triangle.points, spacing, reach) {
+            for cell in index.cells(key) {
+                let from = topology.centre(cell) + TIE * spacing;
+                if triangle.height(&from).abs() > SEGMENT_MAX * spacing {
+                    continue;
+                }
+                for face in [1, 3, 5] {
+                    let other = topology.model.cells[cell as usize].neighbours[face];
+                    if other == NO_CELL {
+                        continue;
+                    }
+                    let to = topology.centre(other) + TIE * spacing;
+                    if !triangle.crosses(&from, &to) {
+                        continue;
+                    }
+                    let id = FaceId::new(cell, face);
+                    let bone = [cell, other]
+                        .map(|c| topology.region(c))
+                        .into_iter()
+                        .find(|r| topology.model.regions[r.index()].pinned);
+                    if topology.across(id) == NO_CELL {
+                        open = true;
+                    } else if bone.is_some() {
+                        pinned = bone;
+                    } else {
+                        faces.insert(id);
+                    }
+                }
+            }
+        }
+    }
+    match (faces.is_empty(), pinned) {
+        (false, _) => Ok(faces.into_iter().collect()),
+        (true, Some(region)) => Err(CutError::Pinned {
+            region: topology.model.regions[region.index()].name.clone(),
+        }),
+        (true, None) if open => Err(CutError::NothingNew),
+        (true, None) => Err(CutError::Misses),
+    }
+}
+
+/// The four nodes of a face.
+pub(crate) fn nodes_of(topology: &Topology, face: FaceId) -> [u32; 4] {
+    FACES[face.face()].map(|c| topology.corners(face.cell())[c])
+}
+
+/// Erodes crossed faces to a sheet that can be opened; see the file's head.
+pub(crate) fn erode(topology: &Topology, faces: Vec<FaceId>) -> Vec<FaceId> {
+    let mut erosion = Erosion {
+        before: Opening::new(topology, &[]),
+        opening: Opening::new(topology, &faces),
+        fans: HashMap::new(),
+        fans_before: HashMap::new(),
+    };
+    let mut sheet: BTreeSet<FaceId> = faces.iter().copied().collect();
+    let mut suspects = faces;
+    while !suspects.is_empty() {
+        let mut leaving: BTreeSet<FaceId> = suspects
+            .iter()
+            .copied()
+            .filter(|&face| erosion.separated(face) == 0)
+            .collect();
+        if leaving.is_empty() {
+            for &face in &suspects {
+                leaving.extend(erosion.victims(face));
+            }
+        }
+        let mut around = BTreeSet::new();
+        for &face in &leaving {
+            sheet.remove(&face);
+            erosion.opening.close(face);
+            for node in nodes_of(topology, face) {
+                erosion.fans.remove(&node);
+                around.extend(erosion.new_faces_at(node));
+            }
+        }
+        suspects = around.into_iter().filter(|f| sheet.contains(f)).collect();
+    }
+    sheet.into_iter().collect()
+}
+
+struct Erosion<'a> {
+    before: Opening<'a>,
+    opening: Opening<'a>,
+    fans: HashMap<u32, Fans>,
+    fans_before: HashMap<u32, Fans>,
+}
+
+impl Erosion<'_> {
+    fn fans(&mut self, node: u32, before: bool) -> Fans {
+        let (cache, opening) = if before {
+            (&mut self.fans_before, &self.before)
+        } else {
+            (&mut self.fans, &self.opening)
+        };
+        *cache.entry(node).or_insert_with(|| opening.fans(node))
+    }
+
+    /// How many nodes of a face would be doubled between its two cells.
+    fn separated(&mut self, face: FaceId) -> usize {
+        let corners = FACES[face.face()];
+        let nodes = nodes_of(self.opening.topology, face);
+        let across = 1 << (face.face() / 2);
+        (0..4)
+            .filter(|&i| {
+                let fans = self.fans(nodes[i], false);
+                fans[corners[i]] != fans[corners[i] ^ across]
+            })
+            .count()
+    }
+
+    /// For each chord among the edges of a face, the face that should leave the sheet.
+    fn victims(&mut self, face: FaceId) -> Vec<FaceId> {
+        let corners = FACES[face.face()];
+        let mut victims = Vec::new();
+        for i in 0..4 {
+            let (from, to) = (corners[i], corners[(i + 1) % 4]);
+            let axis = (from ^ to).trailing_zeros() as usize;
+            let node = self.opening.topology.corners(face.cell())[from];
+            if self.is_chord(node, from, axis, false) && !self.is_chord(node, from, axis, true) {
+                let victim = self
+                    .new_faces_at_edge(node, from, axis)
+                    .into_iter()
+                    .map(|f| (self.separated(f), std::cmp::Reverse(f)))
+                    .min();
+                victims.extend(victim.map(|v| v.1.0));
+            }
+        }
+        victims
+    }
+
+    /// Whether the edge from a node, which is corner `at` of some cell, along an axis would have
+    /// more than two exposed faces between the same two new nodes.
+    fn is_chord(&mut self, node: u32, at: usize, axis: usize, before: bool) -> bool {
+        let topology = self.opening.topology;
+        let cells = topology.node_cells[node as usize];
+        let near = self.fans(node, before);
+        let mut groups: [((u32, u8, u8), u32); 4] = [((NO_CELL, 0, 0), 0); 4];
+        for s in (0..8).filter(|s| (s ^ at) >> axis & 1 == 0) {
+            let cell = cells[s];
+            if cell == NO_CELL {
+                continue;
+            }
+            let far_slot = s ^ (1 << axis);
+            let far = topology.corners(cell)[far_slot];
+            let key = (far, near[s], self.fans(far, before)[far_slot]);
+            let opening = if before { &self.before } else { &self.opening };
+            let exposed = (0..3)
+                .filter(|&b| b != axis)
+                .filter(|&b| opening.across(FaceId::new(cell, 2 * b + (s >> b & 1))) == NO_CELL)
+                .count() as u32;
+            let slot = groups
+                .iter()
+                .position(|g| g.0 == key || g.0.0 == NO_CELL)
+                .expect("at most four cells around an edge");
+            groups[slot].0 = key;
+            groups[slot].1 += exposed;
+        }
+        groups.iter().any(|g| g.1 > 2)
+    }
+
+    /// The new faces at an edge.
+    fn new_faces_at_edge(&self, node: u32, at: usize, axis: usize) -> Vec<FaceId> {
+        let cells = self.opening.topology.node_cells[node as usize];
+        let mut faces = Vec::new();
+        for s in (0..8).filter(|s| (s ^ at) >> axis & 1 == 0) {
+            for b in (0..3).filter(|&b| b != axis && s >> b & 1 == 1) {
+                if cells[s] != NO_CELL && self.opening.is_new(FaceId::new(cells[s], 2 * b + 1)) {
+                    faces.push(FaceId::new(cells[s], 2 * b + 1));
+                }
+            }
+        }
+        faces
+    }
+
+    /// The new faces at a node.
+    fn new_faces_at(&self, node: u32) -> Vec<FaceId> {
+        let cells = self.opening.topology.node_cells[node as usize];
+        let mut faces = Vec::new();
+        for (s, &cell) in cells.iter().enumerate().filter(|c| *c.1 != NO_CELL) {
+            for axis in (0..3).filter(|axis| s >> axis & 1 == 1) {
+                let face = FaceId::new(cell, 2 * axis + 1);
+                if self.opening.is_new(face) {
+                    faces.push(face);
+                }
+            }
+        }
+        faces
+    }
+}

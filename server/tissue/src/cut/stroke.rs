@@ -1,0 +1,114 @@
+//! What a blade did: the stroke, and the checks it must pass before anything is computed from it.
+
+use super::CutError;
+use crate::{Shape, Topology, Vec3, to_rest};
+
+/// Most blade points of one stroke; at 1 mm of path each, four metres.
+pub const BLADE_POINTS_MAX: usize = 4096;
+/// Longest path of one stroke in m. Longer ones are several strokes.
+pub const STROKE_LENGTH_MAX_M: f64 = 4.0;
+/// Deepest blade in m; no scalpel is longer.
+pub const BLADE_DEPTH_MAX_M: f64 = 0.5;
+/// Widest wound a stroke may ask for in m.
+pub const WOUND_WIDTH_MAX_M: f64 = 0.02;
+/// Largest swept surface in squares of the lattice spacing; it bounds the time of one cut.
+const SWEPT_SQUARES_MAX: f64 = 1e6;
+/// Shortest step between blade points in m; a shorter one has no direction worth the name.
+const STEP_MIN_M: f64 = 1e-7;
+
+/// The blade at one moment, in the rest frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BladePoint {
+    /// The deepest point of the blade's edge in m.
+    pub tip: Vec3,
+    /// Unit vector from the tip out along the blade, against the depth.
+    pub axis: Vec3,
+    /// How much of the blade cuts, from the tip along the axis, in m.
+    pub depth_m: f64,
+}
+
+impl BladePoint {
+    /// Where the cutting part ends at the top, in m.
+    pub fn top(&self) -> Vec3 {
+        self.tip + self.axis * self.depth_m
+    }
+
+    /// The same blade mapped from the deformed shape to the rest frame, by the local gradient of
+    /// the deformation at its tip; `None` when the tip is not in the tissue or close to it.
+    pub fn to_rest(&self, topology: &Topology, shape: &Shape) -> Option<Self> {
+        let at = to_rest(topology, shape, self.tip)?;
+        let blade = at.frame * self.axis * self.depth_m;
+        let depth_m = blade.norm();
+        (depth_m > 0.0 && depth_m.is_finite()).then(|| Self {
+            tip: at.position,
+            axis: blade / depth_m,
+            depth_m,
+        })
+    }
+}
+
+/// One stroke of a blade in the rest frame: it sweeps the ribbon between the path of its tip and
+/// the path of its top.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CutStroke {
+    /// The blade along its way; 2 to [`BLADE_POINTS_MAX`].
+    pub points: Vec<BladePoint>,
+    /// Width w0 of the wound at its top at rest in m, 0 for a closed cut. The rest positions follow
+    /// it up to a tenth of the spacing; what a wound gapes beyond that, the tissue does by itself.
+    pub width_m: f64,
+}
+
+impl CutStroke {
+    /// Refuses what no blade can have done.
+    pub(crate) fn check(&self, spacing: f64) -> Result<(), CutError> {
+        let count = self.points.len();
+        if !(2..=BLADE_POINTS_MAX).contains(&count) {
+            return Err(CutError::Points { count });
+        }
+        for (index, p) in self.points.iter().enumerate() {
+            let finite = p.tip.iter().chain(p.axis.iter()).all(|v| v.is_finite());
+            if !finite || p.tip.amax() > 1e6 {
+                return Err(CutError::NotFinite { index });
+            }
+            if (p.axis.norm() - 1.0).abs() > 1e-3 {
+                return Err(CutError::Axis { index });
+            }
+            if !(p.depth_m > 0.0 && p.depth_m <= BLADE_DEPTH_MAX_M) {
+                let depth_m = p.depth_m;
+                return Err(CutError::Depth { index, depth_m });
+            }
+        }
+        if !(0.0..=WOUND_WIDTH_MAX_M).contains(&self.width_m) {
+            let width_m = self.width_m;
+            return Err(CutError::Width { width_m });
+        }
+        self.check_path(spacing)
+    }
+
+    fn check_path(&self, spacing: f64) -> Result<(), CutError> {
+        let mut length_m = 0.0;
+        let mut swept = 0.0;
+        for (index, pair) in self.points.windows(2).enumerate() {
+            let step = pair[1].tip - pair[0].tip;
+            if step.norm() < STEP_MIN_M {
+                return Err(CutError::Step { index });
+            }
+            length_m += step.norm();
+            let tops = pair[1].top() - pair[0].top();
+            let depth = pair[0].depth_m.max(pair[1].depth_m);
+            let across = |v: Vec3| v.cross(&pair[0].axis).norm();
+            swept += depth * (across(step) + across(tops)) / 2.0;
+        }
+        if length_m > STROKE_LENGTH_MAX_M {
+            return Err(CutError::Length { length_m });
+        }
+        if swept < 1e-6 * spacing * spacing {
+            return Err(CutError::Stab);
+        }
+        if swept > SWEPT_SQUARES_MAX * spacing * spacing {
+            let swept_m2 = swept;
+            return Err(CutError::Swept { swept_m2 });
+        }
+        Ok(())
+    }
+}

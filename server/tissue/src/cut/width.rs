@@ -1,0 +1,93 @@
+//! The width of a wound at rest (Lin 2007, figs 5.7 and 7.17; reconstructed).
+//!
+//! With h the height over the blade's tip, D its depth and n the normal of the swept surface, the
+//! two nodes of a doubled one part by
+//!
+//! ```text
+//! ± w/2 n,    w = w0 h / D
+//! ```
+//!
+//! so that the wound is widest at the top and closed at its front.
+
+use std::collections::{BTreeSet, HashMap};
+
+use super::quality::Moves;
+use super::ribbon::Ribbon;
+use super::snap::{Freedom, freedom};
+use super::stroke::CutStroke;
+use crate::{NO_CELL, Topology, Vec3};
+
+/// Largest offset of one side at rest, in spacings. An offset takes rest volume from the cells beside
+/// the wound; at this bound no more than a twentieth of each.
+const OFFSET_MAX: f64 = 0.05;
+
+/// Parts the doubled nodes; gives those that moved.
+pub(crate) fn widen(
+    topology: &mut Topology,
+    stroke: &CutStroke,
+    ribbon: &Ribbon,
+    doubled: &[(u32, u32)],
+) -> Vec<u32> {
+    if stroke.width_m <= 0.0 {
+        return Vec::new();
+    }
+    let limit = OFFSET_MAX * topology.model.spacing_m;
+    let nodes: BTreeSet<u32> = doubled.iter().flat_map(|d| [d.0, d.1]).collect();
+    let mut moves = Moves {
+        topology,
+        old: HashMap::new(),
+    };
+    for node in nodes {
+        let at = moves.rest(node);
+        let Some(foot) = ribbon.nearest(&at) else {
+            continue;
+        };
+        let blade = &stroke.points[foot.step];
+        let height = (at - blade.tip).dot(&blade.axis) / blade.depth_m;
+        let half = (stroke.width_m / 2.0 * height.clamp(0.0, 1.0)).min(limit);
+        let offset = foot.normal * half * side(moves.topology, node, &foot.normal);
+        let offset = match outer(moves.topology, node, &foot.normal) {
+            Freedom::Free => offset,
+            Freedom::Held(free) => free * offset,
+            Freedom::Pinned => continue,
+        };
+        moves.advance(node, at + offset);
+    }
+    let mut moved: Vec<u32> = moves.old.into_keys().collect();
+    moved.sort_unstable();
+    moved
+}
+
+/// 1 or -1: on which side of the ribbon the cells of a node are.
+fn side(topology: &Topology, node: u32, normal: &Vec3) -> f64 {
+    let cells = topology.node_cells[node as usize];
+    let around = cells.into_iter().filter(|&c| c != NO_CELL);
+    let sum: f64 = around
+        .map(|c| (topology.centre(c) - topology.rest(node)).dot(normal))
+        .sum();
+    if sum >= 0.0 { 1.0 } else { -1.0 }
+}
+
+/// What is left to a node on the lip of a wound: its own cut, which is being widened, holds it no
+/// more, but the skin does.
+fn outer(topology: &Topology, node: u32, normal: &Vec3) -> Freedom {
+    match freedom(topology, node) {
+        Freedom::Held(free) => {
+            // The cut's own normal is given back, less what of it another surface holds.
+            let held = nalgebra::Matrix3::identity() - free - normal * normal.transpose();
+            let eigen = nalgebra::SymmetricEigen::new(held);
+            let mut projector = nalgebra::Matrix3::identity();
+            for (value, direction) in eigen
+                .eigenvalues
+                .iter()
+                .zip(eigen.eigenvectors.column_iter())
+            {
+                if *value > 0.5 {
+                    projector -= direction * direction.transpose();
+                }
+            }
+            Freedom::Held(projector)
+        }
+        other => other,
+    }
+}
