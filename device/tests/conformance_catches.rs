@@ -1,0 +1,157 @@
+//! The conformance suite fails for a driver that breaks a law: otherwise passing it says nothing.
+
+#![allow(clippy::unwrap_used)]
+
+use nalgebra::Vector3;
+use palpate_device::backend::sim::{ScriptStart, SimHand};
+use palpate_device::conformance::{Options, Outcome, run};
+use palpate_device::{
+    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice,
+    Rejection, Sample, Script, Wrench, Written,
+};
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Bug {
+    None,
+    Millimetres,
+    ForgetsCaps,
+    WritesWhileOff,
+    KeepsForceOnNan,
+    SaysAppliedWhenClamped,
+    SwapsAxes,
+    TimeRunsBackwards,
+    RendersBeyondLimit,
+    AnswersAfterClose,
+}
+
+/// A simulated hand behind a driver with one bug.
+struct Buggy {
+    hand: SimHand,
+    caps: DeviceCaps,
+    bug: Bug,
+    last: Wrench,
+    reads: i64,
+    closed: bool,
+}
+
+impl HapticDevice for Buggy {
+    fn caps(&self) -> &DeviceCaps {
+        &self.caps
+    }
+    fn calibration(&self) -> Calibration {
+        self.hand.calibration()
+    }
+    fn clock(&self) -> ClockOwner {
+        self.hand.clock()
+    }
+    fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
+        self.hand.enable_forces(on)
+    }
+    fn force_state(&self) -> ForceState {
+        self.hand.force_state()
+    }
+    fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
+        self.reads += 1;
+        if self.closed && self.bug == Bug::AnswersAfterClose {
+            return Ok(Sample::resting(now, palpate_device::Pose::default()));
+        }
+        let mut sample = self.hand.read(now)?;
+        match self.bug {
+            Bug::Millimetres => sample.pose.position *= 1e3,
+            Bug::TimeRunsBackwards => sample.time = DeviceTime::from_micros(-self.reads),
+            _ => {}
+        }
+        Ok(sample)
+    }
+    fn write(&mut self, now: DeviceTime, mut wrench: Wrench) -> Written {
+        if self.bug == Bug::SwapsAxes {
+            wrench.force = Vector3::new(wrench.force.y, wrench.force.x, wrench.force.z);
+        }
+        let written = self.hand.write(now, wrench);
+        match (self.bug, written) {
+            (Bug::WritesWhileOff, Written::Rejected(Rejection::ForcesOff))
+            | (Bug::SaysAppliedWhenClamped, Written::Saturated { .. }) => return Written::Applied,
+            (Bug::KeepsForceOnNan, Written::Rejected(Rejection::NotFinite)) => return written,
+            _ => {}
+        }
+        self.last = if wrench.is_finite() {
+            wrench
+        } else {
+            Wrench::ZERO
+        };
+        written
+    }
+    fn rendered(&self) -> Wrench {
+        match self.bug {
+            Bug::KeepsForceOnNan | Bug::RendersBeyondLimit
+                if self.force_state() != ForceState::Off =>
+            {
+                self.last
+            }
+            _ => self.hand.rendered(),
+        }
+    }
+    fn close(&mut self) {
+        self.closed = true;
+        self.hand.close();
+    }
+}
+
+/// The laws that `bug` breaks.
+fn broken_by(bug: Bug) -> Vec<&'static str> {
+    let script = Script::resting_probe(Vector3::new(0.2, 0.0, 0.0), 0.004).unwrap();
+    let hand = SimHand::new(script, ScriptStart::not_yet());
+    let mut caps = hand.caps().clone();
+    if bug == Bug::ForgetsCaps {
+        caps.continuous_force_n = f64::NAN;
+    }
+    let mut device = Buggy {
+        hand,
+        caps,
+        bug,
+        last: Wrench::ZERO,
+        reads: 0,
+        closed: false,
+    };
+    let mut us = 0;
+    let mut clock = || {
+        us += 1000;
+        DeviceTime::from_micros(us)
+    };
+    let report = run(
+        &mut device,
+        &mut clock,
+        Options {
+            moves_under_force: true,
+        },
+    );
+    let is_broken = |o: &Outcome| matches!(o, Outcome::Failed(_));
+    report
+        .rows()
+        .iter()
+        .filter(|r| is_broken(&r.outcome))
+        .map(|r| r.law)
+        .collect()
+}
+
+#[test]
+fn each_bug_breaks_the_law_it_should() {
+    assert_eq!(broken_by(Bug::None), Vec::<&str>::new());
+    for (bug, word) in [
+        (Bug::Millimetres, "poses are metres"),
+        (Bug::ForgetsCaps, "caps are finite"),
+        (Bug::WritesWhileOff, "forces off is rejected"),
+        (Bug::KeepsForceOnNan, "not finite is rejected"),
+        (Bug::SaysAppliedWhenClamped, "is clamped"),
+        (Bug::SwapsAxes, "along its own axis"),
+        (Bug::TimeRunsBackwards, "does not run backwards"),
+        (Bug::RendersBeyondLimit, "is clamped"),
+        (Bug::AnswersAfterClose, "closing"),
+    ] {
+        let broken = broken_by(bug);
+        assert!(
+            broken.iter().any(|law| law.contains(word)),
+            "{bug:?} broke {broken:?}"
+        );
+    }
+}
