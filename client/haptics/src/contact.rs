@@ -26,9 +26,11 @@ pub struct ContactModel {
     pub topology_version: u32,
     /// When it was solved. A new value means a new model.
     pub solved_at: ClientTime,
-    /// Position of the tool at the solve (x0), m.
+    /// Position of the tool at the solve (x0), m: that of [`Sample::pose`](palpate_device::Sample)
+    /// which was solved, not the point of the surface.
     pub x0: Vector3<f64>,
-    /// Force on the tool there (f0), N.
+    /// Force on the tool there (f0), N, without friction. The loop uses its part along the normal;
+    /// what acts along the surface is the friction stage's.
     pub f0: Vector3<f64>,
     /// Stiffness K, N/m, symmetric positive semidefinite.
     pub stiffness: Matrix3<f64>,
@@ -40,7 +42,8 @@ pub struct ContactModel {
     pub mu_static: f64,
     /// Coefficient of dynamic friction, at most the static one.
     pub mu_dynamic: f64,
-    /// How far from x0 the linear law may be believed, m.
+    /// How far from x0 the linear law may be believed, m. Further away the force fades, so give
+    /// it at least what a hand moves between two models: 0.5 m/s times 10 ms is 5 mm.
     pub radius: f64,
     /// Whether the tool touches at all; when not, there is no force.
     pub in_contact: bool,

@@ -245,6 +245,9 @@ fn press(interval: i64, delay: i64) -> (f64, f64) {
         before = given.force;
     }
     assert_eq!(chain.counters().saturated + chain.counters().stale, 0);
+    // The hand puts in some 30 mJ on the way down. A passive chain never has it give more.
+    let min_j = chain.counters().min_energy_j;
+    assert!(min_j > -1e-4, "the hand got {min_j} J out of nothing");
     (step, error)
 }
 

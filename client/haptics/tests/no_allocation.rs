@@ -95,23 +95,23 @@ fn ten_thousand_ticks_allocate_nothing() {
         }
         let us = tick * 1000;
         // Faults too: a missed reading, a bad model, a lost and restored link.
-        let result = match tick % 2500 {
-            2400 => chain.tick_without_sample(ClientTime::from_micros(us)),
-            _ => {
-                let sample = hand.read(DeviceTime::from_micros(us)).unwrap();
-                if tick % 4 == 0 {
-                    model = tissue(us, sample.pose.position);
-                }
-                if tick % 3000 == 0 {
-                    model.f0.x = f64::NAN;
-                }
-                chain.tick(ClientTime::from_micros(us), &sample, &model)
+        let now = ClientTime::from_micros(us);
+        let result = if tick % 2500 == 2400 {
+            chain.tick_without_sample(now)
+        } else {
+            let sample = hand.read(DeviceTime::from_micros(us)).unwrap();
+            if tick % 4 == 0 {
+                model = tissue(us, sample.pose.position);
             }
+            if tick % 3000 == 0 {
+                model.f0.x = f64::NAN;
+            }
+            chain.tick(now, &sample, &model)
         };
         let _ = hand.write(DeviceTime::from_micros(us), result.wrench);
         match tick % 4000 {
-            3000 => chain.link_lost(ClientTime::from_micros(us)),
-            3300 => chain.link_restored(ClientTime::from_micros(us)),
+            3000 => chain.link_lost(now),
+            3300 => chain.link_restored(now),
             _ => {}
         }
     }
