@@ -57,6 +57,7 @@ pub fn lower_priority_of_this_thread(nice: i32) -> bool {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used)]
 mod tests {
     use super::{Priority, raise_this_thread};
 

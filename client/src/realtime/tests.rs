@@ -1,5 +1,7 @@
 //! The thread as a whole. Nothing here asserts how fast it is: a busy machine is no failure.
 
+#![allow(clippy::unwrap_used)]
+
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 

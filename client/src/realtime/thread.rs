@@ -37,7 +37,7 @@ pub struct RealtimeConfig {
     pub ring_frames: usize,
     /// Of how many ticks one is recorded in the trace; 0 records none.
     pub trace_every: u32,
-    /// Points of the trace: 30,000 are 120 s of every fourth tick, or 2.6 MB.
+    /// Points of the trace: 30,000 are 120 s of every fourth tick, or 1.9 MB.
     pub trace_points_max: usize,
     /// Whether the trace begins with the loop, or waits for
     /// [`HapticHandle::set_recording`].
