@@ -84,7 +84,10 @@ fn group<'a>(envelope: &'a Loft<'static>, turn: f64, inset_mm: f64) -> Loft<'a> 
     let middle = move |z: f64| {
         let (from, angle) = (between(z), front(z) + turn);
         let distance = 0.5 * envelope.distance(z, from, angle, |_| inset_mm);
-        [from[0] + distance * angle.cos(), from[1] + distance * angle.sin()]
+        [
+            from[0] + distance * angle.cos(),
+            from[1] + distance * angle.sin(),
+        ]
     };
     Loft {
         z: [10.0, LENGTH_MM - 10.0],
@@ -96,10 +99,11 @@ fn group<'a>(envelope: &'a Loft<'static>, turn: f64, inset_mm: f64) -> Loft<'a> 
             let normal = front(z) + turn + PI;
             let membrane = between(z);
             let on = [membrane[0] - normal.cos(), membrane[1] - normal.sin()];
-            rounded_min([
-                envelope.distance(z, from, theta, |_| inset_mm),
-                distance_to_line(from, theta, on, normal),
-            ])
+            // In front, muscle lies on the lateral side of the tibia only.
+            let medial = (turn == 0.0).then(|| distance_to_line(from, theta, tibia_centre(z), PI));
+            let membrane = distance_to_line(from, theta, on, normal);
+            let skin = envelope.distance(z, from, theta, |_| inset_mm);
+            rounded_min([skin, membrane].into_iter().chain(medial))
         }),
     }
 }

@@ -268,3 +268,61 @@ pub(super) fn smooth_step(from: f64, to: f64, x: f64) -> f64 {
 pub(super) fn bell(x: f64, middle: f64, width: f64) -> f64 {
     (-((x - middle) / width).powi(2)).exp()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// ∫ ∫ r²/2 dθ dz in mm³.
+    fn integral(loft: &Loft) -> f64 {
+        let (nz, n) = (2_000, 720);
+        let [z0, z1] = loft.z;
+        let sum: f64 = (0..nz)
+            .flat_map(|k| (0..n).map(move |j| (k, j)))
+            .map(|(k, j)| {
+                let z = z0 + (z1 - z0) * (f64::from(k) + 0.5) / f64::from(nz);
+                loft.radius_at(z, TAU * f64::from(j) / f64::from(n)).powi(2)
+            })
+            .sum();
+        0.5 * sum * (z1 - z0) / f64::from(nz) * TAU / f64::from(n)
+    }
+
+    fn oval(ends: [End; 2]) -> Loft<'static> {
+        Loft {
+            z: [-20.0, 50.0],
+            ends,
+            centre: Box::new(|z| [0.1 * z, 3.0 * (z / 20.0).sin()]),
+            radius: Box::new(|z, theta| 20.0 + 0.1 * z + 2.0 * (3.0 * theta).cos()),
+        }
+    }
+
+    #[test]
+    fn a_loft_encloses_the_integral_of_its_sections() {
+        for ends in [
+            [End::Flat; 2],
+            [End::Fillet(6.0), End::Dome(15.0)],
+            [End::Dome(12.0); 2],
+        ] {
+            let loft = oval(ends);
+            let mut surface = loft.surface(1.0);
+            let report = surface.check().unwrap();
+            assert_eq!(report.warnings, Vec::<String>::new(), "{ends:?}");
+            let error = report.volume_m3 * 1e9 / integral(&loft) - 1.0;
+            assert!(error.abs() < 4e-3, "{ends:?}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_finer_loft_is_nearer_to_the_integral() {
+        let loft = oval([End::Fillet(6.0); 2]);
+        let error = |step| (loft.surface(step).volume() * 1e9 / integral(&loft) - 1.0).abs();
+        assert!(error(1.5) < error(6.0));
+    }
+
+    #[test]
+    fn a_rounded_minimum_stays_below_every_length() {
+        let lengths = [3.0, 5.0, f64::INFINITY, 4.0];
+        let m = rounded_min(lengths);
+        assert!(m < 3.0 && m > 2.5, "{m}");
+    }
+}

@@ -39,9 +39,10 @@ use crate::{Material, MaterialOverride, Region};
 /// The one format this version reads and writes.
 pub const SCENE_FORMAT: &str = "palpate-scene/1";
 
-/// Most regions in one scene. Reason: a cell names its region by a 16-bit index, and each region
-/// costs one ray pass over its surface. At the bound the scene is refused.
-pub const REGIONS_MAX: usize = 256;
+/// Most regions in one scene. Reason: the builder resolves overlaps along a ray in the bits of
+/// one 64-bit word, and each region costs one ray pass over its surface. At the bound the scene
+/// is refused.
+pub const REGIONS_MAX: usize = 64;
 
 /// Largest scene file in bytes. Reason: a scene of [`REGIONS_MAX`] regions is some 50 kB; a
 /// larger file is something else under the wrong name. At the bound it is refused unread.

@@ -1,0 +1,331 @@
+//! Scenes: what is read, what is refused, at which line and in which words.
+
+#![allow(clippy::unwrap_used)]
+
+use std::path::Path;
+
+use palpate_tissue::sample::Sample;
+use palpate_tissue::scene::REGIONS_MAX;
+use palpate_tissue::{
+    MATERIAL_NAMES, Material, MaterialOverride, Scene, SceneError, SceneInput, Unit,
+};
+use proptest::prelude::*;
+
+const THIGH: &str = r#"format = "palpate-scene/1"
+spacing_mm = 4.0
+pinned = ["femur"]
+
+[[region]]
+name = "subcutaneous"
+surface = "thigh_skin.stl"
+material = "fat"
+
+[[region]]
+name = "muscle"
+surface = "sub/thigh_muscle.stl"
+material = "muscle"
+
+[[region]]
+name = "femur"
+surface = "thigh_femur.stl"
+material = "bone"
+unit = "m"
+
+[material.fat]
+young_kpa = 10.0
+density_kg_m3 = 950.0
+friction_static = 0.4
+friction_dynamic = 0.3
+"#;
+
+fn parse(text: &str) -> Result<Scene, SceneError> {
+    Scene::parse(text, Path::new("base"))
+}
+
+#[test]
+fn a_scene_says_what_its_text_says() {
+    let scene = parse(THIGH).unwrap();
+    assert!((scene.spacing_m - 4e-3).abs() < 1e-15);
+    assert_eq!(scene.pinned, ["femur"]);
+    let names: Vec<&str> = scene.regions.iter().map(|r| r.name.as_str()).collect();
+    assert_eq!(names, ["subcutaneous", "muscle", "femur"], "in scene order");
+    assert_eq!(
+        scene.surface_path(1),
+        Path::new("base/sub/thigh_muscle.stl")
+    );
+    assert_eq!(
+        (scene.regions[0].unit, scene.regions[2].unit),
+        (Unit::Millimetre, Unit::Metre)
+    );
+    let regions = scene.model_regions().unwrap();
+    assert_eq!(
+        regions.iter().map(|r| r.pinned).collect::<Vec<_>>(),
+        [false, false, true]
+    );
+    let fat = &regions[0].material;
+    assert_eq!((fat.young_pa, fat.density_kg_m3), (10_000.0, 950.0));
+    assert_eq!((fat.friction_static, fat.friction_dynamic), (0.4, 0.3));
+    assert_eq!(
+        Some(&regions[1].material),
+        Material::built_in("muscle").as_ref()
+    );
+}
+
+#[test]
+fn a_written_scene_reads_back_as_itself() {
+    let scene = parse(THIGH).unwrap();
+    let text = scene.to_toml();
+    let again = parse(&text).unwrap();
+    assert_eq!(again.to_toml(), text);
+    assert_eq!(again.regions, scene.regions);
+    assert_eq!(
+        again.model_regions().unwrap(),
+        scene.model_regions().unwrap()
+    );
+    for sample in Sample::ALL {
+        let scene = sample.generate().scene;
+        assert_eq!(
+            Scene::parse(&scene.to_toml(), Path::new(""))
+                .unwrap()
+                .regions,
+            scene.regions
+        );
+    }
+}
+
+#[test]
+fn every_mistake_is_named_with_its_line_and_what_to_do() {
+    let cases: [(&str, &str, &[&str]); 26] = [
+        (
+            "spacing_mm",
+            "spacing",
+            &["line 2", "\"spacing\"", "\"spacing_mm\""],
+        ),
+        (
+            "pinned =",
+            "pined =",
+            &["line 3", "did you mean \"pinned\""],
+        ),
+        (
+            "surface = \"thigh_skin",
+            "surfaces = \"thigh_skin",
+            &["line 7", "did you mean \"surface\""],
+        ),
+        (
+            "friction_dynamic",
+            "friction_dynamics",
+            &["line 25", "[material.fat]", "\"friction_dynamic\""],
+        ),
+        (
+            "unit = \"m\"",
+            "colour = \"m\"",
+            &["line 19", "known are name, surface, material, unit"],
+        ),
+        (
+            "material = \"muscle\"",
+            "material = \"musle\"",
+            &["line 13", "\"muscle\"", "cartilage, foam"],
+        ),
+        (
+            "material = \"bone\"",
+            "material = \"xyzzyx\"",
+            &["line 18", "[material.xyzzyx]"],
+        ),
+        (
+            "[\"femur\"]",
+            "[\"fermur\"]",
+            &["line 3", "did you mean \"femur\""],
+        ),
+        (
+            "[\"femur\"]",
+            "[\"hip\"]",
+            &["line 3", "regions are subcutaneous, muscle, femur"],
+        ),
+        (
+            "[\"femur\"]",
+            "\"femur\"",
+            &["line 3", "a list of region names, not string"],
+        ),
+        (
+            "name = \"muscle\"",
+            "name = \"femur\"",
+            &["second region is named \"femur\""],
+        ),
+        ("4.0", "0", &["line 2", "above 0"]),
+        ("4.0", "-1.5", &["line 2", "above 0"]),
+        ("4.0", "nan", &["line 2", "above 0"]),
+        ("4.0", "inf", &["line 2", "above 0"]),
+        ("4.0", "\"4\"", &["line 2", "a number, not string"]),
+        ("spacing_mm = 4.0\n", "", &["\"spacing_mm\" is missing"]),
+        (
+            "palpate-scene/1",
+            "palpate-scene/2",
+            &["line 1", "this version reads \"palpate-scene/1\""],
+        ),
+        (
+            "format = \"palpate-scene/1\"",
+            "",
+            &["\"format\" is missing"],
+        ),
+        (
+            "pinned = [\"femur\"]",
+            "labels = \"a.nii.gz\"",
+            &["line 3", "label volumes", "not supported"],
+        ),
+        (
+            "surface = \"thigh_femur.stl\"",
+            "label = 3",
+            &["line 17", "label volumes", "not supported"],
+        ),
+        ("name = \"femur\"\n", "", &["line 15", "no \"name\""]),
+        (
+            "unit = \"m\"",
+            "unit = \"inch\"",
+            &["line 19", "\"mm\" or \"m\""],
+        ),
+        (
+            "young_kpa = 10.0",
+            "young_kpa = -1",
+            &["line 21", "young_kpa = -1", "between"],
+        ),
+        (
+            "friction_static = 0.4",
+            "friction_static = 0.2",
+            &["friction_dynamic = 0.3", "friction_static = 0.2"],
+        ),
+        (
+            "[material.fat]",
+            "[material.gel",
+            &["line 21", "not valid TOML"],
+        ),
+    ];
+    for (from, to, words) in cases {
+        let text = THIGH.replacen(from, to, 1);
+        assert_ne!(text, THIGH, "{from}");
+        let message = parse(&text).unwrap_err().to_string();
+        for word in words {
+            assert!(
+                message.contains(word),
+                "{from} -> {to}: {message} (no {word})"
+            );
+        }
+    }
+    let message = parse("format = \"palpate-scene/1\"\nspacing_mm = 4\n")
+        .unwrap_err()
+        .to_string();
+    assert!(message.contains("no region"), "{message}");
+}
+
+#[test]
+fn a_new_material_must_be_complete_and_a_known_one_may_change_in_part() {
+    let gel = THIGH.replace("\"muscle\"\n\n", "\"gel\"\n\n") + "[material.gel]\nyoung_kpa = 3\n";
+    let message = parse(&gel).unwrap_err().to_string();
+    assert!(
+        message.contains("density_kg_m3") && message.contains("gel"),
+        "{message}"
+    );
+    let scene = parse(&(gel + "density_kg_m3 = 1000\n")).unwrap();
+    let material = scene.material(1).unwrap();
+    assert_eq!(
+        (material.young_pa, material.density_kg_m3),
+        (3_000.0, 1_000.0)
+    );
+    let slip = scene
+        .to_toml()
+        .replace("material = \"gel\"", "material = \"gell\"");
+    let message = parse(&slip).unwrap_err().to_string();
+    assert!(
+        message.contains("did you mean \"gel\" of this scene"),
+        "{message}"
+    );
+    let softer = MaterialOverride {
+        young_pa: Some(1e3),
+        ..MaterialOverride::default()
+    };
+    let skin = Material::resolve("skin", Some(&softer)).unwrap();
+    assert_eq!(
+        skin.density_kg_m3,
+        Material::built_in("skin").unwrap().density_kg_m3
+    );
+    assert!(skin.source.starts_with("changed by the scene"));
+}
+
+#[test]
+fn the_library_knows_what_it_lists() {
+    for name in MATERIAL_NAMES {
+        let material = Material::built_in(name).unwrap();
+        assert_eq!(material.name, name);
+        assert!(material.friction_dynamic <= material.friction_static);
+    }
+    assert!(Material::built_in("unobtainium").is_none());
+}
+
+#[test]
+fn too_many_regions_are_refused() {
+    let mut text = "format = \"palpate-scene/1\"\nspacing_mm = 4\n".to_owned();
+    for i in 0..=REGIONS_MAX {
+        text += &format!("[[region]]\nname = \"r{i}\"\nsurface = \"r.stl\"\nmaterial = \"fat\"\n");
+    }
+    let message = parse(&text).unwrap_err().to_string();
+    let words = format!("{} regions, the limit is {REGIONS_MAX}", REGIONS_MAX + 1);
+    assert!(message.contains(&words), "{message}");
+}
+
+#[test]
+fn files_that_are_no_scene_are_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let missing = Scene::load(&dir.path().join("gone.toml"))
+        .unwrap_err()
+        .to_string();
+    assert!(missing.contains("gone.toml"), "{missing}");
+    let path = dir.path().join("model.toml");
+    std::fs::write(&path, [0xff, 0xfe, 0x00]).unwrap();
+    assert!(
+        Scene::load(&path)
+            .unwrap_err()
+            .to_string()
+            .contains("not a text")
+    );
+    std::fs::write(&path, vec![b' '; 2 << 20]).unwrap();
+    assert!(
+        Scene::load(&path)
+            .unwrap_err()
+            .to_string()
+            .contains("2097152 bytes")
+    );
+}
+
+#[test]
+fn a_surface_that_fails_names_its_region_and_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = Sample::Handle.generate().write(dir.path(), false).unwrap();
+    let core = dir.path().join("handle_core.stl");
+    std::fs::remove_file(&core).unwrap();
+    let message = SceneInput::load(&path).unwrap_err().to_string();
+    assert!(
+        message.contains("region \"core\"") && message.contains("handle_core.stl"),
+        "{message}"
+    );
+    let (_, mut open) = Sample::Handle.generate().surfaces.remove(1);
+    open.triangles.pop();
+    open.write_stl(&core).unwrap();
+    let message = SceneInput::load(&path).unwrap_err().to_string();
+    for words in ["region \"core\"", "handle_core.stl", "3 boundary edges"] {
+        assert!(message.contains(words), "{message}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(128) })]
+
+    /// A damaged scene is read or refused, never a panic.
+    #[test]
+    fn a_damaged_scene_never_panics(at in 0..THIGH.len(), length in 0_usize..20, with in "[\\PC\n\"\\[\\]=.]{0,8}") {
+        let end = (at + length).min(THIGH.len());
+        let text = format!("{}{with}{}", &THIGH[..at], &THIGH[end..]);
+        if let Ok(scene) = parse(&text) {
+            scene.model_regions().unwrap();
+            parse(&scene.to_toml()).unwrap();
+        }
+    }
+}
