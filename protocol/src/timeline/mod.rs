@@ -1,0 +1,266 @@
+//! One tool over time, as others see it at the moment τ = now - D.
+//!
+//! ```text
+//! a sample at τ        -> use it
+//! both neighbours      -> INTERPOLATE
+//! only past, gap <= G  -> EXTRAPOLATE                       G = 50 ms
+//! else                 -> HOLD, fade, flag stale
+//! a late packet        -> insert it; blend the correction linearly over 30-100 ms;
+//!                         no correction moves what is shown by more than 1 mm at once
+//! ```
+//!
+//! Positions by the formulas of [`crate::verlet`]; rotations by slerp between samples and by the
+//! rotation vector of the last window beyond them.
+
+mod curve;
+
+use nalgebra::{Quaternion, UnitQuaternion};
+
+use crate::verlet::{Vec3, map2};
+use crate::{Pose, ServerTime, Span, ToolSample};
+use curve::Curve;
+
+/// The gap limit G unless another is given.
+pub const GAP_LIMIT: Span = Span::from_millis(50);
+
+/// What is held fades from full to nothing within this time.
+pub const FADE: Span = Span::from_millis(200);
+
+/// A correction is blended over this time when it is small ...
+pub const BLEND_MIN: Span = Span::from_millis(30);
+
+/// ... and over this time when it is 10 mm or more.
+pub const BLEND_MAX: Span = Span::from_millis(100);
+
+/// The most that a correction moves what is shown from one question to the next, metres.
+pub const CORRECTION_STEP_MAX_M: f64 = 1e-3;
+
+/// Samples kept per tool: two seconds at 1 kHz, more than the longest delay. The oldest go first.
+pub const SAMPLES_MAX: usize = 2048;
+
+/// How missing samples are made up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Method {
+    /// Verlet steps with a windowed second difference.
+    #[default]
+    Verlet,
+    /// Between samples the cubic with their velocities; beyond them straight on. Better than
+    /// Verlet from gaps of about 33 ms up.
+    Hermite,
+    /// Straight lines.
+    Linear,
+    /// The last sample stays.
+    Hold,
+}
+
+/// Where what is shown comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Source {
+    /// A sample of this very moment.
+    Exact,
+    /// Between two samples.
+    Interpolated,
+    /// Beyond the newest sample, by at most the gap limit.
+    Extrapolated,
+    /// Farther beyond it: the tool stands still.
+    Held,
+}
+
+/// A tool at a moment.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shown {
+    /// Where it is.
+    pub pose: Pose,
+    /// How fast it moves, m/s.
+    pub velocity_m_s: [f64; 3],
+    /// Its buttons.
+    pub buttons: u8,
+    /// How this is known.
+    pub source: Source,
+    /// Whether nothing has come for longer than the gap limit: the tool must not press any more.
+    pub stale: bool,
+    /// How strongly to draw it: 1, and while it is held down to 0 within [`FADE`].
+    pub opacity: f64,
+}
+
+/// A difference between what was shown and what is now known, on its way to nothing.
+#[derive(Debug, Clone, Copy)]
+struct Correction {
+    began: ServerTime,
+    lasts: Span,
+    position_m: Vec3,
+    rotation: UnitQuaternion<f64>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct LastShown {
+    at: ServerTime,
+    shown: Shown,
+    /// What the samples of that time said, without corrections.
+    raw: Pose,
+    /// The correction that was in it.
+    offset_m: Vec3,
+}
+
+/// One tool over time. [`insert`](Self::insert) samples as they come, late and doubled ones too;
+/// ask [`at`](Self::at) for any moment. Corrections are blended along the moments asked for, so one
+/// timeline serves one view, which asks with ascending times.
+#[derive(Debug, Clone)]
+pub struct Timeline {
+    curve: Curve,
+    gap_limit: Span,
+    changed: bool,
+    correction: Option<Correction>,
+    last: Option<LastShown>,
+}
+
+impl Default for Timeline {
+    fn default() -> Self {
+        Self::new(Method::default(), GAP_LIMIT)
+    }
+}
+
+impl Timeline {
+    /// An empty timeline that goes at most `gap_limit` beyond the newest sample.
+    pub fn new(method: Method, gap_limit: Span) -> Self {
+        Self {
+            curve: Curve::new(method),
+            gap_limit: gap_limit.abs(),
+            changed: false,
+            correction: None,
+            last: None,
+        }
+    }
+
+    /// Adds a sample in its place. One for a moment that is known already is ignored.
+    pub fn insert(&mut self, sample: ToolSample) {
+        self.changed |= self.curve.insert(sample);
+    }
+
+    /// The moment of the newest sample.
+    pub fn newest(&self) -> Option<ServerTime> {
+        self.curve.newest().map(|s| s.time)
+    }
+
+    /// The tool at a moment; `None` before the first sample.
+    pub fn at(&mut self, t: ServerTime) -> Option<Shown> {
+        if std::mem::take(&mut self.changed) {
+            self.note_correction(t);
+        }
+        let raw = self.raw(t)?;
+        let mut shown = raw;
+        let mut offset_m = [0.0; 3];
+        if let Some(correction) = self.correction {
+            let elapsed = (t - correction.began).as_secs_f64() / correction.lasts.as_secs_f64();
+            let weight = (1.0 - elapsed).clamp(0.0, 1.0);
+            let wanted = correction.position_m.map(|c| c * weight);
+            offset_m = self.limited(wanted);
+            shown.pose.position_m = map2(raw.pose.position_m, offset_m, |x, o| x + o);
+            let turn = UnitQuaternion::identity().slerp(&correction.rotation, weight);
+            shown.pose.orientation = from_unit(turn * unit(raw.pose.orientation));
+            if weight == 0.0 && offset_m == [0.0; 3] {
+                self.correction = None;
+            }
+        }
+        self.last = Some(LastShown {
+            at: t,
+            shown,
+            raw: raw.pose,
+            offset_m,
+        });
+        Some(shown)
+    }
+
+    /// What the samples say, without corrections.
+    fn raw(&self, t: ServerTime) -> Option<Shown> {
+        let newest = self.curve.newest()?;
+        let beyond = t - newest.time;
+        let held = beyond > self.gap_limit;
+        let asked = if held {
+            newest.time + self.gap_limit
+        } else {
+            t
+        };
+        let (pose, velocity_m_s, sample, source) = self.curve.at(asked)?;
+        let faded = (beyond - self.gap_limit).as_secs_f64() / FADE.as_secs_f64();
+        Some(Shown {
+            pose,
+            velocity_m_s: if held { [0.0; 3] } else { velocity_m_s },
+            buttons: sample.buttons,
+            source: if held { Source::Held } else { source },
+            stale: held,
+            opacity: if held {
+                (1.0 - faded).clamp(0.0, 1.0)
+            } else {
+                1.0
+            },
+        })
+    }
+
+    /// New samples may tell another story about the moment last shown: then the difference is
+    /// blended away from there on.
+    fn note_correction(&mut self, t: ServerTime) {
+        const MOVED_M: f64 = 1e-6;
+        let Some(last) = self.last else { return };
+        let Some(now_known) = self.raw(last.at) else {
+            return;
+        };
+        let moved = distance(now_known.pose.position_m, last.raw.position_m);
+        let turned = unit(now_known.pose.orientation).angle_to(&unit(last.raw.orientation));
+        if moved < MOVED_M && turned < 1e-4 {
+            return;
+        }
+        if last.shown.opacity == 0.0 || t < last.at {
+            // Nobody saw where it was: it appears where it is.
+            self.correction = None;
+            return;
+        }
+        let shown = last.shown.pose;
+        let position_m = map2(shown.position_m, now_known.pose.position_m, |s, k| s - k);
+        let rotation = unit(shown.orientation) * unit(now_known.pose.orientation).inverse();
+        let share = (distance(position_m, [0.0; 3]) / 0.010).min(1.0);
+        let extra = (BLEND_MAX - BLEND_MIN).as_secs_f64() * share;
+        let lasts = BLEND_MIN + Span::from_secs_f64(extra);
+        self.correction = Some(Correction {
+            began: last.at,
+            lasts,
+            position_m,
+            rotation,
+        });
+        if let Some(last) = &mut self.last {
+            last.offset_m = position_m;
+        }
+    }
+
+    /// The wanted offset, or as near to it as one step goes.
+    fn limited(&self, wanted: Vec3) -> Vec3 {
+        let Some(last) = self.last else { return wanted };
+        let step = distance(wanted, last.offset_m);
+        if step <= CORRECTION_STEP_MAX_M {
+            return wanted;
+        }
+        map2(last.offset_m, wanted, |from, to| {
+            from + (to - from) * CORRECTION_STEP_MAX_M / step
+        })
+    }
+}
+
+fn distance(a: Vec3, b: Vec3) -> f64 {
+    a.iter()
+        .zip(b)
+        .map(|(a, b)| (a - b).powi(2))
+        .sum::<f64>()
+        .sqrt()
+}
+
+/// A rotation from its components; what is none becomes no rotation.
+fn unit([x, y, z, w]: [f64; 4]) -> UnitQuaternion<f64> {
+    UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6).unwrap_or_default()
+}
+
+fn from_unit(q: UnitQuaternion<f64>) -> [f64; 4] {
+    [q.i, q.j, q.k, q.w]
+}
+
+#[cfg(test)]
+mod tests;
