@@ -41,6 +41,7 @@ use std::collections::{BTreeSet, HashMap};
 
 pub use follow::Moved;
 pub(crate) use index::CutIndex;
+pub(crate) use part::derive_around;
 pub use stroke::{
     BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, BladePoint, CutStroke, STROKE_LENGTH_MAX_M,
     WOUND_WIDTH_MAX_M,
@@ -190,7 +191,7 @@ pub fn cut(topology: &mut Topology, stroke: &CutStroke) -> Result<CutOutcome, Cu
     part::open(topology, &sheet, &doubled);
     changed.extend(width::widen(topology, stroke, &ribbon, &doubled));
     changed.extend(doubled.iter().flat_map(|d| [d.0, d.1]));
-    let touched = part::derive_around(topology, &changed);
+    let touched = derive_around(topology, &changed);
     topology.version += 1;
 
     let mut around: Vec<u32> = nodes.iter().map(|n| n.node).collect();

@@ -94,7 +94,7 @@ pub(crate) fn derive_around(topology: &mut Topology, changed: &BTreeSet<u32>) ->
 
 impl Topology {
     /// The two triangles of a face: along its first diagonal (from its first corner), or its second.
-    fn split(&self, face: FaceId, along_first: bool) -> [[u32; 3]; 2] {
+    pub(crate) fn split(&self, face: FaceId, along_first: bool) -> [[u32; 3]; 2] {
         let [a, b, c, d] = nodes_of(self, face);
         if along_first {
             [[a, b, c], [a, c, d]]

@@ -97,12 +97,15 @@ pub(crate) fn erode(topology: &Topology, faces: Vec<FaceId>) -> Vec<FaceId> {
             .copied()
             .filter(|&face| erosion.separated(face) == 0)
             .collect();
+        // Those whose chords were not looked for yet stay suspects.
+        let mut around = BTreeSet::new();
         if leaving.is_empty() {
             for &face in &suspects {
                 leaving.extend(erosion.victims(face));
             }
+        } else {
+            around.extend(suspects);
         }
-        let mut around = BTreeSet::new();
         for &face in &leaving {
             sheet.remove(&face);
             erosion.opening.close(face);

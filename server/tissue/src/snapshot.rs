@@ -1,0 +1,329 @@
+//! A snapshot: all that cuts and presses changed in a model, as bytes.
+//!
+//! It stands on the model it was taken of, and holds only what differs. The content, inside the same
+//! envelope as a model file:
+//!
+//! ```text
+//! model      its hash, node and cell counts
+//! counts     version, nodes, rewired cells, opened faces (u32 each)
+//! cells      number (as steps), eight columns of corners, cut bits of each rewired cell
+//! opened     the faces laid open, in order
+//! diagonals  one byte per face of the surface: which diagonal splits it
+//! rest       three columns of f64 bits, XOR those of the model's node it was or was doubled from
+//! shape      three columns of f64 bits of the displacements
+//! ```
+//!
+//! Springs, masses, volumes and triangles are derived again; they are functions of these.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use crate::cut::derive_around;
+use crate::file::{Content, EnvelopeError, Reader, Short, open, seal};
+use crate::{FACES, FaceId, Model, NO_CELL, NODES_MAX, Shape, Topology, Vec3};
+
+const MAGIC: [u8; 8] = *b"palpsnap";
+/// Version of the snapshot format that this program writes and reads.
+pub const SNAPSHOT_FORMAT: u32 = 1;
+/// Farthest a rest position or displacement may be, in m; beyond it is damage.
+const POSITION_MAX_M: f64 = 1e5;
+
+/// Why a snapshot can not be restored.
+#[derive(Debug, thiserror::Error)]
+pub enum SnapshotError {
+    /// Not a snapshot, of another version, or damaged.
+    #[error("this is no sound snapshot: {0}")]
+    Envelope(#[from] EnvelopeError),
+    /// Of another model.
+    #[error(
+        "the snapshot was taken of model {found:016x}, and this is model {expected:016x}; restore it \
+         with the model file it belongs to"
+    )]
+    OtherModel {
+        /// Hash of the model it was taken of.
+        found: u64,
+        /// Hash of the model at hand.
+        expected: u64,
+    },
+    /// The content contradicts itself or the model.
+    #[error("the snapshot contradicts itself: it {0}; take another")]
+    Inconsistent(&'static str),
+}
+
+impl From<Short> for SnapshotError {
+    fn from(_: Short) -> Self {
+        Self::Inconsistent("ends before all that it declares")
+    }
+}
+
+/// Identifies a model: equal hashes mean the same nodes, cells and materials, bit by bit. Names and
+/// sources of materials do not count.
+pub fn model_hash(model: &Model) -> u64 {
+    let mut hasher = xxhash_rust::xxh3::Xxh3::new();
+    hasher.update(&model.spacing_m.to_bits().to_le_bytes());
+    for region in &model.regions {
+        let m = &region.material;
+        hasher.update(&[u8::from(region.pinned)]);
+        for v in [
+            m.young_pa,
+            m.density_kg_m3,
+            m.friction_static,
+            m.friction_dynamic,
+        ] {
+            hasher.update(&v.to_bits().to_le_bytes());
+        }
+    }
+    for (p, l) in model.nodes.iter().zip(&model.lattice) {
+        for (v, i) in p.iter().zip(l) {
+            hasher.update(&v.to_bits().to_le_bytes());
+            hasher.update(&i.to_le_bytes());
+        }
+    }
+    for cell in &model.cells {
+        for n in cell.corners.iter().chain(&cell.neighbours) {
+            hasher.update(&n.to_le_bytes());
+        }
+        hasher.update(&cell.region.0.to_le_bytes());
+    }
+    hasher.digest()
+}
+
+/// The state of a topology and a shape of it.
+pub fn snapshot(topology: &Topology, shape: &Shape) -> Vec<u8> {
+    let model = &topology.model;
+    let rewired: Vec<u32> = (0..topology.cell_count() as u32)
+        .filter(|&c| {
+            let cell = c as usize;
+            topology.cut[cell] != 0 || topology.corners[cell] != model.cells[cell].corners
+        })
+        .collect();
+    let boundary = &topology.boundary;
+    let opened = topology.cut_index.opened.len();
+    let mut out = Content::default();
+    out.u64(model_hash(model));
+    for count in [model.nodes.len(), model.cells.len()] {
+        out.u32(count as u32);
+    }
+    for count in [
+        topology.version as usize,
+        topology.node_count(),
+        rewired.len(),
+        opened,
+    ] {
+        out.u32(count as u32);
+    }
+    out.steps32(rewired.iter().copied());
+    for corner in 0..8 {
+        out.steps32(
+            rewired
+                .iter()
+                .map(|&c| topology.corners[c as usize][corner]),
+        );
+    }
+    for &cell in &rewired {
+        out.u8(topology.cut[cell as usize]);
+    }
+    let built = boundary.faces.len() - opened;
+    out.steps32(boundary.faces[built..].iter().map(|f| f.0));
+    for pair in boundary.triangles.chunks(2) {
+        out.u8(u8::from(pair[0][0] == pair[1][0]));
+    }
+    let originals: Vec<Vec3> = (0..topology.node_count() as u32)
+        .map(|n| topology.original(n))
+        .collect();
+    for axis in 0..3 {
+        let columns = topology.rest.iter().zip(&originals);
+        out.plane64(columns.map(|(p, o)| p[axis].to_bits() ^ o[axis].to_bits()));
+    }
+    for axis in 0..3 {
+        out.plane64(shape.displacement.iter().map(|d| d[axis].to_bits()));
+    }
+    seal(MAGIC, SNAPSHOT_FORMAT, &out.0)
+}
+
+/// Restores a snapshot onto the model it was taken of: topology and shape have the hashes they had.
+pub fn restore(model: Arc<Model>, bytes: &[u8]) -> Result<(Topology, Shape), SnapshotError> {
+    let content = open(MAGIC, SNAPSHOT_FORMAT, bytes)?;
+    let mut reader = Reader(&content);
+    let (found, expected) = (reader.u64()?, model_hash(&model));
+    if found != expected {
+        return Err(SnapshotError::OtherModel { found, expected });
+    }
+    let built = model.nodes.len();
+    if reader.u32()? as usize != built || reader.u32()? as usize != model.cells.len() {
+        return Err(SnapshotError::Inconsistent("counts other nodes or cells"));
+    }
+    let version = reader.u32()?;
+    let nodes = reader.u32()? as usize;
+    let rewired = reader.u32()? as usize;
+    let opened = reader.u32()? as usize;
+    if nodes < built || nodes > 2 * NODES_MAX || rewired > model.cells.len() {
+        return Err(SnapshotError::Inconsistent("declares impossible counts"));
+    }
+    let mut topology = Topology::new(model);
+    let mut changed = rewire(&mut topology, &mut reader, nodes, rewired)?;
+    changed.extend(built as u32..nodes as u32);
+    let faces = reader.steps32(opened)?;
+    let diagonals = reader.bytes(topology.boundary.faces.len() + opened)?;
+    read_rest(&mut topology, &mut reader, &mut changed)?;
+    let displacement = read_points(&mut reader, nodes, |_| Vec3::zeros())?;
+    if !reader.0.is_empty() {
+        return Err(SnapshotError::Inconsistent("is followed by more"));
+    }
+    reopen(&mut topology, &faces, diagonals)?;
+    derive_around(&mut topology, &changed);
+    topology.version = version;
+    Ok((topology, Shape { displacement }))
+}
+
+/// Puts corners and cut bits in place, checks that they make sense, and makes room for the nodes.
+/// Gives the nodes around.
+fn rewire(
+    topology: &mut Topology,
+    reader: &mut Reader<'_>,
+    nodes: usize,
+    rewired: usize,
+) -> Result<BTreeSet<u32>, SnapshotError> {
+    let cells = reader.steps32(rewired)?;
+    let mut corners = Vec::with_capacity(8);
+    for _ in 0..8 {
+        corners.push(reader.steps32(rewired)?);
+    }
+    let bits = reader.bytes(rewired)?;
+    let mut changed = BTreeSet::new();
+    for (i, &cell) in cells.iter().enumerate() {
+        if cell as usize >= topology.cell_count() {
+            return Err(SnapshotError::Inconsistent(
+                "rewires a cell that is not there",
+            ));
+        }
+        for (c, column) in corners.iter().enumerate() {
+            if column[i] as usize >= nodes {
+                return Err(SnapshotError::Inconsistent(
+                    "wires a cell to a node that is not there",
+                ));
+            }
+            changed.insert(topology.corners[cell as usize][c]);
+            changed.insert(column[i]);
+            topology.corners[cell as usize][c] = column[i];
+        }
+        topology.cut[cell as usize] = bits[i];
+    }
+    topology.rest.resize(nodes, Vec3::zeros());
+    topology.mass.resize(nodes, 0.0);
+    topology.pinned.resize(nodes, false);
+    topology.node_cells = vec![[NO_CELL; 8]; nodes];
+    for (cell, corners) in topology.corners.iter().enumerate() {
+        for (slot, &node) in corners.iter().enumerate() {
+            let place = &mut topology.node_cells[node as usize][slot];
+            if *place != NO_CELL {
+                return Err(SnapshotError::Inconsistent("puts two cells in one place"));
+            }
+            *place = cell as u32;
+        }
+    }
+    if topology.node_cells.contains(&[NO_CELL; 8]) {
+        return Err(SnapshotError::Inconsistent("has a node without a cell"));
+    }
+    for &cell in &cells {
+        check_faces(topology, cell)?;
+    }
+    Ok(changed)
+}
+
+/// Faces are cut from both sides or none, and cells that are not parted share their nodes.
+fn check_faces(topology: &Topology, cell: u32) -> Result<(), SnapshotError> {
+    if topology.cut[cell as usize] >> 6 != 0 {
+        return Err(SnapshotError::Inconsistent("cuts a face that is not there"));
+    }
+    for (face, corners) in FACES.iter().enumerate() {
+        let id = FaceId::new(cell, face);
+        let cut = topology.cut[cell as usize] >> face & 1;
+        if topology.model.cells[cell as usize].neighbours[face] == NO_CELL {
+            if cut == 1 {
+                return Err(SnapshotError::Inconsistent("cuts a face on the outside"));
+            }
+            continue;
+        }
+        let behind = topology.behind(id);
+        if topology.cut[behind.cell() as usize] >> behind.face() & 1 != cut {
+            return Err(SnapshotError::Inconsistent(
+                "cuts a face from one side only",
+            ));
+        }
+        let across = 1 << (face / 2);
+        let [near, far] = [cell, behind.cell()].map(|c| topology.corners(c));
+        if cut == 0 && corners.iter().any(|&c| near[c] != far[c ^ across]) {
+            return Err(SnapshotError::Inconsistent(
+                "parts cells that are not cut apart",
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn read_rest(
+    topology: &mut Topology,
+    reader: &mut Reader<'_>,
+    changed: &mut BTreeSet<u32>,
+) -> Result<(), SnapshotError> {
+    let rest = read_points(reader, topology.node_count(), |n| topology.original(n))?;
+    for (node, p) in rest.iter().enumerate() {
+        if *p != topology.rest[node] {
+            changed.insert(node as u32);
+        }
+    }
+    topology.rest = rest;
+    Ok(())
+}
+
+fn read_points(
+    reader: &mut Reader<'_>,
+    count: usize,
+    from: impl Fn(u32) -> Vec3,
+) -> Result<Vec<Vec3>, SnapshotError> {
+    let columns = [
+        reader.plane64(count)?,
+        reader.plane64(count)?,
+        reader.plane64(count)?,
+    ];
+    let mut points = Vec::with_capacity(count);
+    for n in 0..count {
+        let start = from(n as u32);
+        let p = Vec3::from_fn(|a, _| f64::from_bits(columns[a][n] ^ start[a].to_bits()));
+        // Written so that a NaN fails.
+        if !p.iter().all(|v| v.abs() <= POSITION_MAX_M) {
+            return Err(SnapshotError::Inconsistent("has a node beyond all measure"));
+        }
+        points.push(p);
+    }
+    Ok(points)
+}
+
+/// Splits the surface again as it was split, with the opened faces in their order.
+fn reopen(topology: &mut Topology, faces: &[u32], diagonals: &[u8]) -> Result<(), SnapshotError> {
+    let bits: u32 = topology.cut.iter().map(|c| c.count_ones()).sum();
+    for &face in faces {
+        let id = FaceId(face);
+        let cut = topology.cut.get(id.cell() as usize);
+        let position = topology.boundary.faces.len() as u32;
+        let first = topology.cut_index.opened.insert(id, position).is_none();
+        if cut.is_none_or(|bits| bits >> id.face() & 1 == 0) || !first {
+            return Err(SnapshotError::Inconsistent(
+                "lists an opened face that is not cut",
+            ));
+        }
+        topology.boundary.faces.push(id);
+    }
+    if bits as usize != faces.len() {
+        return Err(SnapshotError::Inconsistent("leaves out a face that is cut"));
+    }
+    topology.boundary.triangles = topology
+        .boundary
+        .faces
+        .iter()
+        .zip(diagonals)
+        .flat_map(|(&face, &along)| topology.split(face, along == 1))
+        .collect();
+    Ok(())
+}
