@@ -1,0 +1,91 @@
+//! What a relay did.
+
+use serde::{Deserialize, Serialize};
+
+/// What a relay did, both directions together.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct RelayStats {
+    /// The profile's name.
+    pub profile: String,
+    /// The seed.
+    pub seed: u64,
+    /// Clients seen.
+    pub clients: u64,
+    /// Packets that came in.
+    pub sent: u64,
+    /// Packets that were lost on purpose.
+    pub dropped: u64,
+    /// Packets that the relay had no room for; not part of the fates.
+    pub overflowed: u64,
+    /// Packets that went out, doubles included.
+    pub delivered: u64,
+    /// Packets that went out after one that came in later.
+    pub reordered: u64,
+    /// Packets that went out twice.
+    pub duplicated: u64,
+    /// Measured delay inside the relay, mean, milliseconds.
+    pub delay_mean_ms: f64,
+    /// Measured delay, median, to 0.1 ms.
+    pub delay_p50_ms: f64,
+    /// Measured delay, 99th percentile, to 0.1 ms.
+    pub delay_p99_ms: f64,
+    /// How late packets went out against their fate, 99th percentile, to 0.1 ms.
+    pub lateness_p99_ms: f64,
+    /// Measured share of packets that were lost, 0 to 1.
+    pub loss: f64,
+}
+
+/// Width of a bucket in microseconds.
+const BUCKET_US: u64 = 100;
+
+/// Buckets: up to 2 s; what is longer counts as that.
+const BUCKETS: usize = 20_000;
+
+/// Counts of times by length.
+#[derive(Debug)]
+pub(super) struct Histogram {
+    counts: Vec<u32>,
+    total: u64,
+    sum_us: u64,
+}
+
+impl Default for Histogram {
+    fn default() -> Self {
+        Self {
+            counts: vec![0; BUCKETS],
+            total: 0,
+            sum_us: 0,
+        }
+    }
+}
+
+impl Histogram {
+    pub(super) fn record(&mut self, us: u64) {
+        let bucket = ((us / BUCKET_US) as usize).min(BUCKETS - 1);
+        self.counts[bucket] = self.counts[bucket].saturating_add(1);
+        self.total += 1;
+        self.sum_us += us;
+    }
+
+    pub(super) fn mean_ms(&self) -> f64 {
+        if self.total == 0 {
+            0.0
+        } else {
+            self.sum_us as f64 / self.total as f64 / 1e3
+        }
+    }
+
+    /// The upper edge of the bucket that holds the share `q` of all.
+    pub(super) fn quantile_ms(&self, q: f64) -> f64 {
+        if self.total == 0 {
+            return 0.0;
+        }
+        let rank = (q * self.total as f64).ceil() as u64;
+        let mut seen = 0;
+        let bucket = self.counts.iter().position(|c| {
+            seen += u64::from(*c);
+            seen >= rank
+        });
+        (bucket.unwrap_or(BUCKETS - 1) + 1) as f64 * BUCKET_US as f64 / 1e3
+    }
+}
