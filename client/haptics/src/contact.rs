@@ -19,6 +19,14 @@ use palpate_protocol::ClientTime;
 /// which is copied whole between threads.
 pub const CONTACTS_MAX: usize = 1;
 
+/// The largest component of a model's force, N, and the largest of its coefficients (stiffness in
+/// N/m, damping in N·s/m, lengths in m) in [`COEFFICIENT_MAX`]. A solver that says more has
+/// diverged, and sums of such numbers could overflow; the model is refused.
+const FORCE_MAX_N: f64 = 1e6;
+
+/// See [`FORCE_MAX_N`].
+const COEFFICIENT_MAX: f64 = 1e9;
+
 /// The tissue as the tool feels it near one solved position. Plain data, copied between threads.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ContactModel {
@@ -79,19 +87,19 @@ impl ContactModel {
         self.f0 - self.stiffness * (x - self.x0) - self.damping * v
     }
 
-    /// Whether the loop may use it: finite, a unit normal, no negative coefficient. A model that
-    /// is not is never taken, and the one before it ages.
+    /// Whether the loop may use it: finite, a unit normal, no negative coefficient, nothing beyond
+    /// all measure. A model that is not is never taken, and the one before it ages.
     pub fn is_usable(&self) -> bool {
-        let finite = self
-            .x0
-            .iter()
-            .chain(&self.f0)
-            .chain(&self.normal)
-            .all(|c| c.is_finite())
-            && self.stiffness.iter().all(|c| c.is_finite());
+        // A comparison with a number that is none is false.
         let scalars = [self.damping, self.mu_static, self.mu_dynamic, self.radius];
-        finite
-            && scalars.iter().all(|c| c.is_finite() && *c >= 0.0)
+        self.f0.iter().all(|c| c.abs() <= FORCE_MAX_N)
+            && self
+                .x0
+                .iter()
+                .chain(&self.stiffness)
+                .all(|c| c.abs() <= COEFFICIENT_MAX)
+            && scalars.iter().all(|c| (0.0..=COEFFICIENT_MAX).contains(c))
+            && self.normal.iter().all(|c| c.is_finite())
             && (!self.in_contact || (self.normal.norm() - 1.0).abs() < 1e-3)
     }
 

@@ -270,6 +270,33 @@ mod tests {
     }
 
     #[test]
+    fn a_stiffness_that_changes_gives_the_tie_no_energy() {
+        let still = Vector3::zeros();
+        let x = Vector3::new(0.002, 0.0, 0.0);
+        // The energy of the tie: |f|² / 2k.
+        let energy = |f: Vector3<f64>, k: f64| f.norm_squared() / (2.0 * k);
+        for stiffness in [30.0, 100.0, 600.0, 3000.0] {
+            let mut friction = Friction::new(FrictionConfig::default());
+            friction.tick(&pressed(5.0), &still, &still, MS);
+            let before = friction.tick(&pressed(5.0), &x, &still, MS);
+            let after = friction.tick(
+                &Contact {
+                    stiffness,
+                    ..pressed(5.0)
+                },
+                &x,
+                &still,
+                MS,
+            );
+            assert!(after.norm() <= before.norm() + 1e-12, "{stiffness} N/m");
+            assert!(
+                energy(after, stiffness) <= energy(before, 300.0) + 1e-12,
+                "{stiffness} N/m"
+            );
+        }
+    }
+
+    #[test]
     fn leaving_the_surface_lets_go_of_the_tie() {
         let mut friction = Friction::new(FrictionConfig::default());
         let still = Vector3::zeros();

@@ -68,8 +68,11 @@ impl Slew {
         self.force
     }
 
-    /// Goes towards `target` (finite, N); the new force, and whether the step was too long.
+    /// Goes towards `target` (N); the new force, and whether the step was too long. A target that
+    /// is not finite counts as none, for this stage is the last before the hand.
     pub fn towards(&mut self, target: Vector3<f64>) -> (Vector3<f64>, bool) {
+        let is_finite = target.iter().all(|c| c.is_finite());
+        let target = if is_finite { target } else { Vector3::zeros() };
         let (step, limited) = clamp_force(target - self.force, self.step_n);
         self.force = if limited { self.force + step } else { target };
         (self.force, limited)
@@ -109,6 +112,16 @@ mod tests {
         assert_eq!(StiffnessCap::new(&caps(3000.0), 0.5, ms).apply(1e5), 1000.0);
         assert_eq!(StiffnessCap::new(&caps(700.0), 0.5, ms).apply(1e5), 700.0);
         assert_eq!(StiffnessCap::new(&caps(700.0), 0.5, ms).apply(200.0), 200.0);
+    }
+
+    #[test]
+    fn a_target_that_is_not_a_number_counts_as_no_force() {
+        let mut slew = Slew::new(0.5);
+        slew.towards(Vector3::x());
+        for bad in [f64::NAN, f64::INFINITY] {
+            slew.towards(Vector3::new(bad, 0.0, 0.0));
+        }
+        assert_eq!(slew.force(), Vector3::zeros());
     }
 
     proptest! {

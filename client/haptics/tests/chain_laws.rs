@@ -193,6 +193,57 @@ fn the_soft_start_takes_its_second() {
 }
 
 #[test]
+fn a_pause_of_the_thread_skips_no_ramp() {
+    let mut chain = chain();
+    for t in 0..100 {
+        chain.tick(ms(t), &sample(Vector3::zeros()), &pressed(ms(t), 6.0));
+    }
+    // A second away: of the soft start 10 ms have passed.
+    let mut last = Vector3::zeros();
+    for t in 1100..1120 {
+        let tick = chain.tick(ms(t), &sample(Vector3::zeros()), &pressed(ms(t), 6.0));
+        last = tick.wrench.force;
+    }
+    assert!(last.norm() < 6.0 * 0.14, "{} N", last.norm());
+}
+
+#[test]
+fn numbers_beyond_all_measure_leave_nothing_behind() {
+    let (mut chain, t0) = holding(3.0);
+    let big = f64::MAX;
+    let wild = [
+        ContactModel {
+            f0: Vector3::repeat(big),
+            ..pressed(ms(t0), 3.0)
+        },
+        ContactModel {
+            stiffness: Matrix3::repeat(big),
+            ..pressed(ms(t0 + 1), 3.0)
+        },
+        ContactModel {
+            damping: big,
+            radius: big,
+            ..pressed(ms(t0 + 2), 3.0)
+        },
+    ];
+    for (t, model) in (t0..).zip(&wild) {
+        chain.tick(ms(t), &sample(Vector3::repeat(big)), model);
+        let mut fast = sample(Vector3::zeros());
+        fast.velocity = Vector3::repeat(big);
+        chain.tick(ms(t), &fast, model);
+        chain.tick(ms(t), &sample(Vector3::zeros()), model);
+    }
+    let mut last = Vector3::zeros();
+    for t in t0 + 3..t0 + 1100 {
+        last = chain
+            .tick(ms(t), &sample(Vector3::zeros()), &pressed(ms(t), 3.0))
+            .wrench
+            .force;
+    }
+    assert!((last - Vector3::z() * 3.0).norm() < 1e-9, "{last:?}");
+}
+
+#[test]
 fn the_force_never_exceeds_what_the_device_can_hold() {
     let (chain, _) = holding(500.0);
     assert!(chain.counters().saturated > 900);
