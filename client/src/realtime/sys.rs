@@ -69,13 +69,19 @@ pub(super) fn set_fifo(priority: i32) -> Result<(), std::io::Error> {
     // SAFETY: all zeros is a valid sched_param: it holds integers only.
     let mut parameters: libc::sched_param = unsafe { std::mem::zeroed() };
     parameters.sched_priority = priority;
-    // SAFETY: `parameters` is valid and lives across the call, which only reads it; process 0 is
-    // the calling thread.
-    let result = unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameters) };
+    // SAFETY: `parameters` is valid and lives across the call, which only reads it, and the handle
+    // is that of the calling thread. (musl refuses `sched_setscheduler`; this call works there.)
+    let result = unsafe {
+        libc::pthread_setschedparam(
+            libc::pthread_self(),
+            libc::SCHED_FIFO,
+            &raw const parameters,
+        )
+    };
     if result == 0 {
         Ok(())
     } else {
-        Err(std::io::Error::last_os_error())
+        Err(std::io::Error::from_raw_os_error(result))
     }
 }
 
