@@ -176,6 +176,14 @@ mod tests {
                 ..pressed()
             },
             ContactModel {
+                f0: Vector3::repeat(f64::MAX),
+                ..pressed()
+            },
+            ContactModel {
+                damping: f64::MAX,
+                ..pressed()
+            },
+            ContactModel {
                 radius: f64::INFINITY,
                 ..pressed()
             },

@@ -214,6 +214,7 @@ fn numbers_beyond_all_measure_leave_nothing_behind() {
     let wild = [
         ContactModel {
             f0: Vector3::repeat(big),
+            normal: Vector3::repeat(1.0 / 3.0_f64.sqrt()),
             ..pressed(ms(t0), 3.0)
         },
         ContactModel {
@@ -228,6 +229,7 @@ fn numbers_beyond_all_measure_leave_nothing_behind() {
     ];
     for (t, model) in (t0..).zip(&wild) {
         chain.tick(ms(t), &sample(Vector3::repeat(big)), model);
+        chain.tick(ms(t), &sample(Vector3::repeat(-big)), model);
         let mut fast = sample(Vector3::zeros());
         fast.velocity = Vector3::repeat(big);
         chain.tick(ms(t), &fast, model);
