@@ -1,0 +1,128 @@
+//! Rims of the outer surface: edges where it turns sharply, as where a flat end meets the side.
+//!
+//! Projecting nodes onto the nearest point of a surface rounds its rims off, and the cells there
+//! get bad corners. So nodes that the lattice sees as a rim are put onto the rim itself.
+
+use std::collections::BTreeMap;
+
+use crate::{Surface, Vec3};
+
+/// The cosine of the angle between the normals of two faces beyond which their edge is a rim
+/// (45°: marching-cubes staircases stay below, machined edges and caps lie above).
+const RIM_COSINE: f64 = 0.707;
+
+/// One straight piece of a rim.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Segment {
+    ends: [Vec3; 2],
+    /// Outward normals of the two faces that meet there.
+    pub(super) normals: [Vec3; 2],
+}
+
+impl Segment {
+    /// The point of the segment nearest to `point`.
+    fn nearest(&self, point: &Vec3) -> Vec3 {
+        let along = self.ends[1] - self.ends[0];
+        let length = along.norm_squared();
+        let t = if length > 0.0 {
+            (point - self.ends[0]).dot(&along) / length
+        } else {
+            0.0
+        };
+        self.ends[0] + along * t.clamp(0.0, 1.0)
+    }
+}
+
+/// All rims, sorted into cubes for look-up.
+#[derive(Debug, Default)]
+pub(super) struct Rims {
+    segments: Vec<Segment>,
+    side: f64,
+    cubes: BTreeMap<[i64; 3], Vec<u32>>,
+}
+
+impl Rims {
+    /// Adds the sharp edges between triangles of `surface` that face the outside.
+    pub(super) fn collect(&mut self, surface: &Surface, faces_out: &[bool]) {
+        let mut edges: BTreeMap<[u32; 2], Vec<u32>> = BTreeMap::new();
+        let normal = |t: u32| {
+            let [a, b, c] = surface.triangles[t as usize].map(|v| surface.vertices[v as usize]);
+            (b - a).cross(&(c - a)).try_normalize(0.0)
+        };
+        for (t, triangle) in surface.triangles.iter().enumerate() {
+            if faces_out[t] {
+                for e in 0..3 {
+                    let (a, b) = (triangle[e], triangle[(e + 1) % 3]);
+                    edges
+                        .entry([a.min(b), a.max(b)])
+                        .or_default()
+                        .push(t as u32);
+                }
+            }
+        }
+        for (edge, triangles) in edges {
+            let [first, second] = triangles[..] else {
+                continue;
+            };
+            let (Some(n), Some(m)) = (normal(first), normal(second)) else {
+                continue;
+            };
+            if n.dot(&m) < RIM_COSINE {
+                let ends = edge.map(|v| surface.vertices[v as usize]);
+                self.segments.push(Segment {
+                    ends,
+                    normals: [n, m],
+                });
+            }
+        }
+    }
+
+    /// Sorts the segments into cubes of side `reach`.
+    pub(super) fn index(&mut self, reach: f64) {
+        self.side = reach;
+        for (index, segment) in self.segments.iter().enumerate() {
+            let steps = ((segment.ends[1] - segment.ends[0]).norm() / reach * 2.0).ceil() as usize;
+            for s in 0..=steps {
+                let t = if steps == 0 {
+                    0.0
+                } else {
+                    s as f64 / steps as f64
+                };
+                let at = segment.ends[0].lerp(&segment.ends[1], t);
+                let list = self.cubes.entry(cube(&at, reach)).or_default();
+                if list.last() != Some(&(index as u32)) {
+                    list.push(index as u32);
+                }
+            }
+        }
+    }
+
+    /// The nearest rim point within one cube side of `point` whose segment passes `accept`.
+    pub(super) fn nearest(&self, point: &Vec3, accept: impl Fn(&Segment) -> bool) -> Option<Vec3> {
+        if self.segments.is_empty() {
+            return None;
+        }
+        let centre = cube(point, self.side);
+        let mut best: Option<(f64, Vec3)> = None;
+        for offset in 0..27 {
+            let at = [
+                centre[0] + offset % 3 - 1,
+                centre[1] + offset / 3 % 3 - 1,
+                centre[2] + offset / 9 - 1,
+            ];
+            for &index in self.cubes.get(&at).into_iter().flatten() {
+                let segment = &self.segments[index as usize];
+                let nearest = segment.nearest(point);
+                let distance = (nearest - point).norm();
+                if distance <= self.side && best.is_none_or(|b| distance < b.0) && accept(segment) {
+                    best = Some((distance, nearest));
+                }
+            }
+        }
+        best.map(|b| b.1)
+    }
+}
+
+fn cube(point: &Vec3, side: f64) -> [i64; 3] {
+    [point.x, point.y, point.z].map(|x| (x / side).floor() as i64)
+}

@@ -1,0 +1,224 @@
+//! Putting the nodes between regions onto the interfaces.
+//!
+//! Snapping along the three rays (Lin 2007, eqs. 3.1-3.3, figs. 3.5-3.7) comes first: along Z, then
+//! along X and Y for nodes that no ray before has placed. On its own it loses several percent of the
+//! volume and leaves two nodes in five off the surface, so the completion (reconstructed) follows:
+//! every node between cells of different regions that no ray has placed is projected onto the
+//! nearest point of that interface; nodes where the lattice shows a rim go onto the rim.
+
+use rayon::prelude::*;
+
+use super::grid::Grid;
+use super::lattice::Lattice;
+use super::patch::Interfaces;
+use super::rays::{Hits, Rays, cast};
+use crate::{Surface, Vec3};
+
+/// How many times a node that lies on several interfaces is sent from one to the next. Each round
+/// shortens the distance to their common curve by the cosine of the angle between them.
+const ALTERNATIONS: usize = 6;
+
+/// A node is put onto a rim when each face of the rim is seen by a cell face of the node within this
+/// cosine (63°: an oblique side shows two kinds of cell faces, each at most 55° away).
+const RIM_FACE_COSINE: f64 = 0.45;
+
+/// A node counts as on an interface when it is at most this far away, in spacings.
+const ON_SURFACE: f64 = 1e-6;
+
+/// Which interfaces a node lies on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct Constraint {
+    /// The outer surface.
+    pub(super) outer: bool,
+    /// The rim of the outer surface.
+    pub(super) rim: bool,
+    /// Bit `r`: the inner interface of region `r`, where it overrides others.
+    pub(super) owners: u64,
+}
+
+impl Constraint {
+    /// Whether the node lies on no interface.
+    pub(super) fn free(self) -> bool {
+        !self.outer && self.owners == 0
+    }
+
+    fn single(self) -> bool {
+        !self.rim && u32::from(self.outer) + self.owners.count_ones() == 1
+    }
+
+    /// Whether a node under `self` may slide towards one under `other`: that one lies on at least
+    /// the same interfaces.
+    pub(super) fn within(self, other: Self) -> bool {
+        (!self.outer || other.outer)
+            && (!self.rim || other.rim)
+            && self.owners & other.owners == self.owners
+    }
+}
+
+/// Reads off the labels around each node which interfaces it lies on.
+pub(super) fn constraints(lattice: &Lattice) -> Vec<Constraint> {
+    let mut around: Vec<(u64, u8)> = vec![(0, 0); lattice.nodes.len()];
+    for cell in &lattice.cells {
+        for (c, &node) in cell.corners.iter().enumerate() {
+            let entry = &mut around[node as usize];
+            entry.0 |= 1 << cell.region.index();
+            entry.1 |= 1 << c;
+        }
+    }
+    around
+        .into_iter()
+        .map(|(regions, corners)| Constraint {
+            outer: corners != u8::MAX,
+            rim: false,
+            owners: regions & (regions - 1),
+        })
+        .collect()
+}
+
+/// Marks the nodes that stand at a rim of the outer surface and where their nearest rim point is.
+pub(super) fn mark_rims(
+    grid: &Grid,
+    lattice: &Lattice,
+    interfaces: &Interfaces,
+    constraints: &mut [Constraint],
+) {
+    let mut seen: Vec<u8> = vec![0; lattice.nodes.len()];
+    for cell in &lattice.cells {
+        for face in 0..6 {
+            if cell.neighbours[face] == crate::NO_CELL {
+                for c in crate::FACES[face] {
+                    seen[cell.corners[c] as usize] |= 1 << face;
+                }
+            }
+        }
+    }
+    for (node, constraint) in constraints.iter_mut().enumerate() {
+        if !constraint.outer || seen[node].count_ones() < 2 {
+            continue;
+        }
+        let at = grid.point(lattice.nodes[node]);
+        constraint.rim = interfaces
+            .rims
+            .nearest(&at, |s| shows(seen[node], s.normals))
+            .is_some();
+    }
+}
+
+/// Whether two different cell faces of the node look the two ways that the faces of a rim do.
+fn shows(faces: u8, normals: [Vec3; 2]) -> bool {
+    let looking = |normal: Vec3| {
+        let mut mask = 0_u8;
+        for face in 0..6 {
+            let along = normal[face / 2] * if face % 2 == 1 { 1.0 } else { -1.0 };
+            if faces >> face & 1 == 1 && along > RIM_FACE_COSINE {
+                mask |= 1 << face;
+            }
+        }
+        mask
+    };
+    let [a, b] = normals.map(looking);
+    a != 0 && b != 0 && (a | b).count_ones() >= 2
+}
+
+/// The nearest point that satisfies a constraint, as far as alternating projections find it.
+pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec3) -> Vec3 {
+    let mut at = from;
+    let rounds = if constraint.single() { 1 } else { ALTERNATIONS };
+    for _ in 0..rounds {
+        let mut owners = constraint.owners;
+        while owners != 0 {
+            let region = owners.trailing_zeros() as usize;
+            owners &= owners - 1;
+            at = interfaces.inner[region].nearest(&at).unwrap_or(at);
+        }
+        if constraint.rim {
+            at = interfaces.rims.nearest(&at, |_| true).unwrap_or(at);
+        } else if constraint.outer {
+            at = interfaces.outer.nearest(&at).unwrap_or(at);
+        }
+    }
+    at
+}
+
+/// Positions of all nodes, those between regions on their interfaces.
+pub(super) fn snap(
+    grid: &Grid,
+    lattice: &Lattice,
+    surfaces: &[&Surface],
+    interfaces: &Interfaces,
+    constraints: &[Constraint],
+) -> Vec<Vec3> {
+    let hits: Vec<[Hits; 3]> = surfaces
+        .iter()
+        .map(|surface| [2, 0, 1].map(|axis| cast(surface, &lattice_rays(grid, axis))))
+        .collect();
+    let mut positions: Vec<Vec3> = lattice.nodes.iter().map(|&at| grid.point(at)).collect();
+    positions
+        .par_iter_mut()
+        .enumerate()
+        .for_each(|(node, position)| {
+            let constraint = constraints[node];
+            if constraint.free() {
+                return;
+            }
+            let by_ray = if constraint.single() {
+                snap_along_rays(grid, lattice.nodes[node], &hits, interfaces, constraint)
+            } else {
+                None
+            };
+            *position = by_ray.unwrap_or_else(|| project(interfaces, constraint, *position));
+        });
+    positions
+}
+
+fn lattice_rays(grid: &Grid, axis: usize) -> Rays {
+    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+    let points = grid.points();
+    Rays {
+        axis,
+        first: [grid.origin[u], grid.origin[v]],
+        step: grid.spacing,
+        count: [points[u], points[v]],
+    }
+}
+
+/// The crossing of the node's own interface within half a spacing along Z, else X, else Y (eq. 3.3).
+fn snap_along_rays(
+    grid: &Grid,
+    at: [usize; 3],
+    hits: &[[Hits; 3]],
+    interfaces: &Interfaces,
+    constraint: Constraint,
+) -> Option<Vec3> {
+    let point = grid.point(at);
+    let patch = if constraint.outer {
+        &interfaces.outer
+    } else {
+        &interfaces.inner[constraint.owners.trailing_zeros() as usize]
+    };
+    for (order, axis) in [2, 0, 1].into_iter().enumerate() {
+        let rays = lattice_rays(grid, axis);
+        let ray = rays.index([at[(axis + 1) % 3], at[(axis + 2) % 3]]);
+        let mut best: Option<(f64, Vec3)> = None;
+        for (region, hits) in hits.iter().enumerate() {
+            if !constraint.outer && constraint.owners >> region & 1 == 0 {
+                continue;
+            }
+            for hit in hits[order].of(ray) {
+                let distance = (hit.depth - point[axis]).abs();
+                if distance <= grid.spacing / 2.0 && best.is_none_or(|b| distance < b.0) {
+                    let mut crossing = point;
+                    crossing[axis] = hit.depth;
+                    let off = patch.nearest(&crossing).map(|p| (p - crossing).norm());
+                    if off.is_some_and(|d| d <= ON_SURFACE * grid.spacing) {
+                        best = Some((distance, crossing));
+                    }
+                }
+            }
+        }
+        if let Some((_, crossing)) = best {
+            return Some(crossing);
+        }
+    }
+    None
+}

@@ -1,0 +1,158 @@
+//! The builder against shapes of known volume.
+
+use std::f64::consts::PI;
+
+use super::*;
+use crate::scene::Scene;
+
+/// A closed body of revolution about z with the given profile of (radius, z), capped flat.
+fn turned(profile: &[(f64, f64)], sides: usize) -> Surface {
+    let mut surface = Surface::default();
+    let ring = |at: usize, s: usize| (at * sides + s % sides) as u32;
+    for &(r, z) in profile {
+        for s in 0..sides {
+            let angle = 2.0 * PI * s as f64 / sides as f64;
+            surface
+                .vertices
+                .push(Vec3::new(r * angle.cos(), r * angle.sin(), z));
+        }
+    }
+    for at in 0..profile.len() - 1 {
+        for s in 0..sides {
+            let [a, b, c, d] = [
+                ring(at, s),
+                ring(at, s + 1),
+                ring(at + 1, s + 1),
+                ring(at + 1, s),
+            ];
+            surface.triangles.extend([[a, b, c], [a, c, d]]);
+        }
+    }
+    for (at, up) in [(0, false), (profile.len() - 1, true)] {
+        let middle = surface.vertices.len() as u32;
+        surface.vertices.push(Vec3::new(0.0, 0.0, profile[at].1));
+        for s in 0..sides {
+            let (a, b) = (ring(at, s), ring(at, s + 1));
+            surface
+                .triangles
+                .push(if up { [a, b, middle] } else { [b, a, middle] });
+        }
+    }
+    surface
+}
+
+fn ball(radius: f64) -> Surface {
+    let profile: Vec<(f64, f64)> = (1..48)
+        .map(|i| PI * f64::from(i) / 48.0)
+        .map(|a| (radius * a.sin(), -radius * a.cos()))
+        .collect();
+    turned(&profile, 96)
+}
+
+fn scene(spacing_mm: f64, regions: &[(&str, Surface)]) -> SceneInput {
+    let mut text = format!("format = \"palpate-scene/1\"\nspacing_mm = {spacing_mm}\n");
+    for (name, _) in regions {
+        text += &format!(
+            "[[region]]\nname = \"{name}\"\nsurface = \"{name}.stl\"\nmaterial = \"fat\"\n"
+        );
+    }
+    let scene = Scene::parse(&text, std::path::Path::new(".")).unwrap();
+    SceneInput::new(scene, regions.iter().map(|r| r.1.clone()).collect()).unwrap()
+}
+
+fn built(spacing_mm: f64, regions: &[(&str, Surface)]) -> (Model, BuildReport) {
+    build(&scene(spacing_mm, regions), &mut |_, _| {}).unwrap()
+}
+
+fn assert_sound(model: &Model, report: &BuildReport) {
+    assert!(report.outer_surface.closed, "{report:?}");
+    assert_eq!(report.quality.inverted_cells, 0, "{report:?}");
+    for region in &report.regions {
+        let error = region.volume_mm3 / region.input_volume_mm3 - 1.0;
+        assert!(error.abs() < 0.02, "{region:?}");
+    }
+    // A uniform field must not feel the lattice: masses add up to density times volume.
+    let topology = Topology::new(Arc::new(model.clone()));
+    let mass: f64 = (0..topology.node_count() as u32)
+        .map(|n| topology.mass(n))
+        .sum();
+    let volumes: f64 = (0..model.cells.len())
+        .map(|c| topology.volume(c as u32) * model.material_of(c).density_kg_m3)
+        .sum();
+    assert!((mass / volumes - 1.0).abs() < 1e-12);
+}
+
+#[test]
+fn a_ball_keeps_its_volume_and_its_nodes_lie_on_it() {
+    for spacing in [4.0, 8.0] {
+        let (model, report) = built(spacing, &[("ball", ball(0.0375))]);
+        assert_sound(&model, &report);
+        assert_eq!(report.outer_surface.components, 1);
+        assert!(
+            report.regions[0].surface_distance_mean_mm < 0.1 * spacing,
+            "{report:?}"
+        );
+    }
+}
+
+#[test]
+fn nested_and_poking_regions_share_conforming_interfaces() {
+    let skin = turned(&[(0.05, -0.06), (0.05, 0.06)], 128);
+    let bone = turned(&[(0.02, -0.06), (0.02, 0.06)], 64);
+    let (model, report) = built(4.0, &[("skin", skin), ("bone", bone)]);
+    assert_sound(&model, &report);
+    // Region volumes are measured on shared nodes, so together they are the whole.
+    let whole: f64 = report.regions.iter().map(|r| r.volume_mm3).sum();
+    let exact = PI * 50.0 * 50.0 * 120.0;
+    assert!((whole / exact - 1.0).abs() < 0.01, "{whole} {exact}");
+}
+
+#[test]
+fn a_rim_stays_sharp() {
+    let (model, _) = built(5.0, &[("drum", turned(&[(0.04, 0.0), (0.04, 0.05)], 128))]);
+    let highest = model.nodes.iter().filter(|p| (p.z - 0.05).abs() < 1e-6);
+    let reach = highest.map(|p| p.xy().norm()).fold(0.0, f64::max);
+    assert!((reach - 0.04).abs() < 2e-4, "{reach}");
+}
+
+#[test]
+fn the_same_input_gives_the_same_model_on_any_number_of_threads() {
+    let hash = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| built(6.0, &[("ball", ball(0.04))]).1.topology_hash)
+    };
+    assert_eq!(hash(1), hash(3));
+}
+
+#[test]
+fn a_spacing_that_is_too_coarse_or_too_fine_is_refused_with_a_way_out() {
+    let refuse = |spacing| {
+        build(&scene(spacing, &[("ball", ball(0.02))]), &mut |_, _| {})
+            .unwrap_err()
+            .to_string()
+    };
+    let coarse = refuse(100.0);
+    assert!(coarse.contains("too coarse"), "{coarse}");
+    let fine = refuse(0.01);
+    assert!(
+        fine.contains("limits") && fine.contains("use spacing_mm"),
+        "{fine}"
+    );
+}
+
+#[test]
+fn a_region_outside_the_outermost_is_refused_by_name() {
+    let mut far = ball(0.01);
+    for v in &mut far.vertices {
+        v.x += 1.0;
+    }
+    let input = scene(4.0, &[("body", ball(0.03)), ("stray", far)]);
+    let error = build(&input, &mut |_, _| {}).unwrap_err().to_string();
+    assert!(
+        error.contains("stray") && error.contains("outside"),
+        "{error}"
+    );
+}
