@@ -42,7 +42,7 @@ pub struct MaterialOverride {
 }
 
 /// Young's modulus in Pa a material may have. Reason: from the softest gel (1 Pa) to above
-/// diamond (1.2 TPa); a value outside is a slip of unit. At the bound the material is refused.
+/// diamond (1.2e12 Pa); a value outside is a slip of unit. At the bound the material is refused.
 pub(crate) const YOUNG_PA_RANGE: [f64; 2] = [1.0, 2e12];
 
 /// Density in kg/m³ a material may have. Reason: from aerogel (1) to above osmium (22 590); a

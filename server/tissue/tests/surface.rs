@@ -239,10 +239,7 @@ fn what_is_no_surface_is_refused_in_words_that_name_the_file() {
         missing.to_string().contains("nowhere/thigh.stl"),
         "{missing}"
     );
-    assert!(matches!(
-        Surface::read(folder.0.path(), Unit::Millimetre),
-        Err(_)
-    ));
+    assert!(Surface::read(folder.0.path(), Unit::Millimetre).is_err());
 }
 
 #[test]
@@ -362,6 +359,24 @@ fn duplicates_and_degenerate_triangles_are_dropped() {
         (report.duplicates_dropped, report.degenerate_dropped),
         (3, 1)
     );
+    assert!(near(report.volume_m3, 8e-6));
+}
+
+#[test]
+fn a_needle_that_closes_a_seam_is_kept() {
+    // The edge 0-1 gets a vertex in its middle on one side only; a triangle without area closes
+    // the seam.
+    let mut surface = cube();
+    surface.vertices.push(Vec3::new(0.01, 0.0, 0.0));
+    let t = surface
+        .triangles
+        .iter()
+        .position(|t| t == &[0, 1, 5])
+        .unwrap();
+    surface.triangles[t] = [0, 8, 5];
+    surface.triangles.extend([[8, 1, 5], [0, 1, 8]]);
+    let report = accepted(surface);
+    assert_eq!(report.needles_kept, 1);
     assert!(near(report.volume_m3, 8e-6));
 }
 

@@ -100,9 +100,9 @@ impl Loft<'_> {
         for _ in 0..30 {
             let middle = 0.5 * (inner + outer);
             if outside(middle) {
-                outer = middle
+                outer = middle;
             } else {
-                inner = middle
+                inner = middle;
             }
         }
         inner
@@ -270,12 +270,12 @@ pub(super) fn bell(x: f64, middle: f64, width: f64) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
     /// ∫ ∫ r²/2 dθ dz in mm³.
-    fn integral(loft: &Loft) -> f64 {
-        let (nz, n) = (2_000, 720);
+    pub(in crate::sample) fn integral(loft: &Loft) -> f64 {
+        let (nz, n) = (500, 120);
         let [z0, z1] = loft.z;
         let sum: f64 = (0..nz)
             .flat_map(|k| (0..n).map(move |j| (k, j)))

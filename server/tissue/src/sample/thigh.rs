@@ -152,3 +152,23 @@ pub(super) fn body() -> Body {
         ],
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::loft::tests::integral;
+    use super::*;
+
+    #[test]
+    fn every_part_encloses_the_integral_of_its_sections() {
+        let skin = envelope();
+        for loft in [QUADRICEPS, HAMSTRINGS, ADDUCTORS]
+            .iter()
+            .map(|g| g.loft(&skin))
+        {
+            let error = loft.surface(STEP_MM).volume() * 1e9 / integral(&loft) - 1.0;
+            assert!(error.abs() < 0.01, "{error}");
+        }
+        let error = skin.surface(STEP_MM).volume() * 1e9 / integral(&skin) - 1.0;
+        assert!(error.abs() < 2e-3, "{error}");
+    }
+}

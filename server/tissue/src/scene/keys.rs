@@ -23,6 +23,11 @@ pub(crate) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) 
         .map(|(_, k)| k)
 }
 
+/// The line, counted from 1, of what follows some text.
+pub(super) fn line_after(before: &[u8]) -> usize {
+    before.split(|b| *b == b'\n').count()
+}
+
 /// The text being read and the name it goes by in messages.
 pub(super) struct Text<'i> {
     pub(super) file: String,
@@ -39,7 +44,7 @@ impl<'i> Text<'i> {
             .unwrap_or(self.text.as_bytes());
         SceneError::Line {
             file: self.file.clone(),
-            line: 1 + before.iter().filter(|b| **b == b'\n').count(),
+            line: line_after(before),
             what: what.into(),
         }
     }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::keys::{Text, nearest};
+use super::keys::{Text, line_after, nearest};
 use super::{REGIONS_MAX, SCENE_BYTES_MAX, SCENE_FORMAT, Scene, SceneError, SceneRegion};
 use crate::surface::Unit;
 use crate::{Material, MaterialOverride};
@@ -46,7 +46,7 @@ impl Scene {
             let valid = &e.as_bytes()[..e.utf8_error().valid_up_to()];
             SceneError::Line {
                 file: file.clone(),
-                line: 1 + valid.iter().filter(|b| **b == b'\n').count(),
+                line: line_after(valid),
                 what: "this is not a text in UTF-8; a scene is a TOML text".to_owned(),
             }
         })?;

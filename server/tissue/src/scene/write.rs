@@ -1,5 +1,7 @@
 //! From a scene to its TOML text.
 
+use std::fmt::{self, Write};
+
 use super::{SCENE_FORMAT, Scene};
 use crate::surface::Unit;
 
@@ -7,24 +9,30 @@ impl Scene {
     /// The scene as a TOML text that [`Scene::parse`] reads back as the same scene (up to the
     /// last digit of a converted unit).
     pub fn to_toml(&self) -> String {
-        let mut out = format!("format = \"{SCENE_FORMAT}\"\n");
-        out += &format!("spacing_mm = {}\n", number(self.spacing_m * 1e3));
+        let mut out = String::new();
+        self.write(&mut out).expect("a string takes all");
+        out
+    }
+
+    fn write(&self, out: &mut String) -> fmt::Result {
+        writeln!(out, "format = \"{SCENE_FORMAT}\"")?;
+        writeln!(out, "spacing_mm = {}", number(self.spacing_m * 1e3))?;
         if !self.pinned.is_empty() {
             let names: Vec<String> = self.pinned.iter().map(|n| quoted(n)).collect();
-            out += &format!("pinned = [{}]\n", names.join(", "));
+            writeln!(out, "pinned = [{}]", names.join(", "))?;
         }
         for region in &self.regions {
-            out += &format!("\n[[region]]\nname = {}\n", quoted(&region.name));
+            writeln!(out, "\n[[region]]\nname = {}", quoted(&region.name))?;
             // Forward slashes are read on every system.
             let surface = region.surface.to_string_lossy().replace('\\', "/");
-            out += &format!("surface = {}\n", quoted(&surface));
-            out += &format!("material = {}\n", quoted(&region.material));
+            writeln!(out, "surface = {}", quoted(&surface))?;
+            writeln!(out, "material = {}", quoted(&region.material))?;
             if region.unit == Unit::Metre {
-                out += "unit = \"m\"\n";
+                writeln!(out, "unit = \"m\"")?;
             }
         }
         for (name, change) in &self.materials {
-            out += &format!("\n[material.{}]\n", quoted(name));
+            writeln!(out, "\n[material.{}]", quoted(name))?;
             let values = [
                 ("young_kpa", change.young_pa.map(|pa| pa * 1e-3)),
                 ("density_kg_m3", change.density_kg_m3),
@@ -33,11 +41,11 @@ impl Scene {
             ];
             for (key, value) in values {
                 if let Some(value) = value {
-                    out += &format!("{key} = {}\n", number(value));
+                    writeln!(out, "{key} = {}", number(value))?;
                 }
             }
         }
-        out
+        Ok(())
     }
 }
 
@@ -47,7 +55,18 @@ fn number(x: f64) -> String {
     format!("{rounded:?}")
 }
 
-/// A TOML string.
+/// A TOML string on one line, which may also stand where a key must.
 fn quoted(text: &str) -> String {
-    toml::Value::String(text.to_owned()).to_string()
+    let mut out = String::from('"');
+    for c in text.chars() {
+        match c {
+            '"' | '\\' => out.extend(['\\', c]),
+            c if c.is_control() => {
+                write!(out, "\\u{:04X}", u32::from(c)).expect("a string takes all");
+            }
+            c => out.push(c),
+        }
+    }
+    out.push('"');
+    out
 }

@@ -189,7 +189,7 @@ fn inside_out(surface: &Surface, members: &[Vec<usize>], found: &mut Orientation
         let outermost = holders[c].iter().copied().min_by_key(|h| holders[*h].len());
         turned[c] = outermost.is_some_and(|o| turned[o]);
         let faces_inward = (volumes[c] < 0.0) != turned[c];
-        if faces_inward && depth % 2 == 0 {
+        if faces_inward && depth.is_multiple_of(2) {
             turned[c] = !turned[c];
         } else if faces_inward {
             found.cavities += 1;
