@@ -31,8 +31,13 @@ pub(crate) fn moved(moves: &Moves<'_>) -> Vec<Moved> {
 
 fn source(moves: &Moves<'_>, node: u32) -> Moved {
     let to = moves.rest(node);
+    let way = to - moves.old_rest(node);
+    // The cell it most likely went into comes first: the node is a low corner of that along the axes
+    // it moved up.
+    let likely: usize = (0..3).map(|a| usize::from(way[a] < 0.0) << a).sum();
     let mut best: Option<(f64, u32, Vec3)> = None;
-    for cell in moves.topology.node_cells[node as usize] {
+    for slot in 0..8 {
+        let cell = moves.topology.node_cells[node as usize][slot ^ likely];
         if cell == NO_CELL {
             continue;
         }
@@ -44,6 +49,9 @@ fn source(moves: &Moves<'_>, node: u32) -> Moved {
                 .fold(0.0, f64::max);
             if best.is_none_or(|b| outside < b.0) {
                 best = Some((outside, cell, local));
+            }
+            if outside < 1e-9 {
+                break;
             }
         }
     }

@@ -25,18 +25,17 @@ impl Key {
 /// All buckets within `reach` spacings of a triangle (and some more), sorted.
 pub(crate) fn keys_of_triangle(points: &[Vec3; 3], spacing: f64, reach: f64) -> Vec<Key> {
     let [a, b, c] = points;
-    let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());
     // Steps of half a bucket; a point of the triangle is then within one step of a sample.
     let step = BUCKET * spacing / 2.0;
-    let count = (longest / step).ceil().max(1.0) as usize;
+    let count = |edge: Vec3| (edge.norm() / step).ceil().max(1.0) as usize;
+    let (across, along) = (count(b - a), count(c - a));
     let around = Vec3::repeat((reach + BUCKET / 2.0) * spacing);
     let side = BUCKET * spacing;
     let mut keys = Vec::new();
     let mut tidy_at = 1 << 16;
-    for i in 0..=count {
-        for j in 0..=count - i {
-            let [u, v] = [i, j].map(|k| k as f64 / count as f64);
-            let p = a + (b - a) * u + (c - a) * v;
+    for i in 0..=across {
+        for j in (0..=along).take_while(|j| i * along + j * across <= across * along) {
+            let p = a + (b - a) * (i as f64 / across as f64) + (c - a) * (j as f64 / along as f64);
             let (low, high) = (Key::of(&(p - around), side), Key::of(&(p + around), side));
             for x in low.0[0]..=high.0[0] {
                 for y in low.0[1]..=high.0[1] {

@@ -228,9 +228,9 @@ fn settle(
     };
     snap::snap(&mut moves, ribbon, nodes);
     for _ in 0..RETRIES {
-        surroundings.relax(&mut moves, refine::SWEEPS_MAX / (RETRIES + 1));
+        surroundings.relax(&mut moves);
         snap::retry(&mut moves, ribbon, nodes);
     }
-    surroundings.relax(&mut moves, refine::SWEEPS_MAX / (RETRIES + 1));
+    surroundings.relax(&mut moves);
     (follow::moved(&moves), moves.old.keys().copied().collect())
 }

@@ -2,11 +2,12 @@
 //! what its own nodes had to move.
 //!
 //! With o = x - x_model a node's offset from where the model was built, each free node within three
-//! rings of the cut takes the mean of its neighbours' offsets, sweep after sweep, while its cells
-//! stay sound. Nodes of the cut, of surfaces and of interfaces stay where they are. Irregularities
-//! of the model itself are in x_model and are kept.
+//! rings of the cut takes the mean of its neighbours' offsets, sweep after sweep. Nodes of the cut,
+//! of surfaces and of interfaces stay where they are. Irregularities of the model itself are in
+//! x_model and are kept. The sweeps run on offsets alone; then the nodes go there, each as far as its
+//! cells stay sound, a few times over because they make room for each other.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 
 use super::quality::Moves;
 use super::snap::{Freedom, freedom};
@@ -15,20 +16,27 @@ use crate::{NO_CELL, Topology, Vec3};
 /// How many rings of neighbours around the cut take part.
 const RINGS: usize = 3;
 /// Most sweeps; what has not settled then stays as it is.
-pub(crate) const SWEEPS_MAX: usize = 50;
+const SWEEPS_MAX: usize = 50;
 /// A sweep in which no node moved farther, in spacings, is the last.
 const SETTLED: f64 = 1e-3;
+/// A node that would move less than this, in spacings, stays: moving it costs more than it gains.
+const WORTH_MOVING: f64 = 5e-3;
+/// How often the nodes try to reach their places.
+const PASSES: usize = 2;
 
 /// The free nodes around a cut, with their neighbours.
 pub(crate) struct Surroundings {
-    nodes: Vec<(u32, Vec3, Vec<u32>)>,
+    /// The free nodes, then those they lean on; each with where it was built.
+    nodes: Vec<(u32, Vec3)>,
+    /// Positions in `nodes` of the neighbours of each free node.
+    links: Vec<Vec<u32>>,
 }
 
 impl Surroundings {
     pub(crate) fn of(topology: &Topology, sheet: &[u32]) -> Self {
         let mut seen: BTreeSet<u32> = sheet.iter().copied().collect();
         let mut front: Vec<u32> = sheet.to_vec();
-        let mut nodes = Vec::new();
+        let mut free = Vec::new();
         for _ in 0..RINGS {
             let mut next = BTreeSet::new();
             for &node in &front {
@@ -40,40 +48,54 @@ impl Surroundings {
             }
             seen.extend(&next);
             front = next.into_iter().collect();
-            for &node in &front {
-                if freedom(topology, node) == Freedom::Free {
-                    let original = topology.original(node);
-                    nodes.push((node, original, neighbours(topology, node)));
-                }
-            }
+            free.extend(
+                front
+                    .iter()
+                    .filter(|&&n| freedom(topology, n) == Freedom::Free),
+            );
         }
-        Self { nodes }
+        let around: Vec<Vec<u32>> = free.iter().map(|&n| neighbours(topology, n)).collect();
+        let mut nodes: Vec<(u32, Vec3)> = Vec::with_capacity(2 * free.len());
+        let mut places = HashMap::with_capacity(2 * free.len());
+        let mut place = |node: u32| {
+            *places.entry(node).or_insert_with(|| {
+                nodes.push((node, topology.original(node)));
+                nodes.len() as u32 - 1
+            })
+        };
+        for &node in &free {
+            place(node);
+        }
+        let links = around
+            .into_iter()
+            .map(|list| list.into_iter().map(&mut place).collect())
+            .collect();
+        Self { nodes, links }
     }
 
-    /// One sweep; gives the farthest move in m.
-    pub(crate) fn sweep(&self, moves: &mut Moves<'_>) -> f64 {
-        let quiet = SETTLED / 4.0 * moves.topology.model.spacing_m;
-        let mut farthest: f64 = 0.0;
-        for (node, original, neighbours) in &self.nodes {
-            let sum: Vec3 = neighbours
-                .iter()
-                .map(|&n| moves.rest(n) - moves.topology.original(n))
-                .sum();
-            let target = original + sum / neighbours.len() as f64;
-            let way = (target - moves.rest(*node)).norm();
-            if way > quiet {
-                farthest = farthest.max(way * moves.advance(*node, target));
+    /// Relaxes the offsets and moves the nodes along.
+    pub(crate) fn relax(&self, moves: &mut Moves<'_>) {
+        let spacing = moves.topology.model.spacing_m;
+        let mut offsets: Vec<Vec3> = self.nodes.iter().map(|n| moves.rest(n.0) - n.1).collect();
+        for _ in 0..SWEEPS_MAX {
+            let mut farthest: f64 = 0.0;
+            for (i, links) in self.links.iter().enumerate() {
+                let sum: Vec3 = links.iter().map(|&j| offsets[j as usize]).sum();
+                let mean = sum / links.len() as f64;
+                farthest = farthest.max((mean - offsets[i]).norm_squared());
+                offsets[i] = mean;
             }
-        }
-        farthest
-    }
-
-    /// Sweeps until settled.
-    pub(crate) fn relax(&self, moves: &mut Moves<'_>, sweeps: usize) {
-        let settled = SETTLED * moves.topology.model.spacing_m;
-        for _ in 0..sweeps {
-            if self.sweep(moves) < settled {
+            if farthest.sqrt() < SETTLED * spacing {
                 break;
+            }
+        }
+        for _ in 0..PASSES {
+            for ((node, original), offset) in self.nodes.iter().zip(&offsets).take(self.links.len())
+            {
+                let target = original + offset;
+                if (target - moves.rest(*node)).norm() > WORTH_MOVING * spacing {
+                    moves.advance(*node, target);
+                }
             }
         }
     }

@@ -7,15 +7,18 @@
 
 use robust::{Coord3D, orient3d};
 
+use super::DRIFT_MAX;
 use super::index::{BUCKET, Key, keys_of_triangle};
+use super::sheet::SEGMENT_MAX;
 use super::stroke::BladePoint;
 use crate::Vec3;
 
 /// How far the surface that nodes are snapped onto reaches beyond the blade's own, in spacings, so
 /// that a node off the end of the cut is drawn into its plane and not to its rim.
 const BEYOND: f64 = 3.0;
-/// How far from a triangle its bins reach, in spacings; nodes farther away are not snapped.
-const REACH: f64 = 4.0;
+/// How far from a triangle its bins reach, in spacings: any segment between centres of neighbours
+/// that crosses it begins nearer than that, and nodes farther away are not snapped.
+const REACH: f64 = SEGMENT_MAX + DRIFT_MAX;
 
 /// A triangle of the ribbon.
 #[derive(Debug, Clone)]
@@ -31,6 +34,11 @@ pub(crate) struct Triangle {
 impl Triangle {
     /// Whether a segment crosses it; see the file's head.
     pub(crate) fn crosses(&self, p: &Vec3, q: &Vec3) -> bool {
+        // Plainly on one side; what is closer than rounding is left to the exact determinants.
+        let (hp, hq) = (self.height(p), self.height(q));
+        if hp * hq > 0.0 && hp.abs().min(hq.abs()) > 1e-6 * (q - p).amax() {
+            return false;
+        }
         let [a, b, c] = self.points.map(coordinates);
         let [p, q] = [*p, *q].map(coordinates);
         if (orient3d(a, b, c, p) >= 0.0) == (orient3d(a, b, c, q) >= 0.0) {
@@ -105,7 +113,7 @@ pub(crate) struct Foot {
 /// The swept surface.
 #[derive(Debug)]
 pub(crate) struct Ribbon {
-    pub(crate) triangles: Vec<Triangle>,
+    triangles: Vec<Triangle>,
     /// Bucket and triangle, sorted: which triangles are near a place.
     bins: Vec<(Key, u32)>,
     spacing: f64,
@@ -161,9 +169,7 @@ impl Ribbon {
             bins: Vec::new(),
             spacing,
         };
-        if ahead > 0 {
-            ribbon.fill_bins();
-        }
+        ribbon.fill_bins();
         ribbon
     }
 
@@ -176,6 +182,15 @@ impl Ribbon {
         self.bins.sort_unstable();
     }
 
+    /// The buckets near the surface, each with the triangles near it.
+    pub(crate) fn buckets(&self) -> impl Iterator<Item = (Key, impl Iterator<Item = &Triangle>)> {
+        let groups = self.bins.chunk_by(|a, b| a.0 == b.0);
+        groups.map(|group| {
+            let triangles = group.iter().map(|b| &self.triangles[b.1 as usize]);
+            (group[0].0, triangles)
+        })
+    }
+
     /// The point of the surface nearest to `p`, if it is near at all.
     pub(crate) fn nearest(&self, p: &Vec3) -> Option<Foot> {
         let key = Key::of(p, BUCKET * self.spacing);
@@ -183,6 +198,9 @@ impl Ribbon {
         let mut best: Option<(f64, Foot)> = None;
         for &(_, index) in self.bins[start..].iter().take_while(|b| b.0 == key) {
             let triangle = &self.triangles[index as usize];
+            if best.is_some_and(|b| triangle.height(p).powi(2) >= b.0) {
+                continue;
+            }
             let point = triangle.nearest(p);
             let distance = (point - p).norm_squared();
             if best.is_none_or(|b| distance < b.0) {

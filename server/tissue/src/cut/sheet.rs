@@ -13,66 +13,78 @@
 
 use std::collections::{BTreeSet, HashMap};
 
+use super::CutError;
 use super::fans::{Fans, Opening};
-use super::index::keys_of_triangle;
-use super::ribbon::Ribbon;
-use super::{CutError, DRIFT_MAX};
-use crate::{FACES, FaceId, NO_CELL, Topology, Vec3};
+use super::ribbon::{Ribbon, Triangle};
+use crate::{FACES, FaceId, NO_CELL, RegionId, Topology, Vec3};
 
 /// Longest segment between centres of neighbours, in spacings.
-const SEGMENT_MAX: f64 = 2.5;
+pub(crate) const SEGMENT_MAX: f64 = 2.5;
 /// A shift of all centres, in spacings, so small that it decides nothing but ties, of which cuts
 /// along the lattice of a block are full.
 const TIE: Vec3 = Vec3::new(6.13e-8, 3.71e-8, 7.93e-8);
+
+/// What a ribbon meets.
+#[derive(Default)]
+struct Met {
+    faces: BTreeSet<FaceId>,
+    pinned: Option<RegionId>,
+    open: bool,
+}
 
 /// The faces that a ribbon crosses, each from its lower side along its axis, sorted; pinned and open
 /// ones left out.
 pub(crate) fn crossed(topology: &Topology, ribbon: &Ribbon) -> Result<Vec<FaceId>, CutError> {
     let index = topology.cell_index();
     let spacing = topology.model.spacing_m;
-    let mut faces = BTreeSet::new();
-    let mut pinned = None;
-    let mut open = false;
-    for triangle in &ribbon.triangles {
-        let reach = SEGMENT_MAX + DRIFT_MAX;
-        for key in keys_of_triangle(&triangle.points, spacing, reach) {
-            for cell in index.cells(key) {
-                let from = topology.centre(cell) + TIE * spacing;
-                if triangle.height(&from).abs() > SEGMENT_MAX * spacing {
-                    continue;
-                }
-                for face in [1, 3, 5] {
-                    let other = topology.model.cells[cell as usize].neighbours[face];
-                    if other == NO_CELL {
-                        continue;
-                    }
-                    let to = topology.centre(other) + TIE * spacing;
-                    if !triangle.crosses(&from, &to) {
-                        continue;
-                    }
-                    let id = FaceId::new(cell, face);
-                    let bone = [cell, other]
-                        .map(|c| topology.region(c))
-                        .into_iter()
-                        .find(|r| topology.model.regions[r.index()].pinned);
-                    if topology.across(id) == NO_CELL {
-                        open = true;
-                    } else if bone.is_some() {
-                        pinned = bone;
-                    } else {
-                        faces.insert(id);
-                    }
-                }
+    let mut met = Met::default();
+    let mut near: Vec<&Triangle> = Vec::new();
+    for (key, triangles) in ribbon.buckets() {
+        let triangles: Vec<&Triangle> = triangles.collect();
+        for cell in index.cells(key) {
+            let from = topology.centre(cell) + TIE * spacing;
+            near.clear();
+            let reach = SEGMENT_MAX * spacing;
+            near.extend(triangles.iter().filter(|t| t.height(&from).abs() < reach));
+            if !near.is_empty() {
+                meet(topology, cell, &from, &near, &mut met);
             }
         }
     }
-    match (faces.is_empty(), pinned) {
-        (false, _) => Ok(faces.into_iter().collect()),
+    match (met.faces.is_empty(), met.pinned) {
+        (false, _) => Ok(met.faces.into_iter().collect()),
         (true, Some(region)) => Err(CutError::Pinned {
             region: topology.model.regions[region.index()].name.clone(),
         }),
-        (true, None) if open => Err(CutError::NothingNew),
+        (true, None) if met.open => Err(CutError::NothingNew),
         (true, None) => Err(CutError::Misses),
+    }
+}
+
+/// Looks through the three upper faces of a cell for triangles in the way.
+fn meet(topology: &Topology, cell: u32, from: &Vec3, near: &[&Triangle], met: &mut Met) {
+    let spacing = topology.model.spacing_m;
+    for face in [1, 3, 5] {
+        let other = topology.model.cells[cell as usize].neighbours[face];
+        if other == NO_CELL {
+            continue;
+        }
+        let to = topology.centre(other) + TIE * spacing;
+        if !near.iter().any(|t| t.crosses(from, &to)) {
+            continue;
+        }
+        let id = FaceId::new(cell, face);
+        let regions = [cell, other].map(|c| topology.region(c));
+        let bone = regions
+            .into_iter()
+            .find(|r| topology.model.regions[r.index()].pinned);
+        if topology.across(id) == NO_CELL {
+            met.open = true;
+        } else if bone.is_some() {
+            met.pinned = bone;
+        } else {
+            met.faces.insert(id);
+        }
     }
 }
 
