@@ -137,3 +137,110 @@ impl<M: Message> FrameDecoder<M> {
         Ok(Some(message))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::operation::{BladePoint, STROKE_MAX_POINTS};
+    use crate::request::{CutRequest, Request, RequestKind, TimedBladePoint};
+    use crate::{RequestId, ServerTime};
+    use proptest::prelude::*;
+
+    fn longest_request() -> ClientMessage {
+        let blade = BladePoint {
+            tip_m: [1.5, -2.5, 3.5],
+            axis: [0.0, 0.0, 1.0],
+            depth_m: 0.01,
+        };
+        let time = ServerTime::from_micros(i64::MAX / 2);
+        let points = vec![TimedBladePoint { time, blade }; STROKE_MAX_POINTS];
+        let kind = RequestKind::Cut(CutRequest {
+            points,
+            width_m: 0.001,
+        });
+        ClientMessage::Request(Request {
+            id: RequestId(9),
+            kind,
+        })
+    }
+
+    fn leave() -> ClientMessage {
+        ClientMessage::Request(Request {
+            id: RequestId(1),
+            kind: RequestKind::Leave,
+        })
+    }
+
+    #[test]
+    fn the_longest_stroke_fits_into_half_a_frame() {
+        let frame = encode_frame(&longest_request()).unwrap();
+        assert!(
+            frame.len() < FRAME_MAX_BYTES * 2 / 3,
+            "{} bytes",
+            frame.len()
+        );
+        assert_eq!(
+            decode_body::<ClientMessage>(&frame[PREFIX_BYTES..]),
+            Ok(longest_request())
+        );
+    }
+
+    #[test]
+    fn a_frame_that_announces_too_much_is_refused_before_it_arrives() {
+        let mut decoder = FrameDecoder::<ClientMessage>::new(HELLO_MAX_BYTES);
+        decoder.push(&(HELLO_MAX_BYTES as u32 + 1).to_le_bytes());
+        let error = decoder.next().unwrap_err();
+        assert!(
+            matches!(error, ProtocolError::FrameTooLong { .. }),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn a_list_that_announces_too_much_is_refused() {
+        // A cut request whose list has 2^60 points.
+        let mut body = encode_frame(&longest_request())
+            .unwrap()
+            .split_off(PREFIX_BYTES);
+        body.truncate(3);
+        body.push(253);
+        body.extend_from_slice(&(1_u64 << 60).to_le_bytes());
+        assert!(decode_body::<ClientMessage>(&body).is_err());
+    }
+
+    #[test]
+    fn bytes_after_a_message_are_an_error() {
+        let mut body = encode_frame(&leave()).unwrap().split_off(PREFIX_BYTES);
+        body.push(0);
+        let error = decode_body::<ClientMessage>(&body).unwrap_err();
+        assert!(
+            matches!(error, ProtocolError::TrailingBytes { extra: 1, .. }),
+            "{error}"
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn frames_come_whole_out_of_any_pieces(cuts in proptest::collection::vec(1_usize..3000, 1..40)) {
+            let sent = [leave(), longest_request(), leave(), leave()];
+            let bytes: Vec<u8> = sent.iter().flat_map(|m| encode_frame(m).unwrap()).collect();
+            let mut decoder = FrameDecoder::<ClientMessage>::new(FRAME_MAX_BYTES);
+            let (mut got, mut at, mut i) = (Vec::new(), 0, 0);
+            while at < bytes.len() {
+                let end = (at + cuts[i % cuts.len()]).min(bytes.len());
+                decoder.push(&bytes[at..end]);
+                while let Some(message) = decoder.next().unwrap() {
+                    got.push(message);
+                }
+                (at, i) = (end, i + 1);
+            }
+            prop_assert_eq!(&got[..], &sent[..]);
+        }
+
+        #[test]
+        fn no_noise_makes_the_decoder_panic(body in proptest::collection::vec(any::<u8>(), 0..600)) {
+            let _ = decode_body::<ClientMessage>(&body);
+            let _ = decode_body::<ServerMessage>(&body);
+        }
+    }
+}

@@ -1,1 +1,247 @@
+//! What a datagram's codec promises, whatever the bytes.
 
+use proptest::prelude::*;
+
+use super::*;
+use crate::{Pose, Span, ToolSample};
+
+fn header() -> Header {
+    Header {
+        epoch: Epoch(3),
+        stream: ParticipantId(2),
+        sequence: 77,
+        generated: ServerTime::from_micros(9_000_000),
+        newest: 12,
+        bits: 0b1011,
+    }
+}
+
+fn track(participant: u16, samples: i64, force: bool) -> ToolTrack {
+    let sample = |i: i64| ToolSample {
+        time: ServerTime::from_micros(8_990_000 + 1000 * i),
+        pose: Pose {
+            position_m: [0.1 + 1e-4 * i as f64, -0.2, 19.99],
+            orientation: [0.5, -0.5, 0.5, 0.5],
+        },
+        buttons: i as u8,
+        force_n: force.then_some([1.25, -3.5, 0.0]),
+    };
+    ToolTrack {
+        participant: ParticipantId(participant),
+        samples: (0..samples).map(sample).collect(),
+    }
+}
+
+fn nodes(n: u32) -> Vec<(u32, [f32; 3])> {
+    (0..n)
+        .map(|i| (i * 3, [1e-3 * i as f32, -2e-3, 0.0]))
+        .collect()
+}
+
+/// One of each kind.
+fn every_kind() -> Vec<Datagram> {
+    let view_time = ServerTime::from_micros(8_999_000);
+    let report = DelayReport {
+        mean_us: 1,
+        deviation_us: 2,
+        wanted_us: u32::MAX,
+    };
+    let probe = Probe {
+        id: 5,
+        client_sent: ClientTime::from_micros(-3),
+    };
+    let reply = Reply {
+        id: 5,
+        client_sent: ClientTime::from_micros(-3),
+        server_received: ServerTime::from_micros(8_999_000),
+        server_sent: ServerTime::from_micros(8_999_100),
+    };
+    [
+        Body::Motion(vec![track(1, 8, true), track(4, 1, false)]),
+        Body::Motion(Vec::new()),
+        Body::Corrections(Corrections {
+            topology_version: 2,
+            view_time,
+            nodes: nodes(20),
+        }),
+        Body::Probe(probe),
+        Body::Reply(reply),
+        Body::Delays(vec![
+            (ParticipantId(1), report),
+            (ParticipantId(9), DelayReport::default()),
+        ]),
+    ]
+    .map(|body| Datagram {
+        header: header(),
+        body,
+    })
+    .to_vec()
+}
+
+#[test]
+fn every_kind_reads_back_as_written_up_to_its_quantum() {
+    for datagram in every_kind() {
+        let bytes = datagram.encode().unwrap();
+        let back = Datagram::decode(&bytes).unwrap();
+        assert_eq!(back.header, datagram.header);
+        // Written again, it is the same to the bit.
+        assert_eq!(back.encode().unwrap(), bytes);
+    }
+}
+
+#[test]
+fn the_batch_of_one_tool_has_the_size_that_is_documented() {
+    let body = Body::Motion(vec![track(1, 8, false)]);
+    let bytes = Datagram {
+        header: header(),
+        body,
+    }
+    .encode()
+    .unwrap();
+    assert_eq!(bytes.len(), 27 + 1 + 7 + 8 * 18);
+    let track = track(1, 8, true);
+    assert_eq!(motion::track_bytes(&track), 7 + 8 * 24);
+}
+
+#[test]
+fn every_truncation_is_an_error() {
+    for datagram in every_kind() {
+        let bytes = datagram.encode().unwrap();
+        for len in 0..bytes.len() {
+            assert!(
+                Datagram::decode(&bytes[..len]).is_err(),
+                "{len} of {}",
+                bytes.len()
+            );
+        }
+    }
+}
+
+#[test]
+fn every_byte_too_many_is_an_error() {
+    for datagram in every_kind() {
+        let mut bytes = datagram.encode().unwrap();
+        bytes.push(0);
+        let error = Datagram::decode(&bytes).unwrap_err();
+        assert!(
+            matches!(error, ProtocolError::TrailingBytes { extra: 1, .. }),
+            "{error}"
+        );
+    }
+}
+
+#[test]
+fn no_flipped_bit_makes_the_decoder_panic_or_give_what_is_out_of_range() {
+    for datagram in every_kind() {
+        let good = datagram.encode().unwrap();
+        for bit in 0..good.len() * 8 {
+            let mut bytes = good.clone();
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            check(&bytes);
+        }
+    }
+}
+
+/// Whatever decodes is within the ranges that the types promise.
+fn check(bytes: &[u8]) {
+    let Ok(datagram) = Datagram::decode(bytes) else {
+        return;
+    };
+    match datagram.body {
+        Body::Motion(tracks) => {
+            for sample in tracks.iter().flat_map(|t| &t.samples) {
+                let limit = POSITION_MAX_M + POSITION_STEP_M;
+                assert!(sample.pose.position_m.iter().all(|x| x.abs() <= limit));
+                let norm = sample.pose.orientation.iter().map(|c| c * c).sum::<f64>();
+                assert!((norm - 1.0).abs() < 1e-9);
+            }
+            for t in &tracks {
+                assert!(t.samples.is_sorted_by_key(|s| s.time));
+                assert!((1..=TRACK_MAX_SAMPLES).contains(&t.samples.len()));
+            }
+        }
+        Body::Corrections(c) => assert!(c.nodes.is_sorted_by(|a, b| a.0 < b.0)),
+        Body::Probe(_) | Body::Reply(_) | Body::Delays(_) => {}
+    }
+}
+
+#[test]
+fn what_can_not_be_sent_is_refused_and_not_sent_wrong() {
+    let send = |f: fn(&mut ToolSample)| {
+        let mut track = track(1, 1, false);
+        f(&mut track.samples[0]);
+        Datagram {
+            header: header(),
+            body: Body::Motion(vec![track]),
+        }
+        .encode()
+    };
+    assert!(send(|s| s.pose.position_m[0] = f64::NAN).is_err());
+    assert!(send(|s| s.pose.position_m[1] = 20.1).is_err());
+    assert!(send(|s| s.pose.orientation = [0.0; 4]).is_err());
+    assert!(send(|s| s.pose.orientation = [f64::INFINITY; 4]).is_err());
+    assert!(send(|s| s.time = s.time - Span::from_millis(3_000_000)).is_err());
+    assert!(send(|_| {}).is_ok());
+}
+
+#[test]
+fn corrections_of_any_length_are_divided_into_datagrams() {
+    let all = nodes(1000);
+    let view_time = ServerTime::from_micros(8_999_000);
+    let pieces = Corrections::pieces(7, view_time, &all);
+    let mut back = Vec::new();
+    for piece in pieces {
+        let datagram = Datagram {
+            header: header(),
+            body: Body::Corrections(piece),
+        };
+        let bytes = datagram.encode().unwrap();
+        match Datagram::decode(&bytes).unwrap().body {
+            Body::Corrections(c) => back.extend(c.nodes),
+            other => panic!("{other:?}"),
+        }
+    }
+    assert_eq!(back.len(), all.len());
+    for ((n, x), (m, y)) in all.iter().zip(&back) {
+        assert_eq!(n, m);
+        let saturated = x.map(|c| c.min(0.327_67));
+        assert!(saturated.iter().zip(y).all(|(a, b)| (a - b).abs() < 6e-6));
+    }
+}
+
+proptest! {
+    #[test]
+    fn no_noise_makes_the_decoder_panic(bytes in proptest::collection::vec(any::<u8>(), 0..1200), kind in 0_u8..7) {
+        check(&bytes);
+        let mut bytes = bytes;
+        if let Some(first) = bytes.first_mut() {
+            *first = kind;
+        }
+        check(&bytes);
+    }
+
+    #[test]
+    fn positions_and_rotations_survive_within_their_quantum(
+        x in -20.0_f64..20.0,
+        axis in [-1.0_f64..1.0, -1.0_f64..1.0, -1.0_f64..1.0],
+        angle in -3.2_f64..3.2,
+    ) {
+        let q = nalgebra::UnitQuaternion::from_scaled_axis(nalgebra::Vector3::from(axis) * angle);
+        let orientation = [q.i, q.j, q.k, q.w];
+        let sample = ToolSample {
+            time: ServerTime::ZERO,
+            pose: Pose { position_m: [x, -x, 0.0], orientation },
+            ..ToolSample::default()
+        };
+        let track = ToolTrack { participant: ParticipantId(1), samples: vec![sample] };
+        let bytes = Datagram { header: header(), body: Body::Motion(vec![track]) }.encode().unwrap();
+        let Body::Motion(tracks) = Datagram::decode(&bytes).unwrap().body else {
+            panic!("another kind");
+        };
+        let back = tracks[0].samples[0].pose;
+        prop_assert!((back.position_m[0] - x).abs() <= 0.51 * POSITION_STEP_M);
+        let [i, j, k, w] = back.orientation;
+        let p = nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::new(w, i, j, k));
+        prop_assert!(p.angle_to(&q) < 0.01_f64.to_radians());
+    }
+}

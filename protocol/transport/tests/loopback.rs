@@ -1,0 +1,393 @@
+//! Sessions over real quinn on the loopback interface.
+#![allow(clippy::unwrap_used)]
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use palpate_protocol::handshake::{
+    Hello, PROTOCOL_VERSION, Preamble, RefusalReason, ToolDescription, ToolKind, Welcome,
+};
+use palpate_protocol::operation::{
+    CompensationMode, CompensationSettings, Operation, OperationKind,
+};
+use palpate_protocol::request::RequestKind;
+use palpate_protocol::session::{
+    ClientEvent, ClientSession, CloseReason, PeerDatagram, PeerEvent, PeerMessage,
+};
+use palpate_protocol::{
+    CertificateHash, ClientTime, Epoch, Grant, JoinLink, LocalSample, ModelHash, ModelInfo,
+    OperationId, ParticipantId, Pose, Role, ServerTime, ToolTrack, TopologyHash,
+};
+use palpate_transport::{
+    ClientCommand, ClientHandle, ModelSource, PeerHandle, PeerId, PeerInput, Server,
+    ServerIdentity, TransportError, connect, fetch_model, spawn_client, spawn_peer,
+};
+use tokio::sync::mpsc;
+
+const ANY_PORT: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
+const GRANT: Grant = Grant([9; 16]);
+const MODEL: ModelHash = ModelHash(77);
+const PATIENCE: Duration = Duration::from_secs(20);
+
+fn serve() -> (Server, JoinLink) {
+    let identity = ServerIdentity::generate().unwrap();
+    let models: ModelSource = Arc::new(|grant, hash| {
+        (grant == GRANT && hash == MODEL).then(|| vec![0xab; 3_000_000].into())
+    });
+    let server = Server::bind(ANY_PORT, &identity, models).unwrap();
+    let link = JoinLink {
+        host: "127.0.0.1".to_owned(),
+        port: server.local_addr().port(),
+        role: Role::Trainee,
+        certificate: identity.certificate_hash(),
+        grant: GRANT,
+    };
+    (server, link)
+}
+
+fn hello(name: &str) -> Hello {
+    Hello {
+        name: name.to_owned(),
+        role: Role::Trainee,
+        grant: GRANT,
+        tool: Some(ToolDescription {
+            kind: ToolKind::Probe,
+            radius_m: 0.004,
+        }),
+        resume: None,
+    }
+}
+
+fn welcome(participant: u16, operations_so_far: u64) -> PeerMessage {
+    PeerMessage::Welcome(Box::new(Welcome {
+        participant: ParticipantId(participant),
+        epoch: Epoch(1),
+        role: Role::Trainee,
+        server_time: ServerTime::ZERO,
+        model: ModelInfo {
+            hash: MODEL,
+            bytes: 3_000_000,
+        },
+        roster: Vec::new(),
+        topology_version: 0,
+        topology_hash: TopologyHash(1),
+        operations_so_far,
+        compensation: CompensationSettings {
+            mode: CompensationMode::None,
+            initial_delay_us: 0,
+        },
+        tick_hz: 250,
+        session_started_at: None,
+        resume_token: [0; 16],
+    }))
+}
+
+fn operation(id: u64) -> PeerMessage {
+    PeerMessage::Operation(Arc::new(Operation {
+        id: OperationId(id),
+        at: ServerTime::ZERO,
+        author: ParticipantId::SERVER,
+        topology_version_before: 0,
+        topology_version_after: 0,
+        hash_after: TopologyHash(1),
+        kind: OperationKind::Started {
+            at: ServerTime::ZERO,
+        },
+    }))
+}
+
+fn client_clock(since: Instant) -> impl Fn() -> ClientTime + Send + Clone + 'static {
+    move || ClientTime::from_micros(since.elapsed().as_micros() as i64)
+}
+
+fn server_clock(since: Instant) -> impl Fn() -> ServerTime + Send + Clone + 'static {
+    move || ServerTime::from_micros(since.elapsed().as_micros() as i64 + 5_000_000)
+}
+
+async fn join(link: &JoinLink, name: &str, since: Instant) -> ClientHandle {
+    let clock = client_clock(since);
+    let session = ClientSession::new(hello(name), clock()).unwrap();
+    spawn_client(connect(link).await.unwrap(), session, clock)
+}
+
+async fn next_event(client: &mut ClientHandle) -> ClientEvent {
+    tokio::time::timeout(PATIENCE, client.events.recv())
+        .await
+        .unwrap()
+        .unwrap()
+}
+
+async fn next_input(inbox: &mut mpsc::Receiver<PeerInput>) -> PeerInput {
+    tokio::time::timeout(PATIENCE, inbox.recv())
+        .await
+        .unwrap()
+        .unwrap()
+}
+
+/// One client in, with a hello answered.
+async fn admit(
+    server: &Server,
+    link: &JoinLink,
+    n: u16,
+    inbox: &(mpsc::Sender<PeerInput>, Instant),
+    receiver: &mut mpsc::Receiver<PeerInput>,
+) -> (PeerHandle, ClientHandle) {
+    let client = join(link, &format!("client {n}"), inbox.1).await;
+    let connection = server.accept().await.unwrap();
+    let peer = spawn_peer(
+        connection,
+        PeerId(n.into()),
+        server_clock(inbox.1),
+        inbox.0.clone(),
+    );
+    loop {
+        let input = next_input(receiver).await;
+        if input.peer == PeerId(n.into()) && matches!(input.event, PeerEvent::Hello(_)) {
+            break;
+        }
+    }
+    assert!(peer.send(welcome(n, 3)));
+    (peer, client)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_session_goes_from_hello_to_leave() {
+    let (server, link) = serve();
+    let (sender, mut receiver) = mpsc::channel(1024);
+    let inbox = (sender, Instant::now());
+    let (peer, mut client) = admit(&server, &link, 1, &inbox, &mut receiver).await;
+    for id in 0..5 {
+        assert!(peer.send(operation(id)));
+    }
+    let (mut operations, mut caught_up, mut clock) = (Vec::new(), None, None);
+    assert!(matches!(
+        next_event(&mut client).await,
+        ClientEvent::Welcomed(_)
+    ));
+    while operations.len() < 5 || clock.is_none() {
+        match next_event(&mut client).await {
+            ClientEvent::Operation(o) => operations.push(o.id.0),
+            ClientEvent::CaughtUp => caught_up = Some(operations.len()),
+            ClientEvent::Clock(map) => clock = Some(map),
+            _ => {}
+        }
+    }
+    assert_eq!((operations, caught_up), (vec![0, 1, 2, 3, 4], Some(3)));
+    let map = clock.unwrap();
+    let offset = map.to_server(ClientTime::ZERO).as_micros() - 5_000_000;
+    assert!(
+        offset.abs() <= map.error_bound().as_micros() + 1,
+        "{offset} µs"
+    );
+
+    let now = client_clock(inbox.1)();
+    let samples: Vec<LocalSample> = (0..4_i64)
+        .map(|i| LocalSample {
+            time: now - palpate_protocol::Span::from_millis(3 - i),
+            pose: Pose {
+                position_m: [0.01 * i as f64, 0.0, 0.0],
+                ..Pose::IDENTITY
+            },
+            ..LocalSample::default()
+        })
+        .collect();
+    client
+        .commands
+        .send(ClientCommand::Motion(samples))
+        .await
+        .unwrap();
+    let back = loop {
+        if let PeerEvent::Motion(samples) = next_input(&mut receiver).await.event {
+            break samples;
+        }
+    };
+    assert_eq!(back.len(), 4);
+    let track = |n| ToolTrack {
+        participant: ParticipantId(n),
+        samples: back.clone(),
+    };
+    assert!(peer.send_datagram(PeerDatagram::Motion([track(1), track(2)].into())));
+    loop {
+        if let ClientEvent::Motion(track) = next_event(&mut client).await {
+            assert_eq!(
+                track.participant,
+                ParticipantId(2),
+                "one's own tool is left out"
+            );
+            break;
+        }
+    }
+    client
+        .commands
+        .send(ClientCommand::Request(RequestKind::Leave))
+        .await
+        .unwrap();
+    loop {
+        if let PeerEvent::Closed(reason) = next_input(&mut receiver).await.event {
+            assert_eq!(reason, CloseReason::Left);
+            break;
+        }
+    }
+    loop {
+        if let ClientEvent::Closed(reason) = next_event(&mut client).await {
+            assert_eq!(reason, CloseReason::Left);
+            break;
+        }
+    }
+    server.close("done").await;
+}
+
+#[tokio::test]
+async fn another_certificate_is_refused_with_both_hashes() {
+    let (_server, mut link) = serve();
+    link.certificate = CertificateHash([1; 32]);
+    let error = connect(&link).await.err().unwrap();
+    assert!(
+        matches!(error, TransportError::WrongCertificate { .. }),
+        "{error}"
+    );
+    assert!(error.to_string().contains("0101"));
+}
+
+#[tokio::test]
+async fn a_client_of_another_version_is_told_which_one_the_server_speaks() {
+    let (server, link) = serve();
+    let (sender, mut receiver) = mpsc::channel(16);
+    let mut connection = connect(&link).await.unwrap();
+    connection
+        .write(
+            &Preamble {
+                version: 99,
+                status: 0,
+            }
+            .to_bytes(),
+        )
+        .await
+        .unwrap();
+    let accepted = server.accept().await.unwrap();
+    let _peer = spawn_peer(accepted, PeerId(1), server_clock(Instant::now()), sender);
+    let mut answer = Vec::new();
+    let mut buffer = [0; 1024];
+    while let Ok(Some(n)) = connection.read(&mut buffer).await {
+        answer.extend_from_slice(&buffer[..n]);
+    }
+    let preamble = Preamble::from_bytes(answer[..8].try_into().unwrap()).unwrap();
+    assert_eq!((preamble.version, preamble.status), (PROTOCOL_VERSION, 1));
+    let sentence = String::from_utf8_lossy(&answer[10..]).into_owned();
+    assert!(sentence.contains(&format!("speaks protocol version {PROTOCOL_VERSION}")));
+    let closed = next_input(&mut receiver).await.event;
+    assert!(
+        matches!(closed, PeerEvent::Closed(CloseReason::Violation(_))),
+        "{closed:?}"
+    );
+}
+
+#[tokio::test]
+async fn a_server_of_another_version_is_named_in_the_refusal() {
+    let (server, link) = serve();
+    let mut client = join(&link, "new", Instant::now()).await;
+    let mut old = server.accept().await.unwrap();
+    old.write(
+        &Preamble {
+            version: 7,
+            status: 0,
+        }
+        .to_bytes(),
+    )
+    .await
+    .unwrap();
+    match next_event(&mut client).await {
+        ClientEvent::Closed(CloseReason::Refused(refused)) => {
+            assert_eq!(refused.reason, RefusalReason::Version { server_speaks: 7 });
+            assert!(refused.sentence.contains("speaks protocol version 7"));
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn noise_harms_nobody_and_is_counted() {
+    let (server, link) = serve();
+    let (sender, mut receiver) = mpsc::channel(1024);
+    let inbox = (sender, Instant::now());
+    let (good_peer, mut good) = admit(&server, &link, 1, &inbox, &mut receiver).await;
+    assert!(good_peer.send(operation(0)));
+
+    // At the port.
+    let socket = tokio::net::UdpSocket::bind(ANY_PORT).await.unwrap();
+    for len in 0..200 {
+        let noise: Vec<u8> = (0..len * 7).map(|i| (i * 31 + len) as u8).collect();
+        socket.send_to(&noise, server.local_addr()).await.unwrap();
+    }
+    // Inside a connection: datagrams before the handshake, then nonsense on the stream.
+    let mut bad = connect(&link).await.unwrap();
+    bad.write(&Preamble::OURS.to_bytes()).await.unwrap();
+    for i in 0..50_u8 {
+        bad.send_datagram(vec![i; usize::from(i) + 1]);
+    }
+    let accepted = server.accept().await.unwrap();
+    let bad_peer = spawn_peer(accepted, PeerId(2), server_clock(inbox.1), inbox.0.clone());
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    bad.write(&[0xff; 64]).await.unwrap();
+    loop {
+        let input = next_input(&mut receiver).await;
+        if let PeerEvent::Closed(reason) = input.event {
+            assert_eq!(input.peer, PeerId(2), "only the bad one is closed");
+            assert!(matches!(reason, CloseReason::Violation(_)), "{reason}");
+            break;
+        }
+    }
+    tokio::time::sleep(Duration::from_millis(700)).await;
+    assert!(bad_peer.stats().link.noise.early > 0);
+    // The other one goes on.
+    assert!(good_peer.send(operation(1)));
+    loop {
+        if let ClientEvent::Operation(o) = next_event(&mut good).await
+            && o.id == OperationId(1)
+        {
+            break;
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_model_comes_whole_to_who_holds_the_grant() {
+    let (_server, link) = serve();
+    let mut last = (0, 0);
+    let bytes = fetch_model(&link, MODEL, |done, total| last = (done, total))
+        .await
+        .unwrap();
+    assert_eq!((bytes.len(), last), (3_000_000, (3_000_000, 3_000_000)));
+    assert!(bytes.iter().all(|b| *b == 0xab));
+    let stranger = JoinLink {
+        grant: Grant([0; 16]),
+        ..link.clone()
+    };
+    let error = fetch_model(&stranger, MODEL, |_, _| {}).await.unwrap_err();
+    assert!(
+        matches!(error, TransportError::ModelRefused { .. }),
+        "{error}"
+    );
+}
+
+#[tokio::test]
+async fn a_taken_port_is_named() {
+    let (server, _) = serve();
+    let identity = ServerIdentity::generate().unwrap();
+    let models: ModelSource = Arc::new(|_, _| None);
+    let error = Server::bind(server.local_addr(), &identity, models)
+        .err()
+        .unwrap();
+    assert!(matches!(error, TransportError::PortTaken { .. }), "{error}");
+    assert!(error.to_string().contains(&server.local_addr().to_string()));
+}
+
+#[tokio::test]
+async fn a_silent_address_is_given_up_with_a_sentence() {
+    let socket = tokio::net::UdpSocket::bind(ANY_PORT).await.unwrap();
+    let (_server, mut link) = serve();
+    link.port = socket.local_addr().unwrap().port();
+    let error = connect(&link).await.err().unwrap();
+    assert!(matches!(error, TransportError::NoAnswer { .. }), "{error}");
+}
