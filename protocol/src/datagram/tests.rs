@@ -21,7 +21,7 @@ fn track(participant: u16, samples: i64, force: bool) -> ToolTrack {
         time: ServerTime::from_micros(8_990_000 + 1000 * i),
         pose: Pose {
             position_m: [0.1 + 1e-4 * i as f64, -0.2, 19.99],
-            orientation: [0.5, -0.5, 0.5, 0.5],
+            orientation: [0.1, -0.3, 0.2, 0.927_361_849_549_570_4],
         },
         buttons: i as u8,
         force_n: force.then_some([1.25, -3.5, 0.0]),

@@ -152,3 +152,6 @@ pub enum PeerDatagram {
     /// What each participant needs of the artificial delay.
     Delays(Arc<[(ParticipantId, DelayReport)]>),
 }
+
+#[cfg(test)]
+mod tests;
