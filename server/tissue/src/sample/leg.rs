@@ -95,10 +95,11 @@ fn group<'a>(envelope: &'a Loft<'static>, turn: f64, inset_mm: f64) -> Loft<'a> 
         centre: Box::new(middle),
         radius: Box::new(move |z, theta| {
             let from = middle(z);
-            // The wall's normal points away from the group, which stays 1 mm clear of it.
+            // The wall's normal points away from the group. Both groups reach 1 mm beyond it, so
+            // that no cleft thinner than the spacing is left between them.
             let normal = front(z) + turn + PI;
             let membrane = between(z);
-            let on = [membrane[0] - normal.cos(), membrane[1] - normal.sin()];
+            let on = [membrane[0] + normal.cos(), membrane[1] + normal.sin()];
             // In front, muscle lies on the lateral side of the tibia only.
             let medial = (turn == 0.0).then(|| distance_to_line(from, theta, tibia_centre(z), PI));
             let membrane = distance_to_line(from, theta, on, normal);

@@ -4,8 +4,8 @@
 //! X points to the lateral side, Y to the front, Z up the leg. The outermost region is
 //! subcutaneous fat and holds the skin too, whose 2 mm are thinner than the spacing of 4 mm.
 //! The muscle groups lie around the femur as in a section through the middle of the thigh:
-//! quadriceps in front, hamstrings behind, adductors on the medial side; the fat fills the
-//! clefts between them.
+//! quadriceps in front, hamstrings behind, adductors on the medial side; they touch
+//! each other, and fat fills what they leave.
 
 use std::f64::consts::PI;
 
@@ -15,8 +15,9 @@ use super::{Body, Part};
 const LENGTH_MM: f64 = 200.0;
 /// Triangles of about this size: the spacing of the default scene.
 const STEP_MM: f64 = 4.0;
-/// Half the width of the cleft between two muscle groups.
-const CLEFT_MM: f64 = 1.0;
+/// Half of what two muscle groups overlap where they touch; the later one wins. A cleft thinner
+/// than the spacing could not be divided, and would leave crushed cells.
+const OVERLAP_MM: f64 = 1.0;
 /// Where the medullary cavity ends, from the ends of the bone.
 const MARROW_INSET_MM: f64 = 8.0;
 
@@ -74,17 +75,17 @@ const MEDIAL: f64 = 2.53;
 
 const QUADRICEPS: Group = Group {
     middle: [FRONT, 24.0],
-    walls: &[[FRONT + PI, 8.0 - CLEFT_MM]],
+    walls: &[[FRONT + PI, 8.0 + OVERLAP_MM]],
     z: [7.0, 194.0],
 };
 const HAMSTRINGS: Group = Group {
     middle: [4.97, 40.0],
-    walls: &[[FRONT, -8.0 - CLEFT_MM], [MEDIAL, -CLEFT_MM]],
+    walls: &[[FRONT, -8.0 + OVERLAP_MM], [MEDIAL, OVERLAP_MM]],
     z: [6.0, 193.0],
 };
 const ADDUCTORS: Group = Group {
     middle: [3.46, 38.0],
-    walls: &[[FRONT, -8.0 - CLEFT_MM], [MEDIAL + PI, -CLEFT_MM]],
+    walls: &[[FRONT, -8.0 + OVERLAP_MM], [MEDIAL + PI, OVERLAP_MM]],
     z: [12.0, 195.0],
 };
 
