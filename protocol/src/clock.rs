@@ -10,7 +10,7 @@
 //!
 //! Queues only ever add to r, so that the θ of the smallest r within the last [`WINDOW`] is the
 //! best one. The smallest of each second is kept for [`DRIFT_WINDOW`]; the slope of a straight line
-//! through those, weighted by 1 / (r - r_min + 1 ms)², is the drift ρ. From the first lock on, the
+//! through those, weighted by `1 / (r - r_min + 1 ms)²`, is the drift ρ. From the first lock on, the
 //! map never steps: what it lacks is made up at a rate of at most [`SLEW_MAX`].
 
 use std::collections::VecDeque;

@@ -481,17 +481,16 @@ impl ClientSession {
             // Lossy news make room; a shell that never drains loses those first.
             let lossy =
                 |e: &ClientEvent| matches!(e, ClientEvent::Motion(_) | ClientEvent::Corrections(_));
-            match self.events.iter().position(lossy) {
-                Some(i) => drop(self.events.remove(i)),
-                None => {
-                    let limit = EVENTS_MAX;
-                    let error = ProtocolError::TooLarge {
-                        what: "event queue",
-                        bytes: limit,
-                        limit,
-                    };
-                    return self.close(CloseReason::Violation(error));
-                }
+            if let Some(i) = self.events.iter().position(lossy) {
+                self.events.remove(i);
+            } else {
+                let limit = EVENTS_MAX;
+                let error = ProtocolError::TooLarge {
+                    what: "event queue",
+                    bytes: limit,
+                    limit,
+                };
+                return self.close(CloseReason::Violation(error));
             }
         }
         self.events.push_back(event);

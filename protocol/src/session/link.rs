@@ -186,17 +186,13 @@ impl Link {
             newest,
             bits,
         };
-        match (Datagram { header, body }).encode() {
-            Ok(bytes) => {
-                self.last_sequence = sequence;
-                self.stats.sent += 1;
-                Some(bytes)
-            }
-            Err(_) => {
-                self.stats.skipped += 1;
-                None
-            }
-        }
+        let Ok(bytes) = (Datagram { header, body }).encode() else {
+            self.stats.skipped += 1;
+            return None;
+        };
+        self.last_sequence = sequence;
+        self.stats.sent += 1;
+        Some(bytes)
     }
 
     pub(super) fn stats(&self) -> LinkStats {

@@ -291,7 +291,9 @@ fn motion_arrives_whole_enough_to_be_shown_within_a_tenth_of_a_millimetre() {
             pair.step();
             for event in std::mem::take(&mut pair.server_events) {
                 if let PeerEvent::Motion(samples) = event {
-                    samples.into_iter().for_each(|s| timeline.insert(s));
+                    for sample in samples {
+                        timeline.insert(sample);
+                    }
                 }
             }
             // The moment as the client's clock map sees it, 150 ms ago.

@@ -1,4 +1,5 @@
 //! Laws of the timeline, and the table of errors against a known motion.
+#![allow(clippy::print_stdout)]
 
 use std::f64::consts::TAU;
 

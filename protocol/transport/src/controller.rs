@@ -22,10 +22,10 @@ use std::time::{Duration, Instant};
 use quinn::congestion::{Controller, ControllerFactory};
 use quinn_proto::RttEstimator;
 
-/// W_floor in bytes: a round trip of 600 ms carries 200 kB/s, four times what a tool needs.
+/// `W_floor` in bytes: a round trip of 600 ms carries 200 kB/s, four times what a tool needs.
 const WINDOW_FLOOR: u64 = 128 * 1024;
 
-/// W_min in bytes: still 25 kB/s at 600 ms, enough for heartbeats and operations.
+/// `W_min` in bytes: still 25 kB/s at 600 ms, enough for heartbeats and operations.
 const WINDOW_MIN: u64 = 16 * 1024;
 
 /// The largest window in bytes; what is larger is for the bulk connection.
@@ -60,7 +60,7 @@ impl ControllerFactory for FloorConfig {
 #[derive(Debug, Clone)]
 struct Floor {
     mtu: u64,
-    /// W_reno.
+    /// `W_reno`.
     reno: u64,
     threshold: u64,
     recovery_since: Instant,

@@ -185,9 +185,8 @@ fn deliver<M: Machine>(
             return;
         };
         match events.try_send(event) {
-            Ok(()) => {}
             Err(mpsc::error::TrySendError::Full(event)) => return pending.push_front(event),
-            Err(mpsc::error::TrySendError::Closed(_)) => {}
+            Ok(()) | Err(mpsc::error::TrySendError::Closed(_)) => {}
         }
     }
 }
