@@ -153,12 +153,13 @@ fn cold(o: &Options, topology: &Topology, solver: Solver) {
             size += b.norm_squared();
         }
         println!(
-            "{} iterations  {:6.2} ms  residual {:.1e}  rms error {:.2} %  active {}",
+            "{} iterations  {:6.2} ms  residual {:.1e}  rms error {:.2} %  active {}  visits {:?}",
             report.iterations,
             spent,
             report.residual,
             100.0 * (error / size).sqrt(),
-            report.active_nodes
+            report.active_nodes,
+            report.visits
         );
     }
 }
@@ -171,7 +172,7 @@ fn press(o: &Options, topology: &Topology, mut solver: Solver) {
     let mut exact = Shape::rest(topology);
     let mut judge = Solver::new(topology);
     let ticks = (o.depth_mm / o.speed_mm_s * 1e3 / o.tick_ms).round() as usize;
-    let (mut times, mut errors) = (Vec::new(), Vec::new());
+    let (mut times, mut errors, mut visits) = (Vec::new(), Vec::new(), 0);
     for tick in 1..=ticks + 10 {
         let depth = (o.speed_mm_s * o.tick_ms * 1e-3 * tick as f64).min(o.depth_mm) * 1e-3;
         let tool = Tool {
@@ -190,6 +191,7 @@ fn press(o: &Options, topology: &Topology, mut solver: Solver) {
         let report = solver.step(topology, &mut shape, &[tool], budget).clone();
         let spent = spent_ms(start) - before;
         times.push(spent);
+        visits += report.visits[0];
         if tick % o.every as usize == 0 {
             let converged = judge
                 .step(topology, &mut exact, &[tool], Budget::new(300, 1e-5))
@@ -198,7 +200,7 @@ fn press(o: &Options, topology: &Topology, mut solver: Solver) {
             let error = 100.0 * (f - g).norm() / g.norm();
             errors.push(error);
             println!(
-                "depth {:5.2} mm  F {:.4} N  converged {:.4} N ({} it, {:.0e})  error {:6.2} %  {:.2} ms  {} it  residual {:.1e}  active {}  contacts {}  clamped {}",
+                "depth {:5.2} mm  F {:.4} N  converged {:.4} N ({} it, {:.0e})  error {:6.2} %  {:.2} ms  {} it  residual {:.1e}  active {}  contacts {}  clamped {}  visits {:?}",
                 depth * 1e3,
                 f.norm(),
                 g.norm(),
@@ -211,6 +213,7 @@ fn press(o: &Options, topology: &Topology, mut solver: Solver) {
                 report.active_nodes,
                 report.reactions[0].contacts,
                 report.clamped,
+                report.visits,
             );
         }
     }
@@ -218,9 +221,11 @@ fn press(o: &Options, topology: &Topology, mut solver: Solver) {
     sorted.sort_by(f64::total_cmp);
     let at = |q: f64| sorted[((sorted.len() - 1) as f64 * q).round() as usize];
     println!(
-        "per step: p50 {:.2} ms, p99 {:.2} ms; force error: worst {:.2} %",
+        "per step: mean {:.2} ms, p50 {:.2} ms, p99 {:.2} ms, {} visits of nodes; force error: worst {:.2} %",
+        times.iter().sum::<f64>() / times.len() as f64,
         at(0.5),
         at(0.99),
+        visits / times.len(),
         errors.iter().fold(0.0f64, |a, &b| a.max(b))
     );
 }

@@ -118,8 +118,8 @@ impl Hierarchy {
     /// Adds the block that couples nodes `a` and `b` to the first level.
     pub(crate) fn add_extra(&mut self, a: u32, b: u32, block: &Block) {
         let level = &mut self.levels[0];
-        for &(i, wi) in &self.parents[a as usize] {
-            for &(j, wj) in &self.parents[b as usize] {
+        for &(i, wi) in self.parents[a as usize].iter() {
+            for &(j, wj) in self.parents[b as usize].iter() {
                 if let Some(s) = slot(level.at[i as usize], level.at[j as usize]) {
                     level.stiffen(i, s, block, wi * wj);
                 }
@@ -147,8 +147,8 @@ impl Hierarchy {
                     if other as usize == level.at.len() || *block == EMPTY {
                         continue;
                     }
-                    for &(i, wi) in &level.parents[p] {
-                        for &(j, wj) in &level.parents[other as usize] {
+                    for &(i, wi) in level.parents[p].iter() {
+                        for &(j, wj) in level.parents[other as usize].iter() {
                             if let Some(s) = slot(next.at[i as usize], next.at[j as usize]) {
                                 next.stiffen(i, s, block, wi * wj);
                             }
@@ -168,7 +168,7 @@ impl Hierarchy {
             let (finer, coarser) = self.levels.split_at_mut(l + 1);
             let level = &mut finer[l];
             level.choose(threshold);
-            visited += level.smoothed.items.len();
+            visited += 2 * level.smoothed.items.len() + level.ring.items.len();
             if l == last {
                 for sweep in 0..COARSEST_SWEEPS {
                     level.smooth(sweep % 2 == 1);
@@ -179,7 +179,7 @@ impl Hierarchy {
             let next = &mut coarser[0];
             for &point in &level.ring.items {
                 let r = level.residual(point);
-                for &(parent, w) in &level.parents[point as usize] {
+                for &(parent, w) in level.parents[point as usize].iter() {
                     next.load(parent, &r.map(|v| v * w));
                 }
             }

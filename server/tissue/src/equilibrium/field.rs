@@ -29,6 +29,8 @@ pub(super) struct Field {
     /// Bound on the force of nodes that are not active, in N.
     bound: Vec<f32>,
     pub(super) active: List,
+    /// Nodes that are not active but have a bound above zero.
+    waiting: List,
     lanes: Lanes,
     /// Displacements before this step of all nodes that moved in it.
     undo: Vec<(u32, Vec3)>,
@@ -38,6 +40,8 @@ pub(super) struct Field {
     pub(super) displaced: f64,
     move_max: f64,
     pub(super) clamped: usize,
+    /// Forces computed in this step.
+    pub(super) visits: usize,
 }
 
 impl Field {
@@ -49,6 +53,7 @@ impl Field {
             age: Vec::new(),
             bound: Vec::new(),
             active: List::default(),
+            waiting: List::default(),
             lanes: Lanes::new(),
             undo: Vec::new(),
             saved: Vec::new(),
@@ -56,6 +61,7 @@ impl Field {
             displaced: 0.0,
             move_max: MOVE_MAX * topology.model().spacing_m,
             clamped: 0,
+            visits: 0,
         };
         field.follow(topology, &[]);
         field
@@ -71,6 +77,7 @@ impl Field {
         self.bound.resize(count, 0.0);
         self.saved.resize(count, 0);
         self.active.grow(count);
+        self.waiting.grow(count);
         self.undo.reserve(count.saturating_sub(self.undo.len()));
         let derive = |field: &mut Self, node: u32| {
             let n = node as usize;
@@ -111,6 +118,7 @@ impl Field {
         }
         self.undo.clear();
         self.clamped = 0;
+        self.visits = 0;
     }
 
     /// Puts back every node that this step moved.
@@ -146,7 +154,25 @@ impl Field {
         self.bound[n] += by;
         if f64::from(self.bound[n]) > threshold {
             self.active.insert(node);
+        } else {
+            self.waiting.insert(node);
         }
+    }
+
+    /// Wakes every waiting node whose bound passes a lowered threshold; forgets those that woke.
+    pub(super) fn deepen(&mut self, threshold: f64) {
+        let (active, bound) = (&mut self.active, &self.bound);
+        self.waiting.retain(|node| {
+            if f64::from(bound[node as usize]) > threshold {
+                active.insert(node);
+            }
+            !active.contains(node)
+        });
+    }
+
+    /// Nodes whose force is not known to be zero.
+    pub(super) fn stirred(&self) -> usize {
+        self.active.items.len() + self.waiting.items.len()
     }
 
     /// One sweep over the nodes that are active now, forward or backward.
@@ -159,6 +185,7 @@ impl Field {
         backward: bool,
     ) {
         let count = self.active.items.len();
+        self.visits += count;
         for i in 0..count {
             let node = self.active.items[if backward { count - 1 - i } else { i }];
             self.relax(topology, u, contacts, node, threshold);
@@ -227,7 +254,10 @@ impl Field {
         let mut sum = 0.0;
         let mut coarse = coarse;
         let (lanes, fixed, bound) = (&mut self.lanes, &self.fixed, &mut self.bound);
+        let waiting = &mut self.waiting;
         let leave = LEAVE * threshold;
+        self.visits += self.active.items.len();
+        self.active.sort();
         self.active.retain(|node| {
             if fixed[node as usize] {
                 return false;
@@ -243,12 +273,16 @@ impl Field {
             if let Some(coarse) = coarse.as_deref_mut() {
                 let f = [force.x as f32, force.y as f32, force.z as f32, 0.0];
                 let level = &mut coarse.levels[0];
-                for &(point, w) in &coarse.parents[node as usize] {
+                for &(point, w) in coarse.parents[node as usize].iter() {
                     level.load(point, &f.map(|v| v * w));
                 }
             }
             bound[node as usize] = square.sqrt() as f32;
-            touches || square > leave * leave
+            let stays = touches || square > leave * leave;
+            if !stays && square > 0.0 {
+                waiting.insert(node);
+            }
+            stays
         });
         sum
     }

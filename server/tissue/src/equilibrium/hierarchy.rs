@@ -31,6 +31,29 @@ pub(crate) const NONE: u32 = u32::MAX;
 /// A point of a neighbouring level and the weight that ties to it.
 pub(crate) type Tie = (u32, f32);
 
+/// Up to eight ties, in one piece of memory.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Ties {
+    ties: [Tie; 8],
+    len: u8,
+}
+
+impl Ties {
+    fn push(&mut self, tie: Tie) {
+        self.ties[self.len as usize] = tie;
+        self.len += 1;
+    }
+}
+
+impl std::ops::Deref for Ties {
+    type Target = [Tie];
+
+    #[inline]
+    fn deref(&self) -> &[Tie] {
+        &self.ties[..self.len as usize]
+    }
+}
+
 /// One coarse lattice: constant parts first, then the state of a cycle.
 pub(crate) struct Level {
     pub(crate) at: Vec<[i32; 3]>,
@@ -43,7 +66,7 @@ pub(crate) struct Level {
     /// Points (or nodes) of the finer level under each point.
     pub(crate) children: Vec<Vec<Tie>>,
     /// Points of the next coarser level above each point; empty on the coarsest.
-    pub(crate) parents: Vec<Vec<Tie>>,
+    pub(crate) parents: Vec<Ties>,
 
     /// Correction, with one point more that is always zero.
     pub(crate) e: Vec<Quad>,
@@ -101,6 +124,14 @@ impl List {
         }
     }
 
+    /// Puts the items in order; cheap when most of them are.
+    pub(crate) fn sort(&mut self) {
+        // Merges the sorted run of old items with the tail of new ones.
+        if !self.items.is_sorted() {
+            self.items.sort_unstable();
+        }
+    }
+
     /// Keeps the items for which `keep` holds, in their order.
     pub(crate) fn retain(&mut self, mut keep: impl FnMut(u32) -> bool) {
         let member = &mut self.member;
@@ -115,7 +146,7 @@ impl List {
 /// All coarse levels, from the finest, and what the nodes hang on.
 pub(crate) struct Hierarchy {
     /// Ties of each node to the first level; none for pinned nodes.
-    pub(crate) parents: Vec<Vec<Tie>>,
+    pub(crate) parents: Vec<Ties>,
     pub(crate) levels: Vec<Level>,
 }
 
@@ -179,7 +210,7 @@ impl Hierarchy {
     pub(crate) fn follow(&mut self, topology: &Topology, touched: &[u32]) {
         let known = self.parents.len();
         let count = topology.node_count();
-        self.parents.resize_with(count, Vec::new);
+        self.parents.resize(count, Ties::default());
         let first = &mut self.levels[0];
         let index: BTreeMap<[i32; 3], u32> = if count > known {
             (0..).zip(&first.at).map(|(i, at)| (*at, i)).collect()
@@ -202,7 +233,7 @@ impl Hierarchy {
             .copied()
             .chain(known as u32..count as u32)
             .filter_map(|n| self.parents.get(n as usize))
-            .flatten()
+            .flat_map(|t| t.iter())
             .map(|t| t.0)
             .collect();
         for l in 0..self.levels.len() {
@@ -219,7 +250,7 @@ impl Hierarchy {
             points = points
                 .iter()
                 .filter_map(|&p| level.parents.get(p as usize))
-                .flatten()
+                .flat_map(|t| t.iter())
                 .map(|t| t.0)
                 .collect();
         }
@@ -265,12 +296,12 @@ impl Hierarchy {
                 let length = d.norm().max(f64::MIN_POSITIVE);
                 let n: [f32; 3] = std::array::from_fn(|a| (d[a] / length) as f32);
                 let block = outer(n, spring.stiffness * part);
-                for &(other, w) in &self.parents[i as usize] {
+                for &(other, w) in self.parents[i as usize].iter() {
                     if let Some(s) = slot(own, level.at[other as usize]) {
                         add_scaled(&mut row[s], &block, w);
                     }
                 }
-                for &(other, w) in far {
+                for &(other, w) in far.iter() {
                     if let Some(s) = slot(own, level.at[other as usize]) {
                         add_scaled(&mut row[s], &block, -w);
                     }
@@ -286,7 +317,12 @@ impl Hierarchy {
         let mut row = [EMPTY; 27];
         for &(i, wi) in &level.children[point as usize] {
             for (j, block) in finer.around[i as usize].iter().zip(&finer.rows[i as usize]) {
-                for &(other, w) in finer.parents.get(*j as usize).into_iter().flatten() {
+                for &(other, w) in finer
+                    .parents
+                    .get(*j as usize)
+                    .into_iter()
+                    .flat_map(|t| t.iter())
+                {
                     if let Some(s) = slot(own, level.at[other as usize]) {
                         add_scaled(&mut row[s], block, wi * w);
                     }
@@ -299,7 +335,7 @@ impl Hierarchy {
 
 impl Level {
     /// The lattice of half the density over `fine`, and the ties of its points.
-    fn over(fine: &[[i32; 3]], free: impl Fn(usize) -> bool) -> (Self, Vec<Vec<Tie>>) {
+    fn over(fine: &[[i32; 3]], free: impl Fn(usize) -> bool) -> (Self, Vec<Ties>) {
         let mut index: BTreeMap<[i32; 3], u32> = BTreeMap::new();
         for (i, at) in fine.iter().enumerate() {
             if free(i) {
@@ -316,7 +352,7 @@ impl Level {
         let find = |p: [i32; 3]| index.get(&[p[2], p[1], p[0]]).copied();
         let count = at.len();
         let mut children = vec![Vec::new(); count];
-        let mut ties = vec![Vec::new(); fine.len()];
+        let mut ties = vec![Ties::default(); fine.len()];
         for (i, own) in fine.iter().enumerate() {
             if free(i) {
                 for (parent, weight) in ties_of(*own) {

@@ -14,9 +14,17 @@ const HELD_MAX: usize = 4096;
 /// Stiffness that stands for a held node on the coarse levels, in parts of its own.
 const HELD_STIFFNESS: f64 = 20.0;
 /// Correction worth less than this many thresholds waits on the coarse level.
-const POUR: f64 = 4.0;
+const POUR: f64 = 0.1;
 /// Sweeps over the active nodes after each coarse correction.
 const SWEEPS: usize = 2;
+/// Part of the allowed residual that a single node may keep at first. When what is active has
+/// become calm the part is lowered, down to where all stirred nodes together can not exceed it.
+const FIRST_SHARE: f64 = 0.25;
+/// Factor by which the part is lowered.
+const DEEPEN: f64 = 0.25;
+/// Force that a kink of the poured correction is taken to leave at a node, in parts of the node's
+/// stiffness times the kink. The kinks of the three axes mostly cancel.
+const KINK: f32 = 0.5;
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
 const BLOWN_UP: f64 = 1e4;
 
@@ -49,6 +57,9 @@ pub struct StepReport {
     pub residual: f64,
     /// Iterations made.
     pub iterations: usize,
+    /// Forces on nodes computed, and points of coarse levels visited: what the step cost, whatever
+    /// the machine.
+    pub visits: [usize; 2],
     /// Nodes still active.
     pub active_nodes: usize,
     /// Moves that were cut short: zero in moderate presses.
@@ -183,6 +194,7 @@ impl Solver {
         let changed = self.contacts.begin(tools) || self.dirty;
         self.report.ignored_tools = self.contacts.ignored;
         self.report.iterations = 0;
+        self.report.visits = [0; 2];
         self.report.fell_back = false;
         if !changed && self.report.lag_m == 0.0 && self.report.residual <= budget.tolerance {
             return &self.report;
@@ -202,7 +214,8 @@ impl Solver {
 
     fn iterate(&mut self, topology: &Topology, u: &mut [Vec3], budget: &mut Budget<'_>) {
         let mut lags = self.gather(topology, u);
-        let mut threshold = self.threshold(topology, u, budget.tolerance);
+        let mut share = FIRST_SHARE;
+        let mut threshold = share * self.bring(topology, u, budget.tolerance);
         self.field
             .sweep(topology, u, &self.contacts, threshold, false);
         loop {
@@ -210,9 +223,19 @@ impl Solver {
             let sum = self
                 .field
                 .residual(topology, u, &self.contacts, coarse, threshold);
-            threshold = self.threshold(topology, u, budget.tolerance);
+            let allowed = self.bring(topology, u, budget.tolerance);
             self.report.residual = relative(sum, self.reference);
-            let done = self.report.residual <= budget.tolerance && !lags;
+            let calm = sum.sqrt() <= allowed && !lags;
+            let last = 0.5 / (self.field.stirred() as f64 + 1.0).sqrt();
+            let done = calm && share <= last;
+            // All that is active is near the threshold: only a lower one can make it calmer.
+            let active = self.field.active.items.len() as f64;
+            let flat = sum.sqrt() <= 1.5 * share * allowed * active.sqrt();
+            if (calm || flat) && share > last {
+                share = (share * DEEPEN).max(last);
+                self.field.deepen(share * allowed);
+            }
+            threshold = share * allowed;
             let spent = self.report.iterations >= budget.iterations;
             if done || spent || budget.stop.as_mut().is_some_and(|stop| stop()) {
                 self.coarse.unload();
@@ -242,8 +265,8 @@ impl Solver {
         lags
     }
 
-    /// Stage: the force below which a node is left alone, from what tools and held nodes bring in.
-    fn threshold(&mut self, topology: &Topology, u: &[Vec3], tolerance: f64) -> f64 {
+    /// Stage: the residual in N that the tolerance allows for what tools and held nodes bring in.
+    fn bring(&mut self, topology: &Topology, u: &[Vec3], tolerance: f64) -> f64 {
         let mut sum = self.field.held_square(topology, u, &self.held);
         for &node in &self.contacts.nodes {
             let mut force = Vec3::zeros();
@@ -254,14 +277,13 @@ impl Solver {
         if sum > 0.0 {
             self.reference = sum.sqrt();
         }
-        let active = self.field.active.items.len() as f64;
-        tolerance * self.reference / (2.0 * (active + 64.0).sqrt())
+        tolerance * self.reference
     }
 
     /// Stage: coarse correction.
     fn correct(&mut self, topology: &Topology, u: &mut [Vec3], threshold: f64) {
         self.stiffen(topology, u);
-        self.coarse.cycle(threshold);
+        self.report.visits[1] += self.coarse.cycle(threshold);
         let field = &mut self.field;
         self.coarse.pour(POUR * threshold, |children, e, kink| {
             for &(node, w) in children {
@@ -269,7 +291,7 @@ impl Solver {
                 if !field.fixed[n] {
                     let by = Vec3::new(f64::from(e[0]), f64::from(e[1]), f64::from(e[2]));
                     field.shift(u, node, by * f64::from(w));
-                    field.disturb(node, w * kink * field.own[n] as f32, threshold);
+                    field.disturb(node, KINK * w * kink * field.own[n] as f32, threshold);
                 }
             }
         });
@@ -336,6 +358,7 @@ impl Solver {
             self.report.reactions.push(reaction);
         }
         self.report.active_nodes = self.field.active.items.len();
+        self.report.visits[0] = self.field.visits;
         self.report.clamped = self.field.clamped;
         if self.report.active_nodes == 0 && self.contacts.nodes.is_empty() && self.held.is_empty() {
             self.reference = 0.0;
