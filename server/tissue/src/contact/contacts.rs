@@ -95,7 +95,12 @@ impl Contacts {
         }
         let before = self.proxies.len();
         self.proxies.retain(|p| p.seen);
-        changed | (self.proxies.len() != before)
+        let gone = self.proxies.len() != before;
+        if gone {
+            // Their samples name proxies by position.
+            self.clear();
+        }
+        changed | gone
     }
 
     /// Moves the proxies and gathers the samples within their reach. Returns whether any proxy has
@@ -107,6 +112,7 @@ impl Contacts {
         displaced: f64,
         own_stiffness: &[f64],
     ) -> bool {
+        self.hold_back(topology, u);
         self.clear();
         let surface = Surface {
             topology,
@@ -129,6 +135,16 @@ impl Contacts {
         }
         self.link();
         lags
+    }
+
+    /// Tells each proxy how deep it is already pressed, so that none gets ahead of the tissue.
+    fn hold_back(&mut self, topology: &Topology, u: &[Vec3]) {
+        self.proxies.iter_mut().for_each(|p| p.depth = 0.0);
+        for i in 0..self.samples.len() {
+            let (depth, _) = self.press(&self.samples[i], topology, u);
+            let proxy = &mut self.proxies[self.samples[i].proxy as usize];
+            proxy.depth = proxy.depth.max(depth);
+        }
     }
 
     fn clear(&mut self) {

@@ -10,6 +10,9 @@ const MARCH_MAX: usize = 64;
 /// Travel per iteration while touching, in radii (of at least half a spacing).
 const TRAVEL: f64 = 0.5;
 
+/// Depth, in such travels, at which the proxy waits for the tissue to give way.
+const WAIT: f64 = 0.5;
+
 /// What is remembered of a tool between steps.
 pub(crate) struct Proxy {
     pub(crate) id: u32,
@@ -17,6 +20,8 @@ pub(crate) struct Proxy {
     pub(crate) target: Vec3,
     pub(crate) at: Vec3,
     pub(crate) touching: bool,
+    /// Deepest sample at the last look, in m.
+    pub(crate) depth: f64,
     pub(crate) placed: bool,
     pub(crate) seen: bool,
     pub(crate) secant: Secant,
@@ -30,6 +35,7 @@ impl Proxy {
             target: tool.centre,
             at: tool.centre,
             touching: false,
+            depth: 0.0,
             placed: false,
             seen: true,
             secant: Secant::default(),
@@ -58,6 +64,10 @@ impl Proxy {
             return false;
         }
         if self.touching {
+            let deeper = self.depth > WAIT * stride && length > WAIT * stride;
+            if deeper {
+                return false;
+            }
             self.at += way * (stride / length).min(1.0);
             if length <= stride {
                 self.at = self.target;

@@ -377,6 +377,8 @@ impl Solver {
         tolerance: f64,
     ) -> (usize, f64) {
         let u = &mut shape.displacement;
+        let fixed = &self.field.fixed;
+        self.field.active.retain(|node| !fixed[node as usize]);
         let mut reference = 0.0;
         for &node in &self.held {
             let own = u[node as usize];

@@ -1,0 +1,221 @@
+//! Laws of the equilibrium: modulus, balance, symmetry, no hysteresis, determinism.
+
+use std::sync::Arc;
+
+use palpate_tissue::{Budget, Material, Shape, Solver, StepReport, Tool, Topology, Vec3, block};
+
+const MM: f64 = 1e-3;
+const YOUNG_PA: f64 = 10e3;
+
+fn tissue(cells: [usize; 3], spacing_m: f64) -> Topology {
+    let material = Material {
+        name: "test".into(),
+        young_pa: YOUNG_PA,
+        density_kg_m3: 1000.0,
+        friction_static: 0.4,
+        friction_dynamic: 0.3,
+        source: "test".into(),
+    };
+    Topology::new(Arc::new(block(cells, spacing_m, &material, 1)))
+}
+
+fn slab() -> (Topology, Solver, Shape) {
+    let topology = tissue([12, 12, 8], 4.0 * MM);
+    let (solver, shape) = (Solver::new(&topology), Shape::rest(&topology));
+    (topology, solver, shape)
+}
+
+fn tool(x: f64, y: f64, depth: f64, radius: f64) -> Tool {
+    Tool {
+        id: 1,
+        centre: Vec3::new(x, y, 32.0 * MM + radius - depth),
+        radius_m: radius,
+    }
+}
+
+fn settle(
+    topology: &Topology,
+    solver: &mut Solver,
+    shape: &mut Shape,
+    tools: &[Tool],
+    tolerance: f64,
+) -> StepReport {
+    solver
+        .step(topology, shape, tools, Budget::new(400, tolerance))
+        .clone()
+}
+
+/// Presses straight down in steps of half a millimetre.
+fn press(topology: &Topology, solver: &mut Solver, shape: &mut Shape, last: Tool) -> StepReport {
+    let mut report = StepReport::default();
+    for s in 1..=4 {
+        let mut t = last;
+        t.centre.z += 0.5 * MM * f64::from(4 - s);
+        report = settle(topology, solver, shape, &[t], 1e-6);
+    }
+    report
+}
+
+#[test]
+fn a_bar_in_tension_shows_young_and_poisson() {
+    let topology = tissue([6, 6, 25], 4.0 * MM);
+    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let strain = 0.01;
+    // The clamped ends disturb their neighbourhood, so strain is read in the middle.
+    for node in 0..topology.node_count() as u32 {
+        if topology.rest(node).z > 99.9 * MM {
+            assert!(solver.hold(
+                &topology,
+                &mut shape,
+                node,
+                Vec3::z() * (strain * 96.0 * MM)
+            ));
+        }
+    }
+    let report = settle(&topology, &mut solver, &mut shape, &[], 1e-6);
+    assert!(report.residual <= 1e-6, "{}", report.residual);
+    assert!(solver.residual_over_all(&topology, &shape) <= 2e-6);
+    let node = |i: u32, j: u32, k: u32| i + 7 * (j + 7 * k);
+    let u = |n: u32| shape.displacement[n as usize];
+    let along = (u(node(3, 3, 17)).z - u(node(3, 3, 9)).z) / (8.0 * 4.0 * MM);
+    let across = (u(node(6, 3, 13)).x - u(node(0, 3, 13)).x) / (6.0 * 4.0 * MM);
+    let force: f64 = (0..topology.node_count() as u32)
+        .filter(|&n| topology.rest(n).z > 99.9 * MM)
+        .map(|n| -solver.force_on(&topology, &shape, n).z)
+        .sum();
+    let area = (24.0 * MM).powi(2);
+    let young = force / area / along;
+    assert!((young / YOUNG_PA - 1.0).abs() < 0.05, "E = {young}");
+    assert!(
+        (-across / along - 0.25).abs() < 0.02,
+        "nu = {}",
+        -across / along
+    );
+}
+
+#[test]
+fn tool_forces_balance_the_pinned_nodes() {
+    let (topology, mut solver, mut shape) = slab();
+    let report = press(
+        &topology,
+        &mut solver,
+        &mut shape,
+        tool(23.0 * MM, 25.0 * MM, 2.0 * MM, 8.0 * MM),
+    );
+    assert!(report.residual <= 1e-6);
+    assert_eq!(report.clamped, 0);
+    let on_tool = report.reactions[0].force;
+    let mut on_pinned = Vec3::zeros();
+    for node in 0..topology.node_count() as u32 {
+        if topology.is_pinned(node) {
+            on_pinned += solver.force_on(&topology, &shape, node);
+        }
+    }
+    assert!(on_tool.z > 0.05);
+    assert!(
+        (on_tool + on_pinned).norm() < 1e-4 * on_tool.norm(),
+        "{on_tool} {on_pinned}"
+    );
+}
+
+#[test]
+fn a_released_press_returns_to_rest() {
+    let (topology, mut solver, mut shape) = slab();
+    press(
+        &topology,
+        &mut solver,
+        &mut shape,
+        tool(23.0 * MM, 25.0 * MM, 2.0 * MM, 8.0 * MM),
+    );
+    settle(&topology, &mut solver, &mut shape, &[], 1e-7);
+    let left = shape
+        .displacement
+        .iter()
+        .map(Vec3::norm)
+        .fold(0.0, f64::max);
+    assert!(left < 1e-4 * MM, "{left}");
+    let idle = solver.step(&topology, &mut shape, &[], Budget::new(10, 1e-6));
+    assert_eq!(idle.iterations, 0);
+}
+
+#[test]
+fn a_press_has_no_hysteresis_and_warm_equals_cold() {
+    let (topology, mut solver, mut shape) = slab();
+    let shallow = tool(24.0 * MM, 24.0 * MM, 1.0 * MM, 8.0 * MM);
+    let deep = tool(24.0 * MM, 24.0 * MM, 2.5 * MM, 8.0 * MM);
+    let before = settle(&topology, &mut solver, &mut shape, &[shallow], 1e-6).reactions[0].force;
+    settle(&topology, &mut solver, &mut shape, &[deep], 1e-6);
+    let after = settle(&topology, &mut solver, &mut shape, &[shallow], 1e-6).reactions[0].force;
+    assert!(
+        (before - after).norm() < 1e-3 * before.norm(),
+        "{before} {after}"
+    );
+}
+
+#[test]
+fn a_centred_press_is_mirror_symmetric() {
+    let (topology, mut solver, mut shape) = slab();
+    let report = press(
+        &topology,
+        &mut solver,
+        &mut shape,
+        tool(24.0 * MM, 24.0 * MM, 2.0 * MM, 8.0 * MM),
+    );
+    let f = report.reactions[0].force;
+    // The diagonals of the surface triangles are not symmetric, so the samples are only nearly so.
+    assert!(f.x.abs() < 0.05 * f.z && f.y.abs() < 0.05 * f.z, "{f}");
+}
+
+#[test]
+fn the_seeds_iteration_agrees_where_the_laws_do() {
+    // Pure compression without lateral room: one cell across, held sideways by its neighbours'
+    // symmetry, is where both laws have a uniform answer: the displacement is linear in height.
+    let topology = tissue([4, 4, 10], 4.0 * MM);
+    let mut tops = Vec::new();
+    for law in 0..2 {
+        let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+        for node in 0..topology.node_count() as u32 {
+            if topology.rest(node).z > 39.9 * MM {
+                solver.hold(&topology, &mut shape, node, Vec3::z() * 0.1 * MM);
+            }
+        }
+        if law == 0 {
+            settle(&topology, &mut solver, &mut shape, &[], 1e-6);
+        } else {
+            let (_, residual) = solver.jacobi(&topology, &mut shape, 20_000, 1e-6);
+            assert!(residual <= 1e-6, "{residual}");
+        }
+        tops.push(shape.displacement[(2 + 5 * (2 + 5 * 6)) as usize].z);
+    }
+    assert!((tops[0] / tops[1] - 1.0).abs() < 0.03, "{tops:?}");
+}
+
+#[test]
+fn two_tools_press_at_once() {
+    let (topology, mut solver, mut shape) = slab();
+    let mut other = tool(36.0 * MM, 36.0 * MM, 1.0 * MM, 6.0 * MM);
+    other.id = 2;
+    let tools = [tool(12.0 * MM, 12.0 * MM, 1.0 * MM, 6.0 * MM), other];
+    let report = settle(&topology, &mut solver, &mut shape, &tools, 1e-6);
+    assert_eq!(report.reactions.len(), 2);
+    let [a, b] = [0, 1].map(|i| report.reactions[i].force.z);
+    assert!(a > 0.02 && (a / b - 1.0).abs() < 0.1, "{a} {b}");
+}
+
+#[test]
+fn the_same_steps_give_the_same_bits() {
+    let run = || {
+        let (topology, mut solver, mut shape) = slab();
+        for s in 0..12 {
+            let t = tool(
+                20.0 * MM + 0.3 * MM * f64::from(s),
+                24.0 * MM,
+                0.2 * MM * f64::from(s),
+                7.0 * MM,
+            );
+            solver.step(&topology, &mut shape, &[t], Budget::new(2, 1e-2));
+        }
+        shape.hash()
+    };
+    assert_eq!(run(), run());
+}

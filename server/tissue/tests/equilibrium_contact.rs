@@ -1,0 +1,173 @@
+//! Contracts of the contact: continuity, unilaterality, side memory, stiffness, bad input.
+
+use std::sync::Arc;
+
+use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block};
+use proptest::prelude::*;
+
+const MM: f64 = 1e-3;
+const TOP: f64 = 32.0 * MM;
+
+fn slab() -> (Topology, Solver, Shape) {
+    let material = Material {
+        name: "test".into(),
+        young_pa: 10e3,
+        density_kg_m3: 1000.0,
+        friction_static: 0.4,
+        friction_dynamic: 0.3,
+        source: "test".into(),
+    };
+    let topology = Topology::new(Arc::new(block([12, 12, 8], 4.0 * MM, &material, 1)));
+    let (solver, shape) = (Solver::new(&topology), Shape::rest(&topology));
+    (topology, solver, shape)
+}
+
+fn tool(x: f64, y: f64, depth: f64, radius: f64) -> Tool {
+    Tool {
+        id: 1,
+        centre: Vec3::new(x, y, TOP + radius - depth),
+        radius_m: radius,
+    }
+}
+
+fn force(topology: &Topology, solver: &mut Solver, shape: &mut Shape, tool: Tool) -> Vec3 {
+    solver
+        .step(topology, shape, &[tool], Budget::new(100, 1e-4))
+        .reactions[0]
+        .force
+}
+
+#[test]
+fn force_is_continuous_along_a_press_and_a_slide() {
+    for radius in [1.0 * MM, 4.0 * MM, 8.0 * MM] {
+        let (topology, mut solver, mut shape) = slab();
+        let mut last = Vec3::zeros();
+        for s in 0..=40 {
+            let t = tool(23.0 * MM, 25.0 * MM, 0.05 * MM * f64::from(s), radius);
+            let f = force(&topology, &mut solver, &mut shape, t);
+            assert!(
+                (f - last).norm() < 0.2 * f.norm() + 0.012,
+                "press {radius} {s}: {last} {f}"
+            );
+            last = f;
+        }
+        for s in 1..=80 {
+            let t = tool(
+                (23.0 + 0.05 * f64::from(s)) * MM,
+                25.0 * MM,
+                2.0 * MM,
+                radius,
+            );
+            let f = force(&topology, &mut solver, &mut shape, t);
+            // The dent under a point is a corner of the mesh, which it feels when it crosses one.
+            let bound = if radius < 2.0 * MM { 0.4 } else { 0.12 };
+            assert!(
+                (f - last).norm() < bound * f.norm(),
+                "slide {radius} {s}: {last} {f}"
+            );
+            last = f;
+        }
+        assert!(last.z > 0.0);
+    }
+}
+
+#[test]
+fn the_stiffness_foretells_the_next_force() {
+    let (topology, mut solver, mut shape) = slab();
+    let mut report = None;
+    for s in 1..=10 {
+        let t = tool(23.0 * MM, 25.0 * MM, 0.2 * MM * f64::from(s), 8.0 * MM);
+        report = Some(
+            solver
+                .step(&topology, &mut shape, &[t], Budget::new(100, 1e-5))
+                .reactions[0],
+        );
+    }
+    let reaction = report.unwrap();
+    let k = reaction.stiffness;
+    assert!((k - k.transpose()).norm() < 1e-9 * k.norm());
+    assert!(k.symmetric_eigenvalues().min() > -1e-9 * k.norm());
+    let t = tool(23.0 * MM, 25.0 * MM, 2.2 * MM, 8.0 * MM);
+    let f = force(&topology, &mut solver, &mut shape, t);
+    let foretold = reaction.force - k * (t.centre - reaction.at);
+    assert!(
+        (f - foretold).norm() < 0.15 * (f - reaction.force).norm() + 0.01 * f.norm(),
+        "{f} {foretold}"
+    );
+}
+
+#[test]
+fn a_tool_that_starts_deep_inside_is_followed_from_outside() {
+    let (topology, mut solver, mut shape) = slab();
+    let t = tool(24.0 * MM, 24.0 * MM, 13.0 * MM, 6.0 * MM);
+    let report = solver
+        .step(&topology, &mut shape, &[t], Budget::new(1, 1e-3))
+        .clone();
+    assert!(report.lag_m > 0.0);
+    let f = force(&topology, &mut solver, &mut shape, t);
+    assert!(f.z > 0.0, "{f}");
+}
+
+#[test]
+fn bad_tools_are_ignored_and_counted() {
+    let (topology, mut solver, mut shape) = slab();
+    let good = tool(24.0 * MM, 24.0 * MM, 1.0 * MM, 6.0 * MM);
+    let mut nan = Tool { id: 2, ..good };
+    nan.centre.x = f64::NAN;
+    let flat = Tool {
+        id: 3,
+        radius_m: 0.0,
+        ..good
+    };
+    let report = solver.step(
+        &topology,
+        &mut shape,
+        &[nan, flat, good, good],
+        Budget::new(20, 1e-3),
+    );
+    assert_eq!(report.ignored_tools, 3);
+    assert_eq!(report.reactions.len(), 1);
+    assert!(shape.displacement.iter().all(|u| u.norm().is_finite()));
+}
+
+#[test]
+fn a_stop_is_obeyed() {
+    let (topology, mut solver, mut shape) = slab();
+    let mut asked = 0;
+    let mut stop = || {
+        asked += 1;
+        asked > 2
+    };
+    let budget = Budget {
+        iterations: 50,
+        tolerance: 1e-9,
+        stop: Some(&mut stop),
+    };
+    let t = tool(24.0 * MM, 24.0 * MM, 1.0 * MM, 6.0 * MM);
+    assert_eq!(
+        solver.step(&topology, &mut shape, &[t], budget).iterations,
+        2
+    );
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 12, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn random_paths_stay_finite_and_bounded(
+        radius in 0.5f64..10.0,
+        path in prop::collection::vec((0.0f64..48.0, 0.0f64..48.0, -4.0f64..20.0), 1..10),
+    ) {
+        let (topology, mut solver, mut shape) = slab();
+        for (x, y, depth) in path {
+            let t = tool(x * MM, y * MM, depth * MM, radius * MM);
+            let report = solver.step(&topology, &mut shape, &[t], Budget::new(3, 1e-2)).clone();
+            for reaction in &report.reactions {
+                prop_assert!(reaction.force.norm().is_finite());
+                // The foundation of all nodes within reach, pressed by the whole radius.
+                prop_assert!(reaction.force.norm() < 1000.0);
+            }
+            prop_assert!(shape.displacement.iter().all(|u| u.norm() < 1.0));
+        }
+    }
+}
