@@ -133,10 +133,10 @@ pub fn snapshot(topology: &Topology, shape: &Shape) -> Vec<u8> {
         .collect();
     for axis in 0..3 {
         let columns = topology.rest.iter().zip(&originals);
-        out.plane64(columns.map(|(p, o)| p[axis].to_bits() ^ o[axis].to_bits()));
+        out.plane64(&columns.map(|(p, o)| p[axis].to_bits() ^ o[axis].to_bits()));
     }
     for axis in 0..3 {
-        out.plane64(shape.displacement.iter().map(|d| d[axis].to_bits()));
+        out.plane64(&shape.displacement.iter().map(|d| d[axis].to_bits()));
     }
     seal(MAGIC, SNAPSHOT_FORMAT, &out.0)
 }
@@ -282,22 +282,25 @@ fn read_points(
     count: usize,
     from: impl Fn(u32) -> Vec3,
 ) -> Result<Vec<Vec3>, SnapshotError> {
-    let columns = [
+    let (x, y, z) = (
         reader.plane64(count)?,
         reader.plane64(count)?,
         reader.plane64(count)?,
-    ];
-    let mut points = Vec::with_capacity(count);
-    for n in 0..count {
-        let start = from(n as u32);
-        let p = Vec3::from_fn(|a, _| f64::from_bits(columns[a][n] ^ start[a].to_bits()));
-        // Written so that a NaN fails.
-        if !p.iter().all(|v| v.abs() <= POSITION_MAX_M) {
-            return Err(SnapshotError::Inconsistent("has a node beyond all measure"));
-        }
-        points.push(p);
-    }
-    Ok(points)
+    );
+    let bits = x.into_iter().zip(y).zip(z);
+    bits.enumerate()
+        .map(|(n, ((x, y), z))| {
+            let start = from(n as u32);
+            let restored = |bits: u64, axis: usize| f64::from_bits(bits ^ start[axis].to_bits());
+            let p = Vec3::new(restored(x, 0), restored(y, 1), restored(z, 2));
+            // Written so that a NaN fails.
+            if p.iter().all(|v| v.abs() <= POSITION_MAX_M) {
+                Ok(p)
+            } else {
+                Err(SnapshotError::Inconsistent("has a node beyond all measure"))
+            }
+        })
+        .collect()
 }
 
 /// Splits the surface again as it was split, with the opened faces in their order.

@@ -1,6 +1,6 @@
 //! The laws a cut keeps, on blocks: closed surface, mass, volume, sound cells, one history for all.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 mod cut_laws;
 

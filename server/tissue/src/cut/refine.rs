@@ -1,10 +1,10 @@
 //! Refinement after snapping (Lin 2007, fig. 5.10; reconstructed): the free nodes around a cut share
 //! what its own nodes had to move.
 //!
-//! With o = x - x_model a node's offset from where the model was built, each free node within three
+//! With o = x - X a node's offset from where it was built, X, each free node within three
 //! rings of the cut takes the mean of its neighbours' offsets, sweep after sweep. Nodes of the cut,
 //! of surfaces and of interfaces stay where they are. Irregularities of the model itself are in
-//! x_model and are kept. The sweeps run on offsets alone; then the nodes go there, each as far as its
+//! X and are kept. The sweeps run on offsets alone; then the nodes go there, each as far as its
 //! cells stay sound, a few times over because they make room for each other.
 
 use std::collections::{BTreeSet, HashMap};

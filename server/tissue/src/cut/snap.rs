@@ -142,10 +142,8 @@ pub(crate) fn snap(moves: &mut Moves<'_>, ribbon: &Ribbon, nodes: &mut [SheetNod
 
 /// Lets the nodes that are short spread along the cut, and try again.
 pub(crate) fn retry(moves: &mut Moves<'_>, ribbon: &Ribbon, nodes: &mut [SheetNode]) {
-    for i in 0..nodes.len() {
-        if nodes[i].short {
-            spread(moves, ribbon, &nodes[i]);
-        }
+    for node in nodes.iter().filter(|n| n.short) {
+        spread(moves, ribbon, node);
     }
     for node in nodes.iter_mut().filter(|n| n.short) {
         approach(moves, ribbon, node);

@@ -1,4 +1,4 @@
-//! The trilinear map of a cell, x(ξ) = Σ N_c(ξ) x_c with ξ in the unit cube, and its inverse by
+//! The trilinear map of a cell, `x(ξ) = Σ N_c(ξ) x_c` with ξ in the unit cube, and its inverse by
 //! Newton's method.
 
 use nalgebra::Matrix3;
@@ -8,7 +8,7 @@ use crate::Vec3;
 /// Newton steps; a parallelepiped needs one, a sound cell four.
 const STEPS: usize = 12;
 
-/// Shares N_c(ξ) of the corners.
+/// Shares `N_c(ξ)` of the corners.
 pub(crate) fn weights(local: &Vec3) -> [f64; 8] {
     std::array::from_fn(|c| {
         (0..3)

@@ -153,7 +153,7 @@ fn encode_with(model: &Model, report_json: &str) -> Vec<u8> {
     for axis in 0..3 {
         out.f64(origin[axis]);
         let columns = model.nodes.iter().zip(&model.lattice);
-        out.plane64(columns.map(|(p, l)| {
+        out.plane64(&columns.map(|(p, l)| {
             p[axis].to_bits() ^ predicted(origin[axis], l[axis], model.spacing_m).to_bits()
         }));
     }

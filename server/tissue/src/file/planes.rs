@@ -28,7 +28,7 @@ impl Content {
     }
 
     /// A column of 64-bit numbers.
-    pub(crate) fn plane64(&mut self, values: impl Iterator<Item = u64> + Clone) {
+    pub(crate) fn plane64(&mut self, values: &(impl Iterator<Item = u64> + Clone)) {
         for byte in 0..8 {
             self.0
                 .extend(values.clone().map(|v| (v >> (8 * byte)) as u8));
