@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use palpate_tissue::sample::{Sample, SampleError};
-use palpate_tissue::{Scene, SceneInput, Surface, Vec3};
+use palpate_tissue::{Scene, SceneInput, Surface, Vec3, build};
 
 /// Winding number of a closed surface about a point.
 fn winding(surface: &Surface, point: &Vec3) -> f64 {
@@ -84,6 +84,30 @@ fn samples_have_the_size_of_what_they_are() {
                 surface.triangles.len(),
                 surface.volume() * 1e6,
                 surface.aabb().unwrap().extent() * 1e3
+            );
+        }
+    }
+}
+
+#[test]
+fn every_sample_builds_without_a_word_of_warning() {
+    for sample in Sample::ALL {
+        let (model, report) = build(&sample.input().unwrap(), &mut |_, _| {}).unwrap();
+        assert_eq!(report.warnings, Vec::<String>::new(), "{sample}");
+        assert!(
+            report.outer_surface.closed && report.outer_surface.components == 1,
+            "{sample}"
+        );
+        assert_eq!(report.quality.inverted_cells, 0, "{sample}");
+        for region in &report.regions {
+            let error = region.volume_mm3 / region.input_volume_mm3 - 1.0;
+            assert!(error.abs() < 0.02, "{sample}, {}: {error}", region.name);
+        }
+        if sample == Sample::Thigh {
+            assert!(
+                (40_000..60_000).contains(&model.nodes.len()),
+                "{}",
+                model.nodes.len()
             );
         }
     }

@@ -2,8 +2,8 @@
 //!
 //! X points to the left side of the body, Y to the front, Z up. From the front: skin, fat, the
 //! rectus sheath (fascia) with the two rectus muscles in it and the linea alba between them,
-//! peritoneum. The block curves like the belly. The peritoneum and what lies behind it hold the
-//! block, so the peritoneum is pinned.
+//! peritoneum. The block lies flat on its back and curves like the belly in front. The
+//! peritoneum and what lies behind it hold the block, so the peritoneum is pinned.
 //!
 //! Layers are at least as thick as the spacing of 3 mm: skin, sheath and peritoneum are drawn
 //! thicker than in life (2, 1 and below 1 mm). All layers but the muscles reach from the back of
@@ -28,13 +28,11 @@ const RECTUS_MM: f64 = 12.0;
 const RECTUS_HALF_WIDTH_MM: f64 = 27.0;
 /// Half the width of the linea alba.
 const LINEA_ALBA_MM: f64 = 5.0;
-const FAT_MM: f64 = 15.0;
+/// Fat at the sides of the block.
+const FAT_MM: f64 = 13.0;
+/// By how much more it is in the middle.
+const CURVE_MM: f64 = 5.0;
 const SKIN_MM: f64 = 4.0;
-
-/// Height of the back of the block: a parabola, 9 mm lower at the sides than in the middle.
-fn back(x: f64, _: f64) -> f64 {
-    -9.0 * (x / HALF_WIDTH_MM).powi(2)
-}
 
 /// Thickness up to the front of the sheath, thinner at the linea alba.
 fn sheath(x: f64) -> f64 {
@@ -42,29 +40,25 @@ fn sheath(x: f64) -> f64 {
     full - 5.0 * (-(x / (1.2 * LINEA_ALBA_MM)).powi(2)).exp()
 }
 
-/// Thickness up to the front of the fat, fuller towards the umbilicus below.
+/// Thickness up to the front of the fat: the belly's curve, fuller towards the umbilicus below.
 fn fat(x: f64, z: f64) -> f64 {
     let full = PERITONEUM_MM + 2.0 * SHEATH_MM + RECTUS_MM + FAT_MM;
-    full + 2.0 * (1.0 - z / LENGTH_MM) - 2.0 * (-(x / 12.0).powi(2)).exp()
+    let belly = CURVE_MM * (1.0 - (x / HALF_WIDTH_MM).powi(2));
+    full + belly + 2.0 * (1.0 - z / LENGTH_MM) - 2.0 * (-(x / 12.0).powi(2)).exp()
 }
 
-/// One of the two muscles: an oval that follows the curve of the block, cut with it.
+/// One of the two muscles: an oval, cut with the block.
 fn rectus(side: f64) -> Loft<'static> {
     let middle = side * (LINEA_ALBA_MM + RECTUS_HALF_WIDTH_MM);
     let height = PERITONEUM_MM + SHEATH_MM + 0.5 * RECTUS_MM;
-    // The back falls by so much per mm across the muscle; the oval is tilted with it.
-    let slope = -18.0 * middle / (HALF_WIDTH_MM * HALF_WIDTH_MM);
-    let (sin, cos) = slope.atan().sin_cos();
     Loft {
         z: [0.0, LENGTH_MM],
         ends: [End::Flat; 2],
-        centre: Box::new(move |z| [middle, back(middle, z) + height]),
-        radius: Box::new(move |_, theta| {
-            let along = theta.cos() * cos + theta.sin() * sin;
-            let across = theta.sin() * cos - theta.cos() * sin;
+        centre: Box::new(move |_| [middle, height]),
+        radius: Box::new(|_, theta| {
             // A fourth-power oval: flatter before and behind than an ellipse.
             let [a, b] = [RECTUS_HALF_WIDTH_MM, 0.5 * RECTUS_MM];
-            ((along / a).powi(4) + (across / b).powi(4)).powf(-0.25)
+            ((theta.cos() / a).powi(4) + (theta.sin() / b).powi(4)).powf(-0.25)
         }),
     }
 }
@@ -72,12 +66,11 @@ fn rectus(side: f64) -> Loft<'static> {
 /// All of it.
 pub(super) fn body() -> Body {
     let layer = |name, material, thickness: &dyn Fn(f64, f64) -> f64| {
-        let top = |x, z| back(x, z) + thickness(x, z);
         let slab = Slab {
             half_width: HALF_WIDTH_MM,
             length: LENGTH_MM,
-            bottom: &back,
-            top: &top,
+            bottom: &|_, _| 0.0,
+            top: thickness,
         };
         Part {
             name,

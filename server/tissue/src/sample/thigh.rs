@@ -4,8 +4,8 @@
 //! X points to the lateral side, Y to the front, Z up the leg. The outermost region is
 //! subcutaneous fat and holds the skin too, whose 2 mm are thinner than the spacing of 4 mm.
 //! The muscle groups lie around the femur as in a section through the middle of the thigh:
-//! quadriceps in front, hamstrings behind, adductors on the medial side; they touch
-//! each other, and fat fills what they leave.
+//! quadriceps in front, hamstrings behind, adductors on the medial side; they touch each other,
+//! and fat fills what they leave.
 
 use std::f64::consts::PI;
 
