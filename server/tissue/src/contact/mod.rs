@@ -7,7 +7,7 @@
 //! f = κ max(0, R - |x - c|) n          x = Σ w_k x_k over the nodes of its triangle
 //! ```
 //!
-//! shared by the three nodes as w_k f; the tool feels the opposite. Each triangle has four samples
+//! shared by the three nodes as `w_k f`; the tool feels the opposite. Each triangle has four samples
 //! of equal area, half a spacing apart. κ is [`FOUNDATION`] times the stiffness that the nodes
 //! under the sample have themselves, which leaves a penetration of one or two parts in a hundred
 //! of the indentation. Nothing can pull, and the force grows from zero as a sample enters: so it is
@@ -15,7 +15,7 @@
 //! thin flap) fades out over a range of angles.
 //!
 //! Below [`POINT_RADIUS`] of the spacing a sphere would slip between samples. Such a tool has one
-//! sample: the point of the surface nearest to it, with barycentric w_k and the interpolated
+//! sample: the point of the surface nearest to it, with barycentric `w_k` and the interpolated
 //! normal.
 //!
 //! What is pressed into the tissue is not the tool but its proxy, which remembers on which side of

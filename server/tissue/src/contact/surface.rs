@@ -137,9 +137,9 @@ mod tests {
         ];
         for i in 0..125 {
             let p = Vec3::new(
-                (i % 5) as f64 - 1.5,
-                (i / 5 % 5) as f64 - 1.5,
-                (i / 25) as f64 - 2.0,
+                f64::from(i % 5) - 1.5,
+                f64::from(i / 5 % 5) - 1.5,
+                f64::from(i / 25) - 2.0,
             );
             let w = nearest_weights(&corners, &p);
             assert!((w.iter().sum::<f64>() - 1.0).abs() < 1e-12);

@@ -50,17 +50,21 @@ impl Level {
         };
         let mut step = ZERO;
         accumulate(&mut step, block, &r);
-        for a in 0..3 {
-            self.e[p][a] += step[a];
+        for (e, step) in self.e[p].iter_mut().zip(step) {
+            *e += step;
         }
     }
 
     fn smooth(&mut self, backward: bool) {
         let items = std::mem::take(&mut self.smoothed.items);
         if backward {
-            items.iter().rev().for_each(|&p| self.relax(p));
+            for &p in items.iter().rev() {
+                self.relax(p);
+            }
         } else {
-            items.iter().for_each(|&p| self.relax(p));
+            for &p in &items {
+                self.relax(p);
+            }
         }
         self.smoothed.items = items;
     }
@@ -191,8 +195,8 @@ impl Hierarchy {
                 let e = std::mem::replace(&mut next.e[point as usize], ZERO);
                 for &(child, w) in &next.children[point as usize] {
                     level.live.insert(child);
-                    for a in 0..3 {
-                        level.e[child as usize][a] += w * e[a];
+                    for (to, e) in level.e[child as usize].iter_mut().zip(e) {
+                        *to += w * e;
                     }
                 }
             }

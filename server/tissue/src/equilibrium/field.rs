@@ -6,7 +6,7 @@
 //! becomes active. So the set follows the press, and what was left alone is known to be quiet.
 
 use super::hierarchy::{Hierarchy, List};
-use super::law::{Lanes, Symmetric, apply, force_on, invert};
+use super::law::{Lanes, Symmetric, apply, invert};
 use crate::contact::Contacts;
 use crate::{Topology, Vec3};
 
@@ -128,6 +128,7 @@ impl Field {
         }
         self.step = self.step.wrapping_add(1).max(1);
         self.age.fill(0);
+        self.displaced = u.iter().map(Vec3::norm).fold(0.0, f64::max);
     }
 
     #[inline]
@@ -285,13 +286,6 @@ impl Field {
             stays
         });
         sum
-    }
-
-    /// Sum of squares of the forces on held nodes.
-    pub(super) fn held_square(&self, topology: &Topology, u: &[Vec3], held: &[u32]) -> f64 {
-        held.iter()
-            .map(|&n| force_on(topology, u, n).norm_squared())
-            .sum()
     }
 
     /// Every node's force, looked at afresh: the sum of squares over all nodes free to move.

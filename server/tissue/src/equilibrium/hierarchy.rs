@@ -3,7 +3,7 @@
 //! A snapped lattice is still a lattice: node (i, j, k) hangs on the coarse points around
 //! (i/2, j/2, k/2) with trilinear weights w. With u = P e the energy at rest becomes ½ eᵀ(PᵀAP)e, A
 //! being the stiffness of the length law at rest, k n nᵀ per spring. A spring between i and j sees
-//! of coarse point I the part d_I = w_iI - w_jI, so
+//! of coarse point I the part `d_I = w_iI - w_jI`, so
 //!
 //! ```text
 //! (PᵀAP)_IJ = Σ over springs  k n nᵀ d_I d_J

@@ -1,6 +1,6 @@
 //! The seed's own iteration (Lin 2007, eq. 3.10), kept as the named baseline.
 //!
-//! The offset law (eq. 3.8) is linear: f_i = Σ K_ij (u_j - u_i) in displacements, one graph
+//! The offset law (eq. 3.8) is linear: `f_i = Σ K_ij (u_j - u_i)` in displacements, one graph
 //! Laplacian per axis. Its iteration moves every active node to the weighted mean of its
 //! neighbours. It has no Poisson effect, its modulus on this lattice is (k1 + 4 k2)/Δd = 2 E and its
 //! shear is 2.5 times too stiff beside it, so spring constants are halved here to show E. It

@@ -1,6 +1,6 @@
 //! The length law (Lin 2007, eq. 3.4) on one node: its force and its tangent block.
 //!
-//! With d0 = X_j - X_i the spring at rest, δ = u_j - u_i and d = d0 + δ, the force on i is
+//! With `d0 = X_j - X_i` the spring at rest, `δ = u_j - u_i` and d = d0 + δ, the force on i is
 //! k (|d| - l0) d/|d|. The difference of two nearly equal lengths would lose all digits of a small
 //! strain, so it is written as
 //!

@@ -267,7 +267,8 @@ impl Solver {
 
     /// Stage: the residual in N that the tolerance allows for what tools and held nodes bring in.
     fn bring(&mut self, topology: &Topology, u: &[Vec3], tolerance: f64) -> f64 {
-        let mut sum = self.field.held_square(topology, u, &self.held);
+        let held = self.held.iter();
+        let mut sum: f64 = held.map(|&n| force_on(topology, u, n).norm_squared()).sum();
         for &node in &self.contacts.nodes {
             let mut force = Vec3::zeros();
             self.contacts
