@@ -174,7 +174,7 @@ pub fn cut(topology: &mut Topology, stroke: &CutStroke) -> Result<CutOutcome, Cu
     let spacing = topology.model.spacing_m;
     stroke.check(spacing)?;
     let crossed = sheet::crossed(topology, &Ribbon::swept(&stroke.points, spacing))?;
-    let sheet = sheet::erode(topology, crossed);
+    let sheet = sheet::sheet(topology, crossed);
     if sheet.is_empty() {
         return Err(CutError::NothingNew);
     }

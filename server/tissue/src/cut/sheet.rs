@@ -9,6 +9,7 @@
 //! - an edge whose ends both stay single may not have four exposed faces around it (a *chord*): the
 //!   least useful face at it leaves the sheet.
 //!
+//! Faces around a piece of a few cells (a crumb, as two cuts close to each other leave) leave it too.
 //! Only faces of the new sheet leave it, so erosion ends, at worst with the topology as it was.
 
 use std::collections::{BTreeSet, HashMap};
@@ -93,8 +94,55 @@ pub(crate) fn nodes_of(topology: &Topology, face: FaceId) -> [u32; 4] {
     FACES[face.face()].map(|c| topology.corners(face.cell())[c])
 }
 
-/// Erodes crossed faces to a sheet that can be opened; see the file's head.
-pub(crate) fn erode(topology: &Topology, faces: Vec<FaceId>) -> Vec<FaceId> {
+/// A piece of fewer cells than this is a crumb: nothing holds it, and nobody can grasp it.
+const CRUMB_CELLS: usize = 8;
+
+/// The sheet that is left of crossed faces; see the file's head.
+pub(crate) fn sheet(topology: &Topology, mut faces: Vec<FaceId>) -> Vec<FaceId> {
+    loop {
+        let sheet = erode(topology, faces);
+        let around = crumbs(topology, &sheet);
+        if around.is_empty() {
+            return sheet;
+        }
+        faces = sheet.into_iter().filter(|f| !around.contains(f)).collect();
+    }
+}
+
+/// The faces of a sheet around the crumbs that it would leave.
+fn crumbs(topology: &Topology, sheet: &[FaceId]) -> BTreeSet<FaceId> {
+    let opening = Opening::new(topology, sheet);
+    let mut around = BTreeSet::new();
+    for start in sheet.iter().flat_map(|&f| [f, topology.behind(f)]) {
+        let mut piece = vec![start.cell()];
+        let mut next = 0;
+        while next < piece.len() && piece.len() < CRUMB_CELLS {
+            for face in 0..6 {
+                let cell = opening.across(FaceId::new(piece[next], face));
+                if cell != NO_CELL && !piece.contains(&cell) {
+                    piece.push(cell);
+                }
+            }
+            next += 1;
+        }
+        if piece.len() < CRUMB_CELLS {
+            let faces = piece
+                .iter()
+                .flat_map(|&c| (0..6).map(move |f| FaceId::new(c, f)));
+            around.extend(faces.filter(|&f| opening.is_new(f)).map(|f| {
+                if f.face() % 2 == 1 {
+                    f
+                } else {
+                    topology.behind(f)
+                }
+            }));
+        }
+    }
+    around
+}
+
+/// Erodes crossed faces until opening them leaves a proper surface.
+fn erode(topology: &Topology, faces: Vec<FaceId>) -> Vec<FaceId> {
     let mut erosion = Erosion {
         before: Opening::new(topology, &[]),
         opening: Opening::new(topology, &faces),
