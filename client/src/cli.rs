@@ -1,0 +1,228 @@
+//! The command line: `palpate-client join LINK` and `palpate-client devices`.
+
+use std::ffi::OsString;
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::{Parser, Subcommand};
+use tracing_subscriber::EnvFilter;
+
+use crate::{ClientError, DeviceKind, JoinOptions, StatusKind, Summary, run as join};
+
+/// The longest run that can be asked for, s: a day. A larger number is more likely milliseconds.
+const DURATION_MAX_S: f64 = 86_400.0;
+
+/// What `--help` shows at its end.
+const EXAMPLES: &str = "\
+Examples:
+  Join with the link that the server printed (in quotes: it has a '&'), with a scripted hand:
+    palpate-client join \"palpate://192.168.1.20:4433/trainee?cert=...&grant=...\" --script press.toml
+
+  Only look, for ten seconds:
+    palpate-client join \"palpate://192.168.1.20:4433/spectator?cert=...&grant=...\" --duration 10
+
+  Figures for a program on standard output, everything else on standard error:
+    palpate-client join LINK --script press.toml --duration 20 --json > run.json
+
+  Which devices this program drives:
+    palpate-client devices
+
+The exit code is 0 when the session ended as it should, 2 when the command line, the link or the
+script is wrong, and 1 for everything else. RUST_LOG=debug says more on standard error.";
+
+#[derive(Parser)]
+#[command(
+    name = "palpate-client",
+    version,
+    about = "Joins a shared operating table: feel and cut the tissue together with others",
+    after_help = EXAMPLES
+)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Join a session
+    #[command(after_help = EXAMPLES)]
+    Join(JoinArguments),
+    /// List the devices that this program drives
+    Devices {
+        #[command(subcommand)]
+        command: Option<DevicesCommand>,
+    },
+}
+
+#[derive(Subcommand)]
+enum DevicesCommand {
+    /// List them (the same as without a word)
+    List,
+}
+
+#[derive(clap::Args)]
+struct JoinArguments {
+    /// The join link, as the server printed it; put it in quotes
+    link: String,
+    /// The name that others see
+    #[arg(long, default_value_t = default_name())]
+    name: String,
+    /// The device to hold, for roles with a tool
+    #[arg(long, value_enum, default_value_t = DeviceKind::Sim)]
+    device: DeviceKind,
+    /// What the simulated hand does (a TOML file)
+    #[arg(long, value_name = "FILE")]
+    script: Option<PathBuf>,
+    /// Leave after so many seconds; without it, stay until the session ends or Ctrl-C
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    duration: Option<Duration>,
+    /// Write the summary as one JSON object to standard output
+    #[arg(long)]
+    json: bool,
+    /// Write what was felt and seen to this file, as JSON
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// Do not ask for real-time priority for the force loop
+    #[arg(long)]
+    no_realtime: bool,
+}
+
+impl JoinArguments {
+    fn into_options(self) -> JoinOptions {
+        let status = if self.json {
+            StatusKind::Stderr
+        } else {
+            StatusKind::Stdout
+        };
+        JoinOptions {
+            device: self.device,
+            script: self.script,
+            duration: self.duration,
+            record: self.record,
+            realtime: !self.no_realtime,
+            catch_signals: true,
+            status,
+            ..JoinOptions::new(self.link, self.name)
+        }
+    }
+}
+
+fn default_name() -> String {
+    std::env::var("USER")
+        .ok()
+        .filter(|name| palpate_protocol::handshake::name_is_valid(name))
+        .unwrap_or_else(|| "guest".to_owned())
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    match text.parse::<f64>() {
+        Ok(s) if s > 0.0 && s <= DURATION_MAX_S => Ok(Duration::from_secs_f64(s)),
+        _ => Err(format!(
+            "must be a number of seconds above 0 and at most {DURATION_MAX_S}"
+        )),
+    }
+}
+
+/// The whole program. `args` begins with the program's name.
+pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let arguments = match Arguments::try_parse_from(args) {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            // Where nobody reads, nothing is to be said.
+            let _ = error.print();
+            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
+        }
+    };
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("error"));
+    // A program that links this library may have set up its own.
+    let _ = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .try_init();
+    match arguments.command {
+        Command::Devices { .. } => list_devices(),
+        Command::Join(arguments) => {
+            let json = arguments.json;
+            report(&join(&arguments.into_options()), json)
+        }
+    }
+}
+
+fn list_devices() -> ExitCode {
+    let mut out = std::io::stdout().lock();
+    for (kind, sentence) in DeviceKind::ALL {
+        // A reader that went away wants no more lines.
+        if writeln!(out, "{:<8} {sentence}", kind.word()).is_err() {
+            break;
+        }
+    }
+    ExitCode::SUCCESS
+}
+
+/// Says how a run ended, and gives the exit code for it.
+fn report(outcome: &Result<Summary, ClientError>, json: bool) -> ExitCode {
+    let summary = match outcome {
+        Ok(summary) => Some(summary),
+        Err(error) => error.summary(),
+    };
+    if let Some(summary) = summary {
+        let text = if json {
+            serde_json::to_string(summary).expect("a summary is plain data")
+        } else {
+            summary.to_string()
+        };
+        if writeln!(std::io::stdout(), "{text}").is_err() {
+            return ExitCode::FAILURE;
+        }
+    }
+    match outcome {
+        Ok(_) => ExitCode::SUCCESS,
+        Err(error) => {
+            // Nothing is left to be told if standard error is gone.
+            let _ = writeln!(std::io::stderr(), "palpate-client: {error}");
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent_and_teaches() {
+        Arguments::command().debug_assert();
+        let help = Arguments::command().render_help().to_string();
+        assert!(help.contains("Examples:"), "{help}");
+    }
+
+    #[test]
+    fn options_reach_the_run() {
+        let line = "palpate-client join L --name Ada --script s.toml --duration 2.5 --json --no-realtime";
+        let Command::Join(arguments) = Arguments::parse_from(line.split(' ')).command else {
+            panic!("join was asked for");
+        };
+        let options = arguments.into_options();
+        assert_eq!((options.link.as_str(), options.name.as_str()), ("L", "Ada"));
+        assert_eq!(options.duration, Some(Duration::from_millis(2500)));
+        assert_eq!(options.status, StatusKind::Stderr);
+        assert!(!options.realtime && options.catch_signals);
+    }
+
+    #[test]
+    fn a_duration_that_can_not_be_is_refused() {
+        for text in ["0", "-1", "nan", "1e9", "soon"] {
+            assert!(seconds(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_link_that_is_none_ends_with_exit_code_2() {
+        let line = ["palpate-client", "join", "http://x"].map(OsString::from);
+        assert_eq!(format!("{:?}", run(line)), format!("{:?}", ExitCode::from(2)));
+    }
+}

@@ -1,0 +1,95 @@
+//! Between the words of the wire, the device and the tissue. The only place where axes turn round.
+
+use nalgebra::{Quaternion, UnitQuaternion};
+use palpate_device::script::{Tool as ScriptTool, ToolKind as ScriptToolKind};
+use palpate_protocol::handshake::{ToolDescription, ToolKind};
+use palpate_protocol::operation::{BladePoint, CutStroke};
+use palpate_protocol::{LocalSample, Pose};
+use palpate_tissue::Vec3;
+
+use crate::realtime::Frame;
+
+/// A stroke of the wire as the tissue takes it. The wire's axis points along the depth, the
+/// tissue's against it.
+pub fn tissue_stroke(stroke: &CutStroke) -> palpate_tissue::CutStroke {
+    palpate_tissue::CutStroke {
+        points: stroke.points.iter().map(tissue_blade).collect(),
+        width_m: stroke.width_m,
+    }
+}
+
+fn tissue_blade(p: &BladePoint) -> palpate_tissue::BladePoint {
+    palpate_tissue::BladePoint {
+        tip: Vec3::from(p.tip_m),
+        axis: -Vec3::from(p.axis),
+        depth_m: p.depth_m,
+    }
+}
+
+/// The blade of a tool at `pose`, for the wire: its edge lies along the tool's own z axis, from the
+/// tip up, so the direction of depth is the opposite.
+pub fn wire_blade(pose: &Pose, length_m: f64) -> BladePoint {
+    let [x, y, z, w] = pose.orientation;
+    let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6).unwrap_or_default();
+    let depth = -(turn * Vec3::z());
+    BladePoint {
+        tip_m: pose.position_m,
+        axis: depth.into(),
+        depth_m: length_m,
+    }
+}
+
+/// The tool of a script, as others see it.
+pub fn tool_description(tool: &ScriptTool) -> ToolDescription {
+    ToolDescription {
+        kind: match tool.kind {
+            ScriptToolKind::Probe => ToolKind::Probe,
+            ScriptToolKind::Blade => ToolKind::Scalpel,
+        },
+        radius_m: tool.radius_m,
+    }
+}
+
+/// A tick of the force loop as a sample for the session. The wire has room for eight buttons.
+pub fn local_sample(frame: &Frame) -> LocalSample {
+    let q = frame.sample.pose.orientation;
+    LocalSample {
+        time: frame.time,
+        pose: Pose {
+            position_m: frame.sample.pose.position.into(),
+            orientation: [q.i, q.j, q.k, q.w],
+        },
+        buttons: (frame.sample.buttons.bits() & 0xff) as u8,
+        force_n: Some(frame.wrench.force.into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_upright_blade_cuts_downwards_on_the_wire_and_its_top_is_above_its_tip() {
+        let pose = Pose {
+            position_m: [0.01, 0.02, 0.03],
+            ..Pose::IDENTITY
+        };
+        let blade = wire_blade(&pose, 0.02);
+        assert!(blade.is_valid());
+        assert_eq!(blade.axis, [0.0, 0.0, -1.0]);
+        let top = tissue_blade(&blade).top();
+        assert!((top - Vec3::new(0.01, 0.02, 0.05)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_blade_turned_about_x_leans() {
+        let half = std::f64::consts::FRAC_PI_4;
+        let pose = Pose {
+            orientation: [half.sin(), 0.0, 0.0, half.cos()],
+            ..Pose::IDENTITY
+        };
+        // A quarter turn about x takes z to -y, so the depth is +y.
+        let blade = wire_blade(&pose, 0.01);
+        assert!((Vec3::from(blade.axis) - Vec3::y()).norm() < 1e-12);
+    }
+}

@@ -1,0 +1,119 @@
+//! Why a run did not end as it should.
+
+use std::path::PathBuf;
+
+use palpate_device::ScriptError;
+use palpate_protocol::link::LinkError;
+use palpate_protocol::{ModelHash, ProtocolError, Role};
+use palpate_tissue::FileError;
+use palpate_transport::TransportError;
+
+use crate::Summary;
+use crate::realtime::SpawnError;
+
+/// Why a run did not end as it should: one sentence each, for people.
+#[derive(Debug, thiserror::Error)]
+pub enum ClientError {
+    /// The join link can not be read.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// The script can not be used.
+    #[error("the script {}: {source}", path.display())]
+    Script {
+        /// Its file.
+        path: PathBuf,
+        /// What is wrong, and where.
+        source: ScriptError,
+    },
+    /// A role with a tool and nothing that moves it.
+    #[error(
+        "the role {0} holds a tool, and the simulated hand needs a script to follow: add --script FILE"
+    )]
+    NoScript(Role),
+    /// The server can not be reached, or is another one.
+    #[error(transparent)]
+    Transport(#[from] TransportError),
+    /// The name or the tool can not be sent.
+    #[error(transparent)]
+    Protocol(#[from] ProtocolError),
+    /// The server does not let this participant in.
+    #[error("the server did not let you in: {0}")]
+    Refused(String),
+    /// The session ended before it began.
+    #[error("the session ended while joining: {0}")]
+    EndedWhileJoining(String),
+    /// What arrived is not the model that the session runs on.
+    #[error(
+        "the model arrived damaged: its hash is {found}, the session's is {expected}; join again"
+    )]
+    ModelDamaged {
+        /// The session's.
+        expected: ModelHash,
+        /// Of what arrived.
+        found: ModelHash,
+    },
+    /// The model can not be decoded.
+    #[error("the session's model can not be used: {0}")]
+    Model(#[from] FileError),
+    /// The force loop did not start.
+    #[error(transparent)]
+    Haptics(#[from] SpawnError),
+    /// The system gave no thread, or no runtime for the network.
+    #[error("the system did not start a thread: {0}")]
+    System(#[from] std::io::Error),
+    /// The recording can not be written.
+    #[error("the recording {} can not be written: {source}", path.display())]
+    Record {
+        /// Where to.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+        /// The run up to its end.
+        summary: Box<Summary>,
+    },
+    /// The server is gone. The force was ramped to zero.
+    #[error("the server is gone ({detail}); the force was taken away. Join again when it is back")]
+    ServerLost {
+        /// What was seen.
+        detail: String,
+        /// The run up to here.
+        summary: Box<Summary>,
+    },
+    /// The copy of the tissue is not the server's.
+    #[error("your copy of the tissue differs from the server's ({detail}); join again")]
+    Diverged {
+        /// Where.
+        detail: String,
+        /// The run up to here.
+        summary: Box<Summary>,
+    },
+    /// The session broke in a way that should not be.
+    #[error("the session was broken off: {detail}")]
+    Broken {
+        /// What was wrong.
+        detail: String,
+        /// The run up to here.
+        summary: Box<Summary>,
+    },
+}
+
+impl ClientError {
+    /// The run up to the error, where there was one.
+    pub fn summary(&self) -> Option<&Summary> {
+        match self {
+            Self::ServerLost { summary, .. }
+            | Self::Diverged { summary, .. }
+            | Self::Broken { summary, .. }
+            | Self::Record { summary, .. } => Some(summary),
+            _ => None,
+        }
+    }
+
+    /// 2 where what was typed is wrong, 1 otherwise.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Link(_) | Self::Script { .. } | Self::NoScript(_) => 2,
+            _ => 1,
+        }
+    }
+}

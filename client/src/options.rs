@@ -1,0 +1,85 @@
+//! What a participant asks for.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use clap::ValueEnum;
+
+/// The kinds of devices that this program drives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum DeviceKind {
+    /// A simulated hand that follows a script and feels the force.
+    Sim,
+}
+
+impl DeviceKind {
+    /// All of them, with a sentence each.
+    pub const ALL: [(Self, &'static str); 1] = [(
+        Self::Sim,
+        "a simulated hand that follows a script (--script FILE) and feels the force",
+    )];
+
+    /// The word for it on the command line.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Sim => "sim",
+        }
+    }
+}
+
+/// Where the progress of a run is shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum StatusKind {
+    /// Nowhere: for programs that link this library.
+    #[default]
+    Quiet,
+    /// On standard output, rewritten in place on a terminal.
+    Stdout,
+    /// On standard error, because standard output carries the summary as JSON.
+    Stderr,
+}
+
+/// All that [`run`](crate::run) has to know.
+#[derive(Debug, Clone)]
+pub struct JoinOptions {
+    /// The join link as the server printed it.
+    pub link: String,
+    /// The name that others see.
+    pub name: String,
+    /// The device to hold, for roles with a tool.
+    pub device: DeviceKind,
+    /// What a simulated hand does.
+    pub script: Option<PathBuf>,
+    /// Leave after this time; without it stay until the session ends.
+    pub duration: Option<Duration>,
+    /// Where to write the [`Recording`](crate::Recording) at the end.
+    pub record: Option<PathBuf>,
+    /// Whether to ask for real-time priority.
+    pub realtime: bool,
+    /// Whether SIGINT and SIGTERM end the run politely. Off for programs with signals of their own.
+    pub catch_signals: bool,
+    /// Where the progress goes.
+    pub status: StatusKind,
+    /// Set it from another thread to leave politely.
+    pub stop: Arc<AtomicBool>,
+}
+
+impl JoinOptions {
+    /// Joins with a link and a name; the rest as a program that links this library wants it.
+    pub fn new(link: impl Into<String>, name: impl Into<String>) -> Self {
+        Self {
+            link: link.into(),
+            name: name.into(),
+            device: DeviceKind::Sim,
+            script: None,
+            duration: None,
+            record: None,
+            realtime: true,
+            catch_signals: false,
+            status: StatusKind::Quiet,
+            stop: Arc::default(),
+        }
+    }
+}

@@ -1,0 +1,291 @@
+//! One's own copy of the tissue: two shapes over one topology.
+//!
+//! ```text
+//! haptic shape   own tool now, the others at the moment s that everybody sees   -> contact model
+//! view shape     everybody's tool at s, one's own too                           -> what is seen
+//! ```
+//!
+//! Equilibrium is quasi-static, so a shape is a function of topology and contacts: sites that apply
+//! the same operations and solve for the same moments see the same. Pure: no thread, no clock.
+
+use std::sync::Arc;
+
+use palpate_haptics::ContactModel;
+use palpate_protocol::datagram::Corrections;
+use palpate_protocol::operation::{Operation, OperationKind};
+use palpate_protocol::{ClientTime, ServerTime};
+use palpate_tissue::{
+    Budget, Model, Reaction, Shape, Solver, StepReport, Tool, Topology, TopologyHash, Vec3, cut,
+};
+
+use crate::convert::tissue_stroke;
+use crate::history::History;
+use crate::roster::ToolAt;
+
+/// How far from the solved position the force law is believed, m: half a metre per second for 16
+/// ms, four periods of the solver. Smaller lets the force fade in fast strokes, larger believes a
+/// linear law where the tissue is none.
+pub const MODEL_RADIUS_M: f64 = 8e-3;
+
+/// Damping of the contact in parts of its normal stiffness, s: 1 ms takes the ring out of a hand
+/// against tissue and is not felt.
+const DAMPING_S: f64 = 1e-3;
+
+/// Damping of the contact at most, N·s/m: well below what a 0.1 kg handle at 1 kHz turns into
+/// oscillation (2 m / T is 200).
+const DAMPING_MAX_NS_PER_M: f64 = 2.0;
+
+/// A node this far from where the server has it is corrected, m; below it sites are alike.
+pub const DRIFT_TOLERATED_M: f64 = 0.05e-3;
+
+/// Part of the difference that a correction takes away at once. The equilibrium does the rest; more
+/// would show as a twitch.
+const BLEND: f64 = 0.3;
+
+/// Why an operation can not be applied: this copy is not the session's.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ReplicaError {
+    /// The operation is for another topology.
+    #[error("{operation} is for topology version {expected}, this one has version {found}")]
+    Version {
+        /// Which.
+        operation: String,
+        /// What it is for.
+        expected: u32,
+        /// What is here.
+        found: u32,
+    },
+    /// The cut can not be made here.
+    #[error("{operation} can not be applied: {why}")]
+    Cut {
+        /// Which.
+        operation: String,
+        /// What the tissue said.
+        why: String,
+    },
+    /// The result is another.
+    #[error("after {operation} the topology hash is {found}, the server's is {expected}")]
+    Hash {
+        /// Which.
+        operation: String,
+        /// The server's.
+        expected: palpate_protocol::TopologyHash,
+        /// One's own.
+        found: TopologyHash,
+    },
+}
+
+/// How far the view was from what the server said.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Drift {
+    /// The farthest node, m.
+    pub max_m: f64,
+    /// Nodes that were corrected.
+    pub nodes: usize,
+}
+
+struct Side {
+    shape: Shape,
+    solver: Solver,
+}
+
+impl Side {
+    fn new(topology: &Topology) -> Self {
+        Self {
+            shape: Shape::rest(topology),
+            solver: Solver::new(topology),
+        }
+    }
+}
+
+/// One's own copy of the tissue.
+///
+/// Calling order: [`apply`](Self::apply) every operation in the order of the log; between them
+/// [`haptic_step`](Self::haptic_step) and [`view_step`](Self::view_step) as often as wanted, the
+/// latter with ascending moments.
+pub struct Replica {
+    topology: Topology,
+    /// `None` for who only looks.
+    haptic: Option<Side>,
+    view: Side,
+    history: History,
+    was_corrected: bool,
+    tools: Vec<Tool>,
+}
+
+impl Replica {
+    /// The uncut tissue; `with_hand` = false is for spectators and saves half the work.
+    pub fn new(model: Arc<Model>, with_hand: bool) -> Self {
+        let topology = Topology::new(model);
+        Self {
+            haptic: with_hand.then(|| Side::new(&topology)),
+            view: Side::new(&topology),
+            topology,
+            history: History::default(),
+            was_corrected: false,
+            tools: Vec::new(),
+        }
+    }
+
+    /// The topology of both shapes.
+    pub fn topology(&self) -> &Topology {
+        &self.topology
+    }
+
+    /// What is seen.
+    pub fn view_shape(&self) -> &Shape {
+        &self.view.shape
+    }
+
+    /// What the hand feels; `None` for who only looks.
+    pub fn haptic_shape(&self) -> Option<&Shape> {
+        self.haptic.as_ref().map(|h| &h.shape)
+    }
+
+    /// Applies an operation; only a cut changes anything here. Afterwards version and hash are the
+    /// operation's, or it is an error.
+    pub fn apply(&mut self, operation: &Operation) -> Result<(), ReplicaError> {
+        let OperationKind::Cut(stroke) = &operation.kind else {
+            return Ok(());
+        };
+        let name = || operation.id.to_string();
+        if self.topology.version() != operation.topology_version_before {
+            return Err(ReplicaError::Version {
+                operation: name(),
+                expected: operation.topology_version_before,
+                found: self.topology.version(),
+            });
+        }
+        let outcome =
+            cut(&mut self.topology, &tissue_stroke(stroke)).map_err(|e| ReplicaError::Cut {
+                operation: name(),
+                why: e.to_string(),
+            })?;
+        for side in self.haptic.iter_mut().chain([&mut self.view]) {
+            side.shape.follow(&self.topology, &outcome);
+            side.solver.follow(&self.topology, &outcome.touched);
+        }
+        self.history.clear();
+        let found = self.topology.hash();
+        if found.0 != operation.hash_after.0
+            || self.topology.version() != operation.topology_version_after
+        {
+            return Err(ReplicaError::Hash {
+                operation: name(),
+                expected: operation.hash_after,
+                found,
+            });
+        }
+        Ok(())
+    }
+
+    /// Solves what the hand feels: one's `own` tool where it is `now`, the others where everybody
+    /// sees them. A tool that does not press gives a model without contact.
+    pub fn haptic_step(
+        &mut self,
+        now: ClientTime,
+        own: Option<&ToolAt>,
+        others: &[ToolAt],
+        budget: Budget<'_>,
+    ) -> ContactModel {
+        let version = self.topology.version();
+        let free = ContactModel::free_at(now, version);
+        let Some(side) = &mut self.haptic else {
+            return free;
+        };
+        let me = own.map(|t| t.participant);
+        let others = others.iter().filter(|t| Some(t.participant) != me);
+        gather(&mut self.tools, own.into_iter().chain(others));
+        let report = side
+            .solver
+            .step(&self.topology, &mut side.shape, &self.tools, budget);
+        let id = own.and_then(ToolAt::contact).map(|t| t.id);
+        report
+            .reactions
+            .iter()
+            .find(|r| Some(r.tool) == id)
+            .map_or(free, |r| contact_model(now, version, r))
+    }
+
+    /// Solves what everybody sees at the moment `s`.
+    pub fn view_step(
+        &mut self,
+        s: ServerTime,
+        tools: &[ToolAt],
+        budget: Budget<'_>,
+    ) -> &StepReport {
+        gather(&mut self.tools, tools.iter());
+        let side = &mut self.view;
+        side.solver
+            .step(&self.topology, &mut side.shape, &self.tools, budget);
+        let changed = self.was_corrected || side.solver.report().visits[0] > 0;
+        self.was_corrected = false;
+        self.history
+            .push(s, self.topology.version(), &side.shape, changed);
+        side.solver.report()
+    }
+
+    /// Compares a past view with what the server says of it, and blends the difference into the
+    /// present one. `None` when that view is not remembered or was of another topology.
+    pub fn correct(&mut self, corrections: &Corrections) -> Option<Drift> {
+        if corrections.topology_version != self.topology.version() {
+            return None;
+        }
+        let s = corrections.view_time;
+        let known = self.history.at(s, corrections.topology_version)?;
+        let mut drift = Drift::default();
+        let mut disturbed = Vec::new();
+        for &(node, theirs) in &corrections.nodes {
+            if node as usize >= self.topology.node_count() || self.topology.is_pinned(node) {
+                continue;
+            }
+            let Some(ours) = known.displacement(node) else {
+                continue;
+            };
+            let difference = Vec3::from(theirs.map(f64::from)) - ours;
+            drift.max_m = drift.max_m.max(difference.norm());
+            if difference.norm() > DRIFT_TOLERATED_M && self.history.is_news(node, s) {
+                self.view.shape.displacement[node as usize] += difference * BLEND;
+                disturbed.push(node);
+            }
+        }
+        if !disturbed.is_empty() {
+            drift.nodes = disturbed.len();
+            self.was_corrected = true;
+            let view = &mut self.view;
+            view.solver
+                .disturb(&self.topology, &view.shape, &disturbed);
+        }
+        Some(drift)
+    }
+}
+
+fn gather<'a>(into: &mut Vec<Tool>, tools: impl Iterator<Item = &'a ToolAt>) {
+    into.clear();
+    into.extend(tools.filter_map(ToolAt::contact));
+}
+
+/// What the force loop has to know of a reaction until the next solve. The linear law stands where
+/// the solver computed the force: at the tool, unless that jumped and the proxy is still on its way.
+fn contact_model(now: ClientTime, topology_version: u32, r: &Reaction) -> ContactModel {
+    if r.contacts == 0 || (r.normal.norm() - 1.0).abs() > 1e-6 {
+        return ContactModel::free_at(now, topology_version);
+    }
+    let along = r.normal.dot(&(r.stiffness * r.normal)).max(0.0);
+    ContactModel {
+        topology_version,
+        solved_at: now,
+        x0: r.at,
+        f0: r.force,
+        stiffness: r.stiffness,
+        damping: (DAMPING_S * along).min(DAMPING_MAX_NS_PER_M),
+        normal: r.normal,
+        mu_static: r.friction_static,
+        mu_dynamic: r.friction_dynamic.min(r.friction_static),
+        radius: MODEL_RADIUS_M,
+        in_contact: true,
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,193 @@
+//! Who is in the session, and where their tools are at a moment.
+
+use std::collections::BTreeMap;
+
+use palpate_protocol::handshake::{ROSTER_MAX, RosterEntry, ToolDescription, ToolKind};
+use palpate_protocol::timeline::Timeline;
+use palpate_protocol::{ParticipantId, Role, ServerTime, ToolSample};
+use palpate_tissue::{Tool, Vec3};
+
+/// A tool at a moment, with all that the tissue has to know of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ToolAt {
+    /// Whose it is.
+    pub participant: ParticipantId,
+    /// What it is.
+    pub description: ToolDescription,
+    /// Position of its tip, m.
+    pub position: Vec3,
+    /// One bit per button; bit 0 is the main one.
+    pub buttons: u8,
+    /// Whether nothing has come from it for too long.
+    pub stale: bool,
+}
+
+impl ToolAt {
+    /// Whether it is a blade that cuts now: its main button is held.
+    pub fn is_cutting(&self) -> bool {
+        self.description.kind == ToolKind::Scalpel && self.buttons & 1 == 1
+    }
+
+    /// The tool as the tissue feels it; `None` while it cuts, or is stale, or is no place at all.
+    pub fn contact(&self) -> Option<Tool> {
+        let tool = Tool {
+            id: u32::from(self.participant.0),
+            centre: self.position,
+            radius_m: self.description.radius_m,
+        };
+        (!self.stale && !self.is_cutting() && tool.is_sound()).then_some(tool)
+    }
+}
+
+#[derive(Debug, Clone)]
+struct Seat {
+    name: String,
+    role: Role,
+    tool: Option<ToolDescription>,
+    timeline: Timeline,
+}
+
+/// Everybody in the session, in the order of their numbers: the same order at every site, because
+/// tools press in the order in which they are listed.
+#[derive(Debug, Clone, Default)]
+pub struct Roster {
+    seats: BTreeMap<ParticipantId, Seat>,
+}
+
+impl Roster {
+    /// Those in a welcome.
+    pub fn new(entries: &[RosterEntry]) -> Self {
+        let mut roster = Self::default();
+        for entry in entries {
+            roster.join(entry.clone());
+        }
+        roster
+    }
+
+    /// Somebody came. Who is known already keeps their tool's past. Beyond [`ROSTER_MAX`] nobody is
+    /// taken; no server lets more in.
+    pub fn join(&mut self, entry: RosterEntry) {
+        if let Some(seat) = self.seats.get_mut(&entry.participant) {
+            (seat.name, seat.role, seat.tool) = (entry.name, entry.role, entry.tool);
+        } else if self.seats.len() < ROSTER_MAX {
+            let seat = Seat {
+                name: entry.name,
+                role: entry.role,
+                tool: entry.tool,
+                timeline: Timeline::default(),
+            };
+            self.seats.insert(entry.participant, seat);
+        }
+    }
+
+    /// Somebody went, and their tool with them.
+    pub fn leave(&mut self, who: ParticipantId) {
+        self.seats.remove(&who);
+    }
+
+    /// Somebody took another tool.
+    pub fn change_tool(&mut self, who: ParticipantId, tool: ToolDescription) {
+        if let Some(seat) = self.seats.get_mut(&who) {
+            seat.tool = Some(tool);
+        }
+    }
+
+    /// A sample of somebody's tool; of who is not here it is ignored.
+    pub fn insert(&mut self, who: ParticipantId, sample: ToolSample) {
+        if let Some(seat) = self.seats.get_mut(&who) {
+            seat.timeline.insert(sample);
+        }
+    }
+
+    /// Every tool at a moment. Ask with ascending times: late news are blended from one to the next.
+    pub fn tools_at(&mut self, s: ServerTime) -> Vec<ToolAt> {
+        let at = |(who, seat): (&ParticipantId, &mut Seat)| {
+            let description = seat.tool?;
+            let shown = seat.timeline.at(s)?;
+            Some(ToolAt {
+                participant: *who,
+                description,
+                position: Vec3::from(shown.pose.position_m),
+                buttons: shown.buttons,
+                stale: shown.stale,
+            })
+        };
+        self.seats.iter_mut().filter_map(at).collect()
+    }
+
+    /// The tool that somebody holds.
+    pub fn tool_of(&self, who: ParticipantId) -> Option<ToolDescription> {
+        self.seats.get(&who)?.tool
+    }
+
+    /// The name of somebody, for people.
+    pub fn name_of(&self, who: ParticipantId) -> Option<&str> {
+        self.seats.get(&who).map(|s| s.name.as_str())
+    }
+
+    /// How many are here.
+    pub fn len(&self) -> usize {
+        self.seats.len()
+    }
+
+    /// Whether nobody is here.
+    pub fn is_empty(&self) -> bool {
+        self.seats.is_empty()
+    }
+
+    /// How many of those here have a tool.
+    pub fn tools(&self) -> usize {
+        self.seats.values().filter(|s| s.role.has_tool()).count()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use palpate_protocol::Pose;
+
+    use super::*;
+
+    fn entry(who: u16, kind: ToolKind) -> RosterEntry {
+        RosterEntry {
+            participant: ParticipantId(who),
+            name: format!("p{who}"),
+            role: Role::Trainee,
+            tool: Some(ToolDescription {
+                kind,
+                radius_m: 0.004,
+            }),
+        }
+    }
+
+    fn sample(us: i64, buttons: u8) -> ToolSample {
+        ToolSample {
+            time: ServerTime::from_micros(us),
+            pose: Pose::IDENTITY,
+            buttons,
+            force_n: None,
+        }
+    }
+
+    #[test]
+    fn a_blade_with_its_button_held_does_not_press() {
+        let mut roster = Roster::new(&[entry(1, ToolKind::Scalpel), entry(2, ToolKind::Probe)]);
+        for who in [1, 2] {
+            roster.insert(ParticipantId(who), sample(0, 1));
+            roster.insert(ParticipantId(who), sample(1000, 1));
+        }
+        let tools = roster.tools_at(ServerTime::from_micros(500));
+        assert!(tools[0].is_cutting() && tools[0].contact().is_none());
+        assert!(tools[1].contact().is_some());
+    }
+
+    #[test]
+    fn a_tool_that_is_not_heard_of_does_not_press_and_one_that_left_is_gone() {
+        let mut roster = Roster::new(&[entry(1, ToolKind::Probe)]);
+        roster.insert(ParticipantId(1), sample(0, 0));
+        let late = roster.tools_at(ServerTime::from_micros(300_000));
+        assert!(late[0].stale && late[0].contact().is_none());
+        roster.leave(ParticipantId(1));
+        roster.insert(ParticipantId(1), sample(310_000, 0));
+        assert!(roster.tools_at(ServerTime::from_micros(310_000)).is_empty());
+    }
+}

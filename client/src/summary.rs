@@ -1,0 +1,215 @@
+//! The figures of a run at its end, for people and as one JSON object.
+
+use std::fmt;
+
+use palpate_haptics::Counters;
+use serde::{Deserialize, Serialize};
+
+use crate::realtime::{LoopStats, Percentiles};
+
+/// The figures of a run.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// The participant's name.
+    pub name: String,
+    /// The word for the role.
+    pub role: String,
+    /// The participant's number.
+    pub participant: u16,
+    /// Ticks of the force loop.
+    pub ticks: u64,
+    /// Ticks per second.
+    pub rate_hz: f64,
+    /// How late ticks began.
+    pub lateness_us: Lateness,
+    /// Deadlines of the force loop that were skipped.
+    pub missed: u64,
+    /// Round trip time, the newest; `None` when it was never measured.
+    pub rtt_ms: Option<f64>,
+    /// Share of the server's datagrams that did not arrive, 0 to 1.
+    pub loss: f64,
+    /// The artificial delay D at the end.
+    pub compensation_ms: f64,
+    /// Version of one's own topology.
+    pub topology_version: u32,
+    /// Hash of one's own topology, 16 hexadecimal digits.
+    pub topology_hash: String,
+    /// Operations applied, those of the log at the beginning included.
+    pub operations: u64,
+    /// Cuts among them.
+    pub cuts: u64,
+    /// How far the estimate of the server's clock can be wrong.
+    pub clock_error_bound_ms: Option<f64>,
+    /// Solves of the shape that the hand feels.
+    pub haptic_solves: u64,
+    /// How long they took.
+    pub haptic_solve_ms: SolveTimes,
+    /// Solves of the shape that everybody sees.
+    pub view_solves: u64,
+    /// How long they took.
+    pub view_ms: SolveTimes,
+    /// Moments of the common grid that were skipped because the machine was behind.
+    pub views_skipped: u64,
+    /// Nodes that the server said were elsewhere by more than a twentieth of a millimetre.
+    pub corrected_nodes: u64,
+    /// Farthest that a node was from where the server had it.
+    pub drift_mm_max: f64,
+    /// The largest force.
+    pub force_max_n: f64,
+    /// What the force loop met.
+    pub events: EventCounts,
+    /// Cuts that the server refused.
+    pub cuts_refused: u64,
+    /// What the device calls itself; "none" for who only looks.
+    pub device: String,
+    /// How the force loop was scheduled, in a sentence.
+    pub realtime: String,
+    /// Length of the run, from the first view on.
+    pub seconds: f64,
+    /// How it ended, in a sentence.
+    pub ended: String,
+}
+
+/// Percentiles of how late ticks began, µs.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Lateness {
+    /// Half were earlier.
+    pub p50: u64,
+    /// 99 of 100 were earlier.
+    pub p99: u64,
+    /// 999 of 1000 were earlier.
+    pub p999: u64,
+    /// The latest.
+    pub max: u64,
+}
+
+impl From<Percentiles> for Lateness {
+    fn from(p: Percentiles) -> Self {
+        Self {
+            p50: p.p50,
+            p99: p.p99,
+            p999: p.p999,
+            max: p.max,
+        }
+    }
+}
+
+/// Percentiles of how long solves took, ms.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct SolveTimes {
+    /// Half were shorter.
+    pub p50: f64,
+    /// 99 of 100 were shorter.
+    pub p99: f64,
+}
+
+/// Ticks in which something happened.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct EventCounts {
+    /// In contact.
+    pub in_contact: u64,
+    /// Clamped to what the device can hold.
+    pub saturated: u64,
+    /// The change of force was limited.
+    pub slewed: u64,
+    /// The contact model was old.
+    pub stale: u64,
+    /// The tool was outside the contact model's radius.
+    pub left_radius: u64,
+    /// The sample was no number.
+    pub bad_samples: u64,
+    /// The contact model was not usable.
+    pub bad_models: u64,
+    /// The device was at fault.
+    pub faulted: u64,
+    /// The link was lost.
+    pub link_lost: u64,
+    /// Largest change of force between two ticks, N.
+    pub max_delta_force_n: f64,
+    /// Smallest energy the hand had put in, J.
+    pub min_energy_j: f64,
+    /// Samples that found no room on their way to the network.
+    pub frames_dropped: u64,
+}
+
+impl EventCounts {
+    fn of(c: &Counters, frames_dropped: u64) -> Self {
+        Self {
+            in_contact: c.in_contact,
+            saturated: c.saturated,
+            slewed: c.slewed,
+            stale: c.stale,
+            left_radius: c.left_radius,
+            bad_samples: c.bad_samples,
+            bad_models: c.bad_models,
+            faulted: c.faulted,
+            link_lost: c.link_lost,
+            max_delta_force_n: c.max_delta_force_n,
+            min_energy_j: c.min_energy_j,
+            frames_dropped,
+        }
+    }
+}
+
+impl Summary {
+    /// Takes over what the force loop says of itself.
+    pub(crate) fn take_loop(&mut self, stats: &LoopStats) {
+        self.ticks = stats.ticks;
+        self.rate_hz = stats.rate_hz;
+        self.lateness_us = stats.lateness_us.into();
+        self.missed = stats.missed;
+        self.force_max_n = stats.counters.max_force_n;
+        self.events = EventCounts::of(&stats.counters, stats.frames_dropped);
+    }
+}
+
+impl fmt::Display for Summary {
+    /// What a person wants to know at the end, one thing per line.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ms = |v: Option<f64>| v.map_or("unknown".to_owned(), |v| format!("{v:.1} ms"));
+        writeln!(f, "{} ({}), {:.1} s: {}", self.name, self.role, self.seconds, self.ended)?;
+        if self.ticks > 0 {
+            let l = &self.lateness_us;
+            writeln!(
+                f,
+                "  force loop   {:.0} Hz, late by {} µs (p50), {} (p99), {} (p99.9), {} (max); {} missed",
+                self.rate_hz, l.p50, l.p99, l.p999, l.max, self.missed
+            )?;
+            writeln!(
+                f,
+                "  force        at most {:.2} N, changing at most {:.3} N per tick; {} ticks saturated, {} slewed, {} stale",
+                self.force_max_n,
+                self.events.max_delta_force_n,
+                self.events.saturated,
+                self.events.slewed,
+                self.events.stale
+            )?;
+            writeln!(f, "  device       {}; {}", self.device, self.realtime)?;
+        }
+        writeln!(
+            f,
+            "  network      round trip {}, {:.1} % lost, delay D {:.1} ms, clock within {}",
+            ms(self.rtt_ms),
+            self.loss * 100.0,
+            self.compensation_ms,
+            ms(self.clock_error_bound_ms)
+        )?;
+        writeln!(
+            f,
+            "  tissue       version {} ({}), {} operations, {} cuts, {} refused",
+            self.topology_version, self.topology_hash, self.operations, self.cuts, self.cuts_refused
+        )?;
+        write!(
+            f,
+            "  solves       hand {} ({:.2} / {:.2} ms), view {} ({:.2} / {:.2} ms, {} skipped), at most {:.3} mm from the server's",
+            self.haptic_solves,
+            self.haptic_solve_ms.p50,
+            self.haptic_solve_ms.p99,
+            self.view_solves,
+            self.view_ms.p50,
+            self.view_ms.p99,
+            self.views_skipped,
+            self.drift_mm_max
+        )
+    }
+}
