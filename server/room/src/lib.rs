@@ -1,1 +1,19 @@
-//! Placeholder.
+//! One authoritative session as a pure machine: who is in it, what they hold, what has been cut, in
+//! which order everything happened.
+//!
+//! This crate never opens a socket, never reads a clock and never spawns. It is the only one that
+//! knows both the words on the wire and the tissue, and converts between them.
+
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+mod authority;
+mod config;
+mod convert;
+mod participant;
+mod room;
+#[cfg(test)]
+mod tests;
+
+pub use authority::TickReport;
+pub use config::{RoomConfig, SEATS_MAX};
+pub use room::{Output, PeerKey, Room};

@@ -12,8 +12,8 @@ mod block;
 mod build;
 mod cell;
 mod contact;
-mod equilibrium;
 mod cut;
+mod equilibrium;
 mod file;
 mod material;
 mod model;
@@ -32,11 +32,11 @@ pub use build::{
 };
 pub use cell::{Cell, DIAGONALS, EDGES, FACES, NO_CELL, cell_volume};
 pub use contact::{Reaction, TOOLS_MAX, Tool};
-pub use equilibrium::{Budget, Solver, StepReport};
 pub use cut::{
-    BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, BladePoint, CutError, CutOutcome, CutStroke, Moved, RestPoint,
-    STROKE_LENGTH_MAX_M, WOUND_WIDTH_MAX_M, cut, to_rest,
+    BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, BladePoint, CutError, CutOutcome, CutStroke, Moved,
+    RestPoint, STROKE_LENGTH_MAX_M, WOUND_WIDTH_MAX_M, cut, to_rest,
 };
+pub use equilibrium::{Budget, Solver, StepReport};
 pub use file::{
     CELLS_MAX, EnvelopeError, FileError, MODEL_FORMAT, ModelFile, NODES_MAX, REGIONS_MAX,
     decode_model, encode_model,

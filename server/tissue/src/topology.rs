@@ -66,6 +66,8 @@ pub struct Topology {
     /// Slot `c` of a node: the cell of which it is corner `c`, or [`NO_CELL`].
     pub(crate) node_cells: Vec<[u32; 8]>,
     pub(crate) cell_volume: Vec<f64>,
+    /// Volume of each cell as it was built: what its mass comes from, so that no cut changes it.
+    built_volume: Vec<f64>,
     pub(crate) springs: Springs,
     pub(crate) mass: Vec<f64>,
     pub(crate) pinned: Vec<bool>,
@@ -83,7 +85,7 @@ impl Topology {
                 node_cells[node as usize][c] = index as u32;
             }
         }
-        let cell_volume = (0..model.cells.len())
+        let cell_volume: Vec<f64> = (0..model.cells.len())
             .into_par_iter()
             .map(|c| cell_volume(&model.corners_of(c)))
             .collect();
@@ -93,6 +95,7 @@ impl Topology {
             corners: model.cells.iter().map(|c| c.corners).collect(),
             cut: vec![0; model.cells.len()],
             node_cells,
+            built_volume: cell_volume.clone(),
             cell_volume,
             springs: Springs::with_capacity(nodes),
             mass: vec![0.0; nodes],
@@ -229,7 +232,7 @@ impl Topology {
         for cell in self.node_cells[node as usize] {
             if cell != NO_CELL {
                 let region = &self.model.regions[self.region(cell).index()];
-                mass += region.material.density_kg_m3 * self.cell_volume[cell as usize] / 8.0;
+                mass += region.material.density_kg_m3 * self.built_volume[cell as usize] / 8.0;
                 pinned |= region.pinned;
             }
         }
@@ -251,7 +254,7 @@ impl Topology {
             // 1, 2, 4 lead along an edge, 3, 5, 6 across a face.
             for step in [1, 2, 4, 3, 5, 6] {
                 let to = self.corners[cell as usize][corner ^ step];
-                let share = if step.count_ones() == 1 {
+                let share = if usize::is_power_of_two(step) {
                     EDGE_SHARE
                 } else {
                     DIAGONAL_SHARE

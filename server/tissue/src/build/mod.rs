@@ -46,6 +46,9 @@ pub const BUILD_NODES_MAX: f64 = 8e6;
 /// A region whose volume differs from its input by more than this part earns a warning.
 const VOLUME_WARNING: f64 = 0.02;
 
+/// A region sticks out of the first one where it does so by more than this part of the spacing.
+const STICKING_OUT: f64 = 0.25;
+
 /// Why a model could not be built.
 #[derive(Debug, Error)]
 pub enum BuildError {
@@ -209,20 +212,12 @@ fn check_nesting(
                 at,
             });
         }
-        // Points on a common flat end count as outside or not by rounding: only more is worth a word.
-        let deep = surface
-            .vertices
-            .iter()
-            .filter(|v| {
-                let shrunk = (*v - centre(surface)) * 0.98 + centre(surface);
-                !query.contains(0, shrunk)
-            })
-            .count();
-        if deep * 50 > surface.vertices.len() {
-            let percent = 100 * deep / surface.vertices.len();
+        let out = sticking_out(input, query, r);
+        if out * 50 > surface.triangles.len() {
             warnings.push(format!(
-                "{percent} % of the vertices of region {:?} lie outside the outermost region {:?}; \
+                "{} % of the surface of region {:?} lies outside the outermost region {:?}; \
                  what sticks out becomes part of the model",
+                100 * out / surface.triangles.len(),
                 name(r),
                 name(0)
             ));
@@ -231,8 +226,20 @@ fn check_nesting(
     Ok(())
 }
 
-fn centre(surface: &Surface) -> Vec3 {
-    surface.vertices.iter().sum::<Vec3>() / surface.vertices.len().max(1) as f64
+/// Triangles of region `r` that lie outside the first region by more than a part of the spacing:
+/// what two surfaces have in common, as a flat end, counts as outside or not by rounding.
+fn sticking_out(input: &SceneInput, query: &label::PointQuery<'_>, r: usize) -> usize {
+    let surface = &input.surfaces[r];
+    let depth = input.scene.spacing_m * STICKING_OUT;
+    (0..surface.triangles.len())
+        .filter(|&t| {
+            let [a, b, c] = surface.corners(t);
+            let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) else {
+                return false;
+            };
+            !query.contains(0, (a + b + c) / 3.0 - normal * depth)
+        })
+        .count()
 }
 
 /// Whether some vertex of the first region lies within region `r`, or a triangle's middle of `r`

@@ -1,0 +1,480 @@
+//! The session machine.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use palpate_protocol::compensation::{DelaySchedule, GroupDelay};
+use palpate_protocol::handshake::{Hello, RefusalReason, Refused, ToolDescription, Welcome};
+use palpate_protocol::operation::{LeaveReason, Operation, OperationKind};
+use palpate_protocol::request::{
+    DelayReport, Request, RequestKind, RequestRefusal, RequestRefused, tool_is_valid,
+};
+use palpate_protocol::session::{CloseReason, PeerDatagram, PeerEvent, PeerMessage};
+use palpate_protocol::{
+    OperationId, ParticipantId, RequestId, ServerTime, Span, ToolSample, ToolTrack, TopologyHash,
+};
+use palpate_tissue::{Model, Tool};
+
+use crate::authority::{Authority, TickReport};
+use crate::config::{RoomConfig, SEATS_MAX};
+use crate::participant::Participant;
+
+/// A change of the artificial delay takes effect so much later, so that everybody has heard of it.
+const CHANGE_LEAD: Span = Span::from_millis(300);
+
+/// Scripts begin so much after the last tool has come.
+const START_LEAD: Span = Span::from_millis(1000);
+
+/// Displacements are sent so often.
+const CORRECTION_PERIOD: Span = Span::from_millis(100);
+
+/// Most operations of one session; every newcomer is sent them all. Beyond it cuts are refused: the
+/// session is to be saved as a model of its own, and the artificial delay stays as it is.
+const OPERATIONS_MAX: usize = 16_000;
+
+/// One connection, as the shell numbers them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PeerKey(pub u64);
+
+/// Something for one connection.
+#[derive(Debug, Clone)]
+pub enum Output {
+    /// Reliable and in order.
+    Message(PeerKey, PeerMessage),
+    /// May get lost.
+    Datagram(PeerKey, PeerDatagram),
+}
+
+/// One session.
+///
+/// Calling order: [`handle_event`](Self::handle_event) for everything that peers send, in the order
+/// of arrival; [`handle_tick`](Self::handle_tick) when [`poll_timeout`](Self::poll_timeout) has come;
+/// after each of them [`poll_output`](Self::poll_output) until `None`.
+pub struct Room {
+    config: RoomConfig,
+    authority: Authority,
+    participants: BTreeMap<ParticipantId, Participant>,
+    by_peer: BTreeMap<PeerKey, ParticipantId>,
+    next_participant: u16,
+    log: Vec<Arc<Operation>>,
+    schedule: DelaySchedule,
+    group: GroupDelay,
+    started_at: Option<ServerTime>,
+    /// Grid point of the latest tick, in ticks since time zero.
+    settled: Option<i64>,
+    next_tick: ServerTime,
+    next_correction: ServerTime,
+    cuts: u64,
+    outputs: VecDeque<Output>,
+}
+
+impl Room {
+    /// An empty session over a model.
+    pub fn new(model: Arc<Model>, config: RoomConfig, now: ServerTime) -> Self {
+        Self {
+            authority: Authority::new(model),
+            participants: BTreeMap::new(),
+            by_peer: BTreeMap::new(),
+            next_participant: 1,
+            log: Vec::new(),
+            schedule: DelaySchedule::new(&config.compensation),
+            group: GroupDelay::new(&config.compensation),
+            started_at: None,
+            settled: None,
+            next_tick: now,
+            next_correction: now,
+            cuts: 0,
+            outputs: VecDeque::new(),
+            config,
+        }
+    }
+
+    /// Something that a peer's session learned.
+    pub fn handle_event(&mut self, peer: PeerKey, event: PeerEvent, now: ServerTime) {
+        match (event, self.by_peer.get(&peer).copied()) {
+            (PeerEvent::Hello(hello), None) => self.handle_hello(peer, hello, now),
+            (PeerEvent::Request(request), Some(who)) => self.handle_request(who, request, now),
+            (PeerEvent::Motion(samples), Some(who)) => self.handle_motion(who, samples, now),
+            (PeerEvent::Delay(report), Some(who)) => self.group.handle_report(who, report),
+            (PeerEvent::Closed(reason), Some(who)) => self.handle_leave(who, &reason, now),
+            // A second hello is the session's business; the rest comes from nobody we know.
+            _ => {}
+        }
+    }
+
+    fn handle_hello(&mut self, peer: PeerKey, hello: Hello, now: ServerTime) {
+        match self.admit(&hello) {
+            Err(reason) => {
+                self.send(peer, PeerMessage::Refused(Refused::because(reason)));
+            }
+            Ok(()) => self.welcome(peer, hello, now),
+        }
+    }
+
+    fn admit(&self, hello: &Hello) -> Result<(), RefusalReason> {
+        let role = hello.role;
+        let granted = self
+            .config
+            .grants
+            .iter()
+            .any(|(r, g)| *r == role && g.matches(&hello.grant));
+        let seats = self.config.seats.min(SEATS_MAX);
+        if !granted {
+            Err(RefusalReason::BadGrant { role })
+        } else if hello.resume.is_some() {
+            Err(RefusalReason::NoSuchSeat)
+        } else if self.participants.len() >= usize::from(seats) || self.next_participant == u16::MAX
+        {
+            Err(RefusalReason::Full { seats })
+        } else if self.participants.values().any(|p| p.name == hello.name) {
+            Err(RefusalReason::NameTaken {
+                name: hello.name.clone(),
+            })
+        } else if role.has_tool() && !hello.tool.as_ref().is_some_and(tool_is_valid) {
+            Err(RefusalReason::BadTool { role })
+        } else {
+            Ok(())
+        }
+    }
+
+    fn welcome(&mut self, peer: PeerKey, hello: Hello, now: ServerTime) {
+        let id = ParticipantId(self.next_participant);
+        self.next_participant += 1;
+        let tool = hello.tool.filter(|_| hello.role.has_tool());
+        let welcome = Welcome {
+            participant: id,
+            epoch: self.config.epoch,
+            role: hello.role,
+            server_time: now,
+            model: self.config.model,
+            roster: self
+                .participants
+                .values()
+                .map(Participant::roster_entry)
+                .collect(),
+            topology_version: self.authority.version(),
+            topology_hash: wire_hash(self.authority.hash()),
+            operations_so_far: self.log.len() as u64,
+            compensation: self.config.compensation,
+            tick_hz: self.config.tick_hz,
+            session_started_at: self.started_at,
+            // Seats can not be resumed yet: no token is good.
+            resume_token: [0; 16],
+        };
+        self.send(peer, PeerMessage::Welcome(Box::new(welcome)));
+        for operation in self.log.clone() {
+            self.send(peer, PeerMessage::Operation(operation));
+        }
+        let participant = Participant::new(peer, id, hello.name.clone(), hello.role, tool);
+        self.participants.insert(id, participant);
+        self.by_peer.insert(peer, id);
+        let kind = OperationKind::Joined {
+            participant: id,
+            name: hello.name,
+            role: hello.role,
+            tool,
+        };
+        self.append(id, kind, now);
+        self.start_if_due(now);
+    }
+
+    fn start_if_due(&mut self, now: ServerTime) {
+        let tools = self
+            .participants
+            .values()
+            .filter(|p| p.tool.is_some())
+            .count();
+        if self.started_at.is_none() && tools >= usize::from(self.config.start_when_tools) {
+            let at = now + START_LEAD;
+            self.started_at = Some(at);
+            self.append(ParticipantId::SERVER, OperationKind::Started { at }, now);
+        }
+    }
+
+    fn handle_request(&mut self, who: ParticipantId, request: Request, now: ServerTime) {
+        let result = match request.kind {
+            RequestKind::Cut(cut) => self.handle_cut(who, &cut, now),
+            RequestKind::SetTool(tool) => self.handle_tool(who, tool, now),
+            RequestKind::ReportDelay(report) => {
+                self.group.handle_report(who, report);
+                Ok(())
+            }
+            RequestKind::TopologyReport { version, hash } => self.check_topology(version, hash),
+            // The session machine turns a leave into a close.
+            RequestKind::Leave => Ok(()),
+        };
+        if let Err(reason) = result {
+            self.refuse(who, request.id, reason);
+        }
+    }
+
+    fn handle_cut(
+        &mut self,
+        who: ParticipantId,
+        cut: &palpate_protocol::request::CutRequest,
+        now: ServerTime,
+    ) -> Result<(), RequestRefusal> {
+        use palpate_protocol::handshake::ToolKind;
+        let author = &self.participants[&who];
+        if author.tool.is_none_or(|t| t.kind != ToolKind::Scalpel) {
+            return Err(RequestRefusal::NotAllowed);
+        }
+        if self.log.len() >= OPERATIONS_MAX {
+            return Err(RequestRefusal::CanNotCut(format!(
+                "the session has reached its limit of {OPERATIONS_MAX} operations"
+            )));
+        }
+        let stroke = self.authority.cut(cut)?;
+        self.cuts += 1;
+        self.append_cut(who, OperationKind::Cut(stroke), now);
+        Ok(())
+    }
+
+    fn handle_tool(
+        &mut self,
+        who: ParticipantId,
+        tool: ToolDescription,
+        now: ServerTime,
+    ) -> Result<(), RequestRefusal> {
+        let participant = self
+            .participants
+            .get_mut(&who)
+            .ok_or(RequestRefusal::NotAllowed)?;
+        if !participant.role.has_tool() || !tool_is_valid(&tool) {
+            return Err(RequestRefusal::NotAllowed);
+        }
+        participant.tool = Some(tool);
+        self.append(
+            who,
+            OperationKind::ToolChanged {
+                participant: who,
+                tool,
+            },
+            now,
+        );
+        Ok(())
+    }
+
+    fn check_topology(&self, version: u32, hash: TopologyHash) -> Result<(), RequestRefusal> {
+        match self.authority.hash_at(version) {
+            Some(ours) if wire_hash(ours) == hash => Ok(()),
+            _ => Err(RequestRefusal::TopologyDiffers),
+        }
+    }
+
+    fn handle_motion(&mut self, who: ParticipantId, samples: Vec<ToolSample>, now: ServerTime) {
+        let in_force = self.schedule.delay_at(now);
+        let Some(participant) = self.participants.get_mut(&who) else {
+            return;
+        };
+        if participant.tool.is_none() || samples.is_empty() {
+            return;
+        }
+        for sample in &samples {
+            participant.timeline.insert(*sample);
+        }
+        if let Some(newest) = samples.last() {
+            participant.delay.handle_arrival(newest.time, now, in_force);
+        }
+        let tracks: Arc<[ToolTrack]> = Arc::from([ToolTrack {
+            participant: who,
+            samples,
+        }]);
+        for other in self.participants.values().filter(|p| p.id != who) {
+            let datagram = PeerDatagram::Motion(Arc::clone(&tracks));
+            self.outputs
+                .push_back(Output::Datagram(other.peer, datagram));
+        }
+    }
+
+    fn handle_leave(&mut self, who: ParticipantId, reason: &CloseReason, now: ServerTime) {
+        let Some(gone) = self.participants.remove(&who) else {
+            return;
+        };
+        self.by_peer.remove(&gone.peer);
+        self.group.remove(who);
+        let reason = match reason {
+            CloseReason::Left => LeaveReason::Left,
+            CloseReason::Violation(_) => LeaveReason::Violation,
+            CloseReason::Refused(_) | CloseReason::Goodbye(_) => LeaveReason::Removed,
+            CloseReason::Silent(_)
+            | CloseReason::HandshakeTimeout
+            | CloseReason::ConnectionLost(_) => LeaveReason::Silent,
+        };
+        self.append(
+            who,
+            OperationKind::Left {
+                participant: who,
+                reason,
+            },
+            now,
+        );
+    }
+
+    /// Brings the tissue to the newest moment of the common grid that is due, within what `stop`
+    /// allows. `None` when that moment has been settled already.
+    pub fn handle_tick(
+        &mut self,
+        now: ServerTime,
+        stop: &mut dyn FnMut() -> bool,
+    ) -> Option<TickReport> {
+        let period = self.config.tick_period();
+        while self.next_tick <= now {
+            self.next_tick = self.next_tick + period;
+        }
+        self.change_delay(now);
+        let hz = i64::from(self.config.tick_hz.max(1));
+        let grid = (self.schedule.shown_at(now).as_micros() * hz).div_euclid(1_000_000);
+        if self.settled.is_some_and(|k| k >= grid) {
+            return None;
+        }
+        self.settled = Some(grid);
+        let view_time = ServerTime::from_micros((grid * 1_000_000).div_euclid(hz));
+        let tools: Vec<Tool> = self
+            .participants
+            .values_mut()
+            .filter_map(|p| p.pressing_at(view_time))
+            .collect();
+        let report = self.authority.settle(view_time, &tools, stop);
+        self.send_corrections(now);
+        Some(report)
+    }
+
+    fn change_delay(&mut self, now: ServerTime) {
+        let own = self.participants.values().filter_map(|p| p.delay.report());
+        if let Some(worst) = own.max_by_key(|r: &DelayReport| r.wanted_us) {
+            self.group.handle_report(ParticipantId::SERVER, worst);
+        }
+        if self.log.len() >= OPERATIONS_MAX {
+            return;
+        }
+        if let Some(change) = self.group.poll_change(now, CHANGE_LEAD) {
+            self.schedule
+                .handle_change(change.delay_us, change.effective_at);
+            let kind = OperationKind::Compensation {
+                delay_us: change.delay_us,
+                effective_at: change.effective_at,
+            };
+            self.append(ParticipantId::SERVER, kind, now);
+        }
+    }
+
+    fn send_corrections(&mut self, now: ServerTime) {
+        if now < self.next_correction {
+            return;
+        }
+        self.next_correction = now + CORRECTION_PERIOD;
+        let Some(corrections) = self.authority.corrections() else {
+            return;
+        };
+        let corrections = Arc::new(corrections);
+        for participant in self.participants.values() {
+            let datagram = PeerDatagram::Corrections(Arc::clone(&corrections));
+            self.outputs
+                .push_back(Output::Datagram(participant.peer, datagram));
+        }
+    }
+
+    /// Says goodbye to everybody.
+    pub fn handle_close(&mut self, sentence: &str) {
+        let peers: Vec<PeerKey> = self.by_peer.keys().copied().collect();
+        for peer in peers {
+            self.send(peer, PeerMessage::Goodbye(sentence.to_owned()));
+        }
+    }
+
+    /// When the next tick is due.
+    pub fn poll_timeout(&self) -> ServerTime {
+        self.next_tick
+    }
+
+    /// The next thing to send.
+    pub fn poll_output(&mut self) -> Option<Output> {
+        self.outputs.pop_front()
+    }
+
+    /// Number of participants.
+    pub fn participant_count(&self) -> usize {
+        self.participants.len()
+    }
+
+    /// Number of operations in the log.
+    pub fn operation_count(&self) -> usize {
+        self.log.len()
+    }
+
+    /// Number of cuts.
+    pub fn cut_count(&self) -> u64 {
+        self.cuts
+    }
+
+    /// Version and hash of the topology.
+    pub fn topology(&self) -> (u32, TopologyHash) {
+        (self.authority.version(), wire_hash(self.authority.hash()))
+    }
+
+    /// Connected components of the cells. Visits the whole model.
+    pub fn components(&self) -> usize {
+        self.authority.components()
+    }
+
+    /// Whether every edge of the boundary belongs to exactly two triangles. Visits the whole surface.
+    pub fn boundary_closed(&self) -> bool {
+        self.authority.boundary_closed()
+    }
+
+    /// The artificial delay at a moment.
+    pub fn delay_at(&self, now: ServerTime) -> Span {
+        self.schedule.delay_at(now)
+    }
+
+    fn refuse(&mut self, who: ParticipantId, id: RequestId, reason: RequestRefusal) {
+        if let Some(peer) = self.participants.get(&who).map(|p| p.peer) {
+            self.send(
+                peer,
+                PeerMessage::RequestRefused(RequestRefused { id, reason }),
+            );
+        }
+    }
+
+    fn append(&mut self, author: ParticipantId, kind: OperationKind, now: ServerTime) {
+        let version = self.authority.version();
+        self.append_between(author, kind, now, version);
+    }
+
+    fn append_cut(&mut self, author: ParticipantId, kind: OperationKind, now: ServerTime) {
+        let before = self.authority.version() - 1;
+        self.append_between(author, kind, now, before);
+    }
+
+    fn append_between(
+        &mut self,
+        author: ParticipantId,
+        kind: OperationKind,
+        now: ServerTime,
+        version_before: u32,
+    ) {
+        let operation = Arc::new(Operation {
+            id: OperationId(self.log.len() as u64),
+            at: now,
+            author,
+            topology_version_before: version_before,
+            topology_version_after: self.authority.version(),
+            hash_after: wire_hash(self.authority.hash()),
+            kind,
+        });
+        self.log.push(Arc::clone(&operation));
+        let peers: Vec<PeerKey> = self.by_peer.keys().copied().collect();
+        for peer in peers {
+            self.send(peer, PeerMessage::Operation(Arc::clone(&operation)));
+        }
+    }
+
+    fn send(&mut self, peer: PeerKey, message: PeerMessage) {
+        self.outputs.push_back(Output::Message(peer, message));
+    }
+}
+
+fn wire_hash(hash: palpate_tissue::TopologyHash) -> TopologyHash {
+    TopologyHash(hash.0)
+}

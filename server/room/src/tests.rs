@@ -1,0 +1,343 @@
+//! The session machine against scripted peers, in virtual time.
+
+use std::sync::Arc;
+
+use palpate_protocol::handshake::{Hello, ModelInfo, RefusalReason, ToolDescription, ToolKind};
+use palpate_protocol::operation::{
+    BladePoint, CompensationMode, CompensationSettings, LeaveReason, Operation, OperationKind,
+};
+use palpate_protocol::request::{
+    CutRequest, Request, RequestKind, RequestRefusal, TimedBladePoint,
+};
+use palpate_protocol::session::{CloseReason, PeerDatagram, PeerEvent, PeerMessage};
+use palpate_protocol::{
+    Epoch, Grant, ModelHash, Pose, RequestId, Role, ServerTime, Span, ToolSample, TopologyHash,
+};
+use palpate_tissue::{Material, Model, block};
+
+use crate::{Output, PeerKey, Room, RoomConfig};
+
+const TRAINEE: Grant = Grant([7; 16]);
+const SPECTATOR: Grant = Grant([9; 16]);
+
+fn model() -> Arc<Model> {
+    let fat = Material::built_in("fat").unwrap();
+    Arc::new(block([12, 12, 8], 0.004, &fat, 1))
+}
+
+fn room(start_when_tools: u16) -> Room {
+    let config = RoomConfig {
+        epoch: Epoch(1),
+        model: ModelInfo {
+            hash: ModelHash(1),
+            bytes: 1,
+        },
+        grants: vec![(Role::Trainee, TRAINEE), (Role::Spectator, SPECTATOR)],
+        seats: 3,
+        tick_hz: 50,
+        compensation: CompensationSettings {
+            mode: CompensationMode::Fixed,
+            initial_delay_us: 20_000,
+        },
+        start_when_tools,
+    };
+    Room::new(model(), config, ServerTime::ZERO)
+}
+
+fn hello(name: &str, role: Role, kind: ToolKind) -> PeerEvent {
+    let grant = if role == Role::Spectator {
+        SPECTATOR
+    } else {
+        TRAINEE
+    };
+    let tool = role.has_tool().then_some(ToolDescription {
+        kind,
+        radius_m: 0.008,
+    });
+    PeerEvent::Hello(Hello {
+        name: name.into(),
+        role,
+        grant,
+        tool,
+        resume: None,
+    })
+}
+
+fn ms(t: i64) -> ServerTime {
+    ServerTime::from_micros(t * 1000)
+}
+
+fn drain(room: &mut Room) -> Vec<Output> {
+    std::iter::from_fn(|| room.poll_output()).collect()
+}
+
+fn operations(outputs: &[Output], to: PeerKey) -> Vec<Arc<Operation>> {
+    let ours = outputs.iter().filter_map(|o| match o {
+        Output::Message(peer, PeerMessage::Operation(op)) if *peer == to => Some(Arc::clone(op)),
+        _ => None,
+    });
+    ours.collect()
+}
+
+fn refusal(outputs: &[Output]) -> Option<RefusalReason> {
+    outputs.iter().find_map(|o| match o {
+        Output::Message(_, PeerMessage::Refused(r)) => Some(r.reason.clone()),
+        _ => None,
+    })
+}
+
+fn stroke() -> RequestKind {
+    let point = |i: u32| TimedBladePoint {
+        time: ms(100 + i64::from(i)),
+        blade: BladePoint {
+            tip_m: [0.004 + 0.004 * f64::from(i), 0.0241, 0.018],
+            axis: [0.0, 0.0, 1.0],
+            depth_m: 0.03,
+        },
+    };
+    RequestKind::Cut(CutRequest {
+        points: (0..10).map(point).collect(),
+        width_m: 0.0,
+    })
+}
+
+#[test]
+fn who_has_no_grant_no_name_of_their_own_or_no_seat_is_refused_politely() {
+    let mut room = room(1);
+    let bad = PeerEvent::Hello(Hello {
+        name: "eve".into(),
+        role: Role::Trainee,
+        grant: SPECTATOR,
+        tool: None,
+        resume: None,
+    });
+    room.handle_event(PeerKey(1), bad, ms(0));
+    assert!(matches!(
+        refusal(&drain(&mut room)),
+        Some(RefusalReason::BadGrant { .. })
+    ));
+    room.handle_event(
+        PeerKey(2),
+        hello("ann", Role::Trainee, ToolKind::Probe),
+        ms(0),
+    );
+    room.handle_event(
+        PeerKey(3),
+        hello("ann", Role::Spectator, ToolKind::Probe),
+        ms(0),
+    );
+    assert!(matches!(
+        refusal(&drain(&mut room)),
+        Some(RefusalReason::NameTaken { .. })
+    ));
+    room.handle_event(
+        PeerKey(4),
+        hello("bob", Role::Spectator, ToolKind::Probe),
+        ms(0),
+    );
+    room.handle_event(
+        PeerKey(5),
+        hello("cid", Role::Spectator, ToolKind::Probe),
+        ms(0),
+    );
+    room.handle_event(
+        PeerKey(6),
+        hello("dan", Role::Spectator, ToolKind::Probe),
+        ms(0),
+    );
+    assert!(matches!(
+        refusal(&drain(&mut room)),
+        Some(RefusalReason::Full { seats: 3 })
+    ));
+    assert_eq!(room.participant_count(), 3);
+}
+
+#[test]
+fn scripts_start_once_and_only_when_all_tools_are_there() {
+    let mut room = room(2);
+    let started = |outputs: &[Output], to| {
+        let ops = operations(outputs, PeerKey(to));
+        ops.iter()
+            .filter(|o| matches!(o.kind, OperationKind::Started { .. }))
+            .count()
+    };
+    room.handle_event(
+        PeerKey(1),
+        hello("ann", Role::Trainee, ToolKind::Probe),
+        ms(0),
+    );
+    assert_eq!(started(&drain(&mut room), 1), 0);
+    room.handle_event(
+        PeerKey(2),
+        hello("bob", Role::Trainee, ToolKind::Probe),
+        ms(10),
+    );
+    assert_eq!(started(&drain(&mut room), 1), 1);
+    room.handle_event(
+        PeerKey(3),
+        hello("cid", Role::Spectator, ToolKind::Probe),
+        ms(20),
+    );
+    let outputs = drain(&mut room);
+    assert_eq!(
+        (started(&outputs, 1), started(&outputs, 3)),
+        (0, 1),
+        "a newcomer reads the log"
+    );
+}
+
+#[test]
+fn everybody_gets_the_same_operations_in_the_same_order_and_the_late_one_too() {
+    let mut room = room(1);
+    room.handle_event(
+        PeerKey(1),
+        hello("ann", Role::Trainee, ToolKind::Scalpel),
+        ms(0),
+    );
+    room.handle_event(
+        PeerKey(2),
+        hello("bob", Role::Spectator, ToolKind::Probe),
+        ms(1),
+    );
+    let (before, hash_before) = room.topology();
+    let request = Request {
+        id: RequestId(0),
+        kind: stroke(),
+    };
+    room.handle_event(PeerKey(1), PeerEvent::Request(request), ms(200));
+    let outputs = drain(&mut room);
+    let (after, hash_after) = room.topology();
+    assert_eq!(after, before + 1);
+    assert_ne!(hash_before, hash_after);
+    assert!(room.boundary_closed());
+    let (one, two) = (
+        operations(&outputs, PeerKey(1)),
+        operations(&outputs, PeerKey(2)),
+    );
+    assert_eq!(one, two, "both read the log from its beginning");
+    room.handle_event(
+        PeerKey(3),
+        hello("cid", Role::Spectator, ToolKind::Probe),
+        ms(300),
+    );
+    let late = operations(&drain(&mut room), PeerKey(3));
+    let ids: Vec<u64> = late.iter().map(|o| o.id.0).collect();
+    assert_eq!(ids, (0..late.len() as u64).collect::<Vec<_>>());
+    let cut = late
+        .iter()
+        .find(|o| matches!(o.kind, OperationKind::Cut(_)))
+        .unwrap();
+    assert_eq!(
+        (cut.topology_version_before, cut.topology_version_after),
+        (before, after)
+    );
+    assert_eq!(cut.hash_after, hash_after);
+}
+
+#[test]
+fn a_probe_may_not_cut_and_a_stroke_through_air_cuts_nothing() {
+    let mut room = room(1);
+    room.handle_event(
+        PeerKey(1),
+        hello("ann", Role::Trainee, ToolKind::Probe),
+        ms(0),
+    );
+    drain(&mut room);
+    let request = |kind| {
+        PeerEvent::Request(Request {
+            id: RequestId(5),
+            kind,
+        })
+    };
+    room.handle_event(PeerKey(1), request(stroke()), ms(200));
+    let refused = |outputs: &[Output]| {
+        outputs.iter().find_map(|o| match o {
+            Output::Message(_, PeerMessage::RequestRefused(r)) => Some(r.reason.clone()),
+            _ => None,
+        })
+    };
+    assert_eq!(refused(&drain(&mut room)), Some(RequestRefusal::NotAllowed));
+    let scalpel = ToolDescription {
+        kind: ToolKind::Scalpel,
+        radius_m: 0.002,
+    };
+    room.handle_event(PeerKey(1), request(RequestKind::SetTool(scalpel)), ms(210));
+    let RequestKind::Cut(mut air) = stroke() else {
+        unreachable!()
+    };
+    for point in &mut air.points {
+        point.blade.tip_m[2] += 0.5;
+    }
+    room.handle_event(PeerKey(1), request(RequestKind::Cut(air)), ms(220));
+    assert!(refused(&drain(&mut room)).is_some());
+    assert_eq!(room.topology().0, 0);
+    let wrong = RequestKind::TopologyReport {
+        version: 0,
+        hash: TopologyHash(1),
+    };
+    room.handle_event(PeerKey(1), request(wrong), ms(230));
+    assert_eq!(
+        refused(&drain(&mut room)),
+        Some(RequestRefusal::TopologyDiffers)
+    );
+}
+
+/// Samples of a tool that stands pressed 4 mm into the middle of the top, up to `until`.
+fn pressing(from: i64, until: i64) -> PeerEvent {
+    let sample = |t: i64| ToolSample {
+        time: ms(t),
+        pose: Pose {
+            position_m: [0.024, 0.024, 0.032 + 0.004],
+            ..Pose::default()
+        },
+        buttons: 0,
+        force_n: None,
+    };
+    PeerEvent::Motion((from..until).map(sample).collect())
+}
+
+#[test]
+fn a_tool_that_presses_is_passed_on_deforms_the_tissue_and_is_gone_with_its_owner() {
+    let mut room = room(1);
+    room.handle_event(
+        PeerKey(1),
+        hello("ann", Role::Trainee, ToolKind::Probe),
+        ms(0),
+    );
+    room.handle_event(
+        PeerKey(2),
+        hello("bob", Role::Spectator, ToolKind::Probe),
+        ms(0),
+    );
+    drain(&mut room);
+    let mut corrected = 0.0_f32;
+    for step in 0..40 {
+        let t = step * 20;
+        room.handle_event(PeerKey(1), pressing(t, t + 20), ms(t + 20));
+        room.handle_tick(ms(t + 21), &mut || false);
+        for output in drain(&mut room) {
+            match output {
+                Output::Datagram(peer, PeerDatagram::Motion(_)) => assert_eq!(peer, PeerKey(2)),
+                Output::Datagram(_, PeerDatagram::Corrections(c)) => {
+                    corrected = c.nodes.iter().map(|n| -n.1[2]).fold(0.0, f32::max);
+                }
+                _ => {}
+            }
+        }
+    }
+    assert!(corrected > 0.001, "the top is pressed in by {corrected} m");
+    let silent = CloseReason::Silent(Span::from_millis(2000));
+    room.handle_event(PeerKey(1), PeerEvent::Closed(silent), ms(900));
+    let left = operations(&drain(&mut room), PeerKey(2));
+    assert!(matches!(
+        left[..],
+        [ref o] if matches!(o.kind, OperationKind::Left { reason: LeaveReason::Silent, .. })
+    ));
+    let mut tools = 1;
+    for step in 0..20 {
+        if let Some(report) = room.handle_tick(ms(1000 + step * 20), &mut || false) {
+            tools = report.tools;
+        }
+    }
+    assert_eq!(tools, 0);
+}

@@ -1,0 +1,189 @@
+//! The command line of `palpate-server`.
+
+use std::ffi::OsString;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, Parser, Subcommand};
+
+use crate::host::{self, HostOptions};
+use crate::{ServerError, build, inspect, sample};
+
+/// Hosts shared haptic sessions: build a model, host it, send the join links.
+#[derive(Debug, Parser)]
+#[command(
+    name = "palpate-server",
+    version,
+    after_help = "Examples:\n  \
+        palpate-server host thigh                      serve a built-in model on port 4433\n  \
+        palpate-server sample thigh -o thigh           write its surfaces and scene, to change them\n  \
+        palpate-server build thigh/thigh.toml -o thigh.palp\n  \
+        palpate-server inspect thigh.palp\n  \
+        palpate-server host thigh.palp --listen 0.0.0.0:4433 --public operating.example.org\n\n\
+        A trainee joins with `palpate-client join LINK`, where LINK is what `host` prints."
+)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Write a built-in sample as closed surfaces (STL, mm) with a scene file
+    Sample {
+        /// thigh, abdominal-wall, leg or handle
+        name: String,
+        /// Folder to write into; it is made when it is not there
+        #[arg(short, long, value_name = "DIR")]
+        output: PathBuf,
+        /// Overwrite files that are there already
+        #[arg(long)]
+        force: bool,
+    },
+    /// Build a model file from a scene
+    Build {
+        /// The scene (palpate-scene/1, TOML)
+        scene: PathBuf,
+        /// Model file to write
+        #[arg(short, long, value_name = "FILE.palp")]
+        output: PathBuf,
+        /// Print the report as one JSON object
+        #[arg(long)]
+        json: bool,
+    },
+    /// Show what a model file holds
+    Inspect {
+        /// The model file
+        file: PathBuf,
+        /// Print it as one JSON object
+        #[arg(long)]
+        json: bool,
+    },
+    /// Serve a session and print a join link per role
+    Host(HostArgs),
+}
+
+#[derive(Debug, Args)]
+struct HostArgs {
+    /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
+    model: String,
+    /// Address and UDP port to listen on; port 0 takes any free one
+    #[arg(long, default_value = "0.0.0.0:4433")]
+    listen: SocketAddr,
+    /// Host name or address to put into the join links [default: this machine's]
+    #[arg(long, value_name = "HOST")]
+    public: Option<String>,
+    /// Ticks per second of the authoritative tissue and of everybody's view
+    #[arg(long, default_value_t = 30, value_name = "HZ")]
+    tick_hz: u32,
+    /// Artificial time compensation: adaptive, fixed:MS or none
+    #[arg(long, default_value = "adaptive", value_name = "MODE")]
+    compensation: String,
+    /// Most that adaptive compensation may delay, in ms
+    #[arg(long, default_value_t = 200, value_name = "MS")]
+    delay_cap: u32,
+    /// Seats in the session
+    #[arg(long, default_value_t = 16)]
+    seats: u16,
+    /// Scripts of simulated devices begin when so many tools are in the session
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    start_when: u16,
+    /// End by itself after so many seconds
+    #[arg(long, value_name = "S")]
+    duration: Option<f64>,
+    /// Print one JSON object when listening and one at the end
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command line `args`, the program's name first.
+pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let cli = match Cli::try_parse_from(args) {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Help goes to standard output with code 0, mistakes to standard error with 2.
+            let _ = error.print();
+            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
+        }
+    };
+    start_log();
+    match execute(cli.command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("palpate-server: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn start_log() {
+    use tracing_subscriber::EnvFilter;
+    let filter = EnvFilter::try_from_env("PALPATE_LOG").unwrap_or_else(|_| EnvFilter::new("warn"));
+    // Fails when a log has been started already, as in a test that runs two programs.
+    let _ = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .try_init();
+}
+
+#[allow(clippy::print_stdout)]
+fn execute(command: Command) -> Result<(), ServerError> {
+    match command {
+        Command::Sample {
+            name,
+            output,
+            force,
+        } => {
+            let scene = sample::write(&name, &output, force)?;
+            println!("{}", scene.display());
+        }
+        Command::Build {
+            scene,
+            output,
+            json,
+        } => {
+            let summary = build::build_file(&scene, &output)?;
+            if json {
+                println!("{}", serde_json::json!(summary));
+            } else {
+                println!(
+                    "{}\nwritten to {}",
+                    build::describe(&summary),
+                    output.display()
+                );
+            }
+        }
+        Command::Inspect { file, json } => {
+            let (value, text) = inspect::inspect(&file)?;
+            println!("{}", if json { value.to_string() } else { text });
+        }
+        Command::Host(args) => host::host(&options(args)?)?,
+    }
+    Ok(())
+}
+
+fn options(args: HostArgs) -> Result<HostOptions, ServerError> {
+    let bad = |sentence: String| Err(ServerError::Option(sentence));
+    if !(1..=500).contains(&args.tick_hz) {
+        return bad(format!(
+            "--tick-hz {} is not between 1 and 500",
+            args.tick_hz
+        ));
+    }
+    if args.duration.is_some_and(|s| !(s.is_finite() && s > 0.0)) {
+        return bad("--duration must be a number of seconds above 0".into());
+    }
+    let compensation = host::parse_compensation(&args.compensation, args.delay_cap)?;
+    Ok(HostOptions {
+        model: args.model,
+        listen: args.listen,
+        public: args.public,
+        tick_hz: args.tick_hz,
+        compensation,
+        seats: args.seats,
+        start_when_tools: args.start_when,
+        duration_s: args.duration,
+        json: args.json,
+    })
+}

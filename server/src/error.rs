@@ -1,0 +1,39 @@
+//! What can go wrong before or while serving.
+
+use palpate_tissue::sample::SampleError;
+use palpate_tissue::{BuildError, FileError, SceneError};
+use palpate_transport::TransportError;
+
+/// Why a command of the server ended without its result.
+#[derive(Debug, thiserror::Error)]
+pub enum ServerError {
+    /// The scene or one of its surfaces is not usable.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The model can not be built.
+    #[error(transparent)]
+    Build(#[from] BuildError),
+    /// The model file can not be read or written.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The sample can not be written.
+    #[error(transparent)]
+    Sample(#[from] SampleError),
+    /// The network can not be used.
+    #[error(transparent)]
+    Transport(#[from] TransportError),
+    /// What was named is neither a file nor a sample.
+    #[error("{0}")]
+    NoModel(String),
+    /// An option does not make sense.
+    #[error("{0}")]
+    Option(String),
+    /// The operating system refused.
+    #[error("{doing}: {source}")]
+    Io {
+        /// What was being done.
+        doing: String,
+        /// What it said.
+        source: std::io::Error,
+    },
+}

@@ -1,0 +1,106 @@
+//! `palpate-server host`: one session, served until somebody ends it.
+//!
+//! Two kinds of threads: a small tokio runtime moves bytes for all peers, and the thread that called
+//! [`host`] owns the room. What peers send reaches it through one bounded inbox; what it decides
+//! leaves through bounded queues that never block it.
+
+mod options;
+mod serve;
+mod summary;
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
+use std::sync::Arc;
+
+use palpate_protocol::{Epoch, Grant, JoinLink, ModelHash, ModelInfo, Role};
+use palpate_room::RoomConfig;
+use palpate_transport::{ModelSource, ServerIdentity};
+
+pub use options::{HostOptions, parse_compensation};
+pub use summary::{HostSummary, Listening, ListeningModel, TickTimes};
+
+use crate::{ServerError, load};
+
+/// Hosts a session until it is interrupted, or its duration is over.
+pub fn host(options: &HostOptions) -> Result<(), ServerError> {
+    let loaded = load::load(&options.model)?;
+    let info = ModelInfo {
+        hash: ModelHash(xxhash_rust::xxh3::xxh3_64(&loaded.bytes)),
+        bytes: loaded.bytes.len() as u64,
+    };
+    let identity = ServerIdentity::generate()?;
+    let grants: Vec<(Role, Grant)> = Role::ALL
+        .iter()
+        .map(|&r| (r, Grant(rand::random())))
+        .collect();
+    let bytes: Arc<[u8]> = loaded.bytes.into();
+    let models: ModelSource = {
+        let grants = grants.clone();
+        Arc::new(move |grant, hash| {
+            let known = grants.iter().any(|(_, g)| g.matches(&grant));
+            (known && hash == info.hash).then(|| Arc::clone(&bytes))
+        })
+    };
+    let config = RoomConfig {
+        epoch: Epoch(rand::random()),
+        model: info,
+        grants: grants.clone(),
+        seats: options.seats,
+        tick_hz: options.tick_hz,
+        compensation: options.compensation,
+        start_when_tools: options.start_when_tools,
+    };
+    let nodes = loaded.model.nodes.len();
+    let announce = |address: SocketAddr| {
+        let link = |role: Role| {
+            let grant = grants.iter().find(|(r, _)| *r == role).map(|(_, g)| *g);
+            JoinLink {
+                host: public_host(options, address),
+                port: address.port(),
+                role,
+                certificate: identity.certificate_hash(),
+                grant: grant.unwrap_or(Grant([0; 16])),
+            }
+            .to_string()
+        };
+        summary::announce(
+            options.json,
+            &Listening {
+                listening: address,
+                model: ListeningModel {
+                    nodes,
+                    hash: info.hash.to_string(),
+                    bytes: info.bytes,
+                },
+                links: Role::ALL
+                    .iter()
+                    .map(|&r| (r.word().to_owned(), link(r)))
+                    .collect(),
+            },
+        );
+    };
+    let summary = serve::serve(options, &identity, models, loaded.model, config, &announce)?;
+    summary::finish(options.json, &summary);
+    Ok(())
+}
+
+/// What clients should call this machine: what the host said, the address it listens on, or the one
+/// that leads out of here.
+fn public_host(options: &HostOptions, address: SocketAddr) -> String {
+    if let Some(host) = &options.public {
+        return host.clone();
+    }
+    if !address.ip().is_unspecified() {
+        return address.ip().to_string();
+    }
+    // Connecting a UDP socket sends nothing; it only chooses the interface. The address is one of
+    // those set aside for documentation (RFC 5737).
+    let chosen = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))
+        .and_then(|s| {
+            s.connect((Ipv4Addr::new(192, 0, 2, 1), 9))
+                .and_then(|()| s.local_addr())
+        })
+        .map(|a| a.ip());
+    chosen
+        .unwrap_or(IpAddr::V4(Ipv4Addr::LOCALHOST))
+        .to_string()
+}

@@ -1,0 +1,100 @@
+//! What a host may choose.
+
+use std::net::SocketAddr;
+
+use palpate_protocol::operation::{CompensationMode, CompensationSettings};
+
+use crate::ServerError;
+
+/// Delay that adaptive compensation begins with, before anything is measured: what a good
+/// connection within a country needs.
+const INITIAL_DELAY_US: u32 = 60_000;
+
+/// Most that any compensation may delay, in ms: beyond a second nobody works together.
+const DELAY_MAX_MS: u32 = 1000;
+
+/// The options of `palpate-server host`.
+#[derive(Debug, Clone)]
+pub struct HostOptions {
+    /// Model file, scene file or name of a sample.
+    pub model: String,
+    /// Where to listen.
+    pub listen: SocketAddr,
+    /// What join links call this machine.
+    pub public: Option<String>,
+    /// Ticks per second.
+    pub tick_hz: u32,
+    /// Artificial time compensation.
+    pub compensation: CompensationSettings,
+    /// Seats in the session.
+    pub seats: u16,
+    /// Scripts begin when so many tools are there.
+    pub start_when_tools: u16,
+    /// Seconds after which it ends by itself.
+    pub duration_s: Option<f64>,
+    /// JSON instead of text.
+    pub json: bool,
+}
+
+/// Reads `adaptive`, `fixed:MS` or `none`.
+pub fn parse_compensation(text: &str, cap_ms: u32) -> Result<CompensationSettings, ServerError> {
+    let bad = |why: String| Err(ServerError::Option(why));
+    if cap_ms > DELAY_MAX_MS {
+        return bad(format!(
+            "--delay-cap {cap_ms} is above the limit of {DELAY_MAX_MS} ms"
+        ));
+    }
+    match text.split_once(':') {
+        None if text == "none" => Ok(CompensationSettings {
+            mode: CompensationMode::None,
+            initial_delay_us: 0,
+        }),
+        None if text == "adaptive" => {
+            let cap_us = cap_ms * 1000;
+            let mode = CompensationMode::Adaptive { cap_us };
+            Ok(CompensationSettings {
+                mode,
+                initial_delay_us: INITIAL_DELAY_US.min(cap_us),
+            })
+        }
+        Some(("fixed", ms)) => match ms.parse::<u32>() {
+            Ok(ms) if ms <= DELAY_MAX_MS => Ok(CompensationSettings {
+                mode: CompensationMode::Fixed,
+                initial_delay_us: ms * 1000,
+            }),
+            _ => bad(format!(
+                "fixed:{ms} is not a delay of 0 to {DELAY_MAX_MS} ms"
+            )),
+        },
+        _ => bad(format!(
+            "--compensation {text:?} is unknown; it is adaptive, fixed:MS (such as fixed:100) or none"
+        )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_mode_is_read_and_nonsense_is_refused_with_the_choices() {
+        let adaptive = parse_compensation("adaptive", 200).unwrap();
+        assert_eq!(
+            adaptive.mode,
+            CompensationMode::Adaptive { cap_us: 200_000 }
+        );
+        let fixed = parse_compensation("fixed:100", 200).unwrap();
+        assert_eq!(
+            (fixed.mode, fixed.initial_delay_us),
+            (CompensationMode::Fixed, 100_000)
+        );
+        assert_eq!(
+            parse_compensation("none", 200).unwrap().mode,
+            CompensationMode::None
+        );
+        for text in ["fixed", "fixed:", "fixed:-3", "fixed:9999", "magic", ""] {
+            assert!(parse_compensation(text, 200).is_err(), "{text}");
+        }
+        assert!(parse_compensation("adaptive", 100_000).is_err());
+    }
+}

@@ -1,0 +1,68 @@
+//! `palpate-server inspect`: what a model file holds.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use palpate_tissue::{ModelFile, model_hash};
+use serde_json::{Value, json};
+
+use crate::ServerError;
+use crate::build::{BuildSummary, describe};
+
+/// The report of a model file: as one JSON object, and for a person.
+pub(crate) fn inspect(path: &Path) -> Result<(Value, String), ServerError> {
+    let file = ModelFile::read(path)?;
+    let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
+    let hash = format!("{:016x}", model_hash(&file.model));
+    let mut value = serde_json::from_str(&file.report_json).unwrap_or_else(|_| json!({}));
+    if let Value::Object(map) = &mut value {
+        map.insert("model_hash".into(), json!(hash));
+        map.insert("file_bytes".into(), json!(bytes));
+        map.insert("nodes".into(), json!(file.model.nodes.len()));
+        map.insert("cells".into(), json!(file.model.cells.len()));
+        map.insert("materials".into(), materials(&file));
+    }
+    let mut text = match serde_json::from_str::<BuildSummary>(&file.report_json) {
+        Ok(summary) => describe(&summary),
+        Err(_) => format!(
+            "{} nodes, {} cells; the file carries no build report",
+            file.model.nodes.len(),
+            file.model.cells.len()
+        ),
+    };
+    // Writing to a string does not fail.
+    let _ = write!(text, "\nmodel {hash}, {:.2} MB", bytes as f64 / 1e6);
+    for region in &file.model.regions {
+        let m = &region.material;
+        let _ = write!(
+            text,
+            "\n{:<24} {:<12} {:>10.1} kPa {:>6.0} kg/m3{}  ({})",
+            region.name,
+            m.name,
+            m.young_pa / 1e3,
+            m.density_kg_m3,
+            if region.pinned { ", pinned" } else { "" },
+            m.source
+        );
+    }
+    Ok((value, text))
+}
+
+fn materials(file: &ModelFile) -> Value {
+    file.model
+        .regions
+        .iter()
+        .map(|r| {
+            json!({
+                "region": r.name,
+                "material": r.material.name,
+                "young_kpa": r.material.young_pa / 1e3,
+                "density_kg_m3": r.material.density_kg_m3,
+                "friction_static": r.material.friction_static,
+                "friction_dynamic": r.material.friction_dynamic,
+                "pinned": r.pinned,
+                "source": r.material.source,
+            })
+        })
+        .collect()
+}

@@ -1,0 +1,48 @@
+//! What `host` serves: a model file, a scene, or a sample by its name.
+
+use std::path::Path;
+use std::time::Instant;
+
+use palpate_tissue::sample::Sample;
+use palpate_tissue::{Model, ModelFile, SceneInput, decode_model, encode_model};
+
+use crate::ServerError;
+use crate::build::build_model;
+
+/// A model with the bytes that clients are sent.
+pub(crate) struct Loaded {
+    pub(crate) model: Model,
+    pub(crate) bytes: Vec<u8>,
+}
+
+/// Loads or builds what `what` names.
+pub(crate) fn load(what: &str) -> Result<Loaded, ServerError> {
+    let path = Path::new(what);
+    let model = if path.extension().is_some_and(|e| e == "palp") {
+        ModelFile::read(path)?.model
+    } else if path.extension().is_some_and(|e| e == "toml") {
+        build_input(&SceneInput::load(path)?)?
+    } else if path.exists() {
+        return Err(ServerError::NoModel(format!(
+            "{what} is neither a model file (.palp) nor a scene (.toml); \
+             `palpate-server build SCENE.toml -o FILE.palp` makes a model file"
+        )));
+    } else {
+        let sample: Sample = what.parse().map_err(|error| {
+            ServerError::NoModel(format!("there is no file {what}, and as a sample: {error}"))
+        })?;
+        build_input(&sample.input()?)?
+    };
+    // Everybody decodes the same bytes, the host too: so all start from the same bits.
+    let bytes = encode_model(&model);
+    let model = decode_model(&bytes)?;
+    Ok(Loaded { model, bytes })
+}
+
+fn build_input(input: &SceneInput) -> Result<Model, ServerError> {
+    let (file, summary) = build_model(input, Instant::now())?;
+    for warning in &summary.report.warnings {
+        tracing::warn!("{warning}");
+    }
+    Ok(file.model)
+}
