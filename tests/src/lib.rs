@@ -1,1 +1,32 @@
-//! Placeholder.
+//! The laboratory: emulated networks, scripted hands, a session on one machine, and what its
+//! recordings say.
+//!
+//! This crate is imported by nobody, decides nothing about tissue, hands or the wire, and takes no
+//! part in a session that is not its own: it starts the real programs and looks at what they leave.
+//!
+//! | to | look in |
+//! | --- | --- |
+//! | make a network bad | [`relay`] |
+//! | find where to press and cut on any model, and make scripts of it | [`place`], [`scripts`] |
+//! | run a server and clients as processes | [`program`], [`session`] |
+//! | know what would be felt without a network | [`reference`] |
+//! | compare | [`disagreement`], [`force_error`] |
+//! | see all of it at once | [`demo`], [`report`], [`plots`] |
+
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+pub mod chart;
+pub mod cli;
+pub mod demo;
+pub mod disagreement;
+pub mod force_error;
+pub mod place;
+pub mod plots;
+pub mod program;
+pub mod progress;
+pub mod reference;
+pub mod relay;
+pub mod report;
+pub mod scripts;
+pub mod session;
+pub mod subject;

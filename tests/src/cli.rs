@@ -1,0 +1,255 @@
+//! The command line of `palpate-lab`.
+
+use std::ffi::{OsStr, OsString};
+use std::io::Write as _;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use clap::{Args, Parser, Subcommand};
+
+use crate::demo::{self, DemoOptions};
+use crate::program::die_with_parent;
+use crate::progress::{Interrupt, Progress};
+use crate::relay::{Profile, Relay};
+use crate::report::DEFINITIONS;
+
+/// Where the report goes when nothing is said.
+const REPORT_DIR: &str = "palpate-report";
+
+/// What `--help` shows at its end.
+const EXAMPLES: &str = "\
+Examples:
+  The whole thing on this machine: a server, two trainees, a late spectator, a bad network:
+    palpate-lab demo
+    palpate-lab demo --model scene.toml --seconds 30 --profile satellite --report out
+
+  A bad network in front of a server of your own; clients join the relay's address:
+    palpate-lab relay --listen 127.0.0.1:5533 --to 127.0.0.1:4433 --profile transatlantic --seed 7
+
+Network profiles: none, lan (0.3 ms), metro (5 ms), transatlantic (60 ms one way, 2 % loss),
+  intercontinental (120 ms, 2 %), satellite (300 ms, 1 %), wifi-bursts (8 ms with bad moments),
+  lte (35 ms with bad moments), lossy (40 ms, 20 % loss)
+
+The exit code is 0 when all is well, 2 when the command line is wrong, 1 otherwise; for the demo, 1
+also when topology hashes differ, a process died, or the cut did not arrive.";
+
+/// The laboratory: emulated networks, scripted hands, the demo.
+#[derive(Debug, Parser)]
+#[command(name = "palpate-lab", version, after_help = EXAMPLES)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Two people feel and cut one model over a bad network; a report says how well
+    #[command(after_help = EXAMPLES)]
+    Demo(DemoArguments),
+    /// Pass UDP packets on, late and not all of them
+    #[command(after_help = EXAMPLES)]
+    Relay(RelayArguments),
+}
+
+#[derive(Debug, Args)]
+struct DemoArguments {
+    /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
+    #[arg(long, default_value = "thigh")]
+    model: String,
+    /// Length of the scripts, 4 to 600 s
+    #[arg(long, default_value_t = 20.0, value_name = "S")]
+    seconds: f64,
+    /// The network between server and clients
+    #[arg(long, default_value = "transatlantic", value_parser = Profile::named)]
+    profile: Profile,
+    /// Seed of what happens to which packet
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Artificial time compensation: adaptive, fixed:MS or none
+    #[arg(long, default_value = "adaptive", value_name = "MODE")]
+    compensation: String,
+    /// Print the report as one JSON object
+    #[arg(long)]
+    json: bool,
+    /// Where report.txt, report.json, report.html and the plots go [default: palpate-report; with
+    /// --json nowhere]
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+    /// The share of the scripts after which the spectator comes
+    #[arg(long, default_value_t = 0.4, hide = true)]
+    late_join: f64,
+}
+
+#[derive(Debug, Args)]
+struct RelayArguments {
+    /// Where clients send to; port 0 takes any free one
+    #[arg(long, value_name = "ADDRESS")]
+    listen: SocketAddr,
+    /// Where the server listens
+    #[arg(long, value_name = "ADDRESS")]
+    to: SocketAddr,
+    /// The network to be
+    #[arg(long, default_value = "transatlantic", value_parser = Profile::named)]
+    profile: Profile,
+    /// Seed of what happens to which packet
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// End after so many seconds; without it, on Ctrl-C
+    #[arg(long, value_name = "S")]
+    duration: Option<f64>,
+    /// Print one JSON object when listening and one with the figures at the end
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command line `args`, the program's name first.
+pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let args: Vec<OsString> = args.into_iter().collect();
+    // The demo starts this program again in its other roles; they are not for people.
+    match args.get(1).map(OsString::as_os_str) {
+        Some(role) if role == OsStr::new("server") => {
+            die_with_parent();
+            return palpate_server::cli::run(role_line("palpate-server", &args));
+        }
+        Some(role) if role == OsStr::new("client") => {
+            die_with_parent();
+            return palpate_client::cli::run(role_line("palpate-client", &args));
+        }
+        _ => {}
+    }
+    let cli = match Cli::try_parse_from(args) {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Help goes to standard output with code 0, mistakes to standard error with 2.
+            let _ = error.print();
+            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
+        }
+    };
+    let done = match cli.command {
+        Command::Demo(arguments) => run_demo(arguments),
+        Command::Relay(arguments) => run_relay(&arguments),
+    };
+    done.unwrap_or_else(|sentence| {
+        eprintln!("palpate-lab: {sentence}");
+        ExitCode::FAILURE
+    })
+}
+
+/// The command line of another role: its name, and what follows the role here.
+fn role_line(name: &str, args: &[OsString]) -> Vec<OsString> {
+    let rest = args.iter().skip(2).cloned();
+    std::iter::once(OsString::from(name)).chain(rest).collect()
+}
+
+/// Writes a line for whoever reads our standard output.
+fn say(line: &str) -> Result<(), String> {
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{line}")
+        .and_then(|()| out.flush())
+        .map_err(|e| format!("standard output can not be written: {e}"))
+}
+
+fn run_demo(arguments: DemoArguments) -> Result<ExitCode, String> {
+    let interrupt = Interrupt::listen().map_err(|e| format!("no signals can be caught: {e}"))?;
+    let executable = std::env::current_exe()
+        .map_err(|e| format!("this program does not know where it is: {e}"))?;
+    let wants_files = arguments.report.is_some() || !arguments.json;
+    let report_dir = wants_files.then(|| {
+        arguments
+            .report
+            .unwrap_or_else(|| PathBuf::from(REPORT_DIR))
+    });
+    let options = DemoOptions {
+        executable,
+        model: arguments.model,
+        seconds: arguments.seconds,
+        profile: arguments.profile,
+        seed: arguments.seed,
+        compensation: arguments.compensation,
+        late_join: arguments.late_join,
+        report: report_dir,
+    };
+    let mut progress = Progress::new();
+    let report = demo::run(&options, &mut progress, &interrupt).map_err(|e| e.to_string())?;
+    drop(progress);
+    if arguments.json {
+        let json = serde_json::to_string(&report).expect("a report is plain data");
+        say(&json)?;
+    } else {
+        say(&format!("\n{report}\n\n{DEFINITIONS}"))?;
+    }
+    if let Some(dir) = &options.report {
+        eprintln!("report and plots are in {}", dir.display());
+    }
+    Ok(if report.ok {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    })
+}
+
+fn run_relay(arguments: &RelayArguments) -> Result<ExitCode, String> {
+    if arguments.duration.is_some_and(|s| !(s > 0.0 && s < 1e9)) {
+        return Err("--duration must be a number of seconds above 0".to_owned());
+    }
+    let interrupt = Interrupt::listen().map_err(|e| format!("no signals can be caught: {e}"))?;
+    let profile = arguments.profile.clone();
+    let relay = Relay::start(arguments.listen, arguments.to, profile, arguments.seed)
+        .map_err(|e| format!("cannot listen on {}: {e}", arguments.listen))?;
+    if arguments.json {
+        say(&serde_json::json!({ "listening": relay.local_addr() }).to_string())?;
+    } else {
+        say(&format!(
+            "network {} with seed {}: {} to {}; end with Ctrl-C",
+            arguments.profile.name,
+            arguments.seed,
+            relay.local_addr(),
+            arguments.to
+        ))?;
+    }
+    let began = Instant::now();
+    let is_over = || {
+        let limit = arguments.duration.map(Duration::from_secs_f64);
+        limit.is_some_and(|l| began.elapsed() >= l)
+    };
+    while !interrupt.is_set() && !is_over() {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let s = relay.stats();
+    if arguments.json {
+        say(&serde_json::to_string(&s).expect("figures are plain data"))?;
+    } else {
+        say(&format!(
+            "{} packets from {} client(s) and back: {} dropped ({:.2} %), {} doubled, {} overtook; \
+             delay {:.1} ms mean, {:.1} ms p99; {} found no room",
+            s.sent,
+            s.clients,
+            s.dropped,
+            s.loss * 100.0,
+            s.duplicated,
+            s.reordered,
+            s.delay_mean_ms,
+            s.delay_p99_ms,
+            s.overflowed
+        ))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::{Cli, EXAMPLES};
+    use crate::relay::Profile;
+
+    #[test]
+    fn the_command_line_is_consistent_and_names_every_profile() {
+        Cli::command().debug_assert();
+        for name in Profile::names() {
+            assert!(EXAMPLES.contains(name), "{name} is not in the help");
+        }
+    }
+}

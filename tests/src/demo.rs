@@ -1,0 +1,405 @@
+//! The main job from end to end: two trainees feel and cut one model over a bad network, a third
+//! participant comes late and looks, and a report says how well it went.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use palpate_client::Recording;
+use palpate_device::{Script, ScriptError};
+use palpate_server::host::HostSummary;
+use palpate_tissue::Topology;
+
+use crate::chart::Mark;
+use crate::disagreement::{CoursePoint, Disagreement, DistancesMm};
+use crate::force_error::{ForceError, over_script};
+use crate::place::{Place, PlaceError};
+use crate::plots::{self, Felt};
+use crate::progress::{Interrupt, Progress};
+use crate::reference::{self, Reference};
+use crate::relay::{Profile, RelayStats};
+use crate::report::{
+    CutReport, NetworkReport, ParticipantReport, ReferenceReport, Report, ServerReport,
+};
+use crate::scripts::{SECONDS_MAX, SECONDS_MIN, Scripts};
+use crate::session::{Hosting, Left, Participant, Session, SessionError};
+use crate::subject::{Subject, SubjectError};
+
+/// From the last tool's coming to the start of the scripts, as the room does it.
+const START_LEAD: Duration = Duration::from_millis(1000);
+
+/// After the scripts, until everybody leaves: what is on its way arrives, and is shown.
+const SETTLE: Duration = Duration::from_millis(1500);
+
+/// The tool that is named first, and the other.
+const NAMES: [&str; 2] = ["holder", "cutter"];
+
+/// Who comes late.
+const LATE_NAME: &str = "spectator";
+
+/// What to do.
+#[derive(Debug, Clone)]
+pub struct DemoOptions {
+    /// The laboratory's own program, which plays all roles.
+    pub executable: PathBuf,
+    /// Sample, scene or model file.
+    pub model: String,
+    /// Length of the scripts, s.
+    pub seconds: f64,
+    /// The network.
+    pub profile: Profile,
+    /// The seed of the packets' fates.
+    pub seed: u64,
+    /// `adaptive`, `fixed:MS` or `none`.
+    pub compensation: String,
+    /// The share of the scripts after which the spectator comes.
+    pub late_join: f64,
+    /// Where the report goes; files in between go there too. Without, they are thrown away.
+    pub report: Option<PathBuf>,
+}
+
+/// Why there is no report.
+#[derive(Debug, thiserror::Error)]
+pub enum DemoError {
+    /// The length is none.
+    #[error("{0} seconds are not between {SECONDS_MIN} and {SECONDS_MAX}")]
+    Seconds(f64),
+    /// The model.
+    #[error(transparent)]
+    Subject(#[from] SubjectError),
+    /// No place to work.
+    #[error(transparent)]
+    Place(#[from] PlaceError),
+    /// The scripts.
+    #[error("the scripts that were made can not be used: {0}")]
+    Script(#[from] ScriptError),
+    /// The session.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// A file.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+}
+
+/// What a session gave before anything is computed from it.
+struct Run {
+    host: HostSummary,
+    network: RelayStats,
+    left: Vec<Left>,
+    problems: Vec<String>,
+}
+
+/// Runs the demo and writes the report's files, if they are wanted.
+pub fn run(
+    options: &DemoOptions,
+    progress: &mut Progress,
+    interrupt: &Interrupt,
+) -> Result<Report, DemoError> {
+    if !(SECONDS_MIN..=SECONDS_MAX).contains(&options.seconds) {
+        return Err(DemoError::Seconds(options.seconds));
+    }
+    let scratch = tempfile::tempdir().map_err(|source| DemoError::File {
+        path: std::env::temp_dir(),
+        source,
+    })?;
+    let dir = options.report.as_deref().unwrap_or(scratch.path());
+    std::fs::create_dir_all(dir).map_err(|source| file_error(dir, source))?;
+    progress.stage(&format!("preparing the model {}", options.model));
+    let subject = Subject::prepare(&options.model, dir)?;
+    let scripts = make_scripts(&subject, options.seconds)?;
+    let files = [&scripts.holder, &scripts.cutter].map(Script::to_toml);
+    for (name, text) in NAMES.iter().zip(&files) {
+        write(&script_file(dir, name), text)?;
+    }
+    // Both sides follow what the file says, which is rounded.
+    let scripts = [Script::from_toml(&files[0])?, Script::from_toml(&files[1])?];
+    let run = session(options, dir, &subject, progress, interrupt)?;
+    progress.stage("computing the same without a network");
+    let began = Instant::now();
+    let reference = reference::run(&subject.model, [&scripts[0], &scripts[1]], |share| {
+        progress.tick(&format!("{:.0} %", share * 100.0));
+    });
+    let took_s = began.elapsed().as_secs_f64();
+    progress.stage("comparing");
+    let (report, pictures) = conclude(options, &subject, run, reference, took_s);
+    if let Some(dir) = &options.report {
+        pictures.write(dir, &report)?;
+    }
+    Ok(report)
+}
+
+fn file_error(path: &Path, source: std::io::Error) -> DemoError {
+    DemoError::File {
+        path: path.to_owned(),
+        source,
+    }
+}
+
+fn write(path: &Path, text: &str) -> Result<(), DemoError> {
+    std::fs::write(path, text).map_err(|source| file_error(path, source))
+}
+
+fn script_file(dir: &Path, name: &str) -> PathBuf {
+    dir.join(format!("{name}.toml"))
+}
+
+fn make_scripts(subject: &Subject, seconds: f64) -> Result<Scripts, DemoError> {
+    let place = Place::find(&Topology::new(subject.model.clone()))?;
+    Ok(Scripts::for_place(&place, seconds)?)
+}
+
+/// The session itself, from the server's start to its end.
+fn session(
+    options: &DemoOptions,
+    dir: &Path,
+    subject: &Subject,
+    progress: &mut Progress,
+    interrupt: &Interrupt,
+) -> Result<Run, DemoError> {
+    progress.stage(&format!(
+        "a server with {} nodes, two trainees, network {}",
+        subject.model.nodes.len(),
+        options.profile.name
+    ));
+    let mut session = Session::start(&Hosting {
+        executable: &options.executable,
+        model: &subject.file,
+        profile: options.profile.clone(),
+        seed: options.seed,
+        compensation: &options.compensation,
+        start_when: 2,
+    })?;
+    let mut people = Vec::new();
+    for name in NAMES {
+        let script = script_file(dir, name);
+        people.push(session.join(name, "trainee", Some(&script), dir)?);
+    }
+    for participant in &mut people {
+        participant.wait_until_in(&|| interrupt.is_set())?;
+    }
+    progress.stage(&format!("the scripts run for {:.0} s", options.seconds));
+    let began = Instant::now();
+    let late = START_LEAD + Duration::from_secs_f64(options.seconds * options.late_join);
+    let end = START_LEAD + Duration::from_secs_f64(options.seconds) + SETTLE;
+    let mut problems = Vec::new();
+    let mut is_late_one_here = false;
+    while began.elapsed() < end {
+        if interrupt.is_set() {
+            return Err(SessionError::Interrupted.into());
+        }
+        if !is_late_one_here && began.elapsed() >= late {
+            people.push(session.join(LATE_NAME, "spectator", None, dir)?);
+            is_late_one_here = true;
+        }
+        session.server.check_alive().map_err(SessionError::from)?;
+        bury(&mut people, &mut problems);
+        let s = began.elapsed().saturating_sub(START_LEAD).as_secs();
+        progress.tick(&format!("{s} of {:.0} s", options.seconds));
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    progress.stage("everybody leaves");
+    finish(session, people, problems)
+}
+
+/// Takes away who has died; the others go on.
+fn bury(people: &mut Vec<Participant>, problems: &mut Vec<String>) {
+    people.retain_mut(|p| match p.program.check_alive() {
+        Ok(()) => true,
+        Err(error) => {
+            problems.push(error.to_string());
+            false
+        }
+    });
+}
+
+fn finish(
+    session: Session,
+    people: Vec<Participant>,
+    mut problems: Vec<String>,
+) -> Result<Run, DemoError> {
+    for participant in &people {
+        participant.program.ask_to_end();
+    }
+    let mut left = Vec::new();
+    for participant in people {
+        match participant.leave() {
+            Ok(figures) => left.push(figures),
+            Err(error) => problems.push(error.to_string()),
+        }
+    }
+    let (host, network) = session.end()?;
+    Ok(Run {
+        host,
+        network,
+        left,
+        problems,
+    })
+}
+
+/// What is written beside the report.
+struct Pictures {
+    forces: String,
+    views: String,
+}
+
+/// From what was recorded to figures.
+fn conclude(
+    options: &DemoOptions,
+    subject: &Subject,
+    run: Run,
+    reference: Result<Reference, reference::ReferenceError>,
+    reference_s: f64,
+) -> (Report, Pictures) {
+    let mut notes = Vec::new();
+    let reference = match reference {
+        Ok(reference) => Some(reference),
+        Err(error) => {
+            notes.push(format!("there is no force error: {error}"));
+            None
+        }
+    };
+    let recordings: Vec<&Recording> = run.left.iter().map(|l| &l.recording).collect();
+    for recording in &recordings {
+        let d = recording.dropped;
+        if d.haptic + d.views + d.view_nodes + d.operations > 0 {
+            notes.push(format!("the recording of {} was full: {d:?}", recording.name));
+        }
+    }
+    let disagreement = Disagreement::between(&recordings);
+    let pictures = draw(&recordings, reference.as_ref(), &disagreement.course);
+    let mut report = Report {
+        nodes: subject.model.nodes.len(),
+        seconds: options.seconds,
+        participants: run
+            .left
+            .iter()
+            .map(|l| {
+                let error = force_error(&l.recording, reference.as_ref());
+                ParticipantReport::of(l.summary.clone(), error)
+            })
+            .collect(),
+        server: ServerReport::of(&run.host),
+        view_disagreement_mm: DistancesMm::default(),
+        tool_disagreement_mm: DistancesMm::default(),
+        node_disagreement_mm: DistancesMm::default(),
+        content_disagreement_mm: DistancesMm::default(),
+        network: NetworkReport::from(run.network),
+        cut: CutReport {
+            operations: run.host.cuts,
+            components: run.host.components,
+            boundary_closed: run.host.boundary_closed,
+            applied_after_ms: applied_after(&recordings),
+        },
+        reference: reference.map(|r| ReferenceReport {
+            seconds: reference_s,
+            cuts_s: r.cuts_s,
+        }),
+        problems: run.problems,
+        notes,
+        ok: false,
+    };
+    report.take_disagreement(&disagreement);
+    report.judge();
+    (report, pictures)
+}
+
+/// The course of the reference for a participant by its name.
+fn reference_of<'a>(
+    name: &str,
+    reference: Option<&'a Reference>,
+) -> Option<&'a [crate::force_error::ForcePoint]> {
+    let seat = NAMES.iter().position(|n| *n == name)?;
+    Some(&reference?.courses[seat])
+}
+
+fn force_error(recording: &Recording, reference: Option<&Reference>) -> Option<ForceError> {
+    let course = over_script(&recording.haptic, recording.script_started_us?);
+    ForceError::between(&course, reference_of(&recording.name, reference)?)
+}
+
+/// When everybody had applied the first cut, after the first of them had. Who came later had it
+/// with the log, and is left out.
+fn applied_after(recordings: &[&Recording]) -> Vec<(String, f64)> {
+    let cut = |r: &Recording| {
+        let cut = r.operations.iter().find(|o| o.version == 1)?;
+        let was_there = r.views.first()?.shown_us < cut.applied_us;
+        was_there.then_some((r.name.clone(), cut.applied_us))
+    };
+    let cuts: Vec<(String, i64)> = recordings.iter().filter_map(|r| cut(r)).collect();
+    let first = cuts.iter().map(|c| c.1).min().unwrap_or(0);
+    cuts.into_iter()
+        .map(|(name, us)| (name, (us - first) as f64 * 1e-3))
+        .collect()
+}
+
+fn draw(
+    recordings: &[&Recording],
+    reference: Option<&Reference>,
+    course: &[CoursePoint],
+) -> Pictures {
+    let zero_us = recordings
+        .iter()
+        .find_map(|r| r.script_started_us)
+        .or(course.first().map(|p| p.t_us))
+        .unwrap_or(0);
+    let seconds = |us: i64| (us - zero_us) as f64 * 1e-6;
+    let mut marks = Vec::new();
+    let cuts = recordings.first().into_iter().flat_map(|r| &r.operations);
+    let mut version = 0;
+    for operation in cuts {
+        if operation.version > version {
+            version = operation.version;
+            marks.push(Mark {
+                x: seconds(operation.applied_us),
+                label: "cut applied".to_owned(),
+            });
+        }
+    }
+    let late = recordings.iter().find(|r| r.name == LATE_NAME);
+    if let Some(view) = late.and_then(|r| r.views.first()) {
+        marks.push(Mark {
+            x: seconds(view.shown_us),
+            label: "spectator joins".to_owned(),
+        });
+    }
+    let courses: Vec<_> = recordings
+        .iter()
+        .filter_map(|r| Some((r.name.as_str(), over_script(&r.haptic, r.script_started_us?))))
+        .collect();
+    let felt: Vec<Felt<'_>> = courses
+        .iter()
+        .map(|(name, session)| Felt {
+            name,
+            session,
+            reference: reference_of(name, reference).unwrap_or_default(),
+        })
+        .collect();
+    Pictures {
+        forces: plots::forces(&felt, marks.clone()).to_svg(),
+        views: plots::views(course, zero_us, marks).to_svg(),
+    }
+}
+
+impl Pictures {
+    fn write(&self, dir: &Path, report: &Report) -> Result<(), DemoError> {
+        let json = serde_json::to_string_pretty(report).expect("a report is plain data");
+        let text = format!("{report}\n\n{}\n", crate::report::DEFINITIONS);
+        let page = format!(
+            "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n<title>Palpate \
+             demo</title>\n<body style=\"font-family:sans-serif;max-width:1000px;margin:auto\">\n\
+             <h1>Palpate demo</h1>\n<pre style=\"overflow-x:auto\">{}</pre>\n{}\n{}\n</body>\n</html>\n",
+            crate::chart::escape(&text),
+            self.forces,
+            self.views
+        );
+        write(&dir.join("report.json"), &json)?;
+        write(&dir.join("report.txt"), &text)?;
+        write(&dir.join("report.html"), &page)?;
+        write(&dir.join("force.svg"), &self.forces)?;
+        write(&dir.join("view_disagreement.svg"), &self.views)
+    }
+}

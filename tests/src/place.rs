@@ -1,0 +1,341 @@
+//! Where to work on a model: two places on its outer surface with room for a stroke between them.
+//!
+//! A place is good when the surface around it is one region, without pinned parts and without
+//! edges (the ends of a limb, the rim of a block), and when nothing pinned lies close beneath. Of
+//! a sample of the surface's nodes the one with the best clearance and depth becomes the middle.
+//! There the normals say which way the surface is flattest: that is the stroke's direction v, so
+//! that a blade moved straight stays near one depth; the two places lie across it, at ±u.
+//!
+//! ```text
+//!            v
+//!            |  stroke
+//!     P -----M----- Q   u
+//!            |
+//! ```
+
+use std::collections::BTreeMap;
+
+use palpate_tissue::{RegionId, Topology, Vec3};
+
+/// Nodes of the surface that are tried as the middle. Each costs one pass over the bad and the
+/// pinned nodes; more are not better, because neighbours are alike.
+const CANDIDATES_MAX: usize = 400;
+
+/// A face that leans more than this from the normal of its node marks an edge (cosine).
+const EDGE_COS: f64 = 0.75;
+
+/// Clearance that is enough: half of the distance of the places, a tool's radius and some rest.
+const CLEARANCE_ENOUGH_M: f64 = 0.045;
+
+/// Depth of soft tissue that is enough.
+const DEPTH_ENOUGH_M: f64 = 0.040;
+
+/// Distance of the two places where there is room for it.
+const SEPARATION_M: f64 = 0.055;
+
+/// Why there is no place to work.
+#[derive(Debug, thiserror::Error)]
+pub enum PlaceError {
+    /// No node qualifies.
+    #[error(
+        "the model has no place to press and cut: every part of its outer surface is pinned, or \
+         is an edge; unpin a region or use a finer spacing"
+    )]
+    Nowhere,
+}
+
+/// A frame on the outer surface, with what is around it.
+#[derive(Debug, Clone)]
+pub struct Place {
+    /// The middle, a point of the surface, m.
+    pub middle: Vec3,
+    /// Out of the tissue.
+    pub normal: Vec3,
+    /// From the middle towards the second place.
+    pub u: Vec3,
+    /// Along the stroke; u × v points along the normal.
+    pub v: Vec3,
+    /// How far the surface goes on without an edge, m.
+    pub clearance_m: f64,
+    /// How deep the nearest pinned part is, m.
+    pub depth_m: f64,
+    /// Lattice spacing of the model, m.
+    pub spacing_m: f64,
+    triangles: Vec<[Vec3; 3]>,
+}
+
+/// A point of the surface and its outward normal there.
+#[derive(Debug, Clone, Copy)]
+pub struct SurfacePoint {
+    /// Where, m.
+    pub at: Vec3,
+    /// Unit vector out of the tissue.
+    pub normal: Vec3,
+}
+
+/// The surface seen from its nodes.
+struct Skin<'a> {
+    topology: &'a Topology,
+    /// Area-weighted normal, triangles and whether it is clear of other regions and edges.
+    nodes: BTreeMap<u32, SkinNode>,
+}
+
+#[derive(Default)]
+struct SkinNode {
+    normal: Vec3,
+    triangles: Vec<usize>,
+    is_bad: bool,
+}
+
+impl<'a> Skin<'a> {
+    fn new(topology: &'a Topology) -> Self {
+        let boundary = topology.boundary();
+        let region = main_region(topology);
+        let mut nodes: BTreeMap<u32, SkinNode> = BTreeMap::new();
+        for (t, corners) in boundary.triangles.iter().enumerate() {
+            let [a, b, c] = corners.map(|n| topology.rest(n));
+            let area = (b - a).cross(&(c - a)) / 2.0;
+            let cell = boundary.faces[t / 2].cell();
+            for &n in corners {
+                let node = nodes.entry(n).or_default();
+                node.normal += area;
+                node.triangles.push(t);
+                node.is_bad |= Some(topology.region(cell)) != region || topology.is_pinned(n);
+            }
+        }
+        for node in nodes.values_mut() {
+            let length = node.normal.norm();
+            if length > 0.0 {
+                node.normal /= length;
+            } else {
+                node.is_bad = true;
+            }
+            let leans = |&t: &usize| normal_of(topology, t).dot(&node.normal) < EDGE_COS;
+            node.is_bad |= node.triangles.iter().any(leans);
+        }
+        Self { topology, nodes }
+    }
+
+    /// The best middle: node, clearance, depth.
+    fn middle(&self) -> Option<(u32, f64, f64)> {
+        let at = |n: u32| self.topology.rest(n);
+        let good: Vec<u32> = self
+            .nodes
+            .iter()
+            .filter(|(_, node)| !node.is_bad)
+            .map(|(n, _)| *n)
+            .collect();
+        let bad: Vec<Vec3> = self
+            .nodes
+            .iter()
+            .filter(|(_, node)| node.is_bad)
+            .map(|(n, _)| at(*n))
+            .collect();
+        let pinned: Vec<Vec3> = (0..self.topology.node_count() as u32)
+            .filter(|n| self.topology.is_pinned(*n))
+            .map(at)
+            .collect();
+        let nearest = |points: &[Vec3], p: Vec3| {
+            let square = |q: &Vec3| (q - p).norm_squared();
+            points.iter().map(square).fold(f64::INFINITY, f64::min).sqrt()
+        };
+        let extent = self.extent();
+        let step = good.len().div_ceil(CANDIDATES_MAX).max(1);
+        let mut best: Option<(f64, (u32, f64, f64))> = None;
+        for n in good.into_iter().step_by(step) {
+            let clearance = nearest(&bad, at(n)).min(extent / 2.0);
+            let depth = nearest(&pinned, at(n)).min(extent);
+            let room = (clearance / CLEARANCE_ENOUGH_M).min(1.0);
+            let score = room * (1.0 + (depth / DEPTH_ENOUGH_M).min(1.0)) + 0.1 * clearance;
+            if best.as_ref().is_none_or(|b| score > b.0) {
+                best = Some((score, (n, clearance, depth)));
+            }
+        }
+        best.map(|b| b.1)
+    }
+
+    /// The diagonal of the box around the surface, m.
+    fn extent(&self) -> f64 {
+        let (mut low, mut high) = (Vec3::repeat(f64::INFINITY), Vec3::repeat(f64::NEG_INFINITY));
+        for n in self.nodes.keys() {
+            low = low.inf(&self.topology.rest(*n));
+            high = high.sup(&self.topology.rest(*n));
+        }
+        (high - low).norm()
+    }
+}
+
+/// The unpinned region that shows most of itself outside.
+fn main_region(topology: &Topology) -> Option<RegionId> {
+    let boundary = topology.boundary();
+    let mut areas: BTreeMap<RegionId, f64> = BTreeMap::new();
+    for (t, corners) in boundary.triangles.iter().enumerate() {
+        let region = topology.region(boundary.faces[t / 2].cell());
+        if !topology.model().regions[region.index()].pinned {
+            let [a, b, c] = corners.map(|n| topology.rest(n));
+            *areas.entry(region).or_default() += (b - a).cross(&(c - a)).norm();
+        }
+    }
+    areas
+        .into_iter()
+        .max_by(|a, b| a.1.total_cmp(&b.1))
+        .map(|(region, _)| region)
+}
+
+fn normal_of(topology: &Topology, triangle: usize) -> Vec3 {
+    let [a, b, c] = topology.boundary().triangles[triangle].map(|n| topology.rest(n));
+    (b - a)
+        .cross(&(c - a))
+        .try_normalize(0.0)
+        .unwrap_or_else(Vec3::zeros)
+}
+
+impl Place {
+    /// Looks for the best place of a model at rest.
+    pub fn find(topology: &Topology) -> Result<Self, PlaceError> {
+        let skin = Skin::new(topology);
+        let (node, clearance_m, depth_m) = skin.middle().ok_or(PlaceError::Nowhere)?;
+        let middle = topology.rest(node);
+        let reach = clearance_m.min(CLEARANCE_ENOUGH_M);
+        let normal = mean_normal(&skin, middle, reach).unwrap_or(skin.nodes[&node].normal);
+        let v = flattest(&skin, middle, reach, normal);
+        let u = v.cross(&normal);
+        let near = 2.0 * CLEARANCE_ENOUGH_M;
+        let triangles = topology
+            .boundary()
+            .triangles
+            .iter()
+            .map(|t| t.map(|n| topology.rest(n)))
+            .filter(|t| (t[0] - middle).norm() < near)
+            .collect();
+        Ok(Self {
+            middle,
+            normal,
+            u,
+            v,
+            clearance_m,
+            depth_m,
+            spacing_m: topology.model().spacing_m,
+            triangles,
+        })
+    }
+
+    /// How much room there is, 1 where a hand finds all it wants.
+    pub fn scale(&self) -> f64 {
+        (self.clearance_m / CLEARANCE_ENOUGH_M).min(1.0)
+    }
+
+    /// Distance of the two places, m.
+    pub fn separation_m(&self) -> f64 {
+        SEPARATION_M * self.scale()
+    }
+
+    /// The surface at `a` metres along u and `b` along v from the middle, seen along the normal;
+    /// the tangent plane where there is none.
+    pub fn surface(&self, a: f64, b: f64) -> SurfacePoint {
+        let base = self.middle + self.u * a + self.v * b;
+        let hit = self
+            .triangles
+            .iter()
+            .filter_map(|t| height(t, &base, &self.normal).map(|h| (h, t)))
+            .max_by(|x, y| x.0.total_cmp(&y.0));
+        match hit {
+            Some((h, [a, b, c])) => SurfacePoint {
+                at: base + self.normal * h,
+                normal: (b - a).cross(&(c - a)).normalize(),
+            },
+            None => SurfacePoint {
+                at: base,
+                normal: self.normal,
+            },
+        }
+    }
+
+    /// The surface there, with its normal averaged over a tool's radius.
+    pub fn spot(&self, a: f64, b: f64, radius_m: f64) -> SurfacePoint {
+        let around = [(0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)];
+        let sum: Vec3 = around
+            .iter()
+            .map(|(x, y)| self.surface(a + x * radius_m, b + y * radius_m).normal)
+            .sum();
+        SurfacePoint {
+            at: self.surface(a, b).at,
+            normal: sum.try_normalize(0.1).unwrap_or(self.normal),
+        }
+    }
+}
+
+/// How far along `d` from `p` the line meets a triangle that faces along `d`.
+fn height([a, b, c]: &[Vec3; 3], p: &Vec3, d: &Vec3) -> Option<f64> {
+    let (e, f) = (b - a, c - a);
+    let normal = e.cross(&f);
+    let facing = normal.dot(d);
+    if facing <= 0.0 {
+        return None;
+    }
+    let h = (a - p).dot(&normal) / facing;
+    let q = p + d * h - a;
+    let square = normal.norm_squared();
+    let (s, t) = (q.cross(&f).dot(&normal) / square, e.cross(&q).dot(&normal) / square);
+    // A line along an edge belongs to both sides.
+    let slack = -1e-9;
+    (s >= slack && t >= slack && s + t <= 1.0 - slack).then_some(h)
+}
+
+fn near<'a>(skin: &'a Skin<'a>, at: Vec3, reach: f64) -> impl Iterator<Item = &'a SkinNode> {
+    skin.nodes
+        .iter()
+        .filter(move |(n, node)| !node.is_bad && (skin.topology.rest(**n) - at).norm() <= reach)
+        .map(|(_, node)| node)
+}
+
+fn mean_normal(skin: &Skin<'_>, at: Vec3, reach: f64) -> Option<Vec3> {
+    let sum: Vec3 = near(skin, at, reach / 2.0).map(|node| node.normal).sum();
+    sum.try_normalize(0.1)
+}
+
+/// The tangent along which normals turn least.
+fn flattest(skin: &Skin<'_>, at: Vec3, reach: f64, normal: Vec3) -> Vec3 {
+    let axis = if normal.x.abs() < 0.7 { Vec3::x() } else { Vec3::y() };
+    let s = (axis - normal * normal.dot(&axis)).normalize();
+    let t = normal.cross(&s);
+    let (mut ss, mut st, mut tt) = (0.0, 0.0, 0.0);
+    for node in near(skin, at, reach) {
+        let (x, y) = (node.normal.dot(&s), node.normal.dot(&t));
+        ss += x * x;
+        st += x * y;
+        tt += y * y;
+    }
+    // The smaller principal axis of [[ss, st], [st, tt]]: the larger one stands at this angle.
+    let angle = 0.5 * (2.0 * st).atan2(ss - tt);
+    t * angle.cos() - s * angle.sin()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use palpate_tissue::{Material, Topology, block};
+
+    use super::Place;
+
+    #[test]
+    fn on_a_block_the_place_is_the_middle_of_the_side_away_from_the_base() {
+        let soft = Material {
+            name: "soft".into(),
+            young_pa: 1e4,
+            density_kg_m3: 1000.0,
+            friction_static: 0.4,
+            friction_dynamic: 0.3,
+            source: "test".into(),
+        };
+        let topology = Topology::new(Arc::new(block([30, 30, 10], 0.004, &soft, 1)));
+        let place = Place::find(&topology).unwrap();
+        assert!((place.normal.z - 1.0).abs() < 1e-9, "{}", place.normal);
+        assert!((place.middle.z - 0.04).abs() < 1e-9);
+        assert!((place.middle.x - 0.06).abs() < 0.02 && (place.middle.y - 0.06).abs() < 0.02);
+        assert!((place.u.cross(&place.v) - place.normal).norm() < 1e-9);
+        let point = place.surface(0.02, -0.01);
+        assert!((point.at.z - 0.04).abs() < 1e-9 && (point.normal.z - 1.0).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,379 @@
+//! A program of ours as a process of its own, which never outlives us.
+//!
+//! What it writes is read by two threads, so that it never waits for us: its standard output line
+//! by line, of its standard error the last lines, which are what a person wants to see when it
+//! died. Dropping a [`Program`] kills it; should this process itself be killed, the system ends
+//! the program (see [`die_with_parent`]).
+
+use std::collections::VecDeque;
+use std::ffi::OsString;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use serde::de::DeserializeOwned;
+
+/// Lines of standard error that are kept: enough for a sentence and a backtrace's beginning.
+const TAIL_LINES_MAX: usize = 12;
+
+/// Longest kept line, in characters. The rest of it is left out.
+const LINE_CHARS_MAX: usize = 400;
+
+/// How often a program is asked whether it has ended.
+const POLL: Duration = Duration::from_millis(10);
+
+/// What went wrong with a program.
+#[derive(Debug, thiserror::Error)]
+pub enum ProgramError {
+    /// The system did not start it.
+    #[error("the {name} could not be started: {source}")]
+    Start {
+        /// Which program.
+        name: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// It ended when it should not have.
+    #[error("the {name} ended early ({status}){}", said(.tail))]
+    Died {
+        /// Which program.
+        name: String,
+        /// How it ended.
+        status: String,
+        /// Its last lines on standard error.
+        tail: String,
+    },
+    /// It did not do in time what it had to.
+    #[error("the {name} did not {what} within {seconds:.0} s{}", said(.tail))]
+    Late {
+        /// Which program.
+        name: String,
+        /// What it should have done.
+        what: &'static str,
+        /// How long it had.
+        seconds: f64,
+        /// Its last lines on standard error.
+        tail: String,
+    },
+    /// It wrote something else than it should.
+    #[error("the {name} wrote \"{line}\" where {what} was expected ({error})")]
+    Output {
+        /// Which program.
+        name: String,
+        /// What was expected.
+        what: &'static str,
+        /// What it wrote.
+        line: String,
+        /// What is wrong with it.
+        error: String,
+    },
+}
+
+fn said(tail: &str) -> String {
+    if tail.is_empty() {
+        "; it said nothing".to_owned()
+    } else {
+        format!("; it said:\n    {}", tail.replace('\n', "\n    "))
+    }
+}
+
+/// A running program.
+pub struct Program {
+    name: String,
+    child: Child,
+    stdout: Receiver<String>,
+    /// The last line read from `stdout`.
+    last: Option<String>,
+    tail: Arc<Mutex<VecDeque<String>>>,
+}
+
+impl Program {
+    /// Starts `executable` with `arguments`. `name` is what errors call it.
+    pub fn start<A: Into<OsString>>(
+        name: impl Into<String>,
+        executable: &Path,
+        arguments: impl IntoIterator<Item = A>,
+    ) -> Result<Self, ProgramError> {
+        let name = name.into();
+        let spawned = Command::new(executable)
+            .args(arguments.into_iter().map(Into::into))
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn();
+        let mut child = match spawned {
+            Ok(child) => child,
+            Err(source) => return Err(ProgramError::Start { name, source }),
+        };
+        let (sender, stdout) = channel();
+        let tail = Arc::new(Mutex::new(VecDeque::new()));
+        if let Some(out) = child.stdout.take() {
+            std::thread::spawn(move || each_line(out, |line| sender.send(line).is_ok()));
+        }
+        if let Some(err) = child.stderr.take() {
+            let tail = Arc::clone(&tail);
+            std::thread::spawn(move || {
+                each_line(err, |line| {
+                    let mut tail = tail.lock().unwrap_or_else(PoisonError::into_inner);
+                    if tail.len() == TAIL_LINES_MAX {
+                        tail.pop_front();
+                    }
+                    tail.push_back(line.chars().take(LINE_CHARS_MAX).collect());
+                    true
+                });
+            });
+        }
+        Ok(Self {
+            name,
+            child,
+            stdout,
+            last: None,
+            tail,
+        })
+    }
+
+    /// What errors call it.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Its number in the system.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// The next line of its standard output.
+    pub fn line(&mut self, what: &'static str, within: Duration) -> Result<String, ProgramError> {
+        match self.stdout.recv_timeout(within) {
+            Ok(line) => {
+                self.last = Some(line.clone());
+                Ok(line)
+            }
+            Err(RecvTimeoutError::Timeout) => Err(self.late(what, within)),
+            Err(RecvTimeoutError::Disconnected) => {
+                let status = self.child.wait().map_or_else(|e| e.to_string(), describe);
+                Err(self.died(status))
+            }
+        }
+    }
+
+    /// The next line of its standard output, which is one JSON object.
+    pub fn json<T: DeserializeOwned>(
+        &mut self,
+        what: &'static str,
+        within: Duration,
+    ) -> Result<T, ProgramError> {
+        let line = self.line(what, within)?;
+        self.parse(what, line)
+    }
+
+    /// The last line of its standard output, which is one JSON object, after it ended.
+    pub fn last_json<T: DeserializeOwned>(
+        &mut self,
+        what: &'static str,
+    ) -> Result<T, ProgramError> {
+        // The reader ends with the pipe, and so does this.
+        while let Ok(line) = self.stdout.recv_timeout(Duration::from_secs(5)) {
+            self.last = Some(line);
+        }
+        let line = self.last.clone().unwrap_or_default();
+        self.parse(what, line)
+    }
+
+    fn parse<T: DeserializeOwned>(
+        &self,
+        what: &'static str,
+        line: String,
+    ) -> Result<T, ProgramError> {
+        serde_json::from_str(&line).map_err(|e| ProgramError::Output {
+            name: self.name.clone(),
+            what,
+            error: e.to_string(),
+            line: line.chars().take(LINE_CHARS_MAX).collect(),
+        })
+    }
+
+    /// Refuses a program that has ended.
+    pub fn check_alive(&mut self) -> Result<(), ProgramError> {
+        match self.child.try_wait() {
+            Ok(None) => Ok(()),
+            Ok(Some(status)) => Err(self.died(describe(status))),
+            Err(error) => Err(self.died(error.to_string())),
+        }
+    }
+
+    /// Asks it politely to end.
+    pub fn ask_to_end(&self) {
+        #[cfg(unix)]
+        if let Ok(id) = i32::try_from(self.child.id())
+            && let Some(pid) = rustix::process::Pid::from_raw(id)
+        {
+            // It may have ended by itself.
+            let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
+        }
+    }
+
+    /// Ends it without a chance to say anything.
+    pub fn kill(&mut self) {
+        // Both fail only when it is gone already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+
+    /// Waits until it ends.
+    pub fn wait(&mut self, within: Duration) -> Result<ExitStatus, ProgramError> {
+        let until = Instant::now() + within;
+        loop {
+            match self.child.try_wait() {
+                Ok(Some(status)) => return Ok(status),
+                Ok(None) if Instant::now() >= until => return Err(self.late("end", within)),
+                Ok(None) => std::thread::sleep(POLL),
+                Err(error) => return Err(self.died(error.to_string())),
+            }
+        }
+    }
+
+    /// Waits until it ends, and refuses an exit code other than 0.
+    pub fn wait_for_success(&mut self, within: Duration) -> Result<(), ProgramError> {
+        let status = self.wait(within)?;
+        if status.success() {
+            Ok(())
+        } else {
+            Err(self.died(describe(status)))
+        }
+    }
+
+    /// Its last lines on standard error.
+    pub fn tail(&self) -> String {
+        let tail = self.tail.lock().unwrap_or_else(PoisonError::into_inner);
+        tail.iter().cloned().collect::<Vec<_>>().join("\n")
+    }
+
+    pub(crate) fn late(&self, what: &'static str, within: Duration) -> ProgramError {
+        ProgramError::Late {
+            name: self.name.clone(),
+            what,
+            seconds: within.as_secs_f64(),
+            tail: self.tail(),
+        }
+    }
+
+    fn died(&self, status: String) -> ProgramError {
+        // What it said last may still be on its way through the pipe.
+        std::thread::sleep(5 * POLL);
+        ProgramError::Died {
+            name: self.name.clone(),
+            status,
+            tail: self.tail(),
+        }
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        self.kill();
+    }
+}
+
+fn describe(status: ExitStatus) -> String {
+    status.to_string()
+}
+
+/// Reads until the end or until `take` returns `false`. A status line that is rewritten in place
+/// ends with a carriage return.
+fn each_line(input: impl Read, mut take: impl FnMut(String) -> bool) {
+    let mut input = BufReader::new(input);
+    let mut line = Vec::new();
+    loop {
+        let chunk = match input.fill_buf() {
+            Ok([]) | Err(_) => break,
+            Ok(chunk) => chunk.to_owned(),
+        };
+        input.consume(chunk.len());
+        for byte in chunk {
+            if byte != b'\n' && byte != b'\r' {
+                line.push(byte);
+            } else if !line.is_empty() {
+                let text = String::from_utf8_lossy(&line).into_owned();
+                line.clear();
+                if !take(text) {
+                    return;
+                }
+            }
+        }
+    }
+    if !line.is_empty() {
+        take(String::from_utf8_lossy(&line).into_owned());
+    }
+}
+
+/// Lets the system end this process when the one that started it is gone. For the roles that the
+/// laboratory starts itself in, called first.
+pub fn die_with_parent() {
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::process::{Signal, set_parent_process_death_signal};
+        // Without it the process ends with its session or by its own duration.
+        let _ = set_parent_process_death_signal(Some(Signal::TERM));
+    }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::path::Path;
+    use std::time::Duration;
+
+    use super::{Program, ProgramError};
+
+    const SOON: Duration = Duration::from_secs(10);
+
+    fn shell(script: &str) -> Program {
+        Program::start("shell", Path::new("/bin/sh"), ["-c", script]).unwrap()
+    }
+
+    #[test]
+    fn who_dies_is_reported_with_the_last_words() {
+        let mut program = shell("echo all is well; echo the roof is on fire >&2; exit 3");
+        assert_eq!(program.line("greet", SOON).unwrap(), "all is well");
+        let error = program.line("greet again", SOON).unwrap_err();
+        let sentence = error.to_string();
+        assert!(matches!(error, ProgramError::Died { .. }));
+        assert!(sentence.contains("the roof is on fire"), "{sentence}");
+        assert!(sentence.contains('3'), "{sentence}");
+    }
+
+    #[test]
+    fn who_does_nothing_is_late() {
+        let mut program = shell("exec sleep 60");
+        let error = program.line("speak", Duration::from_millis(50)).unwrap_err();
+        assert!(error.to_string().contains("did not speak"), "{error}");
+    }
+
+    #[test]
+    fn the_last_line_counts() {
+        let mut program = shell("echo 1; echo 2; echo '{\"a\": 3}'");
+        program.wait_for_success(SOON).unwrap();
+        let last: serde_json::Value = program.last_json("a number").unwrap();
+        assert_eq!(last["a"], 3);
+    }
+
+    #[test]
+    fn dropping_a_program_ends_it() {
+        let program = shell("exec sleep 60");
+        let proc_entry = format!("/proc/{}", program.id());
+        drop(program);
+        assert!(!Path::new(&proc_entry).exists());
+    }
+
+    #[test]
+    fn asking_is_enough_for_a_program_that_listens() {
+        let mut program = shell("trap 'echo bye; exit 0' TERM; echo up; while :; do sleep 0.05; done");
+        program.line("come up", SOON).unwrap();
+        program.ask_to_end();
+        program.wait_for_success(SOON).unwrap();
+        assert_eq!(program.line("leave", SOON).unwrap(), "bye");
+    }
+}

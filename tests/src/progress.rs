@@ -1,0 +1,112 @@
+//! What a person sees while an experiment runs, on standard error; and the wish to end it.
+
+use std::io::{IsTerminal, Write, stderr};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+/// Shows stages and how far they are.
+#[derive(Debug)]
+pub struct Progress {
+    began: Instant,
+    is_terminal: bool,
+    shown: String,
+}
+
+impl Progress {
+    /// For a person.
+    pub fn new() -> Self {
+        Self {
+            began: Instant::now(),
+            is_terminal: stderr().is_terminal(),
+            shown: String::new(),
+        }
+    }
+
+    /// A new stage begins.
+    pub fn stage(&mut self, what: &str) {
+        self.clear();
+        Self::write(&format!("[{:5.1} s] {what}\n", self.began.elapsed().as_secs_f64()));
+    }
+
+    /// How far the stage is; rewritten in place, and only on a terminal.
+    pub fn tick(&mut self, how_far: &str) {
+        if self.is_terminal && how_far != self.shown {
+            self.clear();
+            Self::write(&format!("          {how_far}"));
+            how_far.clone_into(&mut self.shown);
+        }
+    }
+
+    fn clear(&mut self) {
+        if !self.shown.is_empty() {
+            self.shown.clear();
+            Self::write("\r\x1b[K");
+        }
+    }
+
+    fn write(text: &str) {
+        let mut err = stderr().lock();
+        // Nobody is left to be told when standard error is gone.
+        let _ = err.write_all(text.as_bytes()).and_then(|()| err.flush());
+    }
+}
+
+impl Default for Progress {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.clear();
+    }
+}
+
+/// Set when the user or the system wants us to end.
+#[derive(Debug, Clone, Default)]
+pub struct Interrupt(Arc<AtomicBool>);
+
+impl Interrupt {
+    /// Listens for SIGINT and SIGTERM from now on; from then on they no longer end the process.
+    pub fn listen() -> std::io::Result<Self> {
+        let interrupt = Self::default();
+        let flag = interrupt.clone();
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_io()
+            .build()?;
+        std::thread::Builder::new()
+            .name("signals".into())
+            .spawn(move || {
+                runtime.block_on(wanted());
+                flag.0.store(true, Ordering::Release);
+            })?;
+        Ok(interrupt)
+    }
+
+    /// Whether it is time to end.
+    pub fn is_set(&self) -> bool {
+        self.0.load(Ordering::Acquire)
+    }
+}
+
+#[cfg(unix)]
+async fn wanted() {
+    use tokio::signal::unix::{SignalKind, signal};
+    let Ok(mut terminate) = signal(SignalKind::terminate()) else {
+        return std::future::pending().await;
+    };
+    tokio::select! {
+        _ = terminate.recv() => {}
+        _ = tokio::signal::ctrl_c() => {}
+    }
+}
+
+#[cfg(not(unix))]
+async fn wanted() {
+    // Without it the process ends as the system wants it.
+    if tokio::signal::ctrl_c().await.is_err() {
+        std::future::pending::<()>().await;
+    }
+}

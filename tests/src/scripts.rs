@@ -1,0 +1,330 @@
+//! What the two simulated trainees do, made for any model and any length.
+//!
+//! The HOLDER presses a probe into the first place and holds it with slow small motion, lifts, and
+//! presses again. The CUTTER presses gently beside the second place, lifts, draws the blade with
+//! the button held once through the tissue between the places, beginning and ending outside it,
+//! and then presses beside the wound. Times are shares of the whole length T:
+//!
+//! ```text
+//! share of T   0    .1   .2   .3   .4   .5   .6   .7   .8   .9   1
+//! holder       ^-press hold hold hold hold hold-^lift ^-press hold-^
+//! cutter       ^-press-^lift    |=== stroke ===|lift  ^-press hold-^
+//! ```
+
+use nalgebra::{Rotation3, UnitQuaternion};
+use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
+use palpate_device::{Script, ScriptError};
+use palpate_tissue::Vec3;
+
+use crate::place::{Place, SurfacePoint};
+
+/// The shortest scripts, s. In less time the stroke would be faster than any hand.
+pub const SECONDS_MIN: f64 = 4.0;
+
+/// The longest scripts, s: what a client records of them has to fit into memory.
+pub const SECONDS_MAX: f64 = 600.0;
+
+/// The share of the script's length at which the blade begins to part the tissue, and at which it
+/// has left it.
+pub const STROKE_SHARES: (f64, f64) = (0.32, 0.48);
+
+/// Radius of the holder's probe where there is room for it, m.
+const PROBE_RADIUS_M: f64 = 0.008;
+
+/// Half the thickness of the blade, m.
+const BLADE_RADIUS_M: f64 = 0.002;
+
+/// Length of the blade's edge, m, for a stroke of [`STROKE_DEPTH_M`]: it stands out of the tissue
+/// while it cuts.
+const BLADE_LENGTH_M: f64 = 0.012;
+
+/// How deep the script presses the probe, m.
+const PRESS_DEPTH_M: f64 = 0.008;
+
+/// How deep the blade's tip goes, m.
+const STROKE_DEPTH_M: f64 = 0.010;
+
+/// Length of the stroke within the tissue, m.
+const STROKE_LENGTH_M: f64 = 0.050;
+
+/// How far above the surface a hand waits, m.
+const HOVER_M: f64 = 0.020;
+
+/// Distance of the last presses from the wound, m.
+const BESIDE_M: f64 = 0.012;
+
+/// Way points along the stroke.
+const STROKE_POINTS: usize = 24;
+
+/// The period of the slow motion while holding, s.
+const SWAY_PERIOD_S: f64 = 2.5;
+
+/// The scripts of the two trainees.
+#[derive(Debug, Clone)]
+pub struct Scripts {
+    /// Presses and holds.
+    pub holder: Script,
+    /// Presses, cuts, presses.
+    pub cutter: Script,
+}
+
+/// Lengths that fit the model.
+#[derive(Debug, Clone, Copy)]
+struct Sizes {
+    probe_radius: f64,
+    press_depth: f64,
+    stroke_depth: f64,
+    stroke_length: f64,
+    blade_length: f64,
+    hover: f64,
+    sway: f64,
+    beside: f64,
+}
+
+impl Sizes {
+    fn of(place: &Place) -> Self {
+        let scale = place.scale();
+        let soft = place.depth_m;
+        // A cut needs some cells to part, or it is none; a press at most a third of what is soft.
+        let stroke_depth = (STROKE_DEPTH_M * scale)
+            .min(soft / 2.0)
+            .max(1.5 * place.spacing_m);
+        let probe_radius = (PROBE_RADIUS_M * scale).max(0.75 * place.spacing_m);
+        Self {
+            probe_radius,
+            press_depth: (PRESS_DEPTH_M * scale).min(soft / 3.0),
+            stroke_depth,
+            stroke_length: (STROKE_LENGTH_M * scale).max(5.0 * place.spacing_m),
+            blade_length: stroke_depth * BLADE_LENGTH_M / STROKE_DEPTH_M,
+            hover: HOVER_M * scale.max(0.3),
+            sway: 0.005 * scale,
+            beside: (BESIDE_M * scale).max(2.0 * place.spacing_m),
+        }
+    }
+}
+
+/// Way points as they are collected.
+struct Path {
+    ways: Vec<WayPoint>,
+    turn: UnitQuaternion<f64>,
+    length_s: f64,
+}
+
+impl Path {
+    fn to(&mut self, share: f64, at: Vec3) -> &mut WayPoint {
+        self.at_second(share * self.length_s, at)
+    }
+
+    fn at_second(&mut self, t_s: f64, at: Vec3) -> &mut WayPoint {
+        self.ways.push(WayPoint::new(t_s, at).turned(self.turn));
+        self.ways.last_mut().expect("one was pushed")
+    }
+
+    /// Holds from `from` to `until` (shares), swaying between points `at(-1..1)`.
+    fn sway(&mut self, from: f64, until: f64, at: impl Fn(f64) -> Vec3) {
+        let length = (until - from) * self.length_s;
+        let turns = (2.0 * length / SWAY_PERIOD_S).floor().max(1.0) as usize;
+        for i in 1..=turns {
+            let side = match i {
+                i if i == turns => 0.0,
+                i if i % 2 == 1 => 1.0,
+                _ => -1.0,
+            };
+            let share = from + (until - from) * i as f64 / turns as f64;
+            self.to(share, at(side));
+        }
+    }
+}
+
+impl Scripts {
+    /// Scripts of `seconds` for a place on a model.
+    pub fn for_place(place: &Place, seconds: f64) -> Result<Self, ScriptError> {
+        let sizes = Sizes::of(place);
+        Ok(Self {
+            holder: holder(place, &sizes, seconds)?,
+            cutter: cutter(place, &sizes, seconds)?,
+        })
+    }
+}
+
+/// The centre of a ball of `radius` whose script is `depth` deep at a point of the surface;
+/// negative depths are above it.
+fn ball(point: &SurfacePoint, radius: f64, depth: f64) -> Vec3 {
+    point.at + point.normal * (radius - depth)
+}
+
+fn holder(place: &Place, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptError> {
+    let r = sizes.probe_radius;
+    let spot = place.spot(-place.separation_m() / 2.0, 0.0, r);
+    let along = (place.v - spot.normal * place.v.dot(&spot.normal)).normalize();
+    let pressed = |side: f64| ball(&spot, r, sizes.press_depth) + along * (sizes.sway * side);
+    let above = ball(&spot, r, -sizes.hover);
+    let mut path = Path {
+        ways: Vec::new(),
+        turn: upright(&spot.normal, &along),
+        length_s: seconds,
+    };
+    path.to(0.0, above);
+    path.to(0.03, above);
+    path.to(0.12, pressed(0.0));
+    path.sway(0.15, 0.64, pressed);
+    path.to(0.70, above);
+    path.to(0.73, above);
+    path.to(0.80, pressed(0.0));
+    path.sway(0.82, 0.94, pressed);
+    path.to(1.0, above);
+    let tool = Tool {
+        kind: ToolKind::Probe,
+        radius_m: r,
+        length_m: 0.0,
+    };
+    Script::new(tool, Hand::default(), path.ways, false)
+}
+
+fn cutter(place: &Place, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptError> {
+    let r = BLADE_RADIUS_M;
+    let spot = place.spot(place.separation_m() / 2.0, 0.0, 2.0 * r);
+    let gentle = sizes.press_depth / 2.0;
+    let mut path = Path {
+        ways: Vec::new(),
+        turn: upright(&place.normal, &place.v),
+        length_s: seconds,
+    };
+    let above = ball(&spot, r, -sizes.hover);
+    path.to(0.0, above);
+    path.to(0.03, above);
+    path.to(0.10, ball(&spot, r, gentle));
+    path.to(0.18, ball(&spot, r, gentle));
+    path.to(0.23, above);
+    stroke(place, sizes, &mut path);
+    let beside = place.spot(sizes.beside, 0.0, 2.0 * r);
+    let over = ball(&beside, r, -sizes.hover);
+    let pressed = |side: f64| ball(&beside, r, gentle) + place.v * (sizes.sway * side);
+    path.to(0.60, over);
+    path.to(0.68, pressed(0.0));
+    path.sway(0.70, 0.94, pressed);
+    path.to(1.0, over);
+    let tool = Tool {
+        kind: ToolKind::Blade,
+        radius_m: r,
+        length_m: sizes.blade_length,
+    };
+    Script::new(tool, Hand::default(), path.ways, false)
+}
+
+/// From above the surface through the tissue and out again, the button held.
+fn stroke(place: &Place, sizes: &Sizes, path: &mut Path) {
+    // The tip dives within the first and rises within the last fifth.
+    let ramp = |x: f64| (x / 0.2).min((1.0 - x) / 0.2).clamp(0.0, 1.0);
+    let tip = |x: f64| {
+        let point = place.surface(0.0, (x - 0.5) * sizes.stroke_length);
+        let outside = 0.4 * sizes.stroke_depth;
+        point.at + place.normal * (outside - (outside + sizes.stroke_depth) * ramp(x))
+    };
+    let high = |x: f64| tip(x) + place.normal * sizes.hover / 2.0;
+    let (from, until) = STROKE_SHARES;
+    path.to(from - 0.03, high(0.0));
+    path.to(from, tip(0.0)).button = true;
+    for i in 1..=STROKE_POINTS {
+        let x = i as f64 / STROKE_POINTS as f64;
+        let way = path.to(from + (until - from) * x, tip(x));
+        *way = way.linear().pressed();
+    }
+    path.to(until + 0.03, high(1.0)).button = false;
+}
+
+/// The turn that puts the tool's z along `normal` and its x as near to `along` as can be.
+fn upright(normal: &Vec3, along: &Vec3) -> UnitQuaternion<f64> {
+    let x = (along - normal * along.dot(normal)).normalize();
+    let y = normal.cross(&x);
+    let axes = Rotation3::from_basis_unchecked(&[x, y, *normal]);
+    UnitQuaternion::from_rotation_matrix(&axes)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use palpate_device::script::WayPoint;
+    use palpate_tissue::{Material, Model, Topology, Vec3, block, sample};
+
+    use super::{SECONDS_MIN, Scripts};
+    use crate::place::Place;
+
+    fn soft_block(cells: [usize; 3], spacing: f64) -> Model {
+        let soft = Material {
+            name: "soft".into(),
+            young_pa: 1e4,
+            density_kg_m3: 1000.0,
+            friction_static: 0.4,
+            friction_dynamic: 0.3,
+            source: "test".into(),
+        };
+        block(cells, spacing, &soft, 1)
+    }
+
+    /// The fastest that a script moves: minimum jerk peaks at 15/8 of the mean.
+    fn top_speed(ways: &[WayPoint]) -> f64 {
+        ways.windows(2)
+            .map(|w| 1.875 * (w[1].position - w[0].position).norm() / (w[1].t_s - w[0].t_s))
+            .fold(0.0, f64::max)
+    }
+
+    fn check(model: Model) {
+        let topology = Topology::new(Arc::new(model));
+        let place = Place::find(&topology).unwrap();
+        for seconds in [SECONDS_MIN, 20.0] {
+            let scripts = Scripts::for_place(&place, seconds).unwrap();
+            for script in [&scripts.holder, &scripts.cutter] {
+                let ways = script.ways();
+                assert!(ways.iter().all(|w| w.position.iter().all(|c| c.is_finite())));
+                assert!(ways.windows(2).all(|w| w[0].t_s < w[1].t_s), "times increase");
+                assert!((script.end_s() - seconds).abs() < 1e-9);
+            }
+            if seconds == 20.0 {
+                for script in [&scripts.holder, &scripts.cutter] {
+                    let v = top_speed(script.ways());
+                    assert!(v < 0.1, "{v} m/s is no hand's speed");
+                }
+            }
+            stroke_passes_through(&place, &scripts);
+        }
+    }
+
+    /// Heights of the tip over the surface while the button is held: above, deep inside, above.
+    fn stroke_passes_through(place: &Place, scripts: &Scripts) {
+        let held: Vec<&WayPoint> = scripts.cutter.ways().iter().filter(|w| w.button).collect();
+        let height = |w: &WayPoint| {
+            let d: Vec3 = w.position - place.middle;
+            let b = d.dot(&place.v);
+            (w.position - place.surface(d.dot(&place.u), b).at).dot(&place.normal)
+        };
+        assert!(height(held[0]) > 0.0 && height(held[held.len() - 1]) > 0.0);
+        let deepest = held.iter().map(|w| height(w)).fold(0.0, f64::min);
+        assert!(deepest < -place.spacing_m, "only {deepest} m deep");
+        let deep: Vec<&&WayPoint> = held.iter().filter(|w| height(w) < 0.0).collect();
+        let length = (deep[deep.len() - 1].position - deep[0].position).norm();
+        assert!(length > 3.0 * place.spacing_m, "only {length} m long");
+        for way in held {
+            let blade = way.orientation * Vec3::z();
+            assert!(blade.dot(&place.normal) > 0.999, "the blade points out of the tissue");
+        }
+    }
+
+    #[test]
+    fn on_blocks_of_many_sizes_the_stroke_goes_in_and_comes_out() {
+        check(soft_block([30, 30, 10], 0.004));
+        check(soft_block([12, 12, 6], 0.005));
+        check(soft_block([10, 8, 4], 0.002));
+    }
+
+    #[test]
+    fn on_every_sample_the_stroke_goes_in_and_comes_out() {
+        for sample in sample::Sample::ALL {
+            let mut input = sample.input().unwrap();
+            input.scene.spacing_m *= 1.5;
+            let (model, _) = palpate_tissue::build(&input, &mut |_, _| ()).unwrap();
+            check(model);
+        }
+    }
+}

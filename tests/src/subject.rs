@@ -1,0 +1,113 @@
+//! The model that an experiment is about: a file, a scene or a sample, made into a file once.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use palpate_tissue::sample::{Sample, SampleError};
+use palpate_tissue::{BuildError, FileError, Model, ModelFile, SceneError, SceneInput, build};
+
+/// Why there is no model.
+#[derive(Debug, thiserror::Error)]
+pub enum SubjectError {
+    /// Neither a file nor a sample.
+    #[error("\"{name}\" is no file, and {source}")]
+    Unknown {
+        /// What was asked for.
+        name: String,
+        /// Why it is no sample.
+        source: SampleError,
+    },
+    /// A file that is neither a model nor a scene.
+    #[error("{}: a model ends with .palp and a scene with .toml", .0.display())]
+    Kind(PathBuf),
+    /// The scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// Building.
+    #[error(transparent)]
+    Build(#[from] BuildError),
+    /// The model file.
+    #[error(transparent)]
+    File(#[from] FileError),
+}
+
+/// A model with its file.
+#[derive(Debug, Clone)]
+pub struct Subject {
+    /// The model.
+    pub model: Arc<Model>,
+    /// The file that the server is given.
+    pub file: PathBuf,
+}
+
+impl Subject {
+    /// The model `name`: a `.palp` file as it is; a `.toml` scene or a sample, built into `dir`.
+    pub fn prepare(name: &str, dir: &Path) -> Result<Self, SubjectError> {
+        let path = Path::new(name);
+        let ends_with = |end: &str| path.extension().is_some_and(|e| e == end);
+        if ends_with("palp") {
+            let model = ModelFile::read(path)?.model;
+            return Ok(Self {
+                model: Arc::new(model),
+                file: path.to_owned(),
+            });
+        }
+        if ends_with("toml") {
+            return Self::build(&SceneInput::load(path)?, dir);
+        }
+        match name.parse::<Sample>() {
+            Ok(sample) => Self::build(&sample.input()?, dir),
+            Err(_) if path.exists() => Err(SubjectError::Kind(path.to_owned())),
+            Err(source) => Err(SubjectError::Unknown {
+                name: name.to_owned(),
+                source,
+            }),
+        }
+    }
+
+    fn build(input: &SceneInput, dir: &Path) -> Result<Self, SubjectError> {
+        let (model, report) = build(input, &mut |_, _| ())?;
+        let report_json = serde_json::to_string(&report).expect("a report is plain data");
+        Self::write(ModelFile { model, report_json }, dir)
+    }
+
+    /// A model that is not from a file, written into `dir`.
+    pub fn of(model: Model, dir: &Path) -> Result<Self, SubjectError> {
+        let report_json = String::new();
+        Self::write(ModelFile { model, report_json }, dir)
+    }
+
+    fn write(file: ModelFile, dir: &Path) -> Result<Self, SubjectError> {
+        let path = dir.join("model.palp");
+        file.write(&path)?;
+        Ok(Self {
+            model: Arc::new(file.model),
+            file: path,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Subject;
+
+    #[test]
+    fn what_is_nothing_is_answered_with_the_samples() {
+        let dir = tempfile::tempdir().unwrap();
+        let error = Subject::prepare("thight", dir.path()).unwrap_err().to_string();
+        assert!(error.contains("did you mean \"thigh\"?"), "{error}");
+        let file = dir.path().join("notes.txt");
+        std::fs::write(&file, "x").unwrap();
+        let error = Subject::prepare(&file.display().to_string(), dir.path()).unwrap_err();
+        assert!(error.to_string().contains(".palp"), "{error}");
+    }
+
+    #[test]
+    fn a_sample_becomes_a_file_that_reads_back() {
+        let dir = tempfile::tempdir().unwrap();
+        let made = Subject::prepare("handle", dir.path()).unwrap();
+        let name = made.file.display().to_string();
+        let read = Subject::prepare(&name, dir.path()).unwrap();
+        assert_eq!(made.model.nodes.len(), read.model.nodes.len());
+    }
+}
