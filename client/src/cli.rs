@@ -202,7 +202,8 @@ mod tests {
 
     #[test]
     fn options_reach_the_run() {
-        let line = "palpate-client join L --name Ada --script s.toml --duration 2.5 --json --no-realtime";
+        let line =
+            "palpate-client join L --name Ada --script s.toml --duration 2.5 --json --no-realtime";
         let Command::Join(arguments) = Arguments::parse_from(line.split(' ')).command else {
             panic!("join was asked for");
         };
@@ -223,6 +224,9 @@ mod tests {
     #[test]
     fn a_link_that_is_none_ends_with_exit_code_2() {
         let line = ["palpate-client", "join", "http://x"].map(OsString::from);
-        assert_eq!(format!("{:?}", run(line)), format!("{:?}", ExitCode::from(2)));
+        assert_eq!(
+            format!("{:?}", run(line)),
+            format!("{:?}", ExitCode::from(2))
+        );
     }
 }

@@ -1,4 +1,4 @@
-//! Between the words of the wire, the device and the tissue. The only place where axes turn round.
+//! Between the words of the wire, the device and the tissue.
 
 use nalgebra::{Quaternion, UnitQuaternion};
 use palpate_device::script::{Tool as ScriptTool, ToolKind as ScriptToolKind};
@@ -9,8 +9,7 @@ use palpate_tissue::Vec3;
 
 use crate::realtime::Frame;
 
-/// A stroke of the wire as the tissue takes it. The wire's axis points along the depth, the
-/// tissue's against it.
+/// A stroke of the wire as the tissue takes it.
 pub fn tissue_stroke(stroke: &CutStroke) -> palpate_tissue::CutStroke {
     palpate_tissue::CutStroke {
         points: stroke.points.iter().map(tissue_blade).collect(),
@@ -21,20 +20,19 @@ pub fn tissue_stroke(stroke: &CutStroke) -> palpate_tissue::CutStroke {
 fn tissue_blade(p: &BladePoint) -> palpate_tissue::BladePoint {
     palpate_tissue::BladePoint {
         tip: Vec3::from(p.tip_m),
-        axis: -Vec3::from(p.axis),
+        axis: Vec3::from(p.axis),
         depth_m: p.depth_m,
     }
 }
 
 /// The blade of a tool at `pose`, for the wire: its edge lies along the tool's own z axis, from the
-/// tip up, so the direction of depth is the opposite.
+/// tip up; the axis points that way, against the depth, as the tissue wants it.
 pub fn wire_blade(pose: &Pose, length_m: f64) -> BladePoint {
     let [x, y, z, w] = pose.orientation;
     let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6).unwrap_or_default();
-    let depth = -(turn * Vec3::z());
     BladePoint {
         tip_m: pose.position_m,
-        axis: depth.into(),
+        axis: (turn * Vec3::z()).into(),
         depth_m: length_m,
     }
 }
@@ -69,14 +67,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_upright_blade_cuts_downwards_on_the_wire_and_its_top_is_above_its_tip() {
+    fn the_top_of_an_upright_blade_is_above_its_tip() {
         let pose = Pose {
             position_m: [0.01, 0.02, 0.03],
             ..Pose::IDENTITY
         };
         let blade = wire_blade(&pose, 0.02);
         assert!(blade.is_valid());
-        assert_eq!(blade.axis, [0.0, 0.0, -1.0]);
+        assert_eq!(blade.axis, [0.0, 0.0, 1.0]);
         let top = tissue_blade(&blade).top();
         assert!((top - Vec3::new(0.01, 0.02, 0.05)).norm() < 1e-12);
     }
@@ -88,8 +86,8 @@ mod tests {
             orientation: [half.sin(), 0.0, 0.0, half.cos()],
             ..Pose::IDENTITY
         };
-        // A quarter turn about x takes z to -y, so the depth is +y.
+        // A quarter turn about x takes z to -y.
         let blade = wire_blade(&pose, 0.01);
-        assert!((Vec3::from(blade.axis) - Vec3::y()).norm() < 1e-12);
+        assert!((Vec3::from(blade.axis) + Vec3::y()).norm() < 1e-12);
     }
 }

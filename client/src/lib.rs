@@ -11,7 +11,7 @@
 //! main thread      join       status line, signals, the end
 //! ```
 //!
-//! [`run`] is the whole program as a function; [`Replica`], [`Roster`] and what they stand on are pure
+//! [`run`] is the whole program as a function; [`Replica`], [`Site`] and what they stand on are pure
 //! (no thread, no clock), so that a laboratory can run them in virtual time.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
@@ -22,12 +22,16 @@ mod error;
 mod history;
 mod inbox;
 mod join;
+mod motion;
 mod network;
 mod options;
 pub mod realtime;
 pub mod recording;
 pub mod replica;
 pub mod roster;
+pub mod site;
+mod solve;
+mod status;
 pub mod stroke;
 mod summary;
 
@@ -37,4 +41,5 @@ pub use options::{DeviceKind, JoinOptions, StatusKind};
 pub use recording::Recording;
 pub use replica::Replica;
 pub use roster::{Roster, ToolAt};
+pub use site::Site;
 pub use summary::{EventCounts, Lateness, SolveTimes, Summary};

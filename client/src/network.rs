@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use palpate_protocol::handshake::{Hello, Welcome};
 use palpate_protocol::session::{ClientEvent, ClientSession, CloseReason};
-use palpate_protocol::{JoinLink, ModelHash};
+use palpate_protocol::{JoinLink, ModelHash, Span};
 use palpate_transport::{
     ClientCommand, ClientHandle, DriverStats, connect, fetch_model, spawn_client,
 };
@@ -15,13 +15,16 @@ use tokio::sync::{mpsc as async_mpsc, watch};
 
 use crate::ClientError;
 use crate::inbox::Inbox;
-use crate::realtime::monotonic_now;
+use crate::realtime::{monotonic_now, sleep_until};
 
 /// How soon a wish to stop is noticed.
 const STOP_POLL: Duration = Duration::from_millis(50);
 
 /// How long leaving politely may wait for room in the queue of commands.
-const LEAVE_PATIENCE: Duration = Duration::from_millis(500);
+const LEAVE_PATIENCE: Span = Span::from_millis(500);
+
+/// Between two attempts to leave.
+const LEAVE_RETRY: Span = Span::from_millis(5);
 
 /// Told how much of the model has arrived: bytes, of bytes.
 pub(crate) type Progress = Box<dyn FnMut(u64, u64) + Send>;
@@ -89,15 +92,15 @@ impl Network {
 
     /// Leaves politely, if the session still stands, and waits for the thread.
     pub(crate) fn leave(self) -> DriverStats {
-        let mut waited = Duration::ZERO;
-        while waited < LEAVE_PATIENCE {
-            match self.commands.try_send(ClientCommand::Leave) {
-                Err(async_mpsc::error::TrySendError::Full(_)) => {
-                    std::thread::sleep(STOP_POLL / 10);
-                    waited += STOP_POLL / 10;
-                }
-                Ok(()) | Err(async_mpsc::error::TrySendError::Closed(_)) => break,
+        let give_up = monotonic_now() + LEAVE_PATIENCE;
+        while let Err(async_mpsc::error::TrySendError::Full(_)) =
+            self.commands.try_send(ClientCommand::Leave)
+        {
+            let now = monotonic_now();
+            if now >= give_up {
+                break;
             }
+            sleep_until(now + LEAVE_RETRY);
         }
         drop(self.commands);
         if self.thread.join().is_err() {
@@ -157,10 +160,7 @@ async fn live(
     }
 }
 
-async fn join(
-    link: &JoinLink,
-    hello: Hello,
-) -> Result<(ClientHandle, Box<Welcome>), ClientError> {
+async fn join(link: &JoinLink, hello: Hello) -> Result<(ClientHandle, Box<Welcome>), ClientError> {
     let connection = connect(link).await?;
     let session = ClientSession::new(hello, monotonic_now())?;
     let mut handle = spawn_client(connection, session, monotonic_now);
@@ -210,7 +210,9 @@ async fn pump(handle: &mut ClientHandle, inbox: &Inbox) -> String {
         if !inbox.push(event) {
             let why = "the operations came faster than this machine applies them".to_owned();
             // The last event always finds room.
-            inbox.push(ClientEvent::Closed(CloseReason::ConnectionLost(why.clone())));
+            inbox.push(ClientEvent::Closed(CloseReason::ConnectionLost(
+                why.clone(),
+            )));
             return why;
         }
         if let Some(why) = ended {
@@ -230,9 +232,10 @@ async fn until(stop: &AtomicBool) {
 #[cfg(unix)]
 async fn watch_signals(stop: Arc<AtomicBool>) {
     use tokio::signal::unix::{SignalKind, signal};
-    let (Ok(mut interrupt), Ok(mut terminate)) =
-        (signal(SignalKind::interrupt()), signal(SignalKind::terminate()))
-    else {
+    let (Ok(mut interrupt), Ok(mut terminate)) = (
+        signal(SignalKind::interrupt()),
+        signal(SignalKind::terminate()),
+    ) else {
         tracing::warn!("signals can not be caught; Ctrl-C will not leave politely");
         return;
     };

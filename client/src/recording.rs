@@ -152,9 +152,7 @@ impl Recording {
 }
 
 /// The nodes of a view to record: those that moved, and of too many the same ones everywhere.
-pub fn choose_nodes(
-    moved: impl Iterator<Item = (u32, [f64; 3])>,
-) -> Vec<(u32, f32, f32, f32)> {
+pub fn choose_nodes(moved: impl Iterator<Item = (u32, [f64; 3])>) -> Vec<(u32, f32, f32, f32)> {
     let mut chosen: Vec<(u32, [f64; 3])> = moved
         .map(|(n, u)| (n, u.map(|c| c * 1e3)))
         .filter(|(_, mm)| mm.iter().map(|c| c * c).sum::<f64>() > NODE_MOVED_MM * NODE_MOVED_MM)

@@ -112,12 +112,16 @@ mod tests {
         }
         let stroke = strokes.push(ms(1001), &at(30.0), false).unwrap();
         assert!(stroke.is_valid());
-        assert!((25..30).contains(&stroke.points.len()), "{}", stroke.points.len());
+        assert!(
+            (25..30).contains(&stroke.points.len()),
+            "{}",
+            stroke.points.len()
+        );
         for pair in stroke.points.windows(2) {
             assert!(distance(&pair[0], &pair[1]) >= LAST_STEP_MIN_M);
         }
         let last = stroke.points.last().unwrap();
-        assert!((last.blade.tip_m[0] - 0.0205).abs() < 1e-12);
+        assert!((last.blade.tip_m[0] - 0.0205).abs() < LAST_STEP_MIN_M);
         assert_eq!(strokes.push(ms(1002), &at(30.0), false), None);
     }
 

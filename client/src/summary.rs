@@ -167,7 +167,11 @@ impl fmt::Display for Summary {
     /// What a person wants to know at the end, one thing per line.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let ms = |v: Option<f64>| v.map_or("unknown".to_owned(), |v| format!("{v:.1} ms"));
-        writeln!(f, "{} ({}), {:.1} s: {}", self.name, self.role, self.seconds, self.ended)?;
+        writeln!(
+            f,
+            "{} ({}), {:.1} s: {}",
+            self.name, self.role, self.seconds, self.ended
+        )?;
         if self.ticks > 0 {
             let l = &self.lateness_us;
             writeln!(
@@ -197,7 +201,11 @@ impl fmt::Display for Summary {
         writeln!(
             f,
             "  tissue       version {} ({}), {} operations, {} cuts, {} refused",
-            self.topology_version, self.topology_hash, self.operations, self.cuts, self.cuts_refused
+            self.topology_version,
+            self.topology_hash,
+            self.operations,
+            self.cuts,
+            self.cuts_refused
         )?;
         write!(
             f,

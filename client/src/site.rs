@@ -1,0 +1,457 @@
+//! One participant's site as a pure machine: what the session says and the hand does comes in, what
+//! is felt and what is seen comes out.
+//!
+//! ```text
+//! D(t)   artificial delay, from the operations log        s = t - D(t)   the moment that is seen
+//! the view is solved on the common grid s = k / tick_hz, so that all sites solve for the same moments
+//! an operation stamped `at` is applied when s >= at, or at once when it comes later than that
+//! ```
+//!
+//! It reads no clock: every call is given the time.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use palpate_haptics::ContactModel;
+use palpate_protocol::clock::ClockMap;
+use palpate_protocol::compensation::DelaySchedule;
+use palpate_protocol::handshake::{RosterEntry, ToolDescription, Welcome};
+use palpate_protocol::operation::{Operation, OperationKind};
+use palpate_protocol::request::{RequestKind, RequestRefusal};
+use palpate_protocol::session::{ClientEvent, CloseReason};
+use palpate_protocol::{
+    ClientTime, LocalSample, ParticipantId, ServerTime, Span, ToolSample, TopologyHash,
+};
+use palpate_tissue::{Budget, Model, Vec3};
+
+use crate::recording::OperationRecord;
+use crate::replica::{Replica, ReplicaError};
+use crate::roster::{Roster, ToolAt};
+use crate::stroke::StrokeCollector;
+
+/// Operations that wait for their moment. They wait for D, 0.2 s, so this is never reached; beyond
+/// it the oldest is applied early.
+const DEFERRED_MAX: usize = 4096;
+
+/// Drift is not counted so soon after the first view: a copy that has just joined is still on its
+/// way to the shape that the others have.
+const SETTLING: Span = Span::from_millis(1000);
+
+/// The session can not go on at this site.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum SiteError {
+    /// The copy of the tissue is not the server's.
+    #[error(transparent)]
+    Diverged(#[from] ReplicaError),
+    /// It was not from the beginning, or the server says so.
+    #[error("{0}")]
+    Differs(String),
+}
+
+/// A view that was solved.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ViewFrame {
+    /// The moment that it shows.
+    pub s: ServerTime,
+    /// Its number on the common grid: s = k / tick_hz.
+    pub k: i64,
+    /// The artificial delay with which it is shown.
+    pub delay: Span,
+    /// Everybody's tool at that moment.
+    pub tools: Vec<ToolAt>,
+    /// The topology that it was solved on.
+    pub topology_version: u32,
+}
+
+/// What a site counted.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct SiteCounters {
+    /// Operations applied.
+    pub operations: u64,
+    /// Cuts among them.
+    pub cuts: u64,
+    /// Requests to cut that the server refused.
+    pub cuts_refused: u64,
+    /// Moments of the common grid that were left out.
+    pub views_skipped: u64,
+    /// Nodes that were corrected.
+    pub corrected_nodes: u64,
+    /// Farthest that a node was from where the server had it, m.
+    pub drift_max_m: f64,
+}
+
+/// One participant's site.
+///
+/// Calling order: [`handle_event`](Self::handle_event) and [`handle_own`](Self::handle_own) as they
+/// come; then [`advance`](Self::advance), [`haptic_step`](Self::haptic_step) and
+/// [`view_step`](Self::view_step) every few milliseconds; then the `poll_*` until `None`.
+pub struct Site {
+    me: ParticipantId,
+    replica: Replica,
+    roster: Roster,
+    schedule: DelaySchedule,
+    clock: Option<ClockMap>,
+    tick_hz: i64,
+    /// The newest view's place on the grid.
+    last_k: Option<i64>,
+    first_view: Option<ServerTime>,
+    deferred: VecDeque<Operation>,
+    /// What the topology must be when the log of the beginning is applied.
+    expected: Option<(u32, TopologyHash)>,
+    strokes: Option<StrokeCollector>,
+    started: Option<ServerTime>,
+    /// Tools in the newest view.
+    seen: Vec<ToolAt>,
+    requests: VecDeque<RequestKind>,
+    notices: VecDeque<String>,
+    applied: VecDeque<OperationRecord>,
+    closed: Option<CloseReason>,
+    counters: SiteCounters,
+}
+
+impl Site {
+    /// A site after its welcome, with the uncut model. `blade_length_m` is that of one's own blade,
+    /// if one holds a blade.
+    pub fn new(welcome: &Welcome, model: Arc<Model>, blade_length_m: Option<f64>) -> Self {
+        Self {
+            me: welcome.participant,
+            replica: Replica::new(model, welcome.role.has_tool()),
+            roster: Roster::new(&welcome.roster),
+            schedule: DelaySchedule::new(&welcome.compensation),
+            clock: None,
+            tick_hz: i64::from(welcome.tick_hz.max(1)),
+            last_k: None,
+            first_view: None,
+            deferred: VecDeque::new(),
+            expected: Some((welcome.topology_version, welcome.topology_hash)),
+            strokes: blade_length_m.map(StrokeCollector::new),
+            started: welcome.session_started_at,
+            seen: Vec::new(),
+            requests: VecDeque::new(),
+            notices: VecDeque::new(),
+            applied: VecDeque::new(),
+            closed: None,
+            counters: SiteCounters::default(),
+        }
+    }
+
+    /// Something from the session.
+    pub fn handle_event(&mut self, event: ClientEvent, now: ClientTime) -> Result<(), SiteError> {
+        match event {
+            ClientEvent::Operation(operation) => self.handle_operation(operation, now)?,
+            ClientEvent::CaughtUp => {
+                if let Some((version, hash)) = self.expected.take() {
+                    self.compare(version, hash)?;
+                    self.report_topology();
+                }
+            }
+            ClientEvent::RequestRefused(refused) => match refused.reason {
+                RequestRefusal::TopologyDiffers => {
+                    return Err(SiteError::Differs(
+                        RequestRefusal::TopologyDiffers.to_string(),
+                    ));
+                }
+                reason => {
+                    self.counters.cuts_refused += 1;
+                    self.notice(format!("the server refused {}: {reason}", refused.id));
+                }
+            },
+            // One's own samples come from the hand itself.
+            ClientEvent::Motion(track) if track.participant != self.me => {
+                for sample in track.samples {
+                    self.roster.insert(track.participant, sample);
+                }
+            }
+            ClientEvent::Corrections(corrections) => {
+                if let Some(drift) = self.replica.correct(&corrections) {
+                    self.counters.corrected_nodes += drift.nodes as u64;
+                    let settled = self
+                        .first_view
+                        .is_some_and(|first| corrections.view_time - first > SETTLING);
+                    if settled {
+                        let max = &mut self.counters.drift_max_m;
+                        *max = max.max(drift.max_m);
+                    }
+                }
+            }
+            ClientEvent::Clock(map) => self.clock = Some(map),
+            ClientEvent::LinkLost => self.notice("nothing comes from the server".to_owned()),
+            ClientEvent::LinkRestored => self.notice("the server is back".to_owned()),
+            ClientEvent::Closed(reason) => self.closed = Some(reason),
+            ClientEvent::Welcomed(_) | ClientEvent::Motion(_) | ClientEvent::Delays(_) => {}
+        }
+        Ok(())
+    }
+
+    fn handle_operation(&mut self, operation: Operation, now: ClientTime) -> Result<(), SiteError> {
+        match &operation.kind {
+            OperationKind::Compensation {
+                delay_us,
+                effective_at,
+            } => self.schedule.handle_change(*delay_us, *effective_at),
+            OperationKind::Started { at } => self.started = Some(*at),
+            // A seat first, so that the samples that follow find it; its tool shows from its first
+            // sample on.
+            OperationKind::Joined {
+                participant,
+                name,
+                role,
+                tool,
+            } => self.roster.join(RosterEntry {
+                participant: *participant,
+                name: name.clone(),
+                role: *role,
+                tool: *tool,
+            }),
+            _ => {}
+        }
+        self.deferred.push_back(operation);
+        if self.expected.is_some() {
+            self.apply_until(None, now)?;
+        }
+        while self.deferred.len() > DEFERRED_MAX {
+            self.apply_first(now)?;
+        }
+        Ok(())
+    }
+
+    /// Applies what has become due.
+    pub fn advance(&mut self, now: ClientTime) -> Result<(), SiteError> {
+        match self.moment(now) {
+            Some((s, _)) => self.apply_until(Some(s), now),
+            None => Ok(()),
+        }
+    }
+
+    fn apply_until(&mut self, s: Option<ServerTime>, now: ClientTime) -> Result<(), SiteError> {
+        while let Some(first) = self.deferred.front() {
+            if s.is_some_and(|s| first.at > s) {
+                break;
+            }
+            self.apply_first(now)?;
+        }
+        Ok(())
+    }
+
+    fn apply_first(&mut self, now: ClientTime) -> Result<(), SiteError> {
+        let Some(operation) = self.deferred.pop_front() else {
+            return Ok(());
+        };
+        self.replica.apply(&operation)?;
+        self.counters.operations += 1;
+        let word = match &operation.kind {
+            OperationKind::Cut(_) => {
+                self.counters.cuts += 1;
+                if self.expected.is_none() {
+                    self.report_topology();
+                }
+                "cut"
+            }
+            OperationKind::Joined { name, .. } => {
+                self.notice(format!("{name} joined"));
+                "joined"
+            }
+            OperationKind::Left { participant, .. } => {
+                if let Some(name) = self.roster.name_of(*participant) {
+                    self.notice(format!("{name} left"));
+                }
+                self.roster.leave(*participant);
+                "left"
+            }
+            OperationKind::ToolChanged { participant, tool } => {
+                self.roster.change_tool(*participant, *tool);
+                "tool-changed"
+            }
+            OperationKind::Started { .. } => "started",
+            OperationKind::Compensation { .. } => "compensation",
+        };
+        let topology = self.replica.topology();
+        self.applied.push_back(OperationRecord {
+            id: operation.id.0,
+            kind: word.to_owned(),
+            at_us: operation.at.as_micros(),
+            applied_us: now.as_micros(),
+            version: topology.version(),
+            // Only a cut changes it, and what it changed it to was compared.
+            hash: operation.hash_after.to_string(),
+        });
+        Ok(())
+    }
+
+    fn compare(&self, version: u32, hash: TopologyHash) -> Result<(), SiteError> {
+        let topology = self.replica.topology();
+        if topology.version() == version && topology.hash().0 == hash.0 {
+            return Ok(());
+        }
+        Err(SiteError::Differs(format!(
+            "after the log of the beginning it has version {} and hash {}, the server's has version {version} and hash {hash}",
+            topology.version(),
+            topology.hash()
+        )))
+    }
+
+    fn report_topology(&mut self) {
+        let topology = self.replica.topology();
+        self.requests.push_back(RequestKind::TopologyReport {
+            version: topology.version(),
+            hash: TopologyHash(topology.hash().0),
+        });
+    }
+
+    /// A sample of one's own tool.
+    pub fn handle_own(&mut self, sample: &LocalSample) {
+        let Some(map) = self.clock else { return };
+        let time = map.to_server(sample.time);
+        self.roster.insert(
+            self.me,
+            ToolSample {
+                time,
+                pose: sample.pose,
+                buttons: sample.buttons,
+                force_n: sample.force_n,
+            },
+        );
+        if let Some(strokes) = &mut self.strokes
+            && let Some(cut) = strokes.push(time, &sample.pose, sample.buttons & 1 == 1)
+        {
+            self.requests.push_back(RequestKind::Cut(cut));
+        }
+    }
+
+    /// The moment that is to be seen now, and D. `None` until the clock is known.
+    pub fn moment(&self, now: ClientTime) -> Option<(ServerTime, Span)> {
+        let t = self.clock?.to_server(now);
+        Some((self.schedule.shown_at(t), self.schedule.delay_at(t)))
+    }
+
+    /// Solves what the hand feels with its tool at `position` (m); `None` for who has no hand.
+    pub fn haptic_step(
+        &mut self,
+        now: ClientTime,
+        position: Vec3,
+        buttons: u8,
+        budget: Budget<'_>,
+    ) -> Option<ContactModel> {
+        self.replica.haptic_shape()?;
+        let own = self.own_tool().map(|description| ToolAt {
+            participant: self.me,
+            description,
+            position,
+            buttons,
+            stale: false,
+        });
+        Some(
+            self.replica
+                .haptic_step(now, own.as_ref(), &self.seen, budget),
+        )
+    }
+
+    /// Solves the newest moment of the common grid that is to be seen now; `None` when that was
+    /// solved already. Moments that were missed are counted.
+    pub fn view_step(&mut self, now: ClientTime, budget: Budget<'_>) -> Option<ViewFrame> {
+        let (s, delay) = self.moment(now)?;
+        let k = grid_index(s, self.tick_hz);
+        if self.expected.is_some() || self.last_k.is_some_and(|last| k <= last) {
+            return None;
+        }
+        if let Some(last) = self.last_k {
+            self.counters.views_skipped += (k - last - 1) as u64;
+        }
+        self.last_k = Some(k);
+        let s = grid_moment(k, self.tick_hz);
+        self.first_view.get_or_insert(s);
+        self.seen = self.roster.tools_at(s);
+        self.replica.view_step(s, &self.seen, budget);
+        Some(ViewFrame {
+            s,
+            k,
+            delay,
+            tools: self.seen.clone(),
+            topology_version: self.replica.topology().version(),
+        })
+    }
+
+    /// The next request for the server.
+    pub fn poll_request(&mut self) -> Option<RequestKind> {
+        self.requests.pop_front()
+    }
+
+    /// The next sentence for the status line.
+    pub fn poll_notice(&mut self) -> Option<String> {
+        self.notices.pop_front()
+    }
+
+    /// The next operation that was applied.
+    pub fn poll_applied(&mut self) -> Option<OperationRecord> {
+        self.applied.pop_front()
+    }
+
+    /// Why the session is over, once it is.
+    pub fn closed(&self) -> Option<&CloseReason> {
+        self.closed.as_ref()
+    }
+
+    /// When scripts began or begin, on one's own clock; `None` while that is not known.
+    pub fn script_start(&self) -> Option<ClientTime> {
+        Some(self.clock?.to_client(self.started?))
+    }
+
+    /// The newest map to the server's clock.
+    pub fn clock(&self) -> Option<ClockMap> {
+        self.clock
+    }
+
+    /// Whether the operations of the beginning are still being applied.
+    pub fn is_catching_up(&self) -> bool {
+        self.expected.is_some()
+    }
+
+    /// One's own copy of the tissue.
+    pub fn replica(&self) -> &Replica {
+        &self.replica
+    }
+
+    /// Who is here.
+    pub fn roster(&self) -> &Roster {
+        &self.roster
+    }
+
+    /// What was counted.
+    pub fn counters(&self) -> SiteCounters {
+        self.counters
+    }
+
+    fn own_tool(&self) -> Option<ToolDescription> {
+        self.roster.tool_of(self.me)
+    }
+
+    fn notice(&mut self, sentence: String) {
+        /// Sentences that wait for the status line; older ones are of no interest any more.
+        const NOTICES_MAX: usize = 8;
+        if self.notices.len() == NOTICES_MAX {
+            self.notices.pop_front();
+        }
+        self.notices.push_back(sentence);
+    }
+}
+
+/// The newest point of the grid that is not after `s`.
+pub fn grid_index(s: ServerTime, tick_hz: i64) -> i64 {
+    let scaled = i128::from(s.as_micros()) * i128::from(tick_hz);
+    // k is so chosen that grid_moment(k) <= s, in spite of its rounding down.
+    let k = scaled.div_euclid(1_000_000) as i64;
+    if grid_moment(k + 1, tick_hz) <= s {
+        k + 1
+    } else {
+        k
+    }
+}
+
+/// The moment of a point of the grid, rounded down to the microsecond.
+pub fn grid_moment(k: i64, tick_hz: i64) -> ServerTime {
+    let us = i128::from(k) * 1_000_000;
+    ServerTime::from_micros(us.div_euclid(i128::from(tick_hz)) as i64)
+}
+
+#[cfg(test)]
+mod tests;

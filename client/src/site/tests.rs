@@ -1,0 +1,248 @@
+use palpate_protocol::handshake::ToolKind;
+use palpate_protocol::operation::{CompensationMode, CompensationSettings, LeaveReason};
+use palpate_protocol::request::RequestRefused;
+use palpate_protocol::{
+    Epoch, ModelHash, ModelInfo, OperationId, Pose, RequestId, Role, ToolTrack,
+};
+use palpate_tissue::{Material, block};
+
+use super::*;
+
+const ME: ParticipantId = ParticipantId(1);
+const OTHER: ParticipantId = ParticipantId(2);
+
+fn model() -> Arc<Model> {
+    let material = Material {
+        name: "soft".into(),
+        young_pa: 10e3,
+        density_kg_m3: 1000.0,
+        friction_static: 0.4,
+        friction_dynamic: 0.3,
+        source: "test".into(),
+    };
+    Arc::new(block([6, 6, 4], 4e-3, &material, 1))
+}
+
+fn tool(kind: ToolKind) -> ToolDescription {
+    ToolDescription {
+        kind,
+        radius_m: 4e-3,
+    }
+}
+
+fn entry(participant: ParticipantId, kind: ToolKind) -> RosterEntry {
+    RosterEntry {
+        participant,
+        name: participant.to_string(),
+        role: Role::Trainee,
+        tool: Some(tool(kind)),
+    }
+}
+
+fn welcome(delay_us: u32) -> Welcome {
+    let topology = palpate_tissue::Topology::new(model());
+    Welcome {
+        participant: ME,
+        epoch: Epoch(1),
+        role: Role::Trainee,
+        server_time: ServerTime::ZERO,
+        model: ModelInfo {
+            hash: ModelHash(0),
+            bytes: 0,
+        },
+        roster: vec![entry(ME, ToolKind::Scalpel), entry(OTHER, ToolKind::Probe)],
+        topology_version: 0,
+        topology_hash: TopologyHash(topology.hash().0),
+        operations_so_far: 0,
+        compensation: CompensationSettings {
+            mode: CompensationMode::Fixed,
+            initial_delay_us: delay_us,
+        },
+        tick_hz: 250,
+        session_started_at: None,
+        resume_token: [0; 16],
+    }
+}
+
+/// A site with a clock that is 5 s behind the server's.
+fn site(delay_us: u32) -> Site {
+    let mut site = Site::new(&welcome(delay_us), model(), Some(0.02));
+    let map = ClockMap::exact(Span::from_millis(5000));
+    tell(&mut site, ClientEvent::CaughtUp, 0);
+    tell(&mut site, ClientEvent::Clock(map), 0);
+    site
+}
+
+fn ms(t: i64) -> ClientTime {
+    ClientTime::from_micros(t * 1000)
+}
+
+fn tell(site: &mut Site, event: ClientEvent, t: i64) {
+    site.handle_event(event, ms(t)).unwrap();
+}
+
+fn budget() -> Budget<'static> {
+    Budget::new(3, 1e-2)
+}
+
+fn operation(id: u64, at_ms: i64, kind: OperationKind) -> ClientEvent {
+    ClientEvent::Operation(Operation {
+        id: OperationId(id),
+        at: ServerTime::from_micros(at_ms * 1000),
+        author: OTHER,
+        topology_version_before: 0,
+        topology_version_after: 0,
+        hash_after: TopologyHash(0),
+        kind,
+    })
+}
+
+fn own(t: i64, x: f64, pressed: bool) -> LocalSample {
+    LocalSample {
+        time: ms(t),
+        pose: Pose {
+            position_m: [x, 0.012, 0.016],
+            ..Pose::IDENTITY
+        },
+        buttons: u8::from(pressed),
+        force_n: None,
+    }
+}
+
+#[test]
+fn every_point_of_the_grid_is_solved_once_and_the_newest_one_when_behind() {
+    let mut site = site(50_000);
+    let first = site.view_step(ms(101), budget()).unwrap();
+    // 5101 - 50 = 5051 ms; the grid has a point every 4 ms.
+    assert_eq!(first.s, ServerTime::from_micros(5_048_000));
+    assert_eq!(first.delay, Span::from_millis(50));
+    assert_eq!(site.view_step(ms(101), budget()), None);
+    let next = site.view_step(ms(102), budget()).unwrap();
+    assert_eq!(next.s, ServerTime::from_micros(5_052_000));
+    let later = site.view_step(ms(115), budget()).unwrap();
+    assert_eq!(later.k, next.k + 3);
+    assert_eq!(site.counters().views_skipped, 2);
+}
+
+#[test]
+fn the_grid_holds_for_rates_that_do_not_divide_a_second() {
+    for hz in [30, 60, 250, 333] {
+        for us in (0..200_000).step_by(997) {
+            let s = ServerTime::from_micros(us);
+            let k = grid_index(s, hz);
+            assert!(
+                grid_moment(k, hz) <= s && s < grid_moment(k + 1, hz),
+                "{hz} {us}"
+            );
+        }
+    }
+}
+
+#[test]
+fn both_tools_are_seen_where_they_were_at_the_same_moment() {
+    let mut site = site(20_000);
+    for t in 0..100 {
+        site.handle_own(&own(t, t as f64 * 1e-4, false));
+        let sample = ToolSample {
+            time: ServerTime::from_micros((5000 + t) * 1000),
+            pose: own(t, t as f64 * 1e-4, false).pose,
+            ..ToolSample::default()
+        };
+        let track = ToolTrack {
+            participant: OTHER,
+            samples: vec![sample],
+        };
+        tell(&mut site, ClientEvent::Motion(track), t);
+    }
+    let frame = site.view_step(ms(99), budget()).unwrap();
+    assert_eq!(frame.tools.len(), 2);
+    assert!((frame.tools[0].position - frame.tools[1].position).norm() < 1e-9);
+    assert!(
+        (frame.tools[0].position.x - 76e-4).abs() < 1e-6,
+        "{frame:?}"
+    );
+}
+
+#[test]
+fn who_left_is_seen_until_the_moment_of_leaving_is_seen() {
+    let mut site = site(50_000);
+    let left = OperationKind::Left {
+        participant: OTHER,
+        reason: LeaveReason::Left,
+    };
+    tell(&mut site, operation(0, 5100, left), 110);
+    site.advance(ms(140)).unwrap();
+    assert_eq!(site.roster().len(), 2);
+    site.advance(ms(150)).unwrap();
+    assert_eq!(site.roster().len(), 1);
+    let applied = site.poll_applied().unwrap();
+    assert_eq!(
+        (applied.kind.as_str(), applied.applied_us),
+        ("left", 150_000)
+    );
+}
+
+#[test]
+fn a_script_starts_at_the_servers_moment_on_ones_own_clock() {
+    let mut site = site(0);
+    assert_eq!(site.script_start(), None);
+    let at = ServerTime::from_micros(6_000_000);
+    tell(
+        &mut site,
+        operation(0, 5100, OperationKind::Started { at }),
+        100,
+    );
+    assert_eq!(site.script_start(), Some(ms(1000)));
+}
+
+#[test]
+fn a_released_blade_asks_for_a_cut_and_a_refusal_is_said() {
+    let mut site = site(0);
+    for t in 0..50 {
+        site.handle_own(&own(t, t as f64 * 2e-4, true));
+    }
+    site.handle_own(&own(50, 0.01, false));
+    let Some(RequestKind::Cut(cut)) =
+        std::iter::from_fn(|| site.poll_request()).find(|r| matches!(r, RequestKind::Cut(_)))
+    else {
+        panic!("a cut is asked for");
+    };
+    assert!(cut.is_valid());
+    assert_eq!(cut.points[0].time, ServerTime::from_micros(5_000_000));
+    let refused = RequestRefused {
+        id: RequestId(1),
+        reason: RequestRefusal::NothingCut,
+    };
+    tell(&mut site, ClientEvent::RequestRefused(refused), 60);
+    assert!(
+        site.poll_notice()
+            .unwrap()
+            .contains("does not pass through")
+    );
+    assert_eq!(site.counters().cuts_refused, 1);
+}
+
+#[test]
+fn another_beginning_than_the_servers_is_an_error() {
+    let other = Welcome {
+        topology_hash: TopologyHash(1),
+        ..welcome(0)
+    };
+    let mut site = Site::new(&other, model(), None);
+    assert!(site.view_step(ms(10), budget()).is_none());
+    let error = site.handle_event(ClientEvent::CaughtUp, ms(0)).unwrap_err();
+    assert!(error.to_string().contains("0000000000000001"), "{error}");
+}
+
+#[test]
+fn who_only_looks_has_no_contact_model() {
+    let welcome = Welcome {
+        role: Role::Spectator,
+        ..welcome(0)
+    };
+    let mut site = Site::new(&welcome, model(), None);
+    assert!(
+        site.haptic_step(ms(0), Vec3::zeros(), 0, budget())
+            .is_none()
+    );
+}

@@ -1,0 +1,386 @@
+//! The replica thread: it lets a [`Site`] live in real time.
+//!
+//! Every 4 ms: take what the session said and what the hand did, apply what is due, solve what the
+//! hand feels, solve what is to be seen, hand over.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+
+use hdrhistogram::Histogram;
+use palpate_device::backend::sim::ScriptStart;
+use palpate_haptics::ContactModel;
+use palpate_protocol::request::RequestKind;
+use palpate_protocol::session::{ClientEvent, CloseReason};
+use palpate_protocol::{ClientTime, LocalSample, Span};
+use palpate_tissue::Budget;
+use palpate_transport::ClientCommand;
+use tokio::sync::mpsc;
+use triple_buffer::{Input, Output};
+
+use crate::SolveTimes;
+use crate::inbox::Inbox;
+use crate::realtime::{
+    Frame, device_time, lower_priority_of_this_thread, monotonic_now, sleep_until,
+};
+use crate::recording::{Recording, ToolRecord, VIEW_HZ, ViewRecord, choose_nodes};
+use crate::site::{Site, SiteCounters, SiteError, ViewFrame};
+
+/// From turn to turn.
+const PERIOD: Span = Span::from_millis(4);
+
+/// How much the thread gives way to the network and the screen.
+const NICE: i32 = 2;
+
+/// Time for what the hand feels, per turn: with it the contact model is renewed at 250 Hz even while
+/// the view takes all of its own.
+const HAPTIC_TIME: Span = Span::from_micros(1500);
+
+/// Time for what is seen, per view.
+const VIEW_TIME: Span = Span::from_millis(5);
+
+/// Iterations at most; time ends most solves.
+const ITERATIONS: usize = 12;
+
+/// Residual at which the hand's solve ends: the force is then within a percent or so.
+const HAPTIC_TOLERANCE: f64 = 5e-3;
+
+/// Residual at which the view's solve ends. Finer than the hand's, because sites are compared.
+const VIEW_TOLERANCE: f64 = 2e-3;
+
+/// Longest solve that is told apart, µs.
+const SOLVE_MAX_US: u64 = 1_000_000;
+
+/// What the thread works with.
+pub(crate) struct Work {
+    pub(crate) site: Site,
+    pub(crate) inbox: Arc<Inbox>,
+    pub(crate) commands: mpsc::Sender<ClientCommand>,
+    /// `None` for who only looks.
+    pub(crate) hand: Option<Hand>,
+    /// When the simulated hand's script begins.
+    pub(crate) script: Option<ScriptStart>,
+    /// Of how many points of the grid one is recorded; `None` records nothing.
+    pub(crate) record_every: Option<i64>,
+    pub(crate) recording: Recording,
+}
+
+/// The ends of the force loop's buffers that belong to the replica.
+pub(crate) struct Hand {
+    pub(crate) models: Input<ContactModel>,
+    pub(crate) newest: Output<Frame>,
+    pub(crate) own: rtrb::Consumer<LocalSample>,
+}
+
+/// What the rest of the program sees of the thread while it runs.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Progress {
+    pub(crate) counters: SiteCounters,
+    pub(crate) delay: Span,
+    pub(crate) clock_error: Option<Span>,
+    pub(crate) topology_version: u32,
+    pub(crate) here: usize,
+    pub(crate) link_lost: bool,
+    pub(crate) is_catching_up: bool,
+    pub(crate) notice: Option<String>,
+    /// The end of the session, once it has come.
+    pub(crate) end: Option<End>,
+}
+
+/// How the session ended at this site.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum End {
+    Closed(CloseReason),
+    Diverged(String),
+}
+
+/// What the thread leaves behind.
+pub(crate) struct Solved {
+    pub(crate) counters: SiteCounters,
+    pub(crate) topology_version: u32,
+    pub(crate) topology_hash: String,
+    pub(crate) haptic_solves: u64,
+    pub(crate) haptic_solve_ms: SolveTimes,
+    pub(crate) view_solves: u64,
+    pub(crate) view_ms: SolveTimes,
+    pub(crate) seconds: f64,
+    pub(crate) recording: Recording,
+}
+
+/// The thread, while it runs.
+pub(crate) struct ReplicaThread {
+    stop: Arc<AtomicBool>,
+    progress: Arc<Mutex<Progress>>,
+    thread: JoinHandle<Solved>,
+}
+
+impl ReplicaThread {
+    pub(crate) fn spawn(work: Work) -> std::io::Result<Self> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let progress = Arc::new(Mutex::new(Progress::default()));
+        let mut turns = Turns {
+            work,
+            progress: Arc::clone(&progress),
+            haptic_us: histogram(),
+            view_us: histogram(),
+            first_view: None,
+            recorded_nodes: 0,
+            link_lost: false,
+            end: None,
+        };
+        let stopped = Arc::clone(&stop);
+        let thread = std::thread::Builder::new()
+            .name("replica".to_owned())
+            .spawn(move || {
+                if !lower_priority_of_this_thread(NICE) {
+                    tracing::debug!("the replica thread keeps its priority");
+                }
+                turns.run(&stopped);
+                turns.finish()
+            })?;
+        Ok(Self {
+            stop,
+            progress,
+            thread,
+        })
+    }
+
+    /// How it does.
+    pub(crate) fn progress(&self) -> Progress {
+        let mut progress = lock(&self.progress);
+        let now = progress.clone();
+        progress.notice = None;
+        now
+    }
+
+    /// Whether it lives; it ends early only by a panic.
+    pub(crate) fn is_running(&self) -> bool {
+        !self.thread.is_finished()
+    }
+
+    /// Ends it. `None` when it ended by a panic.
+    pub(crate) fn stop(self) -> Option<Solved> {
+        self.stop.store(true, Ordering::Release);
+        self.thread.join().ok()
+    }
+}
+
+fn lock(progress: &Mutex<Progress>) -> MutexGuard<'_, Progress> {
+    // Every field is whole between any two statements that hold the lock.
+    progress.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn histogram() -> Histogram<u32> {
+    Histogram::new_with_bounds(1, SOLVE_MAX_US, 3).expect("1 to 10^6 in 3 digits is a valid range")
+}
+
+struct Turns {
+    work: Work,
+    progress: Arc<Mutex<Progress>>,
+    haptic_us: Histogram<u32>,
+    view_us: Histogram<u32>,
+    first_view: Option<ClientTime>,
+    recorded_nodes: usize,
+    link_lost: bool,
+    end: Option<End>,
+}
+
+impl Turns {
+    fn run(&mut self, stop: &AtomicBool) {
+        let mut deadline = monotonic_now();
+        while !stop.load(Ordering::Acquire) {
+            if self.end.is_none() {
+                self.turn();
+            }
+            self.publish();
+            // After a long solve the missed turns are one.
+            deadline = (deadline + PERIOD).max(monotonic_now());
+            sleep_until(deadline);
+        }
+    }
+
+    fn turn(&mut self) {
+        if let Err(error) = self.take_news() {
+            self.end = Some(End::Diverged(error.to_string()));
+            return;
+        }
+        self.take_own();
+        self.start_script();
+        self.haptic();
+        self.view();
+        self.hand_over();
+    }
+
+    fn take_news(&mut self) -> Result<(), SiteError> {
+        for event in self.work.inbox.take() {
+            match &event {
+                ClientEvent::LinkLost => self.link_lost = true,
+                ClientEvent::LinkRestored => self.link_lost = false,
+                ClientEvent::Closed(reason) => self.end = Some(End::Closed(reason.clone())),
+                _ => {}
+            }
+            self.work.site.handle_event(event, monotonic_now())?;
+        }
+        self.work.site.advance(monotonic_now())
+    }
+
+    fn take_own(&mut self) {
+        let Some(hand) = &mut self.work.hand else {
+            return;
+        };
+        while let Ok(sample) = hand.own.pop() {
+            self.work.site.handle_own(&sample);
+        }
+    }
+
+    /// Until the script has begun, its beginning follows the estimate of the clock; then it stands.
+    fn start_script(&mut self) {
+        let Some((script, at)) = self.work.script.as_ref().zip(self.work.site.script_start())
+        else {
+            return;
+        };
+        let has_begun = script
+            .get()
+            .is_some_and(|t| t <= device_time(monotonic_now()));
+        if !has_begun {
+            script.set(device_time(at));
+            self.work.recording.script_started_us = Some(at.as_micros());
+        }
+    }
+
+    fn haptic(&mut self) {
+        let Some(hand) = &mut self.work.hand else {
+            return;
+        };
+        let frame = *hand.newest.read();
+        let began = monotonic_now();
+        let mut stop = || monotonic_now() - began > HAPTIC_TIME;
+        let budget = Budget {
+            iterations: ITERATIONS,
+            tolerance: HAPTIC_TOLERANCE,
+            stop: Some(&mut stop),
+        };
+        let sample = &frame.sample;
+        let buttons = (sample.buttons.bits() & 0xff) as u8;
+        let position = sample.pose.position;
+        if let Some(model) = self.work.site.haptic_step(began, position, buttons, budget) {
+            hand.models.write(model);
+            record_time(&mut self.haptic_us, began);
+        }
+    }
+
+    fn view(&mut self) {
+        let began = monotonic_now();
+        let mut stop = || monotonic_now() - began > VIEW_TIME;
+        let budget = Budget {
+            iterations: ITERATIONS,
+            tolerance: VIEW_TOLERANCE,
+            stop: Some(&mut stop),
+        };
+        if let Some(frame) = self.work.site.view_step(began, budget) {
+            record_time(&mut self.view_us, began);
+            self.first_view.get_or_insert(began);
+            self.record(&frame);
+        }
+    }
+
+    fn record(&mut self, frame: &ViewFrame) {
+        if self.work.record_every.is_none_or(|n| frame.k % n != 0) {
+            return;
+        }
+        let shape = self.work.site.replica().view_shape();
+        let moved = shape.displacement.iter().enumerate();
+        let view = ViewRecord {
+            s_us: frame.s.as_micros(),
+            shown_us: monotonic_now().as_micros(),
+            delay_us: frame.delay.as_micros(),
+            tools: frame
+                .tools
+                .iter()
+                .map(|t| ToolRecord {
+                    participant: t.participant.0,
+                    position_m: t.position.into(),
+                    stale: t.stale,
+                })
+                .collect(),
+            nodes: choose_nodes(moved.map(|(n, u)| (n as u32, (*u).into()))),
+            topology_version: frame.topology_version,
+        };
+        self.work
+            .recording
+            .push_view(view, &mut self.recorded_nodes);
+    }
+
+    /// Requests to the session, applied operations to the recording.
+    fn hand_over(&mut self) {
+        while let Some(request) = self.work.site.poll_request() {
+            let is_cut = matches!(request, RequestKind::Cut(_));
+            let sent = self
+                .work
+                .commands
+                .try_send(ClientCommand::Request(request))
+                .is_ok();
+            if is_cut && !sent {
+                lock(&self.progress).notice = Some("a cut could not be sent".to_owned());
+            }
+        }
+        while let Some(operation) = self.work.site.poll_applied() {
+            if self.work.record_every.is_some() {
+                self.work.recording.push_operation(operation);
+            }
+        }
+    }
+
+    fn publish(&mut self) {
+        let site = &mut self.work.site;
+        let mut notice = None;
+        while let Some(sentence) = site.poll_notice() {
+            notice = Some(sentence);
+        }
+        let delay = site.moment(monotonic_now()).map_or(Span::ZERO, |(_, d)| d);
+        let mut progress = lock(&self.progress);
+        progress.counters = site.counters();
+        progress.delay = delay;
+        progress.clock_error = site.clock().map(|c| c.error_bound());
+        progress.topology_version = site.replica().topology().version();
+        progress.here = site.roster().len();
+        progress.link_lost = self.link_lost;
+        progress.is_catching_up = site.is_catching_up();
+        progress.notice = notice.or(progress.notice.take());
+        progress.end.clone_from(&self.end);
+    }
+
+    fn finish(self) -> Solved {
+        let topology = self.work.site.replica().topology();
+        let since = |first: ClientTime| (monotonic_now() - first).as_secs_f64();
+        Solved {
+            counters: self.work.site.counters(),
+            topology_version: topology.version(),
+            topology_hash: topology.hash().to_string(),
+            haptic_solves: self.haptic_us.len(),
+            haptic_solve_ms: percentiles(&self.haptic_us),
+            view_solves: self.view_us.len(),
+            view_ms: percentiles(&self.view_us),
+            seconds: self.first_view.map_or(0.0, since),
+            recording: self.work.recording,
+        }
+    }
+}
+
+/// Of how many points of a grid of `tick_hz` one is recorded.
+pub(crate) fn record_every(tick_hz: u32) -> i64 {
+    i64::from(tick_hz.div_ceil(VIEW_HZ).max(1))
+}
+
+fn record_time(histogram: &mut Histogram<u32>, began: ClientTime) {
+    let us = (monotonic_now() - began).as_micros().max(0) as u64;
+    histogram.saturating_record(us);
+}
+
+fn percentiles(us: &Histogram<u32>) -> SolveTimes {
+    let ms = |q| us.value_at_quantile(q) as f64 * 1e-3;
+    SolveTimes {
+        p50: ms(0.5),
+        p99: ms(0.99),
+    }
+}

@@ -1,0 +1,346 @@
+//! The whole client against a hand-written server over real quinn on the loopback interface.
+//! Nothing here asserts how fast it is.
+#![allow(clippy::unwrap_used)]
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use palpate_client::{ClientError, JoinOptions, Recording, convert};
+use palpate_protocol::handshake::{
+    RefusalReason, Refused, RosterEntry, ToolDescription, ToolKind, Welcome,
+};
+use palpate_protocol::operation::{
+    BladePoint, CompensationMode, CompensationSettings, CutStroke, Operation, OperationKind,
+};
+use palpate_protocol::session::{PeerEvent, PeerMessage};
+use palpate_protocol::{
+    CertificateHash, Epoch, Grant, JoinLink, ModelHash, ModelInfo, OperationId, ParticipantId,
+    Role, ServerTime, Span, TopologyHash,
+};
+use palpate_tissue::{Material, Model, Topology, block, cut, encode_model};
+use palpate_transport::{
+    ModelSource, PeerHandle, PeerId, PeerInput, Server, ServerIdentity, spawn_peer,
+};
+use tokio::runtime::Runtime;
+use tokio::sync::mpsc;
+
+const GRANT: Grant = Grant([3; 16]);
+const ME: ParticipantId = ParticipantId(1);
+const CELL: f64 = 4e-3;
+
+/// What the server does once somebody says hello.
+#[derive(Clone, Copy, PartialEq)]
+enum Manner {
+    Refuses,
+    /// Starts the scripts and cuts once; then waits for the client to leave.
+    Plays,
+    /// As `Plays`, with a hash that no cut has.
+    Lies,
+    /// Says goodbye after a while.
+    SaysGoodbye,
+    /// Dies after a while.
+    Dies,
+}
+
+struct Fake {
+    link: JoinLink,
+    directory: tempfile::TempDir,
+    runtime: Runtime,
+}
+
+fn model() -> Model {
+    let material = Material {
+        name: "soft".into(),
+        young_pa: 10e3,
+        density_kg_m3: 1000.0,
+        friction_static: 0.4,
+        friction_dynamic: 0.3,
+        source: "test".into(),
+    };
+    block([10, 10, 6], CELL, &material, 1)
+}
+
+fn stroke() -> CutStroke {
+    let point = |i: u32| BladePoint {
+        tip_m: [f64::from(i) * CELL, 5.2 * CELL, 3.5 * CELL],
+        axis: [0.0, 0.0, 1.0],
+        depth_m: 4.0 * CELL,
+    };
+    CutStroke {
+        points: (2..9).map(point).collect(),
+        width_m: 0.5e-3,
+    }
+}
+
+fn wire(hash: palpate_tissue::TopologyHash) -> TopologyHash {
+    TopologyHash(hash.0)
+}
+
+impl Fake {
+    fn start(manner: Manner, damaged: bool) -> Self {
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .enable_all()
+            .build()
+            .unwrap();
+        let mut bytes = encode_model(&model());
+        let info = ModelInfo {
+            hash: ModelHash(xxhash_rust::xxh3::xxh3_64(&bytes)),
+            bytes: bytes.len() as u64,
+        };
+        if damaged {
+            let middle = bytes.len() / 2;
+            bytes[middle] ^= 1;
+        }
+        let bytes: Arc<[u8]> = bytes.into();
+        let models: ModelSource = Arc::new(move |grant, hash| {
+            (grant == GRANT && hash == info.hash).then(|| Arc::clone(&bytes))
+        });
+        let identity = ServerIdentity::generate().unwrap();
+        let address = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
+        let guard = runtime.enter();
+        let server = Server::bind(address, &identity, models).unwrap();
+        drop(guard);
+        let link = JoinLink {
+            host: "127.0.0.1".to_owned(),
+            port: server.local_addr().port(),
+            role: Role::Trainee,
+            certificate: identity.certificate_hash(),
+            grant: GRANT,
+        };
+        runtime.spawn(serve(server, manner, info));
+        Self {
+            link,
+            directory: tempfile::tempdir().unwrap(),
+            runtime,
+        }
+    }
+
+    fn script(&self) -> PathBuf {
+        let path = self.directory.path().join("press.toml");
+        let text = "format = \"palpate-script/1\"\n\
+            [tool]\nkind = \"probe\"\nradius_mm = 6.0\n\
+            [[way]]\nt_s = 0.0\nat_mm = [20.0, 20.0, 26.0]\n\
+            [[way]]\nt_s = 0.5\nat_mm = [22.0, 20.0, 25.0]\n";
+        std::fs::write(&path, text).unwrap();
+        path
+    }
+
+    fn options(&self) -> JoinOptions {
+        JoinOptions {
+            script: Some(self.script()),
+            duration: Some(Duration::from_secs(20)),
+            realtime: false,
+            ..JoinOptions::new(self.link.to_string(), "Ada")
+        }
+    }
+
+    fn stop(self) {
+        self.runtime.shutdown_background();
+    }
+}
+
+/// One client, from hello to the end.
+async fn serve(server: Server, manner: Manner, info: ModelInfo) {
+    let since = Instant::now();
+    let clock = move || ServerTime::from_micros(since.elapsed().as_micros() as i64 + 9_000_000);
+    let connection = server.accept().await.unwrap();
+    let (sender, mut inbox) = mpsc::channel(4096);
+    let peer = spawn_peer(connection, PeerId(1), clock, sender);
+    while let Some(PeerInput { event, .. }) = inbox.recv().await {
+        match event {
+            PeerEvent::Hello(_) if manner == Manner::Refuses => {
+                let refused = Refused::because(RefusalReason::Full { seats: 1 });
+                peer.send(PeerMessage::Refused(refused));
+            }
+            PeerEvent::Hello(hello) => {
+                assert_eq!(hello.tool.unwrap().kind, ToolKind::Probe);
+                peer.send(welcome(info, clock(), hello.tool));
+                play(&peer, manner, clock());
+            }
+            PeerEvent::Closed(_) => break,
+            // Motion says that the hand is alive: now the end can come.
+            PeerEvent::Motion(_) if manner == Manner::Dies => break,
+            PeerEvent::Motion(_) if manner == Manner::SaysGoodbye => {
+                peer.send(PeerMessage::Goodbye("that is all for today".into()));
+            }
+            _ => {}
+        }
+    }
+    if manner == Manner::Dies {
+        drop(server);
+    } else {
+        // The endpoint lives until the client has left.
+        tokio::time::sleep(Duration::from_secs(60)).await;
+    }
+}
+
+fn welcome(info: ModelInfo, now: ServerTime, tool: Option<ToolDescription>) -> PeerMessage {
+    let entry = |who: ParticipantId, name: &str| RosterEntry {
+        participant: who,
+        name: name.to_owned(),
+        role: Role::Trainee,
+        tool,
+    };
+    PeerMessage::Welcome(Box::new(Welcome {
+        participant: ME,
+        epoch: Epoch(1),
+        role: Role::Trainee,
+        server_time: now,
+        model: info,
+        roster: vec![entry(ME, "Ada"), entry(ParticipantId(2), "Bob")],
+        topology_version: 0,
+        topology_hash: wire(Topology::new(Arc::new(model())).hash()),
+        operations_so_far: 0,
+        compensation: CompensationSettings {
+            mode: CompensationMode::Fixed,
+            initial_delay_us: 30_000,
+        },
+        tick_hz: 250,
+        session_started_at: None,
+        resume_token: [0; 16],
+    }))
+}
+
+fn play(peer: &PeerHandle, manner: Manner, now: ServerTime) {
+    let mut topology = Topology::new(Arc::new(model()));
+    let before = wire(topology.hash());
+    cut(&mut topology, &convert::tissue_stroke(&stroke())).unwrap();
+    let after = if manner == Manner::Lies {
+        TopologyHash(1)
+    } else {
+        wire(topology.hash())
+    };
+    let soon = now + Span::from_millis(200);
+    let operation = |id, versions: (u32, u32), hash_after, kind| {
+        PeerMessage::Operation(Arc::new(Operation {
+            id: OperationId(id),
+            at: soon,
+            author: ParticipantId::SERVER,
+            topology_version_before: versions.0,
+            topology_version_after: versions.1,
+            hash_after,
+            kind,
+        }))
+    };
+    peer.send(operation(
+        0,
+        (0, 0),
+        before,
+        OperationKind::Started { at: soon },
+    ));
+    peer.send(operation(1, (0, 1), after, OperationKind::Cut(stroke())));
+}
+
+fn read(path: &Path) -> Recording {
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+#[test]
+fn a_session_is_joined_felt_recorded_and_left() {
+    let fake = Fake::start(Manner::Plays, false);
+    let record = fake.directory.path().join("run.json");
+    let options = JoinOptions {
+        record: Some(record.clone()),
+        duration: Some(Duration::from_secs(3)),
+        ..fake.options()
+    };
+    let summary = palpate_client::run(&options).unwrap();
+    println!("{summary}");
+    assert_eq!(
+        (summary.operations, summary.cuts, summary.topology_version),
+        (2, 1, 1)
+    );
+    assert!(summary.ticks > 0 && summary.haptic_solves > 0 && summary.view_solves > 0);
+    assert!(summary.force_max_n > 0.0 && summary.rtt_ms.is_some());
+    assert_eq!(summary.compensation_ms, 30.0);
+    let recording = read(&record);
+    assert_eq!((recording.name.as_str(), recording.participant), ("Ada", 1));
+    assert!(recording.script_started_us.is_some());
+    assert!(!recording.haptic.is_empty());
+    let kinds: Vec<&str> = recording
+        .operations
+        .iter()
+        .map(|o| o.kind.as_str())
+        .collect();
+    assert_eq!(kinds, ["started", "cut"]);
+    assert_eq!(recording.operations[1].hash, summary.topology_hash);
+    let last = recording.views.last().unwrap();
+    assert_eq!((last.topology_version, last.delay_us), (1, 30_000));
+    assert!(!last.nodes.is_empty() && last.tools[0].participant == 1);
+    fake.stop();
+}
+
+#[test]
+fn a_damaged_model_is_noticed_and_named() {
+    let fake = Fake::start(Manner::Plays, true);
+    let error = palpate_client::run(&fake.options()).unwrap_err();
+    assert!(matches!(error, ClientError::ModelDamaged { .. }), "{error}");
+    fake.stop();
+}
+
+#[test]
+fn a_refusal_is_passed_on_with_its_sentence() {
+    let fake = Fake::start(Manner::Refuses, false);
+    let error = palpate_client::run(&fake.options()).unwrap_err();
+    assert!(
+        error.to_string().contains("all 1 seats are taken"),
+        "{error}"
+    );
+    fake.stop();
+}
+
+#[test]
+fn another_certificate_and_a_missing_script_are_refused_here() {
+    let fake = Fake::start(Manner::Plays, false);
+    let mut options = fake.options();
+    options.script = None;
+    let error = palpate_client::run(&options).unwrap_err();
+    assert!(error.to_string().contains("--script"), "{error}");
+    let mut link = fake.link.clone();
+    link.certificate = CertificateHash([0; 32]);
+    options = JoinOptions {
+        link: link.to_string(),
+        ..fake.options()
+    };
+    let error = palpate_client::run(&options).unwrap_err();
+    assert!(error.to_string().contains("certificate"), "{error}");
+    fake.stop();
+}
+
+#[test]
+fn a_copy_that_differs_ends_the_session() {
+    let fake = Fake::start(Manner::Lies, false);
+    let error = palpate_client::run(&fake.options()).unwrap_err();
+    assert!(matches!(error, ClientError::Diverged { .. }), "{error}");
+    assert!(
+        error
+            .to_string()
+            .contains("your copy of the tissue differs"),
+        "{error}"
+    );
+    fake.stop();
+}
+
+#[test]
+fn a_goodbye_is_a_normal_end() {
+    let fake = Fake::start(Manner::SaysGoodbye, false);
+    let summary = palpate_client::run(&fake.options()).unwrap();
+    assert!(
+        summary.ended.contains("that is all for today"),
+        "{}",
+        summary.ended
+    );
+    fake.stop();
+}
+
+#[test]
+fn a_server_that_dies_is_said_and_the_figures_are_kept() {
+    let fake = Fake::start(Manner::Dies, false);
+    let error = palpate_client::run(&fake.options()).unwrap_err();
+    assert!(matches!(error, ClientError::ServerLost { .. }), "{error}");
+    assert!(error.summary().unwrap().ticks > 0);
+    fake.stop();
+}
