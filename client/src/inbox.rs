@@ -54,13 +54,15 @@ impl Inbox {
 
 #[cfg(test)]
 mod tests {
+    use palpate_protocol::ToolTrack;
+
     use super::*;
 
     #[test]
     fn motion_gets_lost_before_operations() {
         let inbox = Inbox::default();
         for _ in 0..LOSSY_MAX + 5 {
-            assert!(inbox.push(ClientEvent::Motion(Default::default())));
+            assert!(inbox.push(ClientEvent::Motion(ToolTrack::default())));
         }
         assert!(inbox.push(ClientEvent::CaughtUp));
         let events = inbox.take();

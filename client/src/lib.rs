@@ -18,6 +18,7 @@
 
 pub mod cli;
 pub mod convert;
+mod ending;
 mod error;
 mod history;
 mod inbox;
@@ -29,6 +30,7 @@ pub mod realtime;
 pub mod recording;
 pub mod replica;
 pub mod roster;
+mod session;
 pub mod site;
 mod solve;
 mod status;

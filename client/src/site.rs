@@ -53,7 +53,7 @@ pub enum SiteError {
 pub struct ViewFrame {
     /// The moment that it shows.
     pub s: ServerTime,
-    /// Its number on the common grid: s = k / tick_hz.
+    /// Its number on the common grid: s = k / `tick_hz`.
     pub k: i64,
     /// The artificial delay with which it is shown.
     pub delay: Span,
@@ -142,7 +142,7 @@ impl Site {
             ClientEvent::CaughtUp => {
                 if let Some((version, hash)) = self.expected.take() {
                     self.compare(version, hash)?;
-                    self.report_topology();
+                    self.report_topology(version, hash);
                 }
             }
             ClientEvent::RequestRefused(refused) => match refused.reason {
@@ -243,7 +243,8 @@ impl Site {
             OperationKind::Cut(_) => {
                 self.counters.cuts += 1;
                 if self.expected.is_none() {
-                    self.report_topology();
+                    // That they are one's own was compared just now.
+                    self.report_topology(operation.topology_version_after, operation.hash_after);
                 }
                 "cut"
             }
@@ -290,12 +291,9 @@ impl Site {
         )))
     }
 
-    fn report_topology(&mut self) {
-        let topology = self.replica.topology();
-        self.requests.push_back(RequestKind::TopologyReport {
-            version: topology.version(),
-            hash: TopologyHash(topology.hash().0),
-        });
+    fn report_topology(&mut self, version: u32, hash: TopologyHash) {
+        self.requests
+            .push_back(RequestKind::TopologyReport { version, hash });
     }
 
     /// A sample of one's own tool.

@@ -24,6 +24,7 @@ use crate::realtime::{
     Frame, device_time, lower_priority_of_this_thread, monotonic_now, sleep_until,
 };
 use crate::recording::{Recording, ToolRecord, VIEW_HZ, ViewRecord, choose_nodes};
+use crate::replica::{HAPTIC_TOLERANCE, ITERATIONS, VIEW_TOLERANCE};
 use crate::site::{Site, SiteCounters, SiteError, ViewFrame};
 
 /// From turn to turn.
@@ -38,15 +39,6 @@ const HAPTIC_TIME: Span = Span::from_micros(1500);
 
 /// Time for what is seen, per view.
 const VIEW_TIME: Span = Span::from_millis(5);
-
-/// Iterations at most; time ends most solves.
-const ITERATIONS: usize = 12;
-
-/// Residual at which the hand's solve ends: the force is then within a percent or so.
-const HAPTIC_TOLERANCE: f64 = 5e-3;
-
-/// Residual at which the view's solve ends. Finer than the hand's, because sites are compared.
-const VIEW_TOLERANCE: f64 = 2e-3;
 
 /// Longest solve that is told apart, µs.
 const SOLVE_MAX_US: u64 = 1_000_000;

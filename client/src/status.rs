@@ -42,31 +42,33 @@ pub(crate) struct HandFigures {
 
 impl Figures {
     fn line(&self) -> String {
-        let mut line = format!("{:6.1} s", self.seconds);
-        if let Some(h) = &self.hand {
-            line += &format!(
-                " | {:4.0} Hz, late {:3} µs | force {:5.2} N",
+        let hand = self.hand.map_or(String::new(), |h| {
+            format!(
+                "{:4.0} Hz, late {:3} µs | force {:5.2} N | ",
                 h.rate_hz, h.lateness_p99_us, h.force_n
-            );
-        }
-        line += &match self.rtt_ms {
-            Some(rtt) => format!(" | rtt {rtt:5.1} ms"),
-            None => " | rtt   ?".to_owned(),
+            )
+        });
+        let rtt = self
+            .rtt_ms
+            .map_or("   ?".to_owned(), |rtt| format!("{rtt:5.1} ms"));
+        let link_lost = if self.link_lost {
+            " | LINK LOST, no force"
+        } else {
+            ""
         };
-        line += &format!(
-            ", loss {:4.1} %, D {:5.1} ms | {} here, cut {}",
+        let catching_up = if self.is_catching_up {
+            " | catching up"
+        } else {
+            ""
+        };
+        format!(
+            "{:6.1} s | {hand}rtt {rtt}, loss {:4.1} %, D {:5.1} ms | {} here, {} cuts{link_lost}{catching_up}",
+            self.seconds,
             self.loss * 100.0,
             self.delay_ms,
             self.here,
             self.topology_version
-        );
-        if self.link_lost {
-            line += " | LINK LOST, no force";
-        }
-        if self.is_catching_up {
-            line += " | catching up";
-        }
-        line
+        )
     }
 }
 

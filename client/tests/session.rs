@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use palpate_client::{ClientError, JoinOptions, Recording, convert};
+use palpate_client::{ClientError, JoinOptions, Recording, Summary, convert};
 use palpate_protocol::handshake::{
-    RefusalReason, Refused, RosterEntry, ToolDescription, ToolKind, Welcome,
+    Hello, RefusalReason, Refused, RosterEntry, ToolDescription, ToolKind, Welcome,
 };
 use palpate_protocol::operation::{
     BladePoint, CompensationMode, CompensationSettings, CutStroke, Operation, OperationKind,
@@ -156,8 +156,8 @@ async fn serve(server: Server, manner: Manner, info: ModelInfo) {
                 peer.send(PeerMessage::Refused(refused));
             }
             PeerEvent::Hello(hello) => {
-                assert_eq!(hello.tool.unwrap().kind, ToolKind::Probe);
-                peer.send(welcome(info, clock(), hello.tool));
+                assert_eq!(hello.tool.is_some(), hello.role.has_tool());
+                peer.send(welcome(info, clock(), &hello));
                 play(&peer, manner, clock());
             }
             PeerEvent::Closed(_) => break,
@@ -177,20 +177,28 @@ async fn serve(server: Server, manner: Manner, info: ModelInfo) {
     }
 }
 
-fn welcome(info: ModelInfo, now: ServerTime, tool: Option<ToolDescription>) -> PeerMessage {
-    let entry = |who: ParticipantId, name: &str| RosterEntry {
-        participant: who,
+fn welcome(info: ModelInfo, now: ServerTime, hello: &Hello) -> PeerMessage {
+    let entry = |participant: ParticipantId, name: &str, role, tool| RosterEntry {
+        participant,
         name: name.to_owned(),
-        role: Role::Trainee,
+        role,
         tool,
     };
+    let probe = ToolDescription {
+        kind: ToolKind::Probe,
+        radius_m: 6e-3,
+    };
+    let roster = vec![
+        entry(ME, &hello.name, hello.role, hello.tool),
+        entry(ParticipantId(2), "Bob", Role::Trainee, Some(probe)),
+    ];
     PeerMessage::Welcome(Box::new(Welcome {
         participant: ME,
         epoch: Epoch(1),
-        role: Role::Trainee,
+        role: hello.role,
         server_time: now,
         model: info,
-        roster: vec![entry(ME, "Ada"), entry(ParticipantId(2), "Bob")],
+        roster,
         topology_version: 0,
         topology_hash: wire(Topology::new(Arc::new(model())).hash()),
         operations_so_far: 0,
@@ -248,7 +256,6 @@ fn a_session_is_joined_felt_recorded_and_left() {
         ..fake.options()
     };
     let summary = palpate_client::run(&options).unwrap();
-    println!("{summary}");
     assert_eq!(
         (summary.operations, summary.cuts, summary.topology_version),
         (2, 1, 1)
@@ -342,5 +349,68 @@ fn a_server_that_dies_is_said_and_the_figures_are_kept() {
     let error = palpate_client::run(&fake.options()).unwrap_err();
     assert!(matches!(error, ClientError::ServerLost { .. }), "{error}");
     assert!(error.summary().unwrap().ticks > 0);
+    fake.stop();
+}
+
+#[test]
+fn who_only_looks_needs_no_script_and_sees_the_cut() {
+    let fake = Fake::start(Manner::Plays, false);
+    let record = fake.directory.path().join("view.json");
+    let mut link = fake.link.clone();
+    link.role = Role::Spectator;
+    let options = JoinOptions {
+        record: Some(record.clone()),
+        duration: Some(Duration::from_secs(2)),
+        ..JoinOptions::new(link.to_string(), "Eve")
+    };
+    let summary = palpate_client::run(&options).unwrap();
+    assert_eq!((summary.ticks, summary.haptic_solves), (0, 0));
+    assert_eq!((summary.cuts, summary.device.as_str()), (1, "none"));
+    assert!(!read(&record).views.is_empty());
+    fake.stop();
+}
+
+/// The program itself, because signals go to a whole process.
+#[cfg(unix)]
+#[test]
+fn a_signal_ends_the_program_politely_with_its_summary_as_json() {
+    use std::io::{BufRead, BufReader};
+    use std::process::{Command, Stdio};
+
+    let fake = Fake::start(Manner::Plays, false);
+    let mut child = Command::new(env!("CARGO_BIN_EXE_palpate-client"))
+        .args([
+            "join",
+            &fake.link.to_string(),
+            "--json",
+            "--name",
+            "Ada",
+            "--script",
+        ])
+        .arg(fake.script())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut status = BufReader::new(child.stderr.take().unwrap()).lines();
+    let joined = status.find(|line| line.as_ref().unwrap().starts_with("joined as Ada"));
+    assert!(joined.is_some());
+    let pid = child.id().to_string();
+    assert!(
+        Command::new("kill")
+            .args(["-TERM", &pid])
+            .status()
+            .unwrap()
+            .success()
+    );
+    // The rest of the status has to go somewhere.
+    assert!(status.all(|line| line.is_ok()));
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let summary: Summary = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(
+        (summary.name.as_str(), summary.ended.as_str()),
+        ("Ada", "you left")
+    );
     fake.stop();
 }

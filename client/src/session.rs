@@ -1,0 +1,219 @@
+//! A session that stands: looked after until it is over, then ended in order.
+
+use std::path::Path;
+use std::sync::atomic::Ordering;
+
+use palpate_protocol::{ClientTime, Span};
+
+use crate::ending::{Ending, conclude};
+use crate::join::Parts;
+use crate::motion::MotionThread;
+use crate::network::Network;
+use crate::realtime::{
+    HapticHandle, LoopSummary, Priority, TracePoint, monotonic_now, sleep_until,
+};
+use crate::recording::{HapticPoint, Recording};
+use crate::solve::{End, Progress, Solved};
+use crate::status::{Figures, HandFigures, Status};
+use crate::{ClientError, JoinOptions, Summary};
+
+/// How often the main thread looks around.
+const LOOK_AROUND: Span = Span::from_millis(50);
+
+/// A server from which nothing came for so long, after the link was lost, is given up.
+const GIVE_UP: Span = Span::from_millis(2000);
+
+/// A session that stands.
+pub(crate) struct Session<'a> {
+    pub(crate) options: &'a JoinOptions,
+    pub(crate) network: Network,
+    pub(crate) parts: Parts,
+    pub(crate) status: Status,
+    pub(crate) began: ClientTime,
+}
+
+impl Session<'_> {
+    pub(crate) fn greet(&mut self) {
+        let welcome = &self.network.welcome;
+        let others = welcome.roster.len().saturating_sub(1);
+        let sentence = format!(
+            "joined as {} ({}), {others} others here, {} operations so far",
+            self.options.name, welcome.role, welcome.operations_so_far
+        );
+        self.status.say(&sentence);
+        let explanation = self
+            .parts
+            .haptics
+            .as_ref()
+            .and_then(|h| h.priority().explanation().map(str::to_owned));
+        if let Some(explanation) = explanation {
+            self.status.say(&explanation);
+        }
+    }
+
+    /// Looks after everything until it is over.
+    pub(crate) fn supervise(&mut self) -> Ending {
+        let mut lost_since: Option<ClientTime> = None;
+        loop {
+            let now = monotonic_now();
+            let progress = self.parts.replica.progress();
+            if let Some(haptics) = &self.parts.haptics {
+                haptics.set_link_lost(progress.link_lost);
+                if !haptics.is_running() {
+                    return Ending::Panicked("force loop");
+                }
+            }
+            if let Some(sentence) = &progress.notice {
+                self.status.say(sentence);
+            }
+            match progress.end {
+                Some(End::Closed(reason)) => return Ending::Closed(reason),
+                Some(End::Diverged(detail)) => return Ending::Diverged(detail),
+                None => {}
+            }
+            if !self.parts.replica.is_running() {
+                return Ending::Panicked("solver");
+            }
+            lost_since = progress.link_lost.then(|| lost_since.unwrap_or(now));
+            if lost_since.is_some_and(|since| now - since > GIVE_UP) {
+                return Ending::Silence;
+            }
+            if self.options.stop.load(Ordering::Acquire) {
+                return Ending::Wish("you left".to_owned());
+            }
+            let stayed = now - self.began;
+            if let Some(duration) = self.options.duration
+                && stayed.as_secs_f64() >= duration.as_secs_f64()
+            {
+                let sentence = format!("you left after {} s, as asked", duration.as_secs_f64());
+                return Ending::Wish(sentence);
+            }
+            if self.status.is_due(now) {
+                let figures = self.figures(stayed, &progress);
+                self.status.show(&figures, now);
+            }
+            sleep_until(now + LOOK_AROUND);
+        }
+    }
+
+    fn figures(&mut self, stayed: Span, progress: &Progress) -> Figures {
+        let hand = self.parts.haptics.as_mut().map(|haptics| {
+            let stats = haptics.stats();
+            HandFigures {
+                rate_hz: stats.rate_hz,
+                lateness_p99_us: stats.lateness_us.p99,
+                force_n: stats.force_n,
+            }
+        });
+        let link = self.network.stats.borrow().link;
+        Figures {
+            seconds: stayed.as_secs_f64(),
+            hand,
+            rtt_ms: link.rtt.map(Span::as_millis_f64),
+            loss: link.loss_in(),
+            delay_ms: progress.delay.as_millis_f64(),
+            here: progress.here,
+            topology_version: progress.topology_version,
+            link_lost: progress.link_lost,
+            is_catching_up: progress.is_catching_up,
+        }
+    }
+
+    /// Takes the force away first, then ends everything, then adds up.
+    pub(crate) fn finish(mut self, ending: Ending) -> Result<Summary, ClientError> {
+        self.status.close();
+        let progress = self.parts.replica.progress();
+        let mut summary = Summary {
+            name: self.options.name.clone(),
+            role: self.network.welcome.role.word().to_owned(),
+            participant: self.network.welcome.participant.0,
+            device: self.parts.device,
+            compensation_ms: progress.delay.as_millis_f64(),
+            clock_error_bound_ms: progress.clock_error.map(Span::as_millis_f64),
+            realtime: "no force loop".to_owned(),
+            ..Summary::default()
+        };
+        let haptics = self.parts.haptics.map(HapticHandle::stop);
+        if let Some(dropped) = self.parts.motion.map(MotionThread::stop) {
+            summary.events.frames_dropped = dropped;
+        }
+        let solved = self.parts.replica.stop();
+        let stats = self.network.leave();
+        summary.rtt_ms = stats.link.rtt.map(Span::as_millis_f64);
+        summary.loss = stats.link.loss_in();
+        if let Some(haptics) = &haptics {
+            summary.take_haptics(haptics);
+        }
+        let mut recording = None;
+        if let Some(solved) = solved {
+            summary.take_solved(&solved);
+            recording = Some(solved.recording);
+        }
+        let outcome = conclude(ending, summary, haptics.as_ref());
+        match (&self.options.record, recording) {
+            (Some(path), Some(recording)) => {
+                write_recording(path, recording, haptics.as_ref(), outcome)
+            }
+            _ => outcome,
+        }
+    }
+}
+
+impl Summary {
+    fn take_haptics(&mut self, haptics: &LoopSummary) {
+        let on_the_way = self.events.frames_dropped;
+        self.take_loop(&haptics.stats);
+        self.events.frames_dropped += on_the_way;
+        self.realtime = match &haptics.priority {
+            Priority::RealTime { priority } => format!("real-time priority {priority}"),
+            Priority::Normal { explanation } => explanation.clone(),
+        };
+    }
+
+    fn take_solved(&mut self, solved: &Solved) {
+        self.topology_version = solved.topology_version;
+        self.topology_hash.clone_from(&solved.topology_hash);
+        self.operations = solved.counters.operations;
+        self.cuts = solved.counters.cuts;
+        self.cuts_refused = solved.counters.cuts_refused;
+        self.views_skipped = solved.counters.views_skipped;
+        self.corrected_nodes = solved.counters.corrected_nodes;
+        self.drift_mm_max = solved.counters.drift_max_m * 1e3;
+        self.haptic_solves = solved.haptic_solves;
+        self.haptic_solve_ms = solved.haptic_solve_ms;
+        self.view_solves = solved.view_solves;
+        self.view_ms = solved.view_ms;
+        self.seconds = solved.seconds;
+    }
+}
+
+/// Writes the recording. An error of the run itself is more important than one of the file.
+fn write_recording(
+    path: &Path,
+    mut recording: Recording,
+    haptics: Option<&LoopSummary>,
+    outcome: Result<Summary, ClientError>,
+) -> Result<Summary, ClientError> {
+    if let Some(haptics) = haptics {
+        let point = |p: &TracePoint| HapticPoint {
+            t_us: p.time.as_micros(),
+            position_m: p.position.into(),
+            force_n: p.force.into(),
+        };
+        recording.haptic = haptics.trace.points().iter().map(point).collect();
+        recording.dropped.haptic = haptics.trace.lost();
+    }
+    let written = std::fs::File::create(path).and_then(|file| {
+        let mut file = std::io::BufWriter::new(file);
+        serde_json::to_writer(&mut file, &recording)?;
+        std::io::Write::flush(&mut file)
+    });
+    match (outcome, written) {
+        (Ok(summary), Err(source)) => Err(ClientError::Record {
+            path: path.to_owned(),
+            source,
+            summary: Box::new(summary),
+        }),
+        (outcome, _) => outcome,
+    }
+}
