@@ -11,13 +11,16 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use serde::de::DeserializeOwned;
 
 /// Lines of standard error that are kept: enough for a sentence and a backtrace's beginning.
 const TAIL_LINES_MAX: usize = 12;
+
+/// First lines of standard error that are kept: what a program says when it has come up.
+const HEAD_LINES_MAX: usize = 24;
 
 /// Longest kept line, in characters. The rest of it is left out.
 const LINE_CHARS_MAX: usize = 400;
@@ -87,7 +90,32 @@ pub struct Program {
     stdout: Receiver<String>,
     /// The last line read from `stdout`.
     last: Option<String>,
-    tail: Arc<Mutex<VecDeque<String>>>,
+    said: Arc<Mutex<Said>>,
+}
+
+/// What a program said on standard error.
+#[derive(Default)]
+struct Said {
+    head: Vec<String>,
+    tail: VecDeque<String>,
+}
+
+impl Said {
+    fn push(&mut self, line: &str) {
+        let line: String = line.chars().take(LINE_CHARS_MAX).collect();
+        if self.head.len() < HEAD_LINES_MAX {
+            self.head.push(line.clone());
+        }
+        if self.tail.len() == TAIL_LINES_MAX {
+            self.tail.pop_front();
+        }
+        self.tail.push_back(line);
+    }
+}
+
+fn lock(said: &Mutex<Said>) -> MutexGuard<'_, Said> {
+    // A reader that failed left whole lines behind.
+    said.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Program {
@@ -109,19 +137,15 @@ impl Program {
             Err(source) => return Err(ProgramError::Start { name, source }),
         };
         let (sender, stdout) = channel();
-        let tail = Arc::new(Mutex::new(VecDeque::new()));
+        let said = Arc::new(Mutex::new(Said::default()));
         if let Some(out) = child.stdout.take() {
             std::thread::spawn(move || each_line(out, |line| sender.send(line).is_ok()));
         }
         if let Some(err) = child.stderr.take() {
-            let tail = Arc::clone(&tail);
+            let said = Arc::clone(&said);
             std::thread::spawn(move || {
                 each_line(err, |line| {
-                    let mut tail = tail.lock().unwrap_or_else(PoisonError::into_inner);
-                    if tail.len() == TAIL_LINES_MAX {
-                        tail.pop_front();
-                    }
-                    tail.push_back(line.chars().take(LINE_CHARS_MAX).collect());
+                    lock(&said).push(&line);
                     true
                 });
             });
@@ -131,7 +155,7 @@ impl Program {
             child,
             stdout,
             last: None,
-            tail,
+            said,
         })
     }
 
@@ -248,8 +272,14 @@ impl Program {
 
     /// Its last lines on standard error.
     pub fn tail(&self) -> String {
-        let tail = self.tail.lock().unwrap_or_else(PoisonError::into_inner);
-        tail.iter().cloned().collect::<Vec<_>>().join("\n")
+        let said = lock(&self.said);
+        said.tail.iter().cloned().collect::<Vec<_>>().join("\n")
+    }
+
+    /// Whether a phrase was among its first or last lines on standard error.
+    pub fn has_said(&self, phrase: &str) -> bool {
+        let said = lock(&self.said);
+        said.head.iter().chain(&said.tail).any(|l| l.contains(phrase))
     }
 
     pub(crate) fn late(&self, what: &'static str, within: Duration) -> ProgramError {

@@ -24,6 +24,9 @@ const LISTEN_WITHIN: Duration = Duration::from_secs(60);
 /// a bad network.
 const JOIN_WITHIN: Duration = Duration::from_secs(60);
 
+/// What a client says on standard error when it is in.
+const JOINED: &str = "joined as";
+
 /// How long a process may take to end once it was asked to: it writes its recording.
 const END_WITHIN: Duration = Duration::from_secs(30);
 
@@ -180,11 +183,10 @@ impl Session {
 }
 
 impl Participant {
-    /// Waits until it is in the session: until its status line tells the rate of its force loop, or
-    /// of its views.
+    /// Waits until it is in the session, which it says in a line of its own.
     pub fn wait_until_in(&mut self, interrupted: &dyn Fn() -> bool) -> Result<(), SessionError> {
         let began = Instant::now();
-        while !self.program.tail().contains("Hz") {
+        while !self.program.has_said(JOINED) {
             self.program.check_alive()?;
             if interrupted() {
                 return Err(SessionError::Interrupted);

@@ -1,0 +1,178 @@
+//! What goes wrong while a session runs stays where it went wrong.
+
+#![allow(clippy::unwrap_used)]
+
+mod table;
+
+use std::net::{SocketAddr, UdpSocket};
+use std::process::Command;
+use std::time::Duration;
+
+use palpate_client::realtime::monotonic_now;
+use palpate_lab::program::Program;
+use palpate_lab::scripts::STROKE_SHARES;
+
+use table::{Table, alone, executable};
+
+const SOON: Duration = Duration::from_secs(30);
+
+fn sleep(seconds: f64) {
+    std::thread::sleep(Duration::from_secs_f64(seconds));
+}
+
+/// Seconds from both being in until the middle of the stroke.
+fn until_stroke(seconds: f64) -> f64 {
+    1.0 + seconds * f64::midpoint(STROKE_SHARES.0, STROKE_SHARES.1)
+}
+
+#[test]
+fn a_client_killed_mid_stroke_is_gone_within_two_seconds_and_the_others_go_on() {
+    let _alone = alone();
+    let table = Table::new();
+    let session = table.host("metro", 2);
+    let [holder, mut cutter] = table.trainees(&session, 6.0);
+    sleep(until_stroke(6.0));
+    cutter.program.kill();
+    let killed_us = monotonic_now().as_micros();
+    sleep(3.5);
+    holder.program.ask_to_end();
+    let left = holder.leave().unwrap();
+    let (host, _) = session.end().unwrap();
+    let me = left.recording.participant;
+    let views = &left.recording.views;
+    let shows_other = |since_s: f64, until_s: f64| {
+        let from = killed_us + (since_s * 1e6) as i64;
+        let until = killed_us + (until_s * 1e6) as i64;
+        let within = views.iter().filter(|v| (from..until).contains(&v.shown_us));
+        let counts = within.map(|v| v.tools.iter().filter(|t| t.participant != me && !t.stale));
+        counts.map(Iterator::count).collect::<Vec<_>>()
+    };
+    assert!(shows_other(-1.0, 0.0).contains(&1), "it was there before");
+    let after = shows_other(2.2, 3.5);
+    assert!(after.len() > 10, "views went on: {}", after.len());
+    assert!(after.iter().all(|n| *n == 0), "{after:?}");
+    assert_eq!(left.summary.topology_hash, host.topology_hash);
+    assert!(left.summary.ticks > 3000, "the hand went on: {}", left.summary.ticks);
+}
+
+#[test]
+fn when_the_server_is_killed_clients_take_the_force_away_and_say_so() {
+    let _alone = alone();
+    let table = Table::new();
+    let mut session = table.host("lan", 2);
+    let [mut holder, mut cutter] = table.trainees(&session, 6.0);
+    sleep(2.5);
+    session.server.kill();
+    for participant in [&mut holder, &mut cutter] {
+        let status = participant.program.wait(SOON).unwrap();
+        sleep(0.1);
+        let said = participant.program.tail();
+        assert!(!status.success(), "{said}");
+        assert!(said.contains("the server is gone"), "{said}");
+        assert!(!said.contains("panicked"), "{said}");
+    }
+}
+
+#[test]
+fn a_server_with_another_certificate_is_not_trusted() {
+    let _alone = alone();
+    let table = Table::new();
+    let session = table.host("none", 1);
+    let mut link = session.link("spectator").unwrap();
+    link.certificate.0[0] ^= 1;
+    let link = link.to_string();
+    let arguments = ["client", "join", &link, "--json"];
+    let mut client = Program::start("client", executable(), arguments).unwrap();
+    let status = client.wait(SOON).unwrap();
+    sleep(0.1);
+    let said = client.tail();
+    assert!(!status.success(), "{said}");
+    assert!(said.contains("certificate") && !said.contains("panicked"), "{said}");
+}
+
+#[test]
+fn noise_at_the_port_does_not_disturb_a_session() {
+    let _alone = alone();
+    let table = Table::new();
+    let session = table.host("lan", 2);
+    let [holder, cutter] = table.trainees(&session, 5.0);
+    let noise = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let mut x = 0x9e37_79b9_u32;
+    for i in 0..3000_usize {
+        let bytes: Vec<u8> = (0..i % 1400)
+            .map(|_| {
+                x = x.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                (x >> 24) as u8
+            })
+            .collect();
+        // Straight at the server: the relay would give every sender a place of its own.
+        let _ = noise.send_to(&bytes, session.listening.listening);
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    sleep(1.5);
+    for participant in [&holder, &cutter] {
+        participant.program.ask_to_end();
+    }
+    let hashes = [holder, cutter].map(|p| p.leave().unwrap().summary.topology_hash);
+    let (host, _) = session.end().unwrap();
+    assert_eq!(host.participants, 2);
+    assert_eq!(hashes, [host.topology_hash.clone(), host.topology_hash]);
+    assert_eq!(host.cuts, 1);
+}
+
+#[test]
+fn a_port_that_is_taken_is_a_sentence() {
+    let table = Table::new();
+    let taken = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let address: SocketAddr = taken.local_addr().unwrap();
+    let (port, there) = (address.port().to_string(), address.to_string());
+    let host = Command::new(executable())
+        .args(["server", "host"])
+        .arg(&table.subject.file)
+        .args(["--json", "--listen", &there])
+        .output()
+        .unwrap();
+    let relay = Command::new(executable())
+        .args(["relay", "--listen", &there, "--to", "127.0.0.1:9"])
+        .output()
+        .unwrap();
+    for out in [host, relay] {
+        let said = String::from_utf8_lossy(&out.stderr);
+        assert_eq!(out.status.code(), Some(1), "{said}");
+        assert!(said.contains(&port) && !said.contains("panicked"), "{said}");
+    }
+}
+
+#[test]
+fn an_interrupted_demo_leaves_no_process_behind() {
+    let _alone = alone();
+    let table = Table::new();
+    let model = table.subject.file.display().to_string();
+    let arguments = ["demo", "--json", "--seconds", "60", "--profile", "lan", "--model", &model];
+    let mut demo = Program::start("demo", executable(), arguments).unwrap();
+    let began = std::time::Instant::now();
+    while !demo.has_said("the scripts run") {
+        demo.check_alive().unwrap();
+        assert!(began.elapsed() < SOON, "{}", demo.tail());
+        sleep(0.05);
+    }
+    let children = children_of(demo.id());
+    assert_eq!(children.len(), 3, "a server and two trainees");
+    demo.ask_to_end();
+    let status = demo.wait(SOON).unwrap();
+    assert_eq!(status.code(), Some(1), "{}", demo.tail());
+    for child in children {
+        assert!(!std::path::Path::new(&format!("/proc/{child}")).exists());
+    }
+}
+
+/// The processes that a process started, by their numbers.
+fn children_of(parent: u32) -> Vec<u32> {
+    let mut children = Vec::new();
+    for task in std::fs::read_dir(format!("/proc/{parent}/task")).unwrap() {
+        let list = task.unwrap().path().join("children");
+        let text = std::fs::read_to_string(list).unwrap_or_default();
+        children.extend(text.split_whitespace().map(|n| n.parse::<u32>().unwrap()));
+    }
+    children
+}
