@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use palpate_protocol::handshake::{ROSTER_MAX, RosterEntry, ToolDescription, ToolKind};
-use palpate_protocol::timeline::Timeline;
+use palpate_protocol::timeline::{Shown, Timeline};
 use palpate_protocol::{ParticipantId, Role, ServerTime, ToolSample};
 use palpate_tissue::{Tool, Vec3};
 
@@ -44,7 +44,11 @@ struct Seat {
     name: String,
     role: Role,
     tool: Option<ToolDescription>,
-    timeline: Timeline,
+    /// Asked on the common grid, for the view.
+    seen: Timeline,
+    /// Asked between its points too, for the hand. Corrections are blended along the moments asked
+    /// for, so each has its own.
+    felt: Timeline,
 }
 
 /// Everybody in the session, in the order of their numbers: the same order at every site, because
@@ -74,7 +78,8 @@ impl Roster {
                 name: entry.name,
                 role: entry.role,
                 tool: entry.tool,
-                timeline: Timeline::default(),
+                seen: Timeline::default(),
+                felt: Timeline::default(),
             };
             self.seats.insert(entry.participant, seat);
         }
@@ -95,24 +100,29 @@ impl Roster {
     /// A sample of somebody's tool; of who is not here it is ignored.
     pub fn insert(&mut self, who: ParticipantId, sample: ToolSample) {
         if let Some(seat) = self.seats.get_mut(&who) {
-            seat.timeline.insert(sample);
+            seat.seen.insert(sample);
+            seat.felt.insert(sample);
         }
     }
 
-    /// Every tool at a moment. Ask with ascending times: late news are blended from one to the next.
-    pub fn tools_at(&mut self, s: ServerTime) -> Vec<ToolAt> {
+    /// Every tool at a moment of the common grid. Ask with ascending times: late news are blended
+    /// from one to the next.
+    pub fn tools_seen_at(&mut self, s: ServerTime) -> Vec<ToolAt> {
         let at = |(who, seat): (&ParticipantId, &mut Seat)| {
-            let description = seat.tool?;
-            let shown = seat.timeline.at(s)?;
-            Some(ToolAt {
-                participant: *who,
-                description,
-                position: Vec3::from(shown.pose.position_m),
-                buttons: shown.buttons,
-                stale: shown.stale,
-            })
+            let shown = seat.seen.at(s)?;
+            Some(placed(*who, seat.tool?, &shown))
         };
         self.seats.iter_mut().filter_map(at).collect()
+    }
+
+    /// The tools of all but `me` at any moment, for what the hand feels. Ask with ascending times.
+    pub fn tools_felt_at(&mut self, s: ServerTime, me: ParticipantId) -> Vec<ToolAt> {
+        let at = |(who, seat): (&ParticipantId, &mut Seat)| {
+            let shown = seat.felt.at(s)?;
+            Some(placed(*who, seat.tool?, &shown))
+        };
+        let others = self.seats.iter_mut().filter(|(who, _)| **who != me);
+        others.filter_map(at).collect()
     }
 
     /// The tool that somebody holds.
@@ -138,6 +148,16 @@ impl Roster {
     /// How many of those here have a tool.
     pub fn tools(&self) -> usize {
         self.seats.values().filter(|s| s.role.has_tool()).count()
+    }
+}
+
+fn placed(participant: ParticipantId, description: ToolDescription, shown: &Shown) -> ToolAt {
+    ToolAt {
+        participant,
+        description,
+        position: Vec3::from(shown.pose.position_m),
+        buttons: shown.buttons,
+        stale: shown.stale,
     }
 }
 
@@ -175,7 +195,7 @@ mod tests {
             roster.insert(ParticipantId(who), sample(0, 1));
             roster.insert(ParticipantId(who), sample(1000, 1));
         }
-        let tools = roster.tools_at(ServerTime::from_micros(500));
+        let tools = roster.tools_seen_at(ServerTime::from_micros(500));
         assert!(tools[0].is_cutting() && tools[0].contact().is_none());
         assert!(tools[1].contact().is_some());
     }
@@ -184,10 +204,14 @@ mod tests {
     fn a_tool_that_is_not_heard_of_does_not_press_and_one_that_left_is_gone() {
         let mut roster = Roster::new(&[entry(1, ToolKind::Probe)]);
         roster.insert(ParticipantId(1), sample(0, 0));
-        let late = roster.tools_at(ServerTime::from_micros(300_000));
+        let late = roster.tools_seen_at(ServerTime::from_micros(300_000));
         assert!(late[0].stale && late[0].contact().is_none());
         roster.leave(ParticipantId(1));
         roster.insert(ParticipantId(1), sample(310_000, 0));
-        assert!(roster.tools_at(ServerTime::from_micros(310_000)).is_empty());
+        assert!(
+            roster
+                .tools_seen_at(ServerTime::from_micros(310_000))
+                .is_empty()
+        );
     }
 }

@@ -100,8 +100,6 @@ pub struct Site {
     expected: Option<(u32, TopologyHash)>,
     strokes: Option<StrokeCollector>,
     started: Option<ServerTime>,
-    /// Tools in the newest view.
-    seen: Vec<ToolAt>,
     requests: VecDeque<RequestKind>,
     notices: VecDeque<String>,
     applied: VecDeque<OperationRecord>,
@@ -126,7 +124,6 @@ impl Site {
             expected: Some((welcome.topology_version, welcome.topology_hash)),
             strokes: blade_length_m.map(StrokeCollector::new),
             started: welcome.session_started_at,
-            seen: Vec::new(),
             requests: VecDeque::new(),
             notices: VecDeque::new(),
             applied: VecDeque::new(),
@@ -338,10 +335,12 @@ impl Site {
             buttons,
             stale: false,
         });
-        Some(
-            self.replica
-                .haptic_step(now, own.as_ref(), &self.seen, budget),
-        )
+        let others = match self.moment(now) {
+            Some((s, _)) => self.roster.tools_felt_at(s, self.me),
+            None => Vec::new(),
+        };
+        let replica = &mut self.replica;
+        Some(replica.haptic_step(now, own.as_ref(), &others, budget))
     }
 
     /// Solves the newest moment of the common grid that is to be seen now; `None` when that was
@@ -358,13 +357,13 @@ impl Site {
         self.last_k = Some(k);
         let s = grid_moment(k, self.tick_hz);
         self.first_view.get_or_insert(s);
-        self.seen = self.roster.tools_at(s);
-        self.replica.view_step(s, &self.seen, budget);
+        let tools = self.roster.tools_seen_at(s);
+        self.replica.view_step(s, &tools, budget);
         Some(ViewFrame {
             s,
             k,
             delay,
-            tools: self.seen.clone(),
+            tools,
             topology_version: self.replica.topology().version(),
         })
     }

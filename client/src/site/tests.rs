@@ -246,3 +246,34 @@ fn who_only_looks_has_no_contact_model() {
             .is_none()
     );
 }
+
+#[test]
+fn the_hand_feels_others_between_the_points_of_the_grid() {
+    let slow = Welcome {
+        tick_hz: 10,
+        ..welcome(0)
+    };
+    let mut site = Site::new(&slow, model(), None);
+    tell(&mut site, ClientEvent::CaughtUp, 0);
+    tell(
+        &mut site,
+        ClientEvent::Clock(ClockMap::exact(Span::ZERO)),
+        0,
+    );
+    for t in 0..100 {
+        let sample = ToolSample {
+            time: ServerTime::from_micros(t * 1000),
+            pose: own(t, t as f64 * 1e-4, false).pose,
+            ..ToolSample::default()
+        };
+        site.roster.insert(OTHER, sample);
+    }
+    let at = |site: &mut Site, t: i64| {
+        let (s, _) = site.moment(ms(t)).unwrap();
+        site.roster.tools_felt_at(s, ME)[0].position.x
+    };
+    assert!(site.view_step(ms(50), budget()).is_some());
+    assert!((at(&mut site, 50) - 50e-4).abs() < 1e-9);
+    assert!((at(&mut site, 70) - 70e-4).abs() < 1e-9);
+    assert!(site.view_step(ms(70), budget()).is_none());
+}
