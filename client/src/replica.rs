@@ -189,7 +189,8 @@ impl Replica {
     }
 
     /// Solves what the hand feels: one's `own` tool where it is `now`, the others where everybody
-    /// sees them. A tool that does not press gives a model without contact.
+    /// sees them. A tool that does not press gives a model without contact. A solve that was thrown
+    /// away gives a model that is not usable: the force loop counts it and lets the last one age.
     pub fn haptic_step(
         &mut self,
         now: ClientTime,
@@ -209,6 +210,9 @@ impl Replica {
             .solver
             .step(&self.topology, &mut side.shape, &self.tools, budget);
         let id = own.and_then(ToolAt::contact).map(|t| t.id);
+        if report.fell_back && id.is_some() {
+            return unusable(free);
+        }
         report
             .reactions
             .iter()
@@ -292,6 +296,14 @@ fn contact_model(now: ClientTime, topology_version: u32, r: &Reaction) -> Contac
         mu_dynamic: r.friction_dynamic.min(r.friction_static),
         radius: MODEL_RADIUS_M,
         in_contact: true,
+    }
+}
+
+/// A model that the force loop does not take.
+fn unusable(free: ContactModel) -> ContactModel {
+    ContactModel {
+        f0: Vec3::repeat(f64::NAN),
+        ..free
     }
 }
 

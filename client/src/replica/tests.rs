@@ -217,3 +217,8 @@ fn corrections_shrink_a_planted_difference_and_report_it() {
     };
     assert_eq!(client.correct(&other_version), None);
 }
+
+#[test]
+fn a_solve_that_was_thrown_away_is_no_model_for_the_hand() {
+    assert!(!unusable(ContactModel::FREE).is_usable());
+}
