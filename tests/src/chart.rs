@@ -93,7 +93,11 @@ struct Axis {
 impl Axis {
     /// An axis over a range, at steps of 1, 2 or 5 times a power of ten.
     fn over(from: f64, until: f64, steps: f64) -> Self {
-        let length = if until - from > 1e-12 { until - from } else { 1.0 };
+        let length = if until - from > 1e-12 {
+            until - from
+        } else {
+            1.0
+        };
         let rough = length / steps;
         let power = 10f64.powf(rough.log10().floor());
         let factor = [1.0, 2.0, 5.0, 10.0]
@@ -136,7 +140,11 @@ impl Chart {
              <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n"
         );
         text(&mut svg, WIDTH / 2.0, 22.0, "middle", 16, &self.title);
-        let xs = self.panels.iter().flat_map(|p| &p.lines).flat_map(|l| &l.points);
+        let xs = self
+            .panels
+            .iter()
+            .flat_map(|p| &p.lines)
+            .flat_map(|l| &l.points);
         let (low, high) = range(xs.map(|p| p.0));
         let x = Axis::over(low, high, 10.0);
         for (i, panel) in self.panels.iter().enumerate() {
@@ -157,7 +165,9 @@ fn plot_width() -> f64 {
 fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let (low, high) = values
         .filter(|v| v.is_finite())
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| {
+            (l.min(v), h.max(v))
+        });
     if low <= high { (low, high) } else { (0.0, 1.0) }
 }
 
@@ -297,12 +307,22 @@ fn draw_marks(svg: &mut String, plot: f64, x: Axis, marks: &[Mark]) {
         } else {
             (at - 4.0, "end", at - 8.0 - length)
         };
-        let row = rows.iter().position(|end| *end < from).unwrap_or(rows.len());
+        let row = rows
+            .iter()
+            .position(|end| *end < from)
+            .unwrap_or(rows.len());
         if row == rows.len() {
             rows.push(0.0);
         }
         rows[row] = from + length + 10.0;
-        text(svg, start, plot + 13.0 + 13.0 * row as f64, anchor, 11, &mark.label);
+        text(
+            svg,
+            start,
+            plot + 13.0 + 13.0 * row as f64,
+            anchor,
+            11,
+            &mark.label,
+        );
     }
 }
 
@@ -331,7 +351,11 @@ mod tests {
     fn steps_are_round_numbers() {
         for (length, step) in [(20.0, 2.0), (30.0, 5.0), (7.0, 1.0), (0.3, 0.05)] {
             let axis = Axis::over(0.0, length, 10.0);
-            assert!((axis.step - step).abs() < 1e-9 * step, "{length}: {}", axis.step);
+            assert!(
+                (axis.step - step).abs() < 1e-9 * step,
+                "{length}: {}",
+                axis.step
+            );
         }
         let axis = Axis::over(0.0, 0.3, 10.0);
         assert_eq!(axis.ticks().map(|v| axis.number(v)).last().unwrap(), "0.30");

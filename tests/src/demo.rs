@@ -30,6 +30,10 @@ const START_LEAD: Duration = Duration::from_millis(1000);
 /// After the scripts, until everybody leaves: what is on its way arrives, and is shown.
 const SETTLE: Duration = Duration::from_millis(1500);
 
+/// Longest time for the run without a network. Beyond it the report comes without force errors: on a
+/// model that is too large, waiting longer helps nobody.
+const REFERENCE_WITHIN: Duration = Duration::from_secs(120);
+
 /// The tool that is named first, and the other.
 const NAMES: [&str; 2] = ["holder", "cutter"];
 
@@ -122,7 +126,11 @@ pub fn run(
     let began = Instant::now();
     let reference = reference::run(&subject.model, [&scripts[0], &scripts[1]], |share| {
         progress.tick(&format!("{:.0} %", share * 100.0));
+        !interrupt.is_set() && began.elapsed() < REFERENCE_WITHIN
     });
+    if interrupt.is_set() {
+        return Err(SessionError::Interrupted.into());
+    }
     let took_s = began.elapsed().as_secs_f64();
     progress.stage("comparing");
     let (report, pictures) = conclude(options, &subject, run, reference, took_s);
@@ -179,7 +187,13 @@ fn session(
         people.push(session.join(name, "trainee", Some(&script), dir)?);
     }
     for participant in &mut people {
-        participant.wait_until_in(&|| interrupt.is_set())?;
+        let came_in = participant.wait_until_in(&|| interrupt.is_set());
+        came_in.inspect_err(|_| {
+            let said = session.server.tail();
+            if !said.is_empty() {
+                progress.stage(&format!("the server said:\n{said}"));
+            }
+        })?;
     }
     progress.stage(&format!("the scripts run for {:.0} s", options.seconds));
     let began = Instant::now();
@@ -266,7 +280,10 @@ fn conclude(
     for recording in &recordings {
         let d = recording.dropped;
         if d.haptic + d.views + d.view_nodes + d.operations > 0 {
-            notes.push(format!("the recording of {} was full: {d:?}", recording.name));
+            notes.push(format!(
+                "the recording of {} was full: {d:?}",
+                recording.name
+            ));
         }
     }
     let disagreement = Disagreement::between(&recordings);
@@ -368,7 +385,12 @@ fn draw(
     }
     let courses: Vec<_> = recordings
         .iter()
-        .filter_map(|r| Some((r.name.as_str(), over_script(&r.haptic, r.script_started_us?))))
+        .filter_map(|r| {
+            Some((
+                r.name.as_str(),
+                over_script(&r.haptic, r.script_started_us?),
+            ))
+        })
         .collect();
     let felt: Vec<Felt<'_>> = courses
         .iter()

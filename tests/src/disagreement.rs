@@ -206,11 +206,16 @@ fn blend(before: &ViewRecord, after: &ViewRecord, share: f64) -> Seen {
         ..Seen::default()
     };
     for tool in &before.tools {
-        let Some(next) = after.tools.iter().find(|t| t.participant == tool.participant) else {
+        let Some(next) = after
+            .tools
+            .iter()
+            .find(|t| t.participant == tool.participant)
+        else {
             continue;
         };
         let (p, q) = (tool.position_m.map(mm), next.position_m.map(mm));
-        seen.tools.insert(tool.participant, (mix(p, q), distance(p, q)));
+        seen.tools
+            .insert(tool.participant, (mix(p, q), distance(p, q)));
     }
     for (n, x, y, z) in &before.nodes {
         let p = [*x, *y, *z].map(f64::from);
@@ -360,6 +365,9 @@ mod tests {
     fn nobody_to_compare_with_is_no_disagreement() {
         let empty = Recording::default();
         let a = recording(0, 0.1);
-        assert_eq!(Disagreement::between(&[&a, &empty]), Disagreement::default());
+        assert_eq!(
+            Disagreement::between(&[&a, &empty]),
+            Disagreement::default()
+        );
     }
 }

@@ -137,7 +137,11 @@ impl<'a> Skin<'a> {
             .collect();
         let nearest = |points: &[Vec3], p: Vec3| {
             let square = |q: &Vec3| (q - p).norm_squared();
-            points.iter().map(square).fold(f64::INFINITY, f64::min).sqrt()
+            points
+                .iter()
+                .map(square)
+                .fold(f64::INFINITY, f64::min)
+                .sqrt()
         };
         let extent = self.extent();
         let step = good.len().div_ceil(CANDIDATES_MAX).max(1);
@@ -276,7 +280,10 @@ fn height([a, b, c]: &[Vec3; 3], p: &Vec3, d: &Vec3) -> Option<f64> {
     let h = (a - p).dot(&normal) / facing;
     let q = p + d * h - a;
     let square = normal.norm_squared();
-    let (s, t) = (q.cross(&f).dot(&normal) / square, e.cross(&q).dot(&normal) / square);
+    let (s, t) = (
+        q.cross(&f).dot(&normal) / square,
+        e.cross(&q).dot(&normal) / square,
+    );
     // A line along an edge belongs to both sides.
     let slack = -1e-9;
     (s >= slack && t >= slack && s + t <= 1.0 - slack).then_some(h)
@@ -296,7 +303,11 @@ fn mean_normal(skin: &Skin<'_>, at: Vec3, reach: f64) -> Option<Vec3> {
 
 /// The tangent along which normals turn least.
 fn flattest(skin: &Skin<'_>, at: Vec3, reach: f64, normal: Vec3) -> Vec3 {
-    let axis = if normal.x.abs() < 0.7 { Vec3::x() } else { Vec3::y() };
+    let axis = if normal.x.abs() < 0.7 {
+        Vec3::x()
+    } else {
+        Vec3::y()
+    };
     let s = (axis - normal * normal.dot(&axis)).normalize();
     let t = normal.cross(&s);
     let (mut ss, mut st, mut tt) = (0.0, 0.0, 0.0);

@@ -279,7 +279,10 @@ impl Program {
     /// Whether a phrase was among its first or last lines on standard error.
     pub fn has_said(&self, phrase: &str) -> bool {
         let said = lock(&self.said);
-        said.head.iter().chain(&said.tail).any(|l| l.contains(phrase))
+        said.head
+            .iter()
+            .chain(&said.tail)
+            .any(|l| l.contains(phrase))
     }
 
     pub(crate) fn late(&self, what: &'static str, within: Duration) -> ProgramError {
@@ -378,7 +381,9 @@ mod tests {
     #[test]
     fn who_does_nothing_is_late() {
         let mut program = shell("exec sleep 60");
-        let error = program.line("speak", Duration::from_millis(50)).unwrap_err();
+        let error = program
+            .line("speak", Duration::from_millis(50))
+            .unwrap_err();
         assert!(error.to_string().contains("did not speak"), "{error}");
     }
 
@@ -400,7 +405,8 @@ mod tests {
 
     #[test]
     fn asking_is_enough_for_a_program_that_listens() {
-        let mut program = shell("trap 'echo bye; exit 0' TERM; echo up; while :; do sleep 0.05; done");
+        let mut program =
+            shell("trap 'echo bye; exit 0' TERM; echo up; while :; do sleep 0.05; done");
         program.line("come up", SOON).unwrap();
         program.ask_to_end();
         program.wait_for_success(SOON).unwrap();

@@ -26,7 +26,10 @@ impl Progress {
     /// A new stage begins.
     pub fn stage(&mut self, what: &str) {
         self.clear();
-        Self::write(&format!("[{:5.1} s] {what}\n", self.began.elapsed().as_secs_f64()));
+        Self::write(&format!(
+            "[{:5.1} s] {what}\n",
+            self.began.elapsed().as_secs_f64()
+        ));
     }
 
     /// How far the stage is; rewritten in place, and only on a terminal.

@@ -241,7 +241,10 @@ impl fmt::Display for Report {
             s.ticks, s.tick_ms.p50, s.tick_ms.p99, s.tick_ms.max, s.tick_period_ms, s.operations
         )?;
         self.write_network(f)?;
-        writeln!(f, "\ndisagreement in mm           p50      p95      max    compared")?;
+        writeln!(
+            f,
+            "\ndisagreement in mm           p50      p95      max    compared"
+        )?;
         for (name, d) in [
             ("views, same instant", &self.view_disagreement_mm),
             ("  of tools", &self.tool_disagreement_mm),
@@ -263,11 +266,19 @@ impl fmt::Display for Report {
             if c.boundary_closed { "closed" } else { "OPEN" }
         )?;
         if let Some(r) = &self.reference {
-            writeln!(f, "reference      without a network, computed in {:.1} s", r.seconds)?;
+            writeln!(
+                f,
+                "reference      without a network, computed in {:.1} s",
+                r.seconds
+            )?;
         }
         writeln!(f, "topology       server {}", s.topology_hash)?;
         for p in &self.participants {
-            let verdict = if p.topology_hash == s.topology_hash { "equal" } else { "DIFFERENT" };
+            let verdict = if p.topology_hash == s.topology_hash {
+                "equal"
+            } else {
+                "DIFFERENT"
+            };
             writeln!(f, "               {} {} {verdict}", p.name, p.topology_hash)?;
         }
         for note in &self.notes {

@@ -277,8 +277,14 @@ mod tests {
             let scripts = Scripts::for_place(&place, seconds).unwrap();
             for script in [&scripts.holder, &scripts.cutter] {
                 let ways = script.ways();
-                assert!(ways.iter().all(|w| w.position.iter().all(|c| c.is_finite())));
-                assert!(ways.windows(2).all(|w| w[0].t_s < w[1].t_s), "times increase");
+                assert!(
+                    ways.iter()
+                        .all(|w| w.position.iter().all(|c| c.is_finite()))
+                );
+                assert!(
+                    ways.windows(2).all(|w| w[0].t_s < w[1].t_s),
+                    "times increase"
+                );
                 assert!((script.end_s() - seconds).abs() < 1e-9);
             }
             if seconds == 20.0 {
@@ -307,7 +313,10 @@ mod tests {
         assert!(length > 3.0 * place.spacing_m, "only {length} m long");
         for way in held {
             let blade = way.orientation * Vec3::z();
-            assert!(blade.dot(&place.normal) > 0.999, "the blade points out of the tissue");
+            assert!(
+                blade.dot(&place.normal) > 0.999,
+                "the blade points out of the tissue"
+            );
         }
     }
 

@@ -157,7 +157,9 @@ impl Session {
     ) -> Result<Participant, SessionError> {
         let record = dir.join(format!("{name}.recording.json"));
         let link = self.link(role)?.to_string();
-        let words = ["client", "join", &link, "--name", name, "--json", "--record"];
+        let words = [
+            "client", "join", &link, "--name", name, "--json", "--record",
+        ];
         let mut arguments: Vec<OsString> = words.map(OsString::from).into();
         arguments.push(record.clone().into());
         if let Some(script) = script {
@@ -215,9 +217,13 @@ fn read_recording(path: &Path) -> Result<Recording, SessionError> {
         path: path.to_owned(),
         why,
     };
-    let bytes = std::fs::metadata(path).map_err(|e| bad(e.to_string()))?.len();
+    let bytes = std::fs::metadata(path)
+        .map_err(|e| bad(e.to_string()))?
+        .len();
     if bytes > RECORDING_BYTES_MAX {
-        return Err(bad(format!("{bytes} bytes, more than {RECORDING_BYTES_MAX}")));
+        return Err(bad(format!(
+            "{bytes} bytes, more than {RECORDING_BYTES_MAX}"
+        )));
     }
     let text = std::fs::read(path).map_err(|e| bad(e.to_string()))?;
     serde_json::from_slice(&text).map_err(|e| bad(e.to_string()))

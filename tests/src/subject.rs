@@ -94,7 +94,9 @@ mod tests {
     #[test]
     fn what_is_nothing_is_answered_with_the_samples() {
         let dir = tempfile::tempdir().unwrap();
-        let error = Subject::prepare("thight", dir.path()).unwrap_err().to_string();
+        let error = Subject::prepare("thight", dir.path())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("did you mean \"thigh\"?"), "{error}");
         let file = dir.path().join("notes.txt");
         std::fs::write(&file, "x").unwrap();

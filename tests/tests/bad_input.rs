@@ -20,7 +20,10 @@ fn refused(arguments: &[&str], code: i32, words: &[&str]) {
     assert_eq!(out.status.code(), Some(code), "{arguments:?}: {said}");
     assert!(!said.contains("panicked"), "{arguments:?}: {said}");
     for word in words {
-        assert!(said.contains(word), "{arguments:?}: \"{word}\" is not in: {said}");
+        assert!(
+            said.contains(word),
+            "{arguments:?}: \"{word}\" is not in: {said}"
+        );
     }
 }
 
@@ -35,11 +38,31 @@ fn an_unknown_profile_is_answered_with_the_nearest() {
 
 #[test]
 fn a_demo_of_nothing_is_refused() {
-    refused(&["demo", "--json", "--model", "tigh"], 1, &["did you mean \"thigh\"?"]);
-    refused(&["demo", "--json", "--model", "absent.palp"], 1, &["absent.palp"]);
-    refused(&["demo", "--json", "--model", "absent.toml"], 1, &["absent.toml"]);
-    refused(&["demo", "--json", "--seconds", "0"], 1, &["between 4 and 600"]);
-    refused(&["demo", "--json", "--seconds", "nan"], 1, &["between 4 and 600"]);
+    refused(
+        &["demo", "--json", "--model", "tigh"],
+        1,
+        &["did you mean \"thigh\"?"],
+    );
+    refused(
+        &["demo", "--json", "--model", "absent.palp"],
+        1,
+        &["absent.palp"],
+    );
+    refused(
+        &["demo", "--json", "--model", "absent.toml"],
+        1,
+        &["absent.toml"],
+    );
+    refused(
+        &["demo", "--json", "--seconds", "0"],
+        1,
+        &["between 4 and 600"],
+    );
+    refused(
+        &["demo", "--json", "--seconds", "nan"],
+        1,
+        &["between 4 and 600"],
+    );
 }
 
 fn scene(dir: &Path, surface: &str, extra: &str) -> String {
@@ -55,8 +78,17 @@ fn scene(dir: &Path, surface: &str, extra: &str) -> String {
 /// The triangles of a box in mm, some of them left out.
 fn box_stl(side: f64, leave_out: usize) -> String {
     let corner = |i: usize| [i & 1, i >> 1 & 1, i >> 2 & 1].map(|b| b as f64 * side);
-    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    let triangles = quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]);
+    let quads = [
+        [0, 2, 3, 1],
+        [4, 5, 7, 6],
+        [0, 1, 5, 4],
+        [2, 6, 7, 3],
+        [0, 4, 6, 2],
+        [1, 3, 7, 5],
+    ];
+    let triangles = quads
+        .iter()
+        .flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]);
     let mut text = "solid box\n".to_owned();
     for t in triangles.skip(leave_out) {
         text += "facet normal 0 0 0\nouter loop\n";
@@ -88,11 +120,19 @@ fn surfaces_that_are_none_are_refused_with_what_is_wrong() {
     build("box.stl", "pined = [\"a\"]", &["pined", "pinned"]);
     std::fs::write(dir.join("tiny.stl"), box_stl(1.0, 0)).unwrap();
     build("tiny.stl", "", &["coarse"]);
-    refused(&["server", "build", "absent.toml", "-o", &out], 1, &["absent.toml"]);
+    refused(
+        &["server", "build", "absent.toml", "-o", &out],
+        1,
+        &["absent.toml"],
+    );
     // The same box, whole: it builds, and the demo could run on it.
     let good = scene(dir, "box.stl", "");
     let done = run(&["server", "build", &good, "-o", &out, "--json"]);
-    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(
+        done.status.success(),
+        "{}",
+        String::from_utf8_lossy(&done.stderr)
+    );
     let report: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
     assert_eq!(report["outer_surface"]["closed"], true);
 }
@@ -110,32 +150,62 @@ fn a_damaged_model_is_refused() {
         std::fs::write(&path, bytes).unwrap();
         let path = path.display().to_string();
         refused(&["server", "inspect", &path], 1, &["model file"]);
-        refused(&["server", "host", &path, "--listen", "127.0.0.1:0"], 1, &["model file"]);
+        refused(
+            &["server", "host", &path, "--listen", "127.0.0.1:0"],
+            1,
+            &["model file"],
+        );
     }
 }
 
 #[test]
 fn links_and_scripts_that_are_none_are_refused() {
-    refused(&["client", "join", "http://example.org"], 2, &["palpate://"]);
+    refused(
+        &["client", "join", "http://example.org"],
+        2,
+        &["palpate://"],
+    );
     let link = format!(
         "palpate://127.0.0.1:9/trainee?cert={}&grant={}",
         "0".repeat(64),
         "0".repeat(32)
     );
     refused(&["client", "join", &link], 2, &["--script"]);
-    refused(&["client", "join", &link, "--script", "absent.toml"], 2, &["absent.toml"]);
+    refused(
+        &["client", "join", &link, "--script", "absent.toml"],
+        2,
+        &["absent.toml"],
+    );
     let dir = tempfile::tempdir().unwrap();
     let script = dir.path().join("script.toml");
-    std::fs::write(&script, "format = \"palpate-script/1\"\n[tool]\nkind = \"spoon\"\n").unwrap();
+    std::fs::write(
+        &script,
+        "format = \"palpate-script/1\"\n[tool]\nkind = \"spoon\"\n",
+    )
+    .unwrap();
     let script = script.display().to_string();
-    refused(&["client", "join", &link, "--script", &script], 2, &["spoon"]);
+    refused(
+        &["client", "join", &link, "--script", &script],
+        2,
+        &["spoon"],
+    );
 }
 
 #[test]
 fn a_relay_counts_what_it_passed_on() {
     let out = run(&[
-        "relay", "--listen", "127.0.0.1:0", "--to", "127.0.0.1:9", "--profile", "metro", "--seed",
-        "5", "--duration", "0.2", "--json",
+        "relay",
+        "--listen",
+        "127.0.0.1:0",
+        "--to",
+        "127.0.0.1:9",
+        "--profile",
+        "metro",
+        "--seed",
+        "5",
+        "--duration",
+        "0.2",
+        "--json",
     ]);
     assert!(out.status.success());
     let text = String::from_utf8(out.stdout).unwrap();
@@ -144,6 +214,9 @@ fn a_relay_counts_what_it_passed_on() {
         .map(|l| serde_json::from_str(l).unwrap())
         .collect();
     assert!(lines[0]["listening"].is_string(), "{text}");
-    assert_eq!((&lines[1]["profile"], &lines[1]["seed"]), (&"metro".into(), &5.into()));
+    assert_eq!(
+        (&lines[1]["profile"], &lines[1]["seed"]),
+        (&"metro".into(), &5.into())
+    );
     assert_eq!(lines[1]["sent"], 0);
 }

@@ -42,14 +42,22 @@ fn demo(table: &Table, profile: &str, seconds: &str) -> Report {
 fn two_trainees_and_a_late_spectator_share_one_cut_tissue() {
     let table = Table::new();
     let report = demo(&table, "lan", "6");
-    let names: Vec<&str> = report.participants.iter().map(|p| p.name.as_str()).collect();
+    let names: Vec<&str> = report
+        .participants
+        .iter()
+        .map(|p| p.name.as_str())
+        .collect();
     assert_eq!(names, ["holder", "cutter", "spectator"]);
     for p in &report.participants {
         assert_eq!(p.topology_hash, report.server.topology_hash, "{}", p.name);
         assert_eq!(p.topology_version, report.server.topology_version);
     }
     assert!(report.cut.operations >= 1 && report.cut.boundary_closed);
-    assert!(report.participants[..2].iter().all(|p| p.force_error_rms.is_some()));
+    assert!(
+        report.participants[..2]
+            .iter()
+            .all(|p| p.force_error_rms.is_some())
+    );
     assert!(report.view_disagreement_mm.count > 0);
     assert_eq!((report.network.dropped, report.network.reordered), (0, 0));
 }

@@ -52,7 +52,11 @@ fn a_client_killed_mid_stroke_is_gone_within_two_seconds_and_the_others_go_on() 
     assert!(after.len() > 10, "views went on: {}", after.len());
     assert!(after.iter().all(|n| *n == 0), "{after:?}");
     assert_eq!(left.summary.topology_hash, host.topology_hash);
-    assert!(left.summary.ticks > 3000, "the hand went on: {}", left.summary.ticks);
+    assert!(
+        left.summary.ticks > 3000,
+        "the hand went on: {}",
+        left.summary.ticks
+    );
 }
 
 #[test]
@@ -87,7 +91,10 @@ fn a_server_with_another_certificate_is_not_trusted() {
     sleep(0.1);
     let said = client.tail();
     assert!(!status.success(), "{said}");
-    assert!(said.contains("certificate") && !said.contains("panicked"), "{said}");
+    assert!(
+        said.contains("certificate") && !said.contains("panicked"),
+        "{said}"
+    );
 }
 
 #[test]
@@ -148,7 +155,16 @@ fn an_interrupted_demo_leaves_no_process_behind() {
     let _alone = alone();
     let table = Table::new();
     let model = table.subject.file.display().to_string();
-    let arguments = ["demo", "--json", "--seconds", "60", "--profile", "lan", "--model", &model];
+    let arguments = [
+        "demo",
+        "--json",
+        "--seconds",
+        "60",
+        "--profile",
+        "lan",
+        "--model",
+        &model,
+    ];
     let mut demo = Program::start("demo", executable(), arguments).unwrap();
     let began = std::time::Instant::now();
     while !demo.has_said("the scripts run") {
