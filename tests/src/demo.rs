@@ -25,7 +25,7 @@ use crate::session::{Hosting, Left, Participant, Session, SessionError};
 use crate::subject::{Subject, SubjectError};
 
 /// From the last tool's coming to the start of the scripts, as the room does it.
-const START_LEAD: Duration = Duration::from_millis(1000);
+const START_LEAD: Duration = Duration::from_secs(1);
 
 /// After the scripts, until everybody leaves: what is on its way arrives, and is shown.
 const SETTLE: Duration = Duration::from_millis(1500);
@@ -68,8 +68,8 @@ pub enum DemoError {
     #[error("{0} seconds are not between {SECONDS_MIN} and {SECONDS_MAX}")]
     Seconds(f64),
     /// The model.
-    #[error(transparent)]
-    Subject(#[from] SubjectError),
+    #[error("{0}")]
+    Subject(Box<SubjectError>),
     /// No place to work.
     #[error(transparent)]
     Place(#[from] PlaceError),
@@ -87,6 +87,12 @@ pub enum DemoError {
         /// What the system said.
         source: std::io::Error,
     },
+}
+
+impl From<SubjectError> for DemoError {
+    fn from(error: SubjectError) -> Self {
+        Self::Subject(Box::new(error))
+    }
 }
 
 /// What a session gave before anything is computed from it.

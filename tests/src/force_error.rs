@@ -20,9 +20,9 @@ pub struct ForcePoint {
 /// The difference of two courses of force.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ForceError {
-    /// Root mean square of |F - F_ref| over that of |F_ref|, both over the contact, percent.
+    /// Root mean square of `|F - F_ref|` over that of `|F_ref|`, both over the contact, percent.
     pub rms_percent: f64,
-    /// Largest |F - F_ref|, N.
+    /// Largest `|F - F_ref|`, N.
     pub max_n: f64,
     /// Root mean square of the distance of the two tools over the contact, mm.
     pub position_rms_mm: f64,
@@ -110,7 +110,7 @@ mod tests {
         (0..2000)
             .step_by(every)
             .map(|i| {
-                let t_s = i as f64 * 1e-3;
+                let t_s = f64::from(i) * 1e-3;
                 ForcePoint {
                     t_s,
                     force_n: [0.0, 0.0, factor * (3.0 * t_s).sin().max(0.0)],

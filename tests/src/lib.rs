@@ -9,7 +9,7 @@
 //! | make a network bad | [`relay`] |
 //! | find where to press and cut on any model, and make scripts of it | [`place`], [`scripts`] |
 //! | run a server and clients as processes | [`program`], [`session`] |
-//! | know what would be felt without a network | [`reference`] |
+//! | know what would be felt without a network | [`mod@reference`] |
 //! | compare | [`disagreement`], [`force_error`] |
 //! | see all of it at once | [`demo`], [`report`], [`plots`] |
 

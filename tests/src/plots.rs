@@ -31,7 +31,10 @@ pub fn forces(felt: &[Felt<'_>], marks: Vec<Mark>) -> Chart {
             lines: vec![
                 line("without a network", GREY, false, f.reference),
                 line("in the session", colours[i % 3], false, f.session),
-            ],
+            ]
+            .into_iter()
+            .filter(|l| !l.points.is_empty())
+            .collect(),
         }
     };
     Chart {

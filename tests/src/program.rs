@@ -191,7 +191,7 @@ impl Program {
         within: Duration,
     ) -> Result<T, ProgramError> {
         let line = self.line(what, within)?;
-        self.parse(what, line)
+        self.parse(what, &line)
     }
 
     /// The last line of its standard output, which is one JSON object, after it ended.
@@ -204,15 +204,15 @@ impl Program {
             self.last = Some(line);
         }
         let line = self.last.clone().unwrap_or_default();
-        self.parse(what, line)
+        self.parse(what, &line)
     }
 
     fn parse<T: DeserializeOwned>(
         &self,
         what: &'static str,
-        line: String,
+        line: &str,
     ) -> Result<T, ProgramError> {
-        serde_json::from_str(&line).map_err(|e| ProgramError::Output {
+        serde_json::from_str(line).map_err(|e| ProgramError::Output {
             name: self.name.clone(),
             what,
             error: e.to_string(),

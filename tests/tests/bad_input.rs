@@ -4,6 +4,7 @@
 
 mod table;
 
+use std::fmt::Write as _;
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -93,7 +94,7 @@ fn box_stl(side: f64, leave_out: usize) -> String {
     for t in triangles.skip(leave_out) {
         text += "facet normal 0 0 0\nouter loop\n";
         for [x, y, z] in t.map(corner) {
-            text += &format!("vertex {x} {y} {z}\n");
+            writeln!(text, "vertex {x} {y} {z}").unwrap();
         }
         text += "endloop\nendfacet\n";
     }

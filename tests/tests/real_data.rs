@@ -6,6 +6,7 @@
 
 mod table;
 
+use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::Command;
 
@@ -25,10 +26,12 @@ fn build(regions: &[(&str, &str, PathBuf)], pinned: &str, spacing_mm: f64) -> se
         "format = \"palpate-scene/1\"\nspacing_mm = {spacing_mm}\npinned = [\"{pinned}\"]\n"
     );
     for (name, material, surface) in regions {
-        scene += &format!(
+        write!(
+            scene,
             "[[region]]\nname = \"{name}\"\nsurface = \"{}\"\nmaterial = \"{material}\"\n",
             surface.display()
-        );
+        )
+        .unwrap();
     }
     let file = dir.path().join("scene.toml");
     std::fs::write(&file, scene).unwrap();
