@@ -221,6 +221,17 @@ fn session(
         progress.tick(&format!("{s} of {:.0} s", options.seconds));
         std::thread::sleep(Duration::from_millis(20));
     }
+    // Over a bad network the late one may still be on the way.
+    if let Some(last) = people
+        .iter_mut()
+        .find(|p| p.program.name().ends_with(LATE_NAME))
+    {
+        match last.wait_until_in(&|| interrupt.is_set()) {
+            Err(SessionError::Interrupted) => return Err(SessionError::Interrupted.into()),
+            // Who died is found and reported when everybody leaves.
+            Ok(()) | Err(_) => std::thread::sleep(SETTLE),
+        }
+    }
     progress.stage("everybody leaves");
     finish(session, people, problems)
 }
