@@ -48,6 +48,8 @@ enum Moved {
 struct Session {
     room: Room,
     peers: BTreeMap<PeerKey, PeerHandle>,
+    /// Peers are numbered in the order in which their handles come.
+    newest_peer: u64,
     began: Instant,
     solver_limit: Duration,
     ticks_us: Histogram<u64>,
@@ -82,6 +84,7 @@ pub(super) fn serve(
     let mut session = Session {
         room: Room::new(Arc::new(model), config, ServerTime::ZERO),
         peers: BTreeMap::new(),
+        newest_peer: 0,
         began,
         solver_limit: tick.mul_f64(SOLVER_SHARE).min(SOLVER_LIMIT),
         ticks_us: Histogram::new_with_bounds(1, TICK_US_MAX, 3)
@@ -162,10 +165,17 @@ impl Session {
                     tokio::time::sleep(Duration::from_millis(100)).await;
                     return why;
                 }
-                Moved::Joined(handle) => {
-                    self.peers.insert(PeerKey(handle.id().0), *handle);
+                Moved::Joined(handle) => self.handle_joined(*handle),
+                Moved::Peer(input) => {
+                    // A peer's first words may overtake its handle, which comes another way; an
+                    // answer without the handle would be lost.
+                    while input.peer.0 > self.newest_peer
+                        && let Some(handle) = joined.recv().await
+                    {
+                        self.handle_joined(handle);
+                    }
+                    self.handle_input(input);
                 }
-                Moved::Peer(input) => self.handle_input(input),
                 Moved::Time => {}
             }
             // Motion that keeps coming must not put the tick off.
@@ -174,6 +184,11 @@ impl Session {
             }
             self.deliver();
         }
+    }
+
+    fn handle_joined(&mut self, handle: PeerHandle) {
+        self.newest_peer = handle.id().0;
+        self.peers.insert(PeerKey(handle.id().0), handle);
     }
 
     fn handle_input(&mut self, input: PeerInput) {

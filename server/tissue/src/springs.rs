@@ -1,14 +1,27 @@
 //! Springs assembled per cell from Young's modulus.
 //!
-//! For the cubic lattice with edge springs k1 and both diagonals of every face k2, isotropy needs
-//! k1 = k2 = k, and then E = 2.5 k/Δd, Poisson's ratio is 1/4 and the shear modulus 0.4 E: so
-//! k = 0.4 E Δd. A cell gives k1/4 to each of its 12 edges (four cells share an edge) and k2/2 to
-//! each of its 12 face diagonals (two cells share a face). Written with the cell's own volume V and
-//! the spring's own length l that is
+//! A cell has springs along its 12 edges (k1, structural), its 12 face diagonals (k2, shear) and its
+//! four body diagonals (k3, shear). For the cubic lattice of spacing Δd, Σ k l² n n n n per volume is
 //!
 //! ```text
-//! edge      0.1 E V / l²        (cube: V = Δd³, l = Δd      ->  k/4)
-//! diagonal  0.4 E V / l²        (cube: V = Δd³, l = √2 Δd   ->  k/2)
+//! C11 = (k1 + 2 k2 + 4/3 k3)/Δd        C12 = C44 = (k2 + 4/3 k3)/Δd
+//! ```
+//!
+//! so isotropy, C11 = 3 C44, needs k1 = k2 + 8/3 k3; then E = 2.5 C44 and Poisson's ratio is 1/4. With
+//! k3 = k2/2 that is k1 = 0.56 E Δd, k2 = 0.24 E Δd, k3 = 0.12 E Δd.
+//!
+//! The seed (Lin 2007, fig. 3.2) has no body diagonals. They are there because of nodes at a step of
+//! the lattice that lie flat on an oblique surface: all their edges and face diagonals lie in the
+//! surface, and without a spring into the depth they can be pushed through it with no force and
+//! stay there (measured: a press of 2 mm left dents of 5 mm).
+//!
+//! An edge is shared by four cells and a face diagonal by two. Written per cell with its own volume V
+//! and the spring's own length l, the stiffness is
+//!
+//! ```text
+//! edge           0.14 E V / l²      (cube: V = Δd³, l = Δd      ->  k1/4)
+//! face diagonal  0.24 E V / l²      (cube: V = Δd³, l = √2 Δd   ->  k2/2)
+//! body diagonal  0.36 E V / l²      (cube: V = Δd³, l = √3 Δd   ->  k3)
 //! ```
 //!
 //! which keeps the energy per volume of a uniform strain when a cell is scaled. Heterogeneity,
@@ -25,17 +38,19 @@ pub struct Spring {
     pub rest_length: f32,
 }
 
-/// Most springs one node can have: each of its eight cells brings three edges and three diagonals,
+/// Most springs one node can have: each of its eight cells brings three edges and four diagonals,
 /// and across a cut no two of them need share their far end.
-pub const SPRINGS_PER_NODE_MAX: usize = 48;
+pub const SPRINGS_PER_NODE_MAX: usize = 56;
 
 /// Share of Young's modulus that an edge spring carries; see the file's head.
-pub(crate) const EDGE_SHARE: f64 = 0.1;
+pub(crate) const EDGE_SHARE: f64 = 0.14;
 /// Share of Young's modulus that a face diagonal carries; see the file's head.
-pub(crate) const DIAGONAL_SHARE: f64 = 0.4;
+pub(crate) const DIAGONAL_SHARE: f64 = 0.24;
+/// Share of Young's modulus that a body diagonal carries.
+pub(crate) const BODY_SHARE: f64 = 0.36;
 /// A spring shorter than this part of the spacing counts as this long when its stiffness is
 /// computed, so that one bad corner can not make the whole system stiff.
-pub(crate) const LENGTH_FLOOR: f64 = 0.25;
+pub(crate) const LENGTH_FLOOR: f64 = 0.5;
 
 /// All springs, as one row per node; each spring stands in the rows of both its ends.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -58,7 +73,7 @@ impl Springs {
     pub(crate) fn with_capacity(nodes: usize) -> Self {
         Self {
             rows: Vec::with_capacity(nodes),
-            entries: Vec::with_capacity(nodes * 18),
+            entries: Vec::with_capacity(nodes * 26),
             garbage: 0,
         }
     }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::springs::{DIAGONAL_SHARE, EDGE_SHARE, LENGTH_FLOOR};
+use crate::springs::{BODY_SHARE, DIAGONAL_SHARE, EDGE_SHARE, LENGTH_FLOOR};
 use crate::{FACES, Model, NO_CELL, RegionId, Spring, Springs, Vec3, cell_volume};
 
 /// Identifies a topology: equal hashes mean the same cells, wired alike, at the same rest
@@ -242,7 +242,7 @@ impl Topology {
 
     /// The row of springs of a node, from the cells around it, sorted by their far end.
     pub(crate) fn springs_of(&self, node: u32) -> Vec<Spring> {
-        let mut sums: Vec<(u32, f64)> = Vec::with_capacity(24);
+        let mut sums: Vec<(u32, f64)> = Vec::with_capacity(32);
         let from = self.rest(node);
         let floor = LENGTH_FLOOR * self.model.spacing_m;
         for (corner, &cell) in self.node_cells[node as usize].iter().enumerate() {
@@ -251,13 +251,13 @@ impl Topology {
             }
             let young = self.model.material_of(cell as usize).young_pa;
             let energy = young * self.cell_volume[cell as usize].max(0.0);
-            // 1, 2, 4 lead along an edge, 3, 5, 6 across a face.
-            for step in [1, 2, 4, 3, 5, 6] {
+            // 1, 2, 4 lead along an edge, 3, 5, 6 across a face, 7 through the body.
+            for step in [1_usize, 2, 4, 3, 5, 6, 7] {
                 let to = self.corners[cell as usize][corner ^ step];
-                let share = if usize::is_power_of_two(step) {
-                    EDGE_SHARE
-                } else {
-                    DIAGONAL_SHARE
+                let share = match step.count_ones() {
+                    1 => EDGE_SHARE,
+                    2 => DIAGONAL_SHARE,
+                    _ => BODY_SHARE,
                 };
                 let length = (self.rest(to) - from).norm().max(floor);
                 let stiffness = share * energy / (length * length);

@@ -37,7 +37,7 @@ pub struct BuildReport {
 pub struct SpringCounts {
     /// Along the edges of cells, within a tissue or within an interface.
     pub structural: usize,
-    /// Across the faces of cells.
+    /// Across the faces and through the bodies of cells.
     pub shear: usize,
     /// Along the edges that join an interface to the next layer of nodes on either side.
     pub layer: usize,

@@ -13,7 +13,7 @@ use crate::{Topology, Vec3};
 /// Longest move of a node in one visit, in spacings; longer ones are cut and counted.
 const MOVE_MAX: f64 = 0.5;
 /// Visits of a node between two computations of its tangent block.
-const REFRESH: u8 = 6;
+const REFRESH: u8 = 3;
 /// A node leaves the active set when its force is below this part of the threshold.
 const LEAVE: f64 = 0.5;
 
@@ -54,7 +54,7 @@ impl Field {
             bound: Vec::new(),
             active: List::default(),
             waiting: List::default(),
-            lanes: Lanes::new(),
+            lanes: Lanes::new(topology.model().spacing_m),
             undo: Vec::new(),
             saved: Vec::new(),
             step: 0,

@@ -2,11 +2,12 @@
 //!
 //! A snapped lattice is still a lattice: node (i, j, k) hangs on the coarse points around
 //! (i/2, j/2, k/2) with trilinear weights w. With u = P e the energy at rest becomes ½ eᵀ(PᵀAP)e, A
-//! being the stiffness of the length law at rest, k n nᵀ per spring. A spring between i and j sees
+//! being the stiffness of the length law at rest, k [n nᵀ + σ (I - n nᵀ)] per spring with the floor σ
+//! of `law.rs`. A spring between i and j sees
 //! of coarse point I the part `d_I = w_iI - w_jI`, so
 //!
 //! ```text
-//! (PᵀAP)_IJ = Σ over springs  k n nᵀ d_I d_J
+//! (PᵀAP)_IJ = Σ over springs  k [n nᵀ + σ (I - n nᵀ)] d_I d_J
 //! ```
 //!
 //! and all J lie within one step of I: a row is 27 blocks. Pinned nodes have no weights. Nodes
@@ -19,6 +20,7 @@ use rayon::prelude::*;
 
 use super::block::{Block, EMPTY, Quad, ZERO, add_scaled, inverse, outer};
 use super::lattice::coordinates;
+use super::law::sideways;
 use crate::{Topology, Vec3};
 
 /// Coarse levels at most: 8 halvings take a lattice of 256 points per axis to one.
@@ -279,6 +281,7 @@ impl Hierarchy {
     fn row_over_springs(&self, topology: &Topology, point: u32) -> [Block; 27] {
         let level = &self.levels[0];
         let own = level.at[point as usize];
+        let per_spacing = (1.0 / topology.model().spacing_m) as f32;
         let mut row = [EMPTY; 27];
         for &(i, wi) in &level.children[point as usize] {
             for spring in topology.springs().row(i) {
@@ -295,7 +298,11 @@ impl Hierarchy {
                 let d: Vec3 = topology.rest(j) - topology.rest(i);
                 let length = d.norm().max(f64::MIN_POSITIVE);
                 let n: [f32; 3] = std::array::from_fn(|a| (d[a] / length) as f32);
-                let block = outer(n, spring.stiffness * part);
+                let floor = sideways(spring.rest_length, per_spacing);
+                let mut block = outer(n, spring.stiffness * part * (1.0 - floor));
+                for (a, column) in block.iter_mut().enumerate() {
+                    column[a] += spring.stiffness * part * floor;
+                }
                 for &(other, w) in self.parents[i as usize].iter() {
                     if let Some(s) = slot(own, level.at[other as usize]) {
                         add_scaled(&mut row[s], &block, w);

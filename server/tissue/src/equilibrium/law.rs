@@ -11,9 +11,26 @@
 //! which is exact in relative terms, zero at rest to the last bit, and lets the arithmetic run in
 //! eight lanes of f32 on differences that were taken in f64.
 //!
+//! A spring does not know which way it points: under a deep press a node can pass its neighbour and
+//! stay there, folded, in an equilibrium of its own. The seed's guard is the neighbouring bounding box
+//! (eq. 3.7): a node stays between its neighbours along the axes of the rest state. As a force
+//! (reconstructed), with p = d·d0 / l0², one at rest and negative when the ends have passed:
+//!
+//! ```text
+//! guard on i = -G k (θ - p) d0     while p < θ
+//! ```
+//!
+//! It is the gradient of a convex energy, so it adds no equilibria; with G θ > 1 it outweighs the spring
+//! wherever that would hold a fold. It stays out of the way until a spring is pressed or turned to θ
+//! of its length along d0, which a moderate press does nowhere; a flap turned by more than acos θ = 73°
+//! against its rest state is held back by it.
+//!
 //! The tangent of one spring is k [n nᵀ + s (I - n nᵀ)] with s = 1 - l0/|d|. A compressed spring has
-//! s < 0 and would make the block indefinite under a deep press; s is cut at zero, which only makes
-//! the step of a node shorter.
+//! s < 0 and would make the block indefinite under a deep press, and a spring that is shorter than
+//! what its ends move turns within one step, so that its tangent tells nothing of where it will pull.
+//! So s is kept above a floor σ(l0/Δd) that is small for springs of the lattice's own length and one
+//! for short ones: k I bounds the length law from above whatever the direction, and a larger block
+//! only makes the step of a node shorter.
 
 use crate::{SPRINGS_PER_NODE_MAX, Topology, Vec3};
 
@@ -23,6 +40,25 @@ const ROWS: usize = SPRINGS_PER_NODE_MAX / LANES;
 /// Symmetric 3x3 block: xx, yy, zz, xy, xz, yz.
 pub(crate) type Symmetric = [f64; 6];
 
+/// θ: part of its rest length that a spring keeps along its rest direction before the guard pushes.
+const GUARDED: f32 = 0.3;
+/// G: stiffness of the guard in parts of the spring's; G θ must be above one.
+const GUARD: f32 = 6.0;
+
+/// Floor of s for springs as long as the lattice's own.
+const SIDEWAYS: f32 = 0.1;
+/// Length in spacings below which a spring counts as turning freely, and its floor is one.
+const SHORT: f32 = 0.5;
+/// Length in spacings from which on the floor is [`SIDEWAYS`].
+const LONG: f32 = 0.9;
+
+/// The floor σ of a spring of rest length `l0` on a lattice of spacing Δd, given as 1/Δd.
+#[inline]
+pub(crate) fn sideways(l0: f32, per_spacing: f32) -> f32 {
+    let t = ((l0 * per_spacing - SHORT) / (LONG - SHORT)).clamp(0.0, 1.0);
+    1.0 + t * (SIDEWAYS - 1.0)
+}
+
 /// The springs of one node, gathered into lanes.
 pub(crate) struct Lanes {
     rest: [[[f32; LANES]; 3]; ROWS],
@@ -30,11 +66,14 @@ pub(crate) struct Lanes {
     stiffness: [[f32; LANES]; ROWS],
     length: [[f32; LANES]; ROWS],
     used: usize,
+    per_spacing: f32,
 }
 
 impl Lanes {
-    pub(crate) fn new() -> Self {
+    /// Lanes for a lattice of this spacing in m.
+    pub(crate) fn new(spacing: f64) -> Self {
         Self {
+            per_spacing: (1.0 / spacing) as f32,
             rest: [[[0.0; LANES]; 3]; ROWS],
             relative: [[[0.0; LANES]; 3]; ROWS],
             stiffness: [[0.0; LANES]; ROWS],
@@ -86,9 +125,11 @@ impl Lanes {
                 let q = vx[l] * (dx[l] + x) + vy[l] * (dy[l] + y) + vz[l] * (dz[l] + z);
                 let length = (x * x + y * y + z * z).sqrt().max(f32::MIN_POSITIVE);
                 let t = k[l] * q / ((length + l0[l]) * length);
-                sum[0][l] += t * x;
-                sum[1][l] += t * y;
-                sum[2][l] += t * z;
+                let along = (x * dx[l] + y * dy[l] + z * dz[l]) / (l0[l] * l0[l]);
+                let guard = GUARD * k[l] * (GUARDED - along).max(0.0);
+                sum[0][l] += t * x - guard * dx[l];
+                sum[1][l] += t * y - guard * dy[l];
+                sum[2][l] += t * z - guard * dz[l];
             }
         }
         Vec3::new(fold(&sum[0]), fold(&sum[1]), fold(&sum[2]))
@@ -105,15 +146,20 @@ impl Lanes {
             for l in 0..LANES {
                 let (x, y, z) = (dx[l] + vx[l], dy[l] + vy[l], dz[l] + vz[l]);
                 let square = (x * x + y * y + z * z).max(f32::MIN_POSITIVE);
-                let s = (1.0 - l0[l] / square.sqrt()).max(0.0);
+                let floor = sideways(l0[l], self.per_spacing);
+                let s = (1.0 - l0[l] / square.sqrt()).max(floor);
                 let along = k[l] * (1.0 - s) / square;
                 let across = k[l] * s;
-                sum[0][l] += along * x * x + across;
-                sum[1][l] += along * y * y + across;
-                sum[2][l] += along * z * z + across;
-                sum[3][l] += along * x * y;
-                sum[4][l] += along * x * z;
-                sum[5][l] += along * y * z;
+                let (a, b, c) = (dx[l], dy[l], dz[l]);
+                let rest = l0[l] * l0[l];
+                let guarded = x * a + y * b + z * c < GUARDED * rest;
+                let guard = if guarded { GUARD * k[l] / rest } else { 0.0 };
+                sum[0][l] += along * x * x + guard * a * a + across;
+                sum[1][l] += along * y * y + guard * b * b + across;
+                sum[2][l] += along * z * z + guard * c * c + across;
+                sum[3][l] += along * x * y + guard * a * b;
+                sum[4][l] += along * x * z + guard * a * c;
+                sum[5][l] += along * y * z + guard * b * c;
             }
         }
         [0, 1, 2, 3, 4, 5].map(|e| fold(&sum[e]))
@@ -161,7 +207,7 @@ pub(crate) fn apply(m: &Symmetric, v: &Vec3) -> Vec3 {
 
 /// Force of the length law on one node, for checks and for pinned or held nodes.
 pub(crate) fn force_on(topology: &Topology, u: &[Vec3], node: u32) -> Vec3 {
-    let mut lanes = Lanes::new();
+    let mut lanes = Lanes::new(topology.model().spacing_m);
     lanes.load(topology, u, node);
     lanes.force()
 }

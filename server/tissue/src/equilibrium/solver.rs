@@ -20,6 +20,14 @@ const SWEEPS: usize = 2;
 /// Part of the allowed residual that a single node may keep at first. When what is active has
 /// become calm the part is lowered, down to where all stirred nodes together can not exceed it.
 const FIRST_SHARE: f64 = 0.25;
+/// What tools bring in counts at least as this many spacings times the stiffness of a node: after a
+/// release there is nothing to be relative to, and no hand or eye can tell less.
+const LEAST: f64 = 0.1;
+/// Only below this tolerance is it lowered as far as that. Above, one lowering is enough: the force on a tool does not feel a thousand
+/// far nodes with a thousandth of it each, and visiting them all costs more than the press.
+const PROVEN: f64 = 1e-3;
+/// From this tolerance on it is not lowered: what a hand needs in a millisecond.
+const QUICK: f64 = 0.025;
 /// Factor by which the part is lowered.
 const DEEPEN: f64 = 0.25;
 /// Force that a kink of the poured correction is taken to leave at a node, in parts of the node's
@@ -82,6 +90,8 @@ pub struct Solver {
     held: Vec<u32>,
     moved: Vec<Vec3>,
     reference: f64,
+    /// What counts as nothing, in N; see [`LEAST`].
+    least: f64,
     report: StepReport,
     dirty: bool,
     last_forces: Vec<Vec3>,
@@ -90,8 +100,16 @@ pub struct Solver {
 impl Solver {
     /// A solver for shapes of this topology.
     pub fn new(topology: &Topology) -> Self {
+        let field = Field::new(topology);
+        let mut own: Vec<f64> = field.own.iter().copied().filter(|&k| k > 0.0).collect();
+        let middle = own.len() / 2;
+        let typical = match own.get(middle) {
+            Some(_) => *own.select_nth_unstable_by(middle, f64::total_cmp).1,
+            None => 0.0,
+        };
         Self {
-            field: Field::new(topology),
+            least: LEAST * typical * topology.model().spacing_m,
+            field,
             coarse: Hierarchy::new(topology),
             contacts: Contacts::new(topology),
             held: Vec::new(),
@@ -226,11 +244,18 @@ impl Solver {
             let allowed = self.bring(topology, u, budget.tolerance);
             self.report.residual = relative(sum, self.reference);
             let calm = sum.sqrt() <= allowed && !lags;
-            let last = 0.5 / (self.field.stirred() as f64 + 1.0).sqrt();
-            let done = calm && share <= last;
+            let last = if budget.tolerance < PROVEN {
+                0.5 / (self.field.stirred() as f64 + 1.0).sqrt()
+            } else if budget.tolerance < QUICK {
+                FIRST_SHARE * DEEPEN
+            } else {
+                FIRST_SHARE
+            };
             // All that is active is near the threshold: only a lower one can make it calmer.
             let active = self.field.active.items.len() as f64;
             let flat = sum.sqrt() <= 1.5 * share * allowed * active.sqrt();
+            let enough = calm || (flat && budget.tolerance >= PROVEN && !lags);
+            let done = enough && share <= last;
             if (calm || flat) && share > last {
                 share = (share * DEEPEN).max(last);
                 self.field.deepen(share * allowed);
@@ -277,6 +302,9 @@ impl Solver {
         }
         if sum > 0.0 {
             self.reference = sum.sqrt();
+        }
+        if tolerance >= PROVEN {
+            self.reference = self.reference.max(self.least);
         }
         tolerance * self.reference
     }
