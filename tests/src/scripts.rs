@@ -31,8 +31,8 @@ pub const STROKE_SHARES: (f64, f64) = (0.32, 0.48);
 /// Radius of the holder's probe where there is room for it, m.
 const PROBE_RADIUS_M: f64 = 0.008;
 
-/// Half the thickness of the blade, m.
-const BLADE_RADIUS_M: f64 = 0.002;
+/// Radius of the blunt end that the cutter presses with while the blade's button is not held, m.
+const BLADE_RADIUS_M: f64 = 0.006;
 
 /// Length of the blade's edge, m, for a stroke of [`STROKE_DEPTH_M`]: it stands out of the tissue
 /// while it cuts.

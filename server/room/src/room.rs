@@ -178,11 +178,13 @@ impl Room {
         self.start_if_due(now);
     }
 
+    /// Scripts begin when enough tools have been heard of: a site that still builds its copy of the
+    /// tissue has joined, but would miss the beginning.
     fn start_if_due(&mut self, now: ServerTime) {
         let tools = self
             .participants
             .values()
-            .filter(|p| p.tool.is_some())
+            .filter(|p| p.tool.is_some() && p.timeline.newest().is_some())
             .count();
         if self.started_at.is_none() && tools >= usize::from(self.config.start_when_tools) {
             let at = now + START_LEAD;
@@ -276,6 +278,7 @@ impl Room {
         if let Some(newest) = samples.last() {
             participant.delay.handle_arrival(newest.time, now, in_force);
         }
+        self.start_if_due(now);
         let tracks: Arc<[ToolTrack]> = Arc::from([ToolTrack {
             participant: who,
             samples,

@@ -153,7 +153,7 @@ fn who_has_no_grant_no_name_of_their_own_or_no_seat_is_refused_politely() {
 }
 
 #[test]
-fn scripts_start_once_and_only_when_all_tools_are_there() {
+fn scripts_start_once_and_only_when_all_tools_have_been_heard_of() {
     let mut room = room(2);
     let started = |outputs: &[Output], to| {
         let ops = operations(outputs, PeerKey(to));
@@ -166,17 +166,20 @@ fn scripts_start_once_and_only_when_all_tools_are_there() {
         hello("ann", Role::Trainee, ToolKind::Probe),
         ms(0),
     );
-    assert_eq!(started(&drain(&mut room), 1), 0);
     room.handle_event(
         PeerKey(2),
         hello("bob", Role::Trainee, ToolKind::Probe),
         ms(10),
     );
+    room.handle_event(PeerKey(1), pressing(10, 14), ms(20));
+    assert_eq!(started(&drain(&mut room), 1), 0, "bob is not ready");
+    room.handle_event(PeerKey(2), pressing(30, 34), ms(40));
     assert_eq!(started(&drain(&mut room), 1), 1);
+    room.handle_event(PeerKey(2), pressing(34, 38), ms(44));
     room.handle_event(
         PeerKey(3),
         hello("cid", Role::Spectator, ToolKind::Probe),
-        ms(20),
+        ms(50),
     );
     let outputs = drain(&mut room);
     assert_eq!(

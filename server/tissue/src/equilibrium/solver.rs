@@ -270,6 +270,10 @@ impl Solver {
             self.remember_forces(topology, u);
             self.correct(topology, u, threshold);
             for s in 0..SWEEPS {
+                // Time may run out in the middle: what was gained so far is kept.
+                if s > 0 && budget.stop.as_mut().is_some_and(|stop| stop()) {
+                    break;
+                }
                 self.field
                     .sweep(topology, u, &self.contacts, threshold, s % 2 == 0);
             }
