@@ -87,7 +87,7 @@ pub struct CutStroke {
 pub struct BladePoint {
     /// The tip in metres.
     pub tip_m: [f64; 3],
-    /// Unit vector from the handle to the tip: the direction of depth.
+    /// Unit vector from the tip out along the blade, against the depth.
     pub axis: [f64; 3],
     /// How much of the blade, from the tip backwards, is in the tissue, metres.
     pub depth_m: f64,

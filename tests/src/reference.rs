@@ -34,11 +34,11 @@ const PROGRESS_EVERY: i64 = 20;
 /// Hands and chains run so long before the scripts begin, µs: longer than any soft start.
 const LEAD_US: i64 = 2_000_000;
 
-/// Iterations of one solve at most. Warm-started every 4 ms, two of them follow a hand: four leave
-/// the force within 0.2 % of what sixty give. More would take many times as long as the session.
+/// Iterations of one solve at most. Warm-started every 4 ms, two of them follow a hand; more would
+/// take many times as long as the session.
 const ITERATIONS_MAX: usize = 2;
 
-/// Relative residual at which a solve ends: the force then is within 0.1 % of the converged one.
+/// Relative residual at which a solve ends: below half of what the session's sites solve to.
 const TOLERANCE: f64 = 1e-2;
 
 /// Why there is no reference.

@@ -63,9 +63,10 @@ const CONFINED: [(&str, &[&str]); 5] = [
 
 /// Where a clock may be read, as beginnings of paths; a program in `examples/` or `benches/` may
 /// read one too.
-const SHELLS: [&str; 4] = [
+const SHELLS: [&str; 5] = [
     "server/src/",
     "client/src/",
+    "client/tests/",
     "protocol/transport/",
     "tests/",
 ];

@@ -11,8 +11,8 @@ use crate::connection::Connection;
 use crate::error::in_words;
 use crate::identity::SERVER_NAME;
 
-/// Attempts before a silent address is given up; each takes about three seconds.
-const ATTEMPTS: u32 = 3;
+/// Attempts before a silent address is given up; each takes about eight seconds.
+const ATTEMPTS: u32 = 2;
 
 /// The TLS alert "no application protocol".
 const ALERT_NO_APPLICATION_PROTOCOL: u8 = 120;

@@ -42,7 +42,7 @@ pub struct Budget<'a> {
     pub iterations: usize,
     /// Relative residual at which to stop; 1e-6 counts as converged.
     pub tolerance: f64,
-    /// Asked between iterations; `true` stops. A shell that owns a clock sets a time limit so.
+    /// Asked between iterations and between the sweeps of one; `true` stops. A shell that owns a clock sets a time limit so.
     pub stop: Option<&'a mut dyn FnMut() -> bool>,
 }
 

@@ -129,11 +129,15 @@ pub(crate) fn check_derived(t: &Topology) {
         let material = t.model().material_of(cell as usize);
         for (slot, &n) in corners.iter().enumerate() {
             slots[n as usize][slot] = cell;
-            mass[n as usize] += material.density_kg_m3 * v / 8.0;
+            let built = cell_volume(&t.model().corners_of(cell as usize));
+            mass[n as usize] += material.density_kg_m3 * built / 8.0;
         }
-        for (share, list) in [(0.1, EDGES), (0.4, DIAGONALS)] {
-            for [a, b] in list {
-                let k = share * material.young_pa * v / (x[a] - x[b]).norm_squared();
+        let bodies = [[0, 7], [1, 6], [2, 5], [3, 4]];
+        let kinds = [(0.14, &EDGES[..]), (0.24, &DIAGONALS), (0.36, &bodies)];
+        for (share, list) in kinds {
+            for &[a, b] in list {
+                let length = (x[a] - x[b]).norm().max(0.5 * t.model().spacing_m);
+                let k = share * material.young_pa * v / (length * length);
                 *springs[corners[a] as usize].entry(corners[b]).or_default() += k;
                 *springs[corners[b] as usize].entry(corners[a]).or_default() += k;
             }
