@@ -135,7 +135,7 @@ impl Relay {
         let listener = {
             let shared = shared.clone();
             spawn("relay-listen", move || {
-                listen_to_clients(&shared, &socket, to)
+                listen_to_clients(&shared, &socket, to);
             })?
         };
         let deliverer = {
