@@ -15,7 +15,8 @@ use palpate_protocol::datagram::Corrections;
 use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::{ClientTime, ServerTime};
 use palpate_tissue::{
-    Budget, Model, Reaction, Shape, Solver, StepReport, Tool, Topology, TopologyHash, Vec3, cut,
+    Budget, CutOutcome, Model, Reaction, Shape, Solver, StepReport, Tool, Topology, TopologyHash,
+    Vec3, cut,
 };
 
 use crate::convert::tissue_stroke;
@@ -47,6 +48,13 @@ pub const ITERATIONS: usize = 4;
 
 /// Residual at which the hand's solve ends: the force is then within a few percent.
 pub const HAPTIC_TOLERANCE: f64 = 3e-2;
+
+/// Residual at which the hand's solve ends while the hand rests: time is there, and a force that
+/// stands still is felt for what it is.
+pub const RESTING_TOLERANCE: f64 = 5e-3;
+
+/// A hand slower than this rests, m/s.
+pub const RESTING_M_S: f64 = 0.005;
 
 /// Residual at which the view's solve ends. Finer than the hand's, because sites are compared.
 pub const VIEW_TOLERANCE: f64 = 2e-2;
@@ -105,6 +113,11 @@ impl Side {
             solver: Solver::new(topology),
         }
     }
+
+    fn follow(&mut self, topology: &Topology, outcome: &CutOutcome) {
+        self.shape.follow(topology, outcome);
+        self.solver.follow(topology, &outcome.touched);
+    }
 }
 
 /// One's own copy of the tissue.
@@ -117,6 +130,9 @@ pub struct Replica {
     /// `None` for who only looks.
     haptic: Option<Side>,
     view: Side,
+    /// A cut that the view has still to follow. It waits for the next view, so that the hand, whose
+    /// model fades within a few ticks, is served first.
+    unseen: Option<CutOutcome>,
     history: History,
     was_corrected: bool,
     tools: Vec<Tool>,
@@ -130,6 +146,7 @@ impl Replica {
             haptic: with_hand.then(|| Side::new(&topology)),
             view: Side::new(&topology),
             topology,
+            unseen: None,
             history: History::default(),
             was_corrected: false,
             tools: Vec::new(),
@@ -165,15 +182,16 @@ impl Replica {
                 found: self.topology.version(),
             });
         }
+        self.show_cut();
         let outcome =
             cut(&mut self.topology, &tissue_stroke(stroke)).map_err(|e| ReplicaError::Cut {
                 operation: name(),
                 why: e.to_string(),
             })?;
-        for side in self.haptic.iter_mut().chain([&mut self.view]) {
-            side.shape.follow(&self.topology, &outcome);
-            side.solver.follow(&self.topology, &outcome.touched);
+        if let Some(side) = &mut self.haptic {
+            side.follow(&self.topology, &outcome);
         }
+        self.unseen = Some(outcome);
         self.history.clear();
         let found = self.topology.hash();
         if found.0 != operation.hash_after.0
@@ -227,6 +245,7 @@ impl Replica {
         tools: &[ToolAt],
         budget: Budget<'_>,
     ) -> &StepReport {
+        self.show_cut();
         gather(&mut self.tools, tools.iter());
         let side = &mut self.view;
         side.solver
@@ -236,6 +255,12 @@ impl Replica {
         self.history
             .push(s, self.topology.version(), &side.shape, changed);
         side.solver.report()
+    }
+
+    fn show_cut(&mut self) {
+        if let Some(outcome) = self.unseen.take() {
+            self.view.follow(&self.topology, &outcome);
+        }
     }
 
     /// Compares a past view with what the server says of it, and blends the difference into the

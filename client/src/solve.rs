@@ -24,7 +24,9 @@ use crate::realtime::{
     Frame, device_time, lower_priority_of_this_thread, monotonic_now, sleep_until,
 };
 use crate::recording::{Recording, ToolRecord, VIEW_HZ, ViewRecord, choose_nodes};
-use crate::replica::{HAPTIC_TOLERANCE, ITERATIONS, VIEW_TOLERANCE};
+use crate::replica::{
+    HAPTIC_TOLERANCE, ITERATIONS, RESTING_M_S, RESTING_TOLERANCE, VIEW_TOLERANCE,
+};
 use crate::site::{Site, SiteCounters, SiteError, ViewFrame};
 
 /// From turn to turn.
@@ -247,12 +249,17 @@ impl Turns {
         let frame = *hand.newest.read();
         let began = monotonic_now();
         let mut stop = || monotonic_now() - began > HAPTIC_TIME;
+        let sample = &frame.sample;
+        let tolerance = if sample.velocity.norm() < RESTING_M_S {
+            RESTING_TOLERANCE
+        } else {
+            HAPTIC_TOLERANCE
+        };
         let budget = Budget {
             iterations: ITERATIONS,
-            tolerance: HAPTIC_TOLERANCE,
+            tolerance,
             stop: Some(&mut stop),
         };
-        let sample = &frame.sample;
         let buttons = (sample.buttons.bits() & 0xff) as u8;
         let position = sample.pose.position;
         if let Some(model) = self.work.site.haptic_step(began, position, buttons, budget) {

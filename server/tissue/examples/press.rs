@@ -2,6 +2,8 @@
 //! -- [key=value]...`, keys as in [`Options`]. Prints the time per step, the error of the contact
 //! force against the converged one, and how many nodes were active.
 
+#![allow(clippy::print_stdout)]
+
 use std::sync::Arc;
 use std::time::Instant;
 
