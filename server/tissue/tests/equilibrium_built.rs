@@ -45,7 +45,7 @@ fn a_deep_press_into_built_tissue_neither_folds_nor_blows_up_and_leaves_no_dent(
             };
             let report = solver.step(&topology, &mut shape, &[tool], Budget::new(4, 1e-2));
             assert!(!report.fell_back, "at {depth_mm} mm along {direction:?}");
-            let moved = shape.displacement.iter().map(|u| u.norm());
+            let moved = shape.displacement.iter().map(Vec3::norm);
             (
                 report.reactions[0].force.dot(&direction),
                 moved.fold(0.0, f64::max) * 1e3,

@@ -50,12 +50,11 @@ fn ball(radius: f64) -> Surface {
 }
 
 fn scene(spacing_mm: f64, regions: &[(&str, Surface)]) -> SceneInput {
-    let mut text = format!("format = \"palpate-scene/1\"\nspacing_mm = {spacing_mm}\n");
-    for (name, _) in regions {
-        text += &format!(
-            "[[region]]\nname = \"{name}\"\nsurface = \"{name}.stl\"\nmaterial = \"fat\"\n"
-        );
-    }
+    let head = format!("format = \"palpate-scene/1\"\nspacing_mm = {spacing_mm}\n");
+    let tables = regions.iter().map(|(name, _)| {
+        format!("[[region]]\nname = \"{name}\"\nsurface = \"{name}.stl\"\nmaterial = \"fat\"\n")
+    });
+    let text: String = std::iter::once(head).chain(tables).collect();
     let scene = Scene::parse(&text, std::path::Path::new(".")).unwrap();
     SceneInput::new(scene, regions.iter().map(|r| r.1.clone()).collect()).unwrap()
 }
