@@ -44,8 +44,8 @@ pub enum Method {
     /// Verlet steps with a windowed second difference.
     #[default]
     Verlet,
-    /// Between samples the cubic with their velocities; beyond them straight on. Better than
-    /// Verlet from gaps of about 33 ms up.
+    /// Between samples the cubic with their velocities; beyond them straight on. No
+    /// better than Verlet on the motion of the tests, up to gaps of 50 ms.
     Hermite,
     /// Straight lines.
     Linear,
