@@ -1,0 +1,331 @@
+//! What the equilibrium of one topology never changes: its bricks and its coarse lattices.
+//!
+//! Level 0 are the nodes of the model with the bricks as their elements; level 1 and up are lattices
+//! of twice the side each, with matrices as their elements (`element`, `coarsen`). Every element of
+//! level l + 1 has children of level l; those of level 1 have bricks.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+
+use super::brick::{Brick, Draft, Form, LOCALS};
+use super::coarsen::{Coarse, Joints, Piece, Ties, coarsen, octant};
+use super::element::{Matrix, Sum};
+use crate::{FaceId, NO_CELL, Topology};
+
+/// Coarse levels at most: 8 halvings take a lattice of 256 points per axis to one.
+const LEVELS_MAX: usize = 8;
+/// A level this small is not made coarser.
+const COARSEST_ELEMENTS: usize = 12;
+/// Bricks put together at once, so that what is not shared yet stays below some 30 MB.
+const BATCH: usize = 8192;
+
+/// Lists of numbers, one per row, in one piece of memory.
+#[derive(Default)]
+pub(super) struct Table {
+    first: Vec<u32>,
+    items: Vec<u32>,
+}
+
+impl Table {
+    /// The rows of `pairs`, each `(row, item)`, items in the order given.
+    pub(super) fn new(rows: usize, pairs: impl Iterator<Item = (u32, u32)> + Clone) -> Self {
+        let mut first = vec![0u32; rows + 1];
+        for (row, _) in pairs.clone() {
+            first[row as usize + 1] += 1;
+        }
+        for r in 0..rows {
+            first[r + 1] += first[r];
+        }
+        let mut items = vec![0; first[rows] as usize];
+        let mut next = first.clone();
+        for (row, item) in pairs {
+            let at = &mut next[row as usize];
+            items[*at as usize] = item;
+            *at += 1;
+        }
+        Self { first, items }
+    }
+
+    #[inline]
+    pub(super) fn row(&self, row: u32) -> &[u32] {
+        let r = row as usize;
+        &self.items[self.first[r] as usize..self.first[r + 1] as usize]
+    }
+
+    #[inline]
+    pub(super) fn len(&self, row: u32) -> u32 {
+        self.first[row as usize + 1] - self.first[row as usize]
+    }
+}
+
+/// One coarse lattice.
+pub(super) struct Level {
+    /// Points at the corners of each element.
+    pub(super) corners: Vec<[u32; 8]>,
+    /// Matrix of each element.
+    pub(super) matrix: Vec<u32>,
+    pub(super) matrices: Vec<Matrix>,
+    /// Elements of the finer level in each element; on level 1 bricks.
+    pub(super) children: Table,
+    /// Element of the next coarser level that each element is part of.
+    pub(super) parent: Vec<u32>,
+    /// Position of each element in its parent.
+    pub(super) octant: Vec<u8>,
+    /// Ties of each point to the next coarser level; none on the coarsest.
+    pub(super) ties: Vec<Ties>,
+    /// Elements around each point.
+    pub(super) around: Table,
+    /// What bounds the rows of each point: the sum of its elements' bounds.
+    pub(super) bound: Vec<[f32; 6]>,
+}
+
+impl Level {
+    pub(super) fn points(&self) -> usize {
+        self.bound.len()
+    }
+}
+
+/// Bricks and coarse lattices of a topology.
+pub(crate) struct Structure {
+    pub(super) bricks: Vec<Brick>,
+    pub(super) forms: Vec<Form>,
+    /// Element of level 1 that each brick is part of.
+    pub(super) element_of: Vec<u32>,
+    /// Bricks around each node, as `brick * 32 + entry`.
+    pub(super) around: Table,
+    /// Ties of each node to level 1; none for pinned nodes.
+    pub(super) ties: Vec<Ties>,
+    pub(super) levels: Vec<Level>,
+    pub(super) per_spacing: f32,
+}
+
+impl Structure {
+    pub(super) fn new(topology: &Topology) -> Self {
+        let cells = pieces_of(topology);
+        let coarse = coarsen(&cells, topology.node_count(), |cell, axis| {
+            let next = topology.across(FaceId::new(cell, 2 * axis + 1));
+            if next == NO_CELL { vec![] } else { vec![next] }
+        });
+        let per_spacing = (1.0 / topology.model().spacing_m) as f32;
+        let (bricks, element_of, forms) = bricks_of(topology, &cells, &coarse);
+        let around = Table::new(
+            topology.node_count(),
+            bricks.iter().enumerate().flat_map(|(b, brick)| {
+                (0..LOCALS as u32)
+                    .filter(|i| brick.present >> i & 1 == 1)
+                    .map(move |i| (brick.nodes[i as usize], b as u32 * 32 + i))
+            }),
+        );
+        let mut ties = coarse.ties.clone();
+        for (node, ties) in ties.iter_mut().enumerate() {
+            if topology.is_pinned(node as u32) {
+                ties.len = 0;
+            }
+        }
+        let mut structure = Self {
+            bricks,
+            forms,
+            element_of,
+            around,
+            ties,
+            levels: Vec::new(),
+            per_spacing,
+        };
+        structure.add_levels(topology, coarse);
+        structure
+    }
+
+    fn add_levels(&mut self, topology: &Topology, first: Coarse) {
+        let (mut matrix, mut matrices) = self.matrices_over_bricks(topology, first.pieces.len());
+        let mut children = Table::new(
+            first.pieces.len(),
+            (0..self.bricks.len()).map(|b| (self.element_of[b], b as u32)),
+        );
+        let mut now = first;
+        loop {
+            let joints = Joints::new(&now.pieces);
+            let last =
+                self.levels.len() + 1 == LEVELS_MAX || now.pieces.len() <= COARSEST_ELEMENTS;
+            let next = (!last).then(|| {
+                coarsen(&now.pieces, now.points, |e, axis| {
+                    joints.behind(&now.pieces, e, axis)
+                })
+            });
+            let next = next.filter(|n| n.pieces.len() < now.pieces.len());
+            let level = level_of(&now, next.as_ref(), matrix, matrices, children);
+            self.levels.push(level);
+            let Some(next) = next else { break };
+            let level = &self.levels[self.levels.len() - 1];
+            (matrix, matrices) = matrices_over_level(level, next.pieces.len());
+            children = Table::new(
+                next.pieces.len(),
+                level.parent.iter().enumerate().map(|(e, &p)| (p, e as u32)),
+            );
+            now = next;
+        }
+    }
+
+    /// The matrices of level 1. Elements with the same forms and the same fixed nodes share one.
+    fn matrices_over_bricks(&self, topology: &Topology, elements: usize) -> (Vec<u32>, Vec<Matrix>) {
+        let mut parts: Vec<Vec<(u32, u32)>> = vec![Vec::new(); elements];
+        for (brick, &element) in self.bricks.iter().zip(&self.element_of) {
+            let fixed = (0..LOCALS)
+                .filter(|&i| topology.is_pinned(brick.nodes[i]))
+                .fold(0, |bits, i| bits | 1 << i);
+            parts[element as usize].push((brick.form, fixed));
+        }
+        share(parts, |parts| {
+            let mut sum = Sum::new();
+            for &(form, fixed) in parts {
+                sum.add_brick(&self.forms[form as usize], fixed, self.per_spacing);
+            }
+            sum.finish()
+        })
+    }
+}
+
+/// The cells of a topology by their place in the lattice.
+fn pieces_of(topology: &Topology) -> Vec<Piece> {
+    let model = topology.model();
+    (0..topology.cell_count() as u32)
+        .map(|cell| Piece {
+            at: model.lattice[model.cells[cell as usize].corners[0] as usize],
+            corners: topology.corners(cell),
+        })
+        .collect()
+}
+
+/// The bricks, sorted by their elements, with the element and the form of each.
+fn bricks_of(
+    topology: &Topology,
+    cells: &[Piece],
+    coarse: &Coarse,
+) -> (Vec<Brick>, Vec<u32>, Vec<Form>) {
+    let elements = coarse.pieces.len();
+    let members = Table::new(
+        elements,
+        (0..cells.len()).map(|c| (coarse.element_of[c], c as u32)),
+    );
+    let (mut bricks, mut element_of, mut forms) = (Vec::new(), Vec::new(), Vec::new());
+    let mut known: BTreeMap<u128, u32> = BTreeMap::new();
+    for from in (0..elements).step_by(BATCH) {
+        let made: Vec<Vec<(Brick, Form, u128)>> = (from..elements.min(from + BATCH))
+            .into_par_iter()
+            .map(|e| {
+                let list: Vec<(usize, u32)> = members
+                    .row(e as u32)
+                    .iter()
+                    .map(|&c| (octant(cells[c as usize].at), c))
+                    .collect();
+                let mut drafts = Vec::new();
+                Draft::of(topology, &list, &mut drafts);
+                let finish = |draft: &Draft| {
+                    let (brick, form) = draft.finish(topology);
+                    let key = form.key();
+                    (brick, form, key)
+                };
+                drafts.iter().map(finish).collect()
+            })
+            .collect();
+        for (e, list) in made.into_iter().enumerate() {
+            for (mut brick, form, key) in list {
+                brick.form = *known.entry(key).or_insert_with(|| {
+                    forms.push(form);
+                    forms.len() as u32 - 1
+                });
+                bricks.push(brick);
+                element_of.push((from + e) as u32);
+            }
+        }
+    }
+    (bricks, element_of, forms)
+}
+
+fn level_of(
+    now: &Coarse,
+    next: Option<&Coarse>,
+    matrix: Vec<u32>,
+    matrices: Vec<Matrix>,
+    children: Table,
+) -> Level {
+    let mut bound = vec![[0.0f32; 6]; now.points];
+    for (piece, &m) in now.pieces.iter().zip(&matrix) {
+        for (c, &point) in piece.corners.iter().enumerate() {
+            let own = &matrices[m as usize].bound[c];
+            for (sum, v) in bound[point as usize].iter_mut().zip(own) {
+                *sum += v;
+            }
+        }
+    }
+    let pairs = now
+        .pieces
+        .iter()
+        .enumerate()
+        .flat_map(|(e, piece)| piece.corners.map(|p| (p, e as u32)));
+    Level {
+        corners: now.pieces.iter().map(|p| p.corners).collect(),
+        matrix,
+        matrices,
+        children,
+        parent: next.map_or_else(Vec::new, |n| n.element_of.clone()),
+        octant: now.pieces.iter().map(|p| octant(p.at) as u8).collect(),
+        ties: next.map_or_else(Vec::new, |n| n.ties.clone()),
+        around: Table::new(now.points, pairs),
+        bound,
+    }
+}
+
+/// The matrices of the elements over a level. Those with the same children share one.
+fn matrices_over_level(level: &Level, elements: usize) -> (Vec<u32>, Vec<Matrix>) {
+    let mut parts: Vec<Vec<(u32, u32)>> = vec![Vec::new(); elements];
+    for (e, &parent) in level.parent.iter().enumerate() {
+        parts[parent as usize].push((level.matrix[e], u32::from(level.octant[e])));
+    }
+    share(parts, |parts| {
+        let mut sum = Sum::new();
+        for &(matrix, octant) in parts {
+            sum.add_child(&level.matrices[matrix as usize], octant as usize);
+        }
+        sum.finish()
+    })
+}
+
+/// Makes one matrix for all elements that are made of the same parts.
+fn share(
+    parts: Vec<Vec<(u32, u32)>>,
+    make: impl Fn(&[(u32, u32)]) -> Matrix + Sync,
+) -> (Vec<u32>, Vec<Matrix>) {
+    let mut known: BTreeMap<&[(u32, u32)], u32> = BTreeMap::new();
+    let mut different = Vec::new();
+    let index = parts
+        .iter()
+        .map(|list| {
+            *known.entry(list.as_slice()).or_insert_with(|| {
+                different.push(list.as_slice());
+                different.len() as u32 - 1
+            })
+        })
+        .collect();
+    let matrices = different.par_iter().map(|list| make(list)).collect();
+    (index, matrices)
+}
+
+impl Form {
+    /// Equal keys mean equal forms.
+    fn key(&self) -> u128 {
+        let mut hasher = xxhash_rust::xxh3::Xxh3::new();
+        let mut take = |values: &[f32]| {
+            for v in values {
+                hasher.update(&v.to_bits().to_le_bytes());
+            }
+        };
+        self.rest.iter().for_each(|axis| take(&axis[..LOCALS]));
+        self.stiffness.iter().for_each(|row| take(row));
+        take(&self.bulk);
+        take(&self.per_volume);
+        take(&[self.curve.stiffening]);
+        take(&self.curve.limits);
+        hasher.digest128()
+    }
+}
