@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use palpate_tissue::{ModelFile, model_hash};
+use palpate_tissue::{Material, ModelFile, Region, model_hash};
 use serde_json::{Value, json};
 
 use crate::ServerError;
@@ -36,16 +36,44 @@ pub(crate) fn inspect(path: &Path) -> Result<(Value, String), ServerError> {
         let m = &region.material;
         let _ = write!(
             text,
-            "\n{:<24} {:<12} {:>10.1} kPa {:>6.0} kg/m3{}  ({})",
+            "\n{:<24} {:<12} {:>10.1} kPa, Poisson {:.2}, {:>6.0} kg/m3{}{}  ({})",
             region.name,
             m.name,
             m.young_pa / 1e3,
+            m.poisson,
             m.density_kg_m3,
+            special(region),
             if region.pinned { ", pinned" } else { "" },
             m.source
         );
     }
     Ok((value, text))
+}
+
+/// What is out of the common about a region's material.
+fn special(region: &Region) -> String {
+    let m = &region.material;
+    let plain = Material::default();
+    let mut text = String::new();
+    if m.stiffening != plain.stiffening {
+        let _ = write!(text, ", stiffening {}", m.stiffening);
+    }
+    if m.fibre_ratio != plain.fibre_ratio {
+        let [x, y, z] = region.fibre;
+        let _ = write!(
+            text,
+            ", {} times as stiff along [{x:.3}, {y:.3}, {z:.3}]",
+            m.fibre_ratio
+        );
+    }
+    if [m.compress_limit, m.stretch_limit] != [plain.compress_limit, plain.stretch_limit] {
+        let _ = write!(
+            text,
+            ", springs of {} to {} rest lengths",
+            m.compress_limit, m.stretch_limit
+        );
+    }
+    text
 }
 
 fn materials(file: &ModelFile) -> Value {
@@ -57,6 +85,12 @@ fn materials(file: &ModelFile) -> Value {
                 "region": r.name,
                 "material": r.material.name,
                 "young_kpa": r.material.young_pa / 1e3,
+                "poisson": r.material.poisson,
+                "stiffening": r.material.stiffening,
+                "fibre_ratio": r.material.fibre_ratio,
+                "fibre": r.fibre,
+                "compress_limit": r.material.compress_limit,
+                "stretch_limit": r.material.stretch_limit,
                 "density_kg_m3": r.material.density_kg_m3,
                 "friction_static": r.material.friction_static,
                 "friction_dynamic": r.material.friction_dynamic,

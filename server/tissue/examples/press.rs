@@ -87,6 +87,7 @@ fn main() {
         friction_static: 0.4,
         friction_dynamic: 0.3,
         source: "benchmark".into(),
+        ..Material::default()
     };
     let start = Instant::now();
     let model = block(

@@ -14,6 +14,7 @@ mod cell;
 mod contact;
 mod cut;
 mod equilibrium;
+mod fibre;
 mod file;
 mod material;
 mod model;
@@ -41,7 +42,7 @@ pub use file::{
     CELLS_MAX, EnvelopeError, FileError, MODEL_FORMAT, ModelFile, NODES_MAX, REGIONS_MAX,
     decode_model, encode_model,
 };
-pub use material::{MATERIAL_NAMES, Material, MaterialError, MaterialOverride};
+pub use material::{FibreAxis, MATERIAL_NAMES, Material, MaterialError, MaterialOverride};
 pub use model::{Model, Region, RegionId};
 pub use scene::{Scene, SceneError, SceneInput, SceneRegion};
 pub use shape::Shape;

@@ -15,6 +15,7 @@ fn tissue(cells: [usize; 3], spacing_m: f64) -> Topology {
         friction_static: 0.4,
         friction_dynamic: 0.3,
         source: "test".into(),
+        ..Material::default()
     };
     Topology::new(Arc::new(block(cells, spacing_m, &material, 1)))
 }

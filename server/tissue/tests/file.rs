@@ -2,7 +2,9 @@
 
 #![allow(clippy::unwrap_used)]
 
-use palpate_tissue::{EnvelopeError, FileError, Material, Model, ModelFile, Vec3, block};
+use palpate_tissue::{
+    EnvelopeError, FibreAxis, FileError, MODEL_FORMAT, Material, Model, ModelFile, Vec3, block,
+};
 use proptest::prelude::*;
 
 fn rubber() -> Material {
@@ -12,6 +14,12 @@ fn rubber() -> Material {
         density_kg_m3: 1100.0,
         friction_static: 0.5,
         friction_dynamic: 0.4,
+        fibre_ratio: 2.5,
+        fibre_axis: FibreAxis::Given([1.0, 2.0, -2.0]),
+        stiffening: 4.0,
+        poisson: 0.3,
+        compress_limit: 0.4,
+        stretch_limit: 2.0,
         source: "made up for this test".into(),
     }
 }
@@ -79,8 +87,13 @@ fn each_kind_of_damage_has_its_own_word() {
     assert_eq!(kind(b"solid thigh"), EnvelopeError::WrongKind);
     assert_eq!(kind(b""), EnvelopeError::WrongKind);
     let mut newer = good.clone();
-    newer[8] = 9;
-    assert_eq!(kind(&newer), EnvelopeError::Version { found: 9, reads: 1 });
+    for found in [1, 9] {
+        newer[8] = found as u8;
+        let reads = MODEL_FORMAT;
+        assert_eq!(kind(&newer), EnvelopeError::Version { found, reads });
+        let word = if found < reads { "older" } else { "newer" };
+        assert!(kind(&newer).to_string().contains(word));
+    }
     assert!(matches!(
         kind(&good[..good.len() - 1]),
         EnvelopeError::Length { .. }
@@ -105,7 +118,10 @@ fn every_flipped_byte_and_every_truncation_is_refused() {
 #[test]
 fn a_model_that_contradicts_itself_is_refused() {
     type Harm = fn(&mut Model);
-    let harms: [(&str, Harm); 8] = [
+    let harms: [(&str, Harm); 11] = [
+        ("fibres", |m| m.regions[0].fibre = [0.0; 3]),
+        ("fibres", |m| m.regions[0].fibre = [0.0, f64::NAN, 1.0]),
+        ("material", |m| m.regions[1].material.poisson = 0.5),
         ("region", |m| m.cells[3].region.0 = 7),
         ("node", |m| m.cells[3].corners[2] = 9999),
         ("none does", |m| m.cells[3].corners = m.cells[4].corners),

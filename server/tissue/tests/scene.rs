@@ -8,7 +8,7 @@ use std::path::Path;
 use palpate_tissue::sample::Sample;
 use palpate_tissue::scene::REGIONS_MAX;
 use palpate_tissue::{
-    MATERIAL_NAMES, Material, MaterialOverride, Scene, SceneError, SceneInput, Unit,
+    FibreAxis, MATERIAL_NAMES, Material, MaterialOverride, Scene, SceneError, SceneInput, Unit,
 };
 use proptest::prelude::*;
 
@@ -95,7 +95,42 @@ fn a_written_scene_reads_back_as_itself() {
 }
 
 /// What to put for what in [`THIGH`], and words the message must hold.
-const MISTAKES: [(&str, &str, &[&str]); 26] = [
+const MISTAKES: [(&str, &str, &[&str]); 33] = [
+    (
+        "young_kpa = 10.0",
+        "poisson = 0.5",
+        &["line 21", "poisson = 0.5", "between 0.25 and 0.49"],
+    ),
+    (
+        "young_kpa = 10.0",
+        "poison = 0.3",
+        &["line 22", "did you mean \"poisson\""],
+    ),
+    (
+        "young_kpa = 10.0",
+        "fibres = \"short\"",
+        &["line 22", "\"long\"", "\"short\""],
+    ),
+    (
+        "young_kpa = 10.0",
+        "fibres = [1.0, 2.0]",
+        &["line 22", "direction", "a list of 2"],
+    ),
+    (
+        "young_kpa = 10.0",
+        "fibres = [0, 0, 0.0]",
+        &["line 21", "not all zero"],
+    ),
+    (
+        "unit = \"m\"",
+        "stretch_limit = 0.5",
+        &["line 15", "\"bone\"", "stretch_limit = 0.5"],
+    ),
+    (
+        "unit = \"m\"",
+        "stifening = 0.5",
+        &["line 19", "did you mean \"stiffening\""],
+    ),
     (
         "spacing_mm",
         "spacing",
@@ -124,7 +159,7 @@ const MISTAKES: [(&str, &str, &[&str]); 26] = [
     (
         "material = \"muscle\"",
         "material = \"musle\"",
-        &["line 13", "\"muscle\"", "cartilage, foam"],
+        &["line 13", "\"muscle\"", "cartilage, vessel"],
     ),
     (
         "material = \"bone\"",
@@ -258,6 +293,32 @@ fn a_new_material_must_be_complete_and_a_known_one_may_change_in_part() {
         Material::built_in("skin").unwrap().density_kg_m3
     );
     assert!(skin.source.starts_with("changed by the scene"));
+}
+
+#[test]
+fn a_region_overrides_its_material_for_itself_alone() {
+    let text = THIGH
+        .replace(
+            "unit = \"m\"",
+            "young_kpa = 20\nfibres = [0, 3, 4]\nfibre_ratio = 2",
+        )
+        .replace("material = \"bone\"", "material = \"fat\"")
+        .replace("young_kpa = 10.0", "young_kpa = 10.0\nstiffening = 7");
+    let scene = parse(&text).unwrap();
+    let [first, last] = [0, 2].map(|r| scene.material(r).unwrap());
+    assert_eq!((first.young_pa, last.young_pa), (10e3, 20e3));
+    assert_eq!((first.stiffening, last.stiffening), (7.0, 7.0));
+    assert_eq!((first.fibre_ratio, last.fibre_ratio), (1.0, 2.0));
+    assert_eq!(last.fibre_axis, FibreAxis::Given([0.0, 3.0, 4.0]));
+    assert!(
+        last.source
+            .starts_with("changed for this region: changed by")
+    );
+    let again = parse(&scene.to_toml()).unwrap();
+    assert_eq!(
+        (&again.regions, &again.materials),
+        (&scene.regions, &scene.materials)
+    );
 }
 
 #[test]

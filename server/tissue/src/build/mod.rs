@@ -283,13 +283,15 @@ fn assemble(
     nodes: Vec<Vec3>,
 ) -> Model {
     let at = lattice.nodes.iter().map(|p| p.map(|i| i as i32)).collect();
-    Model {
+    let mut model = Model {
         spacing_m: input.scene.spacing_m,
         regions,
         nodes,
         lattice: at,
         cells: lattice.cells,
-    }
+    };
+    model.resolve_fibres();
+    model
 }
 
 fn report(

@@ -4,7 +4,7 @@
 //!
 //! ```text
 //! counts     nodes, cells, regions (u32 each), spacing in m (f64 bits)
-//! regions    name, pinned, material
+//! regions    name, pinned, direction of the fibres, material
 //! lattice    three columns of i32, as steps from node to node
 //! origin     where lattice point (0, 0, 0) would stand in m
 //! nodes      three columns of f64 bits, XOR the bits of origin + lattice · spacing
@@ -29,11 +29,11 @@ pub use container::EnvelopeError;
 pub(crate) use container::{open, seal};
 pub(crate) use planes::{Content, Reader, Short};
 
-use crate::{Cell, FACES, Material, Model, NO_CELL, Region, RegionId, Vec3};
+use crate::{Cell, FACES, FibreAxis, Material, Model, NO_CELL, Region, RegionId, Vec3};
 
 const MAGIC: [u8; 8] = *b"palpmodl";
 /// Version of the model format that this program writes and reads.
-pub const MODEL_FORMAT: u32 = 1;
+pub const MODEL_FORMAT: u32 = 2;
 /// Longest build report in bytes; a longer one is left out.
 const REPORT_BYTES_MAX: usize = 16 << 20;
 
@@ -194,12 +194,46 @@ fn predicted(origin: f64, lattice: i32, spacing: f64) -> f64 {
 fn write_region(out: &mut Content, region: &Region) {
     out.text(&region.name);
     out.u8(u8::from(region.pinned));
+    for component in region.fibre {
+        out.f64(component);
+    }
     let m = &region.material;
+    // Taken apart, so that a new field of a material can not be forgotten here.
+    let Material {
+        name: _,
+        young_pa,
+        poisson,
+        stiffening,
+        fibre_ratio,
+        fibre_axis,
+        compress_limit,
+        stretch_limit,
+        density_kg_m3,
+        friction_static,
+        friction_dynamic,
+        source: _,
+    } = *m;
+    let numbers = [
+        young_pa,
+        poisson,
+        stiffening,
+        fibre_ratio,
+        compress_limit,
+        stretch_limit,
+        density_kg_m3,
+        friction_static,
+        friction_dynamic,
+    ];
     out.text(&m.name);
-    out.f64(m.young_pa);
-    out.f64(m.density_kg_m3);
-    out.f64(m.friction_static);
-    out.f64(m.friction_dynamic);
+    out.u8(u8::from(fibre_axis != FibreAxis::Long));
+    if let FibreAxis::Given(axis) = fibre_axis {
+        for component in axis {
+            out.f64(component);
+        }
+    }
+    for number in numbers {
+        out.f64(number);
+    }
     out.text(&m.source);
 }
 
@@ -207,9 +241,20 @@ fn read_region(reader: &mut Reader<'_>) -> Result<Region, Short> {
     Ok(Region {
         name: reader.text()?,
         pinned: reader.u8()? != 0,
+        fibre: reader.point()?,
         material: Material {
             name: reader.text()?,
+            // A struct's fields are read in the order they stand in here.
+            fibre_axis: match reader.u8()? {
+                0 => FibreAxis::Long,
+                _ => FibreAxis::Given(reader.point()?),
+            },
             young_pa: reader.f64()?,
+            poisson: reader.f64()?,
+            stiffening: reader.f64()?,
+            fibre_ratio: reader.f64()?,
+            compress_limit: reader.f64()?,
+            stretch_limit: reader.f64()?,
             density_kg_m3: reader.f64()?,
             friction_static: reader.f64()?,
             friction_dynamic: reader.f64()?,

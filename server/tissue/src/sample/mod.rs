@@ -18,6 +18,7 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
+use crate::MaterialOverride;
 use crate::scene::{Scene, SceneError, SceneInput, SceneRegion, nearest};
 use crate::surface::{Surface, SurfaceError, Unit};
 
@@ -106,6 +107,7 @@ impl Sample {
             name: part.name.to_owned(),
             surface: file(part.name).into(),
             material: part.material.to_owned(),
+            change: MaterialOverride::default(),
             unit: Unit::Millimetre,
         });
         let scene = Scene {

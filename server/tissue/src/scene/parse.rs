@@ -8,18 +8,13 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::keys::{Text, line_after, nearest};
+use super::materials::{MATERIAL_KEYS, change, materials};
 use super::{REGIONS_MAX, SCENE_BYTES_MAX, SCENE_FORMAT, Scene, SceneError, SceneRegion};
 use crate::surface::Unit;
 use crate::{Material, MaterialOverride};
 
 const SCENE_KEYS: [&str; 5] = ["format", "spacing_mm", "pinned", "region", "material"];
 const REGION_KEYS: [&str; 4] = ["name", "surface", "material", "unit"];
-const MATERIAL_KEYS: [&str; 4] = [
-    "young_kpa",
-    "density_kg_m3",
-    "friction_static",
-    "friction_dynamic",
-];
 
 impl Scene {
     /// Reads a scene file. Its surfaces are not looked at; [`super::SceneInput::load`] does that.
@@ -157,7 +152,8 @@ fn region(
                     a closed surface instead: surface = \"FILE.stl\"";
         return Err(text.error(key.span().start, what));
     }
-    text.refuse_unknown(table, &REGION_KEYS, "in [[region]]")?;
+    let known = [REGION_KEYS.as_slice(), &MATERIAL_KEYS].concat();
+    text.refuse_unknown(table, &known, "in [[region]]")?;
     let needed = |key: &str| {
         let Some(value) = table.get(key) else {
             let what = format!("this [[region]] has no \"{key}\"; add {key} = \"...\"");
@@ -170,7 +166,7 @@ fn region(
         Ok((string, value.span().start))
     };
     let (material, at) = needed("material")?;
-    Material::resolve(&material, materials.get(&material)).map_err(|e| {
+    let resolved = Material::resolve(&material, materials.get(&material)).map_err(|e| {
         // A scene's own materials are candidates for a slip of the finger too.
         match nearest(&material, materials.keys().map(String::as_str)) {
             Some(own) if Material::built_in(&material).is_none() && own != material => text.error(
@@ -180,6 +176,10 @@ fn region(
             _ => text.error(at, e.to_string()),
         }
     })?;
+    let change = change(text, table)?;
+    resolved
+        .with(&change, "changed for this region")
+        .map_err(|e| text.error(value.span().start, e.to_string()))?;
     let unit = match table.get("unit") {
         None => Unit::default(),
         Some(value) => match text.string("unit", value)?.as_str() {
@@ -195,6 +195,7 @@ fn region(
         name: needed("name")?.0,
         surface: needed("surface")?.0.into(),
         material,
+        change,
         unit,
     })
 }
@@ -220,36 +221,4 @@ fn pinned(text: &Text, root: &DeTable, regions: &[SceneRegion]) -> Result<Vec<St
         }
     }
     Ok(pinned)
-}
-
-fn materials(
-    text: &Text,
-    root: &DeTable,
-) -> Result<BTreeMap<String, MaterialOverride>, SceneError> {
-    let Some(value) = root.get("material") else {
-        return Ok(BTreeMap::new());
-    };
-    let tables = text.table("material", value, "tables that begin with [material.NAME]")?;
-    let mut materials = BTreeMap::new();
-    for (name, value) in tables {
-        let place = format!("[material.{}]", name.get_ref());
-        let table = text.table(
-            name.get_ref(),
-            value,
-            &format!("a table that begins with {place}"),
-        )?;
-        text.refuse_unknown(table, &MATERIAL_KEYS, &format!("in {place}"))?;
-        let number = |key: &str| table.get(key).map(|v| text.number(key, v)).transpose();
-        let change = MaterialOverride {
-            young_pa: number("young_kpa")?.map(|kpa| kpa * 1e3),
-            density_kg_m3: number("density_kg_m3")?,
-            friction_static: number("friction_static")?,
-            friction_dynamic: number("friction_dynamic")?,
-        };
-        // Also when no region uses it: a number out of range is a slip all the same.
-        Material::resolve(name.get_ref(), Some(&change))
-            .map_err(|e| text.error(name.span().start, e.to_string()))?;
-        materials.insert(name.get_ref().to_string(), change);
-    }
-    Ok(materials)
 }
