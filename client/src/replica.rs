@@ -291,7 +291,7 @@ impl Replica {
             drift.nodes = disturbed.len();
             self.was_corrected = true;
             let view = &mut self.view;
-            view.solver.disturb(&self.topology, &view.shape, &disturbed);
+            view.solver.disturb(&view.shape, &disturbed);
         }
         Some(drift)
     }

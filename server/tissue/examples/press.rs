@@ -187,6 +187,7 @@ fn press(o: &Options, topology: &Topology, mut solver: Solver) {
         let before = spent_ms(start);
         let mut stop = || spent_ms(start) - before > o.budget_ms;
         let budget = Budget {
+            near: false,
             iterations: o.iterations as usize,
             tolerance: o.tolerance,
             stop: Some(&mut stop),

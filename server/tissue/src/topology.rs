@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::equilibrium::Elastic;
 use crate::springs::{BODY_SHARE, DIAGONAL_SHARE, EDGE_SHARE, LENGTH_FLOOR};
 use crate::{FACES, Model, NO_CELL, RegionId, Spring, Springs, Vec3, cell_volume};
 
@@ -58,6 +59,8 @@ pub struct Boundary {
 #[derive(Debug, Clone)]
 pub struct Topology {
     pub(crate) model: Arc<Model>,
+    /// Moduli of each region.
+    elastic: Vec<Elastic>,
     pub(crate) version: u32,
     pub(crate) rest: Vec<Vec3>,
     pub(crate) corners: Vec<[u32; 8]>,
@@ -90,6 +93,7 @@ impl Topology {
             .map(|c| cell_volume(&model.corners_of(c)))
             .collect();
         let mut topology = Self {
+            elastic: model.regions.iter().map(Elastic::of).collect(),
             version: 0,
             rest: model.nodes.clone(),
             corners: model.cells.iter().map(|c| c.corners).collect(),
@@ -149,6 +153,11 @@ impl Topology {
     /// Cells around a node; slot `c` holds the cell of which the node is corner `c`.
     pub fn cells_around(&self, node: u32) -> [u32; 8] {
         self.node_cells[node as usize]
+    }
+
+    /// Moduli of a cell.
+    pub(crate) fn elastic(&self, cell: u32) -> &Elastic {
+        &self.elastic[self.region(cell).index()]
     }
 
     /// Region of a cell.
@@ -249,8 +258,8 @@ impl Topology {
             if cell == NO_CELL {
                 continue;
             }
-            let young = self.model.material_of(cell as usize).young_pa;
-            let energy = young * self.cell_volume[cell as usize].max(0.0);
+            let elastic = self.elastic(cell);
+            let energy = elastic.spring_pa * self.cell_volume[cell as usize].max(0.0);
             // 1, 2, 4 lead along an edge, 3, 5, 6 across a face, 7 through the body.
             for step in [1_usize, 2, 4, 3, 5, 6, 7] {
                 let to = self.corners[cell as usize][corner ^ step];
@@ -259,8 +268,9 @@ impl Topology {
                     2 => DIAGONAL_SHARE,
                     _ => BODY_SHARE,
                 };
-                let length = (self.rest(to) - from).norm().max(floor);
-                let stiffness = share * energy / (length * length);
+                let d = self.rest(to) - from;
+                let length = d.norm().max(floor);
+                let stiffness = share * energy * elastic.along(&d) / (length * length);
                 match sums.iter_mut().find(|s| s.0 == to) {
                     Some(sum) => sum.1 += stiffness,
                     None => sums.push((to, stiffness)),

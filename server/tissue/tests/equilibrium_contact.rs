@@ -140,6 +140,7 @@ fn a_stop_is_obeyed() {
         asked > 2
     };
     let budget = Budget {
+        near: false,
         iterations: 50,
         tolerance: 1e-9,
         stop: Some(&mut stop),

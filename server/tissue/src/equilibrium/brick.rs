@@ -176,8 +176,8 @@ impl Draft {
         let (mut bulk, mut per_volume) = ([0.0; LANES], [0.0; LANES]);
         for (position, cell) in self.cells.iter().enumerate() {
             let Some(cell) = *cell else { continue };
-            let elastic = Elastic::of(topology, cell);
-            add_springs(topology, cell, position, &elastic, &mut springs);
+            let elastic = topology.elastic(cell);
+            add_springs(topology, cell, position, elastic, &mut springs);
             let det = rest_determinant(topology, cell);
             if elastic.bulk_pa > 0.0 && det > 0.0 {
                 bulk[position] = (elastic.bulk_pa * topology.volume(cell)) as f32;

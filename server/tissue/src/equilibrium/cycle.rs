@@ -12,8 +12,6 @@ use super::element::{SIZE, at, multiply};
 use super::patch::{Corners, NONE, Overlay, Patch, apply, invert, take_over};
 use super::structure::{Level, Structure};
 
-/// Chebyshev steps before and after the correction of the coarser level.
-const SMOOTHING: usize = 3;
 /// Steps on the coarsest level, which stand for a solve.
 const COARSEST: usize = 10;
 /// Lowest eigenvalue that smoothing looks after, in parts of the bound on all.
@@ -22,7 +20,12 @@ pub(super) const LOW: f32 = 0.15;
 const LOW_COARSEST: f32 = 0.02;
 /// Force on a corner of an element, in thresholds, that its pending displacement may have changed
 /// it by before it is refined.
-const PENDING: f32 = 1.0;
+const PENDING: f32 = 4.0;
+
+/// The same on level l + 1: what coarse elements get wrong is a smaller part of a larger force.
+fn tolerable(l: usize, threshold: f32) -> f32 {
+    PENDING * threshold * (1 << l) as f32
+}
 
 /// The factors of a Chebyshev iteration on [low, 1] times the bound.
 pub(super) struct Chebyshev {
@@ -121,7 +124,7 @@ impl Multigrid {
                 for &child in level.children.row(element) {
                     let by = to_child(&pending, level_below.octant[child as usize]);
                     let force = below.wait(level_below, child, &by);
-                    if force > PENDING * threshold && !below.refined.contains(child) {
+                    if force > tolerable(l - 1, threshold) && !below.refined.contains(child) {
                         below.wanted.insert(child);
                     }
                 }
@@ -139,8 +142,9 @@ impl Multigrid {
         self.patches.iter().any(|p| !p.wanted.items.is_empty())
     }
 
-    /// One V-cycle for the loads on level 1; leaves the correction in every patch's `e`.
-    pub(super) fn cycle(&mut self, structure: &Structure, threshold: f32) {
+    /// One V-cycle for the loads on level 1, with `smoothing` steps before and after the correction
+    /// of each coarser level; leaves the correction in every patch's `e`.
+    pub(super) fn cycle(&mut self, structure: &Structure, threshold: f32, smoothing: usize) {
         let last = self.patches.len() - 1;
         for l in 0..=last {
             let level = &structure.levels[l];
@@ -156,7 +160,7 @@ impl Multigrid {
                 patch.e[p] = ZERO;
                 patch.r[p] = if patch.loaded.contains(point) { patch.b[p] } else { ZERO };
             }
-            let (steps, low) = if l == last { (COARSEST, LOW_COARSEST) } else { (SMOOTHING, LOW) };
+            let (steps, low) = if l == last { (COARSEST, LOW_COARSEST) } else { (smoothing, LOW) };
             self.visits += (1 + steps) * patch.set.items.len();
             self.arch.dispatch(Smooth {
                 level,
@@ -193,11 +197,11 @@ impl Multigrid {
                     patch.e[p][a] += v[a];
                 }
             }
-            self.visits += SMOOTHING * patch.set.items.len();
+            self.visits += smoothing * patch.set.items.len();
             self.arch.dispatch(Smooth {
                 level,
                 patch,
-                steps: SMOOTHING,
+                steps: smoothing,
                 low: LOW,
                 moved: true,
             });
@@ -223,7 +227,7 @@ impl Multigrid {
                 level,
                 patch,
                 share,
-                threshold: PENDING * threshold,
+                threshold: tolerable(l, threshold),
             });
             // What the coarser level did is part of e: it counts as taken over.
             let (finer, coarser) = self.patches.split_at_mut(l + 1);
@@ -308,14 +312,6 @@ impl Multigrid {
 }
 
 impl Patch {
-    fn wait(&mut self, level: &Level, element: u32, by: &Corners) -> f32 {
-        for (to, v) in self.pending[element as usize].iter_mut().zip(by) {
-            *to += v;
-        }
-        self.waiting[element as usize] = true;
-        self.lag_by(level, element, by, -1.0)
-    }
-
     /// What the correction does to the elements of the set that are not refined.
     #[inline(always)]
     fn defer(&mut self, level: &Level, share: f32, threshold: f32) {
@@ -325,15 +321,7 @@ impl Patch {
                 continue;
             }
             let by = Self::corners(level, element, &self.e).map(|v| share * v);
-            self.wait(level, element, &by);
-            let pending = self.pending[element as usize];
-            let mut force = [0.0; SIZE];
-            let m = level.matrix[element as usize] as usize;
-            multiply(&level.matrices[m].k, &pending, &mut force);
-            let most = (0..8)
-                .map(|c| (0..3).map(|a| force[at(c, a)] * force[at(c, a)]).sum::<f32>())
-                .fold(0.0f32, f32::max);
-            if most > threshold * threshold {
+            if self.wait(level, element, &by) > threshold {
                 self.wanted.insert(element);
             }
         }

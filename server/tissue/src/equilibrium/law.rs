@@ -49,7 +49,7 @@
 //! So s is kept above a floor σ(l0/Δd) that is small for springs of the lattice's own length and one
 //! for short ones: k I bounds the length law from above whatever the direction.
 
-use crate::{Material, Topology, Vec3};
+use crate::{Material, Region, Vec3};
 
 /// Symmetric 3x3 block: xx, yy, zz, xy, xz, yz.
 pub(crate) type Symmetric = [f64; 6];
@@ -88,39 +88,86 @@ pub(crate) struct Curve {
 
 impl Curve {
     /// The curve of a material.
-    pub(crate) fn of(_material: &Material) -> Self {
+    pub(crate) fn of(material: &Material) -> Self {
         Self {
-            stiffening: 0.0,
-            limits: [0.3, 3.0],
+            stiffening: material.stiffening as f32,
+            limits: [material.compress_limit as f32, material.stretch_limit as f32],
         }
     }
 }
 
-/// Moduli of one cell.
+/// Moduli of the springs and the volume term of one region.
+#[derive(Debug, Clone, Copy)]
 pub(crate) struct Elastic {
     /// Young's modulus that the springs are given, in Pa: 2.5 μ.
     pub(crate) spring_pa: f64,
     /// κ = λ - μ in Pa.
     pub(crate) bulk_pa: f64,
+    fibre: Vec3,
+    /// β of 1 + β cos⁴.
+    fibre_strength: f64,
 }
 
 impl Elastic {
-    /// Those of a cell's material.
-    pub(crate) fn of(topology: &Topology, cell: u32) -> Self {
-        let material = topology.model().material_of(cell as usize);
-        let (young, nu) = (material.young_pa, 0.25);
+    /// Those of a region.
+    pub(crate) fn of(region: &Region) -> Self {
+        let (young, nu) = (region.material.young_pa, region.material.poisson);
         let shear = young / (2.0 * (1.0 + nu));
         let lame = young * nu / ((1.0 + nu) * (1.0 - 2.0 * nu));
+        let fibre = Vec3::from(region.fibre);
+        let (strength, scale) = if fibre == Vec3::zeros() {
+            (0.0, 1.0)
+        } else {
+            fibre_strength(region.material.fibre_ratio)
+        };
         Self {
-            spring_pa: 2.5 * shear,
+            spring_pa: 2.5 * shear * scale,
             bulk_pa: (lame - shear).max(0.0),
+            fibre,
+            fibre_strength: strength,
         }
     }
 
     /// Factor of a spring in direction `d` for its angle to the fibres.
-    pub(crate) fn along(&self, _d: &Vec3) -> f64 {
-        1.0
+    pub(crate) fn along(&self, d: &Vec3) -> f64 {
+        let square = d.norm_squared();
+        if self.fibre_strength == 0.0 || square == 0.0 {
+            return 1.0;
+        }
+        let cos = d.dot(&self.fibre);
+        1.0 + self.fibre_strength * (cos * cos / square) * (cos * cos / square)
     }
+}
+
+/// β and the scale for which springs of strength scale (1 + β cos⁴ θ), θ their angle to the fibres,
+/// have `ratio` times the modulus along the fibres and the same across (reconstructed).
+///
+/// Springs in all directions make the stiffness `C_abcd = <n_a n_b n_c n_d (1 + β n_3⁴)>`, with
+/// `<n_1^2a n_2^2b n_3^2c> = (2a-1)!! (2b-1)!! (2c-1)!! / (2(a+b+c)+1)!!` over the sphere.
+fn fibre_strength(ratio: f64) -> (f64, f64) {
+    let moduli = |beta: f64| {
+        let c33 = 1.0 / 5.0 + beta / 9.0;
+        let c11 = 1.0 / 5.0 + beta / 105.0;
+        let c13 = 1.0 / 15.0 + beta / 63.0;
+        let c12 = 1.0 / 15.0 + beta / 315.0;
+        let along = c33 - 2.0 * c13 * c13 / (c11 + c12);
+        // Pulled across: solve for the strains along the fibres and across both.
+        let det = c11 * c33 - c13 * c13;
+        let across = c11 - (c12 * (c12 * c33 - c13 * c13) + c13 * (c11 * c13 - c12 * c13)) / det;
+        (along, across)
+    };
+    let plain = moduli(0.0).1;
+    let (mut low, mut high) = (-0.999, 1e4);
+    for _ in 0..100 {
+        let beta = 0.5 * (low + high);
+        let (along, across) = moduli(beta);
+        if along < ratio * across {
+            low = beta;
+        } else {
+            high = beta;
+        }
+    }
+    (low, plain / moduli(low).1)
 }
 
 /// Inverse of a symmetric block, kept away from singularity by a part of its trace.
@@ -149,6 +196,16 @@ pub(crate) fn invert(m: &Symmetric) -> Symmetric {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn fibres_raise_the_modulus_along_them_and_leave_that_across() {
+        assert!(fibre_strength(1.0).0.abs() < 1e-9);
+        for ratio in [0.5, 2.0, 5.0] {
+            let (beta, scale) = fibre_strength(ratio);
+            assert!(beta > -1.0 && scale > 0.0, "{ratio}: {beta} {scale}");
+            assert_eq!(beta > 0.0, ratio > 1.0);
+        }
+    }
 
     #[test]
     fn inverse_undoes_the_block() {

@@ -42,4 +42,5 @@ mod patch;
 mod solver;
 mod structure;
 
+pub(crate) use law::Elastic;
 pub use solver::{Budget, Solver, StepReport};

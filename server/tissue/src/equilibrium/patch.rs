@@ -108,6 +108,8 @@ pub(super) struct Patch {
     pub(super) lag: Vec<Quad>,
     pub(super) lagging: List,
     pub(super) pending: Vec<Corners>,
+    /// K p of each element: what its pending displacement put into the lag.
+    pub(super) owed: Vec<Corners>,
     pub(super) waiting: Vec<bool>,
     pub(super) total: Vec<[f64; 3]>,
     pub(super) applied: Vec<[f64; 3]>,
@@ -141,6 +143,7 @@ impl Patch {
             lag: vec![ZERO; points],
             lagging: List::new(points),
             pending: vec![[0.0; SIZE]; elements],
+            owed: vec![[0.0; SIZE]; elements],
             waiting: vec![false; elements],
             total: vec![[0.0; 3]; points],
             applied: vec![[0.0; 3]; points],
@@ -173,28 +176,36 @@ impl Patch {
         }
     }
 
-    /// Adds `sign · K x` of an element to the lag of its points.
-    pub(super) fn lag_by(&mut self, level: &Level, element: u32, x: &Corners, sign: f32) -> f32 {
-        let mut y = [0.0; SIZE];
-        let m = level.matrix[element as usize] as usize;
-        multiply(&level.matrices[m].k, x, &mut y);
+    /// Adds to what is pending on an element, and its force to the lag. Returns the largest force
+    /// on a corner that all that is pending makes, in N.
+    #[inline(always)]
+    pub(super) fn wait(&mut self, level: &Level, element: u32, by: &Corners) -> f32 {
+        let (e, mut force) = (element as usize, [0.0; SIZE]);
+        multiply(&level.matrices[level.matrix[e] as usize].k, by, &mut force);
+        self.waiting[e] = true;
+        for i in 0..SIZE {
+            self.pending[e][i] += by[i];
+            self.owed[e][i] += force[i];
+        }
         let mut most = 0.0f32;
-        for (c, &point) in level.corners[element as usize].iter().enumerate() {
-            let by = [y[at(c, 0)], y[at(c, 1)], y[at(c, 2)]];
-            most = most.max(by[0] * by[0] + by[1] * by[1] + by[2] * by[2]);
-            self.add_lag(point, by, sign);
+        for (c, &point) in level.corners[e].iter().enumerate() {
+            self.add_lag(point, [force[at(c, 0)], force[at(c, 1)], force[at(c, 2)]], -1.0);
+            let owed = [0, 1, 2].map(|a| self.owed[e][at(c, a)]);
+            most = most.max(owed[0] * owed[0] + owed[1] * owed[1] + owed[2] * owed[2]);
         }
         most.sqrt()
     }
 
     /// Takes what is pending on an element, and its force back out of the lag.
     pub(super) fn take_pending(&mut self, level: &Level, element: u32) -> Corners {
-        let pending = std::mem::replace(&mut self.pending[element as usize], [0.0; SIZE]);
-        self.waiting[element as usize] = false;
-        self.lag_by(level, element, &pending, 1.0);
-        // Sums of rounded terms do not cancel to the last bit: a point without pending elements
-        // has no lag.
-        for point in level.corners[element as usize] {
+        let e = element as usize;
+        let pending = std::mem::replace(&mut self.pending[e], [0.0; SIZE]);
+        let owed = std::mem::replace(&mut self.owed[e], [0.0; SIZE]);
+        self.waiting[e] = false;
+        for (c, &point) in level.corners[e].iter().enumerate() {
+            self.add_lag(point, [owed[at(c, 0)], owed[at(c, 1)], owed[at(c, 2)]], 1.0);
+            // Sums of rounded terms do not cancel to the last bit: a point without pending
+            // elements has no lag.
             let quiet = |e: &u32| !self.waiting[*e as usize];
             if level.around.row(point).iter().all(quiet) {
                 self.lag[point as usize] = ZERO;

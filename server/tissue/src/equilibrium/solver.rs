@@ -17,6 +17,8 @@ const HELD_MAX: usize = 4096;
 const HELD_STIFFNESS: f64 = 20.0;
 /// Smoothing steps after each coarse correction.
 const SMOOTHING: usize = 3;
+/// The same on the coarse levels; fewer when a hand waits.
+const COARSE_SMOOTHING: [usize; 2] = [3, 2];
 /// Share of the correction of the coarse levels that is taken at least and at most.
 const SHARES: [f64; 2] = [0.2, 2.0];
 /// Part of the allowed residual that a single node may keep at first. When what is active has
@@ -270,10 +272,11 @@ impl Solver {
     fn iterate(&mut self, topology: &Topology, u: &mut [Vec3], budget: &mut Budget<'_>) {
         let mut lags = self.gather(topology, u);
         let mut share = FIRST_SHARE;
+        let quick = budget.tolerance >= QUICK;
         loop {
             self.field.refresh(&self.structure, u);
             let allowed = self.bring(topology, u, budget.tolerance);
-            let sum = self.take_part(topology, u, share * allowed);
+            let sum = self.take_part(topology, u, share * allowed, quick);
             self.report.residual = relative(sum, self.reference);
             let last = if budget.tolerance < PROVEN {
                 0.5 / (self.field.stirred() as f64 + 1.0).sqrt()
@@ -289,12 +292,18 @@ impl Solver {
             if done || spent || budget.stop.as_mut().is_some_and(|stop| stop()) {
                 break;
             }
-            if calm && share > last {
+            // All that takes part is near the threshold: only a lower one can make it calmer.
+            let nodes = self.field.nodes.items.len() as f64;
+            let flat = sum.sqrt() <= 1.5 * share * allowed * nodes.sqrt();
+            if (calm || (flat && !quick)) && share > last {
                 share = (share * DEEPEN).max(last);
             }
             self.report.iterations += 1;
             self.remember_forces(topology, u);
-            self.correct(topology, u, share * allowed);
+            if self.report.iterations > 1 {
+                self.stiffen(topology, u);
+            }
+            self.correct(topology, u, share * allowed, quick);
             self.smooth(topology, u);
             if lags {
                 lags = self.gather(topology, u);
@@ -303,7 +312,7 @@ impl Solver {
     }
 
     /// Stage: what takes part, and the forces on it. Returns their sum of squares.
-    fn take_part(&mut self, topology: &Topology, u: &mut [Vec3], threshold: f64) -> f64 {
+    fn take_part(&mut self, topology: &Topology, u: &mut [Vec3], threshold: f64, quick: bool) -> f64 {
         let (structure, coarse) = (&self.structure, &mut self.coarse);
         let touched = self.contacts.nodes.iter().copied();
         self.field
@@ -316,7 +325,7 @@ impl Solver {
         }
         self.field.enter(structure, coarse, u);
         let sum = self.field.evaluate(topology, structure, u, &self.contacts);
-        if self.report.iterations < 2 {
+        if self.report.iterations < 2 || !quick {
             self.field
                 .renew_blocks(topology, structure, u, &self.contacts);
         }
@@ -351,10 +360,11 @@ impl Solver {
     }
 
     /// Stage: coarse correction, in the share that proves best.
-    fn correct(&mut self, topology: &Topology, u: &mut [Vec3], threshold: f64) {
+    fn correct(&mut self, topology: &Topology, u: &mut [Vec3], threshold: f64, quick: bool) {
+        let smoothing = COARSE_SMOOTHING[usize::from(quick)];
         let (structure, coarse, field) = (&self.structure, &mut self.coarse, &mut self.field);
         field.restrict(structure, coarse);
-        coarse.cycle(structure, threshold as f32);
+        coarse.cycle(structure, threshold as f32, smoothing);
         field.correct(structure, coarse, u);
         field.evaluate(topology, structure, u, &self.contacts);
         let share = field.best_share().clamp(SHARES[0], SHARES[1]);
