@@ -256,7 +256,7 @@ impl Turns {
             HAPTIC_TOLERANCE
         };
         let budget = Budget {
-            near: false,
+            near: true,
             iterations: ITERATIONS,
             tolerance,
             stop: Some(&mut stop),

@@ -30,7 +30,7 @@ const POWER: usize = 12;
 #[derive(Clone)]
 pub(crate) struct Matrix {
     /// Column by column; symmetric.
-    pub(crate) k: Box<[[f32; SIZE]; SIZE]>,
+    pub(crate) k: [[f32; SIZE]; SIZE],
     /// Blocks of the corners times the largest eigenvalue of the element scaled by its blocks:
     /// summed over elements they bound the whole matrix from above.
     pub(crate) bound: [[f32; 6]; 8],
@@ -190,8 +190,7 @@ impl Sum {
 
     /// The matrix in single precision, and its bound.
     pub(crate) fn finish(self) -> Matrix {
-        let k: Box<[[f32; SIZE]; SIZE]> =
-            Box::new(std::array::from_fn(|i| self.0[i].map(|v| v as f32)));
+        let k = std::array::from_fn(|i| self.0[i].map(|v| v as f32));
         let blocks: [Symmetric; 8] = std::array::from_fn(|c| {
             let k = |a: usize, b: usize| self.0[at(c, a)][at(c, b)];
             [k(0, 0), k(1, 1), k(2, 2), k(0, 1), k(0, 2), k(1, 2)]

@@ -137,10 +137,19 @@ impl Solver {
         }
     }
 
-    /// Follows a change of the topology. The shape must have been whole before it (see
-    /// [`Budget::near`] and [`Solver::pour`]).
-    pub fn follow(&mut self, topology: &Topology, _touched: &[u32]) {
-        self.structure = Arc::new(Structure::new(topology));
+    /// Follows a change of the topology. `touched` are the nodes whose springs, pinning or rest
+    /// position changed; new nodes at the end need not be listed. The shape must have been whole
+    /// before it (see [`Budget::near`] and [`Solver::pour`]).
+    pub fn follow(&mut self, topology: &Topology, touched: &[u32]) {
+        let before = (&*self.structure, touched);
+        self.structure = Arc::new(Structure::after(topology, Some(before)));
+        self.restart(topology);
+        self.contacts.follow(topology);
+    }
+
+    /// Follows a change of the topology that another solver has followed.
+    pub fn follow_like(&mut self, topology: &Topology, other: &Self) {
+        self.structure = Arc::clone(&other.structure);
         self.restart(topology);
         self.contacts.follow(topology);
     }
@@ -304,7 +313,7 @@ impl Solver {
                 self.stiffen(topology, u);
             }
             self.correct(topology, u, share * allowed, quick);
-            self.smooth(topology, u);
+            self.smooth(topology, u, budget);
             if lags {
                 lags = self.gather(topology, u);
             }
@@ -373,10 +382,14 @@ impl Solver {
     }
 
     /// Stage: smoothing on the nodes.
-    fn smooth(&mut self, topology: &Topology, u: &mut [Vec3]) {
+    fn smooth(&mut self, topology: &Topology, u: &mut [Vec3], budget: &mut Budget<'_>) {
         let mut factors = Field::smoothing();
         for s in 0..SMOOTHING {
             if s > 0 {
+                // Time may run out in the middle: what was gained so far is kept.
+                if budget.stop.as_mut().is_some_and(|stop| stop()) {
+                    break;
+                }
                 self.field
                     .evaluate(topology, &self.structure, u, &self.contacts);
             }

@@ -5,6 +5,7 @@
 //! level l + 1 has children of level l; those of level 1 have bricks.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
@@ -65,7 +66,7 @@ pub(super) struct Level {
     pub(super) corners: Vec<[u32; 8]>,
     /// Matrix of each element.
     pub(super) matrix: Vec<u32>,
-    pub(super) matrices: Vec<Matrix>,
+    pub(super) matrices: Vec<Arc<Matrix>>,
     /// Elements of the finer level in each element; on level 1 bricks.
     pub(super) children: Table,
     /// Element of the next coarser level that each element is part of.
@@ -86,10 +87,30 @@ impl Level {
     }
 }
 
+/// What bricks and elements that are alike share, numbered once and for all: after a cut only what
+/// is new is computed.
+#[derive(Clone, Default)]
+struct Kinds {
+    forms: Vec<Arc<Form>>,
+    form_of: BTreeMap<u128, u32>,
+    levels: Vec<LevelKinds>,
+}
+
+/// Matrices of one level by what they are made of.
+#[derive(Clone, Default)]
+struct LevelKinds {
+    matrices: Vec<Arc<Matrix>>,
+    known: BTreeMap<Parts, u32>,
+}
+
+/// What an element is made of: forms and fixed nodes of its bricks, or matrices and octants of its
+/// children.
+type Parts = Vec<(u32, u32)>;
+
 /// Bricks and coarse lattices of a topology.
 pub(crate) struct Structure {
     pub(super) bricks: Vec<Brick>,
-    pub(super) forms: Vec<Form>,
+    pub(super) forms: Vec<Arc<Form>>,
     /// Element of level 1 that each brick is part of.
     pub(super) element_of: Vec<u32>,
     /// Bricks around each node, as `brick * 32 + entry`.
@@ -98,17 +119,32 @@ pub(crate) struct Structure {
     pub(super) ties: Vec<Ties>,
     pub(super) levels: Vec<Level>,
     pub(super) per_spacing: f32,
+    kinds: Kinds,
+    /// First brick of the element of each cell.
+    brick_of: Vec<u32>,
 }
 
 impl Structure {
+    /// That of a topology.
     pub(super) fn new(topology: &Topology) -> Self {
+        Self::after(topology, None)
+    }
+
+    /// That of a topology after a change, given what was before it and the nodes whose cells or
+    /// rest positions it touched.
+    pub(super) fn after(topology: &Topology, before: Option<(&Self, &[u32])>) -> Self {
         let cells = pieces_of(topology);
         let coarse = coarsen(&cells, topology.node_count(), |cell, axis| {
             let next = topology.across(FaceId::new(cell, 2 * axis + 1));
             if next == NO_CELL { vec![] } else { vec![next] }
         });
-        let per_spacing = (1.0 / topology.model().spacing_m) as f32;
-        let (bricks, element_of, forms) = bricks_of(topology, &cells, &coarse);
+        let mut kinds = before.map_or_else(Kinds::default, |b| b.0.kinds.clone());
+        let made = bricks_of(topology, &cells, &coarse, before, &mut kinds);
+        let Bricks {
+            bricks,
+            element_of,
+            brick_of,
+        } = made;
         let around = Table::new(
             topology.node_count(),
             bricks.iter().enumerate().flat_map(|(b, brick)| {
@@ -125,19 +161,21 @@ impl Structure {
         }
         let mut structure = Self {
             bricks,
-            forms,
+            forms: kinds.forms.clone(),
             element_of,
             around,
             ties,
             levels: Vec::new(),
-            per_spacing,
+            per_spacing: (1.0 / topology.model().spacing_m) as f32,
+            kinds,
+            brick_of,
         };
         structure.add_levels(topology, coarse);
         structure
     }
 
     fn add_levels(&mut self, topology: &Topology, first: Coarse) {
-        let (mut matrix, mut matrices) = self.matrices_over_bricks(topology, first.pieces.len());
+        let mut parts = self.parts_over_bricks(topology, first.pieces.len());
         let mut children = Table::new(
             first.pieces.len(),
             (0..self.bricks.len()).map(|b| (self.element_of[b], b as u32)),
@@ -145,19 +183,24 @@ impl Structure {
         let mut now = first;
         loop {
             let joints = Joints::new(&now.pieces);
-            let last =
-                self.levels.len() + 1 == LEVELS_MAX || now.pieces.len() <= COARSEST_ELEMENTS;
+            let l = self.levels.len();
+            let last = l + 1 == LEVELS_MAX || now.pieces.len() <= COARSEST_ELEMENTS;
             let next = (!last).then(|| {
                 coarsen(&now.pieces, now.points, |e, axis| {
                     joints.behind(&now.pieces, e, axis)
                 })
             });
             let next = next.filter(|n| n.pieces.len() < now.pieces.len());
-            let level = level_of(&now, next.as_ref(), matrix, matrices, children);
-            self.levels.push(level);
+            let matrix = self.matrices(l, &parts);
+            let matrices = self.kinds.levels[l].matrices.clone();
+            self.levels
+                .push(level_of(&now, next.as_ref(), matrix, matrices, children));
             let Some(next) = next else { break };
-            let level = &self.levels[self.levels.len() - 1];
-            (matrix, matrices) = matrices_over_level(level, next.pieces.len());
+            let level = &self.levels[l];
+            parts = vec![Vec::new(); next.pieces.len()];
+            for (e, &parent) in level.parent.iter().enumerate() {
+                parts[parent as usize].push((level.matrix[e], u32::from(level.octant[e])));
+            }
             children = Table::new(
                 next.pieces.len(),
                 level.parent.iter().enumerate().map(|(e, &p)| (p, e as u32)),
@@ -166,22 +209,57 @@ impl Structure {
         }
     }
 
-    /// The matrices of level 1. Elements with the same forms and the same fixed nodes share one.
-    fn matrices_over_bricks(&self, topology: &Topology, elements: usize) -> (Vec<u32>, Vec<Matrix>) {
-        let mut parts: Vec<Vec<(u32, u32)>> = vec![Vec::new(); elements];
+    /// Forms and fixed nodes of the bricks of each element of level 1.
+    fn parts_over_bricks(&self, topology: &Topology, elements: usize) -> Vec<Parts> {
+        let mut parts = vec![Vec::new(); elements];
         for (brick, &element) in self.bricks.iter().zip(&self.element_of) {
             let fixed = (0..LOCALS)
                 .filter(|&i| topology.is_pinned(brick.nodes[i]))
                 .fold(0, |bits, i| bits | 1 << i);
             parts[element as usize].push((brick.form, fixed));
         }
-        share(parts, |parts| {
-            let mut sum = Sum::new();
-            for &(form, fixed) in parts {
-                sum.add_brick(&self.forms[form as usize], fixed, self.per_spacing);
-            }
-            sum.finish()
-        })
+        parts
+    }
+
+    /// The matrix of each element of a level; elements made of the same parts share one.
+    fn matrices(&mut self, l: usize, parts: &[Parts]) -> Vec<u32> {
+        if self.kinds.levels.len() == l {
+            self.kinds.levels.push(LevelKinds::default());
+        }
+        let LevelKinds { matrices, known } = &mut self.kinds.levels[l];
+        let mut new: Vec<&Parts> = Vec::new();
+        let from = matrices.len();
+        let index = parts
+            .iter()
+            .map(|list| {
+                if let Some(&index) = known.get(list) {
+                    return index;
+                }
+                let index = (from + new.len()) as u32;
+                known.insert(list.clone(), index);
+                new.push(list);
+                index
+            })
+            .collect();
+        let (forms, per_spacing) = (&self.forms, self.per_spacing);
+        let finer = self.levels.last();
+        let made: Vec<Arc<Matrix>> = new
+            .par_iter()
+            .map(|list| {
+                let mut sum = Sum::new();
+                for &(part, how) in *list {
+                    match finer {
+                        None => sum.add_brick(&forms[part as usize], how, per_spacing),
+                        Some(level) => {
+                            sum.add_child(&level.matrices[part as usize], how as usize);
+                        }
+                    }
+                }
+                Arc::new(sum.finish())
+            })
+            .collect();
+        matrices.extend(made);
+        index
     }
 }
 
@@ -196,57 +274,114 @@ fn pieces_of(topology: &Topology) -> Vec<Piece> {
         .collect()
 }
 
-/// The bricks, sorted by their elements, with the element and the form of each.
+/// The bricks, sorted by their elements.
+struct Bricks {
+    bricks: Vec<Brick>,
+    element_of: Vec<u32>,
+    brick_of: Vec<u32>,
+}
+
 fn bricks_of(
     topology: &Topology,
     cells: &[Piece],
     coarse: &Coarse,
-) -> (Vec<Brick>, Vec<u32>, Vec<Form>) {
+    before: Option<(&Structure, &[u32])>,
+    kinds: &mut Kinds,
+) -> Bricks {
     let elements = coarse.pieces.len();
     let members = Table::new(
         elements,
         (0..cells.len()).map(|c| (coarse.element_of[c], c as u32)),
     );
-    let (mut bricks, mut element_of, mut forms) = (Vec::new(), Vec::new(), Vec::new());
-    let mut known: BTreeMap<u128, u32> = BTreeMap::new();
-    for from in (0..elements).step_by(BATCH) {
-        let made: Vec<Vec<(Brick, Form, u128)>> = (from..elements.min(from + BATCH))
-            .into_par_iter()
-            .map(|e| {
-                let list: Vec<(usize, u32)> = members
-                    .row(e as u32)
-                    .iter()
-                    .map(|&c| (octant(cells[c as usize].at), c))
-                    .collect();
-                let mut drafts = Vec::new();
-                Draft::of(topology, &list, &mut drafts);
-                let finish = |draft: &Draft| {
-                    let (brick, form) = draft.finish(topology);
-                    let key = form.key();
-                    (brick, form, key)
-                };
-                drafts.iter().map(finish).collect()
-            })
+    let changed = before.map(|(structure, touched)| Changed::new(topology, structure, touched));
+    let make = |e: usize| -> Vec<(Brick, Option<(Form, u128)>)> {
+        let row = members.row(e as u32);
+        if let Some(old) = changed.as_ref().and_then(|c| c.unchanged(topology, row)) {
+            return old.map(|brick| (brick, None)).collect();
+        }
+        let list: Vec<(usize, u32)> = row
+            .iter()
+            .map(|&c| (octant(cells[c as usize].at), c))
             .collect();
-        for (e, list) in made.into_iter().enumerate() {
-            for (mut brick, form, key) in list {
-                brick.form = *known.entry(key).or_insert_with(|| {
-                    forms.push(form);
-                    forms.len() as u32 - 1
-                });
-                bricks.push(brick);
-                element_of.push((from + e) as u32);
+        let mut drafts = Vec::new();
+        Draft::of(topology, &list, &mut drafts);
+        let finish = |draft: &Draft| {
+            let (brick, form) = draft.finish(topology);
+            let key = form.key();
+            (brick, Some((form, key)))
+        };
+        drafts.iter().map(finish).collect()
+    };
+    let mut made = Bricks {
+        bricks: Vec::new(),
+        element_of: Vec::new(),
+        brick_of: vec![0; cells.len()],
+    };
+    for from in (0..elements).step_by(BATCH) {
+        let batch: Vec<_> = (from..elements.min(from + BATCH))
+            .into_par_iter()
+            .map(make)
+            .collect();
+        for (e, list) in (from..).zip(batch) {
+            for &cell in members.row(e as u32) {
+                made.brick_of[cell as usize] = made.bricks.len() as u32;
+            }
+            for (mut brick, form) in list {
+                if let Some((form, key)) = form {
+                    brick.form = *kinds.form_of.entry(key).or_insert_with(|| {
+                        kinds.forms.push(Arc::new(form));
+                        kinds.forms.len() as u32 - 1
+                    });
+                }
+                made.bricks.push(brick);
+                made.element_of.push(e as u32);
             }
         }
     }
-    (bricks, element_of, forms)
+    made
+}
+
+/// What a change left alone.
+struct Changed<'a> {
+    before: &'a Structure,
+    touched: Vec<bool>,
+}
+
+impl<'a> Changed<'a> {
+    fn new(topology: &Topology, before: &'a Structure, nodes: &[u32]) -> Self {
+        let mut touched = vec![false; topology.node_count()];
+        touched[before.ties.len().min(topology.node_count())..].fill(true);
+        for &node in nodes {
+            touched[node as usize] = true;
+        }
+        Self { before, touched }
+    }
+
+    /// The bricks of an element that has these cells, if they are what they were.
+    fn unchanged(
+        &self,
+        topology: &Topology,
+        cells: &[u32],
+    ) -> Option<impl Iterator<Item = Brick> + 'a> {
+        let first = self.before.brick_of[cells[0] as usize];
+        let element = self.before.element_of[first as usize];
+        let same = |&cell: &u32| {
+            self.before.brick_of[cell as usize] == first
+                && topology.corners(cell).iter().all(|&n| !self.touched[n as usize])
+        };
+        let before = self.before;
+        cells.iter().all(same).then(|| {
+            let bricks = before.levels[0].children.row(element);
+            bricks.iter().map(move |&b| before.bricks[b as usize])
+        })
+    }
 }
 
 fn level_of(
     now: &Coarse,
     next: Option<&Coarse>,
     matrix: Vec<u32>,
-    matrices: Vec<Matrix>,
+    matrices: Vec<Arc<Matrix>>,
     children: Table,
 ) -> Level {
     let mut bound = vec![[0.0f32; 6]; now.points];
@@ -274,41 +409,6 @@ fn level_of(
         around: Table::new(now.points, pairs),
         bound,
     }
-}
-
-/// The matrices of the elements over a level. Those with the same children share one.
-fn matrices_over_level(level: &Level, elements: usize) -> (Vec<u32>, Vec<Matrix>) {
-    let mut parts: Vec<Vec<(u32, u32)>> = vec![Vec::new(); elements];
-    for (e, &parent) in level.parent.iter().enumerate() {
-        parts[parent as usize].push((level.matrix[e], u32::from(level.octant[e])));
-    }
-    share(parts, |parts| {
-        let mut sum = Sum::new();
-        for &(matrix, octant) in parts {
-            sum.add_child(&level.matrices[matrix as usize], octant as usize);
-        }
-        sum.finish()
-    })
-}
-
-/// Makes one matrix for all elements that are made of the same parts.
-fn share(
-    parts: Vec<Vec<(u32, u32)>>,
-    make: impl Fn(&[(u32, u32)]) -> Matrix + Sync,
-) -> (Vec<u32>, Vec<Matrix>) {
-    let mut known: BTreeMap<&[(u32, u32)], u32> = BTreeMap::new();
-    let mut different = Vec::new();
-    let index = parts
-        .iter()
-        .map(|list| {
-            *known.entry(list.as_slice()).or_insert_with(|| {
-                different.push(list.as_slice());
-                different.len() as u32 - 1
-            })
-        })
-        .collect();
-    let matrices = different.par_iter().map(|list| make(list)).collect();
-    (index, matrices)
 }
 
 impl Form {
