@@ -23,7 +23,7 @@ const STEPS: usize = 10;
 /// Error allowed when cold, and per step when moving.
 const ERRORS: [f64; 2] = [0.01, 0.005];
 /// Tolerances that steps are asked for: what is near must be met, or far nodes would be left alone.
-const TOLERANCES: [f64; 2] = [1e-3, 3e-3];
+const TOLERANCES: [f64; 2] = [1e-3, 3e-4];
 /// Residual that counts as converged.
 const CONVERGED: f64 = 1e-6;
 /// Iterations at most.

@@ -205,6 +205,11 @@ impl Contacts {
         forces.iter().map(Vec3::norm_squared).sum()
     }
 
+    /// Whether the tool of this number touched in the last step.
+    pub(crate) fn is_touching(&self, tool: u32) -> bool {
+        self.proxies.iter().any(|p| p.id == tool && p.touching)
+    }
+
     /// Position of a touched node in the list of nodes.
     pub(crate) fn place(&self, node: u32) -> usize {
         self.place[node as usize] as usize

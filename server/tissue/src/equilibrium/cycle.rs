@@ -211,6 +211,20 @@ impl Multigrid {
         }
     }
 
+    /// Begins a step: takes `share` of what the last one corrected once more.
+    pub(super) fn carry_on(&mut self, structure: &Structure, share: f32) {
+        for patch in &mut self.patches {
+            for &point in &patch.points.items {
+                let p = point as usize;
+                patch.e[p] = if patch.gained.contains(point) { patch.gain[p] } else { ZERO };
+            }
+            patch.gained.clear();
+        }
+        if share != 0.0 {
+            self.commit(structure, share, f32::INFINITY);
+        }
+    }
+
     /// Takes over `share` of the correction: displacements in full, forces of what is not refined
     /// as pending. Notes what is to be refined next.
     pub(super) fn commit(&mut self, structure: &Structure, share: f32, threshold: f32) {
@@ -219,8 +233,12 @@ impl Multigrid {
             let patch = &mut self.patches[l];
             for &point in &patch.points.items {
                 let p = point as usize;
+                if patch.gained.insert(point) {
+                    patch.gain[p] = ZERO;
+                }
                 for a in 0..3 {
                     patch.total[p][a] += f64::from(share) * f64::from(patch.e[p][a]);
+                    patch.gain[p][a] += share * patch.e[p][a];
                 }
             }
             self.arch.dispatch(Defer {

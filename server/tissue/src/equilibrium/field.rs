@@ -125,11 +125,38 @@ impl Field {
         self.loud.items.len()
     }
 
-    pub(super) fn begin(&mut self) {
-        self.before.clear();
-        self.saved.clear();
+    /// Begins a step: moves the nodes of the set by `share` of what the last one moved them by.
+    pub(super) fn begin(
+        &mut self,
+        structure: &Structure,
+        coarse: &Multigrid,
+        u: &mut [Vec3],
+        share: f64,
+    ) {
         self.clamped = 0;
         self.visits = 0;
+        let last = std::mem::take(&mut self.before);
+        self.saved.clear();
+        if share == 0.0 {
+            return;
+        }
+        for (node, before) in last {
+            let n = node as usize;
+            if self.nodes.contains(node) && !self.fixed[n] {
+                let by = (u[n] - before) * share;
+                self.shift(u, node, by);
+                self.applied[n] = interpolate(&structure.ties[n], &coarse.patches[0].total);
+            }
+        }
+        for i in 0..self.nodes.items.len() {
+            let node = self.nodes.items[i];
+            if !self.saved.contains(node) {
+                self.take_over(structure, coarse, u, node);
+            }
+        }
+        for &brick in &self.set.items {
+            self.stale.insert(brick);
+        }
     }
 
     /// Puts back every node that this step moved.
@@ -358,6 +385,12 @@ impl Field {
             }
         });
         let free = self.nodes.items.iter().filter(|&&n| !self.fixed[n as usize]);
+        free.map(|&n| f64::from(square(&self.r[n as usize]))).sum()
+    }
+
+    /// Sum of the squares of the forces on the free nodes of the set as they were last computed.
+    pub(super) fn square_over_free(&self) -> f64 {
+        let free = self.nodes.items.iter().filter(|&&n| self.free[n as usize]);
         free.map(|&n| f64::from(square(&self.r[n as usize]))).sum()
     }
 

@@ -34,6 +34,7 @@ mod coarsen;
 mod cycle;
 mod element;
 mod field;
+mod foresight;
 mod jacobi;
 mod kernel;
 mod lanes;

@@ -105,6 +105,10 @@ pub(super) struct Patch {
     /// Points with a load, in the set or not.
     pub(super) loaded: List,
 
+    /// What this step has corrected so far, and where.
+    pub(super) gain: Vec<Quad>,
+    pub(super) gained: List,
+
     pub(super) lag: Vec<Quad>,
     pub(super) lagging: List,
     pub(super) pending: Vec<Corners>,
@@ -140,6 +144,8 @@ impl Patch {
             b: vec![ZERO; points],
             r: vec![ZERO; points],
             loaded: List::new(points),
+            gain: vec![ZERO; points],
+            gained: List::new(points),
             lag: vec![ZERO; points],
             lagging: List::new(points),
             pending: vec![[0.0; SIZE]; elements],

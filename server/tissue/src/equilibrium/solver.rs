@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::cycle::Multigrid;
 use super::field::{Field, contact_block};
+use super::foresight::Foresight;
 use super::jacobi;
 use super::patch::{List, take_over};
 use super::structure::Structure;
@@ -34,6 +35,8 @@ const PROVEN: f64 = 1e-3;
 const QUICK: f64 = 0.025;
 /// Factor by which the part is lowered.
 const DEEPEN: f64 = 0.25;
+/// Residual of the last step's set up to which its change may be carried on: errors would be, too.
+const TRUSTED: f64 = 0.1;
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
 const BLOWN_UP: f64 = 1e4;
 
@@ -94,6 +97,7 @@ pub struct Solver {
     coarse: Multigrid,
     contacts: Contacts,
     held: Vec<u32>,
+    foresight: Foresight,
     moved: Vec<Vec3>,
     reference: f64,
     /// What counts as nothing, in N; see [`LEAST`].
@@ -129,6 +133,7 @@ impl Solver {
             structure,
             contacts: Contacts::new(topology),
             held: Vec::new(),
+            foresight: Foresight::default(),
             moved: Vec::new(),
             reference: 0.0,
             report: StepReport::default(),
@@ -163,6 +168,7 @@ impl Solver {
         for &node in &self.held {
             self.field.fixed[node as usize] = true;
         }
+        self.foresight = Foresight::default();
         self.field.disturb_all();
         self.dirty = true;
     }
@@ -262,7 +268,11 @@ impl Solver {
             return &self.report;
         }
         self.dirty = false;
-        self.field.begin();
+        let u = &mut shape.displacement;
+        let carry = self.foresight.look(tools, &self.contacts, &self.held, u);
+        let carry = if self.calmness() < TRUSTED { carry } else { 0.0 };
+        self.coarse.carry_on(&self.structure, carry as f32);
+        self.field.begin(&self.structure, &self.coarse, u, carry);
         self.coarse.visits = 0;
         let near = budget.near;
         self.iterate(topology, &mut shape.displacement, &mut budget);
@@ -276,6 +286,11 @@ impl Solver {
         }
         self.close(topology, &shape.displacement);
         &self.report
+    }
+
+    /// Forces left on the free nodes of the set, relative to what tools and held nodes bring in.
+    fn calmness(&self) -> f64 {
+        relative(self.field.square_over_free(), self.reference)
     }
 
     fn iterate(&mut self, topology: &Topology, u: &mut [Vec3], budget: &mut Budget<'_>) {
@@ -298,7 +313,10 @@ impl Solver {
             let calm = sum.sqrt() <= allowed && !lags;
             let done = calm && share <= last && (whole || budget.tolerance >= PROVEN);
             let spent = self.report.iterations >= budget.iterations;
-            if done || spent || budget.stop.as_mut().is_some_and(|stop| stop()) {
+            // One iteration there is always: without any, what was foreseen would never be checked.
+            let first = self.report.iterations == 0;
+            let mut late = || !first && budget.stop.as_mut().is_some_and(|stop| stop());
+            if done || spent || late() {
                 break;
             }
             // All that takes part is near the threshold: only a lower one can make it calmer.
