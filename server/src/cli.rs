@@ -7,6 +7,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::export::Exports;
 use crate::host::{self, HostOptions};
 use crate::{ServerError, build, inspect, sample};
 
@@ -48,6 +49,8 @@ enum Command {
         /// Model file to write
         #[arg(short, long, value_name = "FILE.palp")]
         output: PathBuf,
+        #[command(flatten)]
+        exports: Exports,
         /// Print the report as one JSON object
         #[arg(long)]
         json: bool,
@@ -56,6 +59,8 @@ enum Command {
     Inspect {
         /// The model file
         file: PathBuf,
+        #[command(flatten)]
+        exports: Exports,
         /// Print it as one JSON object
         #[arg(long)]
         json: bool,
@@ -141,9 +146,10 @@ fn execute(command: Command) -> Result<(), ServerError> {
         Command::Build {
             scene,
             output,
+            exports,
             json,
         } => {
-            let summary = build::build_file(&scene, &output)?;
+            let summary = build::build_file(&scene, &output, &exports)?;
             if json {
                 println!("{}", serde_json::json!(summary));
             } else {
@@ -154,8 +160,12 @@ fn execute(command: Command) -> Result<(), ServerError> {
                 );
             }
         }
-        Command::Inspect { file, json } => {
-            let (value, text) = inspect::inspect(&file)?;
+        Command::Inspect {
+            file,
+            exports,
+            json,
+        } => {
+            let (value, text) = inspect::inspect(&file, &exports)?;
             println!("{}", if json { value.to_string() } else { text });
         }
         Command::Host(args) => host::host(&options(args)?)?,

@@ -8,10 +8,12 @@ use serde_json::{Value, json};
 
 use crate::ServerError;
 use crate::build::{BuildSummary, describe};
+use crate::export::{Exports, put_in_place};
 
-/// The report of a model file: as one JSON object, and for a person.
-pub(crate) fn inspect(path: &Path) -> Result<(Value, String), ServerError> {
+/// The report of a model file: as one JSON object, and for a person. Writes what else is asked for.
+pub(crate) fn inspect(path: &Path, exports: &Exports) -> Result<(Value, String), ServerError> {
     let file = ModelFile::read(path)?;
+    put_in_place(exports.stage(&file.model)?)?;
     let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
     let hash = format!("{:016x}", model_hash(&file.model));
     let mut value = serde_json::from_str(&file.report_json).unwrap_or_else(|_| json!({}));

@@ -8,6 +8,7 @@
 pub mod build;
 pub mod cli;
 mod error;
+mod export;
 pub mod host;
 mod inspect;
 mod load;

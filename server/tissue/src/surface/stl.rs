@@ -1,6 +1,6 @@
 //! STL files, binary and ASCII.
 
-use std::io::{Cursor, ErrorKind};
+use std::io::{BufWriter, Cursor, ErrorKind, Write};
 use std::path::Path;
 
 use stl_io::{Normal, Triangle, Vertex};
@@ -134,6 +134,12 @@ impl Surface {
             path: path.to_owned(),
             source,
         };
+        let file = std::fs::File::create(path).map_err(io)?;
+        self.write_stl_to(&mut BufWriter::new(file)).map_err(io)
+    }
+
+    /// Writes a binary STL in millimetres with outward normals.
+    pub(crate) fn write_stl_to(&self, out: &mut impl Write) -> std::io::Result<()> {
         let triangles: Vec<Triangle> = (0..self.triangles.len())
             .map(|t| {
                 let [a, b, c] = self.corners(t);
@@ -150,7 +156,7 @@ impl Surface {
                 }
             })
             .collect();
-        let mut file = std::fs::File::create(path).map_err(io)?;
-        stl_io::write_stl(&mut file, triangles.iter()).map_err(io)
+        stl_io::write_stl(out, triangles.iter())?;
+        out.flush()
     }
 }
