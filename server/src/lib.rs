@@ -13,6 +13,7 @@ pub mod host;
 mod inspect;
 mod load;
 mod memory;
+mod picture;
 mod sample;
 
 pub use error::ServerError;
