@@ -32,7 +32,9 @@ pub(super) struct CellCut {
     pub(super) grade: Grade,
     /// Convex pieces that fill it.
     pub(super) pieces: Vec<Vec<Point>>,
-    /// Its outline, each line with whether something else than its own region is behind it.
+    /// Its outline, each line with whether something else than its own region is behind it. Faces
+    /// that look along the axis have no line, unless they are such a border: where they meet the
+    /// plane at all they wind along it.
     pub(super) outline: Vec<([Point; 2], bool)>,
 }
 
@@ -169,7 +171,10 @@ fn cut_cell(model: &Model, index: usize, axis: usize, at: f64, grade: Grade) -> 
                 let crossed = edges.iter().filter_map(|e| crossing(axis, at, *e));
                 crossed.collect()
             };
-            if let [from, to] = crossings(&[[p, q], [q, r], [r, p]])[..] {
+            let shows = is_border || face / 2 != axis;
+            if let [from, to] = crossings(&[[p, q], [q, r], [r, p]])[..]
+                && shows
+            {
                 outline.push(([from, to], is_border));
             }
             // In an order that goes around the piece: opposite edges are never neighbours.

@@ -124,10 +124,7 @@ fn draw_springs(canvas: &mut Canvas, frame: &Frame, section: &Section, spacing: 
 /// Cells of poor shape, over everything else.
 fn marks(canvas: &mut Canvas, frame: &Frame, section: &Section) {
     // Where most cells of a layer are poor, its colour must still be told.
-    for (grade, with, opacity) in [
-        (Grade::Poor, POOR, 0.3),
-        (Grade::Inverted, INVERTED, 0.5),
-    ] {
+    for (grade, with, opacity) in [(Grade::Poor, POOR, 0.3), (Grade::Inverted, INVERTED, 0.5)] {
         for cell in section.cells.iter().filter(|c| c.grade == grade) {
             for piece in &cell.pieces {
                 let corners: Vec<_> = piece.iter().map(|p| frame.at(*p)).collect();
