@@ -2,13 +2,18 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod cut_laws;
+
 use std::collections::BTreeMap;
 use std::io::{Error, ErrorKind, Write};
 use std::sync::Arc;
 
+use cut_laws::stroke;
 use palpate_tissue::export::{stage_stl, stage_vtu, surfaces, write_vtu};
 use palpate_tissue::sample::Sample;
-use palpate_tissue::{Material, Shape, Staged, Surface, Topology, Unit, Vec3, block, build};
+use palpate_tissue::{
+    Material, NO_CELL, Shape, Staged, Surface, Topology, Unit, Vec3, block, build, cut,
+};
 
 fn blocks() -> Topology {
     Topology::new(Arc::new(block([6, 5, 4], 0.004, &Material::default(), 2)))
@@ -62,6 +67,44 @@ fn surfaces_follow_the_shape() {
             "{name}"
         );
     }
+}
+
+#[test]
+fn a_wound_that_gapes_is_part_of_a_closed_surface() {
+    let mut topology = cut_laws::topology([8, 8, 8], 0.005);
+    let whole = volumes(&topology, &Shape::rest(&topology));
+    let tips = [-0.005, 0.045].map(|y| Vec3::new(0.02, y, 0.02));
+    let outcome = cut(&mut topology, &stroke(&tips, Vec3::z(), 0.02)).unwrap();
+    assert!(!outcome.doubled.is_empty());
+    let mut shape = Shape::rest(&topology);
+    assert_eq!(
+        volumes(&topology, &shape).keys().collect::<Vec<_>>(),
+        whole.keys().collect::<Vec<_>>()
+    );
+    for node in 0..topology.node_count() as u32 {
+        // What lies beyond the cut and above its end moves away from it.
+        let cells = topology
+            .cells_around(node)
+            .into_iter()
+            .filter(|&c| c != NO_CELL);
+        let beyond = cells
+            .map(|c| topology.rest(topology.corners(c)[0]).x)
+            .any(|x| x > 0.0199);
+        let height = (topology.rest(node).z - 0.02).max(0.0);
+        if beyond {
+            shape.displacement[node as usize].x = 0.3 * height;
+        }
+    }
+    let open = volumes(&topology, &shape);
+    assert!(
+        (open["outer"] / whole["outer"] - 1.0).abs() < 0.01,
+        "{open:?} {whole:?}"
+    );
+    let mut grid = Vec::new();
+    write_vtu(&topology, &shape, &mut grid).unwrap();
+    let head = String::from_utf8_lossy(&grid[..4000]).into_owned();
+    let points = format!("NumberOfPoints=\"{}\"", topology.node_count());
+    assert!(head.contains(&points), "{head}");
 }
 
 #[test]

@@ -67,11 +67,16 @@ pub fn write_vtu(topology: &Topology, shape: &Shape, out: &mut impl Write) -> io
     {
         writeln!(out, "<{section}>")?;
         for array in arrays {
+            let components = match array.components {
+                // The default; some readers give a column for it where they give a list without.
+                1 => String::new(),
+                n => format!(" NumberOfComponents=\"{n}\""),
+            };
             writeln!(
                 out,
-                "<DataArray type=\"{}\" Name=\"{}\" NumberOfComponents=\"{}\" format=\"appended\" \
+                "<DataArray type=\"{}\" Name=\"{}\"{components} format=\"appended\" \
                  offset=\"{offset}\"/>",
-                array.kind, array.name, array.components
+                array.kind, array.name
             )?;
             let blocks = pack(&array.bytes)?;
             offset += blocks.len();
