@@ -78,7 +78,7 @@ pub(crate) fn inspect(
         let m = &region.material;
         let _ = write!(
             text,
-            "\n{:<24} {:<12} {:>10.1} kPa, Poisson {:.2}, {:>6.0} kg/m3{}{}  ({})",
+            "\n{:<24} {:<12} {:>11.2} kPa, Poisson {:.2}, {:>6.0} kg/m3{}{}  ({})",
             region.name,
             m.name,
             m.young_pa / 1e3,

@@ -69,15 +69,10 @@ pub(super) fn of_regions(model: &Model) -> Vec<Colour> {
         .collect()
 }
 
-/// The `number`th shade of a colour: itself, then by turns darker and lighter, beginning with where
-/// there is more room.
+/// The `number`th shade of a colour, away from the end of the scale that it is near to.
 fn shade(base: Colour, number: usize) -> Colour {
-    let step = 0.2 * number.div_ceil(2).min(3) as f64;
+    let part = 0.15 * number.min(4) as f64;
     let is_light = base.iter().map(|v| u32::from(*v)).sum::<u32>() > 3 * 128;
-    let towards = if (number % 2 == 1) == is_light {
-        0.0
-    } else {
-        255.0
-    };
-    base.map(|v| (f64::from(v) * (1.0 - step) + towards * step) as u8)
+    let towards = if is_light { 0.0 } else { 255.0 };
+    base.map(|v| (f64::from(v) * (1.0 - part) + towards * part) as u8)
 }

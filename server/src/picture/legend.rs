@@ -83,15 +83,15 @@ impl Legend {
             let inset = 0.5 * (SWATCH - size);
             canvas.rectangle([x + inset - 1.0, y + inset - 1.0], [size + 2.0; 2], INK);
             canvas.rectangle([x + inset, y + inset], [size; 2], entry.colour);
-            line(canvas, &entry.name, [x + TEXT, y], Letters::Bold, ink);
-            let material = if entry.is_in_section {
-                entry.material.clone()
+            let name = if entry.is_in_section {
+                entry.name.clone()
             } else {
-                format!("not here; {}", entry.material)
+                format!("{} (not here)", entry.name)
             };
+            line(canvas, &name, [x + TEXT, y], Letters::Bold, ink);
             line(
                 canvas,
-                &material,
+                &entry.material,
                 [x + TEXT, y + 17.0],
                 Letters::Small,
                 PALE_INK,
