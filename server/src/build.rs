@@ -7,6 +7,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use palpate_tissue::{BuildReport, ModelFile, SceneInput, build};
 use serde::{Deserialize, Serialize};
 
+use crate::export::{Exports, put_in_place};
 use crate::{ServerError, memory};
 
 /// What `build --json` prints.
@@ -42,12 +43,18 @@ pub fn build_model(
     Ok((ModelFile { model, report_json }, summary))
 }
 
-/// Builds a scene and writes the model file.
-pub(crate) fn build_file(scene: &Path, output: &Path) -> Result<BuildSummary, ServerError> {
+/// Builds a scene and writes the model file and what else is asked for: all of it, or nothing.
+pub(crate) fn build_file(
+    scene: &Path,
+    output: &Path,
+    exports: &Exports,
+) -> Result<BuildSummary, ServerError> {
     let since = Instant::now();
     let input = SceneInput::load(scene)?;
     let (file, summary) = build_model(&input, since)?;
-    file.write(output)?;
+    let mut staged = exports.stage(&file.model)?;
+    staged.push(file.stage(output)?);
+    put_in_place(staged)?;
     Ok(summary)
 }
 

@@ -1,17 +1,59 @@
 //! `palpate-server inspect`: what a model file holds.
 
 use std::fmt::Write as _;
-use std::path::Path;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
 
-use palpate_tissue::{Material, ModelFile, Region, model_hash};
+use clap::Args;
+use palpate_tissue::{Material, ModelFile, Region, Staged, model_hash};
 use serde_json::{Value, json};
 
 use crate::ServerError;
 use crate::build::{BuildSummary, describe};
+use crate::export::{Exports, put_in_place};
+use crate::picture::{self, Slice};
 
-/// The report of a model file: as one JSON object, and for a person.
-pub(crate) fn inspect(path: &Path) -> Result<(Value, String), ServerError> {
+/// A picture of a cross-section, when one is asked for.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct Picture {
+    /// Also draw a cross-section with regions, springs and poor cells
+    #[arg(long, value_name = "FILE.png")]
+    png: Option<PathBuf>,
+    /// Where the picture cuts: x, y or z, with a place in mm [default: z, in the middle]
+    #[arg(
+        long,
+        value_name = "AXIS=MM",
+        requires = "png",
+        allow_hyphen_values = true
+    )]
+    slice: Option<Slice>,
+    /// Draw the springs however small they come out
+    #[arg(long, requires = "png")]
+    springs: bool,
+}
+
+impl Picture {
+    fn stage(&self, file: &ModelFile, path: &Path) -> Result<Option<Staged>, ServerError> {
+        let Some(png) = &self.png else {
+            return Ok(None);
+        };
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let slice = self.slice.unwrap_or_default();
+        let bytes = picture::draw(file, &name, slice, self.springs)?;
+        Ok(Some(Staged::write(png, |out| out.write_all(&bytes))?))
+    }
+}
+
+/// The report of a model file: as one JSON object, and for a person. Writes what else is asked for.
+pub(crate) fn inspect(
+    path: &Path,
+    exports: &Exports,
+    picture: &Picture,
+) -> Result<(Value, String), ServerError> {
     let file = ModelFile::read(path)?;
+    let mut staged = exports.stage(&file.model)?;
+    staged.extend(picture.stage(&file, path)?);
+    put_in_place(staged)?;
     let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
     let hash = format!("{:016x}", model_hash(&file.model));
     let mut value = serde_json::from_str(&file.report_json).unwrap_or_else(|_| json!({}));
@@ -36,7 +78,7 @@ pub(crate) fn inspect(path: &Path) -> Result<(Value, String), ServerError> {
         let m = &region.material;
         let _ = write!(
             text,
-            "\n{:<24} {:<12} {:>10.1} kPa, Poisson {:.2}, {:>6.0} kg/m3{}{}  ({})",
+            "\n{:<24} {:<12} {:>11.2} kPa, Poisson {:.2}, {:>6.0} kg/m3{}{}  ({})",
             region.name,
             m.name,
             m.young_pa / 1e3,

@@ -14,6 +14,7 @@ mod cell;
 mod contact;
 mod cut;
 mod equilibrium;
+pub mod export;
 mod fibre;
 mod file;
 mod material;
@@ -23,6 +24,7 @@ pub mod scene;
 mod shape;
 mod snapshot;
 mod springs;
+mod staged;
 pub mod surface;
 mod topology;
 
@@ -31,7 +33,7 @@ pub use build::{
     BUILD_NODES_MAX, BuildError, BuildReport, GRID_CELLS_MAX, Progress, QualityReport,
     RegionReport, SpringCounts, SurfaceReport, build, report_surface,
 };
-pub use cell::{Cell, DIAGONALS, EDGES, FACES, NO_CELL, cell_volume};
+pub use cell::{Cell, DIAGONALS, EDGES, FACES, NO_CELL, cell_volume, scaled_jacobian};
 pub use contact::{Reaction, TOOLS_MAX, Tool};
 pub use cut::{
     BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, BladePoint, CutError, CutOutcome, CutStroke, Moved,
@@ -48,6 +50,7 @@ pub use scene::{Scene, SceneError, SceneInput, SceneRegion};
 pub use shape::Shape;
 pub use snapshot::{SNAPSHOT_FORMAT, SnapshotError, model_hash, restore, snapshot};
 pub use springs::{SPRINGS_PER_NODE_MAX, Spring, Springs};
+pub use staged::{Staged, WriteError};
 pub use surface::{Aabb, CheckReport, Surface, SurfaceError, Unit};
 pub use topology::{Boundary, FaceId, Topology, TopologyHash};
 

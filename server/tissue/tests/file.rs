@@ -2,8 +2,12 @@
 
 #![allow(clippy::unwrap_used)]
 
+use std::io::{Read, Write};
+use std::sync::Arc;
+
 use palpate_tissue::{
-    EnvelopeError, FibreAxis, FileError, MODEL_FORMAT, Material, Model, ModelFile, Vec3, block,
+    EnvelopeError, FibreAxis, FileError, MODEL_FORMAT, Material, Model, ModelFile, Topology, Vec3,
+    block,
 };
 use proptest::prelude::*;
 
@@ -137,6 +141,57 @@ fn a_model_that_contradicts_itself_is_refused() {
         let error = ModelFile::decode(&file.encode()).unwrap_err().to_string();
         assert!(error.contains(word), "{word}: {error}");
     }
+}
+
+/// The content of a file, decompressed.
+fn content(file: &[u8]) -> Vec<u8> {
+    let mut out = Vec::new();
+    let mut inflate = flate2::read::DeflateDecoder::new(&file[32..]);
+    inflate.read_to_end(&mut out).unwrap();
+    out
+}
+
+/// Other content in the same envelope, with a checksum that matches.
+fn forged(file: &[u8], content: &[u8]) -> Vec<u8> {
+    let head = file[..32].to_vec();
+    let mut deflate = flate2::write::DeflateEncoder::new(head, flate2::Compression::none());
+    deflate.write_all(content).unwrap();
+    let mut bytes = deflate.finish().unwrap();
+    let stored = bytes.len() as u64 - 32;
+    bytes[12..20].copy_from_slice(&(content.len() as u64).to_le_bytes());
+    bytes[20..28].copy_from_slice(&stored.to_le_bytes());
+    let mut sum = crc32fast::Hasher::new();
+    sum.update(&bytes[12..28]);
+    sum.update(&bytes[32..]);
+    bytes[28..32].copy_from_slice(&sum.finalize().to_le_bytes());
+    bytes
+}
+
+#[test]
+fn every_flipped_byte_behind_a_forged_checksum_is_refused_or_a_model_that_holds() {
+    let good = ModelFile {
+        model: block([3, 2, 2], 0.004, &rubber(), 1),
+        report_json: "{}".into(),
+    };
+    let good = good.encode();
+    let content = content(&good);
+    assert!(ModelFile::decode(&forged(&good, &content)).is_ok());
+    let mut accepted = 0;
+    for at in 0..content.len() {
+        for flip in [0x01, 0x80, 0xff] {
+            let mut bad = content.clone();
+            bad[at] ^= flip;
+            // Whoever forges the checksum too may make another model, but never one that breaks.
+            if let Ok(file) = ModelFile::decode(&forged(&good, &bad)) {
+                accepted += 1;
+                let topology = Topology::new(Arc::new(file.model.clone()));
+                assert_eq!(topology.node_count(), file.model.nodes.len());
+                let again = ModelFile::decode(&file.encode()).unwrap();
+                assert_eq!(again, file, "byte {at}");
+            }
+        }
+    }
+    assert!(accepted > 0 && accepted < 3 * content.len());
 }
 
 proptest! {

@@ -29,6 +29,7 @@ pub use container::EnvelopeError;
 pub(crate) use container::{open, seal};
 pub(crate) use planes::{Content, Reader, Short};
 
+use crate::staged::{Staged, WriteError};
 use crate::{Cell, FACES, FibreAxis, Material, Model, NO_CELL, Region, RegionId, Vec3};
 
 const MAGIC: [u8; 8] = *b"palpmodl";
@@ -37,7 +38,7 @@ pub const MODEL_FORMAT: u32 = 2;
 /// Longest build report in bytes; a longer one is left out.
 const REPORT_BYTES_MAX: usize = 16 << 20;
 
-/// Why a model file can not be read or written.
+/// Why a model file can not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
     /// The operating system refused.
@@ -94,26 +95,13 @@ impl ModelFile {
 
     /// Writes the file: beside its place first and then moved there, so that a reader finds the old
     /// file or the new one, never half of one.
-    pub fn write(&self, path: &Path) -> Result<(), FileError> {
-        let mut name = path.file_name().unwrap_or_default().to_owned();
-        name.push(format!(".{}.part", std::process::id()));
-        let beside = path.with_file_name(name);
-        let bytes = self.encode();
-        let written = std::fs::File::create(&beside).and_then(|mut file| {
-            file.write_all(&bytes)?;
-            file.sync_all()
-        });
-        let moved = written.and_then(|()| std::fs::rename(&beside, path));
-        moved.map_err(|source| {
-            // What is left of the attempt is of no use; that it can not be removed either adds
-            // nothing to the first error.
-            let _ = std::fs::remove_file(&beside);
-            FileError::Io {
-                path: path.into(),
-                doing: "the model could not be written",
-                source,
-            }
-        })
+    pub fn write(&self, path: &Path) -> Result<(), WriteError> {
+        self.stage(path)?.put_in_place()
+    }
+
+    /// Writes the file without putting it in its place yet.
+    pub fn stage(&self, path: &Path) -> Result<Staged, WriteError> {
+        Staged::write(path, |out| out.write_all(&self.encode()))
     }
 
     /// Reads a file.
