@@ -5,89 +5,110 @@
 //! just behind it; it belongs to the *outer* patch when nothing lies before it, and to the *inner*
 //! patch of its region otherwise. What a later region hides belongs to none.
 
-use parry3d_f64::query::PointQuery as _;
-use parry3d_f64::shape::TriMesh;
 use rayon::prelude::*;
 
-use super::label::PointQuery;
+use super::bvh::Bvh;
+use super::inside::PointQuery;
 use crate::{Surface, Vec3};
 
 /// Longest side, in spacings, of a piece that is classified as a whole.
 const PIECE_SIDE_MAX: f64 = 4.0;
+/// A piece that is not of one kind is cut down to this side, in spacings.
+const PIECE_SIDE_MIN: f64 = 0.25;
+/// Part of the way from the middle of a piece to its corners where it is looked at too.
+const TOWARDS_CORNER: f64 = 0.9;
 /// How far behind and before a piece one looks, in spacings: far enough to clear rounding, near
 /// enough not to cross the thinnest layer worth modelling.
 const LOOK: f64 = 0.02;
-
-/// A set of triangles that answers for the point on it nearest to a given one.
-pub(super) struct Patch(Option<TriMesh>);
-
-impl Patch {
-    fn new(pieces: &[[Vec3; 3]]) -> Self {
-        if pieces.is_empty() {
-            return Self(None);
-        }
-        let bridge = |p: &Vec3| parry3d_f64::math::Vector::new(p.x, p.y, p.z);
-        let vertices = pieces.iter().flatten().map(bridge).collect();
-        let triangles = (0..pieces.len() as u32)
-            .map(|t| [3 * t, 3 * t + 1, 3 * t + 2])
-            .collect();
-        Self(TriMesh::new(vertices, triangles).ok())
-    }
-
-    /// The nearest point on the patch, or `None` when the patch is empty.
-    pub(super) fn nearest(&self, point: &Vec3) -> Option<Vec3> {
-        let at = parry3d_f64::math::Vector::new(point.x, point.y, point.z);
-        let nearest = self.0.as_ref()?.project_local_point(at, false).point;
-        Some(Vec3::new(nearest.x, nearest.y, nearest.z))
-    }
-}
+/// Triangles sorted by one task.
+const CHUNK: usize = 4096;
 
 /// The interfaces of the model.
 pub(super) struct Interfaces {
     /// Where the model ends.
-    pub(super) outer: Patch,
+    pub(super) outer: Bvh,
     /// For each region, where it meets regions that it overrides.
-    pub(super) inner: Vec<Patch>,
+    pub(super) inner: Vec<Bvh>,
     /// Edges of the outer patch where it turns sharply.
     pub(super) rims: super::rim::Rims,
+    /// Lattice spacing in m.
+    pub(super) spacing: f64,
 }
 
 impl Interfaces {
     /// Sorts the triangles of all surfaces.
-    pub(super) fn new(surfaces: &[&Surface], query: &PointQuery<'_>, spacing: f64) -> Self {
+    pub(super) fn new(
+        surfaces: &[&Surface],
+        query: &PointQuery<'_>,
+        spacing: f64,
+        middle: Vec3,
+    ) -> Self {
         let mut outer = Vec::new();
-        let mut inner = vec![Vec::new(); surfaces.len()];
+        let mut inner = Vec::with_capacity(surfaces.len());
         let mut rims = super::rim::Rims::default();
         for (region, surface) in surfaces.iter().enumerate() {
             let sorted: Vec<Sorted> = surface
                 .triangles
-                .par_iter()
-                .map(|t| {
-                    let corners = t.map(|v| surface.vertices[v as usize]);
-                    sort_triangle(&corners, region, query, spacing)
+                .par_chunks(CHUNK)
+                .map(|chunk| {
+                    let mut sorted = Sorted::default();
+                    for t in chunk {
+                        let corners = t.map(|v| surface.vertices[v as usize]);
+                        let before = sorted.outer.len();
+                        sort_triangle(&corners, region, query, spacing, &middle, &mut sorted);
+                        sorted.faces_out.push(sorted.outer.len() > before);
+                    }
+                    sorted
                 })
                 .collect();
-            let faces_out: Vec<bool> = sorted.iter().map(|s| !s.outer.is_empty()).collect();
+            let faces_out: Vec<bool> = sorted.iter().flat_map(|s| &s.faces_out).copied().collect();
             rims.collect(surface, &faces_out);
-            for pieces in sorted {
-                outer.extend(pieces.outer);
-                inner[region].extend(pieces.inner);
+            let mut own = Vec::new();
+            for mut pieces in sorted {
+                outer.append(&mut pieces.outer);
+                own.append(&mut pieces.inner);
             }
+            inner.push(Bvh::new(middle, own));
         }
         rims.index(spacing);
         Self {
-            outer: Patch::new(&outer),
-            inner: inner.iter().map(|p| Patch::new(p)).collect(),
+            outer: Bvh::new(middle, outer),
+            inner,
             rims,
+            spacing,
         }
+    }
+
+    /// The patch of one interface.
+    pub(super) fn patch(&self, interface: Interface) -> &Bvh {
+        match interface {
+            Interface::Outer => &self.outer,
+            Interface::Of(region) => &self.inner[region],
+        }
+    }
+
+    /// All interfaces, the outer one first.
+    pub(super) fn all(&self) -> impl Iterator<Item = Interface> + use<> {
+        std::iter::once(Interface::Outer).chain((0..self.inner.len()).map(Interface::Of))
     }
 }
 
-/// The pieces of one triangle; what is hidden is in neither list.
+/// One interface of the model: the outer surface, or where region `r` overrides others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Interface {
+    /// Where the model ends.
+    Outer,
+    /// Where this region overrides others.
+    Of(usize),
+}
+
+/// The pieces of some triangles; what is hidden is in neither list.
 #[derive(Default)]
 struct Sorted {
-    outer: Vec<[Vec3; 3]>,
-    inner: Vec<[Vec3; 3]>,
+    outer: Vec<[[f32; 3]; 3]>,
+    inner: Vec<[[f32; 3]; 3]>,
+    /// Whether some of each triangle is in the outer patch.
+    faces_out: Vec<bool>,
 }
 
 /// Cuts a triangle into pieces small enough to be classified as a whole, and sorts them.
@@ -96,11 +117,12 @@ fn sort_triangle(
     region: usize,
     query: &PointQuery<'_>,
     spacing: f64,
-) -> Sorted {
-    let mut sorted = Sorted::default();
+    origin: &Vec3,
+    sorted: &mut Sorted,
+) {
     let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
     let Some(normal) = normal.try_normalize(0.0) else {
-        return sorted;
+        return;
     };
     let look = normal * (LOOK * spacing);
     let mut stack = vec![*corners];
@@ -110,20 +132,31 @@ fn sort_triangle(
             continue;
         }
         let middle = (piece[0] + piece[1] + piece[2]) / 3.0;
-        match (
-            query.region_at(middle + look),
-            query.region_at(middle - look),
-        ) {
-            (None, Some(_)) => sorted.outer.push(piece),
-            (Some(_), Some(behind)) if behind == region => sorted.inner.push(piece),
+        let sides = |p: Vec3| (query.region_at(p + look), query.region_at(p - look));
+        let here = sides(middle);
+        // Near where interfaces meet, a piece may be of one kind here and of another there.
+        let mixed = || (piece.iter()).any(|p| sides(middle.lerp(p, TOWARDS_CORNER)) != here);
+        if let Some(halves) = halve(&piece, PIECE_SIDE_MIN * spacing)
+            && mixed()
+        {
+            stack.extend(halves);
+            continue;
+        }
+        match here {
+            // What a later region hides has that region's own wall in its place.
+            (None, Some(behind)) if behind == region => {
+                sorted.outer.push(Bvh::flat(origin, &piece));
+            }
+            (Some(before), Some(behind)) if behind == region && before < region => {
+                sorted.inner.push(Bvh::flat(origin, &piece));
+            }
             _ => {}
         }
     }
-    sorted
 }
 
 /// The two halves of a triangle across its longest side, if that is longer than `side_max`.
-fn halve(piece: &[Vec3; 3], side_max: f64) -> Option<[[Vec3; 3]; 2]> {
+pub(super) fn halve(piece: &[Vec3; 3], side_max: f64) -> Option<[[Vec3; 3]; 2]> {
     let side = |e: usize| (piece[(e + 1) % 3] - piece[e]).norm();
     let longest = (0..3).max_by(|&e, &f| side(e).total_cmp(&side(f)))?;
     if side(longest) <= side_max {

@@ -71,19 +71,44 @@ impl Hits {
         &self.hits[self.start[ray] as usize..self.start[ray + 1] as usize]
     }
 
-    /// Calls `each` with every stretch of a ray that lies inside (winding number above zero).
+    /// Calls `each` with every stretch of a ray that lies inside; see [`inside_at`].
     pub(super) fn inside(&self, ray: usize, mut each: impl FnMut(f64, f64)) {
+        let hits = self.of(ray);
+        let by_winding = winds_back(hits.iter().copied());
         let mut winding = 0_i32;
         let mut entered = 0.0;
-        for hit in self.of(ray) {
+        for hit in hits {
             let before = winding;
-            winding += i32::from(hit.turn);
-            if before <= 0 && winding > 0 {
+            winding = if by_winding {
+                winding + i32::from(hit.turn)
+            } else {
+                1 - winding
+            };
+            if before == 0 && winding != 0 {
                 entered = hit.depth;
-            } else if before > 0 && winding <= 0 && hit.depth > entered {
+            } else if before != 0 && winding == 0 && hit.depth > entered {
                 each(entered, hit.depth);
             }
         }
+    }
+}
+
+/// Whether a ray leaves a surface as often as it enters it: only then its turns can be trusted.
+fn winds_back(hits: impl Iterator<Item = Hit>) -> bool {
+    hits.map(|h| i32::from(h.turn)).sum::<i32>() == 0
+}
+
+/// Whether a point at `depth` along a ray with these hits lies inside.
+///
+/// Inside is where the winding number is not zero: a part of the surface that is turned inside out
+/// fills what it encloses all the same. Where the turns of the whole ray do not cancel, some
+/// triangles are wound against the others, and every other stretch counts as inside.
+pub(super) fn inside_at(hits: impl Iterator<Item = Hit> + Clone, depth: f64) -> bool {
+    let before = hits.clone().filter(|h| h.depth < depth);
+    if winds_back(hits) {
+        before.map(|h| i32::from(h.turn)).sum::<i32>() != 0
+    } else {
+        before.count() % 2 == 1
     }
 }
 

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::grid::Grid;
 use super::lattice::Lattice;
-use super::patch::Interfaces;
+use super::patch::{Interface, Interfaces};
 use super::rays::{Hits, Rays, cast};
 use crate::{Surface, Vec3};
 
@@ -22,8 +22,17 @@ const ALTERNATIONS: usize = 6;
 /// cosine (63°: an oblique side shows two kinds of cell faces, each at most 55° away).
 const RIM_FACE_COSINE: f64 = 0.45;
 
-/// A node counts as on an interface when it is at most this far away, in spacings.
-const ON_SURFACE: f64 = 1e-6;
+/// A node counts as on an interface when it is at most this far away, in spacings; patches are kept
+/// in single precision.
+const ON_SURFACE: f64 = 1e-4;
+
+/// Farthest that a node is projected, in spacings; there is no interface of its own beyond it.
+const REACH: f64 = 4.0;
+
+/// Interfaces meet where a point is found that is this near to all of them, in spacings, ...
+const MEETING: f64 = 0.1;
+/// ... and this near to the lattice point.
+const MEETING_REACH: f64 = 1.25;
 
 /// Which interfaces a node lies on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -42,7 +51,28 @@ impl Constraint {
         !self.outer && self.owners == 0
     }
 
-    fn single(self) -> bool {
+    /// A node on one interface alone.
+    fn on(interface: Interface) -> Self {
+        match interface {
+            Interface::Outer => Self {
+                outer: true,
+                ..Self::default()
+            },
+            Interface::Of(region) => Self {
+                owners: 1 << region,
+                ..Self::default()
+            },
+        }
+    }
+
+    /// The interfaces, the outer one first.
+    pub(super) fn interfaces(self) -> impl Iterator<Item = Interface> + Clone {
+        let outer = self.outer.then_some(Interface::Outer);
+        let owners = (0..64).filter(move |r| self.owners >> r & 1 == 1);
+        outer.into_iter().chain(owners.map(Interface::Of))
+    }
+
+    pub(super) fn single(self) -> bool {
         !self.rim && u32::from(self.outer) + self.owners.count_ones() == 1
     }
 
@@ -125,19 +155,71 @@ pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec
     let mut at = from;
     let rounds = if constraint.single() { 1 } else { ALTERNATIONS };
     for _ in 0..rounds {
+        let before = at;
         let mut owners = constraint.owners;
         while owners != 0 {
             let region = owners.trailing_zeros() as usize;
             owners &= owners - 1;
-            at = interfaces.inner[region].nearest(&at).unwrap_or(at);
+            at = nearest(interfaces, Interface::Of(region), &at).unwrap_or(at);
         }
         if constraint.rim {
             at = interfaces.rims.nearest(&at, |_| true).unwrap_or(at);
         } else if constraint.outer {
-            at = interfaces.outer.nearest(&at).unwrap_or(at);
+            at = nearest(interfaces, Interface::Outer, &at).unwrap_or(at);
+        }
+        if at == before {
+            break;
         }
     }
     at
+}
+
+fn nearest(interfaces: &Interfaces, interface: Interface, at: &Vec3) -> Option<Vec3> {
+    interfaces
+        .patch(interface)
+        .nearest(at, REACH * interfaces.spacing)
+}
+
+/// The tie rule (reconstructed): where interfaces lie nearer to each other than a spacing and do not
+/// meet, the one nearer to a node's lattice point takes the node. Returns the number of such nodes,
+/// whose constraints are changed accordingly.
+pub(super) fn settle_ties(
+    grid: &Grid,
+    lattice: &Lattice,
+    interfaces: &Interfaces,
+    constraints: &mut [Constraint],
+) -> usize {
+    constraints
+        .par_iter_mut()
+        .enumerate()
+        .filter(|(_, c)| !c.free() && !c.single())
+        .map(|(node, constraint)| {
+            let from = grid.point(lattice.nodes[node]);
+            let at = project(interfaces, *constraint, from);
+            let meets = constraint.interfaces().all(|i| {
+                nearest(interfaces, i, &at)
+                    .is_some_and(|p| (p - at).norm() <= MEETING * grid.spacing)
+            });
+            if meets && (at - from).norm() <= MEETING_REACH * grid.spacing {
+                return 0;
+            }
+            let mut best: Option<(f64, Interface)> = None;
+            for interface in constraint.interfaces() {
+                if let Some(p) = nearest(interfaces, interface, &from) {
+                    let distance = (p - from).norm();
+                    if best.is_none_or(|b| distance < b.0) {
+                        best = Some((distance, interface));
+                    }
+                }
+            }
+            if let Some((_, taker)) = best {
+                let rim = constraint.rim && taker == Interface::Outer;
+                *constraint = Constraint::on(taker);
+                constraint.rim = rim;
+            }
+            1
+        })
+        .sum()
 }
 
 /// Positions of all nodes, those between regions on their interfaces.
@@ -162,7 +244,8 @@ pub(super) fn snap(
                 return;
             }
             let by_ray = if constraint.single() {
-                snap_along_rays(grid, lattice.nodes[node], &hits, interfaces, constraint)
+                let at = lattice.nodes[node].map(|i| i as usize);
+                snap_along_rays(grid, at, &hits, interfaces, constraint)
             } else {
                 None
             };
@@ -190,7 +273,7 @@ fn snap_along_rays(
     interfaces: &Interfaces,
     constraint: Constraint,
 ) -> Option<Vec3> {
-    let point = grid.point(at);
+    let point = grid.point(at.map(|i| i as i32));
     let patch = if constraint.outer {
         &interfaces.outer
     } else {
@@ -209,8 +292,7 @@ fn snap_along_rays(
                 if distance <= grid.spacing / 2.0 && best.is_none_or(|b| distance < b.0) {
                     let mut crossing = point;
                     crossing[axis] = hit.depth;
-                    let off = patch.nearest(&crossing).map(|p| (p - crossing).norm());
-                    if off.is_some_and(|d| d <= ON_SURFACE * grid.spacing) {
+                    if patch.nearest(&crossing, ON_SURFACE * grid.spacing).is_some() {
                         best = Some((distance, crossing));
                     }
                 }

@@ -1,0 +1,292 @@
+//! Comparing the finished model with its input.
+
+use rayon::prelude::*;
+
+use super::faces::{Face, OUTSIDE, volumes};
+use super::patch::{Interface, Interfaces};
+use super::quality::{
+    CORNER_FLOOR, SPRING_FLOOR, passes, scaled_jacobian, shortest_spring, worst_corner,
+};
+use super::report::{QualityReport, RegionReport, SpringCounts};
+use super::sample::Sample;
+use super::thin::Collector;
+use crate::{Model, NO_CELL, Surface, Vec3};
+
+/// Counts springs by kind: for each node the directions in which a cell has a spring, as a mask of
+/// 27 bits, half of which belong to the other end.
+pub(super) fn count_springs(model: &Model, around: &[[u32; 8]], faces: &[Face]) -> SpringCounts {
+    let mut interface = vec![false; model.nodes.len()];
+    for node in faces.iter().filter(|f| f.other != OUTSIDE).flat_map(|f| f.nodes) {
+        interface[node as usize] = true;
+    }
+    let add = |a: SpringCounts, b: SpringCounts| SpringCounts {
+        structural: a.structural + b.structural,
+        shear: a.shear + b.shear,
+        body_diagonal: a.body_diagonal + b.body_diagonal,
+        layer: a.layer + b.layer,
+        within_interfaces: a.within_interfaces + b.within_interfaces,
+    };
+    around
+        .par_iter()
+        .enumerate()
+        .map(|(node, cells)| {
+            let mut counts = SpringCounts::default();
+            let mut seen = 0_u32;
+            for (corner, &cell) in cells.iter().enumerate().filter(|(_, c)| **c != NO_CELL) {
+                for step in 1..8_usize {
+                    let to = model.cells[cell as usize].corners[corner ^ step] as usize;
+                    let code = (0..3).fold(0, |code, a| {
+                        let way = match (step >> a & 1, corner >> a & 1) {
+                            (0, _) => 1,
+                            (_, 0) => 2,
+                            _ => 0,
+                        };
+                        code * 3 + way
+                    });
+                    // Codes above the middle one lead to the nodes that come later.
+                    if code < 13 || seen >> code & 1 == 1 {
+                        continue;
+                    }
+                    seen |= 1 << code;
+                    let both = interface[node] && interface[to];
+                    match step.count_ones() {
+                        1 if interface[node] != interface[to] => counts.layer += 1,
+                        1 => counts.structural += 1,
+                        2 => counts.shear += 1,
+                        _ => counts.body_diagonal += 1,
+                    }
+                    counts.within_interfaces += usize::from(both && step.count_ones() < 3);
+                }
+            }
+            counts
+        })
+        .reduce(SpringCounts::default, add)
+}
+
+/// Looks at the shape of all cells.
+pub(super) fn quality(model: &Model) -> QualityReport {
+    let spacing = model.spacing_m;
+    let empty = QualityReport {
+        shortest_spring: f64::INFINITY,
+        bad_cells: 0,
+        inverted_cells: 0,
+        least_corner: f64::INFINITY,
+        scaled_jacobian: [0; 10],
+        nodes_let_go: 0,
+        nodes_tied: 0,
+    };
+    (0..model.cells.len())
+        .into_par_iter()
+        .map(|cell| {
+            let corners = model.corners_of(cell);
+            let worst = worst_corner(&corners) / spacing.powi(3);
+            let decile = (scaled_jacobian(&corners) * 10.0).floor().clamp(0.0, 9.0) as usize;
+            let mut one = empty;
+            one.shortest_spring = shortest_spring(&corners) / spacing;
+            one.bad_cells = usize::from(!passes(&corners, spacing, CORNER_FLOOR, SPRING_FLOOR));
+            one.inverted_cells = usize::from(worst <= 0.0);
+            one.least_corner = worst;
+            one.scaled_jacobian[decile] = 1;
+            one
+        })
+        .reduce(
+            || empty,
+            |a, b| QualityReport {
+                shortest_spring: a.shortest_spring.min(b.shortest_spring),
+                bad_cells: a.bad_cells + b.bad_cells,
+                inverted_cells: a.inverted_cells + b.inverted_cells,
+                least_corner: a.least_corner.min(b.least_corner),
+                scaled_jacobian: std::array::from_fn(|d| {
+                    a.scaled_jacobian[d] + b.scaled_jacobian[d]
+                }),
+                ..a
+            },
+        )
+}
+
+/// What [`regions`] compares.
+pub(super) struct Compared<'a> {
+    pub(super) model: &'a Model,
+    pub(super) around: &'a [[u32; 8]],
+    pub(super) faces: &'a [Face],
+    pub(super) interfaces: &'a Interfaces,
+    pub(super) samples: &'a [Sample],
+    pub(super) thin: &'a Collector<'a>,
+    pub(super) surfaces: &'a [&'a Surface],
+    pub(super) input_volumes: &'a [f64],
+}
+
+/// Compares each region with its input.
+pub(super) fn regions(compared: &Compared<'_>) -> Vec<RegionReport> {
+    let Compared { model, faces, .. } = compared;
+    let regions = model.regions.len();
+    let volumes = volumes(faces, &model.nodes, regions);
+    let nodes = nodes_of(compared);
+    let distances: Vec<FaceDistances> = faces
+        .par_iter()
+        .map(|face| face_distances(face, compared))
+        .collect();
+    let components = components(model);
+    (0..regions)
+        .map(|r| {
+            let mut model_side = Distances::default();
+            for (face, found) in faces.iter().zip(&distances) {
+                if usize::from(face.region) == r || usize::from(face.other) == r {
+                    model_side.add(found);
+                }
+            }
+            let mut input_side = Distances::default();
+            for s in compared.samples {
+                if usize::from(s.behind) == r || usize::from(s.before) == r {
+                    input_side.put(s.distance, s.area, compared.thin.is_marked(&s.at));
+                }
+            }
+            RegionReport {
+                name: model.regions[r].name.clone(),
+                nodes: nodes[r],
+                volume_mm3: volumes[r] * 1e9,
+                input_volume_mm3: compared.input_volumes[r] * 1e9,
+                components: components[r],
+                input_components: surface_components(compared.surfaces[r]),
+                surface_distance_mean_mm: model_side.mean() * 1e3,
+                surface_distance_max_mm: model_side.max * 1e3,
+                input_distance_mean_mm: input_side.mean() * 1e3,
+                input_distance_max_mm: input_side.max * 1e3,
+                distance_max_outside_thin_mm: model_side.sound_max.max(input_side.sound_max) * 1e3,
+            }
+        })
+        .collect()
+}
+
+fn nodes_of(compared: &Compared<'_>) -> Vec<usize> {
+    let cells = &compared.model.cells;
+    let mut nodes = vec![0; compared.model.regions.len()];
+    for around in compared.around {
+        let mut seen = 0_u64;
+        for &cell in around.iter().filter(|c| **c != NO_CELL) {
+            seen |= 1 << cells[cell as usize].region.index();
+        }
+        while seen != 0 {
+            nodes[seen.trailing_zeros() as usize] += 1;
+            seen &= seen - 1;
+        }
+    }
+    nodes
+}
+
+#[derive(Debug, Default)]
+struct Distances {
+    sum: f64,
+    weight: f64,
+    max: f64,
+    /// Largest outside of thin parts.
+    sound_max: f64,
+}
+
+impl Distances {
+    fn put(&mut self, distance: f64, weight: f64, thin: bool) {
+        self.sum += distance * weight;
+        self.weight += weight;
+        self.max = self.max.max(distance);
+        if !thin {
+            self.sound_max = self.sound_max.max(distance);
+        }
+    }
+
+    fn add(&mut self, found: &FaceDistances) {
+        for (distance, thin) in found.iter().flatten() {
+            self.put(f64::from(*distance), 1.0, *thin);
+        }
+    }
+
+    fn mean(&self) -> f64 {
+        if self.weight > 0.0 {
+            self.sum / self.weight
+        } else {
+            0.0
+        }
+    }
+}
+
+/// Distances of the corners and the middle of a face, and whether each lies at a thin part.
+type FaceDistances = [Option<(f32, bool)>; 5];
+
+fn face_distances(face: &Face, compared: &Compared<'_>) -> FaceDistances {
+    let patch = match face.interface() {
+        Interface::Outer => &compared.interfaces.outer,
+        Interface::Of(region) => &compared.interfaces.inner[region],
+    };
+    let corners = face.corners(&compared.model.nodes);
+    let middle = (corners[0] + corners[1] + corners[2] + corners[3]) / 4.0;
+    let points = [corners[0], corners[1], corners[2], corners[3], middle];
+    points.map(|point| {
+        let nearest = patch.nearest(&point, f64::INFINITY)?;
+        let thin = compared.thin.is_marked(&point) || compared.thin.is_marked(&nearest);
+        Some(((nearest - point).norm() as f32, thin))
+    })
+}
+
+/// Pieces of each region's cells that hang together through faces.
+fn components(model: &Model) -> Vec<usize> {
+    let mut counts = vec![0; model.regions.len()];
+    let mut seen = vec![false; model.cells.len()];
+    let mut stack = Vec::new();
+    for seed in 0..model.cells.len() {
+        if seen[seed] {
+            continue;
+        }
+        seen[seed] = true;
+        stack.push(seed);
+        counts[model.cells[seed].region.index()] += 1;
+        while let Some(cell) = stack.pop() {
+            for next in model.cells[cell].neighbours {
+                if next != NO_CELL
+                    && !seen[next as usize]
+                    && model.cells[next as usize].region == model.cells[cell].region
+                {
+                    seen[next as usize] = true;
+                    stack.push(next as usize);
+                }
+            }
+        }
+    }
+    counts
+}
+
+/// Parts of a surface that share no vertex.
+fn surface_components(surface: &Surface) -> usize {
+    let mut parent: Vec<u32> = (0..surface.vertices.len() as u32).collect();
+    let root = |parent: &mut Vec<u32>, mut v: u32| {
+        while parent[v as usize] != v {
+            parent[v as usize] = parent[parent[v as usize] as usize];
+            v = parent[v as usize];
+        }
+        v
+    };
+    let mut used = vec![false; surface.vertices.len()];
+    for t in &surface.triangles {
+        let [a, b, c] = t.map(|v| root(&mut parent, v));
+        let least = a.min(b).min(c);
+        for v in [a, b, c] {
+            parent[v as usize] = least;
+        }
+        for v in t {
+            used[*v as usize] = true;
+        }
+    }
+    let roots = parent.iter().enumerate().filter(|(v, p)| **p as usize == *v);
+    roots.filter(|(v, _)| used[*v]).count()
+}
+
+/// Where a node stands off the nearest of its interfaces, in m.
+pub(super) fn off_interface(
+    interfaces: &Interfaces,
+    of: impl Iterator<Item = Interface>,
+    at: &Vec3,
+) -> f64 {
+    let distances = of.filter_map(|i| interfaces.patch(i).nearest(at, f64::INFINITY));
+    let least = distances
+        .map(|p| (p - at).norm())
+        .fold(f64::INFINITY, f64::min);
+    if least.is_finite() { least } else { 0.0 }
+}
