@@ -124,6 +124,52 @@ impl Bvh {
         found.map(|p| p + self.origin)
     }
 
+    /// Whether a point lies in the box around all triangles.
+    pub(super) fn may_contain(&self, point: &Vec3) -> bool {
+        let at = point - self.origin;
+        let root = self.nodes.first();
+        root.is_some_and(|node| node.distance_squared(&at) == 0.0)
+    }
+
+    /// Calls `each` with every triangle whose box the line along `axis` through `point` may pass;
+    /// point and corners are given relative to the tree's origin.
+    pub(super) fn for_line(
+        &self,
+        point: &Vec3,
+        axis: usize,
+        mut each: impl FnMut(&Vec3, &[Vec3; 3]),
+    ) {
+        if self.nodes.is_empty() {
+            return;
+        }
+        let at = point - self.origin;
+        let passes = |node: &Node| {
+            [(axis + 1) % 3, (axis + 2) % 3]
+                .into_iter()
+                .all(|a| f64::from(node.low[a]) <= at[a] && at[a] <= f64::from(node.high[a]))
+        };
+        let mut stack = [0_u32; DEPTH_MAX];
+        let mut height = 1;
+        while height > 0 {
+            height -= 1;
+            let index = stack[height];
+            let node = &self.nodes[index as usize];
+            if !passes(node) {
+                continue;
+            }
+            if node.count == 0 {
+                stack[height] = node.start;
+                stack[height + 1] = index + 1;
+                height += 2;
+                continue;
+            }
+            let start = node.start as usize;
+            for triangle in &self.triangles[start..start + node.count as usize] {
+                each(&at, &triangle.map(|p| local(&p)));
+            }
+        }
+    }
+
     /// How far along `way` (m, from `from`) the first triangle is crossed, if one is.
     pub(super) fn first_along(&self, from: &Vec3, way: &Vec3) -> Option<f64> {
         if self.nodes.is_empty() {

@@ -57,7 +57,7 @@ pub(super) fn size(surfaces: &[&Surface], spacing: f64) -> Result<(), BuildError
 /// Refuses regions that are far from all others, and warns of those that stick out of the first.
 pub(super) fn nesting(
     input: &SceneInput,
-    query: &PointQuery<'_>,
+    query: &PointQuery,
     warnings: &mut Vec<String>,
 ) -> Result<(), BuildError> {
     let name = |r: usize| input.scene.regions[r].name.clone();
@@ -100,7 +100,7 @@ fn gap(a: &Aabb, b: &Aabb) -> f64 {
 
 /// Triangles of region `r` that lie outside the first region by more than a part of the spacing:
 /// what two surfaces have in common, as a flat end, counts as outside or not by rounding.
-fn sticking_out(input: &SceneInput, query: &PointQuery<'_>, r: usize) -> usize {
+fn sticking_out(input: &SceneInput, query: &PointQuery, r: usize) -> usize {
     let surface = &input.surfaces[r];
     let depth = input.scene.spacing_m * STICKING_OUT;
     (0..surface.triangles.len())

@@ -122,17 +122,28 @@ pub(super) fn regions(compared: &Compared<'_>) -> Vec<RegionReport> {
     let regions = model.regions.len();
     let volumes = volumes(faces, &model.nodes, regions);
     let nodes = nodes_of(compared);
-    let distances: Vec<FaceDistances> = faces
+    let at_corners = corner_distances(compared);
+    let in_middles: Vec<Found> = faces
         .par_iter()
-        .map(|face| face_distances(face, compared))
+        .map(|face| {
+            let corners = face.corners(&model.nodes);
+            let middle = (corners[0] + corners[1] + corners[2] + corners[3]) / 4.0;
+            distance(face.interface(), &middle, compared)
+        })
         .collect();
     let components = components(model);
     (0..regions)
         .map(|r| {
             let mut model_side = Distances::default();
-            for (face, found) in faces.iter().zip(&distances) {
+            for (face, &(middle, thin)) in faces.iter().zip(&in_middles) {
                 if usize::from(face.region) == r || usize::from(face.other) == r {
-                    model_side.add(found);
+                    model_side.put(f64::from(middle), 1.0, thin);
+                    for node in face.nodes {
+                        let key = (face.interface(), node);
+                        let at = at_corners.partition_point(|c| c.0 < key);
+                        let (corner, thin) = at_corners[at].1;
+                        model_side.put(f64::from(corner), 1.0, thin);
+                    }
                 }
             }
             let mut input_side = Distances::default();
@@ -193,12 +204,6 @@ impl Distances {
         }
     }
 
-    fn add(&mut self, found: &FaceDistances) {
-        for (distance, thin) in found.iter().flatten() {
-            self.put(f64::from(*distance), 1.0, *thin);
-        }
-    }
-
     fn mean(&self) -> f64 {
         if self.weight > 0.0 {
             self.sum / self.weight
@@ -208,22 +213,32 @@ impl Distances {
     }
 }
 
-/// Distances of the corners and the middle of a face, and whether each lies at a thin part.
-type FaceDistances = [Option<(f32, bool)>; 5];
+/// A distance in m from the input, and whether it is that of a thin part.
+type Found = (f32, bool);
 
-fn face_distances(face: &Face, compared: &Compared<'_>) -> FaceDistances {
-    let patch = match face.interface() {
-        Interface::Outer => &compared.interfaces.outer,
-        Interface::Of(region) => &compared.interfaces.inner[region],
+/// Distances of the nodes of each interface, sorted.
+fn corner_distances(compared: &Compared<'_>) -> Vec<((Interface, u32), Found)> {
+    let corners = compared.faces.iter();
+    let mut corners: Vec<(Interface, u32)> = corners
+        .flat_map(|f| f.nodes.map(|n| (f.interface(), n)))
+        .collect();
+    corners.par_sort_unstable();
+    corners.dedup();
+    corners
+        .into_par_iter()
+        .map(|(interface, node)| {
+            let at = compared.model.nodes[node as usize];
+            ((interface, node), distance(interface, &at, compared))
+        })
+        .collect()
+}
+
+fn distance(interface: Interface, point: &Vec3, compared: &Compared<'_>) -> Found {
+    let Some(nearest) = compared.interfaces.patch(interface).nearest(point, f64::INFINITY) else {
+        return (0.0, true);
     };
-    let corners = face.corners(&compared.model.nodes);
-    let middle = (corners[0] + corners[1] + corners[2] + corners[3]) / 4.0;
-    let points = [corners[0], corners[1], corners[2], corners[3], middle];
-    points.map(|point| {
-        let nearest = patch.nearest(&point, f64::INFINITY)?;
-        let thin = compared.thin.is_marked(&point) || compared.thin.is_marked(&nearest);
-        Some(((nearest - point).norm() as f32, thin))
-    })
+    let thin = compared.thin.is_marked(point) || compared.thin.is_marked(&nearest);
+    ((nearest - point).norm() as f32, thin)
 }
 
 /// Pieces of each region's cells that hang together through faces.

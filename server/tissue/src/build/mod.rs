@@ -128,7 +128,7 @@ pub fn build(
     progress("measuring the input", 0.0);
     check::size(&surfaces, spacing)?;
     let grid = Grid::around(&surfaces, spacing);
-    let query = inside::PointQuery::new(&surfaces);
+    let query = inside::PointQuery::new(&surfaces, grid.middle());
     check::nesting(input, &query, &mut warnings)?;
     let input_volumes = label::resolved_volumes(&grid, &surfaces);
 

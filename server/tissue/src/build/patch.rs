@@ -39,7 +39,7 @@ impl Interfaces {
     /// Sorts the triangles of all surfaces.
     pub(super) fn new(
         surfaces: &[&Surface],
-        query: &PointQuery<'_>,
+        query: &PointQuery,
         spacing: f64,
         middle: Vec3,
     ) -> Self {
@@ -115,7 +115,7 @@ struct Sorted {
 fn sort_triangle(
     corners: &[Vec3; 3],
     region: usize,
-    query: &PointQuery<'_>,
+    query: &PointQuery,
     spacing: f64,
     origin: &Vec3,
     sorted: &mut Sorted,
@@ -132,10 +132,13 @@ fn sort_triangle(
             continue;
         }
         let middle = (piece[0] + piece[1] + piece[2]) / 3.0;
-        let sides = |p: Vec3| (query.region_at(p + look), query.region_at(p - look));
-        let here = sides(middle);
+        let here = kind(region, query, middle, look);
         // Near where interfaces meet, a piece may be of one kind here and of another there.
-        let mixed = || (piece.iter()).any(|p| sides(middle.lerp(p, TOWARDS_CORNER)) != here);
+        let mixed = || {
+            (piece.iter())
+                .map(|p| middle.lerp(p, TOWARDS_CORNER))
+                .any(|p| kind(region, query, p, look) != here)
+        };
         if let Some(halves) = halve(&piece, PIECE_SIDE_MIN * spacing)
             && mixed()
         {
@@ -143,15 +146,32 @@ fn sort_triangle(
             continue;
         }
         match here {
-            // What a later region hides has that region's own wall in its place.
-            (None, Some(behind)) if behind == region => {
-                sorted.outer.push(Bvh::flat(origin, &piece));
-            }
-            (Some(before), Some(behind)) if behind == region && before < region => {
-                sorted.inner.push(Bvh::flat(origin, &piece));
-            }
-            _ => {}
+            Kind::Outer => sorted.outer.push(Bvh::flat(origin, &piece)),
+            Kind::Inner => sorted.inner.push(Bvh::flat(origin, &piece)),
+            Kind::Hidden => {}
         }
+    }
+}
+
+/// What a piece of a region's surface is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Outer,
+    Inner,
+    Hidden,
+}
+
+/// Looks behind and before a point of the surface of `region`.
+fn kind(region: usize, query: &PointQuery, at: Vec3, look: Vec3) -> Kind {
+    let Some(behind) = query.region_at(at - look) else {
+        return Kind::Hidden;
+    };
+    match query.region_at(at + look) {
+        // Flat ends that several regions share are of this kind whichever region is asked.
+        None => Kind::Outer,
+        // Before a later region that one's own wall stands in the same place and counts instead.
+        Some(before) if behind == region && before < region => Kind::Inner,
+        Some(_) => Kind::Hidden,
     }
 }
 

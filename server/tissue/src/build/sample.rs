@@ -27,8 +27,6 @@ pub(super) struct Sample {
     pub(super) at: Vec3,
     /// Area that it stands for, in m².
     pub(super) area: f64,
-    /// The interface it lies on.
-    pub(super) interface: Interface,
     /// The region behind the interface.
     pub(super) behind: u16,
     /// The region before it, or [`OUTSIDE`].
@@ -53,7 +51,7 @@ pub(super) struct Thin {
 /// Samples all interfaces of the input.
 pub(super) fn samples(
     interfaces: &Interfaces,
-    query: &PointQuery<'_>,
+    query: &PointQuery,
     faces: &[Face],
     positions: &[Vec3],
     middle: Vec3,
@@ -74,7 +72,7 @@ pub(super) fn samples(
                 spread(patch, range, interfaces.spacing, &mut points);
                 points
                     .into_iter()
-                    .map(|p| measure(&p, interface, interfaces, query, &own))
+                    .map(|p| measure(&p, interfaces, query, &own))
                     .collect()
             })
             .collect();
@@ -132,9 +130,8 @@ fn spread(patch: &Bvh, range: std::ops::Range<usize>, spacing: f64, points: &mut
 
 fn measure(
     &(at, normal, area): &Point,
-    interface: Interface,
     interfaces: &Interfaces,
-    query: &PointQuery<'_>,
+    query: &PointQuery,
     own: &Bvh,
 ) -> Sample {
     let spacing = interfaces.spacing;
@@ -166,7 +163,6 @@ fn measure(
     Sample {
         at,
         area,
-        interface,
         behind,
         before,
         thin,

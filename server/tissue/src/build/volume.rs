@@ -27,6 +27,7 @@ pub(super) fn restore_volumes(
     targets: &[f64],
     positions: &mut [Vec3],
 ) {
+    let mut slots = Slots::new(faces, positions.len());
     for _ in 0..ROUNDS {
         // Innermost (last) regions first, the outer surface at the end: each takes from the one
         // around it, so one pass settles nested regions.
@@ -38,42 +39,69 @@ pub(super) fn restore_volumes(
             } else {
                 (Interface::Of(region), targets[region] - volumes[region])
             };
-            shift(untangler, faces, interface, missing, positions);
+            slots.shift(untangler, faces, interface, missing, positions);
         }
     }
 }
 
-fn shift(
-    untangler: &Untangler<'_>,
-    faces: &[Face],
-    interface: Interface,
-    missing: f64,
-    positions: &mut [Vec3],
-) {
-    let mut normals: Vec<(u32, Vec3)> = Vec::new();
-    let mut area = 0.0;
-    for face in faces.iter().filter(|f| f.interface() == interface) {
-        let [a, b, c, d] = face.corners(positions);
-        let vector = (c - a).cross(&(d - b)) / 2.0;
-        area += vector.norm();
-        normals.extend(face.nodes.map(|n| (n, vector)));
+/// A place for the normal of every node that lies on an interface.
+struct Slots {
+    slot_of: Vec<u32>,
+    nodes: Vec<u32>,
+    normals: Vec<Vec3>,
+}
+
+impl Slots {
+    fn new(faces: &[Face], node_count: usize) -> Self {
+        let mut slot_of = vec![u32::MAX; node_count];
+        let mut nodes = Vec::new();
+        for node in faces.iter().flat_map(|f| f.nodes) {
+            let slot = &mut slot_of[node as usize];
+            if *slot == u32::MAX {
+                *slot = nodes.len() as u32;
+                nodes.push(node);
+            }
+        }
+        let normals = vec![Vec3::zeros(); nodes.len()];
+        Self {
+            slot_of,
+            nodes,
+            normals,
+        }
     }
-    if area == 0.0 {
-        return;
+
+    fn shift(
+        &mut self,
+        untangler: &Untangler<'_>,
+        faces: &[Face],
+        interface: Interface,
+        missing: f64,
+        positions: &mut [Vec3],
+    ) {
+        self.normals.fill(Vec3::zeros());
+        let mut area = 0.0;
+        for face in faces.iter().filter(|f| f.interface() == interface) {
+            let [a, b, c, d] = face.corners(positions);
+            let vector = (c - a).cross(&(d - b)) / 2.0;
+            area += vector.norm();
+            for node in face.nodes {
+                self.normals[self.slot_of[node as usize] as usize] += vector;
+            }
+        }
+        if area == 0.0 {
+            return;
+        }
+        let reach = SHIFT_MAX * untangler.spacing();
+        let distance = (missing / area).clamp(-reach, reach);
+        let moves: Vec<(u32, Vec3)> = self
+            .nodes
+            .iter()
+            .zip(&self.normals)
+            .filter(|(node, _)| moves_alone(untangler.constraint(**node), interface))
+            .filter_map(|(node, normal)| Some((*node, normal.try_normalize(0.0)? * distance)))
+            .collect();
+        untangler.move_while_it_holds(&moves, &TRIES, positions);
     }
-    // A stable sort, so that the normals of a node are summed in one order.
-    normals.sort_by_key(|n| n.0);
-    let reach = SHIFT_MAX * untangler.spacing();
-    let distance = (missing / area).clamp(-reach, reach);
-    let moves: Vec<(u32, Vec3)> = normals
-        .chunk_by(|a, b| a.0 == b.0)
-        .filter(|chunk| moves_alone(untangler.constraint(chunk[0].0), interface))
-        .filter_map(|chunk| {
-            let out = chunk.iter().map(|n| n.1).sum::<Vec3>().try_normalize(0.0)?;
-            Some((chunk[0].0, out * distance))
-        })
-        .collect();
-    untangler.move_while_it_holds(&moves, &TRIES, positions);
 }
 
 /// Nodes on several interfaces and on rims hold the others in place.
