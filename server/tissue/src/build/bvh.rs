@@ -97,7 +97,8 @@ impl Bvh {
             if node.count > 0 {
                 let from = node.start as usize;
                 for triangle in &self.triangles[from..from + node.count as usize] {
-                    let candidate = nearest_on(&at, &triangle.map(|p| local(&p)));
+                    let [a, b, c] = triangle;
+                    let candidate = nearest_on(&at, &[local(a), local(b), local(c)]);
                     let distance = (candidate - at).norm_squared();
                     if distance < best || (distance == best && found.is_none()) {
                         best = distance;
@@ -143,18 +144,17 @@ impl Bvh {
             return;
         }
         let at = point - self.origin;
-        let passes = |node: &Node| {
-            [(axis + 1) % 3, (axis + 2) % 3]
-                .into_iter()
-                .all(|a| f64::from(node.low[a]) <= at[a] && at[a] <= f64::from(node.high[a]))
-        };
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        // Rounded outwards by a last digit, so that the boxes can be compared in single precision.
+        let (p, q) = (at[u] as f32, at[v] as f32);
+        let (p0, p1, q0, q1) = (p.next_down(), p.next_up(), q.next_down(), q.next_up());
         let mut stack = [0_u32; DEPTH_MAX];
         let mut height = 1;
         while height > 0 {
             height -= 1;
             let index = stack[height];
             let node = &self.nodes[index as usize];
-            if !passes(node) {
+            if node.low[u] > p1 || node.high[u] < p0 || node.low[v] > q1 || node.high[v] < q0 {
                 continue;
             }
             if node.count == 0 {
@@ -164,8 +164,14 @@ impl Bvh {
                 continue;
             }
             let start = node.start as usize;
-            for triangle in &self.triangles[start..start + node.count as usize] {
-                each(&at, &triangle.map(|p| local(&p)));
+            for [a, b, c] in &self.triangles[start..start + node.count as usize] {
+                let apart = a[u].max(b[u]).max(c[u]) < p0
+                    || a[u].min(b[u]).min(c[u]) > p1
+                    || a[v].max(b[v]).max(c[v]) < q0
+                    || a[v].min(b[v]).min(c[v]) > q1;
+                if !apart {
+                    each(&at, &[local(a), local(b), local(c)]);
+                }
             }
         }
     }
@@ -185,8 +191,10 @@ impl Bvh {
             height -= 1;
             let index = stack[height];
             let node = &self.nodes[index as usize];
-            let apart = (0..3)
-                .any(|a| f64::from(node.low[a]) > high[a] || f64::from(node.high[a]) < low[a]);
+            let mut apart = false;
+            for a in 0..3 {
+                apart |= f64::from(node.low[a]) > high[a] || f64::from(node.high[a]) < low[a];
+            }
             if apart {
                 continue;
             }
@@ -198,7 +206,8 @@ impl Bvh {
             }
             let start = node.start as usize;
             for triangle in &self.triangles[start..start + node.count as usize] {
-                if let Some(t) = crossing(&from, way, &triangle.map(|p| local(&p)))
+                let [a, b, c] = triangle;
+                if let Some(t) = crossing(&from, way, &[local(a), local(b), local(c)])
                     && best.is_none_or(|b| t < b)
                 {
                     best = Some(t);
@@ -212,14 +221,14 @@ impl Bvh {
 impl Node {
     /// Squared distance of a point from the box.
     fn distance_squared(&self, at: &Vec3) -> f64 {
-        (0..3)
-            .map(|a| {
-                let outside = (f64::from(self.low[a]) - at[a])
-                    .max(at[a] - f64::from(self.high[a]))
-                    .max(0.0);
-                outside * outside
-            })
-            .sum()
+        let mut sum = 0.0;
+        for a in 0..3 {
+            let below = f64::from(self.low[a]) - at[a];
+            let above = at[a] - f64::from(self.high[a]);
+            let outside = below.max(above).max(0.0);
+            sum += outside * outside;
+        }
+        sum
     }
 }
 
