@@ -10,7 +10,7 @@ use super::quality::{
 use super::report::{QualityReport, RegionReport, SpringCounts};
 use super::sample::Sample;
 use super::thin::Collector;
-use crate::{Model, NO_CELL, Surface, Vec3};
+use crate::{Aabb, Model, NO_CELL, Vec3};
 
 /// Counts springs by kind: for each node the directions in which a cell has a spring, as a mask of
 /// 27 bits, half of which belong to the other end.
@@ -112,7 +112,8 @@ pub(super) struct Compared<'a> {
     pub(super) interfaces: &'a Interfaces,
     pub(super) samples: &'a [Sample],
     pub(super) thin: &'a Collector<'a>,
-    pub(super) surfaces: &'a [&'a Surface],
+    /// Boxes around the closed parts of each input surface.
+    pub(super) parts: &'a [Vec<Aabb>],
     pub(super) input_volumes: &'a [f64],
 }
 
@@ -158,7 +159,7 @@ pub(super) fn regions(compared: &Compared<'_>) -> Vec<RegionReport> {
                 volume_mm3: volumes[r] * 1e9,
                 input_volume_mm3: compared.input_volumes[r] * 1e9,
                 components: components[r],
-                input_components: surface_components(compared.surfaces[r]),
+                input_components: compared.parts[r].len(),
                 surface_distance_mean_mm: model_side.mean() * 1e3,
                 surface_distance_max_mm: model_side.max * 1e3,
                 input_distance_mean_mm: input_side.mean() * 1e3,
@@ -266,31 +267,6 @@ fn components(model: &Model) -> Vec<usize> {
         }
     }
     counts
-}
-
-/// Parts of a surface that share no vertex.
-fn surface_components(surface: &Surface) -> usize {
-    let mut parent: Vec<u32> = (0..surface.vertices.len() as u32).collect();
-    let root = |parent: &mut Vec<u32>, mut v: u32| {
-        while parent[v as usize] != v {
-            parent[v as usize] = parent[parent[v as usize] as usize];
-            v = parent[v as usize];
-        }
-        v
-    };
-    let mut used = vec![false; surface.vertices.len()];
-    for t in &surface.triangles {
-        let [a, b, c] = t.map(|v| root(&mut parent, v));
-        let least = a.min(b).min(c);
-        for v in [a, b, c] {
-            parent[v as usize] = least;
-        }
-        for v in t {
-            used[*v as usize] = true;
-        }
-    }
-    let roots = parent.iter().enumerate().filter(|(v, p)| **p as usize == *v);
-    roots.filter(|(v, _)| used[*v]).count()
 }
 
 /// Where a node stands off the nearest of its interfaces, in m.

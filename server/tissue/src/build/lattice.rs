@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::grid::Grid;
 use super::label::Labels;
-use crate::{Cell, EDGES, NO_CELL, RegionId};
+use crate::{Aabb, Cell, EDGES, NO_CELL, RegionId, Vec3};
 
 /// No node stands at this grid point.
 const NO_NODE: u32 = u32::MAX;
@@ -57,13 +57,14 @@ pub(super) struct Mending {
     pub(super) pieces: usize,
 }
 
-/// Mends and drops until nothing changes.
-pub(super) fn mend_all(grid: &Grid, labels: &mut Labels) -> Mending {
+/// Mends and drops until nothing changes. `parts` are the boxes around the closed parts of each
+/// region's input; an island that stands for one of them stays whatever its size.
+pub(super) fn mend_all(grid: &Grid, labels: &mut Labels, parts: &[Vec<Aabb>]) -> Mending {
     let mut mending = Mending::default();
     mend(grid, labels, &mut mending);
     for _ in 0..ROUNDS {
         let before = mending.dropped.0;
-        drop_islands(grid, labels, &mut mending);
+        drop_islands(grid, labels, parts, &mut mending);
         if mending.dropped.0 == before {
             break;
         }
@@ -257,7 +258,12 @@ fn pieces(grid: &Grid, labels: &Labels, same: impl Fn(u8, u8) -> bool) -> (Vec<u
 }
 
 /// Gives islands of a region that are too small to be meant to what surrounds them.
-fn drop_islands(grid: &Grid, labels: &mut Labels, mending: &mut Mending) {
+fn drop_islands(
+    grid: &Grid,
+    labels: &mut Labels,
+    parts: &[Vec<Aabb>],
+    mending: &mut Mending,
+) {
     let (piece_of, sizes) = pieces(grid, labels, |a, b| a == b);
     let mut label_of = vec![0_u8; sizes.len()];
     for (cell, &piece) in piece_of.iter().enumerate() {
@@ -284,14 +290,32 @@ fn drop_islands(grid: &Grid, labels: &mut Labels, mending: &mut Mending) {
         }
     }
     for (piece, Dropped { cells, around }) in dropped {
+        let label = label_of[piece as usize];
+        if stands_for_a_part(grid, &cells, &parts[label as usize - 1]) {
+            continue;
+        }
         let commonest = around.iter().max_by_key(|(label, count)| (**count, 255 - **label));
         let given = commonest.map_or(0, |(label, _)| *label);
         for &cell in &cells {
             labels.label[cell] = given;
             labels.margin[cell] = 255;
         }
-        mending.record(grid, label_of[piece as usize], given, &cells);
+        mending.record(grid, label, given, &cells);
     }
+}
+
+/// Whether one of the parts lies within a cell of these cells.
+fn stands_for_a_part(grid: &Grid, cells: &[usize], parts: &[Aabb]) -> bool {
+    let at = || cells.iter().map(|&c| Vec3::from(cell_at(grid, c).map(|i| i as f64)));
+    let low = at().fold(Vec3::repeat(f64::INFINITY), |m, p| m.inf(&p)).add_scalar(-1.0);
+    let high = at().fold(Vec3::repeat(f64::NEG_INFINITY), |m, p| m.sup(&p)).add_scalar(2.0);
+    let within = Aabb {
+        min: grid.origin + low * grid.spacing,
+        max: grid.origin + high * grid.spacing,
+    };
+    parts
+        .iter()
+        .any(|part| within.contains(&part.min) && within.contains(&part.max))
 }
 
 /// The cells of an island and how often each label stands beside it.
@@ -409,7 +433,6 @@ pub(super) fn number(grid: &Grid, labels: &Labels) -> Lattice {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Vec3;
     use proptest::prelude::*;
 
     #[test]
@@ -436,7 +459,7 @@ mod tests {
                 labels.second[cell] = second;
                 labels.margin[cell] = margin;
             }
-            mend_all(&grid, &mut labels);
+            mend_all(&grid, &mut labels, &[const { Vec::new() }; 3]);
             let table: [bool; 256] = std::array::from_fn(|block| manifold(block as u8));
             for at in 0..9 * 9 * 9 {
                 let cells = block_cells(&grid, [at % 9, at / 9 % 9, at / 81]);

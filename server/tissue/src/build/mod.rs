@@ -21,6 +21,7 @@ mod grid;
 mod inside;
 mod label;
 mod lattice;
+mod parts;
 mod patch;
 mod quality;
 mod rays;
@@ -46,7 +47,7 @@ pub use report::{
 pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
 
 use crate::scene::SceneInput;
-use crate::{Model, NO_CELL, Surface, TopologyHash, Vec3};
+use crate::{Aabb, Model, NO_CELL, Surface, TopologyHash, Vec3};
 use grid::Grid;
 
 /// Most grid cells of one build. A cell of the grid costs about 10 bytes while it is labelled, so
@@ -131,10 +132,11 @@ pub fn build(
     let query = inside::PointQuery::new(&surfaces, grid.middle());
     check::nesting(input, &query, &mut warnings)?;
     let input_volumes = label::resolved_volumes(&grid, &surfaces);
+    let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
 
     progress("casting rays", 0.1);
     let mut labels = label::label(&grid, &surfaces);
-    let mending = lattice::mend_all(&grid, &mut labels);
+    let mending = lattice::mend_all(&grid, &mut labels, &parts);
     check::mending(&mending, &mut warnings);
     let lattice = lattice::number(&grid, &labels);
     drop(labels);
@@ -190,7 +192,7 @@ pub fn build(
         interfaces: &interfaces,
         samples: &samples,
         thin: &collector,
-        surfaces: &surfaces,
+        parts: &parts,
         input_volumes: &input_volumes,
     });
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();

@@ -2,7 +2,10 @@
 
 use std::f64::consts::PI;
 
+use std::sync::Arc;
+
 use super::*;
+use crate::Topology;
 use crate::scene::Scene;
 
 /// A closed body of revolution about z with the given profile of (radius, z), capped flat.
@@ -66,12 +69,19 @@ fn built(spacing_mm: f64, regions: &[(&str, Surface)]) -> (Model, BuildReport) {
 fn assert_sound(model: &Model, report: &BuildReport) {
     assert!(report.outer_surface.closed, "{report:?}");
     assert_eq!(report.quality.inverted_cells, 0, "{report:?}");
+    assert_eq!(report.quality.bad_cells, 0, "{report:?}");
+    assert!(report.quality.shortest_spring >= SPRING_FLOOR, "{report:?}");
     for region in &report.regions {
         let error = region.volume_mm3 / region.input_volume_mm3 - 1.0;
         assert!(error.abs() < 0.02, "{region:?}");
     }
     // A uniform field must not feel the lattice: masses add up to density times volume.
     let topology = Topology::new(Arc::new(model.clone()));
+    assert_eq!(report.topology_hash, topology.hash().to_string());
+    let kinds = report.springs;
+    let sum = kinds.structural + kinds.shear + kinds.body_diagonal + kinds.layer;
+    assert_eq!(sum, topology.springs().count());
+    assert_eq!(report.outer_surface, report_surface(topology.boundary()));
     let mass: f64 = (0..topology.node_count() as u32)
         .map(|n| topology.mass(n))
         .sum();
