@@ -7,10 +7,13 @@ use super::patch::{Interface, Interfaces};
 use super::quality::{
     CORNER_FLOOR, SPRING_FLOOR, passes, scaled_jacobian, shortest_spring, worst_corner,
 };
-use super::report::{QualityReport, RegionReport, SpringCounts};
+use super::layers::{Layers, surface_of};
+use super::report::{
+    LayerReport, QualityReport, RegionReport, SpringCounts, SurfaceReport, report_triangles,
+};
 use super::sample::Sample;
 use super::thin::Collector;
-use crate::{Aabb, Model, NO_CELL, Vec3};
+use crate::{Aabb, Model, NO_CELL, RegionId, Vec3};
 
 /// Counts springs by kind: for each node the directions in which a cell has a spring, as a mask of
 /// 27 bits, half of which belong to the other end.
@@ -104,6 +107,25 @@ pub(super) fn quality(model: &Model) -> QualityReport {
         )
 }
 
+/// Sums the layers of each interface up.
+pub(super) fn layers(layers: &Layers, names: &[String]) -> Vec<LayerReport> {
+    layers
+        .layers
+        .chunk_by(|a, b| (a.inside, a.outside) == (b.inside, b.outside))
+        .map(|chunk| {
+            let nodes = chunk.iter().map(|l| l.nodes.len()).sum();
+            LayerReport {
+                inside: names[chunk[0].inside.index()].clone(),
+                outside: chunk[0].outside.map(|r| names[r.index()].clone()),
+                nodes,
+                springs: chunk.iter().map(|l| l.springs.len()).sum(),
+                components: chunk.len(),
+                small_components: chunk.iter().filter(|l| l.nodes.len() * 100 < nodes).count(),
+            }
+        })
+        .collect()
+}
+
 /// What [`regions`] compares.
 pub(super) struct Compared<'a> {
     pub(super) model: &'a Model,
@@ -133,6 +155,10 @@ pub(super) fn regions(compared: &Compared<'_>) -> Vec<RegionReport> {
         })
         .collect();
     let components = components(model);
+    let surfaces: Vec<SurfaceReport> = (0..regions as u16)
+        .into_par_iter()
+        .map(|r| report_triangles(&surface_of(model, faces, RegionId(r))))
+        .collect();
     (0..regions)
         .map(|r| {
             let mut model_side = Distances::default();
@@ -159,6 +185,7 @@ pub(super) fn regions(compared: &Compared<'_>) -> Vec<RegionReport> {
                 volume_mm3: volumes[r] * 1e9,
                 input_volume_mm3: compared.input_volumes[r] * 1e9,
                 components: components[r],
+                surface: surfaces[r],
                 input_components: compared.parts[r].len(),
                 surface_distance_mean_mm: model_side.mean() * 1e3,
                 surface_distance_max_mm: model_side.max * 1e3,

@@ -21,6 +21,7 @@ mod grid;
 mod inside;
 mod label;
 mod lattice;
+mod layers;
 mod parts;
 mod patch;
 mod quality;
@@ -39,9 +40,10 @@ mod volume;
 use thiserror::Error;
 
 pub(crate) use report::report_triangles;
+pub use layers::{Layer, Layers, NEIGHBOURS_MAX, region_surface};
 pub use quality::{CORNER_FLOOR, SPRING_FLOOR};
 pub use report::{
-    BuildReport, QualityReport, RegionReport, SpacingReport, SpringCounts, SurfaceReport,
+    BuildReport, LayerReport, QualityReport, RegionReport, SpacingReport, SpringCounts, SurfaceReport,
     report_surface,
 };
 pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
@@ -205,6 +207,7 @@ pub fn build(
     let report = BuildReport {
         nodes: model.nodes.len(),
         cells: model.cells.len(),
+        layers: compare::layers(&layers::Layers::of_faces(&model, &faces), &names),
         springs: compare::count_springs(&model, &around, &faces),
         spacing_mm: spacing * 1e3,
         spacing_search: None,

@@ -21,6 +21,9 @@ pub struct BuildReport {
     pub spacing_search: Option<SpacingReport>,
     /// One entry per region, in scene order.
     pub regions: Vec<RegionReport>,
+    /// One entry per interface.
+    #[serde(default)]
+    pub layers: Vec<LayerReport>,
     /// The outer surface.
     pub outer_surface: SurfaceReport,
     /// How well shaped the cells are.
@@ -82,6 +85,9 @@ pub struct RegionReport {
     /// Pieces of cells that share faces.
     #[serde(default)]
     pub components: usize,
+    /// Its surface over the model's own nodes.
+    #[serde(default)]
+    pub surface: SurfaceReport,
     /// Closed parts of its input surface.
     #[serde(default)]
     pub input_components: usize,
@@ -100,8 +106,25 @@ pub struct RegionReport {
     pub distance_max_outside_thin_mm: f64,
 }
 
-/// The outer surface as a triangle mesh.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+/// The mass-spring layers of one interface.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LayerReport {
+    /// The later one of the two regions.
+    pub inside: String,
+    /// The other one; `None` is the outside.
+    pub outside: Option<String>,
+    /// Nodes of all its layers.
+    pub nodes: usize,
+    /// Springs of all its layers.
+    pub springs: usize,
+    /// Layers: connected components of the interface.
+    pub components: usize,
+    /// Of these, components of less than a hundredth of the nodes: islands at thin places.
+    pub small_components: usize,
+}
+
+/// A surface as a triangle mesh.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct SurfaceReport {
     /// Number of vertices.
     pub vertices: usize,

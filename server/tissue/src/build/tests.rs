@@ -117,6 +117,49 @@ fn nested_and_poking_regions_share_conforming_interfaces() {
 }
 
 #[test]
+fn every_interface_is_one_layer_of_springs_of_the_model() {
+    let skin = turned(&[(0.05, -0.06), (0.05, 0.06)], 128);
+    let bone = turned(&[(0.02, -0.06), (0.02, 0.06)], 64);
+    let marrow = ball(0.012);
+    let regions = [("skin", skin), ("bone", bone), ("marrow", marrow)];
+    let (model, report) = built(4.0, &regions);
+    assert_sound(&model, &report);
+    let layers = Layers::new(&model);
+    let components: Vec<usize> = report.layers.iter().map(|l| l.components).collect();
+    // Skin and bone reach the outside, the bone at both of its ends.
+    let kinds: Vec<_> = layers.layers.iter().map(|l| (l.inside.0, l.outside)).collect();
+    assert_eq!(components, [1, 1, 2, 1], "{kinds:?}");
+    let topology = Topology::new(Arc::new(model.clone()));
+    for layer in &layers.layers {
+        for [a, b] in &layer.springs {
+            let row = topology.springs().row(*a);
+            assert!(row.iter().any(|s| s.to == *b), "{a} {b}");
+        }
+        let mut degree = std::collections::BTreeMap::<u32, usize>::new();
+        for node in layer.springs.iter().flatten() {
+            *degree.entry(*node).or_default() += 1;
+        }
+        assert_eq!(degree.len(), layer.nodes.len());
+        assert!(degree.values().all(|d| (2..=12).contains(d)));
+        let all = layers.homogeneous(&model, layer.nodes[0]);
+        assert!(layer.nodes.iter().all(|n| all.binary_search(n).is_ok()));
+    }
+    for (r, region) in report.regions.iter().enumerate() {
+        let triangles = region_surface(&model, crate::RegionId(r as u16));
+        assert!(report_triangles(&triangles).closed);
+        let surface = Surface { vertices: model.nodes.clone(), triangles };
+        let volume = surface.volume() * 1e9;
+        assert!((volume / region.volume_mm3 - 1.0).abs() < 0.02, "{volume} {region:?}");
+    }
+    // An inner node selects the inner nodes of its own region.
+    let inner = (0..model.nodes.len() as u32)
+        .find(|n| layers.layers.iter().all(|l| !l.nodes.contains(n)))
+        .unwrap();
+    let selected = layers.homogeneous(&model, inner);
+    assert!(selected.contains(&inner) && selected.len() < model.nodes.len());
+}
+
+#[test]
 fn a_rim_stays_sharp() {
     let (model, _) = built(5.0, &[("drum", turned(&[(0.04, 0.0), (0.04, 0.05)], 128))]);
     let highest = model.nodes.iter().filter(|p| (p.z - 0.05).abs() < 1e-6);
