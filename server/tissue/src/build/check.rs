@@ -11,6 +11,9 @@ use crate::{Aabb, Surface, Vec3};
 /// A region whose volume differs from its input by more than this part earns a warning.
 const VOLUME_WARNING: f64 = 0.02;
 
+/// More flipped cells than this part of all cells of the grid earn a warning.
+const FLIPPED_WARNING: f64 = 0.005;
+
 /// A region sticks out of the first one where it does so by more than this part of the spacing.
 const STICKING_OUT: f64 = 0.25;
 
@@ -57,6 +60,7 @@ pub(super) fn size(surfaces: &[&Surface], spacing: f64) -> Result<(), BuildError
 /// Refuses regions that are far from all others, and warns of those that stick out of the first.
 pub(super) fn nesting(
     input: &SceneInput,
+    spacing: f64,
     query: &PointQuery,
     warnings: &mut Vec<String>,
 ) -> Result<(), BuildError> {
@@ -68,7 +72,7 @@ pub(super) fn nesting(
         let gap = others
             .filter_map(|(_, b)| b.map(|b| gap(&own, &b)))
             .fold(f64::INFINITY, f64::min);
-        if gap > input.scene.spacing_m {
+        if gap > spacing {
             let side = |a: usize| format!("{:.0}..{:.0}", own.min[a] * 1e3, own.max[a] * 1e3);
             let at = format!("x {}, y {}, z {} mm", side(0), side(1), side(2));
             return Err(BuildError::Outside {
@@ -77,7 +81,7 @@ pub(super) fn nesting(
                 at,
             });
         }
-        let out = sticking_out(input, query, r);
+        let out = sticking_out(input, spacing, query, r);
         let all = surface.triangles.len();
         // A region that is all outside stands beside the first one; that is meant.
         if out * 50 > all && out * 50 < all * 49 {
@@ -100,9 +104,9 @@ fn gap(a: &Aabb, b: &Aabb) -> f64 {
 
 /// Triangles of region `r` that lie outside the first region by more than a part of the spacing:
 /// what two surfaces have in common, as a flat end, counts as outside or not by rounding.
-fn sticking_out(input: &SceneInput, query: &PointQuery, r: usize) -> usize {
+fn sticking_out(input: &SceneInput, spacing: f64, query: &PointQuery, r: usize) -> usize {
     let surface = &input.surfaces[r];
-    let depth = input.scene.spacing_m * STICKING_OUT;
+    let depth = spacing * STICKING_OUT;
     (0..surface.triangles.len())
         .into_par_iter()
         .filter(|&t| {
@@ -132,7 +136,7 @@ pub(super) fn too_coarse(surfaces: &[&Surface], spacing: f64) -> BuildError {
 }
 
 /// Says what was done to the labels.
-pub(super) fn mending(mending: &Mending, warnings: &mut Vec<String>) {
+pub(super) fn mending(mending: &Mending, cells: usize, warnings: &mut Vec<String>) {
     if mending.dropped.0 > 0 {
         warnings.push(format!(
             "{} small pieces with {} cells in all were dropped: they are too thin or too small at \
@@ -140,16 +144,11 @@ pub(super) fn mending(mending: &Mending, warnings: &mut Vec<String>) {
             mending.dropped.0, mending.dropped.1
         ));
     }
-    if mending.flipped_outer > 0 {
+    let flipped = mending.flipped_outer + mending.flipped_inner;
+    if flipped as f64 > cells as f64 * FLIPPED_WARNING {
         warnings.push(format!(
-            "{} cells were filled or emptied where the outer surface would have touched itself",
-            mending.flipped_outer
-        ));
-    }
-    if mending.flipped_inner > 0 {
-        warnings.push(format!(
-            "{} cells changed their region where the surface of one would have touched itself",
-            mending.flipped_inner
+            "{flipped} cells were given to another region where the surface of one would have \
+             touched itself: the spacing is coarse for these shapes"
         ));
     }
     if mending.pieces > 1 {

@@ -77,6 +77,7 @@ pub(super) fn quality(model: &Model) -> QualityReport {
         scaled_jacobian: [0; 10],
         nodes_let_go: 0,
         nodes_tied: 0,
+        cells_flipped: 0,
     };
     (0..model.cells.len())
         .into_par_iter()

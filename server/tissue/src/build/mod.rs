@@ -31,6 +31,7 @@ mod report;
 mod rim;
 mod sample;
 mod snap;
+mod spacing;
 #[cfg(test)]
 mod tests;
 mod thin;
@@ -125,21 +126,26 @@ pub fn build(
 ) -> Result<(Model, BuildReport), BuildError> {
     let regions = input.scene.model_regions()?;
     let surfaces: Vec<&Surface> = input.surfaces.iter().collect();
-    let spacing = input.scene.spacing_m;
     let mut warnings = input.warnings.clone();
 
     progress("measuring the input", 0.0);
+    let (spacing, spacing_search) = if input.scene.auto_spacing {
+        let (spacing, search) = spacing::find(&surfaces, input.scene.spacing_m);
+        (spacing, Some(search))
+    } else {
+        (input.scene.spacing_m, None)
+    };
     check::size(&surfaces, spacing)?;
     let grid = Grid::around(&surfaces, spacing);
     let query = inside::PointQuery::new(&surfaces, grid.middle());
-    check::nesting(input, &query, &mut warnings)?;
+    check::nesting(input, spacing, &query, &mut warnings)?;
     let input_volumes = label::resolved_volumes(&grid, &surfaces);
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
 
     progress("casting rays", 0.1);
     let mut labels = label::label(&grid, &surfaces);
     let mending = lattice::mend_all(&grid, &mut labels, &parts);
-    check::mending(&mending, &mut warnings);
+    check::mending(&mending, grid.cell_count(), &mut warnings);
     let lattice = lattice::number(&grid, &labels);
     drop(labels);
     if lattice.cells.is_empty() {
@@ -207,15 +213,16 @@ pub fn build(
     let report = BuildReport {
         nodes: model.nodes.len(),
         cells: model.cells.len(),
-        layers: compare::layers(&layers::Layers::of_faces(&model, &faces), &names),
+        layers: compare::layers(&Layers::of_faces(&model, &faces), &names),
         springs: compare::count_springs(&model, &around, &faces),
         spacing_mm: spacing * 1e3,
-        spacing_search: None,
+        spacing_search,
         regions,
         outer_surface: report_triangles(&outer),
         quality: QualityReport {
             nodes_let_go: let_go.len(),
             nodes_tied: tied,
+            cells_flipped: mending.flipped_outer + mending.flipped_inner,
             ..compare::quality(&model)
         },
         thin: collector.finish(&names),

@@ -157,6 +157,9 @@ pub struct QualityReport {
     /// Nodes that two interfaces claimed and the nearer one got.
     #[serde(default)]
     pub nodes_tied: usize,
+    /// Cells given to another region where the surface of one would have touched itself.
+    #[serde(default)]
+    pub cells_flipped: usize,
 }
 
 /// Counts the vertices, edges and parts of the outer surface.
