@@ -95,7 +95,7 @@ fn a_written_scene_reads_back_as_itself() {
 }
 
 /// What to put for what in [`THIGH`], and words the message must hold.
-const MISTAKES: [(&str, &str, &[&str]); 26] = [
+const MISTAKES: [(&str, &str, &[&str]); 28] = [
     (
         "spacing_mm",
         "spacing",
@@ -157,6 +157,16 @@ const MISTAKES: [(&str, &str, &[&str]); 26] = [
     ("4.0", "inf", &["line 2", "above 0"]),
     ("4.0", "\"4\"", &["line 2", "a number, not string"]),
     ("spacing_mm = 4.0\n", "", &["\"spacing_mm\" is missing"]),
+    (
+        "spacing_mm = 4.0",
+        "spacing_mm = 4.0\nspacing_min_mm = 2.0",
+        &["line 3", "goes with spacing_mm = \"auto\""],
+    ),
+    (
+        "spacing_mm = 4.0",
+        "spacing_mm = \"auto\"\nspacing_min_mm = -2.0",
+        &["line 3", "spacing_min_mm = -2", "above 0"],
+    ),
     (
         "palpate-scene/1",
         "palpate-scene/2",
@@ -342,4 +352,18 @@ proptest! {
             parse(&scene.to_toml()).unwrap();
         }
     }
+}
+
+#[test]
+fn an_automatic_spacing_survives_writing() {
+    for least in ["", "spacing_min_mm = 2.5\n"] {
+        let text = format!("format = \"palpate-scene/1\"\nspacing_mm = \"auto\"\n{least}{}", region("a"));
+        let scene = parse(&text).unwrap();
+        assert!(scene.auto_spacing);
+        assert_eq!(parse(&scene.to_toml()).unwrap(), scene);
+    }
+}
+
+fn region(name: &str) -> String {
+    format!("[[region]]\nname = \"{name}\"\nsurface = \"{name}.stl\"\nmaterial = \"fat\"\n")
 }

@@ -9,6 +9,7 @@ use rayon::prelude::*;
 
 use super::bvh::Bvh;
 use super::inside::PointQuery;
+use super::rim::Rims;
 use crate::{Surface, Vec3};
 
 /// Longest side, in spacings, of a piece that is classified as a whole.
@@ -29,8 +30,8 @@ pub(super) struct Interfaces {
     pub(super) outer: Bvh,
     /// For each region, where it meets regions that it overrides.
     pub(super) inner: Vec<Bvh>,
-    /// Edges of the outer patch where it turns sharply.
-    pub(super) rims: super::rim::Rims,
+    /// Edges where an interface turns sharply: those of the outer one, then those of each region.
+    pub(super) rims: Vec<Rims>,
     /// Lattice spacing in m.
     pub(super) spacing: f64,
 }
@@ -45,7 +46,8 @@ impl Interfaces {
     ) -> Self {
         let mut outer = Vec::new();
         let mut inner = Vec::with_capacity(surfaces.len());
-        let mut rims = super::rim::Rims::default();
+        let mut outer_rims = Rims::default();
+        let mut rims = vec![Rims::default()];
         for (region, surface) in surfaces.iter().enumerate() {
             let sorted: Vec<Sorted> = surface
                 .triangles
@@ -54,15 +56,21 @@ impl Interfaces {
                     let mut sorted = Sorted::default();
                     for t in chunk {
                         let corners = t.map(|v| surface.vertices[v as usize]);
-                        let before = sorted.outer.len();
+                        let before = (sorted.outer.len(), sorted.inner.len());
                         sort_triangle(&corners, region, query, spacing, &middle, &mut sorted);
-                        sorted.faces_out.push(sorted.outer.len() > before);
+                        sorted.faces_out.push(sorted.outer.len() > before.0);
+                        sorted.faces_in.push(sorted.inner.len() > before.1);
                     }
                     sorted
                 })
                 .collect();
             let faces_out: Vec<bool> = sorted.iter().flat_map(|s| &s.faces_out).copied().collect();
-            rims.collect(surface, &faces_out);
+            let faces_in: Vec<bool> = sorted.iter().flat_map(|s| &s.faces_in).copied().collect();
+            outer_rims.collect(surface, &faces_out);
+            let mut own_rims = Rims::default();
+            own_rims.collect(surface, &faces_in);
+            own_rims.index(spacing);
+            rims.push(own_rims);
             let mut own = Vec::new();
             for mut pieces in sorted {
                 outer.append(&mut pieces.outer);
@@ -70,7 +78,8 @@ impl Interfaces {
             }
             inner.push(Bvh::new(middle, own));
         }
-        rims.index(spacing);
+        outer_rims.index(spacing);
+        rims[0] = outer_rims;
         Self {
             outer: Bvh::new(middle, outer),
             inner,
@@ -109,6 +118,8 @@ struct Sorted {
     inner: Vec<[[f32; 3]; 3]>,
     /// Whether some of each triangle is in the outer patch.
     faces_out: Vec<bool>,
+    /// Whether some of each triangle is in the inner patch.
+    faces_in: Vec<bool>,
 }
 
 /// Cuts a triangle into pieces small enough to be classified as a whole, and sorts them.

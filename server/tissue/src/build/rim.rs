@@ -1,4 +1,5 @@
-//! Rims of the outer surface: edges where it turns sharply, as where a flat end meets the side.
+//! Rims of an interface: edges where it turns sharply, as where a flat end meets the side, and the
+//! corners where such edges meet.
 //!
 //! Projecting nodes onto the nearest point of a surface rounds its rims off, and the cells there
 //! get bad corners. So nodes that the lattice sees as a rim are put onto the rim itself.
@@ -10,6 +11,12 @@ use crate::{Surface, Vec3};
 /// The cosine of the angle between the normals of two faces beyond which their edge is a rim
 /// (45°: marching-cubes staircases stay below, machined edges and caps lie above).
 const RIM_COSINE: f64 = 0.707;
+
+/// Two edges that leave a point at less than 120° make a corner of it.
+const CORNER_COSINE: f64 = -0.5;
+
+/// Farthest, in spacings, that a node is from the corner it is put onto.
+const CORNER_REACH: f64 = 0.9;
 
 /// One straight piece of a rim.
 #[derive(Debug, Clone, Copy)]
@@ -37,6 +44,8 @@ impl Segment {
 #[derive(Debug, Default)]
 pub(super) struct Rims {
     segments: Vec<Segment>,
+    /// Where three edges meet, or two at an angle.
+    corners: Vec<Vec3>,
     side: f64,
     cubes: BTreeMap<[i64; 3], Vec<u32>>,
 }
@@ -80,6 +89,7 @@ impl Rims {
     /// Sorts the segments into cubes of side `reach`.
     pub(super) fn index(&mut self, reach: f64) {
         self.side = reach;
+        self.find_corners();
         for (index, segment) in self.segments.iter().enumerate() {
             let steps = ((segment.ends[1] - segment.ends[0]).norm() / reach * 2.0).ceil() as usize;
             for s in 0..=steps {
@@ -95,6 +105,43 @@ impl Rims {
                 }
             }
         }
+    }
+
+    /// Finds the points where two segments meet at an angle.
+    fn find_corners(&mut self) {
+        let bits = |p: &Vec3| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits()];
+        let mut ways: BTreeMap<[u64; 3], Vec<Vec3>> = BTreeMap::new();
+        for Segment { ends: [a, b], .. } in &self.segments {
+            if let Some(way) = (b - a).try_normalize(0.0) {
+                ways.entry(bits(a)).or_default().push(way);
+                ways.entry(bits(b)).or_default().push(-way);
+            }
+        }
+        let turns = |ways: &Vec<Vec3>| {
+            let pairs = ways.iter().enumerate();
+            pairs
+                .flat_map(|(i, a)| ways[i + 1..].iter().map(move |b| a.dot(b)))
+                .any(|cosine| cosine > CORNER_COSINE)
+        };
+        let sharp = ways.iter().filter(|(_, ways)| turns(ways));
+        self.corners = sharp
+            .map(|(at, _)| Vec3::from(at.map(f64::from_bits)))
+            .collect();
+    }
+
+    /// Number and distance of the corner nearest to `point`, within [`CORNER_REACH`] cube sides.
+    pub(super) fn nearest_corner(&self, point: &Vec3) -> Option<(u32, f64)> {
+        let distances = self.corners.iter().enumerate();
+        distances
+            .map(|(index, corner)| (index as u32, (corner - point).norm()))
+            .filter(|(_, distance)| *distance <= CORNER_REACH * self.side)
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// The corner nearest to `point`.
+    pub(super) fn corner_near(&self, point: &Vec3) -> Option<Vec3> {
+        self.nearest_corner(point)
+            .map(|(index, _)| self.corners[index as usize])
     }
 
     /// The nearest rim point within one cube side of `point` whose segment passes `accept`.

@@ -39,8 +39,10 @@ const MEETING_REACH: f64 = 1.25;
 pub(super) struct Constraint {
     /// The outer surface.
     pub(super) outer: bool,
-    /// The rim of the outer surface.
+    /// A rim of the outer surface, or of the only interface.
     pub(super) rim: bool,
+    /// A corner of that rim.
+    pub(super) corner: bool,
     /// Bit `r`: the inner interface of region `r`, where it overrides others.
     pub(super) owners: u64,
 }
@@ -72,6 +74,15 @@ impl Constraint {
         outer.into_iter().chain(owners.map(Interface::Of))
     }
 
+    /// Whose rims the node may stand on, as a place in [`Interfaces::rims`].
+    fn rim_slot(self) -> Option<usize> {
+        if self.outer {
+            Some(0)
+        } else {
+            (self.owners.count_ones() == 1).then(|| 1 + self.owners.trailing_zeros() as usize)
+        }
+    }
+
     pub(super) fn single(self) -> bool {
         !self.rim && u32::from(self.outer) + self.owners.count_ones() == 1
     }
@@ -81,6 +92,7 @@ impl Constraint {
     pub(super) fn within(self, other: Self) -> bool {
         (!self.outer || other.outer)
             && (!self.rim || other.rim)
+            && !self.corner
             && self.owners & other.owners == self.owners
     }
 }
@@ -100,37 +112,59 @@ pub(super) fn constraints(lattice: &Lattice) -> Vec<Constraint> {
         .map(|(regions, corners)| Constraint {
             outer: corners != u8::MAX,
             rim: false,
+            corner: false,
             owners: regions & (regions - 1),
         })
         .collect()
 }
 
-/// Marks the nodes that stand at a rim of the outer surface and where their nearest rim point is.
+/// Marks the nodes that stand at a rim of their interface, and for each corner of it the nearest of
+/// these.
 pub(super) fn mark_rims(
     grid: &Grid,
     lattice: &Lattice,
     interfaces: &Interfaces,
     constraints: &mut [Constraint],
 ) {
-    let mut seen: Vec<u8> = vec![0; lattice.nodes.len()];
+    // Which ways the faces of the outside, and of inner interfaces, look around each node.
+    let mut seen: Vec<[u8; 2]> = vec![[0; 2]; lattice.nodes.len()];
     for cell in &lattice.cells {
         for face in 0..6 {
-            if cell.neighbours[face] == crate::NO_CELL {
-                for c in crate::FACES[face] {
-                    seen[cell.corners[c] as usize] |= 1 << face;
-                }
+            let across = cell.neighbours[face];
+            let inner = across != crate::NO_CELL;
+            if inner && lattice.cells[across as usize].region >= cell.region {
+                continue;
+            }
+            for c in crate::FACES[face] {
+                seen[cell.corners[c] as usize][usize::from(inner)] |= 1 << face;
             }
         }
     }
+    let mut candidates: Vec<(usize, u32, f64, u32)> = Vec::new();
     for (node, constraint) in constraints.iter_mut().enumerate() {
-        if !constraint.outer || seen[node].count_ones() < 2 {
+        let Some(slot) = constraint.rim_slot() else {
+            continue;
+        };
+        let seen = seen[node][usize::from(!constraint.outer)];
+        if seen.count_ones() < 2 {
             continue;
         }
         let at = grid.point(lattice.nodes[node]);
-        constraint.rim = interfaces
-            .rims
-            .nearest(&at, |s| shows(seen[node], s.normals))
-            .is_some();
+        let rims = &interfaces.rims[slot];
+        constraint.rim = rims.nearest(&at, |s| shows(seen, s.normals)).is_some();
+        if constraint.rim
+            && seen.count_ones() >= 3
+            && let Some((corner, distance)) = rims.nearest_corner(&at)
+        {
+            candidates.push((slot, corner, distance, node as u32));
+        }
+    }
+    candidates.sort_by(|a, b| {
+        let place = (a.0, a.1).cmp(&(b.0, b.1));
+        place.then(a.2.total_cmp(&b.2)).then(a.3.cmp(&b.3))
+    });
+    for of_corner in candidates.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+        constraints[of_corner[0].3 as usize].corner = true;
     }
 }
 
@@ -162,8 +196,10 @@ pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec
             owners &= owners - 1;
             at = nearest(interfaces, Interface::Of(region), &at).unwrap_or(at);
         }
-        if constraint.rim {
-            at = interfaces.rims.nearest(&at, |_| true).unwrap_or(at);
+        let rims = constraint.rim_slot().filter(|_| constraint.rim);
+        if let Some(rims) = rims.map(|slot| &interfaces.rims[slot]) {
+            let corner = constraint.corner.then(|| rims.corner_near(&at)).flatten();
+            at = corner.or_else(|| rims.nearest(&at, |_| true)).unwrap_or(at);
         } else if constraint.outer {
             at = nearest(interfaces, Interface::Outer, &at).unwrap_or(at);
         }
@@ -192,7 +228,7 @@ pub(super) fn settle_ties(
     constraints
         .par_iter_mut()
         .enumerate()
-        .filter(|(_, c)| !c.free() && !c.single())
+        .filter(|(_, c)| c.interfaces().nth(1).is_some())
         .map(|(node, constraint)| {
             let from = grid.point(lattice.nodes[node]);
             let at = project(interfaces, *constraint, from);
@@ -213,9 +249,12 @@ pub(super) fn settle_ties(
                 }
             }
             if let Some((_, taker)) = best {
-                let rim = constraint.rim && taker == Interface::Outer;
-                *constraint = Constraint::on(taker);
-                constraint.rim = rim;
+                let kept = constraint.rim && taker == Interface::Outer;
+                *constraint = Constraint {
+                    rim: kept,
+                    corner: kept && constraint.corner,
+                    ..Constraint::on(taker)
+                };
             }
             1
         })

@@ -126,24 +126,15 @@ fn spacing(text: &Text, root: &DeTable) -> Result<(f64, bool), SceneError> {
         Err(text.error(value.span().start, what))
     };
     let least = root.get("spacing_min_mm");
-    match value.get_ref().as_str() {
-        Some("auto") => {
-            let least = least.map(|v| length("spacing_min_mm", v)).transpose()?;
-            Ok((least.unwrap_or(0.0), true))
-        }
-        Some(other) => {
-            let what =
-                format!("spacing_mm = \"{other}\" is not known; it is a number or \"auto\"");
-            Err(text.error(value.span().start, what))
-        }
-        None => {
-            if let Some(least) = least {
-                let what = "\"spacing_min_mm\" goes with spacing_mm = \"auto\"; leave one of them out";
-                return Err(text.error(least.span().start, what));
-            }
-            Ok((length("spacing_mm", value)?, false))
-        }
+    if value.get_ref().as_str() == Some("auto") {
+        let least = least.map(|v| length("spacing_min_mm", v)).transpose()?;
+        return Ok((least.unwrap_or(0.0), true));
     }
+    if let Some(least) = least {
+        let what = "\"spacing_min_mm\" goes with spacing_mm = \"auto\"; leave one of them out";
+        return Err(text.error(least.span().start, what));
+    }
+    Ok((length("spacing_mm", value)?, false))
 }
 
 fn regions(
