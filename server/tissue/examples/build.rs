@@ -12,14 +12,22 @@ use std::time::Instant;
 use palpate_tissue::{BuildReport, Model, SceneInput, build, cell_volume};
 
 /// Name, folder, and (file, material) of each region in order; the last one is pinned.
-type Set = (&'static str, &'static str, &'static [(&'static str, &'static str)]);
+type Set = (
+    &'static str,
+    &'static str,
+    &'static [(&'static str, &'static str)],
+);
 
 /// The sets of real anatomy and of a tool.
 const SETS: [Set; 9] = [
     (
         "thigh",
         "leg_bp3d",
-        &[("thigh_skin", "fat"), ("thigh_muscle", "muscle"), ("thigh_femur", "bone")],
+        &[
+            ("thigh_skin", "fat"),
+            ("thigh_muscle", "muscle"),
+            ("thigh_femur", "bone"),
+        ],
     ),
     (
         "shank",
@@ -109,7 +117,10 @@ fn main() {
 }
 
 fn describe(report: &BuildReport) {
-    println!("{:?}\n{:?}\n{:?}", report.springs, report.outer_surface, report.quality);
+    println!(
+        "{:?}\n{:?}\n{:?}",
+        report.springs, report.outer_surface, report.quality
+    );
     for r in &report.regions {
         let per = 1.0 / report.spacing_mm;
         println!(
@@ -129,7 +140,10 @@ fn describe(report: &BuildReport) {
     for part in report.thin.parts.iter().take(PARTS_SHOWN) {
         println!("  {part}");
     }
-    println!("  and {} more", report.thin.parts.len().saturating_sub(PARTS_SHOWN) + report.thin.more);
+    println!(
+        "  and {} more",
+        report.thin.parts.len().saturating_sub(PARTS_SHOWN) + report.thin.more
+    );
     for warning in &report.warnings {
         println!("  warning: {warning}");
     }
@@ -144,7 +158,11 @@ fn scene_file(set: &str, spacing: &str) -> PathBuf {
         .iter()
         .find(|s| s.0 == set)
         .unwrap_or_else(|| panic!("{set} is no set: {:?}", SETS.map(|s| s.0)));
-    let spacing_value = if spacing == "auto" { "\"auto\"" } else { spacing };
+    let spacing_value = if spacing == "auto" {
+        "\"auto\""
+    } else {
+        spacing
+    };
     let pinned = regions[regions.len() - 1].0;
     let mut text = format!(
         "format = \"palpate-scene/1\"\nspacing_mm = {spacing_value}\npinned = [\"{pinned}\"]\n"
@@ -190,7 +208,9 @@ fn measure(model: &Model) {
         }
         negative += usize::from(cell_volume(&corners) <= 0.0);
     }
-    println!("cells by least corner determinant (<=0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, more): {flat:?}");
+    println!(
+        "cells by least corner determinant (<=0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, more): {flat:?}"
+    );
     println!(
         "least {:.4} at {:?} mm; negative volumes {negative}; shortest spring {shortest:.4}",
         worst.0,

@@ -76,7 +76,10 @@ fn a_layer_thinner_than_the_spacing_is_reported_with_its_place() {
         .find(|p| p.kind == ThinKind::Layer && p.region.as_deref() == Some("r0"))
         .unwrap();
     assert!((part.thickness_mean_mm - 2.0).abs() < 0.1, "{part:?}");
-    assert!(part.centre_mm[2] > 26.0 && part.centre_mm[0].abs() < 3.0, "{part:?}");
+    assert!(
+        part.centre_mm[2] > 26.0 && part.centre_mm[0].abs() < 3.0,
+        "{part:?}"
+    );
     // Both of its sides, 1600 mm² each.
     assert!((2400.0..4000.0).contains(&part.area_mm2), "{part:?}");
     assert_eq!(part.between, [Some("r1".to_owned()), None], "{part:?}");
@@ -93,7 +96,11 @@ fn a_wall_far_thinner_than_the_spacing_is_lost_and_the_report_says_so() {
     let (_, report) = built(&scene("2.0", &[body, cone]).unwrap());
     let lost: f64 = report.thin.parts.iter().map(|p| p.lost_area_mm2).sum();
     assert!(lost > 1000.0, "{:?}", report.thin);
-    assert!(report.warnings.iter().any(|w| w.contains("r1")), "{:?}", report.warnings);
+    assert!(
+        report.warnings.iter().any(|w| w.contains("r1")),
+        "{:?}",
+        report.warnings
+    );
 }
 
 #[test]
@@ -105,7 +112,11 @@ fn duplicated_crossing_and_inside_out_triangles_change_nothing() {
     let mut inside_out = plain.clone();
     inside_out.triangles.iter_mut().for_each(|t| t.swap(1, 2));
     let mut mixed = plain;
-    mixed.triangles.iter_mut().step_by(3).for_each(|t| t.swap(1, 2));
+    mixed
+        .triangles
+        .iter_mut()
+        .step_by(3)
+        .for_each(|t| t.swap(1, 2));
     for odd in [doubled, inside_out, mixed] {
         let (same, _) = built(&scene("3.0", &[odd]).unwrap());
         assert_eq!(same.nodes, model.nodes);
@@ -126,7 +137,11 @@ fn many_components_stay_apart() {
     let (_, report) = built(&scene("2.5", &[body, together(&drops)]).unwrap());
     assert_eq!(report.regions[1].components, 27);
     assert_eq!(report.regions[1].input_components, 27);
-    let layer = report.layers.iter().find(|l| l.outside.as_deref() == Some("r0")).unwrap();
+    let layer = report
+        .layers
+        .iter()
+        .find(|l| l.outside.as_deref() == Some("r0"))
+        .unwrap();
     assert_eq!(layer.components, 27);
     assert!(volume_error(&report, 1).abs() < 0.02);
 }
@@ -137,7 +152,10 @@ fn metres_taken_for_millimetres_say_what_it_looks_like() {
     tiny.vertices.iter_mut().for_each(|v| *v *= 1e-3);
     let input = scene("4.0", &[tiny]).unwrap();
     let said = build(&input, &mut |_, _| {}).unwrap_err().to_string();
-    assert!(said.contains("metres") && said.contains("unit = \"m\""), "{said}");
+    assert!(
+        said.contains("metres") && said.contains("unit = \"m\""),
+        "{said}"
+    );
     let mut huge = ball(0.1);
     huge.vertices.iter_mut().for_each(|v| *v *= 1e3);
     let input = scene("4.0", &[huge]).unwrap();

@@ -64,16 +64,22 @@ fn shape(reach: f64) -> impl Strategy<Value = Surface> {
     let size = || 0.008..0.02_f64;
     let angle = || -1.5..1.5_f64;
     let at = move || prop::array::uniform3(-reach..reach);
-    (0..3_u8, size(), size(), size(), [angle(), angle(), angle()], at()).prop_map(
-        |(kind, a, b, c, angles, at)| {
+    (
+        0..3_u8,
+        size(),
+        size(),
+        size(),
+        [angle(), angle(), angle()],
+        at(),
+    )
+        .prop_map(|(kind, a, b, c, angles, at)| {
             let body = match kind {
                 0 => ball(a),
                 1 => cuboid(-Vec3::new(a, b, c), Vec3::new(a, b, c)),
                 _ => cylinder(a, b),
             };
             placed(body, angles, Vec3::from(at))
-        },
-    )
+        })
 }
 
 proptest! {
@@ -92,6 +98,8 @@ proptest! {
                 let names = [&p.region, &p.between[0], &p.between[1]];
                 names.contains(&&Some(region.name.clone()))
             });
+            // A region that later ones cover has no volume to compare.
+            let thin = thin || region.input_volume_mm3 == 0.0;
             let error = region.volume_mm3 / region.input_volume_mm3 - 1.0;
             prop_assert!(thin || error.abs() < VOLUME, "{region:?}");
         }

@@ -357,7 +357,10 @@ proptest! {
 #[test]
 fn an_automatic_spacing_survives_writing() {
     for least in ["", "spacing_min_mm = 2.5\n"] {
-        let text = format!("format = \"palpate-scene/1\"\nspacing_mm = \"auto\"\n{least}{}", region("a"));
+        let text = format!(
+            "format = \"palpate-scene/1\"\nspacing_mm = \"auto\"\n{least}{}",
+            region("a")
+        );
         let scene = parse(&text).unwrap();
         assert!(scene.auto_spacing);
         assert_eq!(parse(&scene.to_toml()).unwrap(), scene);

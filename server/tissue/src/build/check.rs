@@ -99,7 +99,10 @@ pub(super) fn nesting(
 
 /// Distance in m between two boxes.
 fn gap(a: &Aabb, b: &Aabb) -> f64 {
-    (a.min - b.max).sup(&(b.min - a.max)).sup(&Vec3::zeros()).norm()
+    (a.min - b.max)
+        .sup(&(b.min - a.max))
+        .sup(&Vec3::zeros())
+        .norm()
 }
 
 /// Triangles of region `r` that lie outside the first region by more than a part of the spacing:
@@ -163,7 +166,12 @@ pub(super) fn mending(mending: &Mending, cells: usize, warnings: &mut Vec<String
 pub(super) fn regions(regions: &[RegionReport], warnings: &mut Vec<String>) {
     for region in regions {
         let error = region.volume_mm3 / region.input_volume_mm3 - 1.0;
-        if region.nodes == 0 {
+        if region.input_volume_mm3 <= 0.0 {
+            warnings.push(format!(
+                "region {:?} is wholly covered by later regions; nothing of it is in the model",
+                region.name
+            ));
+        } else if region.nodes == 0 {
             warnings.push(format!(
                 "region {:?} has no cell at this spacing: it is thinner than half of it everywhere",
                 region.name
@@ -174,6 +182,12 @@ pub(super) fn regions(regions: &[RegionReport], warnings: &mut Vec<String>) {
                  are thinner than the spacing",
                 region.name,
                 100.0 * error
+            ));
+        } else if region.components > region.input_components {
+            warnings.push(format!(
+                "region {:?} is in {} pieces where its surface has {}: it is thinner than the \
+                 spacing between them, or later regions part it",
+                region.name, region.components, region.input_components
             ));
         }
     }

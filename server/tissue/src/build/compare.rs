@@ -3,11 +3,11 @@
 use rayon::prelude::*;
 
 use super::faces::{Face, OUTSIDE, volumes};
+use super::layers::{Layers, surface_of};
 use super::patch::{Interface, Interfaces};
 use super::quality::{
     CORNER_FLOOR, SPRING_FLOOR, passes, scaled_jacobian, shortest_spring, worst_corner,
 };
-use super::layers::{Layers, surface_of};
 use super::report::{
     LayerReport, QualityReport, RegionReport, SpringCounts, SurfaceReport, report_triangles,
 };
@@ -19,7 +19,11 @@ use crate::{Aabb, Model, NO_CELL, RegionId, Vec3};
 /// 27 bits, half of which belong to the other end.
 pub(super) fn count_springs(model: &Model, around: &[[u32; 8]], faces: &[Face]) -> SpringCounts {
     let mut interface = vec![false; model.nodes.len()];
-    for node in faces.iter().filter(|f| f.other != OUTSIDE).flat_map(|f| f.nodes) {
+    for node in faces
+        .iter()
+        .filter(|f| f.other != OUTSIDE)
+        .flat_map(|f| f.nodes)
+    {
         interface[node as usize] = true;
     }
     let add = |a: SpringCounts, b: SpringCounts| SpringCounts {
@@ -263,7 +267,11 @@ fn corner_distances(compared: &Compared<'_>) -> Vec<((Interface, u32), Found)> {
 }
 
 fn distance(interface: Interface, point: &Vec3, compared: &Compared<'_>) -> Found {
-    let Some(nearest) = compared.interfaces.patch(interface).nearest(point, f64::INFINITY) else {
+    let Some(nearest) = compared
+        .interfaces
+        .patch(interface)
+        .nearest(point, f64::INFINITY)
+    else {
         return (0.0, true);
     };
     let thin = compared.thin.is_marked(point) || compared.thin.is_marked(&nearest);

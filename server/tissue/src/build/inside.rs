@@ -60,6 +60,10 @@ fn facing(surface: &Surface) -> usize {
     }
     // A tie goes to z, the axis of the first rays.
     [1, 0].into_iter().fold(2, |best, axis| {
-        if shown[axis] > shown[best] { axis } else { best }
+        if shown[axis] > shown[best] {
+            axis
+        } else {
+            best
+        }
     })
 }

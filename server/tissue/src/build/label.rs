@@ -177,7 +177,12 @@ pub(super) struct Sweep {
 
 impl Sweep {
     /// Calls `each` with (region, from, to) for every stretch, the later region winning.
-    pub(super) fn resolve(&mut self, hits: &[Hits], ray: usize, mut each: impl FnMut(usize, f64, f64)) {
+    pub(super) fn resolve(
+        &mut self,
+        hits: &[Hits],
+        ray: usize,
+        mut each: impl FnMut(usize, f64, f64),
+    ) {
         self.turns.clear();
         for (region, hits) in hits.iter().enumerate() {
             hits.inside(ray, |from, to| {

@@ -133,7 +133,8 @@ fn mend(grid: &Grid, labels: &mut Labels, mending: &mut Mending) {
             let block = cells.map(|c| labels.label[c]);
             // An earlier flip of this pass may have mended it.
             if faults(&block, &table) > 0
-                && let Some((c, to)) = best_flip(grid, labels, &cells, pass < TWO_WAY_PASSES, &table)
+                && let Some((c, to)) =
+                    best_flip(grid, labels, &cells, pass < TWO_WAY_PASSES, &table)
             {
                 let cell = cells[c];
                 if to == 0 || block[c] == 0 {
@@ -198,7 +199,11 @@ fn best_flip(
             }
             let mut after = block;
             after[c] = to;
-            let unlikely = if to == labels.second[cells[c]] { 0 } else { 256 };
+            let unlikely = if to == labels.second[cells[c]] {
+                0
+            } else {
+                256
+            };
             let doubt = u16::from(labels.margin[cells[c]]) + unlikely;
             let key = (faults(&after, table), doubt, c, to);
             if best.is_none_or(|b| key < b.0) {
@@ -258,12 +263,7 @@ fn pieces(grid: &Grid, labels: &Labels, same: impl Fn(u8, u8) -> bool) -> (Vec<u
 }
 
 /// Gives islands of a region that are too small to be meant to what surrounds them.
-fn drop_islands(
-    grid: &Grid,
-    labels: &mut Labels,
-    parts: &[Vec<Aabb>],
-    mending: &mut Mending,
-) {
+fn drop_islands(grid: &Grid, labels: &mut Labels, parts: &[Vec<Aabb>], mending: &mut Mending) {
     let (piece_of, sizes) = pieces(grid, labels, |a, b| a == b);
     let mut label_of = vec![0_u8; sizes.len()];
     for (cell, &piece) in piece_of.iter().enumerate() {
@@ -294,7 +294,9 @@ fn drop_islands(
         if stands_for_a_part(grid, &cells, &parts[label as usize - 1]) {
             continue;
         }
-        let commonest = around.iter().max_by_key(|(label, count)| (**count, 255 - **label));
+        let commonest = around
+            .iter()
+            .max_by_key(|(label, count)| (**count, 255 - **label));
         let given = commonest.map_or(0, |(label, _)| *label);
         for &cell in &cells {
             labels.label[cell] = given;
@@ -306,9 +308,17 @@ fn drop_islands(
 
 /// Whether one of the parts lies within a cell of these cells.
 fn stands_for_a_part(grid: &Grid, cells: &[usize], parts: &[Aabb]) -> bool {
-    let at = || cells.iter().map(|&c| Vec3::from(cell_at(grid, c).map(|i| i as f64)));
-    let low = at().fold(Vec3::repeat(f64::INFINITY), |m, p| m.inf(&p)).add_scalar(-1.0);
-    let high = at().fold(Vec3::repeat(f64::NEG_INFINITY), |m, p| m.sup(&p)).add_scalar(2.0);
+    let at = || {
+        cells
+            .iter()
+            .map(|&c| Vec3::from(cell_at(grid, c).map(|i| i as f64)))
+    };
+    let low = at()
+        .fold(Vec3::repeat(f64::INFINITY), |m, p| m.inf(&p))
+        .add_scalar(-1.0);
+    let high = at()
+        .fold(Vec3::repeat(f64::NEG_INFINITY), |m, p| m.sup(&p))
+        .add_scalar(2.0);
     let within = Aabb {
         min: grid.origin + low * grid.spacing,
         max: grid.origin + high * grid.spacing,

@@ -40,12 +40,12 @@ mod volume;
 
 use thiserror::Error;
 
-pub(crate) use report::report_triangles;
 pub use layers::{Layer, Layers, NEIGHBOURS_MAX, region_surface};
 pub use quality::{CORNER_FLOOR, SPRING_FLOOR};
+pub(crate) use report::report_triangles;
 pub use report::{
-    BuildReport, LayerReport, QualityReport, RegionReport, SpacingReport, SpringCounts, SurfaceReport,
-    report_surface,
+    BuildReport, LayerReport, QualityReport, RegionReport, SpacingReport, SpringCounts,
+    SurfaceReport, report_surface,
 };
 pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
 

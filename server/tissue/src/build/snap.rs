@@ -6,6 +6,8 @@
 //! every node between cells of different regions that no ray has placed is projected onto the
 //! nearest point of that interface; nodes where the lattice shows a rim go onto the rim.
 
+use std::collections::BTreeMap;
+
 use rayon::prelude::*;
 
 use super::grid::Grid;
@@ -21,6 +23,9 @@ const ALTERNATIONS: usize = 6;
 /// A node is put onto a rim when each face of the rim is seen by a cell face of the node within this
 /// cosine (63°: an oblique side shows two kinds of cell faces, each at most 55° away).
 const RIM_FACE_COSINE: f64 = 0.45;
+
+/// Places on a rim nearer to each other than this, in spacings, are one.
+const CLAIM_REACH: f64 = 0.5;
 
 /// A node counts as on an interface when it is at most this far away, in spacings; patches are kept
 /// in single precision.
@@ -140,6 +145,7 @@ pub(super) fn mark_rims(
             }
         }
     }
+    let mut claims: Vec<Claim> = Vec::new();
     let mut candidates: Vec<(usize, u32, f64, u32)> = Vec::new();
     for (node, constraint) in constraints.iter_mut().enumerate() {
         let Some(slot) = constraint.rim_slot() else {
@@ -151,9 +157,17 @@ pub(super) fn mark_rims(
         }
         let at = grid.point(lattice.nodes[node]);
         let rims = &interfaces.rims[slot];
-        constraint.rim = rims.nearest(&at, |s| shows(seen, s.normals)).is_some();
-        if constraint.rim
-            && seen.count_ones() >= 3
+        let Some(point) = rims.nearest(&at, |s| shows(seen, s.normals)) else {
+            continue;
+        };
+        constraint.rim = true;
+        claims.push(Claim {
+            slot,
+            node: node as u32,
+            point,
+            distance: (point - at).norm(),
+        });
+        if seen.count_ones() >= 3
             && let Some((corner, distance)) = rims.nearest_corner(&at)
         {
             candidates.push((slot, corner, distance, node as u32));
@@ -163,9 +177,79 @@ pub(super) fn mark_rims(
         let place = (a.0, a.1).cmp(&(b.0, b.1));
         place.then(a.2.total_cmp(&b.2)).then(a.3.cmp(&b.3))
     });
+    settle_claims(
+        claims,
+        &cells_inside(lattice, constraints),
+        grid.spacing,
+        constraints,
+    );
     for of_corner in candidates.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
-        constraints[of_corner[0].3 as usize].corner = true;
+        let constraint = &mut constraints[of_corner[0].3 as usize];
+        constraint.rim = true;
+        constraint.corner = true;
     }
+}
+
+/// A node that would stand on a rim, and where.
+struct Claim {
+    slot: usize,
+    node: u32,
+    point: Vec3,
+    distance: f64,
+}
+
+/// Leaves one node at each place of a rim. Where the cell at a rim is less than half full it is
+/// missing, and three nodes around the notch claim the same place: the hollow one is between the
+/// other two on the surface, so it gets it; else the nearest one does.
+fn settle_claims(
+    mut claims: Vec<Claim>,
+    cells_inside: &[u8],
+    spacing: f64,
+    constraints: &mut [Constraint],
+) {
+    let hollow = |claim: &Claim| cells_inside[claim.node as usize] > 4;
+    claims.sort_by(|a, b| a.distance.total_cmp(&b.distance).then(a.node.cmp(&b.node)));
+    let reach = CLAIM_REACH * spacing;
+    let cube = |p: &Vec3| [p.x, p.y, p.z].map(|x| (x / reach).floor() as i64);
+    let mut places: BTreeMap<(usize, [i64; 3]), Vec<usize>> = BTreeMap::new();
+    for (index, claim) in claims.iter().enumerate() {
+        let place = (claim.slot, cube(&claim.point));
+        places.entry(place).or_default().push(index);
+    }
+    let mut settled = vec![false; claims.len()];
+    for index in 0..claims.len() {
+        if settled[index] {
+            continue;
+        }
+        let claim = &claims[index];
+        let centre = cube(&claim.point);
+        let mut rivals: Vec<usize> = (0..27)
+            .map(|n| [n % 3, n / 3 % 3, n / 9].map(|i| i - 1))
+            .map(|step| std::array::from_fn(|a| centre[a] + step[a]))
+            .flat_map(|at| places.get(&(claim.slot, at)).into_iter().flatten().copied())
+            .filter(|&r| !settled[r] && (claims[r].point - claim.point).norm() < reach)
+            .collect();
+        rivals.sort_unstable();
+        let middle = rivals.iter().copied().find(|&r| hollow(&claims[r]));
+        let winner = middle.filter(|_| rivals.len() >= 3).unwrap_or(index);
+        for rival in rivals {
+            settled[rival] = true;
+            constraints[claims[rival].node as usize].rim = rival == winner;
+        }
+    }
+}
+
+/// How many of the eight cells around each node lie on the inner side of its interface.
+fn cells_inside(lattice: &Lattice, constraints: &[Constraint]) -> Vec<u8> {
+    let mut inside = vec![0; lattice.nodes.len()];
+    for cell in &lattice.cells {
+        for &node in &cell.corners {
+            let constraint = constraints[node as usize];
+            let own = constraint.outer || constraint.owners >> cell.region.index() & 1 == 1;
+            inside[node as usize] += u8::from(own);
+        }
+    }
+    inside
 }
 
 /// Whether two different cell faces of the node look the two ways that the faces of a rim do.
@@ -331,7 +415,10 @@ fn snap_along_rays(
                 if distance <= grid.spacing / 2.0 && best.is_none_or(|b| distance < b.0) {
                     let mut crossing = point;
                     crossing[axis] = hit.depth;
-                    if patch.nearest(&crossing, ON_SURFACE * grid.spacing).is_some() {
+                    if patch
+                        .nearest(&crossing, ON_SURFACE * grid.spacing)
+                        .is_some()
+                    {
                         best = Some((distance, crossing));
                     }
                 }

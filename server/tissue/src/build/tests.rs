@@ -127,7 +127,11 @@ fn every_interface_is_one_layer_of_springs_of_the_model() {
     let layers = Layers::new(&model);
     let components: Vec<usize> = report.layers.iter().map(|l| l.components).collect();
     // Skin and bone reach the outside, the bone at both of its ends.
-    let kinds: Vec<_> = layers.layers.iter().map(|l| (l.inside.0, l.outside)).collect();
+    let kinds: Vec<_> = layers
+        .layers
+        .iter()
+        .map(|l| (l.inside.0, l.outside))
+        .collect();
     assert_eq!(components, [1, 1, 2, 1], "{kinds:?}");
     let topology = Topology::new(Arc::new(model.clone()));
     for layer in &layers.layers {
@@ -147,9 +151,15 @@ fn every_interface_is_one_layer_of_springs_of_the_model() {
     for (r, region) in report.regions.iter().enumerate() {
         let triangles = region_surface(&model, crate::RegionId(r as u16));
         assert!(report_triangles(&triangles).closed);
-        let surface = Surface { vertices: model.nodes.clone(), triangles };
+        let surface = Surface {
+            vertices: model.nodes.clone(),
+            triangles,
+        };
         let volume = surface.volume() * 1e9;
-        assert!((volume / region.volume_mm3 - 1.0).abs() < 0.02, "{volume} {region:?}");
+        assert!(
+            (volume / region.volume_mm3 - 1.0).abs() < 0.02,
+            "{volume} {region:?}"
+        );
     }
     // An inner node selects the inner nodes of its own region.
     let inner = (0..model.nodes.len() as u32)

@@ -118,7 +118,9 @@ impl Heap {
 
     fn of_sample(sample: &Sample, spacing: f64) -> Self {
         let lost = sample.distance > LOST * spacing;
-        let (thin_area, thickness) = sample.thin.map_or((0.0, 0.0), |t| (sample.area, t.thickness));
+        let (thin_area, thickness) = sample
+            .thin
+            .map_or((0.0, 0.0), |t| (sample.area, t.thickness));
         Self {
             low: sample.at,
             high: sample.at,
@@ -224,7 +226,10 @@ impl<'a> Collector<'a> {
     fn cell_at(&self, at: &Vec3) -> Option<usize> {
         let cell = ((at - self.grid.origin) / self.grid.spacing).map(f64::floor);
         let inside = (0..3).all(|a| cell[a] >= 0.0 && cell[a] < self.grid.cells[a] as f64);
-        inside.then(|| self.grid.cell_index([cell.x as usize, cell.y as usize, cell.z as usize]))
+        inside.then(|| {
+            self.grid
+                .cell_index([cell.x as usize, cell.y as usize, cell.z as usize])
+        })
     }
 
     /// Marks the cell at a point and its neighbours.

@@ -121,7 +121,9 @@ impl<'a> Untangler<'a> {
                 .filter_map(|(node, by)| {
                     let at = positions[*node as usize];
                     let tried = parts.iter().map(|part| at + by * *part);
-                    let to = tried.into_iter().find(|to| self.holds(*node, to, positions))?;
+                    let to = tried
+                        .into_iter()
+                        .find(|to| self.holds(*node, to, positions))?;
                     Some((*node, to))
                 })
                 .collect();
@@ -134,11 +136,13 @@ impl<'a> Untangler<'a> {
     /// Whether all cells around a node would meet the floors with it at `to`.
     fn holds(&self, node: u32, to: &Vec3, positions: &[Vec3]) -> bool {
         let slots = self.around[node as usize].iter().enumerate();
-        slots.filter(|(_, cell)| **cell != NO_CELL).all(|(c, &cell)| {
-            let mut corners = self.corners(cell, positions);
-            corners[c] = *to;
-            passes(&corners, self.spacing, FLOOR.0, FLOOR.1)
-        })
+        slots
+            .filter(|(_, cell)| **cell != NO_CELL)
+            .all(|(c, &cell)| {
+                let mut corners = self.corners(cell, positions);
+                corners[c] = *to;
+                passes(&corners, self.spacing, FLOOR.0, FLOOR.1)
+            })
     }
 
     fn corners(&self, cell: u32, positions: &[Vec3]) -> [Vec3; 8] {

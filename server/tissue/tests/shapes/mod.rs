@@ -64,7 +64,9 @@ pub(crate) fn cuboid(low: Vec3, high: Vec3) -> Surface {
         [0, 2, 3, 1],
         [4, 5, 7, 6],
     ];
-    let triangles = quads.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]);
+    let triangles = quads
+        .iter()
+        .flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]);
     Surface {
         vertices,
         triangles: triangles.collect(),
