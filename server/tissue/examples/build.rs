@@ -19,7 +19,7 @@ type Set = (
 );
 
 /// The sets of real anatomy and of a tool.
-const SETS: [Set; 9] = [
+const SETS: [Set; 10] = [
     (
         "thigh",
         "leg_bp3d",
@@ -75,10 +75,16 @@ const SETS: [Set; 9] = [
     ("head", "tool_otoscope", &[("head", "bone")]),
     ("specula", "tool_otoscope", &[("specula", "bone")]),
     ("lens", "tool_otoscope", &[("lens_large", "bone")]),
+    ("battery", "tool_otoscope", &[("battery_holder", "bone")]),
 ];
 
-/// Thin parts that are printed.
+/// Thin parts that are printed, unless `PARTS` says otherwise.
 const PARTS_SHOWN: usize = 12;
+
+fn shown() -> usize {
+    let asked = std::env::var("PARTS").ok();
+    asked.and_then(|n| n.parse().ok()).unwrap_or(PARTS_SHOWN)
+}
 
 fn main() {
     let mut arguments = std::env::args().skip(1);
@@ -124,7 +130,7 @@ fn describe(report: &BuildReport) {
     for r in &report.regions {
         let per = 1.0 / report.spacing_mm;
         println!(
-            "  {:<12.12} {:>7} nodes, volume {:+.2} %, {} of {} pieces; in spacings: out {:.3} {:.2}, in {:.3} {:.2}, outside thin {:.2}",
+            "  {:<12.12} {:>7} nodes, volume {:+.2} %, {} of {} pieces; in spacings: out {:.3} {:.2}, in {:.3} {:.2}, outside thin {:.3} {:.2}",
             r.name,
             r.nodes,
             100.0 * (r.volume_mm3 / r.input_volume_mm3 - 1.0),
@@ -134,15 +140,16 @@ fn describe(report: &BuildReport) {
             r.surface_distance_max_mm * per,
             r.input_distance_mean_mm * per,
             r.input_distance_max_mm * per,
+            r.distance_mean_outside_thin_mm * per,
             r.distance_max_outside_thin_mm * per,
         );
     }
-    for part in report.thin.parts.iter().take(PARTS_SHOWN) {
+    for part in report.thin.parts.iter().take(shown()) {
         println!("  {part}");
     }
     println!(
         "  and {} more",
-        report.thin.parts.len().saturating_sub(PARTS_SHOWN) + report.thin.more
+        report.thin.parts.len().saturating_sub(shown()) + report.thin.more
     );
     for warning in &report.warnings {
         println!("  warning: {warning}");

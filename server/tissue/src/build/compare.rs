@@ -15,6 +15,9 @@ use super::sample::Sample;
 use super::thin::Collector;
 use crate::{Aabb, Model, NO_CELL, RegionId, Vec3};
 
+/// A node farther than this from its interface, in spacings, is listed with its place.
+const STRAY: f64 = 0.5;
+
 /// Counts springs by kind: for each node the directions in which a cell has a spring, as a mask of
 /// 27 bits, half of which belong to the other end.
 pub(super) fn count_springs(model: &Model, around: &[[u32; 8]], faces: &[Face]) -> SpringCounts {
@@ -144,8 +147,9 @@ pub(super) struct Compared<'a> {
     pub(super) input_volumes: &'a [f64],
 }
 
-/// Compares each region with its input.
-pub(super) fn regions(compared: &Compared<'_>) -> Vec<RegionReport> {
+/// Compares each region with its input; also gives the places where the model has an interface
+/// farther than [`STRAY`] from the input's and outside of thin parts: point, region, distance in m.
+pub(super) fn regions(compared: &Compared<'_>) -> (Vec<RegionReport>, Vec<Stray>) {
     let Compared { model, faces, .. } = compared;
     let regions = model.regions.len();
     let volumes = volumes(faces, &model.nodes, regions);
@@ -159,12 +163,13 @@ pub(super) fn regions(compared: &Compared<'_>) -> Vec<RegionReport> {
             distance(face.interface(), &middle, compared)
         })
         .collect();
+    let strays = strays(compared, &at_corners);
     let components = components(model);
     let surfaces: Vec<SurfaceReport> = (0..regions as u16)
         .into_par_iter()
         .map(|r| report_triangles(&surface_of(model, faces, RegionId(r))))
         .collect();
-    (0..regions)
+    let reports = (0..regions)
         .map(|r| {
             let mut model_side = Distances::default();
             for (face, &(middle, thin)) in faces.iter().zip(&in_middles) {
@@ -196,8 +201,29 @@ pub(super) fn regions(compared: &Compared<'_>) -> Vec<RegionReport> {
                 surface_distance_max_mm: model_side.max * 1e3,
                 input_distance_mean_mm: input_side.mean() * 1e3,
                 input_distance_max_mm: input_side.max * 1e3,
+                distance_mean_outside_thin_mm: model_side.sound_mean().max(input_side.sound_mean())
+                    * 1e3,
                 distance_max_outside_thin_mm: model_side.sound_max.max(input_side.sound_max) * 1e3,
             }
+        })
+        .collect();
+    (reports, strays)
+}
+
+/// A point of the model, its region, and a distance in m.
+pub(super) type Stray = (Vec3, u16, f64);
+
+fn strays(compared: &Compared<'_>, corners: &[((Interface, u32), Found)]) -> Vec<Stray> {
+    let far = (STRAY * compared.model.spacing_m) as f32;
+    let found = corners.iter().filter(|(_, (d, thin))| *d > far && !thin);
+    found
+        .map(|&((_, node), (distance, _))| {
+            let cells = compared.around[node as usize].iter();
+            let regions = cells
+                .filter(|c| **c != NO_CELL)
+                .map(|&c| compared.model.cells[c as usize].region.0);
+            let at = compared.model.nodes[node as usize];
+            (at, regions.max().unwrap_or(0), f64::from(distance))
         })
         .collect()
 }
@@ -223,7 +249,9 @@ struct Distances {
     sum: f64,
     weight: f64,
     max: f64,
-    /// Largest outside of thin parts.
+    /// The same outside of thin parts.
+    sound_sum: f64,
+    sound_weight: f64,
     sound_max: f64,
 }
 
@@ -233,7 +261,17 @@ impl Distances {
         self.weight += weight;
         self.max = self.max.max(distance);
         if !thin {
+            self.sound_sum += distance * weight;
+            self.sound_weight += weight;
             self.sound_max = self.sound_max.max(distance);
+        }
+    }
+
+    fn sound_mean(&self) -> f64 {
+        if self.sound_weight > 0.0 {
+            self.sound_sum / self.sound_weight
+        } else {
+            0.0
         }
     }
 

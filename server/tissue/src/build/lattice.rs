@@ -103,7 +103,7 @@ fn manifold(block: u8) -> bool {
 }
 
 /// How many of the labels in a block have no proper surface there.
-fn faults(block: &[u8; 8], table: &[bool; 256]) -> usize {
+fn faults(block: [u8; 8], table: &[bool; 256]) -> usize {
     let mut seen = 0_u8;
     let mut faults = 0;
     for c in 0..8 {
@@ -132,7 +132,7 @@ fn mend(grid: &Grid, labels: &mut Labels, mending: &mut Mending) {
             let cells = block_cells(grid, at);
             let block = cells.map(|c| labels.label[c]);
             // An earlier flip of this pass may have mended it.
-            if faults(&block, &table) > 0
+            if faults(block, &table) > 0
                 && let Some((c, to)) =
                     best_flip(grid, labels, &cells, pass < TWO_WAY_PASSES, &table)
             {
@@ -161,7 +161,7 @@ fn faulty_blocks(grid: &Grid, labels: &Labels, k: usize, table: &[bool; 256]) ->
     for j in 0..grid.cells[1] - 1 {
         for i in 0..grid.cells[0] - 1 {
             let block = block_cells(grid, [i, j, k]).map(|c| labels.label[c]);
-            if block.iter().any(|&l| l != block[0]) && faults(&block, table) > 0 {
+            if block.iter().any(|&l| l != block[0]) && faults(block, table) > 0 {
                 found.push([i, j, k]);
             }
         }
@@ -186,7 +186,8 @@ fn best_flip(
     table: &[bool; 256],
 ) -> Option<(usize, u8)> {
     let block = cells.map(|c| labels.label[c]);
-    let mut best: Option<((usize, u16, usize, u8), (usize, u8))> = None;
+    // Faults left, doubt, and the flip itself, which decides between equals.
+    let mut best: Option<(usize, u16, usize, u8)> = None;
     for c in 0..8 {
         // The margin of the grid stays empty.
         let at = cell_at(grid, cells[c]);
@@ -205,13 +206,13 @@ fn best_flip(
                 256
             };
             let doubt = u16::from(labels.margin[cells[c]]) + unlikely;
-            let key = (faults(&after, table), doubt, c, to);
-            if best.is_none_or(|b| key < b.0) {
-                best = Some((key, (c, to)));
+            let key = (faults(after, table), doubt, c, to);
+            if best.is_none_or(|b| key < b) {
+                best = Some(key);
             }
         }
     }
-    best.map(|b| b.1)
+    best.map(|(_, _, c, to)| (c, to))
 }
 
 fn cell_at(grid: &Grid, index: usize) -> [usize; 3] {
@@ -473,7 +474,7 @@ mod tests {
             let table: [bool; 256] = std::array::from_fn(|block| manifold(block as u8));
             for at in 0..9 * 9 * 9 {
                 let cells = block_cells(&grid, [at % 9, at / 9 % 9, at / 81]);
-                prop_assert_eq!(faults(&cells.map(|c| labels.label[c]), &table), 0);
+                prop_assert_eq!(faults(cells.map(|c| labels.label[c]), &table), 0);
             }
         }
     }

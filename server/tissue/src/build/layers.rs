@@ -14,7 +14,7 @@ use std::collections::VecDeque;
 use super::faces::{Face, OUTSIDE, faces};
 use crate::{Model, RegionId};
 
-/// Most homogeneous neighbours of a node, N_max: four direct and four diagonal ones, as on a flat
+/// Most homogeneous neighbours of a node, `N_max`: four direct and four diagonal ones, as on a flat
 /// interface. The seed leaves the number open.
 pub const NEIGHBOURS_MAX: usize = 8;
 
@@ -153,7 +153,7 @@ fn march(model: &Model, faces: &[Face], group: &[u32], slots: &mut [u32]) -> Vec
                     layer_of[other as usize] = number;
                     queue.push_back(other);
                 }
-                // Joined when it is among the first N_max of either end; the lower end says so.
+                // Joined when it is among the first `N_max` of either end; the lower end says so.
                 let chosen = count < NEIGHBOURS_MAX || {
                     let back = neighbours.of(other);
                     back.iter().take(NEIGHBOURS_MAX).any(|&n| n == node)

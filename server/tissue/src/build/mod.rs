@@ -146,7 +146,7 @@ pub fn build(
     let mut labels = label::label(&grid, &surfaces);
     let mending = lattice::mend_all(&grid, &mut labels, &parts);
     check::mending(&mending, grid.cell_count(), &mut warnings);
-    let lattice = lattice::number(&grid, &labels);
+    let mut lattice = lattice::number(&grid, &labels);
     drop(labels);
     if lattice.cells.is_empty() {
         return Err(check::too_coarse(&surfaces, spacing));
@@ -154,46 +154,38 @@ pub fn build(
 
     progress("sorting the interfaces", 0.2);
     let interfaces = patch::Interfaces::new(&surfaces, &query, spacing, grid.middle());
-    progress("snapping nodes", 0.3);
-    let mut constraints = snap::constraints(&lattice);
-    snap::mark_rims(&grid, &lattice, &interfaces, &mut constraints);
-    let tied = snap::settle_ties(&grid, &lattice, &interfaces, &mut constraints);
-    let mut positions = snap::snap(&grid, &lattice, &surfaces, &interfaces, &constraints);
-    progress("relaxing", 0.4);
-    relax::relax(&lattice, &interfaces, &constraints, &mut positions);
-    progress("making cells good", 0.5);
     let faces = faces::faces(&lattice.cells);
-    let untangler =
-        untangle::Untangler::new(&lattice, &interfaces, &constraints, spacing, grid.origin);
-    let let_go = untangler.untangle(&mut positions);
-    progress("restoring volumes", 0.7);
-    volume::restore_volumes(&untangler, &faces, &input_volumes, &mut positions);
-    let around = untangler.into_around();
+    let placed = place(
+        &grid,
+        &mut lattice,
+        &Input {
+            surfaces: &surfaces,
+            interfaces: &interfaces,
+            volumes: &input_volumes,
+        },
+        &faces,
+        progress,
+    );
 
     progress("looking for thin parts", 0.8);
-    let samples = sample::samples(&interfaces, &query, &faces, &positions, grid.middle());
+    let nodes = &placed.positions;
+    let samples = sample::samples(&interfaces, &query, &faces, nodes, grid.middle());
     let mut collector = thin::Collector::new(&grid);
     collector.add_samples(&samples);
     collector.add_crumbs(&mending.crumbs);
-    collector.add_nodes(&stray_nodes(
-        &let_go,
-        &lattice,
-        &around,
-        &interfaces,
-        &constraints,
-        &positions,
-    ));
-    drop(constraints);
+    collector.add_nodes(&placed.strays(&lattice, &interfaces));
+    let (around, tied, let_go) = (placed.around, placed.tied, placed.let_go.len());
+    drop(placed.constraints);
     let model = Model {
         spacing_m: spacing,
         regions,
-        nodes: positions,
+        nodes: placed.positions,
         lattice: lattice.nodes,
         cells: lattice.cells,
     };
 
     progress("comparing with the input", 0.9);
-    let regions = compare::regions(&compare::Compared {
+    let (regions, strays) = compare::regions(&compare::Compared {
         model: &model,
         around: &around,
         faces: &faces,
@@ -203,6 +195,7 @@ pub fn build(
         parts: &parts,
         input_volumes: &input_volumes,
     });
+    collector.add_strays(&strays);
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
     check::regions(&regions, &mut warnings);
     let outer: Vec<[u32; 3]> = faces
@@ -220,7 +213,7 @@ pub fn build(
         regions,
         outer_surface: report_triangles(&outer),
         quality: QualityReport {
-            nodes_let_go: let_go.len(),
+            nodes_let_go: let_go,
             nodes_tied: tied,
             cells_flipped: mending.flipped_outer + mending.flipped_inner,
             ..compare::quality(&model)
@@ -233,22 +226,74 @@ pub fn build(
     Ok((model, report))
 }
 
-/// Nodes that were let go and stand off their interface: where, in which region, how far.
-fn stray_nodes(
-    let_go: &[u32],
-    lattice: &lattice::Lattice,
-    around: &[[u32; 8]],
-    interfaces: &patch::Interfaces,
-    constraints: &[snap::Constraint],
-    positions: &[Vec3],
-) -> Vec<(Vec3, u16, f64)> {
-    let strays = let_go.iter().filter_map(|&node| {
-        let constraint = constraints[node as usize];
-        let at = positions[node as usize];
-        let off = compare::off_interface(interfaces, constraint.interfaces(), &at);
-        let cells = around[node as usize].iter().filter(|c| **c != NO_CELL);
-        let region = cells.map(|&c| lattice.cells[c as usize].region.0).max()?;
-        (off > STRAY * interfaces.spacing).then_some((at, region, off))
-    });
-    strays.collect()
+/// What nodes are placed by.
+struct Input<'a> {
+    surfaces: &'a [&'a Surface],
+    interfaces: &'a patch::Interfaces,
+    volumes: &'a [f64],
+}
+
+/// The nodes in their places, and how they got there.
+struct Placed {
+    positions: Vec<Vec3>,
+    constraints: Vec<snap::Constraint>,
+    /// The cells around each node.
+    around: Vec<[u32; 8]>,
+    /// Nodes that two interfaces claimed.
+    tied: usize,
+    /// Nodes that were let go.
+    let_go: Vec<u32>,
+}
+
+/// Snaps, relaxes, untangles, and restores the volumes.
+fn place(
+    grid: &Grid,
+    lattice: &mut lattice::Lattice,
+    input: &Input<'_>,
+    faces: &[faces::Face],
+    progress: Progress<'_>,
+) -> Placed {
+    let interfaces = input.interfaces;
+    progress("snapping nodes", 0.3);
+    let mut constraints = snap::constraints(lattice);
+    snap::mark_rims(grid, lattice, interfaces, &mut constraints);
+    let tied = snap::settle_ties(grid, lattice, interfaces, &mut constraints);
+    let mut positions = snap::snap(grid, lattice, input.surfaces, interfaces, &constraints);
+    progress("relaxing", 0.4);
+    relax::relax(lattice, interfaces, &constraints, &mut positions);
+    // Nobody asks for neighbours along the axes from here on.
+    lattice.adjacent = Vec::new();
+    progress("making cells good", 0.5);
+    let untangler =
+        untangle::Untangler::new(lattice, interfaces, &constraints, grid.spacing, grid.origin);
+    let let_go = untangler.untangle(&mut positions);
+    progress("restoring volumes", 0.7);
+    volume::restore_volumes(&untangler, faces, input.volumes, &mut positions);
+    let around = untangler.into_around();
+    Placed {
+        positions,
+        constraints,
+        around,
+        tied,
+        let_go,
+    }
+}
+
+impl Placed {
+    /// Nodes that were let go and stand off their interface: where, in which region, how far.
+    fn strays(
+        &self,
+        lattice: &lattice::Lattice,
+        interfaces: &patch::Interfaces,
+    ) -> Vec<compare::Stray> {
+        let strays = self.let_go.iter().filter_map(|&node| {
+            let node = node as usize;
+            let at = self.positions[node];
+            let off = compare::off_interface(interfaces, self.constraints[node].interfaces(), &at);
+            let cells = self.around[node].iter().filter(|c| **c != NO_CELL);
+            let region = cells.map(|&c| lattice.cells[c as usize].region.0).max()?;
+            (off > STRAY * interfaces.spacing).then_some((at, region, off))
+        });
+        strays.collect()
+    }
 }

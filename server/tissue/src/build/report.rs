@@ -61,11 +61,11 @@ pub struct SpacingReport {
     pub distances: usize,
     /// The smallest of them in mm: in real data two surfaces that cross, hence near zero.
     pub smallest_mm: f64,
-    /// The low quantile that stands for the smallest layer, d_min, in mm.
+    /// The low quantile that stands for the smallest layer, `d_min`, in mm.
     pub quantile_mm: f64,
     /// Which part of the distances lies below it.
     pub quantile: f64,
-    /// The least spacing that the scene allows, d_threshold, in mm.
+    /// The least spacing that the scene allows, `d_threshold`, in mm.
     pub threshold_mm: f64,
     /// The least spacing that the limits of nodes and cells allow, in mm.
     pub memory_mm: f64,
@@ -101,6 +101,9 @@ pub struct RegionReport {
     /// Largest such distance, in mm.
     #[serde(default)]
     pub input_distance_max_mm: f64,
+    /// Mean distance outside of thin parts, in mm: the larger one of the two ways.
+    #[serde(default)]
+    pub distance_mean_outside_thin_mm: f64,
     /// Largest distance either way outside of thin parts, in mm.
     #[serde(default)]
     pub distance_max_outside_thin_mm: f64,

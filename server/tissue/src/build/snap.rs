@@ -84,7 +84,9 @@ impl Constraint {
         if self.outer {
             Some(0)
         } else {
-            (self.owners.count_ones() == 1).then(|| 1 + self.owners.trailing_zeros() as usize)
+            self.owners
+                .is_power_of_two()
+                .then(|| 1 + self.owners.trailing_zeros() as usize)
         }
     }
 

@@ -1,8 +1,8 @@
-//! Finding the spacing from the input: Δd = max(d_min, d_threshold) (Lin 2007, eq. 3.2).
+//! Finding the spacing from the input: `Δd = max(d_min, d_threshold)` (Lin 2007, eq. 3.2).
 //!
-//! d_min is the smallest distance between intersections with different interfaces. On real data the
+//! `d_min` is the smallest distance between intersections with different interfaces. On real data the
 //! plain minimum says nothing: surfaces that cross or end in one plane come as near to each other as
-//! one likes, and a ray there measures it. So d_min is a low quantile ([`QUANTILE`]) of the distances
+//! one likes, and a ray there measures it. So `d_min` is a low quantile ([`QUANTILE`]) of the distances
 //! along rays in three directions; where surfaces coincide there is no layer, and distances below
 //! [`COINCIDENT`] are left out (reconstructed). The plain minimum is reported beside it.
 
@@ -25,7 +25,7 @@ const CELLS_ACROSS: f64 = 16.0;
 /// spacing: what a session's equilibrium is solved on in time.
 const AUTO_NODES_MAX: f64 = 1e6;
 
-/// The spacing in m and how it was found; `threshold` is d_threshold in m, 0 for none.
+/// The spacing in m and how it was found; `threshold` is `d_threshold` in m, 0 for none.
 pub(super) fn find(surfaces: &[&Surface], threshold: f64) -> (f64, SpacingReport) {
     let mut low = Vec3::repeat(f64::INFINITY);
     let mut high = Vec3::repeat(f64::NEG_INFINITY);

@@ -26,12 +26,16 @@ pub enum ThinKind {
     Layer,
     /// Outside between two walls nearer to each other than the spacing.
     Gap,
-    /// Not thin, and still farther from the model than half a spacing: a sharp edge or tip.
+    /// Not thin, and still farther from the model than half a spacing: a sharp edge, a tip, or what
+    /// lies beside a thin part that was lost.
     Rim,
     /// A few cells of a region that were given to what surrounds them.
     Crumb,
     /// Nodes that left their interface so that their cells stay good.
     LetGo,
+    /// Nodes farther than half a spacing from their interface, near nothing thin: where the model's
+    /// interface runs on and the input's does not.
+    Stray,
 }
 
 /// One part of the input that is thin or was lost.
@@ -180,10 +184,21 @@ impl<'a> Collector<'a> {
         }
     }
 
-    /// Takes nodes that were let go.
+    /// Takes nodes that were let go; what is around them counts as a thin part.
     pub(super) fn add_nodes(&mut self, nodes: &[(Vec3, u16, f64)]) {
-        for (at, region, distance) in nodes {
+        for (at, _, _) in nodes {
             self.mark(at);
+        }
+        self.put_nodes(ThinKind::LetGo, nodes);
+    }
+
+    /// Takes nodes that are far from the input.
+    pub(super) fn add_strays(&mut self, nodes: &[(Vec3, u16, f64)]) {
+        self.put_nodes(ThinKind::Stray, nodes);
+    }
+
+    fn put_nodes(&mut self, kind: ThinKind, nodes: &[(Vec3, u16, f64)]) {
+        for (at, region, distance) in nodes {
             let heap = Heap {
                 low: *at,
                 high: *at,
@@ -191,7 +206,7 @@ impl<'a> Collector<'a> {
                 count: 1,
                 ..Heap::empty()
             };
-            self.put((ThinKind::LetGo, *region, [*region, OUTSIDE]), at, &heap);
+            self.put((kind, *region, [*region, OUTSIDE]), at, &heap);
         }
     }
 
@@ -340,7 +355,10 @@ impl std::fmt::Display for ThinPart {
                 self.thickness_mean_mm,
                 self.thickness_min_mm
             ),
-            ThinKind::Rim => format!("{} ends in a sharp edge or tip", name(&self.region)),
+            ThinKind::Rim => format!(
+                "{} is lost at an edge, a tip or beside a thin part",
+                name(&self.region)
+            ),
             ThinKind::Crumb => format!(
                 "{} cells of {} were given to {}",
                 self.count,
@@ -349,6 +367,11 @@ impl std::fmt::Display for ThinPart {
             ),
             ThinKind::LetGo => format!(
                 "{} nodes of {} left their interface for good cells",
+                self.count,
+                name(&self.region)
+            ),
+            ThinKind::Stray => format!(
+                "{} nodes of {} lie off their interface",
                 self.count,
                 name(&self.region)
             ),

@@ -66,7 +66,7 @@ pub struct SceneRegion {
 /// numbers are in range. Surfaces have not been looked at.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
-    /// Lattice spacing Δd in m; with `auto_spacing` the least one, d_threshold, 0 for none.
+    /// Lattice spacing Δd in m; with `auto_spacing` the least one, `d_threshold`, 0 for none.
     pub spacing_m: f64,
     /// The builder finds the spacing from the thinnest layers (Lin 2007, eq. 3.2).
     pub auto_spacing: bool,
