@@ -106,7 +106,7 @@ fn a_wall_far_thinner_than_the_spacing_is_lost_and_the_report_says_so() {
 #[test]
 fn duplicated_crossing_and_inside_out_triangles_change_nothing() {
     let plain = ball(0.02);
-    let (model, _) = built(&scene("3.0", &[plain.clone()]).unwrap());
+    let (model, _) = built(&scene("3.0", std::slice::from_ref(&plain)).unwrap());
     let mut doubled = plain.clone();
     doubled.triangles.extend_from_slice(&plain.triangles[..200]);
     let mut inside_out = plain.clone();

@@ -49,6 +49,7 @@ impl Interfaces {
         let mut outer_rims = Rims::default();
         let mut rims = vec![Rims::default()];
         for (region, surface) in surfaces.iter().enumerate() {
+            let at_vertices = vertex_kinds(surface, region, query, spacing);
             let sorted: Vec<Sorted> = surface
                 .triangles
                 .par_chunks(CHUNK)
@@ -57,7 +58,14 @@ impl Interfaces {
                     for t in chunk {
                         let corners = t.map(|v| surface.vertices[v as usize]);
                         let before = (sorted.outer.len(), sorted.inner.len());
-                        sort_triangle(&corners, region, query, spacing, &middle, &mut sorted);
+                        let kinds = t.map(|v| at_vertices[v as usize]);
+                        let sorter = Sorter {
+                            region,
+                            query,
+                            spacing,
+                            origin: &middle,
+                        };
+                        sorter.sort(&corners, kinds, &mut sorted);
                         sorted.faces_out.push(sorted.outer.len() > before.0);
                         sorted.faces_in.push(sorted.inner.len() > before.1);
                     }
@@ -122,46 +130,75 @@ struct Sorted {
     faces_in: Vec<bool>,
 }
 
-/// Cuts a triangle into pieces small enough to be classified as a whole, and sorts them.
-fn sort_triangle(
-    corners: &[Vec3; 3],
+/// Sorts triangles of one region's surface.
+struct Sorter<'a> {
     region: usize,
-    query: &PointQuery,
+    query: &'a PointQuery,
     spacing: f64,
-    origin: &Vec3,
-    sorted: &mut Sorted,
-) {
-    let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
-    let Some(normal) = normal.try_normalize(0.0) else {
-        return;
-    };
-    let look = normal * (LOOK * spacing);
-    let mut stack = vec![*corners];
-    while let Some(piece) = stack.pop() {
-        if let Some(halves) = halve(&piece, PIECE_SIDE_MAX * spacing) {
-            stack.extend(halves);
-            continue;
-        }
-        let middle = (piece[0] + piece[1] + piece[2]) / 3.0;
-        let here = kind(region, query, middle, look);
-        // Near where interfaces meet, a piece may be of one kind here and of another there.
-        let mixed = || {
-            (piece.iter())
-                .map(|p| middle.lerp(p, TOWARDS_CORNER))
-                .any(|p| kind(region, query, p, look) != here)
+    origin: &'a Vec3,
+}
+
+impl Sorter<'_> {
+    /// Cuts a triangle into pieces small enough to be classified as a whole, and sorts them;
+    /// `at_corners` is what its vertices are.
+    fn sort(&self, corners: &[Vec3; 3], at_corners: [Kind; 3], sorted: &mut Sorted) {
+        let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
+        let Some(normal) = normal.try_normalize(0.0) else {
+            return;
         };
-        if let Some(halves) = halve(&piece, PIECE_SIDE_MIN * spacing)
-            && mixed()
-        {
-            stack.extend(halves);
-            continue;
-        }
-        match here {
-            Kind::Outer => sorted.outer.push(Bvh::flat(origin, &piece)),
-            Kind::Inner => sorted.inner.push(Bvh::flat(origin, &piece)),
-            Kind::Hidden => {}
+        let look = normal * (LOOK * self.spacing);
+        let kind = |at: Vec3| kind(self.region, self.query, at, look);
+        let mut stack = vec![*corners];
+        while let Some(piece) = stack.pop() {
+            if let Some(halves) = halve(&piece, PIECE_SIDE_MAX * self.spacing) {
+                stack.extend(halves);
+                continue;
+            }
+            let middle = (piece[0] + piece[1] + piece[2]) / 3.0;
+            let here = kind(middle);
+            let whole = piece == *corners && at_corners == [here; 3];
+            // Near where interfaces meet, a piece may be of one kind here and of another there.
+            let mixed = || {
+                (piece.iter())
+                    .map(|p| middle.lerp(p, TOWARDS_CORNER))
+                    .any(|p| kind(p) != here)
+            };
+            if !whole
+                && let Some(halves) = halve(&piece, PIECE_SIDE_MIN * self.spacing)
+                && mixed()
+            {
+                stack.extend(halves);
+                continue;
+            }
+            match here {
+                Kind::Outer => sorted.outer.push(Bvh::flat(self.origin, &piece)),
+                Kind::Inner => sorted.inner.push(Bvh::flat(self.origin, &piece)),
+                Kind::Hidden => {}
+            }
         }
     }
+}
+
+/// What the surface is at each of its vertices, seen along the mean normal there: a triangle whose
+/// corners and middle agree need not be looked at more closely.
+fn vertex_kinds(surface: &Surface, region: usize, query: &PointQuery, spacing: f64) -> Vec<Kind> {
+    let mut normals = vec![Vec3::zeros(); surface.vertices.len()];
+    for t in &surface.triangles {
+        let [a, b, c] = t.map(|v| surface.vertices[v as usize]);
+        let vector = (b - a).cross(&(c - a));
+        for v in t {
+            normals[*v as usize] += vector;
+        }
+    }
+    surface
+        .vertices
+        .par_iter()
+        .zip(&normals)
+        .map(|(at, normal)| match normal.try_normalize(0.0) {
+            Some(normal) => kind(region, query, *at, normal * (LOOK * spacing)),
+            None => Kind::Hidden,
+        })
+        .collect()
 }
 
 /// What a piece of a region's surface is.

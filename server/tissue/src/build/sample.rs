@@ -12,7 +12,7 @@ use crate::Vec3;
 /// Longest side, in spacings, of a piece that one sample stands for.
 const SIDE_MAX: f64 = 1.0;
 /// Least area, in Δd², that one sample stands for: a finer input is not sampled more finely.
-const AREA_MIN: f64 = 0.2;
+const AREA_MIN: f64 = 0.4;
 /// Triangles sampled by one task.
 const CHUNK: usize = 1024;
 /// How far from a surface one begins to look, in spacings.
