@@ -1,6 +1,6 @@
 //! Builds a model and prints what came out: `cargo run --release -p palpate-tissue --example build
-//! -- SET|SCENE.toml [spacing_mm]`. A set is one of [`SETS`], read from the folder that
-//! `PALPATE_DATA` names. Prints the time of each stage, the report, the shape of the cells as
+//! -- SET|SCENE.toml|ball:TRIANGLES [spacing_mm]`. A set is one of [`SETS`], read from the folder
+//! that `PALPATE_DATA` names; a ball of 50 mm is made with so many triangles. Prints the time of each stage, the report, the shape of the cells as
 //! measured here on the finished model, and the largest resident memory.
 
 #![allow(clippy::print_stdout)]
@@ -9,7 +9,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use palpate_tissue::{BuildReport, Model, SceneInput, build, cell_volume};
+use palpate_tissue::{BuildReport, Model, Scene, SceneInput, Surface, Vec3, build, cell_volume};
 
 /// Name, folder, and (file, material) of each region in order; the last one is pinned.
 type Set = (
@@ -93,6 +93,14 @@ fn main() {
     let begun = Instant::now();
     let input = if Path::new(&what).extension().is_some_and(|e| e == "toml") {
         SceneInput::load(Path::new(&what))
+    } else if let Some(triangles) = what.strip_prefix("ball:") {
+        let triangles: usize = triangles.parse().expect("a number of triangles");
+        let text = format!(
+            "format = \"palpate-scene/1\"\nspacing_mm = {spacing}\n[[region]]\nname = \"ball\"\n\
+             surface = \"ball.stl\"\nmaterial = \"fat\"\n"
+        );
+        let scene = Scene::parse(&text, Path::new(".")).expect("the scene is right");
+        SceneInput::new(scene, vec![ball(triangles)])
     } else {
         SceneInput::load(&scene_file(&what, &spacing))
     };
@@ -157,6 +165,40 @@ fn describe(report: &BuildReport) {
     if let Some(search) = report.spacing_search {
         println!("{search:?}");
     }
+}
+
+/// A ball of 50 mm with about so many triangles.
+fn ball(triangles: usize) -> Surface {
+    let rings = ((triangles as f64 / 4.0).sqrt() as usize).max(3);
+    let sides = 2 * rings;
+    let mut surface = Surface::default();
+    let vertex = |ring: usize, side: usize| (1 + (ring - 1) * sides + side % sides) as u32;
+    let last = (1 + (rings - 1) * sides) as u32;
+    surface.vertices.push(-Vec3::z() * 0.025);
+    for ring in 1..rings {
+        let (up, out) = (std::f64::consts::PI * ring as f64 / rings as f64).sin_cos();
+        for side in 0..sides {
+            let angle = std::f64::consts::PI * side as f64 / rings as f64;
+            let at = Vec3::new(up * angle.cos(), up * angle.sin(), -out);
+            surface.vertices.push(at * 0.025);
+        }
+    }
+    surface.vertices.push(Vec3::z() * 0.025);
+    for side in 0..sides {
+        surface
+            .triangles
+            .push([0, vertex(1, side + 1), vertex(1, side)]);
+        for ring in 1..rings - 1 {
+            let [a, b] = [vertex(ring, side), vertex(ring, side + 1)];
+            let [c, d] = [vertex(ring + 1, side + 1), vertex(ring + 1, side)];
+            surface.triangles.extend([[a, b, c], [a, c, d]]);
+        }
+        let top = rings - 1;
+        surface
+            .triangles
+            .push([vertex(top, side), vertex(top, side + 1), last]);
+    }
+    surface
 }
 
 fn scene_file(set: &str, spacing: &str) -> PathBuf {

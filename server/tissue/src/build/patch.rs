@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::bvh::Bvh;
 use super::inside::PointQuery;
-use super::rim::Rims;
+use super::rim::{self, Rims};
 use crate::{Surface, Vec3};
 
 /// Longest side, in spacings, of a piece that is classified as a whole.
@@ -74,9 +74,11 @@ impl Interfaces {
                 .collect();
             let faces_out: Vec<bool> = sorted.iter().flat_map(|s| &s.faces_out).copied().collect();
             let faces_in: Vec<bool> = sorted.iter().flat_map(|s| &s.faces_in).copied().collect();
-            outer_rims.collect(surface, &faces_out);
             let mut own_rims = Rims::default();
-            own_rims.collect(surface, &faces_in);
+            for (which, segment) in rim::sharp_edges(surface, [&faces_out, &faces_in]) {
+                let rims = [&mut outer_rims, &mut own_rims];
+                rims[which].add(segment);
+            }
             own_rims.index(spacing);
             rims.push(own_rims);
             let mut own = Vec::new();
@@ -155,7 +157,10 @@ impl Sorter<'_> {
                 continue;
             }
             let middle = (piece[0] + piece[1] + piece[2]) / 3.0;
-            let here = kind(middle);
+            // Far smaller than the spacing, a triangle is what its vertices are.
+            let fine = piece == *corners && at_corners == [at_corners[0]; 3];
+            let fine = fine && halve(&piece, PIECE_SIDE_MIN * self.spacing).is_none();
+            let here = if fine { at_corners[0] } else { kind(middle) };
             let whole = piece == *corners && at_corners == [here; 3];
             // Near where interfaces meet, a piece may be of one kind here and of another there.
             let mixed = || {

@@ -6,6 +6,8 @@
 
 use std::collections::BTreeMap;
 
+use rayon::prelude::*;
+
 use crate::{Surface, Vec3};
 
 /// The cosine of the angle between the normals of two faces beyond which their edge is a rim
@@ -51,39 +53,9 @@ pub(super) struct Rims {
 }
 
 impl Rims {
-    /// Adds the sharp edges between triangles of `surface` that face the outside.
-    pub(super) fn collect(&mut self, surface: &Surface, faces_out: &[bool]) {
-        let mut edges: BTreeMap<[u32; 2], Vec<u32>> = BTreeMap::new();
-        let normal = |t: u32| {
-            let [a, b, c] = surface.triangles[t as usize].map(|v| surface.vertices[v as usize]);
-            (b - a).cross(&(c - a)).try_normalize(0.0)
-        };
-        for (t, triangle) in surface.triangles.iter().enumerate() {
-            if faces_out[t] {
-                for e in 0..3 {
-                    let (a, b) = (triangle[e], triangle[(e + 1) % 3]);
-                    edges
-                        .entry([a.min(b), a.max(b)])
-                        .or_default()
-                        .push(t as u32);
-                }
-            }
-        }
-        for (edge, triangles) in edges {
-            let [first, second] = triangles[..] else {
-                continue;
-            };
-            let (Some(n), Some(m)) = (normal(first), normal(second)) else {
-                continue;
-            };
-            if n.dot(&m) < RIM_COSINE {
-                let ends = edge.map(|v| surface.vertices[v as usize]);
-                self.segments.push(Segment {
-                    ends,
-                    normals: [n, m],
-                });
-            }
-        }
+    /// Takes one more segment.
+    pub(super) fn add(&mut self, segment: Segment) {
+        self.segments.push(segment);
     }
 
     /// Sorts the segments into cubes of side `reach`.
@@ -168,6 +140,37 @@ impl Rims {
         }
         best.map(|b| b.1)
     }
+}
+
+/// The sharp edges between two triangles of a mask, for each mask, with the number of the mask.
+pub(super) fn sharp_edges(surface: &Surface, masks: [&[bool]; 2]) -> Vec<(usize, Segment)> {
+    let normal = |t: u32| {
+        let [a, b, c] = surface.corners(t as usize);
+        (b - a).cross(&(c - a)).try_normalize(0.0)
+    };
+    // Sorted, and not in a map: ten million triangles have thirty million uses of edges.
+    let mut uses: Vec<[u32; 3]> = Vec::with_capacity(3 * surface.triangles.len());
+    for (t, [a, b, c]) in surface.triangles.iter().enumerate() {
+        for [a, b] in [[*a, *b], [*b, *c], [*c, *a]] {
+            uses.push([a.min(b), a.max(b), t as u32]);
+        }
+    }
+    uses.par_sort_unstable();
+    uses.par_chunk_by(|u, v| u[..2] == v[..2])
+        .flat_map_iter(|of_edge| {
+            masks.iter().enumerate().filter_map(move |(which, mask)| {
+                let mut triangles = of_edge.iter().map(|u| u[2]).filter(|t| mask[*t as usize]);
+                let (first, second) = (triangles.next()?, triangles.next()?);
+                if triangles.next().is_some() {
+                    return None;
+                }
+                let (n, m) = (normal(first)?, normal(second)?);
+                let ends = [of_edge[0][0], of_edge[0][1]].map(|v| surface.vertices[v as usize]);
+                let normals = [n, m];
+                (n.dot(&m) < RIM_COSINE).then_some((which, Segment { ends, normals }))
+            })
+        })
+        .collect()
 }
 
 fn cube(point: &Vec3, side: f64) -> [i64; 3] {
