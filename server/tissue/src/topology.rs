@@ -18,6 +18,39 @@ use crate::{FACES, Model, NO_CELL, RegionId, Spring, Springs, Vec3, cell_volume}
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct TopologyHash(pub u64);
 
+impl TopologyHash {
+    /// The hash of a model's uncut topology, without deriving that topology.
+    pub fn of_uncut(model: &Model) -> Self {
+        let wiring = model.cells.iter().map(|c| (&c.corners, 0));
+        Self::of(0, wiring, &model.nodes)
+    }
+
+    fn of<'a>(
+        version: u32,
+        wiring: impl Iterator<Item = (&'a [u32; 8], u8)>,
+        rest: &[Vec3],
+    ) -> Self {
+        let mut hasher = xxhash_rust::xxh3::Xxh3::new();
+        hasher.update(&version.to_le_bytes());
+        for (corners, cut) in wiring {
+            let mut bytes = [0; 33];
+            for (c, node) in corners.iter().enumerate() {
+                bytes[4 * c..4 * c + 4].copy_from_slice(&node.to_le_bytes());
+            }
+            bytes[32] = cut;
+            hasher.update(&bytes);
+        }
+        for p in rest {
+            let mut bytes = [0; 24];
+            for (a, v) in p.iter().enumerate() {
+                bytes[8 * a..8 * a + 8].copy_from_slice(&v.to_bits().to_le_bytes());
+            }
+            hasher.update(&bytes);
+        }
+        Self(hasher.digest())
+    }
+}
+
 impl std::fmt::Display for TopologyHash {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{:016x}", self.0)
@@ -214,24 +247,8 @@ impl Topology {
 
     /// Hash over version, wiring, cut faces and rest positions.
     pub fn hash(&self) -> TopologyHash {
-        let mut hasher = xxhash_rust::xxh3::Xxh3::new();
-        hasher.update(&self.version.to_le_bytes());
-        for (corners, cut) in self.corners.iter().zip(&self.cut) {
-            let mut bytes = [0; 33];
-            for (c, node) in corners.iter().enumerate() {
-                bytes[4 * c..4 * c + 4].copy_from_slice(&node.to_le_bytes());
-            }
-            bytes[32] = *cut;
-            hasher.update(&bytes);
-        }
-        for p in &self.rest {
-            let mut bytes = [0; 24];
-            for (a, v) in p.iter().enumerate() {
-                bytes[8 * a..8 * a + 8].copy_from_slice(&v.to_bits().to_le_bytes());
-            }
-            hasher.update(&bytes);
-        }
-        TopologyHash(hasher.digest())
+        let wiring = self.corners.iter().zip(self.cut.iter().copied());
+        TopologyHash::of(self.version, wiring, &self.rest)
     }
 
     /// Mass and pinning of a node, from the cells around it.

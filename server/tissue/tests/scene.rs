@@ -95,7 +95,7 @@ fn a_written_scene_reads_back_as_itself() {
 }
 
 /// What to put for what in [`THIGH`], and words the message must hold.
-const MISTAKES: [(&str, &str, &[&str]); 33] = [
+const MISTAKES: [(&str, &str, &[&str]); 35] = [
     (
         "young_kpa = 10.0",
         "poisson = 0.5",
@@ -192,6 +192,16 @@ const MISTAKES: [(&str, &str, &[&str]); 33] = [
     ("4.0", "inf", &["line 2", "above 0"]),
     ("4.0", "\"4\"", &["line 2", "a number, not string"]),
     ("spacing_mm = 4.0\n", "", &["\"spacing_mm\" is missing"]),
+    (
+        "spacing_mm = 4.0",
+        "spacing_mm = 4.0\nspacing_min_mm = 2.0",
+        &["line 3", "goes with spacing_mm = \"auto\""],
+    ),
+    (
+        "spacing_mm = 4.0",
+        "spacing_mm = \"auto\"\nspacing_min_mm = -2.0",
+        &["line 3", "spacing_min_mm = -2", "above 0"],
+    ),
     (
         "palpate-scene/1",
         "palpate-scene/2",
@@ -403,4 +413,21 @@ proptest! {
             parse(&scene.to_toml()).unwrap();
         }
     }
+}
+
+#[test]
+fn an_automatic_spacing_survives_writing() {
+    for least in ["", "spacing_min_mm = 2.5\n"] {
+        let text = format!(
+            "format = \"palpate-scene/1\"\nspacing_mm = \"auto\"\n{least}{}",
+            region("a")
+        );
+        let scene = parse(&text).unwrap();
+        assert!(scene.auto_spacing);
+        assert_eq!(parse(&scene.to_toml()).unwrap(), scene);
+    }
+}
+
+fn region(name: &str) -> String {
+    format!("[[region]]\nname = \"{name}\"\nsurface = \"{name}.stl\"\nmaterial = \"fat\"\n")
 }

@@ -112,6 +112,7 @@ impl Sample {
         });
         let scene = Scene {
             spacing_m: body.spacing_m,
+            auto_spacing: false,
             pinned: body.pinned.iter().map(|&name| name.to_owned()).collect(),
             regions: regions.collect(),
             materials: BTreeMap::new(),

@@ -4,7 +4,8 @@
 //!
 //! ```toml
 //! format = "palpate-scene/1"
-//! spacing_mm = 4.0
+//! spacing_mm = 4.0                 # or "auto": as thin as the thinnest layers,
+//!                                  # but not below spacing_min_mm, if that is given
 //! pinned = ["femur"]               # regions that do not move
 //!
 //! [[region]]                       # later regions override earlier ones where they overlap
@@ -87,8 +88,10 @@ pub struct SceneRegion {
 /// numbers are in range. Surfaces have not been looked at.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
-    /// Lattice spacing Δd in m.
+    /// Lattice spacing Δd in m; with `auto_spacing` the least one, `d_threshold`, 0 for none.
     pub spacing_m: f64,
+    /// The builder finds the spacing from the thinnest layers (Lin 2007, eq. 3.2).
+    pub auto_spacing: bool,
     /// Names of the regions that do not move.
     pub pinned: Vec<String>,
     /// In scene order: a later region overrides an earlier one where they overlap.

@@ -13,7 +13,14 @@ use super::{REGIONS_MAX, SCENE_BYTES_MAX, SCENE_FORMAT, Scene, SceneError, Scene
 use crate::surface::Unit;
 use crate::{Material, MaterialOverride};
 
-const SCENE_KEYS: [&str; 5] = ["format", "spacing_mm", "pinned", "region", "material"];
+const SCENE_KEYS: [&str; 6] = [
+    "format",
+    "spacing_mm",
+    "spacing_min_mm",
+    "pinned",
+    "region",
+    "material",
+];
 const REGION_KEYS: [&str; 4] = ["name", "surface", "material", "unit"];
 
 impl Scene {
@@ -67,8 +74,10 @@ fn read(text: &Text, base: PathBuf) -> Result<Scene, SceneError> {
     text.refuse_unknown(root, &SCENE_KEYS, "at the top of the scene")?;
     let materials = materials(text, root)?;
     let regions = regions(text, root, &materials)?;
+    let (spacing_m, auto_spacing) = spacing(text, root)?;
     Ok(Scene {
-        spacing_m: spacing(text, root)?,
+        spacing_m,
+        auto_spacing,
         pinned: pinned(text, root, &regions)?,
         regions,
         materials,
@@ -97,16 +106,30 @@ fn refuse_other_formats(text: &Text, root: &DeTable) -> Result<(), SceneError> {
     Ok(())
 }
 
-fn spacing(text: &Text, root: &DeTable) -> Result<f64, SceneError> {
+/// The spacing in m, or the least one and that the builder is to find it.
+fn spacing(text: &Text, root: &DeTable) -> Result<(f64, bool), SceneError> {
     let Some(value) = root.get("spacing_mm") else {
-        return Err(text.error(0, "\"spacing_mm\" is missing; add, say, spacing_mm = 4.0"));
+        let what = "\"spacing_mm\" is missing; add, say, spacing_mm = 4.0 or spacing_mm = \"auto\"";
+        return Err(text.error(0, what));
     };
-    let spacing_mm = text.number("spacing_mm", value)?;
-    if !(spacing_mm.is_finite() && spacing_mm > 0.0) {
-        let what = format!("spacing_mm = {spacing_mm} must be a finite number above 0");
-        return Err(text.error(value.span().start, what));
+    let length = |key: &str, value: &Spanned<DeValue>| {
+        let mm = text.number(key, value)?;
+        if mm.is_finite() && mm > 0.0 {
+            return Ok(mm * 1e-3);
+        }
+        let what = format!("{key} = {mm} must be a finite number above 0");
+        Err(text.error(value.span().start, what))
+    };
+    let least = root.get("spacing_min_mm");
+    if value.get_ref().as_str() == Some("auto") {
+        let least = least.map(|v| length("spacing_min_mm", v)).transpose()?;
+        return Ok((least.unwrap_or(0.0), true));
     }
-    Ok(spacing_mm * 1e-3)
+    if let Some(least) = least {
+        let what = "\"spacing_min_mm\" goes with spacing_mm = \"auto\"; leave one of them out";
+        return Err(text.error(least.span().start, what));
+    }
+    Ok((length("spacing_mm", value)?, false))
 }
 
 fn regions(

@@ -17,7 +17,15 @@ impl Scene {
 
     fn write(&self, out: &mut String) -> fmt::Result {
         writeln!(out, "format = \"{SCENE_FORMAT}\"")?;
-        writeln!(out, "spacing_mm = {}", number(self.spacing_m * 1e3))?;
+        let spacing = number(self.spacing_m * 1e3);
+        if self.auto_spacing {
+            writeln!(out, "spacing_mm = \"auto\"")?;
+            if self.spacing_m > 0.0 {
+                writeln!(out, "spacing_min_mm = {spacing}")?;
+            }
+        } else {
+            writeln!(out, "spacing_mm = {spacing}")?;
+        }
         if !self.pinned.is_empty() {
             let names: Vec<String> = self.pinned.iter().map(|n| quoted(n)).collect();
             writeln!(out, "pinned = [{}]", names.join(", "))?;
