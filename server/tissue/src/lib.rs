@@ -17,6 +17,7 @@ mod equilibrium;
 pub mod export;
 mod fibre;
 mod file;
+mod fit;
 mod material;
 mod model;
 pub mod sample;

@@ -12,8 +12,8 @@
 
 use super::lanes::LANES;
 use super::law::{Curve, Elastic};
-use crate::springs::{BODY_SHARE, DIAGONAL_SHARE, EDGE_SHARE, LENGTH_FLOOR};
-use crate::{Topology, Vec3};
+use crate::springs::LENGTH_FLOOR;
+use crate::{Topology, Vec3, fit};
 
 /// Nodes of a brick: 3 x 3 x 3.
 pub(crate) const LOCALS: usize = 27;
@@ -215,21 +215,15 @@ fn add_springs(
     let corners = topology.corners(cell);
     let floor = LENGTH_FLOOR * topology.model().spacing_m;
     let energy = elastic.spring_pa * topology.volume(cell).max(0.0);
-    for a in 0..8usize {
-        for b in a + 1..8 {
-            let share = match (a ^ b).count_ones() {
-                1 => EDGE_SHARE,
-                2 => DIAGONAL_SHARE,
-                _ => BODY_SHARE,
-            };
-            let d: Vec3 = topology.rest(corners[b]) - topology.rest(corners[a]);
-            let length = d.norm().max(floor);
-            let k = share * energy * elastic.along(&d) / (length * length);
-            let (i, j) = (CORNER[position][a], CORNER[position][b]);
-            let (i, offset) = (i.min(j), i.abs_diff(j));
-            let step = STEPS.iter().position(|s| s.0 == offset).unwrap_or(0);
-            springs[step][i] += k;
-        }
+    let shares = fit::shares(&corners.map(|n| topology.rest(n)), floor);
+    for (share, [a, b]) in shares.into_iter().zip(fit::ENDS) {
+        let d: Vec3 = topology.rest(corners[b]) - topology.rest(corners[a]);
+        let length = d.norm().max(floor);
+        let k = share * energy * elastic.along(&d) / (length * length);
+        let (i, j) = (CORNER[position][a], CORNER[position][b]);
+        let (i, offset) = (i.min(j), i.abs_diff(j));
+        let step = STEPS.iter().position(|s| s.0 == offset).unwrap_or(0);
+        springs[step][i] += k;
     }
 }
 
