@@ -335,8 +335,7 @@ fn run_press_scene(arguments: &PressSceneArguments) -> Result<ExitCode, String> 
     let dir = tempfile::tempdir().map_err(|e| format!("no temporary folder: {e}"))?;
     let mut progress = Progress::new();
     progress.stage("reading the model");
-    let subject =
-        Subject::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
+    let subject = Subject::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
     let bench = PressScene {
         depth_m: arguments.depth_mm * 1e-3,
         speed_m_s: arguments.speed_mm_s * 1e-3,
@@ -350,7 +349,10 @@ fn run_press_scene(arguments: &PressSceneArguments) -> Result<ExitCode, String> 
 }
 
 /// Prints a report, for a person or as one JSON object.
-fn give(report: &(impl serde::Serialize + std::fmt::Display), json: bool) -> Result<ExitCode, String> {
+fn give(
+    report: &(impl serde::Serialize + std::fmt::Display),
+    json: bool,
+) -> Result<ExitCode, String> {
     if json {
         say(&serde_json::to_string(report).expect("a report is plain data"))?;
     } else {

@@ -1,6 +1,8 @@
 //! What a built bar shows of the moduli that were asked for: closed-form cases, at several spacings and
 //! orientations on the lattice.
 
+#![allow(clippy::unwrap_used)]
+
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -34,7 +36,12 @@ fn cuboid(low: Vec3, high: Vec3, turn: &Rotation3<f64>) -> Surface {
 }
 
 /// A model of boxes, the first around the others, with a material for each.
-fn model(boxes: &[(Vec3, Vec3, f64)], poisson: f64, spacing: f64, turn: &Rotation3<f64>) -> Topology {
+fn model(
+    boxes: &[(Vec3, Vec3, f64)],
+    poisson: f64,
+    spacing: f64,
+    turn: &Rotation3<f64>,
+) -> Topology {
     let region = |i: usize| SceneRegion {
         name: format!("part{i}"),
         surface: PathBuf::from("none"),
@@ -88,8 +95,8 @@ fn prescribe(
 }
 
 fn solve(topology: &Topology, solver: &mut Solver, shape: &mut Shape) {
-    let report = solver.step(topology, shape, &[], Budget::new(300, 1e-6));
-    assert!(report.residual <= 1e-6, "residual {}", report.residual);
+    let report = solver.step(topology, shape, &[], Budget::new(300, 1e-5));
+    assert!(report.residual <= 1e-5, "residual {}", report.residual);
 }
 
 /// Mean displacement per distance along `of` against distance along `over`, over the middle half.
@@ -148,7 +155,11 @@ fn shear(topology: &Topology, turn: &Rotation3<f64>) -> f64 {
     // Virtual work: the forces on the surface times the field are the stress times the volume.
     let work: f64 = held
         .iter()
-        .map(|&n| -solver.force_on(&shape, n).dot(&shape.displacement[n as usize]))
+        .map(|&n| {
+            -solver
+                .force_on(&shape, n)
+                .dot(&shape.displacement[n as usize])
+        })
         .sum();
     work / (angle * angle) / (8.0 * HALF[0] * HALF[1] * HALF[2])
 }
@@ -167,7 +178,6 @@ fn a_bar_shows_what_was_asked_for() {
                     young / YOUNG_PA,
                     rigidity / asked
                 );
-                println!("{told}");
                 assert!((young / YOUNG_PA - 1.0).abs() < 0.05, "{told}");
                 assert!((ratio - poisson).abs() < 0.02, "{told}");
                 assert!((rigidity / asked - 1.0).abs() < 0.05, "{told}");
@@ -199,7 +209,6 @@ fn two_materials_in_series_and_in_parallel_follow_the_closed_forms() {
             .sum();
         let young = pull / (4.0 * HALF[0] * HALF[1]) / strain;
         let error = young / (closed * YOUNG_PA) - 1.0;
-        println!("axis {axis}: E {:.3} of the closed form", 1.0 + error);
         assert!(error.abs() < 0.05, "axis {axis}: {error}");
     }
 }

@@ -25,10 +25,7 @@ fn quantile(times: &[f64], q: f64) -> f64 {
 /// # Errors
 ///
 /// When the system has no threads to give.
-pub fn on_threads<T: Send>(
-    threads: usize,
-    run: impl FnOnce() -> T + Send,
-) -> Result<T, String> {
+pub fn on_threads<T: Send>(threads: usize, run: impl FnOnce() -> T + Send) -> Result<T, String> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()

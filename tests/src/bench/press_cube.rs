@@ -159,7 +159,11 @@ impl PressCube {
         progress("converging");
         let (exact, solver, converged_ms) = cube.cold(&first, ITERATIONS_MAX, CONVERGED);
         let report = solver.report().clone();
-        let force: f64 = cube.disc.iter().map(|&n| solver.force_on(&exact, n).z).sum();
+        let force: f64 = cube
+            .disc
+            .iter()
+            .map(|&n| solver.force_on(&exact, n).z)
+            .sum();
         progress("from rest to 1 %");
         let mut iterations = 1;
         let mut left = f64::INFINITY;
@@ -235,7 +239,11 @@ fn moving(cube: &Cube, like: &Solver, progress: &mut dyn FnMut(&str)) -> MovingR
 impl fmt::Display for PressCubeReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let ms = |ms: Option<f64>| ms.map_or("not reached".to_owned(), |ms| format!("{ms:.2} ms"));
-        writeln!(f, "{} nodes, {} springs, Poisson's ratio {}", self.nodes, self.springs, self.poisson)?;
+        writeln!(
+            f,
+            "{} nodes, {} springs, Poisson's ratio {}",
+            self.nodes, self.springs, self.poisson
+        )?;
         writeln!(f, "set up once          {:>12.2} ms", self.setup_ms)?;
         writeln!(
             f,

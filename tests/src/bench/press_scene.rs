@@ -175,7 +175,11 @@ fn summary(topology: &Topology, setup_ms: f64, ticks: Vec<Tick>) -> PressSceneRe
 
 impl fmt::Display for PressSceneReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "{:>8} {:>9} {:>9} {:>7} {:>7} {:>5} {:>7}", "depth mm", "force N", "conv. N", "error", "ms", "iter", "active")?;
+        writeln!(
+            f,
+            "{:>8} {:>9} {:>9} {:>7} {:>7} {:>5} {:>7}",
+            "depth mm", "force N", "conv. N", "error", "ms", "iter", "active"
+        )?;
         for t in &self.ticks {
             writeln!(
                 f,

@@ -10,9 +10,9 @@ use rayon::prelude::*;
 
 use super::block::{Quad, ZERO};
 use super::brick::LOCALS;
-use super::cycle::{Chebyshev, LOW, Multigrid};
+use super::cycle::Multigrid;
 use super::kernel::{Ends, Forces, Tangents};
-use super::patch::{List, Patch, apply, interpolate, invert};
+use super::patch::{List, Patch, interpolate, invert};
 use super::structure::Structure;
 use crate::contact::Contacts;
 use crate::{Topology, Vec3};
@@ -34,15 +34,15 @@ pub(super) struct Field {
     forces: Vec<[[f32; LOCALS]; 3]>,
     /// Force on each node in N, contacts included where they were last looked at.
     pub(super) r: Vec<Quad>,
-    inverse: Vec<[f32; 6]>,
-    d: Vec<Quad>,
+    pub(super) inverse: Vec<[f32; 6]>,
+    pub(super) d: Vec<Quad>,
     /// What each node has taken over of level 1's totals.
-    applied: Vec<[f64; 3]>,
+    pub(super) applied: Vec<[f64; 3]>,
     /// Bricks that take part, and their nodes.
     pub(super) set: List,
     pub(super) nodes: List,
     inside: Vec<u32>,
-    free: Vec<bool>,
+    pub(super) free: Vec<bool>,
     /// Nodes whose force may not be zero.
     loud: List,
     /// Bricks to be computed before anything is said about their nodes.
@@ -52,15 +52,15 @@ pub(super) struct Field {
     saved: List,
     /// Largest displacement of any node so far in m.
     pub(super) displaced: f64,
-    move_max: f64,
+    pub(super) move_max: f64,
     pub(super) clamped: usize,
     /// Bricks computed in this step.
     pub(super) visits: usize,
     /// Blocks of the nodes of the set; scratch.
     blocks: Vec<[f32; 6]>,
     /// What level 1 moved each node by in this iteration; scratch.
-    moved: Vec<Vec3>,
-    old: Vec<Quad>,
+    pub(super) moved: Vec<Vec3>,
+    pub(super) old: Vec<Quad>,
     scratch: Box<Ends<3>>,
     block_scratch: Box<Ends<6>>,
     arch: Arch,
@@ -173,7 +173,7 @@ impl Field {
     }
 
     #[inline]
-    fn shift(&mut self, u: &mut [Vec3], node: u32, by: Vec3) {
+    pub(super) fn shift(&mut self, u: &mut [Vec3], node: u32, by: Vec3) {
         let n = node as usize;
         if self.saved.insert(node) {
             self.before.push((node, u[n]));
@@ -197,9 +197,8 @@ impl Field {
         for &brick in &list {
             let b = &structure.bricks[brick as usize];
             for i in 0..LOCALS {
-                if b.present >> i & 1 == 1 && self.loud.insert(b.nodes[i]) {
-                    touched.push(b.nodes[i]);
-                } else if b.present >> i & 1 == 1 {
+                if b.present >> i & 1 == 1 {
+                    self.loud.insert(b.nodes[i]);
                     touched.push(b.nodes[i]);
                 }
             }
@@ -224,28 +223,32 @@ impl Field {
     ) {
         let patch = &mut coarse.patches[0];
         patch.refined.clear();
-        self.select_wanted(patch);
+        Self::select_wanted(patch);
         let silent = SILENT * threshold;
         let (r, fixed) = (&self.r, &self.fixed);
         self.loud.retain(|node| {
             let force = square(&r[node as usize]);
             if !fixed[node as usize] && force > threshold * threshold {
                 for &entry in structure.around.row(node) {
-                    patch.refined.insert(structure.element_of[(entry / 32) as usize]);
+                    patch
+                        .refined
+                        .insert(structure.element_of[(entry / 32) as usize]);
                 }
             }
             force > silent * silent
         });
         for node in always {
             for &entry in structure.around.row(node) {
-                patch.refined.insert(structure.element_of[(entry / 32) as usize]);
+                patch
+                    .refined
+                    .insert(structure.element_of[(entry / 32) as usize]);
             }
         }
         patch.refined.sort();
     }
 
     /// Adds the elements of level 1 that want to be refined.
-    pub(super) fn select_wanted(&self, patch: &mut Patch) {
+    pub(super) fn select_wanted(patch: &mut Patch) {
         for element in patch.wanted.take() {
             patch.refined.insert(element);
         }
@@ -253,12 +256,7 @@ impl Field {
     }
 
     /// Takes the chosen set, and brings its nodes up to date with level 1.
-    pub(super) fn enter(
-        &mut self,
-        structure: &Structure,
-        coarse: &Multigrid,
-        u: &mut [Vec3],
-    ) {
+    pub(super) fn enter(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
         self.set.clear();
         for &node in &self.nodes.items {
             self.inside[node as usize] = 0;
@@ -298,7 +296,11 @@ impl Field {
         if v != old {
             self.applied[n] = v;
             if !self.fixed[n] {
-                self.shift(u, node, Vec3::new(v[0] - old[0], v[1] - old[1], v[2] - old[2]));
+                self.shift(
+                    u,
+                    node,
+                    Vec3::new(v[0] - old[0], v[1] - old[1], v[2] - old[2]),
+                );
             }
         }
     }
@@ -346,7 +348,9 @@ impl Field {
             }
         } else {
             let mut member = vec![false; self.forces.len()];
-            list.iter().for_each(|&b| member[b as usize] = true);
+            for &brick in list {
+                member[brick as usize] = true;
+            }
             self.forces
                 .par_iter_mut()
                 .enumerate()
@@ -393,7 +397,11 @@ impl Field {
                 }
             }
         });
-        let free = self.nodes.items.iter().filter(|&&n| !self.fixed[n as usize]);
+        let free = self
+            .nodes
+            .items
+            .iter()
+            .filter(|&&n| !self.fixed[n as usize]);
         free.map(|&n| f64::from(square(&self.r[n as usize]))).sum()
     }
 
@@ -473,93 +481,6 @@ impl Field {
         }
     }
 
-    /// Moves the nodes of the set by level 1's correction, in full.
-    pub(super) fn correct(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
-        self.moved.clear();
-        self.old.clear();
-        let e = &coarse.patches[0].e;
-        for i in 0..self.nodes.items.len() {
-            let node = self.nodes.items[i];
-            let n = node as usize;
-            self.old.push(self.r[n]);
-            let v = super::cycle::interpolate(&structure.ties[n], e);
-            let by = Vec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
-            let by = if self.fixed[n] { Vec3::zeros() } else { by };
-            self.moved.push(by);
-            self.shift(u, node, by);
-        }
-    }
-
-    /// How much of the correction would have been best, from the forces before and after it.
-    pub(super) fn best_share(&self) -> f64 {
-        let (mut work, mut curve) = (0.0, 0.0);
-        for ((&node, by), old) in self.nodes.items.iter().zip(&self.moved).zip(&self.old) {
-            let new = &self.r[node as usize];
-            for a in 0..3 {
-                work += f64::from(old[a]) * by[a];
-                curve += f64::from(old[a] - new[a]) * by[a];
-            }
-        }
-        if curve > 0.0 && work > 0.0 { work / curve } else { 1.0 }
-    }
-
-    /// Takes only `share` of the correction after all; forces follow linearly.
-    pub(super) fn settle(
-        &mut self,
-        structure: &Structure,
-        coarse: &Multigrid,
-        u: &mut [Vec3],
-        share: f64,
-    ) {
-        for i in 0..self.nodes.items.len() {
-            let node = self.nodes.items[i];
-            let n = node as usize;
-            if share != 1.0 {
-                self.shift(u, node, self.moved[i] * (share - 1.0));
-                for a in 0..3 {
-                    self.r[n][a] = self.old[i][a] + share as f32 * (self.r[n][a] - self.old[i][a]);
-                }
-            }
-            // The total was raised by the same: nothing is left to take over.
-            self.applied[n] = interpolate(&structure.ties[n], &coarse.patches[0].total);
-        }
-    }
-
-    /// One Chebyshev step over the free nodes from the forces in `r`.
-    pub(super) fn relax(&mut self, u: &mut [Vec3], factors: &mut Chebyshev) {
-        let (last, new) = factors.next();
-        for i in 0..self.nodes.items.len() {
-            let node = self.nodes.items[i];
-            let n = node as usize;
-            if !self.free[n] {
-                continue;
-            }
-            let step = apply(&self.inverse[n], &self.r[n]);
-            for a in 0..3 {
-                let before = if last == 0.0 { 0.0 } else { last * self.d[n][a] };
-                self.d[n][a] = before + new * step[a];
-            }
-            let d = self.d[n];
-            let mut by = Vec3::new(f64::from(d[0]), f64::from(d[1]), f64::from(d[2]));
-            let length = by.norm();
-            if !length.is_finite() {
-                self.clamped += 1;
-                self.d[n] = ZERO;
-                continue;
-            }
-            if length > self.move_max {
-                by *= self.move_max / length;
-                self.clamped += 1;
-            }
-            self.shift(u, node, by);
-        }
-    }
-
-    /// Chebyshev factors for the fine level.
-    pub(super) fn smoothing() -> Chebyshev {
-        Chebyshev::new(LOW)
-    }
-
     /// Force of the bricks on one node, computed afresh.
     pub(super) fn force_on(&self, structure: &Structure, u: &[Vec3], node: u32) -> Vec3 {
         let mut sum = Vec3::zeros();
@@ -590,7 +511,11 @@ impl Field {
             self.stale.insert(brick);
         }
         self.refresh(structure, u);
-        let mut r: Vec<[f64; 3]> = self.r.iter().map(|f| [0, 1, 2].map(|a| f64::from(f[a]))).collect();
+        let mut r: Vec<[f64; 3]> = self
+            .r
+            .iter()
+            .map(|f| [0, 1, 2].map(|a| f64::from(f[a])))
+            .collect();
         contacts.pressed(topology, u, |sample, force, _, _| {
             for (node, w) in sample.nodes.iter().zip(sample.weights) {
                 for a in 0..3 {

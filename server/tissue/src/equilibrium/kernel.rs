@@ -147,9 +147,8 @@ impl<S: Simd> Group<S> {
     #[inline(always)]
     fn load(simd: S, form: &Form, u: &Local, direction: usize, from: usize) -> Self {
         let offset = OFFSETS[direction];
-        let difference = |of: &[f32; PADDED]| {
-            V::load(simd, of, from + offset) - V::load(simd, of, from)
-        };
+        let difference =
+            |of: &[f32; PADDED]| V::load(simd, of, from + offset) - V::load(simd, of, from);
         let rest = [
             difference(&form.rest[0]),
             difference(&form.rest[1]),
@@ -378,7 +377,11 @@ fn bulk_forces<S: Simd>(simd: S, form: &Form, u: &Local, f: &mut Local) {
             for a in 0..3 {
                 let mut sum = 0.0;
                 for (axis, push) in push.iter().enumerate() {
-                    sum += if c >> axis & 1 == 1 { push[a][l] } else { -push[a][l] };
+                    sum += if c >> axis & 1 == 1 {
+                        push[a][l]
+                    } else {
+                        -push[a][l]
+                    };
                 }
                 f[a][CORNER[l][c]] -= sum;
             }

@@ -1,6 +1,6 @@
 //! The part of each coarse lattice that takes part in a step, and what waits outside of it.
 //!
-//! The levels are refined around the tools only (a fast adaptive composite grid, McCormick 1989).
+//! The levels are refined around the tools only (a fast adaptive composite grid).
 //! On level l the elements of a *set* take part; some of them are *refined*: their children on the
 //! level below take part in their place. Points whose elements are all in the set are free, those on
 //! its rim follow the coarser level.
@@ -195,7 +195,11 @@ impl Patch {
         }
         let mut most = 0.0f32;
         for (c, &point) in level.corners[e].iter().enumerate() {
-            self.add_lag(point, [force[at(c, 0)], force[at(c, 1)], force[at(c, 2)]], -1.0);
+            self.add_lag(
+                point,
+                [force[at(c, 0)], force[at(c, 1)], force[at(c, 2)]],
+                -1.0,
+            );
             let owed = [0, 1, 2].map(|a| self.owed[e][at(c, a)]);
             most = most.max(owed[0] * owed[0] + owed[1] * owed[1] + owed[2] * owed[2]);
         }

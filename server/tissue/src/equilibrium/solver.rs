@@ -117,6 +117,7 @@ impl Solver {
     }
 
     /// Another solver of the same topology, sharing what does not change.
+    #[must_use]
     pub fn another(&self, topology: &Topology) -> Self {
         Self::over(topology, Arc::clone(&self.structure))
     }
@@ -273,7 +274,11 @@ impl Solver {
         self.dirty = false;
         let u = &mut shape.displacement;
         let carry = self.foresight.look(tools, &self.contacts, &self.held, u);
-        let carry = if self.calmness() < TRUSTED { carry } else { 0.0 };
+        let carry = if self.calmness() < TRUSTED {
+            carry
+        } else {
+            0.0
+        };
         self.coarse.carry_on(&self.structure, carry as f32);
         self.field.begin(&self.structure, &self.coarse, u, carry);
         self.coarse.visits = 0;
@@ -312,7 +317,11 @@ impl Solver {
             } else {
                 FIRST_SHARE
             };
-            let whole = self.coarse.patches.iter().all(|p| p.wanted.items.is_empty());
+            let whole = self
+                .coarse
+                .patches
+                .iter()
+                .all(|p| p.wanted.items.is_empty());
             let calm = sum.sqrt() <= allowed && !lags;
             let done = calm && share <= last && (whole || budget.tolerance >= PROVEN);
             let spent = self.report.iterations >= budget.iterations;
@@ -342,7 +351,13 @@ impl Solver {
     }
 
     /// Stage: what takes part, and the forces on it. Returns their sum of squares.
-    fn take_part(&mut self, topology: &Topology, u: &mut [Vec3], threshold: f64, quick: bool) -> f64 {
+    fn take_part(
+        &mut self,
+        topology: &Topology,
+        u: &mut [Vec3],
+        threshold: f64,
+        quick: bool,
+    ) -> f64 {
         let (structure, coarse) = (&self.structure, &mut self.coarse);
         let touched = self.contacts.nodes.iter().copied();
         self.field
@@ -350,7 +365,7 @@ impl Solver {
         coarse.select(structure, false);
         // What is handed down can be too much to wait on the next level as well.
         while coarse.push(structure, threshold as f32) {
-            self.field.select_wanted(&mut coarse.patches[0]);
+            Field::select_wanted(&mut coarse.patches[0]);
             coarse.select(structure, true);
         }
         self.field.enter(structure, coarse, u);
@@ -521,14 +536,7 @@ impl Solver {
         for sweep in 0..sweeps {
             let threshold =
                 tolerance * reference / (2.0 * (active.items.len() as f64 + 64.0).sqrt());
-            let sum = jacobi::sweep(
-                topology,
-                u,
-                fixed,
-                &mut active,
-                &mut self.moved,
-                threshold,
-            );
+            let sum = jacobi::sweep(topology, u, fixed, &mut active, &mut self.moved, threshold);
             residual = relative(sum, reference);
             if residual <= tolerance {
                 return (sweep, residual);

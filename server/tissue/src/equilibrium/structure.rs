@@ -140,7 +140,7 @@ impl Structure {
         });
         let mut kinds = before.map_or_else(Kinds::default, |b| b.0.kinds.clone());
         let made = bricks_of(topology, &cells, &coarse, before, &mut kinds);
-        let Bricks {
+        let Sorted {
             bricks,
             element_of,
             brick_of,
@@ -275,7 +275,7 @@ fn pieces_of(topology: &Topology) -> Vec<Piece> {
 }
 
 /// The bricks, sorted by their elements.
-struct Bricks {
+struct Sorted {
     bricks: Vec<Brick>,
     element_of: Vec<u32>,
     brick_of: Vec<u32>,
@@ -287,7 +287,7 @@ fn bricks_of(
     coarse: &Coarse,
     before: Option<(&Structure, &[u32])>,
     kinds: &mut Kinds,
-) -> Bricks {
+) -> Sorted {
     let elements = coarse.pieces.len();
     let members = Table::new(
         elements,
@@ -312,7 +312,7 @@ fn bricks_of(
         };
         drafts.iter().map(finish).collect()
     };
-    let mut made = Bricks {
+    let mut made = Sorted {
         bricks: Vec::new(),
         element_of: Vec::new(),
         brick_of: vec![0; cells.len()],
@@ -367,7 +367,10 @@ impl<'a> Changed<'a> {
         let element = self.before.element_of[first as usize];
         let same = |&cell: &u32| {
             self.before.brick_of[cell as usize] == first
-                && topology.corners(cell).iter().all(|&n| !self.touched[n as usize])
+                && topology
+                    .corners(cell)
+                    .iter()
+                    .all(|&n| !self.touched[n as usize])
         };
         let before = self.before;
         cells.iter().all(same).then(|| {

@@ -1,0 +1,105 @@
+//! How the nodes of the fine level move: by the coarse levels' correction, and by smoothing.
+
+use super::block::ZERO;
+use super::cycle::{Chebyshev, LOW, Multigrid};
+use super::field::Field;
+use super::patch::{apply, interpolate};
+use super::structure::Structure;
+use crate::Vec3;
+
+impl Field {
+    /// Moves the nodes of the set by level 1's correction, in full.
+    pub(super) fn correct(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
+        self.moved.clear();
+        self.old.clear();
+        let e = &coarse.patches[0].e;
+        for i in 0..self.nodes.items.len() {
+            let node = self.nodes.items[i];
+            let n = node as usize;
+            self.old.push(self.r[n]);
+            let v = super::cycle::interpolate(&structure.ties[n], e);
+            let by = Vec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
+            let by = if self.fixed[n] { Vec3::zeros() } else { by };
+            self.moved.push(by);
+            self.shift(u, node, by);
+        }
+    }
+
+    /// How much of the correction would have been best, from the forces before and after it.
+    pub(super) fn best_share(&self) -> f64 {
+        let (mut work, mut curve) = (0.0, 0.0);
+        for ((&node, by), old) in self.nodes.items.iter().zip(&self.moved).zip(&self.old) {
+            let new = &self.r[node as usize];
+            for a in 0..3 {
+                work += f64::from(old[a]) * by[a];
+                curve += f64::from(old[a] - new[a]) * by[a];
+            }
+        }
+        if curve > 0.0 && work > 0.0 {
+            work / curve
+        } else {
+            1.0
+        }
+    }
+
+    /// Takes only `share` of the correction after all; forces follow linearly.
+    pub(super) fn settle(
+        &mut self,
+        structure: &Structure,
+        coarse: &Multigrid,
+        u: &mut [Vec3],
+        share: f64,
+    ) {
+        for i in 0..self.nodes.items.len() {
+            let node = self.nodes.items[i];
+            let n = node as usize;
+            if share != 1.0 {
+                self.shift(u, node, self.moved[i] * (share - 1.0));
+                for a in 0..3 {
+                    self.r[n][a] = self.old[i][a] + share as f32 * (self.r[n][a] - self.old[i][a]);
+                }
+            }
+            // The total was raised by the same: nothing is left to take over.
+            self.applied[n] = interpolate(&structure.ties[n], &coarse.patches[0].total);
+        }
+    }
+
+    /// One Chebyshev step over the free nodes from the forces in `r`.
+    pub(super) fn relax(&mut self, u: &mut [Vec3], factors: &mut Chebyshev) {
+        let (last, new) = factors.next();
+        for i in 0..self.nodes.items.len() {
+            let node = self.nodes.items[i];
+            let n = node as usize;
+            if !self.free[n] {
+                continue;
+            }
+            let step = apply(&self.inverse[n], &self.r[n]);
+            for a in 0..3 {
+                let before = if last == 0.0 {
+                    0.0
+                } else {
+                    last * self.d[n][a]
+                };
+                self.d[n][a] = before + new * step[a];
+            }
+            let d = self.d[n];
+            let mut by = Vec3::new(f64::from(d[0]), f64::from(d[1]), f64::from(d[2]));
+            let length = by.norm();
+            if !length.is_finite() {
+                self.clamped += 1;
+                self.d[n] = ZERO;
+                continue;
+            }
+            if length > self.move_max {
+                by *= self.move_max / length;
+                self.clamped += 1;
+            }
+            self.shift(u, node, by);
+        }
+    }
+
+    /// Chebyshev factors for the fine level.
+    pub(super) fn smoothing() -> Chebyshev {
+        Chebyshev::new(LOW)
+    }
+}
