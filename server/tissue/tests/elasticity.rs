@@ -95,8 +95,8 @@ fn prescribe(
 }
 
 fn solve(topology: &Topology, solver: &mut Solver, shape: &mut Shape) {
-    let report = solver.step(topology, shape, &[], Budget::new(300, 1e-5));
-    assert!(report.residual <= 1e-5, "residual {}", report.residual);
+    let report = solver.step(topology, shape, &[], Budget::new(300, 1e-4));
+    assert!(report.residual <= 1e-4, "residual {}", report.residual);
 }
 
 /// Mean displacement per distance along `of` against distance along `over`, over the middle half.

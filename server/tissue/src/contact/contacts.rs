@@ -205,9 +205,11 @@ impl Contacts {
         forces.iter().map(Vec3::norm_squared).sum()
     }
 
-    /// Whether the tool of this number touched in the last step.
-    pub(crate) fn is_touching(&self, tool: u32) -> bool {
-        self.proxies.iter().any(|p| p.id == tool && p.touching)
+    /// Whether the tool of this number touched in the last step, as a sphere: what a point feels
+    /// changes from triangle to triangle.
+    pub(crate) fn is_touching(&self, tool: u32, spacing: f64) -> bool {
+        let mut proxies = self.proxies.iter();
+        proxies.any(|p| p.id == tool && p.touching && !p.is_point(spacing))
     }
 
     /// Position of a touched node in the list of nodes.

@@ -34,8 +34,9 @@ impl Foresight {
         contacts: &Contacts,
         held: &[u32],
         u: &[Vec3],
+        spacing: f64,
     ) -> f64 {
-        let touching = tools.iter().filter(|t| contacts.is_touching(t.id));
+        let touching = tools.iter().filter(|t| contacts.is_touching(t.id, spacing));
         let tools = touching.map(|t| ((false, t.id), t.centre));
         let nodes = held.iter().map(|&n| ((true, n), u[n as usize]));
         let (mut both, mut last, mut now) = (0.0, 0.0, 0.0);

@@ -22,7 +22,7 @@ const SMOOTHING: usize = 3;
 const COARSE_SMOOTHING: [usize; 2] = [3, 2];
 /// Iterations between two computations of the blocks that smoothing divides by, after the first
 /// two of a step.
-const RENEW: usize = 3;
+const RENEW: usize = 1;
 /// Share of the correction of the coarse levels that is taken at least and at most.
 const SHARES: [f64; 2] = [0.2, 2.0];
 /// Part of the allowed residual that a single node may keep at first. When what is active has
@@ -273,7 +273,9 @@ impl Solver {
         }
         self.dirty = false;
         let u = &mut shape.displacement;
-        let carry = self.foresight.look(tools, &self.contacts, &self.held, u);
+        let spacing = topology.model().spacing_m;
+        let (contacts, held) = (&self.contacts, &self.held);
+        let carry = self.foresight.look(tools, contacts, held, u, spacing);
         let carry = if self.calmness() < TRUSTED {
             carry
         } else {
