@@ -1,16 +1,69 @@
-//! `palpate-server inspect`: what a model file holds.
+//! `palpate-server inspect`: what a model file or a label volume holds.
 
 use std::fmt::Write as _;
 use std::path::Path;
 
-use palpate_tissue::{ModelFile, model_hash};
+use palpate_tissue::{LabelVolume, ModelFile, model_hash};
 use serde_json::{Value, json};
 
 use crate::ServerError;
 use crate::build::{BuildSummary, describe};
 
-/// The report of a model file: as one JSON object, and for a person.
+/// What a file holds: as one JSON object, and for a person. Everything that is no model file by its
+/// name is taken for a label volume.
 pub(crate) fn inspect(path: &Path) -> Result<(Value, String), ServerError> {
+    const VOLUMES: [&str; 6] = ["nii", "gz", "nrrd", "nhdr", "dcm", "dicom"];
+    let extension = path.extension().unwrap_or_default().to_string_lossy();
+    if path.is_dir() || VOLUMES.contains(&extension.to_lowercase().as_str()) {
+        return inspect_labels(path);
+    }
+    inspect_model(path)
+}
+
+fn inspect_labels(path: &Path) -> Result<(Value, String), ServerError> {
+    let volume = LabelVolume::read(path)?;
+    let [nx, ny, nz] = volume.size;
+    let [dx, dy, dz] = volume.to_world.spacing_m().map(|d| d * 1e3);
+    let bounds = volume.world_bounds();
+    let mm = |p: &palpate_tissue::Vec3| [p.x * 1e3, p.y * 1e3, p.z * 1e3];
+    let (low, high) = (mm(&bounds.min), mm(&bounds.max));
+    let labels: Vec<(u16, u64, f64)> = volume
+        .counts()
+        .into_iter()
+        .map(|(label, voxels)| (label, voxels, voxels as f64 * volume.voxel_m3() * 1e3))
+        .collect();
+    let linear = &volume.to_world.linear;
+    let origin = &volume.to_world.origin;
+    let affine: Vec<[f64; 4]> = (0..3)
+        .map(|r| [linear[(r, 0)], linear[(r, 1)], linear[(r, 2)], origin[r]].map(|x| x * 1e3))
+        .collect();
+    let value = json!({
+        "size": volume.size,
+        "spacing_mm": [dx, dy, dz],
+        "world": "RAS",
+        "affine_mm": affine,
+        "world_min_mm": low,
+        "world_max_mm": high,
+        "labels": labels.iter().map(|(label, voxels, litres)| {
+            json!({ "label": label, "voxels": voxels, "litres": litres })
+        }).collect::<Vec<_>>(),
+        "warnings": volume.warnings,
+    });
+    let mut text = format!(
+        "{nx} x {ny} x {nz} voxels of {dx:.3} x {dy:.3} x {dz:.3} mm\n\
+         world (RAS, mm): x {:.1} .. {:.1}, y {:.1} .. {:.1}, z {:.1} .. {:.1}\n{:>6} {:>12} {:>10}",
+        low[0], high[0], low[1], high[1], low[2], high[2], "label", "voxels", "litres"
+    );
+    for (label, voxels, litres) in &labels {
+        let _ = write!(text, "\n{label:>6} {voxels:>12} {litres:>10.4}");
+    }
+    for warning in &volume.warnings {
+        let _ = write!(text, "\nwarning: {warning}");
+    }
+    Ok((value, text))
+}
+
+fn inspect_model(path: &Path) -> Result<(Value, String), ServerError> {
     let file = ModelFile::read(path)?;
     let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
     let hash = format!("{:016x}", model_hash(&file.model));

@@ -1,8 +1,8 @@
-//! The deformable model: building it from surfaces, its equilibrium under tools, cutting,
+//! The deformable model: building it from surfaces or label volumes, its equilibrium under tools, cutting,
 //! snapshots and hashes.
 //!
-//! This crate never opens a socket, never reads a clock and knows no file but those of model
-//! formats. Three kinds of data are kept apart: the [`Model`] (immutable, what a model file
+//! This crate never opens a socket, never reads a clock and knows no file but those of
+//! surfaces, label volumes, scenes and models. Three kinds of data are kept apart: the [`Model`] (immutable, what a model file
 //! holds), the [`Topology`] (what cuts change) with one [`Shape`] per view of it (what pressing
 //! changes), and the scratch memory of the solvers.
 
@@ -15,6 +15,7 @@ mod contact;
 mod cut;
 mod equilibrium;
 mod file;
+pub mod labels;
 mod material;
 mod model;
 pub mod sample;
@@ -37,13 +38,14 @@ pub use cut::{
     RestPoint, STROKE_LENGTH_MAX_M, WOUND_WIDTH_MAX_M, cut, to_rest,
 };
 pub use equilibrium::{Budget, Solver, StepReport};
+pub use labels::{LabelError, LabelVolume};
 pub use file::{
     CELLS_MAX, EnvelopeError, FileError, MODEL_FORMAT, ModelFile, NODES_MAX, REGIONS_MAX,
     decode_model, encode_model,
 };
 pub use material::{MATERIAL_NAMES, Material, MaterialError, MaterialOverride};
 pub use model::{Model, Region, RegionId};
-pub use scene::{Scene, SceneError, SceneInput, SceneRegion};
+pub use scene::{RegionSource, Scene, SceneError, SceneInput, SceneRegion};
 pub use shape::Shape;
 pub use snapshot::{SNAPSHOT_FORMAT, SnapshotError, model_hash, restore, snapshot};
 pub use springs::{SPRINGS_PER_NODE_MAX, Spring, Springs};

@@ -115,7 +115,11 @@ pub fn build(
     let grid = Grid::around(&surfaces, spacing);
     let query = label::PointQuery::new(&surfaces);
     check_nesting(input, &query, &mut warnings)?;
-    let input_volumes = label::resolved_volumes(&grid, &surfaces);
+    let mut input_volumes = label::resolved_volumes(&grid, &surfaces);
+    for (volume, voxels) in input_volumes.iter_mut().zip(&input.voxels_m3) {
+        // A label volume is the truth about what it alone describes.
+        *volume = voxels.unwrap_or(*volume);
+    }
 
     progress("casting rays", 0.1);
     let mut labels = label::label(&grid, &surfaces);

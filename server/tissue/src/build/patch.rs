@@ -115,7 +115,11 @@ fn sort_triangle(
             query.region_at(middle - look),
         ) {
             (None, Some(_)) => sorted.outer.push(piece),
-            (Some(_), Some(behind)) if behind == region => sorted.inner.push(piece),
+            // Surfaces that touch without overlap, as those of a label volume, hold every interface
+            // twice; it is the later region's, as where it overrides.
+            (Some(before), Some(behind)) if behind == region && before < region => {
+                sorted.inner.push(piece);
+            }
             _ => {}
         }
     }

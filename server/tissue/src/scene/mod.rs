@@ -19,21 +19,36 @@
 //! [material.fat]                   # optional: changes a built-in material or adds a new one
 //! young_kpa = 10.0
 //! ```
+//!
+//! Regions may come from a label volume instead, some or all of them:
+//!
+//! ```toml
+//! labels = "thigh.nii.gz"          # relative to the scene file; a region may name another one
+//!
+//! [[region]]
+//! name = "muscle"
+//! label = [2, 5]                   # or one number; a label of several regions is the last one's
+//! material = "muscle"
+//! ```
+//!
+//! When the first region comes from labels, its surface goes around all regions of the same volume,
+//! so that, with the later ones overriding it, every voxel is of the region its label names.
 
 mod error;
 mod input;
 mod keys;
 mod parse;
+mod source;
 mod write;
 
 pub use error::SceneError;
 pub use input::SceneInput;
+pub use source::RegionSource;
 pub(crate) use keys::nearest;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use crate::surface::Unit;
 use crate::{Material, MaterialOverride, Region};
 
 /// The one format this version reads and writes.
@@ -53,12 +68,10 @@ pub const SCENE_BYTES_MAX: u64 = 1 << 20;
 pub struct SceneRegion {
     /// Its name, unique in the scene.
     pub name: String,
-    /// File of its closed surface, as the scene gives it (see [`Scene::surface_path`]).
-    pub surface: PathBuf,
+    /// Where its shape comes from.
+    pub source: RegionSource,
     /// Name of its material: built in, or from `[material.NAME]`.
     pub material: String,
-    /// The unit of the surface file.
-    pub unit: Unit,
 }
 
 /// What a scene file says, checked: names are unique, materials and pinned regions exist,
@@ -73,14 +86,14 @@ pub struct Scene {
     pub regions: Vec<SceneRegion>,
     /// `[material.NAME]` tables: changes to built-in materials, and new ones.
     pub materials: BTreeMap<String, MaterialOverride>,
-    /// The folder surface paths are relative to.
+    /// The folder that paths of surfaces and label volumes are relative to.
     pub base: PathBuf,
 }
 
 impl Scene {
-    /// Where a region's surface file is.
-    pub fn surface_path(&self, region: usize) -> PathBuf {
-        self.base.join(&self.regions[region].surface)
+    /// Where the file is that a region's shape comes from: a surface or a label volume.
+    pub fn source_path(&self, region: usize) -> PathBuf {
+        self.base.join(self.regions[region].source.file())
     }
 
     /// The material a region is filled with, overrides applied.
