@@ -27,7 +27,7 @@ use rayon::prelude::*;
 use super::{LabelError, LabelVolume};
 use crate::Surface;
 use crate::scene::REGIONS_MAX;
-use grid::{Grid, OUTSIDE};
+use grid::{BEYOND, Grid, OUTSIDE};
 use net::Net;
 pub use net::NET_VERTICES_MAX;
 
@@ -78,7 +78,7 @@ pub fn surfaces(
     restore::restore(&mut net, &targets);
     let found = (0..regions.len()).into_par_iter().map(|r| {
         let surface = if wrap && r == 0 {
-            shell::shell(&net, |id| id != OUTSIDE)
+            shell::shell(&net, |id| id != OUTSIDE && id != BEYOND)
         } else {
             shell::shell(&net, |id| usize::from(id) == r + 1)
         };

@@ -27,6 +27,8 @@ pub(super) struct Corner {
     pub(super) neighbours: [u32; 6],
     /// Bit d: the vertex may slide towards neighbour d.
     pub(super) follows: u8,
+    /// Whether these are neighbours along a line where three regions meet.
+    pub(super) on_line: bool,
     /// Bit a: the vertex lies in the volume's border across axis a and stays there.
     pub(super) locked: u8,
 }
@@ -200,6 +202,7 @@ impl Corner {
             block,
             neighbours: [NONE; 6],
             follows,
+            on_line: lines != 0,
             locked,
         }
     }

@@ -20,6 +20,10 @@ const SWEEPS: usize = 4;
 /// Part of the way towards the mean of the neighbours in one sweep.
 const STEP: f64 = 0.5;
 
+/// The same for vertices on lines. Half as much, because all their neighbours lie along the line:
+/// the rim of a cylinder then draws in as fast as its side.
+const STEP_ON_LINE: f64 = 0.25;
+
 /// Moves the vertices; `targets` are the volumes of the regions in voxels.
 pub(super) fn smooth(net: &mut Net, targets: &[f64]) {
     for _ in 0..ROUNDS {
@@ -53,7 +57,8 @@ fn slid(net: &Net, v: usize) -> Vec3 {
     if count == 0.0 {
         return own;
     }
-    confined(own + (sum / count - own) * STEP, corner.locked)
+    let step = if corner.on_line { STEP_ON_LINE } else { STEP };
+    confined(own + (sum / count - own) * step, corner.locked)
 }
 
 /// Within reach of the corner, and in the border where the vertex belongs to it.

@@ -180,7 +180,7 @@ fn where_the_image_ends_the_cut_is_flat_and_its_rim_sharp() {
         };
         let all = reach(&mut found.surface.vertices.iter());
         let top = reach(&mut found.surface.vertices.iter().filter(on_top));
-        assert!(top > all - 2e-4, "the rim stands out as far as the side");
+        assert!(top > all - 4e-4, "the rim stands out as far as the side: {top} {all}");
     }
 }
 
