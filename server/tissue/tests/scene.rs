@@ -8,7 +8,7 @@ use std::path::Path;
 use palpate_tissue::sample::Sample;
 use palpate_tissue::scene::REGIONS_MAX;
 use palpate_tissue::{
-    MATERIAL_NAMES, Material, MaterialOverride, Scene, SceneError, SceneInput, Unit,
+    MATERIAL_NAMES, Material, MaterialOverride, RegionSource, Scene, SceneError, SceneInput, Unit,
 };
 use proptest::prelude::*;
 
@@ -51,12 +51,16 @@ fn a_scene_says_what_its_text_says() {
     let names: Vec<&str> = scene.regions.iter().map(|r| r.name.as_str()).collect();
     assert_eq!(names, ["subcutaneous", "muscle", "femur"], "in scene order");
     assert_eq!(
-        scene.surface_path(1),
+        scene.source_path(1),
         Path::new("base/sub/thigh_muscle.stl")
     );
+    let unit_of = |r: usize| match scene.regions[r].source {
+        RegionSource::Surface { unit, .. } => Some(unit),
+        RegionSource::Labels { .. } => None,
+    };
     assert_eq!(
-        (scene.regions[0].unit, scene.regions[2].unit),
-        (Unit::Millimetre, Unit::Metre)
+        (unit_of(0), unit_of(2)),
+        (Some(Unit::Millimetre), Some(Unit::Metre))
     );
     let regions = scene.model_regions().unwrap();
     assert_eq!(
@@ -95,7 +99,7 @@ fn a_written_scene_reads_back_as_itself() {
 }
 
 /// What to put for what in [`THIGH`], and words the message must hold.
-const MISTAKES: [(&str, &str, &[&str]); 26] = [
+const MISTAKES: [(&str, &str, &[&str]); 24] = [
     (
         "spacing_mm",
         "spacing",
@@ -119,7 +123,7 @@ const MISTAKES: [(&str, &str, &[&str]); 26] = [
     (
         "unit = \"m\"",
         "colour = \"m\"",
-        &["line 19", "known are name, surface, material, unit"],
+        &["line 19", "known are name, surface, label, labels, material, unit"],
     ),
     (
         "material = \"muscle\"",
@@ -166,16 +170,6 @@ const MISTAKES: [(&str, &str, &[&str]); 26] = [
         "format = \"palpate-scene/1\"",
         "",
         &["\"format\" is missing"],
-    ),
-    (
-        "pinned = [\"femur\"]",
-        "labels = \"a.nii.gz\"",
-        &["line 3", "label volumes", "not supported"],
-    ),
-    (
-        "surface = \"thigh_femur.stl\"",
-        "label = 3",
-        &["line 17", "label volumes", "not supported"],
     ),
     ("name = \"femur\"\n", "", &["line 15", "no \"name\""]),
     (

@@ -1,5 +1,9 @@
 //! Label volumes written byte by byte, as the formats' definitions say.
 
+#![allow(clippy::unwrap_used)]
+// Each test file uses a part of it.
+#![allow(dead_code)]
+
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -7,25 +11,25 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 
 /// A folder that is removed at the end, for files of one test.
-pub struct Folder(tempfile::TempDir);
+pub(crate) struct Folder(tempfile::TempDir);
 
 impl Folder {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self(tempfile::tempdir().unwrap())
     }
 
-    pub fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         self.0.path()
     }
 
-    pub fn write(&self, name: &str, bytes: &[u8]) -> PathBuf {
+    pub(crate) fn write(&self, name: &str, bytes: &[u8]) -> PathBuf {
         let path = self.0.path().join(name);
         std::fs::write(&path, bytes).unwrap();
         path
     }
 }
 
-pub fn gzip(bytes: &[u8]) -> Vec<u8> {
+pub(crate) fn gzip(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
     encoder.write_all(bytes).unwrap();
     encoder.finish().unwrap()
@@ -33,21 +37,21 @@ pub fn gzip(bytes: &[u8]) -> Vec<u8> {
 
 /// A NIfTI-1 file of 3 x 2 x 2 voxels that hold 0, 1, 2 ... 11, with an sform of 2, 3 and 4 mm.
 #[derive(Clone)]
-pub struct Nifti {
-    pub header: Vec<u8>,
-    pub data: Vec<u8>,
-    pub big_endian: bool,
+pub(crate) struct Nifti {
+    pub(crate) header: Vec<u8>,
+    pub(crate) data: Vec<u8>,
+    pub(crate) big_endian: bool,
 }
 
-pub const VOXELS: usize = 12;
+pub(crate) const VOXELS: usize = 12;
 
 impl Nifti {
     /// `code` is the datatype; `sample` gives a value's little-endian bytes.
-    pub fn new(code: i16, sample: impl Fn(u8) -> Vec<u8>) -> Self {
+    pub(crate) fn new(code: i16, sample: impl Fn(u8) -> Vec<u8>) -> Self {
         Self::in_order(code, false, sample)
     }
 
-    pub fn in_order(code: i16, big_endian: bool, sample: impl Fn(u8) -> Vec<u8>) -> Self {
+    pub(crate) fn in_order(code: i16, big_endian: bool, sample: impl Fn(u8) -> Vec<u8>) -> Self {
         let mut this = Self {
             header: vec![0; 352],
             data: Vec::new(),
@@ -82,12 +86,12 @@ impl Nifti {
     }
 
     /// With unsigned bytes.
-    pub fn bytes() -> Self {
+    pub(crate) fn bytes() -> Self {
         Self::new(2, |v| vec![v])
     }
 
     /// Writes little-endian bytes in the file's order.
-    pub fn put(&mut self, at: usize, le: &[u8]) -> &mut Self {
+    pub(crate) fn put(&mut self, at: usize, le: &[u8]) -> &mut Self {
         let mut bytes = le.to_vec();
         if self.big_endian {
             bytes.reverse();
@@ -96,28 +100,28 @@ impl Nifti {
         self
     }
 
-    pub fn float(&mut self, at: usize, x: f32) -> &mut Self {
+    pub(crate) fn float(&mut self, at: usize, x: f32) -> &mut Self {
         self.put(at, &x.to_le_bytes())
     }
 
-    pub fn short(&mut self, at: usize, x: i16) -> &mut Self {
+    pub(crate) fn short(&mut self, at: usize, x: i16) -> &mut Self {
         self.put(at, &x.to_le_bytes())
     }
 
-    pub fn dims(&mut self, dims: &[i16; 8]) -> &mut Self {
+    pub(crate) fn dims(&mut self, dims: &[i16; 8]) -> &mut Self {
         for (i, d) in dims.iter().enumerate() {
             self.short(40 + 2 * i, *d);
         }
         self
     }
 
-    pub fn file(&self) -> Vec<u8> {
+    pub(crate) fn file(&self) -> Vec<u8> {
         [self.header.as_slice(), &self.data].concat()
     }
 }
 
 /// An NRRD of the same voxels in bytes; `fields` are added to type, dimension, sizes and encoding.
-pub fn nrrd(encoding: &str, fields: &str, data: &[u8]) -> Vec<u8> {
+pub(crate) fn nrrd(encoding: &str, fields: &str, data: &[u8]) -> Vec<u8> {
     let head = format!(
         "NRRD0004\n# a comment\ntype: uchar\ndimension: 3\nsizes: 3 2 2\nencoding: {encoding}\n\
          {fields}Segment0_Name:=liver\n\n"
@@ -126,12 +130,12 @@ pub fn nrrd(encoding: &str, fields: &str, data: &[u8]) -> Vec<u8> {
 }
 
 /// A space of 2, 3 and 4 mm with the origin at (50, -60, 70), in the axes of `space`.
-pub fn space(space: &str) -> String {
+pub(crate) fn space(space: &str) -> String {
     format!(
         "space: {space}\nspace directions: (2,0,0) (0,3,0) (0,0,4)\nspace origin: (50,-60,70)\n"
     )
 }
 
-pub fn ramp() -> Vec<u8> {
+pub(crate) fn ramp() -> Vec<u8> {
     (0..VOXELS as u8).collect()
 }
