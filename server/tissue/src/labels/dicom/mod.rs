@@ -4,15 +4,17 @@
 //! at a time. Pixels must be uncompressed; the tags are those of PS3.3, C.7.6.2 (image plane) and
 //! C.7.6.16 (functional groups).
 
+mod lengths;
+
 use std::path::{Path, PathBuf};
 
 use dicom_object::{InMemDicomObject, OpenFileOptions, Tag};
 use nalgebra::Matrix3;
 
-use super::samples::{Coding, Gather, SampleType};
-use super::volume::checked_size;
-use super::{Affine, LabelError, LabelVolume};
 use crate::Vec3;
+use crate::labels::samples::{Coding, Gather, SampleType};
+use crate::labels::volume::checked_size;
+use crate::labels::{Affine, LabelError, LabelVolume};
 
 /// Most files of a folder that are looked at. Reason: a whole body at 1 mm has 2000 slices. At the
 /// bound the folder is refused.
@@ -48,10 +50,9 @@ const PIXEL_MEASURES: Tag = Tag(0x0028, 0x9110);
 const PIXEL_DATA: Tag = Tag(0x7fe0, 0x0010);
 
 /// Transfer syntaxes whose pixels are plain numbers.
-const PLAIN_SYNTAXES: [&str; 4] = [
+const PLAIN_SYNTAXES: [&str; 3] = [
     "1.2.840.10008.1.2",
     "1.2.840.10008.1.2.1",
-    "1.2.840.10008.1.2.1.99",
     "1.2.840.10008.1.2.2",
 ];
 
@@ -163,12 +164,13 @@ fn headers(path: &Path) -> Result<Vec<Header>, LabelError> {
 fn is_dicom(path: &Path) -> bool {
     let mut start = [0; 132];
     let read = std::fs::File::open(path)
-        .and_then(|mut f| super::samples::read_fully(&mut f, &mut start));
+        .and_then(|mut f| crate::labels::samples::read_fully(&mut f, &mut start));
     read.is_ok_and(|n| n == start.len()) && &start[128..] == b"DICM"
 }
 
 impl Header {
     fn read(path: &Path) -> Result<Self, LabelError> {
+        lengths::check(path).map_err(|e| broken(path, "elements", e.to_string()))?;
         let object = OpenFileOptions::new()
             .read_until(PIXEL_DATA)
             .open_file(path)
