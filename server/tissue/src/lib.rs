@@ -38,11 +38,11 @@ pub use cut::{
     RestPoint, STROKE_LENGTH_MAX_M, WOUND_WIDTH_MAX_M, cut, to_rest,
 };
 pub use equilibrium::{Budget, Solver, StepReport};
-pub use labels::{LabelError, LabelVolume};
 pub use file::{
     CELLS_MAX, EnvelopeError, FileError, MODEL_FORMAT, ModelFile, NODES_MAX, REGIONS_MAX,
     decode_model, encode_model,
 };
+pub use labels::{LabelError, LabelVolume};
 pub use material::{MATERIAL_NAMES, Material, MaterialError, MaterialOverride};
 pub use model::{Model, Region, RegionId};
 pub use scene::{RegionSource, Scene, SceneError, SceneInput, SceneRegion};

@@ -66,7 +66,11 @@ fn nifti_of_every_number_type_and_either_byte_order_holds_the_same_labels() {
 fn sform_goes_before_qform_and_that_before_bare_voxel_sizes() {
     let mut file = Nifti::bytes();
     file.short(252, 1);
-    assert_at(&read("a.nii", &file.file()).unwrap(), [0.0; 3], [50.0, -60.0, 70.0]);
+    assert_at(
+        &read("a.nii", &file.file()).unwrap(),
+        [0.0; 3],
+        [50.0, -60.0, 70.0],
+    );
     // Half a turn about z, with the third axis mirrored.
     file.short(254, 0).float(264, 1.0).float(76, -1.0);
     for (i, x) in [10.0, 20.0, 30.0].into_iter().enumerate() {
@@ -93,7 +97,11 @@ fn units_of_the_header_count() {
         &["8000.000 mm", "millimetres under a header that says metres"],
     );
     file.header[123] = 0;
-    assert_at(&read("a.nii", &file.file()).unwrap(), [0.0; 3], [50.0, -60.0, 70.0]);
+    assert_at(
+        &read("a.nii", &file.file()).unwrap(),
+        [0.0; 3],
+        [50.0, -60.0, 70.0],
+    );
 }
 
 #[test]
@@ -112,7 +120,10 @@ fn a_fourth_axis_with_one_entry_is_none_and_with_more_is_refused() {
     file.dims(&[5, 3, 2, 2, 1, 1, 1, 1]);
     assert_ramp(&read("a.nii", &file.file()).unwrap());
     file.dims(&[4, 3, 2, 1, 2, 1, 1, 1]);
-    assert_says(&refusal("a.nii", &file.file()), &["4 axes", "fourth has 2 entries"]);
+    assert_says(
+        &refusal("a.nii", &file.file()),
+        &["4 axes", "fourth has 2 entries"],
+    );
 }
 
 #[test]
@@ -127,13 +138,25 @@ fn what_a_nifti_header_can_have_wrong_is_named() {
         (|f| _ = f.short(42, -3), &["dim[1]", "-3"]),
         (|f| _ = f.float(108, 1e9), &["vox_offset", "1000000000"]),
         (|f| _ = f.float(108, f32::NAN), &["vox_offset"]),
-        (|f| f.header[344..348].copy_from_slice(b"ni1\0"), &["pair of files"]),
+        (
+            |f| f.header[344..348].copy_from_slice(b"ni1\0"),
+            &["pair of files"],
+        ),
         (|f| _ = f.put(0, &540_i32.to_le_bytes()), &["NIfTI-2"]),
         (|f| _ = f.float(280, 0.0), &["sform", "first axis is zero"]),
         (|f| _ = f.float(280, f32::INFINITY), &["sform", "infinite"]),
-        (|f| _ = f.float(284, 3.0).float(300, 0.0), &["sform", "singular"]),
         (
-            |f| _ = f.short(254, 0).short(252, 1).float(256, 0.9).float(260, 0.9),
+            |f| _ = f.float(284, 3.0).float(300, 0.0),
+            &["sform", "singular"],
+        ),
+        (
+            |f| {
+                _ = f
+                    .short(254, 0)
+                    .short(252, 1)
+                    .float(256, 0.9)
+                    .float(260, 0.9)
+            },
             &["qform", "not normalised", "1.27"],
         ),
     ];
@@ -144,15 +167,24 @@ fn what_a_nifti_header_can_have_wrong_is_named() {
     }
     assert_says(&refusal("a.nii", b"not at all"), &["ends after 10 bytes"]);
     assert_says(&refusal("a.nii", &[7; 400]), &["not a NIfTI file"]);
-    assert_says(&refusal("a.vtk", &[7; 400]), &["extensions", ".nii.gz", ".nrrd"]);
+    assert_says(
+        &refusal("a.vtk", &[7; 400]),
+        &["extensions", ".nii.gz", ".nrrd"],
+    );
 }
 
 #[test]
 fn samples_that_are_no_labels_are_refused_with_the_voxel() {
     let half = Nifti::new(16, |v| (f32::from(v) / 4.0).to_le_bytes().into());
-    assert_says(&refusal("a.nii", &half.file()), &["voxel (1, 0, 0)", "0.25"]);
+    assert_says(
+        &refusal("a.nii", &half.file()),
+        &["voxel (1, 0, 0)", "0.25"],
+    );
     let negative = Nifti::new(4, |v| (4 - i16::from(v)).to_le_bytes().into());
-    assert_says(&refusal("a.nii", &negative.file()), &["voxel (2, 1, 0)", "-1"]);
+    assert_says(
+        &refusal("a.nii", &negative.file()),
+        &["voxel (2, 1, 0)", "-1"],
+    );
     let nan = Nifti::new(64, |_| f64::NAN.to_le_bytes().into());
     assert_says(&refusal("a.nii", &nan.file()), &["voxel (0, 0, 0)", "NaN"]);
     let large = Nifti::new(8, |v| (65530 + i32::from(v)).to_le_bytes().into());
@@ -164,7 +196,10 @@ fn a_header_that_promises_more_than_there_is_is_refused_before_memory_is_taken()
     let mut file = Nifti::bytes();
     file.dims(&[3, 600, 600, 700, 1, 1, 1, 1]);
     assert_says(&refusal("a.nii", &file.file()), &["12 of 252000000 voxels"]);
-    assert_says(&refusal("a.nii.gz", &gzip(&file.file())), &["12 of 252000000"]);
+    assert_says(
+        &refusal("a.nii.gz", &gzip(&file.file())),
+        &["12 of 252000000"],
+    );
     file.dims(&[3, 30000, 30000, 30000, 1, 1, 1, 1]);
     assert_says(
         &refusal("a.nii", &file.file()),
@@ -176,7 +211,10 @@ fn a_header_that_promises_more_than_there_is_is_refused_before_memory_is_taken()
 fn a_damaged_gzip_file_is_refused_with_how_far_it_came() {
     let whole = gzip(&Nifti::bytes().file());
     for length in 20..whole.len() {
-        assert!(read("a.nii.gz", &whole[..length]).is_err(), "{length} bytes");
+        assert!(
+            read("a.nii.gz", &whole[..length]).is_err(),
+            "{length} bytes"
+        );
     }
     let text = refusal("a.nii.gz", &whole[..whole.len() - 9]);
     assert_says(&text, &["voxels", "again"]);
@@ -192,7 +230,11 @@ fn nrrd_of_every_encoding_attached_or_detached_holds_the_same_labels() {
     let text: Vec<String> = ramp().iter().map(u8::to_string).collect();
     let text = text.join(" \n");
     let packed = gzip(&ramp());
-    let data = [("raw", ramp()), ("gzip", packed), ("ascii", text.into_bytes())];
+    let data = [
+        ("raw", ramp()),
+        ("gzip", packed),
+        ("ascii", text.into_bytes()),
+    ];
     for (encoding, data) in data {
         let volume = read("a.nrrd", &nrrd(encoding, &fields, &data)).unwrap();
         assert_ramp(&volume);
@@ -234,7 +276,8 @@ fn nrrd_axes_that_are_none_of_space_must_have_one_entry() {
     let file = |sizes: &str| {
         let fields = "space: RAS\nspace directions: none (2,0,0) (0,3,0) (0,0,4)\n";
         let text = String::from_utf8(nrrd("raw", fields, &ramp())).unwrap();
-        text.replace("dimension: 3", "dimension: 4").replace("3 2 2", sizes)
+        text.replace("dimension: 3", "dimension: 4")
+            .replace("3 2 2", sizes)
     };
     assert_ramp(&read("a.nrrd", file("1 3 2 2").as_bytes()).unwrap());
     let text = refusal("a.nrrd", file("3 2 2 1").as_bytes());
@@ -246,13 +289,29 @@ fn what_an_nrrd_header_can_have_wrong_is_named_with_its_line() {
     let mistakes: [(&str, &str, &[&str]); 13] = [
         ("uchar", "block", &["\"block\"", "whole numbers"]),
         ("uchar", "short", &["endian", "missing"]),
-        ("dimension: 3", "dimension: 99", &["dimension (line 4)", "99"]),
-        ("dimension: 3", "dimension: three", &["dimension", "\"three\""]),
-        ("sizes: 3 2 2", "sizes: 3 2", &["sizes (line 5)", "2 numbers for 3 axes"]),
+        (
+            "dimension: 3",
+            "dimension: 99",
+            &["dimension (line 4)", "99"],
+        ),
+        (
+            "dimension: 3",
+            "dimension: three",
+            &["dimension", "\"three\""],
+        ),
+        (
+            "sizes: 3 2 2",
+            "sizes: 3 2",
+            &["sizes (line 5)", "2 numbers for 3 axes"],
+        ),
         ("sizes: 3 2 2", "sizes: 3 2 -2", &["sizes", "\"-2\""]),
         ("sizes: 3 2 2", "sizes: 3 0 2", &["3 x 0 x 2"]),
         ("raw", "bzip2", &["encoding", "\"bzip2\"", "gzip"]),
-        ("space: RAS", "space: sideways", &["space", "\"sideways\"", "LPS"]),
+        (
+            "space: RAS",
+            "space: sideways",
+            &["space", "\"sideways\"", "LPS"],
+        ),
         ("(0,3,0)", "(0,3)", &["space directions", "(x,y,z)"]),
         ("(0,3,0)", "(2,0,0)", &["singular"]),
         ("NRRD", "XRRD", &["not an NRRD file"]),
@@ -262,7 +321,10 @@ fn what_an_nrrd_header_can_have_wrong_is_named_with_its_line() {
     assert_ramp(&read("a.nrrd", good.as_bytes()).unwrap());
     for (what, by, words) in mistakes {
         assert!(good.contains(what));
-        assert_says(&refusal("a.nrrd", good.replacen(what, by, 1).as_bytes()), words);
+        assert_says(
+            &refusal("a.nrrd", good.replacen(what, by, 1).as_bytes()),
+            words,
+        );
     }
     let short = &good.as_bytes()[..good.len() - 4];
     assert_says(&refusal("a.nrrd", short), &["8 of 12 voxels"]);
@@ -301,15 +363,21 @@ fn real_labels_and_surfaces_of_one_body_coincide() {
     for (part, label, surface) in [("thigh", 3, "thigh_femur"), ("shank", 3, "shank_tibia")] {
         let path = leg.join(format!("{part}_labels_2mm.nii.gz"));
         let volume = LabelVolume::read(&path).unwrap();
-        let regions = [labels::LabelRegion { labels: vec![label] }];
-        let found = labels::surfaces(&volume, &path, &regions, false).unwrap();
+        let regions = [labels::LabelRegion {
+            labels: vec![label],
+        }];
+        let found = labels::surfaces(&volume, &path, &regions, false, 0.0).unwrap();
         let file = leg.join(format!("{surface}.stl"));
         let surface = palpate_tissue::Surface::read(&file, Default::default()).unwrap();
         let own = found[0].surface.aabb().unwrap();
         let given = surface.aabb().unwrap();
         // The shank's label holds the fibula too, so its box may only be larger.
-        assert!((own.max.x - given.max.x).abs() < 2.5e-3 && (own.max.z - given.max.z).abs() < 2.5e-3);
-        assert!((own.max.y - given.max.y).abs() < 2.5e-3 && (own.min.z - given.min.z).abs() < 2.5e-3);
+        assert!(
+            (own.max.x - given.max.x).abs() < 2.5e-3 && (own.max.z - given.max.z).abs() < 2.5e-3
+        );
+        assert!(
+            (own.max.y - given.max.y).abs() < 2.5e-3 && (own.min.z - given.min.z).abs() < 2.5e-3
+        );
     }
 }
 

@@ -172,13 +172,22 @@ fn what_is_no_series_of_labels_is_refused_with_the_place() {
     type Change = fn(&mut Image);
     let mistakes: [(Change, &[&str]); 8] = [
         (|i| i.series = "9.9", &["series", "1.dcm"]),
-        (|i| i.position = Some([10.0, 20.0, 36.5]), &["evenly spaced", "6.500 mm"]),
+        (
+            |i| i.position = Some([10.0, 20.0, 36.5]),
+            &["evenly spaced", "6.500 mm"],
+        ),
         (|i| i.position = Some([10.0, 20.0, 30.0]), &["one place"]),
         (|i| i.position = None, &["1.dcm", "missing"]),
-        (|i| i.orientation = "0\\1\\0\\1\\0\\0", &["orientation", "1.dcm"]),
+        (
+            |i| i.orientation = "0\\1\\0\\1\\0\\0",
+            &["orientation", "1.dcm"],
+        ),
         (|i| i.bits = 1, &["of 1 bits", "1.dcm"]),
         (|i| i.pixels.truncate(4), &["pixel data", "1.dcm"]),
-        (|i| i.syntax = "1.2.840.10008.1.2.4.90", &["compressed", "1.dcm"]),
+        (
+            |i| i.syntax = "1.2.840.10008.1.2.4.90",
+            &["compressed", "1.dcm"],
+        ),
     ];
     for (change, words) in mistakes {
         let message = with(&change);
@@ -189,7 +198,10 @@ fn what_is_no_series_of_labels_is_refused_with_the_place() {
     let folder = Folder::new();
     folder.write("notes.txt", b"not an image");
     let message = LabelVolume::read(folder.path()).unwrap_err().to_string();
-    assert!(message.contains("no file in this folder is DICOM"), "{message}");
+    assert!(
+        message.contains("no file in this folder is DICOM"),
+        "{message}"
+    );
 }
 
 #[test]

@@ -50,10 +50,7 @@ fn a_scene_says_what_its_text_says() {
     assert_eq!(scene.pinned, ["femur"]);
     let names: Vec<&str> = scene.regions.iter().map(|r| r.name.as_str()).collect();
     assert_eq!(names, ["subcutaneous", "muscle", "femur"], "in scene order");
-    assert_eq!(
-        scene.source_path(1),
-        Path::new("base/sub/thigh_muscle.stl")
-    );
+    assert_eq!(scene.source_path(1), Path::new("base/sub/thigh_muscle.stl"));
     let unit_of = |r: usize| match scene.regions[r].source {
         RegionSource::Surface { unit, .. } => Some(unit),
         RegionSource::Labels { .. } => None,
@@ -123,7 +120,10 @@ const MISTAKES: [(&str, &str, &[&str]); 24] = [
     (
         "unit = \"m\"",
         "colour = \"m\"",
-        &["line 19", "known are name, surface, label, labels, material, unit"],
+        &[
+            "line 19",
+            "known are name, surface, label, labels, material, unit",
+        ],
     ),
     (
         "material = \"muscle\"",

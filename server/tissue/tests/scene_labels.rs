@@ -56,21 +56,40 @@ fn a_region_names_a_surface_or_labels_of_its_own_volume_or_the_scenes() {
 #[test]
 fn mistakes_in_labels_are_named_with_their_line() {
     let mistakes: [(&str, &str, &[&str]); 9] = [
-        ("label = 1\n", "", &["line 5", "neither \"label\" nor \"surface\""]),
-        ("label = 1\n", "label = 1\nsurface = \"a.stl\"\n", &["line 8", "not both"]),
-        ("label = 1\n", "label = 1\nunit = \"m\"\n", &["line 8", "header"]),
+        (
+            "label = 1\n",
+            "",
+            &["line 5", "neither \"label\" nor \"surface\""],
+        ),
+        (
+            "label = 1\n",
+            "label = 1\nsurface = \"a.stl\"\n",
+            &["line 8", "not both"],
+        ),
+        (
+            "label = 1\n",
+            "label = 1\nunit = \"m\"\n",
+            &["line 8", "header"],
+        ),
         ("label = 1\n", "label = -1\n", &["line 7", "0 to 65535"]),
         ("label = 1\n", "label = 1.5\n", &["line 7", "0 to 65535"]),
         ("label = 1\n", "label = []\n", &["line 7", "names no label"]),
         ("label = 1\n", "label = \"one\"\n", &["line 7", "a number"]),
         ("label = 0\n", "", &["line 22", "no label of it"]),
-        ("labels = \"thigh.nii.gz\"\n", "", &["line 6", "no label volume is named"]),
+        (
+            "labels = \"thigh.nii.gz\"\n",
+            "",
+            &["line 6", "no label volume is named"],
+        ),
     ];
     for (from, to, words) in mistakes {
         let text = THIGH.replacen(from, to, 1);
         let message = Scene::parse(&text, Path::new("")).unwrap_err().to_string();
         for word in words {
-            assert!(message.contains(word), "{from} -> {to}: {message} (no {word})");
+            assert!(
+                message.contains(word),
+                "{from} -> {to}: {message} (no {word})"
+            );
         }
     }
 }
@@ -97,7 +116,8 @@ fn drum() -> Vec<u8> {
 }
 
 fn drum_scene(regions: &[(&str, &str)]) -> String {
-    let mut text = "format = \"palpate-scene/1\"\nspacing_mm = 4.0\nlabels = \"drum.nii\"\n".to_owned();
+    let mut text =
+        "format = \"palpate-scene/1\"\nspacing_mm = 4.0\nlabels = \"drum.nii\"\n".to_owned();
     for (name, source) in regions {
         text += &format!("[[region]]\nname = \"{name}\"\n{source}\nmaterial = \"fat\"\n");
     }
@@ -118,7 +138,10 @@ fn a_labelled_scene_builds_to_the_volumes_of_its_voxels() {
     let folder = Folder::new();
     folder.write("drum.nii", &drum());
     // In any order of the regions: every voxel is of the region its label names.
-    for order in [["label = 1", "label = 2", "label = 3"], ["label = 3", "label = 1", "label = 2"]] {
+    for order in [
+        ["label = 1", "label = 2", "label = 3"],
+        ["label = 3", "label = 1", "label = 2"],
+    ] {
         let names = ["a", "b", "c"];
         let regions: Vec<(&str, &str)> = names.into_iter().zip(order).collect();
         let (input, report) = built(&folder, &drum_scene(&regions));
@@ -143,8 +166,18 @@ fn labels_and_surfaces_mix_and_later_regions_override() {
             .map(|c| Vec3::new(corner(c, 0), corner(c, 1) + 0.02, corner(c, 2) + 0.122))
             .collect(),
         triangles: [
-            [0, 2, 3], [0, 3, 1], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4],
-            [2, 6, 7], [2, 7, 3], [0, 4, 6], [0, 6, 2], [1, 3, 7], [1, 7, 5],
+            [0, 2, 3],
+            [0, 3, 1],
+            [4, 5, 7],
+            [4, 7, 6],
+            [0, 1, 5],
+            [0, 5, 4],
+            [2, 6, 7],
+            [2, 7, 3],
+            [0, 4, 6],
+            [0, 6, 2],
+            [1, 3, 7],
+            [1, 7, 5],
         ]
         .to_vec(),
     };
@@ -180,7 +213,10 @@ fn what_is_wrong_with_a_label_volume_reaches_the_person_with_its_file() {
     folder.write("drum.nii", &drum()[..5000]);
     let scene = folder.write("s.toml", drum_scene(&[("a", "label = 1")]).as_bytes());
     let message = SceneInput::load(&scene).unwrap_err().to_string();
-    assert!(message.contains("drum.nii") && message.contains("4648 of 38400 voxels"), "{message}");
+    assert!(
+        message.contains("drum.nii") && message.contains("4648 of 38400 voxels"),
+        "{message}"
+    );
 }
 
 /// Builds a real body and compares with its voxels; needs PALPATE_DATA.

@@ -102,7 +102,11 @@ fn elements_of_other_kinds_are_passed_over() {
         "element edge 2\nproperty int vertex1\nproperty list uchar float more\nelement face",
     );
     let first_face = text.find("4 0 2 3 1").unwrap();
-    let text = format!("{}7 2 0.5 0.5\n8 0\n{}", &text[..first_face], &text[first_face..]);
+    let text = format!(
+        "{}7 2 0.5 0.5\n8 0\n{}",
+        &text[..first_face],
+        &text[first_face..]
+    );
     assert!((read(text.as_bytes()).unwrap().volume() - 8e-6).abs() < 1e-15);
 }
 
@@ -111,11 +115,23 @@ fn what_is_broken_is_named_with_its_place() {
     let mistakes: [(&str, &str, &[&str]); 11] = [
         ("ply\n", "plx\n", &["not a PLY file", ".stl"]),
         ("end_header\n", "", &["header"]),
-        ("element vertex 8", "element vertex 8000000", &["8000000 of \"vertex\"", "bytes left"]),
+        (
+            "element vertex 8",
+            "element vertex 8000000",
+            &["8000000 of \"vertex\"", "bytes left"],
+        ),
         ("element face 6", "element face 99999999", &["99999999"]),
-        ("element vertex 8", "element nothing 4000000000\nelement vertex 8", &["\"nothing\""]),
+        (
+            "element vertex 8",
+            "element nothing 4000000000\nelement vertex 8",
+            &["\"nothing\""],
+        ),
         ("property float z\n", "", &["x, y and z"]),
-        ("property list uchar int vertex_indices", "property int v", &["list vertex_indices"]),
+        (
+            "property list uchar int vertex_indices",
+            "property int v",
+            &["list vertex_indices"],
+        ),
         ("4 0 2 3 1", "4 0 2 3 8", &["face 1", "vertex 8 of 8"]),
         ("4 0 2 3 1", "4 0 2 3 -1", &["face 1", "vertex -1"]),
         ("4 4 5 7 6", "2 4 5", &["face 2", "2 corners"]),
@@ -126,13 +142,19 @@ fn what_is_broken_is_named_with_its_place() {
         assert_ne!(text, ascii(), "{from}");
         let message = read(text.as_bytes()).unwrap_err().to_string();
         for word in words {
-            assert!(message.contains(word), "{from} -> {to}: {message} (no {word})");
+            assert!(
+                message.contains(word),
+                "{from} -> {to}: {message} (no {word})"
+            );
         }
         assert!(message.contains("a.ply"), "{message}");
     }
     let whole = binary(false);
     let message = read(&whole[..whole.len() - 3]).unwrap_err().to_string();
-    assert!(message.contains("\"face\" 1 to 6") && message.contains("ends in the middle"), "{message}");
+    assert!(
+        message.contains("\"face\" 1 to 6") && message.contains("ends in the middle"),
+        "{message}"
+    );
 }
 
 #[test]

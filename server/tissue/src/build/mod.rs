@@ -194,6 +194,10 @@ fn check_nesting(
     query: &label::PointQuery<'_>,
     warnings: &mut Vec<String>,
 ) -> Result<(), BuildError> {
+    if input.voxels_m3.iter().all(Option::is_some) {
+        // Regions of one label volume: the first surface goes around the others by construction.
+        return Ok(());
+    }
     let name = |r: usize| input.scene.regions[r].name.clone();
     for (r, surface) in input.surfaces.iter().enumerate().skip(1) {
         let outside = surface

@@ -9,11 +9,17 @@ use super::lattice::Lattice;
 use super::snap::Constraint;
 use crate::{FACES, NO_CELL, Vec3, cell_volume};
 
-/// Rounds of correction; the second one takes up what the first leaves by moving rims.
-const ROUNDS: usize = 2;
-/// Farthest that a node is moved in one round, in spacings. A region that misses more volume than
-/// this gives has lost thin parts, and blowing up the rest would be a lie.
-const SHIFT_MAX: f64 = 0.1;
+/// Most rounds of correction. Nodes on rims and on several interfaces stay, so that each round leaves
+/// a part to the next; two are enough for a limb, a skin of one cell's thickness takes eight.
+const ROUNDS_MAX: usize = 8;
+/// Correction ends when every region is within this part of its volume.
+const EXACT: f64 = 1e-3;
+/// Farthest that an interface is moved in all, in spacings; a skin thinner than a cell needs a third.
+/// A region that misses more volume than this gives has lost thin parts, and blowing up the rest
+/// would be a lie.
+const SHIFT_MAX: f64 = 0.4;
+/// The same for one round, so that the interface's normals are still its own.
+const STEP_MAX: f64 = 0.1;
 
 /// One interface of the model: the outer surface, or where region `r` overrides others.
 #[derive(Clone, Copy, PartialEq)]
@@ -30,29 +36,35 @@ pub(super) fn restore_volumes(
     spacing: f64,
     positions: &mut [Vec3],
 ) {
-    for _ in 0..ROUNDS {
+    // Signed distance that each interface has moved: region by region, the outer surface at the end.
+    let mut shifted = vec![0.0; targets.len() + 1];
+    for _ in 0..ROUNDS_MAX {
+        let mut missing_most: f64 = 0.0;
         // Innermost (last) regions first, the outer surface at the end: each takes from the one
         // around it, so one pass settles nested regions.
-        for region in (1..targets.len()).rev() {
-            let missing = targets[region] - volume(lattice, positions, |r| r == region);
-            shift(
+        for region in (0..targets.len()).rev() {
+            let (interface, whole, missing, slot) = if region == 0 {
+                let whole: f64 = targets.iter().sum();
+                let missing = whole - volume(lattice, positions, |_| true);
+                (Interface::Outer, whole, missing, targets.len())
+            } else {
+                let missing = targets[region] - volume(lattice, positions, |r| r == region);
+                (Interface::Of(region), targets[region], missing, region)
+            };
+            missing_most = missing_most.max((missing / whole).abs());
+            shifted[slot] += shift(
                 lattice,
                 constraints,
-                Interface::Of(region),
+                interface,
                 missing,
                 spacing,
+                shifted[slot],
                 positions,
             );
         }
-        let missing = targets.iter().sum::<f64>() - volume(lattice, positions, |_| true);
-        shift(
-            lattice,
-            constraints,
-            Interface::Outer,
-            missing,
-            spacing,
-            positions,
-        );
+        if missing_most <= EXACT {
+            break;
+        }
     }
 }
 
@@ -63,14 +75,17 @@ fn volume(lattice: &Lattice, positions: &[Vec3], counts: impl Fn(usize) -> bool)
         .sum()
 }
 
+/// Moves the nodes of one interface outwards by what is missing, as far as `shifted`, the distance
+/// it has moved before, leaves room; returns by how much.
 fn shift(
     lattice: &Lattice,
     constraints: &[Constraint],
     interface: Interface,
     missing: f64,
     spacing: f64,
+    shifted: f64,
     positions: &mut [Vec3],
-) {
+) -> f64 {
     let mut normal = vec![Vec3::zeros(); positions.len()];
     let mut area = 0.0;
     for cell in &lattice.cells {
@@ -96,9 +111,11 @@ fn shift(
         }
     }
     if area == 0.0 {
-        return;
+        return 0.0;
     }
-    let distance = (missing / area).clamp(-SHIFT_MAX * spacing, SHIFT_MAX * spacing);
+    let (step, most) = (STEP_MAX * spacing, SHIFT_MAX * spacing);
+    let distance = (missing / area).clamp(-step, step);
+    let distance = (shifted + distance).clamp(-most, most) - shifted;
     for (node, constraint) in constraints.iter().enumerate() {
         let alone = match interface {
             Interface::Outer => constraint.outer && constraint.owners == 0,
@@ -112,4 +129,5 @@ fn shift(
             positions[node] += out * distance;
         }
     }
+    distance
 }

@@ -71,7 +71,13 @@ impl LabelVolume {
     /// The box around all voxels (their outer corners, not their middles) in the world, in m.
     pub fn world_bounds(&self) -> Aabb {
         let corners: [Vec3; 8] = std::array::from_fn(|c| {
-            let at = |a: usize| if c >> a & 1 == 1 { self.size[a] as f64 } else { 0.0 };
+            let at = |a: usize| {
+                if c >> a & 1 == 1 {
+                    self.size[a] as f64
+                } else {
+                    0.0
+                }
+            };
             self.to_world
                 .world(&(Vec3::new(at(0), at(1), at(2)) - Vec3::repeat(0.5)))
         });

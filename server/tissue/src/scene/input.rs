@@ -6,6 +6,10 @@ use super::{RegionSource, Scene, SceneError};
 use crate::labels::{self, LabelRegion, LabelVolume};
 use crate::surface::Surface;
 
+/// Voxels up to this part of the spacing are joined before their surfaces are extracted. Half a
+/// spacing is what separates a node from the next crossing.
+const FINEST: f64 = 0.5;
+
 /// What the builder takes, whether it came from files or was generated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneInput {
@@ -103,7 +107,9 @@ impl SceneInput {
         let volume = LabelVolume::read(&path)?;
         let say = |w: &String| format!("{}: {w}", file.display());
         self.warnings.extend(volume.warnings.iter().map(say));
-        let found = labels::surfaces(&volume, &path, &regions, members.first() == Some(&0))?;
+        let wrap = members.first() == Some(&0);
+        let finest_m = self.scene.spacing_m * FINEST;
+        let found = labels::surfaces(&volume, &path, &regions, wrap, finest_m)?;
         let alone = members.len() == self.scene.regions.len();
         for (r, found) in members.into_iter().zip(found) {
             self.surfaces[r] = found.surface;

@@ -43,8 +43,8 @@ mod write;
 
 pub use error::SceneError;
 pub use input::SceneInput;
-pub use source::RegionSource;
 pub(crate) use keys::nearest;
+pub use source::RegionSource;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

@@ -143,7 +143,10 @@ impl Ply<'_> {
                 what: what.to_owned(),
             });
         }
-        let mut order = header.elements.keys().filter(|k| *k == "vertex" || *k == "face");
+        let mut order = header
+            .elements
+            .keys()
+            .filter(|k| *k == "vertex" || *k == "face");
         if order.next().is_some_and(|first| first == "face") {
             let what = "faces stand before vertices".to_owned();
             return Err(self.wrong("header", what));
@@ -151,7 +154,11 @@ impl Ply<'_> {
         Ok(())
     }
 
-    fn vertices(&mut self, def: &ElementDef, header: &Header) -> Result<Vec<[f32; 3]>, SurfaceError> {
+    fn vertices(
+        &mut self,
+        def: &ElementDef,
+        header: &Header,
+    ) -> Result<Vec<[f32; 3]>, SurfaceError> {
         let mut at = Vec::new();
         self.each(def, header, |_, vertex| {
             at.push(vertex.at);
@@ -176,9 +183,9 @@ impl Ply<'_> {
             }
             let corner = |v: i64| {
                 let found = usize::try_from(v).ok().and_then(|v| at.get(v));
-                found.copied().ok_or_else(|| {
-                    wrong(format!("it names vertex {v} of {}", at.len()))
-                })
+                found
+                    .copied()
+                    .ok_or_else(|| wrong(format!("it names vertex {v} of {}", at.len())))
             };
             let first = corner(face.corners[0])?;
             for pair in face.corners[1..].windows(2) {
@@ -209,7 +216,12 @@ impl Ply<'_> {
                 .parser
                 .read_payload_for_element(&mut self.reader, &block, header);
             let read = read.map_err(|e| {
-                let place = format!("\"{:.40}\" {} to {}", def.name, done + 1, done + block.count);
+                let place = format!(
+                    "\"{:.40}\" {} to {}",
+                    def.name,
+                    done + 1,
+                    done + block.count
+                );
                 self.broken(&place, &e)
             })?;
             for element in read {
@@ -224,7 +236,11 @@ impl Ply<'_> {
         let what = match e.kind() {
             ErrorKind::UnexpectedEof => "the file ends in the middle".to_owned(),
             // The parser repeats the line it stumbled over, on a line of its own.
-            _ => e.to_string().split_whitespace().collect::<Vec<_>>().join(" "),
+            _ => e
+                .to_string()
+                .split_whitespace()
+                .collect::<Vec<_>>()
+                .join(" "),
         };
         self.wrong(place, what.chars().take(200).collect())
     }

@@ -76,7 +76,11 @@ impl Nifti {
         this.float(108, 352.0);
         this.header[123] = 2;
         this.put(254, &1_i16.to_le_bytes());
-        let rows = [[2.0, 0.0, 0.0, 50.0], [0.0, 3.0, 0.0, -60.0], [0.0, 0.0, 4.0, 70.0]];
+        let rows = [
+            [2.0, 0.0, 0.0, 50.0],
+            [0.0, 3.0, 0.0, -60.0],
+            [0.0, 0.0, 4.0, 70.0],
+        ];
         for (r, row) in rows.iter().enumerate() {
             for (c, x) in row.iter().enumerate() {
                 this.float(280 + 16 * r + 4 * c, *x);

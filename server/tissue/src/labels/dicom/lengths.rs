@@ -14,8 +14,8 @@ const PREAMBLE: i64 = 132;
 const UNDEFINED: u32 = u32::MAX;
 /// Value representations with a length of 16 bits; all others, known or not, have one of 32.
 const SHORT: [&[u8; 2]; 21] = [
-    b"AE", b"AS", b"AT", b"CS", b"DA", b"DS", b"DT", b"FD", b"FL", b"IS", b"LO", b"LT", b"PN", b"SH",
-    b"SL", b"SS", b"ST", b"TM", b"UI", b"UL", b"US",
+    b"AE", b"AS", b"AT", b"CS", b"DA", b"DS", b"DT", b"FD", b"FL", b"IS", b"LO", b"LT", b"PN",
+    b"SH", b"SL", b"SS", b"ST", b"TM", b"UI", b"UL", b"US",
 ];
 const ITEM_GROUP: u16 = 0xfffe;
 const PIXEL_DATA: (u16, u16) = (0x7fe0, 0x0010);

@@ -175,7 +175,10 @@ impl Header {
             .read_until(PIXEL_DATA)
             .open_file(path)
             .map_err(|e| broken(path, "header", e.to_string()))?;
-        let syntax = object.meta().transfer_syntax().trim_end_matches(['\0', ' ']);
+        let syntax = object
+            .meta()
+            .transfer_syntax()
+            .trim_end_matches(['\0', ' ']);
         if !PLAIN_SYNTAXES.contains(&syntax) {
             let what = format!("pixels are compressed ({syntax}); save the series uncompressed");
             return Err(broken(path, "transfer syntax", what));
@@ -189,7 +192,9 @@ impl Header {
         let shared = fields.item(&object, SHARED_GROUPS);
         let nested = |group: Tag, tag: Tag| -> Option<Vec<f64>> {
             let group = shared.and_then(|s| fields.item(s, group));
-            group.and_then(|g| numbers(g, tag)).or_else(|| numbers(&object, tag))
+            group
+                .and_then(|g| numbers(g, tag))
+                .or_else(|| numbers(&object, tag))
         };
         let [dy, dx] = nested(PIXEL_MEASURES, PIXEL_SPACING)
             .and_then(|s| <[f64; 2]>::try_from(s).ok())
@@ -209,7 +214,10 @@ impl Header {
                 .get(SERIES)
                 .and_then(|e| e.to_str().ok())
                 .map_or(String::new(), |s| s.into_owned()),
-            size: [fields.whole(COLUMNS, "columns")?, fields.whole(ROWS, "rows")?],
+            size: [
+                fields.whole(COLUMNS, "columns")?,
+                fields.whole(ROWS, "rows")?,
+            ],
             sample,
             slope: numbers(&object, SLOPE).map_or(1.0, |n| n[0]),
             intercept: numbers(&object, INTERCEPT).map_or(0.0, |n| n[0]),
@@ -266,7 +274,9 @@ impl<'a> Fields<'a> {
             path: self.path.to_owned(),
             what,
         };
-        let samples = self.whole(SAMPLES_PER_PIXEL, "samples per pixel").unwrap_or(1);
+        let samples = self
+            .whole(SAMPLES_PER_PIXEL, "samples per pixel")
+            .unwrap_or(1);
         if samples != 1 {
             return Err(wrong(format!("colours of {samples} samples")));
         }
@@ -294,7 +304,9 @@ impl<'a> Fields<'a> {
                 return Err(broken(self.path, "per-frame functional groups", what));
             }
             let at = |item: &'a InMemDicomObject| {
-                self.item(item, PLANE_POSITION).and_then(position).ok_or_else(missing)
+                self.item(item, PLANE_POSITION)
+                    .and_then(position)
+                    .ok_or_else(missing)
             };
             return items.iter().map(at).collect();
         }
@@ -303,11 +315,16 @@ impl<'a> Fields<'a> {
             return Ok(vec![first]);
         }
         let thickness = thickness.ok_or_else(|| self.missing("spacing between slices"))?;
-        let normal = steps[0].cross(&steps[1]).try_normalize(0.0).unwrap_or_default();
+        let normal = steps[0]
+            .cross(&steps[1])
+            .try_normalize(0.0)
+            .unwrap_or_default();
         if count > FILES_MAX {
             return Err(broken(self.path, "number of frames", count.to_string()));
         }
-        Ok((0..count).map(|f| first + normal * (thickness * f as f64)).collect())
+        Ok((0..count)
+            .map(|f| first + normal * (thickness * f as f64))
+            .collect())
     }
 }
 
@@ -426,8 +443,8 @@ fn pixels(
 }
 
 fn pixel_bytes(path: &Path) -> Result<Vec<u8>, LabelError> {
-    let object = dicom_object::open_file(path)
-        .map_err(|e| broken(path, "pixel data", e.to_string()))?;
+    let object =
+        dicom_object::open_file(path).map_err(|e| broken(path, "pixel data", e.to_string()))?;
     let element = object
         .element(PIXEL_DATA)
         .map_err(|e| broken(path, "pixel data", e.to_string()))?;

@@ -1,5 +1,6 @@
 //! The regions of a volume's voxels, cut down to where there are any, with a rim of one voxel.
 
+use nalgebra::Matrix3;
 use rayon::prelude::*;
 
 use crate::Vec3;
@@ -11,6 +12,10 @@ pub(super) const OUTSIDE: u8 = 0;
 /// A voxel beyond the volume's border. It is outside too, but the border is a plane of its own: an
 /// image ends there, not the body, and the cut stays flat with a sharp rim.
 pub(super) const BEYOND: u8 = u8::MAX;
+
+/// Part of its volume that a region may gain or lose when voxels are joined. Reason: the rest gives it
+/// back; what loses more is a layer as thin as the voxels, which must be kept.
+const COARSENING_LOSS_MAX: f64 = 0.1;
 
 /// Regions of voxels, x fastest.
 pub(super) struct Grid {
@@ -58,6 +63,94 @@ impl Grid {
                 origin: volume.to_world.world(&shift),
             },
         }
+    }
+
+    /// Joins blocks of voxels into one that belongs to the region with most of them, as long as no
+    /// block is longer than `finest_m` and every region keeps its volume roughly. Returns how many
+    /// voxels make one, too.
+    pub(super) fn coarsened(self, finest_m: f64, regions: usize) -> (Self, usize) {
+        let spacing = self.to_world.spacing_m();
+        let mut factors = spacing.map(|s| ((finest_m / s) as usize).max(1));
+        let before = self.counts(regions);
+        while factors != [1; 3] {
+            let coarse = self.joined(factors);
+            let each: usize = factors.iter().product();
+            let keeps = |(old, new): (&u64, &u64)| {
+                let kept = (*new as f64) * each as f64 / (*old as f64);
+                (kept - 1.0).abs() <= COARSENING_LOSS_MAX
+            };
+            if before.iter().zip(&coarse.counts(regions)).all(keeps) {
+                return (coarse, each);
+            }
+            factors = factors.map(|f| (f / 2).max(1));
+        }
+        (self, 1)
+    }
+
+    fn joined(&self, factors: [usize; 3]) -> Self {
+        let inner = self.size.map(|n| n - 2);
+        let index = |p: [usize; 3]| p[0] + self.size[0] * (p[1] + self.size[1] * p[2]);
+        // The rims along an axis, seen beside the first voxel.
+        let rim = |a: usize, at: usize| {
+            let mut p = [1; 3];
+            p[a] = at;
+            self.regions[index(p)]
+        };
+        let rims: [[u8; 2]; 3] = std::array::from_fn(|a| [rim(a, 0), rim(a, inner[a] + 1)]);
+        let size: [usize; 3] = std::array::from_fn(|a| {
+            let (n, f) = (inner[a], factors[a]);
+            // The border of the image moves by half a block at most; elsewhere nothing is cut off.
+            let blocks = if rims[a][1] == BEYOND {
+                (n + f / 2) / f
+            } else {
+                n.div_ceil(f)
+            };
+            blocks.max(1) + 2
+        });
+        let mut regions = vec![OUTSIDE; size.iter().product()];
+        regions
+            .par_chunks_mut(size[0] * size[1])
+            .enumerate()
+            .for_each(|(z, layer)| {
+                for (n, region) in layer.iter_mut().enumerate() {
+                    let at = [n % size[0], n / size[0], z];
+                    let outer = (0..3).find_map(|a| match at[a] {
+                        0 => Some(rims[a][0]),
+                        i if i + 1 == size[a] => Some(rims[a][1]),
+                        _ => None,
+                    });
+                    *region = outer.unwrap_or_else(|| self.commonest(at, factors));
+                }
+            });
+        let linear = self.to_world.linear;
+        let first = Vec3::from_fn(|a, _| (1.0 - factors[a] as f64) / 2.0);
+        Self {
+            size,
+            regions,
+            to_world: Affine {
+                linear: Matrix3::from_fn(|r, c| linear[(r, c)] * factors[c] as f64),
+                origin: self.to_world.world(&first),
+            },
+        }
+    }
+
+    /// The region with most voxels of a block; at equal numbers the later one, as in a scene.
+    fn commonest(&self, at: [usize; 3], factors: [usize; 3]) -> u8 {
+        let range = |a: usize| {
+            let from = 1 + (at[a] - 1) * factors[a];
+            from..(from + factors[a]).min(self.size[a] - 1)
+        };
+        let mut counts = [0_u32; 256];
+        for z in range(2) {
+            for y in range(1) {
+                for x in range(0) {
+                    let n = x + self.size[0] * (y + self.size[1] * z);
+                    counts[usize::from(self.regions[n])] += 1;
+                }
+            }
+        }
+        let last = (0..=u8::MAX).max_by_key(|r| counts[usize::from(*r)]);
+        last.unwrap_or(OUTSIDE)
     }
 
     /// Voxels of each region.

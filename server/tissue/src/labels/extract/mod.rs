@@ -1,5 +1,6 @@
 //! From a label volume to one closed surface per region, without gaps or overlaps.
 //!
+//! 0. Voxels much finer than what is asked for are joined in blocks ([`grid`]).
 //! 1. Every corner where eight voxels of more than one region meet becomes a vertex, every face
 //!    between voxels of two regions a quadrilateral ([`net`]): one mesh that all regions share
 //!    (surface nets, Gibson 1998, for several labels at once).
@@ -28,8 +29,8 @@ use super::{LabelError, LabelVolume};
 use crate::Surface;
 use crate::scene::REGIONS_MAX;
 use grid::{BEYOND, Grid, OUTSIDE};
-use net::Net;
 pub use net::NET_VERTICES_MAX;
+use net::Net;
 
 /// The labels that make one region.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -53,6 +54,9 @@ pub struct RegionSurface {
 /// builder in which later regions override earlier ones wants an outermost surface that contains
 /// the others.
 ///
+/// Voxels smaller than `finest_m` are joined into larger ones, at most that long, where no region
+/// suffers from it: what a lattice can not hold would only cost time. With 0 none are.
+///
 /// # Panics
 /// When there are more regions than a scene may have.
 pub fn surfaces(
@@ -60,20 +64,26 @@ pub fn surfaces(
     path: &Path,
     regions: &[LabelRegion],
     wrap: bool,
+    finest_m: f64,
 ) -> Result<Vec<RegionSurface>, LabelError> {
-    assert!(regions.len() <= REGIONS_MAX, "more regions than a scene has");
+    assert!(
+        regions.len() <= REGIONS_MAX,
+        "more regions than a scene has"
+    );
     let region_of = region_of(volume, path, regions)?;
     let grid = Grid::new(volume, &region_of);
-    let targets = grid.counts(regions.len());
-    if let Some(r) = targets.iter().position(|n| *n == 0) {
+    let voxels = grid.counts(regions.len());
+    if let Some(r) = voxels.iter().position(|n| *n == 0) {
         let labels: Vec<String> = regions[r].labels.iter().map(u16::to_string).collect();
         return Err(LabelError::NothingLeft {
             path: path.to_owned(),
             labels: labels.join(", "),
         });
     }
+    let (grid, joined) = grid.coarsened(finest_m, regions.len());
     let mut net = Net::of(&grid, path)?;
-    let targets: Vec<f64> = targets.iter().map(|n| *n as f64).collect();
+    drop(grid);
+    let targets: Vec<f64> = voxels.iter().map(|n| *n as f64 / joined as f64).collect();
     smooth::smooth(&mut net, &targets);
     restore::restore(&mut net, &targets);
     let found = (0..regions.len()).into_par_iter().map(|r| {
@@ -84,7 +94,7 @@ pub fn surfaces(
         };
         RegionSurface {
             surface,
-            voxels_m3: targets[r] * volume.voxel_m3(),
+            voxels_m3: voxels[r] as f64 * volume.voxel_m3(),
         }
     });
     Ok(found.collect())

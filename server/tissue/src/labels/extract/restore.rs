@@ -60,7 +60,11 @@ pub(super) fn push_towards(net: &mut Net, targets: &[f64], frozen: &[bool]) {
     for _ in 0..STEPS {
         let volumes = volumes(net, targets.len());
         let missing: Vec<f64> = targets.iter().zip(&volumes).map(|(t, v)| t - v).collect();
-        if missing.iter().zip(targets).all(|(m, t)| m.abs() <= EXACT * t) {
+        if missing
+            .iter()
+            .zip(targets)
+            .all(|(m, t)| m.abs() <= EXACT * t)
+        {
             return;
         }
         pull.step(net, missing);
@@ -127,7 +131,9 @@ impl Pull {
         let m = &net.to_world.linear;
         let gram = Matrix3::from_fn(|r, c| m.column(r).dot(&m.column(c)));
         let scale = gram.trace() / 3.0;
-        let metric = gram.try_inverse().map_or(Matrix3::identity(), |i| i * scale);
+        let metric = gram
+            .try_inverse()
+            .map_or(Matrix3::identity(), |i| i * scale);
         Self {
             start,
             regions,
@@ -180,7 +186,13 @@ impl Pull {
         let locked = net.corners[v].locked;
         let free = |a: usize| locked >> a & 1 == 0;
         Vec3::from_fn(|r, _| {
-            let term = |c: usize| if free(c) { self.metric[(r, c)] * g[c] } else { 0.0 };
+            let term = |c: usize| {
+                if free(c) {
+                    self.metric[(r, c)] * g[c]
+                } else {
+                    0.0
+                }
+            };
             if free(r) {
                 term(0) + term(1) + term(2)
             } else {

@@ -30,7 +30,10 @@ pub(super) fn shell(net: &Net, is_in: impl Fn(u8) -> bool) -> Surface {
         shell.first.push(shell.surface.vertices.len() as u32);
         let at = net.to_world.world(&net.position(v as u32));
         let copies = usize::from(fans.of(*set).count);
-        shell.surface.vertices.extend(std::iter::repeat_n(at, copies));
+        shell
+            .surface
+            .vertices
+            .extend(std::iter::repeat_n(at, copies));
     }
     for quad in &net.quads {
         let [near, far] = quad.sides.map(&is_in);
@@ -70,7 +73,11 @@ impl Shell<'_> {
         for [a, b, c] in quad.triangles() {
             // Edges of the quadrilateral run from a corner to the next; the diagonal has no middle.
             let middle = |from: usize, to: usize| {
-                if (from + 1) % 4 == to { middles[from] } else { None }
+                if (from + 1) % 4 == to {
+                    middles[from]
+                } else {
+                    None
+                }
             };
             let sides = [middle(a, b), middle(b, c), middle(c, a)];
             self.triangles([a, b, c].map(|i| vertices[i]), sides, near);
@@ -121,4 +128,3 @@ impl Shell<'_> {
         self.triangles([middle, b, c], [None, side(1), None], near);
     }
 }
-

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::net::{Net, NONE};
+use super::net::{NONE, Net};
 use super::restore::push_towards;
 use crate::Vec3;
 

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::labels::Affine;
-use crate::{Surface, Vec3};
+use crate::{Aabb, Surface, Vec3};
 
 fn volume(size: [usize; 3], label: impl Fn([usize; 3]) -> u16) -> LabelVolume {
     let [nx, ny, nz] = size;
@@ -31,7 +31,7 @@ fn regions(labels: &[&[u16]]) -> Vec<LabelRegion> {
 }
 
 fn extracted(volume: &LabelVolume, labels: &[&[u16]], wrap: bool) -> Vec<RegionSurface> {
-    surfaces(volume, Path::new("test.nii"), &regions(labels), wrap).unwrap()
+    surfaces(volume, Path::new("test.nii"), &regions(labels), wrap, 0.0).unwrap()
 }
 
 /// A ball of label 2 in a ball of label 1, with a rod of label 3 through both and out of them.
@@ -62,8 +62,14 @@ fn assert_closed(surface: &Surface) {
             *uses.entry([from.min(to), from.max(to)]).or_default() += 1;
         }
     }
-    assert!(uses.values().all(|n| *n == 2), "an edge of more or fewer than two triangles");
-    assert!(directed.values().all(|n| *n == 1), "an edge run twice in one direction");
+    assert!(
+        uses.values().all(|n| *n == 2),
+        "an edge of more or fewer than two triangles"
+    );
+    assert!(
+        directed.values().all(|n| *n == 1),
+        "an edge run twice in one direction"
+    );
 }
 
 /// Around every vertex the triangles form one closed fan.
@@ -113,7 +119,10 @@ fn regions_share_their_boundary_and_keep_their_volume() {
     }
     assert!(faces.values().all(|n| *n <= 2));
     let shared = faces.values().filter(|n| **n == 2).count();
-    assert!(shared > faces.len() / 3, "neighbours share triangles bit for bit");
+    assert!(
+        shared > faces.len() / 3,
+        "neighbours share triangles bit for bit"
+    );
     // Without gaps and overlaps, the parts are the whole.
     let parts: f64 = found.iter().map(|f| f.surface.volume()).sum();
     let whole = extracted(&volume, &[&[1, 2, 3]], false);
@@ -163,11 +172,7 @@ fn steps_of_the_voxels_are_smoothed_away() {
 fn where_the_image_ends_the_cut_is_flat_and_its_rim_sharp() {
     let volume = volume([20, 20, 10], |[x, y, _]| {
         let r = (x as f64 - 9.5).hypot(y as f64 - 9.5);
-        if r < 4.0 {
-            2
-        } else {
-            u16::from(r < 8.0)
-        }
+        if r < 4.0 { 2 } else { u16::from(r < 8.0) }
     });
     let bounds = volume.world_bounds();
     for found in extracted(&volume, &[&[1], &[2]], true) {
@@ -180,7 +185,10 @@ fn where_the_image_ends_the_cut_is_flat_and_its_rim_sharp() {
         };
         let all = reach(&mut found.surface.vertices.iter());
         let top = reach(&mut found.surface.vertices.iter().filter(on_top));
-        assert!(top > all - 4e-4, "the rim stands out as far as the side: {top} {all}");
+        assert!(
+            top > all - 4e-4,
+            "the rim stands out as far as the side: {top} {all}"
+        );
     }
 }
 
@@ -203,14 +211,61 @@ fn sheared_mirrored_and_anisotropic_voxels_are_placed_and_wound_right() {
 }
 
 #[test]
+fn voxels_finer_than_asked_for_are_joined_and_volumes_kept() {
+    // 2 mm voxels; 6.1 mm allows blocks of three, and 63 of them leave no remainder, 64 do.
+    for size in [63, 64] {
+        let mut volume = nested(size);
+        volume.to_world.linear[(2, 2)] = -2e-3;
+        let bounds = volume.world_bounds();
+        let path = Path::new("test.nii");
+        let named = regions(&[&[1], &[2], &[3]]);
+        let fine = surfaces(&volume, path, &named, true, 0.0).unwrap();
+        let coarse = surfaces(&volume, path, &named, true, 6.1e-3).unwrap();
+        for (fine, coarse) in fine.iter().zip(&coarse) {
+            assert!(coarse.surface.triangles.len() * 6 < fine.surface.triangles.len());
+            assert_closed(&coarse.surface);
+            assert_eq!(fine.voxels_m3, coarse.voxels_m3);
+            let part = coarse.surface.volume() / fine.surface.volume();
+            assert!((part - 1.0).abs() < 0.005, "{part}");
+            let (a, b) = (fine.surface.aabb().unwrap(), coarse.surface.aabb().unwrap());
+            assert!((a.centre() - b.centre()).norm() < 2e-3);
+            assert!((a.extent() - b.extent()).norm() < 4e-3);
+            // The body and the rod end with the image.
+            let reaches = |b: Aabb| (b.max.z - bounds.max.z).abs() < 1e-9;
+            assert_eq!(reaches(a), reaches(b));
+        }
+    }
+}
+
+#[test]
+fn a_layer_as_thin_as_the_voxels_is_not_joined_away() {
+    let volume = volume([24; 3], |[x, y, z]| {
+        let edge = |i: usize| i == 2 || i == 21;
+        let inside = |i: usize| (2..22).contains(&i);
+        if !(inside(x) && inside(y) && inside(z)) {
+            0
+        } else {
+            1 + u16::from(!(edge(x) || edge(y) || edge(z)))
+        }
+    });
+    let named = regions(&[&[1], &[2]]);
+    let path = Path::new("test.nii");
+    let found = surfaces(&volume, path, &named, false, 9e-3).unwrap();
+    found.iter().for_each(assert_volume);
+}
+
+#[test]
 fn what_the_scene_asks_and_the_volume_does_not_hold_is_refused() {
     let volume = nested(12);
     let path = Path::new("test.nii");
-    let missing = surfaces(&volume, path, &regions(&[&[1], &[7]]), true).unwrap_err();
+    let missing = surfaces(&volume, path, &regions(&[&[1], &[7]]), true, 0.0).unwrap_err();
     let missing = missing.to_string();
     assert!(missing.contains("label 7 does not occur") && missing.contains("1, 2, 3"));
-    let nothing = surfaces(&volume, path, &regions(&[&[1], &[1, 2]]), true).unwrap_err();
-    assert!(matches!(nothing, LabelError::NothingLeft { .. }), "{nothing}");
+    let nothing = surfaces(&volume, path, &regions(&[&[1], &[1, 2]]), true, 0.0).unwrap_err();
+    assert!(
+        matches!(nothing, LabelError::NothingLeft { .. }),
+        "{nothing}"
+    );
 }
 
 #[test]

@@ -155,10 +155,12 @@ impl<'a> Header<'a> {
                 ),
             });
         }
-        spatial.try_into().map_err(|s: Vec<usize>| LabelError::Dimensions {
-            path: self.path.to_owned(),
-            what: format!("{} axes of space", s.len()),
-        })
+        spatial
+            .try_into()
+            .map_err(|s: Vec<usize>| LabelError::Dimensions {
+                path: self.path.to_owned(),
+                what: format!("{} axes of space", s.len()),
+            })
     }
 
     pub(super) fn size(&self) -> Result<[usize; 3], LabelError> {
@@ -301,7 +303,10 @@ impl<'a> Fields<'a> {
 
     /// "(x,y,z)".
     fn vector(&self, key: &str, text: &str) -> Result<Vec3, LabelError> {
-        let inner = text.trim().strip_prefix('(').and_then(|t| t.strip_suffix(')'));
+        let inner = text
+            .trim()
+            .strip_prefix('(')
+            .and_then(|t| t.strip_suffix(')'));
         let numbers: Option<Vec<f64>> =
             inner.and_then(|t| t.split(',').map(|n| n.trim().parse().ok()).collect());
         match numbers.as_deref() {
@@ -358,8 +363,13 @@ fn sample_type(path: &Path, name: &str) -> Result<SampleType, LabelError> {
         "ushort" | "unsigned short" | "unsigned short int" | "uint16" | "uint16_t" => U16,
         "int" | "signed int" | "int32" | "int32_t" => I32,
         "uint" | "unsigned int" | "uint32" | "uint32_t" => U32,
-        "longlong" | "long long" | "long long int" | "signed long long"
-        | "signed long long int" | "int64" | "int64_t" => I64,
+        "longlong"
+        | "long long"
+        | "long long int"
+        | "signed long long"
+        | "signed long long int"
+        | "int64"
+        | "int64_t" => I64,
         "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64" | "uint64_t" => {
             U64
         }

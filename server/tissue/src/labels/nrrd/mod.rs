@@ -112,11 +112,7 @@ fn skip_lines(from: &mut impl BufRead, lines: u64) -> std::io::Result<()> {
 }
 
 /// Numbers between white space (or commas), word by word.
-fn read_words(
-    path: &Path,
-    from: &mut impl BufRead,
-    gather: &mut Gather,
-) -> Result<(), LabelError> {
+fn read_words(path: &Path, from: &mut impl BufRead, gather: &mut Gather) -> Result<(), LabelError> {
     let mut word = Vec::with_capacity(WORD_MAX);
     let mut count = 0_u64;
     while !gather.is_full() {
