@@ -189,9 +189,9 @@ impl Header {
         };
         fields.refuse_segments()?;
         let sample = fields.sample()?;
-        let shared = fields.item(&object, SHARED_GROUPS);
+        let shared = item(&object, SHARED_GROUPS);
         let nested = |group: Tag, tag: Tag| -> Option<Vec<f64>> {
-            let group = shared.and_then(|s| fields.item(s, group));
+            let group = shared.and_then(|s| item(s, group));
             group
                 .and_then(|g| numbers(g, tag))
                 .or_else(|| numbers(&object, tag))
@@ -213,7 +213,7 @@ impl Header {
             series: object
                 .get(SERIES)
                 .and_then(|e| e.to_str().ok())
-                .map_or(String::new(), |s| s.into_owned()),
+                .map_or(String::new(), std::borrow::Cow::into_owned),
             size: [
                 fields.whole(COLUMNS, "columns")?,
                 fields.whole(ROWS, "rows")?,
@@ -240,7 +240,12 @@ fn numbers(object: &InMemDicomObject, tag: Tag) -> Option<Vec<f64>> {
     (!numbers.is_empty() && numbers.iter().all(|n| n.is_finite())).then_some(numbers)
 }
 
-impl<'a> Fields<'a> {
+/// The only item of a sequence, or the first.
+fn item(of: &InMemDicomObject, tag: Tag) -> Option<&InMemDicomObject> {
+    of.get(tag)?.items()?.first()
+}
+
+impl Fields<'_> {
     fn missing(&self, name: &str) -> LabelError {
         broken(self.path, name, "this attribute is missing or unreadable")
     }
@@ -248,11 +253,6 @@ impl<'a> Fields<'a> {
     fn whole(&self, tag: Tag, name: &str) -> Result<u64, LabelError> {
         let value = self.object.get(tag).and_then(|e| e.to_int::<u32>().ok());
         value.map(u64::from).ok_or_else(|| self.missing(name))
-    }
-
-    /// The only item of a sequence.
-    fn item(&self, of: &'a InMemDicomObject, tag: Tag) -> Option<&'a InMemDicomObject> {
-        of.get(tag)?.items()?.first()
     }
 
     /// Segmentation objects hold one mask per segment, not labels, unless they are label maps.
@@ -303,8 +303,8 @@ impl<'a> Fields<'a> {
                 let what = format!("{} entries for {count} frames", items.len());
                 return Err(broken(self.path, "per-frame functional groups", what));
             }
-            let at = |item: &'a InMemDicomObject| {
-                self.item(item, PLANE_POSITION)
+            let at = |of: &InMemDicomObject| {
+                item(of, PLANE_POSITION)
                     .and_then(position)
                     .ok_or_else(missing)
             };

@@ -13,9 +13,10 @@ pub(super) const OUTSIDE: u8 = 0;
 /// image ends there, not the body, and the cut stays flat with a sharp rim.
 pub(super) const BEYOND: u8 = u8::MAX;
 
-/// Part of its volume that a region may gain or lose when voxels are joined. Reason: the rest gives it
-/// back; what loses more is a layer as thin as the voxels, which must be kept.
-const COARSENING_LOSS_MAX: f64 = 0.1;
+/// Part of its volume that a region may gain or lose when voxels are joined. Reason: it gets the right
+/// volume back by moving its boundary by a fraction of a voxel (a rod four voxels thick by an eighth
+/// of one); what loses more is a layer as thin as the voxels, which must be kept.
+const COARSENING_LOSS_MAX: f64 = 0.25;
 
 /// Regions of voxels, x fastest.
 pub(super) struct Grid {
@@ -82,7 +83,7 @@ impl Grid {
             if before.iter().zip(&coarse.counts(regions)).all(keeps) {
                 return (coarse, each);
             }
-            factors = factors.map(|f| (f / 2).max(1));
+            factors = factors.map(|f| (f - 1).max(1));
         }
         (self, 1)
     }

@@ -168,7 +168,7 @@ impl Iterator for Blocks<'_> {
 }
 
 /// The four voxels of a block around its half edge in a direction (axis, towards further).
-fn around(block: &[u8; 8], direction: usize) -> [u8; 4] {
+fn around(block: [u8; 8], direction: usize) -> [u8; 4] {
     let (axis, side) = (direction / 2, direction % 2);
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     [0, 1, 2, 3].map(|q: usize| block[side << axis | (q & 1) << u | (q >> 1) << v])
@@ -187,7 +187,7 @@ impl Corner {
         }
         let (mut runs, mut lines) = (0_u8, 0_u8);
         for direction in 0..6 {
-            let mut four = around(&block, direction);
+            let mut four = around(block, direction);
             if mixed(&four) {
                 runs |= 1 << direction;
                 four.sort_unstable();
@@ -234,7 +234,7 @@ fn joined(grid: &Grid, by_layer: &[Vec<Corner>]) -> Vec<Corner> {
                 let at = cell(corner);
                 let mut corner = *corner;
                 for direction in 0..6 {
-                    if mixed(&around(&corner.block, direction)) {
+                    if mixed(&around(corner.block, direction)) {
                         corner.neighbours[direction] = match direction {
                             0 => own[at - 1],
                             1 => own[at + 1],

@@ -89,7 +89,7 @@ impl Shell<'_> {
         let plane = usize::from(quad.axis);
         let (u, w) = ((plane + 1) % 3, (plane + 2) % 3);
         // Sides 0 and 2 run along u, 1 and 3 along w; the lower end comes first in 0 and 1.
-        let axis = if e % 2 == 0 { u } else { w };
+        let axis = if e.is_multiple_of(2) { u } else { w };
         let (low, high) = if e < 2 { (e, e + 1) } else { ((e + 1) % 4, e) };
         let doubled = |c: usize, direction: usize| {
             let fan = self.fans.of(self.filled[quad.corners[c] as usize]);

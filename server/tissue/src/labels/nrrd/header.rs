@@ -130,18 +130,15 @@ impl<'a> Header<'a> {
 
     /// The three axes of space among the file's; all others must have one entry.
     fn axes(&self) -> Result<[usize; 3], LabelError> {
-        let spatial: Vec<usize> = match &self.directions {
-            Some(d) => (0..d.len()).filter(|a| d[*a].is_some()).collect(),
-            // Without directions, axes of one entry are dropped from the end.
-            None => {
-                let mut axes: Vec<usize> = (0..self.sizes.len()).collect();
-                while axes.len() > 3 {
-                    let last = axes.iter().rposition(|a| self.sizes[*a] == 1);
-                    axes.remove(last.unwrap_or(axes.len() - 1));
-                }
-                axes
-            }
-        };
+        let mut spatial: Vec<usize> = (0..self.sizes.len()).collect();
+        if let Some(directions) = &self.directions {
+            spatial.retain(|a| directions[*a].is_some());
+        }
+        // Without directions, axes of one entry are dropped from the end.
+        while self.directions.is_none() && spatial.len() > 3 {
+            let last = spatial.iter().rposition(|a| self.sizes[*a] == 1);
+            spatial.remove(last.unwrap_or(spatial.len() - 1));
+        }
         let surplus = (0..self.sizes.len()).find(|a| !spatial.contains(a) && self.sizes[*a] != 1);
         if let Some(a) = surplus {
             return Err(LabelError::Dimensions {
