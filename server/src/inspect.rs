@@ -119,3 +119,37 @@ fn materials(file: &ModelFile) -> Value {
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_label_volume_is_told_by_its_name_and_shown_with_its_labels() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.nrrd");
+        let text = "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 2 2 2\nencoding: ascii\n\
+                    space: LPS\nspace directions: (10,0,0) (0,10,0) (0,0,20)\n\
+                    space origin: (5,5,0)\n\n0 0 0 7 7 7 0 0";
+        std::fs::write(&path, text).unwrap();
+        let (value, text) = inspect(&path).unwrap();
+        assert_eq!(value["size"], json!([2, 2, 2]));
+        assert_eq!(value["labels"][1]["voxels"], 3);
+        let litres = value["labels"][1]["litres"].as_f64().unwrap();
+        assert!((litres - 0.006).abs() < 1e-9);
+        // LPS in the file, RAS in the world.
+        assert!((value["world_min_mm"][0].as_f64().unwrap() + 20.0).abs() < 1e-9);
+        assert!(text.contains("10.000 x 10.000 x 20.000 mm") && text.contains("0.0060"));
+    }
+
+    #[test]
+    fn what_is_neither_a_model_nor_a_label_volume_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in ["a.palp", "a.nii", "a.nii.gz", "a.nrrd", "a.txt"] {
+            let path = dir.path().join(name);
+            std::fs::write(&path, b"nothing of the kind").unwrap();
+            let message = inspect(&path).unwrap_err().to_string();
+            assert!(message.contains(name), "{message}");
+        }
+    }
+}
