@@ -8,7 +8,7 @@ use std::path::Path;
 
 use label_files::{Folder, Nifti, gzip, nrrd, ramp, space};
 use palpate_tissue::labels::{LabelError, LabelVolume, VOXELS_MAX};
-use palpate_tissue::{Vec3, labels};
+use palpate_tissue::{Unit, Vec3, labels};
 use proptest::prelude::*;
 
 fn read(name: &str, bytes: &[u8]) -> Result<LabelVolume, LabelError> {
@@ -155,7 +155,7 @@ fn what_a_nifti_header_can_have_wrong_is_named() {
                     .short(254, 0)
                     .short(252, 1)
                     .float(256, 0.9)
-                    .float(260, 0.9)
+                    .float(260, 0.9);
             },
             &["qform", "not normalised", "1.27"],
         ),
@@ -353,7 +353,7 @@ fn counts_and_bounds_are_those_of_the_voxels() {
     assert!((mm(bounds.max) - Vec3::new(55.0, -55.5, 76.0)).norm() < 1e-4);
 }
 
-/// Labels of a real leg lie where its surfaces do; needs PALPATE_DATA.
+/// Labels of a real leg lie where its surfaces do; needs `PALPATE_DATA`.
 #[test]
 fn real_labels_and_surfaces_of_one_body_coincide() {
     let Some(data) = std::env::var_os("PALPATE_DATA") else {
@@ -368,7 +368,7 @@ fn real_labels_and_surfaces_of_one_body_coincide() {
         }];
         let found = labels::surfaces(&volume, &path, &regions, false, 0.0).unwrap();
         let file = leg.join(format!("{surface}.stl"));
-        let surface = palpate_tissue::Surface::read(&file, Default::default()).unwrap();
+        let surface = palpate_tissue::Surface::read(&file, Unit::default()).unwrap();
         let own = found[0].surface.aabb().unwrap();
         let given = surface.aabb().unwrap();
         // The shank's label holds the fibula too, so its box may only be larger.

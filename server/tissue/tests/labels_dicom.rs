@@ -10,14 +10,18 @@ use palpate_tissue::labels::LabelVolume;
 use palpate_tissue::{LabelError, Vec3};
 
 /// An element in explicit VR, little endian; values of odd length are padded.
-fn element(tag: (u16, u16), vr: &[u8; 2], value: &[u8]) -> Vec<u8> {
+fn element(tag: (u16, u16), vr: [u8; 2], value: &[u8]) -> Vec<u8> {
     let mut value = value.to_vec();
     if value.len() % 2 == 1 {
-        value.push(if vr == b"UI" || vr == b"OB" { 0 } else { b' ' });
+        value.push(if [*b"UI", *b"OB"].contains(&vr) {
+            0
+        } else {
+            b' '
+        });
     }
     let mut bytes = [tag.0.to_le_bytes(), tag.1.to_le_bytes()].concat();
     bytes.extend(vr);
-    if [b"OB", b"OW", b"SQ"].contains(&vr) {
+    if [*b"OB", *b"OW", *b"SQ"].contains(&vr) {
         bytes.extend([0, 0]);
         bytes.extend((value.len() as u32).to_le_bytes());
     } else {
@@ -34,7 +38,7 @@ fn sequence(tag: (u16, u16), items: &[Vec<u8>]) -> Vec<u8> {
         bytes.extend(item);
         bytes
     });
-    element(tag, b"SQ", &items.collect::<Vec<_>>().concat())
+    element(tag, *b"SQ", &items.collect::<Vec<_>>().concat())
 }
 
 /// One image of 3 columns and 2 rows of 2 x 3 mm.
@@ -67,39 +71,39 @@ impl Image {
 
     fn file(&self) -> Vec<u8> {
         let meta = [
-            element((2, 1), b"OB", &[0, 1]),
-            element((2, 2), b"UI", b"1.2.840.10008.5.1.4.1.1.7"),
-            element((2, 3), b"UI", b"1.2.3.4"),
-            element((2, 0x10), b"UI", self.syntax.as_bytes()),
-            element((2, 0x12), b"UI", b"1.2.3.5"),
+            element((2, 1), *b"OB", &[0, 1]),
+            element((2, 2), *b"UI", b"1.2.840.10008.5.1.4.1.1.7"),
+            element((2, 3), *b"UI", b"1.2.3.4"),
+            element((2, 0x10), *b"UI", self.syntax.as_bytes()),
+            element((2, 0x12), *b"UI", b"1.2.3.5"),
         ]
         .concat();
         let whole = |n: u16| n.to_le_bytes();
         let mut file = vec![0; 128];
         file.extend(b"DICM");
-        file.extend(element((2, 0), b"UL", &(meta.len() as u32).to_le_bytes()));
+        file.extend(element((2, 0), *b"UL", &(meta.len() as u32).to_le_bytes()));
         file.extend(meta);
-        file.extend(element((0x08, 0x16), b"UI", b"1.2.840.10008.5.1.4.1.1.7"));
-        file.extend(element((0x18, 0x50), b"DS", b"4.0"));
-        file.extend(element((0x20, 0x0e), b"UI", self.series.as_bytes()));
+        file.extend(element((0x08, 0x16), *b"UI", b"1.2.840.10008.5.1.4.1.1.7"));
+        file.extend(element((0x18, 0x50), *b"DS", b"4.0"));
+        file.extend(element((0x20, 0x0e), *b"UI", self.series.as_bytes()));
         if let Some([x, y, z]) = self.position {
             let text = format!("{x}\\{y}\\{z}");
-            file.extend(element((0x20, 0x32), b"DS", text.as_bytes()));
-            file.extend(element((0x20, 0x37), b"DS", self.orientation.as_bytes()));
+            file.extend(element((0x20, 0x32), *b"DS", text.as_bytes()));
+            file.extend(element((0x20, 0x37), *b"DS", self.orientation.as_bytes()));
         }
-        file.extend(element((0x28, 0x02), b"US", &whole(1)));
+        file.extend(element((0x28, 0x02), *b"US", &whole(1)));
         if self.frames > 1 {
             let frames = self.frames.to_string();
-            file.extend(element((0x28, 0x08), b"IS", frames.as_bytes()));
+            file.extend(element((0x28, 0x08), *b"IS", frames.as_bytes()));
         }
-        file.extend(element((0x28, 0x10), b"US", &whole(2)));
-        file.extend(element((0x28, 0x11), b"US", &whole(3)));
-        file.extend(element((0x28, 0x30), b"DS", b"3.0\\2.0"));
-        file.extend(element((0x28, 0x100), b"US", &whole(self.bits)));
-        file.extend(element((0x28, 0x103), b"US", &whole(0)));
+        file.extend(element((0x28, 0x10), *b"US", &whole(2)));
+        file.extend(element((0x28, 0x11), *b"US", &whole(3)));
+        file.extend(element((0x28, 0x30), *b"DS", b"3.0\\2.0"));
+        file.extend(element((0x28, 0x100), *b"US", &whole(self.bits)));
+        file.extend(element((0x28, 0x103), *b"US", &whole(0)));
         file.extend(&self.more);
         let words: Vec<u8> = self.pixels.iter().flat_map(|p| p.to_le_bytes()).collect();
-        file.extend(element((0x7fe0, 0x10), b"OW", &words));
+        file.extend(element((0x7fe0, 0x10), *b"OW", &words));
         file
     }
 }
@@ -145,10 +149,10 @@ fn a_multi_frame_file_has_its_places_per_frame_or_by_thickness() {
     // The frames stand from top to bottom here.
     let place = |z: f64| {
         let text = format!("10\\20\\{z}");
-        let position = element((0x20, 0x32), b"DS", text.as_bytes());
+        let position = element((0x20, 0x32), *b"DS", text.as_bytes());
         sequence((0x20, 0x9113), &[position])
     };
-    let orientation = element((0x20, 0x37), b"DS", b"1\\0\\0\\0\\1\\0");
+    let orientation = element((0x20, 0x37), *b"DS", b"1\\0\\0\\0\\1\\0");
     let shared = sequence((0x20, 0x9116), &[orientation]);
     image.position = None;
     image.more = [
@@ -161,6 +165,8 @@ fn a_multi_frame_file_has_its_places_per_frame_or_by_thickness() {
     assert_at(&volume, [0.0, 0.0, 1.0], [-10.0, -20.0, 35.0]);
 }
 
+type Change = fn(&mut Image);
+
 #[test]
 fn what_is_no_series_of_labels_is_refused_with_the_place() {
     let good = [Image::at(30.0, 0), Image::at(34.0, 6), Image::at(38.0, 12)];
@@ -169,7 +175,6 @@ fn what_is_no_series_of_labels_is_refused_with_the_place() {
         change(&mut images[1]);
         refusal(&images)
     };
-    type Change = fn(&mut Image);
     let mistakes: [(Change, &[&str]); 8] = [
         (|i| i.series = "9.9", &["series", "1.dcm"]),
         (

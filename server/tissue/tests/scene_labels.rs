@@ -4,6 +4,7 @@
 
 mod label_files;
 
+use std::fmt::Write as _;
 use std::path::Path;
 
 use label_files::{Folder, Nifti};
@@ -119,7 +120,11 @@ fn drum_scene(regions: &[(&str, &str)]) -> String {
     let mut text =
         "format = \"palpate-scene/1\"\nspacing_mm = 4.0\nlabels = \"drum.nii\"\n".to_owned();
     for (name, source) in regions {
-        text += &format!("[[region]]\nname = \"{name}\"\n{source}\nmaterial = \"fat\"\n");
+        writeln!(
+            text,
+            "[[region]]\nname = \"{name}\"\n{source}\nmaterial = \"fat\""
+        )
+        .unwrap();
     }
     text
 }
@@ -219,16 +224,17 @@ fn what_is_wrong_with_a_label_volume_reaches_the_person_with_its_file() {
     );
 }
 
-/// Builds a real body and compares with its voxels; needs PALPATE_DATA.
+/// Builds a real body and compares with its voxels; needs `PALPATE_DATA`.
 fn real(folder: &str, volume: &str, labels: u16, spacing_mm: f64) -> Option<BuildReport> {
     let data = std::env::var_os("PALPATE_DATA")?;
     let data = std::fs::canonicalize(Path::new(&data).join(folder)).unwrap();
     let mut text = format!(
-        "format = \"palpate-scene/1\"\nspacing_mm = {spacing_mm:?}\nlabels = {:?}\n",
-        data.join(volume)
+        "format = \"palpate-scene/1\"\nspacing_mm = {spacing_mm:?}\nlabels = '{}'\n",
+        data.join(volume).display()
     );
     for label in 1..=labels {
-        text += &format!("[[region]]\nname = \"l{label}\"\nlabel = {label}\nmaterial = \"fat\"\n");
+        let name = format!("name = \"l{label}\"\nlabel = {label}");
+        writeln!(text, "[[region]]\n{name}\nmaterial = \"fat\"").unwrap();
     }
     let scene = Scene::parse(&text, Path::new("")).unwrap();
     let scratch = Folder::new();

@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used)]
 
+use std::fmt::Write as _;
+
 use palpate_tissue::{Surface, SurfaceError, Unit};
 use proptest::prelude::*;
 
@@ -30,16 +32,19 @@ fn ascii() -> String {
     let mut text = header("ascii");
     for c in 0..8 {
         let [x, y, z] = corner(c);
-        text += &format!("{x} {y} {z} 255\n");
+        writeln!(text, "{x} {y} {z} 255").unwrap();
     }
     for [a, b, c, d] in QUADS {
-        text += &format!("4 {a} {b} {c} {d}\n");
+        writeln!(text, "4 {a} {b} {c} {d}").unwrap();
     }
     text
 }
 
+/// From little-endian bytes to those of the file.
+type Order = fn([u8; 4]) -> [u8; 4];
+
 fn binary(big: bool) -> Vec<u8> {
-    let (name, order): (_, fn([u8; 4]) -> [u8; 4]) = if big {
+    let (name, order): (_, Order) = if big {
         ("binary_big_endian", |mut b| {
             b.reverse();
             b
