@@ -145,11 +145,19 @@ mod tests {
     #[test]
     fn what_is_neither_a_model_nor_a_label_volume_is_refused() {
         let dir = tempfile::tempdir().unwrap();
-        for name in ["a.palp", "a.nii", "a.nii.gz", "a.nrrd", "a.txt"] {
+        let refusal = |name: &str| {
             let path = dir.path().join(name);
             std::fs::write(&path, b"nothing of the kind").unwrap();
-            let message = inspect(&path).unwrap_err().to_string();
-            assert!(message.contains(name), "{message}");
+            inspect(&path).unwrap_err()
+        };
+        for name in ["a.nii", "a.nii.gz", "a.nrrd"] {
+            let error = refusal(name);
+            assert!(matches!(error, ServerError::Labels(_)), "{error}");
+            assert!(error.to_string().contains(name), "{error}");
+        }
+        for name in ["a.palp", "a.txt"] {
+            let error = refusal(name);
+            assert!(matches!(error, ServerError::File(_)), "{error}");
         }
     }
 }
