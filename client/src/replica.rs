@@ -114,9 +114,21 @@ impl Side {
         }
     }
 
-    fn follow(&mut self, topology: &Topology, outcome: &CutOutcome) {
+    /// A second side of the same topology.
+    fn another(&self, topology: &Topology) -> Self {
+        Self {
+            shape: Shape::rest(topology),
+            solver: self.solver.another(topology),
+        }
+    }
+
+    /// Follows a cut, on one's own or as another side has followed it.
+    fn follow(&mut self, topology: &Topology, outcome: &CutOutcome, like: Option<&Self>) {
         self.shape.follow(topology, outcome);
-        self.solver.follow(topology, &outcome.touched);
+        match like {
+            Some(other) => self.solver.follow_like(topology, &other.solver),
+            None => self.solver.follow(topology, &outcome.touched),
+        }
     }
 }
 
@@ -142,9 +154,10 @@ impl Replica {
     /// The uncut tissue; `with_hand` = false is for spectators and saves half the work.
     pub fn new(model: Arc<Model>, with_hand: bool) -> Self {
         let topology = Topology::new(model);
+        let view = Side::new(&topology);
         Self {
-            haptic: with_hand.then(|| Side::new(&topology)),
-            view: Side::new(&topology),
+            haptic: with_hand.then(|| view.another(&topology)),
+            view,
             topology,
             unseen: None,
             history: History::default(),
@@ -183,13 +196,16 @@ impl Replica {
             });
         }
         self.show_cut();
+        if let Some(side) = &mut self.haptic {
+            side.solver.pour(&mut side.shape);
+        }
         let outcome =
             cut(&mut self.topology, &tissue_stroke(stroke)).map_err(|e| ReplicaError::Cut {
                 operation: name(),
                 why: e.to_string(),
             })?;
         if let Some(side) = &mut self.haptic {
-            side.follow(&self.topology, &outcome);
+            side.follow(&self.topology, &outcome, None);
         }
         self.unseen = Some(outcome);
         self.history.clear();
@@ -259,7 +275,8 @@ impl Replica {
 
     fn show_cut(&mut self) {
         if let Some(outcome) = self.unseen.take() {
-            self.view.follow(&self.topology, &outcome);
+            let like = self.haptic.as_ref();
+            self.view.follow(&self.topology, &outcome, like);
         }
     }
 
@@ -291,7 +308,7 @@ impl Replica {
             drift.nodes = disturbed.len();
             self.was_corrected = true;
             let view = &mut self.view;
-            view.solver.disturb(&self.topology, &view.shape, &disturbed);
+            view.solver.disturb(&view.shape, &disturbed);
         }
         Some(drift)
     }

@@ -256,6 +256,7 @@ impl Turns {
             HAPTIC_TOLERANCE
         };
         let budget = Budget {
+            near: true,
             iterations: ITERATIONS,
             tolerance,
             stop: Some(&mut stop),
@@ -272,6 +273,7 @@ impl Turns {
         let began = monotonic_now();
         let mut stop = || monotonic_now() - began > VIEW_TIME;
         let budget = Budget {
+            near: false,
             iterations: ITERATIONS,
             tolerance: VIEW_TOLERANCE,
             stop: Some(&mut stop),

@@ -58,6 +58,7 @@ fn model() -> Model {
         friction_static: 0.4,
         friction_dynamic: 0.3,
         source: "test".into(),
+        ..Material::default()
     };
     block([10, 10, 6], CELL, &material, 1)
 }

@@ -7,6 +7,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use palpate_tissue::{BuildReport, ModelFile, SceneInput, build};
 use serde::{Deserialize, Serialize};
 
+use crate::export::{Exports, put_in_place};
 use crate::{ServerError, memory};
 
 /// What `build --json` prints.
@@ -42,12 +43,18 @@ pub fn build_model(
     Ok((ModelFile { model, report_json }, summary))
 }
 
-/// Builds a scene and writes the model file.
-pub(crate) fn build_file(scene: &Path, output: &Path) -> Result<BuildSummary, ServerError> {
+/// Builds a scene and writes the model file and what else is asked for: all of it, or nothing.
+pub(crate) fn build_file(
+    scene: &Path,
+    output: &Path,
+    exports: &Exports,
+) -> Result<BuildSummary, ServerError> {
     let since = Instant::now();
     let input = SceneInput::load(scene)?;
     let (file, summary) = build_model(&input, since)?;
-    file.write(output)?;
+    let mut staged = exports.stage(&file.model)?;
+    staged.push(file.stage(output)?);
+    put_in_place(staged)?;
     Ok(summary)
 }
 
@@ -60,6 +67,9 @@ fn progress_bar() -> ProgressBar {
     bar
 }
 
+/// Thin and lost parts that are printed for a person; all that the report holds are in `--json`.
+const THIN_PARTS_SHOWN: usize = 10;
+
 /// The report as a table for a person.
 pub(crate) fn describe(summary: &BuildSummary) -> String {
     use std::fmt::Write as _;
@@ -68,26 +78,39 @@ pub(crate) fn describe(summary: &BuildSummary) -> String {
     // Writing to a string does not fail.
     let _ = writeln!(
         text,
-        "{} nodes, {} cells at {} mm; springs: {} structural, {} shear, {} layer",
-        r.nodes, r.cells, r.spacing_mm, r.springs.structural, r.springs.shear, r.springs.layer
+        "{} nodes, {} cells at {} mm; springs: {} structural, {} shear, {} body diagonals, {} layer",
+        r.nodes,
+        r.cells,
+        r.spacing_mm,
+        r.springs.structural,
+        r.springs.shear,
+        r.springs.body_diagonal,
+        r.springs.layer
     );
-    let _ = writeln!(
-        text,
-        "{:<24} {:>9} {:>12} {:>12} {:>8} {:>9} {:>8}",
-        "region", "nodes", "volume cm3", "input cm3", "error %", "mean mm", "max mm"
-    );
-    for region in &r.regions {
-        let error = 100.0 * (region.volume_mm3 / region.input_volume_mm3 - 1.0);
+    if let Some(s) = &r.spacing_search {
         let _ = writeln!(
             text,
-            "{:<24} {:>9} {:>12.3} {:>12.3} {:>8.2} {:>9.3} {:>8.2}",
-            region.name,
-            region.nodes,
-            region.volume_mm3 / 1e3,
-            region.input_volume_mm3 / 1e3,
-            error,
-            region.surface_distance_mean_mm,
-            region.surface_distance_max_mm
+            "spacing found from {} distances between interfaces: {:.0} % below {:.2} mm (least \
+             {:.3}); not below {:.2} mm as asked nor {:.2} mm for memory",
+            s.distances,
+            100.0 * s.quantile,
+            s.quantile_mm,
+            s.smallest_mm,
+            s.threshold_mm,
+            s.memory_mm
+        );
+    }
+    describe_regions(r, &mut text);
+    for layer in &r.layers {
+        let _ = writeln!(
+            text,
+            "interface {} | {}: {} nodes, {} springs in {} layer(s), {} of them small",
+            layer.inside,
+            layer.outside.as_deref().unwrap_or("outside"),
+            layer.nodes,
+            layer.springs,
+            layer.components,
+            layer.small_components
         );
     }
     let _ = writeln!(
@@ -95,26 +118,103 @@ pub(crate) fn describe(summary: &BuildSummary) -> String {
         "outer surface: {} vertices, {} triangles, {}, {} part(s)",
         r.outer_surface.vertices,
         r.outer_surface.triangles,
-        if r.outer_surface.closed {
-            "closed"
-        } else {
-            "NOT closed"
-        },
+        closed(r.outer_surface.closed),
         r.outer_surface.components
     );
-    let _ = writeln!(
-        text,
-        "shortest spring {:.2} spacings, {} bad cells, {} inverted; topology {}",
-        r.quality.shortest_spring, r.quality.bad_cells, r.quality.inverted_cells, r.topology_hash
-    );
+    describe_quality(r, &mut text);
+    describe_thin_parts(r, &mut text);
     for warning in &r.warnings {
         let _ = writeln!(text, "warning: {warning}");
     }
     let _ = write!(
         text,
-        "built in {:.2} s, {:.0} MB of memory at most",
+        "built in {:.2} s, {:.0} MB of memory at most ({:.0} bytes per node)",
         summary.seconds,
-        summary.peak_memory_bytes as f64 / 1e6
+        summary.peak_memory_bytes as f64 / 1e6,
+        summary.peak_memory_bytes as f64 / r.nodes.max(1) as f64
     );
     text
+}
+
+fn closed(closed: bool) -> &'static str {
+    if closed { "closed" } else { "NOT closed" }
+}
+
+fn describe_regions(r: &BuildReport, text: &mut String) {
+    use std::fmt::Write as _;
+    let _ = writeln!(
+        text,
+        "{:<24} {:>9} {:>12} {:>12} {:>8} {:>7} {:>9} {:>8} {:>9} {:>8} {:>8}",
+        "region",
+        "nodes",
+        "volume cm3",
+        "input cm3",
+        "error %",
+        "pieces",
+        "mean mm",
+        "max mm",
+        "back mean",
+        "back max",
+        "sound"
+    );
+    for region in &r.regions {
+        let error = 100.0 * (region.volume_mm3 / region.input_volume_mm3 - 1.0);
+        let _ = writeln!(
+            text,
+            "{:<24} {:>9} {:>12.3} {:>12.3} {:>8.2} {:>7} {:>9.3} {:>8.2} {:>9.3} {:>8.2} {:>8.2}",
+            region.name,
+            region.nodes,
+            region.volume_mm3 / 1e3,
+            region.input_volume_mm3 / 1e3,
+            error,
+            format!("{}/{}", region.components, region.input_components),
+            region.surface_distance_mean_mm,
+            region.surface_distance_max_mm,
+            region.input_distance_mean_mm,
+            region.input_distance_max_mm,
+            region.distance_max_outside_thin_mm
+        );
+    }
+    let _ = writeln!(
+        text,
+        "  (pieces: model/input; mean, max: model surface from input; back: input from model \
+         surface; sound: largest either way outside of thin parts)"
+    );
+}
+
+fn describe_quality(r: &BuildReport, text: &mut String) {
+    use std::fmt::Write as _;
+    let q = &r.quality;
+    let _ = writeln!(
+        text,
+        "shortest spring {:.2} spacings, least corner {:.3}, {} bad cells, {} inverted; topology {}",
+        q.shortest_spring, q.least_corner, q.bad_cells, q.inverted_cells, r.topology_hash
+    );
+    let deciles: Vec<String> = q.scaled_jacobian.iter().map(ToString::to_string).collect();
+    let _ = writeln!(
+        text,
+        "cells by scaled Jacobian, 0 to 1 in tenths: {}",
+        deciles.join(" ")
+    );
+    let _ = writeln!(
+        text,
+        "{} nodes between two near interfaces went to the nearer one, {} left theirs for good \
+         cells; {} cells changed region for manifold surfaces",
+        q.nodes_tied, q.nodes_let_go, q.cells_flipped
+    );
+}
+
+fn describe_thin_parts(r: &BuildReport, text: &mut String) {
+    use std::fmt::Write as _;
+    let parts = &r.thin.parts;
+    for part in parts.iter().take(THIN_PARTS_SHOWN) {
+        let _ = writeln!(text, "thin: {part}");
+    }
+    let more = parts.len().saturating_sub(THIN_PARTS_SHOWN) + r.thin.more;
+    if more > 0 {
+        let _ = writeln!(
+            text,
+            "thin: and {more} smaller parts (--json lists more of them)"
+        );
+    }
 }

@@ -7,7 +7,9 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::export::Exports;
 use crate::host::{self, HostOptions};
+use crate::inspect::Picture;
 use crate::{ServerError, build, inspect, sample};
 
 /// Hosts shared haptic sessions: build a model, host it, send the join links.
@@ -19,7 +21,7 @@ use crate::{ServerError, build, inspect, sample};
         palpate-server host thigh                      serve a built-in model on port 4433\n  \
         palpate-server sample thigh -o thigh           write its surfaces and scene, to change them\n  \
         palpate-server build thigh/thigh.toml -o thigh.palp\n  \
-        palpate-server inspect thigh.palp\n  \
+        palpate-server inspect thigh.palp --png thigh.png --slice z=580\n  \
         palpate-server inspect segmentation.nii.gz     its labels, to write a scene for it\n  \
         palpate-server host thigh.palp --listen 0.0.0.0:4433 --public operating.example.org\n\n\
         A trainee joins with `palpate-client join LINK`, where LINK is what `host` prints."
@@ -50,6 +52,8 @@ enum Command {
         /// Model file to write
         #[arg(short, long, value_name = "FILE.palp")]
         output: PathBuf,
+        #[command(flatten)]
+        exports: Exports,
         /// Print the report as one JSON object
         #[arg(long)]
         json: bool,
@@ -58,6 +62,10 @@ enum Command {
     Inspect {
         /// The model file (.palp), or a label volume: .nii, .nii.gz, .nrrd, .nhdr, a DICOM folder
         file: PathBuf,
+        #[command(flatten)]
+        exports: Exports,
+        #[command(flatten)]
+        picture: Picture,
         /// Print it as one JSON object
         #[arg(long)]
         json: bool,
@@ -143,9 +151,10 @@ fn execute(command: Command) -> Result<(), ServerError> {
         Command::Build {
             scene,
             output,
+            exports,
             json,
         } => {
-            let summary = build::build_file(&scene, &output)?;
+            let summary = build::build_file(&scene, &output, &exports)?;
             if json {
                 println!("{}", serde_json::json!(summary));
             } else {
@@ -156,8 +165,13 @@ fn execute(command: Command) -> Result<(), ServerError> {
                 );
             }
         }
-        Command::Inspect { file, json } => {
-            let (value, text) = inspect::inspect(&file)?;
+        Command::Inspect {
+            file,
+            exports,
+            picture,
+            json,
+        } => {
+            let (value, text) = inspect::inspect(&file, &exports, &picture)?;
             println!("{}", if json { value.to_string() } else { text });
         }
         Command::Host(args) => host::host(&options(args)?)?,

@@ -1,7 +1,7 @@
 //! What can go wrong before or while serving.
 
 use palpate_tissue::sample::SampleError;
-use palpate_tissue::{BuildError, FileError, LabelError, SceneError};
+use palpate_tissue::{BuildError, FileError, LabelError, SceneError, WriteError};
 use palpate_transport::TransportError;
 
 /// Why a command of the server ended without its result.
@@ -16,9 +16,12 @@ pub enum ServerError {
     /// The model can not be built.
     #[error(transparent)]
     Build(#[from] BuildError),
-    /// The model file can not be read or written.
+    /// The model file can not be read.
     #[error(transparent)]
     File(#[from] FileError),
+    /// A file can not be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
     /// The sample can not be written.
     #[error(transparent)]
     Sample(#[from] SampleError),

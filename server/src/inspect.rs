@@ -1,23 +1,68 @@
 //! `palpate-server inspect`: what a model file or a label volume holds.
 
 use std::fmt::Write as _;
-use std::path::Path;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
 
-use palpate_tissue::{LabelVolume, ModelFile, model_hash};
+use clap::Args;
+use palpate_tissue::{LabelVolume, Material, ModelFile, Region, Staged, model_hash};
 use serde_json::{Value, json};
 
 use crate::ServerError;
 use crate::build::{BuildSummary, describe};
+use crate::export::{Exports, put_in_place};
+use crate::picture::{self, Slice};
 
-/// What a file holds: as one JSON object, and for a person. Everything that is no model file by its
-/// name is taken for a label volume.
-pub(crate) fn inspect(path: &Path) -> Result<(Value, String), ServerError> {
+/// A picture of a cross-section, when one is asked for.
+#[derive(Debug, Clone, Default, Args)]
+pub(crate) struct Picture {
+    /// Also draw a cross-section with regions, springs and poor cells
+    #[arg(long, value_name = "FILE.png")]
+    png: Option<PathBuf>,
+    /// Where the picture cuts: x, y or z, with a place in mm [default: z, in the middle]
+    #[arg(
+        long,
+        value_name = "AXIS=MM",
+        requires = "png",
+        allow_hyphen_values = true
+    )]
+    slice: Option<Slice>,
+    /// Draw the springs however small they come out
+    #[arg(long, requires = "png")]
+    springs: bool,
+}
+
+impl Picture {
+    fn stage(&self, file: &ModelFile, path: &Path) -> Result<Option<Staged>, ServerError> {
+        let Some(png) = &self.png else {
+            return Ok(None);
+        };
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let slice = self.slice.unwrap_or_default();
+        let bytes = picture::draw(file, &name, slice, self.springs)?;
+        Ok(Some(Staged::write(png, |out| out.write_all(&bytes))?))
+    }
+}
+
+/// What a file holds: as one JSON object, and for a person. Writes what else is asked for, which only
+/// a model can give. Everything that is no model file by its name is taken for a label volume.
+pub(crate) fn inspect(
+    path: &Path,
+    exports: &Exports,
+    picture: &Picture,
+) -> Result<(Value, String), ServerError> {
     const VOLUMES: [&str; 6] = ["nii", "gz", "nrrd", "nhdr", "dcm", "dicom"];
     let extension = path.extension().unwrap_or_default().to_string_lossy();
     if path.is_dir() || VOLUMES.contains(&extension.to_lowercase().as_str()) {
+        if exports.any() || picture.png.is_some() {
+            return Err(ServerError::Option(format!(
+                "{} is a label volume: --vtu, --stl and --png show a model; build one from it first",
+                path.display()
+            )));
+        }
         return inspect_labels(path);
     }
-    inspect_model(path)
+    inspect_model(path, exports, picture)
 }
 
 fn inspect_labels(path: &Path) -> Result<(Value, String), ServerError> {
@@ -63,8 +108,15 @@ fn inspect_labels(path: &Path) -> Result<(Value, String), ServerError> {
     Ok((value, text))
 }
 
-fn inspect_model(path: &Path) -> Result<(Value, String), ServerError> {
+fn inspect_model(
+    path: &Path,
+    exports: &Exports,
+    picture: &Picture,
+) -> Result<(Value, String), ServerError> {
     let file = ModelFile::read(path)?;
+    let mut staged = exports.stage(&file.model)?;
+    staged.extend(picture.stage(&file, path)?);
+    put_in_place(staged)?;
     let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
     let hash = format!("{:016x}", model_hash(&file.model));
     let mut value = serde_json::from_str(&file.report_json).unwrap_or_else(|_| json!({}));
@@ -89,16 +141,44 @@ fn inspect_model(path: &Path) -> Result<(Value, String), ServerError> {
         let m = &region.material;
         let _ = write!(
             text,
-            "\n{:<24} {:<12} {:>10.1} kPa {:>6.0} kg/m3{}  ({})",
+            "\n{:<24} {:<12} {:>11.2} kPa, Poisson {:.2}, {:>6.0} kg/m3{}{}  ({})",
             region.name,
             m.name,
             m.young_pa / 1e3,
+            m.poisson,
             m.density_kg_m3,
+            special(region),
             if region.pinned { ", pinned" } else { "" },
             m.source
         );
     }
     Ok((value, text))
+}
+
+/// What is out of the common about a region's material.
+fn special(region: &Region) -> String {
+    let m = &region.material;
+    let plain = Material::default();
+    let mut text = String::new();
+    if m.stiffening != plain.stiffening {
+        let _ = write!(text, ", stiffening {}", m.stiffening);
+    }
+    if m.fibre_ratio != plain.fibre_ratio {
+        let [x, y, z] = region.fibre;
+        let _ = write!(
+            text,
+            ", {} times as stiff along [{x:.3}, {y:.3}, {z:.3}]",
+            m.fibre_ratio
+        );
+    }
+    if [m.compress_limit, m.stretch_limit] != [plain.compress_limit, plain.stretch_limit] {
+        let _ = write!(
+            text,
+            ", springs of {} to {} rest lengths",
+            m.compress_limit, m.stretch_limit
+        );
+    }
+    text
 }
 
 fn materials(file: &ModelFile) -> Value {
@@ -110,6 +190,12 @@ fn materials(file: &ModelFile) -> Value {
                 "region": r.name,
                 "material": r.material.name,
                 "young_kpa": r.material.young_pa / 1e3,
+                "poisson": r.material.poisson,
+                "stiffening": r.material.stiffening,
+                "fibre_ratio": r.material.fibre_ratio,
+                "fibre": r.fibre,
+                "compress_limit": r.material.compress_limit,
+                "stretch_limit": r.material.stretch_limit,
                 "density_kg_m3": r.material.density_kg_m3,
                 "friction_static": r.material.friction_static,
                 "friction_dynamic": r.material.friction_dynamic,
@@ -132,7 +218,8 @@ mod tests {
                     space: LPS\nspace directions: (10,0,0) (0,10,0) (0,0,20)\n\
                     space origin: (5,5,0)\n\n0 0 0 7 7 7 0 0";
         std::fs::write(&path, text).unwrap();
-        let (value, text) = inspect(&path).unwrap();
+        let (exports, picture) = Default::default();
+        let (value, text) = inspect(&path, &exports, &picture).unwrap();
         assert_eq!(value["size"], json!([2, 2, 2]));
         assert_eq!(value["labels"][1]["voxels"], 3);
         let litres = value["labels"][1]["litres"].as_f64().unwrap();
@@ -140,6 +227,14 @@ mod tests {
         // LPS in the file, RAS in the world.
         assert!((value["world_min_mm"][0].as_f64().unwrap() + 20.0).abs() < 1e-9);
         assert!(text.contains("10.000 x 10.000 x 20.000 mm") && text.contains("0.0060"));
+        let png = dir.path().join("a.png");
+        let picture = Picture {
+            png: Some(png.clone()),
+            ..Picture::default()
+        };
+        let error = inspect(&path, &exports, &picture).unwrap_err();
+        assert!(matches!(error, ServerError::Option(_)), "{error}");
+        assert!(!png.exists());
     }
 
     #[test]
@@ -148,7 +243,7 @@ mod tests {
         let refusal = |name: &str| {
             let path = dir.path().join(name);
             std::fs::write(&path, b"nothing of the kind").unwrap();
-            inspect(&path).unwrap_err()
+            inspect(&path, &Exports::default(), &Picture::default()).unwrap_err()
         };
         for name in ["a.nii", "a.nii.gz", "a.nrrd"] {
             let error = refusal(name);

@@ -8,10 +8,12 @@
 pub mod build;
 pub mod cli;
 mod error;
+mod export;
 pub mod host;
 mod inspect;
 mod load;
 mod memory;
+mod picture;
 mod sample;
 
 pub use error::ServerError;

@@ -9,11 +9,15 @@ use std::time::{Duration, Instant};
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::bench::on_threads;
+use crate::bench::press_cube::PressCube;
+use crate::bench::press_scene::PressScene;
 use crate::demo::{self, DemoOptions};
 use crate::program::die_with_parent;
 use crate::progress::{Interrupt, Progress};
 use crate::relay::{Profile, Relay};
 use crate::report::DEFINITIONS;
+use crate::subject::Subject;
 
 /// Where the report goes when nothing is said.
 const REPORT_DIR: &str = "palpate-report";
@@ -35,6 +39,13 @@ Network profiles: none, lan (0.3 ms), metro (5 ms), transatlantic (60 ms one way
 The exit code is 0 when all is well, 2 when the command line is wrong, 1 otherwise; for the demo, 1
 also when topology hashes differ, a process died, or the cut did not arrive.";
 
+const BENCHES: &str = "\
+Examples:
+  palpate-lab bench press-cube --nodes 40 --moving
+  palpate-lab bench press-scene thigh.toml --json
+
+Compare figures of one run on one machine only: other work on it changes them.";
+
 /// The laboratory: emulated networks, scripted hands, the demo.
 #[derive(Debug, Parser)]
 #[command(name = "palpate-lab", version, after_help = EXAMPLES)]
@@ -51,6 +62,58 @@ enum Command {
     /// Pass UDP packets on, late and not all of them
     #[command(after_help = EXAMPLES)]
     Relay(RelayArguments),
+    /// Measure the equilibrium against its own converged answer
+    #[command(subcommand, after_help = BENCHES)]
+    Bench(Bench),
+}
+
+#[derive(Debug, Subcommand)]
+enum Bench {
+    /// A cube of side 0.1 m pressed by a disc: the time from rest to 1 % and to convergence
+    PressCube(PressCubeArguments),
+    /// A sphere of 8 mm pressed into a model at the speed of a hand: force error and time per tick
+    PressScene(PressSceneArguments),
+}
+
+#[derive(Debug, Args)]
+struct PressCubeArguments {
+    /// Nodes per edge: 20 makes 8,000 nodes, 40 64,000, 100 a million
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u16).range(4..=160))]
+    nodes: u16,
+    /// Threads
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
+    threads: u16,
+    /// Poisson's ratio, 0.25 to 0.49; 0.25 is springs alone
+    #[arg(long, default_value_t = 0.25)]
+    poisson: f64,
+    /// Also press in ten steps of 0.1 mm
+    #[arg(long)]
+    moving: bool,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+struct PressSceneArguments {
+    /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
+    #[arg(default_value = "thigh")]
+    model: String,
+    /// How deep, mm
+    #[arg(long, default_value_t = 15.0)]
+    depth_mm: f64,
+    /// How fast, mm/s
+    #[arg(long, default_value_t = 100.0)]
+    speed_mm_s: f64,
+    /// Time a tick may take before its last iteration begins, ms
+    #[arg(long, default_value_t = 1.6)]
+    budget_ms: f64,
+    /// Threads
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
+    threads: u16,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Debug, Args)]
@@ -130,6 +193,8 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     let done = match cli.command {
         Command::Demo(arguments) => run_demo(arguments),
         Command::Relay(arguments) => run_relay(&arguments),
+        Command::Bench(Bench::PressCube(arguments)) => run_press_cube(&arguments),
+        Command::Bench(Bench::PressScene(arguments)) => run_press_scene(&arguments),
     };
     done.unwrap_or_else(|sentence| {
         eprintln!("palpate-lab: {sentence}");
@@ -234,6 +299,64 @@ fn run_relay(arguments: &RelayArguments) -> Result<ExitCode, String> {
             s.delay_p99_ms,
             s.overflowed
         ))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn run_press_cube(arguments: &PressCubeArguments) -> Result<ExitCode, String> {
+    if !(0.25..=0.49).contains(&arguments.poisson) {
+        return Err(format!(
+            "--poisson {} must be between 0.25 (springs alone) and 0.49",
+            arguments.poisson
+        ));
+    }
+    let bench = PressCube {
+        nodes: usize::from(arguments.nodes),
+        poisson: arguments.poisson,
+        moving: arguments.moving,
+    };
+    let report = on_threads(usize::from(arguments.threads), || {
+        let mut progress = Progress::new();
+        bench.run(&mut |what| progress.stage(what))
+    })?;
+    give(&report, arguments.json)
+}
+
+fn run_press_scene(arguments: &PressSceneArguments) -> Result<ExitCode, String> {
+    for (name, value) in [
+        ("--depth-mm", arguments.depth_mm),
+        ("--speed-mm-s", arguments.speed_mm_s),
+        ("--budget-ms", arguments.budget_ms),
+    ] {
+        if !(value > 0.0 && value <= 1e4) {
+            return Err(format!("{name} {value} must be above 0 and at most 10000"));
+        }
+    }
+    let dir = tempfile::tempdir().map_err(|e| format!("no temporary folder: {e}"))?;
+    let mut progress = Progress::new();
+    progress.stage("reading the model");
+    let subject = Subject::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
+    let bench = PressScene {
+        depth_m: arguments.depth_mm * 1e-3,
+        speed_m_s: arguments.speed_mm_s * 1e-3,
+        budget_ms: arguments.budget_ms,
+        ..PressScene::default()
+    };
+    let report = on_threads(usize::from(arguments.threads), move || {
+        bench.run(subject.model, &mut |what| progress.tick(what))
+    })??;
+    give(&report, arguments.json)
+}
+
+/// Prints a report, for a person or as one JSON object.
+fn give(
+    report: &(impl serde::Serialize + std::fmt::Display),
+    json: bool,
+) -> Result<ExitCode, String> {
+    if json {
+        say(&serde_json::to_string(report).expect("a report is plain data"))?;
+    } else {
+        say(&report.to_string())?;
     }
     Ok(ExitCode::SUCCESS)
 }

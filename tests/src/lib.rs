@@ -11,10 +11,12 @@
 //! | run a server and clients as processes | [`program`], [`session`] |
 //! | know what would be felt without a network | [`mod@reference`] |
 //! | compare | [`disagreement`], [`force_error`] |
+//! | measure the equilibrium | [`bench`] |
 //! | see all of it at once | [`demo`], [`report`], [`plots`] |
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod bench;
 pub mod chart;
 pub mod cli;
 pub mod demo;

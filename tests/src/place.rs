@@ -339,6 +339,7 @@ mod tests {
             friction_static: 0.4,
             friction_dynamic: 0.3,
             source: "test".into(),
+            ..Material::default()
         };
         let topology = Topology::new(Arc::new(block([30, 30, 10], 0.004, &soft, 1)));
         let place = Place::find(&topology).unwrap();

@@ -232,6 +232,7 @@ mod tests {
             friction_static: 0.4,
             friction_dynamic: 0.3,
             source: "test".into(),
+            ..Material::default()
         };
         let model = Arc::new(block([24, 24, 8], 0.005, &soft, 1));
         let place = Place::find(&Topology::new(Arc::clone(&model))).unwrap();

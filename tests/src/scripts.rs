@@ -259,6 +259,7 @@ mod tests {
             friction_static: 0.4,
             friction_dynamic: 0.3,
             source: "test".into(),
+            ..Material::default()
         };
         block(cells, spacing, &soft, 1)
     }

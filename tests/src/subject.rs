@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use palpate_tissue::sample::{Sample, SampleError};
-use palpate_tissue::{BuildError, FileError, Model, ModelFile, SceneError, SceneInput, build};
+use palpate_tissue::{
+    BuildError, FileError, Model, ModelFile, SceneError, SceneInput, WriteError, build,
+};
 
 /// Why there is no model.
 #[derive(Debug, thiserror::Error)]
@@ -29,6 +31,9 @@ pub enum SubjectError {
     /// The model file.
     #[error(transparent)]
     File(#[from] FileError),
+    /// The model file can not be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
 }
 
 /// A model with its file.

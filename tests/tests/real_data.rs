@@ -1,5 +1,5 @@
-//! Real anatomy, when there is some: set `PALPATE_DATA` to a folder with `leg_bp3d` in it (closed
-//! surfaces of a leg in millimetres: `thigh_skin.stl`, `thigh_muscle.stl`, `thigh_femur.stl`).
+//! Real anatomy, when there is some: set `PALPATE_DATA` to a folder with `leg_bp3d`, `abdomen_ct` and
+//! `tool_otoscope` in it (closed surfaces in millimetres: `leg_bp3d/thigh_skin.stl` and so on).
 //! Without it these tests pass and say that they did nothing.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
@@ -17,7 +17,7 @@ fn data() -> Option<PathBuf> {
     if folder.is_none() {
         println!("PALPATE_DATA is not set: nothing was tested");
     }
-    folder.map(|f| f.join("leg_bp3d"))
+    folder
 }
 
 fn build(regions: &[(&str, &str, PathBuf)], pinned: &str, spacing_mm: f64) -> serde_json::Value {
@@ -47,22 +47,34 @@ fn build(regions: &[(&str, &str, PathBuf)], pinned: &str, spacing_mm: f64) -> se
     serde_json::from_slice(&out.stdout).unwrap()
 }
 
+/// What a person may rely on: closed surfaces, good cells, the input's volumes, and surfaces where
+/// they belong but for the parts that the report lists.
 fn assert_faithful(report: &serde_json::Value) {
+    let number = |value: &serde_json::Value| value.as_f64().unwrap();
+    let spacing = number(&report["spacing_mm"]);
     assert_eq!(report["outer_surface"]["closed"], true, "{report}");
-    assert_eq!(report["outer_surface"]["components"], 1, "{report}");
+    let quality = &report["quality"];
+    assert_eq!(quality["inverted_cells"], 0, "{quality}");
+    assert_eq!(quality["bad_cells"], 0, "{quality}");
+    assert!(number(&quality["shortest_spring"]) >= 0.3, "{quality}");
     for region in report["regions"].as_array().unwrap() {
-        let volume = region["volume_mm3"].as_f64().unwrap();
-        let input = region["input_volume_mm3"].as_f64().unwrap();
-        let error = 100.0 * (volume / input - 1.0);
+        let error =
+            100.0 * (number(&region["volume_mm3"]) / number(&region["input_volume_mm3"]) - 1.0);
         println!("{}: {error:+.2} %", region["name"]);
         assert!(error.abs() <= 2.0, "{region}");
+        assert_eq!(region["surface"]["closed"], true, "{region}");
+        assert_eq!(region["components"], region["input_components"], "{region}");
+        let mean = number(&region["distance_mean_outside_thin_mm"]);
+        assert!(mean <= 0.1 * spacing, "{region}");
+        let max = number(&region["distance_max_outside_thin_mm"]);
+        assert!(max <= 0.75 * spacing, "{region}");
     }
 }
 
 #[test]
 fn a_real_thigh_keeps_its_volumes_and_closes() {
     let Some(folder) = data() else { return };
-    let surface = |part: &str| folder.join(format!("thigh_{part}.stl"));
+    let surface = |part: &str| folder.join(format!("leg_bp3d/thigh_{part}.stl"));
     let regions = [
         ("subcutaneous", "fat", surface("skin")),
         ("muscle", "muscle", surface("muscle")),
@@ -74,11 +86,56 @@ fn a_real_thigh_keeps_its_volumes_and_closes() {
 #[test]
 fn a_real_shank_keeps_its_volumes_and_closes() {
     let Some(folder) = data() else { return };
-    let surface = |part: &str| folder.join(format!("shank_{part}.stl"));
+    let surface = |part: &str| folder.join(format!("leg_bp3d/shank_{part}.stl"));
     let regions = [
         ("subcutaneous", "fat", surface("skin")),
         ("muscle", "muscle", surface("muscle")),
         ("tibia", "bone", surface("tibia")),
     ];
     assert_faithful(&build(&regions, "tibia", 3.0));
+}
+
+#[test]
+fn a_real_leg_of_six_regions_keeps_its_volumes_and_closes() {
+    let Some(folder) = data() else { return };
+    let surface = |part: &str| folder.join(format!("leg_bp3d/full_{part}.stl"));
+    let regions = [
+        ("subcutaneous", "fat", surface("skin")),
+        ("muscle", "muscle", surface("muscle")),
+        ("patella", "bone", surface("patella")),
+        ("fibula", "bone", surface("fibula")),
+        ("tibia", "bone", surface("tibia")),
+        ("femur", "bone", surface("femur")),
+    ];
+    assert_faithful(&build(&regions, "femur", 4.0));
+}
+
+#[test]
+fn a_real_liver_among_its_neighbours_keeps_its_volume() {
+    let Some(folder) = data() else { return };
+    let surface = |part: &str| folder.join(format!("abdomen_ct/{part}.stl"));
+    let regions = [
+        ("trunk", "fat", surface("torso_skin_outer")),
+        ("liver", "muscle", surface("slab_liver")),
+        ("spleen", "muscle", surface("slab_spleen")),
+        ("kidneys", "muscle", surface("slab_kidneys")),
+    ];
+    assert_faithful(&build(&regions, "trunk", 4.0));
+}
+
+#[test]
+fn the_parts_of_a_real_instrument_are_rigid_regions() {
+    let Some(folder) = data() else { return };
+    // The specula's wall is half a millimetre thick: at 0.4 mm it is there.
+    let parts = [
+        ("handle", 2.0),
+        ("head", 1.5),
+        ("lens_large", 1.5),
+        ("battery_holder", 1.5),
+        ("specula", 0.4),
+    ];
+    for (part, spacing_mm) in parts {
+        let file = folder.join(format!("tool_otoscope/{part}.stl"));
+        assert_faithful(&build(&[(part, "bone", file)], part, spacing_mm));
+    }
 }

@@ -17,6 +17,7 @@ fn tissue() -> Arc<Model> {
         friction_static: 0.4,
         friction_dynamic: 0.3,
         source: "test".into(),
+        ..Material::default()
     };
     Arc::new(block([10, 10, 6], CELL, &material, 1))
 }

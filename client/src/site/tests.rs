@@ -19,6 +19,7 @@ fn model() -> Arc<Model> {
         friction_static: 0.4,
         friction_dynamic: 0.3,
         source: "test".into(),
+        ..Material::default()
     };
     Arc::new(block([6, 6, 4], 4e-3, &material, 1))
 }

@@ -20,6 +20,7 @@ fn tissue() -> Material {
         friction_static: 0.3,
         friction_dynamic: 0.2,
         source: "round numbers for a measurement".into(),
+        ..Material::default()
     }
 }
 

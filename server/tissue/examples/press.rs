@@ -87,6 +87,7 @@ fn main() {
         friction_static: 0.4,
         friction_dynamic: 0.3,
         source: "benchmark".into(),
+        ..Material::default()
     };
     let start = Instant::now();
     let model = block(
@@ -186,6 +187,7 @@ fn press(o: &Options, topology: &Topology, mut solver: Solver) {
         let before = spent_ms(start);
         let mut stop = || spent_ms(start) - before > o.budget_ms;
         let budget = Budget {
+            near: false,
             iterations: o.iterations as usize,
             tolerance: o.tolerance,
             stop: Some(&mut stop),

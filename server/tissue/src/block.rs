@@ -59,12 +59,15 @@ pub fn block(
         name: name.into(),
         material: material.clone(),
         pinned,
+        fibre: [0.0; 3],
     };
-    Model {
+    let mut model = Model {
         spacing_m,
         regions: vec![region("base", true), region("body", false)],
         nodes,
         lattice,
         cells: list,
-    }
+    };
+    model.resolve_fibres();
+    model
 }

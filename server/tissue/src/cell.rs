@@ -78,6 +78,24 @@ pub fn cell_volume(corners: &[Vec3; 8]) -> f64 {
     six_volumes_twice / 12.0
 }
 
+/// Scaled Jacobian of the hexahedron with these corners (Knupp 2000): the least, over the corners,
+/// of the determinant of the three edges that leave it over the product of their lengths. 1 for a
+/// box, 0 where a corner is flat, negative where one is inside out.
+pub fn scaled_jacobian(corners: &[Vec3; 8]) -> f64 {
+    (0..8)
+        .map(|c| {
+            // Along each axis from low to high, so that the sign is that of the volume.
+            let [x, y, z] = [1, 2, 4].map(|step| corners[c | step] - corners[c & !step]);
+            let lengths = (x.norm_squared() * y.norm_squared() * z.norm_squared()).sqrt();
+            if lengths > 0.0 {
+                x.dot(&y.cross(&z)) / lengths
+            } else {
+                0.0
+            }
+        })
+        .fold(f64::INFINITY, f64::min)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -95,6 +113,19 @@ mod tests {
         let map = nalgebra::Matrix3::new(1.0, 0.3, 0.0, -0.2, 2.0, 0.1, 0.0, 0.5, 0.7);
         let sheared = unit.map(|p| map * p + Vec3::new(5.0, -3.0, 1.0));
         assert!((cell_volume(&sheared) - 8.0 * map.determinant()).abs() < 1e-10);
+    }
+
+    #[test]
+    fn the_scaled_jacobian_is_one_for_a_box_and_negative_inside_out() {
+        let mut corners = cube(2.0).map(|p| p.component_mul(&Vec3::new(1.0, 3.0, 0.5)));
+        assert!((scaled_jacobian(&corners) - 1.0).abs() < 1e-12);
+        corners[7] = Vec3::new(1.0, 3.0, 0.1);
+        let pushed_in = scaled_jacobian(&corners);
+        assert!(pushed_in < 1.0);
+        corners[7] = Vec3::new(-1.0, -1.0, -1.0);
+        assert!(scaled_jacobian(&corners) < 0.0);
+        corners[7] = corners[6];
+        assert!(scaled_jacobian(&corners) <= 0.0, "an edge of no length");
     }
 
     #[test]

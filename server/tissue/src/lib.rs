@@ -14,7 +14,10 @@ mod cell;
 mod contact;
 mod cut;
 mod equilibrium;
+pub mod export;
+mod fibre;
 mod file;
+mod fit;
 pub mod labels;
 mod material;
 mod model;
@@ -23,15 +26,18 @@ pub mod scene;
 mod shape;
 mod snapshot;
 mod springs;
+mod staged;
 pub mod surface;
 mod topology;
 
 pub use block::block;
 pub use build::{
-    BUILD_NODES_MAX, BuildError, BuildReport, GRID_CELLS_MAX, Progress, QualityReport,
-    RegionReport, SpringCounts, SurfaceReport, build, report_surface,
+    BUILD_NODES_MAX, BuildError, BuildReport, CORNER_FLOOR, GRID_CELLS_MAX, Layer, LayerReport,
+    Layers, NEIGHBOURS_MAX, Progress, QualityReport, RegionReport, SPRING_FLOOR, SpacingReport,
+    SpringCounts, SurfaceReport, THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts, build,
+    region_surface, report_surface,
 };
-pub use cell::{Cell, DIAGONALS, EDGES, FACES, NO_CELL, cell_volume};
+pub use cell::{Cell, DIAGONALS, EDGES, FACES, NO_CELL, cell_volume, scaled_jacobian};
 pub use contact::{Reaction, TOOLS_MAX, Tool};
 pub use cut::{
     BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, BladePoint, CutError, CutOutcome, CutStroke, Moved,
@@ -43,12 +49,13 @@ pub use file::{
     decode_model, encode_model,
 };
 pub use labels::{LabelError, LabelVolume};
-pub use material::{MATERIAL_NAMES, Material, MaterialError, MaterialOverride};
+pub use material::{FibreAxis, MATERIAL_NAMES, Material, MaterialError, MaterialOverride};
 pub use model::{Model, Region, RegionId};
 pub use scene::{RegionSource, Scene, SceneError, SceneInput, SceneRegion};
 pub use shape::Shape;
 pub use snapshot::{SNAPSHOT_FORMAT, SnapshotError, model_hash, restore, snapshot};
 pub use springs::{SPRINGS_PER_NODE_MAX, Spring, Springs};
+pub use staged::{Staged, WriteError};
 pub use surface::{Aabb, CheckReport, Surface, SurfaceError, Unit};
 pub use topology::{Boundary, FaceId, Topology, TopologyHash};
 

@@ -1,8 +1,10 @@
 //! Materials in engineering units, and the library of built-in ones.
 //!
-//! A person gives Young's modulus, density and friction; the springs of the lattice follow from
-//! them. The built-in values are rounded, each with where it comes from; living tissue varies by
-//! a factor of several between people, sites and methods, so a scene may override every one.
+//! A person gives Young's modulus, Poisson's ratio, density and friction, and where a tissue is not
+//! linear or not the same in all directions how it stiffens and along what; the springs of the
+//! lattice follow from them. The built-in values are rounded, each with where it comes from; living
+//! tissue varies by a factor of several between people, sites and methods, so a scene may override
+//! every one.
 
 mod library;
 
@@ -11,13 +13,30 @@ pub use library::MATERIAL_NAMES;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::Vec3;
+
 /// What a region is made of.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Material {
     /// The name it goes by in a scene.
     pub name: String,
-    /// Young's modulus in Pa.
+    /// Young's modulus in Pa; with fibres, the one across them.
     pub young_pa: f64,
+    /// Poisson's ratio: a quarter is what springs alone give, one half would be incompressible.
+    pub poisson: f64,
+    /// Exponent b of the spring curve F = k l0 (exp(b e) - 1)/b over the strain e = (l - l0)/l0;
+    /// 0 is the straight line F = k l0 e.
+    pub stiffening: f64,
+    /// Young's modulus along the fibres over the one across them; 1 is the same in all directions.
+    pub fibre_ratio: f64,
+    /// The direction of the fibres; without meaning when `fibre_ratio` is 1.
+    pub fibre_axis: FibreAxis,
+    /// Part of its rest length at which a compressed spring turns extreme: it gets no shorter
+    /// (`α_min` of Lin 2007, fig. 3.11).
+    pub compress_limit: f64,
+    /// Multiple of its rest length at which a stretched spring turns extreme: it gets no longer
+    /// (`α_max` of Lin 2007, fig. 3.11).
+    pub stretch_limit: f64,
     /// Density in kg/m³.
     pub density_kg_m3: f64,
     /// Coefficient of static friction against a tool.
@@ -28,11 +47,55 @@ pub struct Material {
     pub source: String,
 }
 
-/// What a scene says about a material: `[material.NAME]`. What is `None` stays as it is built in.
+/// Which way the fibres of a region run.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub enum FibreAxis {
+    /// Along the region's long axis: the principal axis of its cells' middles.
+    #[default]
+    Long,
+    /// Along this direction of the model, of any length but zero.
+    Given([f64; 3]),
+}
+
+impl Default for Material {
+    /// A soft one without a history: linear, the same in all directions, springs alone. For models
+    /// that are made by a program; scenes take theirs from the library.
+    fn default() -> Self {
+        Self {
+            name: "plain".to_owned(),
+            young_pa: 10e3,
+            poisson: POISSON_OF_SPRINGS,
+            stiffening: 0.0,
+            fibre_ratio: 1.0,
+            fibre_axis: FibreAxis::Long,
+            compress_limit: COMPRESS_LIMIT_DEFAULT,
+            stretch_limit: STRETCH_LIMIT_DEFAULT,
+            density_kg_m3: 1000.0,
+            friction_static: FRICTION_DEFAULT[0],
+            friction_dynamic: FRICTION_DEFAULT[1],
+            source: "round numbers".to_owned(),
+        }
+    }
+}
+
+/// What a scene says about a material, in `[material.NAME]` or in a region itself. What is `None`
+/// stays as it is.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct MaterialOverride {
     /// Young's modulus in Pa.
     pub young_pa: Option<f64>,
+    /// Poisson's ratio.
+    pub poisson: Option<f64>,
+    /// Exponent of the spring curve.
+    pub stiffening: Option<f64>,
+    /// Young's modulus along the fibres over the one across.
+    pub fibre_ratio: Option<f64>,
+    /// Direction of the fibres.
+    pub fibre_axis: Option<FibreAxis>,
+    /// Part of the rest length at which a compressed spring turns extreme.
+    pub compress_limit: Option<f64>,
+    /// Multiple of the rest length at which a stretched spring turns extreme.
+    pub stretch_limit: Option<f64>,
     /// Density in kg/m³.
     pub density_kg_m3: Option<f64>,
     /// Coefficient of static friction.
@@ -52,6 +115,38 @@ pub(crate) const DENSITY_KG_M3_RANGE: [f64; 2] = [1.0, 25_000.0];
 /// Largest coefficient of friction. Reason: clean rubber reaches about 2; above 5 nothing a tool
 /// touches. At the bound the material is refused.
 pub(crate) const FRICTION_MAX: f64 = 5.0;
+
+/// Poisson's ratio a material may have. Reason: below a quarter the term that keeps the volume
+/// would have to pull the cells apart; at one half it would be infinite, and at 0.49 it is 48 times
+/// as stiff as the springs. At the bounds the material is refused.
+pub(crate) const POISSON_RANGE: [f64; 2] = [POISSON_OF_SPRINGS, 0.49];
+
+/// Exponent of the spring curve a material may have. Reason: at 50 a spring is e times as stiff
+/// with every 2 % of strain, beyond the steepest toe region of a tendon; steeper is a limit, for
+/// which there is `stretch_limit`. At the bound the material is refused.
+pub(crate) const STIFFENING_RANGE: [f64; 2] = [0.0, 50.0];
+
+/// Ratio of the moduli along and across fibres. Reason: springs can share the work between their
+/// directions only so far before some would have to push; muscle and tendon in the literature lie
+/// within. At the bounds the material is refused.
+pub(crate) const FIBRE_RATIO_RANGE: [f64; 2] = [0.1, 20.0];
+
+/// Parts of the rest length at which compression may end. Reason: above 0.95 a touch would make
+/// everything rigid; below 0.05 the cells have folded before. At the bounds the material is refused.
+pub(crate) const COMPRESS_LIMIT_RANGE: [f64; 2] = [0.05, 0.95];
+
+/// Multiples of the rest length at which stretching may end. Reason: at 1 and a hundredth a touch
+/// makes everything rigid; at 100 there is no limit. At the bounds the material is refused.
+pub(crate) const STRETCH_LIMIT_RANGE: [f64; 2] = [1.01, 100.0];
+
+/// What springs alone give (`springs.rs`).
+const POISSON_OF_SPRINGS: f64 = 0.25;
+
+/// Where compression ends when the scene does not say.
+const COMPRESS_LIMIT_DEFAULT: f64 = 0.3;
+
+/// Where stretching ends when the scene does not say.
+const STRETCH_LIMIT_DEFAULT: f64 = 3.0;
 
 /// Friction of a new material for which the scene gives none.
 const FRICTION_DEFAULT: [f64; 2] = [0.4, 0.3];
@@ -108,7 +203,9 @@ impl Material {
     pub fn resolve(name: &str, change: Option<&MaterialOverride>) -> Result<Self, MaterialError> {
         let change = match (Self::built_in(name), change) {
             (Some(built_in), None) => return Ok(built_in),
-            (Some(built_in), Some(change)) => return built_in.with(change),
+            (Some(built_in), Some(change)) => {
+                return built_in.with(change, "changed by the scene; built in");
+            }
             (None, None) => {
                 let nearest = crate::scene::nearest(name, MATERIAL_NAMES.iter().copied());
                 return Err(MaterialError::Unknown {
@@ -124,34 +221,41 @@ impl Material {
                 missing,
             })
         };
-        let friction_static = change
-            .friction_static
-            .unwrap_or_else(|| FRICTION_DEFAULT[0].max(change.friction_dynamic.unwrap_or(0.0)));
-        Self {
+        let plain = Self {
             name: name.to_owned(),
             young_pa: need(change.young_pa, "young_kpa")?,
             density_kg_m3: need(change.density_kg_m3, "density_kg_m3")?,
-            friction_static,
-            friction_dynamic: change
-                .friction_dynamic
-                .unwrap_or(FRICTION_DEFAULT[1].min(friction_static)),
+            ..Self::default()
+        };
+        Self {
             source: "given by the scene".to_owned(),
+            ..plain.with(change, "")?
         }
         .checked()
     }
 
-    /// Itself with the scene's changes.
-    fn with(mut self, change: &MaterialOverride) -> Result<Self, MaterialError> {
+    /// Itself with a scene's changes; `by` says whose they are and begins the new source.
+    pub(crate) fn with(
+        mut self,
+        change: &MaterialOverride,
+        by: &str,
+    ) -> Result<Self, MaterialError> {
         if *change == MaterialOverride::default() {
             return Ok(self);
         }
         self.young_pa = change.young_pa.unwrap_or(self.young_pa);
+        self.poisson = change.poisson.unwrap_or(self.poisson);
+        self.stiffening = change.stiffening.unwrap_or(self.stiffening);
+        self.fibre_ratio = change.fibre_ratio.unwrap_or(self.fibre_ratio);
+        self.fibre_axis = change.fibre_axis.unwrap_or(self.fibre_axis);
+        self.compress_limit = change.compress_limit.unwrap_or(self.compress_limit);
+        self.stretch_limit = change.stretch_limit.unwrap_or(self.stretch_limit);
         self.density_kg_m3 = change.density_kg_m3.unwrap_or(self.density_kg_m3);
         // Whoever gives one coefficient means the other to follow where it would contradict.
         let [statik, dynamic] = [change.friction_static, change.friction_dynamic];
         self.friction_static = statik.unwrap_or(self.friction_static.max(dynamic.unwrap_or(0.0)));
         self.friction_dynamic = dynamic.unwrap_or(self.friction_dynamic.min(self.friction_static));
-        self.source = format!("changed by the scene; built in: {}", self.source);
+        self.source = format!("{by}: {}", self.source);
         self.checked()
     }
 
@@ -165,28 +269,49 @@ impl Material {
                 range,
             })
         };
-        let [low, high] = YOUNG_PA_RANGE.map(|pa| pa * 1e-3);
-        let young_kpa = self.young_pa * 1e-3;
-        if !(low..=high).contains(&young_kpa) {
-            return bad(
-                "young_kpa",
-                young_kpa,
-                format!("between {low} and {high} kPa"),
-            );
-        }
-        let [low, high] = DENSITY_KG_M3_RANGE;
-        if !(low..=high).contains(&self.density_kg_m3) {
-            let range = format!("between {low} and {high} kg/m³");
-            return bad("density_kg_m3", self.density_kg_m3, range);
-        }
-        if !(0.0..=FRICTION_MAX).contains(&self.friction_static) {
-            let range = format!("between 0 and {FRICTION_MAX}");
-            return bad("friction_static", self.friction_static, range);
+        for (key, value, [low, high], unit) in self.ranges() {
+            // Written so that a NaN fails.
+            if !(low..=high).contains(&value) {
+                return bad(key, value, format!("between {low} and {high}{unit}"));
+            }
         }
         if !(0.0..=self.friction_static).contains(&self.friction_dynamic) {
             let range = format!("between 0 and friction_static = {}", self.friction_static);
             return bad("friction_dynamic", self.friction_dynamic, range);
         }
+        if let FibreAxis::Given(axis) = self.fibre_axis {
+            let length = Vec3::from(axis).norm();
+            if !(length.is_finite() && length > 0.0) {
+                let range = "the components of a direction, not all zero".to_owned();
+                return bad("fibres", length, range);
+            }
+        }
         Ok(self)
+    }
+
+    /// Each number with its key in a scene, what it may be, and its unit there.
+    fn ranges(&self) -> [(&'static str, f64, [f64; 2], &'static str); 8] {
+        let young_kpa = YOUNG_PA_RANGE.map(|pa| pa * 1e-3);
+        let friction = [0.0, FRICTION_MAX];
+        [
+            ("young_kpa", self.young_pa * 1e-3, young_kpa, " kPa"),
+            ("poisson", self.poisson, POISSON_RANGE, ""),
+            ("stiffening", self.stiffening, STIFFENING_RANGE, ""),
+            ("fibre_ratio", self.fibre_ratio, FIBRE_RATIO_RANGE, ""),
+            (
+                "compress_limit",
+                self.compress_limit,
+                COMPRESS_LIMIT_RANGE,
+                "",
+            ),
+            ("stretch_limit", self.stretch_limit, STRETCH_LIMIT_RANGE, ""),
+            (
+                "density_kg_m3",
+                self.density_kg_m3,
+                DENSITY_KG_M3_RANGE,
+                " kg/m³",
+            ),
+            ("friction_static", self.friction_static, friction, ""),
+        ]
     }
 }

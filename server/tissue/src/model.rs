@@ -22,6 +22,9 @@ pub struct Region {
     pub material: Material,
     /// A pinned region does not move.
     pub pinned: bool,
+    /// Unit vector along its fibres; zero when its material is the same in all directions. See
+    /// [`Model::resolve_fibres`].
+    pub fibre: [f64; 3],
 }
 
 /// A heterogeneous lattice of hexahedral cells at rest (Lin 2007, section 3.3).

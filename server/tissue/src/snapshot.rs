@@ -66,10 +66,18 @@ pub fn model_hash(model: &Model) -> u64 {
         hasher.update(&[u8::from(region.pinned)]);
         for v in [
             m.young_pa,
+            m.poisson,
+            m.stiffening,
+            m.fibre_ratio,
+            m.compress_limit,
+            m.stretch_limit,
             m.density_kg_m3,
             m.friction_static,
             m.friction_dynamic,
-        ] {
+        ]
+        .into_iter()
+        .chain(region.fibre)
+        {
             hasher.update(&v.to_bits().to_le_bytes());
         }
     }

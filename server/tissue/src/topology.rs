@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::equilibrium::Elastic;
 use crate::springs::{BODY_SHARE, DIAGONAL_SHARE, EDGE_SHARE, LENGTH_FLOOR};
 use crate::{FACES, Model, NO_CELL, RegionId, Spring, Springs, Vec3, cell_volume};
 
@@ -16,6 +17,39 @@ use crate::{FACES, Model, NO_CELL, RegionId, Spring, Springs, Vec3, cell_volume}
 /// positions, after the same number of cuts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct TopologyHash(pub u64);
+
+impl TopologyHash {
+    /// The hash of a model's uncut topology, without deriving that topology.
+    pub fn of_uncut(model: &Model) -> Self {
+        let wiring = model.cells.iter().map(|c| (&c.corners, 0));
+        Self::of(0, wiring, &model.nodes)
+    }
+
+    fn of<'a>(
+        version: u32,
+        wiring: impl Iterator<Item = (&'a [u32; 8], u8)>,
+        rest: &[Vec3],
+    ) -> Self {
+        let mut hasher = xxhash_rust::xxh3::Xxh3::new();
+        hasher.update(&version.to_le_bytes());
+        for (corners, cut) in wiring {
+            let mut bytes = [0; 33];
+            for (c, node) in corners.iter().enumerate() {
+                bytes[4 * c..4 * c + 4].copy_from_slice(&node.to_le_bytes());
+            }
+            bytes[32] = cut;
+            hasher.update(&bytes);
+        }
+        for p in rest {
+            let mut bytes = [0; 24];
+            for (a, v) in p.iter().enumerate() {
+                bytes[8 * a..8 * a + 8].copy_from_slice(&v.to_bits().to_le_bytes());
+            }
+            hasher.update(&bytes);
+        }
+        Self(hasher.digest())
+    }
+}
 
 impl std::fmt::Display for TopologyHash {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -58,6 +92,8 @@ pub struct Boundary {
 #[derive(Debug, Clone)]
 pub struct Topology {
     pub(crate) model: Arc<Model>,
+    /// Moduli of each region.
+    elastic: Vec<Elastic>,
     pub(crate) version: u32,
     pub(crate) rest: Vec<Vec3>,
     pub(crate) corners: Vec<[u32; 8]>,
@@ -90,6 +126,7 @@ impl Topology {
             .map(|c| cell_volume(&model.corners_of(c)))
             .collect();
         let mut topology = Self {
+            elastic: model.regions.iter().map(Elastic::of).collect(),
             version: 0,
             rest: model.nodes.clone(),
             corners: model.cells.iter().map(|c| c.corners).collect(),
@@ -151,6 +188,11 @@ impl Topology {
         self.node_cells[node as usize]
     }
 
+    /// Moduli of a cell.
+    pub(crate) fn elastic(&self, cell: u32) -> &Elastic {
+        &self.elastic[self.region(cell).index()]
+    }
+
     /// Region of a cell.
     pub fn region(&self, cell: u32) -> RegionId {
         self.model.cells[cell as usize].region
@@ -205,24 +247,8 @@ impl Topology {
 
     /// Hash over version, wiring, cut faces and rest positions.
     pub fn hash(&self) -> TopologyHash {
-        let mut hasher = xxhash_rust::xxh3::Xxh3::new();
-        hasher.update(&self.version.to_le_bytes());
-        for (corners, cut) in self.corners.iter().zip(&self.cut) {
-            let mut bytes = [0; 33];
-            for (c, node) in corners.iter().enumerate() {
-                bytes[4 * c..4 * c + 4].copy_from_slice(&node.to_le_bytes());
-            }
-            bytes[32] = *cut;
-            hasher.update(&bytes);
-        }
-        for p in &self.rest {
-            let mut bytes = [0; 24];
-            for (a, v) in p.iter().enumerate() {
-                bytes[8 * a..8 * a + 8].copy_from_slice(&v.to_bits().to_le_bytes());
-            }
-            hasher.update(&bytes);
-        }
-        TopologyHash(hasher.digest())
+        let wiring = self.corners.iter().zip(self.cut.iter().copied());
+        TopologyHash::of(self.version, wiring, &self.rest)
     }
 
     /// Mass and pinning of a node, from the cells around it.
@@ -249,8 +275,8 @@ impl Topology {
             if cell == NO_CELL {
                 continue;
             }
-            let young = self.model.material_of(cell as usize).young_pa;
-            let energy = young * self.cell_volume[cell as usize].max(0.0);
+            let elastic = self.elastic(cell);
+            let energy = elastic.spring_pa * self.cell_volume[cell as usize].max(0.0);
             // 1, 2, 4 lead along an edge, 3, 5, 6 across a face, 7 through the body.
             for step in [1_usize, 2, 4, 3, 5, 6, 7] {
                 let to = self.corners[cell as usize][corner ^ step];
@@ -259,8 +285,9 @@ impl Topology {
                     2 => DIAGONAL_SHARE,
                     _ => BODY_SHARE,
                 };
-                let length = (self.rest(to) - from).norm().max(floor);
-                let stiffness = share * energy / (length * length);
+                let d = self.rest(to) - from;
+                let length = d.norm().max(floor);
+                let stiffness = share * energy * elastic.along(&d) / (length * length);
                 match sums.iter_mut().find(|s| s.0 == to) {
                     Some(sum) => sum.1 += stiffness,
                     None => sums.push((to, stiffness)),

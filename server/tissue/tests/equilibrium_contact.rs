@@ -16,6 +16,7 @@ fn slab() -> (Topology, Solver, Shape) {
         friction_static: 0.4,
         friction_dynamic: 0.3,
         source: "test".into(),
+        ..Material::default()
     };
     let topology = Topology::new(Arc::new(block([12, 12, 8], 4.0 * MM, &material, 1)));
     let (solver, shape) = (Solver::new(&topology), Shape::rest(&topology));
@@ -139,6 +140,7 @@ fn a_stop_is_obeyed() {
         asked > 2
     };
     let budget = Budget {
+        near: false,
         iterations: 50,
         tolerance: 1e-9,
         stop: Some(&mut stop),

@@ -2,7 +2,13 @@
 
 #![allow(clippy::unwrap_used)]
 
-use palpate_tissue::{EnvelopeError, FileError, Material, Model, ModelFile, Vec3, block};
+use std::io::{Read, Write};
+use std::sync::Arc;
+
+use palpate_tissue::{
+    EnvelopeError, FibreAxis, FileError, MODEL_FORMAT, Material, Model, ModelFile, Topology, Vec3,
+    block,
+};
 use proptest::prelude::*;
 
 fn rubber() -> Material {
@@ -12,6 +18,12 @@ fn rubber() -> Material {
         density_kg_m3: 1100.0,
         friction_static: 0.5,
         friction_dynamic: 0.4,
+        fibre_ratio: 2.5,
+        fibre_axis: FibreAxis::Given([1.0, 2.0, -2.0]),
+        stiffening: 4.0,
+        poisson: 0.3,
+        compress_limit: 0.4,
+        stretch_limit: 2.0,
         source: "made up for this test".into(),
     }
 }
@@ -79,8 +91,13 @@ fn each_kind_of_damage_has_its_own_word() {
     assert_eq!(kind(b"solid thigh"), EnvelopeError::WrongKind);
     assert_eq!(kind(b""), EnvelopeError::WrongKind);
     let mut newer = good.clone();
-    newer[8] = 9;
-    assert_eq!(kind(&newer), EnvelopeError::Version { found: 9, reads: 1 });
+    for found in [1, 9] {
+        newer[8] = found as u8;
+        let reads = MODEL_FORMAT;
+        assert_eq!(kind(&newer), EnvelopeError::Version { found, reads });
+        let word = if found < reads { "older" } else { "newer" };
+        assert!(kind(&newer).to_string().contains(word));
+    }
     assert!(matches!(
         kind(&good[..good.len() - 1]),
         EnvelopeError::Length { .. }
@@ -105,7 +122,10 @@ fn every_flipped_byte_and_every_truncation_is_refused() {
 #[test]
 fn a_model_that_contradicts_itself_is_refused() {
     type Harm = fn(&mut Model);
-    let harms: [(&str, Harm); 8] = [
+    let harms: [(&str, Harm); 11] = [
+        ("fibres", |m| m.regions[0].fibre = [0.0; 3]),
+        ("fibres", |m| m.regions[0].fibre = [0.0, f64::NAN, 1.0]),
+        ("material", |m| m.regions[1].material.poisson = 0.5),
         ("region", |m| m.cells[3].region.0 = 7),
         ("node", |m| m.cells[3].corners[2] = 9999),
         ("none does", |m| m.cells[3].corners = m.cells[4].corners),
@@ -121,6 +141,57 @@ fn a_model_that_contradicts_itself_is_refused() {
         let error = ModelFile::decode(&file.encode()).unwrap_err().to_string();
         assert!(error.contains(word), "{word}: {error}");
     }
+}
+
+/// The content of a file, decompressed.
+fn content(file: &[u8]) -> Vec<u8> {
+    let mut out = Vec::new();
+    let mut inflate = flate2::read::DeflateDecoder::new(&file[32..]);
+    inflate.read_to_end(&mut out).unwrap();
+    out
+}
+
+/// Other content in the same envelope, with a checksum that matches.
+fn forged(file: &[u8], content: &[u8]) -> Vec<u8> {
+    let head = file[..32].to_vec();
+    let mut deflate = flate2::write::DeflateEncoder::new(head, flate2::Compression::none());
+    deflate.write_all(content).unwrap();
+    let mut bytes = deflate.finish().unwrap();
+    let stored = bytes.len() as u64 - 32;
+    bytes[12..20].copy_from_slice(&(content.len() as u64).to_le_bytes());
+    bytes[20..28].copy_from_slice(&stored.to_le_bytes());
+    let mut sum = crc32fast::Hasher::new();
+    sum.update(&bytes[12..28]);
+    sum.update(&bytes[32..]);
+    bytes[28..32].copy_from_slice(&sum.finalize().to_le_bytes());
+    bytes
+}
+
+#[test]
+fn every_flipped_byte_behind_a_forged_checksum_is_refused_or_a_model_that_holds() {
+    let good = ModelFile {
+        model: block([3, 2, 2], 0.004, &rubber(), 1),
+        report_json: "{}".into(),
+    };
+    let good = good.encode();
+    let content = content(&good);
+    assert!(ModelFile::decode(&forged(&good, &content)).is_ok());
+    let mut accepted = 0;
+    for at in 0..content.len() {
+        for flip in [0x01, 0x80, 0xff] {
+            let mut bad = content.clone();
+            bad[at] ^= flip;
+            // Whoever forges the checksum too may make another model, but never one that breaks.
+            if let Ok(file) = ModelFile::decode(&forged(&good, &bad)) {
+                accepted += 1;
+                let topology = Topology::new(Arc::new(file.model.clone()));
+                assert_eq!(topology.node_count(), file.model.nodes.len());
+                let again = ModelFile::decode(&file.encode()).unwrap();
+                assert_eq!(again, file, "byte {at}");
+            }
+        }
+    }
+    assert!(accepted > 0 && accepted < 3 * content.len());
 }
 
 proptest! {

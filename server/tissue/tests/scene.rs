@@ -8,7 +8,8 @@ use std::path::Path;
 use palpate_tissue::sample::Sample;
 use palpate_tissue::scene::REGIONS_MAX;
 use palpate_tissue::{
-    MATERIAL_NAMES, Material, MaterialOverride, RegionSource, Scene, SceneError, SceneInput, Unit,
+    FibreAxis, MATERIAL_NAMES, Material, MaterialOverride, RegionSource, Scene, SceneError,
+    SceneInput, Unit,
 };
 use proptest::prelude::*;
 
@@ -96,7 +97,42 @@ fn a_written_scene_reads_back_as_itself() {
 }
 
 /// What to put for what in [`THIGH`], and words the message must hold.
-const MISTAKES: [(&str, &str, &[&str]); 24] = [
+const MISTAKES: [(&str, &str, &[&str]); 33] = [
+    (
+        "young_kpa = 10.0",
+        "poisson = 0.5",
+        &["line 21", "poisson = 0.5", "between 0.25 and 0.49"],
+    ),
+    (
+        "young_kpa = 10.0",
+        "poison = 0.3",
+        &["line 22", "did you mean \"poisson\""],
+    ),
+    (
+        "young_kpa = 10.0",
+        "fibres = \"short\"",
+        &["line 22", "\"long\"", "\"short\""],
+    ),
+    (
+        "young_kpa = 10.0",
+        "fibres = [1.0, 2.0]",
+        &["line 22", "direction", "a list of 2"],
+    ),
+    (
+        "young_kpa = 10.0",
+        "fibres = [0, 0, 0.0]",
+        &["line 21", "not all zero"],
+    ),
+    (
+        "unit = \"m\"",
+        "stretch_limit = 0.5",
+        &["line 15", "\"bone\"", "stretch_limit = 0.5"],
+    ),
+    (
+        "unit = \"m\"",
+        "stifening = 0.5",
+        &["line 19", "did you mean \"stiffening\""],
+    ),
     (
         "spacing_mm",
         "spacing",
@@ -128,7 +164,7 @@ const MISTAKES: [(&str, &str, &[&str]); 24] = [
     (
         "material = \"muscle\"",
         "material = \"musle\"",
-        &["line 13", "\"muscle\"", "cartilage, foam"],
+        &["line 13", "\"muscle\"", "cartilage, vessel"],
     ),
     (
         "material = \"bone\"",
@@ -161,6 +197,16 @@ const MISTAKES: [(&str, &str, &[&str]); 24] = [
     ("4.0", "inf", &["line 2", "above 0"]),
     ("4.0", "\"4\"", &["line 2", "a number, not string"]),
     ("spacing_mm = 4.0\n", "", &["\"spacing_mm\" is missing"]),
+    (
+        "spacing_mm = 4.0",
+        "spacing_mm = 4.0\nspacing_min_mm = 2.0",
+        &["line 3", "goes with spacing_mm = \"auto\""],
+    ),
+    (
+        "spacing_mm = 4.0",
+        "spacing_mm = \"auto\"\nspacing_min_mm = -2.0",
+        &["line 3", "spacing_min_mm = -2", "above 0"],
+    ),
     (
         "palpate-scene/1",
         "palpate-scene/2",
@@ -255,6 +301,32 @@ fn a_new_material_must_be_complete_and_a_known_one_may_change_in_part() {
 }
 
 #[test]
+fn a_region_overrides_its_material_for_itself_alone() {
+    let text = THIGH
+        .replace(
+            "unit = \"m\"",
+            "young_kpa = 20\nfibres = [0, 3, 4]\nfibre_ratio = 2",
+        )
+        .replace("material = \"bone\"", "material = \"fat\"")
+        .replace("young_kpa = 10.0", "young_kpa = 10.0\nstiffening = 7");
+    let scene = parse(&text).unwrap();
+    let [first, last] = [0, 2].map(|r| scene.material(r).unwrap());
+    assert_eq!((first.young_pa, last.young_pa), (10e3, 20e3));
+    assert_eq!((first.stiffening, last.stiffening), (7.0, 7.0));
+    assert_eq!((first.fibre_ratio, last.fibre_ratio), (1.0, 2.0));
+    assert_eq!(last.fibre_axis, FibreAxis::Given([0.0, 3.0, 4.0]));
+    assert!(
+        last.source
+            .starts_with("changed for this region: changed by")
+    );
+    let again = parse(&scene.to_toml()).unwrap();
+    assert_eq!(
+        (&again.regions, &again.materials),
+        (&scene.regions, &scene.materials)
+    );
+}
+
+#[test]
 fn the_library_knows_what_it_lists() {
     for name in MATERIAL_NAMES {
         let material = Material::built_in(name).unwrap();
@@ -336,4 +408,21 @@ proptest! {
             parse(&scene.to_toml()).unwrap();
         }
     }
+}
+
+#[test]
+fn an_automatic_spacing_survives_writing() {
+    for least in ["", "spacing_min_mm = 2.5\n"] {
+        let text = format!(
+            "format = \"palpate-scene/1\"\nspacing_mm = \"auto\"\n{least}{}",
+            region("a")
+        );
+        let scene = parse(&text).unwrap();
+        assert!(scene.auto_spacing);
+        assert_eq!(parse(&scene.to_toml()).unwrap(), scene);
+    }
+}
+
+fn region(name: &str) -> String {
+    format!("[[region]]\nname = \"{name}\"\nsurface = \"{name}.stl\"\nmaterial = \"fat\"\n")
 }

@@ -39,6 +39,7 @@ impl Table {
             friction_static: 0.4,
             friction_dynamic: 0.3,
             source: "test".into(),
+            ..Material::default()
         };
         let subject = Subject::of(block([20, 20, 8], 0.005, &soft, 1), dir.path()).unwrap();
         Self { dir, subject }

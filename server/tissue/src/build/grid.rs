@@ -37,8 +37,14 @@ impl Grid {
     }
 
     /// Position of a grid point in m.
-    pub(super) fn point(&self, at: [usize; 3]) -> Vec3 {
-        self.origin + Vec3::new(at[0] as f64, at[1] as f64, at[2] as f64) * self.spacing
+    pub(super) fn point(&self, at: [i32; 3]) -> Vec3 {
+        self.origin + Vec3::from(at.map(f64::from)) * self.spacing
+    }
+
+    /// Middle of the grid in m.
+    pub(super) fn middle(&self) -> Vec3 {
+        let half = self.cells.map(|n| n as f64 * self.spacing / 2.0);
+        self.origin + Vec3::from(half)
     }
 
     /// Number of grid points along each axis.

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::grid::Grid;
 use super::rays::{Hits, Rays, cast};
-use crate::{Surface, Vec3};
+use crate::Surface;
 
 /// Rays across a cell along x and along y.
 const RAYS_PER_CELL: usize = 4;
@@ -19,9 +19,14 @@ const RAYS_PER_CELL: usize = 4;
 pub(super) struct Labels {
     /// Region number plus one for each cell, 0 outside the model.
     pub(super) label: Vec<u8>,
-    /// Part of each cell that is inside the model, in 1/255.
-    pub(super) fill: Vec<u8>,
+    /// The label that came second.
+    pub(super) second: Vec<u8>,
+    /// By how much of the cell the first one was ahead, in 1/255.
+    pub(super) margin: Vec<u8>,
 }
+
+/// Label, second label and margin of one cell.
+type Decision = [u8; 3];
 
 /// Classifies every cell of the grid.
 pub(super) fn label(grid: &Grid, surfaces: &[&Surface]) -> Labels {
@@ -36,11 +41,10 @@ pub(super) fn label(grid: &Grid, surfaces: &[&Surface]) -> Labels {
     let hits: Vec<Hits> = surfaces.iter().map(|s| cast(s, &rays)).collect();
     let regions = surfaces.len();
     // One slab of constant y at a time; slabs are independent.
-    let slabs: Vec<(Vec<u8>, Vec<u8>)> = (0..ny)
+    let slabs: Vec<Vec<Decision>> = (0..ny)
         .into_par_iter()
         .map(|j| {
-            let mut labels = vec![0; nx * nz];
-            let mut fills = vec![0; nx * nz];
+            let mut decisions = vec![[0; 3]; nx * nz];
             let mut part = vec![0.0; nz * regions];
             let mut sweep = Sweep::default();
             for i in 0..nx {
@@ -54,25 +58,24 @@ pub(super) fn label(grid: &Grid, surfaces: &[&Surface]) -> Labels {
                     });
                 }
                 for k in 0..nz {
-                    let part = &part[k * regions..(k + 1) * regions];
-                    let (label, fill) = decide(part);
-                    labels[i + nx * k] = label;
-                    fills[i + nx * k] = fill;
+                    decisions[i + nx * k] = decide(&part[k * regions..(k + 1) * regions]);
                 }
             }
-            (labels, fills)
+            decisions
         })
         .collect();
-    let mut label = vec![0; grid.cell_count()];
-    let mut fill = vec![0; grid.cell_count()];
-    for (j, (labels, fills)) in slabs.iter().enumerate() {
-        for k in 0..nz {
-            let to = grid.cell_index([0, j, k]);
-            label[to..to + nx].copy_from_slice(&labels[nx * k..nx * (k + 1)]);
-            fill[to..to + nx].copy_from_slice(&fills[nx * k..nx * (k + 1)]);
+    let mut labels = Labels {
+        label: vec![0; grid.cell_count()],
+        second: vec![0; grid.cell_count()],
+        margin: vec![0; grid.cell_count()],
+    };
+    for (j, decisions) in slabs.iter().enumerate() {
+        for (at, decision) in decisions.iter().enumerate() {
+            let to = grid.cell_index([at % nx, j, at / nx]);
+            [labels.label[to], labels.second[to], labels.margin[to]] = *decision;
         }
     }
-    Labels { label, fill }
+    labels
 }
 
 /// Adds the stretch `from..to`, in cells along z, to what its region fills.
@@ -87,14 +90,10 @@ fn spread(part: &mut [f64], regions: usize, region: usize, from: f64, to: f64) {
     }
 }
 
-/// Label and fill of a cell from the summed lengths of its rays in each region.
-fn decide(part: &[f64]) -> (u8, u8) {
+/// Decides a cell from the summed lengths of its rays in each region.
+fn decide(part: &[f64]) -> Decision {
     let full = (RAYS_PER_CELL * RAYS_PER_CELL) as f64;
     let inside: f64 = part.iter().sum();
-    let fill = (inside / full * 255.0).round().clamp(0.0, 255.0) as u8;
-    if inside < full / 2.0 {
-        return (0, fill);
-    }
     let mut best = 0;
     for (region, &length) in part.iter().enumerate() {
         // At equal parts the later region has the cell, as where surfaces overlap.
@@ -102,7 +101,19 @@ fn decide(part: &[f64]) -> (u8, u8) {
             best = region;
         }
     }
-    (best as u8 + 1, fill)
+    let margin = |ahead: f64| (ahead / full * 255.0).round().clamp(0.0, 255.0) as u8;
+    let first = best as u8 + 1;
+    if inside < full / 2.0 {
+        let second = if inside > 0.0 { first } else { 0 };
+        return [0, second, margin(full - 2.0 * inside)];
+    }
+    let mut second = (0, 2.0 * inside - full);
+    for (region, &length) in part.iter().enumerate() {
+        if region != best && length > 0.0 && part[best] - length < second.1 {
+            second = (region as u8 + 1, part[best] - length);
+        }
+    }
+    [first, second.0, margin(second.1)]
 }
 
 /// Volume in m³ of each region with overlaps resolved.
@@ -132,36 +143,46 @@ fn kept_along(grid: &Grid, surfaces: &[&Surface], axis: usize) -> Vec<f64> {
         count: [2 * grid.cells[u], 2 * grid.cells[v]],
     };
     let hits: Vec<Hits> = surfaces.iter().map(|s| cast(s, &rays)).collect();
-    let mut whole = vec![0.0; surfaces.len()];
-    let mut kept = vec![0.0; surfaces.len()];
-    let mut sweep = Sweep::default();
-    for ray in 0..rays.count[0] * rays.count[1] {
-        for (region, hits) in hits.iter().enumerate() {
-            hits.inside(ray, |from, to| whole[region] += to - from);
-        }
-        sweep.resolve(&hits, ray, |region, from, to| kept[region] += to - from);
-    }
+    // Row by row, and the rows summed in order: the same sum on any number of threads.
+    let rows: Vec<Vec<[f64; 2]>> = (0..rays.count[1])
+        .into_par_iter()
+        .map(|row| {
+            let mut sums = vec![[0.0; 2]; surfaces.len()];
+            let mut sweep = Sweep::default();
+            for column in 0..rays.count[0] {
+                let ray = rays.index([column, row]);
+                for (region, hits) in hits.iter().enumerate() {
+                    hits.inside(ray, |from, to| sums[region][0] += to - from);
+                }
+                sweep.resolve(&hits, ray, |region, from, to| sums[region][1] += to - from);
+            }
+            sums
+        })
+        .collect();
     (0..surfaces.len())
         .map(|r| {
-            if whole[r] > 0.0 {
-                kept[r] / whole[r]
-            } else {
-                1.0
-            }
+            let sum = |which: usize| rows.iter().map(|row| row[r][which]).sum::<f64>();
+            let whole = sum(0);
+            if whole > 0.0 { sum(1) / whole } else { 1.0 }
         })
         .collect()
 }
 
 /// Resolves the overlaps of all surfaces along one ray; holds the memory for it.
 #[derive(Debug, Default)]
-struct Sweep {
+pub(super) struct Sweep {
     /// Where a region begins (+) or ends (-).
     turns: Vec<(f64, usize, bool)>,
 }
 
 impl Sweep {
     /// Calls `each` with (region, from, to) for every stretch, the later region winning.
-    fn resolve(&mut self, hits: &[Hits], ray: usize, mut each: impl FnMut(usize, f64, f64)) {
+    pub(super) fn resolve(
+        &mut self,
+        hits: &[Hits],
+        ray: usize,
+        mut each: impl FnMut(usize, f64, f64),
+    ) {
         self.turns.clear();
         for (region, hits) in hits.iter().enumerate() {
             hits.inside(ray, |from, to| {
@@ -183,166 +204,5 @@ impl Sweep {
                 inside &= !(1 << region);
             }
         }
-    }
-}
-
-/// Most columns along one side of a surface's bounding box; more cost more memory than they save time.
-const COLUMNS_MAX: f64 = 1024.0;
-
-/// Answers which region holds a point, by one watertight ray per surface along z.
-#[derive(Debug)]
-pub(super) struct PointQuery<'a> {
-    surfaces: Vec<Binned<'a>>,
-}
-
-/// A surface with its triangles sorted into square columns along z.
-#[derive(Debug)]
-struct Binned<'a> {
-    surface: &'a Surface,
-    low: [f64; 2],
-    side: f64,
-    count: [usize; 2],
-    start: Vec<u32>,
-    triangles: Vec<BinEntry>,
-}
-
-/// A triangle in a column, with what rules most of them out at a glance.
-#[derive(Debug, Clone, Copy)]
-struct BinEntry {
-    triangle: u32,
-    x: [f64; 2],
-    y: [f64; 2],
-    z_min: f64,
-}
-
-impl<'a> PointQuery<'a> {
-    /// Sorts the triangles of all surfaces into columns.
-    pub(super) fn new(surfaces: &[&'a Surface]) -> Self {
-        Self {
-            surfaces: surfaces.par_iter().map(|s| Binned::new(s)).collect(),
-        }
-    }
-
-    /// The region at a point, overlaps resolved, or `None` outside all of them.
-    pub(super) fn region_at(&self, point: Vec3) -> Option<usize> {
-        (0..self.surfaces.len())
-            .rev()
-            .find(|&r| self.surfaces[r].contains(point))
-    }
-
-    /// Whether region `r`'s own surface contains the point, whoever else does.
-    pub(super) fn contains(&self, region: usize, point: Vec3) -> bool {
-        self.surfaces[region].contains(point)
-    }
-}
-
-impl BinEntry {
-    fn new(surface: &Surface, triangle: u32) -> Self {
-        let corners = surface.corners(triangle as usize);
-        let low = corners[0].inf(&corners[1]).inf(&corners[2]);
-        let high = corners[0].sup(&corners[1]).sup(&corners[2]);
-        Self {
-            triangle,
-            x: [low.x, high.x],
-            y: [low.y, high.y],
-            z_min: low.z,
-        }
-    }
-
-    fn may_lie_below(&self, point: &Vec3) -> bool {
-        self.z_min < point.z
-            && self.x[0] <= point.x
-            && point.x <= self.x[1]
-            && self.y[0] <= point.y
-            && point.y <= self.y[1]
-    }
-}
-
-impl<'a> Binned<'a> {
-    fn new(surface: &'a Surface) -> Self {
-        let mut low = [f64::INFINITY; 2];
-        let mut high = [f64::NEG_INFINITY; 2];
-        for v in &surface.vertices {
-            for a in 0..2 {
-                low[a] = low[a].min(v[a]);
-                high[a] = high[a].max(v[a]);
-            }
-        }
-        // Columns half as wide as the mean triangle: a steep wall then puts few triangles into each.
-        let extent = (high[0] - low[0]).max(high[1] - low[1]);
-        let triangle = (surface.area() / surface.triangles.len().max(1) as f64).sqrt();
-        let side = (triangle / 2.0)
-            .max(extent / COLUMNS_MAX)
-            .max(f64::MIN_POSITIVE);
-        let count =
-            [0, 1].map(|a| (((high[a] - low[a]) / side).floor() as usize).saturating_add(1));
-        let mut this = Self {
-            surface,
-            low,
-            side,
-            count,
-            start: Vec::new(),
-            triangles: Vec::new(),
-        };
-        let mut pairs = Vec::new();
-        for (index, triangle) in surface.triangles.iter().enumerate() {
-            let corners = triangle.map(|v| surface.vertices[v as usize]);
-            let range = |a: usize| {
-                let values = corners.map(|p| p[a]);
-                let low = values.iter().copied().fold(f64::INFINITY, f64::min);
-                let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-                this.bin(a, low)..=this.bin(a, high)
-            };
-            for j in range(1) {
-                for i in range(0) {
-                    pairs.push(((i + count[0] * j) as u32, index as u32));
-                }
-            }
-        }
-        pairs.sort_unstable();
-        let mut start = vec![0_u32; count[0] * count[1] + 1];
-        for (bin, _) in &pairs {
-            start[*bin as usize + 1] += 1;
-        }
-        for bin in 1..start.len() {
-            start[bin] += start[bin - 1];
-        }
-        this.start = start;
-        this.triangles = pairs
-            .into_iter()
-            .map(|(_, t)| BinEntry::new(surface, t))
-            .collect();
-        this
-    }
-
-    fn bin(&self, axis: usize, x: f64) -> usize {
-        (((x - self.low[axis]) / self.side).floor().max(0.0) as usize).min(self.count[axis] - 1)
-    }
-
-    fn contains(&self, point: Vec3) -> bool {
-        let bin = self.bin(0, point.x) + self.count[0] * self.bin(1, point.y);
-        let range = self.start[bin] as usize..self.start[bin + 1] as usize;
-        let rays = Rays {
-            axis: 2,
-            first: [point.x, point.y],
-            step: 1.0,
-            count: [1, 1],
-        };
-        let mut winding = 0_i32;
-        let mut found = Vec::new();
-        for entry in self.triangles[range]
-            .iter()
-            .filter(|e| e.may_lie_below(&point))
-        {
-            let corners = self.surface.corners(entry.triangle as usize);
-            found.clear();
-            super::rays::cast_triangle(&corners, &rays, &mut found);
-            for (_, hit) in &found {
-                if hit.depth < point.z {
-                    winding += i32::from(hit.turn);
-                }
-            }
-        }
-        winding > 0
     }
 }

@@ -5,129 +5,231 @@
 //! just behind it; it belongs to the *outer* patch when nothing lies before it, and to the *inner*
 //! patch of its region otherwise. What a later region hides belongs to none.
 
-use parry3d_f64::query::PointQuery as _;
-use parry3d_f64::shape::TriMesh;
 use rayon::prelude::*;
 
-use super::label::PointQuery;
+use super::bvh::Bvh;
+use super::inside::PointQuery;
+use super::rim::{self, Rims};
 use crate::{Surface, Vec3};
 
 /// Longest side, in spacings, of a piece that is classified as a whole.
 const PIECE_SIDE_MAX: f64 = 4.0;
+/// A piece that is not of one kind is cut down to this side, in spacings.
+const PIECE_SIDE_MIN: f64 = 0.25;
+/// Part of the way from the middle of a piece to its corners where it is looked at too.
+const TOWARDS_CORNER: f64 = 0.9;
 /// How far behind and before a piece one looks, in spacings: far enough to clear rounding, near
 /// enough not to cross the thinnest layer worth modelling.
 const LOOK: f64 = 0.02;
-
-/// A set of triangles that answers for the point on it nearest to a given one.
-pub(super) struct Patch(Option<TriMesh>);
-
-impl Patch {
-    fn new(pieces: &[[Vec3; 3]]) -> Self {
-        if pieces.is_empty() {
-            return Self(None);
-        }
-        let bridge = |p: &Vec3| parry3d_f64::math::Vector::new(p.x, p.y, p.z);
-        let vertices = pieces.iter().flatten().map(bridge).collect();
-        let triangles = (0..pieces.len() as u32)
-            .map(|t| [3 * t, 3 * t + 1, 3 * t + 2])
-            .collect();
-        Self(TriMesh::new(vertices, triangles).ok())
-    }
-
-    /// The nearest point on the patch, or `None` when the patch is empty.
-    pub(super) fn nearest(&self, point: &Vec3) -> Option<Vec3> {
-        let at = parry3d_f64::math::Vector::new(point.x, point.y, point.z);
-        let nearest = self.0.as_ref()?.project_local_point(at, false).point;
-        Some(Vec3::new(nearest.x, nearest.y, nearest.z))
-    }
-}
+/// Triangles sorted by one task.
+const CHUNK: usize = 4096;
 
 /// The interfaces of the model.
 pub(super) struct Interfaces {
     /// Where the model ends.
-    pub(super) outer: Patch,
+    pub(super) outer: Bvh,
     /// For each region, where it meets regions that it overrides.
-    pub(super) inner: Vec<Patch>,
-    /// Edges of the outer patch where it turns sharply.
-    pub(super) rims: super::rim::Rims,
+    pub(super) inner: Vec<Bvh>,
+    /// Edges where an interface turns sharply: those of the outer one, then those of each region.
+    pub(super) rims: Vec<Rims>,
+    /// Lattice spacing in m.
+    pub(super) spacing: f64,
 }
 
 impl Interfaces {
     /// Sorts the triangles of all surfaces.
-    pub(super) fn new(surfaces: &[&Surface], query: &PointQuery<'_>, spacing: f64) -> Self {
+    pub(super) fn new(
+        surfaces: &[&Surface],
+        query: &PointQuery,
+        spacing: f64,
+        middle: Vec3,
+    ) -> Self {
         let mut outer = Vec::new();
-        let mut inner = vec![Vec::new(); surfaces.len()];
-        let mut rims = super::rim::Rims::default();
+        let mut inner = Vec::with_capacity(surfaces.len());
+        let mut outer_rims = Rims::default();
+        let mut rims = vec![Rims::default()];
         for (region, surface) in surfaces.iter().enumerate() {
+            let at_vertices = vertex_kinds(surface, region, query, spacing);
             let sorted: Vec<Sorted> = surface
                 .triangles
-                .par_iter()
-                .map(|t| {
-                    let corners = t.map(|v| surface.vertices[v as usize]);
-                    sort_triangle(&corners, region, query, spacing)
+                .par_chunks(CHUNK)
+                .map(|chunk| {
+                    let mut sorted = Sorted::default();
+                    for t in chunk {
+                        let corners = t.map(|v| surface.vertices[v as usize]);
+                        let before = (sorted.outer.len(), sorted.inner.len());
+                        let kinds = t.map(|v| at_vertices[v as usize]);
+                        let sorter = Sorter {
+                            region,
+                            query,
+                            spacing,
+                            origin: &middle,
+                        };
+                        sorter.sort(&corners, kinds, &mut sorted);
+                        sorted.faces_out.push(sorted.outer.len() > before.0);
+                        sorted.faces_in.push(sorted.inner.len() > before.1);
+                    }
+                    sorted
                 })
                 .collect();
-            let faces_out: Vec<bool> = sorted.iter().map(|s| !s.outer.is_empty()).collect();
-            rims.collect(surface, &faces_out);
-            for pieces in sorted {
-                outer.extend(pieces.outer);
-                inner[region].extend(pieces.inner);
+            let faces_out: Vec<bool> = sorted.iter().flat_map(|s| &s.faces_out).copied().collect();
+            let faces_in: Vec<bool> = sorted.iter().flat_map(|s| &s.faces_in).copied().collect();
+            let mut own_rims = Rims::default();
+            for (which, segment) in rim::sharp_edges(surface, [&faces_out, &faces_in]) {
+                let rims = [&mut outer_rims, &mut own_rims];
+                rims[which].add(segment);
             }
+            own_rims.index(spacing);
+            rims.push(own_rims);
+            let mut own = Vec::new();
+            for mut pieces in sorted {
+                outer.append(&mut pieces.outer);
+                own.append(&mut pieces.inner);
+            }
+            inner.push(Bvh::new(middle, own));
         }
-        rims.index(spacing);
+        outer_rims.index(spacing);
+        rims[0] = outer_rims;
         Self {
-            outer: Patch::new(&outer),
-            inner: inner.iter().map(|p| Patch::new(p)).collect(),
+            outer: Bvh::new(middle, outer),
+            inner,
             rims,
+            spacing,
         }
+    }
+
+    /// The patch of one interface.
+    pub(super) fn patch(&self, interface: Interface) -> &Bvh {
+        match interface {
+            Interface::Outer => &self.outer,
+            Interface::Of(region) => &self.inner[region],
+        }
+    }
+
+    /// All interfaces, the outer one first.
+    pub(super) fn all(&self) -> impl Iterator<Item = Interface> + use<> {
+        std::iter::once(Interface::Outer).chain((0..self.inner.len()).map(Interface::Of))
     }
 }
 
-/// The pieces of one triangle; what is hidden is in neither list.
+/// One interface of the model: the outer surface, or where region `r` overrides others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Interface {
+    /// Where the model ends.
+    Outer,
+    /// Where this region overrides others.
+    Of(usize),
+}
+
+/// The pieces of some triangles; what is hidden is in neither list.
 #[derive(Default)]
 struct Sorted {
-    outer: Vec<[Vec3; 3]>,
-    inner: Vec<[Vec3; 3]>,
+    outer: Vec<[[f32; 3]; 3]>,
+    inner: Vec<[[f32; 3]; 3]>,
+    /// Whether some of each triangle is in the outer patch.
+    faces_out: Vec<bool>,
+    /// Whether some of each triangle is in the inner patch.
+    faces_in: Vec<bool>,
 }
 
-/// Cuts a triangle into pieces small enough to be classified as a whole, and sorts them.
-fn sort_triangle(
-    corners: &[Vec3; 3],
+/// Sorts triangles of one region's surface.
+struct Sorter<'a> {
     region: usize,
-    query: &PointQuery<'_>,
+    query: &'a PointQuery,
     spacing: f64,
-) -> Sorted {
-    let mut sorted = Sorted::default();
-    let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
-    let Some(normal) = normal.try_normalize(0.0) else {
-        return sorted;
-    };
-    let look = normal * (LOOK * spacing);
-    let mut stack = vec![*corners];
-    while let Some(piece) = stack.pop() {
-        if let Some(halves) = halve(&piece, PIECE_SIDE_MAX * spacing) {
-            stack.extend(halves);
-            continue;
-        }
-        let middle = (piece[0] + piece[1] + piece[2]) / 3.0;
-        match (
-            query.region_at(middle + look),
-            query.region_at(middle - look),
-        ) {
-            (None, Some(_)) => sorted.outer.push(piece),
-            // Surfaces that touch without overlap, as those of a label volume, hold every interface
-            // twice; it is the later region's, as where it overrides.
-            (Some(before), Some(behind)) if behind == region && before < region => {
-                sorted.inner.push(piece);
+    origin: &'a Vec3,
+}
+
+impl Sorter<'_> {
+    /// Cuts a triangle into pieces small enough to be classified as a whole, and sorts them;
+    /// `at_corners` is what its vertices are.
+    fn sort(&self, corners: &[Vec3; 3], at_corners: [Kind; 3], sorted: &mut Sorted) {
+        let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
+        let Some(normal) = normal.try_normalize(0.0) else {
+            return;
+        };
+        let look = normal * (LOOK * self.spacing);
+        let kind = |at: Vec3| kind(self.region, self.query, at, look);
+        let mut stack = vec![*corners];
+        while let Some(piece) = stack.pop() {
+            if let Some(halves) = halve(&piece, PIECE_SIDE_MAX * self.spacing) {
+                stack.extend(halves);
+                continue;
             }
-            _ => {}
+            let middle = (piece[0] + piece[1] + piece[2]) / 3.0;
+            // Far smaller than the spacing, a triangle is what its vertices are.
+            let fine = piece == *corners && at_corners == [at_corners[0]; 3];
+            let fine = fine && halve(&piece, PIECE_SIDE_MIN * self.spacing).is_none();
+            let here = if fine { at_corners[0] } else { kind(middle) };
+            let whole = piece == *corners && at_corners == [here; 3];
+            // Near where interfaces meet, a piece may be of one kind here and of another there.
+            let mixed = || {
+                (piece.iter())
+                    .map(|p| middle.lerp(p, TOWARDS_CORNER))
+                    .any(|p| kind(p) != here)
+            };
+            if !whole
+                && let Some(halves) = halve(&piece, PIECE_SIDE_MIN * self.spacing)
+                && mixed()
+            {
+                stack.extend(halves);
+                continue;
+            }
+            match here {
+                Kind::Outer => sorted.outer.push(Bvh::flat(self.origin, &piece)),
+                Kind::Inner => sorted.inner.push(Bvh::flat(self.origin, &piece)),
+                Kind::Hidden => {}
+            }
         }
     }
-    sorted
+}
+
+/// What the surface is at each of its vertices, seen along the mean normal there: a triangle whose
+/// corners and middle agree need not be looked at more closely.
+fn vertex_kinds(surface: &Surface, region: usize, query: &PointQuery, spacing: f64) -> Vec<Kind> {
+    let mut normals = vec![Vec3::zeros(); surface.vertices.len()];
+    for t in &surface.triangles {
+        let [a, b, c] = t.map(|v| surface.vertices[v as usize]);
+        let vector = (b - a).cross(&(c - a));
+        for v in t {
+            normals[*v as usize] += vector;
+        }
+    }
+    surface
+        .vertices
+        .par_iter()
+        .zip(&normals)
+        .map(|(at, normal)| match normal.try_normalize(0.0) {
+            Some(normal) => kind(region, query, *at, normal * (LOOK * spacing)),
+            None => Kind::Hidden,
+        })
+        .collect()
+}
+
+/// What a piece of a region's surface is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Outer,
+    Inner,
+    Hidden,
+}
+
+/// Looks behind and before a point of the surface of `region`.
+fn kind(region: usize, query: &PointQuery, at: Vec3, look: Vec3) -> Kind {
+    let Some(behind) = query.region_at(at - look) else {
+        return Kind::Hidden;
+    };
+    match query.region_at(at + look) {
+        // Flat ends that several regions share are of this kind whichever region is asked.
+        None => Kind::Outer,
+        // Before a later region that one's own wall stands in the same place and counts instead.
+        Some(before) if behind == region && before < region => Kind::Inner,
+        Some(_) => Kind::Hidden,
+    }
 }
 
 /// The two halves of a triangle across its longest side, if that is longer than `side_max`.
-fn halve(piece: &[Vec3; 3], side_max: f64) -> Option<[[Vec3; 3]; 2]> {
+pub(super) fn halve(piece: &[Vec3; 3], side_max: f64) -> Option<[[Vec3; 3]; 2]> {
     let side = |e: usize| (piece[(e + 1) % 3] - piece[e]).norm();
     let longest = (0..3).max_by(|&e, &f| side(e).total_cmp(&side(f)))?;
     if side(longest) <= side_max {

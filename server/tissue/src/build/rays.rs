@@ -71,18 +71,56 @@ impl Hits {
         &self.hits[self.start[ray] as usize..self.start[ray + 1] as usize]
     }
 
-    /// Calls `each` with every stretch of a ray that lies inside (winding number above zero).
+    /// Calls `each` with every stretch of a ray that lies inside; see [`Winding`].
     pub(super) fn inside(&self, ray: usize, mut each: impl FnMut(f64, f64)) {
+        let hits = self.of(ray);
+        let by_winding = hits.iter().map(|h| i32::from(h.turn)).sum::<i32>() == 0;
         let mut winding = 0_i32;
         let mut entered = 0.0;
-        for hit in self.of(ray) {
+        for hit in hits {
             let before = winding;
-            winding += i32::from(hit.turn);
-            if before <= 0 && winding > 0 {
+            winding = if by_winding {
+                winding + i32::from(hit.turn)
+            } else {
+                1 - winding
+            };
+            if before == 0 && winding != 0 {
                 entered = hit.depth;
-            } else if before > 0 && winding <= 0 && hit.depth > entered {
+            } else if before != 0 && winding == 0 && hit.depth > entered {
                 each(entered, hit.depth);
             }
+        }
+    }
+}
+
+/// Tells from the hits of a whole line, in any order, whether a point on it lies inside.
+///
+/// Inside is where the winding number is not zero: a part of the surface that is turned inside out
+/// fills what it encloses all the same. Where the turns of the whole line do not cancel, some
+/// triangles are wound against the others, and every other stretch counts as inside.
+#[derive(Debug, Default)]
+pub(super) struct Winding {
+    whole: i32,
+    before: i32,
+    hits_before: u32,
+}
+
+impl Winding {
+    /// Takes a hit, before the point or behind it.
+    pub(super) fn add(&mut self, turn: i8, before: bool) {
+        self.whole += i32::from(turn);
+        if before {
+            self.before += i32::from(turn);
+            self.hits_before += 1;
+        }
+    }
+
+    /// Whether the point lies inside.
+    pub(super) fn is_inside(&self) -> bool {
+        if self.whole == 0 {
+            self.before != 0
+        } else {
+            self.hits_before % 2 == 1
         }
     }
 }
@@ -104,7 +142,7 @@ pub(super) fn cast(surface: &Surface, rays: &Rays) -> Hits {
     sort_by_ray(&found, rays.count[0] * rays.count[1])
 }
 
-pub(super) fn cast_triangle(corners: &[Vec3; 3], rays: &Rays, found: &mut Vec<(u32, Hit)>) {
+fn cast_triangle(corners: &[Vec3; 3], rays: &Rays, found: &mut Vec<(u32, Hit)>) {
     let (u, v) = ((rays.axis + 1) % 3, (rays.axis + 2) % 3);
     let flat = corners.map(|p| [p[u], p[v]]);
     if flat[0] == flat[1] || flat[1] == flat[2] || flat[2] == flat[0] {
@@ -116,16 +154,33 @@ pub(super) fn cast_triangle(corners: &[Vec3; 3], rays: &Rays, found: &mut Vec<(u
     for j in rays.range(1, low(1), high(1)) {
         for i in rays.range(0, low(0), high(0)) {
             let ray = rays.position([i, j]);
-            let sides = [0, 1, 2].map(|e| side(flat[e], flat[(e + 1) % 3], ray));
-            if sides[0].0 == sides[1].0 && sides[1].0 == sides[2].0 {
-                // A counter-clockwise triangle faces along the ray: the ray leaves there.
-                let turn = if sides[0].0 { -1 } else { 1 };
-                let weights = [sides[1].1, sides[2].1, sides[0].1];
-                let depth = depth_at(&corners.map(|p| p[rays.axis]), weights);
-                found.push((rays.index([i, j]) as u32, Hit { depth, turn }));
+            if let Some(hit) = hit(corners, &flat, rays.axis, ray) {
+                found.push((rays.index([i, j]) as u32, hit));
             }
         }
     }
+}
+
+/// Where the line along `axis` through `at` (u, v) passes a triangle.
+pub(super) fn hit_at(corners: &[Vec3; 3], axis: usize, at: [f64; 2]) -> Option<Hit> {
+    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+    let flat = corners.map(|p| [p[u], p[v]]);
+    if flat[0] == flat[1] || flat[1] == flat[2] || flat[2] == flat[0] {
+        return None;
+    }
+    hit(corners, &flat, axis, at)
+}
+
+fn hit(corners: &[Vec3; 3], flat: &[[f64; 2]; 3], axis: usize, ray: [f64; 2]) -> Option<Hit> {
+    let sides = [0, 1, 2].map(|e| side(flat[e], flat[(e + 1) % 3], ray));
+    if sides[0].0 != sides[1].0 || sides[1].0 != sides[2].0 {
+        return None;
+    }
+    // A counter-clockwise triangle faces along the ray: the ray leaves there.
+    let turn = if sides[0].0 { -1 } else { 1 };
+    let weights = [sides[1].1, sides[2].1, sides[0].1];
+    let depth = depth_at(&corners.map(|p| p[axis]), weights);
+    Some(Hit { depth, turn })
 }
 
 /// Whether `ray` lies to the left of a -> b, shifted infinitesimally in a tie, and twice the area of

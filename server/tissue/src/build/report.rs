@@ -1,13 +1,9 @@
 //! What a build reports, so that a model can be trusted.
 
-use std::collections::BTreeMap;
-
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::patch::Interfaces;
-use super::relax::is_bad;
-use crate::{Boundary, FACES, FaceId, Model, NO_CELL, Topology, Vec3};
+use super::thin::ThinParts;
+use crate::Boundary;
 
 /// One object with the figures of a build.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -20,12 +16,21 @@ pub struct BuildReport {
     pub springs: SpringCounts,
     /// Lattice spacing in mm.
     pub spacing_mm: f64,
+    /// How the spacing was found, when the scene left it to the builder.
+    #[serde(default)]
+    pub spacing_search: Option<SpacingReport>,
     /// One entry per region, in scene order.
     pub regions: Vec<RegionReport>,
+    /// One entry per interface.
+    #[serde(default)]
+    pub layers: Vec<LayerReport>,
     /// The outer surface.
     pub outer_surface: SurfaceReport,
     /// How well shaped the cells are.
     pub quality: QualityReport,
+    /// What is thinner than the spacing, and what was lost of the input.
+    #[serde(default)]
+    pub thin: ThinParts,
     /// Topology hash of the uncut model, hexadecimal.
     pub topology_hash: String,
     /// What a person should know, one sentence each.
@@ -37,10 +42,33 @@ pub struct BuildReport {
 pub struct SpringCounts {
     /// Along the edges of cells, within a tissue or within an interface.
     pub structural: usize,
-    /// Across the faces and through the bodies of cells.
+    /// Across the faces of cells.
     pub shear: usize,
+    /// Through the bodies of cells.
+    #[serde(default)]
+    pub body_diagonal: usize,
     /// Along the edges that join an interface to the next layer of nodes on either side.
     pub layer: usize,
+    /// Of the structural and shear ones, those within the mass-spring layer of an interface.
+    #[serde(default)]
+    pub within_interfaces: usize,
+}
+
+/// How an automatic spacing was found (Lin 2007, eq. 3.2).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct SpacingReport {
+    /// Distances between crossings of different interfaces that were measured along rays.
+    pub distances: usize,
+    /// The smallest of them in mm: in real data two surfaces that cross, hence near zero.
+    pub smallest_mm: f64,
+    /// The low quantile that stands for the smallest layer, `d_min`, in mm.
+    pub quantile_mm: f64,
+    /// Which part of the distances lies below it.
+    pub quantile: f64,
+    /// The least spacing that the scene allows, `d_threshold`, in mm.
+    pub threshold_mm: f64,
+    /// The least spacing that the limits of nodes and cells allow, in mm.
+    pub memory_mm: f64,
 }
 
 /// A region of the model against its input surface.
@@ -54,14 +82,52 @@ pub struct RegionReport {
     pub volume_mm3: f64,
     /// Volume of its input surface less what later regions take, in mm³.
     pub input_volume_mm3: f64,
+    /// Pieces of cells that share faces.
+    #[serde(default)]
+    pub components: usize,
+    /// Its surface over the model's own nodes.
+    #[serde(default)]
+    pub surface: SurfaceReport,
+    /// Closed parts of its input surface.
+    #[serde(default)]
+    pub input_components: usize,
     /// Mean distance of its interfaces from the input surfaces, in mm.
     pub surface_distance_mean_mm: f64,
     /// Largest such distance, in mm.
     pub surface_distance_max_mm: f64,
+    /// Mean distance of the input surfaces from its interfaces, in mm.
+    #[serde(default)]
+    pub input_distance_mean_mm: f64,
+    /// Largest such distance, in mm.
+    #[serde(default)]
+    pub input_distance_max_mm: f64,
+    /// Mean distance outside of thin parts, in mm: the larger one of the two ways.
+    #[serde(default)]
+    pub distance_mean_outside_thin_mm: f64,
+    /// Largest distance either way outside of thin parts, in mm.
+    #[serde(default)]
+    pub distance_max_outside_thin_mm: f64,
 }
 
-/// The outer surface as a triangle mesh.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+/// The mass-spring layers of one interface.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LayerReport {
+    /// The later one of the two regions.
+    pub inside: String,
+    /// The other one; `None` is the outside.
+    pub outside: Option<String>,
+    /// Nodes of all its layers.
+    pub nodes: usize,
+    /// Springs of all its layers.
+    pub springs: usize,
+    /// Layers: connected components of the interface.
+    pub components: usize,
+    /// Of these, components of less than a hundredth of the nodes: islands at thin places.
+    pub small_components: usize,
+}
+
+/// A surface as a triangle mesh.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct SurfaceReport {
     /// Number of vertices.
     pub vertices: usize,
@@ -78,191 +144,68 @@ pub struct SurfaceReport {
 pub struct QualityReport {
     /// Shortest spring in spacings.
     pub shortest_spring: f64,
-    /// Cells of less than a fifth of a cube, or with a corner that is clearly inside out.
+    /// Cells that miss the builder's floors: a corner determinant of 0.01 Δd³, springs of 0.3 Δd.
     pub bad_cells: usize,
-    /// Cells of negative volume.
+    /// Cells with a corner that is flat or inside out.
     pub inverted_cells: usize,
+    /// The least determinant at a corner, in Δd³.
+    #[serde(default)]
+    pub least_corner: f64,
+    /// Cells by their least scaled Jacobian: below 0.1, 0.1 to 0.2, ... 0.9 to 1.
+    #[serde(default)]
+    pub scaled_jacobian: [usize; 10],
+    /// Nodes that had to leave their surface so that their cells stay good.
+    #[serde(default)]
+    pub nodes_let_go: usize,
+    /// Nodes that two interfaces claimed and the nearer one got.
+    #[serde(default)]
+    pub nodes_tied: usize,
+    /// Cells given to another region where the surface of one would have touched itself.
+    #[serde(default)]
+    pub cells_flipped: usize,
 }
 
-/// Counts springs by kind.
-pub(super) fn count_springs(model: &Model, topology: &Topology) -> SpringCounts {
-    let interface: Vec<bool> = (0..model.nodes.len() as u32)
-        .map(|node| {
-            let mut first = None;
-            topology
-                .cells_around(node)
-                .into_iter()
-                .filter(|&c| c != NO_CELL)
-                .any(|c| {
-                    let region = topology.region(c);
-                    *first.get_or_insert(region) != region
-                })
-        })
-        .collect();
-    let mut counts = SpringCounts::default();
-    for node in 0..model.nodes.len() {
-        for spring in topology.springs().row(node as u32) {
-            let to = spring.to as usize;
-            if to < node {
-                continue;
-            }
-            let step: i32 = (0..3)
-                .map(|a| (model.lattice[node][a] - model.lattice[to][a]).abs())
-                .sum();
-            if step > 1 {
-                counts.shear += 1;
-            } else if interface[node] != interface[to] {
-                counts.layer += 1;
-            } else {
-                counts.structural += 1;
-            }
-        }
-    }
-    counts
-}
-
-/// Compares each region with its input.
-pub(super) fn report_regions(
-    model: &Model,
-    topology: &Topology,
-    interfaces: &Interfaces,
-    input_volumes: &[f64],
-) -> Vec<RegionReport> {
-    let mut volume = vec![0.0; model.regions.len()];
-    let mut nodes_of: Vec<Vec<bool>> = vec![vec![false; model.nodes.len()]; model.regions.len()];
-    for (index, cell) in model.cells.iter().enumerate() {
-        volume[cell.region.index()] += topology.volume(index as u32);
-        for node in cell.corners {
-            nodes_of[cell.region.index()][node as usize] = true;
-        }
-    }
-    (0..model.regions.len())
-        .map(|r| {
-            let (mean, max) = distance_to_input(model, topology, interfaces, r);
-            RegionReport {
-                name: model.regions[r].name.clone(),
-                nodes: nodes_of[r].iter().filter(|&&on| on).count(),
-                volume_mm3: volume[r] * 1e9,
-                input_volume_mm3: input_volumes[r] * 1e9,
-                surface_distance_mean_mm: mean * 1e3,
-                surface_distance_max_mm: max * 1e3,
-            }
-        })
-        .collect()
-}
-
-/// Mean and largest distance, in m, of the corners and middles of a region's interface faces from
-/// the patches that they stand for.
-fn distance_to_input(
-    model: &Model,
-    topology: &Topology,
-    interfaces: &Interfaces,
-    region: usize,
-) -> (f64, f64) {
-    let distances: Vec<f64> = (0..model.cells.len() as u32)
-        .into_par_iter()
-        .filter(|&c| topology.region(c).index() == region)
-        .flat_map_iter(|c| (0..6).map(move |face| FaceId::new(c, face)))
-        .flat_map_iter(|id| face_distances(model, topology, interfaces, id))
-        .collect();
-    if distances.is_empty() {
-        return (0.0, 0.0);
-    }
-    let sum: f64 = distances.iter().sum();
-    (
-        sum / distances.len() as f64,
-        distances.iter().copied().fold(0.0, f64::max),
-    )
-}
-
-fn face_distances(
-    model: &Model,
-    topology: &Topology,
-    interfaces: &Interfaces,
-    id: FaceId,
-) -> Vec<f64> {
-    let across = topology.across(id);
-    let region = topology.region(id.cell());
-    let patch = if across == NO_CELL {
-        &interfaces.outer
-    } else if topology.region(across) == region {
-        return Vec::new();
-    } else {
-        &interfaces.inner[region.index().max(topology.region(across).index())]
-    };
-    let corners = topology.corners(id.cell());
-    let face = FACES[id.face()].map(|c| model.nodes[corners[c] as usize]);
-    let middle = (face[0] + face[1] + face[2] + face[3]) / 4.0;
-    let mut distances = Vec::with_capacity(5);
-    for point in face.iter().chain([&middle]) {
-        distances.extend(patch.nearest(point).map(|p: Vec3| (p - point).norm()));
-    }
-    distances
-}
-
-/// Counts the outer surface's vertices, edges and parts.
+/// Counts the vertices, edges and parts of the outer surface.
 pub fn report_surface(boundary: &Boundary) -> SurfaceReport {
-    let mut edges: Vec<[u32; 2]> = boundary
-        .triangles
+    report_triangles(&boundary.triangles)
+}
+
+/// Counts the vertices, edges and parts of a surface.
+pub(crate) fn report_triangles(triangles: &[[u32; 3]]) -> SurfaceReport {
+    let mut edges: Vec<[u32; 2]> = triangles
         .iter()
         .flat_map(|t| [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]])
         .map(|[a, b]| [a.min(b), a.max(b)])
         .collect();
     edges.sort_unstable();
-    let closed = edges.chunk_by(|a, b| a == b).all(|group| group.len() == 2);
-    let mut parent: BTreeMap<u32, u32> = boundary
-        .triangles
-        .iter()
-        .flatten()
-        .map(|&v| (v, v))
-        .collect();
-    let mut components = parent.len();
+    let closed = edges.chunk_by(|a, b| a == b).all(|uses| uses.len() == 2);
+    edges.dedup();
+    let mut vertices: Vec<u32> = triangles.iter().flatten().copied().collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    let slot = |v: u32| vertices.partition_point(|&w| w < v);
+    let mut parent: Vec<u32> = (0..vertices.len() as u32).collect();
+    let mut components = vertices.len();
     for [a, b] in edges {
-        let (ra, rb) = (root(&mut parent, a), root(&mut parent, b));
-        if ra != rb {
-            parent.insert(ra.max(rb), ra.min(rb));
+        let (a, b) = (root(&mut parent, slot(a)), root(&mut parent, slot(b)));
+        if a != b {
+            parent[a.max(b)] = a.min(b) as u32;
             components -= 1;
         }
     }
     SurfaceReport {
-        vertices: parent.len(),
-        triangles: boundary.triangles.len(),
+        vertices: vertices.len(),
+        triangles: triangles.len(),
         closed,
         components,
     }
 }
 
 /// Root of a vertex in a forest of merged vertices, with the path to it halved.
-fn root(parent: &mut BTreeMap<u32, u32>, mut vertex: u32) -> u32 {
-    while parent[&vertex] != vertex {
-        let up = parent[&parent[&vertex]];
-        parent.insert(vertex, up);
-        vertex = up;
+fn root(parent: &mut [u32], mut vertex: usize) -> usize {
+    while parent[vertex] as usize != vertex {
+        parent[vertex] = parent[parent[vertex] as usize];
+        vertex = parent[vertex] as usize;
     }
     vertex
-}
-
-/// Looks at the shape of all cells and springs.
-pub(super) fn report_quality(model: &Model, topology: &Topology) -> QualityReport {
-    let cells = 0..model.cells.len();
-    let bad_cells = cells
-        .clone()
-        .into_par_iter()
-        .filter(|&c| is_bad(&model.corners_of(c), model.spacing_m))
-        .count();
-    let inverted_cells = cells.filter(|&c| topology.volume(c as u32) <= 0.0).count();
-    let shortest = (0..model.nodes.len() as u32)
-        .into_par_iter()
-        .map(|n| {
-            let springs = topology.springs().row(n).iter();
-            springs
-                .map(|s| f64::from(s.rest_length))
-                .fold(f64::INFINITY, f64::min)
-        })
-        .reduce(|| f64::INFINITY, f64::min);
-    QualityReport {
-        shortest_spring: shortest / model.spacing_m,
-        bad_cells,
-        inverted_cells,
-    }
 }

@@ -1,15 +1,24 @@
-//! Rims of the outer surface: edges where it turns sharply, as where a flat end meets the side.
+//! Rims of an interface: edges where it turns sharply, as where a flat end meets the side, and the
+//! corners where such edges meet.
 //!
 //! Projecting nodes onto the nearest point of a surface rounds its rims off, and the cells there
 //! get bad corners. So nodes that the lattice sees as a rim are put onto the rim itself.
 
 use std::collections::BTreeMap;
 
+use rayon::prelude::*;
+
 use crate::{Surface, Vec3};
 
 /// The cosine of the angle between the normals of two faces beyond which their edge is a rim
 /// (45°: marching-cubes staircases stay below, machined edges and caps lie above).
 const RIM_COSINE: f64 = 0.707;
+
+/// Two edges that leave a point at less than 120° make a corner of it.
+const CORNER_COSINE: f64 = -0.5;
+
+/// Farthest, in spacings, that a node is from the corner it is put onto.
+const CORNER_REACH: f64 = 0.9;
 
 /// One straight piece of a rim.
 #[derive(Debug, Clone, Copy)]
@@ -37,49 +46,22 @@ impl Segment {
 #[derive(Debug, Default)]
 pub(super) struct Rims {
     segments: Vec<Segment>,
+    /// Where three edges meet, or two at an angle.
+    corners: Vec<Vec3>,
     side: f64,
     cubes: BTreeMap<[i64; 3], Vec<u32>>,
 }
 
 impl Rims {
-    /// Adds the sharp edges between triangles of `surface` that face the outside.
-    pub(super) fn collect(&mut self, surface: &Surface, faces_out: &[bool]) {
-        let mut edges: BTreeMap<[u32; 2], Vec<u32>> = BTreeMap::new();
-        let normal = |t: u32| {
-            let [a, b, c] = surface.triangles[t as usize].map(|v| surface.vertices[v as usize]);
-            (b - a).cross(&(c - a)).try_normalize(0.0)
-        };
-        for (t, triangle) in surface.triangles.iter().enumerate() {
-            if faces_out[t] {
-                for e in 0..3 {
-                    let (a, b) = (triangle[e], triangle[(e + 1) % 3]);
-                    edges
-                        .entry([a.min(b), a.max(b)])
-                        .or_default()
-                        .push(t as u32);
-                }
-            }
-        }
-        for (edge, triangles) in edges {
-            let [first, second] = triangles[..] else {
-                continue;
-            };
-            let (Some(n), Some(m)) = (normal(first), normal(second)) else {
-                continue;
-            };
-            if n.dot(&m) < RIM_COSINE {
-                let ends = edge.map(|v| surface.vertices[v as usize]);
-                self.segments.push(Segment {
-                    ends,
-                    normals: [n, m],
-                });
-            }
-        }
+    /// Takes one more segment.
+    pub(super) fn add(&mut self, segment: Segment) {
+        self.segments.push(segment);
     }
 
     /// Sorts the segments into cubes of side `reach`.
     pub(super) fn index(&mut self, reach: f64) {
         self.side = reach;
+        self.find_corners();
         for (index, segment) in self.segments.iter().enumerate() {
             let steps = ((segment.ends[1] - segment.ends[0]).norm() / reach * 2.0).ceil() as usize;
             for s in 0..=steps {
@@ -95,6 +77,43 @@ impl Rims {
                 }
             }
         }
+    }
+
+    /// Finds the points where two segments meet at an angle.
+    fn find_corners(&mut self) {
+        let bits = |p: &Vec3| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits()];
+        let mut ways: BTreeMap<[u64; 3], Vec<Vec3>> = BTreeMap::new();
+        for Segment { ends: [a, b], .. } in &self.segments {
+            if let Some(way) = (b - a).try_normalize(0.0) {
+                ways.entry(bits(a)).or_default().push(way);
+                ways.entry(bits(b)).or_default().push(-way);
+            }
+        }
+        let turns = |ways: &Vec<Vec3>| {
+            let pairs = ways.iter().enumerate();
+            pairs
+                .flat_map(|(i, a)| ways[i + 1..].iter().map(move |b| a.dot(b)))
+                .any(|cosine| cosine > CORNER_COSINE)
+        };
+        let sharp = ways.iter().filter(|(_, ways)| turns(ways));
+        self.corners = sharp
+            .map(|(at, _)| Vec3::from(at.map(f64::from_bits)))
+            .collect();
+    }
+
+    /// Number and distance of the corner nearest to `point`, within [`CORNER_REACH`] cube sides.
+    pub(super) fn nearest_corner(&self, point: &Vec3) -> Option<(u32, f64)> {
+        let distances = self.corners.iter().enumerate();
+        distances
+            .map(|(index, corner)| (index as u32, (corner - point).norm()))
+            .filter(|(_, distance)| *distance <= CORNER_REACH * self.side)
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// The corner nearest to `point`.
+    pub(super) fn corner_near(&self, point: &Vec3) -> Option<Vec3> {
+        self.nearest_corner(point)
+            .map(|(index, _)| self.corners[index as usize])
     }
 
     /// The nearest rim point within one cube side of `point` whose segment passes `accept`.
@@ -121,6 +140,37 @@ impl Rims {
         }
         best.map(|b| b.1)
     }
+}
+
+/// The sharp edges between two triangles of a mask, for each mask, with the number of the mask.
+pub(super) fn sharp_edges(surface: &Surface, masks: [&[bool]; 2]) -> Vec<(usize, Segment)> {
+    let normal = |t: u32| {
+        let [a, b, c] = surface.corners(t as usize);
+        (b - a).cross(&(c - a)).try_normalize(0.0)
+    };
+    // Sorted, and not in a map: ten million triangles have thirty million uses of edges.
+    let mut uses: Vec<[u32; 3]> = Vec::with_capacity(3 * surface.triangles.len());
+    for (t, [a, b, c]) in surface.triangles.iter().enumerate() {
+        for [a, b] in [[*a, *b], [*b, *c], [*c, *a]] {
+            uses.push([a.min(b), a.max(b), t as u32]);
+        }
+    }
+    uses.par_sort_unstable();
+    uses.par_chunk_by(|u, v| u[..2] == v[..2])
+        .flat_map_iter(|of_edge| {
+            masks.iter().enumerate().filter_map(move |(which, mask)| {
+                let mut triangles = of_edge.iter().map(|u| u[2]).filter(|t| mask[*t as usize]);
+                let (first, second) = (triangles.next()?, triangles.next()?);
+                if triangles.next().is_some() {
+                    return None;
+                }
+                let (n, m) = (normal(first)?, normal(second)?);
+                let ends = [of_edge[0][0], of_edge[0][1]].map(|v| surface.vertices[v as usize]);
+                let normals = [n, m];
+                (n.dot(&m) < RIM_COSINE).then_some((which, Segment { ends, normals }))
+            })
+        })
+        .collect()
 }
 
 fn cube(point: &Vec3, side: f64) -> [i64; 3] {

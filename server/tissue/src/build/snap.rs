@@ -6,11 +6,13 @@
 //! every node between cells of different regions that no ray has placed is projected onto the
 //! nearest point of that interface; nodes where the lattice shows a rim go onto the rim.
 
+use std::collections::BTreeMap;
+
 use rayon::prelude::*;
 
 use super::grid::Grid;
 use super::lattice::Lattice;
-use super::patch::Interfaces;
+use super::patch::{Interface, Interfaces};
 use super::rays::{Hits, Rays, cast};
 use crate::{Surface, Vec3};
 
@@ -22,16 +24,30 @@ const ALTERNATIONS: usize = 6;
 /// cosine (63°: an oblique side shows two kinds of cell faces, each at most 55° away).
 const RIM_FACE_COSINE: f64 = 0.45;
 
-/// A node counts as on an interface when it is at most this far away, in spacings.
-const ON_SURFACE: f64 = 1e-6;
+/// Places on a rim nearer to each other than this, in spacings, are one.
+const CLAIM_REACH: f64 = 0.5;
+
+/// A node counts as on an interface when it is at most this far away, in spacings; patches are kept
+/// in single precision.
+const ON_SURFACE: f64 = 1e-4;
+
+/// Farthest that a node is projected, in spacings; there is no interface of its own beyond it.
+const REACH: f64 = 4.0;
+
+/// Interfaces meet where a point is found that is this near to all of them, in spacings, ...
+const MEETING: f64 = 0.1;
+/// ... and this near to the lattice point.
+const MEETING_REACH: f64 = 1.25;
 
 /// Which interfaces a node lies on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Constraint {
     /// The outer surface.
     pub(super) outer: bool,
-    /// The rim of the outer surface.
+    /// A rim of the outer surface, or of the only interface.
     pub(super) rim: bool,
+    /// A corner of that rim.
+    pub(super) corner: bool,
     /// Bit `r`: the inner interface of region `r`, where it overrides others.
     pub(super) owners: u64,
 }
@@ -42,7 +58,39 @@ impl Constraint {
         !self.outer && self.owners == 0
     }
 
-    fn single(self) -> bool {
+    /// A node on one interface alone.
+    fn on(interface: Interface) -> Self {
+        match interface {
+            Interface::Outer => Self {
+                outer: true,
+                ..Self::default()
+            },
+            Interface::Of(region) => Self {
+                owners: 1 << region,
+                ..Self::default()
+            },
+        }
+    }
+
+    /// The interfaces, the outer one first.
+    pub(super) fn interfaces(self) -> impl Iterator<Item = Interface> + Clone {
+        let outer = self.outer.then_some(Interface::Outer);
+        let owners = (0..64).filter(move |r| self.owners >> r & 1 == 1);
+        outer.into_iter().chain(owners.map(Interface::Of))
+    }
+
+    /// Whose rims the node may stand on, as a place in [`Interfaces::rims`].
+    fn rim_slot(self) -> Option<usize> {
+        if self.outer {
+            Some(0)
+        } else {
+            self.owners
+                .is_power_of_two()
+                .then(|| 1 + self.owners.trailing_zeros() as usize)
+        }
+    }
+
+    pub(super) fn single(self) -> bool {
         !self.rim && u32::from(self.outer) + self.owners.count_ones() == 1
     }
 
@@ -51,6 +99,7 @@ impl Constraint {
     pub(super) fn within(self, other: Self) -> bool {
         (!self.outer || other.outer)
             && (!self.rim || other.rim)
+            && !self.corner
             && self.owners & other.owners == self.owners
     }
 }
@@ -70,38 +119,139 @@ pub(super) fn constraints(lattice: &Lattice) -> Vec<Constraint> {
         .map(|(regions, corners)| Constraint {
             outer: corners != u8::MAX,
             rim: false,
+            corner: false,
             owners: regions & (regions - 1),
         })
         .collect()
 }
 
-/// Marks the nodes that stand at a rim of the outer surface and where their nearest rim point is.
+/// Marks the nodes that stand at a rim of their interface, and for each corner of it the nearest of
+/// these.
 pub(super) fn mark_rims(
     grid: &Grid,
     lattice: &Lattice,
     interfaces: &Interfaces,
     constraints: &mut [Constraint],
 ) {
-    let mut seen: Vec<u8> = vec![0; lattice.nodes.len()];
+    // Which ways the faces of the outside, and of inner interfaces, look around each node.
+    let mut seen: Vec<[u8; 2]> = vec![[0; 2]; lattice.nodes.len()];
     for cell in &lattice.cells {
         for face in 0..6 {
-            if cell.neighbours[face] == crate::NO_CELL {
-                for c in crate::FACES[face] {
-                    seen[cell.corners[c] as usize] |= 1 << face;
-                }
+            let across = cell.neighbours[face];
+            let inner = across != crate::NO_CELL;
+            if inner && lattice.cells[across as usize].region >= cell.region {
+                continue;
+            }
+            for c in crate::FACES[face] {
+                seen[cell.corners[c] as usize][usize::from(inner)] |= 1 << face;
             }
         }
     }
+    let mut claims: Vec<Claim> = Vec::new();
+    let mut candidates: Vec<(usize, u32, f64, u32)> = Vec::new();
     for (node, constraint) in constraints.iter_mut().enumerate() {
-        if !constraint.outer || seen[node].count_ones() < 2 {
+        let Some(slot) = constraint.rim_slot() else {
+            continue;
+        };
+        let seen = seen[node][usize::from(!constraint.outer)];
+        if seen.count_ones() < 2 {
             continue;
         }
         let at = grid.point(lattice.nodes[node]);
-        constraint.rim = interfaces
-            .rims
-            .nearest(&at, |s| shows(seen[node], s.normals))
-            .is_some();
+        let rims = &interfaces.rims[slot];
+        let Some(point) = rims.nearest(&at, |s| shows(seen, s.normals)) else {
+            continue;
+        };
+        constraint.rim = true;
+        claims.push(Claim {
+            slot,
+            node: node as u32,
+            point,
+            distance: (point - at).norm(),
+        });
+        if seen.count_ones() >= 3
+            && let Some((corner, distance)) = rims.nearest_corner(&at)
+        {
+            candidates.push((slot, corner, distance, node as u32));
+        }
     }
+    candidates.sort_by(|a, b| {
+        let place = (a.0, a.1).cmp(&(b.0, b.1));
+        place.then(a.2.total_cmp(&b.2)).then(a.3.cmp(&b.3))
+    });
+    settle_claims(
+        claims,
+        &cells_inside(lattice, constraints),
+        grid.spacing,
+        constraints,
+    );
+    for of_corner in candidates.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+        let constraint = &mut constraints[of_corner[0].3 as usize];
+        constraint.rim = true;
+        constraint.corner = true;
+    }
+}
+
+/// A node that would stand on a rim, and where.
+struct Claim {
+    slot: usize,
+    node: u32,
+    point: Vec3,
+    distance: f64,
+}
+
+/// Leaves one node at each place of a rim. Where the cell at a rim is less than half full it is
+/// missing, and three nodes around the notch claim the same place: the hollow one is between the
+/// other two on the surface, so it gets it; else the nearest one does.
+fn settle_claims(
+    mut claims: Vec<Claim>,
+    cells_inside: &[u8],
+    spacing: f64,
+    constraints: &mut [Constraint],
+) {
+    let hollow = |claim: &Claim| cells_inside[claim.node as usize] > 4;
+    claims.sort_by(|a, b| a.distance.total_cmp(&b.distance).then(a.node.cmp(&b.node)));
+    let reach = CLAIM_REACH * spacing;
+    let cube = |p: &Vec3| [p.x, p.y, p.z].map(|x| (x / reach).floor() as i64);
+    let mut places: BTreeMap<(usize, [i64; 3]), Vec<usize>> = BTreeMap::new();
+    for (index, claim) in claims.iter().enumerate() {
+        let place = (claim.slot, cube(&claim.point));
+        places.entry(place).or_default().push(index);
+    }
+    let mut settled = vec![false; claims.len()];
+    for index in 0..claims.len() {
+        if settled[index] {
+            continue;
+        }
+        let claim = &claims[index];
+        let centre = cube(&claim.point);
+        let mut rivals: Vec<usize> = (0..27)
+            .map(|n| [n % 3, n / 3 % 3, n / 9].map(|i| i - 1))
+            .map(|step| std::array::from_fn(|a| centre[a] + step[a]))
+            .flat_map(|at| places.get(&(claim.slot, at)).into_iter().flatten().copied())
+            .filter(|&r| !settled[r] && (claims[r].point - claim.point).norm() < reach)
+            .collect();
+        rivals.sort_unstable();
+        let middle = rivals.iter().copied().find(|&r| hollow(&claims[r]));
+        let winner = middle.filter(|_| rivals.len() >= 3).unwrap_or(index);
+        for rival in rivals {
+            settled[rival] = true;
+            constraints[claims[rival].node as usize].rim = rival == winner;
+        }
+    }
+}
+
+/// How many of the eight cells around each node lie on the inner side of its interface.
+fn cells_inside(lattice: &Lattice, constraints: &[Constraint]) -> Vec<u8> {
+    let mut inside = vec![0; lattice.nodes.len()];
+    for cell in &lattice.cells {
+        for &node in &cell.corners {
+            let constraint = constraints[node as usize];
+            let own = constraint.outer || constraint.owners >> cell.region.index() & 1 == 1;
+            inside[node as usize] += u8::from(own);
+        }
+    }
+    inside
 }
 
 /// Whether two different cell faces of the node look the two ways that the faces of a rim do.
@@ -125,19 +275,76 @@ pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec
     let mut at = from;
     let rounds = if constraint.single() { 1 } else { ALTERNATIONS };
     for _ in 0..rounds {
+        let before = at;
         let mut owners = constraint.owners;
         while owners != 0 {
             let region = owners.trailing_zeros() as usize;
             owners &= owners - 1;
-            at = interfaces.inner[region].nearest(&at).unwrap_or(at);
+            at = nearest(interfaces, Interface::Of(region), &at).unwrap_or(at);
         }
-        if constraint.rim {
-            at = interfaces.rims.nearest(&at, |_| true).unwrap_or(at);
+        let rims = constraint.rim_slot().filter(|_| constraint.rim);
+        if let Some(rims) = rims.map(|slot| &interfaces.rims[slot]) {
+            let corner = constraint.corner.then(|| rims.corner_near(&at)).flatten();
+            at = corner.or_else(|| rims.nearest(&at, |_| true)).unwrap_or(at);
         } else if constraint.outer {
-            at = interfaces.outer.nearest(&at).unwrap_or(at);
+            at = nearest(interfaces, Interface::Outer, &at).unwrap_or(at);
+        }
+        if at == before {
+            break;
         }
     }
     at
+}
+
+fn nearest(interfaces: &Interfaces, interface: Interface, at: &Vec3) -> Option<Vec3> {
+    interfaces
+        .patch(interface)
+        .nearest(at, REACH * interfaces.spacing)
+}
+
+/// The tie rule (reconstructed): where interfaces lie nearer to each other than a spacing and do not
+/// meet, the one nearer to a node's lattice point takes the node. Returns the number of such nodes,
+/// whose constraints are changed accordingly.
+pub(super) fn settle_ties(
+    grid: &Grid,
+    lattice: &Lattice,
+    interfaces: &Interfaces,
+    constraints: &mut [Constraint],
+) -> usize {
+    constraints
+        .par_iter_mut()
+        .enumerate()
+        .filter(|(_, c)| c.interfaces().nth(1).is_some())
+        .map(|(node, constraint)| {
+            let from = grid.point(lattice.nodes[node]);
+            let at = project(interfaces, *constraint, from);
+            let meets = constraint.interfaces().all(|i| {
+                nearest(interfaces, i, &at)
+                    .is_some_and(|p| (p - at).norm() <= MEETING * grid.spacing)
+            });
+            if meets && (at - from).norm() <= MEETING_REACH * grid.spacing {
+                return 0;
+            }
+            let mut best: Option<(f64, Interface)> = None;
+            for interface in constraint.interfaces() {
+                if let Some(p) = nearest(interfaces, interface, &from) {
+                    let distance = (p - from).norm();
+                    if best.is_none_or(|b| distance < b.0) {
+                        best = Some((distance, interface));
+                    }
+                }
+            }
+            if let Some((_, taker)) = best {
+                let kept = constraint.rim && taker == Interface::Outer;
+                *constraint = Constraint {
+                    rim: kept,
+                    corner: kept && constraint.corner,
+                    ..Constraint::on(taker)
+                };
+            }
+            1
+        })
+        .sum()
 }
 
 /// Positions of all nodes, those between regions on their interfaces.
@@ -162,7 +369,8 @@ pub(super) fn snap(
                 return;
             }
             let by_ray = if constraint.single() {
-                snap_along_rays(grid, lattice.nodes[node], &hits, interfaces, constraint)
+                let at = lattice.nodes[node].map(|i| i as usize);
+                snap_along_rays(grid, at, &hits, interfaces, constraint)
             } else {
                 None
             };
@@ -190,7 +398,7 @@ fn snap_along_rays(
     interfaces: &Interfaces,
     constraint: Constraint,
 ) -> Option<Vec3> {
-    let point = grid.point(at);
+    let point = grid.point(at.map(|i| i as i32));
     let patch = if constraint.outer {
         &interfaces.outer
     } else {
@@ -209,8 +417,10 @@ fn snap_along_rays(
                 if distance <= grid.spacing / 2.0 && best.is_none_or(|b| distance < b.0) {
                     let mut crossing = point;
                     crossing[axis] = hit.depth;
-                    let off = patch.nearest(&crossing).map(|p| (p - crossing).norm());
-                    if off.is_some_and(|d| d <= ON_SURFACE * grid.spacing) {
+                    if patch
+                        .nearest(&crossing, ON_SURFACE * grid.spacing)
+                        .is_some()
+                    {
                         best = Some((distance, crossing));
                     }
                 }

@@ -2,7 +2,10 @@
 
 use std::f64::consts::PI;
 
+use std::sync::Arc;
+
 use super::*;
+use crate::Topology;
 use crate::scene::Scene;
 
 /// A closed body of revolution about z with the given profile of (radius, z), capped flat.
@@ -66,12 +69,19 @@ fn built(spacing_mm: f64, regions: &[(&str, Surface)]) -> (Model, BuildReport) {
 fn assert_sound(model: &Model, report: &BuildReport) {
     assert!(report.outer_surface.closed, "{report:?}");
     assert_eq!(report.quality.inverted_cells, 0, "{report:?}");
+    assert_eq!(report.quality.bad_cells, 0, "{report:?}");
+    assert!(report.quality.shortest_spring >= SPRING_FLOOR, "{report:?}");
     for region in &report.regions {
         let error = region.volume_mm3 / region.input_volume_mm3 - 1.0;
         assert!(error.abs() < 0.02, "{region:?}");
     }
     // A uniform field must not feel the lattice: masses add up to density times volume.
     let topology = Topology::new(Arc::new(model.clone()));
+    assert_eq!(report.topology_hash, topology.hash().to_string());
+    let kinds = report.springs;
+    let sum = kinds.structural + kinds.shear + kinds.body_diagonal + kinds.layer;
+    assert_eq!(sum, topology.springs().count());
+    assert_eq!(report.outer_surface, report_surface(topology.boundary()));
     let mass: f64 = (0..topology.node_count() as u32)
         .map(|n| topology.mass(n))
         .sum();
@@ -104,6 +114,59 @@ fn nested_and_poking_regions_share_conforming_interfaces() {
     let whole: f64 = report.regions.iter().map(|r| r.volume_mm3).sum();
     let exact = PI * 50.0 * 50.0 * 120.0;
     assert!((whole / exact - 1.0).abs() < 0.01, "{whole} {exact}");
+}
+
+#[test]
+fn every_interface_is_one_layer_of_springs_of_the_model() {
+    let skin = turned(&[(0.05, -0.06), (0.05, 0.06)], 128);
+    let bone = turned(&[(0.02, -0.06), (0.02, 0.06)], 64);
+    let marrow = ball(0.012);
+    let regions = [("skin", skin), ("bone", bone), ("marrow", marrow)];
+    let (model, report) = built(4.0, &regions);
+    assert_sound(&model, &report);
+    let layers = Layers::new(&model);
+    let components: Vec<usize> = report.layers.iter().map(|l| l.components).collect();
+    // Skin and bone reach the outside, the bone at both of its ends.
+    let kinds: Vec<_> = layers
+        .layers
+        .iter()
+        .map(|l| (l.inside.0, l.outside))
+        .collect();
+    assert_eq!(components, [1, 1, 2, 1], "{kinds:?}");
+    let topology = Topology::new(Arc::new(model.clone()));
+    for layer in &layers.layers {
+        for [a, b] in &layer.springs {
+            let row = topology.springs().row(*a);
+            assert!(row.iter().any(|s| s.to == *b), "{a} {b}");
+        }
+        let mut degree = std::collections::BTreeMap::<u32, usize>::new();
+        for node in layer.springs.iter().flatten() {
+            *degree.entry(*node).or_default() += 1;
+        }
+        assert_eq!(degree.len(), layer.nodes.len());
+        assert!(degree.values().all(|d| (2..=12).contains(d)));
+        let all = layers.homogeneous(&model, layer.nodes[0]);
+        assert!(layer.nodes.iter().all(|n| all.binary_search(n).is_ok()));
+    }
+    for (r, region) in report.regions.iter().enumerate() {
+        let triangles = region_surface(&model, crate::RegionId(r as u16));
+        assert!(report_triangles(&triangles).closed);
+        let surface = Surface {
+            vertices: model.nodes.clone(),
+            triangles,
+        };
+        let volume = surface.volume() * 1e9;
+        assert!(
+            (volume / region.volume_mm3 - 1.0).abs() < 0.02,
+            "{volume} {region:?}"
+        );
+    }
+    // An inner node selects the inner nodes of its own region.
+    let inner = (0..model.nodes.len() as u32)
+        .find(|n| layers.layers.iter().all(|l| !l.nodes.contains(n)))
+        .unwrap();
+    let selected = layers.homogeneous(&model, inner);
+    assert!(selected.contains(&inner) && selected.len() < model.nodes.len());
 }
 
 #[test]

@@ -3,131 +3,108 @@
 //!
 //! Faces between nodes that lie exactly on a curved surface run inside it: a bone of radius 7 mm
 //! loses 6 % at a spacing of 4 mm. So the nodes of each interface move along its normal by
-//! (missing volume) / (area), which is well below a tenth of the spacing.
+//! (missing volume) / (area), which is well below a tenth of the spacing; a node whose cells would
+//! suffer moves less.
 
-use super::lattice::Lattice;
+use super::faces::{Face, volumes};
+use super::patch::Interface;
 use super::snap::Constraint;
-use crate::{FACES, NO_CELL, Vec3, cell_volume};
+use super::untangle::Untangler;
+use crate::Vec3;
 
-/// Most rounds of correction. Nodes on rims and on several interfaces stay, so that each round leaves
-/// a part to the next; two are enough for a limb, a skin of one cell's thickness takes eight.
-const ROUNDS_MAX: usize = 8;
-/// Correction ends when every region is within this part of its volume.
-const EXACT: f64 = 1e-3;
-/// Farthest that an interface is moved in all, in spacings; a skin thinner than a cell needs a third.
-/// A region that misses more volume than this gives has lost thin parts, and blowing up the rest
-/// would be a lie.
-const SHIFT_MAX: f64 = 0.4;
-/// The same for one round, so that the interface's normals are still its own.
-const STEP_MAX: f64 = 0.1;
-
-/// One interface of the model: the outer surface, or where region `r` overrides others.
-#[derive(Clone, Copy, PartialEq)]
-enum Interface {
-    Outer,
-    Of(usize),
-}
+/// Rounds of correction; later ones take up what nodes that had to stay have left over.
+const ROUNDS: usize = 3;
+/// Farthest that a node is moved in one round, in spacings. A region that misses more volume than
+/// this gives has lost thin parts, and blowing up the rest would be a lie.
+const SHIFT_MAX: f64 = 0.1;
+/// Parts of the way that are tried until the cells around a node hold.
+const TRIES: [f64; 3] = [1.0, 0.5, 0.25];
 
 /// Moves the nodes of curved interfaces outwards until region volumes match `targets` (m³).
 pub(super) fn restore_volumes(
-    lattice: &Lattice,
-    constraints: &[Constraint],
+    untangler: &Untangler<'_>,
+    faces: &[Face],
     targets: &[f64],
-    spacing: f64,
     positions: &mut [Vec3],
 ) {
-    // Signed distance that each interface has moved: region by region, the outer surface at the end.
-    let mut shifted = vec![0.0; targets.len() + 1];
-    for _ in 0..ROUNDS_MAX {
-        let mut missing_most: f64 = 0.0;
+    let mut slots = Slots::new(faces, positions.len());
+    for _ in 0..ROUNDS {
         // Innermost (last) regions first, the outer surface at the end: each takes from the one
         // around it, so one pass settles nested regions.
         for region in (0..targets.len()).rev() {
-            let (interface, whole, missing, slot) = if region == 0 {
-                let whole: f64 = targets.iter().sum();
-                let missing = whole - volume(lattice, positions, |_| true);
-                (Interface::Outer, whole, missing, targets.len())
+            let volumes = volumes(faces, positions, targets.len());
+            let (interface, missing) = if region == 0 {
+                let whole = targets.iter().sum::<f64>() - volumes.iter().sum::<f64>();
+                (Interface::Outer, whole)
             } else {
-                let missing = targets[region] - volume(lattice, positions, |r| r == region);
-                (Interface::Of(region), targets[region], missing, region)
+                (Interface::Of(region), targets[region] - volumes[region])
             };
-            missing_most = missing_most.max((missing / whole).abs());
-            shifted[slot] += shift(
-                lattice,
-                constraints,
-                interface,
-                missing,
-                spacing,
-                shifted[slot],
-                positions,
-            );
-        }
-        if missing_most <= EXACT {
-            break;
+            slots.shift(untangler, faces, interface, missing, positions);
         }
     }
 }
 
-fn volume(lattice: &Lattice, positions: &[Vec3], counts: impl Fn(usize) -> bool) -> f64 {
-    let cells = lattice.cells.iter().filter(|c| counts(c.region.index()));
-    cells
-        .map(|c| cell_volume(&c.corners.map(|n| positions[n as usize])))
-        .sum()
+/// A place for the normal of every node that lies on an interface.
+struct Slots {
+    slot_of: Vec<u32>,
+    nodes: Vec<u32>,
+    normals: Vec<Vec3>,
 }
 
-/// Moves the nodes of one interface outwards by what is missing, as far as `shifted`, the distance
-/// it has moved before, leaves room; returns by how much.
-fn shift(
-    lattice: &Lattice,
-    constraints: &[Constraint],
-    interface: Interface,
-    missing: f64,
-    spacing: f64,
-    shifted: f64,
-    positions: &mut [Vec3],
-) -> f64 {
-    let mut normal = vec![Vec3::zeros(); positions.len()];
-    let mut area = 0.0;
-    for cell in &lattice.cells {
-        for face in 0..6 {
-            let across = cell.neighbours[face];
-            let belongs = match interface {
-                Interface::Outer => across == NO_CELL,
-                Interface::Of(region) => {
-                    across != NO_CELL
-                        && cell.region.index() == region
-                        && lattice.cells[across as usize].region.index() < region
-                }
-            };
-            if belongs {
-                let corners = FACES[face].map(|c| cell.corners[c] as usize);
-                let [a, b, c, d] = corners.map(|n| positions[n]);
-                let vector = (c - a).cross(&(d - b)) / 2.0;
-                area += vector.norm();
-                for n in corners {
-                    normal[n] += vector;
-                }
+impl Slots {
+    fn new(faces: &[Face], node_count: usize) -> Self {
+        let mut slot_of = vec![u32::MAX; node_count];
+        let mut nodes = Vec::new();
+        for node in faces.iter().flat_map(|f| f.nodes) {
+            let slot = &mut slot_of[node as usize];
+            if *slot == u32::MAX {
+                *slot = nodes.len() as u32;
+                nodes.push(node);
             }
         }
-    }
-    if area == 0.0 {
-        return 0.0;
-    }
-    let (step, most) = (STEP_MAX * spacing, SHIFT_MAX * spacing);
-    let distance = (missing / area).clamp(-step, step);
-    let distance = (shifted + distance).clamp(-most, most) - shifted;
-    for (node, constraint) in constraints.iter().enumerate() {
-        let alone = match interface {
-            Interface::Outer => constraint.outer && constraint.owners == 0,
-            Interface::Of(region) => !constraint.outer && constraint.owners == 1 << region,
-        };
-        // Nodes on several interfaces and on rims hold the others in place.
-        if alone
-            && !constraint.rim
-            && let Some(out) = normal[node].try_normalize(0.0)
-        {
-            positions[node] += out * distance;
+        let normals = vec![Vec3::zeros(); nodes.len()];
+        Self {
+            slot_of,
+            nodes,
+            normals,
         }
     }
-    distance
+
+    fn shift(
+        &mut self,
+        untangler: &Untangler<'_>,
+        faces: &[Face],
+        interface: Interface,
+        missing: f64,
+        positions: &mut [Vec3],
+    ) {
+        self.normals.fill(Vec3::zeros());
+        let mut area = 0.0;
+        for face in faces.iter().filter(|f| f.interface() == interface) {
+            let [a, b, c, d] = face.corners(positions);
+            let vector = (c - a).cross(&(d - b)) / 2.0;
+            area += vector.norm();
+            for node in face.nodes {
+                self.normals[self.slot_of[node as usize] as usize] += vector;
+            }
+        }
+        if area == 0.0 {
+            return;
+        }
+        let reach = SHIFT_MAX * untangler.spacing();
+        let distance = (missing / area).clamp(-reach, reach);
+        let moves: Vec<(u32, Vec3)> = self
+            .nodes
+            .iter()
+            .zip(&self.normals)
+            .filter(|(node, _)| moves_alone(untangler.constraint(**node), interface))
+            .filter_map(|(node, normal)| Some((*node, normal.try_normalize(0.0)? * distance)))
+            .collect();
+        untangler.move_while_it_holds(&moves, &TRIES, positions);
+    }
+}
+
+/// Nodes on several interfaces and on rims hold the others in place.
+fn moves_alone(constraint: Constraint, interface: Interface) -> bool {
+    constraint.single() && constraint.interfaces().next() == Some(interface)
 }

@@ -5,7 +5,6 @@ use super::proxy::Proxy;
 use super::reaction::Reaction;
 use super::surface::{Surface, area_normal, blend};
 use super::{FOUNDATION, TOOLS_MAX, Tool};
-use crate::equilibrium::law::Symmetric;
 use crate::{Topology, Vec3};
 
 /// Barycentric weights of the four samples of a triangle: the middles of its four equal parts.
@@ -41,11 +40,9 @@ pub(crate) struct Contacts {
     index: SurfaceIndex,
     pub(crate) proxies: Vec<Proxy>,
     pub(crate) samples: Vec<Sample>,
-    /// Nodes of the samples; position in it of every node; their samples as linked lists.
+    /// Nodes of the samples, and position in it of every node.
     pub(crate) nodes: Vec<u32>,
     place: Vec<u32>,
-    first: Vec<u32>,
-    next: Vec<u32>,
     /// Tools of the last step that were not sound, or one too many.
     pub(crate) ignored: usize,
 }
@@ -58,8 +55,6 @@ impl Contacts {
             samples: Vec::new(),
             nodes: Vec::new(),
             place: vec![NONE; topology.node_count()],
-            first: Vec::new(),
-            next: Vec::new(),
             ignored: 0,
         }
     }
@@ -152,31 +147,19 @@ impl Contacts {
             self.place[node as usize] = NONE;
         }
         self.nodes.clear();
-        self.first.clear();
-        self.next.clear();
         self.samples.clear();
     }
 
     fn link(&mut self) {
-        self.next.resize(self.samples.len() * 3, NONE);
-        for (s, sample) in self.samples.iter().enumerate() {
-            for (k, &node) in sample.nodes.iter().enumerate() {
+        for sample in &self.samples {
+            for &node in &sample.nodes {
                 let place = &mut self.place[node as usize];
                 if *place == NONE {
                     *place = self.nodes.len() as u32;
                     self.nodes.push(node);
-                    self.first.push(NONE);
                 }
-                let entry = (3 * s + k) as u32;
-                self.next[entry as usize] = self.first[*place as usize];
-                self.first[*place as usize] = entry;
             }
         }
-    }
-
-    #[inline]
-    pub(crate) fn touches(&self, node: u32) -> bool {
-        self.place[node as usize] != NONE
     }
 
     /// Depth in m (above zero: pressed) and direction into the tissue of a sample.
@@ -195,51 +178,41 @@ impl Contacts {
         (proxy.radius - distance, v / distance)
     }
 
-    /// Force on a node in N and its stiffness in N/m, added to `force` and `stiffness`.
-    pub(crate) fn add(
-        &self,
-        topology: &Topology,
-        u: &[Vec3],
-        node: u32,
-        force: &mut Vec3,
-        stiffness: &mut Symmetric,
-    ) {
-        let place = self.place[node as usize];
-        if place == NONE {
-            return;
-        }
-        let mut entry = self.first[place as usize];
-        while entry != NONE {
-            let sample = &self.samples[entry as usize / 3];
-            let w = sample.weights[entry as usize % 3];
-            let (depth, n) = self.press(sample, topology, u);
-            if depth > 0.0 {
-                *force += n * (w * sample.stiffness * depth);
-                let k = w * w * sample.stiffness;
-                stiffness[0] += k * n.x * n.x;
-                stiffness[1] += k * n.y * n.y;
-                stiffness[2] += k * n.z * n.z;
-                stiffness[3] += k * n.x * n.y;
-                stiffness[4] += k * n.x * n.z;
-                stiffness[5] += k * n.y * n.z;
-            }
-            entry = self.next[entry as usize];
-        }
-    }
-
-    /// Calls `visit` with every pressed sample, its κ and its direction.
+    /// Calls `visit` with every pressed sample, its force in N, its κ and its direction.
+    #[inline]
     pub(crate) fn pressed(
         &self,
         topology: &Topology,
         u: &[Vec3],
-        mut visit: impl FnMut(&Sample, f64, Vec3),
+        mut visit: impl FnMut(&Sample, Vec3, f64, Vec3),
     ) {
         for sample in &self.samples {
             let (depth, n) = self.press(sample, topology, u);
             if depth > 0.0 {
-                visit(sample, sample.stiffness, n);
+                visit(sample, n * (sample.stiffness * depth), sample.stiffness, n);
             }
         }
+    }
+
+    /// Sum of the squares of the forces on nodes in N².
+    pub(crate) fn square(&self, topology: &Topology, u: &[Vec3]) -> f64 {
+        let mut forces = vec![Vec3::zeros(); self.nodes.len()];
+        self.pressed(topology, u, |sample, force, _, _| {
+            for (&node, w) in sample.nodes.iter().zip(sample.weights) {
+                forces[self.place(node)] += force * w;
+            }
+        });
+        forces.iter().map(Vec3::norm_squared).sum()
+    }
+
+    /// Whether the tool of this number touched in the last step.
+    pub(crate) fn is_touching(&self, tool: u32) -> bool {
+        self.proxies.iter().any(|p| p.id == tool && p.touching)
+    }
+
+    /// Position of a touched node in the list of nodes.
+    pub(crate) fn place(&self, node: u32) -> usize {
+        self.place[node as usize] as usize
     }
 
     /// Force on the tool of proxy `i`, with the samples that carry it.

@@ -1,274 +1,539 @@
-//! One V-cycle over the coarse levels, on the points that have something to do.
+//! One V-cycle over the coarse lattices: what the forces left on the finer level ask for.
 //!
-//! Level by level: smooth the loaded points and their neighbours, hand what is left over to the
-//! next coarser level, add its answer, smooth again. The correction of the first level survives the
-//! cycle: it is poured into the nodes where it is large enough to matter ([`Hierarchy::pour`]), and
-//! what is not stays as the first guess of the next cycle.
+//! Chebyshev iterations smooth on every level (their polynomial needs no order of points, so they
+//! run element by element in vectors); each level hands what is left over to the next coarser one
+//! and adds its answer.
 
-use super::block::{Block, EMPTY, Quad, ZERO, accumulate, add_scaled, inverse, square};
-use super::hierarchy::{Extra, Hierarchy, Level, NONE, Tie, slot};
+use pulp::{Arch, Simd, WithSimd};
 
-/// Sweeps on the coarsest level, which stand for a solve.
-const COARSEST_SWEEPS: usize = 8;
-/// Points with added stiffness per level at most: 64 tools of 64 contact nodes; what lies beyond is
-/// left to the fine level.
-const EXTRA_MAX: usize = 4096;
+use super::block::{Quad, ZERO};
+use super::coarsen::Ties;
+use super::element::{SIZE, at, multiply};
+use super::patch::{Corners, NONE, Overlay, Patch, apply, invert, take_over};
+use super::structure::{Level, Structure};
 
-impl Level {
-    #[inline]
-    pub(crate) fn load(&mut self, point: u32, value: &Quad) {
-        self.loaded.insert(point);
-        let rhs = &mut self.rhs[point as usize];
-        for a in 0..3 {
-            rhs[a] += value[a];
+/// Steps on the coarsest level, which stand for a solve.
+const COARSEST: usize = 10;
+/// Lowest eigenvalue that smoothing looks after, in parts of the bound on all.
+pub(super) const LOW: f32 = 0.15;
+/// The same on the coarsest level.
+const LOW_COARSEST: f32 = 0.02;
+/// Force on a corner of an element, in thresholds, that its pending displacement may have changed
+/// it by before it is refined.
+const PENDING: f32 = 4.0;
+
+/// The same on level l + 1: what coarse elements get wrong is a smaller part of a larger force.
+fn tolerable(l: usize, threshold: f32) -> f32 {
+    PENDING * threshold * (1 << l) as f32
+}
+
+/// The factors of a Chebyshev iteration on [low, 1] times the bound.
+pub(super) struct Chebyshev {
+    theta: f32,
+    delta: f32,
+    rho: f32,
+}
+
+impl Chebyshev {
+    pub(super) fn new(low: f32) -> Self {
+        let (theta, delta) = (0.5 * (1.0 + low), 0.5 * (1.0 - low));
+        Self {
+            theta,
+            delta,
+            rho: 0.0,
         }
     }
 
-    #[inline]
-    fn residual(&self, point: u32) -> Quad {
-        let p = point as usize;
-        let mut sum = ZERO;
-        for (block, &other) in self.rows[p].iter().zip(&self.around[p]) {
-            accumulate(&mut sum, block, &self.e[other as usize]);
+    /// Factors of the last step and of the scaled residual.
+    pub(super) fn next(&mut self) -> (f32, f32) {
+        if self.rho == 0.0 {
+            self.rho = self.delta / self.theta;
+            return (0.0, 1.0 / self.theta);
         }
-        if self.extra_of[p] != NONE {
-            let extra = &self.extra[self.extra_of[p] as usize];
-            for (block, &other) in extra.row.iter().zip(&self.around[p]) {
-                accumulate(&mut sum, block, &self.e[other as usize]);
-            }
-        }
-        let rhs = &self.rhs[p];
-        std::array::from_fn(|a| rhs[a] - sum[a])
-    }
-
-    fn relax(&mut self, point: u32) {
-        let r = self.residual(point);
-        let p = point as usize;
-        let block: &Block = match self.extra_of[p] {
-            NONE => &self.inverse[p],
-            extra => &self.extra[extra as usize].inverse,
-        };
-        let mut step = ZERO;
-        accumulate(&mut step, block, &r);
-        for (e, step) in self.e[p].iter_mut().zip(step) {
-            *e += step;
-        }
-    }
-
-    fn smooth(&mut self, backward: bool) {
-        let items = std::mem::take(&mut self.smoothed.items);
-        if backward {
-            for &p in items.iter().rev() {
-                self.relax(p);
-            }
-        } else {
-            for &p in &items {
-                self.relax(p);
-            }
-        }
-        self.smoothed.items = items;
-    }
-
-    /// Chooses the points to smooth: those loaded beyond the threshold and their neighbours.
-    fn choose(&mut self, threshold: f32) {
-        let absent = self.at.len() as u32;
-        for &point in &self.loaded.items {
-            if square(&self.rhs[point as usize]) > threshold * threshold {
-                for other in self.around[point as usize] {
-                    if other != absent {
-                        self.smoothed.insert(other);
-                    }
-                }
-            }
-        }
-        for &point in &self.smoothed.items {
-            self.live.insert(point);
-            for other in self.around[point as usize] {
-                if other != absent {
-                    self.ring.insert(other);
-                }
-            }
-        }
-    }
-
-    /// Adds `weight · block` to what stands beside the row of `point` at slot `s`.
-    fn stiffen(&mut self, point: u32, s: usize, block: &Block, weight: f32) {
-        let entry = &mut self.extra_of[point as usize];
-        if *entry == NONE {
-            if self.extra.len() >= EXTRA_MAX {
-                return;
-            }
-            *entry = self.extra.len() as u32;
-            self.extra.push(Extra {
-                point,
-                row: [EMPTY; 27],
-                inverse: EMPTY,
-            });
-        }
-        add_scaled(&mut self.extra[*entry as usize].row[s], block, weight);
+        let rho = 1.0 / (2.0 * self.theta / self.delta - self.rho);
+        let factors = (rho * self.rho, 2.0 * rho / self.delta);
+        self.rho = rho;
+        factors
     }
 }
 
-impl Hierarchy {
-    /// Forgets all added stiffness.
-    pub(crate) fn clear_extra(&mut self) {
-        for level in &mut self.levels {
-            for extra in level.extra.drain(..) {
-                level.extra_of[extra.point as usize] = NONE;
-            }
+/// The coarse lattices of one shape.
+pub(super) struct Multigrid {
+    pub(super) patches: Vec<Patch>,
+    arch: Arch,
+    /// Elements visited.
+    pub(super) visits: usize,
+}
+
+impl Multigrid {
+    pub(super) fn new(structure: &Structure) -> Self {
+        Self {
+            patches: structure.levels.iter().map(Patch::new).collect(),
+            arch: Arch::new(),
+            visits: 0,
         }
     }
 
-    /// Adds the block that couples nodes `a` and `b` to the first level.
-    pub(crate) fn add_extra(&mut self, a: u32, b: u32, block: &Block) {
-        let level = &mut self.levels[0];
-        for &(i, wi) in self.parents[a as usize].iter() {
-            for &(j, wj) in self.parents[b as usize].iter() {
-                if let Some(s) = slot(level.at[i as usize], level.at[j as usize]) {
-                    level.stiffen(i, s, block, wi * wj);
+    /// Chooses what takes part on every level around the refined elements of level 1; `more` adds
+    /// to what was chosen before.
+    pub(super) fn select(&mut self, structure: &Structure, more: bool) {
+        let last = self.patches.len() - 1;
+        for l in 0..last {
+            let level = &structure.levels[l];
+            let (finer, coarser) = self.patches.split_at_mut(l + 1);
+            let (patch, above) = (&finer[l], &mut coarser[0]);
+            if !more {
+                above.refined.clear();
+            }
+            for element in above.wanted.take() {
+                above.refined.insert(element);
+            }
+            // One ring around what is refined, so that its points can move.
+            for &element in &patch.refined.items {
+                for point in level.corners[element as usize] {
+                    for &other in level.around.row(point) {
+                        above.refined.insert(level.parent[other as usize]);
+                    }
                 }
             }
+            above.refined.sort();
+        }
+        for l in (0..=last).rev() {
+            let (finer, coarser) = self.patches.split_at_mut(l + 1);
+            let above = coarser
+                .first()
+                .map(|p| (&structure.levels[l + 1], &p.refined));
+            finer[l].choose(&structure.levels[l], above);
         }
     }
 
-    /// Carries the added stiffness to all levels.
-    pub(crate) fn spread_extra(&mut self) {
-        for l in 0..self.levels.len() {
-            let (finer, coarser) = self.levels.split_at_mut(l + 1);
-            let level = &mut finer[l];
-            for extra in &mut level.extra {
-                let p = extra.point as usize;
-                let mut own = level.rows[p][13];
-                add_scaled(&mut own, &extra.row[13], 1.0);
-                extra.inverse = inverse(&own);
-            }
-            let Some(next) = coarser.first_mut() else {
-                break;
-            };
-            for extra in &level.extra {
-                let p = extra.point as usize;
-                for (block, &other) in extra.row.iter().zip(&level.around[p]) {
-                    if other as usize == level.at.len() || *block == EMPTY {
-                        continue;
+    /// Hands pending displacements down to what is refined now. Returns whether that makes more
+    /// elements want to be refined.
+    pub(super) fn push(&mut self, structure: &Structure, threshold: f32) -> bool {
+        for l in (0..self.patches.len()).rev() {
+            take_over(structure, &mut self.patches, l, false);
+        }
+        for l in (1..self.patches.len()).rev() {
+            let (finer, coarser) = self.patches.split_at_mut(l);
+            let (below, patch) = (&mut finer[l - 1], &mut coarser[0]);
+            let (level, level_below) = (&structure.levels[l], &structure.levels[l - 1]);
+            for i in 0..patch.refined.items.len() {
+                let element = patch.refined.items[i];
+                if !patch.waiting[element as usize] {
+                    continue;
+                }
+                let pending = patch.take_pending(level, element);
+                for &child in level.children.row(element) {
+                    let by = to_child(&pending, level_below.octant[child as usize]);
+                    let force = below.wait(level_below, child, &by);
+                    if force > tolerable(l - 1, threshold) && !below.refined.contains(child) {
+                        below.wanted.insert(child);
                     }
-                    for &(i, wi) in level.parents[p].iter() {
-                        for &(j, wj) in level.parents[other as usize].iter() {
-                            if let Some(s) = slot(next.at[i as usize], next.at[j as usize]) {
-                                next.stiffen(i, s, block, wi * wj);
-                            }
+                }
+            }
+            patch.trim();
+        }
+        let patch = &mut self.patches[0];
+        for i in 0..patch.refined.items.len() {
+            let element = patch.refined.items[i];
+            if patch.waiting[element as usize] {
+                patch.take_pending(&structure.levels[0], element);
+            }
+        }
+        patch.trim();
+        self.patches.iter().any(|p| !p.wanted.items.is_empty())
+    }
+
+    /// One V-cycle for the loads on level 1, with `smoothing` steps before and after the correction
+    /// of each coarser level; leaves the correction in every patch's `e`.
+    pub(super) fn cycle(&mut self, structure: &Structure, threshold: f32, smoothing: usize) {
+        let last = self.patches.len() - 1;
+        for l in 0..=last {
+            let level = &structure.levels[l];
+            let (finer, coarser) = self.patches.split_at_mut(l + 1);
+            let patch = &mut finer[l];
+            for i in 0..patch.lagging.items.len() {
+                let point = patch.lagging.items[i];
+                let lag = patch.lag[point as usize];
+                patch.load(point, &lag, 1.0);
+            }
+            for &point in &patch.points.items {
+                let p = point as usize;
+                patch.e[p] = ZERO;
+                patch.r[p] = if patch.loaded.contains(point) {
+                    patch.b[p]
+                } else {
+                    ZERO
+                };
+            }
+            let (steps, low) = if l == last {
+                (COARSEST, LOW_COARSEST)
+            } else {
+                (smoothing, LOW)
+            };
+            self.visits += (1 + steps) * patch.set.items.len();
+            self.arch.dispatch(Smooth {
+                level,
+                patch,
+                steps,
+                low,
+                moved: false,
+            });
+            let Some(next) = coarser.first_mut() else {
+                continue;
+            };
+            for &point in &patch.points.items {
+                restrict(&level.ties[point as usize], &patch.r[point as usize], next);
+            }
+            for &point in &patch.loaded.items {
+                if patch.inside[point as usize] == 0 {
+                    let b = patch.b[point as usize];
+                    restrict(&level.ties[point as usize], &b, next);
+                    if square(&b) > threshold * threshold {
+                        for &element in level.around.row(point) {
+                            next.wanted.insert(level.parent[element as usize]);
                         }
                     }
                 }
             }
         }
+        for l in (0..last).rev() {
+            let level = &structure.levels[l];
+            let (finer, coarser) = self.patches.split_at_mut(l + 1);
+            let (patch, above) = (&mut finer[l], &coarser[0]);
+            for &point in &patch.points.items {
+                let v = interpolate(&level.ties[point as usize], &above.e);
+                let p = point as usize;
+                patch.d[p] = v;
+                for a in 0..3 {
+                    patch.e[p][a] += v[a];
+                }
+            }
+            self.visits += smoothing * patch.set.items.len();
+            self.arch.dispatch(Smooth {
+                level,
+                patch,
+                steps: smoothing,
+                low: LOW,
+                moved: true,
+            });
+        }
+        for patch in &mut self.patches {
+            patch.loaded.clear();
+        }
     }
 
-    /// One V-cycle for the loads on the first level. Returns the points visited.
-    pub(crate) fn cycle(&mut self, threshold: f64) -> usize {
-        let threshold = threshold as f32;
-        let last = self.levels.len() - 1;
-        let mut visited = 0;
-        for l in 0..=last {
-            let (finer, coarser) = self.levels.split_at_mut(l + 1);
-            let level = &mut finer[l];
-            level.choose(threshold);
-            visited += 2 * level.smoothed.items.len() + level.ring.items.len();
-            if l == last {
-                for sweep in 0..COARSEST_SWEEPS {
-                    level.smooth(sweep % 2 == 1);
-                }
-                break;
+    /// Begins a step: takes `share` of what the last one corrected once more.
+    pub(super) fn carry_on(&mut self, structure: &Structure, share: f32) {
+        for patch in &mut self.patches {
+            for &point in &patch.points.items {
+                let p = point as usize;
+                patch.e[p] = if patch.gained.contains(point) {
+                    patch.gain[p]
+                } else {
+                    ZERO
+                };
             }
-            level.smooth(false);
-            let next = &mut coarser[0];
-            for &point in &level.ring.items {
-                let r = level.residual(point);
-                for &(parent, w) in level.parents[point as usize].iter() {
-                    next.load(parent, &r.map(|v| v * w));
+            patch.gained.clear();
+        }
+        if share != 0.0 {
+            self.commit(structure, share, f32::INFINITY);
+        }
+    }
+
+    /// Takes over `share` of the correction: displacements in full, forces of what is not refined
+    /// as pending. Notes what is to be refined next.
+    pub(super) fn commit(&mut self, structure: &Structure, share: f32, threshold: f32) {
+        for l in (0..self.patches.len()).rev() {
+            let level = &structure.levels[l];
+            let patch = &mut self.patches[l];
+            for &point in &patch.points.items {
+                let p = point as usize;
+                if patch.gained.insert(point) {
+                    patch.gain[p] = ZERO;
+                }
+                for a in 0..3 {
+                    patch.total[p][a] += f64::from(share) * f64::from(patch.e[p][a]);
+                    patch.gain[p][a] += share * patch.e[p][a];
+                }
+            }
+            self.arch.dispatch(Defer {
+                level,
+                patch,
+                share,
+                threshold: tolerable(l, threshold),
+            });
+            // What the coarser level did is part of e: it counts as taken over.
+            let (finer, coarser) = self.patches.split_at_mut(l + 1);
+            if let Some(above) = coarser.first() {
+                let patch = &mut finer[l];
+                for &point in &patch.points.items {
+                    patch.applied[point as usize] =
+                        super::patch::interpolate(&level.ties[point as usize], &above.total);
                 }
             }
         }
-        for l in (0..last).rev() {
-            let (finer, coarser) = self.levels.split_at_mut(l + 1);
-            let (level, next) = (&mut finer[l], &mut coarser[0]);
-            for &point in &next.live.items {
-                let e = std::mem::replace(&mut next.e[point as usize], ZERO);
-                for &(child, w) in &next.children[point as usize] {
-                    level.live.insert(child);
-                    for (to, e) in level.e[child as usize].iter_mut().zip(e) {
-                        *to += w * e;
+    }
+
+    /// Adds the stiffness of a node, a block in N/m, to level 1.
+    pub(super) fn stiffen(&mut self, structure: &Structure, node: u32, block: &[f32; 6]) {
+        let Some(&entry) = structure.around.row(node).first() else {
+            return;
+        };
+        let (brick, place) = (entry / 32, entry % 32);
+        let element = structure.element_of[brick as usize];
+        if structure.ties[node as usize].len == 0 {
+            return;
+        }
+        let w = super::element::WEIGHTS[place as usize].map(|w| w as f32);
+        self.patches[0].overlay(&structure.levels[0], element, |k| {
+            for (p, wp) in w.iter().enumerate().filter(|w| *w.1 > 0.0) {
+                for (q, wq) in w.iter().enumerate().filter(|w| *w.1 > 0.0) {
+                    const AT: [[usize; 3]; 3] = [[0, 3, 4], [3, 1, 5], [4, 5, 2]];
+                    for a in 0..3 {
+                        for b in 0..3 {
+                            k[at(p, a)][at(q, b)] += wp * wq * block[AT[a][b]];
+                        }
                     }
                 }
             }
-            next.live.clear();
-            level.smooth(true);
+        });
+        let corners = structure.levels[0].corners[element as usize];
+        for (c, wc) in w.iter().enumerate().filter(|w| *w.1 > 0.0) {
+            self.patches[0].bear(corners[c], block, *wc);
         }
-        for level in &mut self.levels {
-            for &point in &level.loaded.items {
-                level.rhs[point as usize] = ZERO;
-            }
-            level.loaded.clear();
-            level.smoothed.clear();
-            level.ring.clear();
-        }
-        visited
     }
 
-    /// Hands out the correction at every point where it is worth more than `least` newtons, as
-    /// `(children, correction, kink)`: the kink is how far what is handed out there is from the mean
-    /// of what is handed out around, which measures the force that pouring it leaves behind.
-    pub(crate) fn pour(&mut self, least: f64, mut take: impl FnMut(&[Tie], Quad, f32)) {
-        const SIX: [usize; 6] = [4, 10, 12, 14, 16, 22];
-        let level = &mut self.levels[0];
-        let least = (least * least) as f32;
-        let worth = |e: &Quad, own: f32| square(e) * own * own > least;
-        for &point in &level.live.items {
-            let p = point as usize;
-            let e = level.e[p];
-            if !worth(&e, level.own[p]) || !square(&e).is_finite() {
-                continue;
+    /// Carries the added stiffness to all levels.
+    pub(super) fn spread(&mut self, structure: &Structure) {
+        for l in 0..self.patches.len() {
+            let level = &structure.levels[l];
+            let (finer, coarser) = self.patches.split_at_mut(l + 1);
+            let patch = &mut finer[l];
+            for &point in &patch.stiffened.items {
+                let p = point as usize;
+                let sum = std::array::from_fn(|i| level.bound[p][i] + patch.stiffer[p][i]);
+                patch.inverse[p] = invert(&sum);
             }
-            let mut mean = ZERO;
-            for s in SIX {
-                let other = level.around[p][s] as usize;
-                let v = match level.own.get(other) {
-                    None => &e,
-                    Some(&own) if worth(&level.e[other], own) => &level.e[other],
-                    Some(_) => &ZERO,
-                };
-                for a in 0..3 {
-                    mean[a] += v[a] / 6.0;
+            let Some(next) = coarser.first_mut() else {
+                break;
+            };
+            for overlay in &patch.overlays {
+                let element = overlay.element as usize;
+                let octant = level.octant[element] as usize;
+                next.overlay(&structure.levels[l + 1], level.parent[element], |k| {
+                    add_child(k, &overlay.k, octant);
+                });
+            }
+            for &point in &patch.stiffened.items {
+                let ties = &level.ties[point as usize];
+                for t in 0..ties.len as usize {
+                    next.bear(ties.to[t], &patch.stiffer[point as usize], ties.weight[t]);
                 }
             }
-            let kink = square(&std::array::from_fn(|a| e[a] - mean[a])).sqrt();
-            take(&level.children[p], e, kink);
         }
-        let (e, own) = (&mut level.e, &level.own);
-        level.live.retain(|point| {
-            let v = &mut e[point as usize];
-            if worth(v, own[point as usize]) || !square(v).is_finite() {
-                *v = ZERO;
-            }
-            *v != ZERO
-        });
     }
 
-    /// Drops the loads of a cycle that is not run.
-    pub(crate) fn unload(&mut self) {
-        let level = &mut self.levels[0];
-        for &point in &level.loaded.items {
-            level.rhs[point as usize] = ZERO;
+    /// Forgets all added stiffness.
+    pub(super) fn soften(&mut self, structure: &Structure) {
+        for (patch, level) in self.patches.iter_mut().zip(&structure.levels) {
+            for overlay in patch.overlays.drain(..) {
+                patch.overlay_of[overlay.element as usize] = NONE;
+            }
+            for &point in &patch.stiffened.items {
+                patch.stiffer[point as usize] = [0.0; 6];
+                patch.inverse[point as usize] = invert(&level.bound[point as usize]);
+            }
+            patch.stiffened.clear();
         }
-        level.loaded.clear();
+    }
+}
+
+impl Patch {
+    /// What the correction does to the elements of the set that are not refined.
+    #[inline(always)]
+    fn defer(&mut self, level: &Level, share: f32, threshold: f32) {
+        for i in 0..self.set.items.len() {
+            let element = self.set.items[i];
+            if self.refined.contains(element) {
+                continue;
+            }
+            let by = Self::corners(level, element, &self.e).map(|v| share * v);
+            if self.wait(level, element, &by) > threshold {
+                self.wanted.insert(element);
+            }
+        }
     }
 
-    /// Drops every correction that was not poured out.
-    pub(crate) fn forget(&mut self) {
-        for level in &mut self.levels {
-            for &point in &level.live.items {
-                level.e[point as usize] = ZERO;
-            }
-            level.live.clear();
+    fn overlay(&mut self, level: &Level, element: u32, add: impl FnOnce(&mut [[f32; SIZE]; SIZE])) {
+        debug_assert!((element as usize) < level.corners.len());
+        let entry = &mut self.overlay_of[element as usize];
+        if *entry == NONE {
+            *entry = self.overlays.len() as u32;
+            self.overlays.push(Overlay {
+                element,
+                k: Box::new([[0.0; SIZE]; SIZE]),
+            });
+        }
+        add(&mut self.overlays[*entry as usize].k);
+    }
+
+    fn bear(&mut self, point: u32, block: &[f32; 6], weight: f32) {
+        self.stiffened.insert(point);
+        for (to, v) in self.stiffer[point as usize].iter_mut().zip(block) {
+            *to += weight * v;
         }
     }
+}
+
+/// Smooths one level. When it was moved by d, the residual is brought up to date first and need
+/// not be in the end; when not, the next coarser level wants it.
+struct Smooth<'a> {
+    level: &'a Level,
+    patch: &'a mut Patch,
+    steps: usize,
+    low: f32,
+    moved: bool,
+}
+
+impl WithSimd for Smooth<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        if self.moved {
+            subtract(self.level, self.patch);
+        }
+        smooth(self.level, self.patch, self.steps, self.low, !self.moved);
+    }
+}
+
+/// Defers what a correction does to the elements that are not refined.
+struct Defer<'a> {
+    level: &'a Level,
+    patch: &'a mut Patch,
+    share: f32,
+    threshold: f32,
+}
+
+impl WithSimd for Defer<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        self.patch.defer(self.level, self.share, self.threshold);
+    }
+}
+
+/// `r -= K d` over the set.
+#[inline(always)]
+fn subtract(level: &Level, patch: &mut Patch) {
+    for &element in &patch.set.items {
+        let x = Patch::corners(level, element, &patch.d);
+        let mut y = [0.0; SIZE];
+        let m = level.matrix[element as usize] as usize;
+        multiply(&level.matrices[m].k, &x, &mut y);
+        let overlay = patch.overlay_of[element as usize];
+        if overlay != NONE {
+            multiply(&patch.overlays[overlay as usize].k, &x, &mut y);
+        }
+        for (c, &point) in level.corners[element as usize].iter().enumerate() {
+            let r = &mut patch.r[point as usize];
+            for a in 0..3 {
+                r[a] -= y[at(c, a)];
+            }
+        }
+    }
+}
+
+/// Chebyshev steps from the residual in `r`, which is kept up to date to the end if `keep`.
+#[inline(always)]
+fn smooth(level: &Level, patch: &mut Patch, steps: usize, low: f32, keep: bool) {
+    let mut factors = Chebyshev::new(low);
+    for step in 1..=steps {
+        let (last, new) = factors.next();
+        for &point in &patch.points.items {
+            let p = point as usize;
+            if !patch.free[p] {
+                patch.d[p] = ZERO;
+                continue;
+            }
+            let by = apply(&patch.inverse[p], &patch.r[p]);
+            for a in 0..3 {
+                // On the first step `last` is zero and d still holds something else.
+                let before = if last == 0.0 {
+                    0.0
+                } else {
+                    last * patch.d[p][a]
+                };
+                patch.d[p][a] = before + new * by[a];
+                patch.e[p][a] += patch.d[p][a];
+            }
+        }
+        if keep || step < steps {
+            subtract(level, patch);
+        }
+    }
+}
+
+fn restrict(ties: &Ties, value: &Quad, to: &mut Patch) {
+    for t in 0..ties.len as usize {
+        to.load(ties.to[t], value, ties.weight[t]);
+    }
+}
+
+/// A correction of the coarser level where a point hangs.
+#[inline(always)]
+pub(super) fn interpolate(ties: &Ties, of: &[Quad]) -> Quad {
+    let mut v = ZERO;
+    for t in 0..ties.len as usize {
+        let from = &of[ties.to[t] as usize];
+        for a in 0..3 {
+            v[a] += ties.weight[t] * from[a];
+        }
+    }
+    v
+}
+
+fn to_child(parent: &Corners, octant: u8) -> Corners {
+    let mut child = [0.0; SIZE];
+    for c in 0..8 {
+        let weights = &super::element::WEIGHTS[super::brick::CORNER[octant as usize][c]];
+        for (p, w) in weights.iter().enumerate() {
+            for a in 0..3 {
+                child[at(c, a)] += *w as f32 * parent[at(p, a)];
+            }
+        }
+    }
+    child
+}
+
+fn add_child(to: &mut [[f32; SIZE]; SIZE], child: &[[f32; SIZE]; SIZE], octant: usize) {
+    let weights: [[f32; 8]; 8] = std::array::from_fn(|c| {
+        super::element::WEIGHTS[super::brick::CORNER[octant][c]].map(|w| w as f32)
+    });
+    let mut t = [[0.0f32; SIZE]; SIZE];
+    for (i, row) in t.iter_mut().enumerate() {
+        for c in 0..8 {
+            for (q, w) in weights[c].iter().enumerate().filter(|w| *w.1 > 0.0) {
+                for b in 0..3 {
+                    row[at(q, b)] += child[i][at(c, b)] * w;
+                }
+            }
+        }
+    }
+    for c in 0..8 {
+        for (p, w) in weights[c].iter().enumerate().filter(|w| *w.1 > 0.0) {
+            for a in 0..3 {
+                for j in 0..SIZE {
+                    to[at(p, a)][j] += w * t[at(c, a)][j];
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn square(v: &Quad) -> f32 {
+    v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
 }

@@ -1,142 +1,178 @@
-//! The fine level: nonlinear Gauss-Seidel over the active nodes.
+//! The fine level: forces of bricks on nodes, and what is active.
 //!
-//! A node moves by the inverse of its tangent block times the force on it. Only active nodes are
-//! visited. A node that is not active has a bound on its force: the force when it was last looked
-//! at, plus k|δ| for every neighbour that moved by δ since; when the bound passes the threshold it
-//! becomes active. So the set follows the press, and what was left alone is known to be quiet.
+//! Every brick keeps the forces it had when it was last computed, and the force on a node is their
+//! sum over the bricks around it. A step computes the bricks of the refined elements of level 1; a
+//! node all of whose bricks are among them is free to move, the others on the rim follow the coarser
+//! level.
 
-use super::hierarchy::{Hierarchy, List};
-use super::law::{Lanes, Symmetric, apply, invert};
+use pulp::Arch;
+use rayon::prelude::*;
+
+use super::block::{Quad, ZERO};
+use super::brick::LOCALS;
+use super::cycle::{Chebyshev, LOW, Multigrid};
+use super::kernel::{Forces, Tangents};
+use super::patch::{List, Patch, apply, interpolate, invert};
+use super::structure::Structure;
 use crate::contact::Contacts;
 use crate::{Topology, Vec3};
 
-/// Longest move of a node in one visit, in spacings; longer ones are cut and counted.
+/// Longest move of a node in one smoothing step, in spacings; longer ones are cut and counted.
 const MOVE_MAX: f64 = 0.5;
-/// Visits of a node between two computations of its tangent block.
-const REFRESH: u8 = 3;
-/// A node leaves the active set when its force is below this part of the threshold.
-const LEAVE: f64 = 0.5;
+/// Bricks from which on they are shared among threads.
+const PARALLEL: usize = 512;
+/// Part of the threshold below which a force is forgotten.
+const SILENT: f32 = 1e-4;
 
-/// Everything the solver knows about single nodes.
+/// What the solver knows of single nodes and bricks.
 pub(super) struct Field {
     /// Pinned or held.
     pub(super) fixed: Vec<bool>,
     /// Mean stiffness of the node at rest in N/m.
     pub(super) own: Vec<f64>,
-    inverse: Vec<Symmetric>,
-    /// Visits until the inverse is computed again.
-    age: Vec<u8>,
-    /// Bound on the force of nodes that are not active, in N.
-    bound: Vec<f32>,
-    pub(super) active: List,
-    /// Nodes that are not active but have a bound above zero.
-    waiting: List,
-    lanes: Lanes,
+    /// Forces of each brick on its nodes when it was last computed.
+    forces: Vec<[[f32; LOCALS]; 3]>,
+    /// Force on each node in N, contacts included where they were last looked at.
+    pub(super) r: Vec<Quad>,
+    inverse: Vec<[f32; 6]>,
+    d: Vec<Quad>,
+    /// What each node has taken over of level 1's totals.
+    applied: Vec<[f64; 3]>,
+    /// Bricks that take part, and their nodes.
+    pub(super) set: List,
+    pub(super) nodes: List,
+    inside: Vec<u32>,
+    free: Vec<bool>,
+    /// Nodes whose force may not be zero.
+    loud: List,
+    /// Bricks to be computed before anything is said about their nodes.
+    stale: List,
     /// Displacements before this step of all nodes that moved in it.
-    undo: Vec<(u32, Vec3)>,
-    saved: Vec<u32>,
-    step: u32,
+    before: Vec<(u32, Vec3)>,
+    saved: List,
     /// Largest displacement of any node so far in m.
     pub(super) displaced: f64,
     move_max: f64,
     pub(super) clamped: usize,
-    /// Forces computed in this step.
+    /// Bricks computed in this step.
     pub(super) visits: usize,
+    /// Blocks of the nodes of the set; scratch.
+    blocks: Vec<[f32; 6]>,
+    /// What level 1 moved each node by in this iteration; scratch.
+    moved: Vec<Vec3>,
+    old: Vec<Quad>,
+    arch: Arch,
 }
 
 impl Field {
-    pub(super) fn new(topology: &Topology) -> Self {
-        let mut field = Self {
-            fixed: Vec::new(),
-            own: Vec::new(),
-            inverse: Vec::new(),
-            age: Vec::new(),
-            bound: Vec::new(),
-            active: List::default(),
-            waiting: List::default(),
-            lanes: Lanes::new(topology.model().spacing_m),
-            undo: Vec::new(),
-            saved: Vec::new(),
-            step: 0,
+    pub(super) fn new(topology: &Topology, structure: &Structure) -> Self {
+        let nodes = topology.node_count();
+        let own = |node: u32| {
+            let row = topology.springs().row(node);
+            row.iter().map(|s| f64::from(s.stiffness)).sum::<f64>() / 3.0
+        };
+        Self {
+            fixed: (0..nodes as u32).map(|n| topology.is_pinned(n)).collect(),
+            own: (0..nodes as u32).map(own).collect(),
+            forces: vec![[[0.0; LOCALS]; 3]; structure.bricks.len()],
+            r: vec![ZERO; nodes],
+            inverse: vec![[0.0; 6]; nodes],
+            d: vec![ZERO; nodes],
+            applied: vec![[0.0; 3]; nodes],
+            set: List::new(structure.bricks.len()),
+            nodes: List::new(nodes),
+            inside: vec![0; nodes],
+            free: vec![false; nodes],
+            loud: List::new(nodes),
+            stale: List::new(structure.bricks.len()),
+            before: Vec::new(),
+            saved: List::new(nodes),
             displaced: 0.0,
             move_max: MOVE_MAX * topology.model().spacing_m,
             clamped: 0,
             visits: 0,
-        };
-        field.follow(topology, &[]);
-        field
-    }
-
-    pub(super) fn follow(&mut self, topology: &Topology, touched: &[u32]) {
-        let known = self.fixed.len();
-        let count = topology.node_count();
-        self.fixed.resize(count, false);
-        self.own.resize(count, 0.0);
-        self.inverse.resize(count, [0.0; 6]);
-        self.age.resize(count, 0);
-        self.bound.resize(count, 0.0);
-        self.saved.resize(count, 0);
-        self.active.grow(count);
-        self.waiting.grow(count);
-        self.undo.reserve(count.saturating_sub(self.undo.len()));
-        let derive = |field: &mut Self, node: u32| {
-            let n = node as usize;
-            field.fixed[n] = topology.is_pinned(node);
-            let row = topology.springs().row(node);
-            field.own[n] = row.iter().map(|s| f64::from(s.stiffness)).sum::<f64>() / 3.0;
-            field.age[n] = 0;
-        };
-        for node in known as u32..count as u32 {
-            derive(self, node);
-            if known > 0 {
-                self.wake(node);
-            }
-        }
-        for &node in touched {
-            if (node as usize) < count {
-                derive(self, node);
-                self.wake(node);
-                for spring in topology.springs().row(node) {
-                    self.wake(spring.to);
-                }
-            }
+            blocks: vec![[0.0; 6]; nodes],
+            moved: Vec::new(),
+            old: Vec::new(),
+            arch: Arch::new(),
         }
     }
 
-    /// Makes a node active.
-    pub(super) fn wake(&mut self, node: u32) {
-        if !self.fixed[node as usize] {
-            self.active.insert(node);
+    /// Marks the bricks around a node as no longer what their forces say.
+    pub(super) fn disturb(&mut self, structure: &Structure, node: u32) {
+        for &entry in structure.around.row(node) {
+            self.stale.insert(entry / 32);
         }
     }
 
-    pub(super) fn begin(&mut self) {
-        self.step = self.step.wrapping_add(1);
-        if self.step == 0 {
-            self.saved.fill(0);
-            self.step = 1;
+    /// Marks everything.
+    pub(super) fn disturb_all(&mut self) {
+        for brick in 0..self.forces.len() as u32 {
+            self.stale.insert(brick);
         }
-        self.undo.clear();
+    }
+
+    /// Takes the forces of contacts off their nodes, before contacts are looked for afresh.
+    pub(super) fn let_contacts_go(&mut self, structure: &Structure, nodes: &[u32]) {
+        for &node in nodes {
+            self.r[node as usize] = self.sum(structure, node);
+            self.loud.insert(node);
+        }
+    }
+
+    /// Nodes whose force is not known to be zero.
+    pub(super) fn stirred(&self) -> usize {
+        self.loud.items.len()
+    }
+
+    /// Begins a step: moves the nodes of the set by `share` of what the last one moved them by.
+    pub(super) fn begin(
+        &mut self,
+        structure: &Structure,
+        coarse: &Multigrid,
+        u: &mut [Vec3],
+        share: f64,
+    ) {
         self.clamped = 0;
         self.visits = 0;
+        let last = std::mem::take(&mut self.before);
+        self.saved.clear();
+        if share == 0.0 {
+            return;
+        }
+        for (node, before) in last {
+            let n = node as usize;
+            if self.nodes.contains(node) && !self.fixed[n] {
+                let by = (u[n] - before) * share;
+                self.shift(u, node, by);
+                self.applied[n] = interpolate(&structure.ties[n], &coarse.patches[0].total);
+            }
+        }
+        for i in 0..self.nodes.items.len() {
+            let node = self.nodes.items[i];
+            if !self.saved.contains(node) {
+                self.take_over(structure, coarse, u, node);
+            }
+        }
+        for &brick in &self.set.items {
+            self.stale.insert(brick);
+        }
     }
 
     /// Puts back every node that this step moved.
-    pub(super) fn undo(&mut self, u: &mut [Vec3]) {
-        for (node, before) in self.undo.drain(..) {
+    pub(super) fn undo(&mut self, structure: &Structure, u: &mut [Vec3]) {
+        for (node, before) in std::mem::take(&mut self.before) {
             u[node as usize] = before;
+            self.disturb(structure, node);
         }
-        self.step = self.step.wrapping_add(1).max(1);
-        self.age.fill(0);
         self.displaced = u.iter().map(Vec3::norm).fold(0.0, f64::max);
     }
 
     #[inline]
-    pub(super) fn shift(&mut self, u: &mut [Vec3], node: u32, by: Vec3) {
+    fn shift(&mut self, u: &mut [Vec3], node: u32, by: Vec3) {
         let n = node as usize;
-        if self.saved[n] != self.step {
-            self.saved[n] = self.step;
-            self.undo.push((node, u[n]));
+        if self.saved.insert(node) {
+            self.before.push((node, u[n]));
         }
         u[n] += by;
         let square = u[n].norm_squared();
@@ -145,165 +181,446 @@ impl Field {
         }
     }
 
-    /// Raises the bound of a quiet node and wakes it beyond the threshold.
-    #[inline]
-    pub(super) fn disturb(&mut self, node: u32, by: f32, threshold: f64) {
-        let n = node as usize;
-        if self.active.contains(node) || self.fixed[n] {
+    /// Computes what was disturbed, so that forces can be trusted.
+    pub(super) fn refresh(&mut self, structure: &Structure, u: &[Vec3]) {
+        if self.stale.items.is_empty() {
             return;
         }
-        self.bound[n] += by;
-        if f64::from(self.bound[n]) > threshold {
-            self.active.insert(node);
-        } else {
-            self.waiting.insert(node);
-        }
-    }
-
-    /// Wakes every waiting node whose bound passes a lowered threshold; forgets those that woke.
-    pub(super) fn deepen(&mut self, threshold: f64) {
-        let (active, bound) = (&mut self.active, &self.bound);
-        self.waiting.retain(|node| {
-            if f64::from(bound[node as usize]) > threshold {
-                active.insert(node);
-            }
-            !active.contains(node)
-        });
-    }
-
-    /// Nodes whose force is not known to be zero.
-    pub(super) fn stirred(&self) -> usize {
-        self.active.items.len() + self.waiting.items.len()
-    }
-
-    /// One sweep over the nodes that are active now, forward or backward.
-    pub(super) fn sweep(
-        &mut self,
-        topology: &Topology,
-        u: &mut [Vec3],
-        contacts: &Contacts,
-        threshold: f64,
-        backward: bool,
-    ) {
-        let count = self.active.items.len();
-        self.visits += count;
-        for i in 0..count {
-            let node = self.active.items[if backward { count - 1 - i } else { i }];
-            self.relax(topology, u, contacts, node, threshold);
-        }
-    }
-
-    #[inline]
-    pub(super) fn relax(
-        &mut self,
-        topology: &Topology,
-        u: &mut [Vec3],
-        contacts: &Contacts,
-        node: u32,
-        threshold: f64,
-    ) {
-        let n = node as usize;
-        if self.fixed[n] {
-            return;
-        }
-        self.lanes.load(topology, u, node);
-        let mut force = self.lanes.force();
-        let step = if contacts.touches(node) {
-            let mut block = self.lanes.tangent();
-            contacts.add(topology, u, node, &mut force, &mut block);
-            self.age[n] = 0;
-            apply(&invert(&block), &force)
-        } else {
-            if force.norm_squared() < threshold * threshold {
-                return;
-            }
-            if self.age[n] == 0 {
-                self.inverse[n] = invert(&self.lanes.tangent());
-                self.age[n] = REFRESH;
-            }
-            self.age[n] -= 1;
-            apply(&self.inverse[n], &force)
-        };
-        let mut length = step.norm();
-        if !length.is_finite() {
-            self.clamped += 1;
-            return;
-        }
-        let mut step = step;
-        if length > self.move_max {
-            step *= self.move_max / length;
-            length = self.move_max;
-            self.clamped += 1;
-        }
-        self.shift(u, node, step);
-        let length = length as f32;
-        for spring in topology.springs().row(node) {
-            self.disturb(spring.to, spring.stiffness * length, threshold);
-        }
-    }
-
-    /// Force on every active node, handed to the coarse levels; quiet nodes leave the set. Returns
-    /// the sum of squares.
-    pub(super) fn residual(
-        &mut self,
-        topology: &Topology,
-        u: &[Vec3],
-        contacts: &Contacts,
-        coarse: Option<&mut Hierarchy>,
-        threshold: f64,
-    ) -> f64 {
-        let mut sum = 0.0;
-        let mut coarse = coarse;
-        let (lanes, fixed, bound) = (&mut self.lanes, &self.fixed, &mut self.bound);
-        let waiting = &mut self.waiting;
-        let leave = LEAVE * threshold;
-        self.visits += self.active.items.len();
-        self.active.sort();
-        self.active.retain(|node| {
-            if fixed[node as usize] {
-                return false;
-            }
-            lanes.load(topology, u, node);
-            let mut force = lanes.force();
-            let touches = contacts.touches(node);
-            if touches {
-                contacts.add(topology, u, node, &mut force, &mut [0.0; 6]);
-            }
-            let square = force.norm_squared();
-            sum += square;
-            if let Some(coarse) = coarse.as_deref_mut() {
-                let f = [force.x as f32, force.y as f32, force.z as f32, 0.0];
-                let level = &mut coarse.levels[0];
-                for &(point, w) in coarse.parents[node as usize].iter() {
-                    level.load(point, &f.map(|v| v * w));
+        self.stale.sort();
+        let list = std::mem::take(&mut self.stale.items);
+        self.compute(structure, u, &list);
+        let mut touched = Vec::new();
+        for &brick in &list {
+            let b = &structure.bricks[brick as usize];
+            for i in 0..LOCALS {
+                if b.present >> i & 1 == 1 && self.loud.insert(b.nodes[i]) {
+                    touched.push(b.nodes[i]);
+                } else if b.present >> i & 1 == 1 {
+                    touched.push(b.nodes[i]);
                 }
             }
-            bound[node as usize] = square.sqrt() as f32;
-            let stays = touches || square > leave * leave;
-            if !stays && square > 0.0 {
-                waiting.insert(node);
+        }
+        touched.sort_unstable();
+        touched.dedup();
+        for node in touched {
+            self.r[node as usize] = self.sum(structure, node);
+        }
+        self.stale.items = list;
+        self.stale.clear();
+    }
+
+    /// Chooses what takes part: the refined elements of level 1 are those with a node whose force
+    /// is above the threshold, those wanted by the last cycle, and those in contact.
+    pub(super) fn select(
+        &mut self,
+        structure: &Structure,
+        coarse: &mut Multigrid,
+        always: impl Iterator<Item = u32>,
+        threshold: f32,
+    ) {
+        let patch = &mut coarse.patches[0];
+        patch.refined.clear();
+        self.select_wanted(patch);
+        let silent = SILENT * threshold;
+        let (r, fixed) = (&self.r, &self.fixed);
+        self.loud.retain(|node| {
+            let force = square(&r[node as usize]);
+            if !fixed[node as usize] && force > threshold * threshold {
+                for &entry in structure.around.row(node) {
+                    patch
+                        .refined
+                        .insert(structure.element_of[(entry / 32) as usize]);
+                }
             }
-            stays
+            force > silent * silent
         });
+        for node in always {
+            for &entry in structure.around.row(node) {
+                patch
+                    .refined
+                    .insert(structure.element_of[(entry / 32) as usize]);
+            }
+        }
+        patch.refined.sort();
+    }
+
+    /// Adds the elements of level 1 that want to be refined.
+    pub(super) fn select_wanted(&self, patch: &mut Patch) {
+        for element in patch.wanted.take() {
+            patch.refined.insert(element);
+        }
+        patch.refined.sort();
+    }
+
+    /// Takes the chosen set, and brings its nodes up to date with level 1.
+    pub(super) fn enter(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
+        self.set.clear();
+        for &node in &self.nodes.items {
+            self.inside[node as usize] = 0;
+            self.free[node as usize] = false;
+        }
+        self.nodes.clear();
+        for &element in &coarse.patches[0].refined.items {
+            for &brick in structure.levels[0].children.row(element) {
+                self.set.insert(brick);
+            }
+        }
+        for &brick in &self.set.items {
+            let b = &structure.bricks[brick as usize];
+            for i in 0..LOCALS {
+                if b.present >> i & 1 == 1 {
+                    self.nodes.insert(b.nodes[i]);
+                    self.inside[b.nodes[i] as usize] += 1;
+                }
+            }
+        }
+        self.nodes.sort();
+        for i in 0..self.nodes.items.len() {
+            let node = self.nodes.items[i];
+            let n = node as usize;
+            self.loud.insert(node);
+            self.free[n] = !self.fixed[n] && self.inside[n] == structure.around.len(node);
+            self.take_over(structure, coarse, u, node);
+        }
+    }
+
+    /// Brings a node up to date with level 1.
+    #[inline]
+    fn take_over(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3], node: u32) {
+        let n = node as usize;
+        let v = interpolate(&structure.ties[n], &coarse.patches[0].total);
+        let old = self.applied[n];
+        if v != old {
+            self.applied[n] = v;
+            if !self.fixed[n] {
+                self.shift(
+                    u,
+                    node,
+                    Vec3::new(v[0] - old[0], v[1] - old[1], v[2] - old[2]),
+                );
+            }
+        }
+    }
+
+    /// Brings all nodes up to date with level 1; see `patch::take_over` for the levels above.
+    pub(super) fn pour(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
+        for node in 0..u.len() as u32 {
+            self.take_over(structure, coarse, u, node);
+        }
+    }
+
+    /// Brings these nodes up to date with level 1.
+    pub(super) fn pour_at(
+        &mut self,
+        structure: &Structure,
+        coarse: &Multigrid,
+        u: &mut [Vec3],
+        nodes: &[u32],
+    ) {
+        for &node in nodes {
+            self.take_over(structure, coarse, u, node);
+        }
+    }
+
+    /// Forces of the set's bricks.
+    fn compute(&mut self, structure: &Structure, u: &[Vec3], list: &[u32]) {
+        self.visits += list.len();
+        let arch = self.arch;
+        let one = |brick: u32, to: &mut [[f32; LOCALS]; 3]| {
+            let b = &structure.bricks[brick as usize];
+            let form = &structure.forms[b.form as usize];
+            let f = arch.dispatch(Forces { brick: b, form, u });
+            for a in 0..3 {
+                to[a].copy_from_slice(&f[a][..LOCALS]);
+            }
+        };
+        if list.len() < PARALLEL || rayon::current_num_threads() == 1 {
+            for &brick in list {
+                one(brick, &mut self.forces[brick as usize]);
+            }
+        } else {
+            let mut member = vec![false; self.forces.len()];
+            list.iter().for_each(|&b| member[b as usize] = true);
+            self.forces
+                .par_iter_mut()
+                .enumerate()
+                .with_min_len(64)
+                .filter(|(b, _)| member[*b])
+                .for_each(|(b, to)| one(b as u32, to));
+        }
+    }
+
+    #[inline]
+    fn sum(&self, structure: &Structure, node: u32) -> Quad {
+        let mut sum = ZERO;
+        for &entry in structure.around.row(node) {
+            let f = &self.forces[(entry / 32) as usize];
+            let i = (entry % 32) as usize;
+            for a in 0..3 {
+                sum[a] += f[a][i];
+            }
+        }
         sum
     }
 
-    /// Every node's force, looked at afresh: the sum of squares over all nodes free to move.
+    /// Computes the set and the force on its nodes. Returns the sum of squares over the free ones.
+    pub(super) fn evaluate(
+        &mut self,
+        topology: &Topology,
+        structure: &Structure,
+        u: &[Vec3],
+        contacts: &Contacts,
+    ) -> f64 {
+        let list = std::mem::take(&mut self.set.items);
+        self.compute(structure, u, &list);
+        self.set.items = list;
+        for i in 0..self.nodes.items.len() {
+            let node = self.nodes.items[i];
+            self.r[node as usize] = self.sum(structure, node);
+        }
+        let r = &mut self.r;
+        contacts.pressed(topology, u, |sample, force, _, _| {
+            for (node, w) in sample.nodes.iter().zip(sample.weights) {
+                let r = &mut r[*node as usize];
+                for a in 0..3 {
+                    r[a] += (w * force[a]) as f32;
+                }
+            }
+        });
+        let free = self
+            .nodes
+            .items
+            .iter()
+            .filter(|&&n| !self.fixed[n as usize]);
+        free.map(|&n| f64::from(square(&self.r[n as usize]))).sum()
+    }
+
+    /// Sum of the squares of the forces on the free nodes of the set as they were last computed.
+    pub(super) fn square_over_free(&self) -> f64 {
+        let free = self.nodes.items.iter().filter(|&&n| self.free[n as usize]);
+        free.map(|&n| f64::from(square(&self.r[n as usize]))).sum()
+    }
+
+    /// The blocks that smoothing divides by, at the displacements of now.
+    pub(super) fn renew_blocks(
+        &mut self,
+        topology: &Topology,
+        structure: &Structure,
+        u: &[Vec3],
+        contacts: &Contacts,
+    ) {
+        for &node in &self.nodes.items {
+            self.blocks[node as usize] = [0.0; 6];
+        }
+        let (blocks, per_spacing) = (&mut self.blocks, structure.per_spacing);
+        for &brick in &self.set.items {
+            let b = &structure.bricks[brick as usize];
+            let form = &structure.forms[b.form as usize];
+            let m = self.arch.dispatch(Tangents {
+                brick: b,
+                form,
+                u,
+                per_spacing,
+            });
+            for i in 0..LOCALS {
+                if b.present >> i & 1 == 1 {
+                    let to = &mut blocks[b.nodes[i] as usize];
+                    for e in 0..6 {
+                        to[e] += m[e][i];
+                    }
+                }
+            }
+        }
+        contacts.pressed(topology, u, |sample, _, kappa, n| {
+            for (node, w) in sample.nodes.iter().zip(sample.weights) {
+                let block = contact_block(w * kappa, &n);
+                for (to, v) in blocks[*node as usize].iter_mut().zip(block) {
+                    *to += v;
+                }
+            }
+        });
+        for &node in &self.nodes.items {
+            self.inverse[node as usize] = invert(&self.blocks[node as usize]);
+        }
+    }
+
+    /// Hands the forces on the nodes of the set to level 1.
+    pub(super) fn restrict(&self, structure: &Structure, coarse: &mut Multigrid) {
+        let patch = &mut coarse.patches[0];
+        for &node in &self.nodes.items {
+            let n = node as usize;
+            if self.fixed[n] {
+                continue;
+            }
+            let ties = &structure.ties[n];
+            for t in 0..ties.len as usize {
+                patch.load(ties.to[t], &self.r[n], ties.weight[t]);
+            }
+        }
+        // Others that were disturbed wait for their turn; what they carry is known.
+        for &node in &self.loud.items {
+            let n = node as usize;
+            if self.nodes.contains(node) || self.fixed[n] {
+                continue;
+            }
+            let ties = &structure.ties[n];
+            for t in 0..ties.len as usize {
+                patch.load(ties.to[t], &self.r[n], ties.weight[t]);
+            }
+        }
+    }
+
+    /// Moves the nodes of the set by level 1's correction, in full.
+    pub(super) fn correct(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
+        self.moved.clear();
+        self.old.clear();
+        let e = &coarse.patches[0].e;
+        for i in 0..self.nodes.items.len() {
+            let node = self.nodes.items[i];
+            let n = node as usize;
+            self.old.push(self.r[n]);
+            let v = super::cycle::interpolate(&structure.ties[n], e);
+            let by = Vec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
+            let by = if self.fixed[n] { Vec3::zeros() } else { by };
+            self.moved.push(by);
+            self.shift(u, node, by);
+        }
+    }
+
+    /// How much of the correction would have been best, from the forces before and after it.
+    pub(super) fn best_share(&self) -> f64 {
+        let (mut work, mut curve) = (0.0, 0.0);
+        for ((&node, by), old) in self.nodes.items.iter().zip(&self.moved).zip(&self.old) {
+            let new = &self.r[node as usize];
+            for a in 0..3 {
+                work += f64::from(old[a]) * by[a];
+                curve += f64::from(old[a] - new[a]) * by[a];
+            }
+        }
+        if curve > 0.0 && work > 0.0 {
+            work / curve
+        } else {
+            1.0
+        }
+    }
+
+    /// Takes only `share` of the correction after all; forces follow linearly.
+    pub(super) fn settle(
+        &mut self,
+        structure: &Structure,
+        coarse: &Multigrid,
+        u: &mut [Vec3],
+        share: f64,
+    ) {
+        for i in 0..self.nodes.items.len() {
+            let node = self.nodes.items[i];
+            let n = node as usize;
+            if share != 1.0 {
+                self.shift(u, node, self.moved[i] * (share - 1.0));
+                for a in 0..3 {
+                    self.r[n][a] = self.old[i][a] + share as f32 * (self.r[n][a] - self.old[i][a]);
+                }
+            }
+            // The total was raised by the same: nothing is left to take over.
+            self.applied[n] = interpolate(&structure.ties[n], &coarse.patches[0].total);
+        }
+    }
+
+    /// One Chebyshev step over the free nodes from the forces in `r`.
+    pub(super) fn relax(&mut self, u: &mut [Vec3], factors: &mut Chebyshev) {
+        let (last, new) = factors.next();
+        for i in 0..self.nodes.items.len() {
+            let node = self.nodes.items[i];
+            let n = node as usize;
+            if !self.free[n] {
+                continue;
+            }
+            let step = apply(&self.inverse[n], &self.r[n]);
+            for a in 0..3 {
+                let before = if last == 0.0 {
+                    0.0
+                } else {
+                    last * self.d[n][a]
+                };
+                self.d[n][a] = before + new * step[a];
+            }
+            let d = self.d[n];
+            let mut by = Vec3::new(f64::from(d[0]), f64::from(d[1]), f64::from(d[2]));
+            let length = by.norm();
+            if !length.is_finite() {
+                self.clamped += 1;
+                self.d[n] = ZERO;
+                continue;
+            }
+            if length > self.move_max {
+                by *= self.move_max / length;
+                self.clamped += 1;
+            }
+            self.shift(u, node, by);
+        }
+    }
+
+    /// Chebyshev factors for the fine level.
+    pub(super) fn smoothing() -> Chebyshev {
+        Chebyshev::new(LOW)
+    }
+
+    /// Force of the bricks on one node, computed afresh.
+    pub(super) fn force_on(&self, structure: &Structure, u: &[Vec3], node: u32) -> Vec3 {
+        let mut sum = Vec3::zeros();
+        for &entry in structure.around.row(node) {
+            let b = &structure.bricks[(entry / 32) as usize];
+            let form = &structure.forms[b.form as usize];
+            let i = (entry % 32) as usize;
+            let f = self.arch.dispatch(Forces { brick: b, form, u });
+            sum += Vec3::new(f64::from(f[0][i]), f64::from(f[1][i]), f64::from(f[2][i]));
+        }
+        sum
+    }
+
+    /// Computes every brick: the sum of squares over all nodes free to move.
     pub(super) fn square_over_all(
         &mut self,
         topology: &Topology,
+        structure: &Structure,
         u: &[Vec3],
         contacts: &Contacts,
     ) -> f64 {
-        let mut sum = 0.0;
-        for node in 0..topology.node_count() as u32 {
-            if !self.fixed[node as usize] {
-                self.lanes.load(topology, u, node);
-                let mut force = self.lanes.force();
-                contacts.add(topology, u, node, &mut force, &mut [0.0; 6]);
-                sum += force.norm_squared();
-            }
+        for brick in 0..structure.bricks.len() as u32 {
+            self.stale.insert(brick);
         }
-        sum
+        self.refresh(structure, u);
+        let mut r: Vec<[f64; 3]> = self
+            .r
+            .iter()
+            .map(|f| [0, 1, 2].map(|a| f64::from(f[a])))
+            .collect();
+        contacts.pressed(topology, u, |sample, force, _, _| {
+            for (node, w) in sample.nodes.iter().zip(sample.weights) {
+                for a in 0..3 {
+                    r[*node as usize][a] += w * force[a];
+                }
+            }
+        });
+        let free = (0..r.len()).filter(|&n| !self.fixed[n]);
+        free.map(|n| r[n].iter().map(|v| v * v).sum::<f64>()).sum()
     }
+}
+
+/// `k n nᵀ`.
+pub(super) fn contact_block(k: f64, n: &Vec3) -> [f32; 6] {
+    [
+        k * n.x * n.x,
+        k * n.y * n.y,
+        k * n.z * n.z,
+        k * n.x * n.y,
+        k * n.x * n.z,
+        k * n.y * n.z,
+    ]
+    .map(|v| v as f32)
+}
+
+#[inline(always)]
+fn square(v: &Quad) -> f32 {
+    v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
 }

@@ -6,7 +6,7 @@
 //! shear is 2.5 times too stiff beside it, so spring constants are halved here to show E. It
 //! converges slowly: stopping it early overstates the force.
 
-use super::hierarchy::List;
+use super::patch::List;
 use crate::{Topology, Vec3};
 
 /// The modulus of the offset law is twice that of the length law with the same springs.

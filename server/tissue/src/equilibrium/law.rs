@@ -1,4 +1,4 @@
-//! The length law (Lin 2007, eq. 3.4) on one node: its force and its tangent block.
+//! The length law (Lin 2007, eq. 3.4): what a cell's material makes of its springs.
 //!
 //! With `d0 = X_j - X_i` the spring at rest, `δ = u_j - u_i` and d = d0 + δ, the force on i is
 //! k (|d| - l0) d/|d|. The difference of two nearly equal lengths would lose all digits of a small
@@ -10,6 +10,14 @@
 //!
 //! which is exact in relative terms, zero at rest to the last bit, and lets the arithmetic run in
 //! eight lanes of f32 on differences that were taken in f64.
+//!
+//! # The volume term
+//!
+//! Springs alone are a material of Poisson's ratio 1/4. Beside them stands, per cell, the energy
+//! ½ κ V0 (J - 1)² with J the determinant of the cell's mean edges over that at rest. With
+//! μ = E/(2(1+ν)) and λ = Eν/((1+ν)(1-2ν)) the springs carry μ (C12 = C44 = μ) and κ = λ - μ the rest.
+//!
+//! # The guard
 //!
 //! A spring does not know which way it points: under a deep press a node can pass its neighbour and
 //! stay there, folded, in an equilibrium of its own. The seed's guard is the neighbouring bounding box
@@ -25,151 +33,144 @@
 //! of its length along d0, which a moderate press does nowhere; a flap turned by more than acos θ = 73°
 //! against its rest state is held back by it.
 //!
+//! # Extreme springs
+//!
+//! A spring pressed below `α_min` l0 or drawn beyond `α_max` l0 is extreme (Lin 2007, section 3.5, fig. 3.11):
+//! it becomes inextensible without breaking, and what presses on it goes through to what lies
+//! behind. The seed accumulates forces over rigid clusters by recursion, which can cycle. Here
+//! (reconstructed) an extreme spring is S times stiffer beyond its limit: equilibrium then passes
+//! the force on through the whole cluster, and a convex energy can not cycle.
+//!
+//! # The tangent
+//!
 //! The tangent of one spring is k [n nᵀ + s (I - n nᵀ)] with s = 1 - l0/|d|. A compressed spring has
 //! s < 0 and would make the block indefinite under a deep press, and a spring that is shorter than
 //! what its ends move turns within one step, so that its tangent tells nothing of where it will pull.
 //! So s is kept above a floor σ(l0/Δd) that is small for springs of the lattice's own length and one
-//! for short ones: k I bounds the length law from above whatever the direction, and a larger block
-//! only makes the step of a node shorter.
+//! for short ones: k I bounds the length law from above whatever the direction.
 
-use crate::{SPRINGS_PER_NODE_MAX, Topology, Vec3};
-
-const LANES: usize = 8;
-const ROWS: usize = SPRINGS_PER_NODE_MAX / LANES;
+use crate::{Material, Region, Vec3};
 
 /// Symmetric 3x3 block: xx, yy, zz, xy, xz, yz.
 pub(crate) type Symmetric = [f64; 6];
 
 /// θ: part of its rest length that a spring keeps along its rest direction before the guard pushes.
-const GUARDED: f32 = 0.3;
+pub(crate) const GUARDED: f32 = 0.3;
 /// G: stiffness of the guard in parts of the spring's; G θ must be above one.
-const GUARD: f32 = 6.0;
+pub(crate) const GUARD: f32 = 6.0;
+/// S: stiffness of a spring beyond its limits, in parts of its own.
+pub(crate) const EXTREME: f32 = 30.0;
 
 /// Floor of s for springs as long as the lattice's own.
-const SIDEWAYS: f32 = 0.1;
+pub(crate) const SIDEWAYS: f32 = 0.1;
 /// Length in spacings below which a spring counts as turning freely, and its floor is one.
-const SHORT: f32 = 0.5;
+pub(crate) const SHORT: f32 = 0.5;
 /// Length in spacings from which on the floor is [`SIDEWAYS`].
-const LONG: f32 = 0.9;
+pub(crate) const LONG: f32 = 0.9;
 
 /// The floor σ of a spring of rest length `l0` on a lattice of spacing Δd, given as 1/Δd.
-#[inline]
+#[inline(always)]
 pub(crate) fn sideways(l0: f32, per_spacing: f32) -> f32 {
-    let t = ((l0 * per_spacing - SHORT) / (LONG - SHORT)).clamp(0.0, 1.0);
+    let t = (l0 * per_spacing - SHORT) / (LONG - SHORT);
+    let t = if t < 0.0 { 0.0 } else { t };
+    let t = if t > 1.0 { 1.0 } else { t };
     1.0 + t * (SIDEWAYS - 1.0)
 }
 
-/// The springs of one node, gathered into lanes.
-pub(crate) struct Lanes {
-    rest: [[[f32; LANES]; 3]; ROWS],
-    relative: [[[f32; LANES]; 3]; ROWS],
-    stiffness: [[f32; LANES]; ROWS],
-    length: [[f32; LANES]; ROWS],
-    used: usize,
-    per_spacing: f32,
+/// How the force of a spring depends on its strain.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Curve {
+    /// Exponent b of F = k l0 (exp(b ε) - 1)/b; zero for a straight line.
+    pub(crate) stiffening: f32,
+    /// `α_min` and `α_max`: lengths at which a spring turns extreme, in parts of its rest length.
+    pub(crate) limits: [f32; 2],
 }
 
-impl Lanes {
-    /// Lanes for a lattice of this spacing in m.
-    pub(crate) fn new(spacing: f64) -> Self {
+impl Curve {
+    /// The curve of a material.
+    pub(crate) fn of(material: &Material) -> Self {
         Self {
-            per_spacing: (1.0 / spacing) as f32,
-            rest: [[[0.0; LANES]; 3]; ROWS],
-            relative: [[[0.0; LANES]; 3]; ROWS],
-            stiffness: [[0.0; LANES]; ROWS],
-            length: [[1.0; LANES]; ROWS],
-            used: 0,
+            stiffening: material.stiffening as f32,
+            limits: [
+                material.compress_limit as f32,
+                material.stretch_limit as f32,
+            ],
         }
-    }
-
-    /// Gathers the springs of `node` at the displacements `u`.
-    #[inline]
-    pub(crate) fn load(&mut self, topology: &Topology, u: &[Vec3], node: u32) {
-        let rest = topology.rest(node);
-        let own = u[node as usize];
-        let row = topology.springs().row(node);
-        let count = row.len().min(SPRINGS_PER_NODE_MAX);
-        for (s, spring) in row[..count].iter().enumerate() {
-            let (c, l) = (s / LANES, s % LANES);
-            let d = topology.rest(spring.to) - rest;
-            let v = u[spring.to as usize] - own;
-            for a in 0..3 {
-                self.rest[c][a][l] = d[a] as f32;
-                self.relative[c][a][l] = v[a] as f32;
-            }
-            self.stiffness[c][l] = spring.stiffness;
-            self.length[c][l] = spring.rest_length;
-        }
-        self.used = count.div_ceil(LANES);
-        for s in count..self.used * LANES {
-            let (c, l) = (s / LANES, s % LANES);
-            for a in 0..3 {
-                self.rest[c][a][l] = 1.0;
-                self.relative[c][a][l] = 0.0;
-            }
-            self.stiffness[c][l] = 0.0;
-            self.length[c][l] = 1.0;
-        }
-    }
-
-    /// Force of the springs on the node in N.
-    #[inline]
-    pub(crate) fn force(&self) -> Vec3 {
-        let mut sum = [[0.0f32; LANES]; 3];
-        for c in 0..self.used {
-            let [dx, dy, dz] = &self.rest[c];
-            let [vx, vy, vz] = &self.relative[c];
-            let (k, l0) = (&self.stiffness[c], &self.length[c]);
-            for l in 0..LANES {
-                let (x, y, z) = (dx[l] + vx[l], dy[l] + vy[l], dz[l] + vz[l]);
-                let q = vx[l] * (dx[l] + x) + vy[l] * (dy[l] + y) + vz[l] * (dz[l] + z);
-                let length = (x * x + y * y + z * z).sqrt().max(f32::MIN_POSITIVE);
-                let t = k[l] * q / ((length + l0[l]) * length);
-                let along = (x * dx[l] + y * dy[l] + z * dz[l]) / (l0[l] * l0[l]);
-                let guard = GUARD * k[l] * (GUARDED - along).max(0.0);
-                sum[0][l] += t * x - guard * dx[l];
-                sum[1][l] += t * y - guard * dy[l];
-                sum[2][l] += t * z - guard * dz[l];
-            }
-        }
-        Vec3::new(fold(&sum[0]), fold(&sum[1]), fold(&sum[2]))
-    }
-
-    /// Tangent block of the node in N/m, positive definite.
-    #[inline]
-    pub(crate) fn tangent(&self) -> Symmetric {
-        let mut sum = [[0.0f32; LANES]; 6];
-        for c in 0..self.used {
-            let [dx, dy, dz] = &self.rest[c];
-            let [vx, vy, vz] = &self.relative[c];
-            let (k, l0) = (&self.stiffness[c], &self.length[c]);
-            for l in 0..LANES {
-                let (x, y, z) = (dx[l] + vx[l], dy[l] + vy[l], dz[l] + vz[l]);
-                let square = (x * x + y * y + z * z).max(f32::MIN_POSITIVE);
-                let floor = sideways(l0[l], self.per_spacing);
-                let s = (1.0 - l0[l] / square.sqrt()).max(floor);
-                let along = k[l] * (1.0 - s) / square;
-                let across = k[l] * s;
-                let (a, b, c) = (dx[l], dy[l], dz[l]);
-                let rest = l0[l] * l0[l];
-                let guarded = x * a + y * b + z * c < GUARDED * rest;
-                let guard = if guarded { GUARD * k[l] / rest } else { 0.0 };
-                sum[0][l] += along * x * x + guard * a * a + across;
-                sum[1][l] += along * y * y + guard * b * b + across;
-                sum[2][l] += along * z * z + guard * c * c + across;
-                sum[3][l] += along * x * y + guard * a * b;
-                sum[4][l] += along * x * z + guard * a * c;
-                sum[5][l] += along * y * z + guard * b * c;
-            }
-        }
-        [0, 1, 2, 3, 4, 5].map(|e| fold(&sum[e]))
     }
 }
 
-#[inline]
-fn fold(lanes: &[f32; LANES]) -> f64 {
-    let [a, b, c, d, e, f, g, h] = lanes.map(f64::from);
-    ((a + b) + (c + d)) + ((e + f) + (g + h))
+/// Moduli of the springs and the volume term of one region.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Elastic {
+    /// Young's modulus that the springs are given, in Pa: 2.5 μ.
+    pub(crate) spring_pa: f64,
+    /// κ = λ - μ in Pa.
+    pub(crate) bulk_pa: f64,
+    fibre: Vec3,
+    /// β of 1 + β cos⁴.
+    fibre_strength: f64,
+}
+
+impl Elastic {
+    /// Those of a region.
+    pub(crate) fn of(region: &Region) -> Self {
+        let (young, nu) = (region.material.young_pa, region.material.poisson);
+        let shear = young / (2.0 * (1.0 + nu));
+        let lame = young * nu / ((1.0 + nu) * (1.0 - 2.0 * nu));
+        let fibre = Vec3::from(region.fibre);
+        let (strength, scale) = if fibre == Vec3::zeros() {
+            (0.0, 1.0)
+        } else {
+            fibre_strength(region.material.fibre_ratio)
+        };
+        Self {
+            spring_pa: 2.5 * shear * scale,
+            bulk_pa: (lame - shear).max(0.0),
+            fibre,
+            fibre_strength: strength,
+        }
+    }
+
+    /// Factor of a spring in direction `d` for its angle to the fibres.
+    pub(crate) fn along(&self, d: &Vec3) -> f64 {
+        let square = d.norm_squared();
+        if self.fibre_strength == 0.0 || square == 0.0 {
+            return 1.0;
+        }
+        let cos = d.dot(&self.fibre);
+        1.0 + self.fibre_strength * (cos * cos / square) * (cos * cos / square)
+    }
+}
+
+/// β and the scale for which springs of strength scale (1 + β cos⁴ θ), θ their angle to the fibres,
+/// have `ratio` times the modulus along the fibres and the same across (reconstructed).
+///
+/// Springs in all directions make the stiffness `C_abcd = <n_a n_b n_c n_d (1 + β n_3⁴)>`, with
+/// `<n_1^2a n_2^2b n_3^2c> = (2a-1)!! (2b-1)!! (2c-1)!! / (2(a+b+c)+1)!!` over the sphere.
+fn fibre_strength(ratio: f64) -> (f64, f64) {
+    let moduli = |beta: f64| {
+        let c33 = 1.0 / 5.0 + beta / 9.0;
+        let c11 = 1.0 / 5.0 + beta / 105.0;
+        let c13 = 1.0 / 15.0 + beta / 63.0;
+        let c12 = 1.0 / 15.0 + beta / 315.0;
+        let along = c33 - 2.0 * c13 * c13 / (c11 + c12);
+        // Pulled across: solve for the strains along the fibres and across both.
+        let det = c11 * c33 - c13 * c13;
+        let across = c11 - (c12 * (c12 * c33 - c13 * c13) + c13 * (c11 * c13 - c12 * c13)) / det;
+        (along, across)
+    };
+    let plain = moduli(0.0).1;
+    let (mut low, mut high) = (-0.999, 1e4);
+    for _ in 0..100 {
+        let beta = 0.5 * (low + high);
+        let (along, across) = moduli(beta);
+        if along < ratio * across {
+            low = beta;
+        } else {
+            high = beta;
+        }
+    }
+    (low, plain / moduli(low).1)
 }
 
 /// Inverse of a symmetric block, kept away from singularity by a part of its trace.
@@ -195,31 +196,31 @@ pub(crate) fn invert(m: &Symmetric) -> Symmetric {
     ]
 }
 
-/// Product of a symmetric block and a vector.
-#[inline]
-pub(crate) fn apply(m: &Symmetric, v: &Vec3) -> Vec3 {
-    Vec3::new(
-        m[0] * v.x + m[3] * v.y + m[4] * v.z,
-        m[3] * v.x + m[1] * v.y + m[5] * v.z,
-        m[4] * v.x + m[5] * v.y + m[2] * v.z,
-    )
-}
-
-/// Force of the length law on one node, for checks and for pinned or held nodes.
-pub(crate) fn force_on(topology: &Topology, u: &[Vec3], node: u32) -> Vec3 {
-    let mut lanes = Lanes::new(topology.model().spacing_m);
-    lanes.load(topology, u, node);
-    lanes.force()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
+    fn fibres_raise_the_modulus_along_them_and_leave_that_across() {
+        assert!(fibre_strength(1.0).0.abs() < 1e-9);
+        for ratio in [0.5, 2.0, 5.0] {
+            let (beta, scale) = fibre_strength(ratio);
+            assert!(beta > -1.0 && scale > 0.0, "{ratio}: {beta} {scale}");
+            assert_eq!(beta > 0.0, ratio > 1.0);
+        }
+    }
+
+    #[test]
     fn inverse_undoes_the_block() {
         let m = [5.0, 3.0, 4.0, 1.0, -0.5, 0.7];
         let v = Vec3::new(0.3, -1.0, 2.0);
+        let apply = |m: &Symmetric, v: &Vec3| {
+            Vec3::new(
+                m[0] * v.x + m[3] * v.y + m[4] * v.z,
+                m[3] * v.x + m[1] * v.y + m[5] * v.z,
+                m[4] * v.x + m[5] * v.y + m[2] * v.z,
+            )
+        };
         let back = apply(&invert(&m), &apply(&m, &v));
         assert!((back - v).norm() < 1e-3, "{back}");
     }

@@ -28,13 +28,20 @@
 //! as it slides from triangle to triangle in its own dent; and a sphere thinner than the spacing can
 //! slip between the samples of a soft surface when it is pressed deeper than its own radius.
 
-pub(crate) mod block;
+mod block;
+mod brick;
+mod coarsen;
 mod cycle;
+mod element;
 mod field;
-mod hierarchy;
+mod foresight;
 mod jacobi;
-mod lattice;
-pub(crate) mod law;
+mod kernel;
+mod lanes;
+mod law;
+mod patch;
 mod solver;
+mod structure;
 
+pub(crate) use law::Elastic;
 pub use solver::{Budget, Solver, StepReport};

@@ -1,10 +1,13 @@
 //! One step of the equilibrium: its stages and its books.
 
-use super::block::outer;
-use super::field::Field;
-use super::hierarchy::Hierarchy;
+use std::sync::Arc;
+
+use super::cycle::Multigrid;
+use super::field::{Field, contact_block};
+use super::foresight::Foresight;
 use super::jacobi;
-use super::law::force_on;
+use super::patch::{List, take_over};
+use super::structure::Structure;
 use crate::contact::{Contacts, Reaction, Tool};
 use crate::{Shape, Topology, Vec3};
 
@@ -13,10 +16,12 @@ use crate::{Shape, Topology, Vec3};
 const HELD_MAX: usize = 4096;
 /// Stiffness that stands for a held node on the coarse levels, in parts of its own.
 const HELD_STIFFNESS: f64 = 20.0;
-/// Correction worth less than this many thresholds waits on the coarse level.
-const POUR: f64 = 0.1;
-/// Sweeps over the active nodes after each coarse correction.
-const SWEEPS: usize = 2;
+/// Smoothing steps after each coarse correction.
+const SMOOTHING: usize = 3;
+/// The same on the coarse levels; fewer when a hand waits.
+const COARSE_SMOOTHING: [usize; 2] = [3, 2];
+/// Share of the correction of the coarse levels that is taken at least and at most.
+const SHARES: [f64; 2] = [0.2, 2.0];
 /// Part of the allowed residual that a single node may keep at first. When what is active has
 /// become calm the part is lowered, down to where all stirred nodes together can not exceed it.
 const FIRST_SHARE: f64 = 0.25;
@@ -30,9 +35,8 @@ const PROVEN: f64 = 1e-3;
 const QUICK: f64 = 0.025;
 /// Factor by which the part is lowered.
 const DEEPEN: f64 = 0.25;
-/// Force that a kink of the poured correction is taken to leave at a node, in parts of the node's
-/// stiffness times the kink. The kinks of the three axes mostly cancel.
-const KINK: f32 = 0.5;
+/// Residual of the last step's set up to which its change may be carried on: errors would be, too.
+const TRUSTED: f64 = 0.1;
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
 const BLOWN_UP: f64 = 1e4;
 
@@ -42,6 +46,9 @@ pub struct Budget<'a> {
     pub iterations: usize,
     /// Relative residual at which to stop; 1e-6 counts as converged.
     pub tolerance: f64,
+    /// Whether nodes far from the tools may wait: they are then brought up to date by
+    /// [`Solver::pour`], and a step costs what is near.
+    pub near: bool,
     /// Asked between iterations and between the sweeps of one; `true` stops. A shell that owns a clock sets a time limit so.
     pub stop: Option<&'a mut dyn FnMut() -> bool>,
 }
@@ -52,6 +59,7 @@ impl Budget<'_> {
         Self {
             iterations,
             tolerance,
+            near: false,
             stop: None,
         }
     }
@@ -65,8 +73,8 @@ pub struct StepReport {
     pub residual: f64,
     /// Iterations made.
     pub iterations: usize,
-    /// Forces on nodes computed, and points of coarse levels visited: what the step cost, whatever
-    /// the machine.
+    /// Bricks of eight cells computed, and elements of coarse levels visited: what the step cost,
+    /// whatever the machine.
     pub visits: [usize; 2],
     /// Nodes still active.
     pub active_nodes: usize,
@@ -84,10 +92,12 @@ pub struct StepReport {
 
 /// Scratch memory of the equilibrium of one shape of one topology.
 pub struct Solver {
+    structure: Arc<Structure>,
     field: Field,
-    coarse: Hierarchy,
+    coarse: Multigrid,
     contacts: Contacts,
     held: Vec<u32>,
+    foresight: Foresight,
     moved: Vec<Vec3>,
     reference: f64,
     /// What counts as nothing, in N; see [`LEAST`].
@@ -100,7 +110,16 @@ pub struct Solver {
 impl Solver {
     /// A solver for shapes of this topology.
     pub fn new(topology: &Topology) -> Self {
-        let field = Field::new(topology);
+        Self::over(topology, Arc::new(Structure::new(topology)))
+    }
+
+    /// Another solver of the same topology, sharing what does not change.
+    pub fn another(&self, topology: &Topology) -> Self {
+        Self::over(topology, Arc::clone(&self.structure))
+    }
+
+    fn over(topology: &Topology, structure: Arc<Structure>) -> Self {
+        let field = Field::new(topology, &structure);
         let mut own: Vec<f64> = field.own.iter().copied().filter(|&k| k > 0.0).collect();
         let middle = own.len() / 2;
         let typical = match own.get(middle) {
@@ -110,9 +129,11 @@ impl Solver {
         Self {
             least: LEAST * typical * topology.model().spacing_m,
             field,
-            coarse: Hierarchy::new(topology),
+            coarse: Multigrid::new(&structure),
+            structure,
             contacts: Contacts::new(topology),
             held: Vec::new(),
+            foresight: Foresight::default(),
             moved: Vec::new(),
             reference: 0.0,
             report: StepReport::default(),
@@ -122,28 +143,54 @@ impl Solver {
     }
 
     /// Follows a change of the topology. `touched` are the nodes whose springs, pinning or rest
-    /// position changed; new nodes at the end need not be listed.
+    /// position changed; new nodes at the end need not be listed. The shape must have been whole
+    /// before it (see [`Budget::near`] and [`Solver::pour`]).
     pub fn follow(&mut self, topology: &Topology, touched: &[u32]) {
-        self.field.follow(topology, touched);
+        let before = (&*self.structure, touched);
+        self.structure = Arc::new(Structure::after(topology, Some(before)));
+        self.restart(topology);
+        self.contacts.follow(topology);
+    }
+
+    /// Follows a change of the topology that another solver has followed.
+    pub fn follow_like(&mut self, topology: &Topology, other: &Self) {
+        self.structure = Arc::clone(&other.structure);
+        self.restart(topology);
+        self.contacts.follow(topology);
+    }
+
+    /// Forgets all that was known of forces.
+    fn restart(&mut self, topology: &Topology) {
+        let displaced = self.field.displaced;
+        self.field = Field::new(topology, &self.structure);
+        self.field.displaced = displaced;
+        self.coarse = Multigrid::new(&self.structure);
         for &node in &self.held {
             self.field.fixed[node as usize] = true;
         }
-        self.coarse.follow(topology, touched);
-        self.contacts.follow(topology);
+        self.foresight = Foresight::default();
+        self.field.disturb_all();
         self.dirty = true;
     }
 
+    /// Moves every node by what the coarse levels hold for it. A step with [`Budget::near`] leaves
+    /// the nodes far from the tools waiting.
+    pub fn pour(&mut self, shape: &mut Shape) {
+        for l in (0..self.coarse.patches.len()).rev() {
+            take_over(&self.structure, &mut self.coarse.patches, l, true);
+        }
+        self.field
+            .pour(&self.structure, &self.coarse, &mut shape.displacement);
+    }
+
     /// Tells the solver that the shape was changed from outside around these nodes.
-    pub fn disturb(&mut self, topology: &Topology, shape: &Shape, nodes: &[u32]) {
+    pub fn disturb(&mut self, shape: &Shape, nodes: &[u32]) {
         for &node in nodes {
             let Some(u) = shape.displacement.get(node as usize) else {
                 continue;
             };
             self.field.displaced = self.field.displaced.max(u.norm());
-            self.field.wake(node);
-            for spring in topology.springs().row(node) {
-                self.field.wake(spring.to);
-            }
+            self.field.disturb(&self.structure, node);
         }
         self.dirty = true;
     }
@@ -163,7 +210,7 @@ impl Solver {
         }
         self.field.fixed[n] = true;
         shape.displacement[n] = at;
-        self.disturb(topology, shape, &[node]);
+        self.disturb(shape, &[node]);
         true
     }
 
@@ -172,14 +219,15 @@ impl Solver {
         if let Some(i) = self.held.iter().position(|&n| n == node) {
             self.held.swap_remove(i);
             self.field.fixed[node as usize] = topology.is_pinned(node);
-            self.field.wake(node);
+            self.field.disturb(&self.structure, node);
             self.dirty = true;
         }
     }
 
     /// Force of the springs on a node in N (on a held or pinned node: what it carries).
-    pub fn force_on(&self, topology: &Topology, shape: &Shape, node: u32) -> Vec3 {
-        force_on(topology, &shape.displacement, node)
+    pub fn force_on(&self, shape: &Shape, node: u32) -> Vec3 {
+        self.field
+            .force_on(&self.structure, &shape.displacement, node)
     }
 
     /// The report of the latest step.
@@ -191,7 +239,9 @@ impl Solver {
     /// whole model.
     pub fn residual_over_all(&mut self, topology: &Topology, shape: &Shape) -> f64 {
         let u = &shape.displacement;
-        let sum = self.field.square_over_all(topology, u, &self.contacts);
+        let sum = self
+            .field
+            .square_over_all(topology, &self.structure, u, &self.contacts);
         relative(sum, self.reference)
     }
 
@@ -218,32 +268,44 @@ impl Solver {
             return &self.report;
         }
         self.dirty = false;
-        self.field.begin();
+        let u = &mut shape.displacement;
+        let carry = self.foresight.look(tools, &self.contacts, &self.held, u);
+        let carry = if self.calmness() < TRUSTED {
+            carry
+        } else {
+            0.0
+        };
+        self.coarse.carry_on(&self.structure, carry as f32);
+        self.field.begin(&self.structure, &self.coarse, u, carry);
+        self.coarse.visits = 0;
+        let near = budget.near;
         self.iterate(topology, &mut shape.displacement, &mut budget);
+        if !near {
+            self.pour(shape);
+        }
         if !self.is_sane(topology) {
-            self.field.undo(&mut shape.displacement);
-            self.coarse.forget();
+            self.field.undo(&self.structure, &mut shape.displacement);
+            self.restart(topology);
             self.report.fell_back = true;
-            self.dirty = true;
         }
         self.close(topology, &shape.displacement);
         &self.report
     }
 
+    /// Forces left on the free nodes of the set, relative to what tools and held nodes bring in.
+    fn calmness(&self) -> f64 {
+        relative(self.field.square_over_free(), self.reference)
+    }
+
     fn iterate(&mut self, topology: &Topology, u: &mut [Vec3], budget: &mut Budget<'_>) {
         let mut lags = self.gather(topology, u);
         let mut share = FIRST_SHARE;
-        let mut threshold = share * self.bring(topology, u, budget.tolerance);
-        self.field
-            .sweep(topology, u, &self.contacts, threshold, false);
+        let quick = budget.tolerance >= QUICK;
         loop {
-            let coarse = Some(&mut self.coarse);
-            let sum = self
-                .field
-                .residual(topology, u, &self.contacts, coarse, threshold);
+            self.field.refresh(&self.structure, u);
             let allowed = self.bring(topology, u, budget.tolerance);
+            let sum = self.take_part(topology, u, share * allowed, quick);
             self.report.residual = relative(sum, self.reference);
-            let calm = sum.sqrt() <= allowed && !lags;
             let last = if budget.tolerance < PROVEN {
                 0.5 / (self.field.stirred() as f64 + 1.0).sqrt()
             } else if budget.tolerance < QUICK {
@@ -251,59 +313,84 @@ impl Solver {
             } else {
                 FIRST_SHARE
             };
-            // All that is active is near the threshold: only a lower one can make it calmer.
-            let active = self.field.active.items.len() as f64;
-            let flat = sum.sqrt() <= 1.5 * share * allowed * active.sqrt();
-            let enough = calm || (flat && budget.tolerance >= PROVEN && !lags);
-            let done = enough && share <= last;
-            if (calm || flat) && share > last {
-                share = (share * DEEPEN).max(last);
-                self.field.deepen(share * allowed);
-            }
-            threshold = share * allowed;
+            let whole = self
+                .coarse
+                .patches
+                .iter()
+                .all(|p| p.wanted.items.is_empty());
+            let calm = sum.sqrt() <= allowed && !lags;
+            let done = calm && share <= last && (whole || budget.tolerance >= PROVEN);
             let spent = self.report.iterations >= budget.iterations;
-            if done || spent || budget.stop.as_mut().is_some_and(|stop| stop()) {
-                self.coarse.unload();
+            // One iteration there is always: without any, what was foreseen would never be checked.
+            let first = self.report.iterations == 0;
+            let mut late = || !first && budget.stop.as_mut().is_some_and(|stop| stop());
+            if done || spent || late() {
                 break;
+            }
+            // All that takes part is near the threshold: only a lower one can make it calmer.
+            let nodes = self.field.nodes.items.len() as f64;
+            let flat = sum.sqrt() <= 1.5 * share * allowed * nodes.sqrt();
+            if (calm || (flat && !quick)) && share > last {
+                share = (share * DEEPEN).max(last);
             }
             self.report.iterations += 1;
             self.remember_forces(topology, u);
-            self.correct(topology, u, threshold);
-            for s in 0..SWEEPS {
-                // Time may run out in the middle: what was gained so far is kept.
-                if s > 0 && budget.stop.as_mut().is_some_and(|stop| stop()) {
-                    break;
-                }
-                self.field
-                    .sweep(topology, u, &self.contacts, threshold, s % 2 == 0);
+            if self.report.iterations > 1 {
+                self.stiffen(topology, u);
             }
+            self.correct(topology, u, share * allowed, quick);
+            self.smooth(topology, u, budget);
             if lags {
                 lags = self.gather(topology, u);
             }
         }
     }
 
-    /// Stage: proxies and samples.
-    fn gather(&mut self, topology: &Topology, u: &[Vec3]) -> bool {
-        let (field, contacts) = (&mut self.field, &mut self.contacts);
-        // Nodes that are let go of now stay active until their force is gone.
-        let lags = contacts.gather(topology, u, field.displaced, &field.own);
-        for &node in &contacts.nodes {
-            field.wake(node);
+    /// Stage: what takes part, and the forces on it. Returns their sum of squares.
+    fn take_part(
+        &mut self,
+        topology: &Topology,
+        u: &mut [Vec3],
+        threshold: f64,
+        quick: bool,
+    ) -> f64 {
+        let (structure, coarse) = (&self.structure, &mut self.coarse);
+        let touched = self.contacts.nodes.iter().copied();
+        self.field
+            .select(structure, coarse, touched, threshold as f32);
+        coarse.select(structure, false);
+        // What is handed down can be too much to wait on the next level as well.
+        while coarse.push(structure, threshold as f32) {
+            self.field.select_wanted(&mut coarse.patches[0]);
+            coarse.select(structure, true);
         }
+        self.field.enter(structure, coarse, u);
+        let sum = self.field.evaluate(topology, structure, u, &self.contacts);
+        if self.report.iterations < 2 || !quick {
+            self.field
+                .renew_blocks(topology, structure, u, &self.contacts);
+        }
+        sum
+    }
+
+    /// Stage: proxies and samples.
+    fn gather(&mut self, topology: &Topology, u: &mut [Vec3]) -> bool {
+        let (field, contacts) = (&mut self.field, &mut self.contacts);
+        field.let_contacts_go(&self.structure, &contacts.nodes);
+        let lags = contacts.gather(topology, u, field.displaced, &field.own);
+        field.pour_at(&self.structure, &self.coarse, u, &contacts.nodes);
+        self.stiffen(topology, u);
         lags
     }
 
     /// Stage: the residual in N that the tolerance allows for what tools and held nodes bring in.
     fn bring(&mut self, topology: &Topology, u: &[Vec3], tolerance: f64) -> f64 {
-        let held = self.held.iter();
-        let mut sum: f64 = held.map(|&n| force_on(topology, u, n).norm_squared()).sum();
-        for &node in &self.contacts.nodes {
-            let mut force = Vec3::zeros();
-            self.contacts
-                .add(topology, u, node, &mut force, &mut [0.0; 6]);
-            sum += force.norm_squared();
-        }
+        let square = |n: u32| {
+            let r = &self.field.r[n as usize];
+            r.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>()
+        };
+        let mut sum: f64 = self.held.iter().map(|&n| square(n)).sum();
+        sum += self.contacts.square(topology, u);
         if sum > 0.0 {
             self.reference = sum.sqrt();
         }
@@ -313,45 +400,57 @@ impl Solver {
         tolerance * self.reference
     }
 
-    /// Stage: coarse correction.
-    fn correct(&mut self, topology: &Topology, u: &mut [Vec3], threshold: f64) {
-        self.stiffen(topology, u);
-        self.report.visits[1] += self.coarse.cycle(threshold);
-        let field = &mut self.field;
-        self.coarse.pour(POUR * threshold, |children, e, kink| {
-            for &(node, w) in children {
-                let n = node as usize;
-                if !field.fixed[n] {
-                    let by = Vec3::new(f64::from(e[0]), f64::from(e[1]), f64::from(e[2]));
-                    field.shift(u, node, by * f64::from(w));
-                    field.disturb(node, KINK * w * kink * field.own[n] as f32, threshold);
-                }
-            }
-        });
+    /// Stage: coarse correction, in the share that proves best.
+    fn correct(&mut self, topology: &Topology, u: &mut [Vec3], threshold: f64, quick: bool) {
+        let smoothing = COARSE_SMOOTHING[usize::from(quick)];
+        let (structure, coarse, field) = (&self.structure, &mut self.coarse, &mut self.field);
+        field.restrict(structure, coarse);
+        coarse.cycle(structure, threshold as f32, smoothing);
+        field.correct(structure, coarse, u);
+        field.evaluate(topology, structure, u, &self.contacts);
+        let share = field.best_share().clamp(SHARES[0], SHARES[1]);
+        coarse.commit(structure, share as f32, threshold as f32);
+        field.settle(structure, coarse, u, share);
     }
 
-    /// Stage: what contacts and held nodes add to the coarse levels; kept while it is the same.
+    /// Stage: smoothing on the nodes.
+    fn smooth(&mut self, topology: &Topology, u: &mut [Vec3], budget: &mut Budget<'_>) {
+        let mut factors = Field::smoothing();
+        for s in 0..SMOOTHING {
+            if s > 0 {
+                // Time may run out in the middle: what was gained so far is kept.
+                if budget.stop.as_mut().is_some_and(|stop| stop()) {
+                    break;
+                }
+                self.field
+                    .evaluate(topology, &self.structure, u, &self.contacts);
+            }
+            self.field.relax(u, &mut factors);
+        }
+    }
+
+    /// Stage: what contacts and held nodes add to the coarse levels.
     fn stiffen(&mut self, topology: &Topology, u: &[Vec3]) {
-        self.coarse.clear_extra();
-        let coarse = &mut self.coarse;
-        self.contacts.pressed(topology, u, |sample, kappa, n| {
-            let n = [n.x as f32, n.y as f32, n.z as f32];
-            for a in 0..3 {
-                for b in 0..3 {
-                    let w = sample.weights[a] * sample.weights[b];
-                    if w != 0.0 {
-                        let block = outer(n, (w * kappa) as f32);
-                        coarse.add_extra(sample.nodes[a], sample.nodes[b], &block);
-                    }
+        let (structure, coarse) = (&self.structure, &mut self.coarse);
+        coarse.soften(structure);
+        let mut blocks: Vec<[f32; 6]> = vec![[0.0; 6]; self.contacts.nodes.len()];
+        let contacts = &self.contacts;
+        contacts.pressed(topology, u, |sample, _, kappa, n| {
+            for (&node, w) in sample.nodes.iter().zip(sample.weights) {
+                let block = &mut blocks[contacts.place(node)];
+                for (to, v) in block.iter_mut().zip(contact_block(w * kappa, &n)) {
+                    *to += v;
                 }
             }
         });
+        for (&node, block) in contacts.nodes.iter().zip(&blocks) {
+            coarse.stiffen(structure, node, block);
+        }
         for &node in &self.held {
             let k = (HELD_STIFFNESS * self.field.own[node as usize]) as f32;
-            let block = [[k, 0.0, 0.0, 0.0], [0.0, k, 0.0, 0.0], [0.0, 0.0, k, 0.0]];
-            coarse.add_extra(node, node, &block);
+            coarse.stiffen(structure, node, &[k, k, k, 0.0, 0.0, 0.0]);
         }
-        coarse.spread_extra();
+        coarse.spread(structure);
     }
 
     fn remember_forces(&mut self, topology: &Topology, u: &[Vec3]) {
@@ -390,8 +489,8 @@ impl Solver {
             }
             self.report.reactions.push(reaction);
         }
-        self.report.active_nodes = self.field.active.items.len();
-        self.report.visits[0] = self.field.visits;
+        self.report.active_nodes = self.field.nodes.items.len();
+        self.report.visits = [self.field.visits, self.coarse.visits];
         self.report.clamped = self.field.clamped;
         if self.report.active_nodes == 0 && self.contacts.nodes.is_empty() && self.held.is_empty() {
             self.reference = 0.0;
@@ -411,7 +510,14 @@ impl Solver {
     ) -> (usize, f64) {
         let u = &mut shape.displacement;
         let fixed = &self.field.fixed;
-        self.field.active.retain(|node| !fixed[node as usize]);
+        let mut active = List::new(topology.node_count());
+        for &node in &self.held {
+            for spring in topology.springs().row(node) {
+                if !fixed[spring.to as usize] {
+                    active.insert(spring.to);
+                }
+            }
+        }
         let mut reference = 0.0;
         for &node in &self.held {
             let own = u[node as usize];
@@ -424,17 +530,9 @@ impl Solver {
         let reference = jacobi::OFFSET_SHARE * reference.sqrt();
         let mut residual = 1.0;
         for sweep in 0..sweeps {
-            let active = &mut self.field.active;
             let threshold =
                 tolerance * reference / (2.0 * (active.items.len() as f64 + 64.0).sqrt());
-            let sum = jacobi::sweep(
-                topology,
-                u,
-                &self.field.fixed,
-                active,
-                &mut self.moved,
-                threshold,
-            );
+            let sum = jacobi::sweep(topology, u, fixed, &mut active, &mut self.moved, threshold);
             residual = relative(sum, reference);
             if residual <= tolerance {
                 return (sweep, residual);

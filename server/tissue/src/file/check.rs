@@ -1,5 +1,8 @@
 //! What must hold of a model that comes from outside, so that nothing later can panic over it.
 
+use crate::material::{
+    COMPRESS_LIMIT_RANGE, FIBRE_RATIO_RANGE, POISSON_RANGE, STIFFENING_RANGE, STRETCH_LIMIT_RANGE,
+};
 use crate::{EDGES, FACES, Model, NO_CELL};
 
 /// Most nodes of a model. At 16 million a topology takes about 12 GiB; a file with more is refused.
@@ -19,6 +22,8 @@ const SPACING_RANGE_M: std::ops::RangeInclusive<f64> = 1e-7..=10.0;
 const YOUNG_RANGE_PA: std::ops::RangeInclusive<f64> = 1e-3..=1e14;
 /// Densities that make sense, in kg/m³.
 const DENSITY_RANGE_KG_M3: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
+/// How far from one the square of a unit vector may be by rounding.
+const FIBRE_TOLERANCE: f64 = 1e-9;
 /// Coefficients of friction that make sense.
 const FRICTION_RANGE: std::ops::RangeInclusive<f64> = 0.0..=10.0;
 
@@ -66,15 +71,38 @@ fn check_regions(model: &Model) -> Result<(), String> {
         let fits = YOUNG_RANGE_PA.contains(&m.young_pa)
             && DENSITY_RANGE_KG_M3.contains(&m.density_kg_m3)
             && FRICTION_RANGE.contains(&m.friction_static)
-            && FRICTION_RANGE.contains(&m.friction_dynamic);
+            && FRICTION_RANGE.contains(&m.friction_dynamic)
+            && within(POISSON_RANGE, m.poisson)
+            && within(STIFFENING_RANGE, m.stiffening)
+            && within(FIBRE_RATIO_RANGE, m.fibre_ratio)
+            && within(COMPRESS_LIMIT_RANGE, m.compress_limit)
+            && within(STRETCH_LIMIT_RANGE, m.stretch_limit);
         if !fits {
             let (region, material) = (&region.name, &m.name);
             return Err(format!(
                 "has in region `{region}` a material `{material}` with impossible values"
             ));
         }
+        let squared: f64 = region.fibre.iter().map(|v| v * v).sum();
+        let fibred = m.fibre_ratio != 1.0;
+        let sound = if fibred {
+            (squared - 1.0).abs() < FIBRE_TOLERANCE
+        } else {
+            region.fibre == [0.0; 3]
+        };
+        if !sound {
+            let name = &region.name;
+            return Err(format!(
+                "has in region `{name}` fibres along {:?}",
+                region.fibre
+            ));
+        }
     }
     Ok(())
+}
+
+fn within([low, high]: [f64; 2], value: f64) -> bool {
+    (low..=high).contains(&value)
 }
 
 fn check_cells(model: &Model) -> Result<(), String> {

@@ -36,8 +36,13 @@ pub enum EnvelopeError {
     WrongKind,
     /// A version this program does not know.
     #[error(
-        "it has format version {found}, and this program reads version {reads}; use the program \
-         that wrote it, or build it again"
+        "it has format version {found}, {} than version {reads}, which this program reads; {}",
+        if found < reads { "older" } else { "newer" },
+        if found < reads {
+            "build it again from its scene, or use the program that wrote it"
+        } else {
+            "use a newer program, or build it again from its scene with this one"
+        }
     )]
     Version {
         /// The version in the file.

@@ -4,7 +4,7 @@
 //!
 //! ```text
 //! counts     nodes, cells, regions (u32 each), spacing in m (f64 bits)
-//! regions    name, pinned, material
+//! regions    name, pinned, direction of the fibres, material
 //! lattice    three columns of i32, as steps from node to node
 //! origin     where lattice point (0, 0, 0) would stand in m
 //! nodes      three columns of f64 bits, XOR the bits of origin + lattice · spacing
@@ -29,15 +29,16 @@ pub use container::EnvelopeError;
 pub(crate) use container::{open, seal};
 pub(crate) use planes::{Content, Reader, Short};
 
-use crate::{Cell, FACES, Material, Model, NO_CELL, Region, RegionId, Vec3};
+use crate::staged::{Staged, WriteError};
+use crate::{Cell, FACES, FibreAxis, Material, Model, NO_CELL, Region, RegionId, Vec3};
 
 const MAGIC: [u8; 8] = *b"palpmodl";
 /// Version of the model format that this program writes and reads.
-pub const MODEL_FORMAT: u32 = 1;
+pub const MODEL_FORMAT: u32 = 2;
 /// Longest build report in bytes; a longer one is left out.
 const REPORT_BYTES_MAX: usize = 16 << 20;
 
-/// Why a model file can not be read or written.
+/// Why a model file can not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
     /// The operating system refused.
@@ -94,26 +95,13 @@ impl ModelFile {
 
     /// Writes the file: beside its place first and then moved there, so that a reader finds the old
     /// file or the new one, never half of one.
-    pub fn write(&self, path: &Path) -> Result<(), FileError> {
-        let mut name = path.file_name().unwrap_or_default().to_owned();
-        name.push(format!(".{}.part", std::process::id()));
-        let beside = path.with_file_name(name);
-        let bytes = self.encode();
-        let written = std::fs::File::create(&beside).and_then(|mut file| {
-            file.write_all(&bytes)?;
-            file.sync_all()
-        });
-        let moved = written.and_then(|()| std::fs::rename(&beside, path));
-        moved.map_err(|source| {
-            // What is left of the attempt is of no use; that it can not be removed either adds
-            // nothing to the first error.
-            let _ = std::fs::remove_file(&beside);
-            FileError::Io {
-                path: path.into(),
-                doing: "the model could not be written",
-                source,
-            }
-        })
+    pub fn write(&self, path: &Path) -> Result<(), WriteError> {
+        self.stage(path)?.put_in_place()
+    }
+
+    /// Writes the file without putting it in its place yet.
+    pub fn stage(&self, path: &Path) -> Result<Staged, WriteError> {
+        Staged::write(path, |out| out.write_all(&self.encode()))
     }
 
     /// Reads a file.
@@ -194,12 +182,46 @@ fn predicted(origin: f64, lattice: i32, spacing: f64) -> f64 {
 fn write_region(out: &mut Content, region: &Region) {
     out.text(&region.name);
     out.u8(u8::from(region.pinned));
+    for component in region.fibre {
+        out.f64(component);
+    }
     let m = &region.material;
+    // Taken apart, so that a new field of a material can not be forgotten here.
+    let Material {
+        name: _,
+        young_pa,
+        poisson,
+        stiffening,
+        fibre_ratio,
+        fibre_axis,
+        compress_limit,
+        stretch_limit,
+        density_kg_m3,
+        friction_static,
+        friction_dynamic,
+        source: _,
+    } = *m;
+    let numbers = [
+        young_pa,
+        poisson,
+        stiffening,
+        fibre_ratio,
+        compress_limit,
+        stretch_limit,
+        density_kg_m3,
+        friction_static,
+        friction_dynamic,
+    ];
     out.text(&m.name);
-    out.f64(m.young_pa);
-    out.f64(m.density_kg_m3);
-    out.f64(m.friction_static);
-    out.f64(m.friction_dynamic);
+    out.u8(u8::from(fibre_axis != FibreAxis::Long));
+    if let FibreAxis::Given(axis) = fibre_axis {
+        for component in axis {
+            out.f64(component);
+        }
+    }
+    for number in numbers {
+        out.f64(number);
+    }
     out.text(&m.source);
 }
 
@@ -207,9 +229,20 @@ fn read_region(reader: &mut Reader<'_>) -> Result<Region, Short> {
     Ok(Region {
         name: reader.text()?,
         pinned: reader.u8()? != 0,
+        fibre: reader.point()?,
         material: Material {
             name: reader.text()?,
+            // A struct's fields are read in the order they stand in here.
+            fibre_axis: match reader.u8()? {
+                0 => FibreAxis::Long,
+                _ => FibreAxis::Given(reader.point()?),
+            },
             young_pa: reader.f64()?,
+            poisson: reader.f64()?,
+            stiffening: reader.f64()?,
+            fibre_ratio: reader.f64()?,
+            compress_limit: reader.f64()?,
+            stretch_limit: reader.f64()?,
             density_kg_m3: reader.f64()?,
             friction_static: reader.f64()?,
             friction_dynamic: reader.f64()?,

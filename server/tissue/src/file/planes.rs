@@ -86,6 +86,10 @@ impl<'a> Reader<'a> {
         Ok(f64::from_bits(self.u64()?))
     }
 
+    pub(crate) fn point(&mut self) -> Result<[f64; 3], Short> {
+        Ok([self.f64()?, self.f64()?, self.f64()?])
+    }
+
     pub(crate) fn text(&mut self) -> Result<String, Short> {
         let count = self.u32()? as usize;
         let bytes = self.bytes(count)?;

@@ -1,133 +1,263 @@
 //! The built-in materials.
+//!
+//! Poisson's ratio is 0.25 throughout, which is what springs alone give; each entry says what the
+//! literature has, so that the number can be raised with the term that keeps the volume of a cell.
+//! None stiffens by itself and none has fibres: how much depends on the site and on what it is
+//! wanted for, and a scene says so where it matters.
 
-use super::Material;
+use super::{Material, POISSON_OF_SPRINGS};
 
 /// Names of the built-in materials, in the order they are listed to a person.
-pub const MATERIAL_NAMES: [&str; 11] = [
+pub const MATERIAL_NAMES: [&str; 20] = [
     "skin",
     "fat",
     "muscle",
-    "bone",
+    "tendon",
     "fascia",
-    "liver",
-    "vessel",
+    "bone",
+    "cancellous",
+    "marrow",
     "cartilage",
+    "vessel",
+    "liver",
+    "spleen",
+    "kidney",
+    "gallbladder",
+    "lung",
     "foam",
     "rubber",
     "abs",
+    "pla",
+    "polycarbonate",
 ];
 
-/// Young's modulus in kPa, density in kg/m³, static and dynamic friction, source.
-type Entry = (f64, f64, f64, f64, &'static str);
+/// What the library says of a material; the rest is as in [`Material::default`].
+struct Entry {
+    young_kpa: f64,
+    poisson: f64,
+    density_kg_m3: f64,
+    /// Static and dynamic.
+    friction: [f64; 2],
+    source: &'static str,
+}
 
 /// A built-in material.
 pub(super) fn built_in(name: &str) -> Option<Material> {
-    let (young_kpa, density_kg_m3, friction_static, friction_dynamic, source) = entry(name)?;
+    let entry = connective(name)
+        .or_else(|| organ(name))
+        .or_else(|| product(name))?;
     Some(Material {
         name: name.to_owned(),
-        young_pa: young_kpa * 1e3,
-        density_kg_m3,
-        friction_static,
-        friction_dynamic,
-        source: source.to_owned(),
+        young_pa: entry.young_kpa * 1e3,
+        poisson: entry.poisson,
+        density_kg_m3: entry.density_kg_m3,
+        friction_static: entry.friction[0],
+        friction_dynamic: entry.friction[1],
+        source: entry.source.to_owned(),
+        ..Material::default()
     })
 }
 
 /// Friction: dry skin 0.4-0.6 (Derler and Gerhardt 2012); wet inner tissue and solids are orders
 /// of magnitude chosen by us, and each entry says so.
-fn entry(name: &str) -> Option<Entry> {
+const WET: [f64; 2] = [0.2, 0.15];
+/// Smooth serous surfaces of organs.
+const SLIPPERY: [f64; 2] = [0.15, 0.1];
+
+/// Skin, what lies under it, and what holds a body together.
+fn connective(name: &str) -> Option<Entry> {
     Some(match name {
-        "skin" => (
-            130.0,
-            1090.0,
-            0.5,
-            0.4,
-            "E: Diridollou et al. 2000 (suction on the forearm in vivo, 129 kPa); density: ICRU \
-             Report 46, 1992; friction: Derler and Gerhardt 2012 (review, dry skin)",
-        ),
-        "fat" => (
-            3.25,
-            950.0,
-            0.2,
-            0.15,
-            "E: Samani et al. 2007 (breast adipose tissue, 3.25 kPa); density: ICRU Report 46, \
-             1992; friction: order of magnitude for wet tissue",
-        ),
-        "muscle" => (
-            12.0,
-            1050.0,
-            0.2,
-            0.15,
-            "E: order of magnitude from Gennisson et al. 2010 (elastography of the relaxed \
-             biceps, across the fibres); density: ICRU Report 46, 1992; friction: order of \
-             magnitude for wet tissue",
-        ),
-        "bone" => (
-            18.6e6,
-            1920.0,
-            0.3,
-            0.25,
-            "E: Rho, Ashman and Turner 1993 (cortical bone, microtensile, 18.6 GPa); density: \
-             ICRU Report 46, 1992 (cortical); friction: order of magnitude for a wet solid",
-        ),
-        "fascia" => (
-            1_000.0,
-            1_100.0,
-            0.2,
-            0.15,
-            "E: order of magnitude (MPa) from uniaxial tests of the human rectus sheath; density: \
-             order of magnitude of dense connective tissue; friction: order of magnitude for wet \
-             tissue",
-        ),
-        "liver" => (
-            5.5,
-            1060.0,
-            0.15,
-            0.1,
-            "E: Roulot et al. 2008 (transient elastography of healthy people, 5.5 kPa); density: \
-             ICRU Report 46, 1992; friction: order of magnitude for wet tissue",
-        ),
-        "vessel" => (
-            500.0,
-            1_100.0,
-            0.15,
-            0.1,
-            "E: order of magnitude from Learoyd and Taylor 1966 (human arterial wall); density: \
-             order of magnitude of connective tissue; friction: order of magnitude for wet tissue",
-        ),
-        "cartilage" => (
-            600.0,
-            1_100.0,
-            0.05,
-            0.03,
-            "E: order of magnitude from Athanasiou et al. 1991 (aggregate modulus of the distal \
-             femur); density: ICRU Report 46, 1992; friction: order of magnitude for wet \
-             cartilage",
-        ),
-        "foam" => (
-            50.0,
-            40.0,
-            0.6,
-            0.5,
-            "order of magnitude from Gibson and Ashby 1997 (flexible polyurethane foam); friction: \
-             order of magnitude",
-        ),
-        "rubber" => (
-            1_500.0,
-            1_100.0,
-            0.9,
-            0.7,
-            "order of magnitude from Ashby, Materials Selection in Mechanical Design (soft natural \
-             rubber); friction: order of magnitude",
-        ),
-        "abs" => (
-            2.2e6,
-            1_050.0,
-            0.35,
-            0.3,
-            "order of magnitude from Ashby, Materials Selection in Mechanical Design (ABS); \
-             friction: order of magnitude",
-        ),
+        "skin" => Entry {
+            young_kpa: 130.0,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1090.0,
+            friction: [0.5, 0.4],
+            source: "E: Diridollou et al. 2000 (suction on the forearm in vivo, 129 kPa); Poisson's \
+                     ratio in the literature 0.48-0.5; density: ICRU Report 46, 1992; friction: \
+                     Derler and Gerhardt 2012 (review, dry skin)",
+        },
+        "fat" => Entry {
+            young_kpa: 3.25,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 950.0,
+            friction: WET,
+            source: "E: Samani et al. 2007 (breast adipose tissue, 3.25 kPa); Poisson's ratio in \
+                     the literature 0.49-0.5; density: ICRU Report 46, 1992; friction: order of \
+                     magnitude for wet tissue",
+        },
+        "muscle" => Entry {
+            young_kpa: 12.0,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1050.0,
+            friction: WET,
+            source: "E: order of magnitude from Gennisson et al. 2010 (elastography of the relaxed \
+                     biceps, across the fibres; several times that along them); Poisson's ratio in \
+                     the literature 0.45-0.5; density: ICRU Report 46, 1992; friction: order of \
+                     magnitude for wet tissue",
+        },
+        "tendon" => Entry {
+            young_kpa: 1.2e6,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1_120.0,
+            friction: WET,
+            source: "E: Maganaris and Paul 1999 (tibialis anterior in vivo, along the fibres, \
+                     1.2 GPa), taken for all directions; Poisson's ratio of the ground substance \
+                     0.4-0.5, order of magnitude; density: order of magnitude of dense connective \
+                     tissue; friction: order of magnitude for wet tissue",
+        },
+        "fascia" => Entry {
+            young_kpa: 1_000.0,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1_100.0,
+            friction: WET,
+            source: "E: order of magnitude (MPa) from uniaxial tests of the human rectus sheath; \
+                     Poisson's ratio 0.4-0.5, order of magnitude; density: order of magnitude of \
+                     dense connective tissue; friction: order of magnitude for wet tissue",
+        },
+        "bone" => Entry {
+            young_kpa: 18.6e6,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1920.0,
+            friction: [0.3, 0.25],
+            source: "E: Rho, Ashman and Turner 1993 (cortical bone, microtensile, 18.6 GPa); \
+                     Poisson's ratio in the literature 0.3; density: ICRU Report 46, 1992 \
+                     (cortical); friction: order of magnitude for a wet solid",
+        },
+        "cancellous" => Entry {
+            young_kpa: 300e3,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1_180.0,
+            friction: [0.3, 0.25],
+            source: "E: order of magnitude (tens of MPa to a GPa by site and density) of human \
+                     trabecular bone; Poisson's ratio 0.3, order of magnitude; density: ICRU \
+                     Report 46, 1992 (spongiosa); friction: order of magnitude for a wet solid",
+        },
+        "marrow" => Entry {
+            young_kpa: 2.0,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 980.0,
+            friction: WET,
+            source: "E: order of magnitude from Jansen et al. 2015 (intact porcine marrow, 0.25 to \
+                     25 kPa); Poisson's ratio 0.49, order of magnitude; density: ICRU Report 46, \
+                     1992 (yellow marrow); friction: order of magnitude for wet tissue",
+        },
+        "cartilage" => Entry {
+            young_kpa: 600.0,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1_100.0,
+            friction: [0.05, 0.03],
+            source: "E: order of magnitude from Athanasiou et al. 1991 (aggregate modulus of the \
+                     distal femur); Poisson's ratio near 0.5 under a quick press, lower when it has \
+                     drained, order of magnitude; density: ICRU Report 46, 1992; friction: order of \
+                     magnitude for wet cartilage",
+        },
+        "vessel" => Entry {
+            young_kpa: 500.0,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1_100.0,
+            friction: SLIPPERY,
+            source: "E: order of magnitude from Learoyd and Taylor 1966 (human arterial wall); \
+                     Poisson's ratio 0.49, order of magnitude; density: order of magnitude of \
+                     connective tissue; friction: order of magnitude for wet tissue",
+        },
+        _ => return None,
+    })
+}
+
+/// The organs of the trunk.
+fn organ(name: &str) -> Option<Entry> {
+    Some(match name {
+        "liver" => Entry {
+            young_kpa: 5.5,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1060.0,
+            friction: SLIPPERY,
+            source: "E: Roulot et al. 2008 (transient elastography of healthy people, 5.5 kPa); \
+                     Poisson's ratio 0.49, order of magnitude; density: ICRU Report 46, 1992; \
+                     friction: order of magnitude for wet tissue",
+        },
+        "spleen" => Entry {
+            young_kpa: 15.0,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1_060.0,
+            friction: SLIPPERY,
+            source: "E: order of magnitude (10-20 kPa) of elastography in healthy people; Poisson's \
+                     ratio 0.49, order of magnitude; density: ICRU Report 46, 1992; friction: order \
+                     of magnitude for wet tissue",
+        },
+        "kidney" => Entry {
+            young_kpa: 10.0,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1_050.0,
+            friction: SLIPPERY,
+            source: "E: order of magnitude (5-20 kPa) of elastography in healthy people; Poisson's \
+                     ratio 0.49, order of magnitude; density: ICRU Report 46, 1992; friction: order \
+                     of magnitude for wet tissue",
+        },
+        "gallbladder" => Entry {
+            young_kpa: 10.0,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1_030.0,
+            friction: SLIPPERY,
+            source: "everything an order of magnitude: a soft wall around a liquid, taken as one \
+                     soft solid; Poisson's ratio 0.49",
+        },
+        "lung" => Entry {
+            young_kpa: 2.0,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 260.0,
+            friction: SLIPPERY,
+            source: "E: order of magnitude (1-5 kPa) of lung parenchyma; Poisson's ratio 0.3-0.4, \
+                     order of magnitude; density: ICRU Report 46, 1992 (inflated); friction: order \
+                     of magnitude for wet tissue",
+        },
+        _ => return None,
+    })
+}
+
+/// What products and tools are made of.
+fn product(name: &str) -> Option<Entry> {
+    Some(match name {
+        "foam" => Entry {
+            young_kpa: 50.0,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 40.0,
+            friction: [0.6, 0.5],
+            source: "order of magnitude from Gibson and Ashby 1997 (flexible polyurethane foam); \
+                     Poisson's ratio 0.3, order of magnitude; friction: order of magnitude",
+        },
+        "rubber" => Entry {
+            young_kpa: 1_500.0,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1_100.0,
+            friction: [0.9, 0.7],
+            source: "order of magnitude from Ashby, Materials Selection in Mechanical Design (soft \
+                     natural rubber); Poisson's ratio 0.49-0.5; friction: order of magnitude",
+        },
+        "abs" => Entry {
+            young_kpa: 2.2e6,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1_050.0,
+            friction: [0.35, 0.3],
+            source: "order of magnitude from Ashby, Materials Selection in Mechanical Design (ABS); \
+                     Poisson's ratio 0.35-0.4; friction: order of magnitude",
+        },
+        "pla" => Entry {
+            young_kpa: 3.5e6,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1_240.0,
+            friction: [0.35, 0.3],
+            source: "order of magnitude from Ashby, Materials Selection in Mechanical Design \
+                     (polylactide); Poisson's ratio 0.35-0.4; friction: order of magnitude",
+        },
+        "polycarbonate" => Entry {
+            young_kpa: 2.3e6,
+            poisson: POISSON_OF_SPRINGS,
+            density_kg_m3: 1_200.0,
+            friction: [0.35, 0.3],
+            source: "order of magnitude from Ashby, Materials Selection in Mechanical Design \
+                     (polycarbonate); Poisson's ratio 0.37-0.4; friction: order of magnitude",
+        },
         _ => return None,
     })
 }
@@ -142,6 +272,7 @@ mod tests {
             let material = built_in(name).unwrap();
             assert_eq!(material.clone().checked(), Ok(material.clone()), "{name}");
             assert!(material.source.len() > 40, "{name}");
+            assert!(material.source.contains("Poisson"), "{name}");
         }
     }
 }

@@ -18,6 +18,7 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
+use crate::MaterialOverride;
 use crate::scene::{RegionSource, Scene, SceneError, SceneInput, SceneRegion, nearest};
 use crate::surface::{Surface, SurfaceError, Unit};
 
@@ -109,9 +110,11 @@ impl Sample {
                 unit: Unit::Millimetre,
             },
             material: part.material.to_owned(),
+            change: MaterialOverride::default(),
         });
         let scene = Scene {
             spacing_m: body.spacing_m,
+            auto_spacing: false,
             pinned: body.pinned.iter().map(|&name| name.to_owned()).collect(),
             regions: regions.collect(),
             materials: BTreeMap::new(),

@@ -4,7 +4,8 @@
 //!
 //! ```toml
 //! format = "palpate-scene/1"
-//! spacing_mm = 4.0
+//! spacing_mm = 4.0                 # or "auto": as thin as the thinnest layers,
+//!                                  # but not below spacing_min_mm, if that is given
 //! pinned = ["femur"]               # regions that do not move
 //!
 //! [[region]]                       # later regions override earlier ones where they overlap
@@ -15,6 +16,8 @@
 //! name = "femur"
 //! surface = "thigh_femur.stl"
 //! material = "bone"
+//!
+//! poisson = 0.3                    # any key of a material: for this region alone
 //!
 //! [material.fat]                   # optional: changes a built-in material or adds a new one
 //! young_kpa = 10.0
@@ -33,10 +36,28 @@
 //!
 //! When the first region comes from labels, its surface goes around all regions of the same volume,
 //! so that, with the later ones overriding it, every voxel is of the region its label names.
+//!
+//! Keys of a material, in `[material.NAME]` and in `[[region]]` alike. A region takes what it does
+//! not say from its `[material.NAME]`, and that from the library; a material that is not built in
+//! needs a `[material.NAME]` with `young_kpa` and `density_kg_m3`.
+//!
+//! | key | what it is | bounds | new material |
+//! | --- | --- | --- | --- |
+//! | `young_kpa` | Young's modulus in kPa; with fibres, across them | 0.001 to 2e9 | needed |
+//! | `poisson` | Poisson's ratio; a quarter is springs alone | 0.25 to 0.49 | 0.25 |
+//! | `stiffening` | b of the spring curve F = k l0 (exp(b e) - 1)/b over the strain e; 0 is a line | 0 to 50 | 0 |
+//! | `fibre_ratio` | Young's modulus along the fibres over the one across | 0.1 to 20 | 1 |
+//! | `fibres` | where they run: `"long"` (the region's long axis) or `[x, y, z]` | | `"long"` |
+//! | `compress_limit` | part of its rest length below which no spring is pressed | 0.05 to 0.95 | 0.3 |
+//! | `stretch_limit` | multiple of its rest length beyond which no spring is pulled | 1.01 to 100 | 3 |
+//! | `density_kg_m3` | density in kg/m³ | 1 to 25 000 | needed |
+//! | `friction_static` | coefficient of static friction against a tool | 0 to 5 | 0.4 |
+//! | `friction_dynamic` | of dynamic friction; not above the static one | 0 to 5 | 0.3 |
 
 mod error;
 mod input;
 mod keys;
+mod materials;
 mod parse;
 mod source;
 mod write;
@@ -72,14 +93,18 @@ pub struct SceneRegion {
     pub source: RegionSource,
     /// Name of its material: built in, or from `[material.NAME]`.
     pub material: String,
+    /// What is different about it in this region.
+    pub change: MaterialOverride,
 }
 
 /// What a scene file says, checked: names are unique, materials and pinned regions exist,
 /// numbers are in range. Surfaces have not been looked at.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
-    /// Lattice spacing Δd in m.
+    /// Lattice spacing Δd in m; with `auto_spacing` the least one, `d_threshold`, 0 for none.
     pub spacing_m: f64,
+    /// The builder finds the spacing from the thinnest layers (Lin 2007, eq. 3.2).
+    pub auto_spacing: bool,
     /// Names of the regions that do not move.
     pub pinned: Vec<String>,
     /// In scene order: a later region overrides an earlier one where they overlap.
@@ -98,11 +123,18 @@ impl Scene {
 
     /// The material a region is filled with, overrides applied.
     pub fn material(&self, region: usize) -> Result<Material, SceneError> {
-        let name = &self.regions[region].material;
-        Material::resolve(name, self.materials.get(name)).map_err(SceneError::Material)
+        let SceneRegion {
+            material: name,
+            change,
+            ..
+        } = &self.regions[region];
+        Material::resolve(name, self.materials.get(name))
+            .and_then(|m| m.with(change, "changed for this region"))
+            .map_err(SceneError::Material)
     }
 
-    /// The regions as a [`crate::Model`] holds them.
+    /// The regions as a [`crate::Model`] holds them before it has cells to find fibres along; see
+    /// [`crate::Model::resolve_fibres`].
     pub fn model_regions(&self) -> Result<Vec<Region>, SceneError> {
         (0..self.regions.len())
             .map(|r| {
@@ -112,6 +144,7 @@ impl Scene {
                     material: self.material(r)?,
                     name,
                     pinned,
+                    fibre: [0.0; 3],
                 })
             })
             .collect()

@@ -8,27 +8,23 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::keys::{Text, line_after, nearest};
+use super::materials::{MATERIAL_KEYS, change, materials};
 use super::{
     REGIONS_MAX, RegionSource, SCENE_BYTES_MAX, SCENE_FORMAT, Scene, SceneError, SceneRegion,
 };
 use crate::surface::Unit;
 use crate::{Material, MaterialOverride};
 
-const SCENE_KEYS: [&str; 6] = [
+const SCENE_KEYS: [&str; 7] = [
     "format",
     "spacing_mm",
+    "spacing_min_mm",
     "labels",
     "pinned",
     "region",
     "material",
 ];
 const REGION_KEYS: [&str; 6] = ["name", "surface", "label", "labels", "material", "unit"];
-const MATERIAL_KEYS: [&str; 4] = [
-    "young_kpa",
-    "density_kg_m3",
-    "friction_static",
-    "friction_dynamic",
-];
 
 impl Scene {
     /// Reads a scene file. Its surfaces are not looked at; [`super::SceneInput::load`] does that.
@@ -81,8 +77,10 @@ fn read(text: &Text, base: PathBuf) -> Result<Scene, SceneError> {
     text.refuse_unknown(root, &SCENE_KEYS, "at the top of the scene")?;
     let materials = materials(text, root)?;
     let regions = regions(text, root, &materials)?;
+    let (spacing_m, auto_spacing) = spacing(text, root)?;
     Ok(Scene {
-        spacing_m: spacing(text, root)?,
+        spacing_m,
+        auto_spacing,
         pinned: pinned(text, root, &regions)?,
         regions,
         materials,
@@ -106,16 +104,30 @@ fn refuse_other_formats(text: &Text, root: &DeTable) -> Result<(), SceneError> {
     Ok(())
 }
 
-fn spacing(text: &Text, root: &DeTable) -> Result<f64, SceneError> {
+/// The spacing in m, or the least one and that the builder is to find it.
+fn spacing(text: &Text, root: &DeTable) -> Result<(f64, bool), SceneError> {
     let Some(value) = root.get("spacing_mm") else {
-        return Err(text.error(0, "\"spacing_mm\" is missing; add, say, spacing_mm = 4.0"));
+        let what = "\"spacing_mm\" is missing; add, say, spacing_mm = 4.0 or spacing_mm = \"auto\"";
+        return Err(text.error(0, what));
     };
-    let spacing_mm = text.number("spacing_mm", value)?;
-    if !(spacing_mm.is_finite() && spacing_mm > 0.0) {
-        let what = format!("spacing_mm = {spacing_mm} must be a finite number above 0");
-        return Err(text.error(value.span().start, what));
+    let length = |key: &str, value: &Spanned<DeValue>| {
+        let mm = text.number(key, value)?;
+        if mm.is_finite() && mm > 0.0 {
+            return Ok(mm * 1e-3);
+        }
+        let what = format!("{key} = {mm} must be a finite number above 0");
+        Err(text.error(value.span().start, what))
+    };
+    let least = root.get("spacing_min_mm");
+    if value.get_ref().as_str() == Some("auto") {
+        let least = least.map(|v| length("spacing_min_mm", v)).transpose()?;
+        return Ok((least.unwrap_or(0.0), true));
     }
-    Ok(spacing_mm * 1e-3)
+    if let Some(least) = least {
+        let what = "\"spacing_min_mm\" goes with spacing_mm = \"auto\"; leave one of them out";
+        return Err(text.error(least.span().start, what));
+    }
+    Ok((length("spacing_mm", value)?, false))
 }
 
 fn regions(
@@ -161,10 +173,11 @@ fn region(
     labels: Option<&str>,
 ) -> Result<SceneRegion, SceneError> {
     let table = text.table("region", value, "a table that begins with [[region]]")?;
-    text.refuse_unknown(table, &REGION_KEYS, "in [[region]]")?;
+    let known = [REGION_KEYS.as_slice(), &MATERIAL_KEYS].concat();
+    text.refuse_unknown(table, &known, "in [[region]]")?;
     let needed = |key: &str| needed(text, value, table, key);
     let (material, at) = needed("material")?;
-    Material::resolve(&material, materials.get(&material)).map_err(|e| {
+    let resolved = Material::resolve(&material, materials.get(&material)).map_err(|e| {
         // A scene's own materials are candidates for a slip of the finger too.
         match nearest(&material, materials.keys().map(String::as_str)) {
             Some(own) if Material::built_in(&material).is_none() && own != material => text.error(
@@ -174,10 +187,15 @@ fn region(
             _ => text.error(at, e.to_string()),
         }
     })?;
+    let change = change(text, table)?;
+    resolved
+        .with(&change, "changed for this region")
+        .map_err(|e| text.error(value.span().start, e.to_string()))?;
     Ok(SceneRegion {
         name: needed("name")?.0,
         source: source(text, value, table, labels)?,
         material,
+        change,
     })
 }
 
@@ -301,36 +319,4 @@ fn pinned(text: &Text, root: &DeTable, regions: &[SceneRegion]) -> Result<Vec<St
         }
     }
     Ok(pinned)
-}
-
-fn materials(
-    text: &Text,
-    root: &DeTable,
-) -> Result<BTreeMap<String, MaterialOverride>, SceneError> {
-    let Some(value) = root.get("material") else {
-        return Ok(BTreeMap::new());
-    };
-    let tables = text.table("material", value, "tables that begin with [material.NAME]")?;
-    let mut materials = BTreeMap::new();
-    for (name, value) in tables {
-        let place = format!("[material.{}]", name.get_ref());
-        let table = text.table(
-            name.get_ref(),
-            value,
-            &format!("a table that begins with {place}"),
-        )?;
-        text.refuse_unknown(table, &MATERIAL_KEYS, &format!("in {place}"))?;
-        let number = |key: &str| table.get(key).map(|v| text.number(key, v)).transpose();
-        let change = MaterialOverride {
-            young_pa: number("young_kpa")?.map(|kpa| kpa * 1e3),
-            density_kg_m3: number("density_kg_m3")?,
-            friction_static: number("friction_static")?,
-            friction_dynamic: number("friction_dynamic")?,
-        };
-        // Also when no region uses it: a number out of range is a slip all the same.
-        Material::resolve(name.get_ref(), Some(&change))
-            .map_err(|e| text.error(name.span().start, e.to_string()))?;
-        materials.insert(name.get_ref().to_string(), change);
-    }
-    Ok(materials)
 }

@@ -4,6 +4,7 @@ use std::fmt::{self, Write};
 
 use super::{RegionSource, SCENE_FORMAT, Scene};
 use crate::surface::Unit;
+use crate::{FibreAxis, MaterialOverride};
 
 impl Scene {
     /// The scene as a TOML text that [`Scene::parse`] reads back as the same scene (up to the
@@ -16,7 +17,15 @@ impl Scene {
 
     fn write(&self, out: &mut String) -> fmt::Result {
         writeln!(out, "format = \"{SCENE_FORMAT}\"")?;
-        writeln!(out, "spacing_mm = {}", number(self.spacing_m * 1e3))?;
+        let spacing = number(self.spacing_m * 1e3);
+        if self.auto_spacing {
+            writeln!(out, "spacing_mm = \"auto\"")?;
+            if self.spacing_m > 0.0 {
+                writeln!(out, "spacing_min_mm = {spacing}")?;
+            }
+        } else {
+            writeln!(out, "spacing_mm = {spacing}")?;
+        }
         if !self.pinned.is_empty() {
             let names: Vec<String> = self.pinned.iter().map(|n| quoted(n)).collect();
             writeln!(out, "pinned = [{}]", names.join(", "))?;
@@ -38,22 +47,29 @@ impl Scene {
                 }
             }
             writeln!(out, "material = {}", quoted(&region.material))?;
+            write_change(out, &region.change)?;
         }
         for (name, change) in &self.materials {
             writeln!(out, "\n[material.{}]", quoted(name))?;
-            let values = [
-                ("young_kpa", change.young_pa.map(|pa| pa * 1e-3)),
-                ("density_kg_m3", change.density_kg_m3),
-                ("friction_static", change.friction_static),
-                ("friction_dynamic", change.friction_dynamic),
-            ];
-            for (key, value) in values {
-                if let Some(value) = value {
-                    writeln!(out, "{key} = {}", number(value))?;
-                }
-            }
+            write_change(out, change)?;
         }
         Ok(())
+    }
+}
+
+fn write_change(out: &mut String, change: &MaterialOverride) -> fmt::Result {
+    for (key, value) in change.numbers() {
+        if let Some(value) = value {
+            writeln!(out, "{key} = {}", number(value))?;
+        }
+    }
+    match change.fibre_axis {
+        None => Ok(()),
+        Some(FibreAxis::Long) => writeln!(out, "fibres = \"long\""),
+        Some(FibreAxis::Given(axis)) => {
+            let [x, y, z] = axis.map(number);
+            writeln!(out, "fibres = [{x}, {y}, {z}]")
+        }
     }
 }
 

@@ -1,12 +1,13 @@
 //! STL files, binary and ASCII.
 
-use std::io::{Cursor, ErrorKind};
+use std::io::{Cursor, ErrorKind, Write};
 use std::path::Path;
 
 use stl_io::{Normal, Triangle, Vertex};
 
 use super::weld::Welder;
 use super::{Surface, SurfaceError, TRIANGLES_MAX, Unit};
+use crate::staged::Staged;
 
 /// Bytes before the first triangle of a binary file: 80 of header, 4 of count.
 const HEADER_BYTES: u64 = 84;
@@ -128,12 +129,18 @@ fn collect(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, SurfaceErro
 }
 
 impl Surface {
-    /// Writes a binary STL in millimetres with outward normals.
+    /// Writes a binary STL in millimetres with outward normals; whole or not at all.
     pub fn write_stl(&self, path: &Path) -> Result<(), SurfaceError> {
-        let io = |source| SurfaceError::Io {
-            path: path.to_owned(),
-            source,
-        };
+        Staged::write(path, |out| self.write_stl_to(out))
+            .and_then(Staged::put_in_place)
+            .map_err(|e| SurfaceError::Io {
+                path: e.path,
+                source: e.source,
+            })
+    }
+
+    /// Writes a binary STL in millimetres with outward normals.
+    pub(crate) fn write_stl_to(&self, out: &mut impl Write) -> std::io::Result<()> {
         let triangles: Vec<Triangle> = (0..self.triangles.len())
             .map(|t| {
                 let [a, b, c] = self.corners(t);
@@ -150,7 +157,7 @@ impl Surface {
                 }
             })
             .collect();
-        let mut file = std::fs::File::create(path).map_err(io)?;
-        stl_io::write_stl(&mut file, triangles.iter()).map_err(io)
+        stl_io::write_stl(out, triangles.iter())?;
+        out.flush()
     }
 }

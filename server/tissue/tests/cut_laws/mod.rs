@@ -20,6 +20,7 @@ pub(crate) fn rubber() -> Material {
         friction_static: 0.5,
         friction_dynamic: 0.4,
         source: "made up for this test".into(),
+        ..Material::default()
     }
 }
 

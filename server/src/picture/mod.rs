@@ -1,0 +1,114 @@
+//! A picture of a cross-section of a model: regions in colour, springs, poor cells, a legend and a
+//! scale, to look at before a model is used.
+//!
+//! The raster is tiny-skia's and the letters are the bitmap fonts of embedded-graphics: both are
+//! small, need nothing of the system and draw the same bits everywhere.
+
+mod canvas;
+mod colour;
+mod legend;
+mod section;
+mod sheet;
+
+use std::str::FromStr;
+
+use palpate_tissue::ModelFile;
+
+use crate::ServerError;
+use section::Section;
+
+/// Where a model is cut through for its picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Slice {
+    /// The axis it is at right angles to.
+    pub(crate) axis: usize,
+    /// Where on that axis, in mm; in the middle of the model when nothing is said.
+    pub(crate) at_mm: Option<f64>,
+}
+
+impl Default for Slice {
+    fn default() -> Self {
+        Self {
+            axis: 2,
+            at_mm: None,
+        }
+    }
+}
+
+impl FromStr for Slice {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || {
+            format!("\"{text}\" is no slice; write x, y or z, or with a place in mm as in z=580")
+        };
+        let (axis, at) = match text.split_once('=') {
+            Some((axis, at)) => (axis, Some(at)),
+            None => (text, None),
+        };
+        let axis = match axis.trim() {
+            "x" | "X" => 0,
+            "y" | "Y" => 1,
+            "z" | "Z" => 2,
+            _ => return Err(wrong()),
+        };
+        let at_mm = match at.map(|at| at.trim().trim_end_matches("mm").trim().parse::<f64>()) {
+            None => None,
+            Some(Ok(at)) if at.is_finite() => Some(at),
+            Some(_) => return Err(wrong()),
+        };
+        Ok(Self { axis, at_mm })
+    }
+}
+
+/// Draws a section as PNG. `name` goes into the title; `springs` draws them however small they are.
+pub(crate) fn draw(
+    file: &ModelFile,
+    name: &str,
+    slice: Slice,
+    springs: bool,
+) -> Result<Vec<u8>, ServerError> {
+    let section = Section::through(&file.model, slice).map_err(ServerError::Option)?;
+    sheet::draw(&file.model, &section, name, springs)
+        .map_err(|what| ServerError::Option(format!("the picture can not be drawn: {what}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use palpate_tissue::{Material, block};
+
+    #[test]
+    fn a_slice_is_an_axis_with_or_without_a_place() {
+        let slice = |axis, at_mm| Ok(Slice { axis, at_mm });
+        assert_eq!("z=580".parse(), slice(2, Some(580.0)));
+        assert_eq!("x = -1.5 mm".parse(), slice(0, Some(-1.5)));
+        assert_eq!("Y".parse(), slice(1, None));
+        for wrong in ["", "w=3", "z=", "z=nan", "z=1=2", "580"] {
+            assert!(wrong.parse::<Slice>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_picture_is_drawn_of_every_axis_and_the_same_each_time() {
+        let model = block([7, 3, 4], 0.004, &Material::default(), 1);
+        let file = ModelFile {
+            model,
+            report_json: String::new(),
+        };
+        for axis in ["x", "y", "z", "z=0", "z=16"] {
+            let slice = axis.parse().unwrap();
+            let png = draw(&file, "block", slice, true).unwrap();
+            assert!(png.starts_with(b"\x89PNG"));
+            assert_eq!(png, draw(&file, "block", slice, true).unwrap());
+        }
+    }
+
+    #[test]
+    fn a_slice_beside_the_model_is_answered_with_where_it_is() {
+        let model = block([7, 3, 4], 0.004, &Material::default(), 1);
+        let slice = "y=50".parse().unwrap();
+        let said = Section::through(&model, slice).unwrap_err();
+        assert!(said.contains("0.0 to 12.0 mm"), "{said}");
+    }
+}

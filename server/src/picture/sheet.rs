@@ -1,0 +1,215 @@
+//! The sheet: title above, section with a scale on its left, legend on its right.
+
+use palpate_tissue::Model;
+
+use super::canvas::{Canvas, Letters};
+use super::colour::{self, Colour, INK, INVERTED, PALE_INK, POOR};
+use super::legend::{self, Figures, Legend};
+use super::section::{Grade, Point, Section};
+
+/// Room for the section itself, in pixels; it fills it one way or the other.
+const ROOM: [f32; 2] = [1150.0, 1000.0];
+/// Around the section: left (numbers), top (title), right, bottom (numbers and scale).
+const LEFT: f32 = 70.0;
+const TOP: f32 = 76.0;
+const GAP: f32 = 40.0;
+const BOTTOM: f32 = 76.0;
+/// Room between the section and its frame, as a part of it.
+const MARGIN: f64 = 0.03;
+/// Springs are drawn by themselves from so many pixels per spacing on, outlines of cells from fewer.
+const SPRINGS_FROM: f64 = 12.0;
+const OUTLINES_FROM: f64 = 4.0;
+/// Pixels between the numbers of the scale.
+const TICK_APART: f64 = 80.0;
+
+/// Draws the sheet as PNG.
+pub(super) fn draw(
+    model: &Model,
+    section: &Section,
+    name: &str,
+    springs: bool,
+) -> Result<Vec<u8>, String> {
+    let frame = Frame::around(section);
+    let legend = Legend::of(model, section);
+    let width = LEFT + frame.size[0] + GAP + legend::WIDTH;
+    let height = TOP + (frame.size[1] + BOTTOM).max(legend.height());
+    let mut canvas = Canvas::new(width as u32, height as u32)?;
+    let spacing = model.spacing_m * 1e3 * frame.scale;
+    let springs = springs || spacing >= SPRINGS_FROM;
+    title(&mut canvas, model, section, name);
+    cells(&mut canvas, &frame, section, &colour::of_regions(model));
+    if springs {
+        draw_springs(&mut canvas, &frame, section, spacing);
+    } else if spacing >= OUTLINES_FROM {
+        canvas.lines(frame.outlines(section, false), 0.6, INK, 0.35);
+    }
+    canvas.lines(frame.outlines(section, true), 2.0, INK, 1.0);
+    marks(&mut canvas, &frame, section);
+    scale(&mut canvas, &frame, section.axis);
+    let right = LEFT + frame.size[0] + GAP;
+    legend.draw(&mut canvas, [right, TOP], springs);
+    canvas.png()
+}
+
+/// From mm of the section to pixels of the sheet.
+struct Frame {
+    /// Pixels per mm.
+    scale: f64,
+    /// Pixels of the frame.
+    size: [f32; 2],
+    /// What stands at the frame's lower left corner, in mm.
+    origin: Point,
+}
+
+impl Frame {
+    fn around(section: &Section) -> Self {
+        let [low, high] = section.bounds;
+        let margin = MARGIN * (high[0] - low[0]).max(high[1] - low[1]);
+        let extent = [0, 1].map(|a| (high[a] - low[a] + 2.0 * margin).max(f64::MIN_POSITIVE));
+        let scale = (f64::from(ROOM[0]) / extent[0]).min(f64::from(ROOM[1]) / extent[1]);
+        Self {
+            scale,
+            size: extent.map(|e| (e * scale).ceil() as f32),
+            origin: low.map(|v| v - margin),
+        }
+    }
+
+    fn at(&self, p: Point) -> [f32; 2] {
+        let [x, y] = [0, 1].map(|a| ((p[a] - self.origin[a]) * self.scale) as f32);
+        [LEFT + x, TOP + self.size[1] - y]
+    }
+
+    fn outlines(&self, section: &Section, border: bool) -> Vec<[[f32; 2]; 2]> {
+        let lines = section.cells.iter().flat_map(|c| &c.outline);
+        lines
+            .filter(|(_, is_border)| *is_border == border)
+            .map(|(line, _)| line.map(|p| self.at(p)))
+            .collect()
+    }
+}
+
+fn title(canvas: &mut Canvas, model: &Model, section: &Section, name: &str) {
+    let axis = ["x", "y", "z"][section.axis];
+    let title = format!("{name}   {axis} = {:.1} mm", section.at_mm);
+    canvas.text(&title, [LEFT, 14.0], Letters::Large, INK);
+    let figures = format!(
+        "spacing {} mm   {} nodes   {} cells, {} in this section",
+        Figures(model.spacing_m * 1e3),
+        model.nodes.len(),
+        model.cells.len(),
+        section.cells.len()
+    );
+    canvas.text(&figures, [LEFT, 42.0], Letters::Small, PALE_INK);
+}
+
+fn cells(canvas: &mut Canvas, frame: &Frame, section: &Section, colours: &[Colour]) {
+    for cell in &section.cells {
+        for piece in &cell.pieces {
+            let corners: Vec<_> = piece.iter().map(|p| frame.at(*p)).collect();
+            canvas.fill(&corners, colours[cell.region], 1.0);
+        }
+    }
+}
+
+fn draw_springs(canvas: &mut Canvas, frame: &Frame, section: &Section, spacing: f64) {
+    let width = (spacing * 0.05).clamp(0.5, 1.6) as f32;
+    let lines = |of: &[[Point; 2]]| -> Vec<_> {
+        let to_pixels = of.iter().map(|l| l.map(|p| frame.at(p)));
+        to_pixels.collect()
+    };
+    canvas.lines(lines(&section.shear), width * 0.6, INK, 0.28);
+    canvas.lines(lines(&section.structural), width, INK, 0.6);
+}
+
+/// Cells of poor shape, over everything else.
+fn marks(canvas: &mut Canvas, frame: &Frame, section: &Section) {
+    // Where most cells of a layer are poor, its colour must still be told.
+    for (grade, with, opacity) in [(Grade::Poor, POOR, 0.3), (Grade::Inverted, INVERTED, 0.5)] {
+        for cell in section.cells.iter().filter(|c| c.grade == grade) {
+            for piece in &cell.pieces {
+                let corners: Vec<_> = piece.iter().map(|p| frame.at(*p)).collect();
+                canvas.fill(&corners, with, opacity);
+            }
+            let outline = cell.outline.iter().map(|(l, _)| l.map(|p| frame.at(p)));
+            canvas.lines(outline, 1.4, with, 1.0);
+        }
+    }
+}
+
+/// The frame with its numbers, and a bar of a round length below it.
+fn scale(canvas: &mut Canvas, frame: &Frame, axis: usize) {
+    let [x0, y0] = [LEFT, TOP];
+    let [x1, y1] = [LEFT + frame.size[0], TOP + frame.size[1]];
+    let border = [
+        [[x0, y0], [x1, y0]],
+        [[x1, y0], [x1, y1]],
+        [[x1, y1], [x0, y1]],
+        [[x0, y1], [x0, y0]],
+    ];
+    canvas.lines(border, 1.0, PALE_INK, 1.0);
+    let step = round_length(TICK_APART / frame.scale);
+    let digits = usize::from(step < 1.0) * 2;
+    let small = Letters::Small;
+    for a in 0..2 {
+        let low = frame.origin[a];
+        let high = low + f64::from(frame.size[a]) / frame.scale;
+        let first = (low / step).ceil() as i64;
+        for number in first..=(high / step).floor() as i64 {
+            let value = number as f64 * step;
+            let mut p = frame.origin;
+            p[a] = value;
+            let [x, y] = frame.at(p);
+            let label = format!("{value:.digits$}");
+            let width = label.chars().count() as f32 * small.width();
+            let (tick, place) = if a == 0 {
+                ([x, y + 6.0], [x - 0.5 * width, y + 10.0])
+            } else {
+                ([x - 6.0, y], [x - 10.0 - width, y - 0.5 * small.height()])
+            };
+            canvas.lines([[[x, y], tick]], 1.0, PALE_INK, 1.0);
+            canvas.text(&label, place, small, PALE_INK);
+        }
+    }
+    let [right, up] = [["y", "z"], ["x", "z"], ["x", "y"]][axis];
+    let below = y1 + 38.0;
+    let label = format!("{right} to the right, {up} up, in mm");
+    canvas.text(&label, [x0, below], small, PALE_INK);
+    let bar = round_length(f64::from(frame.size[0]) / frame.scale / 5.0);
+    let length = (bar * frame.scale) as f32;
+    canvas.rectangle([x1 - length, below], [length, 5.0], INK);
+    let label = format!("{bar} mm");
+    let width = label.chars().count() as f32 * Letters::Bold.width();
+    let place = [x1 - 0.5 * (length + width), below + 9.0];
+    canvas.text(&label, place, Letters::Bold, INK);
+}
+
+/// The round number (1, 2 or 5 times a power of ten) that is next above a length.
+fn round_length(at_least: f64) -> f64 {
+    let power = 10_f64.powf(at_least.max(f64::MIN_POSITIVE).log10().floor());
+    let steps = [1.0, 2.0, 5.0, 10.0].map(|m| m * power);
+    steps
+        .into_iter()
+        .find(|s| *s >= at_least)
+        .unwrap_or(steps[3])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn round_lengths_are_one_two_or_five_times_a_power_of_ten() {
+        for (at_least, round) in [
+            (0.9, 1.0),
+            (1.1, 2.0),
+            (37.0, 50.0),
+            (0.013, 0.02),
+            (5.0, 5.0),
+        ] {
+            assert!(
+                (round_length(at_least) - round).abs() < 1e-12 * round,
+                "{at_least}"
+            );
+        }
+    }
+}

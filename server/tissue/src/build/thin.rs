@@ -1,0 +1,389 @@
+//! Where the input is thinner than the spacing and what was lost of it.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::faces::OUTSIDE;
+use super::grid::Grid;
+use super::lattice::Crumb;
+use super::sample::{Sample, Thin};
+use crate::Vec3;
+
+/// Most parts that a report lists, the largest first: what a person can look at. The rest is counted.
+pub const THIN_PARTS_MAX: usize = 64;
+
+/// Samples in cubes of this side, in spacings, that touch belong to one part.
+const CUBE: f64 = 2.0;
+/// A piece of an input interface is lost when the model's own is farther away than this, in spacings.
+const LOST: f64 = 0.5;
+
+/// What a part of the input suffers from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ThinKind {
+    /// A layer of a region thinner than the spacing.
+    Layer,
+    /// Outside between two walls nearer to each other than the spacing.
+    Gap,
+    /// Not thin, and still farther from the model than half a spacing: a sharp edge, a tip, or what
+    /// lies beside a thin part that was lost.
+    Rim,
+    /// A few cells of a region that were given to what surrounds them.
+    Crumb,
+    /// Nodes that left their interface so that their cells stay good.
+    LetGo,
+    /// Nodes farther than half a spacing from their interface, near nothing thin: where the model's
+    /// interface runs on and the input's does not.
+    Stray,
+}
+
+/// One part of the input that is thin or was lost.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ThinPart {
+    /// What is wrong with it.
+    pub kind: ThinKind,
+    /// The region that is thin or was lost; `None` for a gap.
+    pub region: Option<String>,
+    /// What lies on its two sides; `None` is the outside.
+    pub between: [Option<String>; 2],
+    /// Middle of the box around it, in mm.
+    pub centre_mm: [f64; 3],
+    /// Extent of the box around it, in mm.
+    pub size_mm: [f64; 3],
+    /// Area of the interface there, in mm²; both sides of a layer count.
+    pub area_mm2: f64,
+    /// Of that, what lies farther from the model's interface than half a spacing, in mm².
+    pub lost_area_mm2: f64,
+    /// Least thickness in mm; 0 where it was not measured.
+    pub thickness_min_mm: f64,
+    /// Mean thickness in mm; 0 where it was not measured.
+    pub thickness_mean_mm: f64,
+    /// Largest distance of the input from the model's interface there, in mm.
+    pub distance_max_mm: f64,
+    /// Cells of a crumb, nodes that were let go, samples of a layer.
+    pub count: usize,
+}
+
+/// The thin and lost parts.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct ThinParts {
+    /// The largest ones, at most [`THIN_PARTS_MAX`].
+    pub parts: Vec<ThinPart>,
+    /// How many more there are.
+    pub more: usize,
+    /// Area of these in mm².
+    pub more_area_mm2: f64,
+}
+
+/// What distinguishes parts that lie side by side: kind, region, and what it lies between.
+type Key = (ThinKind, u16, [u16; 2]);
+
+#[derive(Debug, Clone, Copy)]
+struct Heap {
+    low: Vec3,
+    high: Vec3,
+    area: f64,
+    lost: f64,
+    thin_area: f64,
+    /// Thickness times area.
+    thickness: f64,
+    thinnest: f64,
+    distance: f64,
+    count: usize,
+}
+
+impl Heap {
+    fn empty() -> Self {
+        Self {
+            low: Vec3::repeat(f64::INFINITY),
+            high: Vec3::repeat(f64::NEG_INFINITY),
+            area: 0.0,
+            lost: 0.0,
+            thin_area: 0.0,
+            thickness: 0.0,
+            thinnest: f64::INFINITY,
+            distance: 0.0,
+            count: 0,
+        }
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.low = self.low.inf(&other.low);
+        self.high = self.high.sup(&other.high);
+        self.area += other.area;
+        self.lost += other.lost;
+        self.thin_area += other.thin_area;
+        self.thickness += other.thickness;
+        self.thinnest = self.thinnest.min(other.thinnest);
+        self.distance = self.distance.max(other.distance);
+        self.count += other.count;
+    }
+
+    fn of_sample(sample: &Sample, spacing: f64) -> Self {
+        let lost = sample.distance > LOST * spacing;
+        let (thin_area, thickness) = sample
+            .thin
+            .map_or((0.0, 0.0), |t| (sample.area, t.thickness));
+        Self {
+            low: sample.at,
+            high: sample.at,
+            area: sample.area,
+            lost: if lost { sample.area } else { 0.0 },
+            thin_area,
+            thickness: thickness * sample.area,
+            thinnest: sample.thin.map_or(f64::INFINITY, |t| t.thickness),
+            distance: sample.distance,
+            count: 1,
+        }
+    }
+}
+
+/// Collects samples, crumbs and nodes into parts.
+pub(super) struct Collector<'a> {
+    grid: &'a Grid,
+    cubes: BTreeMap<(Key, [i32; 3]), Heap>,
+    /// Cells of the grid in or beside a thin or lost part.
+    marked: Vec<bool>,
+}
+
+impl<'a> Collector<'a> {
+    pub(super) fn new(grid: &'a Grid) -> Self {
+        Self {
+            grid,
+            cubes: BTreeMap::new(),
+            marked: vec![false; grid.cell_count()],
+        }
+    }
+
+    /// Takes what is thin or lost among the samples.
+    pub(super) fn add_samples(&mut self, samples: &[Sample]) {
+        let spacing = self.grid.spacing;
+        for sample in samples {
+            let key = match sample.thin {
+                Some(Thin { region, beyond, .. }) => {
+                    let near = if region == sample.behind {
+                        sample.before
+                    } else {
+                        sample.behind
+                    };
+                    let kind = if region == OUTSIDE {
+                        ThinKind::Gap
+                    } else {
+                        ThinKind::Layer
+                    };
+                    self.mark(&sample.at);
+                    (kind, region, [near.min(beyond), near.max(beyond)])
+                }
+                None if sample.distance > LOST * spacing => {
+                    (ThinKind::Rim, sample.behind, [sample.before, sample.behind])
+                }
+                None => continue,
+            };
+            self.put(key, &sample.at, &Heap::of_sample(sample, spacing));
+        }
+    }
+
+    /// Takes nodes that were let go; what is around them counts as a thin part.
+    pub(super) fn add_nodes(&mut self, nodes: &[(Vec3, u16, f64)]) {
+        for (at, _, _) in nodes {
+            self.mark(at);
+        }
+        self.put_nodes(ThinKind::LetGo, nodes);
+    }
+
+    /// Takes nodes that are far from the input.
+    pub(super) fn add_strays(&mut self, nodes: &[(Vec3, u16, f64)]) {
+        self.put_nodes(ThinKind::Stray, nodes);
+    }
+
+    fn put_nodes(&mut self, kind: ThinKind, nodes: &[(Vec3, u16, f64)]) {
+        for (at, region, distance) in nodes {
+            let heap = Heap {
+                low: *at,
+                high: *at,
+                distance: *distance,
+                count: 1,
+                ..Heap::empty()
+            };
+            self.put((kind, *region, [*region, OUTSIDE]), at, &heap);
+        }
+    }
+
+    /// Takes pieces of regions that were dropped.
+    pub(super) fn add_crumbs(&mut self, crumbs: &[Crumb]) {
+        let region = |label: u8| u16::from(label).checked_sub(1).unwrap_or(OUTSIDE);
+        for crumb in crumbs {
+            let low = self.grid.point(crumb.low.map(|i| i as i32));
+            let high = self.grid.point(crumb.high.map(|i| i as i32 + 1));
+            for cell in 0..crumb.cells.min(64) {
+                let part = (cell as f64 + 0.5) / crumb.cells.min(64) as f64;
+                self.mark(&low.lerp(&high, part));
+            }
+            let heap = Heap {
+                low,
+                high,
+                count: crumb.cells,
+                ..Heap::empty()
+            };
+            let given = region(crumb.given);
+            let at = (low + high) / 2.0;
+            let key = (ThinKind::Crumb, region(crumb.label), [given, given]);
+            self.put(key, &at, &heap);
+        }
+    }
+
+    /// Whether a point lies in or beside a thin or lost part.
+    pub(super) fn is_marked(&self, at: &Vec3) -> bool {
+        self.cell_at(at).is_none_or(|cell| self.marked[cell])
+    }
+
+    fn cell_at(&self, at: &Vec3) -> Option<usize> {
+        let cell = ((at - self.grid.origin) / self.grid.spacing).map(f64::floor);
+        let inside = (0..3).all(|a| cell[a] >= 0.0 && cell[a] < self.grid.cells[a] as f64);
+        inside.then(|| {
+            self.grid
+                .cell_index([cell.x as usize, cell.y as usize, cell.z as usize])
+        })
+    }
+
+    /// Marks the cell at a point and its neighbours.
+    fn mark(&mut self, at: &Vec3) {
+        for near in 0..27 {
+            let step = [near % 3, near / 3 % 3, near / 9].map(|i| f64::from(i - 1));
+            let point = at + Vec3::from(step) * self.grid.spacing;
+            if let Some(cell) = self.cell_at(&point) {
+                self.marked[cell] = true;
+            }
+        }
+    }
+
+    fn put(&mut self, key: Key, at: &Vec3, heap: &Heap) {
+        let cube = (at / (CUBE * self.grid.spacing)).map(f64::floor);
+        let cube = [cube.x as i32, cube.y as i32, cube.z as i32];
+        self.cubes
+            .entry((key, cube))
+            .or_insert_with(Heap::empty)
+            .add(heap);
+    }
+
+    /// Joins cubes that touch into parts, the largest first.
+    pub(super) fn finish(self, names: &[String]) -> ThinParts {
+        let mut rest = self.cubes;
+        let mut parts = Vec::new();
+        while let Some((&(key, seed), _)) = rest.first_key_value() {
+            let mut whole = Heap::empty();
+            let mut stack = vec![seed];
+            while let Some(cube) = stack.pop() {
+                let Some(heap) = rest.remove(&(key, cube)) else {
+                    continue;
+                };
+                whole.add(&heap);
+                for near in 0..27 {
+                    let step = [near % 3, near / 3 % 3, near / 9].map(|i| i - 1);
+                    let next = std::array::from_fn(|a| cube[a] + step[a]);
+                    if rest.contains_key(&(key, next)) {
+                        stack.push(next);
+                    }
+                }
+            }
+            parts.push((key, whole));
+        }
+        parts.sort_by(|(k, a), (l, b)| {
+            let by_area = b.area.total_cmp(&a.area).then(b.count.cmp(&a.count));
+            by_area.then(k.cmp(l)).then(a.low.x.total_cmp(&b.low.x))
+        });
+        let beyond = parts.iter().skip(THIN_PARTS_MAX);
+        ThinParts {
+            more: beyond.clone().count(),
+            more_area_mm2: beyond.map(|p| p.1.area * 1e6).sum(),
+            parts: parts
+                .iter()
+                .take(THIN_PARTS_MAX)
+                .map(|(key, heap)| part(*key, heap, names))
+                .collect(),
+        }
+    }
+}
+
+fn part((kind, region, between): Key, heap: &Heap, names: &[String]) -> ThinPart {
+    let name = |r: u16| names.get(r as usize).cloned();
+    let centre = (heap.low + heap.high) / 2.0 * 1e3;
+    let size = (heap.high - heap.low) * 1e3;
+    let measured = heap.thin_area > 0.0;
+    ThinPart {
+        kind,
+        region: name(region),
+        between: between.map(name),
+        centre_mm: centre.into(),
+        size_mm: size.into(),
+        area_mm2: heap.area * 1e6,
+        lost_area_mm2: heap.lost * 1e6,
+        thickness_min_mm: if measured { heap.thinnest * 1e3 } else { 0.0 },
+        thickness_mean_mm: if measured {
+            heap.thickness / heap.thin_area * 1e3
+        } else {
+            0.0
+        },
+        distance_max_mm: heap.distance * 1e3,
+        count: heap.count,
+    }
+}
+
+impl std::fmt::Display for ThinPart {
+    /// One line for a person.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let name = |n: &Option<String>| n.clone().unwrap_or_else(|| "outside".to_owned());
+        let place = |v: &[f64; 3], between: &str| {
+            let v = v.map(|x| format!("{x:.0}"));
+            v.join(between)
+        };
+        let [a, b] = &self.between;
+        let what = match self.kind {
+            ThinKind::Layer => format!(
+                "{} between {} and {} is {:.1} mm thin (least {:.1})",
+                name(&self.region),
+                name(b),
+                name(a),
+                self.thickness_mean_mm,
+                self.thickness_min_mm
+            ),
+            ThinKind::Gap => format!(
+                "the gap between {} and {} is {:.1} mm wide (least {:.1})",
+                name(a),
+                name(b),
+                self.thickness_mean_mm,
+                self.thickness_min_mm
+            ),
+            ThinKind::Rim => format!(
+                "{} is lost at an edge, a tip or beside a thin part",
+                name(&self.region)
+            ),
+            ThinKind::Crumb => format!(
+                "{} cells of {} were given to {}",
+                self.count,
+                name(&self.region),
+                name(a)
+            ),
+            ThinKind::LetGo => format!(
+                "{} nodes of {} left their interface for good cells",
+                self.count,
+                name(&self.region)
+            ),
+            ThinKind::Stray => format!(
+                "{} nodes of {} lie off their interface",
+                self.count,
+                name(&self.region)
+            ),
+        };
+        write!(
+            f,
+            "{what}: {} mm2, {} mm2 lost, at most {:.1} mm off, around ({}), {} mm",
+            self.area_mm2.round(),
+            self.lost_area_mm2.round(),
+            self.distance_max_mm,
+            place(&self.centre_mm, ", "),
+            place(&self.size_mm, " x ")
+        )
+    }
+}

@@ -1,0 +1,276 @@
+//! Bricks: two by two by two cells of the lattice, the unit in which forces are computed.
+//!
+//! A brick has up to 27 nodes and 158 springs. With the nodes in a row of length 27, the springs of
+//! one direction join entry `i` with entry `i + offset` for one fixed offset, so eight springs at a
+//! time are loads, arithmetic and stores without any gathering. Each cell brings its own share of
+//! the stiffness of its springs, so a spring between two bricks is computed in both, with what their
+//! cells give to it.
+//!
+//! Where a cut has doubled nodes, two cells of one brick can disagree about the node at the same
+//! place; they then go to two bricks, and nothing else has to know of cuts. Cells whose springs
+//! follow different curves go to different bricks, too.
+
+use super::lanes::LANES;
+use super::law::{Curve, Elastic};
+use crate::springs::LENGTH_FLOOR;
+use crate::{Topology, Vec3, fit};
+
+/// Nodes of a brick: 3 x 3 x 3.
+pub(crate) const LOCALS: usize = 27;
+/// The nodes of a brick in whole vectors.
+pub(crate) const SPAN: usize = 32;
+/// Length of an array over the nodes of a brick, with room for loads beyond its end.
+pub(crate) const PADDED: usize = 48;
+/// Distances between the ends of a spring in a row of the brick's nodes, and the lattice steps that
+/// they stand for.
+const STEPS: [(usize, [i32; 3]); 13] = [
+    (1, [1, 0, 0]),
+    (3, [0, 1, 0]),
+    (9, [0, 0, 1]),
+    (4, [1, 1, 0]),
+    (2, [-1, 1, 0]),
+    (10, [1, 0, 1]),
+    (8, [-1, 0, 1]),
+    (12, [0, 1, 1]),
+    (6, [0, -1, 1]),
+    (13, [1, 1, 1]),
+    (11, [-1, 1, 1]),
+    (7, [1, -1, 1]),
+    (5, [-1, -1, 1]),
+];
+/// Directions of springs.
+pub(crate) const DIRECTIONS: usize = STEPS.len();
+
+/// Offset of each direction.
+pub(crate) const OFFSETS: [usize; DIRECTIONS] = [1, 3, 9, 4, 2, 10, 8, 12, 6, 13, 11, 7, 5];
+
+/// Entry of corner `c` of the cell at position `p` (0..8) of a brick.
+pub(crate) const CORNER: [[usize; 8]; 8] = corners();
+
+const fn corners() -> [[usize; 8]; 8] {
+    let mut list = [[0; 8]; 8];
+    let mut p = 0;
+    while p < 8 {
+        let mut c = 0;
+        while c < 8 {
+            let x = (p & 1) + (c & 1);
+            let y = (p >> 1 & 1) + (c >> 1 & 1);
+            let z = (p >> 2 & 1) + (c >> 2 & 1);
+            list[p][c] = x + 3 * y + 9 * z;
+            c += 1;
+        }
+        p += 1;
+    }
+    list
+}
+
+/// What the forces of a brick depend on besides displacements; bricks that are alike share one.
+#[derive(Clone, PartialEq)]
+pub(crate) struct Form {
+    /// Rest positions from the middle of the brick in m.
+    pub(crate) rest: [[f32; PADDED]; 3],
+    /// Stiffness of the springs of each direction in N/m, by the node that they start at.
+    pub(crate) stiffness: [[f32; SPAN]; DIRECTIONS],
+    /// Bit `4 d + i / 8` is set when a spring of direction `d` starts at a node around `i`.
+    used: u64,
+    /// κ V0 of each cell in N m, and one over its determinant at rest (the volume term).
+    pub(crate) bulk: [f32; LANES],
+    pub(crate) per_volume: [f32; LANES],
+    /// Whether any cell has a volume term.
+    pub(crate) has_bulk: bool,
+    pub(crate) curve: Curve,
+}
+
+impl Form {
+    /// Whether any of the eight springs of a direction around entry `from` is there.
+    #[inline(always)]
+    pub(crate) fn uses(&self, direction: usize, from: usize) -> bool {
+        self.used >> (4 * direction + from / LANES) & 1 == 1
+    }
+}
+
+/// A brick.
+#[derive(Clone, Copy)]
+pub(crate) struct Brick {
+    /// Node at each entry; where there is none, some node of the brick.
+    pub(crate) nodes: [u32; LOCALS],
+    /// Bit `i` is set when entry `i` has a node.
+    pub(crate) present: u32,
+    /// Index of its [`Form`].
+    pub(crate) form: u32,
+}
+
+/// Cells that belong to one brick, while it is put together.
+pub(crate) struct Draft {
+    pub(crate) nodes: [u32; LOCALS],
+    pub(crate) curve: Curve,
+    /// Cell at each position, or none.
+    pub(crate) cells: [Option<u32>; 8],
+}
+
+const ABSENT: u32 = u32::MAX;
+
+impl Draft {
+    /// Shares cells of one place among as few bricks as their nodes and curves allow.
+    pub(crate) fn of(topology: &Topology, cells: &[(usize, u32)], drafts: &mut Vec<Self>) {
+        let first = drafts.len();
+        for &(position, cell) in cells {
+            let corners = topology.corners(cell);
+            let curve =
+                Curve::of(&topology.model().regions[topology.region(cell).index()].material);
+            let fits = |draft: &Self| {
+                draft.curve == curve
+                    && draft.cells[position].is_none()
+                    && corners
+                        .iter()
+                        .zip(CORNER[position])
+                        .all(|(&node, i)| draft.nodes[i] == ABSENT || draft.nodes[i] == node)
+            };
+            let found = drafts[first..].iter().position(fits);
+            let index = found.map_or(drafts.len(), |i| first + i);
+            if index == drafts.len() {
+                drafts.push(Self {
+                    nodes: [ABSENT; LOCALS],
+                    curve,
+                    cells: [None; 8],
+                });
+            }
+            let draft = &mut drafts[index];
+            draft.cells[position] = Some(cell);
+            for (&node, i) in corners.iter().zip(CORNER[position]) {
+                draft.nodes[i] = node;
+            }
+        }
+    }
+
+    /// The brick, its form still to be numbered.
+    pub(crate) fn finish(&self, topology: &Topology) -> (Brick, Form) {
+        let mut nodes = self.nodes;
+        let mut present = 0;
+        let some = nodes.iter().copied().find(|&n| n != ABSENT).unwrap_or(0);
+        for (i, node) in nodes.iter_mut().enumerate() {
+            if *node == ABSENT {
+                *node = some;
+            } else {
+                present |= 1 << i;
+            }
+        }
+        let brick = Brick {
+            nodes,
+            present,
+            form: 0,
+        };
+        (brick, self.form(topology, &nodes))
+    }
+
+    fn form(&self, topology: &Topology, nodes: &[u32; LOCALS]) -> Form {
+        let spacing = topology.model().spacing_m;
+        let origin = topology.rest(nodes[0]);
+        // In spacings first: cubes at different places then have the same bits.
+        let mut rest = [[0.0; PADDED]; 3];
+        for (i, &node) in nodes.iter().enumerate() {
+            let d = (topology.rest(node) - origin) / spacing;
+            for a in 0..3 {
+                rest[a][i] = d[a] as f32 * spacing as f32;
+            }
+        }
+        let mut springs = [[0.0f64; LOCALS]; STEPS.len()];
+        let (mut bulk, mut per_volume) = ([0.0; LANES], [0.0; LANES]);
+        for (position, cell) in self.cells.iter().enumerate() {
+            let Some(cell) = *cell else { continue };
+            let elastic = topology.elastic(cell);
+            add_springs(topology, cell, position, elastic, &mut springs);
+            let det = rest_determinant(topology, cell);
+            if elastic.bulk_pa > 0.0 && det > 0.0 {
+                bulk[position] = (elastic.bulk_pa * topology.volume(cell)) as f32;
+                per_volume[position] = (1.0 / det) as f32;
+            }
+        }
+        let mut stiffness = [[0.0; SPAN]; DIRECTIONS];
+        let mut used = 0;
+        for (d, row) in stiffness.iter_mut().enumerate() {
+            for (i, k) in springs[d].iter().enumerate().filter(|k| *k.1 > 0.0) {
+                row[i] = *k as f32;
+                used |= 1 << (4 * d + i / LANES);
+            }
+        }
+        Form {
+            rest,
+            stiffness,
+            used,
+            bulk,
+            per_volume,
+            has_bulk: bulk.iter().any(|&b| b > 0.0),
+            curve: self.curve,
+        }
+    }
+}
+
+/// Adds the springs of one cell to those of its brick; see `springs.rs` for the shares.
+fn add_springs(
+    topology: &Topology,
+    cell: u32,
+    position: usize,
+    elastic: &Elastic,
+    springs: &mut [[f64; LOCALS]; STEPS.len()],
+) {
+    let corners = topology.corners(cell);
+    let floor = LENGTH_FLOOR * topology.model().spacing_m;
+    let energy = elastic.spring_pa * topology.volume(cell).max(0.0);
+    let shares = fit::shares(&corners.map(|n| topology.rest(n)), floor);
+    for (share, [a, b]) in shares.into_iter().zip(fit::ENDS) {
+        let d: Vec3 = topology.rest(corners[b]) - topology.rest(corners[a]);
+        let length = d.norm().max(floor);
+        let k = share * energy * elastic.along(&d) / (length * length);
+        let (i, j) = (CORNER[position][a], CORNER[position][b]);
+        let (i, offset) = (i.min(j), i.abs_diff(j));
+        let step = STEPS.iter().position(|s| s.0 == offset).unwrap_or(0);
+        springs[step][i] += k;
+    }
+}
+
+/// Mean edges of a cell, as they enter the volume term: three vectors.
+pub(crate) fn mean_edges(corners: &[Vec3; 8]) -> [Vec3; 3] {
+    std::array::from_fn(|axis| {
+        let mut sum = Vec3::zeros();
+        for (c, p) in corners.iter().enumerate() {
+            if c >> axis & 1 == 1 {
+                sum += p;
+            } else {
+                sum -= p;
+            }
+        }
+        sum / 4.0
+    })
+}
+
+fn rest_determinant(topology: &Topology, cell: u32) -> f64 {
+    let [a, b, c] = mean_edges(&topology.corners(cell).map(|n| topology.rest(n)));
+    a.dot(&b.cross(&c))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_spring_of_a_cell_has_its_place() {
+        for (offset, step) in STEPS {
+            assert_eq!(
+                OFFSETS[STEPS.iter().position(|s| s.0 == offset).unwrap()],
+                offset
+            );
+            let index = step[0] + 3 * step[1] + 9 * step[2];
+            assert_eq!(index, offset as i32);
+        }
+        for position in 0..8 {
+            for a in 0..8 {
+                for b in a + 1..8 {
+                    let offset = CORNER[position][a].abs_diff(CORNER[position][b]);
+                    assert!(STEPS.iter().any(|s| s.0 == offset), "{position} {a} {b}");
+                }
+            }
+        }
+        assert!(OFFSETS.iter().all(|o| o + SPAN <= PADDED));
+    }
+}

@@ -1,0 +1,230 @@
+//! The next coarser lattice over cells of any level: which cells make an element, which points it
+//! has, and what hangs on them.
+//!
+//! Two by two by two cells make an element, as far as they hang together through faces: cells on
+//! two sides of a cut, or of a gap between two fingers, make two elements at the same place. The
+//! corners of elements become one point where a point of the finer level hangs on both. So the
+//! coarse lattices open where the fine one does, and the trilinear weights of a point are the same
+//! from whichever element it is seen.
+
+use std::collections::BTreeMap;
+
+/// A cell of some level as the next coarser one sees it.
+#[derive(Clone, Copy)]
+pub(crate) struct Piece {
+    /// Lattice coordinates in units of its own side.
+    pub(crate) at: [i32; 3],
+    /// Points at its corners.
+    pub(crate) corners: [u32; 8],
+}
+
+/// Up to eight points of the coarser level and their weights.
+#[derive(Clone, Copy, Default, Debug, PartialEq)]
+pub(crate) struct Ties {
+    pub(crate) to: [u32; 8],
+    pub(crate) weight: [f32; 8],
+    pub(crate) len: u8,
+}
+
+/// A coarser lattice.
+pub(crate) struct Coarse {
+    /// Its elements, sorted by place.
+    pub(crate) pieces: Vec<Piece>,
+    /// Element of every finer cell.
+    pub(crate) element_of: Vec<u32>,
+    /// Ties of every finer point; none for those of no cell.
+    pub(crate) ties: Vec<Ties>,
+    /// Number of its points.
+    pub(crate) points: usize,
+}
+
+/// Position (0..8) of a cell in its element.
+pub(crate) fn octant(at: [i32; 3]) -> usize {
+    (at[0] & 1) as usize | ((at[1] & 1) as usize) << 1 | ((at[2] & 1) as usize) << 2
+}
+
+fn place(at: [i32; 3]) -> [i32; 3] {
+    at.map(|v| v.div_euclid(2))
+}
+
+/// Makes the coarser lattice. `points` is the number of finer points, `joined(a, axis)` the cells
+/// that hang on cell `a` through its face towards higher coordinates on an axis.
+pub(crate) fn coarsen(
+    cells: &[Piece],
+    points: usize,
+    joined: impl Fn(u32, usize) -> Vec<u32>,
+) -> Coarse {
+    // Cells of one place, in order.
+    let mut order: Vec<u32> = (0..cells.len() as u32).collect();
+    let key = |c: u32| {
+        let at = place(cells[c as usize].at);
+        (at[2], at[1], at[0])
+    };
+    order.sort_unstable_by_key(|&c| (key(c), c));
+    // Components within a place.
+    let mut sets = Sets::new(cells.len());
+    for c in 0..cells.len() as u32 {
+        for axis in 0..3 {
+            if cells[c as usize].at[axis] & 1 == 0 {
+                for other in joined(c, axis) {
+                    sets.join(c, other);
+                }
+            }
+        }
+    }
+    let mut element_of = vec![u32::MAX; cells.len()];
+    let mut pieces: Vec<Piece> = Vec::new();
+    for &c in &order {
+        let root = sets.find(c);
+        if element_of[root as usize] == u32::MAX {
+            element_of[root as usize] = pieces.len() as u32;
+            pieces.push(Piece {
+                at: place(cells[c as usize].at),
+                corners: [u32::MAX; 8],
+            });
+        }
+    }
+    for c in 0..cells.len() as u32 {
+        element_of[c as usize] = element_of[sets.find(c) as usize];
+    }
+    let (ties, count) = merge_corners(cells, points, &element_of, &mut pieces);
+    Coarse {
+        pieces,
+        element_of,
+        ties,
+        points: count,
+    }
+}
+
+/// Makes one point of all corners that a finer point hangs on, numbers them and ties the points.
+fn merge_corners(
+    cells: &[Piece],
+    points: usize,
+    element_of: &[u32],
+    pieces: &mut [Piece],
+) -> (Vec<Ties>, usize) {
+    const NONE: u32 = u32::MAX;
+    let mut slots = Sets::new(pieces.len() * 8);
+    let mut first = vec![[NONE; 8]; points];
+    for (c, cell) in cells.iter().enumerate() {
+        let element = element_of[c];
+        let own = octant(cell.at);
+        for (corner, &point) in cell.corners.iter().enumerate() {
+            let known = &mut first[point as usize];
+            for (low, slot) in support(own, corner) {
+                let slot = element * 8 + slot as u32;
+                if known[low] == NONE {
+                    known[low] = slot;
+                } else {
+                    slots.join(known[low], slot);
+                }
+            }
+        }
+    }
+    let mut number = vec![NONE; pieces.len() * 8];
+    let mut count = 0;
+    for (e, piece) in pieces.iter_mut().enumerate() {
+        for s in 0..8 {
+            let root = slots.find((e * 8 + s) as u32) as usize;
+            if number[root] == NONE {
+                number[root] = count;
+                count += 1;
+            }
+            piece.corners[s] = number[root];
+        }
+    }
+    let ties = first
+        .iter()
+        .map(|known| {
+            let mut ties = Ties::default();
+            let used = known.iter().filter(|&&s| s != NONE).count();
+            for &slot in known.iter().filter(|&&s| s != NONE) {
+                ties.to[ties.len as usize] = pieces[slot as usize / 8].corners[slot as usize % 8];
+                ties.weight[ties.len as usize] = 1.0 / used as f32;
+                ties.len += 1;
+            }
+            ties
+        })
+        .collect();
+    (ties, count as usize)
+}
+
+/// Corners of an element on which corner `corner` of the cell at `octant` hangs: for each, its
+/// number among those of the point (by odd axes) and the slot of the element.
+fn support(octant: usize, corner: usize) -> impl Iterator<Item = (usize, usize)> {
+    let at: [usize; 3] = std::array::from_fn(|a| (octant >> a & 1) + (corner >> a & 1));
+    (0..8usize).filter_map(move |low| {
+        let mut slot = 0;
+        for (a, &v) in at.iter().enumerate() {
+            let bit = low >> a & 1;
+            match v {
+                1 => slot |= bit << a,
+                _ if bit == 1 => return None,
+                2 => slot |= 1 << a,
+                _ => {}
+            }
+        }
+        Some((low, slot))
+    })
+}
+
+/// Which elements hang on which through faces: by the points of the face that they share.
+pub(crate) struct Joints {
+    at: BTreeMap<[i32; 3], Vec<u32>>,
+}
+
+impl Joints {
+    pub(crate) fn new(pieces: &[Piece]) -> Self {
+        let mut at: BTreeMap<[i32; 3], Vec<u32>> = BTreeMap::new();
+        for (i, piece) in pieces.iter().enumerate() {
+            at.entry(piece.at).or_default().push(i as u32);
+        }
+        Self { at }
+    }
+
+    /// Elements behind the face of `a` towards higher coordinates that share all its points.
+    pub(crate) fn behind(&self, pieces: &[Piece], a: u32, axis: usize) -> Vec<u32> {
+        let own = &pieces[a as usize];
+        let mut to = own.at;
+        to[axis] += 1;
+        let shares = |other: &u32| {
+            let corners = &pieces[*other as usize].corners;
+            (0..8)
+                .filter(|c| c >> axis & 1 == 0)
+                .all(|c| corners[c] == own.corners[c | 1 << axis])
+        };
+        let list = self.at.get(&to);
+        list.into_iter().flatten().copied().filter(shares).collect()
+    }
+}
+
+/// Disjoint sets; the root of a set is its lowest member.
+struct Sets {
+    parent: Vec<u32>,
+}
+
+impl Sets {
+    fn new(len: usize) -> Self {
+        Self {
+            parent: (0..len as u32).collect(),
+        }
+    }
+
+    fn find(&mut self, mut a: u32) -> u32 {
+        while self.parent[a as usize] != a {
+            let up = self.parent[self.parent[a as usize] as usize];
+            self.parent[a as usize] = up;
+            a = up;
+        }
+        a
+    }
+
+    fn join(&mut self, a: u32, b: u32) {
+        let (a, b) = (self.find(a), self.find(b));
+        if a < b {
+            self.parent[b as usize] = a;
+        } else {
+            self.parent[a as usize] = b;
+        }
+    }
+}

@@ -1,0 +1,287 @@
+//! Elements of the coarse levels: 24 x 24 stiffness matrices over eight points.
+//!
+//! With u = P e, P the trilinear weights, the energy at rest becomes ½ eᵀ(PᵀAP)e. A spring between
+//! nodes i and j sees of coarse point I the part `d_I = w_jI - w_iI`, so it adds
+//!
+//! ```text
+//! k [n nᵀ + σ (I - n nᵀ)] d_I d_J
+//! ```
+//!
+//! with the floor σ of `law.rs`; a cell's volume term adds κ V0 b bᵀ with b = Σ w ∇J. Kept per element
+//! instead of as rows of an assembled matrix, the operator needs no table of neighbours that a cut
+//! could upset, and elements that are alike (the inside of every homogeneous region) share one.
+
+use super::brick::{CORNER, Form, LOCALS, OFFSETS};
+use super::law::{Symmetric, sideways};
+
+/// Unknowns of an element: corner `c` along axis `a` is [`at`]`(c, a)`.
+pub(crate) const SIZE: usize = 24;
+/// Place of corner `c` along axis `a`. Axis by axis, because what is stored in vectors is read back
+/// number by number, and a read that spans two vectors has to wait for both.
+#[inline(always)]
+pub(crate) const fn at(c: usize, a: usize) -> usize {
+    8 * a + c
+}
+
+/// Iterations that estimate the largest eigenvalue of a scaled element.
+const POWER: usize = 12;
+
+/// The matrix of an element and what smoothing needs of it.
+#[derive(Clone)]
+pub(crate) struct Matrix {
+    /// Column by column; symmetric.
+    pub(crate) k: [[f32; SIZE]; SIZE],
+    /// Blocks of the corners times the largest eigenvalue of the element scaled by its blocks:
+    /// summed over elements they bound the whole matrix from above.
+    pub(crate) bound: [[f32; 6]; 8],
+}
+
+/// Accumulates in f64 what becomes a [`Matrix`].
+pub(crate) struct Sum(Box<[[f64; SIZE]; SIZE]>);
+
+impl Sum {
+    pub(crate) fn new() -> Self {
+        Self(Box::new([[0.0; SIZE]; SIZE]))
+    }
+
+    /// Adds the springs and volume terms of a brick; bit `i` of `fixed` tells that entry `i` does
+    /// not move.
+    pub(crate) fn add_brick(&mut self, form: &Form, fixed: u32, per_spacing: f32) {
+        // Per pair of corners: n nᵀ part and the isotropic part of all springs.
+        for (direction, offset) in OFFSETS.into_iter().enumerate() {
+            for (i, &k) in form.stiffness[direction][..LOCALS].iter().enumerate() {
+                if k > 0.0 {
+                    self.add_spring(form, [i, i + offset], f64::from(k), fixed, per_spacing);
+                }
+            }
+        }
+        if form.has_bulk {
+            self.add_bulk(form, fixed);
+        }
+    }
+
+    fn add_spring(
+        &mut self,
+        form: &Form,
+        [i, j]: [usize; 2],
+        k: f64,
+        fixed: u32,
+        per_spacing: f32,
+    ) {
+        let weights = |entry: usize| {
+            if fixed >> entry & 1 == 1 {
+                [0.0; 8]
+            } else {
+                WEIGHTS[entry]
+            }
+        };
+        let (wi, wj) = (weights(i), weights(j));
+        let d: [f64; 8] = std::array::from_fn(|c| wj[c] - wi[c]);
+        let v: [f64; 3] =
+            std::array::from_fn(|a| f64::from(form.rest[a][j]) - f64::from(form.rest[a][i]));
+        let square = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).max(1e-20);
+        let floor = f64::from(sideways(square.sqrt() as f32, per_spacing));
+        let along = k * (1.0 - floor) / square;
+        let block: [[f64; 3]; 3] = std::array::from_fn(|a| {
+            std::array::from_fn(|b| along * v[a] * v[b] + if a == b { k * floor } else { 0.0 })
+        });
+        for p in 0..8 {
+            if d[p] == 0.0 {
+                continue;
+            }
+            for q in 0..8 {
+                let w = d[p] * d[q];
+                if w != 0.0 {
+                    for a in 0..3 {
+                        for b in 0..3 {
+                            self.0[at(p, a)][at(q, b)] += w * block[a][b];
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn add_bulk(&mut self, form: &Form, fixed: u32) {
+        for cell in 0..8 {
+            if form.bulk[cell] == 0.0 {
+                continue;
+            }
+            let point = |c: usize, a: usize| f64::from(form.rest[a][CORNER[cell][c]]);
+            let edge: [[f64; 3]; 3] = std::array::from_fn(|axis| {
+                std::array::from_fn(|a| {
+                    (0..8)
+                        .map(|c| {
+                            if c >> axis & 1 == 1 {
+                                point(c, a)
+                            } else {
+                                -point(c, a)
+                            }
+                        })
+                        .sum::<f64>()
+                        / 4.0
+                })
+            });
+            let cross = |a: [f64; 3], b: [f64; 3]| {
+                [
+                    a[1] * b[2] - a[2] * b[1],
+                    a[2] * b[0] - a[0] * b[2],
+                    a[0] * b[1] - a[1] * b[0],
+                ]
+            };
+            let normals = [
+                cross(edge[1], edge[2]),
+                cross(edge[2], edge[0]),
+                cross(edge[0], edge[1]),
+            ];
+            let scale = f64::from(form.per_volume[cell]) / 4.0;
+            let mut b = [0.0; SIZE];
+            for c in 0..8 {
+                let entry = CORNER[cell][c];
+                if fixed >> entry & 1 == 1 {
+                    continue;
+                }
+                for a in 0..3 {
+                    let g: f64 = (0..3)
+                        .map(|axis| {
+                            let n = normals[axis][a] * scale;
+                            if c >> axis & 1 == 1 { n } else { -n }
+                        })
+                        .sum();
+                    for p in 0..8 {
+                        b[at(p, a)] += WEIGHTS[entry][p] * g;
+                    }
+                }
+            }
+            let k = f64::from(form.bulk[cell]);
+            for (i, row) in self.0.iter_mut().enumerate() {
+                if b[i] != 0.0 {
+                    for (j, v) in row.iter_mut().enumerate() {
+                        *v += k * b[i] * b[j];
+                    }
+                }
+            }
+        }
+    }
+
+    /// Adds the matrix of a finer element at octant `octant` of this one.
+    pub(crate) fn add_child(&mut self, child: &Matrix, octant: usize) {
+        let weights: [[f64; 8]; 8] = std::array::from_fn(|c| WEIGHTS[CORNER[octant][c]]);
+        // T = K P, then PᵀT.
+        let mut t = [[0.0f64; SIZE]; SIZE];
+        for (i, row) in t.iter_mut().enumerate() {
+            for q in 0..8 {
+                for b in 0..3 {
+                    let mut sum = 0.0;
+                    for c in 0..8 {
+                        sum += f64::from(child.k[i][at(c, b)]) * weights[c][q];
+                    }
+                    row[at(q, b)] = sum;
+                }
+            }
+        }
+        for p in 0..8 {
+            for c in 0..8 {
+                let w = weights[c][p];
+                if w != 0.0 {
+                    for a in 0..3 {
+                        for j in 0..SIZE {
+                            self.0[at(p, a)][j] += w * t[at(c, a)][j];
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// The matrix in single precision, and its bound.
+    pub(crate) fn finish(self) -> Matrix {
+        let k = std::array::from_fn(|i| self.0[i].map(|v| v as f32));
+        let blocks: [Symmetric; 8] = std::array::from_fn(|c| {
+            let k = |a: usize, b: usize| self.0[at(c, a)][at(c, b)];
+            [k(0, 0), k(1, 1), k(2, 2), k(0, 1), k(0, 2), k(1, 2)]
+        });
+        let largest = self.largest(&blocks);
+        Matrix {
+            k,
+            bound: blocks.map(|b| b.map(|v| (v * largest) as f32)),
+        }
+    }
+
+    /// Largest eigenvalue of the element scaled by the inverse of its diagonal blocks.
+    fn largest(&self, blocks: &[Symmetric; 8]) -> f64 {
+        let inverse = blocks.map(|b| {
+            if b[0] + b[1] + b[2] > 0.0 {
+                super::law::invert(&b)
+            } else {
+                [0.0; 6]
+            }
+        });
+        // A fixed start that is orthogonal to no likely eigenvector.
+        let mut x: [f64; SIZE] = std::array::from_fn(|i| ((i * 37 + 11) % 29) as f64 / 29.0 - 0.4);
+        let mut value = 1.0;
+        for _ in 0..POWER {
+            let mut y = [0.0; SIZE];
+            for (i, row) in self.0.iter().enumerate() {
+                y[i] = row.iter().zip(&x).map(|(k, x)| k * x).sum();
+            }
+            let mut z = [0.0; SIZE];
+            for c in 0..8 {
+                let (m, v) = (&inverse[c], [y[at(c, 0)], y[at(c, 1)], y[at(c, 2)]]);
+                z[at(c, 0)] = m[0] * v[0] + m[3] * v[1] + m[4] * v[2];
+                z[at(c, 1)] = m[3] * v[0] + m[1] * v[1] + m[5] * v[2];
+                z[at(c, 2)] = m[4] * v[0] + m[5] * v[1] + m[2] * v[2];
+            }
+            let norm = z.iter().map(|v| v * v).sum::<f64>().sqrt();
+            let before = x.iter().map(|v| v * v).sum::<f64>().sqrt();
+            if norm == 0.0 || before == 0.0 {
+                break;
+            }
+            value = norm / before;
+            x = z.map(|v| v / norm);
+        }
+        // The iteration comes from below.
+        (1.05 * value).clamp(1.0, 8.0)
+    }
+}
+
+/// Trilinear weights of the eight corners at each of the 27 places of an element.
+pub(crate) const WEIGHTS: [[f64; 8]; LOCALS] = weights();
+
+const fn weights() -> [[f64; 8]; LOCALS] {
+    let mut list = [[0.0; 8]; LOCALS];
+    let mut i = 0;
+    while i < LOCALS {
+        let at = [i % 3, i / 3 % 3, i / 9];
+        let mut c = 0;
+        while c < 8 {
+            let mut w = 1.0;
+            let mut a = 0;
+            while a < 3 {
+                let high = at[a] as f64 * 0.5;
+                w *= if c >> a & 1 == 1 { high } else { 1.0 - high };
+                a += 1;
+            }
+            list[i][c] = w;
+            c += 1;
+        }
+        i += 1;
+    }
+    list
+}
+
+/// `y += K x`.
+#[inline(always)]
+pub(crate) fn multiply(k: &[[f32; SIZE]; SIZE], x: &[f32; SIZE], y: &mut [f32; SIZE]) {
+    // Two chains of sums, or each addition would wait for the one before.
+    let (mut even, mut odd) = (*y, [0.0; SIZE]);
+    for (columns, v) in k.chunks_exact(2).zip(x.chunks_exact(2)) {
+        for i in 0..SIZE {
+            even[i] += columns[0][i] * v[0];
+            odd[i] += columns[1][i] * v[1];
+        }
+    }
+    for i in 0..SIZE {
+        y[i] = even[i] + odd[i];
+    }
+}

@@ -1,0 +1,64 @@
+//! What a step may begin with: the change of the last one, carried on.
+//!
+//! A hand that presses moves on much as it moved before, and equilibrium follows it smoothly. So when
+//! what drives the shape (touching tools, held nodes) has moved by γ times what it moved before, the
+//! shape begins with γ times its last change; what remains to be solved is of second order in the step.
+
+use crate::Vec3;
+use crate::contact::{Contacts, Tool};
+
+/// Cosine between two moves from which on the second one continues the first.
+const ALIKE: f64 = 0.7;
+/// Times the last change that is carried on at most. Below one, so that what a step got wrong dies
+/// out even if the next one has little time.
+const MOST: f64 = 0.9;
+
+/// Where drivers were and how they moved in the last step.
+#[derive(Default)]
+pub(super) struct Foresight {
+    drivers: Vec<Driver>,
+}
+
+struct Driver {
+    /// Tool, or node with the highest bit set.
+    id: (bool, u32),
+    at: Vec3,
+    by: Vec3,
+}
+
+impl Foresight {
+    /// Takes in where tools and held nodes are; gives γ.
+    pub(super) fn look(
+        &mut self,
+        tools: &[Tool],
+        contacts: &Contacts,
+        held: &[u32],
+        u: &[Vec3],
+    ) -> f64 {
+        let touching = tools.iter().filter(|t| contacts.is_touching(t.id));
+        let tools = touching.map(|t| ((false, t.id), t.centre));
+        let nodes = held.iter().map(|&n| ((true, n), u[n as usize]));
+        let (mut both, mut last, mut now) = (0.0, 0.0, 0.0);
+        let drivers: Vec<Driver> = tools
+            .chain(nodes)
+            .enumerate()
+            .map(|(i, (id, at))| {
+                let same = |d: &&Driver| d.id == id;
+                let known = self.drivers.get(i).filter(same);
+                let known = known.or_else(|| self.drivers.iter().find(same));
+                let by = known.map_or_else(Vec3::zeros, |d| at - d.at);
+                if let Some(before) = known {
+                    both += by.dot(&before.by);
+                    last += before.by.norm_squared();
+                    now += by.norm_squared();
+                }
+                Driver { id, at, by }
+            })
+            .collect();
+        self.drivers = drivers;
+        if last == 0.0 || both.abs() < ALIKE * (last * now).sqrt() {
+            return 0.0;
+        }
+        (both / last).clamp(-1.0, MOST)
+    }
+}

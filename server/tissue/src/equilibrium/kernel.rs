@@ -1,0 +1,400 @@
+//! Forces and tangent blocks of a brick: the inner loops of the equilibrium.
+//!
+//! Everything is `inline(always)` down to what is dispatched on the machine's vectors.
+
+use pulp::{Simd, WithSimd};
+
+use super::brick::{Brick, CORNER, DIRECTIONS, Form, LOCALS, OFFSETS, PADDED, SPAN};
+use super::lanes::{LANES, V};
+use super::law::{EXTREME, GUARD, GUARDED, LONG, SHORT, SIDEWAYS};
+use crate::Vec3;
+
+/// The blocks of springs times two bound their matrix whatever they join. On lattices with all their
+/// diagonals the highest mode is at 1.6 (alternating nodes load edges and body diagonals twice, face
+/// diagonals not at all); measured, 1.6 converges and 1.3 does not.
+const SPRINGS: f32 = 1.7;
+
+/// Three components over the nodes of a brick.
+pub(crate) type Local = [[f32; PADDED]; 3];
+
+/// Symmetric blocks over the nodes of a brick: xx, yy, zz, xy, xz, yz.
+pub(crate) type LocalBlocks = [[f32; PADDED]; 6];
+
+/// Axes of the entries of a symmetric block.
+const PAIRS: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+
+/// Forces of a brick on its nodes, in N. (A closure would not be inlined into what knows of wider
+/// vectors.)
+pub(crate) struct Forces<'a> {
+    pub(crate) brick: &'a Brick,
+    pub(crate) form: &'a Form,
+    /// Displacements of all nodes in m.
+    pub(crate) u: &'a [Vec3],
+}
+
+impl WithSimd for Forces<'_> {
+    type Output = Local;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Local {
+        let local = gather(&self.brick.nodes, self.u);
+        let mut f = spring_forces(simd, self.form, &local);
+        if self.form.has_bulk {
+            bulk_forces(simd, self.form, &local, &mut f);
+        }
+        f
+    }
+}
+
+/// Tangent blocks of the nodes of a brick in N/m. Springs count [`SPRINGS`] times and the volume
+/// term eight times, which bounds the whole matrix by its blocks.
+pub(crate) struct Tangents<'a> {
+    pub(crate) brick: &'a Brick,
+    pub(crate) form: &'a Form,
+    pub(crate) u: &'a [Vec3],
+    pub(crate) per_spacing: f32,
+}
+
+impl WithSimd for Tangents<'_> {
+    type Output = LocalBlocks;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> LocalBlocks {
+        let local = gather(&self.brick.nodes, self.u);
+        let mut m = spring_tangents(simd, self.form, &local, self.per_spacing);
+        if self.form.has_bulk {
+            bulk_tangents(simd, self.form, &local, &mut m);
+        }
+        m
+    }
+}
+
+/// Displacements of a brick's nodes relative to its first, in f32.
+#[inline(always)]
+fn gather(nodes: &[u32; LOCALS], u: &[Vec3]) -> Local {
+    let mut local = [[0.0; PADDED]; 3];
+    let origin = u[nodes[0] as usize];
+    for (i, &node) in nodes.iter().enumerate() {
+        let d = u[node as usize] - origin;
+        local[0][i] = d.x as f32;
+        local[1][i] = d.y as f32;
+        local[2][i] = d.z as f32;
+    }
+    local
+}
+
+/// What springs give to their ends, direction by direction: entry `i` belongs to the spring that
+/// starts at node `i`, behind [`LEAD`] zeros.
+///
+/// Adding each group to both its ends at once would load, again and again, vectors that overlap
+/// what was stored a moment ago, and wait for it. So all springs are written down first, and each
+/// node then collects from its 26 neighbours.
+struct Ends<const C: usize>([[[f32; LEAD + SPAN]; C]; DIRECTIONS]);
+
+/// Zeros in front: as many as the largest offset, in whole vectors.
+const LEAD: usize = 16;
+
+impl<const C: usize> Ends<C> {
+    #[inline(always)]
+    fn new() -> Self {
+        Self([[[0.0; LEAD + SPAN]; C]; DIRECTIONS])
+    }
+
+    /// What starts at each node and `sign` times what ends there.
+    #[inline(always)]
+    fn collect<S: Simd>(&self, simd: S, sign: f32) -> [[f32; PADDED]; C] {
+        let mut all = [[0.0; PADDED]; C];
+        for (c, to) in all.iter_mut().enumerate() {
+            let mut from = 0;
+            while from < SPAN {
+                let (mut starts, mut ends) = (V::all(simd, 0.0), V::all(simd, 0.0));
+                for (rows, offset) in self.0.iter().zip(OFFSETS) {
+                    starts = starts + V::load(simd, &rows[c], LEAD + from);
+                    ends = ends + V::load(simd, &rows[c], LEAD + from - offset);
+                }
+                (starts + V::all(simd, sign) * ends).store(to, from);
+                from += V::<S>::WIDTH;
+            }
+        }
+        all
+    }
+}
+
+/// One group of springs: where it starts from and how it stands now.
+struct Group<S: Simd> {
+    rest: [V<S>; 3],
+    now: [V<S>; 3],
+    /// |d|² - l0².
+    excess: V<S>,
+    square: V<S>,
+    length: V<S>,
+    rest_square: V<S>,
+    rest_length: V<S>,
+}
+
+impl<S: Simd> Group<S> {
+    #[inline(always)]
+    fn load(simd: S, form: &Form, u: &Local, from: usize, offset: usize) -> Self {
+        let difference =
+            |of: &[f32; PADDED]| V::load(simd, of, from + offset) - V::load(simd, of, from);
+        let rest = [
+            difference(&form.rest[0]),
+            difference(&form.rest[1]),
+            difference(&form.rest[2]),
+        ];
+        let by = [difference(&u[0]), difference(&u[1]), difference(&u[2])];
+        let now = [rest[0] + by[0], rest[1] + by[1], rest[2] + by[2]];
+        let both = [rest[0] + now[0], rest[1] + now[1], rest[2] + now[2]];
+        let tiny = V::all(simd, 1e-20);
+        let rest_square = dot(&rest, &rest).max(tiny);
+        let square = dot(&now, &now).max(tiny);
+        Self {
+            rest,
+            now,
+            excess: dot(&by, &both),
+            square,
+            length: square.sqrt(),
+            rest_square,
+            rest_length: rest_square.sqrt(),
+        }
+    }
+
+    /// θ l0² - d·d0, above zero where the guard pushes.
+    #[inline(always)]
+    fn guarded(&self, simd: S) -> V<S> {
+        V::all(simd, GUARDED) * self.rest_square - dot(&self.now, &self.rest)
+    }
+
+    /// How far the spring is beyond its limits, in m: too short and too long, above zero.
+    #[inline(always)]
+    fn beyond(&self, simd: S, limits: [f32; 2]) -> [V<S>; 2] {
+        let [least, most] = limits.map(|l| V::all(simd, l) * self.rest_length);
+        [least - self.length, self.length - most]
+    }
+}
+
+#[inline(always)]
+fn spring_forces<S: Simd>(simd: S, form: &Form, u: &Local) -> Local {
+    let mut ends = Ends::<3>::new();
+    let zero = V::all(simd, 0.0);
+    for (direction, offset) in OFFSETS.into_iter().enumerate() {
+        let mut from = 0;
+        while from < SPAN {
+            if form.uses(direction, from) {
+                let s = Group::load(simd, form, u, from, offset);
+                let k = V::load(simd, &form.stiffness[direction], from);
+                let stretch = s.excess / ((s.length + s.rest_length) * s.length);
+                let mut t = k * stretch;
+                if form.curve.stiffening > 0.0 {
+                    let b = V::all(simd, form.curve.stiffening);
+                    t = t * (b * stretch * s.length / s.rest_length).map(growth);
+                }
+                let [short, long] = s.beyond(simd, form.curve.limits);
+                let guarded = s.guarded(simd);
+                // Rare, and dear: two roots and a division are what a spring costs otherwise.
+                let unusual = short.max(long).max(guarded).any_above_zero();
+                let mut guard = zero;
+                if unusual {
+                    let beyond = long.max(zero) - short.max(zero);
+                    t = t + V::all(simd, EXTREME) * k * beyond / s.length;
+                    guard = V::all(simd, GUARD) * k * guarded.max(zero) / s.rest_square;
+                }
+                for a in 0..3 {
+                    let mut pull = t * s.now[a];
+                    if unusual {
+                        pull = pull - guard * s.rest[a];
+                    }
+                    pull.store(&mut ends.0[direction][a], LEAD + from);
+                }
+            }
+            from += V::<S>::WIDTH;
+        }
+    }
+    ends.collect(simd, -1.0)
+}
+
+#[inline(always)]
+fn spring_tangents<S: Simd>(simd: S, form: &Form, u: &Local, per_spacing: f32) -> LocalBlocks {
+    let mut ends = Ends::<6>::new();
+    let all = |v: f32| V::all(simd, v);
+    for (direction, offset) in OFFSETS.into_iter().enumerate() {
+        let mut from = 0;
+        while from < SPAN {
+            if form.uses(direction, from) {
+                let s = Group::load(simd, form, u, from, offset);
+                let mut k = V::load(simd, &form.stiffness[direction], from) * all(SPRINGS);
+                if form.curve.stiffening > 0.0 {
+                    let b = all(form.curve.stiffening);
+                    let strain = b * (s.length - s.rest_length) / s.rest_length;
+                    k = k * strain.map(exponential).max(all(0.05));
+                }
+                let [short, long] = s.beyond(simd, form.curve.limits);
+                k = k + short.max(long).where_above_zero(all(EXTREME) * k);
+                let slope = (s.rest_length * all(per_spacing) - all(SHORT)) / all(LONG - SHORT);
+                let slope = slope.max(all(0.0)).min(all(1.0));
+                let floor = all(1.0) + slope * all(SIDEWAYS - 1.0);
+                let turning = (all(1.0) - s.rest_length / s.length).max(floor);
+                let along = k * (all(1.0) - turning) / s.square;
+                let across = k * turning;
+                let guard = all(GUARD) * k / s.rest_square;
+                let guard = s.guarded(simd).where_above_zero(guard);
+                for (e, (a, b)) in PAIRS.into_iter().enumerate() {
+                    let mut v = along * s.now[a] * s.now[b] + guard * s.rest[a] * s.rest[b];
+                    if e < 3 {
+                        v = v + across;
+                    }
+                    v.store(&mut ends.0[direction][e], LEAD + from);
+                }
+            }
+            from += V::<S>::WIDTH;
+        }
+    }
+    ends.collect(simd, 1.0)
+}
+
+/// (exp(x) - 1)/x, to three digits and rising; exp as the 64th power of a parabola.
+#[inline(always)]
+fn growth(x: f32) -> f32 {
+    let x = x.clamp(-60.0, 6.0);
+    if x.abs() < 0.25 {
+        return 1.0 + x * (0.5 + x * (1.0 / 6.0 + x * (1.0 / 24.0)));
+    }
+    (exponential(x) - 1.0) / x
+}
+
+#[inline(always)]
+fn exponential(x: f32) -> f32 {
+    let t = x.clamp(-60.0, 6.0) * (1.0 / 64.0);
+    let mut p = 1.0 + t * (1.0 + t * (0.5 + t * (1.0 / 6.0)));
+    for _ in 0..6 {
+        p *= p;
+    }
+    p
+}
+
+#[inline(always)]
+fn dot<S: Simd>(a: &[V<S>; 3], b: &[V<S>; 3]) -> V<S> {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[inline(always)]
+fn cross<S: Simd>(a: &[V<S>; 3], b: &[V<S>; 3]) -> [V<S>; 3] {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+/// Mean edges of the cells from `from` on: how a quantity differs between opposite faces.
+#[inline(always)]
+fn edges<S: Simd>(simd: S, of: &Local, from: usize) -> [[V<S>; 3]; 3] {
+    let mut numbers = [[[0.0; LANES]; 3]; 3];
+    for l in from..from + V::<S>::WIDTH {
+        for c in 0..8 {
+            let i = CORNER[l][c];
+            for (axis, edge) in numbers.iter_mut().enumerate() {
+                let sign = if c >> axis & 1 == 1 { 0.25 } else { -0.25 };
+                for a in 0..3 {
+                    edge[a][l] += sign * of[a][i];
+                }
+            }
+        }
+    }
+    let load = |axis: usize, a: usize| V::load(simd, &numbers[axis][a], from);
+    [
+        [load(0, 0), load(0, 1), load(0, 2)],
+        [load(1, 0), load(1, 1), load(1, 2)],
+        [load(2, 0), load(2, 1), load(2, 2)],
+    ]
+}
+
+/// J - 1 of the cells from `from` on, and (b×c, c×a, a×b)/det0, of which its gradient consists.
+#[inline(always)]
+fn dilation<S: Simd>(simd: S, form: &Form, u: &Local, from: usize) -> (V<S>, [[V<S>; 3]; 3]) {
+    let rest = edges(simd, &form.rest, from);
+    let by = edges(simd, u, from);
+    let sum = |e: usize| {
+        [
+            rest[e][0] + by[e][0],
+            rest[e][1] + by[e][1],
+            rest[e][2] + by[e][2],
+        ]
+    };
+    let now = [sum(0), sum(1), sum(2)];
+    let scale = V::load(simd, &form.per_volume, from);
+    let scaled = |n: [V<S>; 3]| [n[0] * scale, n[1] * scale, n[2] * scale];
+    let normals = [
+        scaled(cross(&now[1], &now[2])),
+        scaled(cross(&now[2], &now[0])),
+        scaled(cross(&now[0], &now[1])),
+    ];
+    // det(now) - det(rest), term by term, so that a small change keeps its digits.
+    let change = dot(&by[0], &normals[0])
+        + dot(&rest[0], &scaled(cross(&by[1], &now[2])))
+        + dot(&rest[0], &scaled(cross(&rest[1], &by[2])));
+    (change, normals)
+}
+
+#[inline(always)]
+fn bulk_forces<S: Simd>(simd: S, form: &Form, u: &Local, f: &mut Local) {
+    let mut push = [[[0.0; LANES]; 3]; 3];
+    let mut from = 0;
+    while from < LANES {
+        let (change, normals) = dilation(simd, form, u, from);
+        let pressure = V::load(simd, &form.bulk, from) * change * V::all(simd, 0.25);
+        for (axis, normal) in normals.into_iter().enumerate() {
+            for a in 0..3 {
+                (pressure * normal[a]).store(&mut push[axis][a], from);
+            }
+        }
+        from += V::<S>::WIDTH;
+    }
+    for l in 0..LANES {
+        for c in 0..8 {
+            for a in 0..3 {
+                let mut sum = 0.0;
+                for (axis, push) in push.iter().enumerate() {
+                    sum += if c >> axis & 1 == 1 {
+                        push[a][l]
+                    } else {
+                        -push[a][l]
+                    };
+                }
+                f[a][CORNER[l][c]] -= sum;
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn bulk_tangents<S: Simd>(simd: S, form: &Form, u: &Local, m: &mut LocalBlocks) {
+    let mut gradient = [[[0.0; LANES]; 3]; 3];
+    let mut from = 0;
+    while from < LANES {
+        let (_, normals) = dilation(simd, form, u, from);
+        for (axis, normal) in normals.into_iter().enumerate() {
+            for a in 0..3 {
+                normal[a].store(&mut gradient[axis][a], from);
+            }
+        }
+        from += V::<S>::WIDTH;
+    }
+    // Eight corners: the matrix of a cell is below eight times its blocks.
+    for l in 0..LANES {
+        let k = form.bulk[l] * (8.0 / 16.0);
+        for c in 0..8 {
+            let g: [f32; 3] = std::array::from_fn(|a| {
+                let mut sum = 0.0;
+                for (axis, gradient) in gradient.iter().enumerate() {
+                    let v = gradient[a][l];
+                    sum += if c >> axis & 1 == 1 { v } else { -v };
+                }
+                sum
+            });
+            for (e, (a, b)) in PAIRS.into_iter().enumerate() {
+                m[e][CORNER[l][c]] += k * g[a] * g[b];
+            }
+        }
+    }
+}

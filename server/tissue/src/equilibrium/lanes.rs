@@ -1,0 +1,128 @@
+//! Vectors of f32 as wide as the machine was found to have, with the operators of numbers.
+//!
+//! Every operation is one IEEE operation per lane; there is no fused multiply-add, and nothing is ever
+//! summed across lanes. So the width of the machine's vectors changes no bit of a result.
+
+use std::ops::{Add, Div, Mul, Sub};
+
+use pulp::Simd;
+
+/// Lanes that everything is padded to; a multiple of every width in use.
+pub(crate) const LANES: usize = 8;
+
+/// A vector.
+#[derive(Clone, Copy)]
+pub(crate) struct V<S: Simd> {
+    simd: S,
+    lanes: S::f32s,
+}
+
+impl<S: Simd> V<S> {
+    /// Numbers of a vector.
+    pub(crate) const WIDTH: usize = S::F32_LANES;
+
+    #[inline(always)]
+    pub(crate) fn all(simd: S, value: f32) -> Self {
+        let lanes = simd.splat_f32s(value);
+        Self { simd, lanes }
+    }
+
+    /// The numbers from `at` on.
+    #[inline(always)]
+    pub(crate) fn load(simd: S, from: &[f32], at: usize) -> Self {
+        let lanes = S::as_simd_f32s(&from[at..at + Self::WIDTH]).0[0];
+        Self { simd, lanes }
+    }
+
+    /// Puts them at `at`.
+    #[inline(always)]
+    pub(crate) fn store(self, to: &mut [f32], at: usize) {
+        S::as_mut_simd_f32s(&mut to[at..at + Self::WIDTH]).0[0] = self.lanes;
+    }
+
+    /// Number by number; for what is rare.
+    #[inline(always)]
+    pub(crate) fn map(self, f: impl Fn(f32) -> f32) -> Self {
+        let mut numbers = [0.0; LANES];
+        self.store(&mut numbers, 0);
+        for v in &mut numbers[..Self::WIDTH] {
+            *v = f(*v);
+        }
+        Self::load(self.simd, &numbers, 0)
+    }
+
+    #[inline(always)]
+    pub(crate) fn sqrt(self) -> Self {
+        self.with(self.simd.sqrt_f32s(self.lanes))
+    }
+
+    /// The larger; `other` where they are equal, so that zeros keep their sign everywhere alike.
+    #[inline(always)]
+    pub(crate) fn max(self, other: Self) -> Self {
+        let above = self.simd.less_than_f32s(other.lanes, self.lanes);
+        self.with(self.simd.select_f32s(above, self.lanes, other.lanes))
+    }
+
+    /// The smaller; `other` where they are equal.
+    #[inline(always)]
+    pub(crate) fn min(self, other: Self) -> Self {
+        let below = self.simd.less_than_f32s(self.lanes, other.lanes);
+        self.with(self.simd.select_f32s(below, self.lanes, other.lanes))
+    }
+
+    /// Whether any number is above zero.
+    #[inline(always)]
+    pub(crate) fn any_above_zero(self) -> bool {
+        let zero = self.simd.splat_f32s(0.0);
+        let above = self.simd.less_than_f32s(zero, self.lanes);
+        self.simd.first_true_m32s(above) < Self::WIDTH
+    }
+
+    /// `value` where `self` is above zero, zero elsewhere.
+    #[inline(always)]
+    pub(crate) fn where_above_zero(self, value: Self) -> Self {
+        let zero = self.simd.splat_f32s(0.0);
+        let above = self.simd.less_than_f32s(zero, self.lanes);
+        self.with(self.simd.select_f32s(above, value.lanes, zero))
+    }
+
+    #[inline(always)]
+    fn with(self, lanes: S::f32s) -> Self {
+        Self {
+            simd: self.simd,
+            lanes,
+        }
+    }
+}
+
+impl<S: Simd> Add for V<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        self.with(self.simd.add_f32s(self.lanes, other.lanes))
+    }
+}
+
+impl<S: Simd> Sub for V<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        self.with(self.simd.sub_f32s(self.lanes, other.lanes))
+    }
+}
+
+impl<S: Simd> Mul for V<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        self.with(self.simd.mul_f32s(self.lanes, other.lanes))
+    }
+}
+
+impl<S: Simd> Div for V<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        self.with(self.simd.div_f32s(self.lanes, other.lanes))
+    }
+}

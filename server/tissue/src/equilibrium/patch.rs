@@ -1,0 +1,331 @@
+//! The part of each coarse lattice that takes part in a step, and what waits outside of it.
+//!
+//! The levels are refined around the tools only (a fast adaptive composite grid, McCormick 1989).
+//! On level l the elements of a *set* take part; some of them are *refined*: their children on the
+//! level below take part in their place. Points whose elements are all in the set are free, those on
+//! its rim follow the coarser level.
+//!
+//! What a correction does to an element that is in the set and not refined is known only by the
+//! element's matrix: its *pending* displacement p has changed its forces by K p, which stands in the
+//! lag g of its points. When the element is refined later, p goes to its children (and in the end to
+//! bricks, which are then computed afresh) and K p is taken back. Displacements wait likewise: every
+//! point keeps its total and how much of the coarser level's total it has taken over (`applied`).
+
+use super::block::{Quad, ZERO};
+use super::element::{SIZE, at, multiply};
+use super::structure::{Level, Structure};
+
+/// Displacements or forces of the corners of one element.
+pub(super) type Corners = [f32; SIZE];
+
+/// Stiffness of contacts and held nodes, added to an element.
+pub(super) struct Overlay {
+    pub(super) element: u32,
+    pub(super) k: Box<[[f32; SIZE]; SIZE]>,
+}
+
+/// A set of indices that is emptied in the time it took to fill.
+#[derive(Default)]
+pub(super) struct List {
+    pub(super) items: Vec<u32>,
+    member: Vec<bool>,
+}
+
+impl List {
+    pub(super) fn new(len: usize) -> Self {
+        Self {
+            items: Vec::with_capacity(len),
+            member: vec![false; len],
+        }
+    }
+
+    #[inline]
+    pub(super) fn insert(&mut self, item: u32) -> bool {
+        let member = &mut self.member[item as usize];
+        let new = !*member;
+        if new {
+            *member = true;
+            self.items.push(item);
+        }
+        new
+    }
+
+    #[inline]
+    pub(super) fn contains(&self, item: u32) -> bool {
+        self.member[item as usize]
+    }
+
+    pub(super) fn clear(&mut self) {
+        for item in self.items.drain(..) {
+            self.member[item as usize] = false;
+        }
+    }
+
+    /// Takes all items out.
+    pub(super) fn take(&mut self) -> Vec<u32> {
+        let items = std::mem::take(&mut self.items);
+        for &item in &items {
+            self.member[item as usize] = false;
+        }
+        items
+    }
+
+    pub(super) fn sort(&mut self) {
+        if !self.items.is_sorted() {
+            self.items.sort_unstable();
+        }
+    }
+
+    /// Keeps the items for which `keep` holds, in their order.
+    pub(super) fn retain(&mut self, mut keep: impl FnMut(u32) -> bool) {
+        let member = &mut self.member;
+        self.items.retain(|&item| {
+            let stays = keep(item);
+            member[item as usize] = stays;
+            stays
+        });
+    }
+}
+
+/// The state of one coarse lattice.
+pub(super) struct Patch {
+    pub(super) set: List,
+    pub(super) refined: List,
+    /// Elements to be refined in the next cycle.
+    pub(super) wanted: List,
+    /// Points of the set, and how many of each one's elements are in it.
+    pub(super) points: List,
+    pub(super) inside: Vec<u32>,
+    pub(super) free: Vec<bool>,
+
+    pub(super) e: Vec<Quad>,
+    pub(super) d: Vec<Quad>,
+    pub(super) b: Vec<Quad>,
+    pub(super) r: Vec<Quad>,
+    /// Points with a load, in the set or not.
+    pub(super) loaded: List,
+
+    /// What this step has corrected so far, and where.
+    pub(super) gain: Vec<Quad>,
+    pub(super) gained: List,
+
+    pub(super) lag: Vec<Quad>,
+    pub(super) lagging: List,
+    pub(super) pending: Vec<Corners>,
+    /// K p of each element: what its pending displacement put into the lag.
+    pub(super) owed: Vec<Corners>,
+    pub(super) waiting: Vec<bool>,
+    pub(super) total: Vec<[f64; 3]>,
+    pub(super) applied: Vec<[f64; 3]>,
+
+    pub(super) overlays: Vec<Overlay>,
+    pub(super) overlay_of: Vec<u32>,
+    /// Bound that overlays add to points, and the points.
+    pub(super) stiffer: Vec<[f32; 6]>,
+    pub(super) stiffened: List,
+    pub(super) inverse: Vec<[f32; 6]>,
+}
+
+/// No overlay.
+pub(super) const NONE: u32 = u32::MAX;
+
+impl Patch {
+    pub(super) fn new(level: &Level) -> Self {
+        let (elements, points) = (level.corners.len(), level.points());
+        Self {
+            set: List::new(elements),
+            refined: List::new(elements),
+            wanted: List::new(elements),
+            points: List::new(points),
+            inside: vec![0; points],
+            free: vec![false; points],
+            e: vec![ZERO; points],
+            d: vec![ZERO; points],
+            b: vec![ZERO; points],
+            r: vec![ZERO; points],
+            loaded: List::new(points),
+            gain: vec![ZERO; points],
+            gained: List::new(points),
+            lag: vec![ZERO; points],
+            lagging: List::new(points),
+            pending: vec![[0.0; SIZE]; elements],
+            owed: vec![[0.0; SIZE]; elements],
+            waiting: vec![false; elements],
+            total: vec![[0.0; 3]; points],
+            applied: vec![[0.0; 3]; points],
+            overlays: Vec::new(),
+            overlay_of: vec![NONE; elements],
+            stiffer: vec![[0.0; 6]; points],
+            stiffened: List::new(points),
+            inverse: level.bound.iter().map(invert).collect(),
+        }
+    }
+
+    /// Adds to the load of a point.
+    #[inline]
+    pub(super) fn load(&mut self, point: u32, value: &Quad, weight: f32) {
+        if self.loaded.insert(point) {
+            self.b[point as usize] = ZERO;
+        }
+        let b = &mut self.b[point as usize];
+        for a in 0..3 {
+            b[a] += weight * value[a];
+        }
+    }
+
+    #[inline]
+    fn add_lag(&mut self, point: u32, by: [f32; 3], sign: f32) {
+        self.lagging.insert(point);
+        let g = &mut self.lag[point as usize];
+        for a in 0..3 {
+            g[a] += sign * by[a];
+        }
+    }
+
+    /// Adds to what is pending on an element, and its force to the lag. Returns the largest force
+    /// on a corner that all that is pending makes, in N.
+    #[inline(always)]
+    pub(super) fn wait(&mut self, level: &Level, element: u32, by: &Corners) -> f32 {
+        let (e, mut force) = (element as usize, [0.0; SIZE]);
+        multiply(&level.matrices[level.matrix[e] as usize].k, by, &mut force);
+        self.waiting[e] = true;
+        for i in 0..SIZE {
+            self.pending[e][i] += by[i];
+            self.owed[e][i] += force[i];
+        }
+        let mut most = 0.0f32;
+        for (c, &point) in level.corners[e].iter().enumerate() {
+            self.add_lag(
+                point,
+                [force[at(c, 0)], force[at(c, 1)], force[at(c, 2)]],
+                -1.0,
+            );
+            let owed = [0, 1, 2].map(|a| self.owed[e][at(c, a)]);
+            most = most.max(owed[0] * owed[0] + owed[1] * owed[1] + owed[2] * owed[2]);
+        }
+        most.sqrt()
+    }
+
+    /// Takes what is pending on an element, and its force back out of the lag.
+    pub(super) fn take_pending(&mut self, level: &Level, element: u32) -> Corners {
+        let e = element as usize;
+        let pending = std::mem::replace(&mut self.pending[e], [0.0; SIZE]);
+        let owed = std::mem::replace(&mut self.owed[e], [0.0; SIZE]);
+        self.waiting[e] = false;
+        for (c, &point) in level.corners[e].iter().enumerate() {
+            self.add_lag(point, [owed[at(c, 0)], owed[at(c, 1)], owed[at(c, 2)]], 1.0);
+            // Sums of rounded terms do not cancel to the last bit: a point without pending
+            // elements has no lag.
+            let quiet = |e: &u32| !self.waiting[*e as usize];
+            if level.around.row(point).iter().all(quiet) {
+                self.lag[point as usize] = ZERO;
+            }
+        }
+        pending
+    }
+
+    /// Forgets the lag of points that have none.
+    pub(super) fn trim(&mut self) {
+        let lag = &self.lag;
+        self.lagging.retain(|p| lag[p as usize] != ZERO);
+    }
+
+    /// Chooses the set: the children of what is refined above, or everything.
+    pub(super) fn choose(&mut self, level: &Level, above: Option<(&Level, &List)>) {
+        self.set.clear();
+        for &point in &self.points.items {
+            self.inside[point as usize] = 0;
+            self.free[point as usize] = false;
+        }
+        self.points.clear();
+        match above {
+            Some((coarser, refined)) => {
+                for &parent in &refined.items {
+                    for &child in coarser.children.row(parent) {
+                        self.set.insert(child);
+                    }
+                }
+            }
+            None => (0..level.corners.len() as u32).for_each(|e| {
+                self.set.insert(e);
+            }),
+        }
+        self.set.sort();
+        for &element in &self.set.items {
+            for point in level.corners[element as usize] {
+                self.points.insert(point);
+                self.inside[point as usize] += 1;
+            }
+        }
+        self.points.sort();
+        for &point in &self.points.items {
+            self.free[point as usize] = self.inside[point as usize] == level.around.len(point);
+        }
+    }
+
+    /// Value of a quantity at the corners of an element.
+    #[inline(always)]
+    pub(super) fn corners(level: &Level, element: u32, of: &[Quad]) -> Corners {
+        let mut x = [0.0; SIZE];
+        for (c, &point) in level.corners[element as usize].iter().enumerate() {
+            let v = &of[point as usize];
+            for a in 0..3 {
+                x[at(c, a)] = v[a];
+            }
+        }
+        x
+    }
+}
+
+/// Brings the totals of the points of a set up to date with the coarser level.
+pub(super) fn take_over(structure: &Structure, patches: &mut [Patch], l: usize, all: bool) {
+    let level = &structure.levels[l];
+    let (finer, coarser) = patches.split_at_mut(l + 1);
+    let Some(above) = coarser.first() else { return };
+    let patch = &mut finer[l];
+    let mut update = |point: u32| {
+        let v = interpolate(&level.ties[point as usize], &above.total);
+        let p = point as usize;
+        for a in 0..3 {
+            patch.total[p][a] += v[a] - patch.applied[p][a];
+        }
+        patch.applied[p] = v;
+    };
+    if all {
+        (0..level.points() as u32).for_each(&mut update);
+    } else {
+        patch.points.items.iter().copied().for_each(&mut update);
+    }
+}
+
+/// A quantity of the coarser level where a point hangs.
+#[inline]
+pub(super) fn interpolate(ties: &super::coarsen::Ties, of: &[[f64; 3]]) -> [f64; 3] {
+    let mut v = [0.0; 3];
+    for t in 0..ties.len as usize {
+        let (from, w) = (&of[ties.to[t] as usize], f64::from(ties.weight[t]));
+        for a in 0..3 {
+            v[a] += w * from[a];
+        }
+    }
+    v
+}
+
+/// Inverse of a bound, zero where there is none.
+pub(super) fn invert(m: &[f32; 6]) -> [f32; 6] {
+    if m[0] + m[1] + m[2] <= 0.0 {
+        return [0.0; 6];
+    }
+    super::law::invert(&m.map(f64::from)).map(|v| v as f32)
+}
+
+/// Product of a symmetric block and a vector.
+#[inline(always)]
+pub(super) fn apply(m: &[f32; 6], v: &Quad) -> Quad {
+    [
+        m[0] * v[0] + m[3] * v[1] + m[4] * v[2],
+        m[3] * v[0] + m[1] * v[1] + m[5] * v[2],
+        m[4] * v[0] + m[5] * v[1] + m[2] * v[2],
+        0.0,
+    ]
+}

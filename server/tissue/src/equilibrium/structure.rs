@@ -1,0 +1,434 @@
+//! What the equilibrium of one topology never changes: its bricks and its coarse lattices.
+//!
+//! Level 0 are the nodes of the model with the bricks as their elements; level 1 and up are lattices
+//! of twice the side each, with matrices as their elements (`element`, `coarsen`). Every element of
+//! level l + 1 has children of level l; those of level 1 have bricks.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::brick::{Brick, Draft, Form, LOCALS};
+use super::coarsen::{Coarse, Joints, Piece, Ties, coarsen, octant};
+use super::element::{Matrix, Sum};
+use crate::{FaceId, NO_CELL, Topology};
+
+/// Coarse levels at most: 8 halvings take a lattice of 256 points per axis to one.
+const LEVELS_MAX: usize = 8;
+/// A level this small is not made coarser.
+const COARSEST_ELEMENTS: usize = 12;
+/// Bricks put together at once, so that what is not shared yet stays below some 30 MB.
+const BATCH: usize = 8192;
+
+/// Lists of numbers, one per row, in one piece of memory.
+#[derive(Default)]
+pub(super) struct Table {
+    first: Vec<u32>,
+    items: Vec<u32>,
+}
+
+impl Table {
+    /// The rows of `pairs`, each `(row, item)`, items in the order given.
+    pub(super) fn new(rows: usize, pairs: impl Iterator<Item = (u32, u32)> + Clone) -> Self {
+        let mut first = vec![0u32; rows + 1];
+        for (row, _) in pairs.clone() {
+            first[row as usize + 1] += 1;
+        }
+        for r in 0..rows {
+            first[r + 1] += first[r];
+        }
+        let mut items = vec![0; first[rows] as usize];
+        let mut next = first.clone();
+        for (row, item) in pairs {
+            let at = &mut next[row as usize];
+            items[*at as usize] = item;
+            *at += 1;
+        }
+        Self { first, items }
+    }
+
+    #[inline]
+    pub(super) fn row(&self, row: u32) -> &[u32] {
+        let r = row as usize;
+        &self.items[self.first[r] as usize..self.first[r + 1] as usize]
+    }
+
+    #[inline]
+    pub(super) fn len(&self, row: u32) -> u32 {
+        self.first[row as usize + 1] - self.first[row as usize]
+    }
+}
+
+/// One coarse lattice.
+pub(super) struct Level {
+    /// Points at the corners of each element.
+    pub(super) corners: Vec<[u32; 8]>,
+    /// Matrix of each element.
+    pub(super) matrix: Vec<u32>,
+    pub(super) matrices: Vec<Arc<Matrix>>,
+    /// Elements of the finer level in each element; on level 1 bricks.
+    pub(super) children: Table,
+    /// Element of the next coarser level that each element is part of.
+    pub(super) parent: Vec<u32>,
+    /// Position of each element in its parent.
+    pub(super) octant: Vec<u8>,
+    /// Ties of each point to the next coarser level; none on the coarsest.
+    pub(super) ties: Vec<Ties>,
+    /// Elements around each point.
+    pub(super) around: Table,
+    /// What bounds the rows of each point: the sum of its elements' bounds.
+    pub(super) bound: Vec<[f32; 6]>,
+}
+
+impl Level {
+    pub(super) fn points(&self) -> usize {
+        self.bound.len()
+    }
+}
+
+/// What bricks and elements that are alike share, numbered once and for all: after a cut only what
+/// is new is computed.
+#[derive(Clone, Default)]
+struct Kinds {
+    forms: Vec<Arc<Form>>,
+    form_of: BTreeMap<u128, u32>,
+    levels: Vec<LevelKinds>,
+}
+
+/// Matrices of one level by what they are made of.
+#[derive(Clone, Default)]
+struct LevelKinds {
+    matrices: Vec<Arc<Matrix>>,
+    known: BTreeMap<Parts, u32>,
+}
+
+/// What an element is made of: forms and fixed nodes of its bricks, or matrices and octants of its
+/// children.
+type Parts = Vec<(u32, u32)>;
+
+/// Bricks and coarse lattices of a topology.
+pub(crate) struct Structure {
+    pub(super) bricks: Vec<Brick>,
+    pub(super) forms: Vec<Arc<Form>>,
+    /// Element of level 1 that each brick is part of.
+    pub(super) element_of: Vec<u32>,
+    /// Bricks around each node, as `brick * 32 + entry`.
+    pub(super) around: Table,
+    /// Ties of each node to level 1; none for pinned nodes.
+    pub(super) ties: Vec<Ties>,
+    pub(super) levels: Vec<Level>,
+    pub(super) per_spacing: f32,
+    kinds: Kinds,
+    /// First brick of the element of each cell.
+    brick_of: Vec<u32>,
+}
+
+impl Structure {
+    /// That of a topology.
+    pub(super) fn new(topology: &Topology) -> Self {
+        Self::after(topology, None)
+    }
+
+    /// That of a topology after a change, given what was before it and the nodes whose cells or
+    /// rest positions it touched.
+    pub(super) fn after(topology: &Topology, before: Option<(&Self, &[u32])>) -> Self {
+        let cells = pieces_of(topology);
+        let coarse = coarsen(&cells, topology.node_count(), |cell, axis| {
+            let next = topology.across(FaceId::new(cell, 2 * axis + 1));
+            if next == NO_CELL { vec![] } else { vec![next] }
+        });
+        let mut kinds = before.map_or_else(Kinds::default, |b| b.0.kinds.clone());
+        let made = bricks_of(topology, &cells, &coarse, before, &mut kinds);
+        let Bricks {
+            bricks,
+            element_of,
+            brick_of,
+        } = made;
+        let around = Table::new(
+            topology.node_count(),
+            bricks.iter().enumerate().flat_map(|(b, brick)| {
+                (0..LOCALS as u32)
+                    .filter(|i| brick.present >> i & 1 == 1)
+                    .map(move |i| (brick.nodes[i as usize], b as u32 * 32 + i))
+            }),
+        );
+        let mut ties = coarse.ties.clone();
+        for (node, ties) in ties.iter_mut().enumerate() {
+            if topology.is_pinned(node as u32) {
+                ties.len = 0;
+            }
+        }
+        let mut structure = Self {
+            bricks,
+            forms: kinds.forms.clone(),
+            element_of,
+            around,
+            ties,
+            levels: Vec::new(),
+            per_spacing: (1.0 / topology.model().spacing_m) as f32,
+            kinds,
+            brick_of,
+        };
+        structure.add_levels(topology, coarse);
+        structure
+    }
+
+    fn add_levels(&mut self, topology: &Topology, first: Coarse) {
+        let mut parts = self.parts_over_bricks(topology, first.pieces.len());
+        let mut children = Table::new(
+            first.pieces.len(),
+            (0..self.bricks.len()).map(|b| (self.element_of[b], b as u32)),
+        );
+        let mut now = first;
+        loop {
+            let joints = Joints::new(&now.pieces);
+            let l = self.levels.len();
+            let last = l + 1 == LEVELS_MAX || now.pieces.len() <= COARSEST_ELEMENTS;
+            let next = (!last).then(|| {
+                coarsen(&now.pieces, now.points, |e, axis| {
+                    joints.behind(&now.pieces, e, axis)
+                })
+            });
+            let next = next.filter(|n| n.pieces.len() < now.pieces.len());
+            let matrix = self.matrices(l, &parts);
+            let matrices = self.kinds.levels[l].matrices.clone();
+            self.levels
+                .push(level_of(&now, next.as_ref(), matrix, matrices, children));
+            let Some(next) = next else { break };
+            let level = &self.levels[l];
+            parts = vec![Vec::new(); next.pieces.len()];
+            for (e, &parent) in level.parent.iter().enumerate() {
+                parts[parent as usize].push((level.matrix[e], u32::from(level.octant[e])));
+            }
+            children = Table::new(
+                next.pieces.len(),
+                level.parent.iter().enumerate().map(|(e, &p)| (p, e as u32)),
+            );
+            now = next;
+        }
+    }
+
+    /// Forms and fixed nodes of the bricks of each element of level 1.
+    fn parts_over_bricks(&self, topology: &Topology, elements: usize) -> Vec<Parts> {
+        let mut parts = vec![Vec::new(); elements];
+        for (brick, &element) in self.bricks.iter().zip(&self.element_of) {
+            let fixed = (0..LOCALS)
+                .filter(|&i| topology.is_pinned(brick.nodes[i]))
+                .fold(0, |bits, i| bits | 1 << i);
+            parts[element as usize].push((brick.form, fixed));
+        }
+        parts
+    }
+
+    /// The matrix of each element of a level; elements made of the same parts share one.
+    fn matrices(&mut self, l: usize, parts: &[Parts]) -> Vec<u32> {
+        if self.kinds.levels.len() == l {
+            self.kinds.levels.push(LevelKinds::default());
+        }
+        let LevelKinds { matrices, known } = &mut self.kinds.levels[l];
+        let mut new: Vec<&Parts> = Vec::new();
+        let from = matrices.len();
+        let index = parts
+            .iter()
+            .map(|list| {
+                if let Some(&index) = known.get(list) {
+                    return index;
+                }
+                let index = (from + new.len()) as u32;
+                known.insert(list.clone(), index);
+                new.push(list);
+                index
+            })
+            .collect();
+        let (forms, per_spacing) = (&self.forms, self.per_spacing);
+        let finer = self.levels.last();
+        let made: Vec<Arc<Matrix>> = new
+            .par_iter()
+            .map(|list| {
+                let mut sum = Sum::new();
+                for &(part, how) in *list {
+                    match finer {
+                        None => sum.add_brick(&forms[part as usize], how, per_spacing),
+                        Some(level) => {
+                            sum.add_child(&level.matrices[part as usize], how as usize);
+                        }
+                    }
+                }
+                Arc::new(sum.finish())
+            })
+            .collect();
+        matrices.extend(made);
+        index
+    }
+}
+
+/// The cells of a topology by their place in the lattice.
+fn pieces_of(topology: &Topology) -> Vec<Piece> {
+    let model = topology.model();
+    (0..topology.cell_count() as u32)
+        .map(|cell| Piece {
+            at: model.lattice[model.cells[cell as usize].corners[0] as usize],
+            corners: topology.corners(cell),
+        })
+        .collect()
+}
+
+/// The bricks, sorted by their elements.
+struct Bricks {
+    bricks: Vec<Brick>,
+    element_of: Vec<u32>,
+    brick_of: Vec<u32>,
+}
+
+fn bricks_of(
+    topology: &Topology,
+    cells: &[Piece],
+    coarse: &Coarse,
+    before: Option<(&Structure, &[u32])>,
+    kinds: &mut Kinds,
+) -> Bricks {
+    let elements = coarse.pieces.len();
+    let members = Table::new(
+        elements,
+        (0..cells.len()).map(|c| (coarse.element_of[c], c as u32)),
+    );
+    let changed = before.map(|(structure, touched)| Changed::new(topology, structure, touched));
+    let make = |e: usize| -> Vec<(Brick, Option<(Form, u128)>)> {
+        let row = members.row(e as u32);
+        if let Some(old) = changed.as_ref().and_then(|c| c.unchanged(topology, row)) {
+            return old.map(|brick| (brick, None)).collect();
+        }
+        let list: Vec<(usize, u32)> = row
+            .iter()
+            .map(|&c| (octant(cells[c as usize].at), c))
+            .collect();
+        let mut drafts = Vec::new();
+        Draft::of(topology, &list, &mut drafts);
+        let finish = |draft: &Draft| {
+            let (brick, form) = draft.finish(topology);
+            let key = form.key();
+            (brick, Some((form, key)))
+        };
+        drafts.iter().map(finish).collect()
+    };
+    let mut made = Bricks {
+        bricks: Vec::new(),
+        element_of: Vec::new(),
+        brick_of: vec![0; cells.len()],
+    };
+    for from in (0..elements).step_by(BATCH) {
+        let batch: Vec<_> = (from..elements.min(from + BATCH))
+            .into_par_iter()
+            .map(make)
+            .collect();
+        for (e, list) in (from..).zip(batch) {
+            for &cell in members.row(e as u32) {
+                made.brick_of[cell as usize] = made.bricks.len() as u32;
+            }
+            for (mut brick, form) in list {
+                if let Some((form, key)) = form {
+                    brick.form = *kinds.form_of.entry(key).or_insert_with(|| {
+                        kinds.forms.push(Arc::new(form));
+                        kinds.forms.len() as u32 - 1
+                    });
+                }
+                made.bricks.push(brick);
+                made.element_of.push(e as u32);
+            }
+        }
+    }
+    made
+}
+
+/// What a change left alone.
+struct Changed<'a> {
+    before: &'a Structure,
+    touched: Vec<bool>,
+}
+
+impl<'a> Changed<'a> {
+    fn new(topology: &Topology, before: &'a Structure, nodes: &[u32]) -> Self {
+        let mut touched = vec![false; topology.node_count()];
+        touched[before.ties.len().min(topology.node_count())..].fill(true);
+        for &node in nodes {
+            touched[node as usize] = true;
+        }
+        Self { before, touched }
+    }
+
+    /// The bricks of an element that has these cells, if they are what they were.
+    fn unchanged(
+        &self,
+        topology: &Topology,
+        cells: &[u32],
+    ) -> Option<impl Iterator<Item = Brick> + 'a> {
+        let first = self.before.brick_of[cells[0] as usize];
+        let element = self.before.element_of[first as usize];
+        let same = |&cell: &u32| {
+            self.before.brick_of[cell as usize] == first
+                && topology
+                    .corners(cell)
+                    .iter()
+                    .all(|&n| !self.touched[n as usize])
+        };
+        let before = self.before;
+        cells.iter().all(same).then(|| {
+            let bricks = before.levels[0].children.row(element);
+            bricks.iter().map(move |&b| before.bricks[b as usize])
+        })
+    }
+}
+
+fn level_of(
+    now: &Coarse,
+    next: Option<&Coarse>,
+    matrix: Vec<u32>,
+    matrices: Vec<Arc<Matrix>>,
+    children: Table,
+) -> Level {
+    let mut bound = vec![[0.0f32; 6]; now.points];
+    for (piece, &m) in now.pieces.iter().zip(&matrix) {
+        for (c, &point) in piece.corners.iter().enumerate() {
+            let own = &matrices[m as usize].bound[c];
+            for (sum, v) in bound[point as usize].iter_mut().zip(own) {
+                *sum += v;
+            }
+        }
+    }
+    let pairs = now
+        .pieces
+        .iter()
+        .enumerate()
+        .flat_map(|(e, piece)| piece.corners.map(|p| (p, e as u32)));
+    Level {
+        corners: now.pieces.iter().map(|p| p.corners).collect(),
+        matrix,
+        matrices,
+        children,
+        parent: next.map_or_else(Vec::new, |n| n.element_of.clone()),
+        octant: now.pieces.iter().map(|p| octant(p.at) as u8).collect(),
+        ties: next.map_or_else(Vec::new, |n| n.ties.clone()),
+        around: Table::new(now.points, pairs),
+        bound,
+    }
+}
+
+impl Form {
+    /// Equal keys mean equal forms.
+    fn key(&self) -> u128 {
+        let mut hasher = xxhash_rust::xxh3::Xxh3::new();
+        let mut take = |values: &[f32]| {
+            for v in values {
+                hasher.update(&v.to_bits().to_le_bytes());
+            }
+        };
+        self.rest.iter().for_each(|axis| take(&axis[..LOCALS]));
+        self.stiffness.iter().for_each(|row| take(row));
+        take(&self.bulk);
+        take(&self.per_volume);
+        take(&[self.curve.stiffening]);
+        take(&self.curve.limits);
+        hasher.digest128()
+    }
+}

@@ -1,0 +1,275 @@
+//! `bench press-cube`: a cube pressed by a disc, the case that other engines were measured on.
+//!
+//! A cube of side 0.1 m with `n` nodes per edge and E = 10 kPa stands on a pinned base; the nodes
+//! within 12.5 mm of the middle of its top are prescribed 1 mm down. Cold: from rest, until the rms
+//! displacement error against the converged answer stays below 1 %. Moving: ten steps of 0.1 mm, each
+//! to 0.5 %.
+
+use std::fmt;
+use std::sync::Arc;
+use std::time::Instant;
+
+use palpate_tissue::{Budget, Material, Shape, Solver, Topology, Vec3, block};
+use serde::Serialize;
+
+/// Side of the cube in m.
+const SIDE_M: f64 = 0.1;
+/// Radius of the disc in m.
+const DISC_M: f64 = 0.0125;
+/// How far it goes down in m.
+const DEPTH_M: f64 = 1e-3;
+/// Steps of the moving press.
+const STEPS: usize = 10;
+/// Error allowed when cold, and per step when moving.
+const ERRORS: [f64; 2] = [0.01, 0.005];
+/// Tolerances that steps are asked for: what is near must be met, or far nodes would be left alone.
+const TOLERANCES: [f64; 2] = [1e-3, 3e-4];
+/// Residual that counts as converged.
+const CONVERGED: f64 = 1e-6;
+/// Iterations at most.
+const ITERATIONS_MAX: usize = 100;
+/// Timed runs, of which the median counts.
+const RUNS: usize = 5;
+
+/// What is to be measured.
+#[derive(Debug, Clone, Copy)]
+pub struct PressCube {
+    /// Nodes per edge.
+    pub nodes: usize,
+    /// Poisson's ratio; 0.25 is springs alone.
+    pub poisson: f64,
+    /// Also the moving press.
+    pub moving: bool,
+}
+
+/// Figures of a run.
+#[derive(Debug, Clone, Serialize)]
+pub struct PressCubeReport {
+    /// Nodes of the cube.
+    pub nodes: usize,
+    /// Springs of the cube and of the layer it stands on.
+    pub springs: usize,
+    /// Poisson's ratio.
+    pub poisson: f64,
+    /// Making bricks and coarse lattices, once per topology, ms.
+    pub setup_ms: f64,
+    /// From rest to an rms error below 1 %, ms; none when it was not reached.
+    pub ms_to_one_percent: Option<f64>,
+    /// Iterations of it.
+    pub iterations_to_one_percent: usize,
+    /// Error that was left, in parts of one.
+    pub error: f64,
+    /// From rest to a relative residual of 1e-6, ms; none when it was not reached.
+    pub ms_to_converged: Option<f64>,
+    /// Iterations of it.
+    pub iterations_to_converged: usize,
+    /// Residual that was left.
+    pub residual: f64,
+    /// Force on the disc when converged, N.
+    pub force_n: f64,
+    /// The moving press.
+    pub moving: Option<MovingReport>,
+}
+
+/// Figures of the moving press.
+#[derive(Debug, Clone, Serialize)]
+pub struct MovingReport {
+    /// Iterations per step.
+    pub iterations: usize,
+    /// Median and longest step, ms.
+    pub ms_per_step: [f64; 2],
+    /// Largest rms displacement error after a step, in parts of one.
+    pub worst_error: f64,
+}
+
+struct Cube {
+    topology: Topology,
+    /// Nodes under the disc.
+    disc: Vec<u32>,
+}
+
+impl Cube {
+    fn new(n: usize, poisson: f64) -> Self {
+        let spacing = SIDE_M / (n as f64 - 1.0);
+        let material = Material {
+            young_pa: 10e3,
+            poisson,
+            ..Material::default()
+        };
+        // The lowest layer is the base; the cube stands on its top nodes.
+        let model = block([n - 1, n - 1, n], spacing, &material, 1);
+        let topology = Topology::new(Arc::new(model));
+        let top = Vec3::new(0.5 * SIDE_M, 0.5 * SIDE_M, spacing + SIDE_M);
+        let under = |&node: &u32| {
+            let d = topology.rest(node) - top;
+            d.z.abs() < 1e-3 * spacing && d.norm() <= DISC_M + 1e-9
+        };
+        let disc = (0..topology.node_count() as u32).filter(under).collect();
+        Self { topology, disc }
+    }
+
+    fn press(&self, solver: &mut Solver, shape: &mut Shape, depth: f64) {
+        for &node in &self.disc {
+            solver.hold(&self.topology, shape, node, Vec3::z() * -depth);
+        }
+    }
+
+    fn step(
+        &self,
+        solver: &mut Solver,
+        shape: &mut Shape,
+        iterations: usize,
+        tolerance: f64,
+    ) -> f64 {
+        let began = Instant::now();
+        let budget = Budget::new(iterations, tolerance);
+        solver.step(&self.topology, shape, &[], budget);
+        began.elapsed().as_secs_f64() * 1e3
+    }
+
+    /// From rest in so many iterations: the shape and the ms.
+    fn cold(&self, like: &Solver, iterations: usize, tolerance: f64) -> (Shape, Solver, f64) {
+        let mut solver = like.another(&self.topology);
+        let mut shape = Shape::rest(&self.topology);
+        self.press(&mut solver, &mut shape, DEPTH_M);
+        let ms = self.step(&mut solver, &mut shape, iterations, tolerance);
+        (shape, solver, ms)
+    }
+}
+
+/// Relative rms difference of two shapes.
+fn error(shape: &Shape, exact: &Shape) -> f64 {
+    let pairs = shape.displacement.iter().zip(&exact.displacement);
+    let (mut difference, mut size) = (0.0, 0.0);
+    for (a, b) in pairs {
+        difference += (a - b).norm_squared();
+        size += b.norm_squared();
+    }
+    (difference / size).sqrt()
+}
+
+impl PressCube {
+    /// Runs it.
+    pub fn run(&self, progress: &mut dyn FnMut(&str)) -> PressCubeReport {
+        progress("making the cube");
+        let cube = Cube::new(self.nodes, self.poisson);
+        let began = Instant::now();
+        let first = Solver::new(&cube.topology);
+        let setup_ms = began.elapsed().as_secs_f64() * 1e3;
+        progress("converging");
+        let (exact, solver, converged_ms) = cube.cold(&first, ITERATIONS_MAX, CONVERGED);
+        let report = solver.report().clone();
+        let force: f64 = cube
+            .disc
+            .iter()
+            .map(|&n| solver.force_on(&exact, n).z)
+            .sum();
+        progress("from rest to 1 %");
+        let mut iterations = 1;
+        let mut left = f64::INFINITY;
+        while iterations < ITERATIONS_MAX {
+            left = error(&cube.cold(&first, iterations, TOLERANCES[0]).0, &exact);
+            if left < ERRORS[0] {
+                break;
+            }
+            iterations += 1;
+        }
+        let times: Vec<f64> = (0..RUNS)
+            .map(|_| cube.cold(&first, iterations, TOLERANCES[0]).2)
+            .collect();
+        PressCubeReport {
+            nodes: self.nodes.pow(3),
+            springs: cube.topology.springs().count(),
+            poisson: self.poisson,
+            setup_ms,
+            ms_to_one_percent: (left < ERRORS[0]).then(|| super::median(&times)),
+            iterations_to_one_percent: iterations,
+            error: left,
+            ms_to_converged: (report.residual <= CONVERGED).then_some(converged_ms),
+            iterations_to_converged: report.iterations,
+            residual: report.residual,
+            force_n: force,
+            moving: self.moving.then(|| moving(&cube, &first, progress)),
+        }
+    }
+}
+
+/// Presses in steps, with as few iterations per step as keep every error within bounds.
+fn moving(cube: &Cube, like: &Solver, progress: &mut dyn FnMut(&str)) -> MovingReport {
+    progress("converging the moving press");
+    let depth = |step: usize| DEPTH_M * (step + 1) as f64 / STEPS as f64;
+    let mut solver = like.another(&cube.topology);
+    let mut shape = Shape::rest(&cube.topology);
+    let exact: Vec<Shape> = (0..STEPS)
+        .map(|s| {
+            cube.press(&mut solver, &mut shape, depth(s));
+            cube.step(&mut solver, &mut shape, ITERATIONS_MAX, CONVERGED);
+            shape.clone()
+        })
+        .collect();
+    progress("moving");
+    let run = |iterations: usize| {
+        let mut solver = like.another(&cube.topology);
+        let mut shape = Shape::rest(&cube.topology);
+        let (mut times, mut worst) = (Vec::new(), 0.0f64);
+        for (s, exact) in exact.iter().enumerate() {
+            cube.press(&mut solver, &mut shape, depth(s));
+            times.push(cube.step(&mut solver, &mut shape, iterations, TOLERANCES[1]));
+            worst = worst.max(error(&shape, exact));
+        }
+        (times, worst)
+    };
+    let mut iterations = 1;
+    while iterations < ITERATIONS_MAX && run(iterations).1 > ERRORS[1] {
+        iterations += 1;
+    }
+    let (mut times, mut worst) = (Vec::new(), 0.0);
+    for _ in 0..RUNS {
+        let (more, error) = run(iterations);
+        times.extend(more);
+        worst = error;
+    }
+    MovingReport {
+        iterations,
+        ms_per_step: [super::median(&times), super::quantile(&times, 1.0)],
+        worst_error: worst,
+    }
+}
+
+impl fmt::Display for PressCubeReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ms = |ms: Option<f64>| ms.map_or("not reached".to_owned(), |ms| format!("{ms:.2} ms"));
+        writeln!(
+            f,
+            "{} nodes, {} springs, Poisson's ratio {}",
+            self.nodes, self.springs, self.poisson
+        )?;
+        writeln!(f, "set up once          {:>12.2} ms", self.setup_ms)?;
+        writeln!(
+            f,
+            "rms error 1 %        {:>15}   {} iterations, {:.2} % left",
+            ms(self.ms_to_one_percent),
+            self.iterations_to_one_percent,
+            self.error * 100.0
+        )?;
+        writeln!(
+            f,
+            "residual 1e-6        {:>15}   {} iterations, {:.1e} left",
+            ms(self.ms_to_converged),
+            self.iterations_to_converged,
+            self.residual
+        )?;
+        write!(f, "force on the disc    {:>12.4} N", self.force_n)?;
+        if let Some(moving) = &self.moving {
+            let [median, longest] = moving.ms_per_step;
+            write!(
+                f,
+                "\nmoving, per step     {median:>12.2} ms   longest {longest:.2} ms, {} iterations, \
+                 worst error {:.2} %",
+                moving.iterations,
+                moving.worst_error * 100.0
+            )?;
+        }
+        Ok(())
+    }
+}

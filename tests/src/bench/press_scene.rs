@@ -1,0 +1,209 @@
+//! `bench press-scene`: a sphere pressed into any model at the speed of a hand.
+//!
+//! A sphere of 8 mm radius goes 15 mm deep at 100 mm/s where the model has room for it, solved 250
+//! times a second with the budget of a hand. Another solver converges at every tick, and the forces
+//! are compared.
+
+use std::fmt;
+use std::sync::Arc;
+use std::time::Instant;
+
+use palpate_tissue::{Budget, Model, Shape, Solver, Tool, Topology};
+use serde::Serialize;
+
+use crate::place::Place;
+
+/// Radius of the sphere in m.
+const RADIUS_M: f64 = 8e-3;
+/// Time between two ticks in s.
+const TICK_S: f64 = 4e-3;
+/// Ticks at rest at the end.
+const REST: usize = 5;
+/// Force below which a relative error says nothing, in N.
+const LEAST_N: f64 = 2e-3;
+
+/// What is to be measured.
+#[derive(Debug, Clone, Copy)]
+pub struct PressScene {
+    /// How deep in m.
+    pub depth_m: f64,
+    /// How fast in m/s.
+    pub speed_m_s: f64,
+    /// Time a tick may take in ms.
+    pub budget_ms: f64,
+    /// Tolerance of a tick.
+    pub tolerance: f64,
+    /// Tolerance of what it is compared with.
+    pub converged: f64,
+}
+
+impl Default for PressScene {
+    fn default() -> Self {
+        Self {
+            depth_m: 15e-3,
+            speed_m_s: 0.1,
+            budget_ms: 1.6,
+            tolerance: 2.5e-2,
+            converged: 1e-5,
+        }
+    }
+}
+
+/// One tick.
+#[derive(Debug, Clone, Serialize)]
+pub struct Tick {
+    /// Depth in mm.
+    pub depth_mm: f64,
+    /// Force along the normal in N.
+    pub force_n: f64,
+    /// The converged one.
+    pub converged_n: f64,
+    /// Their difference in parts of the converged one.
+    pub error: f64,
+    /// What it took.
+    pub ms: f64,
+    /// Iterations it had time for.
+    pub iterations: usize,
+    /// Nodes that took part.
+    pub active: usize,
+    /// Residual of the converged one.
+    pub converged_residual: f64,
+}
+
+/// Figures of a run.
+#[derive(Debug, Clone, Serialize)]
+pub struct PressSceneReport {
+    /// Nodes of the model.
+    pub nodes: usize,
+    /// Bricks and coarse lattices, once, ms.
+    pub setup_ms: f64,
+    /// Median and 99th percentile of a tick, ms.
+    pub ms: [f64; 2],
+    /// Largest relative force error while pressing.
+    pub worst_error: f64,
+    /// Root of the mean square of it.
+    pub rms_error: f64,
+    /// Most nodes that took part.
+    pub active: usize,
+    /// Slope of the converged force over the last fifth of the depth over that of the first.
+    pub stiffening: f64,
+    /// All ticks.
+    pub ticks: Vec<Tick>,
+}
+
+impl PressScene {
+    /// Runs it.
+    ///
+    /// # Errors
+    ///
+    /// When there is no place for a sphere on the model.
+    pub fn run(
+        &self,
+        model: Arc<Model>,
+        progress: &mut dyn FnMut(&str),
+    ) -> Result<PressSceneReport, String> {
+        progress("preparing the model");
+        let topology = Topology::new(model);
+        let place = Place::find(&topology).map_err(|e| e.to_string())?;
+        let began = Instant::now();
+        let mut hand = Solver::new(&topology);
+        let setup_ms = began.elapsed().as_secs_f64() * 1e3;
+        let mut exact = hand.another(&topology);
+        let mut shapes = [Shape::rest(&topology), Shape::rest(&topology)];
+        let moving = (self.depth_m / (self.speed_m_s * TICK_S)).ceil() as usize;
+        let mut ticks = Vec::new();
+        for k in 1..=moving + REST {
+            progress(&format!("tick {k} of {}", moving + REST));
+            let depth = (k as f64 * self.speed_m_s * TICK_S).min(self.depth_m);
+            let tool = Tool {
+                id: 1,
+                centre: place.middle + place.normal * (RADIUS_M - depth),
+                radius_m: RADIUS_M,
+            };
+            let began = Instant::now();
+            let ms = || began.elapsed().as_secs_f64() * 1e3;
+            let mut stop = || ms() > self.budget_ms;
+            let budget = Budget {
+                near: true,
+                stop: Some(&mut stop),
+                ..Budget::new(10, self.tolerance)
+            };
+            let report = hand.step(&topology, &mut shapes[0], &[tool], budget);
+            let (ms, iterations, active) = (ms(), report.iterations, report.active_nodes);
+            let force = report.reactions[0].force.dot(&place.normal);
+            let budget = Budget::new(200, self.converged);
+            let report = exact.step(&topology, &mut shapes[1], &[tool], budget);
+            let converged = report.reactions[0].force.dot(&place.normal);
+            ticks.push(Tick {
+                depth_mm: depth * 1e3,
+                force_n: force,
+                converged_n: converged,
+                error: (force - converged) / converged.max(LEAST_N),
+                ms,
+                iterations,
+                active,
+                converged_residual: report.residual,
+            });
+        }
+        Ok(summary(&topology, setup_ms, ticks))
+    }
+}
+
+fn summary(topology: &Topology, setup_ms: f64, ticks: Vec<Tick>) -> PressSceneReport {
+    let times: Vec<f64> = ticks.iter().map(|t| t.ms).collect();
+    let moving = &ticks[..ticks.len() - REST];
+    let worst = ticks.iter().map(|t| t.error.abs()).fold(0.0, f64::max);
+    let squares: f64 = ticks.iter().map(|t| t.error * t.error).sum();
+    let slope = |part: &[Tick]| match part {
+        [first, .., last] => {
+            (last.converged_n - first.converged_n) / (last.depth_mm - first.depth_mm)
+        }
+        _ => f64::NAN,
+    };
+    let fifth = (moving.len() / 5).max(2).min(moving.len());
+    PressSceneReport {
+        nodes: topology.node_count(),
+        setup_ms,
+        ms: [super::median(&times), super::quantile(&times, 0.99)],
+        worst_error: worst,
+        rms_error: (squares / ticks.len() as f64).sqrt(),
+        active: ticks.iter().map(|t| t.active).max().unwrap_or(0),
+        stiffening: slope(&moving[moving.len() - fifth..]) / slope(&moving[..fifth]),
+        ticks,
+    }
+}
+
+impl fmt::Display for PressSceneReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "{:>8} {:>9} {:>9} {:>7} {:>7} {:>5} {:>7}",
+            "depth mm", "force N", "conv. N", "error", "ms", "iter", "active"
+        )?;
+        for t in &self.ticks {
+            writeln!(
+                f,
+                "{:>8.1} {:>9.4} {:>9.4} {:>6.1}% {:>7.2} {:>5} {:>7}",
+                t.depth_mm,
+                t.force_n,
+                t.converged_n,
+                t.error * 100.0,
+                t.ms,
+                t.iterations,
+                t.active
+            )?;
+        }
+        write!(
+            f,
+            "{} nodes; tick p50 {:.2} ms, p99 {:.2} ms; force error worst {:.1} %, rms {:.1} %; at \
+             most {} nodes active; slope of the last fifth {:.1} times the first",
+            self.nodes,
+            self.ms[0],
+            self.ms[1],
+            self.worst_error * 100.0,
+            self.rms_error * 100.0,
+            self.active,
+            self.stiffening
+        )
+    }
+}

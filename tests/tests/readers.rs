@@ -1,0 +1,185 @@
+//! What Palpate writes, read back by readers of others: meshio, trimesh and nibabel in Python.
+//!
+//! `PALPATE_PYTHON` names a Python that has them (`bash .ci/readers` makes one and prints its path;
+//! `.ci/run` sets the variable). Without it these tests pass and say that they did nothing.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use serde_json::Value;
+
+fn executable() -> &'static Path {
+    Path::new(env!("CARGO_BIN_EXE_palpate-lab"))
+}
+
+/// Says what the readers find; `None` when there are none.
+fn readers(command: &str, paths: &[&Path]) -> Option<Value> {
+    let Some(python) = std::env::var_os("PALPATE_PYTHON") else {
+        println!("PALPATE_PYTHON is not set: nothing was tested");
+        return None;
+    };
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("readers/check.py");
+    let out = Command::new(&python)
+        .arg(script)
+        .arg(command)
+        .args(paths)
+        .output();
+    let out = out.unwrap_or_else(|e| panic!("PALPATE_PYTHON = {}: {e}", python.display()));
+    let said = String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.success(), "{command}: {said}");
+    Some(serde_json::from_slice(&out.stdout).unwrap())
+}
+
+/// Runs a command of the server and gives what it prints with `--json`.
+fn server(arguments: &[&str]) -> Value {
+    let mut command = Command::new(executable());
+    let out = command.arg("server").args(arguments).output().unwrap();
+    let said = String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.success(), "{arguments:?}: {said}");
+    serde_json::from_slice(&out.stdout).unwrap_or_default()
+}
+
+/// A sample as files for others: the report of its build, and the folder.
+fn exported(sample: &str) -> (Value, tempfile::TempDir) {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let mut command = Command::new(executable());
+    command.args(["server", "sample", sample, "-o", &path("in")]);
+    assert!(command.output().unwrap().status.success());
+    let scene = path(&format!("in/{sample}.toml"));
+    let report = server(&[
+        "build",
+        &scene,
+        "-o",
+        &path("m.palp"),
+        "--vtu",
+        &path("m.vtu"),
+        "--stl",
+        &path("stl"),
+        "--json",
+    ]);
+    (report, dir)
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("{value}"))
+}
+
+fn assert_near(a: f64, b: f64, part: f64, what: &str) {
+    assert!((a - b).abs() <= part * b.abs(), "{what}: {a} and {b}");
+}
+
+#[test]
+fn meshio_finds_the_nodes_cells_and_volumes_of_the_report() {
+    if readers("versions", &[]).is_none() {
+        return;
+    }
+    for sample in ["handle", "abdominal-wall"] {
+        let (report, dir) = exported(sample);
+        let Some(grid) = readers("vtu", &[&dir.path().join("m.vtu")]) else {
+            return;
+        };
+        assert_eq!(grid["points"], report["nodes"], "{sample}");
+        assert_eq!(grid["cells"], report["cells"], "{sample}");
+        assert_eq!(grid["kinds"], serde_json::json!(["hexahedron"]));
+        assert_eq!(grid["unused_points"], 0);
+        assert_eq!(grid["largest_displacement_mm"], 0.0);
+        let cell_data = serde_json::json!([
+            "material",
+            "region",
+            "scaled_jacobian",
+            "volume_mm3",
+            "young_kpa"
+        ]);
+        assert_eq!(grid["cell_data"], cell_data);
+        assert!(
+            number(&grid["worst_volume_difference_mm3"]) < 1e-6,
+            "{grid}"
+        );
+        let regions = report["regions"].as_array().unwrap();
+        for (r, region) in regions.iter().enumerate() {
+            let theirs = number(&grid["region_volumes_mm3"][r]);
+            assert_near(theirs, number(&region["volume_mm3"]), 1e-9, sample);
+        }
+    }
+}
+
+#[test]
+fn trimesh_finds_closed_surfaces_of_the_same_volume() {
+    if readers("versions", &[]).is_none() {
+        return;
+    }
+    let (report, dir) = exported("handle");
+    let mut files: Vec<PathBuf> = std::fs::read_dir(dir.path().join("stl"))
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .collect();
+    files.sort();
+    let paths: Vec<&Path> = files.iter().map(PathBuf::as_path).collect();
+    let Some(surfaces) = readers("stl", &paths) else {
+        return;
+    };
+    let regions = report["regions"].as_array().unwrap();
+    let mut whole = 0.0;
+    for region in regions {
+        let name = format!("region-{}.stl", region["name"].as_str().unwrap());
+        let surface = &surfaces[&name];
+        assert_eq!(surface["watertight"], true, "{name}: {surface}");
+        assert_eq!(surface["wound_alike"], true, "{name}: {surface}");
+        let volume = number(&region["volume_mm3"]);
+        // Faces of cells are curved, triangles are flat; all of a surface nearly evens out.
+        assert_near(number(&surface["volume_mm3"]), volume, 2e-3, &name);
+        whole += number(&surface["volume_mm3"]);
+    }
+    let outer = &surfaces["outer.stl"];
+    assert_eq!(outer["watertight"], true, "{outer}");
+    assert_eq!(outer["triangles"], report["outer_surface"]["triangles"]);
+    assert_near(number(&outer["volume_mm3"]), whole, 1e-6, "outer");
+    let sheet = surfaces.as_object().unwrap().keys();
+    assert!(
+        sheet.clone().any(|n| n.starts_with("interface-")),
+        "{surfaces}"
+    );
+}
+
+#[test]
+fn a_label_volume_of_nibabel_builds_to_the_volumes_it_counts() {
+    let dir = tempfile::tempdir().unwrap();
+    let volume = dir.path().join("labels.nii.gz");
+    let Some(labels) = readers("make-labels", &[&volume]) else {
+        return;
+    };
+    let mut scene =
+        "format = \"palpate-scene/1\"\nspacing_mm = 4.0\nlabels = \"labels.nii.gz\"\n".to_owned();
+    for (name, label) in [("box", 1), ("ball", 2)] {
+        writeln!(
+            scene,
+            "[[region]]\nname = \"{name}\"\nlabel = {label}\nmaterial = \"fat\""
+        )
+        .unwrap();
+    }
+    let file = dir.path().join("scene.toml");
+    std::fs::write(&file, scene).unwrap();
+    let [file, model, grid] = [file, dir.path().join("m.palp"), dir.path().join("m.vtu")];
+    let text = [&file, &model, &grid].map(|p| p.display().to_string());
+    server(&[
+        "build", &text[0], "-o", &text[1], "--vtu", &text[2], "--json",
+    ]);
+    let Some(built) = readers("vtu", &[&grid]) else {
+        return;
+    };
+    for (r, label) in ["1", "2"].iter().enumerate() {
+        let counted = number(&labels[label]["volume_mm3"]);
+        let volume = number(&built["region_volumes_mm3"][r]);
+        assert_near(volume, counted, 0.01, label);
+    }
+    for axis in 0..3 {
+        // The box and what it holds have the same middle; so has all that was built.
+        let [low, high] = ["low_mm", "high_mm"].map(|k| number(&built[k][axis]));
+        let centre = number(&labels["2"]["centre_mm"][axis]);
+        assert!((0.5 * (low + high) - centre).abs() < 2.0, "axis {axis}");
+    }
+}

@@ -1,0 +1,98 @@
+//! A file that is written is whole or is not there, whatever happens to the disk.
+
+#![allow(clippy::unwrap_used)]
+
+mod table;
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use table::executable;
+
+fn server(arguments: &[&str]) -> Output {
+    let mut command = Command::new(executable());
+    command.arg("server").args(arguments).output().unwrap()
+}
+
+/// A small sample's scene.
+fn scene(dir: &Path) -> String {
+    let folder = dir.join("in").display().to_string();
+    let out = server(&["sample", "handle", "-o", &folder]);
+    assert!(out.status.success());
+    String::from_utf8(out.stdout).unwrap().trim().to_owned()
+}
+
+/// A disk that takes no more than a few kB, as a limit on the size of files.
+#[cfg(unix)]
+#[test]
+fn a_full_disk_is_named_and_leaves_everything_as_it_was() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = scene(dir.path());
+    let out = dir.path().join("out");
+    std::fs::create_dir(&out).unwrap();
+    let model = out.join("m.palp");
+    std::fs::write(&model, "old").unwrap();
+    let limited = "trap '' XFSZ; ulimit -f 8; exec \"$0\" server build \"$@\"";
+    let done = Command::new("sh")
+        .args(["-c", limited])
+        .arg(executable())
+        .arg(&scene)
+        .arg("-o")
+        .arg(&model)
+        .arg("--vtu")
+        .arg(out.join("m.vtu"))
+        .arg("--stl")
+        .arg(&out)
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&done.stderr);
+    assert_eq!(done.status.code(), Some(1), "{said}");
+    assert!(
+        said.contains("can not be written") && said.contains("m.vtu"),
+        "{said}"
+    );
+    assert!(said.contains("make room"), "{said}");
+    let left: Vec<_> = std::fs::read_dir(&out).unwrap().collect();
+    assert_eq!(left.len(), 1, "{left:?}");
+    assert_eq!(std::fs::read_to_string(&model).unwrap(), "old");
+}
+
+#[test]
+fn a_folder_that_is_not_there_is_named_before_anything_is_in_place() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = scene(dir.path());
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let (model, grid) = (path("absent/m.palp"), path("m.vtu"));
+    let done = server(&["build", &scene, "-o", &model, "--vtu", &grid]);
+    let said = String::from_utf8_lossy(&done.stderr);
+    assert_eq!(done.status.code(), Some(1), "{said}");
+    assert!(
+        said.contains("absent") && said.contains("make its folder first"),
+        "{said}"
+    );
+    assert!(!Path::new(&grid).exists());
+}
+
+#[test]
+fn a_picture_is_drawn_and_a_slice_that_misses_is_answered() {
+    let table = table::Table::new();
+    let model = table.subject.file.display().to_string();
+    let png = table.path("m.png");
+    let picture = png.display().to_string();
+    let inspect = |slice: &str| {
+        let done = server(&["inspect", &model, "--png", &picture, "--slice", slice]);
+        let said = String::from_utf8_lossy(&done.stderr).into_owned();
+        (done.status.code(), said)
+    };
+    let (code, said) = inspect("z=900");
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("z = 0.0 to 40.0 mm"), "{said}");
+    let (code, said) = inspect("w=3");
+    assert_eq!(code, Some(2), "{said}");
+    assert!(said.contains("z=580"), "{said}");
+    assert!(!png.exists());
+    for slice in ["x=20", "y", "z=17.5"] {
+        assert_eq!(inspect(slice), (Some(0), String::new()));
+        assert!(std::fs::read(&png).unwrap().starts_with(b"\x89PNG"));
+    }
+}
