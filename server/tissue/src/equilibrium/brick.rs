@@ -116,15 +116,13 @@ impl Draft {
         let first = drafts.len();
         for &(position, cell) in cells {
             let corners = topology.corners(cell);
-            let curve =
-                Curve::of(&topology.model().regions[topology.region(cell).index()].material);
+            let curve = Curve::of(&topology.model().regions[topology.region(cell).index()].material);
             let fits = |draft: &Self| {
                 draft.curve == curve
                     && draft.cells[position].is_none()
-                    && corners
-                        .iter()
-                        .zip(CORNER[position])
-                        .all(|(&node, i)| draft.nodes[i] == ABSENT || draft.nodes[i] == node)
+                    && corners.iter().zip(CORNER[position]).all(|(&node, i)| {
+                        draft.nodes[i] == ABSENT || draft.nodes[i] == node
+                    })
             };
             let found = drafts[first..].iter().position(fits);
             let index = found.map_or(drafts.len(), |i| first + i);
@@ -256,10 +254,7 @@ mod tests {
     #[test]
     fn every_spring_of_a_cell_has_its_place() {
         for (offset, step) in STEPS {
-            assert_eq!(
-                OFFSETS[STEPS.iter().position(|s| s.0 == offset).unwrap()],
-                offset
-            );
+            assert_eq!(OFFSETS[STEPS.iter().position(|s| s.0 == offset).unwrap()], offset);
             let index = step[0] + 3 * step[1] + 9 * step[2];
             assert_eq!(index, offset as i32);
         }

@@ -100,9 +100,7 @@ impl Multigrid {
         }
         for l in (0..=last).rev() {
             let (finer, coarser) = self.patches.split_at_mut(l + 1);
-            let above = coarser
-                .first()
-                .map(|p| (&structure.levels[l + 1], &p.refined));
+            let above = coarser.first().map(|p| (&structure.levels[l + 1], &p.refined));
             finer[l].choose(&structure.levels[l], above);
         }
     }
@@ -160,17 +158,9 @@ impl Multigrid {
             for &point in &patch.points.items {
                 let p = point as usize;
                 patch.e[p] = ZERO;
-                patch.r[p] = if patch.loaded.contains(point) {
-                    patch.b[p]
-                } else {
-                    ZERO
-                };
+                patch.r[p] = if patch.loaded.contains(point) { patch.b[p] } else { ZERO };
             }
-            let (steps, low) = if l == last {
-                (COARSEST, LOW_COARSEST)
-            } else {
-                (smoothing, LOW)
-            };
+            let (steps, low) = if l == last { (COARSEST, LOW_COARSEST) } else { (smoothing, LOW) };
             self.visits += (1 + steps) * patch.set.items.len();
             self.arch.dispatch(Smooth {
                 level,
@@ -179,9 +169,7 @@ impl Multigrid {
                 low,
                 moved: false,
             });
-            let Some(next) = coarser.first_mut() else {
-                continue;
-            };
+            let Some(next) = coarser.first_mut() else { continue };
             for &point in &patch.points.items {
                 restrict(&level.ties[point as usize], &patch.r[point as usize], next);
             }
@@ -228,11 +216,7 @@ impl Multigrid {
         for patch in &mut self.patches {
             for &point in &patch.points.items {
                 let p = point as usize;
-                patch.e[p] = if patch.gained.contains(point) {
-                    patch.gain[p]
-                } else {
-                    ZERO
-                };
+                patch.e[p] = if patch.gained.contains(point) { patch.gain[p] } else { ZERO };
             }
             patch.gained.clear();
         }
@@ -277,9 +261,7 @@ impl Multigrid {
 
     /// Adds the stiffness of a node, a block in N/m, to level 1.
     pub(super) fn stiffen(&mut self, structure: &Structure, node: u32, block: &[f32; 6]) {
-        let Some(&entry) = structure.around.row(node).first() else {
-            return;
-        };
+        let Some(&entry) = structure.around.row(node).first() else { return };
         let (brick, place) = (entry / 32, entry % 32);
         let element = structure.element_of[brick as usize];
         if structure.ties[node as usize].len == 0 {
@@ -315,9 +297,7 @@ impl Multigrid {
                 let sum = std::array::from_fn(|i| level.bound[p][i] + patch.stiffer[p][i]);
                 patch.inverse[p] = invert(&sum);
             }
-            let Some(next) = coarser.first_mut() else {
-                break;
-            };
+            let Some(next) = coarser.first_mut() else { break };
             for overlay in &patch.overlays {
                 let element = overlay.element as usize;
                 let octant = level.octant[element] as usize;
@@ -365,7 +345,12 @@ impl Patch {
         }
     }
 
-    fn overlay(&mut self, level: &Level, element: u32, add: impl FnOnce(&mut [[f32; SIZE]; SIZE])) {
+    fn overlay(
+        &mut self,
+        level: &Level,
+        element: u32,
+        add: impl FnOnce(&mut [[f32; SIZE]; SIZE]),
+    ) {
         debug_assert!((element as usize) < level.corners.len());
         let entry = &mut self.overlay_of[element as usize];
         if *entry == NONE {
@@ -461,11 +446,7 @@ fn smooth(level: &Level, patch: &mut Patch, steps: usize, low: f32, keep: bool) 
             let by = apply(&patch.inverse[p], &patch.r[p]);
             for a in 0..3 {
                 // On the first step `last` is zero and d still holds something else.
-                let before = if last == 0.0 {
-                    0.0
-                } else {
-                    last * patch.d[p][a]
-                };
+                let before = if last == 0.0 { 0.0 } else { last * patch.d[p][a] };
                 patch.d[p][a] = before + new * by[a];
                 patch.e[p][a] += patch.d[p][a];
             }

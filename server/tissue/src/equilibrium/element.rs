@@ -111,13 +111,7 @@ impl Sum {
             let edge: [[f64; 3]; 3] = std::array::from_fn(|axis| {
                 std::array::from_fn(|a| {
                     (0..8)
-                        .map(|c| {
-                            if c >> axis & 1 == 1 {
-                                point(c, a)
-                            } else {
-                                -point(c, a)
-                            }
-                        })
+                        .map(|c| if c >> axis & 1 == 1 { point(c, a) } else { -point(c, a) })
                         .sum::<f64>()
                         / 4.0
                 })
@@ -218,7 +212,8 @@ impl Sum {
             }
         });
         // A fixed start that is orthogonal to no likely eigenvector.
-        let mut x: [f64; SIZE] = std::array::from_fn(|i| ((i * 37 + 11) % 29) as f64 / 29.0 - 0.4);
+        let mut x: [f64; SIZE] =
+            std::array::from_fn(|i| ((i * 37 + 11) % 29) as f64 / 29.0 - 0.4);
         let mut value = 1.0;
         for _ in 0..POWER {
             let mut y = [0.0; SIZE];

@@ -227,18 +227,14 @@ impl Field {
             let force = square(&r[node as usize]);
             if !fixed[node as usize] && force > threshold * threshold {
                 for &entry in structure.around.row(node) {
-                    patch
-                        .refined
-                        .insert(structure.element_of[(entry / 32) as usize]);
+                    patch.refined.insert(structure.element_of[(entry / 32) as usize]);
                 }
             }
             force > silent * silent
         });
         for node in always {
             for &entry in structure.around.row(node) {
-                patch
-                    .refined
-                    .insert(structure.element_of[(entry / 32) as usize]);
+                patch.refined.insert(structure.element_of[(entry / 32) as usize]);
             }
         }
         patch.refined.sort();
@@ -253,7 +249,12 @@ impl Field {
     }
 
     /// Takes the chosen set, and brings its nodes up to date with level 1.
-    pub(super) fn enter(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
+    pub(super) fn enter(
+        &mut self,
+        structure: &Structure,
+        coarse: &Multigrid,
+        u: &mut [Vec3],
+    ) {
         self.set.clear();
         for &node in &self.nodes.items {
             self.inside[node as usize] = 0;
@@ -293,11 +294,7 @@ impl Field {
         if v != old {
             self.applied[n] = v;
             if !self.fixed[n] {
-                self.shift(
-                    u,
-                    node,
-                    Vec3::new(v[0] - old[0], v[1] - old[1], v[2] - old[2]),
-                );
+                self.shift(u, node, Vec3::new(v[0] - old[0], v[1] - old[1], v[2] - old[2]));
             }
         }
     }
@@ -387,11 +384,7 @@ impl Field {
                 }
             }
         });
-        let free = self
-            .nodes
-            .items
-            .iter()
-            .filter(|&&n| !self.fixed[n as usize]);
+        let free = self.nodes.items.iter().filter(|&&n| !self.fixed[n as usize]);
         free.map(|&n| f64::from(square(&self.r[n as usize]))).sum()
     }
 
@@ -497,11 +490,7 @@ impl Field {
                 curve += f64::from(old[a] - new[a]) * by[a];
             }
         }
-        if curve > 0.0 && work > 0.0 {
-            work / curve
-        } else {
-            1.0
-        }
+        if curve > 0.0 && work > 0.0 { work / curve } else { 1.0 }
     }
 
     /// Takes only `share` of the correction after all; forces follow linearly.
@@ -537,11 +526,7 @@ impl Field {
             }
             let step = apply(&self.inverse[n], &self.r[n]);
             for a in 0..3 {
-                let before = if last == 0.0 {
-                    0.0
-                } else {
-                    last * self.d[n][a]
-                };
+                let before = if last == 0.0 { 0.0 } else { last * self.d[n][a] };
                 self.d[n][a] = before + new * step[a];
             }
             let d = self.d[n];
@@ -590,11 +575,7 @@ impl Field {
             self.stale.insert(brick);
         }
         self.refresh(structure, u);
-        let mut r: Vec<[f64; 3]> = self
-            .r
-            .iter()
-            .map(|f| [0, 1, 2].map(|a| f64::from(f[a])))
-            .collect();
+        let mut r: Vec<[f64; 3]> = self.r.iter().map(|f| [0, 1, 2].map(|a| f64::from(f[a]))).collect();
         contacts.pressed(topology, u, |sample, force, _, _| {
             for (node, w) in sample.nodes.iter().zip(sample.weights) {
                 for a in 0..3 {

@@ -135,8 +135,9 @@ struct Group<S: Simd> {
 impl<S: Simd> Group<S> {
     #[inline(always)]
     fn load(simd: S, form: &Form, u: &Local, from: usize, offset: usize) -> Self {
-        let difference =
-            |of: &[f32; PADDED]| V::load(simd, of, from + offset) - V::load(simd, of, from);
+        let difference = |of: &[f32; PADDED]| {
+            V::load(simd, of, from + offset) - V::load(simd, of, from)
+        };
         let rest = [
             difference(&form.rest[0]),
             difference(&form.rest[1]),
@@ -355,11 +356,7 @@ fn bulk_forces<S: Simd>(simd: S, form: &Form, u: &Local, f: &mut Local) {
             for a in 0..3 {
                 let mut sum = 0.0;
                 for (axis, push) in push.iter().enumerate() {
-                    sum += if c >> axis & 1 == 1 {
-                        push[a][l]
-                    } else {
-                        -push[a][l]
-                    };
+                    sum += if c >> axis & 1 == 1 { push[a][l] } else { -push[a][l] };
                 }
                 f[a][CORNER[l][c]] -= sum;
             }

@@ -91,10 +91,7 @@ impl Curve {
     pub(crate) fn of(material: &Material) -> Self {
         Self {
             stiffening: material.stiffening as f32,
-            limits: [
-                material.compress_limit as f32,
-                material.stretch_limit as f32,
-            ],
+            limits: [material.compress_limit as f32, material.stretch_limit as f32],
         }
     }
 }

@@ -195,11 +195,7 @@ impl Patch {
         }
         let mut most = 0.0f32;
         for (c, &point) in level.corners[e].iter().enumerate() {
-            self.add_lag(
-                point,
-                [force[at(c, 0)], force[at(c, 1)], force[at(c, 2)]],
-                -1.0,
-            );
+            self.add_lag(point, [force[at(c, 0)], force[at(c, 1)], force[at(c, 2)]], -1.0);
             let owed = [0, 1, 2].map(|a| self.owed[e][at(c, a)]);
             most = most.max(owed[0] * owed[0] + owed[1] * owed[1] + owed[2] * owed[2]);
         }

@@ -270,11 +270,7 @@ impl Solver {
         self.dirty = false;
         let u = &mut shape.displacement;
         let carry = self.foresight.look(tools, &self.contacts, &self.held, u);
-        let carry = if self.calmness() < TRUSTED {
-            carry
-        } else {
-            0.0
-        };
+        let carry = if self.calmness() < TRUSTED { carry } else { 0.0 };
         self.coarse.carry_on(&self.structure, carry as f32);
         self.field.begin(&self.structure, &self.coarse, u, carry);
         self.coarse.visits = 0;
@@ -313,11 +309,7 @@ impl Solver {
             } else {
                 FIRST_SHARE
             };
-            let whole = self
-                .coarse
-                .patches
-                .iter()
-                .all(|p| p.wanted.items.is_empty());
+            let whole = self.coarse.patches.iter().all(|p| p.wanted.items.is_empty());
             let calm = sum.sqrt() <= allowed && !lags;
             let done = calm && share <= last && (whole || budget.tolerance >= PROVEN);
             let spent = self.report.iterations >= budget.iterations;
@@ -347,13 +339,7 @@ impl Solver {
     }
 
     /// Stage: what takes part, and the forces on it. Returns their sum of squares.
-    fn take_part(
-        &mut self,
-        topology: &Topology,
-        u: &mut [Vec3],
-        threshold: f64,
-        quick: bool,
-    ) -> f64 {
+    fn take_part(&mut self, topology: &Topology, u: &mut [Vec3], threshold: f64, quick: bool) -> f64 {
         let (structure, coarse) = (&self.structure, &mut self.coarse);
         let touched = self.contacts.nodes.iter().copied();
         self.field
@@ -532,7 +518,14 @@ impl Solver {
         for sweep in 0..sweeps {
             let threshold =
                 tolerance * reference / (2.0 * (active.items.len() as f64 + 64.0).sqrt());
-            let sum = jacobi::sweep(topology, u, fixed, &mut active, &mut self.moved, threshold);
+            let sum = jacobi::sweep(
+                topology,
+                u,
+                fixed,
+                &mut active,
+                &mut self.moved,
+                threshold,
+            );
             residual = relative(sum, reference);
             if residual <= tolerance {
                 return (sweep, residual);

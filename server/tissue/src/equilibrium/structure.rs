@@ -367,10 +367,7 @@ impl<'a> Changed<'a> {
         let element = self.before.element_of[first as usize];
         let same = |&cell: &u32| {
             self.before.brick_of[cell as usize] == first
-                && topology
-                    .corners(cell)
-                    .iter()
-                    .all(|&n| !self.touched[n as usize])
+                && topology.corners(cell).iter().all(|&n| !self.touched[n as usize])
         };
         let before = self.before;
         cells.iter().all(same).then(|| {
