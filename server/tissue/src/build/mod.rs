@@ -157,7 +157,8 @@ pub fn build(
     }
 
     progress("sorting the interfaces", 0.2);
-    let interfaces = patch::Interfaces::new(&surfaces, &query, spacing, grid.middle());
+    let interfaces =
+        patch::Interfaces::new(&surfaces, &input.across, &query, spacing, grid.middle());
     let faces = faces::faces(&lattice.cells);
     let placed = place(
         &grid,

@@ -20,6 +20,9 @@ pub struct SceneInput {
     /// For each region, the volume in m³ that its own voxels have when all regions come from one
     /// label volume; `None` where only its surface tells.
     pub voxels_m3: Vec<Option<f64>>,
+    /// For each region, what is beyond each triangle of its surface when all regions come from one
+    /// label volume: another region, or `None` outside. Otherwise without elements.
+    pub across: Vec<Vec<Option<u8>>>,
     /// What was repaired or looks odd, one sentence each, with the region's name.
     pub warnings: Vec<String>,
 }
@@ -32,6 +35,7 @@ impl SceneInput {
         let mut input = Self {
             surfaces: vec![Surface::default(); scene.regions.len()],
             voxels_m3: vec![None; scene.regions.len()],
+            across: vec![Vec::new(); scene.regions.len()],
             warnings: Vec::new(),
             scene,
         };
@@ -61,6 +65,7 @@ impl SceneInput {
         );
         let mut input = Self {
             voxels_m3: vec![None; surfaces.len()],
+            across: vec![Vec::new(); surfaces.len()],
             warnings: Vec::new(),
             surfaces,
             scene,
@@ -113,7 +118,10 @@ impl SceneInput {
         let alone = members.len() == self.scene.regions.len();
         for (r, found) in members.into_iter().zip(found) {
             self.surfaces[r] = found.surface;
-            self.voxels_m3[r] = alone.then_some(found.voxels_m3);
+            if alone {
+                self.voxels_m3[r] = Some(found.voxels_m3);
+                self.across[r] = found.across;
+            }
         }
         Ok(())
     }

@@ -46,6 +46,8 @@ pub struct RegionSurface {
     pub surface: Surface,
     /// Volume of the region's own voxels in m³, whatever the surface encloses besides.
     pub voxels_m3: f64,
+    /// For each triangle of the surface, which of the regions is beyond it; `None` outside them all.
+    pub across: Vec<Option<u8>>,
 }
 
 /// Extracts the surfaces of `regions` from a volume that was read from `path` (for messages only).
@@ -87,13 +89,14 @@ pub fn surfaces(
     smooth::smooth(&mut net, &targets);
     restore::restore(&mut net, &targets);
     let found = (0..regions.len()).into_par_iter().map(|r| {
-        let surface = if wrap && r == 0 {
+        let (surface, across) = if wrap && r == 0 {
             shell::shell(&net, |id| id != OUTSIDE && id != BEYOND)
         } else {
             shell::shell(&net, |id| usize::from(id) == r + 1)
         };
         RegionSurface {
             surface,
+            across,
             voxels_m3: voxels[r] as f64 * volume.voxel_m3(),
         }
     });

@@ -9,8 +9,9 @@ use crate::Surface;
 /// Sides of a quadrilateral's corners along the two axes of its plane, in the order of the corners.
 const SIDES: [[usize; 2]; 4] = [[0, 0], [1, 0], [1, 1], [0, 1]];
 
-/// The closed surface around all voxels whose region passes `is_in`, wound outwards, in the world.
-pub(super) fn shell(net: &Net, is_in: impl Fn(u8) -> bool) -> Surface {
+/// The closed surface around all voxels whose region passes `is_in`, wound outwards, in the world;
+/// and for each triangle the region beyond it.
+pub(super) fn shell(net: &Net, is_in: impl Fn(u8) -> bool) -> (Surface, Vec<Option<u8>>) {
     let fans = Fans::new();
     let filled: Vec<u8> = net
         .corners
@@ -26,6 +27,7 @@ pub(super) fn shell(net: &Net, is_in: impl Fn(u8) -> bool) -> Surface {
         mirrored: net.to_world.determinant() < 0.0,
         surface: Surface::default(),
     };
+    let mut across = Vec::new();
     for (v, set) in filled.iter().enumerate() {
         shell.first.push(shell.surface.vertices.len() as u32);
         let at = net.to_world.world(&net.position(v as u32));
@@ -39,9 +41,12 @@ pub(super) fn shell(net: &Net, is_in: impl Fn(u8) -> bool) -> Surface {
         let [near, far] = quad.sides.map(&is_in);
         if near != far {
             shell.add(quad, near);
+            // Region numbers plus one, and 0 for what is in none.
+            let beyond = quad.sides[usize::from(near)].checked_sub(1);
+            across.resize(shell.surface.triangles.len(), beyond);
         }
     }
-    shell.surface
+    (shell.surface, across)
 }
 
 struct Shell<'a> {
