@@ -19,6 +19,8 @@ use crate::{Topology, Vec3, fit};
 pub(crate) const LOCALS: usize = 27;
 /// The nodes of a brick in whole vectors.
 pub(crate) const SPAN: usize = 32;
+/// Springs that one bit of [`Form::uses`] stands for.
+const CHUNK: usize = 8;
 /// Length of an array over the nodes of a brick, with room for loads beyond its end.
 pub(crate) const PADDED: usize = 48;
 /// Distances between the ends of a spring in a row of the brick's nodes, and the lattice steps that
@@ -71,6 +73,8 @@ pub(crate) struct Form {
     pub(crate) rest: [[f32; PADDED]; 3],
     /// Stiffness of the springs of each direction in N/m, by the node that they start at.
     pub(crate) stiffness: [[f32; SPAN]; DIRECTIONS],
+    /// Their rest lengths in m.
+    pub(crate) rest_length: [[f32; SPAN]; DIRECTIONS],
     /// Bit `4 d + i / 8` is set when a spring of direction `d` starts at a node around `i`.
     used: u64,
     /// κ V0 of each cell in N m, and one over its determinant at rest (the volume term).
@@ -82,10 +86,11 @@ pub(crate) struct Form {
 }
 
 impl Form {
-    /// Whether any of the eight springs of a direction around entry `from` is there.
+    /// Whether any of `width` springs of a direction from entry `from` on is there.
     #[inline(always)]
-    pub(crate) fn uses(&self, direction: usize, from: usize) -> bool {
-        self.used >> (4 * direction + from / LANES) & 1 == 1
+    pub(crate) fn uses(&self, direction: usize, from: usize, width: usize) -> bool {
+        let chunks = (1 << width.div_ceil(CHUNK)) - 1;
+        self.used >> (4 * direction + from / CHUNK) & chunks != 0
     }
 }
 
@@ -185,16 +190,24 @@ impl Draft {
             }
         }
         let mut stiffness = [[0.0; SPAN]; DIRECTIONS];
+        // One where there is no spring: what is divided by it is nothing, and stays nothing.
+        let mut rest_length = [[1.0; SPAN]; DIRECTIONS];
         let mut used = 0;
         for (d, row) in stiffness.iter_mut().enumerate() {
             for (i, k) in springs[d].iter().enumerate().filter(|k| *k.1 > 0.0) {
                 row[i] = *k as f32;
-                used |= 1 << (4 * d + i / LANES);
+                used |= 1 << (4 * d + i / CHUNK);
+                let square: f32 = (0..3)
+                    .map(|a| rest[a][i + OFFSETS[d]] - rest[a][i])
+                    .map(|v| v * v)
+                    .sum();
+                rest_length[d][i] = square.sqrt().max(1e-10);
             }
         }
         Form {
             rest,
             stiffness,
+            rest_length,
             used,
             bulk,
             per_volume,

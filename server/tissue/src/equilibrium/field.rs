@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::block::{Quad, ZERO};
 use super::brick::LOCALS;
 use super::cycle::{Chebyshev, LOW, Multigrid};
-use super::kernel::{Forces, Tangents};
+use super::kernel::{Ends, Forces, Tangents};
 use super::patch::{List, Patch, apply, interpolate, invert};
 use super::structure::Structure;
 use crate::contact::Contacts;
@@ -61,6 +61,8 @@ pub(super) struct Field {
     /// What level 1 moved each node by in this iteration; scratch.
     moved: Vec<Vec3>,
     old: Vec<Quad>,
+    scratch: Box<Ends<3>>,
+    block_scratch: Box<Ends<6>>,
     arch: Arch,
 }
 
@@ -94,6 +96,8 @@ impl Field {
             blocks: vec![[0.0; 6]; nodes],
             moved: Vec::new(),
             old: Vec::new(),
+            scratch: Box::new(Ends::new()),
+            block_scratch: Box::new(Ends::new()),
             arch: Arch::new(),
         }
     }
@@ -323,17 +327,22 @@ impl Field {
     fn compute(&mut self, structure: &Structure, u: &[Vec3], list: &[u32]) {
         self.visits += list.len();
         let arch = self.arch;
-        let one = |brick: u32, to: &mut [[f32; LOCALS]; 3]| {
+        let one = |brick: u32, to: &mut [[f32; LOCALS]; 3], scratch: &mut Ends<3>| {
             let b = &structure.bricks[brick as usize];
             let form = &structure.forms[b.form as usize];
-            let f = arch.dispatch(Forces { brick: b, form, u });
+            let f = arch.dispatch(Forces {
+                brick: b,
+                form,
+                u,
+                scratch,
+            });
             for a in 0..3 {
                 to[a].copy_from_slice(&f[a][..LOCALS]);
             }
         };
         if list.len() < PARALLEL || rayon::current_num_threads() == 1 {
             for &brick in list {
-                one(brick, &mut self.forces[brick as usize]);
+                one(brick, &mut self.forces[brick as usize], &mut self.scratch);
             }
         } else {
             let mut member = vec![false; self.forces.len()];
@@ -343,7 +352,7 @@ impl Field {
                 .enumerate()
                 .with_min_len(64)
                 .filter(|(b, _)| member[*b])
-                .for_each(|(b, to)| one(b as u32, to));
+                .for_each_init(Ends::new, |scratch, (b, to)| one(b as u32, to, scratch));
         }
     }
 
@@ -414,6 +423,7 @@ impl Field {
                 form,
                 u,
                 per_spacing,
+                scratch: &mut self.block_scratch,
             });
             for i in 0..LOCALS {
                 if b.present >> i & 1 == 1 {
@@ -557,7 +567,12 @@ impl Field {
             let b = &structure.bricks[(entry / 32) as usize];
             let form = &structure.forms[b.form as usize];
             let i = (entry % 32) as usize;
-            let f = self.arch.dispatch(Forces { brick: b, form, u });
+            let f = self.arch.dispatch(Forces {
+                brick: b,
+                form,
+                u,
+                scratch: &mut Ends::new(),
+            });
             sum += Vec3::new(f64::from(f[0][i]), f64::from(f[1][i]), f64::from(f[2][i]));
         }
         sum

@@ -20,6 +20,9 @@ pub(crate) type Local = [[f32; PADDED]; 3];
 /// Symmetric blocks over the nodes of a brick: xx, yy, zz, xy, xz, yz.
 pub(crate) type LocalBlocks = [[f32; PADDED]; 6];
 
+/// Cells of a brick.
+const CELLS: usize = 8;
+
 /// Axes of the entries of a symmetric block.
 const PAIRS: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
 
@@ -30,6 +33,7 @@ pub(crate) struct Forces<'a> {
     pub(crate) form: &'a Form,
     /// Displacements of all nodes in m.
     pub(crate) u: &'a [Vec3],
+    pub(crate) scratch: &'a mut Ends<3>,
 }
 
 impl WithSimd for Forces<'_> {
@@ -38,7 +42,7 @@ impl WithSimd for Forces<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Local {
         let local = gather(&self.brick.nodes, self.u);
-        let mut f = spring_forces(simd, self.form, &local);
+        let mut f = spring_forces(simd, self.form, &local, self.scratch);
         if self.form.has_bulk {
             bulk_forces(simd, self.form, &local, &mut f);
         }
@@ -53,6 +57,7 @@ pub(crate) struct Tangents<'a> {
     pub(crate) form: &'a Form,
     pub(crate) u: &'a [Vec3],
     pub(crate) per_spacing: f32,
+    pub(crate) scratch: &'a mut Ends<6>,
 }
 
 impl WithSimd for Tangents<'_> {
@@ -61,7 +66,7 @@ impl WithSimd for Tangents<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> LocalBlocks {
         let local = gather(&self.brick.nodes, self.u);
-        let mut m = spring_tangents(simd, self.form, &local, self.per_spacing);
+        let mut m = spring_tangents(simd, self.form, &local, self.per_spacing, self.scratch);
         if self.form.has_bulk {
             bulk_tangents(simd, self.form, &local, &mut m);
         }
@@ -89,15 +94,22 @@ fn gather(nodes: &[u32; LOCALS], u: &[Vec3]) -> Local {
 /// Adding each group to both its ends at once would load, again and again, vectors that overlap
 /// what was stored a moment ago, and wait for it. So all springs are written down first, and each
 /// node then collects from its 26 neighbours.
-struct Ends<const C: usize>([[[f32; LEAD + SPAN]; C]; DIRECTIONS]);
+pub(crate) struct Ends<const C: usize>([[[f32; LEAD + SPAN]; C]; DIRECTIONS]);
 
 /// Zeros in front: as many as the largest offset, in whole vectors.
 const LEAD: usize = 16;
 
 impl<const C: usize> Ends<C> {
-    #[inline(always)]
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self([[[0.0; LEAD + SPAN]; C]; DIRECTIONS])
+    }
+
+    /// Notes that no spring of a direction starts from `from` on.
+    #[inline(always)]
+    fn none<S: Simd>(&mut self, simd: S, direction: usize, from: usize) {
+        for row in &mut self.0[direction] {
+            V::all(simd, 0.0).store(row, LEAD + from);
+        }
     }
 
     /// What starts at each node and `sign` times what ends there.
@@ -128,13 +140,13 @@ struct Group<S: Simd> {
     excess: V<S>,
     square: V<S>,
     length: V<S>,
-    rest_square: V<S>,
     rest_length: V<S>,
 }
 
 impl<S: Simd> Group<S> {
     #[inline(always)]
-    fn load(simd: S, form: &Form, u: &Local, from: usize, offset: usize) -> Self {
+    fn load(simd: S, form: &Form, u: &Local, direction: usize, from: usize) -> Self {
+        let offset = OFFSETS[direction];
         let difference = |of: &[f32; PADDED]| {
             V::load(simd, of, from + offset) - V::load(simd, of, from)
         };
@@ -146,24 +158,26 @@ impl<S: Simd> Group<S> {
         let by = [difference(&u[0]), difference(&u[1]), difference(&u[2])];
         let now = [rest[0] + by[0], rest[1] + by[1], rest[2] + by[2]];
         let both = [rest[0] + now[0], rest[1] + now[1], rest[2] + now[2]];
-        let tiny = V::all(simd, 1e-20);
-        let rest_square = dot(&rest, &rest).max(tiny);
-        let square = dot(&now, &now).max(tiny);
+        let square = dot(&now, &now).max(V::all(simd, 1e-20));
         Self {
             rest,
             now,
             excess: dot(&by, &both),
             square,
             length: square.sqrt(),
-            rest_square,
-            rest_length: rest_square.sqrt(),
+            rest_length: V::load(simd, &form.rest_length[direction], from),
         }
+    }
+
+    #[inline(always)]
+    fn rest_square(&self) -> V<S> {
+        self.rest_length * self.rest_length
     }
 
     /// θ l0² - d·d0, above zero where the guard pushes.
     #[inline(always)]
     fn guarded(&self, simd: S) -> V<S> {
-        V::all(simd, GUARDED) * self.rest_square - dot(&self.now, &self.rest)
+        V::all(simd, GUARDED) * self.rest_square() - dot(&self.now, &self.rest)
     }
 
     /// How far the spring is beyond its limits, in m: too short and too long, above zero.
@@ -175,14 +189,13 @@ impl<S: Simd> Group<S> {
 }
 
 #[inline(always)]
-fn spring_forces<S: Simd>(simd: S, form: &Form, u: &Local) -> Local {
-    let mut ends = Ends::<3>::new();
+fn spring_forces<S: Simd>(simd: S, form: &Form, u: &Local, ends: &mut Ends<3>) -> Local {
     let zero = V::all(simd, 0.0);
-    for (direction, offset) in OFFSETS.into_iter().enumerate() {
+    for direction in 0..DIRECTIONS {
         let mut from = 0;
         while from < SPAN {
-            if form.uses(direction, from) {
-                let s = Group::load(simd, form, u, from, offset);
+            if form.uses(direction, from, V::<S>::WIDTH) {
+                let s = Group::load(simd, form, u, direction, from);
                 let k = V::load(simd, &form.stiffness[direction], from);
                 let stretch = s.excess / ((s.length + s.rest_length) * s.length);
                 let mut t = k * stretch;
@@ -198,7 +211,7 @@ fn spring_forces<S: Simd>(simd: S, form: &Form, u: &Local) -> Local {
                 if unusual {
                     let beyond = long.max(zero) - short.max(zero);
                     t = t + V::all(simd, EXTREME) * k * beyond / s.length;
-                    guard = V::all(simd, GUARD) * k * guarded.max(zero) / s.rest_square;
+                    guard = V::all(simd, GUARD) * k * guarded.max(zero) / s.rest_square();
                 }
                 for a in 0..3 {
                     let mut pull = t * s.now[a];
@@ -207,6 +220,8 @@ fn spring_forces<S: Simd>(simd: S, form: &Form, u: &Local) -> Local {
                     }
                     pull.store(&mut ends.0[direction][a], LEAD + from);
                 }
+            } else {
+                ends.none(simd, direction, from);
             }
             from += V::<S>::WIDTH;
         }
@@ -215,14 +230,19 @@ fn spring_forces<S: Simd>(simd: S, form: &Form, u: &Local) -> Local {
 }
 
 #[inline(always)]
-fn spring_tangents<S: Simd>(simd: S, form: &Form, u: &Local, per_spacing: f32) -> LocalBlocks {
-    let mut ends = Ends::<6>::new();
+fn spring_tangents<S: Simd>(
+    simd: S,
+    form: &Form,
+    u: &Local,
+    per_spacing: f32,
+    ends: &mut Ends<6>,
+) -> LocalBlocks {
     let all = |v: f32| V::all(simd, v);
-    for (direction, offset) in OFFSETS.into_iter().enumerate() {
+    for direction in 0..DIRECTIONS {
         let mut from = 0;
         while from < SPAN {
-            if form.uses(direction, from) {
-                let s = Group::load(simd, form, u, from, offset);
+            if form.uses(direction, from, V::<S>::WIDTH) {
+                let s = Group::load(simd, form, u, direction, from);
                 let mut k = V::load(simd, &form.stiffness[direction], from) * all(SPRINGS);
                 if form.curve.stiffening > 0.0 {
                     let b = all(form.curve.stiffening);
@@ -237,7 +257,7 @@ fn spring_tangents<S: Simd>(simd: S, form: &Form, u: &Local, per_spacing: f32) -
                 let turning = (all(1.0) - s.rest_length / s.length).max(floor);
                 let along = k * (all(1.0) - turning) / s.square;
                 let across = k * turning;
-                let guard = all(GUARD) * k / s.rest_square;
+                let guard = all(GUARD) * k / s.rest_square();
                 let guard = s.guarded(simd).where_above_zero(guard);
                 for (e, (a, b)) in PAIRS.into_iter().enumerate() {
                     let mut v = along * s.now[a] * s.now[b] + guard * s.rest[a] * s.rest[b];
@@ -246,6 +266,8 @@ fn spring_tangents<S: Simd>(simd: S, form: &Form, u: &Local, per_spacing: f32) -
                     }
                     v.store(&mut ends.0[direction][e], LEAD + from);
                 }
+            } else {
+                ends.none(simd, direction, from);
             }
             from += V::<S>::WIDTH;
         }
@@ -291,7 +313,7 @@ fn cross<S: Simd>(a: &[V<S>; 3], b: &[V<S>; 3]) -> [V<S>; 3] {
 #[inline(always)]
 fn edges<S: Simd>(simd: S, of: &Local, from: usize) -> [[V<S>; 3]; 3] {
     let mut numbers = [[[0.0; LANES]; 3]; 3];
-    for l in from..from + V::<S>::WIDTH {
+    for l in from..CELLS.min(from + V::<S>::WIDTH) {
         for c in 0..8 {
             let i = CORNER[l][c];
             for (axis, edge) in numbers.iter_mut().enumerate() {
@@ -341,7 +363,7 @@ fn dilation<S: Simd>(simd: S, form: &Form, u: &Local, from: usize) -> (V<S>, [[V
 fn bulk_forces<S: Simd>(simd: S, form: &Form, u: &Local, f: &mut Local) {
     let mut push = [[[0.0; LANES]; 3]; 3];
     let mut from = 0;
-    while from < LANES {
+    while from < CELLS {
         let (change, normals) = dilation(simd, form, u, from);
         let pressure = V::load(simd, &form.bulk, from) * change * V::all(simd, 0.25);
         for (axis, normal) in normals.into_iter().enumerate() {
@@ -351,7 +373,7 @@ fn bulk_forces<S: Simd>(simd: S, form: &Form, u: &Local, f: &mut Local) {
         }
         from += V::<S>::WIDTH;
     }
-    for l in 0..LANES {
+    for l in 0..CELLS {
         for c in 0..8 {
             for a in 0..3 {
                 let mut sum = 0.0;
@@ -368,7 +390,7 @@ fn bulk_forces<S: Simd>(simd: S, form: &Form, u: &Local, f: &mut Local) {
 fn bulk_tangents<S: Simd>(simd: S, form: &Form, u: &Local, m: &mut LocalBlocks) {
     let mut gradient = [[[0.0; LANES]; 3]; 3];
     let mut from = 0;
-    while from < LANES {
+    while from < CELLS {
         let (_, normals) = dilation(simd, form, u, from);
         for (axis, normal) in normals.into_iter().enumerate() {
             for a in 0..3 {
@@ -378,7 +400,7 @@ fn bulk_tangents<S: Simd>(simd: S, form: &Form, u: &Local, m: &mut LocalBlocks) 
         from += V::<S>::WIDTH;
     }
     // Eight corners: the matrix of a cell is below eight times its blocks.
-    for l in 0..LANES {
+    for l in 0..CELLS {
         let k = form.bulk[l] * (8.0 / 16.0);
         for c in 0..8 {
             let g: [f32; 3] = std::array::from_fn(|a| {

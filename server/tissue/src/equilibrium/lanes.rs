@@ -8,7 +8,7 @@ use std::ops::{Add, Div, Mul, Sub};
 use pulp::Simd;
 
 /// Lanes that everything is padded to; a multiple of every width in use.
-pub(crate) const LANES: usize = 8;
+pub(crate) const LANES: usize = 16;
 
 /// A vector.
 #[derive(Clone, Copy)]

@@ -20,6 +20,9 @@ const HELD_STIFFNESS: f64 = 20.0;
 const SMOOTHING: usize = 3;
 /// The same on the coarse levels; fewer when a hand waits.
 const COARSE_SMOOTHING: [usize; 2] = [3, 2];
+/// Iterations between two computations of the blocks that smoothing divides by, after the first
+/// two of a step.
+const RENEW: usize = 3;
 /// Share of the correction of the coarse levels that is taken at least and at most.
 const SHARES: [f64; 2] = [0.2, 2.0];
 /// Part of the allowed residual that a single node may keep at first. When what is active has
@@ -352,7 +355,7 @@ impl Solver {
         }
         self.field.enter(structure, coarse, u);
         let sum = self.field.evaluate(topology, structure, u, &self.contacts);
-        if self.report.iterations < 2 || !quick {
+        if self.report.iterations < 2 || (!quick && self.report.iterations.is_multiple_of(RENEW)) {
             self.field
                 .renew_blocks(topology, structure, u, &self.contacts);
         }
