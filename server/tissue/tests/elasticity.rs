@@ -7,8 +7,8 @@ use std::sync::Arc;
 use nalgebra::Rotation3;
 use palpate_tissue::surface::Unit;
 use palpate_tissue::{
-    Budget, MaterialOverride, Scene, SceneInput, SceneRegion, Shape, Solver, Surface, Topology,
-    Vec3, build,
+    Budget, MaterialOverride, RegionSource, Scene, SceneInput, SceneRegion, Shape, Solver, Surface,
+    Topology, Vec3, build,
 };
 
 const MM: f64 = 1e-3;
@@ -34,12 +34,19 @@ fn cuboid(low: Vec3, high: Vec3, turn: &Rotation3<f64>) -> Surface {
 }
 
 /// A model of boxes, the first around the others, with a material for each.
-fn model(boxes: &[(Vec3, Vec3, f64)], poisson: f64, spacing: f64, turn: &Rotation3<f64>) -> Topology {
+fn model(
+    boxes: &[(Vec3, Vec3, f64)],
+    poisson: f64,
+    spacing: f64,
+    turn: &Rotation3<f64>,
+) -> Topology {
     let region = |i: usize| SceneRegion {
         name: format!("part{i}"),
-        surface: PathBuf::from("none"),
+        source: RegionSource::Surface {
+            file: PathBuf::from("none"),
+            unit: Unit::Metre,
+        },
         material: format!("m{i}"),
-        unit: Unit::Metre,
         change: MaterialOverride::default(),
     };
     let material = |i: usize| {
@@ -148,7 +155,11 @@ fn shear(topology: &Topology, turn: &Rotation3<f64>) -> f64 {
     // Virtual work: the forces on the surface times the field are the stress times the volume.
     let work: f64 = held
         .iter()
-        .map(|&n| -solver.force_on(&shape, n).dot(&shape.displacement[n as usize]))
+        .map(|&n| {
+            -solver
+                .force_on(&shape, n)
+                .dot(&shape.displacement[n as usize])
+        })
         .sum();
     work / (angle * angle) / (8.0 * HALF[0] * HALF[1] * HALF[2])
 }

@@ -161,6 +161,23 @@ fn a_labelled_scene_builds_to_the_volumes_of_its_voxels() {
 }
 
 #[test]
+fn what_is_known_of_the_sides_is_what_looking_finds() {
+    let folder = Folder::new();
+    folder.write("drum.nii", &drum());
+    let text = drum_scene(&[("a", "label = 2"), ("b", "label = 1"), ("c", "label = 3")]);
+    let (mut input, told) = built(&folder, &text);
+    assert!(input.across.iter().all(|a| !a.is_empty()));
+    input.across = vec![Vec::new(); 3];
+    let (_, looked) = build(&input, &mut |_, _| {}).unwrap();
+    assert_eq!(told.topology_hash, looked.topology_hash);
+    for (told, looked) in told.regions.iter().zip(&looked.regions) {
+        assert!((told.volume_mm3 / looked.volume_mm3 - 1.0).abs() < 1e-3);
+        let [a, b] = [told, looked].map(|r| r.distance_mean_outside_thin_mm);
+        assert!((a - b).abs() < 0.02, "{a} {b}");
+    }
+}
+
+#[test]
 fn labels_and_surfaces_mix_and_later_regions_override() {
     let folder = Folder::new();
     folder.write("drum.nii", &drum());

@@ -21,7 +21,8 @@ pub struct SceneInput {
     /// label volume; `None` where only its surface tells.
     pub voxels_m3: Vec<Option<f64>>,
     /// For each region, what is beyond each triangle of its surface when all regions come from one
-    /// label volume: another region, or `None` outside. Otherwise without elements.
+    /// label volume: another region, or `None` outside; of the first one's, which goes around all,
+    /// nothing. Without elements where the builder has to look for it.
     pub across: Vec<Vec<Option<u8>>>,
     /// What was repaired or looks odd, one sentence each, with the region's name.
     pub warnings: Vec<String>,

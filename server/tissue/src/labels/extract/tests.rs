@@ -99,8 +99,10 @@ fn assert_volume(found: &RegionSurface) {
 fn regions_share_their_boundary_and_keep_their_volume() {
     let volume = nested(32);
     let found = extracted(&volume, &[&[1], &[2], &[3]], false);
-    let mut faces: BTreeMap<[[u64; 3]; 3], i32> = BTreeMap::new();
-    for found in &found {
+    // For each triangle, the regions that have it, and what is beyond it for each of them.
+    let mut faces: BTreeMap<[[u64; 3]; 3], Vec<(u8, Option<u8>)>> = BTreeMap::new();
+    for (region, found) in found.iter().enumerate() {
+        assert_eq!(found.across.len(), found.surface.triangles.len());
         assert_closed(&found.surface);
         assert_manifold_vertices(&found.surface);
         assert_volume(found);
@@ -108,15 +110,25 @@ fn regions_share_their_boundary_and_keep_their_volume() {
             let corners = found.surface.corners(t);
             let mut key = corners.map(|p| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits()]);
             key.sort_unstable();
-            *faces.entry(key).or_default() += 1;
+            let sides = (region as u8, found.across[t]);
+            faces.entry(key).or_default().push(sides);
         }
         let mut checked = found.surface.clone();
         let report = checked.check().unwrap();
         assert_eq!(report.winding_repaired + report.components_turned, 0);
         assert_eq!(report.degenerate_dropped + report.non_manifold_edges, 0);
     }
-    assert!(faces.values().all(|n| *n <= 2));
-    let shared = faces.values().filter(|n| **n == 2).count();
+    let mut shared = 0;
+    for sides in faces.values() {
+        match sides[..] {
+            [(_, across)] => assert_eq!(across, None),
+            [(a, beyond_a), (b, beyond_b)] => {
+                assert_eq!((beyond_a, beyond_b), (Some(b), Some(a)));
+                shared += 1;
+            }
+            _ => panic!("a triangle of {} regions", sides.len()),
+        }
+    }
     assert!(
         shared > faces.len() / 3,
         "neighbours share triangles bit for bit"
@@ -134,6 +146,7 @@ fn the_outermost_surface_goes_around_all_regions() {
     let parts: f64 = found.iter().map(|f| f.voxels_m3).sum();
     assert!((found[0].surface.volume() / parts - 1.0).abs() < 0.003);
     assert!(found[0].voxels_m3 < parts / 1.3);
+    assert!(found[0].across.iter().all(Option::is_none));
     assert_closed(&found[0].surface);
 }
 
