@@ -34,12 +34,7 @@ fn cuboid(low: Vec3, high: Vec3, turn: &Rotation3<f64>) -> Surface {
 }
 
 /// A model of boxes, the first around the others, with a material for each.
-fn model(
-    boxes: &[(Vec3, Vec3, f64)],
-    poisson: f64,
-    spacing: f64,
-    turn: &Rotation3<f64>,
-) -> Topology {
+fn model(boxes: &[(Vec3, Vec3, f64)], poisson: f64, spacing: f64, turn: &Rotation3<f64>) -> Topology {
     let region = |i: usize| SceneRegion {
         name: format!("part{i}"),
         source: RegionSource::Surface {
@@ -155,11 +150,7 @@ fn shear(topology: &Topology, turn: &Rotation3<f64>) -> f64 {
     // Virtual work: the forces on the surface times the field are the stress times the volume.
     let work: f64 = held
         .iter()
-        .map(|&n| {
-            -solver
-                .force_on(&shape, n)
-                .dot(&shape.displacement[n as usize])
-        })
+        .map(|&n| -solver.force_on(&shape, n).dot(&shape.displacement[n as usize]))
         .sum();
     work / (angle * angle) / (8.0 * HALF[0] * HALF[1] * HALF[2])
 }

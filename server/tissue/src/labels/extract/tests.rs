@@ -95,12 +95,15 @@ fn assert_volume(found: &RegionSurface) {
     assert!((part - 1.0).abs() < 0.003, "{part} of the voxels' volume");
 }
 
+/// A region and what is beyond its surface.
+type Sides = (u8, Option<u8>);
+
 #[test]
 fn regions_share_their_boundary_and_keep_their_volume() {
     let volume = nested(32);
     let found = extracted(&volume, &[&[1], &[2], &[3]], false);
     // For each triangle, the regions that have it, and what is beyond it for each of them.
-    let mut faces: BTreeMap<[[u64; 3]; 3], Vec<(u8, Option<u8>)>> = BTreeMap::new();
+    let mut faces: BTreeMap<[[u64; 3]; 3], Vec<Sides>> = BTreeMap::new();
     for (region, found) in found.iter().enumerate() {
         assert_eq!(found.across.len(), found.surface.triangles.len());
         assert_closed(&found.surface);
