@@ -22,6 +22,7 @@ use crate::{ServerError, build, inspect, sample};
         palpate-server sample thigh -o thigh           write its surfaces and scene, to change them\n  \
         palpate-server build thigh/thigh.toml -o thigh.palp\n  \
         palpate-server inspect thigh.palp --png thigh.png --slice z=580\n  \
+        palpate-server inspect segmentation.nii.gz     its labels, to write a scene for it\n  \
         palpate-server host thigh.palp --listen 0.0.0.0:4433 --public operating.example.org\n\n\
         A trainee joins with `palpate-client join LINK`, where LINK is what `host` prints."
 )]
@@ -45,7 +46,8 @@ enum Command {
     },
     /// Build a model file from a scene
     Build {
-        /// The scene (palpate-scene/1, TOML)
+        /// The scene (palpate-scene/1, TOML): regions from surfaces (STL, OBJ, PLY) or from the
+        /// labels of a segmentation (NIfTI, NRRD, DICOM)
         scene: PathBuf,
         /// Model file to write
         #[arg(short, long, value_name = "FILE.palp")]
@@ -56,9 +58,9 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
-    /// Show what a model file holds
+    /// Show what a model file or a label volume holds
     Inspect {
-        /// The model file
+        /// The model file (.palp), or a label volume: .nii, .nii.gz, .nrrd, .nhdr, a DICOM folder
         file: PathBuf,
         #[command(flatten)]
         exports: Exports,

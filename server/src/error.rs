@@ -1,7 +1,7 @@
 //! What can go wrong before or while serving.
 
 use palpate_tissue::sample::SampleError;
-use palpate_tissue::{BuildError, FileError, SceneError, WriteError};
+use palpate_tissue::{BuildError, FileError, LabelError, SceneError, WriteError};
 use palpate_transport::TransportError;
 
 /// Why a command of the server ended without its result.
@@ -10,6 +10,9 @@ pub enum ServerError {
     /// The scene or one of its surfaces is not usable.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// The label volume is not usable.
+    #[error(transparent)]
+    Labels(#[from] LabelError),
     /// The model can not be built.
     #[error(transparent)]
     Build(#[from] BuildError),

@@ -19,10 +19,15 @@ pub(crate) struct Exports {
 }
 
 impl Exports {
+    /// Whether anything is asked for.
+    pub(crate) fn any(&self) -> bool {
+        self.vtu.is_some() || self.stl.is_some()
+    }
+
     /// Writes what is asked for, without putting it in its place yet.
     pub(crate) fn stage(&self, model: &Model) -> Result<Vec<Staged>, WriteError> {
         let mut staged = Vec::new();
-        if self.vtu.is_none() && self.stl.is_none() {
+        if !self.any() {
             return Ok(staged);
         }
         let topology = Topology::new(Arc::new(model.clone()));

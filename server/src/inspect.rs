@@ -1,11 +1,11 @@
-//! `palpate-server inspect`: what a model file holds.
+//! `palpate-server inspect`: what a model file or a label volume holds.
 
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use palpate_tissue::{Material, ModelFile, Region, Staged, model_hash};
+use palpate_tissue::{LabelVolume, Material, ModelFile, Region, Staged, model_hash};
 use serde_json::{Value, json};
 
 use crate::ServerError;
@@ -14,7 +14,7 @@ use crate::export::{Exports, put_in_place};
 use crate::picture::{self, Slice};
 
 /// A picture of a cross-section, when one is asked for.
-#[derive(Debug, Clone, Args)]
+#[derive(Debug, Clone, Default, Args)]
 pub(crate) struct Picture {
     /// Also draw a cross-section with regions, springs and poor cells
     #[arg(long, value_name = "FILE.png")]
@@ -44,8 +44,71 @@ impl Picture {
     }
 }
 
-/// The report of a model file: as one JSON object, and for a person. Writes what else is asked for.
+/// What a file holds: as one JSON object, and for a person. Writes what else is asked for, which only
+/// a model can give. Everything that is no model file by its name is taken for a label volume.
 pub(crate) fn inspect(
+    path: &Path,
+    exports: &Exports,
+    picture: &Picture,
+) -> Result<(Value, String), ServerError> {
+    const VOLUMES: [&str; 6] = ["nii", "gz", "nrrd", "nhdr", "dcm", "dicom"];
+    let extension = path.extension().unwrap_or_default().to_string_lossy();
+    if path.is_dir() || VOLUMES.contains(&extension.to_lowercase().as_str()) {
+        if exports.any() || picture.png.is_some() {
+            return Err(ServerError::Option(format!(
+                "{} is a label volume: --vtu, --stl and --png show a model; build one from it first",
+                path.display()
+            )));
+        }
+        return inspect_labels(path);
+    }
+    inspect_model(path, exports, picture)
+}
+
+fn inspect_labels(path: &Path) -> Result<(Value, String), ServerError> {
+    let volume = LabelVolume::read(path)?;
+    let [nx, ny, nz] = volume.size;
+    let [dx, dy, dz] = volume.to_world.spacing_m().map(|d| d * 1e3);
+    let bounds = volume.world_bounds();
+    let mm = |p: &palpate_tissue::Vec3| [p.x * 1e3, p.y * 1e3, p.z * 1e3];
+    let (low, high) = (mm(&bounds.min), mm(&bounds.max));
+    let labels: Vec<(u16, u64, f64)> = volume
+        .counts()
+        .into_iter()
+        .map(|(label, voxels)| (label, voxels, voxels as f64 * volume.voxel_m3() * 1e3))
+        .collect();
+    let linear = &volume.to_world.linear;
+    let origin = &volume.to_world.origin;
+    let affine: Vec<[f64; 4]> = (0..3)
+        .map(|r| [linear[(r, 0)], linear[(r, 1)], linear[(r, 2)], origin[r]].map(|x| x * 1e3))
+        .collect();
+    let value = json!({
+        "size": volume.size,
+        "spacing_mm": [dx, dy, dz],
+        "world": "RAS",
+        "affine_mm": affine,
+        "world_min_mm": low,
+        "world_max_mm": high,
+        "labels": labels.iter().map(|(label, voxels, litres)| {
+            json!({ "label": label, "voxels": voxels, "litres": litres })
+        }).collect::<Vec<_>>(),
+        "warnings": volume.warnings,
+    });
+    let mut text = format!(
+        "{nx} x {ny} x {nz} voxels of {dx:.3} x {dy:.3} x {dz:.3} mm\n\
+         world (RAS, mm): x {:.1} .. {:.1}, y {:.1} .. {:.1}, z {:.1} .. {:.1}\n{:>6} {:>12} {:>10}",
+        low[0], high[0], low[1], high[1], low[2], high[2], "label", "voxels", "litres"
+    );
+    for (label, voxels, litres) in &labels {
+        let _ = write!(text, "\n{label:>6} {voxels:>12} {litres:>10.4}");
+    }
+    for warning in &volume.warnings {
+        let _ = write!(text, "\nwarning: {warning}");
+    }
+    Ok((value, text))
+}
+
+fn inspect_model(
     path: &Path,
     exports: &Exports,
     picture: &Picture,
@@ -141,4 +204,55 @@ fn materials(file: &ModelFile) -> Value {
             })
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_label_volume_is_told_by_its_name_and_shown_with_its_labels() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.nrrd");
+        let text = "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 2 2 2\nencoding: ascii\n\
+                    space: LPS\nspace directions: (10,0,0) (0,10,0) (0,0,20)\n\
+                    space origin: (5,5,0)\n\n0 0 0 7 7 7 0 0";
+        std::fs::write(&path, text).unwrap();
+        let (exports, picture) = Default::default();
+        let (value, text) = inspect(&path, &exports, &picture).unwrap();
+        assert_eq!(value["size"], json!([2, 2, 2]));
+        assert_eq!(value["labels"][1]["voxels"], 3);
+        let litres = value["labels"][1]["litres"].as_f64().unwrap();
+        assert!((litres - 0.006).abs() < 1e-9);
+        // LPS in the file, RAS in the world.
+        assert!((value["world_min_mm"][0].as_f64().unwrap() + 20.0).abs() < 1e-9);
+        assert!(text.contains("10.000 x 10.000 x 20.000 mm") && text.contains("0.0060"));
+        let png = dir.path().join("a.png");
+        let picture = Picture {
+            png: Some(png.clone()),
+            ..Picture::default()
+        };
+        let error = inspect(&path, &exports, &picture).unwrap_err();
+        assert!(matches!(error, ServerError::Option(_)), "{error}");
+        assert!(!png.exists());
+    }
+
+    #[test]
+    fn what_is_neither_a_model_nor_a_label_volume_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let refusal = |name: &str| {
+            let path = dir.path().join(name);
+            std::fs::write(&path, b"nothing of the kind").unwrap();
+            inspect(&path, &Exports::default(), &Picture::default()).unwrap_err()
+        };
+        for name in ["a.nii", "a.nii.gz", "a.nrrd"] {
+            let error = refusal(name);
+            assert!(matches!(error, ServerError::Labels(_)), "{error}");
+            assert!(error.to_string().contains(name), "{error}");
+        }
+        for name in ["a.palp", "a.txt"] {
+            let error = refusal(name);
+            assert!(matches!(error, ServerError::File(_)), "{error}");
+        }
+    }
 }

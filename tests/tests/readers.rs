@@ -146,7 +146,6 @@ fn trimesh_finds_closed_surfaces_of_the_same_volume() {
 }
 
 #[test]
-#[ignore = "needs the reader of label volumes"]
 fn a_label_volume_of_nibabel_builds_to_the_volumes_it_counts() {
     let dir = tempfile::tempdir().unwrap();
     let volume = dir.path().join("labels.nii.gz");

@@ -1,8 +1,8 @@
-//! The deformable model: building it from surfaces, its equilibrium under tools, cutting,
+//! The deformable model: building it from surfaces or label volumes, its equilibrium under tools, cutting,
 //! snapshots and hashes.
 //!
-//! This crate never opens a socket, never reads a clock and knows no file but those of model
-//! formats. Three kinds of data are kept apart: the [`Model`] (immutable, what a model file
+//! This crate never opens a socket, never reads a clock and knows no file but those of
+//! surfaces, label volumes, scenes and models. Three kinds of data are kept apart: the [`Model`] (immutable, what a model file
 //! holds), the [`Topology`] (what cuts change) with one [`Shape`] per view of it (what pressing
 //! changes), and the scratch memory of the solvers.
 
@@ -18,6 +18,7 @@ pub mod export;
 mod fibre;
 mod file;
 mod fit;
+pub mod labels;
 mod material;
 mod model;
 pub mod sample;
@@ -47,9 +48,10 @@ pub use file::{
     CELLS_MAX, EnvelopeError, FileError, MODEL_FORMAT, ModelFile, NODES_MAX, REGIONS_MAX,
     decode_model, encode_model,
 };
+pub use labels::{LabelError, LabelVolume};
 pub use material::{FibreAxis, MATERIAL_NAMES, Material, MaterialError, MaterialOverride};
 pub use model::{Model, Region, RegionId};
-pub use scene::{Scene, SceneError, SceneInput, SceneRegion};
+pub use scene::{RegionSource, Scene, SceneError, SceneInput, SceneRegion};
 pub use shape::Shape;
 pub use snapshot::{SNAPSHOT_FORMAT, SnapshotError, model_hash, restore, snapshot};
 pub use springs::{SPRINGS_PER_NODE_MAX, Spring, Springs};

@@ -9,8 +9,8 @@ use std::sync::Arc;
 use nalgebra::Rotation3;
 use palpate_tissue::surface::Unit;
 use palpate_tissue::{
-    Budget, MaterialOverride, Scene, SceneInput, SceneRegion, Shape, Solver, Surface, Topology,
-    Vec3, build,
+    Budget, MaterialOverride, RegionSource, Scene, SceneInput, SceneRegion, Shape, Solver, Surface,
+    Topology, Vec3, build,
 };
 
 const MM: f64 = 1e-3;
@@ -44,9 +44,11 @@ fn model(
 ) -> Topology {
     let region = |i: usize| SceneRegion {
         name: format!("part{i}"),
-        surface: PathBuf::from("none"),
+        source: RegionSource::Surface {
+            file: PathBuf::from("none"),
+            unit: Unit::Metre,
+        },
         material: format!("m{i}"),
-        unit: Unit::Metre,
         change: MaterialOverride::default(),
     };
     let material = |i: usize| {

@@ -8,7 +8,8 @@ use std::path::Path;
 use palpate_tissue::sample::Sample;
 use palpate_tissue::scene::REGIONS_MAX;
 use palpate_tissue::{
-    FibreAxis, MATERIAL_NAMES, Material, MaterialOverride, Scene, SceneError, SceneInput, Unit,
+    FibreAxis, MATERIAL_NAMES, Material, MaterialOverride, RegionSource, Scene, SceneError,
+    SceneInput, Unit,
 };
 use proptest::prelude::*;
 
@@ -50,13 +51,14 @@ fn a_scene_says_what_its_text_says() {
     assert_eq!(scene.pinned, ["femur"]);
     let names: Vec<&str> = scene.regions.iter().map(|r| r.name.as_str()).collect();
     assert_eq!(names, ["subcutaneous", "muscle", "femur"], "in scene order");
+    assert_eq!(scene.source_path(1), Path::new("base/sub/thigh_muscle.stl"));
+    let unit_of = |r: usize| match scene.regions[r].source {
+        RegionSource::Surface { unit, .. } => Some(unit),
+        RegionSource::Labels { .. } => None,
+    };
     assert_eq!(
-        scene.surface_path(1),
-        Path::new("base/sub/thigh_muscle.stl")
-    );
-    assert_eq!(
-        (scene.regions[0].unit, scene.regions[2].unit),
-        (Unit::Millimetre, Unit::Metre)
+        (unit_of(0), unit_of(2)),
+        (Some(Unit::Millimetre), Some(Unit::Metre))
     );
     let regions = scene.model_regions().unwrap();
     assert_eq!(
@@ -95,7 +97,7 @@ fn a_written_scene_reads_back_as_itself() {
 }
 
 /// What to put for what in [`THIGH`], and words the message must hold.
-const MISTAKES: [(&str, &str, &[&str]); 35] = [
+const MISTAKES: [(&str, &str, &[&str]); 33] = [
     (
         "young_kpa = 10.0",
         "poisson = 0.5",
@@ -154,7 +156,10 @@ const MISTAKES: [(&str, &str, &[&str]); 35] = [
     (
         "unit = \"m\"",
         "colour = \"m\"",
-        &["line 19", "known are name, surface, material, unit"],
+        &[
+            "line 19",
+            "known are name, surface, label, labels, material, unit",
+        ],
     ),
     (
         "material = \"muscle\"",
@@ -211,16 +216,6 @@ const MISTAKES: [(&str, &str, &[&str]); 35] = [
         "format = \"palpate-scene/1\"",
         "",
         &["\"format\" is missing"],
-    ),
-    (
-        "pinned = [\"femur\"]",
-        "labels = \"a.nii.gz\"",
-        &["line 3", "label volumes", "not supported"],
-    ),
-    (
-        "surface = \"thigh_femur.stl\"",
-        "label = 3",
-        &["line 17", "label volumes", "not supported"],
     ),
     ("name = \"femur\"\n", "", &["line 15", "no \"name\""]),
     (

@@ -64,6 +64,10 @@ pub(super) fn nesting(
     query: &PointQuery,
     warnings: &mut Vec<String>,
 ) -> Result<(), BuildError> {
+    if input.voxels_m3.iter().all(Option::is_some) {
+        // Regions of one label volume: the first surface goes around the others by construction.
+        return Ok(());
+    }
     let name = |r: usize| input.scene.regions[r].name.clone();
     let boxes: Vec<Option<Aabb>> = input.surfaces.iter().map(Surface::aabb).collect();
     for (r, surface) in input.surfaces.iter().enumerate().skip(1) {

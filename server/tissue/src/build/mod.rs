@@ -139,7 +139,11 @@ pub fn build(
     let grid = Grid::around(&surfaces, spacing);
     let query = inside::PointQuery::new(&surfaces, grid.middle());
     check::nesting(input, spacing, &query, &mut warnings)?;
-    let input_volumes = label::resolved_volumes(&grid, &surfaces);
+    let mut input_volumes = label::resolved_volumes(&grid, &surfaces);
+    for (volume, voxels) in input_volumes.iter_mut().zip(&input.voxels_m3) {
+        // A label volume is the truth about what it alone describes.
+        *volume = voxels.unwrap_or(*volume);
+    }
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
 
     progress("casting rays", 0.1);
@@ -153,7 +157,8 @@ pub fn build(
     }
 
     progress("sorting the interfaces", 0.2);
-    let interfaces = patch::Interfaces::new(&surfaces, &query, spacing, grid.middle());
+    let interfaces =
+        patch::Interfaces::new(&surfaces, &input.across, &query, spacing, grid.middle());
     let faces = faces::faces(&lattice.cells);
     let placed = place(
         &grid,

@@ -37,9 +37,11 @@ pub(super) struct Interfaces {
 }
 
 impl Interfaces {
-    /// Sorts the triangles of all surfaces.
+    /// Sorts the triangles of all surfaces. `across` holds, for each surface, the region beyond each
+    /// triangle where that is known, and no elements where it has to be looked for.
     pub(super) fn new(
         surfaces: &[&Surface],
+        across: &[Vec<Option<u8>>],
         query: &PointQuery,
         spacing: f64,
         middle: Vec3,
@@ -49,29 +51,17 @@ impl Interfaces {
         let mut outer_rims = Rims::default();
         let mut rims = vec![Rims::default()];
         for (region, surface) in surfaces.iter().enumerate() {
-            let at_vertices = vertex_kinds(surface, region, query, spacing);
-            let sorted: Vec<Sorted> = surface
-                .triangles
-                .par_chunks(CHUNK)
-                .map(|chunk| {
-                    let mut sorted = Sorted::default();
-                    for t in chunk {
-                        let corners = t.map(|v| surface.vertices[v as usize]);
-                        let before = (sorted.outer.len(), sorted.inner.len());
-                        let kinds = t.map(|v| at_vertices[v as usize]);
-                        let sorter = Sorter {
-                            region,
-                            query,
-                            spacing,
-                            origin: &middle,
-                        };
-                        sorter.sort(&corners, kinds, &mut sorted);
-                        sorted.faces_out.push(sorted.outer.len() > before.0);
-                        sorted.faces_in.push(sorted.inner.len() > before.1);
-                    }
-                    sorted
-                })
-                .collect();
+            let sorter = Sorter {
+                region,
+                query,
+                spacing,
+                origin: &middle,
+            };
+            let sorted = if across[region].is_empty() {
+                sorter.look_at_all(surface)
+            } else {
+                sorter.take_all(surface, &across[region])
+            };
             let faces_out: Vec<bool> = sorted.iter().flat_map(|s| &s.faces_out).copied().collect();
             let faces_in: Vec<bool> = sorted.iter().flat_map(|s| &s.faces_in).copied().collect();
             let mut own_rims = Rims::default();
@@ -141,6 +131,46 @@ struct Sorter<'a> {
 }
 
 impl Sorter<'_> {
+    /// Sorts the triangles of a surface by looking behind and before them.
+    fn look_at_all(&self, surface: &Surface) -> Vec<Sorted> {
+        let at_vertices = vertex_kinds(surface, self.region, self.query, self.spacing);
+        let chunks = surface.triangles.par_chunks(CHUNK).map(|chunk| {
+            let mut sorted = Sorted::default();
+            for t in chunk {
+                let corners = t.map(|v| surface.vertices[v as usize]);
+                let before = (sorted.outer.len(), sorted.inner.len());
+                let kinds = t.map(|v| at_vertices[v as usize]);
+                self.sort(&corners, kinds, &mut sorted);
+                sorted.faces_out.push(sorted.outer.len() > before.0);
+                sorted.faces_in.push(sorted.inner.len() > before.1);
+            }
+            sorted
+        });
+        chunks.collect()
+    }
+
+    /// Sorts the triangles of a surface when it is known what is beyond each: none are hidden behind
+    /// another region's, and the first region's surface goes around all.
+    fn take_all(&self, surface: &Surface, across: &[Option<u8>]) -> Vec<Sorted> {
+        let mut sorted = Sorted::default();
+        for (t, beyond) in across.iter().enumerate() {
+            let corners = surface.corners(t);
+            let vector = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
+            let has_sides = vector.try_normalize(0.0).is_some();
+            let outer = has_sides && beyond.is_none() && self.region == 0;
+            let inner = has_sides && beyond.is_some_and(|b| usize::from(b) < self.region);
+            let piece = Bvh::flat(self.origin, &corners);
+            if outer {
+                sorted.outer.push(piece);
+            } else if inner {
+                sorted.inner.push(piece);
+            }
+            sorted.faces_out.push(outer);
+            sorted.faces_in.push(inner);
+        }
+        vec![sorted]
+    }
+
     /// Cuts a triangle into pieces small enough to be classified as a whole, and sorts them;
     /// `at_corners` is what its vertices are.
     fn sort(&self, corners: &[Vec3; 3], at_corners: [Kind; 3], sorted: &mut Sorted) {

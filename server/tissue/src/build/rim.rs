@@ -50,6 +50,7 @@ pub(super) struct Rims {
     corners: Vec<Vec3>,
     side: f64,
     cubes: BTreeMap<[i64; 3], Vec<u32>>,
+    corner_cubes: BTreeMap<[i64; 3], Vec<u32>>,
 }
 
 impl Rims {
@@ -62,6 +63,10 @@ impl Rims {
     pub(super) fn index(&mut self, reach: f64) {
         self.side = reach;
         self.find_corners();
+        for (index, corner) in self.corners.iter().enumerate() {
+            let list = self.corner_cubes.entry(cube(corner, reach)).or_default();
+            list.push(index as u32);
+        }
         for (index, segment) in self.segments.iter().enumerate() {
             let steps = ((segment.ends[1] - segment.ends[0]).norm() / reach * 2.0).ceil() as usize;
             for s in 0..=steps {
@@ -103,11 +108,16 @@ impl Rims {
 
     /// Number and distance of the corner nearest to `point`, within [`CORNER_REACH`] cube sides.
     pub(super) fn nearest_corner(&self, point: &Vec3) -> Option<(u32, f64)> {
-        let distances = self.corners.iter().enumerate();
-        distances
-            .map(|(index, corner)| (index as u32, (corner - point).norm()))
+        if self.corners.is_empty() {
+            return None;
+        }
+        let distance = |index: u32| (self.corners[index as usize] - point).norm();
+        cubes_around(point, self.side)
+            .filter_map(|at| self.corner_cubes.get(&at))
+            .flatten()
+            .map(|&index| (index, distance(index)))
             .filter(|(_, distance)| *distance <= CORNER_REACH * self.side)
-            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .min_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)))
     }
 
     /// The corner nearest to `point`.
@@ -121,14 +131,8 @@ impl Rims {
         if self.segments.is_empty() {
             return None;
         }
-        let centre = cube(point, self.side);
         let mut best: Option<(f64, Vec3)> = None;
-        for offset in 0..27 {
-            let at = [
-                centre[0] + offset % 3 - 1,
-                centre[1] + offset / 3 % 3 - 1,
-                centre[2] + offset / 9 - 1,
-            ];
+        for at in cubes_around(point, self.side) {
             for &index in self.cubes.get(&at).into_iter().flatten() {
                 let segment = &self.segments[index as usize];
                 let nearest = segment.nearest(point);
@@ -171,6 +175,12 @@ pub(super) fn sharp_edges(surface: &Surface, masks: [&[bool]; 2]) -> Vec<(usize,
             })
         })
         .collect()
+}
+
+/// The cube that holds a point and the 26 around it.
+fn cubes_around(point: &Vec3, side: f64) -> impl Iterator<Item = [i64; 3]> + use<> {
+    let [x, y, z] = cube(point, side);
+    (0..27).map(move |n| [x + n % 3 - 1, y + n / 3 % 3 - 1, z + n / 9 - 1])
 }
 
 fn cube(point: &Vec3, side: f64) -> [i64; 3] {

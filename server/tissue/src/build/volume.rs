@@ -12,11 +12,17 @@ use super::snap::Constraint;
 use super::untangle::Untangler;
 use crate::Vec3;
 
-/// Rounds of correction; later ones take up what nodes that had to stay have left over.
-const ROUNDS: usize = 3;
-/// Farthest that a node is moved in one round, in spacings. A region that misses more volume than
-/// this gives has lost thin parts, and blowing up the rest would be a lie.
-const SHIFT_MAX: f64 = 0.1;
+/// Most rounds of correction; later ones take up what nodes that had to stay have left over. Three are
+/// enough for a limb, a skin of one cell's thickness takes eight.
+const ROUNDS_MAX: usize = 8;
+/// Correction ends when every region is within this part of its volume.
+const EXACT: f64 = 1e-4;
+/// Farthest that an interface is moved in all, in spacings; a skin thinner than a cell needs a third.
+/// A region that misses more volume than this gives has lost thin parts, and blowing up the rest
+/// would be a lie.
+const SHIFT_MAX: f64 = 0.4;
+/// The same for one round, so that the interface's normals are still its own.
+const STEP_MAX: f64 = 0.1;
 /// Parts of the way that are tried until the cells around a node hold.
 const TRIES: [f64; 3] = [1.0, 0.5, 0.25];
 
@@ -28,18 +34,29 @@ pub(super) fn restore_volumes(
     positions: &mut [Vec3],
 ) {
     let mut slots = Slots::new(faces, positions.len());
-    for _ in 0..ROUNDS {
+    // Signed distance that each interface has moved; the outer one counts as the first region's.
+    let mut shifted = vec![0.0; targets.len()];
+    for _ in 0..ROUNDS_MAX {
+        let mut missing_most: f64 = 0.0;
         // Innermost (last) regions first, the outer surface at the end: each takes from the one
         // around it, so one pass settles nested regions.
         for region in (0..targets.len()).rev() {
             let volumes = volumes(faces, positions, targets.len());
-            let (interface, missing) = if region == 0 {
-                let whole = targets.iter().sum::<f64>() - volumes.iter().sum::<f64>();
-                (Interface::Outer, whole)
+            let (interface, target, missing) = if region == 0 {
+                let whole: f64 = targets.iter().sum();
+                (Interface::Outer, whole, whole - volumes.iter().sum::<f64>())
             } else {
-                (Interface::Of(region), targets[region] - volumes[region])
+                let missing = targets[region] - volumes[region];
+                (Interface::Of(region), targets[region], missing)
             };
-            slots.shift(untangler, faces, interface, missing, positions);
+            if target > 0.0 {
+                missing_most = missing_most.max((missing / target).abs());
+            }
+            let so_far = &mut shifted[region];
+            slots.shift(untangler, faces, interface, missing, so_far, positions);
+        }
+        if missing_most <= EXACT {
+            break;
         }
     }
 }
@@ -70,12 +87,15 @@ impl Slots {
         }
     }
 
+    /// Moves the nodes of one interface outwards by what is missing (m³), as far as the distance it
+    /// has moved before leaves room.
     fn shift(
         &mut self,
         untangler: &Untangler<'_>,
         faces: &[Face],
         interface: Interface,
         missing: f64,
+        shifted: &mut f64,
         positions: &mut [Vec3],
     ) {
         self.normals.fill(Vec3::zeros());
@@ -91,8 +111,10 @@ impl Slots {
         if area == 0.0 {
             return;
         }
-        let reach = SHIFT_MAX * untangler.spacing();
-        let distance = (missing / area).clamp(-reach, reach);
+        let [step, most] = [STEP_MAX, SHIFT_MAX].map(|part| part * untangler.spacing());
+        let distance = (missing / area).clamp(-step, step);
+        let distance = (*shifted + distance).clamp(-most, most) - *shifted;
+        *shifted += distance;
         let moves: Vec<(u32, Vec3)> = self
             .nodes
             .iter()

@@ -19,7 +19,7 @@ use std::str::FromStr;
 use thiserror::Error;
 
 use crate::MaterialOverride;
-use crate::scene::{Scene, SceneError, SceneInput, SceneRegion, nearest};
+use crate::scene::{RegionSource, Scene, SceneError, SceneInput, SceneRegion, nearest};
 use crate::surface::{Surface, SurfaceError, Unit};
 
 /// A built-in sample.
@@ -105,10 +105,12 @@ impl Sample {
         let file = |part: &str| format!("{}_{part}.stl", self.name().replace('-', "_"));
         let regions = body.parts.iter().map(|part| SceneRegion {
             name: part.name.to_owned(),
-            surface: file(part.name).into(),
+            source: RegionSource::Surface {
+                file: file(part.name).into(),
+                unit: Unit::Millimetre,
+            },
             material: part.material.to_owned(),
             change: MaterialOverride::default(),
-            unit: Unit::Millimetre,
         });
         let scene = Scene {
             spacing_m: body.spacing_m,

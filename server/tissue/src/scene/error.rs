@@ -6,6 +6,7 @@ use thiserror::Error;
 
 use super::{SCENE_BYTES_MAX, SCENE_FORMAT};
 use crate::MaterialError;
+use crate::labels::LabelError;
 use crate::surface::SurfaceError;
 
 /// Why a scene was refused.
@@ -45,6 +46,9 @@ pub enum SceneError {
     /// A material that cannot be resolved.
     #[error(transparent)]
     Material(MaterialError),
+    /// A label volume could not be read, or does not hold what the scene asks of it.
+    #[error(transparent)]
+    Labels(#[from] LabelError),
     /// A surface file of this region could not be read.
     #[error("region \"{0}\": {1}")]
     Surface(String, #[source] SurfaceError),

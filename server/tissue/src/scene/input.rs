@@ -1,65 +1,142 @@
 //! A scene together with its surfaces: what a model is built from.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use super::{Scene, SceneError};
+use super::{RegionSource, Scene, SceneError};
+use crate::labels::{self, LabelRegion, LabelVolume};
 use crate::surface::Surface;
+
+/// Voxels up to this part of the spacing are joined before their surfaces are extracted. Half a
+/// spacing is what separates a node from the next crossing.
+const FINEST: f64 = 0.5;
 
 /// What the builder takes, whether it came from files or was generated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneInput {
     /// The scene.
     pub scene: Scene,
-    /// One checked surface per region of the scene, in the same order.
+    /// One closed surface per region of the scene, in the same order, wound outwards.
     pub surfaces: Vec<Surface>,
+    /// For each region, the volume in m³ that its own voxels have when all regions come from one
+    /// label volume; `None` where only its surface tells.
+    pub voxels_m3: Vec<Option<f64>>,
+    /// For each region, what is beyond each triangle of its surface when all regions come from one
+    /// label volume: another region, or `None` outside; of the first one's, which goes around all,
+    /// nothing. Without elements where the builder has to look for it.
+    pub across: Vec<Vec<Option<u8>>>,
     /// What was repaired or looks odd, one sentence each, with the region's name.
     pub warnings: Vec<String>,
 }
 
 impl SceneInput {
-    /// Reads a scene file and every surface it names, and checks them.
+    /// Reads a scene file and every surface and label volume it names: surfaces are checked, those
+    /// of labelled regions are extracted.
     pub fn load(path: &Path) -> Result<Self, SceneError> {
         let scene = Scene::load(path)?;
-        let surfaces = (0..scene.regions.len())
-            .map(|r| {
-                let path = scene.surface_path(r);
-                Surface::read(&path, scene.regions[r].unit)
-                    .map_err(|source| SceneError::Surface(scene.regions[r].name.clone(), source))
-            })
-            .collect::<Result<_, _>>()?;
-        Self::new(scene, surfaces)
+        let mut input = Self {
+            surfaces: vec![Surface::default(); scene.regions.len()],
+            voxels_m3: vec![None; scene.regions.len()],
+            across: vec![Vec::new(); scene.regions.len()],
+            warnings: Vec::new(),
+            scene,
+        };
+        for (region, r) in input.scene.regions.iter().enumerate() {
+            if let RegionSource::Surface { unit, .. } = r.source {
+                let file = input.scene.source_path(region);
+                input.surfaces[region] = Surface::read(&file, unit)
+                    .map_err(|source| SceneError::Surface(r.name.clone(), source))?;
+            }
+        }
+        for volume in label_files(&input.scene) {
+            input.extract(&volume)?;
+        }
+        input.check()?;
+        Ok(input)
     }
 
     /// Checks the surfaces and puts them beside the scene they belong to.
     ///
     /// # Panics
     /// When there is not exactly one surface per region.
-    pub fn new(scene: Scene, mut surfaces: Vec<Surface>) -> Result<Self, SceneError> {
+    pub fn new(scene: Scene, surfaces: Vec<Surface>) -> Result<Self, SceneError> {
         assert_eq!(
             scene.regions.len(),
             surfaces.len(),
             "one surface per region"
         );
-        let mut warnings = Vec::new();
-        for (r, surface) in surfaces.iter_mut().enumerate() {
-            let name = &scene.regions[r].name;
+        let mut input = Self {
+            voxels_m3: vec![None; surfaces.len()],
+            across: vec![Vec::new(); surfaces.len()],
+            warnings: Vec::new(),
+            surfaces,
+            scene,
+        };
+        input.check()?;
+        Ok(input)
+    }
+
+    /// Judges the surfaces that came from elsewhere. Those extracted from labels are closed and
+    /// wound by construction; asking which of their parts lie in which would only cost time.
+    fn check(&mut self) -> Result<(), SceneError> {
+        for (r, surface) in self.surfaces.iter_mut().enumerate() {
+            let region = &self.scene.regions[r];
+            if matches!(region.source, RegionSource::Labels { .. }) {
+                continue;
+            }
             let report = surface.check().map_err(|source| SceneError::Check {
-                region: name.clone(),
-                path: scene.surface_path(r),
+                region: region.name.clone(),
+                path: self.scene.source_path(r),
                 source,
             })?;
-            let file = scene.regions[r].surface.display();
-            warnings.extend(
-                report
-                    .warnings
-                    .iter()
-                    .map(|w| format!("{name} ({file}): {w}")),
-            );
+            let (name, file) = (&region.name, region.source.file().display());
+            let say = |w: &String| format!("{name} ({file}): {w}");
+            self.warnings.extend(report.warnings.iter().map(say));
         }
-        Ok(Self {
-            scene,
-            surfaces,
-            warnings,
-        })
+        Ok(())
     }
+
+    /// Extracts the surfaces of all regions that come from one label volume.
+    fn extract(&mut self, file: &Path) -> Result<(), SceneError> {
+        let path = self.scene.base.join(file);
+        let mut members = Vec::new();
+        let mut regions = Vec::new();
+        for (r, region) in self.scene.regions.iter().enumerate() {
+            match &region.source {
+                RegionSource::Labels { file: own, labels } if own == file => {
+                    members.push(r);
+                    let labels = labels.clone();
+                    regions.push(LabelRegion { labels });
+                }
+                _ => {}
+            }
+        }
+        let volume = LabelVolume::read(&path)?;
+        let say = |w: &String| format!("{}: {w}", file.display());
+        self.warnings.extend(volume.warnings.iter().map(say));
+        let wrap = members.first() == Some(&0);
+        let finest_m = self.scene.spacing_m * FINEST;
+        let found = labels::surfaces(&volume, &path, &regions, wrap, finest_m)?;
+        let alone = members.len() == self.scene.regions.len();
+        for (r, found) in members.into_iter().zip(found) {
+            self.surfaces[r] = found.surface;
+            if alone {
+                self.voxels_m3[r] = Some(found.voxels_m3);
+                self.across[r] = found.across;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The label volumes that a scene names, each once, in the order of the regions.
+fn label_files(scene: &Scene) -> Vec<PathBuf> {
+    let mut files: Vec<PathBuf> = Vec::new();
+    for region in &scene.regions {
+        if let RegionSource::Labels { file, .. } = &region.source
+            && !files.contains(file)
+        {
+            files.push(file.clone());
+        }
+    }
+    files
 }

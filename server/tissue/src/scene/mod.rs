@@ -23,6 +23,20 @@
 //! young_kpa = 10.0
 //! ```
 //!
+//! Regions may come from a label volume instead, some or all of them:
+//!
+//! ```toml
+//! labels = "thigh.nii.gz"          # relative to the scene file; a region may name another one
+//!
+//! [[region]]
+//! name = "muscle"
+//! label = [2, 5]                   # or one number; a label of several regions is the last one's
+//! material = "muscle"
+//! ```
+//!
+//! When the first region comes from labels, its surface goes around all regions of the same volume,
+//! so that, with the later ones overriding it, every voxel is of the region its label names.
+//!
 //! Keys of a material, in `[material.NAME]` and in `[[region]]` alike. A region takes what it does
 //! not say from its `[material.NAME]`, and that from the library; a material that is not built in
 //! needs a `[material.NAME]` with `young_kpa` and `density_kg_m3`.
@@ -45,16 +59,17 @@ mod input;
 mod keys;
 mod materials;
 mod parse;
+mod source;
 mod write;
 
 pub use error::SceneError;
 pub use input::SceneInput;
 pub(crate) use keys::nearest;
+pub use source::RegionSource;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use crate::surface::Unit;
 use crate::{Material, MaterialOverride, Region};
 
 /// The one format this version reads and writes.
@@ -74,14 +89,12 @@ pub const SCENE_BYTES_MAX: u64 = 1 << 20;
 pub struct SceneRegion {
     /// Its name, unique in the scene.
     pub name: String,
-    /// File of its closed surface, as the scene gives it (see [`Scene::surface_path`]).
-    pub surface: PathBuf,
+    /// Where its shape comes from.
+    pub source: RegionSource,
     /// Name of its material: built in, or from `[material.NAME]`.
     pub material: String,
     /// What is different about it in this region.
     pub change: MaterialOverride,
-    /// The unit of the surface file.
-    pub unit: Unit,
 }
 
 /// What a scene file says, checked: names are unique, materials and pinned regions exist,
@@ -98,14 +111,14 @@ pub struct Scene {
     pub regions: Vec<SceneRegion>,
     /// `[material.NAME]` tables: changes to built-in materials, and new ones.
     pub materials: BTreeMap<String, MaterialOverride>,
-    /// The folder surface paths are relative to.
+    /// The folder that paths of surfaces and label volumes are relative to.
     pub base: PathBuf,
 }
 
 impl Scene {
-    /// Where a region's surface file is.
-    pub fn surface_path(&self, region: usize) -> PathBuf {
-        self.base.join(&self.regions[region].surface)
+    /// Where the file is that a region's shape comes from: a surface or a label volume.
+    pub fn source_path(&self, region: usize) -> PathBuf {
+        self.base.join(self.regions[region].source.file())
     }
 
     /// The material a region is filled with, overrides applied.

@@ -9,19 +9,22 @@ use toml::de::{DeTable, DeValue};
 
 use super::keys::{Text, line_after, nearest};
 use super::materials::{MATERIAL_KEYS, change, materials};
-use super::{REGIONS_MAX, SCENE_BYTES_MAX, SCENE_FORMAT, Scene, SceneError, SceneRegion};
+use super::{
+    REGIONS_MAX, RegionSource, SCENE_BYTES_MAX, SCENE_FORMAT, Scene, SceneError, SceneRegion,
+};
 use crate::surface::Unit;
 use crate::{Material, MaterialOverride};
 
-const SCENE_KEYS: [&str; 6] = [
+const SCENE_KEYS: [&str; 7] = [
     "format",
     "spacing_mm",
     "spacing_min_mm",
+    "labels",
     "pinned",
     "region",
     "material",
 ];
-const REGION_KEYS: [&str; 4] = ["name", "surface", "material", "unit"];
+const REGION_KEYS: [&str; 6] = ["name", "surface", "label", "labels", "material", "unit"];
 
 impl Scene {
     /// Reads a scene file. Its surfaces are not looked at; [`super::SceneInput::load`] does that.
@@ -98,11 +101,6 @@ fn refuse_other_formats(text: &Text, root: &DeTable) -> Result<(), SceneError> {
             format!("format \"{found}\" is not known; this version reads \"{SCENE_FORMAT}\"");
         return Err(text.error(format.span().start, what));
     }
-    if let Some((key, _)) = root.get_key_value("labels") {
-        let what = "label volumes (\"labels\") are not supported by this version; give each \
-                    region a closed surface instead: surface = \"FILE.stl\"";
-        return Err(text.error(key.span().start, what));
-    }
     Ok(())
 }
 
@@ -137,6 +135,10 @@ fn regions(
     root: &DeTable,
     materials: &BTreeMap<String, MaterialOverride>,
 ) -> Result<Vec<SceneRegion>, SceneError> {
+    let labels = match root.get("labels") {
+        Some(value) => Some(filled(text, "labels", value)?),
+        None => None,
+    };
     let wanted = "a list of tables that begin with [[region]]";
     let tables = match root.get("region") {
         Some(value) => text.array("region", value, wanted)?,
@@ -145,7 +147,7 @@ fn regions(
     if tables.is_empty() {
         return Err(text.error(
             0,
-            "the scene has no region; add a [[region]] with name, surface and material",
+            "the scene has no region; add a [[region]] with name, surface (or label) and material",
         ));
     }
     if let Some(beyond) = tables.get(REGIONS_MAX) {
@@ -154,7 +156,7 @@ fn regions(
     }
     let mut regions: Vec<SceneRegion> = Vec::with_capacity(tables.len());
     for value in tables {
-        let region = region(text, value, materials)?;
+        let region = region(text, value, materials, labels.as_deref())?;
         if regions.iter().any(|r| r.name == region.name) {
             let what = format!("a second region is named \"{}\"; rename one", region.name);
             return Err(text.error(value.span().start, what));
@@ -168,26 +170,12 @@ fn region(
     text: &Text,
     value: &Spanned<DeValue>,
     materials: &BTreeMap<String, MaterialOverride>,
+    labels: Option<&str>,
 ) -> Result<SceneRegion, SceneError> {
     let table = text.table("region", value, "a table that begins with [[region]]")?;
-    if let Some((key, _)) = table.get_key_value("label") {
-        let what = "label volumes (\"label\") are not supported by this version; give the region \
-                    a closed surface instead: surface = \"FILE.stl\"";
-        return Err(text.error(key.span().start, what));
-    }
     let known = [REGION_KEYS.as_slice(), &MATERIAL_KEYS].concat();
     text.refuse_unknown(table, &known, "in [[region]]")?;
-    let needed = |key: &str| {
-        let Some(value) = table.get(key) else {
-            let what = format!("this [[region]] has no \"{key}\"; add {key} = \"...\"");
-            return Err(text.error(value.span().start, what));
-        };
-        let string = text.string(key, value)?;
-        if string.is_empty() {
-            return Err(text.error(value.span().start, format!("\"{key}\" is empty")));
-        }
-        Ok((string, value.span().start))
-    };
+    let needed = |key: &str| needed(text, value, table, key);
     let (material, at) = needed("material")?;
     let resolved = Material::resolve(&material, materials.get(&material)).map_err(|e| {
         // A scene's own materials are candidates for a slip of the finger too.
@@ -203,24 +191,111 @@ fn region(
     resolved
         .with(&change, "changed for this region")
         .map_err(|e| text.error(value.span().start, e.to_string()))?;
-    let unit = match table.get("unit") {
-        None => Unit::default(),
-        Some(value) => match text.string("unit", value)?.as_str() {
-            "mm" => Unit::Millimetre,
-            "m" => Unit::Metre,
-            other => {
-                let what = format!("unit \"{other}\" is not known; it is \"mm\" or \"m\"");
-                return Err(text.error(value.span().start, what));
-            }
-        },
-    };
     Ok(SceneRegion {
         name: needed("name")?.0,
-        surface: needed("surface")?.0.into(),
+        source: source(text, value, table, labels)?,
         material,
         change,
-        unit,
     })
+}
+
+/// A text that must be there, and where it is.
+fn needed(
+    text: &Text,
+    region: &Spanned<DeValue>,
+    table: &DeTable,
+    key: &str,
+) -> Result<(String, usize), SceneError> {
+    let Some(value) = table.get(key) else {
+        let what = format!("this [[region]] has no \"{key}\"; add {key} = \"...\"");
+        return Err(text.error(region.span().start, what));
+    };
+    Ok((filled(text, key, value)?, value.span().start))
+}
+
+/// A text that is not empty.
+fn filled(text: &Text, key: &str, value: &Spanned<DeValue>) -> Result<String, SceneError> {
+    let string = text.string(key, value)?;
+    if string.is_empty() {
+        return Err(text.error(value.span().start, format!("\"{key}\" is empty")));
+    }
+    Ok(string)
+}
+
+/// A region's shape: a surface, or labels of its own volume or of the scene's (`labels`).
+fn source(
+    text: &Text,
+    region: &Spanned<DeValue>,
+    table: &DeTable,
+    labels: Option<&str>,
+) -> Result<RegionSource, SceneError> {
+    let start = |key: &str| table.get_key_value(key).map(|(key, _)| key.span().start);
+    let Some(label) = table.get("label") else {
+        if let Some(at) = start("labels") {
+            let what = "this [[region]] names a label volume and no label of it; add label = ...";
+            return Err(text.error(at, what));
+        }
+        if table.get("surface").is_none() && labels.is_some() {
+            let what = "this [[region]] has neither \"label\" nor \"surface\"; add label = ...";
+            return Err(text.error(region.span().start, what));
+        }
+        return Ok(RegionSource::Surface {
+            file: needed(text, region, table, "surface")?.0.into(),
+            unit: unit(text, table)?,
+        });
+    };
+    if let Some(at) = start("surface") {
+        let what = "a [[region]] has a surface or a label, not both; remove one";
+        return Err(text.error(at, what));
+    }
+    if let Some(at) = start("unit") {
+        let what = "\"unit\" is for surfaces; a label volume has its unit in its header";
+        return Err(text.error(at, what));
+    }
+    let file = match table.get("labels") {
+        Some(value) => filled(text, "labels", value)?,
+        None => labels.map(str::to_owned).ok_or_else(|| {
+            let what = "no label volume is named; add labels = \"FILE.nii.gz\" to this [[region]] \
+                        or at the top of the scene";
+            text.error(label.span().start, what)
+        })?,
+    };
+    Ok(RegionSource::Labels {
+        file: file.into(),
+        labels: label_numbers(text, label)?,
+    })
+}
+
+fn label_numbers(text: &Text, value: &Spanned<DeValue>) -> Result<Vec<u16>, SceneError> {
+    let one = |value: &Spanned<DeValue>| {
+        let number = text.number("label", value)?;
+        if number >= 0.0 && number <= f64::from(u16::MAX) && number.trunc() == number {
+            return Ok(number as u16);
+        }
+        let what = format!("label {number} is not a whole number from 0 to 65535");
+        Err(text.error(value.span().start, what))
+    };
+    let DeValue::Array(list) = value.get_ref() else {
+        return Ok(vec![one(value)?]);
+    };
+    if list.is_empty() {
+        return Err(text.error(value.span().start, "\"label\" names no label"));
+    }
+    list.iter().map(one).collect()
+}
+
+fn unit(text: &Text, table: &DeTable) -> Result<Unit, SceneError> {
+    let Some(value) = table.get("unit") else {
+        return Ok(Unit::default());
+    };
+    match text.string("unit", value)?.as_str() {
+        "mm" => Ok(Unit::Millimetre),
+        "m" => Ok(Unit::Metre),
+        other => {
+            let what = format!("unit \"{other}\" is not known; it is \"mm\" or \"m\"");
+            Err(text.error(value.span().start, what))
+        }
+    }
 }
 
 fn pinned(text: &Text, root: &DeTable, regions: &[SceneRegion]) -> Result<Vec<String>, SceneError> {

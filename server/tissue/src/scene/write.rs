@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Write};
 
-use super::{SCENE_FORMAT, Scene};
+use super::{RegionSource, SCENE_FORMAT, Scene};
 use crate::surface::Unit;
 use crate::{FibreAxis, MaterialOverride};
 
@@ -33,12 +33,20 @@ impl Scene {
         for region in &self.regions {
             writeln!(out, "\n[[region]]\nname = {}", quoted(&region.name))?;
             // Forward slashes are read on every system.
-            let surface = region.surface.to_string_lossy().replace('\\', "/");
-            writeln!(out, "surface = {}", quoted(&surface))?;
-            writeln!(out, "material = {}", quoted(&region.material))?;
-            if region.unit == Unit::Metre {
-                writeln!(out, "unit = \"m\"")?;
+            let file = region.source.file().to_string_lossy().replace('\\', "/");
+            match &region.source {
+                RegionSource::Surface { unit, .. } => {
+                    writeln!(out, "surface = {}", quoted(&file))?;
+                    if *unit == Unit::Metre {
+                        writeln!(out, "unit = \"m\"")?;
+                    }
+                }
+                RegionSource::Labels { labels, .. } => {
+                    writeln!(out, "labels = {}", quoted(&file))?;
+                    writeln!(out, "label = {labels:?}")?;
+                }
             }
+            writeln!(out, "material = {}", quoted(&region.material))?;
             write_change(out, &region.change)?;
         }
         for (name, change) in &self.materials {

@@ -17,8 +17,8 @@ pub enum SurfaceError {
         /// What the system said.
         source: std::io::Error,
     },
-    /// Neither STL nor OBJ.
-    #[error("{}: {what}; give a binary or ASCII STL (.stl) or a Wavefront OBJ (.obj)", path.display())]
+    /// Neither STL nor OBJ nor PLY.
+    #[error("{}: {what}; give an STL (.stl), a Wavefront OBJ (.obj) or a PLY (.ply)", path.display())]
     NotASurface {
         /// The file.
         path: PathBuf,

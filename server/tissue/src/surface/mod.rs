@@ -1,6 +1,6 @@
 //! Closed triangle surfaces: reading them, judging and repairing them, writing them.
 //!
-//! A surface is the boundary of one region. [`Surface::read`] brings STL and OBJ files into
+//! A surface is the boundary of one region. [`Surface::read`] brings STL, OBJ and PLY files into
 //! metres with welded vertices, [`Surface::check`] refuses what encloses no volume and repairs
 //! what can be repaired without guessing.
 
@@ -9,6 +9,7 @@ mod edges;
 mod error;
 mod obj;
 mod orient;
+mod ply;
 mod read;
 mod report;
 mod stl;

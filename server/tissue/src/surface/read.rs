@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::{Surface, SurfaceError, Unit, obj, stl};
+use super::{Surface, SurfaceError, Unit, obj, ply, stl};
 
 /// Most triangles in one file. Reason: 20 million are finer than any scan of a limb (0.1 mm) and
 /// take 2 GB while being welded. At the bound the file is refused.
@@ -15,9 +15,9 @@ pub const TRIANGLES_MAX: u64 = 20_000_000;
 pub const FILE_BYTES_MAX: u64 = stl::binary_bytes(TRIANGLES_MAX);
 
 impl Surface {
-    /// Reads a closed surface from an STL (binary or ASCII) or OBJ file whose coordinates are in
-    /// `unit`. The content decides between the two kinds of STL, the extension between STL and
-    /// OBJ. The surface is welded and not yet checked.
+    /// Reads a closed surface from an STL (binary or ASCII), OBJ or PLY (any kind) file whose
+    /// coordinates are in `unit`. The content decides between the kinds of STL and of PLY, the
+    /// extension between STL, OBJ and PLY. The surface is welded and not yet checked.
     pub fn read(path: &Path, unit: Unit) -> Result<Self, SurfaceError> {
         let bytes = read_bounded(path)?;
         if bytes.is_empty() {
@@ -33,6 +33,7 @@ impl Surface {
             .to_lowercase();
         match extension.as_str() {
             "obj" => obj::read(path, &bytes, unit),
+            "ply" => ply::read(path, &bytes, unit),
             "stl" | "stla" | "stlb" | "" => stl::read(path, &bytes, unit),
             other => Err(SurfaceError::NotASurface {
                 path: path.to_owned(),

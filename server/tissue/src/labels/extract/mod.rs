@@ -1,0 +1,127 @@
+//! From a label volume to one closed surface per region, without gaps or overlaps.
+//!
+//! 0. Voxels much finer than what is asked for are joined in blocks ([`grid`]).
+//! 1. Every corner where eight voxels of more than one region meet becomes a vertex, every face
+//!    between voxels of two regions a quadrilateral ([`net`]): one mesh that all regions share
+//!    (surface nets, Gibson 1998, for several labels at once).
+//! 2. Vertices slide towards their neighbours, each within half a voxel of its corner, those where
+//!    three regions meet along that line only: the steps of the voxels go ([`smooth`]).
+//! 3. All vertices move along their normals so that every region has the volume of its voxels
+//!    again; a vertex belongs to all regions around it, so this is one system of equations
+//!    ([`restore`]).
+//! 4. Each region takes its quadrilaterals as triangles ([`shell`]). Neighbours have the same
+//!    vertices, bit for bit.
+
+mod fans;
+mod grid;
+mod net;
+mod restore;
+mod shell;
+mod smooth;
+#[cfg(test)]
+mod tests;
+
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use super::{LabelError, LabelVolume};
+use crate::Surface;
+use crate::scene::REGIONS_MAX;
+use grid::{BEYOND, Grid, OUTSIDE};
+pub use net::NET_VERTICES_MAX;
+use net::Net;
+
+/// The labels that make one region.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LabelRegion {
+    /// Labels, in any order. A label that several regions name belongs to the last of them.
+    pub labels: Vec<u16>,
+}
+
+/// What was extracted for one region.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RegionSurface {
+    /// Closed, its edges shared by two triangles each, wound outwards; world coordinates in m.
+    pub surface: Surface,
+    /// Volume of the region's own voxels in m³, whatever the surface encloses besides.
+    pub voxels_m3: f64,
+    /// For each triangle of the surface, which of the regions is beyond it; `None` outside them all.
+    pub across: Vec<Option<u8>>,
+}
+
+/// Extracts the surfaces of `regions` from a volume that was read from `path` (for messages only).
+///
+/// With `wrap`, the first surface goes around all regions together instead of the first alone: a
+/// builder in which later regions override earlier ones wants an outermost surface that contains
+/// the others.
+///
+/// Voxels smaller than `finest_m` are joined into larger ones, at most that long, where no region
+/// suffers from it: what a lattice can not hold would only cost time. With 0 none are.
+///
+/// # Panics
+/// When there are more regions than a scene may have.
+pub fn surfaces(
+    volume: &LabelVolume,
+    path: &Path,
+    regions: &[LabelRegion],
+    wrap: bool,
+    finest_m: f64,
+) -> Result<Vec<RegionSurface>, LabelError> {
+    assert!(
+        regions.len() <= REGIONS_MAX,
+        "more regions than a scene has"
+    );
+    let region_of = region_of(volume, path, regions)?;
+    let grid = Grid::new(volume, &region_of);
+    let voxels = grid.counts(regions.len());
+    if let Some(r) = voxels.iter().position(|n| *n == 0) {
+        let labels: Vec<String> = regions[r].labels.iter().map(u16::to_string).collect();
+        return Err(LabelError::NothingLeft {
+            path: path.to_owned(),
+            labels: labels.join(", "),
+        });
+    }
+    let (grid, joined) = grid.coarsened(finest_m, regions.len());
+    let mut net = Net::of(&grid, path)?;
+    drop(grid);
+    let targets: Vec<f64> = voxels.iter().map(|n| *n as f64 / joined as f64).collect();
+    smooth::smooth(&mut net, &targets);
+    restore::restore(&mut net, &targets);
+    let found = (0..regions.len()).into_par_iter().map(|r| {
+        let (surface, across) = if wrap && r == 0 {
+            shell::shell(&net, |id| id != OUTSIDE && id != BEYOND)
+        } else {
+            shell::shell(&net, |id| usize::from(id) == r + 1)
+        };
+        RegionSurface {
+            surface,
+            across,
+            voxels_m3: voxels[r] as f64 * volume.voxel_m3(),
+        }
+    });
+    Ok(found.collect())
+}
+
+/// Region number plus one for each label, or [`OUTSIDE`]; labels that do not occur are refused.
+fn region_of(
+    volume: &LabelVolume,
+    path: &Path,
+    regions: &[LabelRegion],
+) -> Result<Vec<u8>, LabelError> {
+    let counts = volume.counts();
+    let mut region_of = vec![OUTSIDE; usize::from(u16::MAX) + 1];
+    for (r, region) in regions.iter().enumerate() {
+        for &label in &region.labels {
+            if counts.binary_search_by_key(&label, |c| c.0).is_err() {
+                return Err(LabelError::NoSuchLabel {
+                    path: path.to_owned(),
+                    label,
+                    present: volume.present(),
+                });
+            }
+            region_of[usize::from(label)] = r as u8 + 1;
+        }
+    }
+    Ok(region_of)
+}

@@ -1,0 +1,73 @@
+//! Taking the steps of the voxels out of the shared mesh.
+
+use rayon::prelude::*;
+
+use super::net::{NONE, Net};
+use super::restore::push_towards;
+use crate::Vec3;
+
+/// Farthest that a vertex may be from its corner along each axis, in voxels. Below one half, so that
+/// the two faces of a layer one voxel thick never touch.
+pub(super) const REACH: f64 = 0.45;
+
+/// Rounds of sweeps, each followed by giving regions their volume back: sliding towards neighbours
+/// alone would shrink what is round until it stood at the limit of [`REACH`], steps and all.
+const ROUNDS: usize = 4;
+
+/// Sweeps in a round.
+const SWEEPS: usize = 4;
+
+/// Part of the way towards the mean of the neighbours in one sweep.
+const STEP: f64 = 0.5;
+
+/// The same for vertices on lines. Half as much, because all their neighbours lie along the line:
+/// the rim of a cylinder then draws in as fast as its side.
+const STEP_ON_LINE: f64 = 0.25;
+
+/// Moves the vertices; `targets` are the volumes of the regions in voxels.
+pub(super) fn smooth(net: &mut Net, targets: &[f64]) {
+    for _ in 0..ROUNDS {
+        for _ in 0..SWEEPS {
+            sweep(net);
+        }
+        push_towards(net, targets, &[]);
+    }
+}
+
+fn sweep(net: &mut Net) {
+    let moved = (0..net.corners.len())
+        .into_par_iter()
+        .map(|v| slid(net, v))
+        .collect();
+    net.moved = moved;
+}
+
+fn slid(net: &Net, v: usize) -> Vec3 {
+    let corner = &net.corners[v];
+    let own = net.moved[v];
+    let mut sum = Vec3::zeros();
+    let mut count = 0.0;
+    for (direction, &n) in corner.neighbours.iter().enumerate() {
+        if n != NONE && corner.follows >> direction & 1 == 1 {
+            sum += net.moved[n as usize];
+            sum[direction / 2] += if direction % 2 == 1 { 1.0 } else { -1.0 };
+            count += 1.0;
+        }
+    }
+    if count == 0.0 {
+        return own;
+    }
+    let step = if corner.on_line { STEP_ON_LINE } else { STEP };
+    confined(own + (sum / count - own) * step, corner.locked)
+}
+
+/// Within reach of the corner, and in the border where the vertex belongs to it.
+pub(super) fn confined(moved: Vec3, locked: u8) -> Vec3 {
+    Vec3::from_fn(|a, _| {
+        if locked >> a & 1 == 1 {
+            0.0
+        } else {
+            moved[a].clamp(-REACH, REACH)
+        }
+    })
+}

@@ -1,0 +1,288 @@
+//! Scenes whose regions come from label volumes, wholly or in part: read, refused, built.
+
+#![allow(clippy::unwrap_used)]
+
+mod label_files;
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use label_files::{Folder, Nifti};
+use palpate_tissue::{
+    BuildReport, RegionSource, Scene, SceneInput, Surface, Topology, Vec3, build, report_surface,
+};
+
+const THIGH: &str = r#"format = "palpate-scene/1"
+spacing_mm = 4.0
+labels = "thigh.nii.gz"
+
+[[region]]
+name = "subcutaneous"
+label = 1
+material = "fat"
+
+[[region]]
+name = "muscle"
+label = [2, 5]
+material = "muscle"
+
+[[region]]
+name = "femur"
+surface = "femur.stl"
+material = "bone"
+
+[[region]]
+name = "tumour"
+labels = "tumour.nrrd"
+label = 0
+material = "liver"
+"#;
+
+#[test]
+fn a_region_names_a_surface_or_labels_of_its_own_volume_or_the_scenes() {
+    let scene = Scene::parse(THIGH, Path::new("base")).unwrap();
+    let labels = |r: usize| match &scene.regions[r].source {
+        RegionSource::Labels { labels, .. } => labels.clone(),
+        RegionSource::Surface { .. } => Vec::new(),
+    };
+    assert_eq!((labels(0), labels(1)), (vec![1], vec![2, 5]));
+    assert_eq!((labels(2), labels(3)), (vec![], vec![0]));
+    assert_eq!(scene.source_path(1), Path::new("base/thigh.nii.gz"));
+    assert_eq!(scene.source_path(2), Path::new("base/femur.stl"));
+    assert_eq!(scene.source_path(3), Path::new("base/tumour.nrrd"));
+    let again = Scene::parse(&scene.to_toml(), Path::new("base")).unwrap();
+    assert_eq!(again.regions, scene.regions);
+}
+
+#[test]
+fn mistakes_in_labels_are_named_with_their_line() {
+    let mistakes: [(&str, &str, &[&str]); 9] = [
+        (
+            "label = 1\n",
+            "",
+            &["line 5", "neither \"label\" nor \"surface\""],
+        ),
+        (
+            "label = 1\n",
+            "label = 1\nsurface = \"a.stl\"\n",
+            &["line 8", "not both"],
+        ),
+        (
+            "label = 1\n",
+            "label = 1\nunit = \"m\"\n",
+            &["line 8", "header"],
+        ),
+        ("label = 1\n", "label = -1\n", &["line 7", "0 to 65535"]),
+        ("label = 1\n", "label = 1.5\n", &["line 7", "0 to 65535"]),
+        ("label = 1\n", "label = []\n", &["line 7", "names no label"]),
+        ("label = 1\n", "label = \"one\"\n", &["line 7", "a number"]),
+        ("label = 0\n", "", &["line 22", "no label of it"]),
+        (
+            "labels = \"thigh.nii.gz\"\n",
+            "",
+            &["line 6", "no label volume is named"],
+        ),
+    ];
+    for (from, to, words) in mistakes {
+        let text = THIGH.replacen(from, to, 1);
+        let message = Scene::parse(&text, Path::new("")).unwrap_err().to_string();
+        for word in words {
+            assert!(
+                message.contains(word),
+                "{from} -> {to}: {message} (no {word})"
+            );
+        }
+    }
+}
+
+/// A thigh in small: 1 around 2 around 3 in 2 mm voxels, flat at the image's ends.
+fn drum() -> Vec<u8> {
+    let (nx, ny, nz) = (40_usize, 40_usize, 24_usize);
+    let mut file = Nifti::bytes();
+    file.dims(&[3, nx as i16, ny as i16, nz as i16, 1, 1, 1, 1]);
+    for (r, origin) in [-39.0, -39.0, 100.0].into_iter().enumerate() {
+        for c in 0..3 {
+            file.float(280 + 16 * r + 4 * c, if r == c { 2.0 } else { 0.0 });
+        }
+        file.float(292 + 16 * r, origin).float(80 + 4 * r, 2.0);
+    }
+    file.data = (0..nx * ny * nz)
+        .map(|n| {
+            let at = |i: usize| i as f64 - 19.5;
+            let r = at(n % nx).hypot(at(n / nx % ny));
+            [6.0, 13.0, 18.0].iter().filter(|limit| r < **limit).count() as u8
+        })
+        .collect();
+    file.file()
+}
+
+fn drum_scene(regions: &[(&str, &str)]) -> String {
+    let mut text =
+        "format = \"palpate-scene/1\"\nspacing_mm = 4.0\nlabels = \"drum.nii\"\n".to_owned();
+    for (name, source) in regions {
+        writeln!(
+            text,
+            "[[region]]\nname = \"{name}\"\n{source}\nmaterial = \"fat\""
+        )
+        .unwrap();
+    }
+    text
+}
+
+fn built(folder: &Folder, text: &str) -> (SceneInput, BuildReport) {
+    let input = SceneInput::load(&folder.write("scene.toml", text.as_bytes())).unwrap();
+    let (model, report) = build(&input, &mut |_, _| {}).unwrap();
+    let topology = Topology::new(model.into());
+    assert!(report_surface(topology.boundary()).closed);
+    assert!(report.outer_surface.closed && report.outer_surface.components == 1);
+    (input, report)
+}
+
+#[test]
+fn a_labelled_scene_builds_to_the_volumes_of_its_voxels() {
+    let folder = Folder::new();
+    folder.write("drum.nii", &drum());
+    // In any order of the regions: every voxel is of the region its label names.
+    for order in [
+        ["label = 1", "label = 2", "label = 3"],
+        ["label = 3", "label = 1", "label = 2"],
+    ] {
+        let names = ["a", "b", "c"];
+        let regions: Vec<(&str, &str)> = names.into_iter().zip(order).collect();
+        let (input, report) = built(&folder, &drum_scene(&regions));
+        assert!(report.warnings.is_empty(), "{:?}", report.warnings);
+        for (region, voxels) in report.regions.iter().zip(&input.voxels_m3) {
+            let voxels = voxels.unwrap() * 1e9;
+            assert!((region.input_volume_mm3 / voxels - 1.0).abs() < 1e-9);
+            let part = region.volume_mm3 / voxels;
+            assert!((part - 1.0).abs() < 0.01, "{}: {part}", region.name);
+        }
+    }
+}
+
+#[test]
+fn what_is_known_of_the_sides_is_what_looking_finds() {
+    let folder = Folder::new();
+    folder.write("drum.nii", &drum());
+    let text = drum_scene(&[("a", "label = 2"), ("b", "label = 1"), ("c", "label = 3")]);
+    let (mut input, told) = built(&folder, &text);
+    assert!(input.across.iter().all(|a| !a.is_empty()));
+    input.across = vec![Vec::new(); 3];
+    let (_, looked) = build(&input, &mut |_, _| {}).unwrap();
+    assert_eq!((told.nodes, told.cells), (looked.nodes, looked.cells));
+    for (told, looked) in told.regions.iter().zip(&looked.regions) {
+        assert!((told.volume_mm3 / looked.volume_mm3 - 1.0).abs() < 1e-3);
+        let [a, b] = [told, looked].map(|r| r.distance_mean_outside_thin_mm);
+        assert!((a - b).abs() < 0.02, "{a} {b}");
+    }
+}
+
+#[test]
+fn labels_and_surfaces_mix_and_later_regions_override() {
+    let folder = Folder::new();
+    folder.write("drum.nii", &drum());
+    // A block of 20 mm through the middle of label 2, written as a surface.
+    let corner = |c: usize, a: usize| if c >> a & 1 == 1 { 0.01 } else { -0.01 };
+    let block = Surface {
+        vertices: (0..8)
+            .map(|c| Vec3::new(corner(c, 0), corner(c, 1) + 0.02, corner(c, 2) + 0.122))
+            .collect(),
+        triangles: [
+            [0, 2, 3],
+            [0, 3, 1],
+            [4, 5, 7],
+            [4, 7, 6],
+            [0, 1, 5],
+            [0, 5, 4],
+            [2, 6, 7],
+            [2, 7, 3],
+            [0, 4, 6],
+            [0, 6, 2],
+            [1, 3, 7],
+            [1, 7, 5],
+        ]
+        .to_vec(),
+    };
+    block.write_stl(&folder.path().join("block.stl")).unwrap();
+    let text = drum_scene(&[
+        ("skin", "label = 1"),
+        ("muscle", "label = 2"),
+        ("block", "surface = \"block.stl\""),
+        ("bone", "label = 3"),
+    ]);
+    let (input, report) = built(&folder, &text);
+    assert!(input.voxels_m3.iter().all(Option::is_none));
+    let volume = |r: usize| report.regions[r].volume_mm3;
+    // The bone reaches into the block and wins.
+    assert!(volume(2) < 7_900.0 && volume(2) > 6_500.0, "{}", volume(2));
+    let bone = std::f64::consts::PI * 12.0 * 12.0 * 48.0;
+    assert!((volume(3) / bone - 1.0).abs() < 0.03, "{}", volume(3));
+    for region in &report.regions {
+        let part = region.volume_mm3 / region.input_volume_mm3;
+        assert!((part - 1.0).abs() < 0.02, "{}: {part}", region.name);
+    }
+}
+
+#[test]
+fn what_is_wrong_with_a_label_volume_reaches_the_person_with_its_file() {
+    let folder = Folder::new();
+    folder.write("drum.nii", &drum());
+    let scene = folder.write("s.toml", drum_scene(&[("a", "label = 9")]).as_bytes());
+    let message = SceneInput::load(&scene).unwrap_err().to_string();
+    for word in ["drum.nii", "label 9 does not occur", "1, 2, 3"] {
+        assert!(message.contains(word), "{message}");
+    }
+    folder.write("drum.nii", &drum()[..5000]);
+    let scene = folder.write("s.toml", drum_scene(&[("a", "label = 1")]).as_bytes());
+    let message = SceneInput::load(&scene).unwrap_err().to_string();
+    assert!(
+        message.contains("drum.nii") && message.contains("4648 of 38400 voxels"),
+        "{message}"
+    );
+}
+
+/// Builds a real body and compares with its voxels; needs `PALPATE_DATA`.
+fn real(folder: &str, volume: &str, labels: u16, spacing_mm: f64) -> Option<BuildReport> {
+    let data = std::env::var_os("PALPATE_DATA")?;
+    let data = std::fs::canonicalize(Path::new(&data).join(folder)).unwrap();
+    let mut text = format!(
+        "format = \"palpate-scene/1\"\nspacing_mm = {spacing_mm:?}\nlabels = '{}'\n",
+        data.join(volume).display()
+    );
+    for label in 1..=labels {
+        let name = format!("name = \"l{label}\"\nlabel = {label}");
+        writeln!(text, "[[region]]\n{name}\nmaterial = \"fat\"").unwrap();
+    }
+    let scene = Scene::parse(&text, Path::new("")).unwrap();
+    let scratch = Folder::new();
+    let path = scratch.write("scene.toml", scene.to_toml().as_bytes());
+    let input = SceneInput::load(&path).unwrap();
+    Some(build(&input, &mut |_, _| {}).unwrap().1)
+}
+
+fn assert_volumes(report: &BuildReport, first: usize) {
+    assert!(report.outer_surface.closed);
+    for region in &report.regions[first..] {
+        let part = region.volume_mm3 / region.input_volume_mm3;
+        assert!((part - 1.0).abs() < 0.01, "{}: {part}", region.name);
+    }
+}
+
+#[test]
+fn real_legs_build_from_their_labels_to_within_a_hundredth() {
+    for volume in ["thigh_labels_2mm.nii.gz", "shank_labels_2mm.nii.gz"] {
+        for spacing_mm in [4.0, 3.0] {
+            if let Some(report) = real("leg_bp3d", volume, 3, spacing_mm) {
+                assert_volumes(&report, 0);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_real_slab_of_ten_organs_builds_from_its_labels() {
+    // The first region is a skin one voxel thick, thinner than what a cell of 4 mm can keep.
+    if let Some(report) = real("abdomen_ct", "abdomen_slab_organs_3mm.nii.gz", 10, 4.0) {
+        assert_volumes(&report, 1);
+    }
+}
