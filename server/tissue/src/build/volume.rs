@@ -2,13 +2,14 @@
 //! (reconstructed).
 //!
 //! Faces between nodes that lie exactly on a curved surface run inside it: a bone of radius 7 mm
-//! loses 6 % at a spacing of 4 mm. So the nodes of each interface move along its normal by
-//! (missing volume) / (area), which is well below a tenth of the spacing; a node whose cells would
-//! suffer moves less.
+//! loses 6 % at a spacing of 4 mm. So the nodes of each interface move along its normal, mostly by well
+//! below a tenth of the spacing; a node whose cells would suffer moves less.
 
-use super::faces::{Face, volumes};
-use super::patch::Interface;
-use super::snap::Constraint;
+use std::collections::BTreeMap;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::faces::{Face, OUTSIDE, volumes};
 use super::untangle::Untangler;
 use crate::Vec3;
 
@@ -26,7 +27,11 @@ const STEP_MAX: f64 = 0.1;
 /// Parts of the way that are tried until the cells around a node hold.
 const TRIES: [f64; 3] = [1.0, 0.5, 0.25];
 
-/// Moves the nodes of curved interfaces outwards until region volumes match `targets` (m³).
+/// Moves the nodes of curved interfaces until region volumes match `targets` (m³).
+///
+/// Each pair of neighbours r, s has one shift of its wall, `λ_r - λ_s` out of r, with λ = 0 outside.
+/// With the areas `A_rs` the volumes then change by what is missing, `m_r = Σ_s A_rs (λ_r - λ_s)`: a small
+/// Laplacian system, which gives of all shifts that do so the least.
 pub(super) fn restore_volumes(
     untangler: &Untangler<'_>,
     faces: &[Face],
@@ -34,31 +39,74 @@ pub(super) fn restore_volumes(
     positions: &mut [Vec3],
 ) {
     let mut slots = Slots::new(faces, positions.len());
-    // Signed distance that each interface has moved; the outer one counts as the first region's.
-    let mut shifted = vec![0.0; targets.len()];
+    // How far each wall has moved.
+    let mut shifted: BTreeMap<Pair, f64> = BTreeMap::new();
     for _ in 0..ROUNDS_MAX {
-        let mut missing_most: f64 = 0.0;
-        // Innermost (last) regions first, the outer surface at the end: each takes from the one
-        // around it, so one pass settles nested regions.
-        for region in (0..targets.len()).rev() {
-            let volumes = volumes(faces, positions, targets.len());
-            let (interface, target, missing) = if region == 0 {
-                let whole: f64 = targets.iter().sum();
-                (Interface::Outer, whole, whole - volumes.iter().sum::<f64>())
-            } else {
-                let missing = targets[region] - volumes[region];
-                (Interface::Of(region), targets[region], missing)
-            };
-            if target > 0.0 {
-                missing_most = missing_most.max((missing / target).abs());
-            }
-            let so_far = &mut shifted[region];
-            slots.shift(untangler, faces, interface, missing, so_far, positions);
-        }
-        if missing_most <= EXACT {
+        let volumes = volumes(faces, positions, targets.len());
+        let missing: Vec<f64> = targets.iter().zip(&volumes).map(|(t, v)| t - v).collect();
+        let exact = |(m, t): (&f64, &f64)| *t <= 0.0 || m.abs() <= EXACT * t;
+        if missing.iter().zip(targets).all(exact) {
             break;
         }
+        let Some(mut shifts) = shifts(faces, positions, &missing) else {
+            break;
+        };
+        let [step, most] = [STEP_MAX, SHIFT_MAX].map(|part| part * untangler.spacing());
+        for (pair, shift) in &mut shifts {
+            let before = shifted.entry(*pair).or_default();
+            let now = (*before + shift.clamp(-step, step)).clamp(-most, most);
+            *shift = now - *before;
+            *before = now;
+        }
+        slots.shift(untangler, faces, &shifts, positions);
     }
+}
+
+/// The region of a wall and what is behind it.
+type Pair = (u16, u16);
+
+/// The shift of every wall that gives the regions what they miss (m³).
+fn shifts(faces: &[Face], positions: &[Vec3], missing: &[f64]) -> Option<BTreeMap<Pair, f64>> {
+    let mut areas: BTreeMap<Pair, f64> = BTreeMap::new();
+    for face in faces {
+        let vector = face_vector(face, positions);
+        *areas.entry((face.region, face.other)).or_default() += vector.norm();
+    }
+    let count = missing.len();
+    let whole: f64 = areas.values().sum();
+    // A region that touches nothing keeps its row solvable.
+    let mut laplacian = DMatrix::from_diagonal_element(count, count, 1e-9 * whole);
+    for (&(region, other), &area) in &areas {
+        let r = usize::from(region);
+        laplacian[(r, r)] += area;
+        if other != OUTSIDE {
+            let s = usize::from(other);
+            laplacian[(s, s)] += area;
+            laplacian[(r, s)] -= area;
+            laplacian[(s, r)] -= area;
+        }
+    }
+    let solved = laplacian.cholesky()?;
+    let potential = solved.solve(&DVector::from_row_slice(missing));
+    let of = |region: u16| {
+        if region == OUTSIDE {
+            0.0
+        } else {
+            potential[usize::from(region)]
+        }
+    };
+    Some(
+        areas
+            .into_keys()
+            .map(|pair| (pair, of(pair.0) - of(pair.1)))
+            .collect(),
+    )
+}
+
+/// Area of a face times its normal out of its region.
+fn face_vector(face: &Face, positions: &[Vec3]) -> Vec3 {
+    let [a, b, c, d] = face.corners(positions);
+    (c - a).cross(&(d - b)) / 2.0
 }
 
 /// A place for the normal of every node that lies on an interface.
@@ -66,6 +114,8 @@ struct Slots {
     slot_of: Vec<u32>,
     nodes: Vec<u32>,
     normals: Vec<Vec3>,
+    /// Normals times the shifts of their walls.
+    shifted: Vec<Vec3>,
 }
 
 impl Slots {
@@ -79,54 +129,45 @@ impl Slots {
                 nodes.push(node);
             }
         }
-        let normals = vec![Vec3::zeros(); nodes.len()];
+        let zeros = vec![Vec3::zeros(); nodes.len()];
         Self {
             slot_of,
             nodes,
-            normals,
+            normals: zeros.clone(),
+            shifted: zeros,
         }
     }
 
-    /// Moves the nodes of one interface outwards by what is missing (m³), as far as the distance it
-    /// has moved before leaves room.
+    /// Moves every node on one interface by the shifts of the walls around it, each with its area.
     fn shift(
         &mut self,
         untangler: &Untangler<'_>,
         faces: &[Face],
-        interface: Interface,
-        missing: f64,
-        shifted: &mut f64,
+        shifts: &BTreeMap<Pair, f64>,
         positions: &mut [Vec3],
     ) {
         self.normals.fill(Vec3::zeros());
-        let mut area = 0.0;
-        for face in faces.iter().filter(|f| f.interface() == interface) {
-            let [a, b, c, d] = face.corners(positions);
-            let vector = (c - a).cross(&(d - b)) / 2.0;
-            area += vector.norm();
+        self.shifted.fill(Vec3::zeros());
+        for face in faces {
+            let vector = face_vector(face, positions);
+            let by = shifts.get(&(face.region, face.other)).copied();
             for node in face.nodes {
-                self.normals[self.slot_of[node as usize] as usize] += vector;
+                let slot = self.slot_of[node as usize] as usize;
+                self.normals[slot] += vector;
+                self.shifted[slot] += vector * by.unwrap_or(0.0);
             }
         }
-        if area == 0.0 {
-            return;
-        }
-        let [step, most] = [STEP_MAX, SHIFT_MAX].map(|part| part * untangler.spacing());
-        let distance = (missing / area).clamp(-step, step);
-        let distance = (*shifted + distance).clamp(-most, most) - *shifted;
-        *shifted += distance;
         let moves: Vec<(u32, Vec3)> = self
             .nodes
             .iter()
-            .zip(&self.normals)
-            .filter(|(node, _)| moves_alone(untangler.constraint(**node), interface))
-            .filter_map(|(node, normal)| Some((*node, normal.try_normalize(0.0)? * distance)))
+            .zip(self.normals.iter().zip(&self.shifted))
+            .filter(|(node, _)| untangler.constraint(**node).single())
+            .filter_map(|(node, (normal, shifted))| {
+                let size = normal.norm();
+                let direction = normal.try_normalize(0.0)?;
+                Some((*node, direction * (shifted.dot(&direction) / size)))
+            })
             .collect();
         untangler.move_while_it_holds(&moves, &TRIES, positions);
     }
-}
-
-/// Nodes on several interfaces and on rims hold the others in place.
-fn moves_alone(constraint: Constraint, interface: Interface) -> bool {
-    constraint.single() && constraint.interfaces().next() == Some(interface)
 }
