@@ -26,7 +26,7 @@ pub(crate) const PAIRS: usize = 28;
 pub(crate) const ENDS: [[usize; 2]; PAIRS] = ends();
 
 /// Bounds of a share in parts of the cube's.
-const BOUNDS: [f64; 2] = [0.5, 3.0];
+const BOUNDS: [f64; 2] = [0.3, 4.0];
 /// Rounds, because what a bound takes away others must carry.
 const ROUNDS: usize = 4;
 /// Regularisation in parts of the trace: a cell so flat that some direction is missing is left

@@ -15,6 +15,9 @@ use palpate_tissue::{
 
 const MM: f64 = 1e-3;
 const YOUNG_PA: f64 = 10e3;
+/// Residual of a solve: what is looked at here is known to 5 %. (Bars of Poisson's ratio 0.45 askew to the
+/// lattice take hundreds of iterations for less.)
+const TOLERANCE: f64 = 5e-4;
 /// Half width and half length of a bar in m.
 const HALF: [f64; 3] = [12.0 * MM, 12.0 * MM, 40.0 * MM];
 
@@ -84,11 +87,11 @@ fn prescribe(
     topology: &Topology,
     solver: &mut Solver,
     shape: &mut Shape,
-    field: impl Fn(Vec3) -> Option<Vec3>,
+    field: impl Fn(u32, Vec3) -> Option<Vec3>,
 ) -> Vec<u32> {
     let mut held = Vec::new();
     for node in 0..topology.node_count() as u32 {
-        if let Some(u) = field(topology.rest(node)) {
+        if let Some(u) = field(node, topology.rest(node)) {
             assert!(solver.hold(topology, shape, node, u));
             held.push(node);
         }
@@ -97,8 +100,8 @@ fn prescribe(
 }
 
 fn solve(topology: &Topology, solver: &mut Solver, shape: &mut Shape) {
-    let report = solver.step(topology, shape, &[], Budget::new(300, 1e-4));
-    assert!(report.residual <= 1e-4, "residual {}", report.residual);
+    let report = solver.step(topology, shape, &[], Budget::new(300, TOLERANCE));
+    assert!(report.residual <= TOLERANCE, "residual {}", report.residual);
 }
 
 /// Mean displacement per distance along `of` against distance along `over`, over the middle half.
@@ -127,7 +130,7 @@ fn tension(topology: &Topology, turn: &Rotation3<f64>) -> (f64, f64) {
     let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
     let axes = [0, 1, 2].map(|a| turn * Vec3::ith(a, 1.0));
     let strain = 0.01;
-    let held = prescribe(topology, &mut solver, &mut shape, |p| {
+    let held = prescribe(topology, &mut solver, &mut shape, |_, p| {
         let z = p.dot(&axes[2]);
         (z.abs() > HALF[2] - 0.01 * MM).then(|| axes[2] * (strain * z))
     });
@@ -149,9 +152,9 @@ fn shear(topology: &Topology, turn: &Rotation3<f64>) -> f64 {
     let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
     let axes = [0, 1, 2].map(|a| turn * Vec3::ith(a, 1.0));
     let angle = 0.01;
-    let held = prescribe(topology, &mut solver, &mut shape, |p| {
-        let outside = (0..3).any(|a| p.dot(&axes[a]).abs() > HALF[a] - 0.01 * MM);
-        outside.then(|| axes[0] * (angle * p.dot(&axes[2])))
+    let held = prescribe(topology, &mut solver, &mut shape, |node, p| {
+        let field = axes[0] * (angle * p.dot(&axes[2]));
+        topology.on_boundary(node).then_some(field)
     });
     solve(topology, &mut solver, &mut shape);
     // Virtual work: the forces on the surface times the field are the stress times the volume.
@@ -200,7 +203,7 @@ fn two_materials_in_series_and_in_parallel_follow_the_closed_forms() {
         let boxes = [(-half, half, YOUNG_PA), (low, half, 5.0 * YOUNG_PA)];
         let topology = model(&boxes, 0.25, 4.0 * MM, &turn);
         let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
-        let held = prescribe(&topology, &mut solver, &mut shape, |p| {
+        let held = prescribe(&topology, &mut solver, &mut shape, |_, p| {
             (p.z.abs() > HALF[2] - 0.01 * MM).then(|| Vec3::z() * (strain * p.z))
         });
         solve(&topology, &mut solver, &mut shape);
