@@ -11,7 +11,7 @@
 //! | run a server and clients as processes | [`program`], [`session`] |
 //! | know what would be felt without a network | [`mod@reference`] |
 //! | compare | [`disagreement`], [`force_error`] |
-//! | measure the equilibrium | [`bench`] |
+//! | measure the equilibrium | [`mod@bench`] |
 //! | see all of it at once | [`demo`], [`report`], [`plots`] |
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]

@@ -35,7 +35,7 @@ const LEAST: f64 = 0.1;
 /// far nodes with a thousandth of it each, and visiting them all costs more than the press.
 const PROVEN: f64 = 1e-3;
 /// From this tolerance on it is not lowered: what a hand needs in a millisecond.
-const QUICK: f64 = 0.025;
+const QUICK: f64 = 0.02;
 /// Factor by which the part is lowered.
 const DEEPEN: f64 = 0.25;
 /// Residual of the last step's set up to which its change may be carried on: errors would be, too.
@@ -50,7 +50,7 @@ pub struct Budget<'a> {
     /// Relative residual at which to stop; 1e-6 counts as converged.
     pub tolerance: f64,
     /// Whether nodes far from the tools may wait: they are then brought up to date by
-    /// [`Solver::pour`], and a step costs what is near.
+    /// [`Solver::pour`], and a step costs what is near. The tolerance is then 0.02 at least.
     pub near: bool,
     /// Asked between iterations and between the sweeps of one; `true` stops. A shell that owns a clock sets a time limit so.
     pub stop: Option<&'a mut dyn FnMut() -> bool>,
@@ -285,6 +285,10 @@ impl Solver {
         self.field.begin(&self.structure, &self.coarse, u, carry);
         self.coarse.visits = 0;
         let near = budget.near;
+        if near {
+            // One iteration of more would already take too long.
+            budget.tolerance = budget.tolerance.max(QUICK);
+        }
         self.iterate(topology, &mut shape.displacement, &mut budget);
         if !near {
             self.pour(shape);
