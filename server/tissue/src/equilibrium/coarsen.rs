@@ -47,12 +47,12 @@ fn place(at: [i32; 3]) -> [i32; 3] {
     at.map(|v| v.div_euclid(2))
 }
 
-/// Makes the coarser lattice. `points` is the number of finer points, `joined(a, axis)` the cells
-/// that hang on cell `a` through its face towards higher coordinates on an axis.
+/// Makes the coarser lattice. `points` is the number of finer points; `joined(a, axis, list)` adds to
+/// a list the cells that hang on cell `a` through its face towards higher coordinates on an axis.
 pub(crate) fn coarsen(
     cells: &[Piece],
     points: usize,
-    joined: impl Fn(u32, usize) -> Vec<u32>,
+    joined: impl Fn(u32, usize, &mut Vec<u32>),
 ) -> Coarse {
     // Cells of one place, in order.
     let mut order: Vec<u32> = (0..cells.len() as u32).collect();
@@ -63,10 +63,13 @@ pub(crate) fn coarsen(
     order.sort_unstable_by_key(|&c| (key(c), c));
     // Components within a place.
     let mut sets = Sets::new(cells.len());
+    let mut list = Vec::new();
     for c in 0..cells.len() as u32 {
         for axis in 0..3 {
             if cells[c as usize].at[axis] & 1 == 0 {
-                for other in joined(c, axis) {
+                list.clear();
+                joined(c, axis, &mut list);
+                for &other in &list {
                     sets.join(c, other);
                 }
             }
@@ -182,8 +185,8 @@ impl Joints {
         Self { at }
     }
 
-    /// Elements behind the face of `a` towards higher coordinates that share all its points.
-    pub(crate) fn behind(&self, pieces: &[Piece], a: u32, axis: usize) -> Vec<u32> {
+    /// Adds the elements behind the face of `a` towards higher coordinates that share all its points.
+    pub(crate) fn behind(&self, pieces: &[Piece], a: u32, axis: usize, list: &mut Vec<u32>) {
         let own = &pieces[a as usize];
         let mut to = own.at;
         to[axis] += 1;
@@ -193,8 +196,8 @@ impl Joints {
                 .filter(|c| c >> axis & 1 == 0)
                 .all(|c| corners[c] == own.corners[c | 1 << axis])
         };
-        let list = self.at.get(&to);
-        list.into_iter().flatten().copied().filter(shares).collect()
+        let there = self.at.get(&to);
+        list.extend(there.into_iter().flatten().copied().filter(shares));
     }
 }
 

@@ -47,6 +47,8 @@ pub(super) struct Field {
     loud: List,
     /// Bricks to be computed before anything is said about their nodes.
     stale: List,
+    /// Nodes that are looked at; scratch.
+    touched: List,
     /// Displacements before this step of all nodes that moved in it.
     before: Vec<(u32, Vec3)>,
     saved: List,
@@ -67,15 +69,12 @@ pub(super) struct Field {
 }
 
 impl Field {
-    pub(super) fn new(topology: &Topology, structure: &Structure) -> Self {
+    /// `own` is the stiffness of each node, from [`own_stiffness`].
+    pub(super) fn new(topology: &Topology, structure: &Structure, own: Vec<f64>) -> Self {
         let nodes = topology.node_count();
-        let own = |node: u32| {
-            let row = topology.springs().row(node);
-            row.iter().map(|s| f64::from(s.stiffness)).sum::<f64>() / 3.0
-        };
         Self {
             fixed: (0..nodes as u32).map(|n| topology.is_pinned(n)).collect(),
-            own: (0..nodes as u32).map(own).collect(),
+            own,
             forces: vec![[[0.0; LOCALS]; 3]; structure.bricks.len()],
             r: vec![ZERO; nodes],
             inverse: vec![[0.0; 6]; nodes],
@@ -87,6 +86,7 @@ impl Field {
             free: vec![false; nodes],
             loud: List::new(nodes),
             stale: List::new(structure.bricks.len()),
+            touched: List::new(nodes),
             before: Vec::new(),
             saved: List::new(nodes),
             displaced: 0.0,
@@ -193,21 +193,16 @@ impl Field {
         self.stale.sort();
         let list = std::mem::take(&mut self.stale.items);
         self.compute(structure, u, &list);
-        let mut touched = Vec::new();
         for &brick in &list {
             let b = &structure.bricks[brick as usize];
-            for i in 0..LOCALS {
-                if b.present >> i & 1 == 1 {
-                    self.loud.insert(b.nodes[i]);
-                    touched.push(b.nodes[i]);
+            for (i, &node) in b.nodes.iter().enumerate() {
+                if b.present >> i & 1 == 1 && self.touched.insert(node) {
+                    self.loud.insert(node);
+                    self.r[node as usize] = self.sum(structure, node);
                 }
             }
         }
-        touched.sort_unstable();
-        touched.dedup();
-        for node in touched {
-            self.r[node as usize] = self.sum(structure, node);
-        }
+        self.touched.clear();
         self.stale.items = list;
         self.stale.clear();
     }
@@ -526,6 +521,12 @@ impl Field {
         let free = (0..r.len()).filter(|&n| !self.fixed[n]);
         free.map(|n| r[n].iter().map(|v| v * v).sum::<f64>()).sum()
     }
+}
+
+/// Mean stiffness of a node at rest in N/m.
+pub(super) fn own_stiffness(topology: &Topology, node: u32) -> f64 {
+    let row = topology.springs().row(node);
+    row.iter().map(|s| f64::from(s.stiffness)).sum::<f64>() / 3.0
 }
 
 /// `k n nᵀ`.

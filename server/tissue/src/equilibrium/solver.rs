@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::cycle::Multigrid;
-use super::field::{Field, contact_block};
+use super::field::{Field, contact_block, own_stiffness};
 use super::foresight::Foresight;
 use super::jacobi;
 use super::patch::{List, take_over};
@@ -123,7 +123,9 @@ impl Solver {
     }
 
     fn over(topology: &Topology, structure: Arc<Structure>) -> Self {
-        let field = Field::new(topology, &structure);
+        let all = 0..topology.node_count() as u32;
+        let own = all.map(|n| own_stiffness(topology, n)).collect();
+        let field = Field::new(topology, &structure, own);
         let mut own: Vec<f64> = field.own.iter().copied().filter(|&k| k > 0.0).collect();
         let middle = own.len() / 2;
         let typical = match own.get(middle) {
@@ -152,21 +154,27 @@ impl Solver {
     pub fn follow(&mut self, topology: &Topology, touched: &[u32]) {
         let before = (&*self.structure, touched);
         self.structure = Arc::new(Structure::after(topology, Some(before)));
-        self.restart(topology);
+        let mut own = std::mem::take(&mut self.field.own);
+        let new = own.len() as u32..topology.node_count() as u32;
+        own.resize(topology.node_count(), 0.0);
+        for node in touched.iter().copied().chain(new) {
+            own[node as usize] = own_stiffness(topology, node);
+        }
+        self.restart(topology, own);
         self.contacts.follow(topology);
     }
 
     /// Follows a change of the topology that another solver has followed.
     pub fn follow_like(&mut self, topology: &Topology, other: &Self) {
         self.structure = Arc::clone(&other.structure);
-        self.restart(topology);
+        self.restart(topology, other.field.own.clone());
         self.contacts.follow(topology);
     }
 
     /// Forgets all that was known of forces.
-    fn restart(&mut self, topology: &Topology) {
+    fn restart(&mut self, topology: &Topology, own: Vec<f64>) {
         let displaced = self.field.displaced;
-        self.field = Field::new(topology, &self.structure);
+        self.field = Field::new(topology, &self.structure, own);
         self.field.displaced = displaced;
         self.coarse = Multigrid::new(&self.structure);
         for &node in &self.held {
@@ -295,7 +303,8 @@ impl Solver {
         }
         if !self.is_sane(topology) {
             self.field.undo(&self.structure, &mut shape.displacement);
-            self.restart(topology);
+            let own = std::mem::take(&mut self.field.own);
+            self.restart(topology, own);
             self.report.fell_back = true;
         }
         self.close(topology, &shape.displacement);

@@ -134,9 +134,11 @@ impl Structure {
     /// rest positions it touched.
     pub(super) fn after(topology: &Topology, before: Option<(&Self, &[u32])>) -> Self {
         let cells = pieces_of(topology);
-        let coarse = coarsen(&cells, topology.node_count(), |cell, axis| {
+        let coarse = coarsen(&cells, topology.node_count(), |cell, axis, list| {
             let next = topology.across(FaceId::new(cell, 2 * axis + 1));
-            if next == NO_CELL { vec![] } else { vec![next] }
+            if next != NO_CELL {
+                list.push(next);
+            }
         });
         let mut kinds = before.map_or_else(Kinds::default, |b| b.0.kinds.clone());
         let made = bricks_of(topology, &cells, &coarse, before, &mut kinds);
@@ -186,8 +188,8 @@ impl Structure {
             let l = self.levels.len();
             let last = l + 1 == LEVELS_MAX || now.pieces.len() <= COARSEST_ELEMENTS;
             let next = (!last).then(|| {
-                coarsen(&now.pieces, now.points, |e, axis| {
-                    joints.behind(&now.pieces, e, axis)
+                coarsen(&now.pieces, now.points, |e, axis, list| {
+                    joints.behind(&now.pieces, e, axis, list);
                 })
             });
             let next = next.filter(|n| n.pieces.len() < now.pieces.len());
@@ -294,7 +296,7 @@ fn bricks_of(
         (0..cells.len()).map(|c| (coarse.element_of[c], c as u32)),
     );
     let changed = before.map(|(structure, touched)| Changed::new(topology, structure, touched));
-    let make = |e: usize| -> Vec<(Brick, Option<(Form, u128)>)> {
+    let make = |e: usize| -> Vec<(Brick, Option<(Arc<Form>, u128)>)> {
         let row = members.row(e as u32);
         if let Some(old) = changed.as_ref().and_then(|c| c.unchanged(topology, row)) {
             return old.map(|brick| (brick, None)).collect();
@@ -308,7 +310,7 @@ fn bricks_of(
         let finish = |draft: &Draft| {
             let (brick, form) = draft.finish(topology);
             let key = form.key();
-            (brick, Some((form, key)))
+            (brick, Some((Arc::new(form), key)))
         };
         drafts.iter().map(finish).collect()
     };
@@ -329,7 +331,7 @@ fn bricks_of(
             for (mut brick, form) in list {
                 if let Some((form, key)) = form {
                     brick.form = *kinds.form_of.entry(key).or_insert_with(|| {
-                        kinds.forms.push(Arc::new(form));
+                        kinds.forms.push(form);
                         kinds.forms.len() as u32 - 1
                     });
                 }
