@@ -385,7 +385,7 @@ impl Solver {
         }
         self.field.enter(structure, coarse, u);
         let sum = self.field.evaluate(topology, structure, u, &self.contacts);
-        if self.report.iterations < 2 || (!quick && self.report.iterations.is_multiple_of(RENEW)) {
+        if quick || self.report.iterations < 2 || self.report.iterations.is_multiple_of(RENEW) {
             self.field
                 .renew_blocks(topology, structure, u, &self.contacts);
         }
