@@ -276,6 +276,9 @@ fn pieces_of(topology: &Topology) -> Vec<Piece> {
         .collect()
 }
 
+/// A brick, and its form with its key where that is new.
+type Made = (Brick, Option<(Arc<Form>, u128)>);
+
 /// The bricks, sorted by their elements.
 struct Sorted {
     bricks: Vec<Brick>,
@@ -296,7 +299,7 @@ fn bricks_of(
         (0..cells.len()).map(|c| (coarse.element_of[c], c as u32)),
     );
     let changed = before.map(|(structure, touched)| Changed::new(topology, structure, touched));
-    let make = |e: usize| -> Vec<(Brick, Option<(Arc<Form>, u128)>)> {
+    let make = |e: usize| -> Vec<Made> {
         let row = members.row(e as u32);
         if let Some(old) = changed.as_ref().and_then(|c| c.unchanged(topology, row)) {
             return old.map(|brick| (brick, None)).collect();
