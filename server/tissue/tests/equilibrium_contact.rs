@@ -132,6 +132,23 @@ fn bad_tools_are_ignored_and_counted() {
 }
 
 #[test]
+fn a_double_of_a_pressing_tool_that_is_nowhere_changes_nothing() {
+    let run = |double: bool| {
+        let (topology, mut solver, mut shape) = slab();
+        for tenth in 0..12 {
+            let good = tool(24.0 * MM, 24.0 * MM, 0.1 * MM * f64::from(tenth), 6.0 * MM);
+            let mut nowhere = good;
+            nowhere.centre.z = f64::NAN;
+            let tools = [good, nowhere];
+            let tools = &tools[..if double { 2 } else { 1 }];
+            solver.step(&topology, &mut shape, tools, Budget::new(2, 2e-2));
+        }
+        shape.hash()
+    };
+    assert_eq!(run(true), run(false));
+}
+
+#[test]
 fn a_stop_is_obeyed() {
     let (topology, mut solver, mut shape) = slab();
     let mut asked = 0;

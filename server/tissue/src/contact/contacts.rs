@@ -205,11 +205,14 @@ impl Contacts {
         forces.iter().map(Vec3::norm_squared).sum()
     }
 
-    /// Whether the tool of this number touched in the last step, as a sphere: what a point feels
-    /// changes from triangle to triangle.
-    pub(crate) fn is_touching(&self, tool: u32, spacing: f64) -> bool {
-        let mut proxies = self.proxies.iter();
-        proxies.any(|p| p.id == tool && p.touching && !p.is_point(spacing))
+    /// Numbers and centres of the sound tools that touched in the last step. Points are left out:
+    /// what they feel changes from triangle to triangle.
+    pub(crate) fn touching(&self, spacing: f64) -> impl Iterator<Item = (u32, Vec3)> {
+        let touching = move |p: &&Proxy| p.touching && !p.is_point(spacing);
+        self.proxies
+            .iter()
+            .filter(touching)
+            .map(|p| (p.id, p.target))
     }
 
     /// Position of a touched node in the list of nodes.

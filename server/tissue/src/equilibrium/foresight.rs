@@ -5,7 +5,7 @@
 //! shape begins with γ times its last change; what remains to be solved is of second order in the step.
 
 use crate::Vec3;
-use crate::contact::{Contacts, Tool};
+use crate::contact::Contacts;
 
 /// Cosine between two moves from which on the second one continues the first.
 const ALIKE: f64 = 0.7;
@@ -20,7 +20,7 @@ pub(super) struct Foresight {
 }
 
 struct Driver {
-    /// Tool, or node with the highest bit set.
+    /// Whether it is a node, and the number of the tool or node.
     id: (bool, u32),
     at: Vec3,
     by: Vec3,
@@ -30,14 +30,12 @@ impl Foresight {
     /// Takes in where tools and held nodes are; gives γ.
     pub(super) fn look(
         &mut self,
-        tools: &[Tool],
         contacts: &Contacts,
         held: &[u32],
         u: &[Vec3],
         spacing: f64,
     ) -> f64 {
-        let touching = tools.iter().filter(|t| contacts.is_touching(t.id, spacing));
-        let tools = touching.map(|t| ((false, t.id), t.centre));
+        let tools = contacts.touching(spacing).map(|(id, at)| ((false, id), at));
         let nodes = held.iter().map(|&n| ((true, n), u[n as usize]));
         let (mut both, mut last, mut now) = (0.0, 0.0, 0.0);
         let drivers: Vec<Driver> = tools

@@ -20,9 +20,6 @@ const HELD_STIFFNESS: f64 = 20.0;
 const SMOOTHING: usize = 3;
 /// The same on the coarse levels; fewer when a hand waits.
 const COARSE_SMOOTHING: [usize; 2] = [3, 2];
-/// Iterations between two computations of the blocks that smoothing divides by, after the first
-/// two of a step.
-const RENEW: usize = 1;
 /// Share of the correction of the coarse levels that is taken at least and at most.
 const SHARES: [f64; 2] = [0.2, 2.0];
 /// Part of the allowed residual that a single node may keep at first. When what is active has
@@ -283,7 +280,7 @@ impl Solver {
         let u = &mut shape.displacement;
         let spacing = topology.model().spacing_m;
         let (contacts, held) = (&self.contacts, &self.held);
-        let carry = self.foresight.look(tools, contacts, held, u, spacing);
+        let carry = self.foresight.look(contacts, held, u, spacing);
         let carry = if self.calmness() < TRUSTED {
             carry
         } else {
@@ -323,7 +320,7 @@ impl Solver {
         loop {
             self.field.refresh(&self.structure, u);
             let allowed = self.bring(topology, u, budget.tolerance);
-            let sum = self.take_part(topology, u, share * allowed, quick);
+            let sum = self.take_part(topology, u, share * allowed);
             self.report.residual = relative(sum, self.reference);
             let last = if budget.tolerance < PROVEN {
                 0.5 / (self.field.stirred() as f64 + 1.0).sqrt()
@@ -366,13 +363,7 @@ impl Solver {
     }
 
     /// Stage: what takes part, and the forces on it. Returns their sum of squares.
-    fn take_part(
-        &mut self,
-        topology: &Topology,
-        u: &mut [Vec3],
-        threshold: f64,
-        quick: bool,
-    ) -> f64 {
+    fn take_part(&mut self, topology: &Topology, u: &mut [Vec3], threshold: f64) -> f64 {
         let (structure, coarse) = (&self.structure, &mut self.coarse);
         let touched = self.contacts.nodes.iter().copied();
         self.field
@@ -385,10 +376,10 @@ impl Solver {
         }
         self.field.enter(structure, coarse, u);
         let sum = self.field.evaluate(topology, structure, u, &self.contacts);
-        if quick || self.report.iterations < 2 || self.report.iterations.is_multiple_of(RENEW) {
-            self.field
-                .renew_blocks(topology, structure, u, &self.contacts);
-        }
+        // In every iteration: with those of a few iterations ago, contacts found late were smoothed
+        // past and deep presses blew up.
+        self.field
+            .renew_blocks(topology, structure, u, &self.contacts);
         sum
     }
 
