@@ -420,3 +420,126 @@ fn bulk_tangents<S: Simd>(simd: S, form: &Form, u: &Local, m: &mut LocalBlocks) 
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use pulp::{Arch, Scalar};
+
+    use super::*;
+    use crate::equilibrium::brick::Draft;
+    use crate::{Material, Model, Topology, block};
+
+    /// A distorted brick of a material that uses every term, and displacements that fold it.
+    fn brick() -> (Brick, Form, Vec<Vec3>) {
+        let material = Material {
+            poisson: 0.4,
+            stiffening: 3.0,
+            ..Material::default()
+        };
+        let mut model: Model = block([2, 2, 2], 4e-3, &material, 0);
+        let noise = |i: usize, a: usize| ((i * 31 + a * 17) % 23) as f64 / 23.0 - 0.5;
+        for (i, p) in model.nodes.iter_mut().enumerate() {
+            *p += Vec3::new(noise(i, 0), noise(i, 1), noise(i, 2)) * 1e-3;
+        }
+        let topology = Topology::new(model.into());
+        let cells: Vec<(usize, u32)> = (0..8).map(|c| (c, c as u32)).collect();
+        let mut drafts = Vec::new();
+        Draft::of(&topology, &cells, &mut drafts);
+        let (brick, form) = drafts[0].finish(&topology);
+        let u = (0..27)
+            .map(|i| Vec3::new(noise(i, 3), noise(i, 4), noise(i, 5)) * 9e-3)
+            .collect();
+        (brick, form, u)
+    }
+
+    #[test]
+    fn vectors_of_any_width_give_the_same_bits() {
+        let (brick, form, u) = brick();
+        let bits = |rows: &[[f32; PADDED]]| -> Vec<u32> {
+            let numbers = rows.iter().flat_map(|row| &row[..LOCALS]);
+            numbers.map(|v| v.to_bits()).collect()
+        };
+        let forces = |wide: bool| {
+            let scratch = &mut Ends::new();
+            let op = Forces {
+                brick: &brick,
+                form: &form,
+                u: &u,
+                scratch,
+            };
+            let f = if wide {
+                Arch::new().dispatch(op)
+            } else {
+                op.with_simd(Scalar)
+            };
+            bits(&f)
+        };
+        let tangents = |wide: bool| {
+            let scratch = &mut Ends::new();
+            let op = Tangents {
+                brick: &brick,
+                form: &form,
+                u: &u,
+                per_spacing: 250.0,
+                scratch,
+            };
+            let m = if wide {
+                Arch::new().dispatch(op)
+            } else {
+                op.with_simd(Scalar)
+            };
+            bits(&m)
+        };
+        assert_eq!(forces(true), forces(false));
+        assert_eq!(tangents(true), tangents(false));
+    }
+
+    #[test]
+    fn forces_add_up_to_nothing_and_have_a_potential() {
+        let (brick, form, u) = brick();
+        let small: Vec<Vec3> = u.iter().map(|u| u * 0.01).collect();
+        let forces = |u: &[Vec3]| {
+            Arch::new().dispatch(Forces {
+                brick: &brick,
+                form: &form,
+                u,
+                scratch: &mut Ends::new(),
+            })
+        };
+        let bound = Arch::new().dispatch(Tangents {
+            brick: &brick,
+            form: &form,
+            u: &small,
+            per_spacing: 250.0,
+            scratch: &mut Ends::new(),
+        });
+        let f = forces(&small);
+        for row in &f {
+            let sum: f32 = row[..LOCALS].iter().sum();
+            let size: f32 = row[..LOCALS].iter().map(|v| v.abs()).sum();
+            assert!(sum.abs() < 1e-4 * size, "{sum} of {size}");
+        }
+        // What a node's move along x does to the others, by differences.
+        let step = 1e-6;
+        let stiffness: Vec<Vec<f32>> = (0..LOCALS)
+            .map(|i| {
+                let mut moved = small.clone();
+                moved[i].x += f64::from(step);
+                let g = forces(&moved);
+                (0..LOCALS).map(|j| (f[0][j] - g[0][j]) / step).collect()
+            })
+            .collect();
+        for i in 0..LOCALS {
+            let own = stiffness[i][i];
+            assert!(
+                own > 0.0 && own < bound[0][i],
+                "{i}: {own}, {}",
+                bound[0][i]
+            );
+            for j in 0..i {
+                let (a, b) = (stiffness[i][j], stiffness[j][i]);
+                assert!((a - b).abs() < 0.02 * own, "{i} {j}: {a} {b}");
+            }
+        }
+    }
+}
