@@ -1,4 +1,4 @@
-//! Springs assembled per cell from Young's modulus.
+//! Springs assembled per cell from its shear modulus.
 //!
 //! A cell has springs along its 12 edges (k1, structural), its 12 face diagonals (k2, shear) and its
 //! four body diagonals (k3, shear). For the cubic lattice of spacing Δd, Σ k l² n n n n per volume is
@@ -25,7 +25,14 @@
 //! ```
 //!
 //! which keeps the energy per volume of a uniform strain when a cell is scaled. Heterogeneity,
-//! boundaries and the halves on both sides of a cut then come by themselves.
+//! boundaries and the halves on both sides of a cut then come by themselves. E stands for 2.5 μ: with
+//! the volume term (`equilibrium/law.rs`) the springs carry the shear modulus alone, and at Poisson's
+//! ratio 1/4 that is Young's modulus.
+//!
+//! The rows here have these shares whatever the shape of the cell: they are the seed's springs, which
+//! its iteration (3.10) runs on and from which the stiffness of a node is taken. The forces of the
+//! equilibrium come per cell, and in a distorted cell with shares that make it isotropic again
+//! (`fit.rs`).
 
 /// One spring as seen from one of its ends.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,5 +1,6 @@
 //! A small model, scripts for it, and a session around it, for tests of whole programs.
 
+// Each test file uses a part of it.
 #![allow(dead_code)]
 
 use std::path::{Path, PathBuf};

@@ -24,13 +24,8 @@ const SMALL: f64 = 0.003;
 
 /// Refuses a spacing that needs more memory than there may be.
 pub(super) fn size(surfaces: &[&Surface], spacing: f64) -> Result<(), BuildError> {
-    let mut low = Vec3::repeat(f64::INFINITY);
-    let mut high = Vec3::repeat(f64::NEG_INFINITY);
-    for v in surfaces.iter().flat_map(|s| &s.vertices) {
-        low = low.inf(v);
-        high = high.sup(v);
-    }
-    let extent = high - low;
+    let bounds = Aabb::around(surfaces.iter().flat_map(|s| &s.vertices));
+    let extent = bounds.map_or_else(Vec3::zeros, |b| b.extent());
     let cells: f64 = extent.iter().map(|e| (e / spacing).ceil() + 2.0).product();
     let volume = surfaces.iter().map(|s| s.volume()).fold(0.0, f64::max);
     let nodes = volume / spacing.powi(3);

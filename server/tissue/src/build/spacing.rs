@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::label::Sweep;
 use super::rays::{Hits, Rays, cast};
 use super::{BUILD_NODES_MAX, GRID_CELLS_MAX, SpacingReport};
-use crate::{Surface, Vec3};
+use crate::{Aabb, Surface, Vec3};
 
 /// Rays across the longest side of the input. Finer rays find no other layers, only more of them.
 const RAYS: f64 = 128.0;
@@ -27,13 +27,9 @@ const AUTO_NODES_MAX: f64 = 1e6;
 
 /// The spacing in m and how it was found; `threshold` is `d_threshold` in m, 0 for none.
 pub(super) fn find(surfaces: &[&Surface], threshold: f64) -> (f64, SpacingReport) {
-    let mut low = Vec3::repeat(f64::INFINITY);
-    let mut high = Vec3::repeat(f64::NEG_INFINITY);
-    for v in surfaces.iter().flat_map(|s| &s.vertices) {
-        low = low.inf(v);
-        high = high.sup(v);
-    }
-    let extent = high - low;
+    let bounds = Aabb::around(surfaces.iter().flat_map(|s| &s.vertices));
+    let (low, extent) =
+        bounds.map_or_else(|| (Vec3::zeros(), Vec3::zeros()), |b| (b.min, b.extent()));
     let step = extent.max() / RAYS;
     let mut distances: Vec<f64> = (0..3)
         .flat_map(|axis| distances_along(surfaces, axis, &low, &extent, step))
