@@ -12,8 +12,6 @@ use super::element::{SIZE, at, multiply};
 use super::patch::{Corners, NONE, Overlay, Patch, apply, invert, take_over};
 use super::structure::{Level, Structure};
 
-/// Steps on the coarsest level, which stand for a solve.
-const COARSEST: usize = 10;
 /// Lowest eigenvalue that smoothing looks after, in parts of the bound on all.
 pub(super) const LOW: f32 = 0.15;
 /// The same on the coarsest level.
@@ -25,6 +23,18 @@ const PENDING: f32 = 4.0;
 /// The same on level l + 1: what coarse elements get wrong is a smaller part of a larger force.
 fn tolerable(l: usize, threshold: f32) -> f32 {
     PENDING * threshold * (1 << l) as f32
+}
+
+/// How much a V-cycle does.
+#[derive(Clone, Copy)]
+pub(super) struct Effort {
+    /// Smoothing steps on each level before the correction of the coarser one, and after it.
+    pub(super) before: usize,
+    pub(super) after: usize,
+    /// Steps on the coarsest level, which stand for a solve.
+    pub(super) coarsest: usize,
+    /// Load in thresholds on a point outside of the set from which on it is to be let in.
+    pub(super) loaded: f32,
 }
 
 /// The factors of a Chebyshev iteration on [low, 1] times the bound.
@@ -144,9 +154,8 @@ impl Multigrid {
         self.patches.iter().any(|p| !p.wanted.items.is_empty())
     }
 
-    /// One V-cycle for the loads on level 1, with `smoothing` steps before and after the correction
-    /// of each coarser level; leaves the correction in every patch's `e`.
-    pub(super) fn cycle(&mut self, structure: &Structure, threshold: f32, smoothing: usize) {
+    /// One V-cycle for the loads on level 1; leaves the correction in every patch's `e`.
+    pub(super) fn cycle(&mut self, structure: &Structure, threshold: f32, effort: Effort) {
         let last = self.patches.len() - 1;
         for l in 0..=last {
             let level = &structure.levels[l];
@@ -167,9 +176,9 @@ impl Multigrid {
                 };
             }
             let (steps, low) = if l == last {
-                (COARSEST, LOW_COARSEST)
+                (effort.coarsest, LOW_COARSEST)
             } else {
-                (smoothing, LOW)
+                (effort.before, LOW)
             };
             self.visits += (1 + steps) * patch.set.items.len();
             self.arch.dispatch(Smooth {
@@ -189,7 +198,7 @@ impl Multigrid {
                 if patch.inside[point as usize] == 0 {
                     let b = patch.b[point as usize];
                     restrict(&level.ties[point as usize], &b, next);
-                    if square(&b) > threshold * threshold {
+                    if square(&b) > (effort.loaded * threshold).powi(2) {
                         for &element in level.around.row(point) {
                             next.wanted.insert(level.parent[element as usize]);
                         }
@@ -209,11 +218,11 @@ impl Multigrid {
                     patch.e[p][a] += v[a];
                 }
             }
-            self.visits += smoothing * patch.set.items.len();
+            self.visits += effort.after * patch.set.items.len();
             self.arch.dispatch(Smooth {
                 level,
                 patch,
-                steps: smoothing,
+                steps: effort.after,
                 low: LOW,
                 moved: true,
             });

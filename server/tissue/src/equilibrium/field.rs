@@ -21,8 +21,14 @@ use crate::{Topology, Vec3};
 const MOVE_MAX: f64 = 0.5;
 /// Bricks from which on they are shared among threads.
 const PARALLEL: usize = 512;
-/// Part of the threshold below which a force is forgotten.
-const SILENT: f32 = 1e-4;
+/// Part of the threshold below which a force is forgotten, when a hand waits for the answer and
+/// when not.
+const SILENT: [f32; 2] = [0.02, 1e-4];
+/// How many times more than what has to take part may stay in the set before it is chosen afresh.
+const ROOMY: usize = 3;
+/// Elements that loud nodes may have refined while a hand waits. Where more are loud, the loudest have
+/// their turn first: two thousand nodes are what a millisecond has room for.
+const NEEDED_MAX: usize = 160;
 
 /// What the solver knows of single nodes and bricks.
 pub(super) struct Field {
@@ -45,6 +51,14 @@ pub(super) struct Field {
     pub(super) free: Vec<bool>,
     /// Nodes whose force may not be zero.
     loud: List,
+    /// Nodes that were found too quiet for a hand, and matter again when more is asked for.
+    quiet: List,
+    /// Nodes outside of the set that were disturbed since it was last looked at.
+    disturbed: List,
+    /// Elements of level 1 that have to be refined; scratch.
+    needed: List,
+    /// Whether what is fixed has changed since the set was chosen.
+    pub(super) outdated: bool,
     /// Bricks to be computed before anything is said about their nodes.
     stale: List,
     /// Nodes that are looked at; scratch.
@@ -85,6 +99,10 @@ impl Field {
             inside: vec![0; nodes],
             free: vec![false; nodes],
             loud: List::new(nodes),
+            quiet: List::new(nodes),
+            disturbed: List::new(nodes),
+            needed: List::new(structure.levels[0].corners.len()),
+            outdated: true,
             stale: List::new(structure.bricks.len()),
             touched: List::new(nodes),
             before: Vec::new(),
@@ -121,6 +139,9 @@ impl Field {
         for &node in nodes {
             self.r[node as usize] = self.sum(structure, node);
             self.loud.insert(node);
+            if !self.nodes.contains(node) {
+                self.disturbed.insert(node);
+            }
         }
     }
 
@@ -199,6 +220,9 @@ impl Field {
                 if b.present >> i & 1 == 1 && self.touched.insert(node) {
                     self.loud.insert(node);
                     self.r[node as usize] = self.sum(structure, node);
+                    if !self.nodes.contains(node) {
+                        self.disturbed.insert(node);
+                    }
                 }
             }
         }
@@ -207,39 +231,93 @@ impl Field {
         self.stale.clear();
     }
 
-    /// Chooses what takes part: the refined elements of level 1 are those with a node whose force
-    /// is above the threshold, those wanted by the last cycle, and those in contact.
+    /// Chooses what takes part: the elements of level 1 to refine are those with a node whose force
+    /// is above the threshold, those wanted by the last cycle, and those in contact. What is
+    /// refined already stays as it is while it covers them and is not much more. Returns whether
+    /// there is a choice to be taken.
     pub(super) fn select(
         &mut self,
         structure: &Structure,
         coarse: &mut Multigrid,
         always: impl Iterator<Item = u32>,
         threshold: f32,
-    ) {
+        quick: bool,
+    ) -> bool {
+        for &node in &self.nodes.items {
+            self.loud.insert(node);
+        }
+        if !quick {
+            for node in self.quiet.take() {
+                self.loud.insert(node);
+            }
+        }
+        let mut limit = threshold;
+        loop {
+            self.need(structure, &coarse.patches[0], limit, quick);
+            if !quick || self.needed.items.len() <= NEEDED_MAX {
+                break;
+            }
+            limit *= 2.0;
+        }
+        for node in always {
+            for &entry in structure.around.row(node) {
+                let element = structure.element_of[(entry / 32) as usize];
+                self.needed.insert(element);
+            }
+        }
+        let silent = SILENT[usize::from(!quick)] * threshold;
+        let (r, quiet) = (&self.r, &mut self.quiet);
+        self.loud.retain(|node| {
+            let stays = square(&r[node as usize]) > silent * silent;
+            if quick && !stays {
+                quiet.insert(node);
+            }
+            stays
+        });
+        self.disturbed.clear();
+        let wanted = coarse.patches.iter().any(|p| !p.wanted.items.is_empty());
+        let (refined, needed) = (&coarse.patches[0].refined, &self.needed);
+        let covered = needed.items.iter().all(|&e| refined.contains(e));
+        let roomy = refined.items.len() > ROOMY * needed.items.len();
+        if covered && !roomy && !wanted && !self.outdated {
+            return false;
+        }
+        self.outdated = false;
         let patch = &mut coarse.patches[0];
         patch.refined.clear();
+        for &element in &self.needed.items {
+            patch.refined.insert(element);
+        }
         Self::select_wanted(patch);
-        let silent = SILENT * threshold;
-        let (r, fixed) = (&self.r, &self.fixed);
-        self.loud.retain(|node| {
-            let force = square(&r[node as usize]);
-            if !fixed[node as usize] && force > threshold * threshold {
-                for &entry in structure.around.row(node) {
-                    patch
-                        .refined
+        true
+    }
+
+    /// Notes the elements around nodes whose force is above the threshold.
+    fn need(&mut self, structure: &Structure, patch: &Patch, threshold: f32, quick: bool) {
+        self.needed.clear();
+        let waits = |&entry: &u32| {
+            let element = structure.element_of[(entry / 32) as usize];
+            patch.waiting[element as usize]
+        };
+        for &node in &self.loud.items {
+            let n = node as usize;
+            if self.fixed[n] || square(&self.r[n]) <= threshold * threshold {
+                continue;
+            }
+            // Beside a part that waits only half of the force is known, and the rest is what the
+            // coarse level has seen to.
+            let around = structure.around.row(node);
+            let known = !quick
+                || self.free[n]
+                || self.disturbed.contains(node)
+                || !self.nodes.contains(node) && !around.iter().any(waits);
+            if known {
+                for &entry in around {
+                    self.needed
                         .insert(structure.element_of[(entry / 32) as usize]);
                 }
             }
-            force > silent * silent
-        });
-        for node in always {
-            for &entry in structure.around.row(node) {
-                patch
-                    .refined
-                    .insert(structure.element_of[(entry / 32) as usize]);
-            }
         }
-        patch.refined.sort();
     }
 
     /// Adds the elements of level 1 that want to be refined.

@@ -9,10 +9,6 @@ use crate::contact::Contacts;
 
 /// Cosine between two moves from which on the second one continues the first.
 const ALIKE: f64 = 0.7;
-/// Times the last change that is carried on at most. Below one, so that what a step got wrong dies
-/// out even if the next one has little time.
-const MOST: f64 = 0.9;
-
 /// Where drivers were and how they moved in the last step.
 #[derive(Default)]
 pub(super) struct Foresight {
@@ -58,6 +54,6 @@ impl Foresight {
         if last == 0.0 || both.abs() < ALIKE * (last * now).sqrt() {
             return 0.0;
         }
-        (both / last).clamp(-1.0, MOST)
+        both / last
     }
 }

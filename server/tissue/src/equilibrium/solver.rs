@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::cycle::Multigrid;
+use super::cycle::{Effort, Multigrid};
 use super::field::{Field, contact_block, own_stiffness};
 use super::foresight::Foresight;
 use super::jacobi;
@@ -18,8 +18,21 @@ const HELD_MAX: usize = 4096;
 const HELD_STIFFNESS: f64 = 20.0;
 /// Smoothing steps after each coarse correction.
 const SMOOTHING: usize = 3;
-/// The same on the coarse levels; fewer when a hand waits.
-const COARSE_SMOOTHING: [usize; 2] = [3, 2];
+/// V-cycles: of a solution, and of a step that a hand waits for, where many cheap ones come farther.
+const EFFORT: [Effort; 2] = [
+    Effort {
+        before: 3,
+        after: 3,
+        coarsest: 10,
+        loaded: 1.0,
+    },
+    Effort {
+        before: 0,
+        after: 2,
+        coarsest: 4,
+        loaded: 8.0,
+    },
+];
 /// Share of the correction of the coarse levels that is taken at least and at most.
 const SHARES: [f64; 2] = [0.2, 2.0];
 /// Part of the allowed residual that a single node may keep at first. When what is active has
@@ -104,6 +117,8 @@ pub struct Solver {
     least: f64,
     report: StepReport,
     dirty: bool,
+    /// Whether what takes part has to be looked at afresh.
+    look: bool,
     last_forces: Vec<Vec3>,
 }
 
@@ -141,6 +156,7 @@ impl Solver {
             reference: 0.0,
             report: StepReport::default(),
             dirty: false,
+            look: true,
             last_forces: Vec::new(),
         }
     }
@@ -217,6 +233,7 @@ impl Solver {
             }
             self.held.push(node);
         }
+        self.field.outdated |= !self.field.fixed[n];
         self.field.fixed[n] = true;
         shape.displacement[n] = at;
         self.disturb(shape, &[node]);
@@ -228,6 +245,7 @@ impl Solver {
         if let Some(i) = self.held.iter().position(|&n| n == node) {
             self.held.swap_remove(i);
             self.field.fixed[node as usize] = topology.is_pinned(node);
+            self.field.outdated = true;
             self.field.disturb(&self.structure, node);
             self.dirty = true;
         }
@@ -281,8 +299,10 @@ impl Solver {
         let spacing = topology.model().spacing_m;
         let (contacts, held) = (&self.contacts, &self.held);
         let carry = self.foresight.look(contacts, held, u, spacing);
-        let carry = if self.calmness() < TRUSTED {
-            carry
+        // Less than one, so that what a step got wrong dies out even if the next one has little time.
+        let calmness = self.calmness();
+        let carry = if calmness < TRUSTED {
+            carry.clamp(-1.0, 1.0 - calmness)
         } else {
             0.0
         };
@@ -320,7 +340,7 @@ impl Solver {
         loop {
             self.field.refresh(&self.structure, u);
             let allowed = self.bring(topology, u, budget.tolerance);
-            let sum = self.take_part(topology, u, share * allowed);
+            let sum = self.take_part(topology, u, share * allowed, quick);
             self.report.residual = relative(sum, self.reference);
             let last = if budget.tolerance < PROVEN {
                 0.5 / (self.field.stirred() as f64 + 1.0).sqrt()
@@ -351,7 +371,7 @@ impl Solver {
             }
             self.report.iterations += 1;
             self.remember_forces(topology, u);
-            if self.report.iterations > 1 {
+            if self.report.iterations > 1 && !quick {
                 self.stiffen(topology, u);
             }
             self.correct(topology, u, share * allowed, quick);
@@ -363,28 +383,42 @@ impl Solver {
     }
 
     /// Stage: what takes part, and the forces on it. Returns their sum of squares.
-    fn take_part(&mut self, topology: &Topology, u: &mut [Vec3], threshold: f64) -> f64 {
+    fn take_part(
+        &mut self,
+        topology: &Topology,
+        u: &mut [Vec3],
+        threshold: f64,
+        quick: bool,
+    ) -> f64 {
         let (structure, coarse) = (&self.structure, &mut self.coarse);
         let touched = self.contacts.nodes.iter().copied();
-        self.field
-            .select(structure, coarse, touched, threshold as f32);
-        coarse.select(structure, false);
-        // What is handed down can be too much to wait on the next level as well.
-        while coarse.push(structure, threshold as f32) {
-            Field::select_wanted(&mut coarse.patches[0]);
-            coarse.select(structure, true);
+        // A hand's step goes on with what it began with, until contacts change.
+        let looks = self.look || !quick;
+        self.look = false;
+        if looks {
+            let limit = threshold as f32;
+            if self.field.select(structure, coarse, touched, limit, quick) {
+                coarse.select(structure, false);
+                // What is handed down can be too much to wait on the next level as well.
+                while coarse.push(structure, limit) {
+                    Field::select_wanted(&mut coarse.patches[0]);
+                    coarse.select(structure, true);
+                }
+                self.field.enter(structure, coarse, u);
+            }
         }
-        self.field.enter(structure, coarse, u);
         let sum = self.field.evaluate(topology, structure, u, &self.contacts);
-        // In every iteration: with those of a few iterations ago, contacts found late were smoothed
-        // past and deep presses blew up.
-        self.field
-            .renew_blocks(topology, structure, u, &self.contacts);
+        // Those from before a contact was found would smooth past it: deep presses blew up.
+        if looks {
+            self.field
+                .renew_blocks(topology, structure, u, &self.contacts);
+        }
         sum
     }
 
     /// Stage: proxies and samples.
     fn gather(&mut self, topology: &Topology, u: &mut [Vec3]) -> bool {
+        self.look = true;
         let (field, contacts) = (&mut self.field, &mut self.contacts);
         field.let_contacts_go(&self.structure, &contacts.nodes);
         let lags = contacts.gather(topology, u, field.displaced, &field.own);
@@ -412,10 +446,10 @@ impl Solver {
 
     /// Stage: coarse correction, in the share that proves best.
     fn correct(&mut self, topology: &Topology, u: &mut [Vec3], threshold: f64, quick: bool) {
-        let smoothing = COARSE_SMOOTHING[usize::from(quick)];
+        let effort = EFFORT[usize::from(quick)];
         let (structure, coarse, field) = (&self.structure, &mut self.coarse, &mut self.field);
         field.restrict(structure, coarse);
-        coarse.cycle(structure, threshold as f32, smoothing);
+        coarse.cycle(structure, threshold as f32, effort);
         field.correct(structure, coarse, u);
         field.evaluate(topology, structure, u, &self.contacts);
         let share = field.best_share().clamp(SHARES[0], SHARES[1]);
