@@ -13,6 +13,7 @@
 //! Interfaces are then the faces between cells of different regions: closed and conforming by
 //! construction.
 
+mod bar;
 mod bvh;
 mod check;
 mod compare;
@@ -44,7 +45,7 @@ pub use layers::{Layer, Layers, NEIGHBOURS_MAX, region_surface};
 pub use quality::{CORNER_FLOOR, SPRING_FLOOR};
 pub(crate) use report::report_triangles;
 pub use report::{
-    BuildReport, LayerReport, QualityReport, RegionReport, SpacingReport, SpringCounts,
+    BarReport, BuildReport, LayerReport, QualityReport, RegionReport, SpacingReport, SpringCounts,
     SurfaceReport, report_surface,
 };
 pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
@@ -224,9 +225,15 @@ pub fn build(
             cells_flipped: mending.flipped_outer + mending.flipped_inner,
             ..compare::quality(&model)
         },
+        bars: Vec::new(),
         thin: collector.finish(&names),
         topology_hash: TopologyHash::of_uncut(&model).to_string(),
         warnings,
+    };
+    progress("pulling bars", 0.98);
+    let report = BuildReport {
+        bars: bar::bars(&model),
+        ..report
     };
     progress("done", 1.0);
     Ok((model, report))
