@@ -372,8 +372,8 @@ mod tests {
     use super::*;
     use crate::{FibreAxis, Material, block};
 
-    fn model(cells: [usize; 3], material: Material) -> Model {
-        block(cells, 0.004, &material, 1)
+    fn model(cells: [usize; 3], material: &Material) -> Model {
+        block(cells, 0.004, material, 1)
     }
 
     #[test]
@@ -383,7 +383,7 @@ mod tests {
                 poisson,
                 ..Material::default()
             };
-            let reports = bars(&model([6, 26, 7], material));
+            let reports = bars(&model([6, 26, 7], &material));
             assert_eq!(reports.len(), 1, "the pinned base has none");
             let report = &reports[0];
             assert_eq!((report.cells, report.axis), ([5, 20, 5], 1));
@@ -403,21 +403,21 @@ mod tests {
             fibre_axis: FibreAxis::Given([1.0, 0.0, 0.0]),
             ..Material::default()
         };
-        let expected = |cells| bars(&model(cells, material.clone()))[0].expected_kpa;
+        let expected = |cells| bars(&model(cells, &material))[0].expected_kpa;
         assert!((expected([10, 3, 3]) / 30.0 - 1.0).abs() < 1e-3);
         assert!((expected([3, 10, 3]) / 10.0 - 1.0).abs() < 1e-3);
     }
 
     #[test]
     fn what_is_too_thin_has_no_bar() {
-        let reports = bars(&model([20, 20, 2], Material::default()));
+        let reports = bars(&model([20, 20, 2], &Material::default()));
         assert_eq!(reports[0].cells, [0; 3]);
         assert_eq!(reports[0].measured_kpa, None);
     }
 
     #[test]
     fn nodes_that_were_moved_are_pulled_where_they_are() {
-        let mut model = model([5, 5, 22], Material::default());
+        let mut model = model([5, 5, 22], &Material::default());
         let turn = |i: usize, k: usize| ((i * 7 + k * 13) % 11) as f64 / 11.0 - 0.5;
         for i in 0..model.nodes.len() {
             model.nodes[i] += Vec3::new(turn(i, 0), turn(i, 1), turn(i, 2)) * 0.0012;

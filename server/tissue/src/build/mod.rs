@@ -205,11 +205,9 @@ pub fn build(
     collector.add_strays(&strays);
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
     check::regions(&regions, &mut warnings);
-    let outer: Vec<[u32; 3]> = faces
-        .iter()
-        .filter(|f| f.interface() == patch::Interface::Outer)
-        .flat_map(|f| f.triangles(&model.nodes))
-        .collect();
+    let outside = |f: &&faces::Face| f.interface() == patch::Interface::Outer;
+    let outer = faces.iter().filter(outside);
+    let outer: Vec<_> = outer.flat_map(|f| f.triangles(&model.nodes)).collect();
     let report = BuildReport {
         nodes: model.nodes.len(),
         cells: model.cells.len(),
@@ -225,15 +223,10 @@ pub fn build(
             cells_flipped: mending.flipped_outer + mending.flipped_inner,
             ..compare::quality(&model)
         },
-        bars: Vec::new(),
+        bars: bar::bars(&model),
         thin: collector.finish(&names),
         topology_hash: TopologyHash::of_uncut(&model).to_string(),
         warnings,
-    };
-    progress("pulling bars", 0.98);
-    let report = BuildReport {
-        bars: bar::bars(&model),
-        ..report
     };
     progress("done", 1.0);
     Ok((model, report))
