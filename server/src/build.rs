@@ -122,6 +122,7 @@ pub(crate) fn describe(summary: &BuildSummary) -> String {
         r.outer_surface.components
     );
     describe_quality(r, &mut text);
+    describe_bars(r, &mut text);
     describe_thin_parts(r, &mut text);
     for warning in &r.warnings {
         let _ = writeln!(text, "warning: {warning}");
@@ -202,6 +203,34 @@ fn describe_quality(r: &BuildReport, text: &mut String) {
          cells; {} cells changed region for manifold surfaces",
         q.nodes_tied, q.nodes_let_go, q.cells_flipped
     );
+}
+
+fn describe_bars(r: &BuildReport, text: &mut String) {
+    use std::fmt::Write as _;
+    for bar in &r.bars {
+        let [x, y, z] = bar.cells;
+        let along = ["x", "y", "z"][bar.axis.min(2)];
+        let _ = match bar.measured_kpa {
+            Some(measured) => writeln!(
+                text,
+                "bar of {}, {x} x {y} x {z} cells pulled along {along}: {:.3} kPa asked for, {measured:.3} \
+                 shown ({:+.1} %)",
+                bar.region,
+                bar.expected_kpa,
+                100.0 * (measured / bar.expected_kpa - 1.0)
+            ),
+            None if x == 0 => writeln!(
+                text,
+                "bar of {}: the region is too thin for one",
+                bar.region
+            ),
+            None => writeln!(
+                text,
+                "bar of {}, {x} x {y} x {z} cells pulled along {along}: found no equilibrium",
+                bar.region
+            ),
+        };
+    }
 }
 
 fn describe_thin_parts(r: &BuildReport, text: &mut String) {

@@ -108,6 +108,9 @@ struct PressSceneArguments {
     /// Time a tick may take before its last iteration begins, ms
     #[arg(long, default_value_t = 1.6)]
     budget_ms: f64,
+    /// First cut through the tissue, and press beside the wound
+    #[arg(long)]
+    wound: bool,
     /// Threads
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
     threads: u16,
@@ -340,6 +343,7 @@ fn run_press_scene(arguments: &PressSceneArguments) -> Result<ExitCode, String> 
         depth_m: arguments.depth_mm * 1e-3,
         speed_m_s: arguments.speed_mm_s * 1e-3,
         budget_ms: arguments.budget_ms,
+        wound: arguments.wound,
         ..PressScene::default()
     };
     let report = on_threads(usize::from(arguments.threads), move || {

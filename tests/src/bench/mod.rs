@@ -5,6 +5,7 @@
 
 pub mod press_cube;
 pub mod press_scene;
+pub mod wound;
 
 /// Middle of some times in ms.
 fn median(times: &[f64]) -> f64 {

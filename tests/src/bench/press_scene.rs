@@ -11,6 +11,7 @@ use std::time::Instant;
 use palpate_tissue::{Budget, Model, Shape, Solver, Tool, Topology};
 use serde::Serialize;
 
+use super::wound::Wound;
 use crate::place::Place;
 
 /// Radius of the sphere in m.
@@ -35,6 +36,8 @@ pub struct PressScene {
     pub tolerance: f64,
     /// Tolerance of what it is compared with.
     pub converged: f64,
+    /// Whether to press beside a fresh wound.
+    pub wound: bool,
 }
 
 impl Default for PressScene {
@@ -45,6 +48,7 @@ impl Default for PressScene {
             budget_ms: 1.6,
             tolerance: 2.5e-2,
             converged: 1e-5,
+            wound: false,
         }
     }
 }
@@ -73,6 +77,8 @@ pub struct Tick {
 /// Figures of a run.
 #[derive(Debug, Clone, Serialize)]
 pub struct PressSceneReport {
+    /// The wound it was pressed beside.
+    pub wound: Option<Wound>,
     /// Nodes of the model.
     pub nodes: usize,
     /// Bricks and coarse lattices, once, ms.
@@ -103,8 +109,13 @@ impl PressScene {
         progress: &mut dyn FnMut(&str),
     ) -> Result<PressSceneReport, String> {
         progress("preparing the model");
-        let topology = Topology::new(model);
-        let place = Place::find(&topology).map_err(|e| e.to_string())?;
+        let mut topology = Topology::new(model);
+        let mut place = Place::find(&topology).map_err(|e| e.to_string())?;
+        let wound = if self.wound {
+            Some(Wound::open(&mut topology, &mut place)?)
+        } else {
+            None
+        };
         let began = Instant::now();
         let mut hand = Solver::new(&topology);
         let setup_ms = began.elapsed().as_secs_f64() * 1e3;
@@ -145,7 +156,10 @@ impl PressScene {
                 converged_residual: report.residual,
             });
         }
-        Ok(summary(&topology, setup_ms, ticks))
+        Ok(PressSceneReport {
+            wound,
+            ..summary(&topology, setup_ms, ticks)
+        })
     }
 }
 
@@ -162,6 +176,7 @@ fn summary(topology: &Topology, setup_ms: f64, ticks: Vec<Tick>) -> PressSceneRe
     };
     let fifth = (moving.len() / 5).max(2).min(moving.len());
     PressSceneReport {
+        wound: None,
         nodes: topology.node_count(),
         setup_ms,
         ms: [super::median(&times), super::quantile(&times, 0.99)],
@@ -191,6 +206,15 @@ impl fmt::Display for PressSceneReport {
                 t.ms,
                 t.iterations,
                 t.active
+            )?;
+        }
+        if let Some(wound) = &self.wound {
+            writeln!(
+                f,
+                "beside a wound of {:.0} mm through {} ({} nodes doubled)",
+                wound.depth_mm,
+                wound.regions.join(", "),
+                wound.doubled
             )?;
         }
         write!(

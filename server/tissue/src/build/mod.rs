@@ -13,6 +13,7 @@
 //! Interfaces are then the faces between cells of different regions: closed and conforming by
 //! construction.
 
+mod bar;
 mod bvh;
 mod check;
 mod compare;
@@ -44,7 +45,7 @@ pub use layers::{Layer, Layers, NEIGHBOURS_MAX, region_surface};
 pub use quality::{CORNER_FLOOR, SPRING_FLOOR};
 pub(crate) use report::report_triangles;
 pub use report::{
-    BuildReport, LayerReport, QualityReport, RegionReport, SpacingReport, SpringCounts,
+    BarReport, BuildReport, LayerReport, QualityReport, RegionReport, SpacingReport, SpringCounts,
     SurfaceReport, report_surface,
 };
 pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
@@ -204,11 +205,9 @@ pub fn build(
     collector.add_strays(&strays);
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
     check::regions(&regions, &mut warnings);
-    let outer: Vec<[u32; 3]> = faces
-        .iter()
-        .filter(|f| f.interface() == patch::Interface::Outer)
-        .flat_map(|f| f.triangles(&model.nodes))
-        .collect();
+    let outside = |f: &&faces::Face| f.interface() == patch::Interface::Outer;
+    let outer = faces.iter().filter(outside);
+    let outer: Vec<_> = outer.flat_map(|f| f.triangles(&model.nodes)).collect();
     let report = BuildReport {
         nodes: model.nodes.len(),
         cells: model.cells.len(),
@@ -224,6 +223,7 @@ pub fn build(
             cells_flipped: mending.flipped_outer + mending.flipped_inner,
             ..compare::quality(&model)
         },
+        bars: bar::bars(&model),
         thin: collector.finish(&names),
         topology_hash: TopologyHash::of_uncut(&model).to_string(),
         warnings,

@@ -28,6 +28,9 @@ pub struct BuildReport {
     pub outer_surface: SurfaceReport,
     /// How well shaped the cells are.
     pub quality: QualityReport,
+    /// One virtual bar per region that is not pinned: the modulus that was asked for and what the model shows.
+    #[serde(default)]
+    pub bars: Vec<BarReport>,
     /// What is thinner than the spacing, and what was lost of the input.
     #[serde(default)]
     pub thin: ThinParts,
@@ -107,6 +110,21 @@ pub struct RegionReport {
     /// Largest distance either way outside of thin parts, in mm.
     #[serde(default)]
     pub distance_max_outside_thin_mm: f64,
+}
+
+/// A bar of cells cut out of a region and pulled.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BarReport {
+    /// The region.
+    pub region: String,
+    /// Cells of the bar along each axis of the lattice; none when the region is too thin for a bar.
+    pub cells: [usize; 3],
+    /// The axis of the lattice along which it was pulled: 0, 1, 2 for x, y, z.
+    pub axis: usize,
+    /// Young's modulus that the material says for that direction, in kPa.
+    pub expected_kpa: f64,
+    /// Young's modulus that the bar shows, in kPa; none without a bar or without an equilibrium.
+    pub measured_kpa: Option<f64>,
 }
 
 /// The mass-spring layers of one interface.

@@ -1,0 +1,84 @@
+//! What a cut costs the equilibrium: a lattice with parted springs and doubled nodes is the normal case.
+
+#![allow(clippy::unwrap_used)]
+
+use std::sync::Arc;
+
+use palpate_tissue::{
+    BladePoint, Budget, CutStroke, Material, Shape, Solver, Tool, Topology, Vec3, block, cut,
+};
+
+const MM: f64 = 1e-3;
+const SPACING: f64 = 3.0 * MM;
+const CELLS: [usize; 3] = [24, 24, 12];
+const TOP: f64 = SPACING * CELLS[2] as f64;
+const MIDDLE: f64 = 0.5 * SPACING * CELLS[0] as f64;
+const RADIUS: f64 = 8.0 * MM;
+/// Most iterations on the cut block, in parts of those on the whole one.
+const ALLOWED: f64 = 1.5;
+
+fn whole() -> Topology {
+    let model = block(CELLS, SPACING, &Material::default(), 1);
+    Topology::new(Arc::new(model))
+}
+
+/// Two strokes that cross over the middle, through two thirds of the block.
+fn parted(mut topology: Topology, crossing: bool) -> Topology {
+    let strokes = if crossing { 2 } else { 1 };
+    for stroke in 0..strokes {
+        let points = (0..=16).map(|i| {
+            let mut tip = Vec3::new(MIDDLE + 0.4 * MM, MIDDLE + 0.3 * MM, TOP / 3.0);
+            tip[1 - stroke] += 3.0 * MM * f64::from(i - 8);
+            BladePoint {
+                tip,
+                axis: Vec3::z(),
+                depth_m: TOP,
+            }
+        });
+        let stroke = CutStroke {
+            points: points.collect(),
+            width_m: 0.0,
+        };
+        let outcome = cut(&mut topology, &stroke).unwrap();
+        assert!(outcome.doubled.len() > 50);
+    }
+    topology
+}
+
+/// Iterations of a press in steps beside the middle, each to `tolerance`.
+fn iterations(topology: &Topology, tolerance: f64, step: f64, steps: usize) -> usize {
+    let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
+    let mut sum = 0;
+    for s in 1..=steps {
+        let depth = step * s as f64;
+        let tool = Tool {
+            id: 1,
+            centre: Vec3::new(MIDDLE - 6.0 * MM, MIDDLE - 5.0 * MM, TOP + RADIUS - depth),
+            radius_m: RADIUS,
+        };
+        let budget = Budget::new(400, tolerance);
+        let report = solver.step(topology, &mut shape, &[tool], budget);
+        assert!(report.residual <= tolerance && !report.fell_back);
+        sum += report.iterations;
+    }
+    sum
+}
+
+#[test]
+fn a_cut_block_takes_at_most_half_as_many_iterations_again() {
+    let uncut = whole();
+    for crossing in [false, true] {
+        let cut = parted(uncut.clone(), crossing);
+        // In one go from rest, and as a hand would.
+        for (step, steps) in [(2.0 * MM, 1), (0.4 * MM, 10)] {
+            for tolerance in [1e-2, 1e-4, 1e-6] {
+                let [a, b] = [&uncut, &cut].map(|t| iterations(t, tolerance, step, steps));
+                assert!(
+                    b as f64 <= ALLOWED * a as f64,
+                    "crossing {crossing}, {steps} steps to {tolerance}: {a} \
+                         iterations whole, {b} cut"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! What the tissue costs: a step from rest, a tick of a press, a build, a cut. `cargo bench -p palpate-lab`.
+//!
+//! For the accuracy that goes with these times see `palpate-lab bench`.
+
+#![allow(clippy::unwrap_used)]
+
+use std::sync::Arc;
+
+use divan::Bencher;
+use palpate_lab::bench::wound::Wound;
+use palpate_lab::place::Place;
+use palpate_tissue::sample::Sample;
+use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block, build};
+
+const MM: f64 = 1e-3;
+/// Side of the cube, how far its top is held down, and where.
+const SIDE: f64 = 0.1;
+const DEPTH: f64 = 1.0 * MM;
+const DISC: f64 = 12.5 * MM;
+/// The sphere of a press, how far it goes per tick, and the depths between which it goes to and fro.
+const RADIUS: f64 = 8.0 * MM;
+const PER_TICK: f64 = 0.4 * MM;
+const DEPTHS: [f64; 2] = [2.0 * MM, 8.0 * MM];
+
+fn main() {
+    divan::main();
+}
+
+fn thigh() -> Topology {
+    let input = Sample::Thigh.input().unwrap();
+    let (model, _) = build(&input, &mut |_, _| {}).unwrap();
+    Topology::new(Arc::new(model))
+}
+
+/// A pinned cube of so many nodes per edge, from rest to a residual of 1e-3 under a disc held down.
+#[divan::bench(args = [20, 40], sample_count = 20)]
+fn cube_from_rest(bencher: Bencher<'_, '_>, n: usize) {
+    let spacing = SIDE / (n as f64 - 1.0);
+    let model = block([n - 1, n - 1, n], spacing, &Material::default(), 1);
+    let topology = Topology::new(Arc::new(model));
+    let top = Vec3::new(0.5 * SIDE, 0.5 * SIDE, SIDE + spacing);
+    let under = |&node: &u32| {
+        let d = topology.rest(node) - top;
+        d.z.abs() < 1e-3 * spacing && d.norm() <= DISC
+    };
+    let disc: Vec<u32> = (0..topology.node_count() as u32).filter(under).collect();
+    let like = Solver::new(&topology);
+    let start = || {
+        let (mut solver, mut shape) = (like.another(&topology), Shape::rest(&topology));
+        for &node in &disc {
+            solver.hold(&topology, &mut shape, node, Vec3::z() * -DEPTH);
+        }
+        (solver, shape)
+    };
+    bencher.with_inputs(start).bench_refs(|(solver, shape)| {
+        let budget = Budget::new(100, 1e-3);
+        solver.step(&topology, shape, &[], budget).residual
+    });
+}
+
+/// A tick with the budget of a hand but for the clock: one iteration, near the tool only.
+#[divan::bench(args = [false, true], sample_count = 200, sample_size = 1)]
+fn press_tick_on_the_thigh(bencher: Bencher<'_, '_>, wound: bool) {
+    let mut topology = thigh();
+    let mut place = Place::find(&topology).unwrap();
+    if wound {
+        Wound::open(&mut topology, &mut place).unwrap();
+    }
+    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let (mut depth, mut way) = (0.0, PER_TICK);
+    bencher.bench_local(|| {
+        if depth > DEPTHS[1] || (depth < DEPTHS[0] && way < 0.0) {
+            way = -way;
+        }
+        depth += way;
+        let tool = Tool {
+            id: 1,
+            centre: place.middle + place.normal * (RADIUS - depth),
+            radius_m: RADIUS,
+        };
+        let budget = Budget {
+            near: true,
+            ..Budget::new(1, 2.5e-2)
+        };
+        let report = solver.step(&topology, &mut shape, &[tool], budget);
+        report.residual
+    });
+}
+
+/// The sample thigh at 4 mm, without reading files.
+#[divan::bench(sample_count = 10)]
+fn build_of_the_thigh(bencher: Bencher<'_, '_>) {
+    let input = Sample::Thigh.input().unwrap();
+    bencher.bench(|| build(&input, &mut |_, _| {}).unwrap());
+}
+
+/// A wound of 50 mm through fat and muscle.
+#[divan::bench(sample_count = 20)]
+fn cut_into_the_thigh(bencher: Bencher<'_, '_>) {
+    let topology = thigh();
+    let place = Place::find(&topology).unwrap();
+    bencher
+        .with_inputs(|| (topology.clone(), place.clone()))
+        .bench_refs(|(topology, place)| Wound::open(topology, place).unwrap().doubled);
+}

@@ -1,0 +1,92 @@
+//! A wound to press beside: the cut of the demo, but through every layer down to half of what is soft.
+
+use palpate_tissue::{BladePoint, CutStroke, Topology, cut};
+use serde::Serialize;
+
+use crate::place::Place;
+
+/// Length of the wound where there is room for it, m: that of the demo's stroke.
+const LENGTH_M: f64 = 0.050;
+/// Deepest wound, m: on a thigh through skin, fat and into the muscle.
+const DEPTH_MAX_M: f64 = 0.030;
+/// Share of the soft tissue that it goes through.
+const DEPTH_SHARE: f64 = 0.5;
+/// How far the blade stands out of the tissue, m.
+const OUTSIDE_M: f64 = 0.006;
+/// Distance of the press from it where there is room, m.
+const BESIDE_M: f64 = 0.012;
+/// Width of the wound at its top, m: a scalpel's.
+const WIDTH_M: f64 = 0.5e-3;
+/// Points of the stroke.
+const POINTS: usize = 50;
+
+/// What was cut.
+#[derive(Debug, Clone, Serialize)]
+pub struct Wound {
+    /// Its depth in mm.
+    pub depth_mm: f64,
+    /// Nodes that were doubled.
+    pub doubled: usize,
+    /// Names of the regions that it goes through.
+    pub regions: Vec<String>,
+}
+
+impl Wound {
+    /// Cuts through the middle of a place along its stroke's direction, and moves the place to beside
+    /// the wound.
+    ///
+    /// # Errors
+    ///
+    /// When there is nothing to cut.
+    pub fn open(topology: &mut Topology, place: &mut Place) -> Result<Self, String> {
+        let depth = (DEPTH_SHARE * place.depth_m).min(DEPTH_MAX_M);
+        let length = (LENGTH_M * place.scale()).max(5.0 * place.spacing_m);
+        let points = (0..=POINTS).map(|i| {
+            let along = (i as f64 / POINTS as f64 - 0.5) * length;
+            BladePoint {
+                tip: place.surface(0.0, along).at - place.normal * depth,
+                axis: place.normal,
+                depth_m: depth + OUTSIDE_M,
+            }
+        });
+        let stroke = CutStroke {
+            points: points.collect(),
+            width_m: WIDTH_M,
+        };
+        let beside = (BESIDE_M * place.scale()).max(2.0 * place.spacing_m);
+        let spot = place.spot(beside, 0.0, beside / 2.0);
+        let outcome = cut(topology, &stroke).map_err(|e| format!("no wound: {e}"))?;
+        (place.middle, place.normal) = (spot.at, spot.normal);
+        let regions = &topology.model().regions;
+        let name = |id: &palpate_tissue::RegionId| regions[id.index()].name.clone();
+        Ok(Self {
+            depth_mm: depth * 1e3,
+            doubled: outcome.doubled.len(),
+            regions: outcome.regions_cut.iter().map(name).collect(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use palpate_tissue::sample::Sample;
+    use palpate_tissue::{Topology, build};
+
+    use super::Wound;
+    use crate::place::Place;
+
+    #[test]
+    fn on_the_thigh_the_wound_goes_into_the_muscle_and_the_press_is_beside_it() {
+        let input = Sample::Thigh.input().unwrap();
+        let (model, _) = build(&input, &mut |_, _| ()).unwrap();
+        let mut topology = Topology::new(Arc::new(model));
+        let mut place = Place::find(&topology).unwrap();
+        let middle = place.middle;
+        let wound = Wound::open(&mut topology, &mut place).unwrap();
+        assert!(wound.doubled > 50, "{wound:?}");
+        assert!(wound.regions.len() >= 2, "{wound:?}");
+        assert!((place.middle - middle).norm() > 0.008);
+    }
+}
