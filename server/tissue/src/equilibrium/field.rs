@@ -53,7 +53,7 @@ pub(super) struct Field {
     loud: List,
     /// Nodes that were found too quiet for a hand, and matter again when more is asked for.
     quiet: List,
-    /// Nodes outside of the set that were disturbed since it was last looked at.
+    /// Nodes that are not free and were disturbed since the set was last looked at.
     disturbed: List,
     /// Elements of level 1 that have to be refined; scratch.
     needed: List,
@@ -139,7 +139,7 @@ impl Field {
         for &node in nodes {
             self.r[node as usize] = self.sum(structure, node);
             self.loud.insert(node);
-            if !self.nodes.contains(node) {
+            if !self.free[node as usize] {
                 self.disturbed.insert(node);
             }
         }
@@ -150,22 +150,22 @@ impl Field {
         self.loud.items.len()
     }
 
-    /// Begins a step: moves the nodes of the set by `share` of what the last one moved them by.
+    /// Begins a step: moves the nodes of the set by `share` of what the last one moved them by. With
+    /// `again` the step goes on instead, and is what moved them.
     pub(super) fn begin(
         &mut self,
         structure: &Structure,
         coarse: &Multigrid,
         u: &mut [Vec3],
         share: f64,
+        again: bool,
     ) {
-        self.clamped = 0;
-        self.visits = 0;
         let last = std::mem::take(&mut self.before);
         self.saved.clear();
         if share == 0.0 {
             return;
         }
-        for (node, before) in last {
+        for &(node, before) in &last {
             let n = node as usize;
             if self.nodes.contains(node) && !self.fixed[n] {
                 let by = (u[n] - before) * share;
@@ -179,9 +179,20 @@ impl Field {
                 self.take_over(structure, coarse, u, node);
             }
         }
-        for &brick in &self.set.items {
-            self.stale.insert(brick);
+        if again {
+            // What the step began with is still what it would go back to.
+            let new = std::mem::replace(&mut self.before, last);
+            self.saved.clear();
+            for &(node, _) in &self.before {
+                self.saved.insert(node);
+            }
+            for (node, before) in new {
+                if self.saved.insert(node) {
+                    self.before.push((node, before));
+                }
+            }
         }
+        self.compute_set(structure, u);
     }
 
     /// Puts back every node that this step moved.
@@ -220,7 +231,7 @@ impl Field {
                 if b.present >> i & 1 == 1 && self.touched.insert(node) {
                     self.loud.insert(node);
                     self.r[node as usize] = self.sum(structure, node);
-                    if !self.nodes.contains(node) {
+                    if !self.free[node as usize] {
                         self.disturbed.insert(node);
                     }
                 }
@@ -233,8 +244,8 @@ impl Field {
 
     /// Chooses what takes part: the elements of level 1 to refine are those with a node whose force
     /// is above the threshold, those wanted by the last cycle, and those in contact. What is
-    /// refined already stays as it is while it covers them and is not much more. Returns whether
-    /// there is a choice to be taken.
+    /// refined already stays as it is while it covers them and is not much more; with `goes_on` it
+    /// stays in any case. Returns whether there is a choice to be taken.
     pub(super) fn select(
         &mut self,
         structure: &Structure,
@@ -242,6 +253,7 @@ impl Field {
         always: impl Iterator<Item = u32>,
         threshold: f32,
         quick: bool,
+        goes_on: bool,
     ) -> bool {
         for &node in &self.nodes.items {
             self.loud.insert(node);
@@ -278,13 +290,15 @@ impl Field {
         let wanted = coarse.patches.iter().any(|p| !p.wanted.items.is_empty());
         let (refined, needed) = (&coarse.patches[0].refined, &self.needed);
         let covered = needed.items.iter().all(|&e| refined.contains(e));
-        let roomy = refined.items.len() > ROOMY * needed.items.len();
+        let roomy = !goes_on && refined.items.len() > ROOMY * needed.items.len();
         if covered && !roomy && !wanted && !self.outdated {
             return false;
         }
         self.outdated = false;
         let patch = &mut coarse.patches[0];
-        patch.refined.clear();
+        if !goes_on {
+            patch.refined.clear();
+        }
         for &element in &self.needed.items {
             patch.refined.insert(element);
         }
@@ -433,6 +447,16 @@ impl Field {
         }
     }
 
+    fn compute_set(&mut self, structure: &Structure, u: &[Vec3]) {
+        let list = std::mem::take(&mut self.set.items);
+        self.compute(structure, u, &list);
+        self.set.items = list;
+        for i in 0..self.nodes.items.len() {
+            let node = self.nodes.items[i];
+            self.r[node as usize] = self.sum(structure, node);
+        }
+    }
+
     #[inline]
     fn sum(&self, structure: &Structure, node: u32) -> Quad {
         let mut sum = ZERO;
@@ -454,13 +478,7 @@ impl Field {
         u: &[Vec3],
         contacts: &Contacts,
     ) -> f64 {
-        let list = std::mem::take(&mut self.set.items);
-        self.compute(structure, u, &list);
-        self.set.items = list;
-        for i in 0..self.nodes.items.len() {
-            let node = self.nodes.items[i];
-            self.r[node as usize] = self.sum(structure, node);
-        }
+        self.compute_set(structure, u);
         let r = &mut self.r;
         contacts.pressed(topology, u, |sample, force, _, _| {
             for (node, w) in sample.nodes.iter().zip(sample.weights) {

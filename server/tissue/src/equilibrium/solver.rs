@@ -1,5 +1,6 @@
 //! One step of the equilibrium: its stages and its books.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::cycle::{Effort, Multigrid};
@@ -50,6 +51,10 @@ const QUICK: f64 = 0.02;
 const DEEPEN: f64 = 0.25;
 /// Residual of the last step's set up to which its change may be carried on: errors would be, too.
 const TRUSTED: f64 = 0.1;
+/// Iterations of a hand's step after which what takes part is looked at afresh.
+const LOOK_EVERY: usize = 4;
+/// Spacings that a node is led in the first iteration.
+const FIRST_PART: f64 = 0.1;
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
 const BLOWN_UP: f64 = 1e4;
 
@@ -119,6 +124,10 @@ pub struct Solver {
     dirty: bool,
     /// Whether what takes part has to be looked at afresh.
     look: bool,
+    /// Whether smoothing needs the blocks of now.
+    renew: bool,
+    /// Where nodes were that have been held or moved since the last step.
+    led: BTreeMap<u32, Vec3>,
     last_forces: Vec<Vec3>,
 }
 
@@ -157,6 +166,8 @@ impl Solver {
             report: StepReport::default(),
             dirty: false,
             look: true,
+            renew: true,
+            led: BTreeMap::new(),
             last_forces: Vec::new(),
         }
     }
@@ -235,6 +246,7 @@ impl Solver {
         }
         self.field.outdated |= !self.field.fixed[n];
         self.field.fixed[n] = true;
+        self.led.entry(node).or_insert(shape.displacement[n]);
         shape.displacement[n] = at;
         self.disturb(shape, &[node]);
         true
@@ -307,14 +319,22 @@ impl Solver {
             0.0
         };
         self.coarse.carry_on(&self.structure, carry as f32);
-        self.field.begin(&self.structure, &self.coarse, u, carry);
+        self.field
+            .begin(&self.structure, &self.coarse, u, carry, false);
+        self.field.clamped = 0;
+        self.field.visits = 0;
         self.coarse.visits = 0;
         let near = budget.near;
         if near {
             // One iteration of more would already take too long.
             budget.tolerance = budget.tolerance.max(QUICK);
         }
-        self.iterate(topology, &mut shape.displacement, &mut budget);
+        let u = &mut shape.displacement;
+        if carry == 0.0 && budget.iterations > 1 {
+            self.lead(topology, u, budget.tolerance);
+        }
+        self.led.clear();
+        self.iterate(topology, u, &mut budget);
         if !near {
             self.pour(shape);
         }
@@ -328,6 +348,32 @@ impl Solver {
         &self.report
     }
 
+    /// Nodes that were led far in one go tear at their neighbours, and what those answer with says
+    /// little about equilibrium. So a first iteration goes a part of the way, where forces are
+    /// linear, and is carried on to the whole.
+    fn lead(&mut self, topology: &Topology, u: &mut [Vec3], tolerance: f64) {
+        let far = |(&n, from): (&u32, &Vec3)| (u[n as usize] - from).norm();
+        let farthest = self.led.iter().map(far).fold(0.0, f64::max);
+        let part = FIRST_PART * topology.model().spacing_m / farthest;
+        if part >= 1.0 || !self.contacts.proxies.is_empty() {
+            return;
+        }
+        let led = std::mem::take(&mut self.led);
+        let to: Vec<Vec3> = led.keys().map(|&n| u[n as usize]).collect();
+        for ((&node, from), to) in led.iter().zip(&to) {
+            u[node as usize] = from + (to - from) * part;
+        }
+        self.iterate(topology, u, &mut Budget::new(1, tolerance));
+        let rest = 1.0 / part - 1.0;
+        self.coarse.carry_on(&self.structure, rest as f32);
+        self.field
+            .begin(&self.structure, &self.coarse, u, rest, true);
+        for (&node, to) in led.keys().zip(to) {
+            u[node as usize] = to;
+            self.field.disturb(&self.structure, node);
+        }
+    }
+
     /// Forces left on the free nodes of the set, relative to what tools and held nodes bring in.
     fn calmness(&self) -> f64 {
         relative(self.field.square_over_free(), self.reference)
@@ -336,7 +382,7 @@ impl Solver {
     fn iterate(&mut self, topology: &Topology, u: &mut [Vec3], budget: &mut Budget<'_>) {
         let mut lags = self.gather(topology, u);
         let mut share = FIRST_SHARE;
-        let quick = budget.tolerance >= QUICK;
+        let quick = budget.near;
         loop {
             self.field.refresh(&self.structure, u);
             let allowed = self.bring(topology, u, budget.tolerance);
@@ -369,6 +415,11 @@ impl Solver {
             if (calm || (flat && !quick)) && share > last {
                 share = (share * DEEPEN).max(last);
             }
+            if self.renew {
+                let (structure, contacts) = (&self.structure, &self.contacts);
+                self.field.renew_blocks(topology, structure, u, contacts);
+                self.renew = false;
+            }
             self.report.iterations += 1;
             self.remember_forces(topology, u);
             if self.report.iterations > 1 && !quick {
@@ -391,28 +442,28 @@ impl Solver {
         quick: bool,
     ) -> f64 {
         let (structure, coarse) = (&self.structure, &mut self.coarse);
-        let touched = self.contacts.nodes.iter().copied();
-        // A hand's step goes on with what it began with, until contacts change.
-        let looks = self.look || !quick;
+        let touched = self.contacts.nodes.iter().chain(&self.held).copied();
+        // A hand's step goes on for a while with what it began with, until contacts change.
+        let again = self.report.iterations.is_multiple_of(LOOK_EVERY);
+        let looks = self.look || again || !quick;
         self.look = false;
         if looks {
             let limit = threshold as f32;
-            if self.field.select(structure, coarse, touched, limit, quick) {
+            let goes_on = quick && self.report.iterations > 0;
+            let field = &mut self.field;
+            if field.select(structure, coarse, touched, limit, quick, goes_on) {
                 coarse.select(structure, false);
                 // What is handed down can be too much to wait on the next level as well.
                 while coarse.push(structure, limit) {
                     Field::select_wanted(&mut coarse.patches[0]);
                     coarse.select(structure, true);
                 }
-                self.field.enter(structure, coarse, u);
+                field.enter(structure, coarse, u);
             }
         }
         let sum = self.field.evaluate(topology, structure, u, &self.contacts);
         // Those from before a contact was found would smooth past it: deep presses blew up.
-        if looks {
-            self.field
-                .renew_blocks(topology, structure, u, &self.contacts);
-        }
+        self.renew |= looks;
         sum
     }
 
