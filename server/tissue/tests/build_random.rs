@@ -82,6 +82,25 @@ fn shape(reach: f64) -> impl Strategy<Value = Surface> {
         })
 }
 
+/// Two corners of the box end between two layers of the lattice's nodes, wherever it stands.
+#[test]
+fn a_corner_that_points_along_an_axis_of_the_lattice_is_kept() {
+    let size = Vec3::repeat(0.015);
+    let upright = [std::f64::consts::FRAC_PI_4, -(0.5_f64.sqrt()).atan(), 0.0];
+    for step in 0..8 {
+        let at = Vec3::new(0.0, 0.0, 0.25e-3 * f64::from(step));
+        let inner = placed(cuboid(-size, size), upright, at);
+        let outer = cuboid(Vec3::repeat(-0.04), Vec3::repeat(0.04));
+        let (model, report) = build(&scene("2", &[outer, inner]).unwrap(), &mut |_, _| {}).unwrap();
+        assert_sound(&model, &report);
+        let inner = &report.regions[1];
+        assert!(
+            inner.input_distance_max_mm < 0.75 * 2.0,
+            "{step}: {inner:?}"
+        );
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
