@@ -9,6 +9,7 @@ use palpate_tissue::{
     region_surface,
 };
 use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
 use shapes::{ball, cuboid, cylinder, placed, scene};
 
 /// Volumes must agree to this part where nothing of the region is thin.
@@ -80,6 +81,28 @@ fn shape(reach: f64) -> impl Strategy<Value = Surface> {
             };
             placed(body, angles, Vec3::from(at))
         })
+}
+
+/// Two boxes of which a corner ends between two layers of the lattice's nodes: the worst of 1,300.
+#[test]
+fn a_corner_that_no_node_looks_like_is_kept() {
+    for seed in [191, 1277] {
+        let mut random = rand_pcg::Pcg64::seed_from_u64(seed);
+        let mut between = |a: f64, b: f64| a + (b - a) * random.random::<f64>();
+        let size = Vec3::from([(); 3].map(|()| between(0.008, 0.02)));
+        assert!(between(0.0, 3.0) >= 1.0, "neither is a ball");
+        let angles = [(); 3].map(|()| between(-1.5, 1.5));
+        let at = Vec3::from([(); 3].map(|()| between(-0.004, 0.004)));
+        let inner = placed(cuboid(-size, size), angles, at);
+        let turn = [(); 3].map(|()| between(-1.5, 1.5));
+        let outer = placed(cylinder(0.04, 0.045), turn, Vec3::zeros());
+        let spacing = between(2.0, 3.0);
+        let input = scene(&format!("{spacing}"), &[outer, inner]).unwrap();
+        let (model, report) = build(&input, &mut |_, _| {}).unwrap();
+        assert_sound(&model, &report);
+        let off = report.regions[1].input_distance_max_mm / spacing;
+        assert!(off < 0.65, "seed {seed}: {off}");
+    }
 }
 
 proptest! {

@@ -17,8 +17,11 @@ const RIM_COSINE: f64 = 0.707;
 /// Two edges that leave a point at less than 120° make a corner of it.
 const CORNER_COSINE: f64 = -0.5;
 
-/// Farthest, in spacings, that a node is from the corner it is put onto.
-const CORNER_REACH: f64 = 0.9;
+/// Farthest, in spacings, that a node that looks like a corner is from the one it is put onto.
+pub(super) const CORNER_REACH: f64 = 0.9;
+/// Farthest, in spacings, that any node is put onto a corner: one that points along an axis ends up to a
+/// spacing beyond the last layer of nodes.
+const BLUNT_REACH: f64 = 1.25;
 
 /// One straight piece of a rim.
 #[derive(Debug, Clone, Copy)]
@@ -64,7 +67,8 @@ impl Rims {
         self.side = reach;
         self.find_corners();
         for (index, corner) in self.corners.iter().enumerate() {
-            let list = self.corner_cubes.entry(cube(corner, reach)).or_default();
+            let at = cube(corner, BLUNT_REACH * reach);
+            let list = self.corner_cubes.entry(at).or_default();
             list.push(index as u32);
         }
         for (index, segment) in self.segments.iter().enumerate() {
@@ -106,17 +110,17 @@ impl Rims {
             .collect();
     }
 
-    /// Number and distance of the corner nearest to `point`, within [`CORNER_REACH`] cube sides.
+    /// Number and distance of the corner nearest to `point`, within [`BLUNT_REACH`] cube sides.
     pub(super) fn nearest_corner(&self, point: &Vec3) -> Option<(u32, f64)> {
         if self.corners.is_empty() {
             return None;
         }
         let distance = |index: u32| (self.corners[index as usize] - point).norm();
-        cubes_around(point, self.side)
+        cubes_around(point, BLUNT_REACH * self.side)
             .filter_map(|at| self.corner_cubes.get(&at))
             .flatten()
             .map(|&index| (index, distance(index)))
-            .filter(|(_, distance)| *distance <= CORNER_REACH * self.side)
+            .filter(|(_, distance)| *distance <= BLUNT_REACH * self.side)
             .min_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)))
     }
 

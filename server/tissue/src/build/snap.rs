@@ -14,6 +14,7 @@ use super::grid::Grid;
 use super::lattice::Lattice;
 use super::patch::{Interface, Interfaces};
 use super::rays::{Hits, Rays, cast};
+use super::rim::CORNER_REACH;
 use crate::{Surface, Vec3};
 
 /// How many times a node that lies on several interfaces is sent from one to the next. Each round
@@ -148,17 +149,24 @@ pub(super) fn mark_rims(
         }
     }
     let mut claims: Vec<Claim> = Vec::new();
-    let mut candidates: Vec<(usize, u32, f64, u32)> = Vec::new();
+    let mut candidates: Vec<Candidate> = Vec::new();
+    // A corner that points along an axis of the lattice may end in a flat of several cells: nodes there
+    // do not look like one.
+    let mut blunt: Vec<Candidate> = Vec::new();
     for (node, constraint) in constraints.iter_mut().enumerate() {
         let Some(slot) = constraint.rim_slot() else {
             continue;
         };
         let seen = seen[node][usize::from(!constraint.outer)];
+        let at = grid.point(lattice.nodes[node]);
+        let rims = &interfaces.rims[slot];
+        let corner = rims.nearest_corner(&at);
+        if let Some((corner, distance)) = corner {
+            blunt.push((slot, corner, distance, node as u32));
+        }
         if seen.count_ones() < 2 {
             continue;
         }
-        let at = grid.point(lattice.nodes[node]);
-        let rims = &interfaces.rims[slot];
         let Some(point) = rims.nearest(&at, |s| shows(seen, s.normals)) else {
             continue;
         };
@@ -170,15 +178,14 @@ pub(super) fn mark_rims(
             distance: (point - at).norm(),
         });
         if seen.count_ones() >= 3
-            && let Some((corner, distance)) = rims.nearest_corner(&at)
+            && let Some((corner, distance)) = corner
+            && distance <= CORNER_REACH * grid.spacing
         {
             candidates.push((slot, corner, distance, node as u32));
         }
     }
-    candidates.sort_by(|a, b| {
-        let place = (a.0, a.1).cmp(&(b.0, b.1));
-        place.then(a.2.total_cmp(&b.2)).then(a.3.cmp(&b.3))
-    });
+    sort_candidates(&mut candidates);
+    sort_candidates(&mut blunt);
     settle_claims(
         claims,
         &cells_inside(lattice, constraints),
@@ -190,6 +197,25 @@ pub(super) fn mark_rims(
         constraint.rim = true;
         constraint.corner = true;
     }
+    for of_corner in blunt.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+        // Where a node stands on the rim nearby, nothing is lost.
+        if of_corner.iter().all(|c| !constraints[c.3 as usize].rim) {
+            let constraint = &mut constraints[of_corner[0].3 as usize];
+            constraint.rim = true;
+            constraint.corner = true;
+        }
+    }
+}
+
+/// A node that may go onto a corner: slot, number of the corner, distance, node.
+type Candidate = (usize, u32, f64, u32);
+
+/// Brings those of each corner together, the nearest first.
+fn sort_candidates(candidates: &mut [Candidate]) {
+    candidates.sort_by(|a, b| {
+        let place = (a.0, a.1).cmp(&(b.0, b.1));
+        place.then(a.2.total_cmp(&b.2)).then(a.3.cmp(&b.3))
+    });
 }
 
 /// A node that would stand on a rim, and where.

@@ -1,7 +1,8 @@
 //! All contacts of one view: tools, their samples, and what they do to nodes.
 
+use super::ball::Ball;
 use super::index::SurfaceIndex;
-use super::proxy::Proxy;
+use super::proxy::{Proxy, REACH};
 use super::reaction::Reaction;
 use super::surface::{Surface, area_normal, blend};
 use super::{FOUNDATION, TOOLS_MAX, Tool};
@@ -109,13 +110,14 @@ impl Contacts {
     ) -> bool {
         self.hold_back(topology, u);
         self.clear();
+        let spacing = topology.model().spacing_m;
+        let balls: Vec<Ball> = self.proxies.iter().map(|p| p.ball(spacing)).collect();
+        self.index.watch(topology, u, displaced, &balls);
         let surface = Surface {
             topology,
             u,
             index: &self.index,
-            displaced,
         };
-        let spacing = topology.model().spacing_m;
         let mut lags = false;
         for (i, proxy) in self.proxies.iter_mut().enumerate() {
             proxy.advance(&surface);
@@ -278,21 +280,13 @@ fn sample_sphere(
     own: &[f64],
 ) {
     let reach = proxy.radius + 0.5 * surface.topology.model().spacing_m;
-    surface.near(proxy.at, reach, |triangle| {
+    for triangle in surface.near(proxy.at, reach) {
         if samples.len() + SAMPLES.len() > SAMPLES_MAX {
             return;
         }
         let corners = surface.corners(triangle);
-        let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
-        let extent = corners
-            .iter()
-            .map(|c| (c - middle).norm())
-            .fold(0.0, f64::max);
-        if (middle - proxy.at).norm() > reach + extent {
-            return;
-        }
         let Some(normal) = area_normal(&corners).try_normalize(1e-30) else {
-            return;
+            continue;
         };
         let nodes = surface.topology.boundary().triangles[triangle as usize];
         for weights in SAMPLES {
@@ -315,7 +309,7 @@ fn sample_sphere(
                 });
             }
         }
-    });
+    }
 }
 
 fn sample_point(
@@ -325,7 +319,7 @@ fn sample_point(
     i: usize,
     own: &[f64],
 ) {
-    let reach = proxy.radius + 2.0 * surface.topology.model().spacing_m;
+    let reach = proxy.radius + REACH * surface.topology.model().spacing_m;
     if let Some(foot) = surface.nearest(proxy.at, reach) {
         let nodes = surface.topology.boundary().triangles[foot.triangle as usize];
         samples.push(Sample {

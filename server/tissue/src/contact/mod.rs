@@ -23,11 +23,16 @@
 //! most while it touches. A tool that jumps, or first shows up deep inside, is followed from
 //! outside.
 
+mod ball;
 mod contacts;
+mod fans;
 mod index;
 mod proxy;
 mod reaction;
 mod surface;
+#[cfg(test)]
+mod tests;
+mod watched;
 
 pub use reaction::Reaction;
 

@@ -1,5 +1,6 @@
 //! The proxy of a tool: where it is held while tissue stands in its way.
 
+use super::ball::Ball;
 use super::reaction::Secant;
 use super::surface::{Surface, area_normal};
 use super::{POINT_RADIUS, Tool};
@@ -10,6 +11,8 @@ const MARCH_MAX: usize = 64;
 /// Travel per iteration while touching, in radii (of at least half a spacing).
 const TRAVEL: f64 = 0.5;
 
+/// Distance in spacings from a tool's surface at which it looks for the tissue's.
+pub(crate) const REACH: f64 = 2.0;
 /// Depth, in such travels, at which the proxy waits for the tissue to give way.
 const WAIT: f64 = 0.5;
 
@@ -44,6 +47,16 @@ impl Proxy {
 
     pub(crate) fn is_point(&self, spacing: f64) -> bool {
         self.radius < POINT_RADIUS * spacing
+    }
+
+    /// Where it may go and what it may feel there in this step.
+    pub(crate) fn ball(&self, spacing: f64) -> Ball {
+        let (centre, mut radius) = (self.target, self.radius + REACH * spacing);
+        // A tool that jumps is not followed on its way.
+        if self.lag() <= 2.0 * radius {
+            radius += self.lag();
+        }
+        Ball { centre, radius }
     }
 
     /// Distance in m by which the proxy is behind its tool.
@@ -99,18 +112,7 @@ impl Proxy {
     fn place(&mut self, surface: &Surface<'_>) {
         self.placed = true;
         self.touching = false;
-        let mut reach = self.radius + 2.0 * surface.topology.model().spacing_m;
-        let limit = surface.index.span() + surface.displaced;
-        let foot = loop {
-            if let Some(foot) = surface.nearest(self.at, reach) {
-                break Some(foot);
-            }
-            if reach > limit {
-                break None;
-            }
-            reach *= 2.0;
-        };
-        if let Some(foot) = foot {
+        if let Some(foot) = surface.nearest(self.at, f64::MAX) {
             let away = self.at - foot.at;
             if away.dot(&foot.normal) < 0.0 {
                 self.at = foot.at + foot.normal * self.radius;
@@ -128,19 +130,15 @@ impl Proxy {
                 .nearest(self.at, reach)
                 .is_some_and(|foot| (self.at - foot.at).dot(&foot.normal) < self.radius);
         }
-        let mut touches = false;
-        surface.near(self.at, self.radius, |triangle| {
-            if !touches {
-                let corners = surface.corners(triangle);
-                let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
-                let facing = (self.at - middle).dot(&area_normal(&corners)) > 0.0;
-                touches = facing
-                    && super::contacts::SAMPLES.iter().any(|w| {
-                        let x = super::surface::blend(&corners, w);
-                        (x - self.at).norm_squared() < self.radius * self.radius
-                    });
-            }
-        });
-        touches
+        surface.any_near(self.at, self.radius, |triangle| {
+            let corners = surface.corners(triangle);
+            let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+            let facing = (self.at - middle).dot(&area_normal(&corners)) > 0.0;
+            facing
+                && super::contacts::SAMPLES.iter().any(|w| {
+                    let x = super::surface::blend(&corners, w);
+                    (x - self.at).norm_squared() < self.radius * self.radius
+                })
+        })
     }
 }

@@ -1,5 +1,6 @@
 //! Points of the deformed surface: triangles, nearest points, normals.
 
+use super::ball::Ball;
 use super::index::SurfaceIndex;
 use crate::{Topology, Vec3};
 
@@ -8,9 +9,8 @@ use crate::{Topology, Vec3};
 pub(crate) struct Surface<'a> {
     pub(crate) topology: &'a Topology,
     pub(crate) u: &'a [Vec3],
+    /// Which has watched `u`.
     pub(crate) index: &'a SurfaceIndex,
-    /// No node of the surface is displaced by more than this, in m.
-    pub(crate) displaced: f64,
 }
 
 /// A point of the surface.
@@ -29,42 +29,49 @@ impl Surface<'_> {
             .map(|n| self.topology.rest(n) + self.u[n as usize])
     }
 
-    pub(crate) fn near(&self, centre: Vec3, reach: f64, visit: impl FnMut(u32)) {
-        self.index.near(centre, reach + self.displaced, visit);
+    /// Triangles whose boxes have a part within `reach` of `centre`, in the order of their numbers.
+    pub(crate) fn near(&self, centre: Vec3, reach: f64) -> Vec<u32> {
+        let ball = Ball {
+            centre,
+            radius: reach,
+        };
+        self.index.near(&ball, |t| self.corners(t))
     }
 
-    /// The point of the surface nearest to `centre`, if one is within `reach`.
+    /// Whether a triangle whose box has a part within `reach` of `centre` passes a test.
+    pub(crate) fn any_near(&self, centre: Vec3, reach: f64, test: impl FnMut(u32) -> bool) -> bool {
+        let ball = Ball {
+            centre,
+            radius: reach,
+        };
+        self.index.any_near(&ball, |t| self.corners(t), test)
+    }
+
+    /// The point of the surface nearest to `centre`, if one is within `reach`. Ties (a shared edge) go to
+    /// the triangle with the lowest number.
     pub(crate) fn nearest(&self, centre: Vec3, reach: f64) -> Option<Foot> {
-        let mut best: Option<(f64, u32, [f64; 3])> = None;
-        self.near(centre, reach, |triangle| {
+        let ball = Ball {
+            centre,
+            radius: reach,
+        };
+        let square = |triangle| {
             let corners = self.corners(triangle);
             let w = nearest_weights(&corners, &centre);
-            let at = blend(&corners, &w);
-            let d = (at - centre).norm_squared();
-            // Ties (a shared edge) go to the lower index, whatever the order of the bins.
-            if d <= reach * reach && best.is_none_or(|b| d < b.0 || (d == b.0 && triangle < b.1)) {
-                best = Some((d, triangle, w));
-            }
-        });
-        let (_, triangle, weights) = best?;
-        let nodes = self.topology.boundary().triangles[triangle as usize];
+            (blend(&corners, &w) - centre).norm_squared()
+        };
+        let (triangle, _) = self.index.nearest(&ball, square)?;
         let corners = self.corners(triangle);
+        let weights = nearest_weights(&corners, &centre);
         let at = blend(&corners, &weights);
-        let mut normals = [Vec3::zeros(); 3];
-        self.near(at, 0.0, |other| {
-            let around = self.topology.boundary().triangles[other as usize];
-            let n = area_normal(&self.corners(other));
-            for (k, node) in nodes.iter().enumerate() {
-                if around.contains(node) {
-                    normals[k] += n;
-                }
-            }
+        let nodes = self.topology.boundary().triangles[triangle as usize];
+        let normals = nodes.map(|node| {
+            let around = self.index.around(node).iter();
+            let sum: Vec3 = around.map(|&t| area_normal(&self.corners(t))).sum();
+            sum.try_normalize(1e-30).unwrap_or_else(Vec3::zeros)
         });
-        let own = area_normal(&corners);
-        let normals = normals.map(|n| n.try_normalize(1e-30).unwrap_or_else(Vec3::zeros));
         let normal = blend(&normals, &weights)
             .try_normalize(1e-3)
-            .or_else(|| own.try_normalize(1e-30))?;
+            .or_else(|| area_normal(&corners).try_normalize(1e-30))?;
         Some(Foot {
             triangle,
             weights,
@@ -85,7 +92,7 @@ pub(crate) fn blend(corners: &[Vec3; 3], w: &[f64; 3]) -> Vec3 {
 
 /// Barycentric weights of the point of a triangle nearest to `p` (by the regions of its corners,
 /// edges and face in turn).
-fn nearest_weights(corners: &[Vec3; 3], p: &Vec3) -> [f64; 3] {
+pub(crate) fn nearest_weights(corners: &[Vec3; 3], p: &Vec3) -> [f64; 3] {
     let [a, b, c] = corners;
     let (ab, ac, ap) = (b - a, c - a, p - a);
     let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));

@@ -1,0 +1,221 @@
+//! The search finds what looking at every triangle finds, whatever happened before.
+
+use std::sync::Arc;
+
+use proptest::prelude::*;
+
+use super::ball::Ball;
+use super::contacts::SAMPLES;
+use super::index::{SurfaceIndex, box_of};
+use super::surface::{Surface, area_normal, blend, nearest_weights};
+use super::{Contacts, Tool};
+use crate::{BladePoint, CutStroke, Material, Topology, Vec3, block, cut};
+
+const D: f64 = 0.004;
+const CELLS: [usize; 3] = [9, 7, 5];
+
+fn topology() -> Topology {
+    Topology::new(Arc::new(block(CELLS, D, &Material::default(), 1)))
+}
+
+/// A point in the block or a little beyond it.
+fn place() -> impl Strategy<Value = Vec3> {
+    (-0.3..1.3, -0.3..1.3, -0.3..1.3).prop_map(|(x, y, z): (f64, f64, f64)| {
+        let [a, b, c] = CELLS.map(|n| n as f64 * D);
+        Vec3::new(x * a, y * b, z * c)
+    })
+}
+
+#[derive(Debug, Clone)]
+enum Event {
+    /// Everything around a place moves by so much.
+    Deform(Vec3, f64, Vec3),
+    Restore,
+    Cut(Vec3, Vec3),
+    Search(Vec<Ball>),
+}
+
+fn event() -> impl Strategy<Value = Event> {
+    let by = (-3.0..3.0, -3.0..3.0, -3.0..3.0).prop_map(|(x, y, z)| Vec3::new(x, y, z) * D);
+    let ball = (place(), 0.1..3.0).prop_map(|(centre, r): (Vec3, f64)| Ball {
+        centre,
+        radius: r * D,
+    });
+    let line = (place(), place()).prop_filter("long enough", |(a, b)| (a - b).norm() > D);
+    prop_oneof![
+        4 => (place(), 0.5..6.0, by).prop_map(|(at, r, by): (Vec3, f64, Vec3)| {
+            Event::Deform(at, r * D, by)
+        }),
+        1 => Just(Event::Restore),
+        1 => line.prop_map(|(a, b)| Event::Cut(a, b)),
+        6 => proptest::collection::vec(ball, 1..4).prop_map(Event::Search),
+    ]
+}
+
+fn deform(topology: &Topology, u: &mut [Vec3], at: Vec3, radius: f64, by: Vec3) {
+    for (n, u) in u.iter_mut().enumerate() {
+        let away = (topology.rest(n as u32) - at).norm() / radius;
+        *u += by * (1.0 - away).max(0.0);
+    }
+}
+
+fn longest(u: &[Vec3]) -> f64 {
+    u.iter().map(Vec3::norm).fold(0.0, f64::max)
+}
+
+fn distance(surface: &Surface<'_>, triangle: u32, p: Vec3) -> f64 {
+    let corners = surface.corners(triangle);
+    (blend(&corners, &nearest_weights(&corners, &p)) - p).norm_squared()
+}
+
+/// Compares searches around a ball with a look at every triangle.
+fn compare(surface: &Surface<'_>, ball: &Ball) {
+    let all = 0..surface.topology.boundary().triangles.len() as u32;
+    let squares: Vec<f64> = all.map(|t| distance(surface, t, ball.centre)).collect();
+    let near = surface.near(ball.centre, ball.radius);
+    assert!(near.is_sorted(), "the order is that of the numbers");
+    for (t, square) in squares.iter().enumerate() {
+        let found = near.binary_search(&(t as u32)).is_ok();
+        assert!(
+            found || *square > ball.radius * ball.radius,
+            "{t} is missed"
+        );
+        let inside = ball.reaches_box(&box_of(surface.corners(t as u32)));
+        assert_eq!(found, inside, "{t} by its box");
+    }
+    let foot = surface.nearest(ball.centre, ball.radius);
+    let best = squares.iter().copied().fold(f64::MAX, f64::min);
+    let lowest = squares.iter().position(|&s| s == best).map(|t| t as u32);
+    let within = best < ball.radius * ball.radius;
+    assert_eq!(foot.map(|f| f.triangle), lowest.filter(|_| within));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..Default::default() })]
+
+    /// Over deformations, cuts and tools that come and go.
+    #[test]
+    fn a_search_misses_no_triangle_whatever_happened_before(
+        events in proptest::collection::vec(event(), 1..16),
+    ) {
+        let mut topology = topology();
+        let mut index = SurfaceIndex::new(&topology);
+        let mut u = vec![Vec3::zeros(); topology.node_count()];
+        for event in events {
+            match event {
+                Event::Deform(at, radius, by) => deform(&topology, &mut u, at, radius, by),
+                Event::Restore => u.fill(Vec3::zeros()),
+                Event::Cut(from, to) => {
+                    let point = |tip| BladePoint { tip, axis: Vec3::z(), depth_m: 0.01 };
+                    let stroke = CutStroke { points: vec![point(from), point(to)], width_m: 0.0 };
+                    let _ = cut(&mut topology, &stroke);
+                    u.resize(topology.node_count(), Vec3::zeros());
+                    index.follow(&topology);
+                }
+                Event::Search(balls) => {
+                    index.watch(&topology, &u, longest(&u), &balls);
+                    let surface = Surface { topology: &topology, u: &u, index: &index };
+                    for ball in &balls {
+                        compare(&surface, ball);
+                    }
+                    // Beyond what is watched, too.
+                    let far = Ball { centre: Vec3::repeat(-3.0 * D), radius: 6.0 * D };
+                    compare(&surface, &far);
+                    compare(&surface, &Ball { radius: 1.0, ..far });
+                }
+            }
+        }
+    }
+
+    /// The contacts of a tool are all samples of the surface in its reach that face it.
+    #[test]
+    fn contacts_are_those_that_a_look_at_every_sample_finds(
+        events in proptest::collection::vec((place(), 0.5..6.0, place(), 0.6..3.0), 1..6),
+    ) {
+        let topology = topology();
+        let mut contacts = Contacts::new(&topology);
+        let mut u = vec![Vec3::zeros(); topology.node_count()];
+        let own = vec![1.0; u.len()];
+        for (at, size, centre, radius) in events {
+            deform(&topology, &mut u, at, size * D, (centre - at) * 0.3);
+            contacts.begin(&[Tool { id: 1, centre, radius_m: radius * D }]);
+            contacts.gather(&topology, &u, longest(&u), &own);
+            let proxy = &contacts.proxies[0];
+            let mut expected = Vec::new();
+            for &nodes in &topology.boundary().triangles {
+                let corners = nodes.map(|n| topology.rest(n) + u[n as usize]);
+                for weights in SAMPLES {
+                    let v = proxy.at - blend(&corners, &weights);
+                    let facing = v.dot(&area_normal(&corners)) > 0.0;
+                    if facing && v.norm() <= (radius + 0.5) * D {
+                        expected.push((nodes, weights));
+                    }
+                }
+            }
+            if !proxy.touching {
+                expected.clear();
+            }
+            let found: Vec<_> = contacts.samples.iter().map(|s| (s.nodes, s.weights)).collect();
+            prop_assert_eq!(found, expected);
+        }
+    }
+}
+
+#[test]
+fn what_is_deformed_far_from_all_tools_is_not_looked_at() {
+    let topology = Topology::new(Arc::new(block([40, 6, 6], D, &Material::default(), 1)));
+    let mut index = SurfaceIndex::new(&topology);
+    let mut u = vec![Vec3::zeros(); topology.node_count()];
+    let far = Vec3::new(0.15, 0.012, 0.024);
+    deform(&topology, &mut u, far, 0.02, Vec3::z() * -0.01);
+    let ball = Ball {
+        centre: Vec3::new(0.01, 0.012, 0.024),
+        radius: 0.01,
+    };
+    index.watch(&topology, &u, longest(&u), &[ball]);
+    let watched = index.watched().nodes();
+    assert!(!watched.is_empty(), "the tool is at the surface");
+    for &node in watched {
+        assert_eq!(
+            u[node as usize],
+            Vec3::zeros(),
+            "{node} is far from the tool"
+        );
+    }
+    // A tool that comes there finds it.
+    index.watch(
+        &topology,
+        &u,
+        longest(&u),
+        &[Ball {
+            centre: far,
+            ..ball
+        }],
+    );
+    let watched = index.watched().nodes().iter();
+    assert!(watched.filter(|&&n| u[n as usize].norm() > 0.005).count() > 10);
+}
+
+#[test]
+fn the_index_takes_a_bounded_number_of_bytes_per_triangle_and_node() {
+    let topology = topology();
+    let triangles = topology.boundary().triangles.len();
+    let mut index = SurfaceIndex::new(&topology);
+    let bytes = index.heap_bytes();
+    let bound = 180 * triangles + 8 * topology.node_count() + 256;
+    assert!(bytes <= bound, "{bytes} of {bound}");
+    // Everything watched and deformed, over and over.
+    let mut u = vec![Vec3::zeros(); topology.node_count()];
+    for i in 0..50 {
+        let centre = Vec3::new(0.001 * f64::from(i), 0.01, 0.02);
+        deform(&topology, &mut u, centre, 0.02, Vec3::z() * 0.002);
+        let ball = Ball {
+            centre,
+            radius: 0.001 * f64::from(i),
+        };
+        index.watch(&topology, &u, longest(&u), &[ball]);
+    }
+    let bytes = index.heap_bytes();
+    let bound = bound + 120 * triangles;
+    assert!(bytes <= bound, "{bytes} of {bound}");
+}
