@@ -104,7 +104,7 @@ fn a_solver_that_follows_a_cut_finds_what_a_new_one_finds() {
         assert!(!report.fell_back);
         followed = report.reactions[0].force.z;
     }
-    assert!(solver.residual_over_all(&topology, &shape) < 1e-4);
+    assert!(solver.residual_over_all(&shape) < 1e-4);
 
     let mut fresh_shape = Shape::rest(&topology);
     let mut fresh = Solver::new(&topology);

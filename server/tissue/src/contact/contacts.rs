@@ -28,6 +28,8 @@ const NONE: u32 = u32::MAX;
 pub(crate) struct Sample {
     pub(crate) nodes: [u32; 3],
     pub(crate) weights: [f64; 3],
+    /// Where it is at rest.
+    rest: Vec3,
     /// κ in N/m, its area and facing taken in.
     stiffness: f64,
     /// Normal out of the tissue, for a point tool.
@@ -108,7 +110,7 @@ impl Contacts {
         displaced: f64,
         own_stiffness: &[f64],
     ) -> bool {
-        self.hold_back(topology, u);
+        self.hold_back(u);
         self.clear();
         let spacing = topology.model().spacing_m;
         let balls: Vec<Ball> = self.proxies.iter().map(|p| p.ball(spacing)).collect();
@@ -135,10 +137,10 @@ impl Contacts {
     }
 
     /// Tells each proxy how deep it is already pressed, so that none gets ahead of the tissue.
-    fn hold_back(&mut self, topology: &Topology, u: &[Vec3]) {
+    fn hold_back(&mut self, u: &[Vec3]) {
         self.proxies.iter_mut().for_each(|p| p.depth = 0.0);
         for i in 0..self.samples.len() {
-            let (depth, _) = self.press(&self.samples[i], topology, u);
+            let (depth, _) = self.press(&self.samples[i], u);
             let proxy = &mut self.proxies[self.samples[i].proxy as usize];
             proxy.depth = proxy.depth.max(depth);
         }
@@ -165,9 +167,8 @@ impl Contacts {
     }
 
     /// Depth in m (above zero: pressed) and direction into the tissue of a sample.
-    pub(crate) fn press(&self, sample: &Sample, topology: &Topology, u: &[Vec3]) -> (f64, Vec3) {
-        let corners = sample.nodes.map(|n| topology.rest(n) + u[n as usize]);
-        let x = blend(&corners, &sample.weights);
+    pub(crate) fn press(&self, sample: &Sample, u: &[Vec3]) -> (f64, Vec3) {
+        let x = sample.rest + blend(&sample.nodes.map(|n| u[n as usize]), &sample.weights);
         let proxy = &self.proxies[sample.proxy as usize];
         let v = x - proxy.at;
         if let Some(out) = sample.flat {
@@ -182,14 +183,9 @@ impl Contacts {
 
     /// Calls `visit` with every pressed sample, its force in N, its κ and its direction.
     #[inline]
-    pub(crate) fn pressed(
-        &self,
-        topology: &Topology,
-        u: &[Vec3],
-        mut visit: impl FnMut(&Sample, Vec3, f64, Vec3),
-    ) {
+    pub(crate) fn pressed(&self, u: &[Vec3], mut visit: impl FnMut(&Sample, Vec3, f64, Vec3)) {
         for sample in &self.samples {
-            let (depth, n) = self.press(sample, topology, u);
+            let (depth, n) = self.press(sample, u);
             if depth > 0.0 {
                 visit(sample, n * (sample.stiffness * depth), sample.stiffness, n);
             }
@@ -197,9 +193,9 @@ impl Contacts {
     }
 
     /// Sum of the squares of the forces on nodes in N².
-    pub(crate) fn square(&self, topology: &Topology, u: &[Vec3]) -> f64 {
+    pub(crate) fn square(&self, u: &[Vec3]) -> f64 {
         let mut forces = vec![Vec3::zeros(); self.nodes.len()];
-        self.pressed(topology, u, |sample, force, _, _| {
+        self.pressed(u, |sample, force, _, _| {
             for (&node, w) in sample.nodes.iter().zip(sample.weights) {
                 forces[self.place(node)] += force * w;
             }
@@ -223,10 +219,10 @@ impl Contacts {
     }
 
     /// Force on the tool of proxy `i`, with the samples that carry it.
-    pub(crate) fn force(&self, topology: &Topology, u: &[Vec3], i: usize) -> (Vec3, u32) {
+    pub(crate) fn force(&self, u: &[Vec3], i: usize) -> (Vec3, u32) {
         let (mut force, mut count) = (Vec3::zeros(), 0);
         for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
-            let (depth, n) = self.press(sample, topology, u);
+            let (depth, n) = self.press(sample, u);
             if depth > 0.0 {
                 force -= n * (sample.stiffness * depth);
                 count += 1;
@@ -240,7 +236,7 @@ impl Contacts {
         let (mut force, mut count) = (Vec3::zeros(), 0);
         let (mut still, mut sliding, mut sum) = (0.0, 0.0, 0.0);
         for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
-            let (depth, n) = self.press(sample, topology, u);
+            let (depth, n) = self.press(sample, u);
             if depth > 0.0 {
                 let f = sample.stiffness * depth;
                 force -= n * f;
@@ -289,6 +285,7 @@ fn sample_sphere(
             continue;
         };
         let nodes = surface.topology.boundary().triangles[triangle as usize];
+        let rest = nodes.map(|n| surface.topology.rest(n));
         for weights in SAMPLES {
             let v = proxy.at - blend(&corners, &weights);
             let distance = v.norm();
@@ -302,6 +299,7 @@ fn sample_sphere(
                 samples.push(Sample {
                     nodes,
                     weights,
+                    rest: blend(&rest, &weights),
                     stiffness: share * foundation(own, &nodes, &weights),
                     flat: None,
                     proxy: i as u32,
@@ -322,9 +320,11 @@ fn sample_point(
     let reach = proxy.radius + REACH * surface.topology.model().spacing_m;
     if let Some(foot) = surface.nearest(proxy.at, reach) {
         let nodes = surface.topology.boundary().triangles[foot.triangle as usize];
+        let rest = nodes.map(|n| surface.topology.rest(n));
         samples.push(Sample {
             nodes,
             weights: foot.weights,
+            rest: blend(&rest, &foot.weights),
             stiffness: FOUNDATION * foundation(own, &nodes, &foot.weights),
             flat: Some(foot.normal),
             proxy: i as u32,

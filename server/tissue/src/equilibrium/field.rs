@@ -12,7 +12,7 @@ use super::block::{Quad, ZERO};
 use super::brick::LOCALS;
 use super::cycle::Multigrid;
 use super::kernel::{Ends, Forces, Tangents};
-use super::patch::{List, Patch, interpolate, invert};
+use super::patch::{List, interpolate, invert};
 use super::structure::Structure;
 use crate::contact::Contacts;
 use crate::{Topology, Vec3};
@@ -21,15 +21,6 @@ use crate::{Topology, Vec3};
 const MOVE_MAX: f64 = 0.5;
 /// Bricks from which on they are shared among threads.
 const PARALLEL: usize = 512;
-/// Part of the threshold below which a force is forgotten, when a hand waits for the answer and
-/// when not.
-const SILENT: [f32; 2] = [0.02, 1e-4];
-/// How many times more than what has to take part may stay in the set before it is chosen afresh.
-const ROOMY: usize = 3;
-/// Elements that loud nodes may have refined while a hand waits. Where more are loud, the loudest have
-/// their turn first: two thousand nodes are what a millisecond has room for.
-const NEEDED_MAX: usize = 160;
-
 /// What the solver knows of single nodes and bricks.
 pub(super) struct Field {
     /// Pinned or held.
@@ -47,16 +38,18 @@ pub(super) struct Field {
     /// Bricks that take part, and their nodes.
     pub(super) set: List,
     pub(super) nodes: List,
-    inside: Vec<u32>,
+    pub(super) inside: Vec<u32>,
     pub(super) free: Vec<bool>,
     /// Nodes whose force may not be zero.
-    loud: List,
+    pub(super) loud: List,
     /// Nodes that were found too quiet for a hand, and matter again when more is asked for.
-    quiet: List,
+    pub(super) quiet: List,
     /// Nodes that are not free and were disturbed since the set was last looked at.
-    disturbed: List,
+    pub(super) disturbed: List,
     /// Elements of level 1 that have to be refined; scratch.
-    needed: List,
+    pub(super) needed: List,
+    /// Whether the forces of the set, without contacts, are those of now.
+    pub(super) current: bool,
     /// Whether what is fixed has changed since the set was chosen.
     pub(super) outdated: bool,
     /// Bricks to be computed before anything is said about their nodes.
@@ -102,6 +95,7 @@ impl Field {
             quiet: List::new(nodes),
             disturbed: List::new(nodes),
             needed: List::new(structure.levels[0].corners.len()),
+            current: false,
             outdated: true,
             stale: List::new(structure.bricks.len()),
             touched: List::new(nodes),
@@ -207,6 +201,7 @@ impl Field {
     #[inline]
     pub(super) fn shift(&mut self, u: &mut [Vec3], node: u32, by: Vec3) {
         let n = node as usize;
+        self.current = false;
         if self.saved.insert(node) {
             self.before.push((node, u[n]));
         }
@@ -242,141 +237,15 @@ impl Field {
         self.stale.clear();
     }
 
-    /// Chooses what takes part: the elements of level 1 to refine are those with a node whose force
-    /// is above the threshold, those wanted by the last cycle, and those in contact. What is
-    /// refined already stays as it is while it covers them and is not much more; with `goes_on` it
-    /// stays in any case. Returns whether there is a choice to be taken.
-    pub(super) fn select(
-        &mut self,
-        structure: &Structure,
-        coarse: &mut Multigrid,
-        always: impl Iterator<Item = u32>,
-        threshold: f32,
-        quick: bool,
-        goes_on: bool,
-    ) -> bool {
-        for &node in &self.nodes.items {
-            self.loud.insert(node);
-        }
-        if !quick {
-            for node in self.quiet.take() {
-                self.loud.insert(node);
-            }
-        }
-        let mut limit = threshold;
-        loop {
-            self.need(structure, &coarse.patches[0], limit, quick);
-            if !quick || self.needed.items.len() <= NEEDED_MAX {
-                break;
-            }
-            limit *= 2.0;
-        }
-        for node in always {
-            for &entry in structure.around.row(node) {
-                let element = structure.element_of[(entry / 32) as usize];
-                self.needed.insert(element);
-            }
-        }
-        let silent = SILENT[usize::from(!quick)] * threshold;
-        let (r, quiet) = (&self.r, &mut self.quiet);
-        self.loud.retain(|node| {
-            let stays = square(&r[node as usize]) > silent * silent;
-            if quick && !stays {
-                quiet.insert(node);
-            }
-            stays
-        });
-        self.disturbed.clear();
-        let wanted = coarse.patches.iter().any(|p| !p.wanted.items.is_empty());
-        let (refined, needed) = (&coarse.patches[0].refined, &self.needed);
-        let covered = needed.items.iter().all(|&e| refined.contains(e));
-        let roomy = !goes_on && refined.items.len() > ROOMY * needed.items.len();
-        if covered && !roomy && !wanted && !self.outdated {
-            return false;
-        }
-        self.outdated = false;
-        let patch = &mut coarse.patches[0];
-        if !goes_on {
-            patch.refined.clear();
-        }
-        for &element in &self.needed.items {
-            patch.refined.insert(element);
-        }
-        Self::select_wanted(patch);
-        true
-    }
-
-    /// Notes the elements around nodes whose force is above the threshold.
-    fn need(&mut self, structure: &Structure, patch: &Patch, threshold: f32, quick: bool) {
-        self.needed.clear();
-        let waits = |&entry: &u32| {
-            let element = structure.element_of[(entry / 32) as usize];
-            patch.waiting[element as usize]
-        };
-        for &node in &self.loud.items {
-            let n = node as usize;
-            if self.fixed[n] || square(&self.r[n]) <= threshold * threshold {
-                continue;
-            }
-            // Beside a part that waits only half of the force is known, and the rest is what the
-            // coarse level has seen to.
-            let around = structure.around.row(node);
-            let known = !quick
-                || self.free[n]
-                || self.disturbed.contains(node)
-                || !self.nodes.contains(node) && !around.iter().any(waits);
-            if known {
-                for &entry in around {
-                    self.needed
-                        .insert(structure.element_of[(entry / 32) as usize]);
-                }
-            }
-        }
-    }
-
-    /// Adds the elements of level 1 that want to be refined.
-    pub(super) fn select_wanted(patch: &mut Patch) {
-        for element in patch.wanted.take() {
-            patch.refined.insert(element);
-        }
-        patch.refined.sort();
-    }
-
-    /// Takes the chosen set, and brings its nodes up to date with level 1.
-    pub(super) fn enter(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
-        self.set.clear();
-        for &node in &self.nodes.items {
-            self.inside[node as usize] = 0;
-            self.free[node as usize] = false;
-        }
-        self.nodes.clear();
-        for &element in &coarse.patches[0].refined.items {
-            for &brick in structure.levels[0].children.row(element) {
-                self.set.insert(brick);
-            }
-        }
-        for &brick in &self.set.items {
-            let b = &structure.bricks[brick as usize];
-            for i in 0..LOCALS {
-                if b.present >> i & 1 == 1 {
-                    self.nodes.insert(b.nodes[i]);
-                    self.inside[b.nodes[i] as usize] += 1;
-                }
-            }
-        }
-        self.nodes.sort();
-        for i in 0..self.nodes.items.len() {
-            let node = self.nodes.items[i];
-            let n = node as usize;
-            self.loud.insert(node);
-            self.free[n] = !self.fixed[n] && self.inside[n] == structure.around.len(node);
-            self.take_over(structure, coarse, u, node);
-        }
-    }
-
     /// Brings a node up to date with level 1.
     #[inline]
-    fn take_over(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3], node: u32) {
+    pub(super) fn take_over(
+        &mut self,
+        structure: &Structure,
+        coarse: &Multigrid,
+        u: &mut [Vec3],
+        node: u32,
+    ) {
         let n = node as usize;
         let v = interpolate(&structure.ties[n], &coarse.patches[0].total);
         let old = self.applied[n];
@@ -455,6 +324,7 @@ impl Field {
             let node = self.nodes.items[i];
             self.r[node as usize] = self.sum(structure, node);
         }
+        self.current = true;
     }
 
     #[inline]
@@ -473,14 +343,16 @@ impl Field {
     /// Computes the set and the force on its nodes. Returns the sum of squares over the free ones.
     pub(super) fn evaluate(
         &mut self,
-        topology: &Topology,
         structure: &Structure,
         u: &[Vec3],
         contacts: &Contacts,
     ) -> f64 {
-        self.compute_set(structure, u);
+        if !std::mem::take(&mut self.current) {
+            self.compute_set(structure, u);
+            self.current = false;
+        }
         let r = &mut self.r;
-        contacts.pressed(topology, u, |sample, force, _, _| {
+        contacts.pressed(u, |sample, force, _, _| {
             for (node, w) in sample.nodes.iter().zip(sample.weights) {
                 let r = &mut r[*node as usize];
                 for a in 0..3 {
@@ -503,13 +375,7 @@ impl Field {
     }
 
     /// The blocks that smoothing divides by, at the displacements of now.
-    pub(super) fn renew_blocks(
-        &mut self,
-        topology: &Topology,
-        structure: &Structure,
-        u: &[Vec3],
-        contacts: &Contacts,
-    ) {
+    pub(super) fn renew_blocks(&mut self, structure: &Structure, u: &[Vec3], contacts: &Contacts) {
         for &node in &self.nodes.items {
             self.blocks[node as usize] = [0.0; 6];
         }
@@ -533,7 +399,7 @@ impl Field {
                 }
             }
         }
-        contacts.pressed(topology, u, |sample, _, kappa, n| {
+        contacts.pressed(u, |sample, _, kappa, n| {
             for (node, w) in sample.nodes.iter().zip(sample.weights) {
                 let block = contact_block(w * kappa, &n);
                 for (to, v) in blocks[*node as usize].iter_mut().zip(block) {
@@ -593,7 +459,6 @@ impl Field {
     /// Computes every brick: the sum of squares over all nodes free to move.
     pub(super) fn square_over_all(
         &mut self,
-        topology: &Topology,
         structure: &Structure,
         u: &[Vec3],
         contacts: &Contacts,
@@ -607,7 +472,7 @@ impl Field {
             .iter()
             .map(|f| [0, 1, 2].map(|a| f64::from(f[a])))
             .collect();
-        contacts.pressed(topology, u, |sample, force, _, _| {
+        contacts.pressed(u, |sample, force, _, _| {
             for (node, w) in sample.nodes.iter().zip(sample.weights) {
                 for a in 0..3 {
                     r[*node as usize][a] += w * force[a];
@@ -639,6 +504,6 @@ pub(super) fn contact_block(k: f64, n: &Vec3) -> [f32; 6] {
 }
 
 #[inline(always)]
-fn square(v: &Quad) -> f32 {
+pub(super) fn square(v: &Quad) -> f32 {
     v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
 }

@@ -4,6 +4,8 @@
 //! what drives the shape (touching tools, held nodes) has moved by γ times what it moved before, the
 //! shape begins with γ times its last change; what remains to be solved is of second order in the step.
 
+use std::collections::BTreeMap;
+
 use crate::Vec3;
 use crate::contact::Contacts;
 
@@ -23,11 +25,12 @@ struct Driver {
 }
 
 impl Foresight {
-    /// Takes in where tools and held nodes are; gives γ.
+    /// Takes in where tools and held nodes are, and where nodes were led from; gives γ.
     pub(super) fn look(
         &mut self,
         contacts: &Contacts,
         held: &[u32],
+        led: &BTreeMap<u32, Vec3>,
         u: &[Vec3],
         spacing: f64,
     ) -> f64 {
@@ -41,7 +44,9 @@ impl Foresight {
                 let same = |d: &&Driver| d.id == id;
                 let known = self.drivers.get(i).filter(same);
                 let known = known.or_else(|| self.drivers.iter().find(same));
-                let by = known.map_or_else(Vec3::zeros, |d| at - d.at);
+                let from = || led.get(&id.1).filter(|_| id.0).copied();
+                let from = known.map(|d| d.at).or_else(from);
+                let by = from.map_or_else(Vec3::zeros, |from| at - from);
                 if let Some(before) = known {
                     both += by.dot(&before.by);
                     last += before.by.norm_squared();

@@ -7,14 +7,60 @@
 //! converges slowly: stopping it early overstates the force.
 
 use super::patch::List;
-use crate::{Topology, Vec3};
+use super::solver::{Solver, relative};
+use crate::{Shape, Topology, Vec3};
 
 /// The modulus of the offset law is twice that of the length law with the same springs.
-pub(super) const OFFSET_SHARE: f64 = 0.5;
+const OFFSET_SHARE: f64 = 0.5;
+
+impl Solver {
+    /// The seed's iteration (eq. 3.10) for the offset law, `sweeps` times or until the relative
+    /// residual of that law is below `tolerance`, with the held nodes as the prescribed ones. Tools
+    /// take no part. Returns the sweeps made and the residual.
+    pub fn jacobi(
+        &mut self,
+        topology: &Topology,
+        shape: &mut Shape,
+        sweeps: usize,
+        tolerance: f64,
+    ) -> (usize, f64) {
+        let u = &mut shape.displacement;
+        let fixed = &self.field.fixed;
+        let mut active = List::new(topology.node_count());
+        for &node in &self.held {
+            for spring in topology.springs().row(node) {
+                if !fixed[spring.to as usize] {
+                    active.insert(spring.to);
+                }
+            }
+        }
+        let mut reference = 0.0;
+        for &node in &self.held {
+            let own = u[node as usize];
+            let mut force = Vec3::zeros();
+            for spring in topology.springs().row(node) {
+                force += (u[spring.to as usize] - own) * f64::from(spring.stiffness);
+            }
+            reference += force.norm_squared();
+        }
+        let reference = OFFSET_SHARE * reference.sqrt();
+        let mut residual = 1.0;
+        for done in 0..sweeps {
+            let threshold =
+                tolerance * reference / (2.0 * (active.items.len() as f64 + 64.0).sqrt());
+            let sum = sweep(topology, u, fixed, &mut active, &mut self.moved, threshold);
+            residual = relative(sum, reference);
+            if residual <= tolerance {
+                return (done, residual);
+            }
+        }
+        (sweeps, residual)
+    }
+}
 
 /// One sweep of eq. 3.10 over the active nodes, from the displacements before the sweep; wakes the
 /// neighbours of those that moved. Returns the sum of squares of the forces before it.
-pub(super) fn sweep(
+fn sweep(
     topology: &Topology,
     u: &mut [Vec3],
     fixed: &[bool],

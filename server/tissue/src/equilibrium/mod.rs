@@ -6,7 +6,8 @@
 //! | `brick`, `kernel`, `lanes` | forces of eight cells at a time, in vectors |
 //! | `coarsen`, `element`, `structure` | coarse lattices that open where cuts do, with a matrix per element |
 //! | `patch`, `cycle` | the part of the coarse lattices near the tools, and one V-cycle over it |
-//! | `field`, `moves` | forces on nodes, which of them take part, smoothing |
+//! | `field`, `choice`, `moves` | forces on nodes, which of them take part, smoothing |
+//! | `budget` | what a step may cost, and what it did |
 //! | `foresight` | the last step's change, carried on |
 //! | `solver` | one step: its stages, its books |
 //! | `jacobi` | the seed's iteration (3.10), the named baseline |
@@ -35,6 +36,8 @@
 
 mod block;
 mod brick;
+mod budget;
+mod choice;
 mod coarsen;
 mod cycle;
 mod element;
@@ -49,5 +52,6 @@ mod patch;
 mod solver;
 mod structure;
 
+pub use budget::{Budget, StepReport};
 pub(crate) use law::Elastic;
-pub use solver::{Budget, Solver, StepReport};
+pub use solver::Solver;

@@ -3,13 +3,14 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use super::budget::{Budget, StepReport};
+use super::choice::Keeps;
 use super::cycle::{Effort, Multigrid};
 use super::field::{Field, contact_block, own_stiffness};
 use super::foresight::Foresight;
-use super::jacobi;
-use super::patch::{List, take_over};
+use super::patch::take_over;
 use super::structure::Structure;
-use crate::contact::{Contacts, Reaction, Tool};
+use crate::contact::{Contacts, Tool};
 use crate::{Shape, Topology, Vec3};
 
 /// Nodes held at once at most; [`Solver::hold`] refuses more. Four thousand nodes are a surface of
@@ -58,65 +59,15 @@ const FIRST_PART: f64 = 0.1;
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
 const BLOWN_UP: f64 = 1e4;
 
-/// What a step may cost.
-pub struct Budget<'a> {
-    /// Iterations at most; one iteration is a coarse correction and two sweeps over what is active.
-    pub iterations: usize,
-    /// Relative residual at which to stop; 1e-6 counts as converged.
-    pub tolerance: f64,
-    /// Whether nodes far from the tools may wait: they are then brought up to date by
-    /// [`Solver::pour`], and a step costs what is near. The tolerance is then 0.02 at least.
-    pub near: bool,
-    /// Asked between iterations and between the sweeps of one; `true` stops. A shell that owns a clock sets a time limit so.
-    pub stop: Option<&'a mut dyn FnMut() -> bool>,
-}
-
-impl Budget<'_> {
-    /// Up to `iterations` iterations or a relative residual of `tolerance`.
-    pub fn new(iterations: usize, tolerance: f64) -> Self {
-        Self {
-            iterations,
-            tolerance,
-            near: false,
-            stop: None,
-        }
-    }
-}
-
-/// What a step did.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct StepReport {
-    /// Norm of the forces left on nodes free to move, over the norm of the forces that tools and
-    /// held nodes bring in.
-    pub residual: f64,
-    /// Iterations made.
-    pub iterations: usize,
-    /// Bricks of eight cells computed, and elements of coarse levels visited: what the step cost,
-    /// whatever the machine.
-    pub visits: [usize; 2],
-    /// Nodes still active.
-    pub active_nodes: usize,
-    /// Moves that were cut short: zero in moderate presses.
-    pub clamped: usize,
-    /// Tools ignored: not finite, no radius, an id twice, or beyond the number looked at.
-    pub ignored_tools: usize,
-    /// Farthest that a proxy is behind its tool, in m; zero unless a tool jumped.
-    pub lag_m: f64,
-    /// Whether an iterate was thrown away and the shape before the step put back.
-    pub fell_back: bool,
-    /// One per tool, in the order in which tools first appeared.
-    pub reactions: Vec<Reaction>,
-}
-
 /// Scratch memory of the equilibrium of one shape of one topology.
 pub struct Solver {
     structure: Arc<Structure>,
-    field: Field,
+    pub(super) field: Field,
     coarse: Multigrid,
     contacts: Contacts,
-    held: Vec<u32>,
+    pub(super) held: Vec<u32>,
     foresight: Foresight,
-    moved: Vec<Vec3>,
+    pub(super) moved: Vec<Vec3>,
     reference: f64,
     /// What counts as nothing, in N; see [`LEAST`].
     least: f64,
@@ -124,6 +75,8 @@ pub struct Solver {
     dirty: bool,
     /// Whether what takes part has to be looked at afresh.
     look: bool,
+    /// Whether this step began with the last one's change.
+    carried: bool,
     /// Whether smoothing needs the blocks of now.
     renew: bool,
     /// Where nodes were that have been held or moved since the last step.
@@ -166,6 +119,7 @@ impl Solver {
             report: StepReport::default(),
             dirty: false,
             look: true,
+            carried: false,
             renew: true,
             led: BTreeMap::new(),
             last_forces: Vec::new(),
@@ -276,11 +230,11 @@ impl Solver {
 
     /// The relative residual with every node looked at, active or not: a check, at the price of the
     /// whole model.
-    pub fn residual_over_all(&mut self, topology: &Topology, shape: &Shape) -> f64 {
+    pub fn residual_over_all(&mut self, shape: &Shape) -> f64 {
         let u = &shape.displacement;
         let sum = self
             .field
-            .square_over_all(topology, &self.structure, u, &self.contacts);
+            .square_over_all(&self.structure, u, &self.contacts);
         relative(sum, self.reference)
     }
 
@@ -310,7 +264,8 @@ impl Solver {
         let u = &mut shape.displacement;
         let spacing = topology.model().spacing_m;
         let (contacts, held) = (&self.contacts, &self.held);
-        let carry = self.foresight.look(contacts, held, u, spacing);
+        let led = &self.led;
+        let carry = self.foresight.look(contacts, held, led, u, spacing);
         // Less than one, so that what a step got wrong dies out even if the next one has little time.
         let calmness = self.calmness();
         let carry = if calmness < TRUSTED {
@@ -318,6 +273,7 @@ impl Solver {
         } else {
             0.0
         };
+        self.carried = carry != 0.0;
         self.coarse.carry_on(&self.structure, carry as f32);
         self.field
             .begin(&self.structure, &self.coarse, u, carry, false);
@@ -381,13 +337,12 @@ impl Solver {
 
     fn iterate(&mut self, topology: &Topology, u: &mut [Vec3], budget: &mut Budget<'_>) {
         let mut lags = self.gather(topology, u);
-        let mut share = FIRST_SHARE;
         let quick = budget.near;
+        // What took part in the last step takes part again: nothing is gained by beginning coarsely.
+        let mut share = if self.carried { 0.0 } else { FIRST_SHARE };
         loop {
             self.field.refresh(&self.structure, u);
-            let allowed = self.bring(topology, u, budget.tolerance);
-            let sum = self.take_part(topology, u, share * allowed, quick);
-            self.report.residual = relative(sum, self.reference);
+            let allowed = self.bring(u, budget.tolerance);
             let last = if budget.tolerance < PROVEN {
                 0.5 / (self.field.stirred() as f64 + 1.0).sqrt()
             } else if budget.tolerance < QUICK {
@@ -395,6 +350,9 @@ impl Solver {
             } else {
                 FIRST_SHARE
             };
+            share = share.max(last);
+            let sum = self.take_part(u, share * allowed, quick);
+            self.report.residual = relative(sum, self.reference);
             let whole = self
                 .coarse
                 .patches
@@ -417,16 +375,16 @@ impl Solver {
             }
             if self.renew {
                 let (structure, contacts) = (&self.structure, &self.contacts);
-                self.field.renew_blocks(topology, structure, u, contacts);
+                self.field.renew_blocks(structure, u, contacts);
                 self.renew = false;
             }
             self.report.iterations += 1;
-            self.remember_forces(topology, u);
+            self.remember_forces(u);
             if self.report.iterations > 1 && !quick {
-                self.stiffen(topology, u);
+                self.stiffen(u);
             }
-            self.correct(topology, u, share * allowed, quick);
-            self.smooth(topology, u, budget);
+            self.correct(u, share * allowed, quick);
+            self.smooth(u, budget);
             if lags {
                 lags = self.gather(topology, u);
             }
@@ -434,13 +392,7 @@ impl Solver {
     }
 
     /// Stage: what takes part, and the forces on it. Returns their sum of squares.
-    fn take_part(
-        &mut self,
-        topology: &Topology,
-        u: &mut [Vec3],
-        threshold: f64,
-        quick: bool,
-    ) -> f64 {
+    fn take_part(&mut self, u: &mut [Vec3], threshold: f64, quick: bool) -> f64 {
         let (structure, coarse) = (&self.structure, &mut self.coarse);
         let touched = self.contacts.nodes.iter().chain(&self.held).copied();
         // A hand's step goes on for a while with what it began with, until contacts change.
@@ -449,9 +401,13 @@ impl Solver {
         self.look = false;
         if looks {
             let limit = threshold as f32;
-            let goes_on = quick && self.report.iterations > 0;
+            let keeps = match quick {
+                true if self.report.iterations > 0 => Keeps::All,
+                false if self.carried => Keeps::Most,
+                _ => Keeps::Near,
+            };
             let field = &mut self.field;
-            if field.select(structure, coarse, touched, limit, quick, goes_on) {
+            if field.select(structure, coarse, touched, limit, quick, keeps) {
                 coarse.select(structure, false);
                 // What is handed down can be too much to wait on the next level as well.
                 while coarse.push(structure, limit) {
@@ -461,7 +417,7 @@ impl Solver {
                 field.enter(structure, coarse, u);
             }
         }
-        let sum = self.field.evaluate(topology, structure, u, &self.contacts);
+        let sum = self.field.evaluate(structure, u, &self.contacts);
         // Those from before a contact was found would smooth past it: deep presses blew up.
         self.renew |= looks;
         sum
@@ -474,18 +430,18 @@ impl Solver {
         field.let_contacts_go(&self.structure, &contacts.nodes);
         let lags = contacts.gather(topology, u, field.displaced, &field.own);
         field.pour_at(&self.structure, &self.coarse, u, &contacts.nodes);
-        self.stiffen(topology, u);
+        self.stiffen(u);
         lags
     }
 
     /// Stage: the residual in N that the tolerance allows for what tools and held nodes bring in.
-    fn bring(&mut self, topology: &Topology, u: &[Vec3], tolerance: f64) -> f64 {
+    fn bring(&mut self, u: &[Vec3], tolerance: f64) -> f64 {
         let square = |n: u32| {
             let r = &self.field.r[n as usize];
             r.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>()
         };
         let mut sum: f64 = self.held.iter().map(|&n| square(n)).sum();
-        sum += self.contacts.square(topology, u);
+        sum += self.contacts.square(u);
         if sum > 0.0 {
             self.reference = sum.sqrt();
         }
@@ -496,20 +452,20 @@ impl Solver {
     }
 
     /// Stage: coarse correction, in the share that proves best.
-    fn correct(&mut self, topology: &Topology, u: &mut [Vec3], threshold: f64, quick: bool) {
+    fn correct(&mut self, u: &mut [Vec3], threshold: f64, quick: bool) {
         let effort = EFFORT[usize::from(quick)];
         let (structure, coarse, field) = (&self.structure, &mut self.coarse, &mut self.field);
         field.restrict(structure, coarse);
         coarse.cycle(structure, threshold as f32, effort);
         field.correct(structure, coarse, u);
-        field.evaluate(topology, structure, u, &self.contacts);
+        field.evaluate(structure, u, &self.contacts);
         let share = field.best_share().clamp(SHARES[0], SHARES[1]);
         coarse.commit(structure, share as f32, threshold as f32);
         field.settle(structure, coarse, u, share);
     }
 
     /// Stage: smoothing on the nodes.
-    fn smooth(&mut self, topology: &Topology, u: &mut [Vec3], budget: &mut Budget<'_>) {
+    fn smooth(&mut self, u: &mut [Vec3], budget: &mut Budget<'_>) {
         let mut factors = Field::smoothing();
         for s in 0..SMOOTHING {
             if s > 0 {
@@ -517,20 +473,19 @@ impl Solver {
                 if budget.stop.as_mut().is_some_and(|stop| stop()) {
                     break;
                 }
-                self.field
-                    .evaluate(topology, &self.structure, u, &self.contacts);
+                self.field.evaluate(&self.structure, u, &self.contacts);
             }
             self.field.relax(u, &mut factors);
         }
     }
 
     /// Stage: what contacts and held nodes add to the coarse levels.
-    fn stiffen(&mut self, topology: &Topology, u: &[Vec3]) {
+    fn stiffen(&mut self, u: &[Vec3]) {
         let (structure, coarse) = (&self.structure, &mut self.coarse);
         coarse.soften(structure);
         let mut blocks: Vec<[f32; 6]> = vec![[0.0; 6]; self.contacts.nodes.len()];
         let contacts = &self.contacts;
-        contacts.pressed(topology, u, |sample, _, kappa, n| {
+        contacts.pressed(u, |sample, _, kappa, n| {
             for (&node, w) in sample.nodes.iter().zip(sample.weights) {
                 let block = &mut blocks[contacts.place(node)];
                 for (to, v) in block.iter_mut().zip(contact_block(w * kappa, &n)) {
@@ -548,10 +503,10 @@ impl Solver {
         coarse.spread(structure);
     }
 
-    fn remember_forces(&mut self, topology: &Topology, u: &[Vec3]) {
+    fn remember_forces(&mut self, u: &[Vec3]) {
         self.last_forces.clear();
         for i in 0..self.contacts.proxies.len() {
-            let (force, _) = self.contacts.force(topology, u, i);
+            let (force, _) = self.contacts.force(u, i);
             self.last_forces.push(force);
         }
     }
@@ -592,52 +547,9 @@ impl Solver {
             self.report.residual = 0.0;
         }
     }
-
-    /// The seed's iteration (eq. 3.10) for the offset law, `sweeps` times or until the relative
-    /// residual of that law is below `tolerance`, with the held nodes as the prescribed ones. Tools
-    /// take no part. Returns the sweeps made and the residual.
-    pub fn jacobi(
-        &mut self,
-        topology: &Topology,
-        shape: &mut Shape,
-        sweeps: usize,
-        tolerance: f64,
-    ) -> (usize, f64) {
-        let u = &mut shape.displacement;
-        let fixed = &self.field.fixed;
-        let mut active = List::new(topology.node_count());
-        for &node in &self.held {
-            for spring in topology.springs().row(node) {
-                if !fixed[spring.to as usize] {
-                    active.insert(spring.to);
-                }
-            }
-        }
-        let mut reference = 0.0;
-        for &node in &self.held {
-            let own = u[node as usize];
-            let mut force = Vec3::zeros();
-            for spring in topology.springs().row(node) {
-                force += (u[spring.to as usize] - own) * f64::from(spring.stiffness);
-            }
-            reference += force.norm_squared();
-        }
-        let reference = jacobi::OFFSET_SHARE * reference.sqrt();
-        let mut residual = 1.0;
-        for sweep in 0..sweeps {
-            let threshold =
-                tolerance * reference / (2.0 * (active.items.len() as f64 + 64.0).sqrt());
-            let sum = jacobi::sweep(topology, u, fixed, &mut active, &mut self.moved, threshold);
-            residual = relative(sum, reference);
-            if residual <= tolerance {
-                return (sweep, residual);
-            }
-        }
-        (sweeps, residual)
-    }
 }
 
-fn relative(sum: f64, reference: f64) -> f64 {
+pub(super) fn relative(sum: f64, reference: f64) -> f64 {
     if sum == 0.0 {
         0.0
     } else if reference > 0.0 {
