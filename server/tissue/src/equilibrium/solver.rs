@@ -52,8 +52,6 @@ const QUICK: f64 = 0.02;
 const DEEPEN: f64 = 0.25;
 /// Residual of the last step's set up to which its change may be carried on: errors would be, too.
 const TRUSTED: f64 = 0.1;
-/// Iterations of a hand's step after which what takes part is looked at afresh.
-const LOOK_EVERY: usize = 4;
 /// Spacings that a node is led in the first iteration.
 const FIRST_PART: f64 = 0.1;
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
@@ -75,7 +73,7 @@ pub struct Solver {
     dirty: bool,
     /// Whether what takes part has to be looked at afresh.
     look: bool,
-    /// Whether this step began with the last one's change.
+    /// Whether this step began with the last one's change everywhere.
     carried: bool,
     /// Whether smoothing needs the blocks of now.
     renew: bool,
@@ -273,7 +271,8 @@ impl Solver {
         } else {
             0.0
         };
-        self.carried = carry != 0.0;
+        // Of a tool's press only what is near is kept going: the rest costs more than it brings.
+        self.carried = carry != 0.0 && self.contacts.proxies.is_empty();
         self.coarse.carry_on(&self.structure, carry as f32);
         self.field
             .begin(&self.structure, &self.coarse, u, carry, false);
@@ -337,7 +336,7 @@ impl Solver {
 
     fn iterate(&mut self, topology: &Topology, u: &mut [Vec3], budget: &mut Budget<'_>) {
         let mut lags = self.gather(topology, u);
-        let quick = budget.near;
+        let quick = budget.near || budget.tolerance >= QUICK && self.held.is_empty();
         // What took part in the last step takes part again: nothing is gained by beginning coarsely.
         let mut share = if self.carried { 0.0 } else { FIRST_SHARE };
         loop {
@@ -395,9 +394,8 @@ impl Solver {
     fn take_part(&mut self, u: &mut [Vec3], threshold: f64, quick: bool) -> f64 {
         let (structure, coarse) = (&self.structure, &mut self.coarse);
         let touched = self.contacts.nodes.iter().chain(&self.held).copied();
-        // A hand's step goes on for a while with what it began with, until contacts change.
-        let again = self.report.iterations.is_multiple_of(LOOK_EVERY);
-        let looks = self.look || again || !quick;
+        // A hand's step goes on with what it began with, until contacts change.
+        let looks = self.look || !quick;
         self.look = false;
         if looks {
             let limit = threshold as f32;
