@@ -144,22 +144,20 @@ impl Field {
         self.loud.items.len()
     }
 
-    /// Begins a step: moves the nodes of the set by `share` of what the last one moved them by. With
-    /// `again` the step goes on instead, and is what moved them.
+    /// Begins a step: moves the nodes of the set by `share` of what the last one moved them by.
     pub(super) fn begin(
         &mut self,
         structure: &Structure,
         coarse: &Multigrid,
         u: &mut [Vec3],
         share: f64,
-        again: bool,
     ) {
         let last = std::mem::take(&mut self.before);
         self.saved.clear();
         if share == 0.0 {
             return;
         }
-        for &(node, before) in &last {
+        for (node, before) in last {
             let n = node as usize;
             if self.nodes.contains(node) && !self.fixed[n] {
                 let by = (u[n] - before) * share;
@@ -171,19 +169,6 @@ impl Field {
             let node = self.nodes.items[i];
             if !self.saved.contains(node) {
                 self.take_over(structure, coarse, u, node);
-            }
-        }
-        if again {
-            // What the step began with is still what it would go back to.
-            let new = std::mem::replace(&mut self.before, last);
-            self.saved.clear();
-            for &(node, _) in &self.before {
-                self.saved.insert(node);
-            }
-            for (node, before) in new {
-                if self.saved.insert(node) {
-                    self.before.push((node, before));
-                }
             }
         }
         self.compute_set(structure, u);

@@ -20,9 +20,9 @@
 //!
 //! # Measured
 //!
-//! `palpate-lab bench press-cube` and `press-scene`. On one thread of a shared machine: a cube of 8,000
-//! nodes from rest to 1 % in 14 ms, of 64,000 in 115 ms, of a million in 2.5 to 3 s; a real thigh of
-//! 70,000 nodes pressed at 100 mm/s with one iteration per tick: force error 6 % rms, 2.6 ms.
+//! `palpate-lab bench press-cube` and `press-scene`, one thread of a shared machine: a cube of 8,000
+//! nodes from rest to 1 % in 14 ms, of 64,000 in 125 ms; a disc that moves on in 1 ms per step. A real
+//! thigh of 70,000 nodes pressed at 100 mm/s in 1.7 ms per tick (99 % below 2.1 ms): force error 5 % rms.
 //!
 //! # What it can not do
 //!

@@ -52,8 +52,6 @@ const QUICK: f64 = 0.02;
 const DEEPEN: f64 = 0.25;
 /// Residual of the last step's set up to which its change may be carried on: errors would be, too.
 const TRUSTED: f64 = 0.1;
-/// Spacings that a node is led in the first iteration.
-const FIRST_PART: f64 = 0.1;
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
 const BLOWN_UP: f64 = 1e4;
 
@@ -274,8 +272,7 @@ impl Solver {
         // Of a tool's press only what is near is kept going: the rest costs more than it brings.
         self.carried = carry != 0.0 && self.contacts.proxies.is_empty();
         self.coarse.carry_on(&self.structure, carry as f32);
-        self.field
-            .begin(&self.structure, &self.coarse, u, carry, false);
+        self.field.begin(&self.structure, &self.coarse, u, carry);
         self.field.clamped = 0;
         self.field.visits = 0;
         self.coarse.visits = 0;
@@ -285,9 +282,6 @@ impl Solver {
             budget.tolerance = budget.tolerance.max(QUICK);
         }
         let u = &mut shape.displacement;
-        if carry == 0.0 && budget.iterations > 1 {
-            self.lead(topology, u, budget.tolerance);
-        }
         self.led.clear();
         self.iterate(topology, u, &mut budget);
         if !near {
@@ -301,32 +295,6 @@ impl Solver {
         }
         self.close(topology, &shape.displacement);
         &self.report
-    }
-
-    /// Nodes that were led far in one go tear at their neighbours, and what those answer with says
-    /// little about equilibrium. So a first iteration goes a part of the way, where forces are
-    /// linear, and is carried on to the whole.
-    fn lead(&mut self, topology: &Topology, u: &mut [Vec3], tolerance: f64) {
-        let far = |(&n, from): (&u32, &Vec3)| (u[n as usize] - from).norm();
-        let farthest = self.led.iter().map(far).fold(0.0, f64::max);
-        let part = FIRST_PART * topology.model().spacing_m / farthest;
-        if part >= 1.0 || !self.contacts.proxies.is_empty() {
-            return;
-        }
-        let led = std::mem::take(&mut self.led);
-        let to: Vec<Vec3> = led.keys().map(|&n| u[n as usize]).collect();
-        for ((&node, from), to) in led.iter().zip(&to) {
-            u[node as usize] = from + (to - from) * part;
-        }
-        self.iterate(topology, u, &mut Budget::new(1, tolerance));
-        let rest = 1.0 / part - 1.0;
-        self.coarse.carry_on(&self.structure, rest as f32);
-        self.field
-            .begin(&self.structure, &self.coarse, u, rest, true);
-        for (&node, to) in led.keys().zip(to) {
-            u[node as usize] = to;
-            self.field.disturb(&self.structure, node);
-        }
     }
 
     /// Forces left on the free nodes of the set, relative to what tools and held nodes bring in.
