@@ -50,6 +50,8 @@ pub(super) struct Field {
     pub(super) needed: List,
     /// Whether the forces of the set, without contacts, are those of now.
     pub(super) current: bool,
+    /// Whether smoothing needs blocks of now.
+    pub(super) renew: bool,
     /// Whether what is fixed has changed since the set was chosen.
     pub(super) outdated: bool,
     /// Bricks to be computed before anything is said about their nodes.
@@ -96,6 +98,7 @@ impl Field {
             disturbed: List::new(nodes),
             needed: List::new(structure.levels[0].corners.len()),
             current: false,
+            renew: true,
             outdated: true,
             stale: List::new(structure.bricks.len()),
             touched: List::new(nodes),
@@ -361,6 +364,7 @@ impl Field {
 
     /// The blocks that smoothing divides by, at the displacements of now.
     pub(super) fn renew_blocks(&mut self, structure: &Structure, u: &[Vec3], contacts: &Contacts) {
+        self.renew = false;
         for &node in &self.nodes.items {
             self.blocks[node as usize] = [0.0; 6];
         }

@@ -73,8 +73,6 @@ pub struct Solver {
     look: bool,
     /// Whether this step began with the last one's change everywhere.
     carried: bool,
-    /// Whether smoothing needs the blocks of now.
-    renew: bool,
     /// Where nodes were that have been held or moved since the last step.
     led: BTreeMap<u32, Vec3>,
     last_forces: Vec<Vec3>,
@@ -116,7 +114,6 @@ impl Solver {
             dirty: false,
             look: true,
             carried: false,
-            renew: true,
             led: BTreeMap::new(),
             last_forces: Vec::new(),
         }
@@ -340,10 +337,9 @@ impl Solver {
             if (calm || (flat && !quick)) && share > last {
                 share = (share * DEEPEN).max(last);
             }
-            if self.renew {
+            if self.field.renew {
                 let (structure, contacts) = (&self.structure, &self.contacts);
                 self.field.renew_blocks(structure, u, contacts);
-                self.renew = false;
             }
             self.report.iterations += 1;
             self.remember_forces(u);
@@ -385,7 +381,7 @@ impl Solver {
         }
         let sum = self.field.evaluate(structure, u, &self.contacts);
         // Those from before a contact was found would smooth past it: deep presses blew up.
-        self.renew |= looks;
+        self.field.renew |= looks;
         sum
     }
 
