@@ -9,7 +9,7 @@
 //! ```
 //!
 //! It is compared with what the material's tensor says for that direction. For springs of strength
-//! s(n) in all directions n that tensor is C = 6 <s n n n n> + κ I I (`springs.rs`, `equilibrium/law.rs`),
+//! s(n) in all directions n that tensor is `C = 6 <s n n n n> + κ I I` (`springs.rs`, `equilibrium/law.rs`),
 //! and Young's modulus along a is 1 / (aa : C⁻¹ : aa).
 
 use nalgebra::{Matrix6, Vector6};

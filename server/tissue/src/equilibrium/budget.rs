@@ -9,7 +9,7 @@ pub struct Budget<'a> {
     /// Relative residual at which to stop; 1e-6 counts as converged.
     pub tolerance: f64,
     /// Whether nodes far from the tools may wait: they are then brought up to date by
-    /// [`Solver::pour`], and a step costs what is near. The tolerance is then 0.02 at least.
+    /// [`Solver::pour`](crate::Solver::pour), and a step costs what is near. The tolerance is then 0.02 at least.
     pub near: bool,
     /// Asked between iterations and between the sweeps of one; `true` stops. A shell that owns a clock sets a time limit so.
     pub stop: Option<&'a mut dyn FnMut() -> bool>,
