@@ -1,13 +1,5 @@
 //! Samples of the input's interfaces: how thick the layers beside them are, and how far away the
 //! model's own interface is.
-//!
-//! A layer with normal n is thin below `|n_x| + |n_y| + |n_z|` spacings: so far do the eight cells around a
-//! node reach across it. A thicker one has no node that both its walls claim, and its cells hang
-//! together through faces; a thinner one may be in pieces where it is askew to the lattice.
-//!
-//! A tube or a tip needs more: one that is not [`NARROW`] spacings wide may fill less than half of every
-//! cell that it passes. These are told from layers by their width across, and looked for only where the
-//! model's interface is missing.
 
 use rayon::prelude::*;
 
@@ -25,10 +17,6 @@ const AREA_MIN: f64 = 0.4;
 const CHUNK: usize = 1024;
 /// How far from a surface one begins to look, in spacings.
 const LOOK: f64 = 0.02;
-/// A ball of this diameter, in spacings, fills half of a cell wherever it lies: π/6 d³ is half of 8.
-const NARROW: f64 = 2.0;
-/// A piece of an input interface is lost when the model's own is farther away than this, in spacings.
-pub(super) const LOST: f64 = 0.5;
 /// Farthest that the model's interface is looked for, in spacings.
 const REACH: f64 = 3.0;
 
@@ -43,13 +31,13 @@ pub(super) struct Sample {
     pub(super) behind: u16,
     /// The region before it, or [`OUTSIDE`].
     pub(super) before: u16,
-    /// What is thin beside it: a layer, or where the model has nothing a tube or tip.
+    /// The layer beside it that is thinner than the spacing, if one is.
     pub(super) thin: Option<Thin>,
     /// Distance in m from the model's interface; REACH spacings where there is none so near.
     pub(super) distance: f64,
 }
 
-/// A layer, tube or tip that is thin.
+/// A layer that is thinner than the spacing.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Thin {
     /// Its region, or [`OUTSIDE`] for a gap.
@@ -148,50 +136,30 @@ fn measure(
 ) -> Sample {
     let spacing = interfaces.spacing;
     let look = normal * (LOOK * spacing);
-    let limit = normal.abs().sum() * spacing;
     let region = |p: Vec3| query.region_at(p).map_or(OUTSIDE, |r| r as u16);
     let (before, behind) = (region(at + look), region(at - look));
-    let across = |from: &Vec3, way: &Vec3| {
-        interfaces
-            .all()
-            .filter_map(|i| interfaces.patch(i).first_along(from, way))
-            .min_by(f64::total_cmp)
-    };
-    // Thickness of what is on one side, up to a most.
-    let depth = |side: f64, most: f64| {
-        let way = normal * (side * (most - LOOK * spacing));
-        let found = across(&(at + look * side), &way);
-        found.map(|depth| depth + LOOK * spacing)
-    };
-    let layer = |side: f64, of: u16, thickness: f64| Thin {
-        region: of,
-        beyond: region(at + normal * (side * (thickness + LOOK * spacing))),
-        thickness,
-    };
-    let reach = REACH * spacing;
-    let distance = own.nearest(&at, reach).map_or(reach, |p| (p - at).norm());
-    let sides = [(1.0, before), (-1.0, behind)];
     let mut thin: Option<Thin> = None;
-    for (side, of) in sides {
-        if let Some(thickness) = depth(side, limit)
-            && thin.is_none_or(|t| thickness < t.thickness)
-        {
-            thin = Some(layer(side, of, thickness));
+    for (side, of) in [(1.0, before), (-1.0, behind)] {
+        let from = at + look * side;
+        let way = normal * (side * (1.0 - LOOK) * spacing);
+        let across = interfaces
+            .all()
+            .filter_map(|i| interfaces.patch(i).first_along(&from, &way))
+            .fold(f64::INFINITY, f64::min);
+        if !across.is_finite() {
+            continue;
+        }
+        let thickness = across + LOOK * spacing;
+        if thin.is_none_or(|t| thickness < t.thickness) {
+            thin = Some(Thin {
+                region: of,
+                beyond: region(at + normal * (side * (thickness + LOOK * spacing))),
+                thickness,
+            });
         }
     }
-    if thin.is_none() && distance > LOST * spacing {
-        let most = NARROW * spacing;
-        thin = sides.into_iter().find_map(|(side, of)| {
-            let thickness = depth(side, most)?;
-            let middle = at + normal * (side * thickness / 2.0);
-            let first = normal.cross(&axis_across(&normal)).try_normalize(0.0)?;
-            let narrow = [first, normal.cross(&first)].into_iter().any(|way| {
-                let ways = [way * most, way * -most].map(|way| across(&middle, &way));
-                matches!(ways, [Some(a), Some(b)] if a + b < most)
-            });
-            narrow.then(|| layer(side, of, thickness))
-        });
-    }
+    let reach = REACH * spacing;
+    let distance = own.nearest(&at, reach).map_or(reach, |p| (p - at).norm());
     Sample {
         at,
         area,
@@ -200,11 +168,4 @@ fn measure(
         thin,
         distance,
     }
-}
-
-/// The axis that is most across a direction.
-fn axis_across(way: &Vec3) -> Vec3 {
-    let mut axis = Vec3::zeros();
-    axis[way.iamin()] = 1.0;
-    axis
 }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::faces::OUTSIDE;
 use super::grid::Grid;
 use super::lattice::Crumb;
-use super::sample::{LOST, Sample, Thin};
+use super::sample::{Sample, Thin};
 use crate::Vec3;
 
 /// Most parts that a report lists, the largest first: what a person can look at. The rest is counted.
@@ -15,15 +15,16 @@ pub const THIN_PARTS_MAX: usize = 64;
 
 /// Samples in cubes of this side, in spacings, that touch belong to one part.
 const CUBE: f64 = 2.0;
+/// A piece of an input interface is lost when the model's own is farther away than this, in spacings.
+const LOST: f64 = 0.5;
 
 /// What a part of the input suffers from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ThinKind {
-    /// A layer of a region thinner than the cells around a node reach (one spacing along an axis, 1.7 askew to
-    /// all), or a lost tube or tip narrower than two spacings.
+    /// A layer of a region thinner than the spacing.
     Layer,
-    /// Outside between two walls as near to each other.
+    /// Outside between two walls nearer to each other than the spacing.
     Gap,
     /// Not thin, and still farther from the model than half a spacing: a sharp edge, a tip, or what
     /// lies beside a thin part that was lost.
