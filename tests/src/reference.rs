@@ -2,9 +2,9 @@
 //!
 //! In virtual time, with the client's own parts: two simulated hands and their haptic chains tick
 //! at 1 kHz, one copy of the tissue is solved every 4 ms for both tools where they are, and a cut
-//! happens in the moment in which its stroke ends. No threads, no clocks, no delay, and a budget
-//! of iterations that leaves no error worth speaking of: what differs in a session comes from the
-//! network and from solving in real time.
+//! happens in the moment in which its stroke ends. No threads, no clocks, no delay, and half the
+//! tolerance of the sites in two iterations per solve, which is not a converged answer: what differs in a
+//! session comes from the network and from solving in real time, and to a part from that.
 
 use std::sync::Arc;
 

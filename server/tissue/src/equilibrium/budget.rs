@@ -4,9 +4,10 @@ use crate::contact::Reaction;
 
 /// What a step may cost.
 pub struct Budget<'a> {
-    /// Iterations at most; one iteration is a coarse correction and two sweeps over what is active.
+    /// Iterations at most; one iteration is a coarse correction and three smoothing steps over what is active.
     pub iterations: usize,
-    /// Relative residual at which to stop; 1e-6 counts as converged.
+    /// Relative residual at which to stop; 1e-6 counts as converged. From 0.02 on a step under tools is
+    /// solved as with `near`, and then poured out.
     pub tolerance: f64,
     /// Whether nodes far from the tools may wait: they are then brought up to date by
     /// [`Solver::pour`](crate::Solver::pour), and a step costs what is near. The tolerance is then 0.02 at least.

@@ -11,6 +11,7 @@ use crate::contact::Contacts;
 
 /// Cosine between two moves from which on the second one continues the first.
 const ALIKE: f64 = 0.7;
+
 /// Where drivers were and how they moved in the last step.
 #[derive(Default)]
 pub(super) struct Foresight {
