@@ -13,7 +13,9 @@ use palpate_tissue::decode_model;
 use crate::convert::tool_description;
 use crate::motion::MotionThread;
 use crate::network::Network;
-use crate::realtime::{HapticHandle, RealtimeConfig, monotonic_now, spawn};
+use crate::realtime::{
+    HapticHandle, RealtimeConfig, lower_priority_of_this_thread, monotonic_now, spawn,
+};
 use crate::recording::{HAPTIC_POINTS_MAX, Recording};
 use crate::session::Session;
 use crate::site::Site;
@@ -97,7 +99,7 @@ impl Parts {
             .map(Script::tool)
             .filter(|tool| tool.kind == ToolKind::Blade)
             .map(|tool| tool.length_m);
-        let site = Site::new(welcome, model, blade);
+        let site = beneath(|| Site::new(welcome, model, blade));
         let start = ScriptStart::not_yet();
         let (mut haptics, mut motion, mut hand) = (None, None, None);
         let mut name = "none".to_owned();
@@ -133,6 +135,22 @@ impl Parts {
             replica,
             device: name,
         })
+    }
+}
+
+/// Does what takes seconds on all processors without disturbing those who already work on this
+/// machine: a server, or other participants.
+fn beneath<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    /// How much it gives way.
+    const NICE: i32 = 5;
+    let lower = |_| {
+        if !lower_priority_of_this_thread(NICE) {
+            tracing::debug!("what builds the tissue keeps its priority");
+        }
+    };
+    match rayon::ThreadPoolBuilder::new().start_handler(lower).build() {
+        Ok(pool) => pool.install(work),
+        Err(_) => work(),
     }
 }
 

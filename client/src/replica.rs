@@ -12,14 +12,13 @@ use std::sync::Arc;
 
 use palpate_haptics::ContactModel;
 use palpate_protocol::datagram::Corrections;
-use palpate_protocol::operation::{Operation, OperationKind};
+use palpate_protocol::operation::Operation;
 use palpate_protocol::{ClientTime, ServerTime};
 use palpate_tissue::{
-    Budget, CutOutcome, Model, Reaction, Shape, Solver, StepReport, Tool, Topology, TopologyHash,
-    Vec3, cut,
+    Budget, CutOutcome, Model, Reaction, Shape, Solver, StepReport, Successor, Tool, Topology, Vec3,
 };
 
-use crate::convert::tissue_stroke;
+use crate::ahead::{Ahead, ReadyCut, ReplicaError};
 use crate::history::History;
 use crate::roster::ToolAt;
 
@@ -59,39 +58,6 @@ pub const RESTING_M_S: f64 = 0.005;
 /// Residual at which the view's solve ends. Finer than the hand's, because sites are compared.
 pub const VIEW_TOLERANCE: f64 = 2e-2;
 
-/// Why an operation can not be applied: this copy is not the session's.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum ReplicaError {
-    /// The operation is for another topology.
-    #[error("{operation} is for topology version {expected}, this one has version {found}")]
-    Version {
-        /// Which.
-        operation: String,
-        /// What it is for.
-        expected: u32,
-        /// What is here.
-        found: u32,
-    },
-    /// The cut can not be made here.
-    #[error("{operation} can not be applied: {why}")]
-    Cut {
-        /// Which.
-        operation: String,
-        /// What the tissue said.
-        why: String,
-    },
-    /// The result is another.
-    #[error("after {operation} the topology hash is {found}, the server's is {expected}")]
-    Hash {
-        /// Which.
-        operation: String,
-        /// The server's.
-        expected: palpate_protocol::TopologyHash,
-        /// One's own.
-        found: TopologyHash,
-    },
-}
-
 /// How far the view was from what the server said.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Drift {
@@ -122,13 +88,10 @@ impl Side {
         }
     }
 
-    /// Follows a cut, on one's own or as another side has followed it.
-    fn follow(&mut self, topology: &Topology, outcome: &CutOutcome, like: Option<&Self>) {
+    /// Takes a cut over.
+    fn succeed(&mut self, topology: &Topology, outcome: &CutOutcome, successor: Successor) {
         self.shape.follow(topology, outcome);
-        match like {
-            Some(other) => self.solver.follow_like(topology, &other.solver),
-            None => self.solver.follow(topology, &outcome.touched),
-        }
+        self.solver.succeed(topology, successor);
     }
 }
 
@@ -138,13 +101,13 @@ impl Side {
 /// [`haptic_step`](Self::haptic_step) and [`view_step`](Self::view_step) as often as wanted, the
 /// latter with ascending moments.
 pub struct Replica {
-    topology: Topology,
+    topology: Arc<Topology>,
     /// `None` for who only looks.
     haptic: Option<Side>,
     view: Side,
     /// A cut that the view has still to follow. It waits for the next view, so that the hand, whose
     /// model fades within a few ticks, is served first.
-    unseen: Option<CutOutcome>,
+    unseen: Option<(CutOutcome, Successor)>,
     history: History,
     was_corrected: bool,
     tools: Vec<Tool>,
@@ -153,7 +116,7 @@ pub struct Replica {
 impl Replica {
     /// The uncut tissue; `with_hand` = false is for spectators and saves half the work.
     pub fn new(model: Arc<Model>, with_hand: bool) -> Self {
-        let topology = Topology::new(model);
+        let topology = Arc::new(Topology::new(model));
         let view = Side::new(&topology);
         Self {
             haptic: with_hand.then(|| view.another(&topology)),
@@ -181,45 +144,33 @@ impl Replica {
         self.haptic.as_ref().map(|h| &h.shape)
     }
 
-    /// Applies an operation; only a cut changes anything here. Afterwards version and hash are the
-    /// operation's, or it is an error.
-    pub fn apply(&mut self, operation: &Operation) -> Result<(), ReplicaError> {
-        let OperationKind::Cut(stroke) = &operation.kind else {
-            return Ok(());
-        };
-        let name = || operation.id.to_string();
-        if self.topology.version() != operation.topology_version_before {
-            return Err(ReplicaError::Version {
-                operation: name(),
-                expected: operation.topology_version_before,
-                found: self.topology.version(),
-            });
-        }
+    /// What makes cuts ahead of this copy, from the topology of now on.
+    pub fn ahead(&mut self) -> Ahead {
+        // The view has to be of now for what follows it.
         self.show_cut();
-        if let Some(side) = &mut self.haptic {
-            side.solver.pour(&mut side.shape);
-        }
-        let outcome =
-            cut(&mut self.topology, &tissue_stroke(stroke)).map_err(|e| ReplicaError::Cut {
-                operation: name(),
-                why: e.to_string(),
-            })?;
-        if let Some(side) = &mut self.haptic {
-            side.follow(&self.topology, &outcome, None);
-        }
-        self.unseen = Some(outcome);
-        self.history.clear();
-        let found = self.topology.hash();
-        if found.0 != operation.hash_after.0
-            || self.topology.version() != operation.topology_version_after
-        {
-            return Err(ReplicaError::Hash {
-                operation: name(),
-                expected: operation.hash_after,
-                found,
-            });
+        let follower = self.view.solver.follower();
+        Ahead::new(&self.topology, follower, self.haptic.is_some())
+    }
+
+    /// Applies an operation here and now; only a cut changes anything. Afterwards version and hash
+    /// are the operation's, or it is an error and nothing has changed.
+    pub fn apply(&mut self, operation: &Operation) -> Result<(), ReplicaError> {
+        if let Some(ready) = self.ahead().make(operation)? {
+            self.take(ready);
         }
         Ok(())
+    }
+
+    /// Takes over a cut that [`ahead`](Self::ahead) has made, the next one of the log.
+    pub fn take(&mut self, ready: ReadyCut) {
+        self.show_cut();
+        self.topology = ready.topology;
+        if let Some((side, successor)) = self.haptic.as_mut().zip(ready.haptic) {
+            side.solver.pour(&mut side.shape);
+            side.succeed(&self.topology, &ready.outcome, successor);
+        }
+        self.unseen = Some((ready.outcome, ready.view));
+        self.history.clear();
     }
 
     /// Solves what the hand feels: one's `own` tool where it is `now`, the others where everybody
@@ -274,9 +225,8 @@ impl Replica {
     }
 
     fn show_cut(&mut self) {
-        if let Some(outcome) = self.unseen.take() {
-            let like = self.haptic.as_ref();
-            self.view.follow(&self.topology, &outcome, like);
+        if let Some((outcome, successor)) = self.unseen.take() {
+            self.view.succeed(&self.topology, &outcome, successor);
         }
     }
 

@@ -24,8 +24,9 @@ use palpate_protocol::{
 };
 use palpate_tissue::{Budget, Model, Vec3};
 
+use crate::ahead::{Ahead, ReadyCut, ReplicaError};
 use crate::recording::OperationRecord;
-use crate::replica::{Replica, ReplicaError};
+use crate::replica::Replica;
 use crate::roster::{Roster, ToolAt};
 use crate::stroke::StrokeCollector;
 
@@ -46,6 +47,9 @@ pub enum SiteError {
     /// It was not from the beginning, or the server says so.
     #[error("{0}")]
     Differs(String),
+    /// Cuts can not be made.
+    #[error("the thread that makes cuts could not be started: {0}")]
+    Thread(String),
 }
 
 /// A view that was solved.
@@ -96,6 +100,11 @@ pub struct Site {
     last_k: Option<i64>,
     first_view: Option<ServerTime>,
     deferred: VecDeque<Operation>,
+    /// Whether cuts are made elsewhere, ahead of their moment.
+    is_detached: bool,
+    /// Cuts that are to be made there, and those that were.
+    to_make: VecDeque<Operation>,
+    ready: VecDeque<ReadyCut>,
     /// What the topology must be when the log of the beginning is applied.
     expected: Option<(u32, TopologyHash)>,
     strokes: Option<StrokeCollector>,
@@ -121,6 +130,9 @@ impl Site {
             last_k: None,
             first_view: None,
             deferred: VecDeque::new(),
+            is_detached: false,
+            to_make: VecDeque::new(),
+            ready: VecDeque::new(),
             expected: Some((welcome.topology_version, welcome.topology_hash)),
             strokes: blade_length_m.map(StrokeCollector::new),
             started: welcome.session_started_at,
@@ -202,14 +214,37 @@ impl Site {
             }),
             _ => {}
         }
+        if self.is_detached && matches!(operation.kind, OperationKind::Cut(_)) {
+            self.to_make.push_back(operation.clone());
+        }
         self.deferred.push_back(operation);
         if self.expected.is_some() {
             self.apply_until(None, now)?;
         }
-        while self.deferred.len() > DEFERRED_MAX {
-            self.apply_first(now)?;
-        }
+        while self.deferred.len() > DEFERRED_MAX && self.apply_first(now)? {}
         Ok(())
+    }
+
+    /// Lets cuts be made elsewhere from now on: gives what makes them, once, when the log of the
+    /// beginning is applied. Give it what [`poll_cut`](Self::poll_cut) gives, and tell
+    /// [`handle_cut`](Self::handle_cut) what comes of it.
+    pub fn detach(&mut self) -> Option<Ahead> {
+        let is_cut = |o: &Operation| matches!(o.kind, OperationKind::Cut(_));
+        if self.is_detached || self.expected.is_some() || self.deferred.iter().any(is_cut) {
+            return None;
+        }
+        self.is_detached = true;
+        Some(self.replica.ahead())
+    }
+
+    /// The next cut that is to be made.
+    pub fn poll_cut(&mut self) -> Option<Operation> {
+        self.to_make.pop_front()
+    }
+
+    /// A cut was made; it waits for its moment.
+    pub fn handle_cut(&mut self, ready: ReadyCut) {
+        self.ready.push_back(ready);
     }
 
     /// Applies what has become due.
@@ -222,19 +257,30 @@ impl Site {
 
     fn apply_until(&mut self, s: Option<ServerTime>, now: ClientTime) -> Result<(), SiteError> {
         while let Some(first) = self.deferred.front() {
-            if s.is_some_and(|s| first.at > s) {
+            if s.is_some_and(|s| first.at > s) || !self.apply_first(now)? {
                 break;
             }
-            self.apply_first(now)?;
         }
         Ok(())
     }
 
-    fn apply_first(&mut self, now: ClientTime) -> Result<(), SiteError> {
-        let Some(operation) = self.deferred.pop_front() else {
-            return Ok(());
+    /// Applies the first operation that waits. Returns whether it could: a cut that is still being
+    /// made holds up what follows it.
+    fn apply_first(&mut self, now: ClientTime) -> Result<bool, SiteError> {
+        let Some(operation) = self.deferred.front() else {
+            return Ok(false);
         };
-        self.replica.apply(&operation)?;
+        if self.is_detached && matches!(operation.kind, OperationKind::Cut(_)) {
+            let Some(ready) = self.ready.pop_front() else {
+                return Ok(false);
+            };
+            self.replica.take(ready);
+        } else {
+            self.replica.apply(operation)?;
+        }
+        let Some(operation) = self.deferred.pop_front() else {
+            return Ok(false);
+        };
         self.counters.operations += 1;
         let word = match &operation.kind {
             OperationKind::Cut(_) => {
@@ -273,7 +319,7 @@ impl Site {
             // Only a cut changes it, and what it changed it to was compared.
             hash: operation.hash_after.to_string(),
         });
-        Ok(())
+        Ok(true)
     }
 
     fn compare(&self, version: u32, hash: TopologyHash) -> Result<(), SiteError> {

@@ -19,9 +19,10 @@ use tokio::sync::mpsc;
 use triple_buffer::{Input, Output};
 
 use crate::SolveTimes;
+use crate::ahead::AheadThread;
 use crate::inbox::Inbox;
 use crate::realtime::{
-    Frame, device_time, lower_priority_of_this_thread, monotonic_now, sleep_until,
+    Frame, device_time, lower_priority_of_this_thread, monotonic_now, sleep_until, worked,
 };
 use crate::recording::{Recording, ToolRecord, VIEW_HZ, ViewRecord, choose_nodes};
 use crate::replica::{
@@ -35,12 +36,13 @@ const PERIOD: Span = Span::from_millis(4);
 /// How much the thread gives way to the network and the screen.
 const NICE: i32 = 2;
 
-/// Time for what the hand feels, per turn: with it the contact model is renewed at 250 Hz even while
+/// Work on what the hand feels, per turn: with it the contact model is renewed at 250 Hz even while
 /// the view takes all of its own.
-const HAPTIC_TIME: Span = Span::from_micros(1500);
+const HAPTIC_WORK: Span = Span::from_micros(1500);
 
-/// Time for what is seen, per view.
-const VIEW_TIME: Span = Span::from_millis(5);
+/// Work on what is seen, per view. Work and not time that passes: on a crowded machine a solve would
+/// otherwise be given up before it began, and the hand feel a tissue that has not given way yet.
+const VIEW_WORK: Span = Span::from_millis(5);
 
 /// Longest solve that is told apart, µs.
 const SOLVE_MAX_US: u64 = 1_000_000;
@@ -114,6 +116,7 @@ impl ReplicaThread {
         let progress = Arc::new(Mutex::new(Progress::default()));
         let mut turns = Turns {
             work,
+            cuts: None,
             progress: Arc::clone(&progress),
             haptic_us: histogram(),
             view_us: histogram(),
@@ -170,6 +173,8 @@ fn histogram() -> Histogram<u32> {
 
 struct Turns {
     work: Work,
+    /// Makes cuts, once the log of the beginning is applied.
+    cuts: Option<AheadThread>,
     progress: Arc<Mutex<Progress>>,
     haptic_us: Histogram<u32>,
     view_us: Histogram<u32>,
@@ -215,7 +220,29 @@ impl Turns {
             }
             self.work.site.handle_event(event, monotonic_now())?;
         }
+        self.make_cuts()?;
         self.work.site.advance(monotonic_now())
+    }
+
+    /// Cuts are made beside this thread, so that the hand goes on feeling meanwhile.
+    fn make_cuts(&mut self) -> Result<(), SiteError> {
+        let site = &mut self.work.site;
+        if let Some(ahead) = site.detach() {
+            self.cuts = match AheadThread::spawn(ahead) {
+                Ok(thread) => Some(thread),
+                Err(error) => return Err(SiteError::Thread(error.to_string())),
+            };
+        }
+        let Some(cuts) = &self.cuts else {
+            return Ok(());
+        };
+        while let Some(operation) = site.poll_cut() {
+            cuts.make(operation)?;
+        }
+        while let Some(made) = cuts.poll() {
+            site.handle_cut(made?);
+        }
+        Ok(())
     }
 
     fn take_own(&mut self) {
@@ -247,8 +274,8 @@ impl Turns {
             return;
         };
         let frame = *hand.newest.read();
-        let began = monotonic_now();
-        let mut stop = || monotonic_now() - began > HAPTIC_TIME;
+        let (began, at_first) = (monotonic_now(), worked());
+        let mut stop = || worked() - at_first > HAPTIC_WORK;
         let sample = &frame.sample;
         let tolerance = if sample.velocity.norm() < RESTING_M_S {
             RESTING_TOLERANCE
@@ -270,8 +297,8 @@ impl Turns {
     }
 
     fn view(&mut self) {
-        let began = monotonic_now();
-        let mut stop = || monotonic_now() - began > VIEW_TIME;
+        let (began, at_first) = (monotonic_now(), worked());
+        let mut stop = || worked() - at_first > VIEW_WORK;
         let budget = Budget {
             near: false,
             iterations: ITERATIONS,

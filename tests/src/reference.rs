@@ -8,8 +8,8 @@
 
 use std::sync::Arc;
 
+use palpate_client::ahead::ReplicaError;
 use palpate_client::convert::{tissue_stroke, tool_description};
-use palpate_client::replica::ReplicaError;
 use palpate_client::stroke::StrokeCollector;
 use palpate_client::{Replica, ToolAt};
 use palpate_device::backend::sim::{ScriptStart, SimHand};

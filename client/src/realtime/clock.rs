@@ -1,7 +1,7 @@
 //! The client's clock: the machine's monotonic one, in microseconds.
 
 use palpate_device::DeviceTime;
-use palpate_protocol::ClientTime;
+use palpate_protocol::{ClientTime, Span};
 
 use super::sys;
 
@@ -9,6 +9,12 @@ use super::sys;
 /// of this process, so that times of several clients on one machine can be compared.
 pub fn monotonic_now() -> ClientTime {
     ClientTime::from_micros(sys::monotonic_ns() / 1000)
+}
+
+/// Time that this thread has worked: unlike the time that has passed, it does not run while others
+/// have the processor. Only differences mean anything.
+pub fn worked() -> Span {
+    Span::from_micros(sys::thread_ns() / 1000)
 }
 
 /// Sleeps until `deadline` on the clock of [`monotonic_now`]; not at all when it has passed.
@@ -25,7 +31,7 @@ pub fn device_time(now: ClientTime) -> DeviceTime {
 mod tests {
     use palpate_protocol::Span;
 
-    use super::{monotonic_now, sleep_until};
+    use super::{monotonic_now, sleep_until, worked};
 
     #[test]
     fn the_clock_does_not_run_backwards_and_sleep_reaches_its_deadline() {
@@ -37,5 +43,21 @@ mod tests {
             assert!(last >= deadline);
         }
         sleep_until(last - Span::from_millis(1000));
+    }
+
+    #[test]
+    fn a_thread_that_sleeps_does_not_work() {
+        let (began, at) = (worked(), monotonic_now());
+        sleep_until(at + Span::from_millis(30));
+        assert!(
+            worked() - began < Span::from_millis(15),
+            "{:?}",
+            worked() - began
+        );
+        let mut sum = 0_u64;
+        while worked() - began < Span::from_millis(15) {
+            sum = std::hint::black_box(sum + 1);
+        }
+        assert!(monotonic_now() - at >= Span::from_millis(30));
     }
 }

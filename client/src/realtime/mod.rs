@@ -23,7 +23,7 @@ mod tests;
 mod thread;
 mod trace;
 
-pub use clock::{device_time, monotonic_now, sleep_until};
+pub use clock::{device_time, monotonic_now, sleep_until, worked};
 pub use handle::{HapticHandle, LoopSummary};
 pub use priority::{Priority, lower_priority_of_this_thread};
 pub use stats::{LoopStats, Percentiles};

@@ -66,40 +66,40 @@ pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; PAIRS] {
     if is_cube(corners) {
         return plain;
     }
-    let mut columns = [SVector::<f64, 15>::zeros(); PAIRS];
+    let mut columns = [[0.0; ROW]; PAIRS];
     for (column, [a, b]) in columns.iter_mut().zip(ENDS) {
         let d = corners[b] - corners[a];
         let square = d.norm_squared();
         if square > 0.0 {
             let carried = (square / (floor * floor)).min(1.0);
-            *column = powers(&(d / square.sqrt())) * carried;
+            *column = powers(&(d / square.sqrt())).map(|v| v * carried);
         }
     }
-    let target = isotropic();
     let mut shares = plain;
     let mut free = [true; PAIRS];
+    let mut normal = [[0.0; ROW]; ROW];
+    for (column, share) in columns.iter().zip(plain) {
+        add_square(&mut normal, column, share);
+    }
     for _ in 0..ROUNDS {
-        let mut missing = target;
-        let mut normal = SMatrix::<f64, 15, 15>::zeros();
-        for s in 0..PAIRS {
-            missing -= columns[s] * shares[s];
-            if free[s] {
-                normal += columns[s] * columns[s].transpose() * plain[s];
-            }
-        }
-        normal += SMatrix::identity() * (REGULAR * normal.trace());
-        let Some(solved) = normal.cholesky() else {
+        let Some(solved) = regular(&normal).cholesky() else {
             break;
         };
-        let force = solved.solve(&missing);
+        let missing = missing(&columns, &shares);
+        let force = solved.solve(&SVector::from_row_slice(&missing[..COMPONENTS]));
         let mut bounded = false;
-        for s in (0..PAIRS).filter(|&s| free[s]).collect::<Vec<_>>() {
-            shares[s] += plain[s] * columns[s].dot(&force);
+        for s in 0..PAIRS {
+            if !free[s] {
+                continue;
+            }
+            let along = columns[s].iter().zip(force.iter()).map(|(c, f)| c * f);
+            shares[s] += plain[s] * along.sum::<f64>();
             let [low, high] = BOUNDS.map(|b| b * plain[s]);
             if !(low..=high).contains(&shares[s]) {
                 shares[s] = shares[s].clamp(low, high);
                 free[s] = false;
                 bounded = true;
+                add_square(&mut normal, &columns[s], -plain[s]);
             }
         }
         if !bounded {
@@ -107,10 +107,7 @@ pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; PAIRS] {
         }
     }
     // Bounds can turn a good answer into a bad one, in cells that are nearly flat.
-    let off = |shares: &[f64; PAIRS]| {
-        let sum = |t, (column, share): (&SVector<f64, 15>, &f64)| t - column * *share;
-        columns.iter().zip(shares).fold(target, sum).norm()
-    };
+    let off = |shares| missing(&columns, shares).iter().map(|v| v * v).sum::<f64>();
     if off(&shares) < off(&plain) {
         shares
     } else {
@@ -127,11 +124,17 @@ fn is_cube(corners: &[Vec3; 8]) -> bool {
     })
 }
 
+/// Components of a fourth-order tensor that are summed over directions, and room for them in whole
+/// vectors; what is over stays zero.
+const COMPONENTS: usize = 15;
+const ROW: usize = 16;
+type Row = [f64; ROW];
+
 /// The components of n n n n.
-fn powers(n: &Vec3) -> SVector<f64, 15> {
+fn powers(n: &Vec3) -> Row {
     let [x, y, z] = [n.x, n.y, n.z];
     let (xx, yy, zz) = (x * x, y * y, z * z);
-    SVector::from([
+    [
         xx * xx,
         yy * yy,
         zz * zz,
@@ -147,17 +150,47 @@ fn powers(n: &Vec3) -> SVector<f64, 15> {
         xx * y * z,
         yy * x * z,
         zz * x * y,
-    ])
+        0.0,
+    ]
 }
 
 /// Those of 0.4 (δδ + δδ + δδ): the tensor of springs with E = 1 and Poisson's ratio 1/4.
-fn isotropic() -> SVector<f64, 15> {
-    let mut t = SVector::zeros();
-    for i in 0..3 {
+const ISOTROPIC: Row = {
+    let mut t = [0.0; ROW];
+    let mut i = 0;
+    while i < 3 {
         t[i] = 1.2;
         t[3 + i] = 0.4;
+        i += 1;
     }
     t
+};
+
+/// What the isotropic tensor has and these shares do not.
+fn missing(columns: &[Row; PAIRS], shares: &[f64; PAIRS]) -> Row {
+    let mut sum = ISOTROPIC;
+    for (column, share) in columns.iter().zip(shares) {
+        for (to, v) in sum.iter_mut().zip(column) {
+            *to -= share * v;
+        }
+    }
+    sum
+}
+
+/// `to += weight c cᵀ`.
+fn add_square(to: &mut [Row; ROW], c: &Row, weight: f64) {
+    for (row, v) in to.iter_mut().zip(c) {
+        let v = weight * v;
+        for (to, c) in row.iter_mut().zip(c) {
+            *to += v * c;
+        }
+    }
+}
+
+fn regular(normal: &[Row; ROW]) -> SMatrix<f64, COMPONENTS, COMPONENTS> {
+    let trace: f64 = (0..COMPONENTS).map(|i| normal[i][i]).sum();
+    let at = |i: usize, j: usize| normal[i][j] + if i == j { REGULAR * trace } else { 0.0 };
+    SMatrix::from_fn(at)
 }
 
 #[cfg(test)]
@@ -165,12 +198,14 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn tensor(corners: &[Vec3; 8], shares: &[f64; PAIRS]) -> SVector<f64, 15> {
-        let mut sum = SVector::zeros();
-        for (share, [a, b]) in shares.iter().zip(ENDS) {
-            sum += powers(&(corners[b] - corners[a]).normalize()) * *share;
-        }
-        sum
+    /// How far the tensor of these shares is from the isotropic one.
+    fn off(corners: &[Vec3; 8], shares: &[f64; PAIRS]) -> f64 {
+        let columns = ENDS.map(|[a, b]| powers(&(corners[b] - corners[a]).normalize()));
+        missing(&columns, shares)
+            .iter()
+            .map(|v| v * v)
+            .sum::<f64>()
+            .sqrt()
     }
 
     fn cube() -> [Vec3; 8] {
@@ -181,7 +216,7 @@ mod tests {
     fn a_cube_is_isotropic_with_its_own_shares() {
         let shares = shares(&cube(), 0.5);
         assert_eq!(shares, ENDS.map(|[a, b]| share(a, b)));
-        assert!((tensor(&cube(), &shares) - isotropic()).norm() < 1e-12);
+        assert!(off(&cube(), &shares) < 1e-12);
     }
 
     #[test]
@@ -189,7 +224,7 @@ mod tests {
         let mut corners = cube();
         corners[7] += Vec3::new(0.1, -0.05, 0.1);
         corners[2] += Vec3::new(-0.1, 0.1, 0.05);
-        let off = |s| (tensor(&corners, s) - isotropic()).norm();
+        let off = |s| off(&corners, s);
         let plain = ENDS.map(|[a, b]| share(a, b));
         let fitted = shares(&corners, 0.1);
         assert!(
@@ -211,7 +246,7 @@ mod tests {
             }
             let plain = ENDS.map(|[a, b]| share(a, b));
             let fitted = shares(&corners, 0.1);
-            let off = |s| (tensor(&corners, s) - isotropic()).norm();
+            let off = |s| off(&corners, s);
             prop_assert!(off(&fitted) <= off(&plain) + 1e-9, "{} {}", off(&fitted), off(&plain));
             prop_assert!(fitted.iter().all(|s| *s > 0.0));
         }

@@ -67,6 +67,17 @@ impl Contacts {
         self.index.follow(topology);
     }
 
+    /// Where the surface is looked for.
+    pub(crate) fn index(&self) -> &SurfaceIndex {
+        &self.index
+    }
+
+    /// Goes on with an index that has followed what cuts did.
+    pub(crate) fn take(&mut self, topology: &Topology, index: SurfaceIndex) {
+        self.place.resize(topology.node_count(), NONE);
+        self.index = index;
+    }
+
     /// Takes in the tools of a step. Returns whether anything is different from the last one.
     pub(crate) fn begin(&mut self, tools: &[Tool]) -> bool {
         let mut changed = false;

@@ -4,6 +4,7 @@ use crate::Topology;
 
 /// Triangles around every node, each list in the order of their numbers: 12 bytes per triangle and 4
 /// per node.
+#[derive(Clone)]
 pub(crate) struct Fans {
     /// Where the triangles of each node begin, and where the last ones end.
     starts: Vec<u32>,

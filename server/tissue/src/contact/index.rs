@@ -37,6 +37,7 @@ const PAD: f64 = 0.25;
 pub(super) const ROUNDING: f64 = 1e-9;
 const NONE: u32 = u32::MAX;
 
+#[derive(Clone)]
 pub(crate) struct SurfaceIndex {
     /// Of rest positions; leaf `t` is triangle `t`.
     tree: Bvh,

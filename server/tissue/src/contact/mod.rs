@@ -37,6 +37,7 @@ mod watched;
 pub use reaction::Reaction;
 
 pub(crate) use contacts::Contacts;
+pub(crate) use index::SurfaceIndex;
 
 use crate::Vec3;
 

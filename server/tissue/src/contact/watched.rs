@@ -12,6 +12,7 @@ const GROUP: usize = 16;
 const NONE: u32 = u32::MAX;
 
 /// Triangles in groups, and boxes around them as they were at the last refit.
+#[derive(Clone)]
 pub(crate) struct Watched {
     /// Every triangle that at rest has a part in one of these is here.
     balls: Vec<Ball>,
@@ -29,6 +30,7 @@ pub(crate) struct Watched {
     place: Vec<u32>,
 }
 
+#[derive(Clone)]
 struct Group {
     /// Where its corners end in `shared`.
     end: u32,

@@ -9,6 +9,7 @@
 //! | `field`, `choice`, `moves` | forces on nodes, which of them take part, smoothing |
 //! | `budget` | what a step may cost, and what it did |
 //! | `foresight` | the last step's change, carried on |
+//! | `follower` | a cut's consequences, worked out beside the solvers |
 //! | `solver` | one step: its stages, its books |
 //! | `jacobi` | the seed's iteration (3.10), the named baseline |
 //!
@@ -42,6 +43,7 @@ mod coarsen;
 mod cycle;
 mod element;
 mod field;
+mod follower;
 mod foresight;
 mod jacobi;
 mod kernel;
@@ -53,5 +55,6 @@ mod solver;
 mod structure;
 
 pub use budget::{Budget, StepReport};
+pub use follower::{Follower, Successor};
 pub(crate) use law::Elastic;
 pub use solver::Solver;

@@ -7,6 +7,7 @@ use super::budget::{Budget, StepReport};
 use super::choice::Keeps;
 use super::cycle::{Effort, Multigrid};
 use super::field::{Field, contact_block, own_stiffness};
+use super::follower::{Follower, Successor, measure};
 use super::foresight::Foresight;
 use super::patch::take_over;
 use super::structure::Structure;
@@ -126,33 +127,41 @@ impl Solver {
         let before = (&*self.structure, touched);
         self.structure = Arc::new(Structure::after(topology, Some(before)));
         let mut own = std::mem::take(&mut self.field.own);
-        let new = own.len() as u32..topology.node_count() as u32;
-        own.resize(topology.node_count(), 0.0);
-        for node in touched.iter().copied().chain(new) {
-            own[node as usize] = own_stiffness(topology, node);
-        }
+        measure(&mut own, topology, touched);
         self.restart(topology, own);
         self.contacts.follow(topology);
     }
 
-    /// Follows a change of the topology that another solver has followed.
-    pub fn follow_like(&mut self, topology: &Topology, other: &Self) {
-        self.structure = Arc::clone(&other.structure);
-        self.restart(topology, other.field.own.clone());
-        self.contacts.follow(topology);
+    /// One that follows changes of the topology beside this solver, from the topology of now on.
+    pub fn follower(&self) -> Follower {
+        Follower::new(&self.structure, &self.field.own, self.contacts.index())
+    }
+
+    /// Follows a change of the topology that a [`Follower`] has followed. The shape must have been
+    /// whole before it, as for [`follow`](Self::follow).
+    pub fn succeed(&mut self, topology: &Topology, successor: Successor) {
+        self.structure = successor.structure;
+        self.contacts.take(topology, successor.index);
+        self.begin_again(successor.field, successor.coarse);
     }
 
     /// Forgets all that was known of forces.
     fn restart(&mut self, topology: &Topology, own: Vec<f64>) {
+        let mut field = Field::new(topology, &self.structure, own);
+        field.disturb_all();
+        let coarse = Multigrid::new(&self.structure);
+        self.begin_again(field, coarse);
+    }
+
+    /// Goes on with a field and levels of which every force is still to be computed.
+    fn begin_again(&mut self, field: Field, coarse: Multigrid) {
         let displaced = self.field.displaced;
-        self.field = Field::new(topology, &self.structure, own);
+        (self.field, self.coarse) = (field, coarse);
         self.field.displaced = displaced;
-        self.coarse = Multigrid::new(&self.structure);
         for &node in &self.held {
             self.field.fixed[node as usize] = true;
         }
         self.foresight = Foresight::default();
-        self.field.disturb_all();
         self.dirty = true;
     }
 
