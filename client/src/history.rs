@@ -17,7 +17,7 @@ const NODES_MAX: usize = 8192;
 /// A displacement below this counts as none, m.
 const MOVED_M: f64 = 0.01e-3;
 
-struct View {
+struct Past {
     s: ServerTime,
     topology_version: u32,
     /// Nodes that moved, ascending.
@@ -27,7 +27,7 @@ struct View {
 /// Where the nodes were in the last views.
 #[derive(Default)]
 pub(crate) struct History {
-    views: VecDeque<View>,
+    views: VecDeque<Past>,
     /// Nodes that were corrected, and the moment when that was put right: what is known of earlier
     /// moments says nothing new.
     corrected: HashMap<u32, ServerTime>,
@@ -48,7 +48,7 @@ impl History {
                 self.corrected.retain(|_, at| *at >= oldest);
             }
         }
-        self.views.push_back(View {
+        self.views.push_back(Past {
             s,
             topology_version: version,
             nodes,

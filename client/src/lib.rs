@@ -37,6 +37,7 @@ mod solve;
 mod status;
 pub mod stroke;
 mod summary;
+pub mod view;
 
 pub use error::ClientError;
 pub use join::run;

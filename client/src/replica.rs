@@ -11,16 +11,15 @@
 use std::sync::Arc;
 
 use palpate_haptics::ContactModel;
-use palpate_protocol::datagram::Corrections;
+use palpate_protocol::ClientTime;
 use palpate_protocol::operation::Operation;
-use palpate_protocol::{ClientTime, ServerTime};
 use palpate_tissue::{
-    Budget, CutOutcome, Model, Reaction, Shape, Solver, StepReport, Successor, Tool, Topology, Vec3,
+    Budget, CutOutcome, Model, Reaction, Shape, Solver, Successor, Tool, Topology, Vec3,
 };
 
 use crate::ahead::{Ahead, ReadyCut, ReplicaError};
-use crate::history::History;
-use crate::roster::ToolAt;
+use crate::roster::{ToolAt, gather};
+use crate::view::{View, ViewCut};
 
 /// How far from the solved position the force law is believed, m: half a metre per second for 16
 /// ms, four periods of the solver. Smaller lets the force fade in fast strokes, larger believes a
@@ -35,13 +34,6 @@ const DAMPING_S: f64 = 1e-3;
 /// oscillation (2 m / T is 200).
 const DAMPING_MAX_NS_PER_M: f64 = 2.0;
 
-/// A node this far from where the server has it is corrected, m; below it sites are alike.
-pub const DRIFT_TOLERATED_M: f64 = 0.05e-3;
-
-/// Part of the difference that a correction takes away at once. The equilibrium does the rest; more
-/// would show as a twitch.
-const BLEND: f64 = 0.3;
-
 /// Iterations at most; time ends most solves.
 pub const ITERATIONS: usize = 4;
 
@@ -55,25 +47,14 @@ pub const RESTING_TOLERANCE: f64 = 5e-3;
 /// A hand slower than this rests, m/s.
 pub const RESTING_M_S: f64 = 0.005;
 
-/// Residual at which the view's solve ends. Finer than the hand's, because sites are compared.
-pub const VIEW_TOLERANCE: f64 = 2e-2;
-
-/// How far the view was from what the server said.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Drift {
-    /// The farthest node, m.
-    pub max_m: f64,
-    /// Nodes that were corrected.
-    pub nodes: usize,
-}
-
-struct Side {
-    shape: Shape,
-    solver: Solver,
+/// One shape of the tissue and its solver.
+pub(crate) struct Side {
+    pub(crate) shape: Shape,
+    pub(crate) solver: Solver,
 }
 
 impl Side {
-    fn new(topology: &Topology) -> Self {
+    pub(crate) fn new(topology: &Topology) -> Self {
         Self {
             shape: Shape::rest(topology),
             solver: Solver::new(topology),
@@ -81,15 +62,20 @@ impl Side {
     }
 
     /// A second side of the same topology.
-    fn another(&self, topology: &Topology) -> Self {
+    pub(crate) fn another(&self, topology: &Topology) -> Self {
         Self {
             shape: Shape::rest(topology),
             solver: self.solver.another(topology),
         }
     }
 
-    /// Takes a cut over.
-    fn succeed(&mut self, topology: &Topology, outcome: &CutOutcome, successor: Successor) {
+    /// Takes a cut over; the shape must be whole.
+    pub(crate) fn succeed(
+        &mut self,
+        topology: &Topology,
+        outcome: &CutOutcome,
+        successor: Successor,
+    ) {
         self.shape.follow(topology, outcome);
         self.solver.succeed(topology, successor);
     }
@@ -98,18 +84,14 @@ impl Side {
 /// One's own copy of the tissue.
 ///
 /// Calling order: [`apply`](Self::apply) every operation in the order of the log; between them
-/// [`haptic_step`](Self::haptic_step) and [`view_step`](Self::view_step) as often as wanted, the
-/// latter with ascending moments.
+/// [`haptic_step`](Self::haptic_step) as often as wanted. The view may be taken away with
+/// [`detach_view`](Self::detach_view), to be solved elsewhere.
 pub struct Replica {
     topology: Arc<Topology>,
     /// `None` for who only looks.
     haptic: Option<Side>,
-    view: Side,
-    /// A cut that the view has still to follow. It waits for the next view, so that the hand, whose
-    /// model fades within a few ticks, is served first.
-    unseen: Option<(CutOutcome, Successor)>,
-    history: History,
-    was_corrected: bool,
+    /// `None` when it is elsewhere.
+    view: Option<View>,
     tools: Vec<Tool>,
 }
 
@@ -117,14 +99,11 @@ impl Replica {
     /// The uncut tissue; `with_hand` = false is for spectators and saves half the work.
     pub fn new(model: Arc<Model>, with_hand: bool) -> Self {
         let topology = Arc::new(Topology::new(model));
-        let view = Side::new(&topology);
+        let view = View::new(&topology);
         Self {
-            haptic: with_hand.then(|| view.another(&topology)),
-            view,
+            haptic: with_hand.then(|| view.another_side()),
+            view: Some(view),
             topology,
-            unseen: None,
-            history: History::default(),
-            was_corrected: false,
             tools: Vec::new(),
         }
     }
@@ -134,43 +113,59 @@ impl Replica {
         &self.topology
     }
 
-    /// What is seen.
-    pub fn view_shape(&self) -> &Shape {
-        &self.view.shape
-    }
-
     /// What the hand feels; `None` for who only looks.
     pub fn haptic_shape(&self) -> Option<&Shape> {
         self.haptic.as_ref().map(|h| &h.shape)
     }
 
-    /// What makes cuts ahead of this copy, from the topology of now on.
-    pub fn ahead(&mut self) -> Ahead {
-        // The view has to be of now for what follows it.
-        self.show_cut();
-        let follower = self.view.solver.follower();
-        Ahead::new(&self.topology, follower, self.haptic.is_some())
+    /// What is seen; `None` when it is elsewhere.
+    pub fn view_mut(&mut self) -> Option<&mut View> {
+        self.view.as_mut()
+    }
+
+    /// Takes the view out. It has to be given what [`take`](Self::take) gives from now on.
+    pub fn detach_view(&mut self) -> Option<View> {
+        self.view.take()
+    }
+
+    /// What makes cuts ahead of this copy, from the topology of now on. `None` when neither a hand nor a
+    /// view is here that knows it.
+    pub fn ahead(&self) -> Option<Ahead> {
+        let hand = || Some(self.haptic.as_ref()?.solver.follower());
+        let follower = self.view.as_ref().map(View::follower).or_else(hand)?;
+        Some(Ahead::new(&self.topology, follower, self.haptic.is_some()))
     }
 
     /// Applies an operation here and now; only a cut changes anything. Afterwards version and hash
-    /// are the operation's, or it is an error and nothing has changed.
-    pub fn apply(&mut self, operation: &Operation) -> Result<(), ReplicaError> {
-        if let Some(ready) = self.ahead().make(operation)? {
-            self.take(ready);
-        }
-        Ok(())
+    /// are the operation's, or it is an error and nothing has changed. What a view elsewhere has to take
+    /// over is given back.
+    pub fn apply(&mut self, operation: &Operation) -> Result<Option<ViewCut>, ReplicaError> {
+        let Some(mut ahead) = self.ahead() else {
+            return Ok(None);
+        };
+        Ok(ahead.make(operation)?.and_then(|ready| self.take(ready)))
     }
 
-    /// Takes over a cut that [`ahead`](Self::ahead) has made, the next one of the log.
-    pub fn take(&mut self, ready: ReadyCut) {
-        self.show_cut();
+    /// Takes over a cut that [`ahead`](Self::ahead) has made, the next one of the log. What a view
+    /// elsewhere has to take over is given back.
+    pub fn take(&mut self, ready: ReadyCut) -> Option<ViewCut> {
         self.topology = ready.topology;
         if let Some((side, successor)) = self.haptic.as_mut().zip(ready.haptic) {
             side.solver.pour(&mut side.shape);
             side.succeed(&self.topology, &ready.outcome, successor);
         }
-        self.unseen = Some((ready.outcome, ready.view));
-        self.history.clear();
+        let cut = ViewCut {
+            topology: Arc::clone(&self.topology),
+            outcome: ready.outcome,
+            successor: ready.view,
+        };
+        match &mut self.view {
+            Some(view) => {
+                view.take(cut);
+                None
+            }
+            None => Some(cut),
+        }
     }
 
     /// Solves what the hand feels: one's `own` tool where it is `now`, the others where everybody
@@ -204,69 +199,6 @@ impl Replica {
             .find(|r| Some(r.tool) == id)
             .map_or(free, |r| contact_model(now, version, r))
     }
-
-    /// Solves what everybody sees at the moment `s`.
-    pub fn view_step(
-        &mut self,
-        s: ServerTime,
-        tools: &[ToolAt],
-        budget: Budget<'_>,
-    ) -> &StepReport {
-        self.show_cut();
-        gather(&mut self.tools, tools.iter());
-        let side = &mut self.view;
-        side.solver
-            .step(&self.topology, &mut side.shape, &self.tools, budget);
-        let changed = self.was_corrected || side.solver.report().visits[0] > 0;
-        self.was_corrected = false;
-        self.history
-            .push(s, self.topology.version(), &side.shape, changed);
-        side.solver.report()
-    }
-
-    fn show_cut(&mut self) {
-        if let Some((outcome, successor)) = self.unseen.take() {
-            self.view.succeed(&self.topology, &outcome, successor);
-        }
-    }
-
-    /// Compares a past view with what the server says of it, and blends the difference into the
-    /// present one. `None` when that view is not remembered or was of another topology.
-    pub fn correct(&mut self, corrections: &Corrections) -> Option<Drift> {
-        if corrections.topology_version != self.topology.version() {
-            return None;
-        }
-        let s = corrections.view_time;
-        let known = self.history.at(s, corrections.topology_version)?;
-        let mut drift = Drift::default();
-        let mut disturbed = Vec::new();
-        for &(node, theirs) in &corrections.nodes {
-            if node as usize >= self.topology.node_count() || self.topology.is_pinned(node) {
-                continue;
-            }
-            let Some(ours) = known.displacement(node) else {
-                continue;
-            };
-            let difference = Vec3::from(theirs.map(f64::from)) - ours;
-            drift.max_m = drift.max_m.max(difference.norm());
-            if difference.norm() > DRIFT_TOLERATED_M && self.history.is_news(node, s) {
-                self.view.shape.displacement[node as usize] += difference * BLEND;
-                disturbed.push(node);
-            }
-        }
-        if !disturbed.is_empty() {
-            drift.nodes = disturbed.len();
-            self.was_corrected = true;
-            let view = &mut self.view;
-            view.solver.disturb(&view.shape, &disturbed);
-        }
-        Some(drift)
-    }
-}
-
-fn gather<'a>(into: &mut Vec<Tool>, tools: impl Iterator<Item = &'a ToolAt>) {
-    into.clear();
-    into.extend(tools.filter_map(ToolAt::contact));
 }
 
 /// What the force loop has to know of a reaction until the next solve. The linear law stands where

@@ -39,6 +39,12 @@ impl ToolAt {
     }
 }
 
+/// The tools that touch, as the tissue takes them.
+pub(crate) fn gather<'a>(into: &mut Vec<Tool>, tools: impl Iterator<Item = &'a ToolAt>) {
+    into.clear();
+    into.extend(tools.filter_map(ToolAt::contact));
+}
+
 #[derive(Debug, Clone)]
 struct Seat {
     name: String,

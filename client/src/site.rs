@@ -15,6 +15,7 @@ use std::sync::Arc;
 use palpate_haptics::ContactModel;
 use palpate_protocol::clock::ClockMap;
 use palpate_protocol::compensation::DelaySchedule;
+use palpate_protocol::datagram::Corrections;
 use palpate_protocol::handshake::{RosterEntry, ToolDescription, Welcome};
 use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::request::{RequestKind, RequestRefusal};
@@ -29,6 +30,7 @@ use crate::recording::OperationRecord;
 use crate::replica::Replica;
 use crate::roster::{Roster, ToolAt};
 use crate::stroke::StrokeCollector;
+use crate::view::{Drift, View, ViewCut};
 
 /// Operations that wait for their moment. They wait for D, 0.2 s, so this is never reached; beyond
 /// it the oldest is applied early.
@@ -47,12 +49,12 @@ pub enum SiteError {
     /// It was not from the beginning, or the server says so.
     #[error("{0}")]
     Differs(String),
-    /// Cuts can not be made.
-    #[error("the thread that makes cuts could not be started: {0}")]
+    /// Cuts can not be made, or views not be solved.
+    #[error("a thread for cuts or views could not be used: {0}")]
     Thread(String),
 }
 
-/// A view that was solved.
+/// A view that is to be solved.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ViewFrame {
     /// The moment that it shows.
@@ -63,8 +65,14 @@ pub struct ViewFrame {
     pub delay: Span,
     /// Everybody's tool at that moment.
     pub tools: Vec<ToolAt>,
-    /// The topology that it was solved on.
-    pub topology_version: u32,
+}
+
+/// What a view elsewhere has to be told, in this order.
+pub enum ViewNews {
+    /// A cut to take over.
+    Cut(Box<ViewCut>),
+    /// What the server says of a past view.
+    Corrections(Corrections),
 }
 
 /// What a site counted.
@@ -105,6 +113,8 @@ pub struct Site {
     /// Cuts that are to be made there, and those that were.
     to_make: VecDeque<Operation>,
     ready: VecDeque<ReadyCut>,
+    /// What the view has to be told, where it is elsewhere.
+    view_news: VecDeque<ViewNews>,
     /// What the topology must be when the log of the beginning is applied.
     expected: Option<(u32, TopologyHash)>,
     strokes: Option<StrokeCollector>,
@@ -133,6 +143,7 @@ impl Site {
             is_detached: false,
             to_make: VecDeque::new(),
             ready: VecDeque::new(),
+            view_news: VecDeque::new(),
             expected: Some((welcome.topology_version, welcome.topology_hash)),
             strokes: blade_length_m.map(StrokeCollector::new),
             started: welcome.session_started_at,
@@ -172,15 +183,13 @@ impl Site {
                 }
             }
             ClientEvent::Corrections(corrections) => {
-                if let Some(drift) = self.replica.correct(&corrections) {
-                    self.counters.corrected_nodes += drift.nodes as u64;
-                    let settled = self
-                        .first_view
-                        .is_some_and(|first| corrections.view_time - first > SETTLING);
-                    if settled {
-                        let max = &mut self.counters.drift_max_m;
-                        *max = max.max(drift.max_m);
+                if let Some(view) = self.replica.view_mut() {
+                    if let Some(drift) = view.correct(&corrections) {
+                        self.handle_drift(corrections.view_time, drift);
                     }
+                } else {
+                    let news = ViewNews::Corrections(corrections);
+                    self.view_news.push_back(news);
                 }
             }
             ClientEvent::Clock(map) => self.clock = Some(map),
@@ -225,21 +234,41 @@ impl Site {
         Ok(())
     }
 
-    /// Lets cuts be made elsewhere from now on: gives what makes them, once, when the log of the
-    /// beginning is applied. Give it what [`poll_cut`](Self::poll_cut) gives, and tell
-    /// [`handle_cut`](Self::handle_cut) what comes of it.
-    pub fn detach(&mut self) -> Option<Ahead> {
+    /// Lets cuts be made and views be solved elsewhere from now on: gives what does it, once, when the
+    /// log of the beginning is applied. Give the first what [`poll_cut`](Self::poll_cut) gives, and tell
+    /// [`handle_cut`](Self::handle_cut) what comes of it; give the second what
+    /// [`poll_view_news`](Self::poll_view_news) and [`next_view`](Self::next_view) give.
+    pub fn detach(&mut self) -> Option<(Ahead, View)> {
         let is_cut = |o: &Operation| matches!(o.kind, OperationKind::Cut(_));
-        if self.is_detached || self.expected.is_some() || self.deferred.iter().any(is_cut) {
+        if self.expected.is_some() || self.deferred.iter().any(is_cut) {
             return None;
         }
+        let ahead = self.replica.ahead()?;
+        let view = self.replica.detach_view()?;
         self.is_detached = true;
-        Some(self.replica.ahead())
+        Some((ahead, view))
     }
 
     /// The next cut that is to be made.
     pub fn poll_cut(&mut self) -> Option<Operation> {
         self.to_make.pop_front()
+    }
+
+    /// The next that the view has to be told.
+    pub fn poll_view_news(&mut self) -> Option<ViewNews> {
+        self.view_news.pop_front()
+    }
+
+    /// The view of a moment was so far from what the server says.
+    pub fn handle_drift(&mut self, view_time: ServerTime, drift: Drift) {
+        self.counters.corrected_nodes += drift.nodes as u64;
+        if self
+            .first_view
+            .is_some_and(|first| view_time - first > SETTLING)
+        {
+            let max = &mut self.counters.drift_max_m;
+            *max = max.max(drift.max_m);
+        }
     }
 
     /// A cut was made; it waits for its moment.
@@ -274,7 +303,9 @@ impl Site {
             let Some(ready) = self.ready.pop_front() else {
                 return Ok(false);
             };
-            self.replica.take(ready);
+            let cut = self.replica.take(ready);
+            let news = cut.map(|cut| ViewNews::Cut(Box::new(cut)));
+            self.view_news.extend(news);
         } else {
             self.replica.apply(operation)?;
         }
@@ -389,9 +420,9 @@ impl Site {
         Some(replica.haptic_step(now, own.as_ref(), &others, budget))
     }
 
-    /// Solves the newest moment of the common grid that is to be seen now; `None` when that was
-    /// solved already. Moments that were missed are counted.
-    pub fn view_step(&mut self, now: ClientTime, budget: Budget<'_>) -> Option<ViewFrame> {
+    /// The newest moment of the common grid that is to be seen now; `None` when it was given already.
+    /// Moments that were missed are counted.
+    pub fn next_view(&mut self, now: ClientTime) -> Option<ViewFrame> {
         let (s, delay) = self.moment(now)?;
         let k = grid_index(s, self.tick_hz);
         if self.expected.is_some() || self.last_k.is_some_and(|last| k <= last) {
@@ -403,15 +434,20 @@ impl Site {
         self.last_k = Some(k);
         let s = grid_moment(k, self.tick_hz);
         self.first_view.get_or_insert(s);
-        let tools = self.roster.tools_seen_at(s);
-        self.replica.view_step(s, &tools, budget);
         Some(ViewFrame {
             s,
             k,
             delay,
-            tools,
-            topology_version: self.replica.topology().version(),
+            tools: self.roster.tools_seen_at(s),
         })
+    }
+
+    /// Solves [`next_view`](Self::next_view), where the view is here.
+    pub fn view_step(&mut self, now: ClientTime, budget: Budget<'_>) -> Option<ViewFrame> {
+        let frame = self.next_view(now)?;
+        let view = self.replica.view_mut()?;
+        view.step(frame.s, &frame.tools, budget);
+        Some(frame)
     }
 
     /// The next request for the server.

@@ -1,7 +1,8 @@
 //! The replica thread: it lets a [`Site`] live in real time.
 //!
 //! Every 4 ms: take what the session said and what the hand did, apply what is due, solve what the
-//! hand feels, solve what is to be seen, hand over.
+//! hand feels, hand over. Two threads work for it: one makes cuts ahead of their moment, one solves what
+//! is to be seen.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -24,11 +25,10 @@ use crate::inbox::Inbox;
 use crate::realtime::{
     Frame, device_time, lower_priority_of_this_thread, monotonic_now, sleep_until, worked,
 };
-use crate::recording::{Recording, ToolRecord, VIEW_HZ, ViewRecord, choose_nodes};
-use crate::replica::{
-    HAPTIC_TOLERANCE, ITERATIONS, RESTING_M_S, RESTING_TOLERANCE, VIEW_TOLERANCE,
-};
-use crate::site::{Site, SiteCounters, SiteError, ViewFrame};
+use crate::recording::{Recording, VIEW_HZ};
+use crate::replica::{HAPTIC_TOLERANCE, ITERATIONS, RESTING_M_S, RESTING_TOLERANCE};
+use crate::site::{Site, SiteCounters, SiteError, ViewNews};
+use crate::view::{Order, ViewReport, ViewThread};
 
 /// From turn to turn.
 const PERIOD: Span = Span::from_millis(4);
@@ -36,13 +36,10 @@ const PERIOD: Span = Span::from_millis(4);
 /// How much the thread gives way to the network and the screen.
 const NICE: i32 = 2;
 
-/// Work on what the hand feels, per turn: with it the contact model is renewed at 250 Hz even while
-/// the view takes all of its own.
+/// Work on what the hand feels, per turn: with it the contact model is renewed at 250 Hz and leaves
+/// room for others. Work and not time that passes: on a crowded machine a solve would otherwise be given up
+/// before it began, and the hand feel a tissue that has not given way yet.
 const HAPTIC_WORK: Span = Span::from_micros(1500);
-
-/// Work on what is seen, per view. Work and not time that passes: on a crowded machine a solve would
-/// otherwise be given up before it began, and the hand feel a tissue that has not given way yet.
-const VIEW_WORK: Span = Span::from_millis(5);
 
 /// Longest solve that is told apart, µs.
 const SOLVE_MAX_US: u64 = 1_000_000;
@@ -116,7 +113,7 @@ impl ReplicaThread {
         let progress = Arc::new(Mutex::new(Progress::default()));
         let mut turns = Turns {
             work,
-            cuts: None,
+            helpers: None,
             progress: Arc::clone(&progress),
             haptic_us: histogram(),
             view_us: histogram(),
@@ -171,10 +168,15 @@ fn histogram() -> Histogram<u32> {
     Histogram::new_with_bounds(1, SOLVE_MAX_US, 3).expect("1 to 10^6 in 3 digits is a valid range")
 }
 
+struct Helpers {
+    cuts: AheadThread,
+    view: ViewThread,
+}
+
 struct Turns {
     work: Work,
-    /// Makes cuts, once the log of the beginning is applied.
-    cuts: Option<AheadThread>,
+    /// Who work for this thread, once the log of the beginning is applied.
+    helpers: Option<Helpers>,
     progress: Arc<Mutex<Progress>>,
     haptic_us: Histogram<u32>,
     view_us: Histogram<u32>,
@@ -220,27 +222,47 @@ impl Turns {
             }
             self.work.site.handle_event(event, monotonic_now())?;
         }
-        self.make_cuts()?;
+        self.consult()?;
         self.work.site.advance(monotonic_now())
     }
 
-    /// Cuts are made beside this thread, so that the hand goes on feeling meanwhile.
-    fn make_cuts(&mut self) -> Result<(), SiteError> {
+    /// Tells the helpers what there is to do, and the site what they did.
+    fn consult(&mut self) -> Result<(), SiteError> {
         let site = &mut self.work.site;
-        if let Some(ahead) = site.detach() {
-            self.cuts = match AheadThread::spawn(ahead) {
-                Ok(thread) => Some(thread),
-                Err(error) => return Err(SiteError::Thread(error.to_string())),
-            };
+        if let Some((ahead, view)) = site.detach() {
+            let failed = |error: std::io::Error| SiteError::Thread(error.to_string());
+            self.helpers = Some(Helpers {
+                cuts: AheadThread::spawn(ahead).map_err(failed)?,
+                view: ViewThread::spawn(view).map_err(failed)?,
+            });
         }
-        let Some(cuts) = &self.cuts else {
+        let Some(helpers) = &mut self.helpers else {
             return Ok(());
         };
         while let Some(operation) = site.poll_cut() {
-            cuts.make(operation)?;
+            helpers.cuts.make(operation)?;
         }
-        while let Some(made) = cuts.poll() {
+        while let Some(made) = helpers.cuts.poll() {
             site.handle_cut(made?);
+        }
+        let ended = |_| SiteError::Thread("it has ended".to_owned());
+        while let Some(report) = helpers.view.poll().map_err(ended)? {
+            match report {
+                ViewReport::Compared(s, drift) => site.handle_drift(s, drift),
+                ViewReport::Shown {
+                    began,
+                    took,
+                    record,
+                } => {
+                    self.view_us
+                        .saturating_record(took.as_micros().max(0) as u64);
+                    self.first_view.get_or_insert(began);
+                    if let Some(record) = record {
+                        let nodes = &mut self.recorded_nodes;
+                        self.work.recording.push_view(*record, nodes);
+                    }
+                }
+            }
         }
         Ok(())
     }
@@ -296,47 +318,25 @@ impl Turns {
         }
     }
 
+    /// Has the newest view solved, unless the last one is not done yet.
     fn view(&mut self) {
-        let (began, at_first) = (monotonic_now(), worked());
-        let mut stop = || worked() - at_first > VIEW_WORK;
-        let budget = Budget {
-            near: false,
-            iterations: ITERATIONS,
-            tolerance: VIEW_TOLERANCE,
-            stop: Some(&mut stop),
+        let Some(helpers) = &mut self.helpers else {
+            return;
         };
-        if let Some(frame) = self.work.site.view_step(began, budget) {
-            record_time(&mut self.view_us, began);
-            self.first_view.get_or_insert(began);
-            self.record(&frame);
+        while let Some(news) = self.work.site.poll_view_news() {
+            helpers.view.order(match news {
+                ViewNews::Cut(cut) => Order::Cut(cut),
+                ViewNews::Corrections(corrections) => Order::Correct(corrections),
+            });
         }
-    }
-
-    fn record(&mut self, frame: &ViewFrame) {
-        if self.work.record_every.is_none_or(|n| frame.k % n != 0) {
+        if helpers.view.is_busy() {
             return;
         }
-        let shape = self.work.site.replica().view_shape();
-        let moved = shape.displacement.iter().enumerate();
-        let view = ViewRecord {
-            s_us: frame.s.as_micros(),
-            shown_us: monotonic_now().as_micros(),
-            delay_us: frame.delay.as_micros(),
-            tools: frame
-                .tools
-                .iter()
-                .map(|t| ToolRecord {
-                    participant: t.participant.0,
-                    position_m: t.position.into(),
-                    stale: t.stale,
-                })
-                .collect(),
-            nodes: choose_nodes(moved.map(|(n, u)| (n as u32, (*u).into()))),
-            topology_version: frame.topology_version,
-        };
-        self.work
-            .recording
-            .push_view(view, &mut self.recorded_nodes);
+        if let Some(frame) = self.work.site.next_view(monotonic_now()) {
+            let every = self.work.record_every;
+            let is_recorded = every.is_some_and(|n| frame.k % n == 0);
+            helpers.view.order(Order::Show(frame, is_recorded));
+        }
     }
 
     /// Requests to the session, applied operations to the recording.

@@ -182,9 +182,9 @@ fn budget() -> Budget<'static> {
 /// Cuts here and now, as the room does: the stroke is taken to the rest frame first.
 fn apply(replica: &mut Replica, request: &CutRequest, number: usize) -> Result<(), ReferenceError> {
     let topology = replica.topology();
-    let shape = replica.haptic_shape().unwrap_or(replica.view_shape());
+    let shape = replica.haptic_shape();
     let at_rest = |blade: &BladePoint| {
-        let rest = to_rest(topology, shape, blade.tip_m.into())?;
+        let rest = to_rest(topology, shape?, blade.tip_m.into())?;
         let along = rest.frame * palpate_tissue::Vec3::from(blade.axis);
         let axis = along.try_normalize(1e-6)?;
         Some(BladePoint {

@@ -39,6 +39,10 @@ fn thorough() -> Budget<'static> {
     Budget::new(200, 1e-5)
 }
 
+fn seen(replica: &mut Replica) -> &mut View {
+    replica.view_mut().expect("nobody took it")
+}
+
 fn at(k: i64) -> ServerTime {
     ServerTime::from_micros(k * 4000)
 }
@@ -53,7 +57,7 @@ fn operation(replica: &mut Replica) -> Operation {
         points: (2..9).map(point).collect(),
         width_m: 0.5e-3,
     };
-    let mut server = replica.topology.clone();
+    let mut server = Topology::clone(&replica.topology);
     cut(&mut server, &tissue_stroke(&stroke)).unwrap();
     Operation {
         id: OperationId(0),
@@ -125,9 +129,9 @@ fn two_replicas_that_solve_for_the_same_moments_have_equal_shapes() {
                     Budget::new(3, 1e-2),
                 );
             }
-            replica.view_step(at(k), &tools, Budget::new(4, 1e-3));
+            seen(&mut replica).step(at(k), &tools, Budget::new(4, 1e-3));
         }
-        replica.view_shape().hash()
+        seen(&mut replica).shape().hash()
     };
     assert_eq!(run(true), run(false));
 }
@@ -137,17 +141,22 @@ fn a_cut_applied_everywhere_gives_equal_hashes_and_shapes_follow() {
     let mut a = Replica::new(tissue(), true);
     let mut b = Replica::new(tissue(), false);
     let tools = [tool(1, 5.0 * CELL, 3e-3)];
-    a.view_step(at(0), &tools, thorough());
+    seen(&mut a).step(at(0), &tools, thorough());
     let operation = operation(&mut a);
     a.apply(&operation).unwrap();
     b.apply(&operation).unwrap();
     assert_eq!(a.topology().hash(), b.topology().hash());
     assert_eq!(a.topology().version(), 1);
-    a.view_step(at(1), &tools, thorough());
-    assert_eq!(a.view_shape().displacement.len(), a.topology().node_count());
-    b.view_step(at(1), &tools, thorough());
+    seen(&mut a).step(at(1), &tools, thorough());
+    assert_eq!(
+        seen(&mut a).shape().displacement.len(),
+        a.topology().node_count()
+    );
+    seen(&mut b).step(at(1), &tools, thorough());
     let worst = (0..a.topology().node_count())
-        .map(|n| (a.view_shape().displacement[n] - b.view_shape().displacement[n]).norm())
+        .map(|n| {
+            (seen(&mut a).shape().displacement[n] - seen(&mut b).shape().displacement[n]).norm()
+        })
         .fold(0.0, f64::max);
     assert!(worst < 0.1e-3, "{worst}");
 }
@@ -168,56 +177,6 @@ fn an_operation_with_another_result_is_an_error_that_says_which() {
         replica.apply(&good),
         Err(ReplicaError::Version { .. })
     ));
-}
-
-#[test]
-fn corrections_shrink_a_planted_difference_and_report_it() {
-    let tools = [tool(1, 5.0 * CELL, 3e-3)];
-    let mut server = Replica::new(tissue(), false);
-    let mut client = Replica::new(tissue(), false);
-    server.view_step(at(0), &tools, thorough());
-    client.view_step(at(0), &tools, thorough());
-    // A difference that no tool explains.
-    let planted: Vec<u32> = (300..310).collect();
-    for &n in &planted {
-        client.view.shape.displacement[n as usize] += Vec3::new(1e-3, 0.0, 0.0);
-    }
-    client.was_corrected = true;
-    let away = |client: &Replica, n: u32| {
-        let [a, b] = [&server, client].map(|r| r.view_shape().displacement[n as usize]);
-        (a - b).norm()
-    };
-    client.view_step(at(1), &tools, Budget::new(0, 1.0));
-    let before: Vec<f64> = planted.iter().map(|&n| away(&client, n)).collect();
-    let row = |n: &u32| {
-        let u = server.view_shape().displacement[*n as usize];
-        (*n, [u.x as f32, u.y as f32, u.z as f32])
-    };
-    let corrections = Corrections {
-        topology_version: 0,
-        view_time: at(1),
-        nodes: planted.iter().map(row).collect(),
-    };
-    let drift = client.correct(&corrections).unwrap();
-    let far = before.iter().filter(|d| **d > DRIFT_TOLERATED_M).count();
-    assert!(far > 0 && drift.nodes == far, "{far} {drift:?}");
-    let most = before.iter().copied().fold(0.0, f64::max);
-    assert!((drift.max_m - most).abs() < 1e-6);
-    for (&n, &before) in planted.iter().zip(&before) {
-        let rest = if before > DRIFT_TOLERATED_M {
-            1.0 - BLEND
-        } else {
-            1.0
-        };
-        assert!((away(&client, n) - rest * before).abs() < 1e-6);
-    }
-    // The same news twice changes nothing more.
-    assert_eq!(client.correct(&corrections).unwrap().nodes, 0);
-    let other_version = Corrections {
-        topology_version: 1,
-        ..Corrections::default()
-    };
-    assert_eq!(client.correct(&other_version), None);
 }
 
 #[test]

@@ -1,0 +1,92 @@
+use palpate_protocol::handshake::{ToolDescription, ToolKind};
+use palpate_protocol::{ParticipantId, ServerTime};
+use palpate_tissue::{Budget, Material, Vec3, block};
+
+use super::*;
+
+const CELL: f64 = 4e-3;
+
+fn view() -> View {
+    let material = Material {
+        name: "soft".into(),
+        young_pa: 10e3,
+        density_kg_m3: 1000.0,
+        friction_static: 0.4,
+        friction_dynamic: 0.3,
+        source: "test".into(),
+        ..Material::default()
+    };
+    let model = Arc::new(block([10, 10, 6], CELL, &material, 1));
+    View::new(&Arc::new(Topology::new(model)))
+}
+
+fn tool(who: u16, x: f64, depth: f64) -> ToolAt {
+    ToolAt {
+        participant: ParticipantId(who),
+        description: ToolDescription {
+            kind: ToolKind::Probe,
+            radius_m: 6e-3,
+        },
+        position: Vec3::new(x, 5.0 * CELL, 6.0 * CELL + 6e-3 - depth),
+        buttons: 0,
+        stale: false,
+    }
+}
+
+fn thorough() -> Budget<'static> {
+    Budget::new(200, 1e-5)
+}
+
+fn at(k: i64) -> ServerTime {
+    ServerTime::from_micros(k * 4000)
+}
+
+#[test]
+fn corrections_shrink_a_planted_difference_and_report_it() {
+    let tools = [tool(1, 5.0 * CELL, 3e-3)];
+    let mut server = view();
+    let mut client = view();
+    server.step(at(0), &tools, thorough());
+    client.step(at(0), &tools, thorough());
+    // A difference that no tool explains.
+    let planted: Vec<u32> = (300..310).collect();
+    for &n in &planted {
+        client.side.shape.displacement[n as usize] += Vec3::new(1e-3, 0.0, 0.0);
+    }
+    client.was_corrected = true;
+    let away = |client: &View, n: u32| {
+        let [a, b] = [&server, client].map(|r| r.shape().displacement[n as usize]);
+        (a - b).norm()
+    };
+    client.step(at(1), &tools, Budget::new(0, 1.0));
+    let before: Vec<f64> = planted.iter().map(|&n| away(&client, n)).collect();
+    let row = |n: &u32| {
+        let u = server.shape().displacement[*n as usize];
+        (*n, [u.x as f32, u.y as f32, u.z as f32])
+    };
+    let corrections = Corrections {
+        topology_version: 0,
+        view_time: at(1),
+        nodes: planted.iter().map(row).collect(),
+    };
+    let drift = client.correct(&corrections).unwrap();
+    let far = before.iter().filter(|d| **d > DRIFT_TOLERATED_M).count();
+    assert!(far > 0 && drift.nodes == far, "{far} {drift:?}");
+    let most = before.iter().copied().fold(0.0, f64::max);
+    assert!((drift.max_m - most).abs() < 1e-6);
+    for (&n, &before) in planted.iter().zip(&before) {
+        let rest = if before > DRIFT_TOLERATED_M {
+            1.0 - BLEND
+        } else {
+            1.0
+        };
+        assert!((away(&client, n) - rest * before).abs() < 1e-6);
+    }
+    // The same news twice changes nothing more.
+    assert_eq!(client.correct(&corrections).unwrap().nodes, 0);
+    let other_version = Corrections {
+        topology_version: 1,
+        ..Corrections::default()
+    };
+    assert_eq!(client.correct(&other_version), None);
+}
