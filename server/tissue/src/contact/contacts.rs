@@ -1,5 +1,6 @@
 //! All contacts of one view: tools, their samples, and what they do to nodes.
 
+use super::along::{Along, Row};
 use super::ball::Ball;
 use super::index::SurfaceIndex;
 use super::proxy::{Proxy, REACH};
@@ -190,6 +191,24 @@ impl Contacts {
             return (0.0, Vec3::zeros());
         }
         (proxy.radius - distance, v / distance)
+    }
+
+    /// The samples along shapes `u + (s - at) by`.
+    pub(crate) fn along(&self, u: &[Vec3], by: impl Fn(u32) -> Vec3, at: f64) -> Along {
+        let moves: Vec<Vec3> = self.nodes.iter().map(|&n| by(n)).collect();
+        let row = |sample: &Sample| {
+            let by = blend(&sample.nodes.map(|n| moves[self.place(n)]), &sample.weights);
+            let x = sample.rest + blend(&sample.nodes.map(|n| u[n as usize]), &sample.weights);
+            let proxy = &self.proxies[sample.proxy as usize];
+            Row {
+                from: x - proxy.at - by * at,
+                by,
+                radius: proxy.radius,
+                stiffness: sample.stiffness,
+                flat: sample.flat,
+            }
+        };
+        Along::new(self.samples.iter().map(row).collect())
     }
 
     /// Calls `visit` with every pressed sample, its force in N, its κ and its direction.

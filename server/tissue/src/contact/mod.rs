@@ -23,6 +23,7 @@
 //! most while it touches. A tool that jumps, or first shows up deep inside, is followed from
 //! outside.
 
+mod along;
 mod ball;
 mod contacts;
 mod fans;

@@ -12,7 +12,8 @@ pub struct Budget<'a> {
     /// Whether nodes far from the tools may wait: they are then brought up to date by
     /// [`Solver::pour`](crate::Solver::pour), and a step costs what is near. The tolerance is then 0.02 at least.
     pub near: bool,
-    /// Asked between iterations and between the sweeps of one; `true` stops. A shell that owns a clock sets a time limit so.
+    /// Asked between iterations; `true` stops. A shell that owns a clock sets a time limit so. There is always
+    /// one iteration.
     pub stop: Option<&'a mut dyn FnMut() -> bool>,
 }
 

@@ -16,15 +16,6 @@ use super::structure::{Level, Structure};
 pub(super) const LOW: f32 = 0.15;
 /// The same on the coarsest level.
 const LOW_COARSEST: f32 = 0.02;
-/// Force on a corner of an element, in thresholds, that its pending displacement may have changed
-/// it by before it is refined.
-const PENDING: f32 = 4.0;
-
-/// The same on level l + 1: what coarse elements get wrong is a smaller part of a larger force.
-fn tolerable(l: usize, threshold: f32) -> f32 {
-    PENDING * threshold * (1 << l) as f32
-}
-
 /// How much a V-cycle does.
 #[derive(Clone, Copy)]
 pub(super) struct Effort {
@@ -71,6 +62,8 @@ impl Chebyshev {
 pub(super) struct Multigrid {
     pub(super) patches: Vec<Patch>,
     arch: Arch,
+    /// Force on a corner of an element of level 1, in thresholds, above which it is refined.
+    pub(super) pending: f32,
     /// Elements visited.
     pub(super) visits: usize,
 }
@@ -80,8 +73,14 @@ impl Multigrid {
         Self {
             patches: structure.levels.iter().map(Patch::new).collect(),
             arch: Arch::new(),
+            pending: 1.0,
             visits: 0,
         }
+    }
+
+    /// The same on level l + 1, in N: what coarse elements get wrong is a smaller part of a larger force.
+    fn tolerable(&self, l: usize, threshold: f32) -> f32 {
+        self.pending * threshold * (1 << l) as f32
     }
 
     /// Chooses what takes part on every level around the refined elements of level 1; `more` adds
@@ -124,6 +123,7 @@ impl Multigrid {
             take_over(structure, &mut self.patches, l, false);
         }
         for l in (1..self.patches.len()).rev() {
+            let tolerable = self.tolerable(l - 1, threshold);
             let (finer, coarser) = self.patches.split_at_mut(l);
             let (below, patch) = (&mut finer[l - 1], &mut coarser[0]);
             let (level, level_below) = (&structure.levels[l], &structure.levels[l - 1]);
@@ -136,7 +136,7 @@ impl Multigrid {
                 for &child in level.children.row(element) {
                     let by = to_child(&pending, level_below.octant[child as usize]);
                     let force = below.wait(level_below, child, &by);
-                    if force > tolerable(l - 1, threshold) && !below.refined.contains(child) {
+                    if force > tolerable && !below.refined.contains(child) {
                         below.wanted.insert(child);
                     }
                 }
@@ -232,8 +232,8 @@ impl Multigrid {
         }
     }
 
-    /// Begins a step: takes `share` of what the last one corrected once more.
-    pub(super) fn carry_on(&mut self, structure: &Structure, share: f32) {
+    /// Begins a step: what the last one corrected becomes the correction that may be taken once more.
+    pub(super) fn recall(&mut self) {
         for patch in &mut self.patches {
             for &point in &patch.points.items {
                 let p = point as usize;
@@ -245,9 +245,22 @@ impl Multigrid {
             }
             patch.gained.clear();
         }
-        if share != 0.0 {
-            self.commit(structure, share, f32::INFINITY);
+    }
+
+    /// Work of what waits along the correction, before it and after it, in N m: that of the lag, and of
+    /// the elements that are not refined.
+    pub(super) fn work_along(&self, structure: &Structure) -> [f64; 2] {
+        let (mut before, mut curve) = (0.0, 0.0);
+        for (patch, level) in self.patches.iter().zip(&structure.levels) {
+            for &point in &patch.lagging.items {
+                let p = point as usize;
+                if patch.inside[p] > 0 {
+                    before += dot(&patch.lag[p], &patch.e[p]);
+                }
+            }
+            curve += self.arch.dispatch(Curve { level, patch });
         }
+        [before, before - curve]
     }
 
     /// Takes over `share` of the correction: displacements in full, forces of what is not refined
@@ -255,6 +268,7 @@ impl Multigrid {
     pub(super) fn commit(&mut self, structure: &Structure, share: f32, threshold: f32) {
         for l in (0..self.patches.len()).rev() {
             let level = &structure.levels[l];
+            let tolerable = self.tolerable(l, threshold);
             let patch = &mut self.patches[l];
             for &point in &patch.points.items {
                 let p = point as usize;
@@ -270,7 +284,7 @@ impl Multigrid {
                 level,
                 patch,
                 share,
-                threshold: tolerable(l, threshold),
+                threshold: tolerable,
             });
             // What the coarser level did is part of e: it counts as taken over.
             let (finer, coarser) = self.patches.split_at_mut(l + 1);
@@ -434,6 +448,35 @@ impl WithSimd for Defer<'_> {
     }
 }
 
+/// Stiffness along the correction of the elements that are not refined.
+struct Curve<'a> {
+    level: &'a Level,
+    patch: &'a Patch,
+}
+
+impl WithSimd for Curve<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> f64 {
+        let Self { level, patch } = self;
+        let mut sum = 0.0;
+        for &element in &patch.set.items {
+            if patch.refined.contains(element) {
+                continue;
+            }
+            let x = Patch::corners(level, element, &patch.e);
+            let mut y = [0.0; SIZE];
+            let m = level.matrix[element as usize] as usize;
+            multiply(&level.matrices[m].k, &x, &mut y);
+            for i in 0..SIZE {
+                sum += f64::from(x[i]) * f64::from(y[i]);
+            }
+        }
+        sum
+    }
+}
+
 /// `r -= K d` over the set.
 #[inline(always)]
 fn subtract(level: &Level, patch: &mut Patch) {
@@ -545,4 +588,9 @@ fn add_child(to: &mut [[f32; SIZE]; SIZE], child: &[[f32; SIZE]; SIZE], octant: 
 #[inline(always)]
 fn square(v: &Quad) -> f32 {
     v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+}
+
+#[inline(always)]
+fn dot(a: &Quad, b: &Quad) -> f64 {
+    (0..3).map(|i| f64::from(a[i]) * f64::from(b[i])).sum()
 }

@@ -67,8 +67,9 @@ pub(super) struct Field {
     pub(super) clamped: usize,
     /// Bricks computed in this step.
     pub(super) visits: usize,
-    /// Blocks of the nodes of the set; scratch.
+    /// Blocks of the nodes of the set, without contacts, and of those in contact, with them; scratch.
     blocks: Vec<[f32; 6]>,
+    pressed: Vec<[f32; 6]>,
     /// What level 1 moved each node by in this iteration; scratch.
     pub(super) moved: Vec<Vec3>,
     pub(super) old: Vec<Quad>,
@@ -109,6 +110,7 @@ impl Field {
             clamped: 0,
             visits: 0,
             blocks: vec![[0.0; 6]; nodes],
+            pressed: Vec::new(),
             moved: Vec::new(),
             old: Vec::new(),
             scratch: Box::new(Ends::new()),
@@ -147,34 +149,50 @@ impl Field {
         self.loud.items.len()
     }
 
-    /// Begins a step: moves the nodes of the set by `share` of what the last one moved them by.
-    pub(super) fn begin(
+    /// Begins a step: what the last one moved the nodes of the set by.
+    pub(super) fn take_moves(&mut self, u: &[Vec3]) -> Vec<(u32, Vec3)> {
+        self.saved.clear();
+        let last = std::mem::take(&mut self.before);
+        let by = |(node, before): (u32, Vec3)| {
+            let n = node as usize;
+            let moves = self.nodes.contains(node) && !self.fixed[n];
+            moves.then(|| (node, u[n] - before))
+        };
+        last.into_iter().filter_map(by).collect()
+    }
+
+    /// Moves nodes by `share` of what they moved by.
+    pub(super) fn move_on(&mut self, u: &mut [Vec3], moves: &[(u32, Vec3)], share: f64) {
+        for &(node, by) in moves {
+            self.shift(u, node, by * share);
+        }
+    }
+
+    /// Work of the forces on nodes along these moves, in N m.
+    pub(super) fn work(&self, moves: &[(u32, Vec3)]) -> f64 {
+        let work = |(node, by): &(u32, Vec3)| {
+            let r = &self.r[*node as usize];
+            (0..3).map(|a| f64::from(r[a]) * by[a]).sum::<f64>()
+        };
+        moves.iter().map(work).sum()
+    }
+
+    /// Nodes that were moved on have taken over what level 1 was moved on by; the others of the set do.
+    pub(super) fn catch_up(
         &mut self,
         structure: &Structure,
         coarse: &Multigrid,
         u: &mut [Vec3],
-        share: f64,
+        moves: &[(u32, Vec3)],
     ) {
-        let last = std::mem::take(&mut self.before);
-        self.saved.clear();
-        if share == 0.0 {
-            return;
-        }
-        for (node, before) in last {
+        for &(node, _) in moves {
             let n = node as usize;
-            if self.nodes.contains(node) && !self.fixed[n] {
-                let by = (u[n] - before) * share;
-                self.shift(u, node, by);
-                self.applied[n] = interpolate(&structure.ties[n], &coarse.patches[0].total);
-            }
+            self.applied[n] = interpolate(&structure.ties[n], &coarse.patches[0].total);
         }
         for i in 0..self.nodes.items.len() {
             let node = self.nodes.items[i];
-            if !self.saved.contains(node) {
-                self.take_over(structure, coarse, u, node);
-            }
+            self.take_over(structure, coarse, u, node);
         }
-        self.compute_set(structure, u);
     }
 
     /// Puts back every node that this step moved.
@@ -335,25 +353,35 @@ impl Field {
         u: &[Vec3],
         contacts: &Contacts,
     ) -> f64 {
-        if !std::mem::take(&mut self.current) {
-            self.compute_set(structure, u);
-            self.current = false;
-        }
-        let r = &mut self.r;
-        contacts.pressed(u, |sample, force, _, _| {
-            for (node, w) in sample.nodes.iter().zip(sample.weights) {
-                let r = &mut r[*node as usize];
-                for a in 0..3 {
-                    r[a] += (w * force[a]) as f32;
-                }
-            }
-        });
+        self.evaluate_bricks(structure, u);
+        self.add_contacts(u, contacts, 1.0);
         let free = self
             .nodes
             .items
             .iter()
             .filter(|&&n| !self.fixed[n as usize]);
         free.map(|&n| f64::from(square(&self.r[n as usize]))).sum()
+    }
+
+    /// Computes the set and what its bricks do to its nodes; contacts have to be added to that.
+    pub(super) fn evaluate_bricks(&mut self, structure: &Structure, u: &[Vec3]) {
+        if !std::mem::take(&mut self.current) {
+            self.compute_set(structure, u);
+            self.current = false;
+        }
+    }
+
+    /// Adds the forces of contacts to those on their nodes, or takes them off with a `sign` of -1.
+    pub(super) fn add_contacts(&mut self, u: &[Vec3], contacts: &Contacts, sign: f64) {
+        let r = &mut self.r;
+        contacts.pressed(u, |sample, force, _, _| {
+            for (node, w) in sample.nodes.iter().zip(sample.weights) {
+                let r = &mut r[*node as usize];
+                for a in 0..3 {
+                    r[a] += (sign * w * force[a]) as f32;
+                }
+            }
+        });
     }
 
     /// Sum of the squares of the forces on the free nodes of the set as they were last computed.
@@ -388,16 +416,29 @@ impl Field {
                 }
             }
         }
+        for &node in &self.nodes.items {
+            self.inverse[node as usize] = invert(&self.blocks[node as usize]);
+        }
+        self.renew_pressed(u, contacts);
+    }
+
+    /// The same for the nodes in contact only, whose stiffness comes and goes with what presses: a node
+    /// smoothed with that of a moment when nothing pressed is thrown far out of the tool, and comes back.
+    pub(super) fn renew_pressed(&mut self, u: &[Vec3], contacts: &Contacts) {
+        self.pressed.clear();
+        let blocks = contacts.nodes.iter().map(|&n| self.blocks[n as usize]);
+        self.pressed.extend(blocks);
+        let pressed = &mut self.pressed;
         contacts.pressed(u, |sample, _, kappa, n| {
             for (node, w) in sample.nodes.iter().zip(sample.weights) {
                 let block = contact_block(w * kappa, &n);
-                for (to, v) in blocks[*node as usize].iter_mut().zip(block) {
+                for (to, v) in pressed[contacts.place(*node)].iter_mut().zip(block) {
                     *to += v;
                 }
             }
         });
-        for &node in &self.nodes.items {
-            self.inverse[node as usize] = invert(&self.blocks[node as usize]);
+        for (&node, block) in contacts.nodes.iter().zip(&self.pressed) {
+            self.inverse[node as usize] = invert(block);
         }
     }
 

@@ -25,24 +25,26 @@ impl Field {
         }
     }
 
-    /// How much of the correction would have been best, from the forces before and after it.
-    pub(super) fn best_share(&self) -> f64 {
-        let (mut work, mut curve) = (0.0, 0.0);
+    /// What the correction moved a node by.
+    pub(super) fn moved_by(&self, node: u32) -> Vec3 {
+        let place = self.nodes.items.binary_search(&node);
+        place.map_or_else(|_| Vec3::zeros(), |i| self.moved[i])
+    }
+
+    /// Work of the bricks' forces along the correction before and after it, in N m.
+    pub(super) fn work_along(&self) -> [f64; 2] {
+        let (mut before, mut after) = (0.0, 0.0);
         for ((&node, by), old) in self.nodes.items.iter().zip(&self.moved).zip(&self.old) {
             let new = &self.r[node as usize];
             for a in 0..3 {
-                work += f64::from(old[a]) * by[a];
-                curve += f64::from(old[a] - new[a]) * by[a];
+                before += f64::from(old[a]) * by[a];
+                after += f64::from(new[a]) * by[a];
             }
         }
-        if curve > 0.0 && work > 0.0 {
-            work / curve
-        } else {
-            1.0
-        }
+        [before, after]
     }
 
-    /// Takes only `share` of the correction after all; forces follow linearly.
+    /// Takes only `share` of the correction after all; the forces of bricks follow linearly.
     pub(super) fn settle(
         &mut self,
         structure: &Structure,

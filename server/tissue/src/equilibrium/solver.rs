@@ -32,10 +32,13 @@ const EFFORT: [Effort; 2] = [
     Effort {
         before: 0,
         after: 2,
-        coarsest: 4,
+        coarsest: 10,
         loaded: 8.0,
     },
 ];
+/// Force on a corner of an element, in thresholds, that its pending displacement may have changed it by
+/// before it is refined; of a solution, and of a step that a hand waits for.
+const PENDING: [f32; 2] = [4.0, 6.0];
 /// Share of the correction of the coarse levels that is taken at least and at most.
 const SHARES: [f64; 2] = [0.2, 2.0];
 /// Part of the allowed residual that a single node may keep at first. When what is active has
@@ -53,6 +56,9 @@ const QUICK: f64 = 0.02;
 const DEEPEN: f64 = 0.25;
 /// Residual of the last step's set up to which its change may be carried on: errors would be, too.
 const TRUSTED: f64 = 0.1;
+/// Bounds of the share of the last change that is carried on under tools, and what is tried first where
+/// tools do not tell.
+const CARRIED: [f64; 2] = [0.0, 1.0];
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
 const BLOWN_UP: f64 = 1e4;
 
@@ -70,8 +76,6 @@ pub struct Solver {
     least: f64,
     report: StepReport,
     dirty: bool,
-    /// Whether what takes part has to be looked at afresh.
-    look: bool,
     /// Whether this step began with the last one's change everywhere.
     carried: bool,
     /// Where nodes were that have been held or moved since the last step.
@@ -113,7 +117,6 @@ impl Solver {
             reference: 0.0,
             report: StepReport::default(),
             dirty: false,
-            look: true,
             carried: false,
             led: BTreeMap::new(),
             last_forces: Vec::new(),
@@ -268,17 +271,6 @@ impl Solver {
         let (contacts, held) = (&self.contacts, &self.held);
         let led = &self.led;
         let carry = self.foresight.look(contacts, held, led, u, spacing);
-        // Less than one, so that what a step got wrong dies out even if the next one has little time.
-        let calmness = self.calmness();
-        let carry = if calmness < TRUSTED {
-            carry.clamp(-1.0, 1.0 - calmness)
-        } else {
-            0.0
-        };
-        // Of a tool's press only what is near is kept going: the rest costs more than it brings.
-        self.carried = carry != 0.0 && self.contacts.proxies.is_empty();
-        self.coarse.carry_on(&self.structure, carry as f32);
-        self.field.begin(&self.structure, &self.coarse, u, carry);
         self.field.clamped = 0;
         self.field.visits = 0;
         self.coarse.visits = 0;
@@ -289,7 +281,8 @@ impl Solver {
         }
         let u = &mut shape.displacement;
         self.led.clear();
-        self.iterate(topology, u, &mut budget);
+        let lags = self.foresee(topology, u, carry);
+        self.iterate(topology, u, lags, &mut budget);
         if !near {
             self.pour(shape);
         }
@@ -308,11 +301,72 @@ impl Solver {
         relative(self.field.square_over_free(), self.reference)
     }
 
-    fn iterate(&mut self, topology: &Topology, u: &mut [Vec3], budget: &mut Budget<'_>) {
-        let mut lags = self.gather(topology, u);
+    /// Stage: contacts, and the last step's change carried on by about `guess` times. Returns whether
+    /// a proxy lags.
+    fn foresee(&mut self, topology: &Topology, u: &mut [Vec3], guess: f64) -> bool {
+        let last = self.field.take_moves(u);
+        self.coarse.recall();
+        if self.contacts.proxies.is_empty() {
+            // Less than one, so that what a step got wrong dies out even if the next one has little time.
+            let calmness = self.calmness();
+            let share = if calmness < TRUSTED {
+                guess.clamp(-1.0, 1.0 - calmness)
+            } else {
+                0.0
+            };
+            self.carried = share != 0.0;
+            self.carry_on(u, &last, share);
+            return self.gather(topology, u);
+        }
+        // Of a tool's press only what is near is kept going: the rest costs more than it brings.
+        self.carried = false;
+        let lags = self.gather(topology, u);
+        let share = self.best_carry(u, &last);
+        self.carry_on(u, &last, share);
+        lags
+    }
+
+    /// How much of the last step's change is best: where no work is left along it.
+    fn best_carry(&mut self, u: &mut [Vec3], last: &[(u32, Vec3)]) -> f64 {
+        if last.is_empty() {
+            return 0.0;
+        }
+        self.field.refresh(&self.structure, u);
+        self.field.evaluate_bricks(&self.structure, u);
+        let waiting = self.coarse.work_along(&self.structure);
+        let here = waiting[0] + self.field.work(last);
+        self.field.move_on(u, last, 1.0);
+        self.field.evaluate_bricks(&self.structure, u);
+        let there = waiting[1] + self.field.work(last);
+        self.field.move_on(u, last, -1.0);
+        let moves: BTreeMap<u32, Vec3> = last.iter().copied().collect();
+        let by = |n: u32| moves.get(&n).copied().unwrap_or_else(Vec3::zeros);
+        let along = self.contacts.along(u, by, 0.0);
+        along.rest([here, there], CARRIED)
+    }
+
+    /// Carries the last step's change on, on all levels.
+    fn carry_on(&mut self, u: &mut [Vec3], last: &[(u32, Vec3)], share: f64) {
+        if share != 0.0 {
+            self.coarse
+                .commit(&self.structure, share as f32, f32::INFINITY);
+            self.field.move_on(u, last, share);
+            self.field.catch_up(&self.structure, &self.coarse, u, last);
+        }
+    }
+
+    fn iterate(
+        &mut self,
+        topology: &Topology,
+        u: &mut [Vec3],
+        mut lags: bool,
+        budget: &mut Budget<'_>,
+    ) {
         let quick = budget.near || budget.tolerance >= QUICK && self.held.is_empty();
+        self.coarse.pending = PENDING[usize::from(quick)];
         // What took part in the last step takes part again: nothing is gained by beginning coarsely.
         let mut share = if self.carried { 0.0 } else { FIRST_SHARE };
+        let jumped = lags;
         loop {
             self.field.refresh(&self.structure, u);
             let allowed = self.bring(u, budget.tolerance);
@@ -334,9 +388,11 @@ impl Solver {
             let calm = sum.sqrt() <= allowed && !lags;
             let done = calm && share <= last && (whole || budget.tolerance >= PROVEN);
             let spent = self.report.iterations >= budget.iterations;
-            // One iteration there is always: without any, what was foreseen would never be checked.
-            let first = self.report.iterations == 0;
-            let mut late = || !first && budget.stop.as_mut().is_some_and(|stop| stop());
+            // One iteration there is always: without any, what was foreseen would never be checked. Under a
+            // tool that jumped into the tissue there are two: after one it has not given way yet, and the
+            // force is ten times what it will be.
+            let due = self.report.iterations < if jumped { 2 } else { 1 };
+            let mut late = || !due && budget.stop.as_mut().is_some_and(|stop| stop());
             if done || spent || late() {
                 break;
             }
@@ -356,7 +412,7 @@ impl Solver {
                 self.stiffen(u);
             }
             self.correct(u, share * allowed, quick);
-            self.smooth(u, budget);
+            self.smooth(u);
             if lags {
                 lags = self.gather(topology, u);
             }
@@ -367,36 +423,30 @@ impl Solver {
     fn take_part(&mut self, u: &mut [Vec3], threshold: f64, quick: bool) -> f64 {
         let (structure, coarse) = (&self.structure, &mut self.coarse);
         let touched = self.contacts.nodes.iter().chain(&self.held).copied();
-        // A hand's step goes on with what it began with, until contacts change.
-        let looks = self.look || !quick;
-        self.look = false;
-        if looks {
-            let limit = threshold as f32;
-            let keeps = match quick {
-                true if self.report.iterations > 0 => Keeps::All,
-                false if self.carried => Keeps::Most,
-                _ => Keeps::Near,
-            };
-            let field = &mut self.field;
-            if field.select(structure, coarse, touched, limit, quick, keeps) {
-                coarse.select(structure, false);
-                // What is handed down can be too much to wait on the next level as well.
-                while coarse.push(structure, limit) {
-                    Field::select_wanted(&mut coarse.patches[0]);
-                    coarse.select(structure, true);
-                }
-                field.enter(structure, coarse, u);
+        let limit = threshold as f32;
+        let keeps = match quick {
+            true if self.report.iterations > 0 => Keeps::All,
+            false if self.carried => Keeps::Most,
+            _ => Keeps::Near,
+        };
+        let field = &mut self.field;
+        if field.select(structure, coarse, touched, limit, quick, keeps) {
+            coarse.select(structure, false);
+            // What is handed down can be too much to wait on the next level as well.
+            while coarse.push(structure, limit) {
+                Field::select_wanted(&mut coarse.patches[0]);
+                coarse.select(structure, true);
             }
+            field.enter(structure, coarse, u);
         }
         let sum = self.field.evaluate(structure, u, &self.contacts);
         // Those from before a contact was found would smooth past it: deep presses blew up.
-        self.field.renew |= looks;
+        self.field.renew = true;
         sum
     }
 
     /// Stage: proxies and samples.
     fn gather(&mut self, topology: &Topology, u: &mut [Vec3]) -> bool {
-        self.look = true;
         let (field, contacts) = (&mut self.field, &mut self.contacts);
         field.let_contacts_go(&self.structure, &contacts.nodes);
         let lags = contacts.gather(topology, u, field.displaced, &field.own);
@@ -428,24 +478,33 @@ impl Solver {
         let (structure, coarse, field) = (&self.structure, &mut self.coarse, &mut self.field);
         field.restrict(structure, coarse);
         coarse.cycle(structure, threshold as f32, effort);
+        field.add_contacts(u, &self.contacts, -1.0);
         field.correct(structure, coarse, u);
-        field.evaluate(structure, u, &self.contacts);
-        let share = field.best_share().clamp(SHARES[0], SHARES[1]);
+        field.evaluate_bricks(structure, u);
+        let by = |n: u32| field.moved_by(n);
+        let along = self.contacts.along(u, by, 1.0);
+        let mut work = field.work_along();
+        if !self.contacts.proxies.is_empty() {
+            // Under held nodes the levels fall short by as much as what waits is too stiff: without it a
+            // cube from rest needs four iterations to 1 %, with it five.
+            let waiting = coarse.work_along(structure);
+            work = [work[0] + waiting[0], work[1] + waiting[1]];
+        }
+        let share = along.rest(work, SHARES);
         coarse.commit(structure, share as f32, threshold as f32);
         field.settle(structure, coarse, u, share);
+        field.add_contacts(u, &self.contacts, 1.0);
     }
 
-    /// Stage: smoothing on the nodes.
-    fn smooth(&mut self, u: &mut [Vec3], budget: &mut Budget<'_>) {
+    /// Stage: smoothing on the nodes. All of it or nothing: the steps are one polynomial, and half of that
+    /// leaves more than it takes away.
+    fn smooth(&mut self, u: &mut [Vec3]) {
         let mut factors = Field::smoothing();
         for s in 0..SMOOTHING {
             if s > 0 {
-                // Time may run out in the middle: what was gained so far is kept.
-                if budget.stop.as_mut().is_some_and(|stop| stop()) {
-                    break;
-                }
                 self.field.evaluate(&self.structure, u, &self.contacts);
             }
+            self.field.renew_pressed(u, &self.contacts);
             self.field.relax(u, &mut factors);
         }
     }

@@ -1,0 +1,130 @@
+//! What contacts do along a line of shapes.
+//!
+//! Tissue resists a change of its shape nearly linearly; a tool pushes from where it touches on, many
+//! times as hard, and never pulls. How far it is best to go along a correction can not be told from the
+//! forces at its two ends: where a tool leaves the tissue, or meets it, the answer was a tenth of what it
+//! should have been. The forces of contacts are cheap, so they are computed wherever they are asked for.
+
+use crate::Vec3;
+
+/// Rounds that look for where the work ends: the bracket halves at least every other time.
+const ROUNDS: usize = 24;
+/// Width of the bracket that is narrow enough.
+const NARROW: f64 = 1e-3;
+
+/// Samples along shapes `u + s by`.
+pub(crate) struct Along {
+    rows: Vec<Row>,
+}
+
+pub(crate) struct Row {
+    /// From the middle of the tool at s = 0, in m, and per s.
+    pub(crate) from: Vec3,
+    pub(crate) by: Vec3,
+    pub(crate) radius: f64,
+    pub(crate) stiffness: f64,
+    /// Normal out of the tissue, for a point tool.
+    pub(crate) flat: Option<Vec3>,
+}
+
+impl Along {
+    pub(crate) fn new(rows: Vec<Row>) -> Self {
+        Self { rows }
+    }
+
+    /// Work per s of the contacts' forces at s, in N m.
+    pub(crate) fn work(&self, s: f64) -> f64 {
+        let one = |row: &Row| {
+            let v = row.from + row.by * s;
+            if let Some(out) = row.flat {
+                let depth = row.radius + v.dot(&out);
+                return -row.stiffness * depth.max(0.0) * row.by.dot(&out);
+            }
+            let distance = v.norm();
+            if distance >= row.radius || distance == 0.0 {
+                return 0.0;
+            }
+            row.stiffness * (row.radius - distance) / distance * v.dot(&row.by)
+        };
+        self.rows.iter().map(one).sum()
+    }
+
+    /// The s within bounds at which no work is left, where that of everything else is `here` at 0 and
+    /// `there` at 1 and linear between: the lowest energy on the line.
+    pub(crate) fn rest(&self, [here, there]: [f64; 2], bounds: [f64; 2]) -> f64 {
+        let work = |s: f64| here + s * (there - here) + self.work(s);
+        let [mut low, mut high] = bounds;
+        let (mut left, mut right) = (work(low), work(high));
+        if left <= 0.0 {
+            return low;
+        }
+        if right >= 0.0 {
+            return high;
+        }
+        for round in 0..ROUNDS {
+            if high - low < NARROW {
+                break;
+            }
+            // The chord finds the end of what is linear at once, the middle gets past the touch.
+            let s = if round % 2 == 0 {
+                low + (high - low) * left / (left - right)
+            } else {
+                0.5 * (low + high)
+            };
+            let w = work(s);
+            if w > 0.0 {
+                (low, left) = (s, w);
+            } else {
+                (high, right) = (s, w);
+            }
+        }
+        low + (high - low) * left / (left - right)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn ball(from: f64, stiffness: f64) -> Row {
+        Row {
+            from: Vec3::new(0.0, 0.0, from),
+            by: Vec3::new(0.0, 0.0, 1e-3),
+            radius: 8e-3,
+            stiffness,
+            flat: None,
+        }
+    }
+
+    #[test]
+    fn without_contacts_it_is_where_the_line_crosses_zero() {
+        let none = Along::new(Vec::new());
+        assert!((none.rest([1.0, -1.0], [0.0, 2.0]) - 0.5).abs() < 1e-3);
+        assert_eq!(none.rest([1.0, 0.9], [0.0, 2.0]), 2.0);
+        assert_eq!(none.rest([-1.0, -2.0], [0.2, 2.0]), 0.2);
+    }
+
+    #[test]
+    fn tissue_that_comes_back_stops_where_the_tool_is() {
+        // The tool has gone 0.8 mm away, and is forty times as stiff as what comes back.
+        let away = Along::new(vec![ball(-8.8e-3, 4000.0)]);
+        let s = away.rest([1e-4, 0.0], [0.0, 2.0]);
+        assert!((0.8..0.83).contains(&s), "{s}");
+    }
+
+    proptest! {
+        #[test]
+        fn at_rest_no_work_is_left(
+            from in -10e-3..-6e-3f64, stiffness in 10.0..1e4f64, here in 1e-6..1e-3f64, falls in 0.0..1e-3f64
+        ) {
+            let along = Along::new(vec![ball(from, stiffness)]);
+            let s = along.rest([here, here - falls], [-1.0, 2.0]);
+            let work = |s: f64| here - s * falls + along.work(s);
+            prop_assert!((-1.0..=2.0).contains(&s));
+            if s > -1.0 && s < 2.0 {
+                prop_assert!(work(s - 2e-3) >= 0.0 && work(s + 2e-3) <= 0.0, "{s} {}", work(s));
+            }
+        }
+    }
+}

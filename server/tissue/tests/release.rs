@@ -1,0 +1,84 @@
+//! A hand that leaves as fast as it came, and one whose solver had no time for a while: forces of single
+//! quick iterations against converged ones.
+
+use std::sync::Arc;
+
+use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block};
+
+const MM: f64 = 1e-3;
+const RADIUS: f64 = 8.0 * MM;
+
+/// 64 by 64 by 32 mm of something soft.
+fn slab() -> Topology {
+    let material = Material {
+        young_pa: 10e3,
+        ..Material::default()
+    };
+    Topology::new(Arc::new(block([16, 16, 8], 4.0 * MM, &material, 1)))
+}
+
+/// Where the tool is at tick `k`: 6 mm in at 100 mm/s, held, 10 mm out at 150 mm/s.
+fn tool(k: usize) -> Tool {
+    let k = k as f64;
+    let depth = (0.4 * k).min(6.0).min(6.0 - 0.6 * (k - 30.0)).max(-4.0);
+    Tool {
+        id: 1,
+        // Over no node in particular, and a little askew.
+        centre: Vec3::new(
+            33.0 * MM + 0.01 * MM * k,
+            30.5 * MM,
+            32.0 * MM + RADIUS - depth * MM,
+        ),
+        radius_m: RADIUS,
+    }
+}
+
+const TICKS: usize = 48;
+
+/// Force along z of the ticks `at`, solved with a budget.
+fn press(
+    topology: &Topology,
+    at: &[usize],
+    near: bool,
+    iterations: usize,
+    tolerance: f64,
+) -> Vec<f64> {
+    let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
+    at.iter()
+        .map(|&k| {
+            let budget = Budget {
+                near,
+                ..Budget::new(iterations, tolerance)
+            };
+            let report = solver.step(topology, &mut shape, &[tool(k)], budget);
+            report.reactions[0].force.z
+        })
+        .collect()
+}
+
+/// Root mean square of the difference over that of the converged forces, and the largest difference over
+/// the largest force.
+fn errors(at: &[usize], iterations: usize) -> (f64, f64) {
+    let topology = slab();
+    let exact = press(&topology, at, false, 100, 1e-5);
+    let quick = press(&topology, at, true, iterations, 0.03);
+    let apart: Vec<f64> = exact.iter().zip(&quick).map(|(e, q)| q - e).collect();
+    let rms = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let most = |v: &[f64]| v.iter().map(|v| v.abs()).fold(0.0, f64::max);
+    (rms(&apart) / rms(&exact), most(&apart) / most(&exact))
+}
+
+#[test]
+fn one_quick_iteration_per_tick_follows_a_hand_in_and_out() {
+    let every: Vec<usize> = (1..=TICKS).collect();
+    let (rms, most) = errors(&every, 1);
+    assert!(rms < 0.06 && most < 0.12, "rms {rms:.3}, most {most:.3}");
+}
+
+#[test]
+fn ticks_that_are_missed_make_no_peaks() {
+    // Gaps of up to 12 ticks.
+    let some = [3, 4, 9, 10, 18, 19, 20, 27, 33, 35, 38, 39, 44, 46];
+    let (rms, most) = errors(&some, 2);
+    assert!(rms < 0.12 && most < 0.25, "rms {rms:.3}, most {most:.3}");
+}
