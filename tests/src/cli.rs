@@ -106,8 +106,11 @@ struct PressSceneArguments {
     #[arg(long, default_value_t = 100.0)]
     speed_mm_s: f64,
     /// Time a tick may take before its last iteration begins, ms
-    #[arg(long, default_value_t = 1.6)]
+    #[arg(long, default_value_t = 0.8)]
     budget_ms: f64,
+    /// How many times to press, each from rest
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    repeats: u16,
     /// First cut through the tissue, and press beside the wound
     #[arg(long)]
     wound: bool,
@@ -344,6 +347,7 @@ fn run_press_scene(arguments: &PressSceneArguments) -> Result<ExitCode, String> 
         speed_m_s: arguments.speed_mm_s * 1e-3,
         budget_ms: arguments.budget_ms,
         wound: arguments.wound,
+        repeats: usize::from(arguments.repeats),
         ..PressScene::default()
     };
     let report = on_threads(usize::from(arguments.threads), move || {
