@@ -36,10 +36,11 @@ const PERIOD: Span = Span::from_millis(4);
 /// How much the thread gives way to the network and the screen.
 const NICE: i32 = 2;
 
-/// Work on what the hand feels, per turn: with it the contact model is renewed at 250 Hz and leaves
-/// room for others. Work and not time that passes: on a crowded machine a solve would otherwise be given up
-/// before it began, and the hand feel a tissue that has not given way yet.
-const HAPTIC_WORK: Span = Span::from_micros(1500);
+/// Work on what the hand feels after which no further iteration begins, per turn: with it the contact
+/// model is renewed at 250 Hz and leaves room for others. Work and not time that passes: on a crowded
+/// machine a solve would otherwise be given up before it began, and the hand feel a tissue that has not
+/// given way yet.
+const HAPTIC_WORK: Span = Span::from_micros(800);
 
 /// Longest solve that is told apart, µs.
 const SOLVE_MAX_US: u64 = 1_000_000;

@@ -10,11 +10,13 @@ use palpate_tissue::Budget;
 use super::{Drift, VIEW_TOLERANCE, View, ViewCut};
 use crate::realtime::{lower_priority_of_this_thread, monotonic_now, worked};
 use crate::recording::{ToolRecord, ViewRecord, choose_nodes};
-use crate::replica::ITERATIONS;
 use crate::site::ViewFrame;
 
 /// How much it gives way to the replica, which serves the hand.
 const NICE: i32 = 4;
+
+/// Iterations of one view: as many as the server makes of the same moment.
+const ITERATIONS: usize = 2;
 
 /// Work on one view. Work and not time that passes: on a crowded machine a solve would otherwise be
 /// given up before it began.
@@ -128,7 +130,7 @@ fn serve(mut view: View, told: &Receiver<Order>, tell: &Sender<ViewReport>) {
                 Some(drift) => ViewReport::Compared(corrections.view_time, drift),
                 None => continue,
             },
-            Order::Show(frame, is_recorded) => show(&mut view, frame, is_recorded),
+            Order::Show(frame, is_recorded) => show(&mut view, &frame, is_recorded),
         };
         if tell.send(report).is_err() {
             return;
@@ -136,7 +138,7 @@ fn serve(mut view: View, told: &Receiver<Order>, tell: &Sender<ViewReport>) {
     }
 }
 
-fn show(view: &mut View, frame: ViewFrame, is_recorded: bool) -> ViewReport {
+fn show(view: &mut View, frame: &ViewFrame, is_recorded: bool) -> ViewReport {
     let (began, at_first) = (monotonic_now(), worked());
     let mut stop = || worked() - at_first > WORK;
     let budget = Budget {
@@ -150,7 +152,7 @@ fn show(view: &mut View, frame: ViewFrame, is_recorded: bool) -> ViewReport {
     ViewReport::Shown {
         began,
         took,
-        record: is_recorded.then(|| Box::new(record(view, &frame))),
+        record: is_recorded.then(|| Box::new(record(view, frame))),
     }
 }
 
