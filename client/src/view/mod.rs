@@ -1,7 +1,7 @@
 //! The tissue as everybody sees it: solved for the common moments, compared with what the server says.
 //!
 //! It is a machine of its own beside the [`Replica`](crate::Replica), so that a view, which may take
-//! many milliseconds, never keeps a hand waiting. Pure: no thread (that is [`ViewThread`]), no clock.
+//! many milliseconds, never keeps a hand waiting. Pure: no thread (that is in `thread`), no clock.
 
 mod thread;
 
