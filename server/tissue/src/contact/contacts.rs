@@ -233,16 +233,6 @@ impl Contacts {
         forces.iter().map(Vec3::norm_squared).sum()
     }
 
-    /// Numbers and centres of the sound tools that touched in the last step. Points are left out:
-    /// what they feel changes from triangle to triangle.
-    pub(crate) fn touching(&self, spacing: f64) -> impl Iterator<Item = (u32, Vec3)> {
-        let touching = move |p: &&Proxy| p.touching && !p.is_point(spacing);
-        self.proxies
-            .iter()
-            .filter(touching)
-            .map(|p| (p.id, p.target))
-    }
-
     /// Position of a touched node in the list of nodes.
     pub(crate) fn place(&self, node: u32) -> usize {
         self.place[node as usize] as usize

@@ -8,7 +8,7 @@
 //! | `patch`, `cycle` | the part of the coarse lattices near the tools, and one V-cycle over it |
 //! | `field`, `choice`, `moves` | forces on nodes, which of them take part, smoothing |
 //! | `budget` | what a step may cost, and what it did |
-//! | `foresight` | the last step's change, carried on |
+//! | `foresight` | under held nodes, the last step's change carried on |
 //! | `follower` | a cut's consequences, worked out beside the solvers |
 //! | `solver` | one step: its stages, its books |
 //! | `jacobi` | the seed's iteration (3.10), the named baseline |

@@ -267,10 +267,7 @@ impl Solver {
         }
         self.dirty = false;
         let u = &mut shape.displacement;
-        let spacing = topology.model().spacing_m;
-        let (contacts, held) = (&self.contacts, &self.held);
-        let led = &self.led;
-        let carry = self.foresight.look(contacts, held, led, u, spacing);
+        let carry = self.foresight.look(&self.held, &self.led, u);
         self.field.clamped = 0;
         self.field.visits = 0;
         self.coarse.visits = 0;
