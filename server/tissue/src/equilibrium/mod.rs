@@ -22,8 +22,8 @@
 //! # Measured
 //!
 //! `palpate-lab bench press-cube` and `press-scene`, one thread of a shared machine: a cube of 8,000
-//! nodes from rest to 1 % in 14 ms, of 64,000 in 125 ms; a disc that moves on in 1 ms per step. A real
-//! thigh of 70,000 nodes pressed at 100 mm/s in 1.7 ms per tick (99 % below 2.1 ms): force error 5 % rms.
+//! nodes from rest to 1 % in 15 ms, of 64,000 in 130 ms; a disc that moves on in 1 ms per step. A real
+//! thigh of 70,000 nodes pressed at 100 mm/s in 1.3 ms per tick (99 % below 2 ms): force error 5 % rms.
 //!
 //! # What it can not do
 //!
