@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use palpate_haptics::ContactModel;
 use palpate_protocol::ClientTime;
-use palpate_protocol::operation::Operation;
+use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_tissue::{
     Budget, CutOutcome, Model, Reaction, Shape, Solver, Successor, Tool, Topology, Vec3,
 };
@@ -140,9 +140,13 @@ impl Replica {
     /// are the operation's, or it is an error and nothing has changed. What a view elsewhere has to take
     /// over is given back.
     pub fn apply(&mut self, operation: &Operation) -> Result<Option<ViewCut>, ReplicaError> {
-        let Some(mut ahead) = self.ahead() else {
+        // What makes cuts costs milliseconds to set up: not for who joins or leaves.
+        if !matches!(operation.kind, OperationKind::Cut(_)) {
             return Ok(None);
-        };
+        }
+        let mut ahead = self.ahead().ok_or_else(|| ReplicaError::Ended {
+            operation: operation.id.to_string(),
+        })?;
         Ok(ahead.make(operation)?.and_then(|ready| self.take(ready)))
     }
 

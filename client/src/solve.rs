@@ -243,8 +243,8 @@ impl Turns {
         while let Some(operation) = site.poll_cut() {
             helpers.cuts.make(operation)?;
         }
-        while let Some(made) = helpers.cuts.poll() {
-            site.handle_cut(made?);
+        while let Some(ready) = helpers.cuts.poll()? {
+            site.handle_cut(ready);
         }
         let ended = |_| SiteError::Thread("it has ended".to_owned());
         while let Some(report) = helpers.view.poll().map_err(ended)? {

@@ -47,8 +47,8 @@ pub enum ReplicaError {
         /// One's own.
         found: TopologyHash,
     },
-    /// What makes the cuts has ended.
-    #[error("{operation} can not be applied: the thread that makes cuts has ended")]
+    /// What makes the cuts has ended, or was taken elsewhere.
+    #[error("{operation} can not be applied: nothing is here any more that makes cuts")]
     Ended {
         /// Which.
         operation: String,

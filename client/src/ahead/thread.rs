@@ -1,6 +1,6 @@
 //! The thread that makes cuts while the replica's goes on serving the hand.
 
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 
 use palpate_protocol::operation::Operation;
 
@@ -48,8 +48,15 @@ impl AheadThread {
         self.operations.send(operation).map_err(ended)
     }
 
-    /// The next cut that is made, if there is one.
-    pub(crate) fn poll(&self) -> Option<Result<ReadyCut, ReplicaError>> {
-        self.made.try_recv().ok()
+    /// The next cut that is made, if there is one; an error when the thread has ended by itself, so that
+    /// no operation waits for ever.
+    pub(crate) fn poll(&self) -> Result<Option<ReadyCut>, ReplicaError> {
+        match self.made.try_recv() {
+            Ok(made) => made.map(Some),
+            Err(TryRecvError::Empty) => Ok(None),
+            Err(TryRecvError::Disconnected) => Err(ReplicaError::Ended {
+                operation: "a cut".to_owned(),
+            }),
+        }
     }
 }

@@ -184,3 +184,16 @@ fn an_operation_with_another_result_is_an_error_that_says_which() {
 fn a_solve_that_was_thrown_away_is_no_model_for_the_hand() {
     assert!(!unusable(ContactModel::FREE).is_usable());
 }
+
+#[test]
+fn a_cut_that_nothing_here_can_make_is_an_error_and_not_forgotten() {
+    let mut replica = Replica::new(tissue(), false);
+    let cut = operation(&mut replica);
+    let view = replica.detach_view();
+    assert!(view.is_some() && replica.ahead().is_none());
+    assert!(matches!(
+        replica.apply(&cut).err(),
+        Some(ReplicaError::Ended { .. })
+    ));
+    assert_eq!(replica.topology().version(), 0);
+}
