@@ -7,9 +7,13 @@
 //! k [n nᵀ + σ (I - n nᵀ)] d_I d_J
 //! ```
 //!
-//! with the floor σ of `law.rs`; a cell's volume term adds κ V0 b bᵀ with b = Σ w ∇J. Kept per element
-//! instead of as rows of an assembled matrix, the operator needs no table of neighbours that a cut
-//! could upset, and elements that are alike (the inside of every homogeneous region) share one.
+//! A spring at rest has σ = 0. It is a small part of the floor of `law.rs`, enough for a point on which
+//! little hangs not to be free in any direction, and no more, because it takes every rotation for a
+//! strain: with the whole floor all tissue that turns about a bone was four times too stiff on the
+//! coarse levels, and what is far from a tool never came where it belongs. A cell's volume term adds
+//! κ V0 b bᵀ with b = Σ w ∇J. Kept per element instead of as rows of an assembled matrix, the operator
+//! needs no table of neighbours that a cut could upset, and elements that are alike (the inside of
+//! every homogeneous region) share one.
 
 use super::brick::{CORNER, Form, LOCALS, OFFSETS};
 use super::law::{Symmetric, sideways};
@@ -23,6 +27,8 @@ pub(crate) const fn at(c: usize, a: usize) -> usize {
     8 * a + c
 }
 
+/// σ in parts of the floor of `law.rs`.
+const TURNING: f64 = 0.05;
 /// Iterations that estimate the largest eigenvalue of a scaled element.
 const POWER: usize = 12;
 
@@ -80,7 +86,7 @@ impl Sum {
         let v: [f64; 3] =
             std::array::from_fn(|a| f64::from(form.rest[a][j]) - f64::from(form.rest[a][i]));
         let square = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).max(1e-20);
-        let floor = f64::from(sideways(square.sqrt() as f32, per_spacing));
+        let floor = TURNING * f64::from(sideways(square.sqrt() as f32, per_spacing));
         let along = k * (1.0 - floor) / square;
         let block: [[f64; 3]; 3] = std::array::from_fn(|a| {
             std::array::from_fn(|b| along * v[a] * v[b] + if a == b { k * floor } else { 0.0 })
