@@ -51,7 +51,7 @@ fn what_turns_about_a_bone_comes_where_it_belongs_in_six_cycles() {
     let cycles = turned(&topology, 6);
     let pairs = exact.displacement.iter().zip(&cycles.displacement);
     let apart: f64 = pairs.map(|(a, b)| (a - b).norm_squared()).sum();
-    let whole: f64 = exact.displacement.iter().map(|u| u.norm_squared()).sum();
+    let whole: f64 = exact.displacement.iter().map(Vec3::norm_squared).sum();
     let error = (apart / whole).sqrt();
     assert!(error < 0.01, "{error:.4} off");
 }
