@@ -13,7 +13,7 @@ pub struct Budget<'a> {
     /// [`Solver::pour`](crate::Solver::pour), and a step costs what is near. The tolerance is then 0.02 at least.
     pub near: bool,
     /// Asked between iterations; `true` stops. A shell that owns a clock sets a time limit so. There is always
-    /// one iteration, and up to three where a tool has jumped or, with `near`, has just touched the tissue.
+    /// one iteration.
     pub stop: Option<&'a mut dyn FnMut() -> bool>,
 }
 

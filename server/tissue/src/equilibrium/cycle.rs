@@ -7,14 +7,56 @@
 use pulp::{Arch, Simd, WithSimd};
 
 use super::block::{Quad, ZERO};
-use super::chebyshev::{Chebyshev, Effort, LOW, LOW_COARSEST};
 use super::coarsen::Ties;
 use super::element::{SIZE, at, multiply};
 use super::patch::{Corners, NONE, Overlay, Patch, apply, invert, take_over};
 use super::structure::{Level, Structure};
 
-/// Change of the size of an element, in parts of it, that may wait.
-const STRAINED: f32 = 0.04;
+/// Lowest eigenvalue that smoothing looks after, in parts of the bound on all.
+pub(super) const LOW: f32 = 0.15;
+/// The same on the coarsest level.
+const LOW_COARSEST: f32 = 0.02;
+/// How much a V-cycle does.
+#[derive(Clone, Copy)]
+pub(super) struct Effort {
+    /// Smoothing steps on each level before the correction of the coarser one, and after it.
+    pub(super) before: usize,
+    pub(super) after: usize,
+    /// Steps on the coarsest level, which stand for a solve.
+    pub(super) coarsest: usize,
+    /// Load in thresholds on a point outside of the set from which on it is to be let in.
+    pub(super) loaded: f32,
+}
+
+/// The factors of a Chebyshev iteration on [low, 1] times the bound.
+pub(super) struct Chebyshev {
+    theta: f32,
+    delta: f32,
+    rho: f32,
+}
+
+impl Chebyshev {
+    pub(super) fn new(low: f32) -> Self {
+        let (theta, delta) = (0.5 * (1.0 + low), 0.5 * (1.0 - low));
+        Self {
+            theta,
+            delta,
+            rho: 0.0,
+        }
+    }
+
+    /// Factors of the last step and of the scaled residual.
+    pub(super) fn next(&mut self) -> (f32, f32) {
+        if self.rho == 0.0 {
+            self.rho = self.delta / self.theta;
+            return (0.0, 1.0 / self.theta);
+        }
+        let rho = 1.0 / (2.0 * self.theta / self.delta - self.rho);
+        let factors = (rho * self.rho, 2.0 * rho / self.delta);
+        self.rho = rho;
+        factors
+    }
+}
 
 /// The coarse lattices of one shape.
 pub(super) struct Multigrid {
@@ -36,12 +78,9 @@ impl Multigrid {
         }
     }
 
-    /// What may wait on an element of level l + 1: a force in N (what coarse elements get wrong is a
-    /// smaller part of a larger force) and a change of its size in m (they know nothing of how tissue
-    /// stiffens).
-    fn tolerable(&self, structure: &Structure, l: usize, threshold: f32) -> [f32; 2] {
-        let side = (2 << l) as f32 / structure.per_spacing;
-        [self.pending * threshold * (1 << l) as f32, STRAINED * side]
+    /// The same on level l + 1, in N: what coarse elements get wrong is a smaller part of a larger force.
+    fn tolerable(&self, l: usize, threshold: f32) -> f32 {
+        self.pending * threshold * (1 << l) as f32
     }
 
     /// Chooses what takes part on every level around the refined elements of level 1; `more` adds
@@ -84,7 +123,7 @@ impl Multigrid {
             take_over(structure, &mut self.patches, l, false);
         }
         for l in (1..self.patches.len()).rev() {
-            let tolerable = self.tolerable(structure, l - 1, threshold);
+            let tolerable = self.tolerable(l - 1, threshold);
             let (finer, coarser) = self.patches.split_at_mut(l);
             let (below, patch) = (&mut finer[l - 1], &mut coarser[0]);
             let (level, level_below) = (&structure.levels[l], &structure.levels[l - 1]);
@@ -96,8 +135,8 @@ impl Multigrid {
                 let pending = patch.take_pending(level, element);
                 for &child in level.children.row(element) {
                     let by = to_child(&pending, level_below.octant[child as usize]);
-                    let waits = below.wait(level_below, child, &by);
-                    if exceeds(waits, tolerable) && !below.refined.contains(child) {
+                    let force = below.wait(level_below, child, &by);
+                    if force > tolerable && !below.refined.contains(child) {
                         below.wanted.insert(child);
                     }
                 }
@@ -229,7 +268,7 @@ impl Multigrid {
     pub(super) fn commit(&mut self, structure: &Structure, share: f32, threshold: f32) {
         for l in (0..self.patches.len()).rev() {
             let level = &structure.levels[l];
-            let tolerable = self.tolerable(structure, l, threshold);
+            let tolerable = self.tolerable(l, threshold);
             let patch = &mut self.patches[l];
             for &point in &patch.points.items {
                 let p = point as usize;
@@ -245,7 +284,7 @@ impl Multigrid {
                 level,
                 patch,
                 share,
-                tolerable,
+                threshold: tolerable,
             });
             // What the coarser level did is part of e: it counts as taken over.
             let (finer, coarser) = self.patches.split_at_mut(l + 1);
@@ -336,14 +375,14 @@ impl Multigrid {
 impl Patch {
     /// What the correction does to the elements of the set that are not refined.
     #[inline(always)]
-    fn defer(&mut self, level: &Level, share: f32, tolerable: [f32; 2]) {
+    fn defer(&mut self, level: &Level, share: f32, threshold: f32) {
         for i in 0..self.set.items.len() {
             let element = self.set.items[i];
             if self.refined.contains(element) {
                 continue;
             }
             let by = Self::corners(level, element, &self.e).map(|v| share * v);
-            if exceeds(self.wait(level, element, &by), tolerable) {
+            if self.wait(level, element, &by) > threshold {
                 self.wanted.insert(element);
             }
         }
@@ -397,7 +436,7 @@ struct Defer<'a> {
     level: &'a Level,
     patch: &'a mut Patch,
     share: f32,
-    tolerable: [f32; 2],
+    threshold: f32,
 }
 
 impl WithSimd for Defer<'_> {
@@ -405,7 +444,7 @@ impl WithSimd for Defer<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        self.patch.defer(self.level, self.share, self.tolerable);
+        self.patch.defer(self.level, self.share, self.threshold);
     }
 }
 
@@ -487,11 +526,6 @@ fn smooth(level: &Level, patch: &mut Patch, steps: usize, low: f32, keep: bool) 
             subtract(level, patch);
         }
     }
-}
-
-#[inline(always)]
-fn exceeds(waits: [f32; 2], tolerable: [f32; 2]) -> bool {
-    waits[0] > tolerable[0] || waits[1] > tolerable[1]
 }
 
 fn restrict(ties: &Ties, value: &Quad, to: &mut Patch) {

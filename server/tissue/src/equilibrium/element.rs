@@ -28,7 +28,7 @@ pub(crate) const fn at(c: usize, a: usize) -> usize {
 }
 
 /// σ in parts of the floor of `law.rs`.
-const TURNING: f64 = 0.05;
+const TURNING: f64 = 0.1;
 /// Iterations that estimate the largest eigenvalue of a scaled element.
 const POWER: usize = 12;
 

@@ -5,7 +5,7 @@
 //! | `law` | what a material makes of springs: length law, volume term, guard, extreme springs, fibres |
 //! | `brick`, `kernel`, `lanes` | forces of eight cells at a time, in vectors |
 //! | `coarsen`, `element`, `structure` | coarse lattices that open where cuts do, with a matrix per element |
-//! | `patch`, `cycle`, `chebyshev` | the part of the coarse lattices near the tools, and one V-cycle over it |
+//! | `patch`, `cycle` | the part of the coarse lattices near the tools, and one V-cycle over it |
 //! | `field`, `choice`, `moves` | forces on nodes, which of them take part, smoothing |
 //! | `budget` | what a step may cost, and what it did |
 //! | `foresight` | under held nodes, the last step's change carried on |
@@ -38,7 +38,6 @@
 mod block;
 mod brick;
 mod budget;
-mod chebyshev;
 mod choice;
 mod coarsen;
 mod cycle;

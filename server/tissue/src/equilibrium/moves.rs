@@ -1,8 +1,7 @@
 //! How the nodes of the fine level move: by the coarse levels' correction, and by smoothing.
 
 use super::block::ZERO;
-use super::chebyshev::{Chebyshev, LOW};
-use super::cycle::Multigrid;
+use super::cycle::{Chebyshev, LOW, Multigrid};
 use super::field::Field;
 use super::patch::{apply, interpolate};
 use super::structure::Structure;

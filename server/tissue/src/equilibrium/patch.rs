@@ -182,10 +182,10 @@ impl Patch {
         }
     }
 
-    /// Adds to what is pending on an element, and its force to the lag. Returns the largest force on a
-    /// corner that all that is pending makes, in N, and how far it moves two corners apart, in m.
+    /// Adds to what is pending on an element, and its force to the lag. Returns the largest force
+    /// on a corner that all that is pending makes, in N.
     #[inline(always)]
-    pub(super) fn wait(&mut self, level: &Level, element: u32, by: &Corners) -> [f32; 2] {
+    pub(super) fn wait(&mut self, level: &Level, element: u32, by: &Corners) -> f32 {
         let (e, mut force) = (element as usize, [0.0; SIZE]);
         multiply(&level.matrices[level.matrix[e] as usize].k, by, &mut force);
         self.waiting[e] = true;
@@ -203,13 +203,7 @@ impl Patch {
             let owed = [0, 1, 2].map(|a| self.owed[e][at(c, a)]);
             most = most.max(owed[0] * owed[0] + owed[1] * owed[1] + owed[2] * owed[2]);
         }
-        let mut apart = 0.0f32;
-        for row in self.pending[e].chunks_exact(8) {
-            let low = row.iter().copied().fold(f32::MAX, f32::min);
-            let high = row.iter().copied().fold(f32::MIN, f32::max);
-            apart = apart.max(high - low);
-        }
-        [most.sqrt(), apart]
+        most.sqrt()
     }
 
     /// Takes what is pending on an element, and its force back out of the lag.

@@ -4,9 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::budget::{Budget, StepReport};
-use super::chebyshev::Effort;
 use super::choice::Keeps;
-use super::cycle::Multigrid;
+use super::cycle::{Effort, Multigrid};
 use super::field::{Field, contact_block, own_stiffness};
 use super::follower::{Follower, Successor, measure};
 use super::foresight::Foresight;
@@ -20,11 +19,8 @@ use crate::{Shape, Topology, Vec3};
 const HELD_MAX: usize = 4096;
 /// Stiffness that stands for a held node on the coarse levels, in parts of its own.
 const HELD_STIFFNESS: f64 = 20.0;
-/// Smoothing steps of one polynomial, and how many of these follow each coarse correction: of a solution,
-/// and of a step that a hand waits for, where another one costs a fifth of another iteration. Blocks are
-/// computed afresh between them: after a jump those of before let nodes fly off.
+/// Smoothing steps after each coarse correction.
 const SMOOTHING: usize = 3;
-const POLYNOMIALS: [usize; 2] = [1, 2];
 /// V-cycles: of a solution, and of a step that a hand waits for, where many cheap ones come farther.
 const EFFORT: [Effort; 2] = [
     Effort {
@@ -63,8 +59,6 @@ const TRUSTED: f64 = 0.1;
 /// Bounds of the share of the last change that is carried on under tools, and what is tried first where
 /// tools do not tell.
 const CARRIED: [f64; 2] = [0.0, 1.0];
-/// Iterations that are due when a tool has jumped or has just touched the tissue.
-const DUE: usize = 3;
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
 const BLOWN_UP: f64 = 1e4;
 
@@ -370,8 +364,6 @@ impl Solver {
         // What took part in the last step takes part again: nothing is gained by beginning coarsely.
         let mut share = if self.carried { 0.0 } else { FIRST_SHARE };
         let jumped = lags;
-        let touched = self.report.reactions.iter().any(|r| r.contacts > 0);
-        let touches = quick && !touched && !self.contacts.nodes.is_empty();
         loop {
             self.field.refresh(&self.structure, u);
             let allowed = self.bring(u, budget.tolerance);
@@ -394,9 +386,9 @@ impl Solver {
             let done = calm && share <= last && (whole || budget.tolerance >= PROVEN);
             let spent = self.report.iterations >= budget.iterations;
             // One iteration there is always: without any, what was foreseen would never be checked. Under a
-            // tool that jumped into the tissue, or has just touched it, there are more: after one it has
-            // not given way yet, and there is no last change to begin with.
-            let due = self.report.iterations < if jumped || touches { DUE } else { 1 };
+            // tool that jumped into the tissue there are two: after one it has not given way yet, and the
+            // force is ten times what it will be.
+            let due = self.report.iterations < if jumped { 2 } else { 1 };
             let mut late = || !due && budget.stop.as_mut().is_some_and(|stop| stop());
             if done || spent || late() {
                 break;
@@ -417,7 +409,7 @@ impl Solver {
                 self.stiffen(u);
             }
             self.correct(u, share * allowed, quick);
-            self.smooth(u, POLYNOMIALS[usize::from(quick)]);
+            self.smooth(u);
             if lags {
                 lags = self.gather(topology, u);
             }
@@ -503,19 +495,14 @@ impl Solver {
 
     /// Stage: smoothing on the nodes. All of it or nothing: the steps are one polynomial, and half of that
     /// leaves more than it takes away.
-    fn smooth(&mut self, u: &mut [Vec3], polynomials: usize) {
-        for p in 0..polynomials {
-            let mut factors = Field::smoothing();
-            for s in 0..SMOOTHING {
-                if p + s > 0 {
-                    self.field.evaluate(&self.structure, u, &self.contacts);
-                }
-                if p > 0 && s == 0 {
-                    self.field.renew_blocks(&self.structure, u, &self.contacts);
-                }
-                self.field.renew_pressed(u, &self.contacts);
-                self.field.relax(u, &mut factors);
+    fn smooth(&mut self, u: &mut [Vec3]) {
+        let mut factors = Field::smoothing();
+        for s in 0..SMOOTHING {
+            if s > 0 {
+                self.field.evaluate(&self.structure, u, &self.contacts);
             }
+            self.field.renew_pressed(u, &self.contacts);
+            self.field.relax(u, &mut factors);
         }
     }
 
