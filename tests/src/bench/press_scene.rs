@@ -30,7 +30,7 @@ pub struct PressScene {
     pub depth_m: f64,
     /// How fast in m/s.
     pub speed_m_s: f64,
-    /// Time a tick may take in ms.
+    /// Time a tick may take before its last iteration begins, in ms.
     pub budget_ms: f64,
     /// Tolerance of a tick.
     pub tolerance: f64,
@@ -47,7 +47,7 @@ impl Default for PressScene {
         Self {
             depth_m: 15e-3,
             speed_m_s: 0.1,
-            budget_ms: 0.5,
+            budget_ms: 1.0,
             tolerance: 2.5e-2,
             converged: 1e-5,
             repeats: 5,

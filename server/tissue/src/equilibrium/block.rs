@@ -7,3 +7,15 @@
 pub(crate) type Quad = [f32; 4];
 
 pub(crate) const ZERO: Quad = [0.0; 4];
+
+/// `a + w b`, all four lanes at once: single lanes written and then read as a vector would have to wait for
+/// each other.
+#[inline(always)]
+pub(crate) fn plus(a: &Quad, w: f32, b: &Quad) -> Quad {
+    [
+        a[0] + w * b[0],
+        a[1] + w * b[1],
+        a[2] + w * b[2],
+        a[3] + w * b[3],
+    ]
+}

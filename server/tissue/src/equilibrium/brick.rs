@@ -40,6 +40,8 @@ const STEPS: [(usize, [i32; 3]); 13] = [
     (7, [1, -1, 1]),
     (5, [-1, -1, 1]),
 ];
+/// Part of a step that a spring may differ from it where cells are cubes.
+const REGULAR: f32 = 1e-5;
 /// Directions of springs.
 pub(crate) const DIRECTIONS: usize = STEPS.len();
 
@@ -91,6 +93,20 @@ impl Form {
     pub(crate) fn uses(&self, direction: usize, from: usize, width: usize) -> bool {
         let chunks = (1 << width.div_ceil(CHUNK)) - 1;
         self.used >> (4 * direction + from / CHUNK) & chunks != 0
+    }
+
+    /// Whether all of its cells are cubes of the lattice.
+    pub(crate) fn is_regular(&self, per_spacing: f32) -> bool {
+        (0..DIRECTIONS).all(|d| {
+            let (offset, step) = STEPS[d];
+            let springs = self.stiffness[d][..LOCALS].iter().enumerate();
+            springs.filter(|k| *k.1 > 0.0).all(|(i, _)| {
+                (0..3).all(|a| {
+                    let by = (self.rest[a][i + offset] - self.rest[a][i]) * per_spacing;
+                    (by - step[a] as f32).abs() < REGULAR
+                })
+            })
+        })
     }
 }
 

@@ -31,9 +31,18 @@ impl Keeps {
         match self {
             Self::All => usize::MAX,
             Self::Most => 1000,
-            Self::Near => 3,
+            Self::Near => 2,
         }
     }
+}
+
+/// What a choice goes by.
+pub(super) struct Asked {
+    /// Force in N from which on a node is loud.
+    pub(super) threshold: f32,
+    /// Whether a hand waits.
+    pub(super) quick: bool,
+    pub(super) keeps: Keeps,
 }
 
 impl Field {
@@ -46,10 +55,14 @@ impl Field {
         structure: &Structure,
         coarse: &mut Multigrid,
         always: impl Iterator<Item = u32>,
-        threshold: f32,
-        quick: bool,
-        keeps: Keeps,
+        asked: &Asked,
+        u: &[Vec3],
     ) -> bool {
+        let Asked {
+            threshold,
+            quick,
+            keeps,
+        } = *asked;
         for &node in &self.nodes.items {
             self.loud.insert(node);
         }
@@ -92,13 +105,33 @@ impl Field {
         self.outdated = false;
         let patch = &mut coarse.patches[0];
         if roomy || keeps == Keeps::Near {
-            patch.refined.clear();
+            let mut refined = std::mem::take(&mut patch.refined);
+            refined.retain(|element| self.is_bent(structure, element, u));
+            patch.refined = refined;
         }
         for &element in &self.needed.items {
             patch.refined.insert(element);
         }
         Self::select_wanted(patch);
         true
+    }
+
+    /// Whether an element of level 1 is too deformed for its matrix, which is that of the rest state.
+    fn is_bent(&self, structure: &Structure, element: u32, u: &[Vec3]) -> bool {
+        let tolerable = f64::from(self.bent) * 2.0 / f64::from(structure.per_spacing);
+        structure.levels[0]
+            .children
+            .row(element)
+            .iter()
+            .any(|&brick| {
+                let first = u[structure.bricks[brick as usize].nodes[0] as usize];
+                let (mut low, mut high) = (first, first);
+                for &node in &structure.bricks[brick as usize].nodes {
+                    low = low.inf(&u[node as usize]);
+                    high = high.sup(&u[node as usize]);
+                }
+                (high - low).max() > tolerable
+            })
     }
 
     /// Notes the elements around nodes whose force is above the threshold.
@@ -137,9 +170,10 @@ impl Field {
         patch.refined.sort();
     }
 
-    /// Takes the chosen set, and brings its nodes up to date with level 1.
+    /// Takes the chosen set, brings its nodes up to date with level 1, and computes the bricks that are new
+    /// in it; the forces of contacts have to be added.
     pub(super) fn enter(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
-        self.current = false;
+        std::mem::swap(&mut self.set, &mut self.left);
         self.set.clear();
         for &node in &self.nodes.items {
             self.inside[node as usize] = 0;
@@ -168,5 +202,10 @@ impl Field {
             self.free[n] = !self.fixed[n] && self.inside[n] == structure.around.len(node);
             self.take_over(structure, coarse, u, node);
         }
+        let new = |brick: &u32| !self.left.contains(*brick);
+        let new: Vec<u32> = self.set.items.iter().copied().filter(new).collect();
+        self.compute(structure, u, &new);
+        self.sum_up(structure);
+        self.current = false;
     }
 }

@@ -6,10 +6,11 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::block::{Quad, ZERO};
+use super::block::{Quad, ZERO, plus};
 use super::coarsen::Ties;
-use super::element::{SIZE, at, multiply};
-use super::patch::{Corners, NONE, Overlay, Patch, apply, invert, take_over};
+use super::element::Matrix;
+use super::matrix::{Columns, Corners, at, lane};
+use super::patch::{Deferred, NONE, Overlay, Patch, apply, invert, square, take_over};
 use super::structure::{Level, Structure};
 
 /// Lowest eigenvalue that smoothing looks after, in parts of the bound on all.
@@ -64,6 +65,8 @@ pub(super) struct Multigrid {
     arch: Arch,
     /// Force on a corner of an element of level 1, in thresholds, above which it is refined.
     pub(super) pending: f32,
+    /// Change of the size of an element, in parts of it, that may wait.
+    pub(super) strained: f32,
     /// Elements visited.
     pub(super) visits: usize,
 }
@@ -74,13 +77,20 @@ impl Multigrid {
             patches: structure.levels.iter().map(Patch::new).collect(),
             arch: Arch::new(),
             pending: 1.0,
+            strained: f32::INFINITY,
             visits: 0,
         }
     }
 
-    /// The same on level l + 1, in N: what coarse elements get wrong is a smaller part of a larger force.
-    fn tolerable(&self, l: usize, threshold: f32) -> f32 {
-        self.pending * threshold * (1 << l) as f32
+    /// What may wait on an element of level l + 1: a force in N (what coarse elements get wrong is a
+    /// smaller part of a larger force) and a change of its size in m (they know nothing of how tissue
+    /// stiffens).
+    fn tolerable(&self, structure: &Structure, l: usize, threshold: f32) -> [f32; 2] {
+        let side = (2 << l) as f32 / structure.per_spacing;
+        [
+            self.pending * threshold * (1 << l) as f32,
+            self.strained * side,
+        ]
     }
 
     /// Chooses what takes part on every level around the refined elements of level 1; `more` adds
@@ -123,7 +133,7 @@ impl Multigrid {
             take_over(structure, &mut self.patches, l, false);
         }
         for l in (1..self.patches.len()).rev() {
-            let tolerable = self.tolerable(l - 1, threshold);
+            let tolerable = self.tolerable(structure, l - 1, threshold);
             let (finer, coarser) = self.patches.split_at_mut(l);
             let (below, patch) = (&mut finer[l - 1], &mut coarser[0]);
             let (level, level_below) = (&structure.levels[l], &structure.levels[l - 1]);
@@ -135,8 +145,9 @@ impl Multigrid {
                 let pending = patch.take_pending(level, element);
                 for &child in level.children.row(element) {
                     let by = to_child(&pending, level_below.octant[child as usize]);
-                    let force = below.wait(level_below, child, &by);
-                    if force > tolerable && !below.refined.contains(child) {
+                    let force = level_below.force(child, &by);
+                    let waits = below.wait(level_below, child, &by, &force, 1.0);
+                    if exceeds(waits, tolerable) && !below.refined.contains(child) {
                         below.wanted.insert(child);
                     }
                 }
@@ -214,9 +225,7 @@ impl Multigrid {
                 let v = interpolate(&level.ties[point as usize], &above.e);
                 let p = point as usize;
                 patch.d[p] = v;
-                for a in 0..3 {
-                    patch.e[p][a] += v[a];
-                }
+                patch.e[p] = plus(&patch.e[p], 1.0, &v);
             }
             self.visits += effort.after * patch.set.items.len();
             self.arch.dispatch(Smooth {
@@ -247,18 +256,30 @@ impl Multigrid {
         }
     }
 
+    /// Works out what the correction does to the elements that are not refined; `work_along` and
+    /// `commit` go by it.
+    pub(super) fn defer(&mut self, structure: &Structure) {
+        for (patch, level) in self.patches.iter_mut().zip(&structure.levels) {
+            self.arch.dispatch(Defer { level, patch });
+        }
+    }
+
     /// Work of what waits along the correction, before it and after it, in N m: that of the lag, and of
     /// the elements that are not refined.
-    pub(super) fn work_along(&self, structure: &Structure) -> [f64; 2] {
+    pub(super) fn work_along(&self) -> [f64; 2] {
         let (mut before, mut curve) = (0.0, 0.0);
-        for (patch, level) in self.patches.iter().zip(&structure.levels) {
+        for patch in &self.patches {
             for &point in &patch.lagging.items {
                 let p = point as usize;
                 if patch.inside[p] > 0 {
                     before += dot(&patch.lag[p], &patch.e[p]);
                 }
             }
-            curve += self.arch.dispatch(Curve { level, patch });
+            for deferred in &patch.deferred {
+                for (by, force) in deferred.by.iter().zip(&deferred.force) {
+                    curve += dot(by, force);
+                }
+            }
         }
         [before, before - curve]
     }
@@ -268,7 +289,7 @@ impl Multigrid {
     pub(super) fn commit(&mut self, structure: &Structure, share: f32, threshold: f32) {
         for l in (0..self.patches.len()).rev() {
             let level = &structure.levels[l];
-            let tolerable = self.tolerable(l, threshold);
+            let tolerable = self.tolerable(structure, l, threshold);
             let patch = &mut self.patches[l];
             for &point in &patch.points.items {
                 let p = point as usize;
@@ -277,15 +298,16 @@ impl Multigrid {
                 }
                 for a in 0..3 {
                     patch.total[p][a] += f64::from(share) * f64::from(patch.e[p][a]);
-                    patch.gain[p][a] += share * patch.e[p][a];
+                }
+                patch.gain[p] = plus(&patch.gain[p], share, &patch.e[p]);
+            }
+            let mut deferred = std::mem::take(&mut patch.deferred);
+            for Deferred { element, by, force } in deferred.drain(..) {
+                if exceeds(patch.wait(level, element, &by, &force, share), tolerable) {
+                    patch.wanted.insert(element);
                 }
             }
-            self.arch.dispatch(Defer {
-                level,
-                patch,
-                share,
-                threshold: tolerable,
-            });
+            patch.deferred = deferred;
             // What the coarser level did is part of e: it counts as taken over.
             let (finer, coarser) = self.patches.split_at_mut(l + 1);
             if let Some(above) = coarser.first() {
@@ -315,7 +337,7 @@ impl Multigrid {
                     const AT: [[usize; 3]; 3] = [[0, 3, 4], [3, 1, 5], [4, 5, 2]];
                     for a in 0..3 {
                         for b in 0..3 {
-                            k[at(p, a)][at(q, b)] += wp * wq * block[AT[a][b]];
+                            k.0[at(p, a)][lane(q, b)] += wp * wq * block[AT[a][b]];
                         }
                     }
                 }
@@ -338,16 +360,20 @@ impl Multigrid {
                 let sum = std::array::from_fn(|i| level.bound[p][i] + patch.stiffer[p][i]);
                 patch.inverse[p] = invert(&sum);
             }
+            for overlay in &mut patch.overlays {
+                let element = overlay.element as usize;
+                if let Some(next) = coarser.first_mut() {
+                    let octant = level.octant[element] as usize;
+                    next.overlay(&structure.levels[l + 1], level.parent[element], |k| {
+                        add_child(k, &overlay.k, octant);
+                    });
+                }
+                let (_, own) = level.element(overlay.element);
+                own.k.add_to(&mut overlay.k);
+            }
             let Some(next) = coarser.first_mut() else {
                 break;
             };
-            for overlay in &patch.overlays {
-                let element = overlay.element as usize;
-                let octant = level.octant[element] as usize;
-                next.overlay(&structure.levels[l + 1], level.parent[element], |k| {
-                    add_child(k, &overlay.k, octant);
-                });
-            }
             for &point in &patch.stiffened.items {
                 let ties = &level.ties[point as usize];
                 for t in 0..ties.len as usize {
@@ -373,29 +399,14 @@ impl Multigrid {
 }
 
 impl Patch {
-    /// What the correction does to the elements of the set that are not refined.
-    #[inline(always)]
-    fn defer(&mut self, level: &Level, share: f32, threshold: f32) {
-        for i in 0..self.set.items.len() {
-            let element = self.set.items[i];
-            if self.refined.contains(element) {
-                continue;
-            }
-            let by = Self::corners(level, element, &self.e).map(|v| share * v);
-            if self.wait(level, element, &by) > threshold {
-                self.wanted.insert(element);
-            }
-        }
-    }
-
-    fn overlay(&mut self, level: &Level, element: u32, add: impl FnOnce(&mut [[f32; SIZE]; SIZE])) {
+    fn overlay(&mut self, level: &Level, element: u32, add: impl FnOnce(&mut Columns)) {
         debug_assert!((element as usize) < level.corners.len());
         let entry = &mut self.overlay_of[element as usize];
         if *entry == NONE {
             *entry = self.overlays.len() as u32;
             self.overlays.push(Overlay {
                 element,
-                k: Box::new([[0.0; SIZE]; SIZE]),
+                k: Box::new(Columns::ZERO),
             });
         }
         add(&mut self.overlays[*entry as usize].k);
@@ -423,84 +434,85 @@ impl WithSimd for Smooth<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
+    fn with_simd<S: Simd>(self, simd: S) {
         if self.moved {
-            subtract(self.level, self.patch);
+            subtract(simd, self.level, self.patch);
         }
-        smooth(self.level, self.patch, self.steps, self.low, !self.moved);
+        smooth(
+            simd,
+            self.level,
+            self.patch,
+            self.steps,
+            self.low,
+            !self.moved,
+        );
     }
 }
 
-/// Defers what a correction does to the elements that are not refined.
+/// Works out what the correction does to the elements that are not refined.
 struct Defer<'a> {
     level: &'a Level,
     patch: &'a mut Patch,
-    share: f32,
-    threshold: f32,
 }
 
 impl WithSimd for Defer<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        self.patch.defer(self.level, self.share, self.threshold);
-    }
-}
-
-/// Stiffness along the correction of the elements that are not refined.
-struct Curve<'a> {
-    level: &'a Level,
-    patch: &'a Patch,
-}
-
-impl WithSimd for Curve<'_> {
-    type Output = f64;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> f64 {
+    fn with_simd<S: Simd>(self, simd: S) {
         let Self { level, patch } = self;
-        let mut sum = 0.0;
+        patch.deferred.clear();
         for &element in &patch.set.items {
             if patch.refined.contains(element) {
                 continue;
             }
-            let x = Patch::corners(level, element, &patch.e);
-            let mut y = [0.0; SIZE];
-            let m = level.matrix[element as usize] as usize;
-            multiply(&level.matrices[m].k, &x, &mut y);
-            for i in 0..SIZE {
-                sum += f64::from(x[i]) * f64::from(y[i]);
+            let (points, m) = level.element(element);
+            let force = m.k.multiply(simd, points, &patch.e).corners();
+            let mut by = [ZERO; 8];
+            for (to, &point) in by.iter_mut().zip(points) {
+                *to = patch.e[point as usize];
             }
+            patch.deferred.push(Deferred { element, by, force });
         }
-        sum
+    }
+}
+
+impl Level {
+    /// Forces of an element whose corners are displaced so, in N.
+    fn force(&self, element: u32, by: &Corners) -> Corners {
+        let (_, m) = self.element(element);
+        m.k.multiply(pulp::Scalar::new(), &[0, 1, 2, 3, 4, 5, 6, 7], by)
+            .corners()
+    }
+
+    /// Points and matrix of an element.
+    #[inline(always)]
+    fn element(&self, element: u32) -> (&[u32; 8], &Matrix) {
+        let e = element as usize;
+        (&self.corners[e], &self.matrices[self.matrix[e] as usize])
     }
 }
 
 /// `r -= K d` over the set.
 #[inline(always)]
-fn subtract(level: &Level, patch: &mut Patch) {
+fn subtract<S: Simd>(simd: S, level: &Level, patch: &mut Patch) {
     for &element in &patch.set.items {
-        let x = Patch::corners(level, element, &patch.d);
-        let mut y = [0.0; SIZE];
-        let m = level.matrix[element as usize] as usize;
-        multiply(&level.matrices[m].k, &x, &mut y);
+        let (points, m) = level.element(element);
         let overlay = patch.overlay_of[element as usize];
-        if overlay != NONE {
-            multiply(&patch.overlays[overlay as usize].k, &x, &mut y);
-        }
-        for (c, &point) in level.corners[element as usize].iter().enumerate() {
+        let y = match patch.overlays.get(overlay as usize) {
+            Some(overlay) => overlay.k.multiply(simd, points, &patch.d),
+            None => m.k.multiply(simd, points, &patch.d),
+        };
+        for (c, &point) in points.iter().enumerate() {
             let r = &mut patch.r[point as usize];
-            for a in 0..3 {
-                r[a] -= y[at(c, a)];
-            }
+            *r = plus(r, -1.0, &y.corner(c));
         }
     }
 }
 
 /// Chebyshev steps from the residual in `r`, which is kept up to date to the end if `keep`.
 #[inline(always)]
-fn smooth(level: &Level, patch: &mut Patch, steps: usize, low: f32, keep: bool) {
+fn smooth<S: Simd>(simd: S, level: &Level, patch: &mut Patch, steps: usize, low: f32, keep: bool) {
     let mut factors = Chebyshev::new(low);
     for step in 1..=steps {
         let (last, new) = factors.next();
@@ -511,21 +523,20 @@ fn smooth(level: &Level, patch: &mut Patch, steps: usize, low: f32, keep: bool) 
                 continue;
             }
             let by = apply(&patch.inverse[p], &patch.r[p]);
-            for a in 0..3 {
-                // On the first step `last` is zero and d still holds something else.
-                let before = if last == 0.0 {
-                    0.0
-                } else {
-                    last * patch.d[p][a]
-                };
-                patch.d[p][a] = before + new * by[a];
-                patch.e[p][a] += patch.d[p][a];
-            }
+            // On the first step `last` is zero and d still holds something else.
+            let before = if last == 0.0 { ZERO } else { patch.d[p] };
+            let d = plus(&by.map(|v| new * v), last, &before);
+            patch.d[p] = d;
+            patch.e[p] = plus(&patch.e[p], 1.0, &d);
         }
         if keep || step < steps {
-            subtract(level, patch);
+            subtract(simd, level, patch);
         }
     }
+}
+
+fn exceeds(waits: [f32; 2], tolerable: [f32; 2]) -> bool {
+    waits[0] > tolerable[0] || waits[1] > tolerable[1]
 }
 
 fn restrict(ties: &Ties, value: &Quad, to: &mut Patch) {
@@ -539,55 +550,45 @@ fn restrict(ties: &Ties, value: &Quad, to: &mut Patch) {
 pub(super) fn interpolate(ties: &Ties, of: &[Quad]) -> Quad {
     let mut v = ZERO;
     for t in 0..ties.len as usize {
-        let from = &of[ties.to[t] as usize];
-        for a in 0..3 {
-            v[a] += ties.weight[t] * from[a];
-        }
+        v = plus(&v, ties.weight[t], &of[ties.to[t] as usize]);
     }
     v
 }
 
 fn to_child(parent: &Corners, octant: u8) -> Corners {
-    let mut child = [0.0; SIZE];
-    for c in 0..8 {
+    let mut child = [ZERO; 8];
+    for (c, to) in child.iter_mut().enumerate() {
         let weights = &super::element::WEIGHTS[super::brick::CORNER[octant as usize][c]];
-        for (p, w) in weights.iter().enumerate() {
-            for a in 0..3 {
-                child[at(c, a)] += *w as f32 * parent[at(p, a)];
-            }
+        for (from, w) in parent.iter().zip(weights) {
+            *to = plus(to, *w as f32, from);
         }
     }
     child
 }
 
-fn add_child(to: &mut [[f32; SIZE]; SIZE], child: &[[f32; SIZE]; SIZE], octant: usize) {
-    let weights: [[f32; 8]; 8] = std::array::from_fn(|c| {
-        super::element::WEIGHTS[super::brick::CORNER[octant][c]].map(|w| w as f32)
-    });
-    let mut t = [[0.0f32; SIZE]; SIZE];
-    for (i, row) in t.iter_mut().enumerate() {
-        for c in 0..8 {
-            for (q, w) in weights[c].iter().enumerate().filter(|w| *w.1 > 0.0) {
-                for b in 0..3 {
-                    row[at(q, b)] += child[i][at(c, b)] * w;
+/// Adds `PᵀKP` of the matrix of a finer element.
+fn add_child(to: &mut Columns, child: &Columns, octant: usize) {
+    let corners = &super::brick::CORNER[octant];
+    let weights = corners.map(|place| super::element::WEIGHTS[place].map(|w| w as f32));
+    for (c, row) in weights.iter().enumerate() {
+        for a in 0..3 {
+            // Rows first: what one column of K becomes.
+            let from = &child.0[at(c, a)];
+            let mut t = [ZERO; 8];
+            for (own, weights) in weights.iter().enumerate() {
+                let value = [0, 1, 2, 3].map(|i| from[lane(own, i)]);
+                for (t, w) in t.iter_mut().zip(weights).filter(|t| *t.1 > 0.0) {
+                    *t = plus(t, *w, &value);
+                }
+            }
+            for (p, w) in row.iter().enumerate().filter(|w| *w.1 > 0.0) {
+                let column = &mut to.0[at(p, a)];
+                for (v, t) in column.iter_mut().zip(t.as_flattened()) {
+                    *v += w * t;
                 }
             }
         }
     }
-    for c in 0..8 {
-        for (p, w) in weights[c].iter().enumerate().filter(|w| *w.1 > 0.0) {
-            for a in 0..3 {
-                for j in 0..SIZE {
-                    to[at(p, a)][j] += w * t[at(c, a)][j];
-                }
-            }
-        }
-    }
-}
-
-#[inline(always)]
-fn square(v: &Quad) -> f32 {
-    v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
 }
 
 #[inline(always)]

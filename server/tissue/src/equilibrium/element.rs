@@ -17,15 +17,7 @@
 
 use super::brick::{CORNER, Form, LOCALS, OFFSETS};
 use super::law::{Symmetric, sideways};
-
-/// Unknowns of an element: corner `c` along axis `a` is [`at`]`(c, a)`.
-pub(crate) const SIZE: usize = 24;
-/// Place of corner `c` along axis `a`. Axis by axis, because what is stored in vectors is read back
-/// number by number, and a read that spans two vectors has to wait for both.
-#[inline(always)]
-pub(crate) const fn at(c: usize, a: usize) -> usize {
-    8 * a + c
-}
+use super::matrix::{Columns, SIZE, Short, Stiffness, at, lane};
 
 /// σ in parts of the floor of `law.rs`.
 const TURNING: f64 = 0.1;
@@ -35,8 +27,7 @@ const POWER: usize = 12;
 /// The matrix of an element and what smoothing needs of it.
 #[derive(Clone)]
 pub(crate) struct Matrix {
-    /// Column by column; symmetric.
-    pub(crate) k: [[f32; SIZE]; SIZE],
+    pub(crate) k: Stiffness,
     /// Blocks of the corners times the largest eigenvalue of the element scaled by its blocks:
     /// summed over elements they bound the whole matrix from above.
     pub(crate) bound: [[f32; 6]; 8],
@@ -180,7 +171,7 @@ impl Sum {
                 for b in 0..3 {
                     let mut sum = 0.0;
                     for c in 0..8 {
-                        sum += f64::from(child.k[i][at(c, b)]) * weights[c][q];
+                        sum += f64::from(child.k.get(i, lane(c, b))) * weights[c][q];
                     }
                     row[at(q, b)] = sum;
                 }
@@ -200,9 +191,14 @@ impl Sum {
         }
     }
 
-    /// The matrix in single precision, and its bound.
-    pub(crate) fn finish(self) -> Matrix {
-        let k = std::array::from_fn(|i| self.0[i].map(|v| v as f32));
+    /// The matrix, and its bound. Where all that was added is `alike`, as it is inside of every
+    /// homogeneous region, it stays in single precision: those few matrices the nearest cache can hold.
+    pub(crate) fn finish(self, alike: bool) -> Matrix {
+        let short = (!alike).then(|| Short::new(&self.0)).flatten();
+        let k = match short {
+            Some(short) => Stiffness::Short(Box::new(short)),
+            None => Stiffness::Full(Box::new(Columns::new(&self.0))),
+        };
         let blocks: [Symmetric; 8] = std::array::from_fn(|c| {
             let k = |a: usize, b: usize| self.0[at(c, a)][at(c, b)];
             [k(0, 0), k(1, 1), k(2, 2), k(0, 1), k(0, 2), k(1, 2)]
@@ -274,20 +270,4 @@ const fn weights() -> [[f64; 8]; LOCALS] {
         i += 1;
     }
     list
-}
-
-/// `y += K x`.
-#[inline(always)]
-pub(crate) fn multiply(k: &[[f32; SIZE]; SIZE], x: &[f32; SIZE], y: &mut [f32; SIZE]) {
-    // Two chains of sums, or each addition would wait for the one before.
-    let (mut even, mut odd) = (*y, [0.0; SIZE]);
-    for (columns, v) in k.chunks_exact(2).zip(x.chunks_exact(2)) {
-        for i in 0..SIZE {
-            even[i] += columns[0][i] * v[0];
-            odd[i] += columns[1][i] * v[1];
-        }
-    }
-    for i in 0..SIZE {
-        y[i] = even[i] + odd[i];
-    }
 }

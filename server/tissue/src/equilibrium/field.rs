@@ -29,6 +29,8 @@ pub(super) struct Field {
     pub(super) own: Vec<f64>,
     /// Forces of each brick on its nodes when it was last computed.
     forces: Vec<[[f32; LOCALS]; 3]>,
+    /// Some of them from before; scratch.
+    kept: Vec<[[f32; LOCALS]; 3]>,
     /// Force on each node in N, contacts included where they were last looked at.
     pub(super) r: Vec<Quad>,
     pub(super) inverse: Vec<[f32; 6]>,
@@ -37,6 +39,8 @@ pub(super) struct Field {
     pub(super) applied: Vec<[f64; 3]>,
     /// Bricks that take part, and their nodes.
     pub(super) set: List,
+    /// The set before; scratch.
+    pub(super) left: List,
     pub(super) nodes: List,
     pub(super) inside: Vec<u32>,
     pub(super) free: Vec<bool>,
@@ -54,6 +58,8 @@ pub(super) struct Field {
     pub(super) renew: bool,
     /// Whether what is fixed has changed since the set was chosen.
     pub(super) outdated: bool,
+    /// Change of the size of a brick, in parts of it, from which on it stays in the set.
+    pub(super) bent: f32,
     /// Bricks to be computed before anything is said about their nodes.
     stale: List,
     /// Nodes that are looked at; scratch.
@@ -86,11 +92,13 @@ impl Field {
             fixed: (0..nodes as u32).map(|n| topology.is_pinned(n)).collect(),
             own,
             forces: vec![[[0.0; LOCALS]; 3]; structure.bricks.len()],
+            kept: Vec::new(),
             r: vec![ZERO; nodes],
             inverse: vec![[0.0; 6]; nodes],
             d: vec![ZERO; nodes],
             applied: vec![[0.0; 3]; nodes],
             set: List::new(structure.bricks.len()),
+            left: List::new(structure.bricks.len()),
             nodes: List::new(nodes),
             inside: vec![0; nodes],
             free: vec![false; nodes],
@@ -101,6 +109,7 @@ impl Field {
             current: false,
             renew: true,
             outdated: true,
+            bent: f32::INFINITY,
             stale: List::new(structure.bricks.len()),
             touched: List::new(nodes),
             before: Vec::new(),
@@ -149,7 +158,7 @@ impl Field {
         self.loud.items.len()
     }
 
-    /// Begins a step: what the last one moved the nodes of the set by.
+    /// Begins a step: what the last one moved the nodes of the set by, in order of nodes.
     pub(super) fn take_moves(&mut self, u: &[Vec3]) -> Vec<(u32, Vec3)> {
         self.saved.clear();
         let last = std::mem::take(&mut self.before);
@@ -158,7 +167,9 @@ impl Field {
             let moves = self.nodes.contains(node) && !self.fixed[n];
             moves.then(|| (node, u[n] - before))
         };
-        last.into_iter().filter_map(by).collect()
+        let mut moves: Vec<_> = last.into_iter().filter_map(by).collect();
+        moves.sort_unstable_by_key(|m| m.0);
+        moves
     }
 
     /// Moves nodes by `share` of what they moved by.
@@ -288,7 +299,7 @@ impl Field {
     }
 
     /// Forces of the set's bricks.
-    fn compute(&mut self, structure: &Structure, u: &[Vec3], list: &[u32]) {
+    pub(super) fn compute(&mut self, structure: &Structure, u: &[Vec3], list: &[u32]) {
         self.visits += list.len();
         let arch = self.arch;
         let one = |brick: u32, to: &mut [[f32; LOCALS]; 3], scratch: &mut Ends<3>| {
@@ -326,15 +337,41 @@ impl Field {
         let list = std::mem::take(&mut self.set.items);
         self.compute(structure, u, &list);
         self.set.items = list;
+        self.sum_up(structure);
+        self.current = true;
+    }
+
+    /// Notes the forces of the set's bricks, to come back to them.
+    pub(super) fn keep_forces(&mut self) {
+        self.kept.clear();
+        let forces = &self.forces;
+        let of = |&brick: &u32| forces[brick as usize];
+        self.kept.extend(self.set.items.iter().map(of));
+    }
+
+    /// Takes the forces of the set's bricks for those of now that lie `share` of the way from the ones kept
+    /// to the ones last computed; contacts have to be added to what they do to nodes.
+    pub(super) fn blend_forces(&mut self, structure: &Structure, share: f32) {
+        for (&brick, kept) in self.set.items.iter().zip(&self.kept) {
+            let forces = self.forces[brick as usize].as_flattened_mut();
+            for (f, from) in forces.iter_mut().zip(kept.as_flattened()) {
+                *f = from + share * (*f - from);
+            }
+        }
+        self.sum_up(structure);
+        self.current = true;
+    }
+
+    /// What the bricks as they were last computed do to the nodes of the set.
+    pub(super) fn sum_up(&mut self, structure: &Structure) {
         for i in 0..self.nodes.items.len() {
             let node = self.nodes.items[i];
             self.r[node as usize] = self.sum(structure, node);
         }
-        self.current = true;
     }
 
     #[inline]
-    fn sum(&self, structure: &Structure, node: u32) -> Quad {
+    pub(super) fn sum(&self, structure: &Structure, node: u32) -> Quad {
         let mut sum = ZERO;
         for &entry in structure.around.row(node) {
             let f = &self.forces[(entry / 32) as usize];
@@ -355,6 +392,11 @@ impl Field {
     ) -> f64 {
         self.evaluate_bricks(structure, u);
         self.add_contacts(u, contacts, 1.0);
+        self.square_over_unfixed()
+    }
+
+    /// Sum of the squares of the forces on the nodes of the set that are not fixed.
+    pub(super) fn square_over_unfixed(&self) -> f64 {
         let free = self
             .nodes
             .items

@@ -1,16 +1,23 @@
-//! What a step under held nodes may begin with: the change of the last one, carried on.
+//! What a step may begin with: the change of the last one, carried on.
 //!
 //! A hand that leads nodes moves on much as it moved before, and equilibrium follows it smoothly. So when
 //! the held nodes have moved by γ times what they moved before, the shape begins with γ times its last
-//! change; what remains to be solved is of second order in the step. (Under tools the share is looked for
-//! along the change itself: where a tool has gone does not tell where it still touches.)
+//! change; what remains to be solved is of second order in the step. Under tools the share is looked for
+//! along the change itself: where a tool has gone does not tell where it still touches. The bricks' forces
+//! are known at both its ends then, and taken for linear between.
 
 use std::collections::BTreeMap;
 
-use crate::Vec3;
+use super::solver::{Solver, relative};
+use crate::{Topology, Vec3};
 
 /// Cosine between two moves from which on the second one continues the first.
 const ALIKE: f64 = 0.7;
+/// Residual of the last step's set up to which its change may be carried on: errors would be, too.
+const TRUSTED: f64 = 0.1;
+/// Bounds of the share of the last change that is carried on under tools, and what is tried first where
+/// tools do not tell.
+const CARRIED: [f64; 2] = [0.0, 1.0];
 
 /// Where held nodes were and how they moved in the last step.
 #[derive(Default)]
@@ -51,5 +58,76 @@ impl Foresight {
             return 0.0;
         }
         both / last
+    }
+}
+
+impl Solver {
+    /// Stage: contacts, and the last step's change carried on by about `guess` times. Returns whether
+    /// a proxy lags.
+    pub(super) fn foresee(&mut self, topology: &Topology, u: &mut [Vec3], guess: f64) -> bool {
+        let last = self.field.take_moves(u);
+        self.coarse.recall();
+        if self.contacts.proxies.is_empty() {
+            // Less than one, so that what a step got wrong dies out even if the next one has little time.
+            let calmness = self.calmness();
+            let share = if calmness < TRUSTED {
+                guess.clamp(-1.0, 1.0 - calmness)
+            } else {
+                0.0
+            };
+            self.carried = share != 0.0;
+            if self.carried {
+                self.coarse.defer(&self.structure);
+            }
+            self.carry_on(u, &last, share);
+            return self.gather(topology, u);
+        }
+        // Of a tool's press only what is near is kept going: the rest costs more than it brings.
+        self.carried = false;
+        let lags = self.gather(topology, u);
+        let share = self.best_carry(u, &last);
+        self.carry_on(u, &last, share);
+        if !last.is_empty() {
+            self.field.blend_forces(&self.structure, share as f32);
+        }
+        lags
+    }
+
+    /// How much of the last step's change is best: where no work is left along it.
+    fn best_carry(&mut self, u: &mut [Vec3], last: &[(u32, Vec3)]) -> f64 {
+        if last.is_empty() {
+            return 0.0;
+        }
+        self.field.refresh(&self.structure, u);
+        self.field.evaluate_bricks(&self.structure, u);
+        self.field.keep_forces();
+        self.coarse.defer(&self.structure);
+        let waiting = self.coarse.work_along();
+        let here = waiting[0] + self.field.work(last);
+        self.field.move_on(u, last, 1.0);
+        self.field.evaluate_bricks(&self.structure, u);
+        let there = waiting[1] + self.field.work(last);
+        self.field.move_on(u, last, -1.0);
+        let by = |n: u32| {
+            let found = last.binary_search_by_key(&n, |m| m.0);
+            found.map_or_else(|_| Vec3::zeros(), |i| last[i].1)
+        };
+        let along = self.contacts.along(u, by, 0.0);
+        along.rest([here, there], CARRIED)
+    }
+
+    /// Carries the last step's change on, on all levels.
+    fn carry_on(&mut self, u: &mut [Vec3], last: &[(u32, Vec3)], share: f64) {
+        if share != 0.0 {
+            self.coarse
+                .commit(&self.structure, share as f32, f32::INFINITY);
+            self.field.move_on(u, last, share);
+            self.field.catch_up(&self.structure, &self.coarse, u, last);
+        }
+    }
+
+    /// Forces left on the free nodes of the set, relative to what tools and held nodes bring in.
+    fn calmness(&self) -> f64 {
+        relative(self.field.square_over_free(), self.reference)
     }
 }

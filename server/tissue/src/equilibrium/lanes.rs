@@ -34,6 +34,16 @@ impl<S: Simd> V<S> {
         Self { simd, lanes }
     }
 
+    /// The whole numbers from `at` on.
+    #[inline(always)]
+    pub(crate) fn load_short(simd: S, from: &[i16], at: usize) -> Self {
+        let mut numbers = [0.0; LANES];
+        for (to, v) in numbers.iter_mut().zip(&from[at..at + Self::WIDTH]) {
+            *to = f32::from(*v);
+        }
+        Self::load(simd, &numbers, 0)
+    }
+
     /// Puts them at `at`.
     #[inline(always)]
     pub(crate) fn store(self, to: &mut [f32], at: usize) {

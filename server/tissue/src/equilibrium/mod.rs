@@ -4,9 +4,9 @@
 //! | --- | --- |
 //! | `law` | what a material makes of springs: length law, volume term, guard, extreme springs, fibres |
 //! | `brick`, `kernel`, `lanes` | forces of eight cells at a time, in vectors |
-//! | `coarsen`, `element`, `structure` | coarse lattices that open where cuts do, with a matrix per element |
+//! | `coarsen`, `element`, `matrix`, `structure` | coarse lattices that open where cuts do, with a matrix per element |
 //! | `patch`, `cycle` | the part of the coarse lattices near the tools, and one V-cycle over it |
-//! | `field`, `choice`, `moves` | forces on nodes, which of them take part, smoothing |
+//! | `field`, `choice`, `moves`, `near` | forces on nodes, which of them take part, smoothing |
 //! | `budget` | what a step may cost, and what it did |
 //! | `foresight` | under held nodes, the last step's change carried on |
 //! | `follower` | a cut's consequences, worked out beside the solvers |
@@ -49,7 +49,9 @@ mod jacobi;
 mod kernel;
 mod lanes;
 mod law;
+mod matrix;
 mod moves;
+mod near;
 mod patch;
 mod solver;
 mod structure;

@@ -1,6 +1,6 @@
 //! How the nodes of the fine level move: by the coarse levels' correction, and by smoothing.
 
-use super::block::ZERO;
+use super::block::{ZERO, plus};
 use super::cycle::{Chebyshev, LOW, Multigrid};
 use super::field::Field;
 use super::patch::{apply, interpolate};
@@ -57,34 +57,26 @@ impl Field {
             let n = node as usize;
             if share != 1.0 {
                 self.shift(u, node, self.moved[i] * (share - 1.0));
-                for a in 0..3 {
-                    self.r[n][a] = self.old[i][a] + share as f32 * (self.r[n][a] - self.old[i][a]);
-                }
+                let change = plus(&self.r[n], -1.0, &self.old[i]);
+                self.r[n] = plus(&self.old[i], share as f32, &change);
             }
             // The total was raised by the same: nothing is left to take over.
             self.applied[n] = interpolate(&structure.ties[n], &coarse.patches[0].total);
         }
     }
 
-    /// One Chebyshev step over the free nodes from the forces in `r`.
-    pub(super) fn relax(&mut self, u: &mut [Vec3], factors: &mut Chebyshev) {
+    /// One Chebyshev step over the free ones of these nodes from the forces in `r`.
+    pub(super) fn relax(&mut self, u: &mut [Vec3], nodes: &[u32], factors: &mut Chebyshev) {
         let (last, new) = factors.next();
-        for i in 0..self.nodes.items.len() {
-            let node = self.nodes.items[i];
+        for &node in nodes {
             let n = node as usize;
             if !self.free[n] {
                 continue;
             }
             let step = apply(&self.inverse[n], &self.r[n]);
-            for a in 0..3 {
-                let before = if last == 0.0 {
-                    0.0
-                } else {
-                    last * self.d[n][a]
-                };
-                self.d[n][a] = before + new * step[a];
-            }
-            let d = self.d[n];
+            let before = if last == 0.0 { ZERO } else { self.d[n] };
+            let d = plus(&step.map(|v| new * v), last, &before);
+            self.d[n] = d;
             let mut by = Vec3::new(f64::from(d[0]), f64::from(d[1]), f64::from(d[2]));
             let length = by.norm();
             if !length.is_finite() {

@@ -11,17 +11,22 @@
 //! bricks, which are then computed afresh) and K p is taken back. Displacements wait likewise: every
 //! point keeps its total and how much of the coarser level's total it has taken over (`applied`).
 
-use super::block::{Quad, ZERO};
-use super::element::{SIZE, at, multiply};
+use super::block::{Quad, ZERO, plus};
+use super::matrix::{Columns, Corners};
 use super::structure::{Level, Structure};
 
-/// Displacements or forces of the corners of one element.
-pub(super) type Corners = [f32; SIZE];
-
-/// Stiffness of contacts and held nodes, added to an element.
+/// An element's stiffness with that of contacts and held nodes.
 pub(super) struct Overlay {
     pub(super) element: u32,
-    pub(super) k: Box<[[f32; SIZE]; SIZE]>,
+    pub(super) k: Box<Columns>,
+}
+
+/// What a correction does to an element that is not refined.
+pub(super) struct Deferred {
+    pub(super) element: u32,
+    /// The correction e at its corners, and K e.
+    pub(super) by: Corners,
+    pub(super) force: Corners,
 }
 
 /// A set of indices that is emptied in the time it took to fill.
@@ -115,6 +120,8 @@ pub(super) struct Patch {
     /// K p of each element: what its pending displacement put into the lag.
     pub(super) owed: Vec<Corners>,
     pub(super) waiting: Vec<bool>,
+    /// What the correction in `e` does to the elements of the set that are not refined.
+    pub(super) deferred: Vec<Deferred>,
     pub(super) total: Vec<[f64; 3]>,
     pub(super) applied: Vec<[f64; 3]>,
 
@@ -126,6 +133,7 @@ pub(super) struct Patch {
     pub(super) inverse: Vec<[f32; 6]>,
 }
 
+const NOTHING: Corners = [ZERO; 8];
 /// No overlay.
 pub(super) const NONE: u32 = u32::MAX;
 
@@ -148,9 +156,10 @@ impl Patch {
             gained: List::new(points),
             lag: vec![ZERO; points],
             lagging: List::new(points),
-            pending: vec![[0.0; SIZE]; elements],
-            owed: vec![[0.0; SIZE]; elements],
+            pending: vec![NOTHING; elements],
+            owed: vec![NOTHING; elements],
             waiting: vec![false; elements],
+            deferred: Vec::new(),
             total: vec![[0.0; 3]; points],
             applied: vec![[0.0; 3]; points],
             overlays: Vec::new(),
@@ -168,52 +177,54 @@ impl Patch {
             self.b[point as usize] = ZERO;
         }
         let b = &mut self.b[point as usize];
-        for a in 0..3 {
-            b[a] += weight * value[a];
-        }
+        *b = plus(b, weight, value);
     }
 
-    #[inline]
-    fn add_lag(&mut self, point: u32, by: [f32; 3], sign: f32) {
-        self.lagging.insert(point);
-        let g = &mut self.lag[point as usize];
-        for a in 0..3 {
-            g[a] += sign * by[a];
-        }
-    }
-
-    /// Adds to what is pending on an element, and its force to the lag. Returns the largest force
-    /// on a corner that all that is pending makes, in N.
+    /// Adds `share` of a displacement to what is pending on an element, and of the force that it makes
+    /// to the lag. Returns the largest force on a corner that all that is pending makes, in N, and how far
+    /// it moves two corners apart, in m.
     #[inline(always)]
-    pub(super) fn wait(&mut self, level: &Level, element: u32, by: &Corners) -> f32 {
-        let (e, mut force) = (element as usize, [0.0; SIZE]);
-        multiply(&level.matrices[level.matrix[e] as usize].k, by, &mut force);
+    pub(super) fn wait(
+        &mut self,
+        level: &Level,
+        element: u32,
+        by: &Corners,
+        force: &Corners,
+        share: f32,
+    ) -> [f32; 2] {
+        let e = element as usize;
         self.waiting[e] = true;
-        for i in 0..SIZE {
-            self.pending[e][i] += by[i];
-            self.owed[e][i] += force[i];
-        }
+        let (pending, owed) = (&mut self.pending[e], &mut self.owed[e]);
         let mut most = 0.0f32;
         for (c, &point) in level.corners[e].iter().enumerate() {
-            self.add_lag(
-                point,
-                [force[at(c, 0)], force[at(c, 1)], force[at(c, 2)]],
-                -1.0,
-            );
-            let owed = [0, 1, 2].map(|a| self.owed[e][at(c, a)]);
-            most = most.max(owed[0] * owed[0] + owed[1] * owed[1] + owed[2] * owed[2]);
+            self.lagging.insert(point);
+            let g = &mut self.lag[point as usize];
+            *g = plus(g, -share, &force[c]);
+            pending[c] = plus(&pending[c], share, &by[c]);
+            owed[c] = plus(&owed[c], share, &force[c]);
+            most = most.max(square(&owed[c]));
         }
-        most.sqrt()
+        let (mut low, mut high) = (pending[0], pending[0]);
+        for p in &pending[1..] {
+            for a in 0..4 {
+                low[a] = if p[a] < low[a] { p[a] } else { low[a] };
+                high[a] = if p[a] > high[a] { p[a] } else { high[a] };
+            }
+        }
+        let apart = plus(&high, -1.0, &low);
+        [most.sqrt(), apart[0].max(apart[1]).max(apart[2])]
     }
 
     /// Takes what is pending on an element, and its force back out of the lag.
     pub(super) fn take_pending(&mut self, level: &Level, element: u32) -> Corners {
         let e = element as usize;
-        let pending = std::mem::replace(&mut self.pending[e], [0.0; SIZE]);
-        let owed = std::mem::replace(&mut self.owed[e], [0.0; SIZE]);
+        let pending = std::mem::replace(&mut self.pending[e], NOTHING);
+        let owed = std::mem::replace(&mut self.owed[e], NOTHING);
         self.waiting[e] = false;
-        for (c, &point) in level.corners[e].iter().enumerate() {
-            self.add_lag(point, [owed[at(c, 0)], owed[at(c, 1)], owed[at(c, 2)]], 1.0);
+        for (&point, owed) in level.corners[e].iter().zip(&owed) {
+            self.lagging.insert(point);
+            let g = &mut self.lag[point as usize];
+            *g = plus(g, 1.0, owed);
             // Sums of rounded terms do not cancel to the last bit: a point without pending
             // elements has no lag.
             let quiet = |e: &u32| !self.waiting[*e as usize];
@@ -261,19 +272,6 @@ impl Patch {
         for &point in &self.points.items {
             self.free[point as usize] = self.inside[point as usize] == level.around.len(point);
         }
-    }
-
-    /// Value of a quantity at the corners of an element.
-    #[inline(always)]
-    pub(super) fn corners(level: &Level, element: u32, of: &[Quad]) -> Corners {
-        let mut x = [0.0; SIZE];
-        for (c, &point) in level.corners[element as usize].iter().enumerate() {
-            let v = &of[point as usize];
-            for a in 0..3 {
-                x[at(c, a)] = v[a];
-            }
-        }
-        x
     }
 }
 
@@ -328,4 +326,9 @@ pub(super) fn apply(m: &[f32; 6], v: &Quad) -> Quad {
         m[4] * v[0] + m[5] * v[1] + m[2] * v[2],
         0.0,
     ]
+}
+
+#[inline(always)]
+pub(super) fn square(v: &Quad) -> f32 {
+    v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
 }

@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::budget::{Budget, StepReport};
-use super::choice::Keeps;
+use super::choice::{Asked, Keeps};
 use super::cycle::{Effort, Multigrid};
 use super::field::{Field, contact_block, own_stiffness};
 use super::follower::{Follower, Successor, measure};
 use super::foresight::Foresight;
+use super::near::Near;
 use super::patch::take_over;
 use super::structure::Structure;
 use crate::contact::{Contacts, Tool};
@@ -31,22 +32,28 @@ const EFFORT: [Effort; 2] = [
     },
     Effort {
         before: 0,
-        after: 2,
+        after: 1,
         coarsest: 10,
         loaded: 8.0,
     },
 ];
 /// Force on a corner of an element, in thresholds, that its pending displacement may have changed it by
 /// before it is refined; of a solution, and of a step that a hand waits for.
-const PENDING: [f32; 2] = [4.0, 6.0];
+const PENDING: [f32; 2] = [4.0, 8.0];
+/// While a hand waits: change of the size of an element, in parts of it, that may wait with the coarse
+/// level's stiffness at rest, and the one of a brick that stays in the set while it lasts.
+const STRAINED: f32 = 0.12;
+const BENT: f32 = 0.5;
+/// Smoothing steps under the tools when a hand's step ends.
+const LAST_STEPS: usize = 5;
 /// Share of the correction of the coarse levels that is taken at least and at most.
 const SHARES: [f64; 2] = [0.2, 2.0];
 /// Part of the allowed residual that a single node may keep at first. When what is active has
 /// become calm the part is lowered, down to where all stirred nodes together can not exceed it.
 const FIRST_SHARE: f64 = 0.25;
 /// What tools bring in counts at least as this many spacings times the stiffness of a node: after a
-/// release there is nothing to be relative to, and no hand or eye can tell less.
-const LEAST: f64 = 0.1;
+/// release there is nothing to be relative to, and no eye can tell less; no hand can tell a fifth of that.
+const LEAST: [f64; 2] = [0.1, 0.02];
 /// Only below this tolerance is it lowered as far as that. Above, one lowering is enough: the force on a tool does not feel a thousand
 /// far nodes with a thousandth of it each, and visiting them all costs more than the press.
 const PROVEN: f64 = 1e-3;
@@ -54,30 +61,29 @@ const PROVEN: f64 = 1e-3;
 const QUICK: f64 = 0.02;
 /// Factor by which the part is lowered.
 const DEEPEN: f64 = 0.25;
-/// Residual of the last step's set up to which its change may be carried on: errors would be, too.
-const TRUSTED: f64 = 0.1;
-/// Bounds of the share of the last change that is carried on under tools, and what is tried first where
-/// tools do not tell.
-const CARRIED: [f64; 2] = [0.0, 1.0];
+/// Iterations that are due when a tool has jumped or has just touched the tissue: there is no last change to
+/// begin with.
+const DUE: usize = 3;
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
 const BLOWN_UP: f64 = 1e4;
 
 /// Scratch memory of the equilibrium of one shape of one topology.
 pub struct Solver {
-    structure: Arc<Structure>,
+    pub(super) structure: Arc<Structure>,
     pub(super) field: Field,
-    coarse: Multigrid,
-    contacts: Contacts,
+    pub(super) coarse: Multigrid,
+    pub(super) contacts: Contacts,
+    near: Near,
     pub(super) held: Vec<u32>,
     foresight: Foresight,
     pub(super) moved: Vec<Vec3>,
-    reference: f64,
-    /// What counts as nothing, in N; see [`LEAST`].
+    pub(super) reference: f64,
+    /// Force in N that moves a typical node by a spacing; see [`LEAST`].
     least: f64,
     report: StepReport,
     dirty: bool,
     /// Whether this step began with the last one's change everywhere.
-    carried: bool,
+    pub(super) carried: bool,
     /// Where nodes were that have been held or moved since the last step.
     led: BTreeMap<u32, Vec3>,
     last_forces: Vec<Vec3>,
@@ -106,9 +112,10 @@ impl Solver {
             None => 0.0,
         };
         Self {
-            least: LEAST * typical * topology.model().spacing_m,
+            least: typical * topology.model().spacing_m,
             field,
             coarse: Multigrid::new(&structure),
+            near: Near::new(&structure),
             structure,
             contacts: Contacts::new(topology),
             held: Vec::new(),
@@ -160,6 +167,7 @@ impl Solver {
     fn begin_again(&mut self, field: Field, coarse: Multigrid) {
         let displaced = self.field.displaced;
         (self.field, self.coarse) = (field, coarse);
+        self.near = Near::new(&self.structure);
         self.field.displaced = displaced;
         for &node in &self.held {
             self.field.fixed[node as usize] = true;
@@ -293,65 +301,6 @@ impl Solver {
         &self.report
     }
 
-    /// Forces left on the free nodes of the set, relative to what tools and held nodes bring in.
-    fn calmness(&self) -> f64 {
-        relative(self.field.square_over_free(), self.reference)
-    }
-
-    /// Stage: contacts, and the last step's change carried on by about `guess` times. Returns whether
-    /// a proxy lags.
-    fn foresee(&mut self, topology: &Topology, u: &mut [Vec3], guess: f64) -> bool {
-        let last = self.field.take_moves(u);
-        self.coarse.recall();
-        if self.contacts.proxies.is_empty() {
-            // Less than one, so that what a step got wrong dies out even if the next one has little time.
-            let calmness = self.calmness();
-            let share = if calmness < TRUSTED {
-                guess.clamp(-1.0, 1.0 - calmness)
-            } else {
-                0.0
-            };
-            self.carried = share != 0.0;
-            self.carry_on(u, &last, share);
-            return self.gather(topology, u);
-        }
-        // Of a tool's press only what is near is kept going: the rest costs more than it brings.
-        self.carried = false;
-        let lags = self.gather(topology, u);
-        let share = self.best_carry(u, &last);
-        self.carry_on(u, &last, share);
-        lags
-    }
-
-    /// How much of the last step's change is best: where no work is left along it.
-    fn best_carry(&mut self, u: &mut [Vec3], last: &[(u32, Vec3)]) -> f64 {
-        if last.is_empty() {
-            return 0.0;
-        }
-        self.field.refresh(&self.structure, u);
-        self.field.evaluate_bricks(&self.structure, u);
-        let waiting = self.coarse.work_along(&self.structure);
-        let here = waiting[0] + self.field.work(last);
-        self.field.move_on(u, last, 1.0);
-        self.field.evaluate_bricks(&self.structure, u);
-        let there = waiting[1] + self.field.work(last);
-        self.field.move_on(u, last, -1.0);
-        let moves: BTreeMap<u32, Vec3> = last.iter().copied().collect();
-        let by = |n: u32| moves.get(&n).copied().unwrap_or_else(Vec3::zeros);
-        let along = self.contacts.along(u, by, 0.0);
-        along.rest([here, there], CARRIED)
-    }
-
-    /// Carries the last step's change on, on all levels.
-    fn carry_on(&mut self, u: &mut [Vec3], last: &[(u32, Vec3)], share: f64) {
-        if share != 0.0 {
-            self.coarse
-                .commit(&self.structure, share as f32, f32::INFINITY);
-            self.field.move_on(u, last, share);
-            self.field.catch_up(&self.structure, &self.coarse, u, last);
-        }
-    }
-
     fn iterate(
         &mut self,
         topology: &Topology,
@@ -361,12 +310,16 @@ impl Solver {
     ) {
         let quick = budget.near || budget.tolerance >= QUICK && self.held.is_empty();
         self.coarse.pending = PENDING[usize::from(quick)];
+        self.coarse.strained = if budget.near { STRAINED } else { f32::INFINITY };
+        self.field.bent = if budget.near { BENT } else { f32::INFINITY };
         // What took part in the last step takes part again: nothing is gained by beginning coarsely.
         let mut share = if self.carried { 0.0 } else { FIRST_SHARE };
         let jumped = lags;
+        let touched = self.report.reactions.iter().any(|r| r.contacts > 0);
+        let touches = budget.near && !touched && !self.contacts.nodes.is_empty();
         loop {
             self.field.refresh(&self.structure, u);
-            let allowed = self.bring(u, budget.tolerance);
+            let allowed = self.bring(u, budget.tolerance, budget.near);
             let last = if budget.tolerance < PROVEN {
                 0.5 / (self.field.stirred() as f64 + 1.0).sqrt()
             } else if budget.tolerance < QUICK {
@@ -386,9 +339,10 @@ impl Solver {
             let done = calm && share <= last && (whole || budget.tolerance >= PROVEN);
             let spent = self.report.iterations >= budget.iterations;
             // One iteration there is always: without any, what was foreseen would never be checked. Under a
-            // tool that jumped into the tissue there are two: after one it has not given way yet, and the
+            // tool that jumped into the tissue there are more: after one it has not given way yet, and the
             // force is ten times what it will be.
-            let due = self.report.iterations < if jumped { 2 } else { 1 };
+            let due = self.report.iterations < if jumped || touches { DUE } else { 1 };
+            let spent = spent && !(due && touches);
             let mut late = || !due && budget.stop.as_mut().is_some_and(|stop| stop());
             if done || spent || late() {
                 break;
@@ -414,6 +368,10 @@ impl Solver {
                 lags = self.gather(topology, u);
             }
         }
+        if quick && self.report.iterations > 0 && !self.contacts.nodes.is_empty() {
+            let (field, near) = (&mut self.field, &mut self.near);
+            field.smooth_near(&self.structure, near, u, &self.contacts, LAST_STEPS);
+        }
     }
 
     /// Stage: what takes part, and the forces on it. Returns their sum of squares.
@@ -427,7 +385,16 @@ impl Solver {
             _ => Keeps::Near,
         };
         let field = &mut self.field;
-        if field.select(structure, coarse, touched, limit, quick, keeps) {
+        // What leaves the set keeps the forces it had: they must be those of where it is left.
+        field.evaluate_bricks(structure, u);
+        field.add_contacts(u, &self.contacts, 1.0);
+        let asked = Asked {
+            threshold: limit,
+            quick,
+            keeps,
+        };
+        let chosen = field.select(structure, coarse, touched, &asked, u);
+        if chosen {
             coarse.select(structure, false);
             // What is handed down can be too much to wait on the next level as well.
             while coarse.push(structure, limit) {
@@ -435,15 +402,16 @@ impl Solver {
                 coarse.select(structure, true);
             }
             field.enter(structure, coarse, u);
+            field.add_contacts(u, &self.contacts, 1.0);
         }
-        let sum = self.field.evaluate(structure, u, &self.contacts);
+        let sum = self.field.square_over_unfixed();
         // Those from before a contact was found would smooth past it: deep presses blew up.
-        self.field.renew = true;
+        self.field.renew |= chosen || self.report.iterations == 0 || !quick;
         sum
     }
 
     /// Stage: proxies and samples.
-    fn gather(&mut self, topology: &Topology, u: &mut [Vec3]) -> bool {
+    pub(super) fn gather(&mut self, topology: &Topology, u: &mut [Vec3]) -> bool {
         let (field, contacts) = (&mut self.field, &mut self.contacts);
         field.let_contacts_go(&self.structure, &contacts.nodes);
         let lags = contacts.gather(topology, u, field.displaced, &field.own);
@@ -453,7 +421,7 @@ impl Solver {
     }
 
     /// Stage: the residual in N that the tolerance allows for what tools and held nodes bring in.
-    fn bring(&mut self, u: &[Vec3], tolerance: f64) -> f64 {
+    fn bring(&mut self, u: &[Vec3], tolerance: f64, near: bool) -> f64 {
         let square = |n: u32| {
             let r = &self.field.r[n as usize];
             r.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>()
@@ -464,7 +432,7 @@ impl Solver {
             self.reference = sum.sqrt();
         }
         if tolerance >= PROVEN {
-            self.reference = self.reference.max(self.least);
+            self.reference = self.reference.max(LEAST[usize::from(near)] * self.least);
         }
         tolerance * self.reference
     }
@@ -481,10 +449,11 @@ impl Solver {
         let by = |n: u32| field.moved_by(n);
         let along = self.contacts.along(u, by, 1.0);
         let mut work = field.work_along();
+        coarse.defer(structure);
         if !self.contacts.proxies.is_empty() {
             // Under held nodes the levels fall short by as much as what waits is too stiff: without it a
             // cube from rest needs four iterations to 1 %, with it five.
-            let waiting = coarse.work_along(structure);
+            let waiting = coarse.work_along();
             work = [work[0] + waiting[0], work[1] + waiting[1]];
         }
         let share = along.rest(work, SHARES);
@@ -502,7 +471,9 @@ impl Solver {
                 self.field.evaluate(&self.structure, u, &self.contacts);
             }
             self.field.renew_pressed(u, &self.contacts);
-            self.field.relax(u, &mut factors);
+            let nodes = std::mem::take(&mut self.field.nodes.items);
+            self.field.relax(u, &nodes, &mut factors);
+            self.field.nodes.items = nodes;
         }
     }
 

@@ -257,7 +257,12 @@ impl Structure {
                         }
                     }
                 }
-                Arc::new(sum.finish())
+                let alike = list.iter().all(|part| part.0 == list[0].0)
+                    && match finer {
+                        None => forms[list[0].0 as usize].is_regular(per_spacing),
+                        Some(level) => level.matrices[list[0].0 as usize].k.is_full(),
+                    };
+                Arc::new(sum.finish(alike))
             })
             .collect();
         matrices.extend(made);

@@ -1,0 +1,279 @@
+//! Matrices of coarse elements, as they are stored and multiplied.
+
+use pulp::Simd;
+
+use super::block::{Quad, ZERO};
+use super::lanes::V;
+
+/// Unknowns of an element: corner `c` along axis `a` is [`at`]`(c, a)`.
+pub(crate) const SIZE: usize = 24;
+/// Number of corner `c` along axis `a` among the unknowns.
+#[inline(always)]
+pub(crate) const fn at(c: usize, a: usize) -> usize {
+    3 * c + a
+}
+/// Rows of a matrix as it is stored: four per corner, the last of them zero, so that a product takes the
+/// values of points as they lie in memory and gives them back so, two vectors of sixteen in all.
+pub(crate) const ROWS: usize = 32;
+/// Row of corner `c` along axis `a` in what is stored.
+#[inline(always)]
+pub(crate) const fn lane(c: usize, a: usize) -> usize {
+    4 * c + a
+}
+
+/// A matrix column by column; symmetric.
+#[derive(Clone)]
+#[repr(align(64))]
+pub(crate) struct Columns(pub(crate) [[f32; ROWS]; SIZE]);
+
+impl Columns {
+    pub(crate) const ZERO: Self = Self([[0.0; ROWS]; SIZE]);
+
+    pub(crate) fn new(k: &[[f64; SIZE]; SIZE]) -> Self {
+        let mut columns = Self::ZERO;
+        for (column, from) in columns.0.iter_mut().zip(k) {
+            for c in 0..8 {
+                for a in 0..3 {
+                    column[lane(c, a)] = from[at(c, a)] as f32;
+                }
+            }
+        }
+        columns
+    }
+
+    /// `K x`, row by row; x are the values of these points.
+    #[inline(always)]
+    pub(crate) fn multiply<S: Simd>(&self, simd: S, points: &[u32; 8], of: &[Quad]) -> Rows {
+        let mut y = Rows([0.0; ROWS]);
+        let mut from = 0;
+        while from < ROWS {
+            // A chain of sums for each axis, or each addition would wait for the one before.
+            let zero = V::all(simd, 0.0);
+            let (mut sum_x, mut sum_y, mut sum_z) = (zero, zero, zero);
+            for c in 0..8 {
+                let x = &of[points[c] as usize];
+                let k = &self.0[3 * c..3 * c + 3];
+                sum_x = sum_x + V::load(simd, &k[0], from) * V::all(simd, x[0]);
+                sum_y = sum_y + V::load(simd, &k[1], from) * V::all(simd, x[1]);
+                sum_z = sum_z + V::load(simd, &k[2], from) * V::all(simd, x[2]);
+            }
+            (sum_x + sum_y + sum_z).store(&mut y.0, from);
+            from += V::<S>::WIDTH;
+        }
+        y
+    }
+}
+
+/// Forces as they come out of a product: four to a corner, the last of them zero.
+#[repr(align(64))]
+pub(crate) struct Rows([f32; ROWS]);
+
+impl Rows {
+    #[inline(always)]
+    pub(crate) fn corner(&self, c: usize) -> Quad {
+        let r = &self.0[4 * c..4 * c + 4];
+        [r[0], r[1], r[2], r[3]]
+    }
+
+    #[inline(always)]
+    pub(crate) fn corners(&self) -> Corners {
+        let mut list = [ZERO; 8];
+        for (c, to) in list.iter_mut().enumerate() {
+            *to = self.corner(c);
+        }
+        list
+    }
+}
+
+/// A matrix in whole numbers of sixteen bits, times a scale.
+///
+/// The tissue near surfaces and tools is a thousand elements of which hardly two are alike, more than the
+/// nearer caches hold in single precision, and a product waited twice as long for its matrix as it computed.
+/// Coarse corrections need few digits. But what moves as a whole must make no more force than before: each
+/// block of the diagonal makes up for what was rounded in its rows.
+#[derive(Clone)]
+#[repr(align(64))]
+pub(crate) struct Short {
+    columns: [[i16; ROWS]; SIZE],
+    scale: f32,
+}
+
+/// Largest whole number of a matrix; what is rounded has room above it.
+const LARGEST: f64 = 32_700.0;
+/// Part of the largest number of a matrix that counts as nothing where its blocks are added up.
+const NOTHING: f64 = 1e-5;
+/// How many times as stiff as another a corner may be for sixteen bits to do for both.
+const CONTRAST: f64 = 64.0;
+
+impl Short {
+    /// The nearest one, unless its corners are too different.
+    pub(crate) fn new(k: &[[f64; SIZE]; SIZE]) -> Option<Self> {
+        let diagonal = || (0..SIZE).map(|i| k[i][i]).filter(|&v| v != 0.0);
+        let largest = diagonal().fold(0.0, f64::max);
+        let least = diagonal().fold(f64::MAX, f64::min);
+        if largest <= 0.0 || largest > CONTRAST * least {
+            return None;
+        }
+        let scale = largest / LARGEST;
+        let mut columns = [[0i16; ROWS]; SIZE];
+        for j in 0..SIZE {
+            for c in 0..8 {
+                for a in 0..3 {
+                    columns[j][lane(c, a)] = (k[j][at(c, a)] / scale).round() as i16;
+                }
+            }
+        }
+        for c in 0..8 {
+            for (a, b) in (0..9).map(|i| (i / 3, i % 3)) {
+                let whole: f64 = (0..8).map(|q| k[at(q, b)][at(c, a)]).sum();
+                if whole.abs() <= NOTHING * largest {
+                    let left: i16 = (0..8).map(|q| columns[at(q, b)][lane(c, a)]).sum();
+                    columns[at(c, b)][lane(c, a)] -= left;
+                }
+            }
+        }
+        let scale = scale as f32;
+        Some(Self { columns, scale })
+    }
+
+    /// `K x`, row by row; x are the values of these points.
+    #[inline(always)]
+    fn multiply<S: Simd>(&self, simd: S, points: &[u32; 8], of: &[Quad]) -> Rows {
+        let mut y = Rows([0.0; ROWS]);
+        let mut from = 0;
+        while from < ROWS {
+            let zero = V::all(simd, 0.0);
+            let (mut sum_x, mut sum_y, mut sum_z) = (zero, zero, zero);
+            for c in 0..8 {
+                let x = &of[points[c] as usize];
+                let k = &self.columns[3 * c..3 * c + 3];
+                sum_x = sum_x + V::load_short(simd, &k[0], from) * V::all(simd, x[0]);
+                sum_y = sum_y + V::load_short(simd, &k[1], from) * V::all(simd, x[1]);
+                sum_z = sum_z + V::load_short(simd, &k[2], from) * V::all(simd, x[2]);
+            }
+            let sum = V::all(simd, self.scale) * (sum_x + sum_y + sum_z);
+            sum.store(&mut y.0, from);
+            from += V::<S>::WIDTH;
+        }
+        y
+    }
+}
+
+/// The stiffness of an element.
+#[derive(Clone)]
+pub(crate) enum Stiffness {
+    Full(Box<Columns>),
+    Short(Box<Short>),
+}
+
+impl Stiffness {
+    pub(crate) fn is_full(&self) -> bool {
+        matches!(self, Self::Full(_))
+    }
+
+    /// The number in a column and a stored row.
+    pub(crate) fn get(&self, column: usize, row: usize) -> f32 {
+        match self {
+            Self::Full(k) => k.0[column][row],
+            Self::Short(k) => k.scale * f32::from(k.columns[column][row]),
+        }
+    }
+
+    /// Adds this to a matrix.
+    pub(crate) fn add_to(&self, to: &mut Columns) {
+        let to = to.0.as_flattened_mut().iter_mut();
+        match self {
+            Self::Full(k) => to.zip(k.0.as_flattened()).for_each(|(to, v)| *to += v),
+            Self::Short(k) => to
+                .zip(k.columns.as_flattened())
+                .for_each(|(to, v)| *to += k.scale * f32::from(*v)),
+        }
+    }
+
+    /// `K x`, row by row; x are the values of these points.
+    #[inline(always)]
+    pub(crate) fn multiply<S: Simd>(&self, simd: S, points: &[u32; 8], of: &[Quad]) -> Rows {
+        match self {
+            Self::Full(k) => k.multiply(simd, points, of),
+            Self::Short(k) => k.multiply(simd, points, of),
+        }
+    }
+}
+
+/// Displacements or forces of the corners of one element.
+pub(crate) type Corners = [Quad; 8];
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Springs of all pairs of corners, each along some direction.
+    fn springs(numbers: &[f64]) -> [[f64; SIZE]; SIZE] {
+        let mut k = [[0.0; SIZE]; SIZE];
+        let mut numbers = numbers.chunks_exact(4).cycle();
+        for p in 0..8 {
+            for q in 0..p {
+                let s = numbers.next().unwrap();
+                for (a, b) in (0..9).map(|i| (i / 3, i % 3)) {
+                    let v = s[3] * s[a] * s[b];
+                    for (i, j, sign) in [(p, p, 1.0), (q, q, 1.0), (p, q, -1.0), (q, p, -1.0)] {
+                        k[at(i, a)][at(j, b)] += sign * v;
+                    }
+                }
+            }
+        }
+        k
+    }
+
+    fn product(short: &Short, x: &Corners) -> Corners {
+        let points = [0, 1, 2, 3, 4, 5, 6, 7];
+        short.multiply(pulp::Scalar::new(), &points, x).corners()
+    }
+
+    proptest! {
+        #[test]
+        fn sixteen_bits_give_the_forces_and_none_to_what_moves_as_a_whole(
+            numbers in prop::collection::vec(0.3..1.0f64, 4 * 28),
+            x in prop::collection::vec(-1.0..1.0f32, SIZE),
+            whole in prop::array::uniform3(-8.0..8.0f32),
+        ) {
+            let k = springs(&numbers);
+            let short = Short::new(&k).unwrap();
+            let mut at_corners = [ZERO; 8];
+            let mut together = [ZERO; 8];
+            for c in 0..8 {
+                for a in 0..3 {
+                    at_corners[c][a] = x[at(c, a)];
+                    // Small whole numbers, whose sums are exact.
+                    together[c][a] = whole[a].round();
+                }
+            }
+            let y = product(&short, &at_corners);
+            let stiffest = (0..SIZE).map(|i| k[i][i]).fold(0.0, f64::max);
+            for c in 0..8 {
+                for a in 0..3 {
+                    let exact: f64 = (0..SIZE).map(|j| k[j][at(c, a)] * f64::from(x[j])).sum();
+                    prop_assert!((f64::from(y[c][a]) - exact).abs() < 1e-3 * stiffest);
+                }
+            }
+            for f in product(&short, &together) {
+                prop_assert_eq!(f, ZERO);
+            }
+        }
+    }
+
+    #[test]
+    fn corners_too_different_for_sixteen_bits_stay_in_full() {
+        let mut k = springs(&[0.5; 4]);
+        for i in 0..SIZE {
+            for j in 0..SIZE {
+                for side in [i, j] {
+                    k[i][j] *= if side < 3 { 0.05 } else { 1.0 };
+                }
+            }
+        }
+        assert!(Short::new(&k).is_none());
+    }
+}
