@@ -127,8 +127,9 @@ impl Short {
             for (a, b) in (0..9).map(|i| (i / 3, i % 3)) {
                 let whole: f64 = (0..8).map(|q| k[at(q, b)][at(c, a)]).sum();
                 if whole.abs() <= NOTHING * largest {
-                    let left: i16 = (0..8).map(|q| columns[at(q, b)][lane(c, a)]).sum();
-                    columns[at(c, b)][lane(c, a)] -= left;
+                    let row = (0..8).map(|q| i32::from(columns[at(q, b)][lane(c, a)]));
+                    // A rounding or two per block: see LARGEST.
+                    columns[at(c, b)][lane(c, a)] -= row.sum::<i32>() as i16;
                 }
             }
         }
