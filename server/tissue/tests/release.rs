@@ -76,6 +76,13 @@ fn one_quick_iteration_per_tick_follows_a_hand_in_and_out() {
 }
 
 #[test]
+fn two_quick_iterations_per_tick_follow_it_closely() {
+    let every: Vec<usize> = (1..=TICKS).collect();
+    let (rms, most) = errors(&every, 2);
+    assert!(rms < 0.045 && most < 0.07, "rms {rms:.3}, most {most:.3}");
+}
+
+#[test]
 fn ticks_that_are_missed_make_no_peaks() {
     // Gaps of up to 12 ticks.
     let some = [3, 4, 9, 10, 18, 19, 20, 27, 33, 35, 38, 39, 44, 46];

@@ -39,11 +39,11 @@ const EFFORT: [Effort; 2] = [
 ];
 /// Force on a corner of an element, in thresholds, that its pending displacement may have changed it by
 /// before it is refined; of a solution, and of a step that a hand waits for.
-const PENDING: [f32; 2] = [4.0, 8.0];
+const PENDING: [f32; 2] = [4.0, 7.0];
 /// While a hand waits: change of the size of an element, in parts of it, that may wait with the coarse
 /// level's stiffness at rest, and the one of a brick that stays in the set while it lasts.
-const STRAINED: f32 = 0.12;
-const BENT: f32 = 0.5;
+const STRAINED: f32 = 0.08;
+const BENT: f32 = 0.2;
 /// Smoothing steps under the tools when a hand's step ends.
 const LAST_STEPS: usize = 5;
 /// Share of the correction of the coarse levels that is taken at least and at most.
@@ -353,10 +353,6 @@ impl Solver {
             if (calm || (flat && !quick)) && share > last {
                 share = (share * DEEPEN).max(last);
             }
-            if self.field.renew {
-                let (structure, contacts) = (&self.structure, &self.contacts);
-                self.field.renew_blocks(structure, u, contacts);
-            }
             self.report.iterations += 1;
             self.remember_forces(u);
             if self.report.iterations > 1 && !quick {
@@ -393,8 +389,7 @@ impl Solver {
             quick,
             keeps,
         };
-        let chosen = field.select(structure, coarse, touched, &asked, u);
-        if chosen {
+        if field.select(structure, coarse, touched, &asked, u) {
             coarse.select(structure, false);
             // What is handed down can be too much to wait on the next level as well.
             while coarse.push(structure, limit) {
@@ -404,10 +399,7 @@ impl Solver {
             field.enter(structure, coarse, u);
             field.add_contacts(u, &self.contacts, 1.0);
         }
-        let sum = self.field.square_over_unfixed();
-        // Those from before a contact was found would smooth past it: deep presses blew up.
-        self.field.renew |= chosen || self.report.iterations == 0 || !quick;
-        sum
+        self.field.square_over_unfixed()
     }
 
     /// Stage: proxies and samples.
@@ -465,6 +457,10 @@ impl Solver {
     /// Stage: smoothing on the nodes. All of it or nothing: the steps are one polynomial, and half of that
     /// leaves more than it takes away.
     fn smooth(&mut self, u: &mut [Vec3]) {
+        // At the displacements they are used at: with blocks of before the correction, nodes in contact were
+        // thrown about where pressed tissue is about to snap through.
+        let (structure, contacts) = (&self.structure, &self.contacts);
+        self.field.renew_blocks(structure, u, contacts);
         let mut factors = Field::smoothing();
         for s in 0..SMOOTHING {
             if s > 0 {
