@@ -44,24 +44,56 @@ impl Columns {
     /// `K x`, row by row; x are the values of these points.
     #[inline(always)]
     pub(crate) fn multiply<S: Simd>(&self, simd: S, points: &[u32; 8], of: &[Quad]) -> Rows {
-        let mut y = Rows([0.0; ROWS]);
-        let mut from = 0;
-        while from < ROWS {
-            // A chain of sums for each axis, or each addition would wait for the one before.
-            let zero = V::all(simd, 0.0);
-            let (mut sum_x, mut sum_y, mut sum_z) = (zero, zero, zero);
-            for c in 0..8 {
-                let x = &of[points[c] as usize];
-                let k = &self.0[3 * c..3 * c + 3];
-                sum_x = sum_x + V::load(simd, &k[0], from) * V::all(simd, x[0]);
-                sum_y = sum_y + V::load(simd, &k[1], from) * V::all(simd, x[1]);
-                sum_z = sum_z + V::load(simd, &k[2], from) * V::all(simd, x[2]);
-            }
-            (sum_x + sum_y + sum_z).store(&mut y.0, from);
-            from += V::<S>::WIDTH;
-        }
-        y
+        product(simd, &self.0, 1.0, points, of)
     }
+}
+
+/// The numbers of a column, in one kind or the other.
+trait Column {
+    fn load<S: Simd>(&self, simd: S, at: usize) -> V<S>;
+}
+
+impl Column for [f32; ROWS] {
+    #[inline(always)]
+    fn load<S: Simd>(&self, simd: S, at: usize) -> V<S> {
+        V::load(simd, self, at)
+    }
+}
+
+impl Column for [i16; ROWS] {
+    #[inline(always)]
+    fn load<S: Simd>(&self, simd: S, at: usize) -> V<S> {
+        V::load_short(simd, self, at)
+    }
+}
+
+/// `scale` times a matrix times the values of these points.
+#[inline(always)]
+fn product<S: Simd>(
+    simd: S,
+    columns: &[impl Column; SIZE],
+    scale: f32,
+    points: &[u32; 8],
+    of: &[Quad],
+) -> Rows {
+    let mut y = Rows([0.0; ROWS]);
+    let mut from = 0;
+    while from < ROWS {
+        // A chain of sums for each axis, or each addition would wait for the one before.
+        let zero = V::all(simd, 0.0);
+        let (mut sum_x, mut sum_y, mut sum_z) = (zero, zero, zero);
+        for c in 0..8 {
+            let x = &of[points[c] as usize];
+            let k = &columns[3 * c..3 * c + 3];
+            sum_x = sum_x + k[0].load(simd, from) * V::all(simd, x[0]);
+            sum_y = sum_y + k[1].load(simd, from) * V::all(simd, x[1]);
+            sum_z = sum_z + k[2].load(simd, from) * V::all(simd, x[2]);
+        }
+        let sum = V::all(simd, scale) * (sum_x + sum_y + sum_z);
+        sum.store(&mut y.0, from);
+        from += V::<S>::WIDTH;
+    }
+    y
 }
 
 /// Forces as they come out of a product: four to a corner, the last of them zero.
@@ -87,10 +119,10 @@ impl Rows {
 
 /// A matrix in whole numbers of sixteen bits, times a scale.
 ///
-/// The tissue near surfaces and tools is a thousand elements of which hardly two are alike, more than the
-/// nearer caches hold in single precision, and a product waited twice as long for its matrix as it computed.
-/// Coarse corrections need few digits. But what moves as a whole must make no more force than before: each
-/// block of the diagonal makes up for what was rounded in its rows.
+/// What takes part around a tool is some seven hundred elements of which hardly two are alike, more than a
+/// cache of 2 MB holds in single precision, and products waited for their matrices; with half of the bytes a
+/// hand's step takes a twentieth less. Coarse corrections need few digits. But what moves as a whole must make
+/// no more force than before: each block of the diagonal makes up for what was rounded in its rows.
 #[derive(Clone)]
 #[repr(align(64))]
 pub(crate) struct Short {
@@ -140,23 +172,7 @@ impl Short {
     /// `K x`, row by row; x are the values of these points.
     #[inline(always)]
     fn multiply<S: Simd>(&self, simd: S, points: &[u32; 8], of: &[Quad]) -> Rows {
-        let mut y = Rows([0.0; ROWS]);
-        let mut from = 0;
-        while from < ROWS {
-            let zero = V::all(simd, 0.0);
-            let (mut sum_x, mut sum_y, mut sum_z) = (zero, zero, zero);
-            for c in 0..8 {
-                let x = &of[points[c] as usize];
-                let k = &self.columns[3 * c..3 * c + 3];
-                sum_x = sum_x + V::load_short(simd, &k[0], from) * V::all(simd, x[0]);
-                sum_y = sum_y + V::load_short(simd, &k[1], from) * V::all(simd, x[1]);
-                sum_z = sum_z + V::load_short(simd, &k[2], from) * V::all(simd, x[2]);
-            }
-            let sum = V::all(simd, self.scale) * (sum_x + sum_y + sum_z);
-            sum.store(&mut y.0, from);
-            from += V::<S>::WIDTH;
-        }
-        y
+        product(simd, &self.columns, self.scale, points, of)
     }
 }
 

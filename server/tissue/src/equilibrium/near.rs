@@ -1,8 +1,8 @@
 //! What lies directly under the tools: a few bricks whose nodes are smoothed more often than the others.
 //!
 //! A contact is forty times as stiff as the tissue, so a node that a correction has left a little off its
-//! place shows as a large force. What is to be mended there is local, and a sweep over it costs a small part of
-//! one over all that takes part.
+//! place shows as a large force. What is to be mended there is local. (Three such steps took 0.065 ms of a tick
+//! of 1.3 ms: not much less than three over all, because of the contacts' own share.)
 
 use super::field::Field;
 use super::patch::List;

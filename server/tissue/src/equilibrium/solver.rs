@@ -44,7 +44,7 @@ const PENDING: [f32; 2] = [4.0, 7.0];
 /// level's stiffness at rest, and the one of a brick that stays in the set while it lasts.
 const STRAINED: f32 = 0.08;
 const BENT: f32 = 0.2;
-/// Smoothing steps under the tools when a hand's step ends.
+/// Smoothing steps under the tools when a quick step ends.
 const LAST_STEPS: usize = 5;
 /// Share of the correction of the coarse levels that is taken at least and at most.
 const SHARES: [f64; 2] = [0.2, 2.0];
