@@ -191,6 +191,57 @@ fn the_seeds_iteration_agrees_where_the_laws_do() {
     assert!((tops[0] / tops[1] - 1.0).abs() < 0.03, "{tops:?}");
 }
 
+/// A cube of twelve cells, and the nodes in the middle of its top.
+fn cube() -> (Topology, Vec<u32>) {
+    let topology = tissue([12, 12, 12], 4.0 * MM);
+    let top = Vec3::new(24.0, 24.0, 48.0) * MM;
+    let near = |&n: &u32| (topology.rest(n) - top).norm() < 6.0 * MM;
+    let disc = (0..topology.node_count() as u32).filter(near).collect();
+    (topology, disc)
+}
+
+fn lead(topology: &Topology, solver: &mut Solver, shape: &mut Shape, disc: &[u32], depth: f64) {
+    for &node in disc {
+        assert!(solver.hold(topology, shape, node, -Vec3::z() * depth));
+    }
+}
+
+/// Relative rms difference.
+fn off(shape: &Shape, exact: &Shape) -> f64 {
+    let pairs = || shape.displacement.iter().zip(&exact.displacement);
+    let difference: f64 = pairs().map(|(a, b)| (a - b).norm_squared()).sum();
+    (difference / pairs().map(|p| p.1.norm_squared()).sum::<f64>()).sqrt()
+}
+
+#[test]
+fn what_is_held_draws_the_rest_along() {
+    let (topology, disc) = cube();
+    let led = |iterations: usize| {
+        let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+        lead(&topology, &mut solver, &mut shape, &disc, 0.5 * MM);
+        solver.step(&topology, &mut shape, &[], Budget::new(iterations, 1e-6));
+        shape
+    };
+    let exact = led(400);
+    assert!(off(&led(1), &exact) < 0.25, "{}", off(&led(1), &exact));
+    assert!(off(&led(3), &exact) < 0.02, "{}", off(&led(3), &exact));
+}
+
+#[test]
+fn what_is_led_on_as_before_carries_everything_on() {
+    let (topology, disc) = cube();
+    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    lead(&topology, &mut solver, &mut shape, &disc, 0.1 * MM);
+    settle(&topology, &mut solver, &mut shape, &[], 1e-6);
+    let mut twice = shape.clone();
+    twice.displacement.iter_mut().for_each(|u| *u *= 2.0);
+    lead(&topology, &mut solver, &mut shape, &disc, 0.2 * MM);
+    // Nothing is solved here: also what had become calm, and took no part any more, has to come along.
+    let report = solver.step(&topology, &mut shape, &[], Budget::new(0, 0.5));
+    assert_eq!(report.iterations, 0);
+    assert!(off(&shape, &twice) < 1e-3, "{}", off(&shape, &twice));
+}
+
 #[test]
 fn two_tools_press_at_once() {
     let (topology, mut solver, mut shape) = slab();

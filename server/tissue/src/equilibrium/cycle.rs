@@ -9,8 +9,8 @@ use pulp::{Arch, Simd, WithSimd};
 use super::block::{Quad, ZERO, plus};
 use super::coarsen::Ties;
 use super::element::Matrix;
-use super::matrix::{Columns, Corners, at, lane};
-use super::patch::{Deferred, NONE, Overlay, Patch, apply, invert, square, take_over};
+use super::matrix::Corners;
+use super::patch::{Deferred, Patch, apply, square, take_over};
 use super::structure::{Level, Structure};
 
 /// Lowest eigenvalue that smoothing looks after, in parts of the bound on all.
@@ -123,6 +123,33 @@ impl Multigrid {
                 .first()
                 .map(|p| (&structure.levels[l + 1], &p.refined));
             finer[l].choose(&structure.levels[l], above);
+        }
+        for patch in &mut self.patches {
+            for &element in &patch.refined.items {
+                patch.stirred.insert(element);
+            }
+        }
+    }
+
+    /// Refines again whatever was refined at any time in the last step. Returns whether that is more than now.
+    pub(super) fn stir(&mut self, structure: &Structure) -> bool {
+        let mut more = false;
+        for patch in &mut self.patches {
+            for i in 0..patch.stirred.items.len() {
+                more |= patch.refined.insert(patch.stirred.items[i]);
+            }
+            patch.refined.sort();
+        }
+        if more {
+            self.select(structure, true);
+        }
+        more
+    }
+
+    /// Forgets what was refined in the last step.
+    pub(super) fn calm(&mut self) {
+        for patch in &mut self.patches {
+            patch.stirred.clear();
         }
     }
 
@@ -319,105 +346,6 @@ impl Multigrid {
             }
         }
     }
-
-    /// Adds the stiffness of a node, a block in N/m, to level 1.
-    pub(super) fn stiffen(&mut self, structure: &Structure, node: u32, block: &[f32; 6]) {
-        let Some(&entry) = structure.around.row(node).first() else {
-            return;
-        };
-        let (brick, place) = (entry / 32, entry % 32);
-        let element = structure.element_of[brick as usize];
-        if structure.ties[node as usize].len == 0 {
-            return;
-        }
-        let w = super::element::WEIGHTS[place as usize].map(|w| w as f32);
-        self.patches[0].overlay(&structure.levels[0], element, |k| {
-            for (p, wp) in w.iter().enumerate().filter(|w| *w.1 > 0.0) {
-                for (q, wq) in w.iter().enumerate().filter(|w| *w.1 > 0.0) {
-                    const AT: [[usize; 3]; 3] = [[0, 3, 4], [3, 1, 5], [4, 5, 2]];
-                    for a in 0..3 {
-                        for b in 0..3 {
-                            k.0[at(p, a)][lane(q, b)] += wp * wq * block[AT[a][b]];
-                        }
-                    }
-                }
-            }
-        });
-        let corners = structure.levels[0].corners[element as usize];
-        for (c, wc) in w.iter().enumerate().filter(|w| *w.1 > 0.0) {
-            self.patches[0].bear(corners[c], block, *wc);
-        }
-    }
-
-    /// Carries the added stiffness to all levels.
-    pub(super) fn spread(&mut self, structure: &Structure) {
-        for l in 0..self.patches.len() {
-            let level = &structure.levels[l];
-            let (finer, coarser) = self.patches.split_at_mut(l + 1);
-            let patch = &mut finer[l];
-            for &point in &patch.stiffened.items {
-                let p = point as usize;
-                let sum = std::array::from_fn(|i| level.bound[p][i] + patch.stiffer[p][i]);
-                patch.inverse[p] = invert(&sum);
-            }
-            for overlay in &mut patch.overlays {
-                let element = overlay.element as usize;
-                if let Some(next) = coarser.first_mut() {
-                    let octant = level.octant[element] as usize;
-                    next.overlay(&structure.levels[l + 1], level.parent[element], |k| {
-                        add_child(k, &overlay.k, octant);
-                    });
-                }
-                let (_, own) = level.element(overlay.element);
-                own.k.add_to(&mut overlay.k);
-            }
-            let Some(next) = coarser.first_mut() else {
-                break;
-            };
-            for &point in &patch.stiffened.items {
-                let ties = &level.ties[point as usize];
-                for t in 0..ties.len as usize {
-                    next.bear(ties.to[t], &patch.stiffer[point as usize], ties.weight[t]);
-                }
-            }
-        }
-    }
-
-    /// Forgets all added stiffness.
-    pub(super) fn soften(&mut self, structure: &Structure) {
-        for (patch, level) in self.patches.iter_mut().zip(&structure.levels) {
-            for overlay in patch.overlays.drain(..) {
-                patch.overlay_of[overlay.element as usize] = NONE;
-            }
-            for &point in &patch.stiffened.items {
-                patch.stiffer[point as usize] = [0.0; 6];
-                patch.inverse[point as usize] = invert(&level.bound[point as usize]);
-            }
-            patch.stiffened.clear();
-        }
-    }
-}
-
-impl Patch {
-    fn overlay(&mut self, level: &Level, element: u32, add: impl FnOnce(&mut Columns)) {
-        debug_assert!((element as usize) < level.corners.len());
-        let entry = &mut self.overlay_of[element as usize];
-        if *entry == NONE {
-            *entry = self.overlays.len() as u32;
-            self.overlays.push(Overlay {
-                element,
-                k: Box::new(Columns::ZERO),
-            });
-        }
-        add(&mut self.overlays[*entry as usize].k);
-    }
-
-    fn bear(&mut self, point: u32, block: &[f32; 6], weight: f32) {
-        self.stiffened.insert(point);
-        for (to, v) in self.stiffer[point as usize].iter_mut().zip(block) {
-            *to += weight * v;
-        }
-    }
 }
 
 /// Smooths one level. When it was moved by d, the residual is brought up to date first and need
@@ -487,7 +415,7 @@ impl Level {
 
     /// Points and matrix of an element.
     #[inline(always)]
-    fn element(&self, element: u32) -> (&[u32; 8], &Matrix) {
+    pub(super) fn element(&self, element: u32) -> (&[u32; 8], &Matrix) {
         let e = element as usize;
         (&self.corners[e], &self.matrices[self.matrix[e] as usize])
     }
@@ -539,7 +467,7 @@ fn exceeds(waits: [f32; 2], tolerable: [f32; 2]) -> bool {
     waits[0] > tolerable[0] || waits[1] > tolerable[1]
 }
 
-fn restrict(ties: &Ties, value: &Quad, to: &mut Patch) {
+pub(super) fn restrict(ties: &Ties, value: &Quad, to: &mut Patch) {
     for t in 0..ties.len as usize {
         to.load(ties.to[t], value, ties.weight[t]);
     }
@@ -564,31 +492,6 @@ fn to_child(parent: &Corners, octant: u8) -> Corners {
         }
     }
     child
-}
-
-/// Adds `PᵀKP` of the matrix of a finer element.
-fn add_child(to: &mut Columns, child: &Columns, octant: usize) {
-    let corners = &super::brick::CORNER[octant];
-    let weights = corners.map(|place| super::element::WEIGHTS[place].map(|w| w as f32));
-    for (c, row) in weights.iter().enumerate() {
-        for a in 0..3 {
-            // Rows first: what one column of K becomes.
-            let from = &child.0[at(c, a)];
-            let mut t = [ZERO; 8];
-            for (own, weights) in weights.iter().enumerate() {
-                let value = [0, 1, 2, 3].map(|i| from[lane(own, i)]);
-                for (t, w) in t.iter_mut().zip(weights).filter(|t| *t.1 > 0.0) {
-                    *t = plus(t, *w, &value);
-                }
-            }
-            for (p, w) in row.iter().enumerate().filter(|w| *w.1 > 0.0) {
-                let column = &mut to.0[at(p, a)];
-                for (v, t) in column.iter_mut().zip(t.as_flattened()) {
-                    *v += w * t;
-                }
-            }
-        }
-    }
 }
 
 #[inline(always)]

@@ -201,9 +201,13 @@ impl Field {
             let n = node as usize;
             self.applied[n] = interpolate(&structure.ties[n], &coarse.patches[0].total);
         }
+        let mut moved = moves.iter().map(|m| m.0).peekable();
         for i in 0..self.nodes.items.len() {
             let node = self.nodes.items[i];
-            self.take_over(structure, coarse, u, node);
+            while moved.next_if(|&m| m < node).is_some() {}
+            if moved.peek() != Some(&node) {
+                self.take_over(structure, coarse, u, node);
+            }
         }
     }
 
@@ -499,32 +503,6 @@ impl Field {
         });
         for (&node, block) in contacts.nodes.iter().zip(&self.pressed) {
             self.inverse[node as usize] = invert(block);
-        }
-    }
-
-    /// Hands the forces on the nodes of the set to level 1.
-    pub(super) fn restrict(&self, structure: &Structure, coarse: &mut Multigrid) {
-        let patch = &mut coarse.patches[0];
-        for &node in &self.nodes.items {
-            let n = node as usize;
-            if self.fixed[n] {
-                continue;
-            }
-            let ties = &structure.ties[n];
-            for t in 0..ties.len as usize {
-                patch.load(ties.to[t], &self.r[n], ties.weight[t]);
-            }
-        }
-        // Others that were disturbed wait for their turn; what they carry is known.
-        for &node in &self.loud.items {
-            let n = node as usize;
-            if self.nodes.contains(node) || self.fixed[n] {
-                continue;
-            }
-            let ties = &structure.ties[n];
-            for t in 0..ties.len as usize {
-                patch.load(ties.to[t], &self.r[n], ties.weight[t]);
-            }
         }
     }
 

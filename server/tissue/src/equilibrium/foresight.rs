@@ -65,17 +65,16 @@ impl Solver {
     /// Stage: contacts, and the last step's change carried on by about `guess` times. Returns whether
     /// a proxy lags.
     pub(super) fn foresee(&mut self, topology: &Topology, u: &mut [Vec3], guess: f64) -> bool {
+        let led = self.contacts.proxies.is_empty();
+        let share = if led { self.trusted(guess) } else { 0.0 };
+        self.carried = share != 0.0;
+        if self.carried {
+            self.stir(u);
+        }
+        self.coarse.calm();
         let last = self.field.take_moves(u);
         self.coarse.recall();
-        if self.contacts.proxies.is_empty() {
-            // Less than one, so that what a step got wrong dies out even if the next one has little time.
-            let calmness = self.calmness();
-            let share = if calmness < TRUSTED {
-                guess.clamp(-1.0, 1.0 - calmness)
-            } else {
-                0.0
-            };
-            self.carried = share != 0.0;
+        if led {
             if self.carried {
                 self.coarse.defer(&self.structure);
             }
@@ -83,7 +82,6 @@ impl Solver {
             return self.gather(topology, u);
         }
         // Of a tool's press only what is near is kept going: the rest costs more than it brings.
-        self.carried = false;
         let lags = self.gather(topology, u);
         let share = self.best_carry(u, &last);
         self.carry_on(u, &last, share);
@@ -91,6 +89,28 @@ impl Solver {
             self.field.blend_forces(&self.structure, share as f32);
         }
         lags
+    }
+
+    /// How much of the last step's change is carried on under held nodes that moved by `guess` times as much:
+    /// less than that, so that what a step got wrong dies out even if the next one has little time.
+    fn trusted(&self, guess: f64) -> f64 {
+        let calmness = relative(self.field.square_over_free(), self.reference);
+        if calmness < TRUSTED {
+            guess.clamp(-1.0, 1.0 - calmness)
+        } else {
+            0.0
+        }
+    }
+
+    /// Lets all take part again that has taken part in the last step: it was moved, too, and what only
+    /// follows the coarse levels would lose its own part of that.
+    fn stir(&mut self, u: &mut [Vec3]) {
+        if self.coarse.stir(&self.structure) {
+            while self.coarse.push(&self.structure, f32::INFINITY) {
+                self.coarse.select(&self.structure, true);
+            }
+            self.field.enter(&self.structure, &self.coarse, u);
+        }
     }
 
     /// How much of the last step's change is best: where no work is left along it.
@@ -124,10 +144,5 @@ impl Solver {
             self.field.move_on(u, last, share);
             self.field.catch_up(&self.structure, &self.coarse, u, last);
         }
-    }
-
-    /// Forces left on the free nodes of the set, relative to what tools and held nodes bring in.
-    fn calmness(&self) -> f64 {
-        relative(self.field.square_over_free(), self.reference)
     }
 }

@@ -5,7 +5,7 @@
 //! | `law` | what a material makes of springs: length law, volume term, guard, extreme springs, fibres |
 //! | `brick`, `kernel`, `lanes` | forces of eight cells at a time, in vectors |
 //! | `coarsen`, `element`, `matrix`, `structure` | coarse lattices that open where cuts do, with a matrix per element |
-//! | `patch`, `cycle` | the part of the coarse lattices near the tools, and one V-cycle over it |
+//! | `patch`, `cycle`, `overlay` | the part of the coarse lattices near the tools, one V-cycle over it, what tools add |
 //! | `field`, `choice`, `moves`, `near` | forces on nodes, which of them take part, smoothing |
 //! | `budget` | what a step may cost, and what it did |
 //! | `foresight` | under held nodes, the last step's change carried on |
@@ -52,6 +52,7 @@ mod law;
 mod matrix;
 mod moves;
 mod near;
+mod overlay;
 mod patch;
 mod solver;
 mod structure;

@@ -8,6 +8,32 @@ use super::structure::Structure;
 use crate::Vec3;
 
 impl Field {
+    /// Hands the forces on the nodes of the set to level 1.
+    pub(super) fn restrict(&self, structure: &Structure, coarse: &mut Multigrid) {
+        let patch = &mut coarse.patches[0];
+        for &node in &self.nodes.items {
+            let n = node as usize;
+            if self.fixed[n] {
+                continue;
+            }
+            let ties = &structure.ties[n];
+            for t in 0..ties.len as usize {
+                patch.load(ties.to[t], &self.r[n], ties.weight[t]);
+            }
+        }
+        // Others that were disturbed wait for their turn; what they carry is known.
+        for &node in &self.loud.items {
+            let n = node as usize;
+            if self.nodes.contains(node) || self.fixed[n] {
+                continue;
+            }
+            let ties = &structure.ties[n];
+            for t in 0..ties.len as usize {
+                patch.load(ties.to[t], &self.r[n], ties.weight[t]);
+            }
+        }
+    }
+
     /// Moves the nodes of the set by level 1's correction, in full.
     pub(super) fn correct(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
         self.moved.clear();

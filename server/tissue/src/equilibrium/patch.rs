@@ -96,6 +96,8 @@ impl List {
 pub(super) struct Patch {
     pub(super) set: List,
     pub(super) refined: List,
+    /// Elements that were refined at any time in this step.
+    pub(super) stirred: List,
     /// Elements to be refined in the next cycle.
     pub(super) wanted: List,
     /// Points of the set, and how many of each one's elements are in it.
@@ -143,6 +145,7 @@ impl Patch {
         Self {
             set: List::new(elements),
             refined: List::new(elements),
+            stirred: List::new(elements),
             wanted: List::new(elements),
             points: List::new(points),
             inside: vec![0; points],
