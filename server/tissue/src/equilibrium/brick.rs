@@ -12,6 +12,7 @@
 
 use super::lanes::LANES;
 use super::law::{Curve, Elastic};
+use super::slight::LOOSE;
 use crate::springs::LENGTH_FLOOR;
 use crate::{Topology, Vec3, fit};
 
@@ -77,6 +78,10 @@ pub(crate) struct Form {
     pub(crate) stiffness: [[f32; SPAN]; DIRECTIONS],
     /// Their rest lengths in m.
     pub(crate) rest_length: [[f32; SPAN]; DIRECTIONS],
+    /// One over their squares; zero where there is no spring.
+    pub(crate) per_square: [[f32; SPAN]; DIRECTIONS],
+    /// Displacement in m relative to the first node up to which springs may be slight; below zero if never.
+    pub(crate) loose: f32,
     /// Bit `4 d + i / 8` is set when a spring of direction `d` starts at a node around `i`.
     used: u64,
     /// κ V0 of each cell in N m, and one over its determinant at rest (the volume term).
@@ -210,6 +215,8 @@ impl Draft {
         let mut stiffness = [[0.0; SPAN]; DIRECTIONS];
         // One where there is no spring: what is divided by it is nothing, and stays nothing.
         let mut rest_length = [[1.0; SPAN]; DIRECTIONS];
+        let mut per_square = [[0.0; SPAN]; DIRECTIONS];
+        let mut shortest = f32::INFINITY;
         let mut used = 0;
         for (d, row) in stiffness.iter_mut().enumerate() {
             for (i, k) in springs[d].iter().enumerate().filter(|k| *k.1 > 0.0) {
@@ -220,18 +227,26 @@ impl Draft {
                     .map(|v| v * v)
                     .sum();
                 rest_length[d][i] = square.sqrt().max(1e-10);
+                per_square[d][i] = 1.0 / (rest_length[d][i] * rest_length[d][i]);
+                shortest = shortest.min(rest_length[d][i]);
             }
         }
-        Form {
+        let mut form = Form {
             rest,
             stiffness,
             rest_length,
+            per_square,
+            loose: LOOSE * shortest,
             used,
             bulk,
             per_volume,
             has_bulk: bulk.iter().any(|&b| b > 0.0),
             curve: self.curve,
+        };
+        if !form.is_plain() {
+            form.loose = -1.0;
         }
+        form
     }
 }
 

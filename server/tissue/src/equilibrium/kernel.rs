@@ -7,6 +7,7 @@ use pulp::{Simd, WithSimd};
 use super::brick::{Brick, CORNER, DIRECTIONS, Form, LOCALS, OFFSETS, PADDED, SPAN};
 use super::lanes::{LANES, V};
 use super::law::{EXTREME, GUARD, GUARDED, LONG, SHORT, SIDEWAYS};
+use super::slight::slight_forces;
 use crate::Vec3;
 
 /// The blocks of springs times two bound their matrix whatever they join. On lattices with all their
@@ -42,7 +43,10 @@ impl WithSimd for Forces<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Local {
         let local = gather(&self.brick.nodes, self.u);
-        let mut f = spring_forces(simd, self.form, &local, self.scratch);
+        let mut f = match slight_forces(simd, self.form, &local, self.scratch) {
+            Some(f) => f,
+            None => spring_forces(simd, self.form, &local, self.scratch),
+        };
         if self.form.has_bulk {
             bulk_forces(simd, self.form, &local, &mut f);
         }
@@ -94,10 +98,10 @@ fn gather(nodes: &[u32; LOCALS], u: &[Vec3]) -> Local {
 /// Adding each group to both its ends at once would load, again and again, vectors that overlap
 /// what was stored a moment ago, and wait for it. So all springs are written down first, and each
 /// node then collects from its 26 neighbours.
-pub(crate) struct Ends<const C: usize>([[[f32; LEAD + SPAN]; C]; DIRECTIONS]);
+pub(crate) struct Ends<const C: usize>(pub(crate) [[[f32; LEAD + SPAN]; C]; DIRECTIONS]);
 
 /// Zeros in front: as many as the largest offset, in whole vectors.
-const LEAD: usize = 16;
+pub(crate) const LEAD: usize = 16;
 
 impl<const C: usize> Ends<C> {
     pub(crate) fn new() -> Self {
@@ -106,7 +110,7 @@ impl<const C: usize> Ends<C> {
 
     /// Notes that no spring of a direction starts from `from` on.
     #[inline(always)]
-    fn none<S: Simd>(&mut self, simd: S, direction: usize, from: usize) {
+    pub(crate) fn none<S: Simd>(&mut self, simd: S, direction: usize, from: usize) {
         for row in &mut self.0[direction] {
             V::all(simd, 0.0).store(row, LEAD + from);
         }
@@ -114,7 +118,7 @@ impl<const C: usize> Ends<C> {
 
     /// What starts at each node and `sign` times what ends there.
     #[inline(always)]
-    fn collect<S: Simd>(&self, simd: S, sign: f32) -> [[f32; PADDED]; C] {
+    pub(crate) fn collect<S: Simd>(&self, simd: S, sign: f32) -> [[f32; PADDED]; C] {
         let mut all = [[0.0; PADDED]; C];
         for (c, to) in all.iter_mut().enumerate() {
             let mut from = 0;
@@ -430,10 +434,10 @@ mod tests {
     use crate::{Material, Model, Topology, block};
 
     /// A distorted brick of a material that uses every term, and displacements that fold it.
-    fn brick() -> (Brick, Form, Vec<Vec3>) {
+    fn brick(stiffening: f64) -> (Brick, Form, Vec<Vec3>) {
         let material = Material {
             poisson: 0.4,
-            stiffening: 3.0,
+            stiffening,
             ..Material::default()
         };
         let mut model: Model = block([2, 2, 2], 4e-3, &material, 0);
@@ -454,7 +458,45 @@ mod tests {
 
     #[test]
     fn vectors_of_any_width_give_the_same_bits() {
-        let (brick, form, u) = brick();
+        let (brick, form, u) = brick(3.0);
+        same_bits(&brick, &form, &u);
+        let (brick, form, mut u) = self::brick(0.0);
+        u.iter_mut().for_each(|u| *u *= 0.02);
+        same_bits(&brick, &form, &u);
+    }
+
+    #[test]
+    fn slight_springs_follow_the_general_law_and_others_are_left_to_it() {
+        let (brick, form, mut u) = brick(0.0);
+        let general = |u: &[Vec3]| {
+            let local = gather(&brick.nodes, u);
+            spring_forces(Scalar, &form, &local, &mut Ends::new())
+        };
+        let slight = |u: &[Vec3]| {
+            let local = gather(&brick.nodes, u);
+            slight_forces(Scalar, &form, &local, &mut Ends::new())
+        };
+        assert!(slight(&u).is_none());
+        u.iter_mut().for_each(|u| *u *= 0.02);
+        for turned in [0.0, 0.04] {
+            // A turn strains nothing by more than its square.
+            let turn = |(u, p): (&Vec3, usize)| {
+                let [x, y] = [0, 1].map(|a| f64::from(form.rest[a][p]));
+                u + Vec3::new(-y, x, 0.0) * turned
+            };
+            let u: Vec<Vec3> = u.iter().zip(0..).map(turn).collect();
+            let (all, some) = (general(&u), slight(&u).unwrap());
+            let size = all
+                .as_flattened()
+                .iter()
+                .fold(0.0f32, |m, f| m.max(f.abs()));
+            for (a, b) in all.as_flattened().iter().zip(some.as_flattened()) {
+                assert!((a - b).abs() < 2e-6 * size, "{a} {b} of {size}");
+            }
+        }
+    }
+
+    fn same_bits(brick: &Brick, form: &Form, u: &[Vec3]) {
         let bits = |rows: &[[f32; PADDED]]| -> Vec<u32> {
             let numbers = rows.iter().flat_map(|row| &row[..LOCALS]);
             numbers.map(|v| v.to_bits()).collect()
@@ -462,9 +504,9 @@ mod tests {
         let forces = |wide: bool| {
             let scratch = &mut Ends::new();
             let op = Forces {
-                brick: &brick,
-                form: &form,
-                u: &u,
+                brick,
+                form,
+                u,
                 scratch,
             };
             let f = if wide {
@@ -477,9 +519,9 @@ mod tests {
         let tangents = |wide: bool| {
             let scratch = &mut Ends::new();
             let op = Tangents {
-                brick: &brick,
-                form: &form,
-                u: &u,
+                brick,
+                form,
+                u,
                 per_spacing: 250.0,
                 scratch,
             };
@@ -496,7 +538,7 @@ mod tests {
 
     #[test]
     fn forces_add_up_to_nothing_and_have_a_potential() {
-        let (brick, form, u) = brick();
+        let (brick, form, u) = brick(3.0);
         let small: Vec<Vec3> = u.iter().map(|u| u * 0.01).collect();
         let forces = |u: &[Vec3]| {
             Arch::new().dispatch(Forces {

@@ -3,7 +3,7 @@
 //! | noun | what it is |
 //! | --- | --- |
 //! | `law` | what a material makes of springs: length law, volume term, guard, extreme springs, fibres |
-//! | `brick`, `kernel`, `lanes` | forces of eight cells at a time, in vectors |
+//! | `brick`, `kernel`, `slight`, `lanes` | forces of eight cells at a time, in vectors |
 //! | `coarsen`, `element`, `matrix`, `structure` | coarse lattices that open where cuts do, with a matrix per element |
 //! | `patch`, `cycle`, `overlay` | the part of the coarse lattices near the tools, one V-cycle over it, what tools add |
 //! | `field`, `choice`, `moves`, `near` | forces on nodes, which of them take part, smoothing |
@@ -54,6 +54,7 @@ mod moves;
 mod near;
 mod overlay;
 mod patch;
+mod slight;
 mod solver;
 mod structure;
 
