@@ -203,8 +203,8 @@ impl PressCube {
     }
 }
 
-/// Presses in steps: the first from rest with as few iterations as its error needs, the others to the
-/// loosest tolerance that keeps every error within bounds.
+/// Presses in steps: the first from rest to a residual of 1e-3, so that the others begin at an equilibrium, and
+/// those to the loosest tolerance that keeps every error within bounds.
 fn moving(cube: &Cube, like: &Solver, progress: &mut dyn FnMut(&str)) -> MovingReport {
     progress("converging the moving press");
     let depth = |step: usize| DEPTH_M * (step + 1) as f64 / STEPS as f64;
@@ -218,16 +218,16 @@ fn moving(cube: &Cube, like: &Solver, progress: &mut dyn FnMut(&str)) -> MovingR
         })
         .collect();
     progress("moving");
-    let run = |first: usize, tolerance: f64, steps: usize| {
+    let run = |tolerance: f64| {
         let mut solver = like.another(&cube.topology);
         let mut shape = Shape::rest(&cube.topology);
-        let mut steps: Vec<Moved> = exact[..steps]
+        let mut steps: Vec<Moved> = exact
             .iter()
             .enumerate()
             .map(|(s, exact)| {
                 cube.press(&mut solver, &mut shape, depth(s));
                 let ms = match s {
-                    0 => cube.step(&mut solver, &mut shape, first, TOLERANCES[6]),
+                    0 => cube.step(&mut solver, &mut shape, ITERATIONS_MAX, TOLERANCE),
                     _ => cube.step(&mut solver, &mut shape, ITERATIONS_MAX, tolerance),
                 };
                 Moved {
@@ -241,20 +241,17 @@ fn moving(cube: &Cube, like: &Solver, progress: &mut dyn FnMut(&str)) -> MovingR
         (first, steps)
     };
     let good = |moved: &Moved| moved.error <= ERRORS[1];
-    let first = (1..ITERATIONS_MAX)
-        .find(|&n| good(&run(n, TOLERANCES[6], 1).0))
-        .unwrap_or(ITERATIONS_MAX);
     let tolerance = TOLERANCES
         .into_iter()
-        .find(|&t| run(first, t, STEPS).1.iter().all(good))
+        .find(|&t| run(t).1.iter().all(good))
         .unwrap_or(TOLERANCES[6]);
-    let runs: Vec<_> = (0..RUNS).map(|_| run(first, tolerance, STEPS)).collect();
+    let runs: Vec<_> = (0..RUNS).map(|_| run(tolerance)).collect();
     let firsts: Vec<f64> = runs.iter().map(|r| r.0.ms).collect();
     let steps = || runs.iter().flat_map(|r| &r.1);
     let times: Vec<f64> = steps().map(|m| m.ms).collect();
     MovingReport {
         first_ms: super::median(&firsts),
-        first_iterations: first,
+        first_iterations: runs[0].0.iterations,
         tolerance,
         iterations: runs[0].1.iter().map(|m| m.iterations).collect(),
         ms_per_step: [

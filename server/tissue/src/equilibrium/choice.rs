@@ -170,9 +170,18 @@ impl Field {
         patch.refined.sort();
     }
 
-    /// Takes the chosen set, brings its nodes up to date with level 1, and computes the bricks that are new
-    /// in it; the forces of contacts have to be added.
+    /// Takes the chosen set and computes the bricks that are new in it; the forces of contacts have to be
+    /// added.
     pub(super) fn enter(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
+        self.take_in(structure, coarse, u);
+        let new = |brick: &u32| !self.left.contains(*brick);
+        let new: Vec<u32> = self.set.items.iter().copied().filter(new).collect();
+        self.compute(structure, u, &new);
+        self.sum_up(structure);
+    }
+
+    /// Takes the chosen set and brings its nodes up to date with level 1; forces are still to be computed.
+    pub(super) fn take_in(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
         std::mem::swap(&mut self.set, &mut self.left);
         self.set.clear();
         for &node in &self.nodes.items {
@@ -202,10 +211,6 @@ impl Field {
             self.free[n] = !self.fixed[n] && self.inside[n] == structure.around.len(node);
             self.take_over(structure, coarse, u, node);
         }
-        let new = |brick: &u32| !self.left.contains(*brick);
-        let new: Vec<u32> = self.set.items.iter().copied().filter(new).collect();
-        self.compute(structure, u, &new);
-        self.sum_up(structure);
         self.current = false;
     }
 }

@@ -69,6 +69,9 @@ pub(super) struct Multigrid {
     pub(super) strained: f32,
     /// Elements visited.
     pub(super) visits: usize,
+    /// Whether what a point was moved by before it took part counts as gained: what followed the coarser level.
+    /// Under tools it does not: what is carried on there is what is near, and forces came out worse with it.
+    pub(super) follows: bool,
 }
 
 impl Multigrid {
@@ -79,6 +82,7 @@ impl Multigrid {
             pending: 1.0,
             strained: f32::INFINITY,
             visits: 0,
+            follows: false,
         }
     }
 
@@ -317,11 +321,17 @@ impl Multigrid {
         for l in (0..self.patches.len()).rev() {
             let level = &structure.levels[l];
             let tolerable = self.tolerable(structure, l, threshold);
-            let patch = &mut self.patches[l];
+            let (finer, coarser) = self.patches.split_at_mut(l + 1);
+            let patch = &mut finer[l];
             for &point in &patch.points.items {
                 let p = point as usize;
                 if patch.gained.insert(point) {
-                    patch.gain[p] = ZERO;
+                    let above = coarser.first().filter(|_| self.follows);
+                    patch.gain[p] = above.map_or(ZERO, |above| {
+                        let ties = &level.ties[p];
+                        let e = interpolate(ties, &above.e);
+                        plus(&interpolate(ties, &above.gain), -share, &e)
+                    });
                 }
                 for a in 0..3 {
                     patch.total[p][a] += f64::from(share) * f64::from(patch.e[p][a]);

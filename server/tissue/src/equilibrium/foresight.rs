@@ -109,7 +109,8 @@ impl Solver {
             while self.coarse.push(&self.structure, f32::INFINITY) {
                 self.coarse.select(&self.structure, true);
             }
-            self.field.enter(&self.structure, &self.coarse, u);
+            // Forces are computed where it is carried to.
+            self.field.take_in(&self.structure, &self.coarse, u);
         }
     }
 

@@ -317,6 +317,7 @@ impl Solver {
         let quick = budget.near || budget.tolerance >= QUICK && self.held.is_empty();
         self.coarse.pending = PENDING[usize::from(quick)];
         self.coarse.strained = if budget.near { STRAINED } else { f32::INFINITY };
+        self.coarse.follows = self.contacts.proxies.is_empty();
         self.field.bent = if budget.near { BENT } else { f32::INFINITY };
         // What took part in the last step takes part again: nothing is gained by beginning coarsely.
         let mut share = if self.carried { 0.0 } else { FIRST_SHARE };
@@ -396,7 +397,7 @@ impl Solver {
             keeps,
         };
         if field.select(structure, coarse, touched, &asked, u) {
-            coarse.select(structure, false);
+            coarse.select(structure, keeps == Keeps::Most);
             // What is handed down can be too much to wait on the next level as well.
             while coarse.push(structure, limit) {
                 Field::select_wanted(&mut coarse.patches[0]);
