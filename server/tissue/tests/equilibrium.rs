@@ -234,7 +234,9 @@ fn what_is_led_on_as_before_carries_everything_on() {
     lead(&topology, &mut solver, &mut shape, &disc, 0.1 * MM);
     settle(&topology, &mut solver, &mut shape, &[], 1e-6);
     let mut twice = shape.clone();
-    twice.displacement.iter_mut().for_each(|u| *u *= 2.0);
+    for u in &mut twice.displacement {
+        *u *= 2.0;
+    }
     lead(&topology, &mut solver, &mut shape, &disc, 0.2 * MM);
     // Nothing is solved here: also what had become calm, and took no part any more, has to come along.
     let report = solver.step(&topology, &mut shape, &[], Budget::new(0, 0.5));

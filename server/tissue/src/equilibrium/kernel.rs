@@ -461,7 +461,9 @@ mod tests {
         let (brick, form, u) = brick(3.0);
         same_bits(&brick, &form, &u);
         let (brick, form, mut u) = self::brick(0.0);
-        u.iter_mut().for_each(|u| *u *= 0.02);
+        for u in &mut u {
+            *u *= 0.02;
+        }
         same_bits(&brick, &form, &u);
     }
 
@@ -477,7 +479,9 @@ mod tests {
             slight_forces(Scalar, &form, &local, &mut Ends::new())
         };
         assert!(slight(&u).is_none());
-        u.iter_mut().for_each(|u| *u *= 0.02);
+        for u in &mut u {
+            *u *= 0.02;
+        }
         for turned in [0.0, 0.04] {
             // A turn strains nothing by more than its square.
             let turn = |(u, p): (&Vec3, usize)| {
