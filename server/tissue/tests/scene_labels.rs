@@ -166,8 +166,8 @@ fn what_is_known_of_the_sides_is_what_looking_finds() {
     folder.write("drum.nii", &drum());
     let text = drum_scene(&[("a", "label = 2"), ("b", "label = 1"), ("c", "label = 3")]);
     let (mut input, told) = built(&folder, &text);
-    assert!(input.across.iter().all(|a| !a.is_empty()));
-    input.across = vec![Vec::new(); 3];
+    assert!(input.sides.iter().all(|a| !a.is_empty()));
+    input.sides = vec![Vec::new(); 3];
     let (_, looked) = build(&input, &mut |_, _| {}).unwrap();
     assert_eq!((told.nodes, told.cells), (looked.nodes, looked.cells));
     for (told, looked) in told.regions.iter().zip(&looked.regions) {

@@ -13,8 +13,24 @@ const FORK: usize = 4096;
 /// Deepest tree: halving 2^32 triangles.
 const DEPTH_MAX: usize = 40;
 
-/// Three corners relative to the tree's origin.
-type Flat = [[f32; 3]; 3];
+/// The number of a triangle that has none.
+pub(super) const NO_TAG: u16 = u16::MAX;
+
+/// A triangle as a tree keeps it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Flat {
+    /// Corners relative to the tree's origin.
+    corners: [[f32; 3]; 3],
+    /// What its owner wants to know of it, or [`NO_TAG`].
+    tag: u16,
+}
+
+impl Flat {
+    /// The same triangle with a number to know it by.
+    pub(super) fn tagged(self, tag: u16) -> Self {
+        Self { tag, ..self }
+    }
+}
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Node {
@@ -51,10 +67,12 @@ impl Bvh {
 
     /// A triangle as the tree takes it.
     pub(super) fn flat(origin: &Vec3, corners: &[Vec3; 3]) -> Flat {
-        corners.map(|p| {
+        let corners = corners.map(|p| {
             let p = p - origin;
             [p.x as f32, p.y as f32, p.z as f32]
-        })
+        });
+        let tag = NO_TAG;
+        Flat { corners, tag }
     }
 
     /// Whether there is no triangle at all.
@@ -72,8 +90,13 @@ impl Bvh {
         self.corners(&self.triangles[index])
     }
 
+    /// The number of one triangle.
+    pub(super) fn tag(&self, index: usize) -> u16 {
+        self.triangles[index].tag
+    }
+
     fn corners(&self, triangle: &Flat) -> [Vec3; 3] {
-        triangle.map(|p| local(&p) + self.origin)
+        triangle.corners.map(|p| local(&p) + self.origin)
     }
 
     /// The point nearest to `point` that is not farther than `reach` (m).
@@ -97,7 +120,7 @@ impl Bvh {
             if node.count > 0 {
                 let from = node.start as usize;
                 for triangle in &self.triangles[from..from + node.count as usize] {
-                    let [a, b, c] = triangle;
+                    let [a, b, c] = &triangle.corners;
                     let candidate = nearest_on(&at, &[local(a), local(b), local(c)]);
                     let distance = (candidate - at).norm_squared();
                     if distance < best || (distance == best && found.is_none()) {
@@ -107,19 +130,21 @@ impl Bvh {
                 }
                 continue;
             }
-            let children = [index + 1, node.start]
-                .map(|child| (child, self.nodes[child as usize].distance_squared(&at)));
+            let child = |child: u32| (child, self.nodes[child as usize].distance_squared(&at));
+            let (left, right) = (child(index + 1), child(node.start));
             // The nearer child is looked at first.
-            let [first, second] = if children[0].1 <= children[1].1 {
-                children
+            let (first, second) = if left.1 <= right.1 {
+                (left, right)
             } else {
-                [children[1], children[0]]
+                (right, left)
             };
-            for child in [second, first] {
-                if child.1 <= best {
-                    stack[height] = child;
-                    height += 1;
-                }
+            if second.1 <= best {
+                stack[height] = second;
+                height += 1;
+            }
+            if first.1 <= best {
+                stack[height] = first;
+                height += 1;
             }
         }
         found.map(|p| p + self.origin)
@@ -164,7 +189,8 @@ impl Bvh {
                 continue;
             }
             let start = node.start as usize;
-            for [a, b, c] in &self.triangles[start..start + node.count as usize] {
+            for triangle in &self.triangles[start..start + node.count as usize] {
+                let [a, b, c] = &triangle.corners;
                 let apart = a[u].max(b[u]).max(c[u]) < p0
                     || a[u].min(b[u]).min(c[u]) > p1
                     || a[v].max(b[v]).max(c[v]) < q0
@@ -176,15 +202,15 @@ impl Bvh {
         }
     }
 
-    /// How far along `way` (m, from `from`) the first triangle is crossed, if one is.
-    pub(super) fn first_along(&self, from: &Vec3, way: &Vec3) -> Option<f64> {
+    /// How far along `way` (m, from `from`) the first triangle is crossed, if one is, and which it is.
+    pub(super) fn first_along(&self, from: &Vec3, way: &Vec3) -> Option<(f64, usize)> {
         if self.nodes.is_empty() {
             return None;
         }
         let from = from - self.origin;
         let to = from + way;
         let (low, high) = (from.inf(&to), from.sup(&to));
-        let mut best: Option<f64> = None;
+        let mut best: Option<(f64, usize)> = None;
         let mut stack = [0_u32; DEPTH_MAX];
         let mut height = 1;
         while height > 0 {
@@ -205,16 +231,16 @@ impl Bvh {
                 continue;
             }
             let start = node.start as usize;
-            for triangle in &self.triangles[start..start + node.count as usize] {
-                let [a, b, c] = triangle;
+            for index in start..start + node.count as usize {
+                let [a, b, c] = &self.triangles[index].corners;
                 if let Some(t) = crossing(&from, way, &[local(a), local(b), local(c)])
-                    && best.is_none_or(|b| t < b)
+                    && best.is_none_or(|b| t < b.0)
                 {
-                    best = Some(t);
+                    best = Some((t, index));
                 }
             }
         }
-        best.map(|t| t * way.norm())
+        best.map(|(t, index)| (t * way.norm(), index))
     }
 }
 
@@ -257,7 +283,7 @@ fn split(triangles: &mut [Flat], triangle_base: usize, nodes: &mut [Node], node_
         start: triangle_base as u32,
         count: triangles.len() as u32,
     };
-    for p in triangles.iter().flatten() {
+    for p in triangles.iter().flat_map(|t| &t.corners) {
         for a in 0..3 {
             node.low[a] = node.low[a].min(p[a]);
             node.high[a] = node.high[a].max(p[a]);
@@ -266,14 +292,15 @@ fn split(triangles: &mut [Flat], triangle_base: usize, nodes: &mut [Node], node_
     if triangles.len() > LEAF {
         let extent = [0, 1, 2].map(|a| node.high[a] - node.low[a]);
         let axis = (0..3).fold(0, |b, a| if extent[a] > extent[b] { a } else { b });
-        let middle = |t: &Flat| t[0][axis] + t[1][axis] + t[2][axis];
+        let middle = |t: &Flat| t.corners.iter().map(|c| c[axis]).sum::<f32>();
         let half = triangles.len() / 2;
         // Equal middles are told apart by the corners, so the tree depends on the set alone.
         triangles.select_nth_unstable_by(half, |t, u| {
             middle(t).total_cmp(&middle(u)).then_with(|| {
-                let pairs = t.iter().flatten().zip(u.iter().flatten());
+                let corners = |t: &'_ Flat| t.corners.into_iter().flatten();
+                let pairs = corners(t).zip(corners(u));
                 pairs.fold(std::cmp::Ordering::Equal, |o, (x, y)| {
-                    o.then_with(|| x.total_cmp(y))
+                    o.then_with(|| x.total_cmp(&y))
                 })
             })
         });
@@ -366,7 +393,10 @@ mod tests {
         ) {
             let triangles: Vec<Flat> = numbers
                 .chunks_exact(9)
-                .map(|n| [[n[0], n[1], n[2]], [n[3], n[4], n[5]], [n[6], n[7], n[8]]])
+                .map(|n| Flat {
+                    corners: [[n[0], n[1], n[2]], [n[3], n[4], n[5]], [n[6], n[7], n[8]]],
+                    tag: NO_TAG,
+                })
                 .collect();
             let tree = Bvh::new(Vec3::new(0.5, 0.0, 0.0), triangles);
             let (point, way) = (Vec3::from(point), Vec3::from(way));
@@ -377,7 +407,7 @@ mod tests {
             prop_assert!(tree.nearest(&point, least * 0.99).is_none());
             let crossings = (0..tree.len()).map(|t| tree.triangle(t)).filter_map(|t| crossing(&point, &way, &t));
             let first = crossings.fold(f64::INFINITY, f64::min) * way.norm();
-            let found = tree.first_along(&point, &way).unwrap_or(f64::INFINITY);
+            let found = tree.first_along(&point, &way).map_or(f64::INFINITY, |f| f.0);
             prop_assert!(found == first || (found - first).abs() < 1e-9);
         }
     }

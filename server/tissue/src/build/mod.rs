@@ -159,7 +159,7 @@ pub fn build(
 
     progress("sorting the interfaces", 0.2);
     let interfaces =
-        patch::Interfaces::new(&surfaces, &input.across, &query, spacing, grid.middle());
+        patch::Interfaces::new(&surfaces, &input.sides, &query, spacing, grid.middle());
     let faces = faces::faces(&lattice.cells);
     let placed = place(
         &grid,

@@ -7,9 +7,11 @@
 
 use rayon::prelude::*;
 
-use super::bvh::Bvh;
+use super::bvh::{Bvh, Flat, NO_TAG};
+use super::faces::OUTSIDE;
 use super::inside::PointQuery;
 use super::rim::{self, Rims};
+use crate::labels::Sides;
 use crate::{Surface, Vec3};
 
 /// Longest side, in spacings, of a piece that is classified as a whole.
@@ -37,11 +39,11 @@ pub(super) struct Interfaces {
 }
 
 impl Interfaces {
-    /// Sorts the triangles of all surfaces. `across` holds, for each surface, the region beyond each
-    /// triangle where that is known, and no elements where it has to be looked for.
+    /// Sorts the triangles of all surfaces. `sides` holds, for each surface, the regions behind and
+    /// before each triangle where these are known, and no elements where they have to be looked for.
     pub(super) fn new(
         surfaces: &[&Surface],
-        across: &[Vec<Option<u8>>],
+        sides: &[Vec<Sides>],
         query: &PointQuery,
         spacing: f64,
         middle: Vec3,
@@ -57,10 +59,10 @@ impl Interfaces {
                 spacing,
                 origin: &middle,
             };
-            let sorted = if across[region].is_empty() {
+            let sorted = if sides[region].is_empty() {
                 sorter.look_at_all(surface)
             } else {
-                sorter.take_all(surface, &across[region])
+                sorter.take_all(surface, &sides[region])
             };
             let faces_out: Vec<bool> = sorted.iter().flat_map(|s| &s.faces_out).copied().collect();
             let faces_in: Vec<bool> = sorted.iter().flat_map(|s| &s.faces_in).copied().collect();
@@ -102,6 +104,23 @@ impl Interfaces {
     }
 }
 
+/// The number by which a patch knows the sides of a triangle.
+fn tag(sides: Sides) -> u16 {
+    // No scene has so many regions that this is `NO_TAG`.
+    u16::from(sides.behind) << 8 | sides.before.map_or(0xff, u16::from)
+}
+
+/// The regions behind and before a triangle of a patch, or [`OUTSIDE`], where they are known.
+pub(super) fn sides_of(patch: &Bvh, triangle: usize) -> Option<[u16; 2]> {
+    let tag = patch.tag(triangle);
+    let before = if tag & 0xff == 0xff {
+        OUTSIDE
+    } else {
+        tag & 0xff
+    };
+    (tag != NO_TAG).then_some([tag >> 8, before])
+}
+
 /// One interface of the model: the outer surface, or where region `r` overrides others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Interface {
@@ -114,8 +133,8 @@ pub(super) enum Interface {
 /// The pieces of some triangles; what is hidden is in neither list.
 #[derive(Default)]
 struct Sorted {
-    outer: Vec<[[f32; 3]; 3]>,
-    inner: Vec<[[f32; 3]; 3]>,
+    outer: Vec<Flat>,
+    inner: Vec<Flat>,
     /// Whether some of each triangle is in the outer patch.
     faces_out: Vec<bool>,
     /// Whether some of each triangle is in the inner patch.
@@ -149,17 +168,17 @@ impl Sorter<'_> {
         chunks.collect()
     }
 
-    /// Sorts the triangles of a surface when it is known what is beyond each: none are hidden behind
+    /// Sorts the triangles of a surface when it is known what is on their sides: none are hidden behind
     /// another region's, and the first region's surface goes around all.
-    fn take_all(&self, surface: &Surface, across: &[Option<u8>]) -> Vec<Sorted> {
+    fn take_all(&self, surface: &Surface, sides: &[Sides]) -> Vec<Sorted> {
         let mut sorted = Sorted::default();
-        for (t, beyond) in across.iter().enumerate() {
+        for (t, sides) in sides.iter().enumerate() {
             let corners = surface.corners(t);
             let vector = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
             let has_sides = vector.try_normalize(0.0).is_some();
-            let outer = has_sides && beyond.is_none() && self.region == 0;
-            let inner = has_sides && beyond.is_some_and(|b| usize::from(b) < self.region);
-            let piece = Bvh::flat(self.origin, &corners);
+            let outer = has_sides && sides.before.is_none() && self.region == 0;
+            let inner = has_sides && sides.before.is_some_and(|b| usize::from(b) < self.region);
+            let piece = Bvh::flat(self.origin, &corners).tagged(tag(*sides));
             if outer {
                 sorted.outer.push(piece);
             } else if inner {

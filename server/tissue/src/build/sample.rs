@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::bvh::Bvh;
 use super::faces::{Face, OUTSIDE};
 use super::inside::PointQuery;
-use super::patch::{Interface, Interfaces, halve};
+use super::patch::{Interface, Interfaces, halve, sides_of};
 use crate::Vec3;
 
 /// Longest side, in spacings, of a piece that one sample stands for.
@@ -94,14 +94,22 @@ fn model_surface(interface: Interface, faces: &[Face], positions: &[Vec3], middl
     Bvh::new(middle, triangles)
 }
 
-/// A place to look at: point, unit normal, area.
-type Point = (Vec3, Vec3, f64);
+/// A place to look at.
+struct Point {
+    at: Vec3,
+    /// Unit normal.
+    normal: Vec3,
+    area: f64,
+    /// The regions behind and before it, where they are known.
+    sides: Option<[u16; 2]>,
+}
 
 fn spread(patch: &Bvh, range: std::ops::Range<usize>, spacing: f64, points: &mut Vec<Point>) {
     let mut carried = 0.0;
     let mut last = None;
     for triangle in range {
         let corners = patch.triangle(triangle);
+        let sides = sides_of(patch, triangle);
         let vector = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])) / 2.0;
         let Some(normal) = vector.try_normalize(0.0) else {
             continue;
@@ -115,21 +123,57 @@ fn spread(patch: &Bvh, range: std::ops::Range<usize>, spacing: f64, points: &mut
             let at = (piece[0] + piece[1] + piece[2]) / 3.0;
             carried += (piece[1] - piece[0]).cross(&(piece[2] - piece[0])).norm() / 2.0;
             if carried >= AREA_MIN * spacing * spacing {
-                points.push((at, normal, carried));
+                points.push(Point {
+                    at,
+                    normal,
+                    area: carried,
+                    sides,
+                });
                 carried = 0.0;
             }
-            last = Some((at, normal));
+            last = Some((at, normal, sides));
         }
     }
-    if let Some((at, normal)) = last
+    if let Some((at, normal, sides)) = last
         && carried > 0.0
     {
-        points.push((at, normal, carried));
+        points.push(Point {
+            at,
+            normal,
+            area: carried,
+            sides,
+        });
     }
 }
 
+/// What one meets first on a way.
+struct Wall {
+    /// How far along the way, in m.
+    depth: f64,
+    /// The region beyond it, where that is known.
+    beyond: Option<u16>,
+}
+
+fn first_wall(interfaces: &Interfaces, from: &Vec3, way: &Vec3) -> Option<Wall> {
+    let met = interfaces.all().filter_map(|i| {
+        let patch = interfaces.patch(i);
+        let (depth, triangle) = patch.first_along(from, way)?;
+        Some((depth, triangle, patch))
+    });
+    let (depth, triangle, patch) = met.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let [a, b, c] = patch.triangle(triangle);
+    let leaves = (b - a).cross(&(c - a)).dot(way) > 0.0;
+    let beyond = sides_of(patch, triangle).map(|sides| sides[usize::from(leaves)]);
+    Some(Wall { depth, beyond })
+}
+
 fn measure(
-    &(at, normal, area): &Point,
+    &Point {
+        at,
+        normal,
+        area,
+        sides,
+    }: &Point,
     interfaces: &Interfaces,
     query: &PointQuery,
     own: &Bvh,
@@ -137,23 +181,21 @@ fn measure(
     let spacing = interfaces.spacing;
     let look = normal * (LOOK * spacing);
     let region = |p: Vec3| query.region_at(p).map_or(OUTSIDE, |r| r as u16);
-    let (before, behind) = (region(at + look), region(at - look));
+    let [behind, before] = sides.unwrap_or_else(|| [region(at - look), region(at + look)]);
     let mut thin: Option<Thin> = None;
     for (side, of) in [(1.0, before), (-1.0, behind)] {
         let from = at + look * side;
         let way = normal * (side * (1.0 - LOOK) * spacing);
-        let across = interfaces
-            .all()
-            .filter_map(|i| interfaces.patch(i).first_along(&from, &way))
-            .fold(f64::INFINITY, f64::min);
-        if !across.is_finite() {
+        let Some(wall) = first_wall(interfaces, &from, &way) else {
             continue;
-        }
-        let thickness = across + LOOK * spacing;
+        };
+        let thickness = wall.depth + LOOK * spacing;
         if thin.is_none_or(|t| thickness < t.thickness) {
+            let beyond = wall.beyond;
+            let look_there = || region(at + normal * (side * (thickness + LOOK * spacing)));
             thin = Some(Thin {
                 region: of,
-                beyond: region(at + normal * (side * (thickness + LOOK * spacing))),
+                beyond: beyond.unwrap_or_else(look_there),
                 thickness,
             });
         }

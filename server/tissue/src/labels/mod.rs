@@ -27,7 +27,7 @@ mod volume;
 
 pub use affine::Affine;
 pub use error::LabelError;
-pub use extract::{LabelRegion, NET_VERTICES_MAX, RegionSurface, surfaces};
+pub use extract::{LabelRegion, NET_VERTICES_MAX, RegionSurface, Sides, surfaces};
 pub use volume::LabelVolume;
 
 /// Most voxels of one volume. Reason: a whole body at 0.7 mm in the slice and 2 mm along has about

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{RegionSource, Scene, SceneError};
-use crate::labels::{self, LabelRegion, LabelVolume};
+use crate::labels::{self, LabelRegion, LabelVolume, Sides};
 use crate::surface::Surface;
 
 /// Voxels up to this part of the spacing are joined before their surfaces are extracted. Half a
@@ -20,10 +20,10 @@ pub struct SceneInput {
     /// For each region, the volume in m³ that its own voxels have when all regions come from one
     /// label volume; `None` where only its surface tells.
     pub voxels_m3: Vec<Option<f64>>,
-    /// For each region, what is beyond each triangle of its surface when all regions come from one
-    /// label volume: another region, or `None` outside; of the first one's, which goes around all,
-    /// nothing. Without elements where the builder has to look for it.
-    pub across: Vec<Vec<Option<u8>>>,
+    /// For each region, what is on the sides of each triangle of its surface when all regions come
+    /// from one label volume; before the first one's, which goes around all, there is nothing.
+    /// Without elements where the builder has to look for it.
+    pub sides: Vec<Vec<Sides>>,
     /// What was repaired or looks odd, one sentence each, with the region's name.
     pub warnings: Vec<String>,
 }
@@ -36,7 +36,7 @@ impl SceneInput {
         let mut input = Self {
             surfaces: vec![Surface::default(); scene.regions.len()],
             voxels_m3: vec![None; scene.regions.len()],
-            across: vec![Vec::new(); scene.regions.len()],
+            sides: vec![Vec::new(); scene.regions.len()],
             warnings: Vec::new(),
             scene,
         };
@@ -66,7 +66,7 @@ impl SceneInput {
         );
         let mut input = Self {
             voxels_m3: vec![None; surfaces.len()],
-            across: vec![Vec::new(); surfaces.len()],
+            sides: vec![Vec::new(); surfaces.len()],
             warnings: Vec::new(),
             surfaces,
             scene,
@@ -121,7 +121,7 @@ impl SceneInput {
             self.surfaces[r] = found.surface;
             if alone {
                 self.voxels_m3[r] = Some(found.voxels_m3);
-                self.across[r] = found.across;
+                self.sides[r] = found.sides;
             }
         }
         Ok(())

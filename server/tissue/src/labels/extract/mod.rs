@@ -46,8 +46,17 @@ pub struct RegionSurface {
     pub surface: Surface,
     /// Volume of the region's own voxels in m³, whatever the surface encloses besides.
     pub voxels_m3: f64,
-    /// For each triangle of the surface, which of the regions is beyond it; `None` outside them all.
-    pub across: Vec<Option<u8>>,
+    /// What is on the two sides of each triangle of the surface.
+    pub sides: Vec<Sides>,
+}
+
+/// Which of the regions are on the two sides of a triangle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sides {
+    /// Behind it: the region that it is the surface of, unless that goes around several.
+    pub behind: u8,
+    /// Before it; `None` outside them all.
+    pub before: Option<u8>,
 }
 
 /// Extracts the surfaces of `regions` from a volume that was read from `path` (for messages only).
@@ -89,14 +98,14 @@ pub fn surfaces(
     smooth::smooth(&mut net, &targets);
     restore::restore(&mut net, &targets);
     let found = (0..regions.len()).into_par_iter().map(|r| {
-        let (surface, across) = if wrap && r == 0 {
+        let (surface, sides) = if wrap && r == 0 {
             shell::shell(&net, |id| id != OUTSIDE && id != BEYOND)
         } else {
             shell::shell(&net, |id| usize::from(id) == r + 1)
         };
         RegionSurface {
             surface,
-            across,
+            sides,
             voxels_m3: voxels[r] as f64 * volume.voxel_m3(),
         }
     });

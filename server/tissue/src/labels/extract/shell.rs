@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::Sides;
 use super::fans::{Fans, face};
 use super::net::{Net, Quad};
 use crate::Surface;
@@ -10,8 +11,8 @@ use crate::Surface;
 const SIDES: [[usize; 2]; 4] = [[0, 0], [1, 0], [1, 1], [0, 1]];
 
 /// The closed surface around all voxels whose region passes `is_in`, wound outwards, in the world;
-/// and for each triangle the region beyond it.
-pub(super) fn shell(net: &Net, is_in: impl Fn(u8) -> bool) -> (Surface, Vec<Option<u8>>) {
+/// and what is on the sides of each triangle.
+pub(super) fn shell(net: &Net, is_in: impl Fn(u8) -> bool) -> (Surface, Vec<Sides>) {
     let fans = Fans::new();
     let filled: Vec<u8> = net
         .corners
@@ -27,7 +28,7 @@ pub(super) fn shell(net: &Net, is_in: impl Fn(u8) -> bool) -> (Surface, Vec<Opti
         mirrored: net.to_world.determinant() < 0.0,
         surface: Surface::default(),
     };
-    let mut across = Vec::new();
+    let mut sides = Vec::new();
     for (v, set) in filled.iter().enumerate() {
         shell.first.push(shell.surface.vertices.len() as u32);
         let at = net.to_world.world(&net.position(v as u32));
@@ -42,11 +43,14 @@ pub(super) fn shell(net: &Net, is_in: impl Fn(u8) -> bool) -> (Surface, Vec<Opti
         if near != far {
             shell.add(quad, near);
             // Region numbers plus one, and 0 for what is in none.
-            let beyond = quad.sides[usize::from(near)].checked_sub(1);
-            across.resize(shell.surface.triangles.len(), beyond);
+            let own = Sides {
+                behind: quad.sides[usize::from(!near)] - 1,
+                before: quad.sides[usize::from(near)].checked_sub(1),
+            };
+            sides.resize(shell.surface.triangles.len(), own);
         }
     }
-    (shell.surface, across)
+    (shell.surface, sides)
 }
 
 struct Shell<'a> {

@@ -96,16 +96,17 @@ fn assert_volume(found: &RegionSurface) {
 }
 
 /// A region and what is beyond its surface.
-type Sides = (u8, Option<u8>);
+type Beyond = (u8, Option<u8>);
 
 #[test]
 fn regions_share_their_boundary_and_keep_their_volume() {
     let volume = nested(32);
     let found = extracted(&volume, &[&[1], &[2], &[3]], false);
     // For each triangle, the regions that have it, and what is beyond it for each of them.
-    let mut faces: BTreeMap<[[u64; 3]; 3], Vec<Sides>> = BTreeMap::new();
+    let mut faces: BTreeMap<[[u64; 3]; 3], Vec<Beyond>> = BTreeMap::new();
     for (region, found) in found.iter().enumerate() {
-        assert_eq!(found.across.len(), found.surface.triangles.len());
+        assert_eq!(found.sides.len(), found.surface.triangles.len());
+        assert!(found.sides.iter().all(|s| usize::from(s.behind) == region));
         assert_closed(&found.surface);
         assert_manifold_vertices(&found.surface);
         assert_volume(found);
@@ -113,7 +114,7 @@ fn regions_share_their_boundary_and_keep_their_volume() {
             let corners = found.surface.corners(t);
             let mut key = corners.map(|p| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits()]);
             key.sort_unstable();
-            let sides = (region as u8, found.across[t]);
+            let sides = (region as u8, found.sides[t].before);
             faces.entry(key).or_default().push(sides);
         }
         let mut checked = found.surface.clone();
@@ -149,7 +150,9 @@ fn the_outermost_surface_goes_around_all_regions() {
     let parts: f64 = found.iter().map(|f| f.voxels_m3).sum();
     assert!((found[0].surface.volume() / parts - 1.0).abs() < 0.003);
     assert!(found[0].voxels_m3 < parts / 1.3);
-    assert!(found[0].across.iter().all(Option::is_none));
+    assert!(found[0].sides.iter().all(|s| s.before.is_none()));
+    let behind = |region| found[0].sides.iter().any(|s| s.behind == region);
+    assert!(behind(0) && behind(2));
     assert_closed(&found[0].surface);
 }
 
