@@ -137,6 +137,11 @@ impl Rims {
         }
         let mut best: Option<(f64, Vec3)> = None;
         for at in cubes_around(point, self.side) {
+            let reach = best.map_or(self.side, |b| b.0);
+            // A segment may be listed in the next cube only, a quarter of a side away.
+            if distance_to_cube(point, at, self.side) > reach + self.side / 4.0 {
+                continue;
+            }
             for &index in self.cubes.get(&at).into_iter().flatten() {
                 let segment = &self.segments[index as usize];
                 let nearest = segment.nearest(point);
@@ -181,10 +186,17 @@ pub(super) fn sharp_edges(surface: &Surface, masks: [&[bool]; 2]) -> Vec<(usize,
         .collect()
 }
 
-/// The cube that holds a point and the 26 around it.
+/// The cube that holds a point and the 26 around it; its own comes first, where the nearest is.
 fn cubes_around(point: &Vec3, side: f64) -> impl Iterator<Item = [i64; 3]> + use<> {
     let [x, y, z] = cube(point, side);
-    (0..27).map(move |n| [x + n % 3 - 1, y + n / 3 % 3 - 1, z + n / 9 - 1])
+    let step = |n: i64| (n + 1) % 3 - 1;
+    (0..27).map(move |n| [x + step(n), y + step(n / 3), z + step(n / 9)])
+}
+
+fn distance_to_cube(point: &Vec3, cube: [i64; 3], side: f64) -> f64 {
+    let low = Vec3::from(cube.map(|i| i as f64)) * side;
+    let apart = (low - point).sup(&(point - low).add_scalar(-side));
+    apart.sup(&Vec3::zeros()).norm()
 }
 
 fn cube(point: &Vec3, side: f64) -> [i64; 3] {

@@ -21,6 +21,9 @@ use crate::{Surface, Vec3};
 /// shortens the distance to their common curve by the cosine of the angle between them.
 const ALTERNATIONS: usize = 6;
 
+/// It has arrived when a round moves it by no more than this, in spacings; less is rounding.
+const ARRIVED: f64 = 1e-9;
+
 /// A node is put onto a rim when each face of the rim is seen by a cell face of the node within this
 /// cosine (63°: an oblique side shows two kinds of cell faces, each at most 55° away).
 const RIM_FACE_COSINE: f64 = 0.45;
@@ -315,7 +318,7 @@ pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec
         } else if constraint.outer {
             at = nearest(interfaces, Interface::Outer, &at).unwrap_or(at);
         }
-        if at == before {
+        if (at - before).norm_squared() <= (ARRIVED * interfaces.spacing).powi(2) {
             break;
         }
     }
