@@ -5,15 +5,18 @@
 //! each region fills. A cell belongs to the model when at least half of it is inside, and then to
 //! the region that fills most of it.
 
+use std::collections::BTreeSet;
+
 use rayon::prelude::*;
 
 use super::grid::Grid;
 use super::rays::{Hits, Rays, cast};
+use super::strands::{NOTHING, RAYS_PER_CELL, Strand, Strands};
+use super::walls::{Share, Walls, contact};
 use crate::Surface;
 
-/// Rays across a cell along x and along y.
-const RAYS_PER_CELL: usize = 4;
-
+/// A cell is of one kind when all but this part of it is.
+const PURE: f64 = 1e-3;
 /// What fills the cells of the grid.
 #[derive(Debug)]
 pub(super) struct Labels {
@@ -23,70 +26,127 @@ pub(super) struct Labels {
     pub(super) second: Vec<u8>,
     /// By how much of the cell the first one was ahead, in 1/255.
     pub(super) margin: Vec<u8>,
+    /// Cells that were given to a region because they hold it together.
+    pub(super) held: BTreeSet<usize>,
+}
+
+impl Labels {
+    /// Gives a cell to what it holds together; it is the last to be given away again.
+    pub(super) fn hold(&mut self, cell: usize, label: u8) {
+        self.second[cell] = self.label[cell];
+        self.label[cell] = label;
+        self.held.insert(cell);
+    }
 }
 
 /// Label, second label and margin of one cell.
 type Decision = [u8; 3];
 
-/// Classifies every cell of the grid.
-pub(super) fn label(grid: &Grid, surfaces: &[&Surface]) -> Labels {
+/// Classifies every cell of the grid, and tells `walls` what fills those that are not of one kind.
+pub(super) fn label(grid: &Grid, surfaces: &[&Surface], walls: &mut Walls) -> Labels {
     let [nx, ny, nz] = grid.cells;
-    let step = grid.spacing / RAYS_PER_CELL as f64;
-    let rays = Rays {
-        axis: 2,
-        first: [grid.origin.x + step / 2.0, grid.origin.y + step / 2.0],
-        step,
-        count: [nx * RAYS_PER_CELL, ny * RAYS_PER_CELL],
-    };
-    let hits: Vec<Hits> = surfaces.iter().map(|s| cast(s, &rays)).collect();
-    let regions = surfaces.len();
+    let strands = Strands::new(grid, surfaces);
     // One slab of constant y at a time; slabs are independent.
-    let slabs: Vec<Vec<Decision>> = (0..ny)
+    let slabs: Vec<(Vec<Decision>, Vec<Share>)> = (0..ny)
         .into_par_iter()
         .map(|j| {
             let mut decisions = vec![[0; 3]; nx * nz];
-            let mut part = vec![0.0; nz * regions];
-            let mut sweep = Sweep::default();
+            let mut shares = Vec::new();
+            let mut column = Column::new(nz, surfaces.len());
             for i in 0..nx {
-                part.fill(0.0);
-                for sub in 0..RAYS_PER_CELL * RAYS_PER_CELL {
-                    let u = i * RAYS_PER_CELL + sub % RAYS_PER_CELL;
-                    let v = j * RAYS_PER_CELL + sub / RAYS_PER_CELL;
-                    sweep.resolve(&hits, rays.index([u, v]), |region, from, to| {
-                        let at = |z: f64| (z - grid.origin.z) / grid.spacing;
-                        spread(&mut part, regions, region, at(from), at(to));
-                    });
-                }
+                column.fill(&strands, [i, j]);
                 for k in 0..nz {
-                    decisions[i + nx * k] = decide(&part[k * regions..(k + 1) * regions]);
+                    decisions[i + nx * k] = decide(column.part(k));
                 }
+                column.shares(grid, [i, j], &mut shares);
             }
-            decisions
+            (decisions, shares)
         })
         .collect();
     let mut labels = Labels {
         label: vec![0; grid.cell_count()],
         second: vec![0; grid.cell_count()],
         margin: vec![0; grid.cell_count()],
+        held: BTreeSet::new(),
     };
-    for (j, decisions) in slabs.iter().enumerate() {
-        for (at, decision) in decisions.iter().enumerate() {
+    for (j, (decisions, shares)) in slabs.into_iter().enumerate() {
+        for (at, decision) in decisions.into_iter().enumerate() {
             let to = grid.cell_index([at % nx, j, at / nx]);
-            [labels.label[to], labels.second[to], labels.margin[to]] = *decision;
+            [labels.label[to], labels.second[to], labels.margin[to]] = decision;
         }
+        walls.add_shares(shares);
     }
+    walls.sort();
     labels
 }
 
-/// Adds the stretch `from..to`, in cells along z, to what its region fills.
-fn spread(part: &mut [f64], regions: usize, region: usize, from: f64, to: f64) {
-    let mut k = from.floor().max(0.0) as usize;
-    let mut at = from;
-    while at < to && k * regions < part.len() {
-        let next = to.min((k + 1) as f64);
-        part[k * regions + region] += next - at;
-        at = next;
-        k += 1;
+/// What fills the cells of one column along z.
+struct Column {
+    regions: usize,
+    /// Summed lengths of rays in each region, for each cell.
+    lengths: Vec<f64>,
+    /// Cell, label, part of the region, and length of a ray in it.
+    pieces: Vec<(u32, u8, u32, f64)>,
+}
+
+impl Column {
+    fn new(cells: usize, regions: usize) -> Self {
+        Self {
+            regions,
+            lengths: vec![0.0; cells * regions],
+            pieces: Vec::new(),
+        }
+    }
+
+    /// Lengths of rays in each region within cell `k`.
+    fn part(&self, k: usize) -> &[f64] {
+        &self.lengths[k * self.regions..(k + 1) * self.regions]
+    }
+
+    fn fill(&mut self, strands: &Strands, at: [usize; 2]) {
+        self.lengths.fill(0.0);
+        self.pieces.clear();
+        for sub in 0..RAYS_PER_CELL * RAYS_PER_CELL {
+            let ray = [sub % RAYS_PER_CELL, sub / RAYS_PER_CELL];
+            let ray = [0, 1].map(|a| at[a] * RAYS_PER_CELL + ray[a]);
+            for (strand, part) in strands.of(ray) {
+                self.spread(strand, part);
+            }
+        }
+    }
+
+    /// Adds a strand to the cells that it passes.
+    fn spread(&mut self, strand: &Strand, part: u32) {
+        let region = usize::from(strand.region);
+        let mut k = strand.from.floor().max(0.0) as usize;
+        let mut at = strand.from;
+        while at < strand.to && k * self.regions < self.lengths.len() {
+            let next = strand.to.min((k + 1) as f64);
+            self.lengths[k * self.regions + region] += next - at;
+            self.pieces
+                .push((k as u32, strand.region + 1, part, next - at));
+            at = next;
+            k += 1;
+        }
+    }
+
+    /// Lists what fills each cell, unless one region fills it all.
+    fn shares(&mut self, grid: &Grid, [i, j]: [usize; 2], shares: &mut Vec<Share>) {
+        let full = (RAYS_PER_CELL * RAYS_PER_CELL) as f64;
+        let mut pieces = std::mem::take(&mut self.pieces);
+        pieces.retain(|p| {
+            self.part(p.0 as usize)
+                .iter()
+                .all(|l| *l < full * (1.0 - PURE))
+        });
+        pieces.sort_by_key(|p| (p.0, p.1, p.2));
+        for same in pieces.chunk_by(|a, b| (a.0, a.1, a.2) == (b.0, b.1, b.2)) {
+            let (k, label, part, _) = same[0];
+            let length: f64 = same.iter().map(|p| p.3).sum();
+            let cell = grid.cell_index([i, j, k as usize]);
+            shares.push(Share::new(cell, label, part, length / full));
+        }
+        self.pieces = pieces;
     }
 }
 
@@ -120,10 +180,11 @@ fn decide(part: &[f64]) -> Decision {
 ///
 /// The volume of each whole surface is exact (divergence theorem). What part of it later regions
 /// take is measured along rays of all three directions; as a ratio to the same rays' measure of the
-/// whole, so that the error of sampling flat ends and rims cancels.
-pub(super) fn resolved_volumes(grid: &Grid, surfaces: &[&Surface]) -> Vec<f64> {
+/// whole, so that the error of sampling flat ends and rims cancels. The same rays tell `walls` which
+/// regions touch where.
+pub(super) fn resolved_volumes(grid: &Grid, surfaces: &[&Surface], walls: &mut Walls) -> Vec<f64> {
     let kept: Vec<Vec<f64>> = (0..3)
-        .map(|axis| kept_along(grid, surfaces, axis))
+        .map(|axis| kept_along(grid, surfaces, axis, walls))
         .collect();
     surfaces
         .iter()
@@ -133,7 +194,7 @@ pub(super) fn resolved_volumes(grid: &Grid, surfaces: &[&Surface]) -> Vec<f64> {
 }
 
 /// Part of each region's rays along one axis that no later region takes.
-fn kept_along(grid: &Grid, surfaces: &[&Surface], axis: usize) -> Vec<f64> {
+fn kept_along(grid: &Grid, surfaces: &[&Surface], axis: usize, walls: &mut Walls) -> Vec<f64> {
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     let step = grid.spacing / 2.0;
     let rays = Rays {
@@ -144,28 +205,94 @@ fn kept_along(grid: &Grid, surfaces: &[&Surface], axis: usize) -> Vec<f64> {
     };
     let hits: Vec<Hits> = surfaces.iter().map(|s| cast(s, &rays)).collect();
     // Row by row, and the rows summed in order: the same sum on any number of threads.
-    let rows: Vec<Vec<[f64; 2]>> = (0..rays.count[1])
+    let rows: Vec<(Vec<[f64; 2]>, Vec<u64>)> = (0..rays.count[1])
         .into_par_iter()
         .map(|row| {
             let mut sums = vec![[0.0; 2]; surfaces.len()];
+            let mut contacts = Vec::new();
             let mut sweep = Sweep::default();
             for column in 0..rays.count[0] {
                 let ray = rays.index([column, row]);
                 for (region, hits) in hits.iter().enumerate() {
                     hits.inside(ray, |from, to| sums[region][0] += to - from);
                 }
-                sweep.resolve(&hits, ray, |region, from, to| sums[region][1] += to - from);
+                let mut marks = Marks::new(grid, axis, [column / 2, row / 2]);
+                sweep.resolve(&hits, ray, |region, from, to| {
+                    sums[region][1] += to - from;
+                    marks.pass(region, from, to, &mut contacts);
+                });
+                marks.leave(&mut contacts);
             }
-            sums
+            contacts.sort_unstable();
+            contacts.dedup();
+            (sums, contacts)
         })
         .collect();
-    (0..surfaces.len())
+    let kept = (0..surfaces.len())
         .map(|r| {
-            let sum = |which: usize| rows.iter().map(|row| row[r][which]).sum::<f64>();
+            let sum = |which: usize| rows.iter().map(|row| row.0[r][which]).sum::<f64>();
             let whole = sum(0);
             if whole > 0.0 { sum(1) / whole } else { 1.0 }
         })
-        .collect()
+        .collect();
+    for (_, contacts) in rows {
+        walls.add_contacts(contacts);
+    }
+    kept
+}
+
+/// Follows a ray from region to region and notes in which cells two of them touch.
+struct Marks<'a> {
+    grid: &'a Grid,
+    axis: usize,
+    /// The column of cells: places along the next two axes.
+    column: [usize; 2],
+    /// The label that the ray is in, and where it leaves it.
+    last: (u8, f64),
+}
+
+impl<'a> Marks<'a> {
+    fn new(grid: &'a Grid, axis: usize, column: [usize; 2]) -> Self {
+        let last = (0, f64::NEG_INFINITY);
+        Self {
+            grid,
+            axis,
+            column,
+            last,
+        }
+    }
+
+    /// The ray passes a stretch of a region.
+    fn pass(&mut self, region: usize, from: f64, to: f64, contacts: &mut Vec<u64>) {
+        let nothing = NOTHING * self.grid.spacing;
+        if to - from < nothing {
+            return;
+        }
+        let label = region as u8 + 1;
+        if from - self.last.1 > nothing {
+            self.leave(contacts);
+            self.mark(0, label, from, contacts);
+        } else if self.last.0 != label {
+            self.mark(self.last.0, label, from, contacts);
+        }
+        self.last = (label, to);
+    }
+
+    /// The ray comes out of the region that it is in.
+    fn leave(&self, contacts: &mut Vec<u64>) {
+        if self.last.0 != 0 {
+            self.mark(self.last.0, 0, self.last.1, contacts);
+        }
+    }
+
+    fn mark(&self, a: u8, b: u8, depth: f64, contacts: &mut Vec<u64>) {
+        let along = (depth - self.grid.origin[self.axis]) / self.grid.spacing;
+        let mut at = [0; 3];
+        at[self.axis] = (along.max(0.0) as usize).min(self.grid.cells[self.axis] - 1);
+        at[(self.axis + 1) % 3] = self.column[0];
+        at[(self.axis + 2) % 3] = self.column[1];
+        contacts.push(contact(self.grid.cell_index(at), a, b));
+    }
 }
 
 /// Resolves the overlaps of all surfaces along one ray; holds the memory for it.

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 
 use super::grid::Grid;
 use super::label::Labels;
+use super::walls::Walls;
 use crate::{Aabb, Cell, EDGES, NO_CELL, RegionId, Vec3};
 
 /// No node stands at this grid point.
@@ -29,17 +30,14 @@ const ROUNDS: usize = 4;
 const PLACES_MAX: usize = 4096;
 
 /// A piece of a region that was given to its surroundings.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(super) struct Crumb {
     /// Its label.
     pub(super) label: u8,
     /// The label it was given.
     pub(super) given: u8,
-    /// Number of cells.
-    pub(super) cells: usize,
-    /// Lowest and highest cell along each axis.
-    pub(super) low: [usize; 3],
-    pub(super) high: [usize; 3],
+    /// Its cells in the grid.
+    pub(super) cells: Vec<[usize; 3]>,
 }
 
 /// What had to be done to the labels.
@@ -59,16 +57,27 @@ pub(super) struct Mending {
 
 /// Mends and drops until nothing changes. `parts` are the boxes around the closed parts of each
 /// region's input; an island that stands for one of them stays whatever its size.
-pub(super) fn mend_all(grid: &Grid, labels: &mut Labels, parts: &[Vec<Aabb>]) -> Mending {
+pub(super) fn mend_all(
+    grid: &Grid,
+    labels: &mut Labels,
+    walls: &Walls,
+    parts: &[Vec<Aabb>],
+) -> Mending {
     let mut mending = Mending::default();
-    mend(grid, labels, &mut mending);
+    for _ in 0..ROUNDS {
+        let given = walls.put_layers_back(grid, labels);
+        mend(grid, labels, walls, &mut mending);
+        if given == 0 {
+            break;
+        }
+    }
     for _ in 0..ROUNDS {
         let before = mending.dropped.0;
         drop_islands(grid, labels, parts, &mut mending);
         if mending.dropped.0 == before {
             break;
         }
-        mend(grid, labels, &mut mending);
+        mend(grid, labels, walls, &mut mending);
     }
     drop_crumbs(grid, labels, &mut mending);
     mending
@@ -120,7 +129,7 @@ fn faults(block: [u8; 8], table: &[bool; 256]) -> usize {
 /// Flips the most doubtful cells until the surface of the model and of every region is a manifold:
 /// where two cells touch along an edge or at a corner only, a surface could not be wound
 /// consistently, and one node would have to be in two places.
-fn mend(grid: &Grid, labels: &mut Labels, mending: &mut Mending) {
+fn mend(grid: &Grid, labels: &mut Labels, walls: &Walls, mending: &mut Mending) {
     let table: [bool; 256] = std::array::from_fn(|block| manifold(block as u8));
     for pass in 0.. {
         let found: Vec<[usize; 3]> = (0..grid.cells[2] - 1)
@@ -134,7 +143,7 @@ fn mend(grid: &Grid, labels: &mut Labels, mending: &mut Mending) {
             // An earlier flip of this pass may have mended it.
             if faults(block, &table) > 0
                 && let Some((c, to)) =
-                    best_flip(grid, labels, &cells, pass < TWO_WAY_PASSES, &table)
+                    best_flip(grid, labels, walls, &cells, pass < TWO_WAY_PASSES, &table)
             {
                 let cell = cells[c];
                 if to == 0 || block[c] == 0 {
@@ -144,6 +153,7 @@ fn mend(grid: &Grid, labels: &mut Labels, mending: &mut Mending) {
                 }
                 labels.second[cell] = labels.label[cell];
                 labels.label[cell] = to;
+                labels.held.remove(&cell);
                 // Once flipped, a cell is not the first choice for the way back.
                 labels.margin[cell] = 128;
                 flipped += 1;
@@ -176,18 +186,21 @@ fn block_cells(grid: &Grid, at: [usize; 3]) -> [usize; 8] {
     })
 }
 
-/// The cell of a block to flip and its new label: what leaves the fewest faults here, then the most
-/// doubtful. With `any` false a label may only sink, which can not go round in circles.
+/// The cell of a block to flip and its new label: what leaves the fewest faults here, then what holds
+/// nothing together, then what makes the fewest regions touch that do not, then the most doubtful. With `any` false a label may only
+/// sink, which can not go round in circles.
 fn best_flip(
     grid: &Grid,
     labels: &Labels,
+    walls: &Walls,
     cells: &[usize; 8],
     any: bool,
     table: &[bool; 256],
 ) -> Option<(usize, u8)> {
     let block = cells.map(|c| labels.label[c]);
-    // Faults left, doubt, and the flip itself, which decides between equals.
-    let mut best: Option<(usize, u16, usize, u8)> = None;
+    // Faults left, whether it is held, false faces, doubt, and the flip itself, which decides between
+    // equals.
+    let mut best: Option<(usize, bool, i32, u16, usize, u8)> = None;
     for c in 0..8 {
         // The margin of the grid stays empty.
         let at = cell_at(grid, cells[c]);
@@ -206,21 +219,23 @@ fn best_flip(
                 256
             };
             let doubt = u16::from(labels.margin[cells[c]]) + unlikely;
-            let key = (faults(after, table), doubt, c, to);
+            let parted = walls.false_faces_won(grid, labels, cells[c], to);
+            let held = labels.held.contains(&cells[c]);
+            let key = (faults(after, table), held, parted, doubt, c, to);
             if best.is_none_or(|b| key < b) {
                 best = Some(key);
             }
         }
     }
-    best.map(|(_, _, c, to)| (c, to))
+    best.map(|(_, _, _, _, c, to)| (c, to))
 }
 
-fn cell_at(grid: &Grid, index: usize) -> [usize; 3] {
+pub(super) fn cell_at(grid: &Grid, index: usize) -> [usize; 3] {
     let [nx, ny, _] = grid.cells;
     [index % nx, index / nx % ny, index / (nx * ny)]
 }
 
-fn face_neighbours(grid: &Grid, cell: usize) -> [Option<usize>; 6] {
+pub(super) fn face_neighbours(grid: &Grid, cell: usize) -> [Option<usize>; 6] {
     let at = cell_at(grid, cell);
     std::array::from_fn(|face| {
         let axis = face / 2;
@@ -237,7 +252,11 @@ fn face_neighbours(grid: &Grid, cell: usize) -> [Option<usize>; 6] {
 
 /// Pieces of face-connected cells: which piece each cell is in, from 1, and the size of each.
 /// Cells belong together when `same` says so of their labels; label 0 is in no piece.
-fn pieces(grid: &Grid, labels: &Labels, same: impl Fn(u8, u8) -> bool) -> (Vec<u32>, Vec<usize>) {
+pub(super) fn pieces(
+    grid: &Grid,
+    labels: &Labels,
+    same: impl Fn(u8, u8) -> bool,
+) -> (Vec<u32>, Vec<usize>) {
     let mut piece_of = vec![0_u32; grid.cell_count()];
     let mut sizes = vec![0_usize];
     let mut stack = Vec::new();
@@ -341,15 +360,10 @@ impl Mending {
         self.dropped.0 += 1;
         self.dropped.1 += cells.len();
         if self.crumbs.len() < PLACES_MAX {
-            let at = cells.iter().map(|&c| cell_at(grid, c));
             self.crumbs.push(Crumb {
                 label,
                 given,
-                cells: cells.len(),
-                low: at.clone().fold([usize::MAX; 3], |m, p| {
-                    std::array::from_fn(|a| m[a].min(p[a]))
-                }),
-                high: at.fold([0; 3], |m, p| std::array::from_fn(|a| m[a].max(p[a]))),
+                cells: cells.iter().map(|&c| cell_at(grid, c)).collect(),
             });
         }
     }
@@ -444,6 +458,8 @@ pub(super) fn number(grid: &Grid, labels: &Labels) -> Lattice {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeSet;
+
     use proptest::prelude::*;
 
     #[test]
@@ -463,14 +479,14 @@ mod tests {
         ) {
             let grid = Grid { origin: Vec3::zeros(), spacing: 1.0, cells: [10, 10, 10] };
             let empty = || vec![0; 1000];
-            let mut labels = Labels { label: empty(), second: empty(), margin: empty() };
+            let mut labels = Labels { label: empty(), second: empty(), margin: empty(), held: BTreeSet::new() };
             for (n, &(label, second, margin)) in cells.iter().enumerate() {
                 let cell = grid.cell_index([1 + n % 8, 1 + n / 8 % 8, 1 + n / 64]);
                 labels.label[cell] = label;
                 labels.second[cell] = second;
                 labels.margin[cell] = margin;
             }
-            mend_all(&grid, &mut labels, &[const { Vec::new() }; 3]);
+            mend_all(&grid, &mut labels, &Walls::default(), &[const { Vec::new() }; 3]);
             let table: [bool; 256] = std::array::from_fn(|block| manifold(block as u8));
             for at in 0..9 * 9 * 9 {
                 let cells = block_cells(&grid, [at % 9, at / 9 % 9, at / 81]);

@@ -33,11 +33,13 @@ mod rim;
 mod sample;
 mod snap;
 mod spacing;
+mod strands;
 #[cfg(test)]
 mod tests;
 mod thin;
 mod untangle;
 mod volume;
+mod walls;
 
 use thiserror::Error;
 
@@ -140,7 +142,8 @@ pub fn build(
     let grid = Grid::around(&surfaces, spacing);
     let query = inside::PointQuery::new(&surfaces, grid.middle());
     check::nesting(input, spacing, &query, &mut warnings)?;
-    let mut input_volumes = label::resolved_volumes(&grid, &surfaces);
+    let mut walls = walls::Walls::default();
+    let mut input_volumes = label::resolved_volumes(&grid, &surfaces, &mut walls);
     for (volume, voxels) in input_volumes.iter_mut().zip(&input.voxels_m3) {
         // A label volume is the truth about what it alone describes.
         *volume = voxels.unwrap_or(*volume);
@@ -148,8 +151,9 @@ pub fn build(
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
 
     progress("casting rays", 0.1);
-    let mut labels = label::label(&grid, &surfaces);
-    let mending = lattice::mend_all(&grid, &mut labels, &parts);
+    let mut labels = label::label(&grid, &surfaces, &mut walls);
+    let mending = lattice::mend_all(&grid, &mut labels, &walls, &parts);
+    drop(walls);
     check::mending(&mending, grid.cell_count(), &mut warnings);
     let mut lattice = lattice::number(&grid, &labels);
     drop(labels);

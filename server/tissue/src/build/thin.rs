@@ -214,20 +214,19 @@ impl<'a> Collector<'a> {
     pub(super) fn add_crumbs(&mut self, crumbs: &[Crumb]) {
         let region = |label: u8| u16::from(label).checked_sub(1).unwrap_or(OUTSIDE);
         for crumb in crumbs {
-            let low = self.grid.point(crumb.low.map(|i| i as i32));
-            let high = self.grid.point(crumb.high.map(|i| i as i32 + 1));
-            for cell in 0..crumb.cells.min(64) {
-                let part = (cell as f64 + 0.5) / crumb.cells.min(64) as f64;
-                self.mark(&low.lerp(&high, part));
-            }
-            let heap = Heap {
-                low,
-                high,
-                count: crumb.cells,
+            let mut heap = Heap {
+                count: crumb.cells.len(),
                 ..Heap::empty()
             };
+            for cell in &crumb.cells {
+                let low = self.grid.point(cell.map(|i| i as i32));
+                let high = self.grid.point(cell.map(|i| i as i32 + 1));
+                self.mark(&((low + high) / 2.0));
+                heap.low = heap.low.inf(&low);
+                heap.high = heap.high.sup(&high);
+            }
             let given = region(crumb.given);
-            let at = (low + high) / 2.0;
+            let at = (heap.low + heap.high) / 2.0;
             let key = (ThinKind::Crumb, region(crumb.label), [given, given]);
             self.put(key, &at, &heap);
         }

@@ -1,0 +1,145 @@
+//! The pieces of rays that lie in each region, and which of them hang together.
+//!
+//! Neighbouring rays are a quarter of a cell apart; pieces of one region side by side belong together.
+//! So it is known of parts too thin for a cell of their own what they are part of.
+
+use rayon::prelude::*;
+
+use super::grid::Grid;
+use super::label::Sweep;
+use super::rays::{Hits, Rays, cast};
+use crate::Surface;
+
+/// Rays across a cell along x and along y.
+pub(super) const RAYS_PER_CELL: usize = 4;
+
+/// A gap or a strand that is shorter than this, in cells, is rounding.
+pub(super) const NOTHING: f64 = 1e-6;
+
+/// A piece of a ray within one region.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Strand {
+    pub(super) region: u8,
+    /// Where it begins and ends, in cells along z.
+    pub(super) from: f64,
+    pub(super) to: f64,
+}
+
+/// The strands of all rays along z, overlaps resolved.
+pub(super) struct Strands {
+    /// Rays along x.
+    width: usize,
+    /// First strand of each ray, and one past the last of all.
+    start: Vec<u32>,
+    strands: Vec<Strand>,
+    /// The part of its region that each strand belongs to.
+    parts: Vec<u32>,
+}
+
+impl Strands {
+    /// Sends rays through all surfaces.
+    pub(super) fn new(grid: &Grid, surfaces: &[&Surface]) -> Self {
+        let step = grid.spacing / RAYS_PER_CELL as f64;
+        let rays = Rays {
+            axis: 2,
+            first: [grid.origin.x + step / 2.0, grid.origin.y + step / 2.0],
+            step,
+            count: [0, 1].map(|a| grid.cells[a] * RAYS_PER_CELL),
+        };
+        let hits: Vec<Hits> = surfaces.iter().map(|s| cast(s, &rays)).collect();
+        let [width, height] = rays.count;
+        let rows: Vec<(Vec<u32>, Vec<Strand>)> = (0..height)
+            .into_par_iter()
+            .map(|v| row(grid, &hits, &rays, v))
+            .collect();
+        let mut this = Self {
+            width,
+            start: vec![0],
+            strands: Vec::with_capacity(rows.iter().map(|r| r.1.len()).sum()),
+            parts: Vec::new(),
+        };
+        for (ends, mut strands) in rows {
+            let before = this.strands.len() as u32;
+            this.start.extend(ends.iter().map(|e| before + e));
+            this.strands.append(&mut strands);
+        }
+        this.join();
+        this
+    }
+
+    /// The strands of a ray from low to high, each with its part of the region.
+    pub(super) fn of(&self, [u, v]: [usize; 2]) -> impl Iterator<Item = (&Strand, u32)> {
+        let range = self.range(u + self.width * v);
+        self.strands[range.clone()]
+            .iter()
+            .zip(self.parts[range].iter().copied())
+    }
+
+    fn range(&self, ray: usize) -> std::ops::Range<usize> {
+        self.start[ray] as usize..self.start[ray + 1] as usize
+    }
+
+    /// Finds what hangs together side by side.
+    fn join(&mut self) {
+        let mut parent: Vec<u32> = (0..self.strands.len() as u32).collect();
+        for ray in 0..self.start.len() - 1 {
+            if (ray + 1) % self.width != 0 {
+                self.join_rays(&mut parent, ray, ray + 1);
+            }
+            if ray + self.width < self.start.len() - 1 {
+                self.join_rays(&mut parent, ray, ray + self.width);
+            }
+        }
+        for strand in 0..parent.len() as u32 {
+            parent[strand as usize] = root(&mut parent, strand);
+        }
+        self.parts = parent;
+    }
+
+    fn join_rays(&self, parent: &mut [u32], one: usize, other: usize) {
+        let (one, other) = (self.range(one), self.range(other));
+        let (mut a, mut b) = (one.start, other.start);
+        while a < one.end && b < other.end {
+            let (s, t) = (&self.strands[a], &self.strands[b]);
+            if s.region == t.region && s.from.max(t.from) < s.to.min(t.to) {
+                let (s, t) = (root(parent, a as u32), root(parent, b as u32));
+                parent[s.max(t) as usize] = s.min(t);
+            }
+            if s.to < t.to {
+                a += 1;
+            } else {
+                b += 1;
+            }
+        }
+    }
+}
+
+/// The strands of a row of rays, and how many there are up to the end of each ray.
+fn row(grid: &Grid, hits: &[Hits], rays: &Rays, v: usize) -> (Vec<u32>, Vec<Strand>) {
+    let at = |z: f64| (z - grid.origin.z) / grid.spacing;
+    let mut strands: Vec<Strand> = Vec::new();
+    let mut ends = Vec::with_capacity(rays.count[0]);
+    let mut sweep = Sweep::default();
+    for u in 0..rays.count[0] {
+        let first = strands.len();
+        sweep.resolve(hits, rays.index([u, v]), |region, from, to| {
+            let (region, from, to) = (region as u8, at(from), at(to));
+            match strands[first..].last_mut() {
+                Some(last) if last.region == region && from - last.to < NOTHING => last.to = to,
+                _ if to - from < NOTHING => {}
+                _ => strands.push(Strand { region, from, to }),
+            }
+        });
+        ends.push(strands.len() as u32);
+    }
+    (ends, strands)
+}
+
+/// Root of an entry in a forest, with the path to it halved.
+fn root(parent: &mut [u32], mut at: u32) -> u32 {
+    while parent[at as usize] != at {
+        parent[at as usize] = parent[parent[at as usize] as usize];
+        at = parent[at as usize];
+    }
+    at
+}

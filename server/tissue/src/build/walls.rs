@@ -1,0 +1,243 @@
+//! Keeping thin layers between what they part (reconstructed).
+//!
+//! A layer of about half a spacing rarely fills most of a cell, so where it runs askew to the lattice the
+//! cells that it has come apart, and the regions on its two sides touch where in the input they never
+//! do. Such a *false* face is cured by giving the layer one of the face's two cells: its nodes are put
+//! onto the layer's two interfaces afterwards, which makes it as thin as it is.
+//!
+//! Whether two regions touch in a cell is seen by rays in three directions.
+
+use rayon::prelude::*;
+
+use super::grid::Grid;
+use super::label::Labels;
+use super::lattice::{cell_at, face_neighbours};
+
+/// A layer that is thinner than this, in spacings along an axis of the lattice and as a mean over nine
+/// lines side by side, is not put back: springs across it would be shorter than a cell's may be.
+const LAYER_MIN: f64 = 0.2;
+/// The same for the one line through the face. Real layers are pinched here and there: labels of one
+/// voxel that meet in an edge only are nothing thick there.
+const LINE_MIN: f64 = 0.05;
+
+/// Rounds of looking for false faces. Curing one may show another; each cure leaves fewer.
+const ROUNDS: usize = 8;
+
+/// Which labels touch in which cells, and how much of each cell every label fills. Without rays (as by
+/// default) nothing is known, and every face counts as true.
+#[derive(Debug, Default)]
+pub(super) struct Walls {
+    /// See [`contact`]; sorted.
+    contacts: Vec<u64>,
+    /// Sorted. Cells that one label fills are not in it.
+    shares: Vec<Share>,
+}
+
+/// What a part of a region fills of a cell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Share {
+    cell: u32,
+    /// The region's label.
+    pub(super) label: u8,
+    /// Which part of the region it is; parts do not touch each other.
+    pub(super) part: u32,
+    /// In 1/255 of the cell.
+    filled: u8,
+}
+
+impl Share {
+    pub(super) fn new(cell: usize, label: u8, part: u32, filled: f64) -> Self {
+        let filled = (filled * 255.0).round().clamp(0.0, 255.0) as u8;
+        Self {
+            cell: cell as u32,
+            label,
+            part,
+            filled,
+        }
+    }
+
+    /// The filled part of the cell.
+    pub(super) fn filled(&self) -> f64 {
+        f64::from(self.filled) / 255.0
+    }
+}
+
+/// Two labels that touch in a cell.
+pub(super) fn contact(cell: usize, a: u8, b: u8) -> u64 {
+    (cell as u64) << 16 | u64::from(a.min(b)) << 8 | u64::from(a.max(b))
+}
+
+impl Walls {
+    pub(super) fn add_contacts(&mut self, mut contacts: Vec<u64>) {
+        self.contacts.append(&mut contacts);
+    }
+
+    pub(super) fn add_shares(&mut self, mut shares: Vec<Share>) {
+        self.shares.append(&mut shares);
+    }
+
+    /// Sorts what was added; nothing can be asked before.
+    pub(super) fn sort(&mut self) {
+        self.contacts.par_sort_unstable();
+        self.contacts.dedup();
+        self.shares.par_sort_unstable();
+    }
+
+    /// Part of a cell that a label fills.
+    fn share(&self, labels: &Labels, cell: usize, label: u8) -> f64 {
+        let own = self.shares_of(cell);
+        if own.is_empty() {
+            return f64::from(u8::from(labels.label[cell] == label));
+        }
+        let own = own.iter().filter(|s| s.label == label);
+        own.map(Share::filled).sum()
+    }
+
+    /// What fills a cell; nothing when one label fills it all.
+    pub(super) fn shares_of(&self, cell: usize) -> &[Share] {
+        let cell = cell as u32;
+        let from = self.shares.partition_point(|s| s.cell < cell);
+        let count = self.shares[from..]
+            .iter()
+            .take_while(|s| s.cell == cell)
+            .count();
+        &self.shares[from..from + count]
+    }
+
+    fn touch(&self, cell: usize, a: u8, b: u8) -> bool {
+        self.contacts.binary_search(&contact(cell, a, b)).is_ok()
+    }
+
+    /// Whether two cells with these labels would share a face where these never touch.
+    fn is_false(&self, cells: [usize; 2], [a, b]: [u8; 2]) -> bool {
+        a != b && !cells.iter().any(|cell| self.touch(*cell, a, b))
+    }
+
+    /// False faces that a cell has more with label `to` than with its own.
+    pub(super) fn false_faces_won(&self, grid: &Grid, labels: &Labels, cell: usize, to: u8) -> i32 {
+        if self.contacts.is_empty() {
+            return 0;
+        }
+        let own = labels.label[cell];
+        let with = |label: u8, other: usize| {
+            i32::from(self.is_false([cell, other], [label, labels.label[other]]))
+        };
+        let others = face_neighbours(grid, cell).into_iter().flatten();
+        others.map(|other| with(to, other) - with(own, other)).sum()
+    }
+
+    /// Gives layers cells of what they part, where they are missing between the two.
+    pub(super) fn put_layers_back(&self, grid: &Grid, labels: &mut Labels) -> usize {
+        let mut given = 0;
+        if self.contacts.is_empty() {
+            return given;
+        }
+        for _ in 0..ROUNDS {
+            let layers = (1..grid.cells[2] - 1).into_par_iter();
+            let found: Vec<(usize, usize)> = layers
+                .flat_map_iter(|k| self.false_faces(grid, labels, k))
+                .collect();
+            let before = given;
+            for (cell, axis) in found {
+                given += usize::from(self.cure(grid, labels, cell, axis));
+            }
+            if given == before {
+                break;
+            }
+        }
+        given
+    }
+
+    /// The false faces of layer `k`: cells below them, and the axis across them.
+    fn false_faces(&self, grid: &Grid, labels: &Labels, k: usize) -> Vec<(usize, usize)> {
+        let steps = steps(grid);
+        let mut found = Vec::new();
+        // The margin of the grid stays empty.
+        for j in 0..grid.cells[1] - 1 {
+            for i in 0..grid.cells[0] - 1 {
+                let cell = grid.cell_index([i, j, k]);
+                for (axis, step) in steps.into_iter().enumerate() {
+                    let cells = [cell, cell + step];
+                    if self.is_false(cells, cells.map(|c| labels.label[c])) {
+                        found.push((cell, axis));
+                    }
+                }
+            }
+        }
+        found
+    }
+
+    /// Cures the face across `axis` above a cell if it is still false and a layer is there for it.
+    fn cure(&self, grid: &Grid, labels: &mut Labels, cell: usize, axis: usize) -> bool {
+        let step = steps(grid)[axis];
+        let cells = [cell, cell + step];
+        let around = cells.map(|c| labels.label[c]);
+        if !self.is_false(cells, around) {
+            return false;
+        }
+        let mut best: Option<(i32, f64, usize, u8)> = None;
+        for layer in cells
+            .iter()
+            .flat_map(|c| self.shares_of(*c))
+            .map(|s| s.label)
+        {
+            if around.contains(&layer) || !self.is_thick_enough(grid, labels, cell, axis, layer) {
+                continue;
+            }
+            for taken in cells.into_iter().filter(|c| !in_margin(grid, *c)) {
+                let won = self.false_faces_won(grid, labels, taken, layer);
+                let part = self.share(labels, taken, layer);
+                let better = |b: &(i32, f64, usize, u8)| won < b.0 || won == b.0 && part > b.1;
+                if won < 0 && best.as_ref().is_none_or(better) {
+                    best = Some((won, part, taken, layer));
+                }
+            }
+        }
+        let Some((_, _, taken, layer)) = best else {
+            return false;
+        };
+        labels.hold(taken, layer);
+        true
+    }
+}
+
+impl Walls {
+    /// Whether a layer across the face above `cell` can be held by the lattice.
+    fn is_thick_enough(
+        &self,
+        grid: &Grid,
+        labels: &Labels,
+        cell: usize,
+        axis: usize,
+        layer: u8,
+    ) -> bool {
+        let at = cell_at(grid, cell);
+        let thickness = |aside: [isize; 2], reach: isize| -> f64 {
+            let cells = (1 - reach..=reach).filter_map(|along| {
+                let mut to = at.map(|x| x as isize);
+                to[axis] += along;
+                to[(axis + 1) % 3] += aside[0];
+                to[(axis + 2) % 3] += aside[1];
+                let inside = (0..3).all(|a| to[a] >= 0 && to[a] < grid.cells[a] as isize);
+                inside.then(|| grid.cell_index(to.map(|x| x as usize)))
+            });
+            cells.map(|c| self.share(labels, c, layer)).sum()
+        };
+        if thickness([0, 0], 2) < LINE_MIN {
+            return false;
+        }
+        // Beside it a layer askew has gone on by a cell.
+        let lines = (0..9).map(|n| thickness([n % 3 - 1, n / 3 - 1], 3));
+        lines.sum::<f64>() >= 9.0 * LAYER_MIN
+    }
+}
+
+/// How far apart neighbouring cells are along each axis.
+fn steps(grid: &Grid) -> [usize; 3] {
+    [1, grid.cells[0], grid.cells[0] * grid.cells[1]]
+}
+
+pub(super) fn in_margin(grid: &Grid, cell: usize) -> bool {
+    let at = cell_at(grid, cell);
+    (0..3).any(|a| at[a] == 0 || at[a] + 1 == grid.cells[a])
+}
