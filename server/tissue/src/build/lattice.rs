@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
+use super::bridge;
 use super::grid::Grid;
 use super::label::Labels;
 use super::walls::Walls;
@@ -70,6 +71,13 @@ pub(super) fn mend_all(
         if given == 0 {
             break;
         }
+    }
+    for _ in 0..ROUNDS {
+        let bridges = bridge::build_bridges(grid, labels, walls);
+        if bridges == 0 {
+            break;
+        }
+        mend(grid, labels, walls, &mut mending);
     }
     for _ in 0..ROUNDS {
         let before = mending.dropped.0;

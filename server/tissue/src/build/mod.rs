@@ -14,6 +14,7 @@
 //! construction.
 
 mod bar;
+mod bridge;
 mod bvh;
 mod check;
 mod compare;

@@ -1,0 +1,213 @@
+//! Joining again what is one part in the input (reconstructed).
+//!
+//! A rod or a neck thinner than a cell rarely fills most of one, so a part of a region comes to lie in
+//! pieces. The rays that measured what fills the cells know which of these were one part, and through
+//! which cells it runs from one to the next; the cells of the way that lacks least become cells of the
+//! region. Nodes are put onto its surface afterwards, which makes the bridge as thin as it is.
+
+use std::cmp::Ordering;
+use std::collections::{BTreeMap, BinaryHeap};
+
+use super::grid::Grid;
+use super::label::Labels;
+use super::lattice::{face_neighbours, pieces};
+use super::walls::{Walls, in_margin};
+
+/// A cell is no place for a bridge unless the part fills at least this much of it.
+const FILLED_MIN: f64 = 0.1;
+/// What a face costs where regions would touch that do not, in cells that lack everything.
+const FALSE_FACE: f64 = 0.5;
+/// Most cells that are looked at for one bridge: a way of ten cells among its neighbours.
+const LOOK_MAX: usize = 4096;
+
+/// Joins pieces of a region that are one part in the input; returns the number of bridges.
+pub(super) fn build_bridges(grid: &Grid, labels: &mut Labels, walls: &Walls) -> usize {
+    let (mut piece_of, sizes) = pieces(grid, labels, |a, b| a == b);
+    let mut parent: Vec<u32> = (0..sizes.len() as u32).collect();
+    let mut bridges = 0;
+    for own in torn(grid, labels, walls, &piece_of, &sizes) {
+        for &piece in &own.pieces[1..] {
+            let search = Search {
+                grid,
+                labels,
+                walls,
+                own: &own,
+                piece_of: &piece_of,
+            };
+            let Some(way) = search.way(&mut parent, piece) else {
+                continue;
+            };
+            for cell in way {
+                labels.hold(cell, own.label);
+                piece_of[cell] = piece;
+            }
+            bridges += 1;
+        }
+    }
+    bridges
+}
+
+/// A part of a region that lies in several pieces.
+struct Torn {
+    label: u8,
+    part: u32,
+    /// The pieces, the largest first.
+    pieces: Vec<u32>,
+    /// The cells of each piece that other regions have something of, and those around them.
+    rims: BTreeMap<u32, Vec<usize>>,
+}
+
+/// Finds which part of its region each piece is, and the parts that have several.
+fn torn(
+    grid: &Grid,
+    labels: &Labels,
+    walls: &Walls,
+    piece_of: &[u32],
+    sizes: &[usize],
+) -> Vec<Torn> {
+    // How much of each part each piece has.
+    let mut has: BTreeMap<(u32, u32), (u8, f64)> = BTreeMap::new();
+    for (cell, label) in labels.label.iter().enumerate().filter(|(_, l)| **l != 0) {
+        for share in walls.shares_of(cell).iter().filter(|s| s.label == *label) {
+            let entry = has.entry((piece_of[cell], share.part)).or_default();
+            entry.0 = *label;
+            entry.1 += share.filled();
+        }
+    }
+    let mut part_of: BTreeMap<u32, (u8, u32, f64)> = BTreeMap::new();
+    for ((piece, part), (label, much)) in has {
+        let best = part_of.entry(piece).or_insert((label, part, much));
+        if much > best.2 {
+            *best = (label, part, much);
+        }
+    }
+    let mut parts: BTreeMap<(u8, u32), Vec<u32>> = BTreeMap::new();
+    for (piece, (label, part, _)) in part_of {
+        parts.entry((label, part)).or_default().push(piece);
+    }
+    parts.retain(|_, pieces| pieces.len() > 1);
+    let mut torn: Vec<Torn> = Vec::new();
+    let mut of_piece: BTreeMap<u32, usize> = BTreeMap::new();
+    for ((label, part), mut pieces) in parts {
+        pieces.sort_by_key(|p| (usize::MAX - sizes[*p as usize], *p));
+        of_piece.extend(pieces[1..].iter().map(|p| (*p, torn.len())));
+        let rims = BTreeMap::new();
+        torn.push(Torn {
+            label,
+            part,
+            pieces,
+            rims,
+        });
+    }
+    for (cell, piece) in piece_of.iter().enumerate() {
+        let Some(&own) = of_piece.get(piece) else {
+            continue;
+        };
+        let mut others = face_neighbours(grid, cell).into_iter().flatten();
+        if others.any(|o| piece_of[o] != *piece) {
+            torn[own].rims.entry(*piece).or_default().push(cell);
+        }
+    }
+    torn
+}
+
+struct Search<'a> {
+    grid: &'a Grid,
+    labels: &'a Labels,
+    walls: &'a Walls,
+    own: &'a Torn,
+    piece_of: &'a [u32],
+}
+
+/// A cell that is reached at a cost, the cheapest first.
+#[derive(PartialEq)]
+struct Reached {
+    cost: f64,
+    cell: usize,
+}
+
+impl Eq for Reached {}
+
+impl Ord for Reached {
+    fn cmp(&self, other: &Self) -> Ordering {
+        let by_cost = other.cost.total_cmp(&self.cost);
+        by_cost.then(other.cell.cmp(&self.cell))
+    }
+}
+
+impl PartialOrd for Reached {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Search<'_> {
+    /// The cells to give the region so that a piece of the part hangs together with another one, which
+    /// `parent` is told; none when there is no way.
+    fn way(&self, parent: &mut [u32], piece: u32) -> Option<Vec<usize>> {
+        let mut queue = BinaryHeap::new();
+        let mut from: BTreeMap<usize, (f64, usize)> = BTreeMap::new();
+        for &cell in self.own.rims.get(&piece)? {
+            from.insert(cell, (0.0, cell));
+            queue.push(Reached { cost: 0.0, cell });
+        }
+        let begun = root(parent, piece);
+        let most = from.len() + LOOK_MAX;
+        while let Some(Reached { cost, cell }) = queue.pop() {
+            if from[&cell].0 < cost {
+                continue;
+            }
+            for next in face_neighbours(self.grid, cell).into_iter().flatten() {
+                if self.labels.label[next] == self.own.label {
+                    let found = self.piece_of[next];
+                    if self.own.pieces.contains(&found) && root(parent, found) != begun {
+                        parent[begun as usize] = root(parent, found);
+                        return Some(self.back(&from, cell));
+                    }
+                    continue;
+                }
+                let Some(more) = self.cost(next) else {
+                    continue;
+                };
+                let cost = cost + more;
+                if from.len() < most && from.get(&next).is_none_or(|f| cost < f.0) {
+                    from.insert(next, (cost, cell));
+                    queue.push(Reached { cost, cell: next });
+                }
+            }
+        }
+        None
+    }
+
+    /// What the region lacks of a cell, if the part runs through it.
+    fn cost(&self, cell: usize) -> Option<f64> {
+        let shares = self.walls.shares_of(cell).iter();
+        let own = shares.filter(|s| s.label == self.own.label && s.part == self.own.part);
+        let filled: f64 = own.map(|s| s.filled()).sum();
+        if filled < FILLED_MIN || in_margin(self.grid, cell) {
+            return None;
+        }
+        let walls = self.walls;
+        let won = walls.false_faces_won(self.grid, self.labels, cell, self.own.label);
+        Some(1.0 - filled + FALSE_FACE * f64::from(won.max(0)))
+    }
+
+    /// The cells on the way back to the piece, without its own.
+    fn back(&self, from: &BTreeMap<usize, (f64, usize)>, mut cell: usize) -> Vec<usize> {
+        let mut way = Vec::new();
+        while from[&cell].1 != cell {
+            way.push(cell);
+            cell = from[&cell].1;
+        }
+        way
+    }
+}
+
+/// Root of a piece in the forest of joined ones.
+fn root(parent: &mut [u32], mut piece: u32) -> u32 {
+    while parent[piece as usize] != piece {
+        parent[piece as usize] = parent[parent[piece as usize] as usize];
+        piece = parent[piece as usize];
+    }
+    piece
+}
