@@ -139,13 +139,13 @@ fn faults(block: [u8; 8], table: &[bool; 256]) -> usize {
 /// consistently, and one node would have to be in two places.
 fn mend(grid: &Grid, labels: &mut Labels, walls: &Walls, mending: &mut Mending) {
     let table: [bool; 256] = std::array::from_fn(|block| manifold(block as u8));
+    let mut found: Vec<[usize; 3]> = (0..grid.cells[2] - 1)
+        .into_par_iter()
+        .flat_map_iter(|k| faulty_blocks(grid, labels, k, &table))
+        .collect();
     for pass in 0.. {
-        let found: Vec<[usize; 3]> = (0..grid.cells[2] - 1)
-            .into_par_iter()
-            .flat_map_iter(|k| faulty_blocks(grid, labels, k, &table))
-            .collect();
-        let mut flipped = 0;
-        for at in found {
+        let mut flipped = Vec::new();
+        for &at in &found {
             let cells = block_cells(grid, at);
             let block = cells.map(|c| labels.label[c]);
             // An earlier flip of this pass may have mended it.
@@ -164,13 +164,28 @@ fn mend(grid: &Grid, labels: &mut Labels, walls: &Walls, mending: &mut Mending) 
                 labels.held.remove(&cell);
                 // Once flipped, a cell is not the first choice for the way back.
                 labels.margin[cell] = 128;
-                flipped += 1;
+                flipped.push(cell);
             }
         }
-        if flipped == 0 {
+        if flipped.is_empty() {
             break;
         }
+        // Elsewhere nothing has changed.
+        found.extend(flipped.iter().flat_map(|&cell| blocks_of(grid, cell)));
+        found.sort_unstable_by_key(|at| [at[2], at[1], at[0]]);
+        found.dedup();
+        found.retain(|&at| faults(block_cells(grid, at).map(|c| labels.label[c]), &table) > 0);
     }
+}
+
+/// The blocks that a cell is in.
+fn blocks_of(grid: &Grid, cell: usize) -> impl Iterator<Item = [usize; 3]> + use<> {
+    let (at, count) = (cell_at(grid, cell), grid.cells);
+    let corner = move |c: usize| {
+        let below = |a: usize| at[a].checked_sub(c >> a & 1).filter(|i| i + 1 < count[a]);
+        Some([below(0)?, below(1)?, below(2)?])
+    };
+    (0..8).filter_map(corner)
 }
 
 /// The blocks between cell layers `k` and `k + 1` that have a fault.

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::lattice::Lattice;
 use super::patch::Interfaces;
-use super::snap::{Constraint, project};
+use super::snap::{Constraint, project_near};
 use crate::Vec3;
 
 /// Sweeps over the nodes. Ten restore the spacing to within a few percent of what more would.
@@ -69,7 +69,8 @@ fn relaxed(
     if constraint.free() {
         towards
     } else {
-        project(interfaces, constraint, towards)
+        // The node is on its interface, so that is no farther than the step.
+        project_near(interfaces, constraint, towards, (towards - at).norm())
     }
 }
 

@@ -299,6 +299,22 @@ fn shows(faces: u8, normals: [Vec3; 2]) -> bool {
     a != 0 && b != 0 && (a | b).count_ones() >= 2
 }
 
+/// [`project`] for a point that is no farther than `reach` from one that satisfies the constraint.
+pub(super) fn project_near(
+    interfaces: &Interfaces,
+    constraint: Constraint,
+    from: Vec3,
+    reach: f64,
+) -> Vec3 {
+    // A little more: the tree keeps single precision.
+    let reach = reach + ON_SURFACE * interfaces.spacing;
+    let mut own = constraint.interfaces().filter(|_| constraint.single());
+    let near = own
+        .next()
+        .and_then(|i| interfaces.patch(i).nearest(&from, reach));
+    near.unwrap_or_else(|| project(interfaces, constraint, from))
+}
+
 /// The nearest point that satisfies a constraint, as far as alternating projections find it.
 pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec3) -> Vec3 {
     let mut at = from;
