@@ -9,7 +9,8 @@ use std::path::Path;
 
 use label_files::{Folder, Nifti};
 use palpate_tissue::{
-    BuildReport, RegionSource, Scene, SceneInput, Surface, Topology, Vec3, build, report_surface,
+    BuildReport, LayerReport, RegionSource, Scene, SceneInput, Surface, Topology, Vec3, build,
+    report_surface,
 };
 
 const THIGH: &str = r#"format = "palpate-scene/1"
@@ -95,8 +96,44 @@ fn mistakes_in_labels_are_named_with_their_line() {
     }
 }
 
-/// A thigh in small: 1 around 2 around 3 in 2 mm voxels, flat at the image's ends.
+/// A thigh in small: 1 around 2 around 3, flat at the image's ends.
 fn drum() -> Vec<u8> {
+    image(|[x, y, _]| {
+        let r = (x - 19.5).hypot(y - 19.5);
+        [6.0, 13.0, 18.0].iter().filter(|limit| r < **limit).count() as u8
+    })
+}
+
+/// A column that leans, of 2 in a skin of 1 that is one voxel thick within each slice.
+fn leaning() -> Vec<u8> {
+    let inside = |x: f64, y: f64, z: f64| {
+        let (x, y) = (x - 19.5 - 0.37 * (z - 11.5), y - 19.5 - 0.21 * (z - 11.5));
+        x.hypot(y) < 13.0
+    };
+    image(|[x, y, z]| {
+        let beside = [(-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)];
+        let skin = beside.iter().any(|(u, v)| !inside(x + u, y + v, z));
+        u8::from(inside(x, y, z)) * (2 - u8::from(skin))
+    })
+}
+
+/// Two balls of 2 in a block of 1, joined by a rod askew that is two voxels thick.
+fn dumb_bell() -> Vec<u8> {
+    let ends = [Vec3::new(10.0, 9.0, 7.0), Vec3::new(29.0, 28.0, 17.0)];
+    let way = (ends[1] - ends[0]).normalize();
+    image(|at| {
+        let p = Vec3::from(at);
+        let in_ball = ends.iter().any(|e| (p - e).norm() < 5.0);
+        let from = p - ends[0];
+        let along = from.dot(&way);
+        let in_rod = along > 0.0 && along < 30.0 && (from - way * along).norm() < 1.0;
+        let in_block = (2.0..38.0).contains(&at[0]) && (2.0..38.0).contains(&at[1]);
+        u8::from(in_block) + u8::from(in_ball || in_rod && along < (ends[1] - ends[0]).norm())
+    })
+}
+
+/// An image of 2 mm voxels.
+fn image(label: impl Fn([f64; 3]) -> u8) -> Vec<u8> {
     let (nx, ny, nz) = (40_usize, 40_usize, 24_usize);
     let mut file = Nifti::bytes();
     file.dims(&[3, nx as i16, ny as i16, nz as i16, 1, 1, 1, 1]);
@@ -107,11 +144,7 @@ fn drum() -> Vec<u8> {
         file.float(292 + 16 * r, origin).float(80 + 4 * r, 2.0);
     }
     file.data = (0..nx * ny * nz)
-        .map(|n| {
-            let at = |i: usize| i as f64 - 19.5;
-            let r = at(n % nx).hypot(at(n / nx % ny));
-            [6.0, 13.0, 18.0].iter().filter(|limit| r < **limit).count() as u8
-        })
+        .map(|n| label([n % nx, n / nx % ny, n / (nx * ny)].map(|i| i as f64)))
         .collect();
     file.file()
 }
@@ -157,6 +190,38 @@ fn a_labelled_scene_builds_to_the_volumes_of_its_voxels() {
             let part = region.volume_mm3 / voxels;
             assert!((part - 1.0).abs() < 0.01, "{}: {part}", region.name);
         }
+    }
+}
+
+#[test]
+fn a_skin_of_one_voxel_is_one_piece_and_parts_what_lies_on_its_sides() {
+    let folder = Folder::new();
+    folder.write("drum.nii", &leaning());
+    for spacing in ["2.0", "3.0", "3.5"] {
+        let text = drum_scene(&[("skin", "label = 1"), ("fat", "label = 2")]);
+        let (_, report) = built(&folder, &text.replace("4.0", spacing));
+        assert_volumes(&report, 0);
+        let [skin, fat] = [0, 1].map(|r| report.regions[r].components);
+        assert_eq!((skin, fat), (1, 1), "at {spacing}");
+        let layers = |inside: &str, outside: Option<&str>| {
+            let own = |l: &&LayerReport| l.inside == inside && l.outside.as_deref() == outside;
+            report.layers.iter().find(own).map_or(0, |l| l.components)
+        };
+        assert_eq!(layers("fat", Some("skin")), 1, "at {spacing}");
+        // Fat comes out at the image's two ends, and nowhere else.
+        assert_eq!(layers("fat", None), 2, "at {spacing}");
+    }
+}
+
+#[test]
+fn what_is_one_part_stays_one_where_it_is_thinner_than_a_cell() {
+    let folder = Folder::new();
+    folder.write("drum.nii", &dumb_bell());
+    for spacing in ["3.0", "4.0", "5.0", "6.0"] {
+        let text = drum_scene(&[("block", "label = 1"), ("bell", "label = 2")]);
+        let (_, report) = built(&folder, &text.replace("4.0", spacing));
+        assert_volumes(&report, 0);
+        assert_eq!(report.regions[1].components, 1, "at {spacing}");
     }
 }
 
@@ -281,8 +346,31 @@ fn real_legs_build_from_their_labels_to_within_a_hundredth() {
 
 #[test]
 fn a_real_slab_of_ten_organs_builds_from_its_labels() {
-    // The first region is a skin one voxel thick, thinner than what a cell of 4 mm can keep.
-    if let Some(report) = real("abdomen_ct", "abdomen_slab_organs_3mm.nii.gz", 10, 4.0) {
-        assert_volumes(&report, 1);
+    // The first region is a skin one voxel thick.
+    for spacing_mm in [3.0, 4.0] {
+        let report = real(
+            "abdomen_ct",
+            "abdomen_slab_organs_3mm.nii.gz",
+            10,
+            spacing_mm,
+        );
+        if let Some(report) = report {
+            assert_volumes(&report, 0);
+            assert_eq!(report.regions[0].components, 1);
+        }
+    }
+}
+
+#[test]
+fn a_real_torso_builds_from_its_labels() {
+    let Some(report) = real("abdomen_ct", "torso_tissue_3mm.nii.gz", 5, 3.0) else {
+        return;
+    };
+    assert_volumes(&report, 0);
+    assert_eq!(report.regions[0].components, 1, "the skin");
+    assert_eq!(report.quality.inverted_cells, 0);
+    for region in &report.regions {
+        let mean = region.distance_mean_outside_thin_mm;
+        assert!(mean <= 0.1 * report.spacing_mm, "{}: {mean}", region.name);
     }
 }

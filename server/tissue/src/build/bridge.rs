@@ -14,7 +14,7 @@ use super::lattice::{face_neighbours, pieces};
 use super::walls::{Walls, in_margin};
 
 /// A cell is no place for a bridge unless the part fills at least this much of it.
-const FILLED_MIN: f64 = 0.1;
+const FILLED_MIN: f64 = 0.01;
 /// What a face costs where regions would touch that do not, in cells that lack everything.
 const FALSE_FACE: f64 = 0.5;
 /// Most cells that are looked at for one bridge: a way of ten cells among its neighbours.
