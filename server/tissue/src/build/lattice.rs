@@ -56,7 +56,7 @@ pub(super) struct Mending {
     pub(super) pieces: usize,
 }
 
-/// Mends and drops until nothing changes. `parts` are the boxes around the closed parts of each
+/// Puts back what is thin, mends and drops until nothing changes. `parts` are the boxes around the closed parts of each
 /// region's input; an island that stands for one of them stays whatever its size.
 pub(super) fn mend_all(
     grid: &Grid,

@@ -1,7 +1,8 @@
 //! From closed surfaces to a model: tri-ray node snapping (Lin 2007, section 3.3) and its completion.
 //!
 //! 1. A grid of cubes of side Δd is laid around the outermost surface.
-//! 2. Rays decide which region fills each cell ([`label`]); doubtful cells are flipped until the
+//! 2. Rays decide which region fills each cell ([`label`]); thin layers and necks get the cells that
+//!    they need to hang together ([`walls`], [`bridge`]), and doubtful cells are flipped until the
 //!    surface of every region is a manifold ([`lattice`]).
 //! 3. Nodes between regions are snapped onto the interface along rays in three directions, the rest
 //!    is projected onto it, and all are relaxed ([`snap`], [`relax`]).

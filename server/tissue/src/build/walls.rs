@@ -133,7 +133,7 @@ impl Walls {
             return given;
         }
         for _ in 0..ROUNDS {
-            let layers = (1..grid.cells[2] - 1).into_par_iter();
+            let layers = (0..grid.cells[2] - 1).into_par_iter();
             let found: Vec<(usize, usize)> = layers
                 .flat_map_iter(|k| self.false_faces(grid, labels, k))
                 .collect();
@@ -148,11 +148,10 @@ impl Walls {
         given
     }
 
-    /// The false faces of layer `k`: cells below them, and the axis across them.
+    /// The false faces above the cells of layer `k`: these cells, and the axis across each face.
     fn false_faces(&self, grid: &Grid, labels: &Labels, k: usize) -> Vec<(usize, usize)> {
         let steps = steps(grid);
         let mut found = Vec::new();
-        // The margin of the grid stays empty.
         for j in 0..grid.cells[1] - 1 {
             for i in 0..grid.cells[0] - 1 {
                 let cell = grid.cell_index([i, j, k]);
@@ -184,6 +183,7 @@ impl Walls {
             if around.contains(&layer) || !self.is_thick_enough(grid, labels, cell, axis, layer) {
                 continue;
             }
+            // The margin of the grid stays empty.
             for taken in cells.into_iter().filter(|c| !in_margin(grid, *c)) {
                 let won = self.false_faces_won(grid, labels, taken, layer);
                 let part = self.share(labels, taken, layer);
@@ -199,9 +199,7 @@ impl Walls {
         labels.hold(taken, layer);
         true
     }
-}
 
-impl Walls {
     /// Whether a layer across the face above `cell` can be held by the lattice.
     fn is_thick_enough(
         &self,
