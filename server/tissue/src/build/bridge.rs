@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BinaryHeap};
 use super::grid::Grid;
 use super::label::Labels;
 use super::lattice::{face_neighbours, pieces};
-use super::walls::{Walls, in_margin};
+use super::walls::{Share, Walls, in_margin};
 
 /// A cell is no place for a bridge unless the part fills at least this much of it.
 const FILLED_MIN: f64 = 0.01;
@@ -162,7 +162,7 @@ impl Search<'_> {
                     let found = self.piece_of[next];
                     if self.own.pieces.contains(&found) && root(parent, found) != begun {
                         parent[begun as usize] = root(parent, found);
-                        return Some(self.back(&from, cell));
+                        return Some(way_back(&from, cell));
                     }
                     continue;
                 }
@@ -183,7 +183,7 @@ impl Search<'_> {
     fn cost(&self, cell: usize) -> Option<f64> {
         let shares = self.walls.shares_of(cell).iter();
         let own = shares.filter(|s| s.label == self.own.label && s.part == self.own.part);
-        let filled: f64 = own.map(|s| s.filled()).sum();
+        let filled: f64 = own.map(Share::filled).sum();
         if filled < FILLED_MIN || in_margin(self.grid, cell) {
             return None;
         }
@@ -191,16 +191,16 @@ impl Search<'_> {
         let won = walls.false_faces_won(self.grid, self.labels, cell, self.own.label);
         Some(1.0 - filled + FALSE_FACE * f64::from(won.max(0)))
     }
+}
 
-    /// The cells on the way back to the piece, without its own.
-    fn back(&self, from: &BTreeMap<usize, (f64, usize)>, mut cell: usize) -> Vec<usize> {
-        let mut way = Vec::new();
-        while from[&cell].1 != cell {
-            way.push(cell);
-            cell = from[&cell].1;
-        }
-        way
+/// The cells on the way back to the piece, without its own.
+fn way_back(from: &BTreeMap<usize, (f64, usize)>, mut cell: usize) -> Vec<usize> {
+    let mut way = Vec::new();
+    while from[&cell].1 != cell {
+        way.push(cell);
+        cell = from[&cell].1;
     }
+    way
 }
 
 /// Root of a piece in the forest of joined ones.

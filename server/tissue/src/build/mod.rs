@@ -211,9 +211,7 @@ pub fn build(
     collector.add_strays(&strays);
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
     check::regions(&regions, &mut warnings);
-    let outside = |f: &&faces::Face| f.interface() == patch::Interface::Outer;
-    let outer = faces.iter().filter(outside);
-    let outer: Vec<_> = outer.flat_map(|f| f.triangles(&model.nodes)).collect();
+    let outer = outer_triangles(&faces, &model);
     let report = BuildReport {
         nodes: model.nodes.len(),
         cells: model.cells.len(),
@@ -236,6 +234,13 @@ pub fn build(
     };
     progress("done", 1.0);
     Ok((model, report))
+}
+
+/// The outer surface over the model's nodes.
+fn outer_triangles(faces: &[faces::Face], model: &Model) -> Vec<[u32; 3]> {
+    let outside = |f: &&faces::Face| f.interface() == patch::Interface::Outer;
+    let outer = faces.iter().filter(outside);
+    outer.flat_map(|f| f.triangles(&model.nodes)).collect()
 }
 
 /// What nodes are placed by.

@@ -31,7 +31,7 @@ pub(super) struct Strands {
     width: usize,
     /// First strand of each ray, and one past the last of all.
     start: Vec<u32>,
-    strands: Vec<Strand>,
+    all: Vec<Strand>,
     /// The part of its region that each strand belongs to.
     parts: Vec<u32>,
 }
@@ -55,13 +55,13 @@ impl Strands {
         let mut this = Self {
             width,
             start: vec![0],
-            strands: Vec::with_capacity(rows.iter().map(|r| r.1.len()).sum()),
+            all: Vec::with_capacity(rows.iter().map(|r| r.1.len()).sum()),
             parts: Vec::new(),
         };
         for (ends, mut strands) in rows {
-            let before = this.strands.len() as u32;
+            let before = this.all.len() as u32;
             this.start.extend(ends.iter().map(|e| before + e));
-            this.strands.append(&mut strands);
+            this.all.append(&mut strands);
         }
         this.join();
         this
@@ -70,7 +70,7 @@ impl Strands {
     /// The strands of a ray from low to high, each with its part of the region.
     pub(super) fn of(&self, [u, v]: [usize; 2]) -> impl Iterator<Item = (&Strand, u32)> {
         let range = self.range(u + self.width * v);
-        self.strands[range.clone()]
+        self.all[range.clone()]
             .iter()
             .zip(self.parts[range].iter().copied())
     }
@@ -81,7 +81,7 @@ impl Strands {
 
     /// Finds what hangs together side by side.
     fn join(&mut self) {
-        let mut parent: Vec<u32> = (0..self.strands.len() as u32).collect();
+        let mut parent: Vec<u32> = (0..self.all.len() as u32).collect();
         for ray in 0..self.start.len() - 1 {
             if (ray + 1) % self.width != 0 {
                 self.join_rays(&mut parent, ray, ray + 1);
@@ -100,7 +100,7 @@ impl Strands {
         let (one, other) = (self.range(one), self.range(other));
         let (mut a, mut b) = (one.start, other.start);
         while a < one.end && b < other.end {
-            let (s, t) = (&self.strands[a], &self.strands[b]);
+            let (s, t) = (&self.all[a], &self.all[b]);
             if s.region == t.region && s.from.max(t.from) < s.to.min(t.to) {
                 let (s, t) = (root(parent, a as u32), root(parent, b as u32));
                 parent[s.max(t) as usize] = s.min(t);
