@@ -3,6 +3,13 @@
 //! Where voxels of a region meet in an edge or a corner only, its surface touches itself there. Each
 //! fan of faces gets a vertex of its own at that place, so that the surface's edges and vertices are
 //! those of a manifold. At an edge with four faces, the two that belong to one voxel hang together.
+//!
+//! Unless the region parts two others there: a layer of one voxel askew to the voxels has its own ones
+//! in an edge only, and what it parts on the two other sides. Such an edge is *pinched*. The two faces
+//! towards one side hang together then, and the mesh has a vertex for each side ([`sheets`]), or the
+//! layer would be nothing thick there.
+
+use crate::Vec3;
 
 /// The fans for each of the 256 ways to fill eight voxels.
 pub(super) struct Fans {
@@ -18,6 +25,127 @@ pub(super) struct Fan {
     pub(super) of_face: [u8; 12],
     /// Bit d: four faces meet in direction d and all belong to one fan.
     pub(super) doubled: u8,
+}
+
+/// Bit d: the edge in direction d is pinched, in a block of regions (`outside` is none).
+pub(super) fn pinched(block: [u8; 8], outside: u8) -> u8 {
+    let is_pinched = |direction: usize| {
+        let [a, b, c, d] = around(block, direction);
+        let parts = |layer: [u8; 2], sides: [u8; 2]| {
+            layer[0] == layer[1]
+                && layer[0] != outside
+                && sides[0] != sides[1]
+                && !sides.contains(&layer[0])
+        };
+        parts([a, d], [b, c]) || parts([b, c], [a, d])
+    };
+    (0..6).fold(0, |set, d| set | u8::from(is_pinched(d)) << d)
+}
+
+/// The four voxels of a block around its half edge in a direction (axis, towards further).
+pub(super) fn around(block: [u8; 8], direction: usize) -> [u8; 4] {
+    let (axis, side) = (direction / 2, direction % 2);
+    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+    [0, 1, 2, 3].map(|q: usize| block[side << axis | (q & 1) << u | (q >> 1) << v])
+}
+
+/// The faces between different regions of a block, in sets that hang together, as bits (see [`face`]).
+/// Without a pinched edge they are all in one.
+pub(super) fn sheets(block: [u8; 8], pinched: u8) -> Vec<u16> {
+    let differs = |f: usize| voxels(f).map(|v| block[v]);
+    let is_boundary = |f: &usize| differs(*f)[0] != differs(*f)[1];
+    let all: Vec<usize> = (0..12).filter(is_boundary).collect();
+    if pinched == 0 {
+        return vec![all.iter().fold(0, |set, f| set | 1 << f)];
+    }
+    let mut root: [usize; 12] = std::array::from_fn(|f| f);
+    for direction in 0..6 {
+        let meeting: Vec<usize> = faces_in(direction)
+            .into_iter()
+            .filter(is_boundary)
+            .collect();
+        let is_pinched = pinched >> direction & 1 == 1;
+        for (n, &f) in meeting.iter().enumerate() {
+            for &g in &meeting[n + 1..] {
+                // At a pinched edge two faces of one side have that side's voxel in common, and two of
+                // one of the layer's own voxels have that: the layer is what is there twice.
+                let common = voxels(f).into_iter().find(|v| voxels(g).contains(v));
+                let of_side = || common.is_some_and(|v| is_side(block, direction, v));
+                if !is_pinched || of_side() {
+                    join(&mut root, f, g);
+                }
+            }
+        }
+    }
+    let mut sheets: Vec<u16> = Vec::new();
+    for &first in all.iter().filter(|f| root[**f] == **f) {
+        let own = all.iter().filter(|f| root[**f] == first);
+        sheets.push(own.fold(0, |set, f| set | 1 << f));
+    }
+    sheets
+}
+
+/// Whether a voxel at a pinched edge is on a side of the layer: its region is there once.
+fn is_side(block: [u8; 8], direction: usize, voxel: usize) -> bool {
+    let [a, b, c, d] = around(block, direction);
+    let layer = if a == d { a } else { b };
+    debug_assert!(a == d || b == c, "no pinched edge");
+    block[voxel] != layer
+}
+
+/// The mean way from the corner into the sides that a set of faces is towards at pinched edges.
+pub(super) fn aside(block: [u8; 8], faces: u16, pinched: u8) -> Option<Vec3> {
+    let mut way = Vec3::zeros();
+    for direction in (0..6).filter(|d| pinched >> d & 1 == 1) {
+        for f in faces_in(direction)
+            .into_iter()
+            .filter(|f| faces >> f & 1 == 1)
+        {
+            for v in voxels(f)
+                .into_iter()
+                .filter(|v| is_side(block, direction, *v))
+            {
+                for axis in (0..3).filter(|a| *a != direction / 2) {
+                    way[axis] += if v >> axis & 1 == 1 { 1.0 } else { -1.0 };
+                }
+            }
+        }
+    }
+    way.try_normalize(0.0)
+}
+
+/// The directions in which a set of faces runs.
+pub(super) fn runs(faces: u16) -> u8 {
+    let meets = |d: usize| faces_in(d).iter().any(|f| faces >> f & 1 == 1);
+    (0..6).fold(0, |set, d| set | u8::from(meets(d)) << d)
+}
+
+/// The regions on the sides of those faces of a set that meet in a direction.
+pub(super) fn regions_along(block: [u8; 8], faces: u16, direction: usize) -> Vec<u8> {
+    let own = faces_in(direction)
+        .into_iter()
+        .filter(|f| faces >> f & 1 == 1);
+    let mut regions: Vec<u8> = own.flat_map(voxels).map(|v| block[v]).collect();
+    regions.sort_unstable();
+    regions.dedup();
+    regions
+}
+
+/// A face of a set that runs in a direction, as the corner at the other end of the edge numbers it.
+pub(super) fn seen_from_next(faces: u16, direction: usize) -> Option<usize> {
+    let own = faces_in(direction)
+        .into_iter()
+        .find(|f| faces >> f & 1 == 1)?;
+    let (axis, along) = (own / 4, direction / 2);
+    let bit = if along == (axis + 1) % 3 { 1 } else { 2 };
+    Some(4 * axis + ((own % 4) ^ bit))
+}
+
+fn join(root: &mut [usize; 12], a: usize, b: usize) {
+    let (a, b) = (root[a], root[b]);
+    for r in root.iter_mut().filter(|r| **r == a.max(b)) {
+        *r = a.min(b);
+    }
 }
 
 /// Number of the face across `axis` at (`u`, `v`), the sides along the next two axes.
@@ -48,7 +176,7 @@ fn faces_in(direction: usize) -> [usize; 4] {
 impl Fans {
     pub(super) fn new() -> Self {
         Self {
-            table: (0..=u8::MAX).map(Fan::new).collect(),
+            table: (0..=u8::MAX).map(|set| Fan::new(set, !0, 0)).collect(),
         }
     }
 
@@ -59,23 +187,22 @@ impl Fans {
 }
 
 impl Fan {
-    fn new(filled: u8) -> Self {
+    /// The fans of the set voxels among the given faces, with these directions pinched.
+    pub(super) fn new(filled: u8, faces: u16, pinched: u8) -> Self {
         let is_in = |voxel: usize| filled >> voxel & 1 == 1;
         let is_boundary = |f: usize| {
             let [near, far] = voxels(f);
-            is_in(near) != is_in(far)
+            faces >> f & 1 == 1 && is_in(near) != is_in(far)
         };
         let inside = |f: usize| {
             let [near, far] = voxels(f);
             if is_in(near) { near } else { far }
         };
-        let mut root: [usize; 12] = std::array::from_fn(|f| f);
-        let join = |root: &mut [usize; 12], a: usize, b: usize| {
-            let (a, b) = (root[a], root[b]);
-            for r in root.iter_mut().filter(|r| **r == a.max(b)) {
-                *r = a.min(b);
-            }
+        let outside = |f: usize| {
+            let [near, far] = voxels(f);
+            if is_in(near) { far } else { near }
         };
+        let mut root: [usize; 12] = std::array::from_fn(|f| f);
         for direction in 0..6 {
             let meeting: Vec<usize> = faces_in(direction)
                 .into_iter()
@@ -83,7 +210,12 @@ impl Fan {
                 .collect();
             for (n, &f) in meeting.iter().enumerate() {
                 for &g in &meeting[n + 1..] {
-                    if meeting.len() == 2 || inside(f) == inside(g) {
+                    let common = if pinched >> direction & 1 == 1 {
+                        outside(f) == outside(g)
+                    } else {
+                        inside(f) == inside(g)
+                    };
+                    if meeting.len() == 2 || common {
                         join(&mut root, f, g);
                     }
                 }

@@ -3,7 +3,8 @@
 //! 0. Voxels much finer than what is asked for are joined in blocks ([`grid`]).
 //! 1. Every corner where eight voxels of more than one region meet becomes a vertex, every face
 //!    between voxels of two regions a quadrilateral ([`net`]): one mesh that all regions share
-//!    (surface nets, Gibson 1998, for several labels at once).
+//!    (surface nets, Gibson 1998, for several labels at once). Where a layer of one voxel has edges only
+//!    in common with itself, each of its two sides has a vertex of its own ([`fans`]).
 //! 2. Vertices slide towards their neighbours, each within half a voxel of its corner, those where
 //!    three regions meet along that line only: the steps of the voxels go ([`smooth`]).
 //! 3. All vertices move along their normals so that every region has the volume of its voxels

@@ -1,10 +1,11 @@
-//! The mesh that all regions share: a vertex per corner between voxels of different regions, a
-//! quadrilateral per face between two of them.
+//! The mesh that all regions share: a vertex per corner between voxels of different regions (at pinched
+//! edges one per side), a quadrilateral per face between two of them.
 
 use std::path::Path;
 
 use rayon::prelude::*;
 
+use super::fans::{self, face};
 use super::grid::{BEYOND, Grid, OUTSIDE};
 use crate::Vec3;
 use crate::labels::{Affine, LabelError};
@@ -31,6 +32,13 @@ pub(super) struct Corner {
     pub(super) on_line: bool,
     /// Bit a: the vertex lies in the volume's border across axis a and stays there.
     pub(super) locked: u8,
+    /// The faces around it, as bits. All that there are, but where a layer is pinched: there each of
+    /// its sides has a vertex of its own.
+    pub(super) faces: u16,
+    /// Bit d: the edge in direction d is pinched.
+    pub(super) pinched: u8,
+    /// The way to the own side, where the vertex has others beside it.
+    pub(super) aside: Option<Vec3>,
 }
 
 /// A face between a voxel and the next one along `axis`.
@@ -92,7 +100,7 @@ impl Net {
             .map(|z| {
                 Blocks::new(grid, z)
                     .filter(|(_, block)| mixed(block))
-                    .map(|(at, block)| Corner::new(at, block))
+                    .flat_map(|(at, block)| Corner::all(at, block))
                     .collect()
             })
             .collect();
@@ -167,15 +175,24 @@ impl Iterator for Blocks<'_> {
     }
 }
 
-/// The four voxels of a block around its half edge in a direction (axis, towards further).
-fn around(block: [u8; 8], direction: usize) -> [u8; 4] {
-    let (axis, side) = (direction / 2, direction % 2);
-    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-    [0, 1, 2, 3].map(|q: usize| block[side << axis | (q & 1) << u | (q >> 1) << v])
-}
-
 impl Corner {
-    fn new(at: [u32; 3], block: [u8; 8]) -> Self {
+    /// The vertices of one corner.
+    fn all(at: [u32; 3], block: [u8; 8]) -> impl Iterator<Item = Self> {
+        let solid = block.map(solid);
+        let pinched = fans::pinched(solid, OUTSIDE);
+        let sheets = fans::sheets(solid, pinched);
+        let several = sheets.len() > 1;
+        sheets.into_iter().map(move |faces| {
+            let aside = if several {
+                fans::aside(solid, faces, pinched)
+            } else {
+                None
+            };
+            Self::new(at, block, faces, pinched, aside)
+        })
+    }
+
+    fn new(at: [u32; 3], block: [u8; 8], faces: u16, pinched: u8, aside: Option<Vec3>) -> Self {
         let mut locked = 0;
         for axis in 0..3 {
             let beyond = |side: usize| {
@@ -185,15 +202,11 @@ impl Corner {
             };
             locked |= u8::from(beyond(0) || beyond(1)) << axis;
         }
-        let (mut runs, mut lines) = (0_u8, 0_u8);
-        for direction in 0..6 {
-            let mut four = around(block, direction);
-            if mixed(&four) {
-                runs |= 1 << direction;
-                four.sort_unstable();
-                let regions = 1 + four.windows(2).filter(|w| w[0] != w[1]).count();
-                lines |= u8::from(regions > 2) << direction;
-            }
+        let runs = fans::runs(faces);
+        let mut lines = 0_u8;
+        for direction in (0..6).filter(|d| runs >> d & 1 == 1) {
+            let regions = fans::regions_along(block, faces, direction).len();
+            lines |= u8::from(regions > 2) << direction;
         }
         // Where three regions meet in a line, the line is what has to become smooth.
         let follows = if lines == 0 { runs } else { lines };
@@ -204,6 +217,9 @@ impl Corner {
             follows,
             on_line: lines != 0,
             locked,
+            faces,
+            pinched,
+            aside,
         }
     }
 }
@@ -219,7 +235,8 @@ fn joined(grid: &Grid, by_layer: &[Vec<Corner>]) -> Vec<Corner> {
     }
     let index = |layer: usize| {
         let mut index = vec![NONE; area];
-        for (n, corner) in by_layer[layer].iter().enumerate() {
+        // Of several vertices at one corner the first.
+        for (n, corner) in by_layer[layer].iter().enumerate().rev() {
             index[cell(corner)] = start[layer] + n as u32;
         }
         index
@@ -233,8 +250,9 @@ fn joined(grid: &Grid, by_layer: &[Vec<Corner>]) -> Vec<Corner> {
             let with_neighbours = |corner: &Corner| {
                 let at = cell(corner);
                 let mut corner = *corner;
+                let runs = fans::runs(corner.faces);
                 for direction in 0..6 {
-                    if mixed(&around(corner.block, direction)) {
+                    if runs >> direction & 1 == 1 {
                         corner.neighbours[direction] = match direction {
                             0 => own[at - 1],
                             1 => own[at + 1],
@@ -250,7 +268,35 @@ fn joined(grid: &Grid, by_layer: &[Vec<Corner>]) -> Vec<Corner> {
             by_layer[l].iter().map(with_neighbours).collect()
         })
         .collect();
-    layers.concat()
+    let mut corners = layers.concat();
+    let on_sheets: Vec<[u32; 6]> = corners.par_iter().map(|c| on_sheet(&corners, c)).collect();
+    for (corner, neighbours) in corners.iter_mut().zip(on_sheets) {
+        corner.neighbours = neighbours;
+    }
+    corners
+}
+
+/// Of several vertices at each neighbouring corner those with which a vertex shares a face.
+fn on_sheet(corners: &[Corner], corner: &Corner) -> [u32; 6] {
+    std::array::from_fn(|direction| {
+        let first = corner.neighbours[direction];
+        let shared = fans::seen_from_next(corner.faces, direction);
+        match shared.filter(|_| first != NONE) {
+            Some(face) => with_face(corners, first, face),
+            None => first,
+        }
+    })
+}
+
+/// The vertex with a face among those at the corner of vertex `v`.
+fn with_face(corners: &[Corner], v: u32, face: usize) -> u32 {
+    let at = corners[v as usize].at;
+    let same = |w: &u32| corners[*w as usize].at == at;
+    let first = (0..v).rev().take_while(same).last().unwrap_or(v);
+    (first..corners.len() as u32)
+        .take_while(same)
+        .find(|w| corners[*w as usize].faces >> face & 1 == 1)
+        .unwrap_or(v)
 }
 
 /// The faces whose lowest corner is this vertex.
@@ -261,14 +307,15 @@ fn quads_from<'a>(
 ) -> impl Iterator<Item = Quad> + 'a {
     (0..3).filter_map(move |axis| {
         let (u, w) = ((axis + 1) % 3, (axis + 2) % 3);
-        let near = 1 << u | 1 << w;
-        let sides = [near, near | 1 << axis].map(|c: usize| solid(corner.block[c]));
-        if sides[0] == sides[1] {
+        if corner.faces >> face(axis, 1, 1) & 1 == 0 {
             return None;
         }
-        let along_u = corner.neighbours[2 * u + 1];
-        let along_w = corner.neighbours[2 * w + 1];
+        let near = 1 << u | 1 << w;
+        let sides = [near, near | 1 << axis].map(|c: usize| solid(corner.block[c]));
+        let along_u = with_face(corners, corner.neighbours[2 * u + 1], face(axis, 0, 1));
+        let along_w = with_face(corners, corner.neighbours[2 * w + 1], face(axis, 1, 0));
         let far = corners[along_u as usize].neighbours[2 * w + 1];
+        let far = with_face(corners, far, face(axis, 0, 0));
         Some(Quad {
             corners: [v, along_u, far, along_w],
             axis: axis as u8,

@@ -175,7 +175,7 @@ impl Pull {
                 } else {
                     step
                 };
-                confined(net.moved[v] + step, net.corners[v].locked)
+                confined(net.moved[v] + step, &net.corners[v])
             })
             .collect();
         net.moved = moved;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::Sides;
-use super::fans::{Fans, face};
+use super::fans::{Fan, Fans, face};
 use super::net::{Net, Quad};
 use crate::Surface;
 
@@ -22,6 +22,7 @@ pub(super) fn shell(net: &Net, is_in: impl Fn(u8) -> bool) -> (Surface, Vec<Side
     let mut shell = Shell {
         net,
         fans: &fans,
+        pinched: BTreeMap::new(),
         filled: &filled,
         first: Vec::with_capacity(filled.len()),
         midpoints: BTreeMap::new(),
@@ -32,7 +33,12 @@ pub(super) fn shell(net: &Net, is_in: impl Fn(u8) -> bool) -> (Surface, Vec<Side
     for (v, set) in filled.iter().enumerate() {
         shell.first.push(shell.surface.vertices.len() as u32);
         let at = net.to_world.world(&net.position(v as u32));
-        let copies = usize::from(fans.of(*set).count);
+        let corner = &net.corners[v];
+        if corner.pinched != 0 {
+            let fan = Fan::new(*set, corner.faces, corner.pinched);
+            shell.pinched.insert(v as u32, fan);
+        }
+        let copies = usize::from(shell.fan(v as u32).count);
         shell
             .surface
             .vertices
@@ -56,6 +62,8 @@ pub(super) fn shell(net: &Net, is_in: impl Fn(u8) -> bool) -> (Surface, Vec<Side
 struct Shell<'a> {
     net: &'a Net,
     fans: &'a Fans,
+    /// The fans at pinched edges.
+    pinched: BTreeMap<u32, Fan>,
     /// Which voxels around each vertex are in the region.
     filled: &'a [u8],
     /// First copy of each vertex in the surface.
@@ -69,14 +77,20 @@ struct Shell<'a> {
 }
 
 impl Shell<'_> {
+    /// The fans of the region around a vertex.
+    fn fan(&self, v: u32) -> &Fan {
+        let of_set = || self.fans.of(self.filled[v as usize]);
+        self.pinched.get(&v).unwrap_or_else(of_set)
+    }
+
     /// Adds a face; `near` says whether its nearer voxel is the inner one.
     fn add(&mut self, quad: &Quad, near: bool) {
         let axis = usize::from(quad.axis);
         let vertices: [u32; 4] = std::array::from_fn(|c| {
-            let v = quad.corners[c] as usize;
+            let v = quad.corners[c];
             let [u, w] = SIDES[c];
-            let fan = self.fans.of(self.filled[v]);
-            self.first[v] + u32::from(fan.of_face[face(axis, 1 - u, 1 - w)])
+            let fan = self.fan(v);
+            self.first[v as usize] + u32::from(fan.of_face[face(axis, 1 - u, 1 - w)])
         });
         let middles: [Option<u32>; 4] = std::array::from_fn(|e| self.midpoint(quad, e, near));
         for [a, b, c] in quad.triangles() {
@@ -101,14 +115,17 @@ impl Shell<'_> {
         let axis = if e.is_multiple_of(2) { u } else { w };
         let (low, high) = if e < 2 { (e, e + 1) } else { ((e + 1) % 4, e) };
         let doubled = |c: usize, direction: usize| {
-            let fan = self.fans.of(self.filled[quad.corners[c] as usize]);
+            let fan = self.fan(quad.corners[c]);
             fan.doubled >> direction & 1 == 1
         };
         if !(doubled(low, 2 * axis + 1) && doubled(high, 2 * axis)) {
             return None;
         }
         let [su, sw] = SIDES[low];
-        let voxel = (1 - su) << u | (1 - sw) << w | usize::from(!near) << plane;
+        // Faces that hang together have their inner voxel in common, at a pinched edge the outer one.
+        let lower = &self.net.corners[quad.corners[low] as usize];
+        let is_pinched = lower.pinched >> (2 * axis + 1) & 1 == 1;
+        let voxel = (1 - su) << u | (1 - sw) << w | usize::from(near == is_pinched) << plane;
         let key = (quad.corners[low], axis as u8, voxel as u8);
         let vertices = &mut self.surface.vertices;
         let net = self.net;

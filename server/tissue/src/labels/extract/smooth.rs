@@ -2,13 +2,17 @@
 
 use rayon::prelude::*;
 
-use super::net::{NONE, Net};
+use super::net::{Corner, NONE, Net};
 use super::restore::push_towards;
 use crate::Vec3;
 
 /// Farthest that a vertex may be from its corner along each axis, in voxels. Below one half, so that
 /// the two faces of a layer one voxel thick never touch.
 pub(super) const REACH: f64 = 0.45;
+
+/// Least distance of a vertex from a corner where a layer is pinched, towards its own side, in voxels: the
+/// layer is at least twice that thick there.
+const ASIDE_MIN: f64 = 0.15;
 
 /// Rounds of sweeps, each followed by giving regions their volume back: sliding towards neighbours
 /// alone would shrink what is round until it stood at the limit of [`REACH`], steps and all.
@@ -58,13 +62,17 @@ fn slid(net: &Net, v: usize) -> Vec3 {
         return own;
     }
     let step = if corner.on_line { STEP_ON_LINE } else { STEP };
-    confined(own + (sum / count - own) * step, corner.locked)
+    confined(own + (sum / count - own) * step, corner)
 }
 
-/// Within reach of the corner, and in the border where the vertex belongs to it.
-pub(super) fn confined(moved: Vec3, locked: u8) -> Vec3 {
+/// Within reach of the corner, on the own side of a pinched layer, and in the border where the vertex
+/// belongs to it.
+pub(super) fn confined(mut moved: Vec3, corner: &Corner) -> Vec3 {
+    if let Some(aside) = corner.aside {
+        moved += aside * (ASIDE_MIN - moved.dot(&aside)).max(0.0);
+    }
     Vec3::from_fn(|a, _| {
-        if locked >> a & 1 == 1 {
+        if corner.locked >> a & 1 == 1 {
             0.0
         } else {
             moved[a].clamp(-REACH, REACH)

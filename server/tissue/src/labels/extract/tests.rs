@@ -274,6 +274,32 @@ fn a_layer_as_thin_as_the_voxels_is_not_joined_away() {
 }
 
 #[test]
+fn a_layer_askew_to_its_voxels_is_one_sheet_of_even_thickness() {
+    // Its voxels have only edges in common.
+    let volume = volume([24; 3], |[x, y, _]| match x + y {
+        0..20 => 2,
+        20 => 1,
+        _ => 0,
+    });
+    let found = extracted(&volume, &[&[1], &[2]], false);
+    let layer = &found[0].surface;
+    assert_closed(layer);
+    assert_manifold_vertices(layer);
+    assert_volume(&found[0]);
+    assert_eq!(
+        crate::build::report_triangles(&layer.triangles).components,
+        1
+    );
+    for vertex in &layer.vertices {
+        let at = (vertex - volume.to_world.origin) / 2e-3;
+        // Where the image ends the two sides still meet in the edges.
+        let inner = (6.0..14.0).contains(&at.x) && (8.0..15.0).contains(&at.z);
+        let off = (at.x + at.y - 20.0).abs();
+        assert!(!inner || (0.35..0.65).contains(&off), "{off}");
+    }
+}
+
+#[test]
 fn what_the_scene_asks_and_the_volume_does_not_hold_is_refused() {
     let volume = nested(12);
     let path = Path::new("test.nii");
