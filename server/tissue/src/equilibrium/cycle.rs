@@ -272,15 +272,21 @@ impl Multigrid {
         }
     }
 
-    /// Begins a step: what the last one corrected becomes the correction that may be taken once more.
-    pub(super) fn recall(&mut self) {
-        for patch in &mut self.patches {
+    /// Begins a step: what the last one corrected becomes the correction that may be taken once more. Points on
+    /// the rim of a set follow the coarser level, or what waits beside them would not know what they did.
+    pub(super) fn recall(&mut self, structure: &Structure) {
+        for l in (0..self.patches.len()).rev() {
+            let (finer, coarser) = self.patches.split_at_mut(l + 1);
+            let (patch, above) = (&mut finer[l], coarser.first());
             for &point in &patch.points.items {
                 let p = point as usize;
-                patch.e[p] = if patch.gained.contains(point) {
-                    patch.gain[p]
-                } else {
-                    ZERO
+                let gained = patch.gained.contains(point);
+                patch.e[p] = match above {
+                    Some(above) if !patch.free[p] => {
+                        interpolate(&structure.levels[l].ties[p], &above.e)
+                    }
+                    _ if gained => patch.gain[p],
+                    _ => ZERO,
                 };
             }
             patch.gained.clear();

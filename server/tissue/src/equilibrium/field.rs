@@ -159,18 +159,38 @@ impl Field {
         self.loud.items.len()
     }
 
-    /// Begins a step: what the last one moved the nodes of the set by, in order of nodes.
+    /// Begins a step: what the last one moved the free nodes of the set by, in order of nodes.
     pub(super) fn take_moves(&mut self, u: &[Vec3]) -> Vec<(u32, Vec3)> {
         self.saved.clear();
         let last = std::mem::take(&mut self.before);
         let by = |(node, before): (u32, Vec3)| {
             let n = node as usize;
-            let moves = self.nodes.contains(node) && !self.fixed[n];
+            let moves = self.nodes.contains(node) && self.free[n];
             moves.then(|| (node, u[n] - before))
         };
         let mut moves: Vec<_> = last.into_iter().filter_map(by).collect();
         moves.sort_unstable_by_key(|m| m.0);
         moves
+    }
+
+    /// Adds to what free nodes moved by what those on the rim of the set follow, level 1's `e`. What they moved by
+    /// themselves can be more, when they came into the set in that step; what waits beside them would never know.
+    pub(super) fn add_rim(
+        &self,
+        structure: &Structure,
+        coarse: &Multigrid,
+        moves: &mut Vec<(u32, Vec3)>,
+    ) {
+        let e = &coarse.patches[0].e;
+        for &node in &self.nodes.items {
+            let n = node as usize;
+            if !self.free[n] && !self.fixed[n] {
+                let v = super::cycle::interpolate(&structure.ties[n], e);
+                let by = Vec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
+                moves.push((node, by));
+            }
+        }
+        moves.sort_unstable_by_key(|m| m.0);
     }
 
     /// Moves nodes by `share` of what they moved by.

@@ -72,8 +72,9 @@ impl Solver {
             self.stir(u);
         }
         self.coarse.calm();
-        let last = self.field.take_moves(u);
-        self.coarse.recall();
+        let mut last = self.field.take_moves(u);
+        self.coarse.recall(&self.structure);
+        self.field.add_rim(&self.structure, &self.coarse, &mut last);
         if led {
             if self.carried {
                 self.coarse.defer(&self.structure);
