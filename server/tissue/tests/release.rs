@@ -72,14 +72,14 @@ fn errors(at: &[usize], iterations: usize) -> (f64, f64) {
 fn one_quick_iteration_per_tick_follows_a_hand_in_and_out() {
     let every: Vec<usize> = (1..=TICKS).collect();
     let (rms, most) = errors(&every, 1);
-    assert!(rms < 0.06 && most < 0.12, "rms {rms:.3}, most {most:.3}");
+    assert!(rms < 0.032 && most < 0.08, "rms {rms:.3}, most {most:.3}");
 }
 
 #[test]
 fn two_quick_iterations_per_tick_follow_it_closely() {
     let every: Vec<usize> = (1..=TICKS).collect();
     let (rms, most) = errors(&every, 2);
-    assert!(rms < 0.045 && most < 0.07, "rms {rms:.3}, most {most:.3}");
+    assert!(rms < 0.025 && most < 0.065, "rms {rms:.3}, most {most:.3}");
 }
 
 #[test]

@@ -67,6 +67,9 @@ pub(super) struct Multigrid {
     pub(super) pending: f32,
     /// Change of the size of an element, in parts of it, that may wait.
     pub(super) strained: f32,
+    /// Part of its stiffness that an element which waits answers with: trilinear in its corners, it is stiffer than
+    /// the tissue within.
+    pub(super) slack: f32,
     /// Elements visited.
     pub(super) visits: usize,
     /// Whether what a point was moved by before it took part counts as gained: what followed the coarser level.
@@ -81,6 +84,7 @@ impl Multigrid {
             arch: Arch::new(),
             pending: 1.0,
             strained: f32::INFINITY,
+            slack: 1.0,
             visits: 0,
             follows: false,
         }
@@ -177,6 +181,7 @@ impl Multigrid {
                 for &child in level.children.row(element) {
                     let by = to_child(&pending, level_below.octant[child as usize]);
                     let force = level_below.force(child, &by);
+                    let force = force.map(|f| f.map(|v| self.slack * v));
                     let waits = below.wait(level_below, child, &by, &force, 1.0);
                     if exceeds(waits, tolerable) && !below.refined.contains(child) {
                         below.wanted.insert(child);
@@ -296,8 +301,14 @@ impl Multigrid {
     /// Works out what the correction does to the elements that are not refined; `work_along` and
     /// `commit` go by it.
     pub(super) fn defer(&mut self, structure: &Structure) {
+        let slack = self.slack;
         for (patch, level) in self.patches.iter_mut().zip(&structure.levels) {
-            self.arch.dispatch(Defer { level, patch });
+            let defer = Defer {
+                level,
+                patch,
+                slack,
+            };
+            self.arch.dispatch(defer);
         }
     }
 
@@ -397,6 +408,7 @@ impl WithSimd for Smooth<'_> {
 struct Defer<'a> {
     level: &'a Level,
     patch: &'a mut Patch,
+    slack: f32,
 }
 
 impl WithSimd for Defer<'_> {
@@ -404,7 +416,11 @@ impl WithSimd for Defer<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { level, patch } = self;
+        let Self {
+            level,
+            patch,
+            slack,
+        } = self;
         patch.deferred.clear();
         for &element in &patch.set.items {
             if patch.refined.contains(element) {
@@ -412,6 +428,7 @@ impl WithSimd for Defer<'_> {
             }
             let (points, m) = level.element(element);
             let force = m.k.multiply(simd, points, &patch.e).corners();
+            let force = force.map(|f| f.map(|v| slack * v));
             let mut by = [ZERO; 8];
             for (to, &point) in by.iter_mut().zip(points) {
                 *to = patch.e[point as usize];
