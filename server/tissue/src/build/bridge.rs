@@ -11,6 +11,7 @@ use std::collections::{BTreeMap, BinaryHeap};
 use super::grid::Grid;
 use super::label::Labels;
 use super::lattice::{face_neighbours, pieces};
+use super::parts::root;
 use super::walls::{Share, Walls, in_margin};
 
 /// A cell is no place for a bridge unless the part fills at least this much of it.
@@ -201,13 +202,4 @@ fn way_back(from: &BTreeMap<usize, (f64, usize)>, mut cell: usize) -> Vec<usize>
         cell = from[&cell].1;
     }
     way
-}
-
-/// Root of a piece in the forest of joined ones.
-fn root(parent: &mut [u32], mut piece: u32) -> u32 {
-    while parent[piece as usize] != piece {
-        parent[piece as usize] = parent[parent[piece as usize] as usize];
-        piece = parent[piece as usize];
-    }
-    piece
 }

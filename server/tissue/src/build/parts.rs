@@ -28,11 +28,11 @@ pub(super) fn parts(surface: &Surface) -> Vec<Aabb> {
     boxes
 }
 
-/// Root of a vertex in a forest of merged vertices, with the path to it halved.
-fn root(parent: &mut [u32], mut vertex: u32) -> u32 {
-    while parent[vertex as usize] != vertex {
-        parent[vertex as usize] = parent[parent[vertex as usize] as usize];
-        vertex = parent[vertex as usize];
+/// Root of an entry in a forest of merged ones, with the path to it halved.
+pub(super) fn root(parent: &mut [u32], mut at: u32) -> u32 {
+    while parent[at as usize] != at {
+        parent[at as usize] = parent[parent[at as usize] as usize];
+        at = parent[at as usize];
     }
-    vertex
+    at
 }

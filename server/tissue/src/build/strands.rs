@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::grid::Grid;
 use super::label::Sweep;
+use super::parts::root;
 use super::rays::{Hits, Rays, cast};
 use crate::Surface;
 
@@ -133,13 +134,4 @@ fn row(grid: &Grid, hits: &[Hits], rays: &Rays, v: usize) -> (Vec<u32>, Vec<Stra
         ends.push(strands.len() as u32);
     }
     (ends, strands)
-}
-
-/// Root of an entry in a forest, with the path to it halved.
-fn root(parent: &mut [u32], mut at: u32) -> u32 {
-    while parent[at as usize] != at {
-        parent[at as usize] = parent[parent[at as usize] as usize];
-        at = parent[at as usize];
-    }
-    at
 }
