@@ -1,13 +1,13 @@
 //! `palpate-server build`: from a scene to a model file.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use palpate_tissue::{BuildReport, ModelFile, SceneInput, build};
 use serde::{Deserialize, Serialize};
 
-use crate::export::{Exports, put_in_place};
+use crate::export::{Exports, keep_apart, put_in_place};
 use crate::{ServerError, memory};
 
 /// What `build --json` prints.
@@ -51,10 +51,18 @@ pub(crate) fn build_file(
 ) -> Result<BuildSummary, ServerError> {
     let since = Instant::now();
     let input = SceneInput::load(scene)?;
+    let sources: Vec<PathBuf> = (0..input.scene.regions.len())
+        .map(|region| input.scene.source_path(region))
+        .collect();
+    let mut read: Vec<&Path> = sources.iter().map(PathBuf::as_path).collect();
+    read.push(scene);
+    // Before the work, too: it can take a minute.
+    let places: Vec<&Path> = exports.files().chain([output]).collect();
+    keep_apart(&places, &read)?;
     let (file, summary) = build_model(&input, since)?;
     let mut staged = exports.stage(&file.model)?;
     staged.push(file.stage(output)?);
-    put_in_place(staged)?;
+    put_in_place(staged, &read)?;
     Ok(summary)
 }
 

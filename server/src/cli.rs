@@ -137,7 +137,6 @@ fn start_log() {
         .try_init();
 }
 
-#[allow(clippy::print_stdout)]
 fn execute(command: Command) -> Result<(), ServerError> {
     match command {
         Command::Sample {
@@ -146,7 +145,7 @@ fn execute(command: Command) -> Result<(), ServerError> {
             force,
         } => {
             let scene = sample::write(&name, &output, force)?;
-            println!("{}", scene.display());
+            say(&scene.display().to_string())?;
         }
         Command::Build {
             scene,
@@ -156,13 +155,10 @@ fn execute(command: Command) -> Result<(), ServerError> {
         } => {
             let summary = build::build_file(&scene, &output, &exports)?;
             if json {
-                println!("{}", serde_json::json!(summary));
+                say(&serde_json::json!(summary).to_string())?;
             } else {
-                println!(
-                    "{}\nwritten to {}",
-                    build::describe(&summary),
-                    output.display()
-                );
+                let text = build::describe(&summary);
+                say(&format!("{text}\nwritten to {}", output.display()))?;
             }
         }
         Command::Inspect {
@@ -172,11 +168,25 @@ fn execute(command: Command) -> Result<(), ServerError> {
             json,
         } => {
             let (value, text) = inspect::inspect(&file, &exports, &picture)?;
-            println!("{}", if json { value.to_string() } else { text });
+            say(&if json { value.to_string() } else { text })?;
         }
         Command::Host(args) => host::host(&options(args)?)?,
     }
     Ok(())
+}
+
+/// Prints a result. A reader that has seen enough and closed its end is no mistake.
+fn say(text: &str) -> Result<(), ServerError> {
+    use std::io::Write as _;
+    let mut out = std::io::stdout().lock();
+    let said = writeln!(out, "{text}").and_then(|()| out.flush());
+    match said {
+        Err(source) if source.kind() != std::io::ErrorKind::BrokenPipe => Err(ServerError::Io {
+            doing: "the result can not be printed".into(),
+            source,
+        }),
+        _ => Ok(()),
+    }
 }
 
 fn options(args: HostArgs) -> Result<HostOptions, ServerError> {

@@ -1,11 +1,13 @@
 //! A model as files for other programs, from `build` and from `inspect`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::Args;
 use palpate_tissue::export::{stage_stl, stage_vtu};
 use palpate_tissue::{Model, Shape, Staged, Topology, WriteError};
+
+use crate::ServerError;
 
 /// Which files beside the model itself.
 #[derive(Debug, Clone, Default, Args)]
@@ -22,6 +24,11 @@ impl Exports {
     /// Whether anything is asked for.
     pub(crate) fn any(&self) -> bool {
         self.vtu.is_some() || self.stl.is_some()
+    }
+
+    /// The single files that are asked for.
+    pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
+        self.vtu.as_deref().into_iter()
     }
 
     /// Writes what is asked for, without putting it in its place yet.
@@ -42,7 +49,66 @@ impl Exports {
     }
 }
 
-/// Puts files in place when all of them are complete.
-pub(crate) fn put_in_place(staged: Vec<Staged>) -> Result<(), WriteError> {
-    staged.into_iter().try_for_each(Staged::put_in_place)
+/// Puts files in place when all of them are complete, and none is for the place of one that was `read`.
+pub(crate) fn put_in_place(staged: Vec<Staged>, read: &[&Path]) -> Result<(), ServerError> {
+    let places: Vec<&Path> = staged.iter().map(Staged::path).collect();
+    keep_apart(&places, read)?;
+    for file in staged {
+        file.put_in_place()?;
+    }
+    Ok(())
+}
+
+/// Refuses places for files that are those of what is read, or twice the same.
+pub(crate) fn keep_apart(places: &[&Path], read: &[&Path]) -> Result<(), ServerError> {
+    let read: Vec<PathBuf> = read.iter().map(|p| place(p)).collect();
+    let mut taken: Vec<PathBuf> = Vec::new();
+    for path in places {
+        let place = place(path);
+        let why = if read.contains(&place) {
+            "is what is read here, and would be lost"
+        } else if taken.contains(&place) {
+            "is asked for twice, for different files"
+        } else {
+            taken.push(place);
+            continue;
+        };
+        let path = path.display();
+        return Err(ServerError::Option(format!(
+            "{path}: {why}; name another file to write"
+        )));
+    }
+    Ok(())
+}
+
+/// The same for all names of one file, whether it is there or not.
+fn place(path: &Path) -> PathBuf {
+    let known = path.canonicalize().ok();
+    let beside = || {
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
+        let folder = folder.unwrap_or(Path::new(".")).canonicalize().ok()?;
+        Some(folder.join(path.file_name()?))
+    };
+    known.or_else(beside).unwrap_or_else(|| path.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_file_is_for_the_place_of_another_or_of_what_is_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        std::fs::create_dir(at("b")).unwrap();
+        std::fs::write(at("scene.toml"), "").unwrap();
+        let scene = at("scene.toml");
+        let around = at("b/../scene.toml");
+        let refused = |places: &[&Path]| keep_apart(places, &[&scene]).is_err();
+        assert!(refused(&[&scene]));
+        assert!(refused(&[&at("x.palp"), &around]));
+        assert!(refused(&[&at("x.palp"), &at("b/../x.palp")]));
+        assert!(!refused(&[&at("x.palp"), &at("b/x.palp")]));
+        assert!(!refused(&[&at("missing/x.palp"), &at("missing/y.palp")]));
+    }
 }

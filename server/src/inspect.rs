@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use crate::ServerError;
 use crate::build::{BuildSummary, describe};
-use crate::export::{Exports, put_in_place};
+use crate::export::{Exports, keep_apart, put_in_place};
 use crate::picture::{self, Slice};
 
 /// A picture of a cross-section, when one is asked for.
@@ -114,9 +114,11 @@ fn inspect_model(
     picture: &Picture,
 ) -> Result<(Value, String), ServerError> {
     let file = ModelFile::read(path)?;
+    let places: Vec<&Path> = exports.files().chain(picture.png.as_deref()).collect();
+    keep_apart(&places, &[path])?;
     let mut staged = exports.stage(&file.model)?;
     staged.extend(picture.stage(&file, path)?);
-    put_in_place(staged)?;
+    put_in_place(staged, &[path])?;
     let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
     let hash = format!("{:016x}", model_hash(&file.model));
     let mut value = serde_json::from_str(&file.report_json).unwrap_or_else(|_| json!({}));

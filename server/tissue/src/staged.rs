@@ -61,6 +61,11 @@ impl Staged {
         Ok(staged)
     }
 
+    /// The place that it is for.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Moves the file into its place; a reader finds the old file or the new one, never a part.
     pub fn put_in_place(mut self) -> Result<(), WriteError> {
         std::fs::rename(&self.beside, &self.path).map_err(|source| self.error(source))?;
