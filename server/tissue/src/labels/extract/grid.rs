@@ -17,6 +17,8 @@ pub(super) const BEYOND: u8 = u8::MAX;
 /// volume back by moving its boundary by a fraction of a voxel (a rod four voxels thick by an eighth
 /// of one); what loses more is a layer as thin as the voxels, which must be kept.
 const COARSENING_LOSS_MAX: f64 = 0.25;
+/// Voxels to a block from which on fewer are tried by halves, below one by one.
+const FACTOR_FINE: usize = 8;
 
 /// Regions of voxels, x fastest.
 pub(super) struct Grid {
@@ -71,7 +73,9 @@ impl Grid {
     /// voxels make one, too.
     pub(super) fn coarsened(self, finest_m: f64, regions: usize) -> (Self, usize) {
         let spacing = self.to_world.spacing_m();
-        let mut factors = spacing.map(|s| ((finest_m / s) as usize).max(1));
+        let most = self.size.map(|n| n - 2);
+        let mut factors: [usize; 3] =
+            std::array::from_fn(|a| ((finest_m / spacing[a]) as usize).clamp(1, most[a].max(1)));
         let before = self.counts(regions);
         while factors != [1; 3] {
             let coarse = self.joined(factors);
@@ -83,7 +87,14 @@ impl Grid {
             if before.iter().zip(&coarse.counts(regions)).all(keeps) {
                 return (coarse, each);
             }
-            factors = factors.map(|f| (f - 1).max(1));
+            // Large ones faster: a spacing typed in the wrong unit would take a look at every voxel for each.
+            factors = factors.map(|f| {
+                if f > FACTOR_FINE {
+                    f / 2
+                } else {
+                    (f - 1).max(1)
+                }
+            });
         }
         (self, 1)
     }
