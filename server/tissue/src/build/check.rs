@@ -9,7 +9,7 @@ use crate::scene::SceneInput;
 use crate::{Aabb, Surface, Vec3};
 
 /// A region whose volume differs from its input by more than this part earns a warning.
-const VOLUME_WARNING: f64 = 0.02;
+const VOLUME_WARNING: f64 = 0.01;
 
 /// More flipped cells than this part of all cells of the grid earn a warning.
 const FLIPPED_WARNING: f64 = 0.005;
