@@ -106,13 +106,25 @@ impl ModelFile {
 
     /// Reads a file.
     pub fn read(path: &Path) -> Result<Self, FileError> {
-        let bytes = std::fs::read(path).map_err(|source| FileError::Io {
+        let bytes = read_if(MAGIC, path).map_err(|source| FileError::Io {
             path: path.into(),
             doing: "the model could not be read",
             source,
         })?;
         Self::decode(&bytes)
     }
+}
+
+/// A file's bytes; only the first ones where they are not these: what is no model can be endless.
+fn read_if(magic: [u8; 8], path: &Path) -> std::io::Result<Vec<u8>> {
+    use std::io::Read as _;
+    let mut file = std::fs::File::open(path)?;
+    let mut bytes = Vec::new();
+    (&file).take(magic.len() as u64).read_to_end(&mut bytes)?;
+    if bytes == magic {
+        file.read_to_end(&mut bytes)?;
+    }
+    Ok(bytes)
 }
 
 /// A model alone as the bytes of a model file, for sending it.
