@@ -1,10 +1,12 @@
 //! Which region holds a point.
 //!
-//! One watertight line per surface, along the axis that its triangles face most. The tree keeps
-//! vertices in single precision, all copies of one rounded alike, so the surface stays closed.
+//! Far from a surface its blocks tell. Near it one watertight line does, along the axis that its
+//! triangles face most. The tree keeps vertices in single precision, all copies of one rounded alike, so
+//! the surface stays closed.
 
 use rayon::prelude::*;
 
+use super::blocks::Blocks;
 use super::bvh::Bvh;
 use super::rays::{Winding, hit_at};
 use crate::{Surface, Vec3};
@@ -12,18 +14,35 @@ use crate::{Surface, Vec3};
 /// Answers which region holds a point.
 #[derive(Debug)]
 pub(super) struct PointQuery {
-    surfaces: Vec<(Bvh, usize)>,
+    surfaces: Vec<Body>,
+}
+
+/// One surface.
+#[derive(Debug)]
+struct Body {
+    tree: Bvh,
+    /// Axis of its lines.
+    axis: usize,
+    blocks: Blocks,
 }
 
 impl PointQuery {
-    /// Sorts the triangles of all surfaces into trees about `middle`.
-    pub(super) fn new(surfaces: &[&Surface], middle: Vec3) -> Self {
-        let tree = |s: &&Surface| {
-            let flat = (0..s.triangles.len()).map(|t| Bvh::flat(&middle, &s.corners(t)));
-            (Bvh::new(middle, flat.collect()), facing(s))
+    /// Sorts the triangles of all surfaces into trees about `middle`, and space into blocks on a lattice of
+    /// this spacing (m).
+    pub(super) fn new(surfaces: &[&Surface], middle: Vec3, spacing: f64) -> Self {
+        let body = |surface: &&Surface| {
+            let corners = |t| surface.corners(t);
+            let flat = (0..surface.triangles.len()).map(|t| Bvh::flat(&middle, &corners(t)));
+            let mut body = Body {
+                tree: Bvh::new(middle, flat.collect()),
+                axis: facing(surface),
+                blocks: Blocks::default(),
+            };
+            body.blocks = Blocks::new(surface, spacing, |p| body.contains(p));
+            body
         };
         Self {
-            surfaces: surfaces.par_iter().map(tree).collect(),
+            surfaces: surfaces.par_iter().map(body).collect(),
         }
     }
 
@@ -36,15 +55,26 @@ impl PointQuery {
 
     /// Whether region `r`'s own surface contains the point, whoever else does.
     pub(super) fn contains(&self, region: usize, point: Vec3) -> bool {
-        let (tree, axis) = &self.surfaces[region];
-        if !tree.may_contain(&point) {
+        self.surfaces[region].contains(point)
+    }
+}
+
+impl Body {
+    fn contains(&self, point: Vec3) -> bool {
+        if !self.tree.may_contain(&point) {
             return false;
         }
+        let known = self.blocks.tell(&point);
+        known.unwrap_or_else(|| self.line_tells(point))
+    }
+
+    fn line_tells(&self, point: Vec3) -> bool {
+        let axis = self.axis;
         let mut winding = Winding::default();
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        tree.for_line(&point, *axis, |at, corners| {
-            if let Some(hit) = hit_at(corners, *axis, [at[u], at[v]]) {
-                winding.add(hit.turn, hit.depth < at[*axis]);
+        self.tree.for_line(&point, axis, |at, corners| {
+            if let Some(hit) = hit_at(corners, axis, [at[u], at[v]]) {
+                winding.add(hit.turn, hit.depth < at[axis]);
             }
         });
         winding.is_inside()
@@ -66,4 +96,40 @@ fn facing(surface: &Surface) -> usize {
             best
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::turned;
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+        /// A spindle with ridges: blocks of any size tell what lines do, or nothing.
+        #[test]
+        fn blocks_tell_what_lines_do(
+            radii in prop::collection::vec(0.005_f64..0.03, 2..9), spacing in 5e-4_f64..0.02,
+            points in prop::collection::vec(prop::array::uniform3(-0.035_f64..0.035), 64),
+        ) {
+            let profile: Vec<(f64, f64)> =
+                radii.iter().zip(0..).map(|(&r, i)| (r, f64::from(i) * 8e-3 - 0.03)).collect();
+            let surface = turned(&profile, 24);
+            let query = PointQuery::new(&[&surface], Vec3::zeros(), spacing);
+            let body = &query.surfaces[0];
+            for point in points.into_iter().map(Vec3::from) {
+                prop_assert_eq!(body.contains(point), body.line_tells(point), "{}", point);
+            }
+        }
+    }
+
+    #[test]
+    fn blocks_far_from_a_surface_tell_and_those_at_it_do_not() {
+        let surface = turned(&[(0.02, -0.03), (0.02, 0.03)], 64);
+        let query = PointQuery::new(&[&surface], Vec3::zeros(), 2e-3);
+        let blocks = &query.surfaces[0].blocks;
+        assert_eq!(blocks.tell(&Vec3::zeros()), Some(true));
+        assert_eq!(blocks.tell(&Vec3::new(0.0197, 0.0197, 0.0)), Some(false));
+        assert_eq!(blocks.tell(&Vec3::new(0.02, 0.0, 0.0)), None);
+    }
 }

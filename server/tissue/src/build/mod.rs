@@ -15,6 +15,7 @@
 //! construction.
 
 mod bar;
+mod blocks;
 mod bridge;
 mod bvh;
 mod check;
@@ -142,7 +143,7 @@ pub fn build(
     };
     check::size(&surfaces, spacing)?;
     let grid = Grid::around(&surfaces, spacing);
-    let query = inside::PointQuery::new(&surfaces, grid.middle());
+    let query = inside::PointQuery::new(&surfaces, grid.middle(), spacing);
     check::nesting(input, spacing, &query, &mut warnings)?;
     let mut walls = walls::Walls::default();
     let mut input_volumes = label::resolved_volumes(&grid, &surfaces, &mut walls);

@@ -9,7 +9,7 @@ use crate::Topology;
 use crate::scene::Scene;
 
 /// A closed body of revolution about z with the given profile of (radius, z), capped flat.
-fn turned(profile: &[(f64, f64)], sides: usize) -> Surface {
+pub(super) fn turned(profile: &[(f64, f64)], sides: usize) -> Surface {
     let mut surface = Surface::default();
     let ring = |at: usize, s: usize| (at * sides + s % sides) as u32;
     for &(r, z) in profile {
