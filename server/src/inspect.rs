@@ -180,6 +180,9 @@ fn special(region: &Region) -> String {
             m.compress_limit, m.stretch_limit
         );
     }
+    if m.bottoms_out {
+        text.push_str(", bottoms out");
+    }
     text
 }
 
@@ -198,6 +201,7 @@ fn materials(file: &ModelFile) -> Value {
                 "fibre": r.fibre,
                 "compress_limit": r.material.compress_limit,
                 "stretch_limit": r.material.stretch_limit,
+                "bottoms_out": r.material.bottoms_out,
                 "density_kg_m3": r.material.density_kg_m3,
                 "friction_static": r.material.friction_static,
                 "friction_dynamic": r.material.friction_dynamic,

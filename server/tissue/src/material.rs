@@ -37,6 +37,9 @@ pub struct Material {
     /// Multiple of its rest length at which a stretched spring turns extreme: it gets no longer
     /// (`α_max` of Lin 2007, fig. 3.11).
     pub stretch_limit: f64,
+    /// Whether it bottoms out: pressed flat it hardens, and no cell of it folds. A step for a hand takes up to
+    /// twice as long. Without it the lattice gives way sideways from 30 to 40 % of local compression on.
+    pub bottoms_out: bool,
     /// Density in kg/m³.
     pub density_kg_m3: f64,
     /// Coefficient of static friction against a tool.
@@ -70,6 +73,7 @@ impl Default for Material {
             fibre_axis: FibreAxis::Long,
             compress_limit: COMPRESS_LIMIT_DEFAULT,
             stretch_limit: STRETCH_LIMIT_DEFAULT,
+            bottoms_out: false,
             density_kg_m3: 1000.0,
             friction_static: FRICTION_DEFAULT[0],
             friction_dynamic: FRICTION_DEFAULT[1],
@@ -96,6 +100,8 @@ pub struct MaterialOverride {
     pub compress_limit: Option<f64>,
     /// Multiple of the rest length at which a stretched spring turns extreme.
     pub stretch_limit: Option<f64>,
+    /// Whether it bottoms out.
+    pub bottoms_out: Option<bool>,
     /// Density in kg/m³.
     pub density_kg_m3: Option<f64>,
     /// Coefficient of static friction.
@@ -250,6 +256,7 @@ impl Material {
         self.fibre_axis = change.fibre_axis.unwrap_or(self.fibre_axis);
         self.compress_limit = change.compress_limit.unwrap_or(self.compress_limit);
         self.stretch_limit = change.stretch_limit.unwrap_or(self.stretch_limit);
+        self.bottoms_out = change.bottoms_out.unwrap_or(self.bottoms_out);
         self.density_kg_m3 = change.density_kg_m3.unwrap_or(self.density_kg_m3);
         // Whoever gives one coefficient means the other to follow where it would contradict.
         let [statik, dynamic] = [change.friction_static, change.friction_dynamic];

@@ -63,7 +63,7 @@ pub fn model_hash(model: &Model) -> u64 {
     hasher.update(&model.spacing_m.to_bits().to_le_bytes());
     for region in &model.regions {
         let m = &region.material;
-        hasher.update(&[u8::from(region.pinned)]);
+        hasher.update(&[u8::from(region.pinned) | (u8::from(m.bottoms_out) << 1)]);
         for v in [
             m.young_pa,
             m.poisson,

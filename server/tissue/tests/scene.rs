@@ -97,7 +97,7 @@ fn a_written_scene_reads_back_as_itself() {
 }
 
 /// What to put for what in [`THIGH`], and words the message must hold.
-const MISTAKES: [(&str, &str, &[&str]); 33] = [
+const MISTAKES: [(&str, &str, &[&str]); 34] = [
     (
         "young_kpa = 10.0",
         "poisson = 0.5",
@@ -112,6 +112,11 @@ const MISTAKES: [(&str, &str, &[&str]); 33] = [
         "young_kpa = 10.0",
         "fibres = \"short\"",
         &["line 22", "\"long\"", "\"short\""],
+    ),
+    (
+        "young_kpa = 10.0",
+        "bottoms_out = 1",
+        &["line 22", "\"bottoms_out\"", "true or false"],
     ),
     (
         "young_kpa = 10.0",
@@ -308,11 +313,15 @@ fn a_region_overrides_its_material_for_itself_alone() {
             "young_kpa = 20\nfibres = [0, 3, 4]\nfibre_ratio = 2",
         )
         .replace("material = \"bone\"", "material = \"fat\"")
-        .replace("young_kpa = 10.0", "young_kpa = 10.0\nstiffening = 7");
+        .replace(
+            "young_kpa = 10.0",
+            "young_kpa = 10.0\nstiffening = 7\nbottoms_out = true",
+        );
     let scene = parse(&text).unwrap();
     let [first, last] = [0, 2].map(|r| scene.material(r).unwrap());
     assert_eq!((first.young_pa, last.young_pa), (10e3, 20e3));
     assert_eq!((first.stiffening, last.stiffening), (7.0, 7.0));
+    assert!(first.bottoms_out && last.bottoms_out);
     assert_eq!((first.fibre_ratio, last.fibre_ratio), (1.0, 2.0));
     assert_eq!(last.fibre_axis, FibreAxis::Given([0.0, 3.0, 4.0]));
     assert!(

@@ -31,7 +31,7 @@ pub(super) struct Blocks {
     per_side: f64,
     count: [usize; 3],
     /// Empty where blocks tell nothing.
-    blocks: Vec<Block>,
+    list: Vec<Block>,
 }
 
 impl Blocks {
@@ -48,7 +48,7 @@ impl Blocks {
             if blocks.cross(surface) {
                 blocks.fill(is_inside);
             } else {
-                blocks.blocks = Vec::new();
+                blocks.list = Vec::new();
             }
         }
         blocks
@@ -62,7 +62,7 @@ impl Blocks {
             // The surface's own box tells.
             return None;
         }
-        match self.blocks.get(self.index(at.map(|v| v as usize)))? {
+        match self.list.get(self.index(at.map(|v| v as usize)))? {
             Block::Crossed => None,
             Block::Within(inside) => Some(*inside),
         }
@@ -74,8 +74,8 @@ impl Blocks {
 
     /// Marks the blocks that triangles reach into. Returns whether these are few enough to do so.
     fn cross(&mut self, surface: &Surface) -> bool {
-        self.blocks = vec![Block::Within(false); self.count.iter().product()];
-        let mut left = SHARE * surface.triangles.len() + self.blocks.len();
+        self.list = vec![Block::Within(false); self.count.iter().product()];
+        let mut left = SHARE * surface.triangles.len() + self.list.len();
         for t in 0..surface.triangles.len() {
             let [a, b, c] = surface.corners(t).map(|p| (p - self.low) * self.per_side);
             let margin = Vec3::repeat(MARGIN);
@@ -92,7 +92,7 @@ impl Blocks {
             for z in low[2]..=high[2] {
                 for y in low[1]..=high[1] {
                     let from = self.index([low[0], y, z]);
-                    self.blocks[from..from + row].fill(Block::Crossed);
+                    self.list[from..from + row].fill(Block::Crossed);
                 }
             }
         }
@@ -106,20 +106,20 @@ impl Blocks {
                 for x in 0..self.count[0] {
                     let at = [x, y, z];
                     let index = self.index(at);
-                    if self.blocks[index] == Block::Crossed {
+                    if self.list[index] == Block::Crossed {
                         continue;
                     }
                     let before = (0..3).filter(|&a| at[a] > 0).find_map(|a| {
                         let mut before = at;
                         before[a] -= 1;
-                        match self.blocks[self.index(before)] {
+                        match self.list[self.index(before)] {
                             Block::Crossed => None,
                             Block::Within(inside) => Some(inside),
                         }
                     });
                     let middle = Vec3::from(at.map(|i| i as f64 + 0.5)) / self.per_side;
                     let inside = before.unwrap_or_else(|| is_inside(self.low + middle));
-                    self.blocks[index] = Block::Within(inside);
+                    self.list[index] = Block::Within(inside);
                 }
             }
         }

@@ -10,6 +10,7 @@
 //! place; they then go to two bricks, and nothing else has to know of cuts. Cells whose springs
 //! follow different curves go to different bricks, too.
 
+use super::corners::{SKEWED, STRENGTH};
 use super::lanes::LANES;
 use super::law::{Curve, Elastic};
 use super::slight::LOOSE;
@@ -87,6 +88,12 @@ pub(crate) struct Form {
     /// κ V0 of each cell in N m, and one over its determinant at rest (the volume term).
     pub(crate) bulk: [f32; LANES],
     pub(crate) per_volume: [f32; LANES],
+    /// Modulus that hardens each cell's corners in Pa, by the cell's first node, and the
+    /// volume of a cube of the lattice in m³; see `corners.rs`.
+    pub(crate) corner: [f32; LANES],
+    pub(crate) cell_volume: f32,
+    /// Whether a corner that may harden is so skewed at rest that small strains flatten it.
+    pub(crate) skewed: bool,
     /// Whether any cell has a volume term.
     pub(crate) has_bulk: bool,
     pub(crate) curve: Curve,
@@ -202,10 +209,15 @@ impl Draft {
         }
         let mut springs = [[0.0f64; LOCALS]; STEPS.len()];
         let (mut bulk, mut per_volume) = ([0.0; LANES], [0.0; LANES]);
+        let mut corner = [0.0; LANES];
         for (position, cell) in self.cells.iter().enumerate() {
             let Some(cell) = *cell else { continue };
             let elastic = topology.elastic(cell);
             add_springs(topology, cell, position, elastic, &mut springs);
+            if self.curve.held {
+                let modulus = f64::from(STRENGTH) / 8.0 * elastic.spring_pa;
+                corner[CORNER[position][0]] = modulus as f32;
+            }
             let det = rest_determinant(topology, cell);
             if elastic.bulk_pa > 0.0 && det > 0.0 {
                 bulk[position] = (elastic.bulk_pa * topology.volume(cell)) as f32;
@@ -240,6 +252,9 @@ impl Draft {
             used,
             bulk,
             per_volume,
+            corner,
+            cell_volume: spacing.powi(3) as f32,
+            skewed: self.curve.held && self.is_skewed(topology),
             has_bulk: bulk.iter().any(|&b| b > 0.0),
             curve: self.curve,
         };
@@ -247,6 +262,20 @@ impl Draft {
             form.loose = -1.0;
         }
         form
+    }
+}
+
+impl Draft {
+    /// Whether the volume of any corner at rest is less than [`SKEWED`] of its edges' product.
+    fn is_skewed(&self, topology: &Topology) -> bool {
+        self.cells.iter().flatten().any(|&cell| {
+            let p = topology.corners(cell).map(|n| topology.rest(n));
+            (0..8).any(|c| {
+                let [x, y, z] = [1, 2, 4].map(|step| p[c | step] - p[c & !step]);
+                let box_volume = x.norm() * y.norm() * z.norm();
+                x.dot(&y.cross(&z)) < SKEWED * box_volume
+            })
+        })
     }
 }
 

@@ -17,8 +17,9 @@ use super::structure::Structure;
 use crate::contact::Contacts;
 use crate::{Topology, Vec3};
 
-/// Longest move of a node in one smoothing step, in spacings; longer ones are cut and counted.
-const MOVE_MAX: f64 = 0.5;
+/// Longest move of a node in one smoothing step, in spacings; longer ones are cut and counted. While a hand
+/// waits, blocks are computed once per iteration, and what bottoms out hardens within the steps that go by them.
+const MOVE_MAX: [f64; 2] = [0.5, 0.02];
 /// How many times a contact counts in the block of a node that is smoothed: a Chebyshev step goes up to 1.74
 /// times as far as the block says, and a contact that has opened does not bring the node back. Without it
 /// forces of a real thigh were up to twice what they should be for a tick, now and then.
@@ -116,7 +117,7 @@ impl Field {
             before: Vec::new(),
             saved: List::new(nodes),
             displaced: 0.0,
-            move_max: MOVE_MAX * topology.model().spacing_m,
+            move_max: 0.0,
             clamped: 0,
             visits: 0,
             blocks: vec![[0.0; 6]; nodes],
@@ -127,6 +128,12 @@ impl Field {
             block_scratch: Box::new(Ends::new()),
             arch: Arch::new(),
         }
+    }
+
+    /// Sets how far smoothing moves a node at most; see [`MOVE_MAX`].
+    pub(super) fn limit_moves(&mut self, structure: &Structure, near: bool) {
+        let short = near && structure.bottoms_out;
+        self.move_max = MOVE_MAX[usize::from(short)] / f64::from(structure.per_spacing);
     }
 
     /// Marks the bricks around a node as no longer what their forces say.

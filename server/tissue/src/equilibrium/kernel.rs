@@ -5,6 +5,8 @@
 use pulp::{Simd, WithSimd};
 
 use super::brick::{Brick, CORNER, DIRECTIONS, Form, LOCALS, OFFSETS, PADDED, SPAN};
+use super::corners::{corner_forces, corner_tangents};
+use super::hold::{held_forces, held_tangents};
 use super::lanes::{LANES, V};
 use super::law::{EXTREME, GUARD, GUARDED, LONG, SHORT, SIDEWAYS};
 use super::slight::slight_forces;
@@ -13,7 +15,7 @@ use crate::Vec3;
 /// The blocks of springs times two bound their matrix whatever they join. On lattices with all their
 /// diagonals the highest mode is at 1.6 (alternating nodes load edges and body diagonals twice, face
 /// diagonals not at all); measured, 1.6 converges and 1.3 does not.
-const SPRINGS: f32 = 1.7;
+pub(crate) const SPRINGS: f32 = 1.7;
 
 /// Three components over the nodes of a brick.
 pub(crate) type Local = [[f32; PADDED]; 3];
@@ -25,7 +27,7 @@ pub(crate) type LocalBlocks = [[f32; PADDED]; 6];
 const CELLS: usize = 8;
 
 /// Axes of the entries of a symmetric block.
-const PAIRS: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+pub(crate) const PAIRS: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
 
 /// Forces of a brick on its nodes, in N. (A closure would not be inlined into what knows of wider
 /// vectors.)
@@ -45,6 +47,13 @@ impl WithSimd for Forces<'_> {
         let local = gather(&self.brick.nodes, self.u);
         let mut f = match slight_forces(simd, self.form, &local, self.scratch) {
             Some(f) => f,
+            None if self.form.curve.held => {
+                let (mut f, strained) = held_forces(simd, self.form, &local, self.scratch);
+                if strained || self.form.skewed {
+                    corner_forces(simd, self.form, &local, &mut f);
+                }
+                f
+            }
             None => spring_forces(simd, self.form, &local, self.scratch),
         };
         if self.form.has_bulk {
@@ -70,9 +79,18 @@ impl WithSimd for Tangents<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> LocalBlocks {
         let local = gather(&self.brick.nodes, self.u);
-        let mut m = spring_tangents(simd, self.form, &local, self.per_spacing, self.scratch);
-        if self.form.has_bulk {
-            bulk_tangents(simd, self.form, &local, &mut m);
+        let (form, per_spacing, scratch) = (self.form, self.per_spacing, self.scratch);
+        let mut m = if form.curve.held {
+            let (mut m, strained) = held_tangents(simd, form, &local, per_spacing, scratch);
+            if strained || form.skewed {
+                corner_tangents(simd, form, &local, per_spacing, &mut m);
+            }
+            m
+        } else {
+            spring_tangents(simd, form, &local, per_spacing, scratch)
+        };
+        if form.has_bulk {
+            bulk_tangents(simd, form, &local, &mut m);
         }
         m
     }
@@ -137,19 +155,19 @@ impl<const C: usize> Ends<C> {
 }
 
 /// One group of springs: where it starts from and how it stands now.
-struct Group<S: Simd> {
-    rest: [V<S>; 3],
-    now: [V<S>; 3],
+pub(crate) struct Group<S: Simd> {
+    pub(crate) rest: [V<S>; 3],
+    pub(crate) now: [V<S>; 3],
     /// |d|² - l0².
-    excess: V<S>,
-    square: V<S>,
-    length: V<S>,
-    rest_length: V<S>,
+    pub(crate) excess: V<S>,
+    pub(crate) square: V<S>,
+    pub(crate) length: V<S>,
+    pub(crate) rest_length: V<S>,
 }
 
 impl<S: Simd> Group<S> {
     #[inline(always)]
-    fn load(simd: S, form: &Form, u: &Local, direction: usize, from: usize) -> Self {
+    pub(crate) fn load(simd: S, form: &Form, u: &Local, direction: usize, from: usize) -> Self {
         let offset = OFFSETS[direction];
         let difference =
             |of: &[f32; PADDED]| V::load(simd, of, from + offset) - V::load(simd, of, from);
@@ -173,13 +191,13 @@ impl<S: Simd> Group<S> {
     }
 
     #[inline(always)]
-    fn rest_square(&self) -> V<S> {
+    pub(crate) fn rest_square(&self) -> V<S> {
         self.rest_length * self.rest_length
     }
 
     /// θ l0² - d·d0, above zero where the guard pushes.
     #[inline(always)]
-    fn guarded(&self, simd: S) -> V<S> {
+    pub(crate) fn guarded(&self, simd: S) -> V<S> {
         V::all(simd, GUARDED) * self.rest_square() - dot(&self.now, &self.rest)
     }
 
@@ -280,7 +298,7 @@ fn spring_tangents<S: Simd>(
 
 /// (exp(x) - 1)/x, to three digits and rising; exp as the 64th power of a parabola.
 #[inline(always)]
-fn growth(x: f32) -> f32 {
+pub(crate) fn growth(x: f32) -> f32 {
     let x = x.clamp(-60.0, 6.0);
     if x.abs() < 0.25 {
         return 1.0 + x * (0.5 + x * (1.0 / 6.0 + x * (1.0 / 24.0)));
@@ -289,7 +307,7 @@ fn growth(x: f32) -> f32 {
 }
 
 #[inline(always)]
-fn exponential(x: f32) -> f32 {
+pub(crate) fn exponential(x: f32) -> f32 {
     let t = x.clamp(-60.0, 6.0) * (1.0 / 64.0);
     let mut p = 1.0 + t * (1.0 + t * (0.5 + t * (1.0 / 6.0)));
     for _ in 0..6 {
@@ -299,12 +317,12 @@ fn exponential(x: f32) -> f32 {
 }
 
 #[inline(always)]
-fn dot<S: Simd>(a: &[V<S>; 3], b: &[V<S>; 3]) -> V<S> {
+pub(crate) fn dot<S: Simd>(a: &[V<S>; 3], b: &[V<S>; 3]) -> V<S> {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 #[inline(always)]
-fn cross<S: Simd>(a: &[V<S>; 3], b: &[V<S>; 3]) -> [V<S>; 3] {
+pub(crate) fn cross<S: Simd>(a: &[V<S>; 3], b: &[V<S>; 3]) -> [V<S>; 3] {
     [
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
@@ -426,166 +444,4 @@ fn bulk_tangents<S: Simd>(simd: S, form: &Form, u: &Local, m: &mut LocalBlocks) 
 }
 
 #[cfg(test)]
-mod tests {
-    use pulp::{Arch, Scalar};
-
-    use super::*;
-    use crate::equilibrium::brick::Draft;
-    use crate::{Material, Model, Topology, block};
-
-    /// A distorted brick of a material that uses every term, and displacements that fold it.
-    fn brick(stiffening: f64) -> (Brick, Form, Vec<Vec3>) {
-        let material = Material {
-            poisson: 0.4,
-            stiffening,
-            ..Material::default()
-        };
-        let mut model: Model = block([2, 2, 2], 4e-3, &material, 0);
-        let noise = |i: usize, a: usize| ((i * 31 + a * 17) % 23) as f64 / 23.0 - 0.5;
-        for (i, p) in model.nodes.iter_mut().enumerate() {
-            *p += Vec3::new(noise(i, 0), noise(i, 1), noise(i, 2)) * 1e-3;
-        }
-        let topology = Topology::new(model.into());
-        let cells: Vec<(usize, u32)> = (0..8).map(|c| (c, c as u32)).collect();
-        let mut drafts = Vec::new();
-        Draft::of(&topology, &cells, &mut drafts);
-        let (brick, form) = drafts[0].finish(&topology);
-        let u = (0..27)
-            .map(|i| Vec3::new(noise(i, 3), noise(i, 4), noise(i, 5)) * 9e-3)
-            .collect();
-        (brick, form, u)
-    }
-
-    #[test]
-    fn vectors_of_any_width_give_the_same_bits() {
-        let (brick, form, u) = brick(3.0);
-        same_bits(&brick, &form, &u);
-        let (brick, form, mut u) = self::brick(0.0);
-        for u in &mut u {
-            *u *= 0.02;
-        }
-        same_bits(&brick, &form, &u);
-    }
-
-    #[test]
-    fn slight_springs_follow_the_general_law_and_others_are_left_to_it() {
-        let (brick, form, mut u) = brick(0.0);
-        let general = |u: &[Vec3]| {
-            let local = gather(&brick.nodes, u);
-            spring_forces(Scalar, &form, &local, &mut Ends::new())
-        };
-        let slight = |u: &[Vec3]| {
-            let local = gather(&brick.nodes, u);
-            slight_forces(Scalar, &form, &local, &mut Ends::new())
-        };
-        assert!(slight(&u).is_none());
-        for u in &mut u {
-            *u *= 0.02;
-        }
-        for turned in [0.0, 0.04] {
-            // A turn strains nothing by more than its square.
-            let turn = |(u, p): (&Vec3, usize)| {
-                let [x, y] = [0, 1].map(|a| f64::from(form.rest[a][p]));
-                u + Vec3::new(-y, x, 0.0) * turned
-            };
-            let u: Vec<Vec3> = u.iter().zip(0..).map(turn).collect();
-            let (all, some) = (general(&u), slight(&u).unwrap());
-            let size = all
-                .as_flattened()
-                .iter()
-                .fold(0.0f32, |m, f| m.max(f.abs()));
-            for (a, b) in all.as_flattened().iter().zip(some.as_flattened()) {
-                assert!((a - b).abs() < 2e-6 * size, "{a} {b} of {size}");
-            }
-        }
-    }
-
-    fn same_bits(brick: &Brick, form: &Form, u: &[Vec3]) {
-        let bits = |rows: &[[f32; PADDED]]| -> Vec<u32> {
-            let numbers = rows.iter().flat_map(|row| &row[..LOCALS]);
-            numbers.map(|v| v.to_bits()).collect()
-        };
-        let forces = |wide: bool| {
-            let scratch = &mut Ends::new();
-            let op = Forces {
-                brick,
-                form,
-                u,
-                scratch,
-            };
-            let f = if wide {
-                Arch::new().dispatch(op)
-            } else {
-                op.with_simd(Scalar)
-            };
-            bits(&f)
-        };
-        let tangents = |wide: bool| {
-            let scratch = &mut Ends::new();
-            let op = Tangents {
-                brick,
-                form,
-                u,
-                per_spacing: 250.0,
-                scratch,
-            };
-            let m = if wide {
-                Arch::new().dispatch(op)
-            } else {
-                op.with_simd(Scalar)
-            };
-            bits(&m)
-        };
-        assert_eq!(forces(true), forces(false));
-        assert_eq!(tangents(true), tangents(false));
-    }
-
-    #[test]
-    fn forces_add_up_to_nothing_and_have_a_potential() {
-        let (brick, form, u) = brick(3.0);
-        let small: Vec<Vec3> = u.iter().map(|u| u * 0.01).collect();
-        let forces = |u: &[Vec3]| {
-            Arch::new().dispatch(Forces {
-                brick: &brick,
-                form: &form,
-                u,
-                scratch: &mut Ends::new(),
-            })
-        };
-        let bound = Arch::new().dispatch(Tangents {
-            brick: &brick,
-            form: &form,
-            u: &small,
-            per_spacing: 250.0,
-            scratch: &mut Ends::new(),
-        });
-        let f = forces(&small);
-        for row in &f {
-            let sum: f32 = row[..LOCALS].iter().sum();
-            let size: f32 = row[..LOCALS].iter().map(|v| v.abs()).sum();
-            assert!(sum.abs() < 1e-4 * size, "{sum} of {size}");
-        }
-        // What a node's move along x does to the others, by differences.
-        let step = 1e-6;
-        let stiffness: Vec<Vec<f32>> = (0..LOCALS)
-            .map(|i| {
-                let mut moved = small.clone();
-                moved[i].x += f64::from(step);
-                let g = forces(&moved);
-                (0..LOCALS).map(|j| (f[0][j] - g[0][j]) / step).collect()
-            })
-            .collect();
-        for i in 0..LOCALS {
-            let own = stiffness[i][i];
-            assert!(
-                own > 0.0 && own < bound[0][i],
-                "{i}: {own}, {}",
-                bound[0][i]
-            );
-            for j in 0..i {
-                let (a, b) = (stiffness[i][j], stiffness[j][i]);
-                assert!((a - b).abs() < 0.02 * own, "{i} {j}: {a} {b}");
-            }
-        }
-    }
-}
+mod tests;

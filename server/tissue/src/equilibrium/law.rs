@@ -40,7 +40,17 @@
 //! behind. The seed accumulates forces over rigid clusters by recursion, which can cycle. Here
 //! (reconstructed) an extreme spring is S times stiffer beyond its limit: equilibrium then passes
 //! the force on through the whole cluster. There is no recursion to cycle, but a thirtyfold step in
-//! stiffness is hard to solve over: with a limit of 0.8 iterates jump to and fro (see CONTRIBUTING).
+//! stiffness is hard to solve over: with a limit of 0.8 iterates jump to and fro. Where a material bottoms
+//! out, a pressed spring has an energy of its own beyond its limit, which gets stiffer over a part of its length
+//! and up to a smaller factor (`hold.rs`), because stiff rods buckle; iterates that go down in an energy can not
+//! cycle.
+//!
+//! # Deep presses
+//!
+//! Springs pressed to half their length give way sideways, and a lattice of them gets softer the
+//! flatter it is. What holds the pressed springs of a material that bottoms out to their direction is in
+//! `hold.rs`, what hardens its cells that lose their volume in `corners.rs`. Both are nothing at up to a
+//! tenth of strain and leave Young's modulus, shear modulus and Poisson's ratio as they are.
 //!
 //! # The tangent
 //!
@@ -85,6 +95,8 @@ pub(crate) struct Curve {
     pub(crate) stiffening: f32,
     /// `α_min` and `α_max`: lengths at which a spring turns extreme, in parts of its rest length.
     pub(crate) limits: [f32; 2],
+    /// Whether pressed springs are held and flat corners harden (`hold.rs`, `corners.rs`).
+    pub(crate) held: bool,
 }
 
 impl Curve {
@@ -96,6 +108,7 @@ impl Curve {
                 material.compress_limit as f32,
                 material.stretch_limit as f32,
             ],
+            held: material.bottoms_out,
         }
     }
 }

@@ -3,6 +3,7 @@
 //! | noun | what it is |
 //! | --- | --- |
 //! | `law` | what a material makes of springs: length law, volume term, guard, extreme springs, fibres |
+//! | `hold`, `corners` | what keeps tissue that bottoms out from folding: held springs, hardening corners |
 //! | `brick`, `kernel`, `slight`, `lanes` | forces of eight cells at a time, in vectors |
 //! | `coarsen`, `element`, `matrix`, `structure` | coarse lattices that open where cuts do, with a matrix per element |
 //! | `patch`, `cycle`, `overlay` | the part of the coarse lattices near the tools, one V-cycle over it, what tools add |
@@ -41,11 +42,13 @@ mod brick;
 mod budget;
 mod choice;
 mod coarsen;
+mod corners;
 mod cycle;
 mod element;
 mod field;
 mod follower;
 mod foresight;
+mod hold;
 mod jacobi;
 mod kernel;
 mod lanes;

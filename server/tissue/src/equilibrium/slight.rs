@@ -15,9 +15,9 @@ use super::brick::{DIRECTIONS, Form, LOCALS, OFFSETS, PADDED, SPAN};
 use super::kernel::{Ends, LEAD, Local};
 use super::lanes::V;
 
-/// |e| up to which springs are slight.
-const SLIGHT: f32 = 0.2;
-/// g, from the constant on: least squares in Chebyshev points of ±[`SLIGHT`], off by 1.5e-7 of it at most.
+/// |e| up to which springs are slight, and where pressed springs are held: these are from 0.19 on.
+const SLIGHT: [f32; 2] = [0.2, 0.19];
+/// g, from the constant on: least squares in Chebyshev points of ±0.2, off by 1.5e-7 of it at most.
 const POLYNOMIAL: [f32; 7] = [
     0.5,
     -0.375_001_46,
@@ -38,7 +38,7 @@ impl Form {
     /// Whether its springs follow the length law alone while they are slight.
     pub(crate) fn is_plain(&self) -> bool {
         let [least, most] = self.curve.limits;
-        self.curve.stiffening == 0.0 && least < LENGTHS[0] && most > LENGTHS[1]
+        !self.skewed && self.curve.stiffening == 0.0 && least < LENGTHS[0] && most > LENGTHS[1]
     }
 }
 
@@ -97,7 +97,8 @@ pub(crate) fn slight_forces<S: Simd>(
             from += V::<S>::WIDTH;
         }
     }
-    let slight = !(most - V::all(simd, SLIGHT * SLIGHT)).any_above_zero();
+    let limit = SLIGHT[usize::from(form.curve.held)];
+    let slight = !(most - V::all(simd, limit * limit)).any_above_zero();
     slight.then_some(ends.collect(simd, -1.0))
 }
 

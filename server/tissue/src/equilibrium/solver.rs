@@ -42,16 +42,19 @@ const EFFORT: [Effort; 2] = [
 /// before it is refined; of a solution, and of a step that a hand waits for.
 const PENDING: [f32; 2] = [4.0, 7.0];
 /// While a hand waits: change of the size of an element, in parts of it, that may wait with the coarse
-/// level's stiffness at rest, and the one of a brick that stays in the set while it lasts.
-const STRAINED: f32 = 0.05;
+/// level's stiffness at rest (of springs alone, and of tissue that bottoms out), and the one of a brick that stays
+/// in the set while it lasts.
+const STRAINED: [f32; 2] = [0.05, 0.04];
 const BENT: f32 = 0.2;
 /// Part of their stiffness that elements answer with which wait while a hand does. With all of it the force on a real
-/// thigh is 4 to 5 % too high all through a press, with 0.75 it is 6 % too low at first.
-const SLACK: f32 = 0.85;
+/// thigh is 4 to 5 % too high all through a press, with 0.75 it is 6 % too low at first; the second one is that of
+/// tissue that bottoms out.
+const SLACK: [f32; 2] = [0.85, 0.8];
 /// Smoothing steps under the tools when a quick step ends.
 const LAST_STEPS: usize = 5;
-/// Share of the correction of the coarse levels that is taken at least and at most.
-const SHARES: [f64; 2] = [0.2, 2.0];
+/// Share of the coarse levels' correction that is taken at least and at most: a layer that bottoms out
+/// is tens of times as stiff as they know.
+const SHARES: [f64; 2] = [0.01, 2.0];
 /// Part of the allowed residual that a single node may keep at first. When what is active has
 /// become calm the part is lowered, down to where all stirred nodes together can not exceed it.
 const FIRST_SHARE: f64 = 0.25;
@@ -67,7 +70,7 @@ const QUICK: f64 = 0.02;
 const DEEPEN: f64 = 0.25;
 /// Iterations that are due when a tool has jumped or has just touched the tissue: there is no last change to
 /// begin with.
-const DUE: usize = 3;
+const DUE: usize = 4;
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
 const BLOWN_UP: f64 = 1e4;
 
@@ -319,9 +322,15 @@ impl Solver {
     ) {
         let quick = budget.near || budget.tolerance >= QUICK && self.held.is_empty();
         self.coarse.pending = PENDING[usize::from(quick)];
-        self.coarse.strained = if budget.near { STRAINED } else { f32::INFINITY };
-        self.coarse.slack = if budget.near { SLACK } else { 1.0 };
+        let deep = usize::from(self.structure.bottoms_out);
+        self.coarse.strained = if budget.near {
+            STRAINED[deep]
+        } else {
+            f32::INFINITY
+        };
+        self.coarse.slack = if budget.near { SLACK[deep] } else { 1.0 };
         self.coarse.follows = self.contacts.proxies.is_empty();
+        self.field.limit_moves(&self.structure, budget.near);
         self.field.bent = if budget.near { BENT } else { f32::INFINITY };
         // What took part in the last step takes part again: nothing is gained by beginning coarsely.
         let mut share = if self.carried { 0.0 } else { FIRST_SHARE };

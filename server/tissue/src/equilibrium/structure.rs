@@ -119,6 +119,8 @@ pub(crate) struct Structure {
     pub(super) ties: Vec<Ties>,
     pub(super) levels: Vec<Level>,
     pub(super) per_spacing: f32,
+    /// Whether any tissue bottoms out.
+    pub(super) bottoms_out: bool,
     kinds: Kinds,
     /// First brick of the element of each cell.
     brick_of: Vec<u32>,
@@ -169,6 +171,11 @@ impl Structure {
             ties,
             levels: Vec::new(),
             per_spacing: (1.0 / topology.model().spacing_m) as f32,
+            bottoms_out: topology
+                .model()
+                .regions
+                .iter()
+                .any(|r| r.material.bottoms_out),
             kinds,
             brick_of,
         };
@@ -439,6 +446,7 @@ impl Form {
         take(&self.per_volume);
         take(&[self.curve.stiffening]);
         take(&self.curve.limits);
+        take(&self.corner);
         hasher.digest128()
     }
 }

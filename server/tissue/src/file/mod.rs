@@ -35,6 +35,9 @@ use crate::{Cell, FACES, FibreAxis, Material, Model, NO_CELL, Region, RegionId, 
 const MAGIC: [u8; 8] = *b"palpmodl";
 /// Version of the model format that this program writes and reads.
 pub const MODEL_FORMAT: u32 = 2;
+/// Bits of a material's flags: its fibres run along a direction that follows, and it bottoms out.
+const GIVEN_AXIS: u8 = 1;
+const BOTTOMS_OUT: u8 = 2;
 /// Longest build report in bytes; a longer one is left out.
 const REPORT_BYTES_MAX: usize = 16 << 20;
 
@@ -208,6 +211,7 @@ fn write_region(out: &mut Content, region: &Region) {
         fibre_axis,
         compress_limit,
         stretch_limit,
+        bottoms_out,
         density_kg_m3,
         friction_static,
         friction_dynamic,
@@ -225,7 +229,8 @@ fn write_region(out: &mut Content, region: &Region) {
         friction_dynamic,
     ];
     out.text(&m.name);
-    out.u8(u8::from(fibre_axis != FibreAxis::Long));
+    let given = u8::from(fibre_axis != FibreAxis::Long);
+    out.u8((given * GIVEN_AXIS) | (u8::from(bottoms_out) * BOTTOMS_OUT));
     if let FibreAxis::Given(axis) = fibre_axis {
         for component in axis {
             out.f64(component);
@@ -242,24 +247,31 @@ fn read_region(reader: &mut Reader<'_>) -> Result<Region, Short> {
         name: reader.text()?,
         pinned: reader.u8()? != 0,
         fibre: reader.point()?,
-        material: Material {
-            name: reader.text()?,
-            // A struct's fields are read in the order they stand in here.
-            fibre_axis: match reader.u8()? {
-                0 => FibreAxis::Long,
-                _ => FibreAxis::Given(reader.point()?),
-            },
-            young_pa: reader.f64()?,
-            poisson: reader.f64()?,
-            stiffening: reader.f64()?,
-            fibre_ratio: reader.f64()?,
-            compress_limit: reader.f64()?,
-            stretch_limit: reader.f64()?,
-            density_kg_m3: reader.f64()?,
-            friction_static: reader.f64()?,
-            friction_dynamic: reader.f64()?,
-            source: reader.text()?,
+        material: read_material(reader)?,
+    })
+}
+
+fn read_material(reader: &mut Reader<'_>) -> Result<Material, Short> {
+    let name = reader.text()?;
+    let flags = reader.u8()?;
+    Ok(Material {
+        name,
+        bottoms_out: flags & BOTTOMS_OUT != 0,
+        // A struct's fields are read in the order they stand in here.
+        fibre_axis: match flags & GIVEN_AXIS {
+            0 => FibreAxis::Long,
+            _ => FibreAxis::Given(reader.point()?),
         },
+        young_pa: reader.f64()?,
+        poisson: reader.f64()?,
+        stiffening: reader.f64()?,
+        fibre_ratio: reader.f64()?,
+        compress_limit: reader.f64()?,
+        stretch_limit: reader.f64()?,
+        density_kg_m3: reader.f64()?,
+        friction_static: reader.f64()?,
+        friction_dynamic: reader.f64()?,
+        source: reader.text()?,
     })
 }
 

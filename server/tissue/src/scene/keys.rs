@@ -108,6 +108,16 @@ impl<'i> Text<'i> {
         number.ok_or_else(|| self.kind(key, value, "a number"))
     }
 
+    /// Yes or no.
+    pub(super) fn boolean(
+        &self,
+        key: &str,
+        value: &Spanned<DeValue<'i>>,
+    ) -> Result<bool, SceneError> {
+        let known = value.get_ref().as_bool();
+        known.ok_or_else(|| self.kind(key, value, "true or false"))
+    }
+
     /// An array of values, or of tables.
     pub(super) fn array<'a>(
         &self,

@@ -10,7 +10,7 @@ use super::keys::Text;
 use crate::{FibreAxis, Material, MaterialOverride};
 
 /// Keys that change a material, in `[material.NAME]` and in `[[region]]` alike.
-pub(super) const MATERIAL_KEYS: [&str; 10] = [
+pub(super) const MATERIAL_KEYS: [&str; 11] = [
     "young_kpa",
     "poisson",
     "stiffening",
@@ -18,6 +18,7 @@ pub(super) const MATERIAL_KEYS: [&str; 10] = [
     "fibres",
     "compress_limit",
     "stretch_limit",
+    "bottoms_out",
     "density_kg_m3",
     "friction_static",
     "friction_dynamic",
@@ -61,6 +62,10 @@ pub(super) fn change(text: &Text, table: &DeTable) -> Result<MaterialOverride, S
         fibre_axis: table.get("fibres").map(|v| fibres(text, v)).transpose()?,
         compress_limit: number("compress_limit")?,
         stretch_limit: number("stretch_limit")?,
+        bottoms_out: table
+            .get("bottoms_out")
+            .map(|v| text.boolean("bottoms_out", v))
+            .transpose()?,
         density_kg_m3: number("density_kg_m3")?,
         friction_static: number("friction_static")?,
         friction_dynamic: number("friction_dynamic")?,

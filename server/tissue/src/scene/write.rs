@@ -63,6 +63,9 @@ fn write_change(out: &mut String, change: &MaterialOverride) -> fmt::Result {
             writeln!(out, "{key} = {}", number(value))?;
         }
     }
+    if let Some(value) = change.bottoms_out {
+        writeln!(out, "bottoms_out = {value}")?;
+    }
     match change.fibre_axis {
         None => Ok(()),
         Some(FibreAxis::Long) => writeln!(out, "fibres = \"long\""),

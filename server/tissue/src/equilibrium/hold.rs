@@ -1,0 +1,241 @@
+//! Pressed springs: what keeps them from giving way sideways, and where they end.
+//!
+//! A spring of the length law at r = |d| < l0 has the stiffness k(1 - l0/r) across its direction,
+//! -k at half its length. From 30 to 40 % of local strain on that outweighs what its neighbours
+//! hold up: the lattice buckles, cells fold sideways, and pressing on meets no more resistance.
+//! Against it (reconstructed) a pressed spring is held to its direction at rest n0 by
+//!
+//! ```text
+//! χ(r) (r - d·n0)          χ = k l0 t²(3 - 2t),  t = 1 - r/(c l0) within 0..1
+//! ```
+//!
+//! At rest and when drawn there is nothing of it: up to 1 - c of compression, and however far it
+//! turns, a spring stays what it was. Pressed along n0 its force stays what it was, too, and its
+//! stiffness across becomes k(1 - l0/r) + χ/r, nowhere below -k/4; towards r = 0 the sum with the
+//! length law is that of the offset law k(d - d0), convex in all directions. (An energy that lets a
+//! spring turn freely at its full length can not be convex everywhere within it.)
+//!
+//! Extreme springs (`law.rs`) set in smoothly: below r = `α_min` l0, with y = `α_min` l0 - r, they push
+//! with
+//!
+//! ```text
+//! P = S k y²/(y + h l0)
+//! ```
+//!
+//! and are held by P in the place of χ besides, which is just what their push takes off the
+//! stiffness across.
+
+use pulp::Simd;
+
+use super::brick::{DIRECTIONS, Form, SPAN};
+use super::corners::NEAR;
+use super::kernel::{
+    Ends, Group, LEAD, Local, LocalBlocks, PAIRS, SPRINGS, dot, exponential, growth,
+};
+use super::lanes::V;
+use super::law::{EXTREME, GUARD, LONG, SHORT, SIDEWAYS};
+
+/// What single springs of the lattice have beyond their neighbours counts in full: two ends.
+const SINGLE: f32 = 2.0;
+/// Part of its length at rest that a spring may be pressed further, or of its volume a corner, until
+/// blocks are computed again.
+pub(crate) const MARGIN: f32 = 0.05;
+
+/// c: length in parts of its own at rest below which a spring is held.
+const HELD: f32 = 0.9;
+/// S: stiffness of a spring pressed far beyond its limit, in parts of its own.
+const PRESSED: f32 = 4.0;
+/// h: part of the length at rest over which an extreme spring sets in.
+const ONSET: f32 = 0.3;
+
+/// A pressed spring, or what it may become.
+struct Hold<S: Simd> {
+    /// P in N, and its derivative by -r in N/m.
+    push: V<S>,
+    stiffness: V<S>,
+    /// χ and P in N, and their derivative by r in N/m.
+    back: V<S>,
+    slope: V<S>,
+}
+
+impl<S: Simd> Hold<S> {
+    /// Above zero where a spring of this length is held or extreme, given `α_min`.
+    #[inline(always)]
+    fn sets_in(simd: S, limit: f32, length: V<S>, rest: V<S>) -> V<S> {
+        V::all(simd, limit.max(HELD)) * rest - length
+    }
+
+    /// That of a spring of stiffness `k`.
+    #[inline(always)]
+    fn new(simd: S, limit: f32, k: V<S>, length: V<S>, rest: V<S>) -> Self {
+        let all = |v: f32| V::all(simd, v);
+        let t = all(1.0) - length / (all(HELD) * rest);
+        let t = t.max(all(0.0));
+        let held = k * rest * t * t * (all(3.0) - all(2.0) * t);
+        let fall = all(6.0 / HELD) * k * t * (all(1.0) - t);
+        let y = (all(limit) * rest - length).max(all(0.0));
+        let h = all(ONSET) * rest;
+        let sum = y + h;
+        let push = all(PRESSED) * k * y * y / sum;
+        let stiffness = all(PRESSED) * k * y * (sum + h) / (sum * sum);
+        Self {
+            push,
+            stiffness,
+            back: held + push,
+            slope: all(0.0) - fall - stiffness,
+        }
+    }
+
+    /// The force on the spring's start along d/|d|, and against n0, in N. `over` is r - d·n0.
+    #[inline(always)]
+    fn pull(&self, over: V<S>) -> [V<S>; 2] {
+        [self.slope * over + self.back - self.push, self.back]
+    }
+
+    /// What it adds to the stiffness at most, in N/m: along d, across it by the hold, and to both
+    /// where the spring has turned from n0 (|n - n0|² = 2 (1 - cos) bounds what couples the two).
+    #[inline(always)]
+    fn stiffness(&self, simd: S, length: V<S>, over: V<S>) -> [V<S>; 3] {
+        let away = (V::all(simd, 2.0) * over.max(V::all(simd, 0.0)) / length).sqrt();
+        let turning = (V::all(simd, 0.0) - self.slope) * away;
+        [self.stiffness, self.back / length, turning]
+    }
+}
+
+impl<S: Simd> Group<S> {
+    /// Above zero where the spring is far from its rest length. (Where there is none, the rest
+    /// length is a metre, and this is below zero.)
+    #[inline(always)]
+    fn strained(&self, simd: S) -> V<S> {
+        let change = self.excess.max(V::all(simd, 0.0) - self.excess);
+        change - V::all(simd, NEAR) * self.rest_square()
+    }
+
+    /// |d| - d·d0/l0: how much longer the spring is than along its rest direction.
+    #[inline(always)]
+    fn over(&self) -> V<S> {
+        self.length - dot(&self.now, &self.rest) / self.rest_length
+    }
+
+    /// How far the spring is drawn beyond its limit, in m, above zero.
+    #[inline(always)]
+    fn drawn(&self, simd: S, limit: f32) -> V<S> {
+        self.length - V::all(simd, limit) * self.rest_length
+    }
+}
+
+/// Forces of the springs, and whether any is strained so far that corners have to be looked at.
+#[inline(always)]
+pub(crate) fn held_forces<S: Simd>(
+    simd: S,
+    form: &Form,
+    u: &Local,
+    ends: &mut Ends<3>,
+) -> (Local, bool) {
+    let zero = V::all(simd, 0.0);
+    let mut strained = zero;
+    for direction in 0..DIRECTIONS {
+        let mut from = 0;
+        while from < SPAN {
+            if form.uses(direction, from, V::<S>::WIDTH) {
+                let s = Group::load(simd, form, u, direction, from);
+                strained = strained.max(s.strained(simd));
+                let k = V::load(simd, &form.stiffness[direction], from);
+                let stretch = s.excess / ((s.length + s.rest_length) * s.length);
+                let mut t = k * stretch;
+                if form.curve.stiffening > 0.0 {
+                    let b = V::all(simd, form.curve.stiffening);
+                    t = t * (b * stretch * s.length / s.rest_length).map(growth);
+                }
+                let [least, most] = form.curve.limits;
+                let (long, guarded) = (s.drawn(simd, most), s.guarded(simd));
+                let pressed = Hold::sets_in(simd, least, s.length, s.rest_length);
+                // Rare, and dear: two roots and a division are what a spring costs otherwise.
+                let unusual = k.where_above_zero(pressed.max(long).max(guarded));
+                let unusual = unusual.any_above_zero();
+                let mut guard = zero;
+                if unusual {
+                    let hold = Hold::new(simd, least, k, s.length, s.rest_length);
+                    let [pull, back] = hold.pull(s.over());
+                    let long = V::all(simd, EXTREME) * k * long.max(zero);
+                    t = t + (long + pull) / s.length;
+                    guard = V::all(simd, GUARD) * k * guarded.max(zero) / s.rest_square();
+                    guard = guard + back / s.rest_length;
+                }
+                for a in 0..3 {
+                    let mut pull = t * s.now[a];
+                    if unusual {
+                        pull = pull - guard * s.rest[a];
+                    }
+                    pull.store(&mut ends.0[direction][a], LEAD + from);
+                }
+            } else {
+                ends.none(simd, direction, from);
+            }
+            from += V::<S>::WIDTH;
+        }
+    }
+    (ends.collect(simd, -1.0), strained.any_above_zero())
+}
+
+/// Blocks of the springs, and whether any is strained so far that corners have to be looked at.
+#[inline(always)]
+pub(crate) fn held_tangents<S: Simd>(
+    simd: S,
+    form: &Form,
+    u: &Local,
+    per_spacing: f32,
+    ends: &mut Ends<6>,
+) -> (LocalBlocks, bool) {
+    let all = |v: f32| V::all(simd, v);
+    let mut strained = all(0.0);
+    for direction in 0..DIRECTIONS {
+        let mut from = 0;
+        while from < SPAN {
+            if form.uses(direction, from, V::<S>::WIDTH) {
+                let s = Group::load(simd, form, u, direction, from);
+                strained = strained.max(s.strained(simd));
+                let plain = V::load(simd, &form.stiffness[direction], from);
+                let mut k = plain * all(SPRINGS);
+                let plain = plain * all(SINGLE);
+                if form.curve.stiffening > 0.0 {
+                    let b = all(form.curve.stiffening);
+                    let strain = b * (s.length - s.rest_length) / s.rest_length;
+                    k = k * strain.map(exponential).max(all(0.05));
+                }
+                let [least, most] = form.curve.limits;
+                let stiff = s.drawn(simd, most).where_above_zero(all(EXTREME) * plain);
+                let slope = (s.rest_length * all(per_spacing) - all(SHORT)) / all(LONG - SHORT);
+                let slope = slope.max(all(0.0)).min(all(1.0));
+                let floor = all(1.0) + slope * all(SIDEWAYS - 1.0);
+                let turning = all(1.0) - s.rest_length / s.length;
+                let (mut first, mut across) = (k, k * turning.max(floor));
+                let margin = all(MARGIN) * s.rest_length;
+                let length = (s.length - margin).max(margin);
+                let pressed = Hold::sets_in(simd, least, length, s.rest_length);
+                if plain.where_above_zero(pressed).any_above_zero() {
+                    let hold = Hold::new(simd, least, plain, length, s.rest_length);
+                    let [along, held, bent] = hold.stiffness(simd, length, s.over());
+                    first = first + along + bent;
+                    let held = held.where_above_zero(k * turning + held);
+                    across = across.max(held) + bent;
+                }
+                let (first, across) = (first + stiff, across + stiff);
+                let along = (first - across) / s.square;
+                let guard = all(GUARD) * plain / s.rest_square();
+                let guard = s.guarded(simd).where_above_zero(guard);
+                for (e, (a, b)) in PAIRS.into_iter().enumerate() {
+                    let mut v = along * s.now[a] * s.now[b] + guard * s.rest[a] * s.rest[b];
+                    if e < 3 {
+                        v = v + across;
+                    }
+                    v.store(&mut ends.0[direction][e], LEAD + from);
+                }
+            } else {
+                ends.none(simd, direction, from);
+            }
+            from += V::<S>::WIDTH;
+        }
+    }
+    (ends.collect(simd, 1.0), strained.any_above_zero())
+}

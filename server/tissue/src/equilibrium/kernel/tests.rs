@@ -1,0 +1,221 @@
+use pulp::{Arch, Scalar};
+
+use super::*;
+use crate::equilibrium::brick::Draft;
+use crate::{Material, Model, Topology, block};
+
+/// A distorted brick of a material that uses every term, and displacements that fold it.
+fn brick(stiffening: f64, bottoms_out: bool) -> (Brick, Form, Vec<Vec3>) {
+    let material = Material {
+        poisson: 0.4,
+        stiffening,
+        bottoms_out,
+        ..Material::default()
+    };
+    let mut model: Model = block([2, 2, 2], 4e-3, &material, 0);
+    let noise = |i: usize, a: usize| ((i * 31 + a * 17) % 23) as f64 / 23.0 - 0.5;
+    for (i, p) in model.nodes.iter_mut().enumerate() {
+        *p += Vec3::new(noise(i, 0), noise(i, 1), noise(i, 2)) * 1e-3;
+    }
+    let topology = Topology::new(model.into());
+    let cells: Vec<(usize, u32)> = (0..8).map(|c| (c, c as u32)).collect();
+    let mut drafts = Vec::new();
+    Draft::of(&topology, &cells, &mut drafts);
+    let (brick, form) = drafts[0].finish(&topology);
+    let u = (0..27)
+        .map(|i| Vec3::new(noise(i, 3), noise(i, 4), noise(i, 5)) * 9e-3)
+        .collect();
+    (brick, form, u)
+}
+
+#[test]
+fn vectors_of_any_width_give_the_same_bits() {
+    for bottoms_out in [false, true] {
+        let (brick, form, u) = brick(3.0, bottoms_out);
+        same_bits(&brick, &form, &u);
+        let (brick, form, u) = self::brick(0.0, bottoms_out);
+        same_bits(&brick, &form, &slight(&u));
+    }
+}
+
+#[test]
+fn slight_springs_follow_the_general_law_and_others_are_left_to_it() {
+    slight_springs_follow(brick(0.0, false));
+    slight_springs_follow(brick(0.0, true));
+}
+
+fn slight_springs_follow((brick, form, u): (Brick, Form, Vec<Vec3>)) {
+    let general = |u: &[Vec3]| {
+        let local = gather(&brick.nodes, u);
+        if form.curve.held {
+            held_forces(Scalar, &form, &local, &mut Ends::new()).0
+        } else {
+            spring_forces(Scalar, &form, &local, &mut Ends::new())
+        }
+    };
+    let other = |u: &[Vec3]| {
+        let local = gather(&brick.nodes, u);
+        slight_forces(Scalar, &form, &local, &mut Ends::new())
+    };
+    assert!(other(&u).is_none());
+    for turned in [0.0, 0.04] {
+        // A turn strains nothing by more than its square.
+        let turn = |(u, p): (&Vec3, usize)| {
+            let [x, y] = [0, 1].map(|a| f64::from(form.rest[a][p]));
+            u + Vec3::new(-y, x, 0.0) * turned
+        };
+        let u: Vec<Vec3> = slight(&u).iter().zip(0..).map(turn).collect();
+        let (all, some) = (general(&u), other(&u).unwrap());
+        let (all, some) = (all.as_flattened(), some.as_flattened());
+        let size = all.iter().fold(0.0f32, |m, f| m.max(f.abs()));
+        for (a, b) in all.iter().zip(some) {
+            assert!((a - b).abs() < 2e-6 * size, "{a} {b} of {size}");
+        }
+    }
+}
+
+/// A small part of the displacements.
+fn slight(u: &[Vec3]) -> Vec<Vec3> {
+    u.iter().map(|u| u * 0.02).collect()
+}
+
+fn same_bits(brick: &Brick, form: &Form, u: &[Vec3]) {
+    let bits = |rows: &[[f32; PADDED]]| -> Vec<u32> {
+        let numbers = rows.iter().flat_map(|row| &row[..LOCALS]);
+        numbers.map(|v| v.to_bits()).collect()
+    };
+    let forces = |wide: bool| {
+        let scratch = &mut Ends::new();
+        let op = Forces {
+            brick,
+            form,
+            u,
+            scratch,
+        };
+        let f = if wide {
+            Arch::new().dispatch(op)
+        } else {
+            op.with_simd(Scalar)
+        };
+        bits(&f)
+    };
+    let tangents = |wide: bool| {
+        let scratch = &mut Ends::new();
+        let op = Tangents {
+            brick,
+            form,
+            u,
+            per_spacing: 250.0,
+            scratch,
+        };
+        let m = if wide {
+            Arch::new().dispatch(op)
+        } else {
+            op.with_simd(Scalar)
+        };
+        bits(&m)
+    };
+    assert_eq!(forces(true), forces(false));
+    assert_eq!(tangents(true), tangents(false));
+}
+
+/// A little strained, and so much that springs are held and extreme and corners push.
+#[test]
+fn forces_add_up_to_nothing_and_have_a_potential() {
+    let (brick, form, u) = brick(3.0, true);
+    for scale in [0.01, STRAINED] {
+        let u: Vec<Vec3> = u.iter().map(|u| u * scale).collect();
+        has_a_potential(&brick, &form, &u);
+    }
+}
+
+#[test]
+fn a_brick_turned_by_sixty_degrees_bears_no_force() {
+    let (brick, form, _) = brick(3.0, true);
+    let turn = nalgebra::Rotation3::from_scaled_axis(Vec3::new(0.3, -0.5, 0.86).normalize() * 1.05);
+    let mut turned = vec![Vec3::zeros(); LOCALS];
+    for (i, &node) in brick.nodes.iter().enumerate() {
+        let p = Vec3::from([0, 1, 2].map(|a| f64::from(form.rest[a][i])));
+        turned[node as usize] = turn * p - p;
+    }
+    let (f, strained) = (
+        forces(&brick, &form, &turned),
+        forces(&brick, &form, &strain()),
+    );
+    let size = |f: &Local| -> f32 {
+        f.iter()
+            .flat_map(|row| &row[..LOCALS])
+            .map(|v| v.abs())
+            .sum()
+    };
+    assert!(
+        size(&f) < 1e-4 * size(&strained),
+        "{} {}",
+        size(&f),
+        size(&strained)
+    );
+}
+
+#[test]
+fn corners_push_in_a_strained_brick_and_in_no_other() {
+    let (brick, form, u) = brick(3.0, true);
+    let mut soft = form.clone();
+    soft.corner = [0.0; LANES];
+    for (scale, push) in [(0.02, false), (STRAINED, true)] {
+        let u: Vec<Vec3> = u.iter().map(|u| u * scale).collect();
+        assert_eq!(forces(&brick, &form, &u) != forces(&brick, &soft, &u), push);
+    }
+}
+
+/// Part of the displacements that strains the brick without folding it.
+const STRAINED: f64 = 0.25;
+
+fn strain() -> Vec<Vec3> {
+    brick(3.0, true).2.iter().map(|u| u * STRAINED).collect()
+}
+
+fn forces(brick: &Brick, form: &Form, u: &[Vec3]) -> Local {
+    Arch::new().dispatch(Forces {
+        brick,
+        form,
+        u,
+        scratch: &mut Ends::new(),
+    })
+}
+
+fn has_a_potential(brick: &Brick, form: &Form, u: &[Vec3]) {
+    let bound = Arch::new().dispatch(Tangents {
+        brick,
+        form,
+        u,
+        per_spacing: 250.0,
+        scratch: &mut Ends::new(),
+    });
+    for row in &forces(brick, form, u) {
+        let sum: f32 = row[..LOCALS].iter().sum();
+        let size: f32 = row[..LOCALS].iter().map(|v| v.abs()).sum();
+        assert!(sum.abs() < 1e-4 * size, "{sum} of {size}");
+    }
+    // What a node's move along one axis does to all, by differences.
+    let step = 1e-6;
+    let stiffness: Vec<[[f32; PADDED]; 3]> = (0..3 * LOCALS)
+        .map(|i| {
+            let by = |sign: f64| {
+                let mut moved = u.to_vec();
+                moved[i / 3][i % 3] += sign * f64::from(step);
+                forces(brick, form, &moved)
+            };
+            let (on, back) = (by(1.0), by(-1.0));
+            let row = |a: usize, j: usize| (back[a][j] - on[a][j]) / (2.0 * step);
+            [0, 1, 2].map(|a| std::array::from_fn(|j| row(a, j)))
+        })
+        .collect();
+    for i in 0..3 * LOCALS {
+        let (own, most) = (stiffness[i][i % 3][i / 3], bound[i % 3][i / 3]);
+        assert!(own > 0.0 && own < most, "{i}: {own}, {most}");
+        for j in 0..i {
+            let (a, b) = (stiffness[i][j % 3][j / 3], stiffness[j][i % 3][i / 3]);
+            assert!((a - b).abs() < 0.02 * own, "{i} {j}: {a} {b}");
+        }
+    }
+}
