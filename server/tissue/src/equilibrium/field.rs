@@ -11,19 +11,12 @@ use rayon::prelude::*;
 use super::block::{Quad, ZERO};
 use super::brick::LOCALS;
 use super::cycle::Multigrid;
-use super::kernel::{Ends, Forces, Tangents};
-use super::patch::{List, interpolate, invert};
+use super::kernel::{Ends, Forces};
+use super::patch::{List, interpolate};
 use super::structure::Structure;
 use crate::contact::Contacts;
 use crate::{Topology, Vec3};
 
-/// Longest move of a node in one smoothing step, in spacings; longer ones are cut and counted. While a hand
-/// waits, blocks are computed once per iteration, and what bottoms out hardens within the steps that go by them.
-const MOVE_MAX: [f64; 2] = [0.5, 0.02];
-/// How many times a contact counts in the block of a node that is smoothed: a Chebyshev step goes up to 1.74
-/// times as far as the block says, and a contact that has opened does not bring the node back. Without it
-/// forces of a real thigh were up to twice what they should be for a tick, now and then.
-const CAUTION: f64 = 2.0;
 /// Bricks from which on they are shared among threads.
 const PARALLEL: usize = 512;
 /// What the solver knows of single nodes and bricks.
@@ -66,7 +59,7 @@ pub(super) struct Field {
     /// Bricks to be computed before anything is said about their nodes.
     stale: List,
     /// Nodes that are looked at; scratch.
-    touched: List,
+    pub(super) touched: List,
     /// Displacements before this step of all nodes that moved in it.
     before: Vec<(u32, Vec3)>,
     saved: List,
@@ -77,14 +70,14 @@ pub(super) struct Field {
     /// Bricks computed in this step.
     pub(super) visits: usize,
     /// Blocks of the nodes of the set, without contacts, and of those in contact, with them; scratch.
-    blocks: Vec<[f32; 6]>,
-    pressed: Vec<[f32; 6]>,
+    pub(super) blocks: Vec<[f32; 6]>,
+    pub(super) pressed: Vec<[f32; 6]>,
     /// What level 1 moved each node by in this iteration; scratch.
     pub(super) moved: Vec<Vec3>,
     pub(super) old: Vec<Quad>,
     scratch: Box<Ends<3>>,
-    block_scratch: Box<Ends<6>>,
-    arch: Arch,
+    pub(super) block_scratch: Box<Ends<6>>,
+    pub(super) arch: Arch,
 }
 
 impl Field {
@@ -128,12 +121,6 @@ impl Field {
             block_scratch: Box::new(Ends::new()),
             arch: Arch::new(),
         }
-    }
-
-    /// Sets how far smoothing moves a node at most; see [`MOVE_MAX`].
-    pub(super) fn limit_moves(&mut self, structure: &Structure, near: bool) {
-        let short = near && structure.bottoms_out;
-        self.move_max = MOVE_MAX[usize::from(short)] / f64::from(structure.per_spacing);
     }
 
     /// Marks the bricks around a node as no longer what their forces say.
@@ -462,75 +449,6 @@ impl Field {
     pub(super) fn square_over_free(&self) -> f64 {
         let free = self.nodes.items.iter().filter(|&&n| self.free[n as usize]);
         free.map(|&n| f64::from(square(&self.r[n as usize]))).sum()
-    }
-
-    /// The blocks that smoothing divides by, at the displacements of now.
-    pub(super) fn renew_blocks(&mut self, structure: &Structure, u: &[Vec3], contacts: &Contacts) {
-        let (set, nodes) = (
-            std::mem::take(&mut self.set.items),
-            std::mem::take(&mut self.nodes.items),
-        );
-        self.renew_blocks_of(structure, u, &set, &nodes);
-        (self.set.items, self.nodes.items) = (set, nodes);
-        self.renew_pressed(u, contacts);
-    }
-
-    /// The same, without contacts, for these nodes, given the bricks around them.
-    pub(super) fn renew_blocks_of(
-        &mut self,
-        structure: &Structure,
-        u: &[Vec3],
-        bricks: &[u32],
-        nodes: &[u32],
-    ) {
-        for &node in nodes {
-            self.touched.insert(node);
-            self.blocks[node as usize] = [0.0; 6];
-        }
-        let (blocks, per_spacing) = (&mut self.blocks, structure.per_spacing);
-        for &brick in bricks {
-            let b = &structure.bricks[brick as usize];
-            let form = &structure.forms[b.form as usize];
-            let m = self.arch.dispatch(Tangents {
-                brick: b,
-                form,
-                u,
-                per_spacing,
-                scratch: &mut self.block_scratch,
-            });
-            for i in 0..LOCALS {
-                if b.present >> i & 1 == 1 && self.touched.contains(b.nodes[i]) {
-                    let to = &mut blocks[b.nodes[i] as usize];
-                    for e in 0..6 {
-                        to[e] += m[e][i];
-                    }
-                }
-            }
-        }
-        for &node in nodes {
-            self.inverse[node as usize] = invert(&self.blocks[node as usize]);
-        }
-        self.touched.clear();
-    }
-
-    /// The same for the nodes in contact only, whose stiffness comes and goes with what presses: a node
-    /// smoothed with that of a moment when nothing pressed is thrown far out of the tool, and comes back.
-    pub(super) fn renew_pressed(&mut self, u: &[Vec3], contacts: &Contacts) {
-        self.pressed.clear();
-        let blocks = contacts.nodes.iter().map(|&n| self.blocks[n as usize]);
-        self.pressed.extend(blocks);
-        let pressed = &mut self.pressed;
-        contacts.pressed(u, |sample, _, kappa, n| {
-            for (node, w) in sample.nodes.iter().zip(sample.weights) {
-                let block = contact_block(CAUTION * w * kappa, &n);
-                for (to, v) in pressed[contacts.place(*node)].iter_mut().zip(block) {
-                    *to += v;
-                }
-            }
-        });
-        for (&node, block) in contacts.nodes.iter().zip(&self.pressed) {
-            self.inverse[node as usize] = invert(block);
-        }
     }
 
     /// Force of the bricks on one node, computed afresh.

@@ -1,11 +1,22 @@
 //! How the nodes of the fine level move: by the coarse levels' correction, and by smoothing.
 
 use super::block::{ZERO, plus};
+use super::brick::LOCALS;
 use super::cycle::{Chebyshev, LOW, Multigrid};
-use super::field::Field;
-use super::patch::{apply, interpolate};
+use super::field::{Field, contact_block};
+use super::kernel::Tangents;
+use super::patch::{apply, interpolate, invert};
 use super::structure::Structure;
 use crate::Vec3;
+use crate::contact::Contacts;
+
+/// Longest move of a node in one smoothing step, in spacings; longer ones are cut and counted. While a hand
+/// waits, blocks are computed once per iteration, and what bottoms out hardens within the steps that go by them.
+const MOVE_MAX: [f64; 2] = [0.5, 0.02];
+/// How many times a contact counts in the block of a node that is smoothed: a Chebyshev step goes up to 1.74
+/// times as far as the block says, and a contact that has opened does not bring the node back. Without it
+/// forces of a real thigh were up to twice what they should be for a tick, now and then.
+const CAUTION: f64 = 2.0;
 
 impl Field {
     /// Hands the forces on the nodes of the set to level 1.
@@ -115,6 +126,81 @@ impl Field {
                 self.clamped += 1;
             }
             self.shift(u, node, by);
+        }
+    }
+
+    /// Sets how far smoothing moves a node at most; see [`MOVE_MAX`].
+    pub(super) fn limit_moves(&mut self, structure: &Structure, near: bool) {
+        let short = near && structure.bottoms_out;
+        self.move_max = MOVE_MAX[usize::from(short)] / f64::from(structure.per_spacing);
+    }
+
+    /// The blocks that smoothing divides by, at the displacements of now.
+    pub(super) fn renew_blocks(&mut self, structure: &Structure, u: &[Vec3], contacts: &Contacts) {
+        let (set, nodes) = (
+            std::mem::take(&mut self.set.items),
+            std::mem::take(&mut self.nodes.items),
+        );
+        self.renew_blocks_of(structure, u, &set, &nodes);
+        (self.set.items, self.nodes.items) = (set, nodes);
+        self.renew_pressed(u, contacts);
+    }
+
+    /// The same, without contacts, for these nodes, given the bricks around them.
+    pub(super) fn renew_blocks_of(
+        &mut self,
+        structure: &Structure,
+        u: &[Vec3],
+        bricks: &[u32],
+        nodes: &[u32],
+    ) {
+        for &node in nodes {
+            self.touched.insert(node);
+            self.blocks[node as usize] = [0.0; 6];
+        }
+        let (blocks, per_spacing) = (&mut self.blocks, structure.per_spacing);
+        for &brick in bricks {
+            let b = &structure.bricks[brick as usize];
+            let form = &structure.forms[b.form as usize];
+            let m = self.arch.dispatch(Tangents {
+                brick: b,
+                form,
+                u,
+                per_spacing,
+                scratch: &mut self.block_scratch,
+            });
+            for i in 0..LOCALS {
+                if b.present >> i & 1 == 1 && self.touched.contains(b.nodes[i]) {
+                    let to = &mut blocks[b.nodes[i] as usize];
+                    for e in 0..6 {
+                        to[e] += m[e][i];
+                    }
+                }
+            }
+        }
+        for &node in nodes {
+            self.inverse[node as usize] = invert(&self.blocks[node as usize]);
+        }
+        self.touched.clear();
+    }
+
+    /// The same for the nodes in contact only, whose stiffness comes and goes with what presses: a node
+    /// smoothed with that of a moment when nothing pressed is thrown far out of the tool, and comes back.
+    pub(super) fn renew_pressed(&mut self, u: &[Vec3], contacts: &Contacts) {
+        self.pressed.clear();
+        let blocks = contacts.nodes.iter().map(|&n| self.blocks[n as usize]);
+        self.pressed.extend(blocks);
+        let pressed = &mut self.pressed;
+        contacts.pressed(u, |sample, _, kappa, n| {
+            for (node, w) in sample.nodes.iter().zip(sample.weights) {
+                let block = contact_block(CAUTION * w * kappa, &n);
+                for (to, v) in pressed[contacts.place(*node)].iter_mut().zip(block) {
+                    *to += v;
+                }
+            }
+        });
+        for (&node, block) in contacts.nodes.iter().zip(&self.pressed) {
+            self.inverse[node as usize] = invert(block);
         }
     }
 
