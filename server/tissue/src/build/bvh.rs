@@ -42,6 +42,17 @@ struct Node {
     count: u32,
 }
 
+/// Which part of a line is looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Way {
+    /// What lies before the point, where coordinates are lower.
+    Before,
+    /// What lies after it.
+    After,
+    /// All.
+    Both,
+}
+
 /// The tree.
 #[derive(Debug, Default)]
 pub(super) struct Bvh {
@@ -121,6 +132,9 @@ impl Bvh {
                 let from = node.start as usize;
                 for triangle in &self.triangles[from..from + node.count as usize] {
                     let [a, b, c] = &triangle.corners;
+                    if box_of(&triangle.corners).distance_squared(&at) > best {
+                        continue;
+                    }
                     let candidate = nearest_on(&at, &[local(a), local(b), local(c)]);
                     let distance = (candidate - at).norm_squared();
                     if distance < best || (distance == best && found.is_none()) {
@@ -157,12 +171,22 @@ impl Bvh {
         root.is_some_and(|node| node.distance_squared(&at) == 0.0)
     }
 
-    /// Calls `each` with every triangle whose box the line along `axis` through `point` may pass;
-    /// point and corners are given relative to the tree's origin.
+    /// On which side of a point along an axis the box around all triangles ends sooner.
+    pub(super) fn nearer_end(&self, point: &Vec3, axis: usize) -> Way {
+        let at = point[axis] - self.origin[axis];
+        match self.nodes.first() {
+            Some(n) if f64::from(n.high[axis]) - at < at - f64::from(n.low[axis]) => Way::After,
+            _ => Way::Before,
+        }
+    }
+
+    /// Calls `each` with every triangle whose box the line along `axis` through `point`, or the part of it
+    /// before or after the point, may pass; point and corners are given relative to the tree's origin.
     pub(super) fn for_line(
         &self,
         point: &Vec3,
         axis: usize,
+        way: Way,
         mut each: impl FnMut(&Vec3, &[Vec3; 3]),
     ) {
         if self.nodes.is_empty() {
@@ -173,6 +197,12 @@ impl Bvh {
         // Rounded outwards by a last digit, so that the boxes can be compared in single precision.
         let (p, q) = (at[u] as f32, at[v] as f32);
         let (p0, p1, q0, q1) = (p.next_down(), p.next_up(), q.next_down(), q.next_up());
+        let d = at[axis] as f32;
+        let (first, last) = match way {
+            Way::Before => (f32::NEG_INFINITY, d.next_up()),
+            Way::After => (d.next_down(), f32::INFINITY),
+            Way::Both => (f32::NEG_INFINITY, f32::INFINITY),
+        };
         let mut stack = [0_u32; DEPTH_MAX];
         let mut height = 1;
         while height > 0 {
@@ -180,6 +210,9 @@ impl Bvh {
             let index = stack[height];
             let node = &self.nodes[index as usize];
             if node.low[u] > p1 || node.high[u] < p0 || node.low[v] > q1 || node.high[v] < q0 {
+                continue;
+            }
+            if node.low[axis] > last || node.high[axis] < first {
                 continue;
             }
             if node.count == 0 {
@@ -256,6 +289,16 @@ impl Node {
         }
         sum
     }
+}
+
+/// The box around a triangle.
+fn box_of([a, b, c]: &[[f32; 3]; 3]) -> Node {
+    let mut node = Node::default();
+    for i in 0..3 {
+        node.low[i] = a[i].min(b[i]).min(c[i]);
+        node.high[i] = a[i].max(b[i]).max(c[i]);
+    }
+    node
 }
 
 fn local(p: &[f32; 3]) -> Vec3 {

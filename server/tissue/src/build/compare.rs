@@ -164,11 +164,13 @@ pub(super) fn regions(compared: &Compared<'_>) -> (Vec<RegionReport>, Vec<Stray>
         })
         .collect();
     let strays = strays(compared, &at_corners);
-    let components = components(model);
-    let surfaces: Vec<SurfaceReport> = (0..regions as u16)
-        .into_par_iter()
-        .map(|r| report_triangles(&surface_of(model, faces, RegionId(r))))
-        .collect();
+    let surfaces = || -> Vec<SurfaceReport> {
+        (0..regions as u16)
+            .into_par_iter()
+            .map(|r| report_triangles(&surface_of(model, faces, RegionId(r))))
+            .collect()
+    };
+    let (surfaces, components) = rayon::join(surfaces, || components(model));
     let reports = (0..regions)
         .map(|r| {
             let mut model_side = Distances::default();

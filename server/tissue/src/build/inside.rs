@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 
 use super::blocks::Blocks;
-use super::bvh::Bvh;
+use super::bvh::{Bvh, Way};
 use super::rays::{Winding, hit_at};
 use crate::{Surface, Vec3};
 
@@ -23,6 +23,8 @@ struct Body {
     tree: Bvh,
     /// Axis of its lines.
     axis: usize,
+    /// Whether its triangles are wound alike, so that every line leaves it as often as it enters.
+    wound_alike: bool,
     blocks: Blocks,
 }
 
@@ -36,6 +38,7 @@ impl PointQuery {
             let mut body = Body {
                 tree: Bvh::new(middle, flat.collect()),
                 axis: facing(surface),
+                wound_alike: is_wound_alike(surface),
                 blocks: Blocks::default(),
             };
             body.blocks = Blocks::new(surface, spacing, |p| body.contains(p));
@@ -70,15 +73,50 @@ impl Body {
 
     fn line_tells(&self, point: Vec3) -> bool {
         let axis = self.axis;
-        let mut winding = Winding::default();
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        self.tree.for_line(&point, axis, |at, corners| {
-            if let Some(hit) = hit_at(corners, axis, [at[u], at[v]]) {
-                winding.add(hit.turn, hit.depth < at[axis]);
-            }
-        });
+        let hits = |way: Way, each: &mut dyn FnMut(i8, bool)| {
+            self.tree.for_line(&point, axis, way, |at, corners| {
+                if let Some(hit) = hit_at(corners, axis, [at[u], at[v]]) {
+                    each(hit.turn, hit.depth < at[axis]);
+                }
+            });
+        };
+        if self.wound_alike {
+            // What lies on one side of the point tells as much as what lies on the other.
+            let way = self.tree.nearer_end(&point, axis);
+            let mut turns = 0;
+            hits(way, &mut |turn, before| {
+                if before == (way == Way::Before) {
+                    turns += i32::from(turn);
+                }
+            });
+            return turns != 0;
+        }
+        let mut winding = Winding::default();
+        hits(Way::Both, &mut |turn, before| winding.add(turn, before));
         winding.is_inside()
     }
+}
+
+/// Whether every edge is passed as often in one direction as in the other. Each undirected edge stands for a
+/// number as good as random, and those passed forwards must cancel those passed backwards (by chance they do
+/// once in 2^64 surfaces).
+fn is_wound_alike(surface: &Surface) -> bool {
+    let mut sum = 0_u64;
+    for &[a, b, c] in &surface.triangles {
+        for (from, to) in [(a, b), (b, c), (c, a)] {
+            let edge = u64::from(from.min(to)) << 32 | u64::from(from.max(to));
+            let mut number = edge.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            number = (number ^ (number >> 32)).wrapping_mul(0xd6e8_feb8_6659_fd93);
+            number ^= number >> 32;
+            sum = if from < to {
+                sum.wrapping_add(number)
+            } else {
+                sum.wrapping_sub(number)
+            };
+        }
+    }
+    sum == 0
 }
 
 /// The axis along which the surface shows the largest area.
@@ -120,6 +158,18 @@ mod tests {
             for point in points.into_iter().map(Vec3::from) {
                 prop_assert_eq!(body.contains(point), body.line_tells(point), "{}", point);
             }
+        }
+    }
+
+    #[test]
+    fn a_triangle_wound_against_the_others_is_noticed_and_changes_nothing() {
+        let mut surface = turned(&[(0.02, -0.03), (0.02, 0.03)], 64);
+        assert!(is_wound_alike(&surface));
+        surface.triangles[0].swap(0, 1);
+        assert!(!is_wound_alike(&surface));
+        let query = PointQuery::new(&[&surface], Vec3::zeros(), 1.0);
+        for (x, inside) in [(0.0, true), (0.019, true), (0.0205, false)] {
+            assert_eq!(query.contains(0, Vec3::new(x, 1e-4, 1e-4)), inside, "{x}");
         }
     }
 

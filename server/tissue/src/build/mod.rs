@@ -212,29 +212,54 @@ pub fn build(
     collector.add_strays(&strays);
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
     check::regions(&regions, &mut warnings);
-    let outer = outer_triangles(&faces, &model);
+    let figures = figures(&model, &faces, &names);
     let report = BuildReport {
         nodes: model.nodes.len(),
         cells: model.cells.len(),
-        layers: compare::layers(&Layers::of_faces(&model, &faces), &names),
+        layers: figures.layers,
         springs: compare::count_springs(&model, &around, &faces),
         spacing_mm: spacing * 1e3,
         spacing_search,
         regions,
-        outer_surface: report_triangles(&outer),
+        outer_surface: figures.outer_surface,
         quality: QualityReport {
             nodes_let_go: let_go,
             nodes_tied: tied,
             cells_flipped: mending.flipped_outer + mending.flipped_inner,
             ..compare::quality(&model)
         },
-        bars: bar::bars(&model),
+        bars: figures.bars,
         thin: collector.finish(&names),
-        topology_hash: TopologyHash::of_uncut(&model).to_string(),
+        topology_hash: figures.topology_hash,
         warnings,
     };
     progress("done", 1.0);
     Ok((model, report))
+}
+
+/// What a report says of a finished model by itself.
+struct Figures {
+    layers: Vec<LayerReport>,
+    bars: Vec<BarReport>,
+    outer_surface: SurfaceReport,
+    topology_hash: String,
+}
+
+/// Works them out beside each other: each is mostly one thread's work.
+fn figures(model: &Model, faces: &[faces::Face], names: &[String]) -> Figures {
+    let layers = || compare::layers(&Layers::of_faces(model, faces), names);
+    let outer_surface = || report_triangles(&outer_triangles(faces, model));
+    let topology_hash = || TopologyHash::of_uncut(model).to_string();
+    let ((layers, bars), (outer_surface, topology_hash)) = rayon::join(
+        || rayon::join(layers, || bar::bars(model)),
+        || rayon::join(outer_surface, topology_hash),
+    );
+    Figures {
+        layers,
+        bars,
+        outer_surface,
+        topology_hash,
+    }
 }
 
 /// The outer surface over the model's nodes.
