@@ -156,6 +156,7 @@ pub fn build(
     progress("casting rays", 0.1);
     let mut labels = label::label(&grid, &surfaces, &mut walls);
     let mending = lattice::mend_all(&grid, &mut labels, &walls, &parts);
+    let lost = walls.lost(&grid, &labels);
     drop(walls);
     check::mending(&mending, grid.cell_count(), &mut warnings);
     let mut lattice = lattice::number(&grid, &labels);
@@ -186,6 +187,8 @@ pub fn build(
     let mut collector = thin::Collector::new(&grid);
     collector.add_samples(&samples);
     collector.add_crumbs(&mending.crumbs);
+    collector.add_lost(&lost);
+    collector.add_specks(&parts);
     collector.add_nodes(&placed.strays(&lattice, &interfaces));
     let (around, tied, let_go) = (placed.around, placed.tied, placed.let_go.len());
     drop(placed.constraints);

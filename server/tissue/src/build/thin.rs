@@ -8,7 +8,7 @@ use super::faces::OUTSIDE;
 use super::grid::Grid;
 use super::lattice::Crumb;
 use super::sample::{Sample, Thin};
-use crate::Vec3;
+use crate::{Aabb, Vec3};
 
 /// Most parts that a report lists, the largest first: what a person can look at. The rest is counted.
 pub const THIN_PARTS_MAX: usize = 64;
@@ -29,8 +29,12 @@ pub enum ThinKind {
     /// Not thin, and still farther from the model than half a spacing: a sharp edge, a tip, or what
     /// lies beside a thin part that was lost.
     Rim,
-    /// A few cells of a region that were given to what surrounds them.
+    /// A few cells of a region that were given to what surrounds them, or cells of others that it fills a part of
+    /// where no cell stands for it.
     Crumb,
+    /// Closed pieces of a region's surface that are smaller than the spacing but in one direction: grains and
+    /// needles.
+    Speck,
     /// Nodes that left their interface so that their cells stay good.
     LetGo,
     /// Nodes farther than half a spacing from their interface, near nothing thin: where the model's
@@ -232,6 +236,54 @@ impl<'a> Collector<'a> {
         }
     }
 
+    /// Takes cells where something of a region was lost: cell, its label, and the one lost.
+    pub(super) fn add_lost(&mut self, lost: &[(usize, u8, u8)]) {
+        let region = |label: u8| u16::from(label).checked_sub(1).unwrap_or(OUTSIDE);
+        let [nx, ny, _] = self.grid.cells;
+        for &(cell, given, label) in lost {
+            let at = [cell % nx, cell / nx % ny, cell / (nx * ny)].map(|i| i as i32);
+            let (low, high) = (self.grid.point(at), self.grid.point(at.map(|i| i + 1)));
+            let middle = (low + high) / 2.0;
+            self.mark(&middle);
+            let heap = Heap {
+                low,
+                high,
+                count: 1,
+                ..Heap::empty()
+            };
+            let key = (ThinKind::Crumb, region(label), [region(given); 2]);
+            self.put(key, &middle, &heap);
+        }
+    }
+
+    /// Takes closed parts of each region's input surface that are smaller than the spacing but in one direction.
+    pub(super) fn add_specks(&mut self, parts: &[Vec<Aabb>]) {
+        for (region, parts) in parts.iter().enumerate() {
+            for part in parts {
+                let extent = part.extent();
+                let along = extent.imax();
+                if (0..3).any(|a| a != along && extent[a] >= self.grid.spacing) {
+                    continue;
+                }
+                let middle = (part.min + part.max) / 2.0;
+                let steps = (extent[along] / self.grid.spacing).ceil().max(1.0);
+                for step in 0..=steps as usize {
+                    let mut at = middle;
+                    at[along] = part.min[along] + extent[along] * step as f64 / steps;
+                    self.mark(&at);
+                }
+                let heap = Heap {
+                    low: part.min,
+                    high: part.max,
+                    count: 1,
+                    ..Heap::empty()
+                };
+                let key = (ThinKind::Speck, region as u16, [OUTSIDE; 2]);
+                self.put(key, &middle, &heap);
+            }
+        }
+    }
+
     /// Whether a point lies in or beside a thin or lost part.
     pub(super) fn is_marked(&self, at: &Vec3) -> bool {
         self.cell_at(at).is_none_or(|cell| self.marked[cell])
@@ -363,6 +415,11 @@ impl std::fmt::Display for ThinPart {
                 self.count,
                 name(&self.region),
                 name(a)
+            ),
+            ThinKind::Speck => format!(
+                "{} closed pieces of the surface of {} are thinner than the spacing all around",
+                self.count,
+                name(&self.region)
             ),
             ThinKind::LetGo => format!(
                 "{} nodes of {} left their interface for good cells",

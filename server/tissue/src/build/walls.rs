@@ -20,6 +20,10 @@ const LAYER_MIN: f64 = 0.2;
 /// voxel that meet in an edge only are nothing thick there.
 const LINE_MIN: f64 = 0.05;
 
+/// Part of a cell that a region fills at least where it counts as lost when no cell around stands for it: a
+/// few rays of sixteen.
+const LOST_MIN: f64 = 0.1;
+
 /// Rounds of looking for false faces. Curing one may show another; each cure leaves fewer.
 const ROUNDS: usize = 8;
 
@@ -81,6 +85,26 @@ impl Walls {
         self.contacts.par_sort_unstable();
         self.contacts.dedup();
         self.shares.par_sort_unstable();
+    }
+
+    /// Cells that a region fills a part of where neither they nor any that share a face or an edge with them stand
+    /// for it: cell, its label, and the one that was lost there.
+    pub(super) fn lost(&self, grid: &Grid, labels: &Labels) -> Vec<(usize, u8, u8)> {
+        let [nx, ny, nz] = grid.cells;
+        let found = self.shares.par_iter().filter_map(|share| {
+            let cell = share.cell as usize;
+            let at = [cell % nx, cell / nx % ny, cell / (nx * ny)];
+            let stands = |near: usize| {
+                let step = [near % 3, near / 3 % 3, near / 9];
+                let there: [usize; 3] = std::array::from_fn(|a| (at[a] + step[a]).wrapping_sub(1));
+                let corner = step.iter().all(|s| *s != 1);
+                let within = there[0] < nx && there[1] < ny && there[2] < nz;
+                !corner && within && labels.label[grid.cell_index(there)] == share.label
+            };
+            let kept = share.filled() < LOST_MIN || (0..27).any(stands);
+            (!kept).then_some((cell, labels.label[cell], share.label))
+        });
+        found.collect()
     }
 
     /// Part of a cell that a label fills.
