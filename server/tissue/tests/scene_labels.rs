@@ -372,5 +372,8 @@ fn a_real_torso_builds_from_its_labels() {
     for region in &report.regions {
         let mean = region.distance_mean_outside_thin_mm;
         assert!(mean <= 0.1 * report.spacing_mm, "{}: {mean}", region.name);
+        // One face of some 90,000 is 0.94 spacings off; everything else is within 0.75.
+        let most = region.distance_max_outside_thin_mm;
+        assert!(most <= 0.95 * report.spacing_mm, "{}: {most}", region.name);
     }
 }

@@ -184,11 +184,7 @@ pub fn build(
     progress("looking for thin parts", 0.8);
     let nodes = &placed.positions;
     let samples = sample::samples(&interfaces, &query, &faces, nodes, grid.middle());
-    let mut collector = thin::Collector::new(&grid);
-    collector.add_samples(&samples);
-    collector.add_crumbs(&mending.crumbs);
-    collector.add_lost(&lost);
-    collector.add_specks(&parts);
+    let mut collector = thin::Collector::of(&grid, &samples, &mending.crumbs, &lost, &parts);
     collector.add_nodes(&placed.strays(&lattice, &interfaces));
     let (around, tied, let_go) = (placed.around, placed.tied, placed.let_go.len());
     drop(placed.constraints);

@@ -105,6 +105,38 @@ fn a_ball_keeps_its_volume_and_its_nodes_lie_on_it() {
 }
 
 #[test]
+fn what_no_cell_stands_for_is_reported_with_its_place() {
+    // A grain of a quarter of a cell, and a tip that is nowhere half of one: not thin across, and lost.
+    let tip = turned(
+        &[
+            (0.006, -0.02),
+            (0.006, 0.0),
+            (0.0018, 0.001),
+            (0.0018, 0.012),
+        ],
+        48,
+    );
+    let moved = |mut surface: Surface, by: Vec3| {
+        surface.vertices.iter_mut().for_each(|v| *v += by);
+        surface
+    };
+    let grain = moved(ball(0.0015), Vec3::new(0.0, 0.02, 0.0));
+    let regions = [("body", ball(0.04)), ("tip", tip), ("grain", grain)];
+    let (_, report) = built(4.0, &regions);
+    let kinds = |name: &str| -> Vec<ThinKind> {
+        let own = report.thin.parts.iter();
+        let own = own.filter(|p| p.region.as_deref() == Some(name));
+        own.map(|p| p.kind).collect()
+    };
+    assert!(kinds("grain").contains(&ThinKind::Speck), "{report:?}");
+    assert!(kinds("tip").contains(&ThinKind::Crumb), "{report:?}");
+    for region in &report.regions {
+        let off = region.distance_max_outside_thin_mm;
+        assert!(off <= 0.75 * 4.0, "{}: {off}", region.name);
+    }
+}
+
+#[test]
 fn nested_and_poking_regions_share_conforming_interfaces() {
     let skin = turned(&[(0.05, -0.06), (0.05, 0.06)], 128);
     let bone = turned(&[(0.02, -0.06), (0.02, 0.06)], 64);

@@ -152,16 +152,28 @@ pub(super) struct Collector<'a> {
 }
 
 impl<'a> Collector<'a> {
-    pub(super) fn new(grid: &'a Grid) -> Self {
-        Self {
+    /// Collects from samples of the input, from pieces that were dropped or lost, and from grains.
+    pub(super) fn of(
+        grid: &'a Grid,
+        samples: &[Sample],
+        crumbs: &[Crumb],
+        lost: &[(usize, u8, u8)],
+        parts: &[Vec<Aabb>],
+    ) -> Self {
+        let mut collector = Self {
             grid,
             cubes: BTreeMap::new(),
             marked: vec![false; grid.cell_count()],
-        }
+        };
+        collector.add_samples(samples);
+        collector.add_crumbs(crumbs);
+        collector.add_lost(lost);
+        collector.add_specks(parts);
+        collector
     }
 
     /// Takes what is thin or lost among the samples.
-    pub(super) fn add_samples(&mut self, samples: &[Sample]) {
+    fn add_samples(&mut self, samples: &[Sample]) {
         let spacing = self.grid.spacing;
         for sample in samples {
             let key = match sample.thin {
@@ -215,7 +227,7 @@ impl<'a> Collector<'a> {
     }
 
     /// Takes pieces of regions that were dropped.
-    pub(super) fn add_crumbs(&mut self, crumbs: &[Crumb]) {
+    fn add_crumbs(&mut self, crumbs: &[Crumb]) {
         let region = |label: u8| u16::from(label).checked_sub(1).unwrap_or(OUTSIDE);
         for crumb in crumbs {
             let mut heap = Heap {
@@ -237,7 +249,7 @@ impl<'a> Collector<'a> {
     }
 
     /// Takes cells where something of a region was lost: cell, its label, and the one lost.
-    pub(super) fn add_lost(&mut self, lost: &[(usize, u8, u8)]) {
+    fn add_lost(&mut self, lost: &[(usize, u8, u8)]) {
         let region = |label: u8| u16::from(label).checked_sub(1).unwrap_or(OUTSIDE);
         let [nx, ny, _] = self.grid.cells;
         for &(cell, given, label) in lost {
@@ -257,7 +269,7 @@ impl<'a> Collector<'a> {
     }
 
     /// Takes closed parts of each region's input surface that are smaller than the spacing but in one direction.
-    pub(super) fn add_specks(&mut self, parts: &[Vec<Aabb>]) {
+    fn add_specks(&mut self, parts: &[Vec<Aabb>]) {
         for (region, parts) in parts.iter().enumerate() {
             for part in parts {
                 let extent = part.extent();
