@@ -164,6 +164,20 @@ fn metres_taken_for_millimetres_say_what_it_looks_like() {
 }
 
 #[test]
+fn what_lies_too_far_from_the_origin_is_refused_before_it_is_built() {
+    for far in [12e3, -2e5] {
+        let mut ball = ball(0.1);
+        ball.vertices.iter_mut().for_each(|v| v.x += far);
+        let input = scene("4.0", &[ball]).unwrap();
+        let said = build(&input, &mut |_, _| {}).unwrap_err().to_string();
+        assert!(
+            said.contains("origin") && said.contains("10000 m"),
+            "{said}"
+        );
+    }
+}
+
+#[test]
 fn an_automatic_spacing_follows_the_thinnest_layer_and_not_below_the_least() {
     let outer = placed(ball(0.03), [0.0; 3], Vec3::zeros());
     let inner = placed(ball(0.026), [0.0; 3], Vec3::zeros());

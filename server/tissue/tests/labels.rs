@@ -272,6 +272,27 @@ fn nrrd_skips_lines_and_bytes_and_swaps_them() {
 }
 
 #[test]
+fn more_data_than_a_header_declares_is_named_and_less_is_refused() {
+    let surplus = [ramp(), vec![0; 5]].concat();
+    for (name, bytes) in [
+        ("a.nrrd", nrrd("raw", &space("RAS"), &surplus)),
+        ("a.nii", [Nifti::bytes().file(), vec![0; 5]].concat()),
+    ] {
+        let volume = read(name, &bytes).unwrap();
+        assert_ramp(&volume);
+        assert!(
+            volume.warnings.iter().any(|w| w.contains("5 bytes behind")),
+            "{:?}",
+            volume.warnings
+        );
+    }
+    // Counted from the end the data would begin within the header.
+    let fields = format!("{}byteskip: -1\n", space("RAS"));
+    let short = nrrd("raw", &fields, &ramp()[..7]);
+    assert_says(&refusal("a.nrrd", &short), &["12"]);
+}
+
+#[test]
 fn nrrd_axes_that_are_none_of_space_must_have_one_entry() {
     let file = |sizes: &str| {
         let fields = "space: RAS\nspace directions: none (2,0,0) (0,3,0) (0,0,4)\n";

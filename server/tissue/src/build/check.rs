@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use super::inside::PointQuery;
 use super::lattice::Mending;
 use super::{BUILD_NODES_MAX, BuildError, GRID_CELLS_MAX, RegionReport};
+use crate::file::POSITION_MAX_M;
 use crate::scene::SceneInput;
 use crate::{Aabb, Surface, Vec3};
 
@@ -22,9 +23,13 @@ const LARGE: f64 = 5.0;
 /// An outermost surface smaller than this, in m, was most likely written in metres.
 const SMALL: f64 = 0.003;
 
-/// Refuses a spacing that needs more memory than there may be.
+/// Refuses what lies beyond where a model may, and a spacing that needs more memory than there may be.
 pub(super) fn size(surfaces: &[&Surface], spacing: f64) -> Result<(), BuildError> {
     let bounds = Aabb::around(surfaces.iter().flat_map(|s| &s.vertices));
+    let far = bounds.map_or(0.0, |b| b.min.abs().sup(&b.max.abs()).max());
+    if far > POSITION_MAX_M {
+        return Err(BuildError::TooFar { far_m: far });
+    }
     let extent = bounds.map_or_else(Vec3::zeros, |b| b.extent());
     let cells: f64 = extent.iter().map(|e| (e / spacing).ceil() + 2.0).product();
     let volume = surfaces.iter().map(|s| s.volume()).fold(0.0, f64::max);

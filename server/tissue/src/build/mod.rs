@@ -94,6 +94,16 @@ pub enum BuildError {
         /// What else it may be, or nothing.
         hint: String,
     },
+    /// The input lies farther from the origin than a model may.
+    #[error(
+        "the input reaches {far_m:.0} m from the origin, where a model may reach {} m; is its unit \
+         right? If it is in the frame of a site or a map, move it to the origin first",
+        crate::file::POSITION_MAX_M
+    )]
+    TooFar {
+        /// Its largest coordinate in m.
+        far_m: f64,
+    },
     /// No cell is at least half full.
     #[error(
         "a spacing of {spacing_mm} mm is too coarse: no cell of that size is half full of any \

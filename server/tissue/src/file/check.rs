@@ -14,7 +14,7 @@ pub const REGIONS_MAX: usize = 1024;
 /// Farthest lattice coordinate from the origin, so that products of coordinates fit 64 bits.
 const LATTICE_MAX: u32 = 1 << 20;
 /// Farthest node from the origin in m; anything beyond is a mistaken unit.
-const POSITION_MAX_M: f64 = 1e4;
+pub(crate) const POSITION_MAX_M: f64 = 1e4;
 /// Lattice spacings that make sense, in m: from a tenth of a micrometre to ten metres.
 const SPACING_RANGE_M: std::ops::RangeInclusive<f64> = 1e-7..=10.0;
 /// Young's moduli that make sense, in Pa: from looser than mucus to a hundred times diamond. They

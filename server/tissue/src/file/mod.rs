@@ -24,6 +24,7 @@ mod planes;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+pub(crate) use check::POSITION_MAX_M;
 pub use check::{CELLS_MAX, NODES_MAX, REGIONS_MAX};
 pub use container::EnvelopeError;
 pub(crate) use container::{open, seal};

@@ -10,7 +10,7 @@ use flate2::bufread::MultiGzDecoder;
 use nalgebra::Matrix3;
 
 use super::samples::{Coding, Gather, SampleType, read_fully};
-use super::volume::{checked_size, drain, open};
+use super::volume::{checked_size, drain, open, surplus};
 use super::{Affine, LabelError, LabelVolume};
 use crate::Vec3;
 
@@ -54,7 +54,7 @@ fn read_stream(
     let header = Header::read(path, from)?;
     let size = header.size()?;
     let coding = header.coding()?;
-    let (to_world, warnings) = header.to_world()?;
+    let (to_world, mut warnings) = header.to_world()?;
     let skip = header.skip()?;
     let voxels: usize = size.iter().product();
     let promised = (HEADER_BYTES + skip + voxels * coding.sample.bytes()) as u64;
@@ -66,6 +66,12 @@ fn read_stream(
             expected: voxels as u64,
             found: data / coding.sample.bytes() as u64,
         });
+    }
+    if let Some(left) = bytes
+        .and_then(|b| b.checked_sub(promised))
+        .filter(|b| *b > 0)
+    {
+        warnings.push(surplus(path, left));
     }
     let skipped = std::io::copy(&mut from.take(skip as u64), &mut std::io::sink())
         .map_err(|e| gather.stream_error(e))?;

@@ -172,7 +172,22 @@ pub(super) fn open(path: &Path) -> Result<(File, u64), LabelError> {
             what: "this is a folder".into(),
         });
     }
+    if !metadata.is_file() {
+        return Err(LabelError::NotALabelVolume {
+            path: path.to_owned(),
+            what: "this is a device or a pipe; give a file".into(),
+        });
+    }
     Ok((file, metadata.len()))
+}
+
+/// What to say of bytes that come after the last voxel.
+pub(super) fn surplus(path: &Path, bytes: u64) -> String {
+    format!(
+        "{} has {bytes} bytes behind the last voxel of those that its header declares; they were \
+         not read: check its size",
+        path.display()
+    )
 }
 
 /// Reads on to the end of a compressed stream, as far as is sensible, so that its checksum is

@@ -11,7 +11,7 @@ use std::path::Path;
 use flate2::bufread::MultiGzDecoder;
 
 use super::samples::{Coding, Gather};
-use super::volume::{drain, open};
+use super::volume::{drain, open, surplus};
 use super::{LabelError, LabelVolume};
 use header::{Encoding, Header};
 
@@ -24,13 +24,14 @@ pub(super) fn read(path: &Path) -> Result<LabelVolume, LabelError> {
     let mut attached = BufReader::new(file);
     let header = Header::read(path, &mut attached)?;
     let size = header.size()?;
-    let (to_world, warnings) = header.to_world()?;
+    let (to_world, mut warnings) = header.to_world()?;
     let labels = match &header.data_file {
-        None => read_data(path, &header, size, attached)?,
+        None => read_data(path, &header, size, attached, &mut warnings)?,
         Some(name) => {
             let beside = path.parent().unwrap_or(Path::new("")).join(name);
             let (file, _) = open(&beside)?;
-            read_data(&beside, &header, size, BufReader::new(file))?
+            let from = BufReader::new(file);
+            read_data(&beside, &header, size, from, &mut warnings)?
         }
     };
     Ok(LabelVolume {
@@ -46,6 +47,7 @@ fn read_data(
     header: &Header,
     size: [usize; 3],
     mut from: BufReader<File>,
+    warnings: &mut Vec<String>,
 ) -> Result<Vec<u16>, LabelError> {
     let mut gather = Gather::new(path, size);
     let voxels: usize = size.iter().product();
@@ -54,10 +56,12 @@ fn read_data(
         Encoding::Raw => {
             let bytes = (voxels * header.sample.bytes()) as u64;
             let skip = match header.byte_skip {
-                // -1: the samples are the last bytes of the file, whatever stands before them.
-                None => from.seek(SeekFrom::End(0)).and_then(|end| {
-                    let at = end.saturating_sub(bytes);
-                    from.seek(SeekFrom::Start(at)).map(|_| true)
+                // -1: the samples are the last bytes of the file, whatever stands before them but a header.
+                None => from.stream_position().and_then(|start| {
+                    let end = from.seek(SeekFrom::End(0))?;
+                    let at = end.checked_sub(bytes).filter(|at| *at >= start);
+                    from.seek(SeekFrom::Start(at.unwrap_or(start)))?;
+                    Ok(at.is_some())
                 }),
                 Some(n) => skip_bytes(&mut from, n),
             };
@@ -66,6 +70,13 @@ fn read_data(
             }
             let coding = Coding::plain(header.sample, header.big_endian);
             gather.read(&mut from, coding, voxels)?;
+            let left = from
+                .stream_position()
+                .and_then(|at| Ok(from.seek(SeekFrom::End(0))?.saturating_sub(at)));
+            match left.map_err(|e| gather.stream_error(e))? {
+                0 => {}
+                left => warnings.push(surplus(path, left)),
+            }
         }
         Encoding::Gzip => {
             let mut from = MultiGzDecoder::new(from);
