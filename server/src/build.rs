@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use palpate_tissue::{BuildReport, ModelFile, SceneInput, build};
+use palpate_tissue::{BuildReport, DISTANCE_REACH, ModelFile, SceneInput, build};
 use serde::{Deserialize, Serialize};
 
 use crate::export::{Exports, keep_apart, put_in_place};
@@ -168,9 +168,16 @@ fn describe_regions(r: &BuildReport, text: &mut String) {
     );
     for region in &r.regions {
         let error = 100.0 * (region.volume_mm3 / region.input_volume_mm3 - 1.0);
+        // The model's surface is looked for no farther than so many spacings.
+        let reach = DISTANCE_REACH * r.spacing_mm;
+        let at_least = if region.input_distance_max_mm < reach * (1.0 - 1e-9) {
+            ""
+        } else {
+            ">"
+        };
         let _ = writeln!(
             text,
-            "{:<24} {:>9} {:>12.3} {:>12.3} {:>8.2} {:>7} {:>9.3} {:>8.2} {:>9.3} {:>8.2} {:>8.2}",
+            "{:<24} {:>9} {:>12.3} {:>12.3} {:>8.2} {:>7} {:>9.3} {:>8.2} {:>9.3} {:>8} {:>8.2}",
             region.name,
             region.nodes,
             region.volume_mm3 / 1e3,
@@ -180,14 +187,15 @@ fn describe_regions(r: &BuildReport, text: &mut String) {
             region.surface_distance_mean_mm,
             region.surface_distance_max_mm,
             region.input_distance_mean_mm,
-            region.input_distance_max_mm,
+            format!("{at_least}{:.2}", region.input_distance_max_mm),
             region.distance_max_outside_thin_mm
         );
     }
     let _ = writeln!(
         text,
         "  (pieces: model/input; mean, max: model surface from input; back: input from model \
-         surface; sound: largest either way outside of thin parts)"
+         surface; sound: largest either way outside of thin parts; \
+         >: no model surface so near)"
     );
 }
 

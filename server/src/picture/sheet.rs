@@ -13,7 +13,7 @@ const ROOM: [f32; 2] = [1150.0, 1000.0];
 const LEFT: f32 = 70.0;
 const TOP: f32 = 76.0;
 const GAP: f32 = 40.0;
-const BOTTOM: f32 = 76.0;
+const BOTTOM: f32 = 84.0;
 /// Room between the section and its frame, as a part of it.
 const MARGIN: f64 = 0.03;
 /// Springs are drawn by themselves from so many pixels per spacing on, outlines of cells from fewer.
@@ -173,9 +173,13 @@ fn scale(canvas: &mut Canvas, frame: &Frame, axis: usize) {
     let [right, up] = [["y", "z"], ["x", "z"], ["x", "y"]][axis];
     let below = y1 + 38.0;
     let label = format!("{right} to the right, {up} up, in mm");
-    canvas.text(&label, [x0, below], small, PALE_INK);
+    let caption = label.chars().count() as f32 * small.width();
     let bar = round_length(f64::from(frame.size[0]) / frame.scale / 5.0);
     let length = (bar * frame.scale) as f32;
+    // Beside a bar that leaves no room for it the caption goes below.
+    let beside = x0 + caption + GAP < x1 - length;
+    let line = if beside { below } else { below + 24.0 };
+    canvas.text(&label, [x0, line], small, PALE_INK);
     canvas.rectangle([x1 - length, below], [length, 5.0], INK);
     let label = format!("{bar} mm");
     let width = label.chars().count() as f32 * Letters::Bold.width();

@@ -32,10 +32,10 @@ mod topology;
 
 pub use block::block;
 pub use build::{
-    BUILD_NODES_MAX, BarReport, BuildError, BuildReport, CORNER_FLOOR, GRID_CELLS_MAX, Layer,
-    LayerReport, Layers, NEIGHBOURS_MAX, Progress, QualityReport, RegionReport, SPRING_FLOOR,
-    SpacingReport, SpringCounts, SurfaceReport, THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts,
-    build, region_surface, report_surface,
+    BUILD_NODES_MAX, BarReport, BuildError, BuildReport, CORNER_FLOOR, DISTANCE_REACH,
+    GRID_CELLS_MAX, Layer, LayerReport, Layers, NEIGHBOURS_MAX, Progress, QualityReport,
+    RegionReport, SPRING_FLOOR, SpacingReport, SpringCounts, SurfaceReport, THIN_PARTS_MAX,
+    ThinKind, ThinPart, ThinParts, build, region_surface, report_surface,
 };
 pub use cell::{Cell, DIAGONALS, EDGES, FACES, NO_CELL, cell_volume, scaled_jacobian};
 pub use contact::{Reaction, TOOLS_MAX, Tool};

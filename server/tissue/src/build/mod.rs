@@ -53,6 +53,7 @@ pub use report::{
     BarReport, BuildReport, LayerReport, QualityReport, RegionReport, SpacingReport, SpringCounts,
     SurfaceReport, report_surface,
 };
+pub use sample::DISTANCE_REACH;
 pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
 
 use crate::scene::SceneInput;

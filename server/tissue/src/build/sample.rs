@@ -17,8 +17,9 @@ const AREA_MIN: f64 = 0.4;
 const CHUNK: usize = 1024;
 /// How far from a surface one begins to look, in spacings.
 const LOOK: f64 = 0.02;
-/// Farthest that the model's interface is looked for, in spacings.
-const REACH: f64 = 3.0;
+/// Farthest that the model's interface is looked for from the input's, in spacings: distances of a report that
+/// are as large are at least that.
+pub const DISTANCE_REACH: f64 = 3.0;
 
 /// A point of an input interface.
 #[derive(Debug, Clone, Copy)]
@@ -33,7 +34,7 @@ pub(super) struct Sample {
     pub(super) before: u16,
     /// The layer beside it that is thinner than the spacing, if one is.
     pub(super) thin: Option<Thin>,
-    /// Distance in m from the model's interface; REACH spacings where there is none so near.
+    /// Distance in m from the model's interface; [`DISTANCE_REACH`] spacings where there is none so near.
     pub(super) distance: f64,
 }
 
@@ -200,7 +201,7 @@ fn measure(
             });
         }
     }
-    let reach = REACH * spacing;
+    let reach = DISTANCE_REACH * spacing;
     let distance = own.nearest(&at, reach).map_or(reach, |p| (p - at).norm());
     Sample {
         at,
