@@ -30,7 +30,7 @@
 //! # What it can not do
 //!
 //! Coarse operators do not follow the deformation, so deep presses converge at half the speed of
-//! shallow ones. Near incompressible materials (Poisson's ratio 0.45) smooth slowly. A point tool
+//! shallow ones, and springs alone fold from 30 % of a layer's thickness on (materials can bottom out instead). Near incompressible materials (Poisson's ratio 0.45) smooth slowly. A point tool
 //! (radius below half a spacing) feels the corners of the mesh, and slips between the samples of a soft
 //! surface when it is pressed deeper than its own radius.
 
