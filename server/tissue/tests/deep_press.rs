@@ -3,12 +3,16 @@
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
+mod places;
+
 use std::sync::Arc;
 
 use palpate_tissue::sample::Sample;
 use palpate_tissue::{
     Budget, Material, Shape, Solver, StepReport, Tool, Topology, Vec3, block, build,
 };
+
+use places::outermost;
 
 const MM: f64 = 1e-3;
 /// Radius of the sphere in m.
@@ -224,21 +228,6 @@ fn a_press_of_two_fifths_into_a_thigh_inverts_no_cell_and_the_guard_rests() {
         let press = Press::new(topology.clone(), at, normal);
         press_into(press, thickness, &[0.1, 0.2, 0.3, 0.4]);
     }
-}
-
-/// The surface node that is farthest along `direction` near the middle of the model.
-fn outermost(topology: &Topology, direction: Vec3) -> Vec3 {
-    let nodes = (0..topology.node_count() as u32).filter(|&n| topology.on_boundary(n));
-    let points: Vec<Vec3> = nodes.map(|n| topology.rest(n)).collect();
-    let low = points.iter().fold(Vec3::repeat(f64::MAX), |a, p| a.inf(p));
-    let high = points.iter().fold(Vec3::repeat(f64::MIN), |a, p| a.sup(p));
-    let middle = (low + high) / 2.0;
-    let near = points.into_iter().filter(|p| {
-        let from = p - middle;
-        (from - direction * from.dot(&direction)).norm() < 0.015
-    });
-    near.max_by(|a, b| a.dot(&direction).total_cmp(&b.dot(&direction)))
-        .unwrap()
 }
 
 /// Thickness of the outer region under a point of the surface: how far in, near the line, the first

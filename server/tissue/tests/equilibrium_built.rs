@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod places;
+
 use std::sync::Arc;
 
 use palpate_tissue::sample::Sample;
@@ -10,22 +12,9 @@ use palpate_tissue::{
     BladePoint, Budget, CutStroke, Material, Shape, Solver, Tool, Topology, Vec3, block, build, cut,
 };
 
-const RADIUS_M: f64 = 0.008;
+use places::outermost;
 
-/// The surface node that is farthest along `direction` near the middle of the model.
-fn outermost(topology: &Topology, direction: Vec3) -> Vec3 {
-    let nodes = (0..topology.node_count() as u32).filter(|&n| topology.on_boundary(n));
-    let points: Vec<Vec3> = nodes.map(|n| topology.rest(n)).collect();
-    let low = points.iter().fold(Vec3::repeat(f64::MAX), |a, p| a.inf(p));
-    let high = points.iter().fold(Vec3::repeat(f64::MIN), |a, p| a.sup(p));
-    let middle = (low + high) / 2.0;
-    let near = points.into_iter().filter(|p| {
-        let from = p - middle;
-        (from - direction * from.dot(&direction)).norm() < 0.015
-    });
-    near.max_by(|a, b| a.dot(&direction).total_cmp(&b.dot(&direction)))
-        .unwrap()
-}
+const RADIUS_M: f64 = 0.008;
 
 #[test]
 fn a_deep_press_into_built_tissue_neither_folds_nor_blows_up_and_leaves_no_dent() {

@@ -29,11 +29,9 @@ use pulp::Simd;
 
 use super::brick::{DIRECTIONS, Form, SPAN};
 use super::corners::NEAR;
-use super::kernel::{
-    Ends, Group, LEAD, Local, LocalBlocks, PAIRS, SPRINGS, dot, exponential, growth,
-};
+use super::kernel::{Ends, Group, LEAD, Local, LocalBlocks, SPRINGS, dot};
 use super::lanes::V;
-use super::law::{EXTREME, GUARD, LONG, SHORT, SIDEWAYS};
+use super::law::{EXTREME, GUARD};
 
 /// What single springs of the lattice have beyond their neighbours counts in full: two ends.
 const SINGLE: f32 = 2.0;
@@ -141,12 +139,7 @@ pub(crate) fn held_forces<S: Simd>(
                 let s = Group::load(simd, form, u, direction, from);
                 strained = strained.max(s.strained(simd));
                 let k = V::load(simd, &form.stiffness[direction], from);
-                let stretch = s.excess / ((s.length + s.rest_length) * s.length);
-                let mut t = k * stretch;
-                if form.curve.stiffening > 0.0 {
-                    let b = V::all(simd, form.curve.stiffening);
-                    t = t * (b * stretch * s.length / s.rest_length).map(growth);
-                }
+                let mut t = s.tension(simd, form, k);
                 let [least, most] = form.curve.limits;
                 let (long, guarded) = (s.drawn(simd, most), s.guarded(simd));
                 let pressed = Hold::sets_in(simd, least, s.length, s.rest_length);
@@ -196,18 +189,11 @@ pub(crate) fn held_tangents<S: Simd>(
                 let s = Group::load(simd, form, u, direction, from);
                 strained = strained.max(s.strained(simd));
                 let plain = V::load(simd, &form.stiffness[direction], from);
-                let mut k = plain * all(SPRINGS);
+                let k = s.stiffened(simd, form, plain * all(SPRINGS));
                 let plain = plain * all(SINGLE);
-                if form.curve.stiffening > 0.0 {
-                    let b = all(form.curve.stiffening);
-                    let strain = b * (s.length - s.rest_length) / s.rest_length;
-                    k = k * strain.map(exponential).max(all(0.05));
-                }
                 let [least, most] = form.curve.limits;
                 let stiff = s.drawn(simd, most).where_above_zero(all(EXTREME) * plain);
-                let slope = (s.rest_length * all(per_spacing) - all(SHORT)) / all(LONG - SHORT);
-                let slope = slope.max(all(0.0)).min(all(1.0));
-                let floor = all(1.0) + slope * all(SIDEWAYS - 1.0);
+                let floor = s.floor(simd, per_spacing);
                 let turning = all(1.0) - s.rest_length / s.length;
                 let (mut first, mut across) = (k, k * turning.max(floor));
                 let margin = all(MARGIN) * s.rest_length;
@@ -224,13 +210,7 @@ pub(crate) fn held_tangents<S: Simd>(
                 let along = (first - across) / s.square;
                 let guard = all(GUARD) * plain / s.rest_square();
                 let guard = s.guarded(simd).where_above_zero(guard);
-                for (e, (a, b)) in PAIRS.into_iter().enumerate() {
-                    let mut v = along * s.now[a] * s.now[b] + guard * s.rest[a] * s.rest[b];
-                    if e < 3 {
-                        v = v + across;
-                    }
-                    v.store(&mut ends.0[direction][e], LEAD + from);
-                }
+                s.put_block([along, across, guard], &mut ends.0[direction], LEAD + from);
             } else {
                 ends.none(simd, direction, from);
             }

@@ -201,6 +201,55 @@ impl<S: Simd> Group<S> {
         V::all(simd, GUARDED) * self.rest_square() - dot(&self.now, &self.rest)
     }
 
+    /// Its force over its length, in N/m, given its stiffness at rest.
+    #[inline(always)]
+    pub(crate) fn tension(&self, simd: S, form: &Form, k: V<S>) -> V<S> {
+        let stretch = self.excess / ((self.length + self.rest_length) * self.length);
+        if form.curve.stiffening > 0.0 {
+            let b = V::all(simd, form.curve.stiffening);
+            return k * stretch * (b * stretch * self.length / self.rest_length).map(growth);
+        }
+        k * stretch
+    }
+
+    /// The stiffness along it that `k` at rest has become.
+    #[inline(always)]
+    pub(crate) fn stiffened(&self, simd: S, form: &Form, k: V<S>) -> V<S> {
+        if form.curve.stiffening > 0.0 {
+            let b = V::all(simd, form.curve.stiffening);
+            let strain = b * (self.length - self.rest_length) / self.rest_length;
+            return k * strain.map(exponential).max(V::all(simd, 0.05));
+        }
+        k
+    }
+
+    /// The floor of `law.rs` of its stiffness across, in parts of that along it.
+    #[inline(always)]
+    pub(crate) fn floor(&self, simd: S, per_spacing: f32) -> V<S> {
+        let all = |v: f32| V::all(simd, v);
+        let slope = (self.rest_length * all(per_spacing) - all(SHORT)) / all(LONG - SHORT);
+        let slope = slope.max(all(0.0)).min(all(1.0));
+        all(1.0) + slope * all(SIDEWAYS - 1.0)
+    }
+
+    /// Writes the block of so much more along the spring than across it, over its length's square, of what it
+    /// has across, and of a guard, which acts along its direction at rest.
+    #[inline(always)]
+    pub(crate) fn put_block<const N: usize>(
+        &self,
+        [along, across, guard]: [V<S>; 3],
+        to: &mut [[f32; N]; 6],
+        at: usize,
+    ) {
+        for (e, (a, b)) in PAIRS.into_iter().enumerate() {
+            let mut v = along * self.now[a] * self.now[b] + guard * self.rest[a] * self.rest[b];
+            if e < 3 {
+                v = v + across;
+            }
+            v.store(&mut to[e], at);
+        }
+    }
+
     /// How far the spring is beyond its limits, in m: too short and too long, above zero.
     #[inline(always)]
     fn beyond(&self, simd: S, limits: [f32; 2]) -> [V<S>; 2] {
@@ -218,12 +267,7 @@ fn spring_forces<S: Simd>(simd: S, form: &Form, u: &Local, ends: &mut Ends<3>) -
             if form.uses(direction, from, V::<S>::WIDTH) {
                 let s = Group::load(simd, form, u, direction, from);
                 let k = V::load(simd, &form.stiffness[direction], from);
-                let stretch = s.excess / ((s.length + s.rest_length) * s.length);
-                let mut t = k * stretch;
-                if form.curve.stiffening > 0.0 {
-                    let b = V::all(simd, form.curve.stiffening);
-                    t = t * (b * stretch * s.length / s.rest_length).map(growth);
-                }
+                let mut t = s.tension(simd, form, k);
                 let [short, long] = s.beyond(simd, form.curve.limits);
                 let guarded = s.guarded(simd);
                 // Rare, and dear: two roots and a division are what a spring costs otherwise.
@@ -264,29 +308,17 @@ fn spring_tangents<S: Simd>(
         while from < SPAN {
             if form.uses(direction, from, V::<S>::WIDTH) {
                 let s = Group::load(simd, form, u, direction, from);
-                let mut k = V::load(simd, &form.stiffness[direction], from) * all(SPRINGS);
-                if form.curve.stiffening > 0.0 {
-                    let b = all(form.curve.stiffening);
-                    let strain = b * (s.length - s.rest_length) / s.rest_length;
-                    k = k * strain.map(exponential).max(all(0.05));
-                }
+                let k = V::load(simd, &form.stiffness[direction], from) * all(SPRINGS);
+                let mut k = s.stiffened(simd, form, k);
                 let [short, long] = s.beyond(simd, form.curve.limits);
                 k = k + short.max(long).where_above_zero(all(EXTREME) * k);
-                let slope = (s.rest_length * all(per_spacing) - all(SHORT)) / all(LONG - SHORT);
-                let slope = slope.max(all(0.0)).min(all(1.0));
-                let floor = all(1.0) + slope * all(SIDEWAYS - 1.0);
+                let floor = s.floor(simd, per_spacing);
                 let turning = (all(1.0) - s.rest_length / s.length).max(floor);
                 let along = k * (all(1.0) - turning) / s.square;
                 let across = k * turning;
                 let guard = all(GUARD) * k / s.rest_square();
                 let guard = s.guarded(simd).where_above_zero(guard);
-                for (e, (a, b)) in PAIRS.into_iter().enumerate() {
-                    let mut v = along * s.now[a] * s.now[b] + guard * s.rest[a] * s.rest[b];
-                    if e < 3 {
-                        v = v + across;
-                    }
-                    v.store(&mut ends.0[direction][e], LEAD + from);
-                }
+                s.put_block([along, across, guard], &mut ends.0[direction], LEAD + from);
             } else {
                 ends.none(simd, direction, from);
             }
@@ -298,7 +330,7 @@ fn spring_tangents<S: Simd>(
 
 /// (exp(x) - 1)/x, to three digits and rising; exp as the 64th power of a parabola.
 #[inline(always)]
-pub(crate) fn growth(x: f32) -> f32 {
+fn growth(x: f32) -> f32 {
     let x = x.clamp(-60.0, 6.0);
     if x.abs() < 0.25 {
         return 1.0 + x * (0.5 + x * (1.0 / 6.0 + x * (1.0 / 24.0)));
@@ -307,7 +339,7 @@ pub(crate) fn growth(x: f32) -> f32 {
 }
 
 #[inline(always)]
-pub(crate) fn exponential(x: f32) -> f32 {
+fn exponential(x: f32) -> f32 {
     let t = x.clamp(-60.0, 6.0) * (1.0 / 64.0);
     let mut p = 1.0 + t * (1.0 + t * (0.5 + t * (1.0 / 6.0)));
     for _ in 0..6 {

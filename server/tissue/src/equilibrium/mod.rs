@@ -25,7 +25,7 @@
 //! `palpate-lab bench press-cube` and `press-scene`, one thread of a shared machine: a cube of 8,000
 //! nodes from rest to 1 % in 9.5 ms, of 64,000 in 63 ms; a disc that moves on in 0.9 ms per step that needs no
 //! iteration, in 5 ms with one. A real thigh of 70,000 nodes pressed at 100 mm/s in 1.2 to 1.6 ms per tick (99 %
-//! below 1.7 to 2.2 ms): force error 2 % rms, 4.4 % at most.
+//! below 1.7 to 2.2 ms): force error 2 % rms, 5 % at most.
 //!
 //! # What it can not do
 //!
