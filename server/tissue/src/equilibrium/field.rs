@@ -26,9 +26,9 @@ pub(super) struct Field {
     /// Mean stiffness of the node at rest in N/m.
     pub(super) own: Vec<f64>,
     /// Forces of each brick on its nodes when it was last computed.
-    forces: Vec<[[f32; LOCALS]; 3]>,
+    pub(super) forces: Vec<[[f32; LOCALS]; 3]>,
     /// Some of them from before; scratch.
-    kept: Vec<[[f32; LOCALS]; 3]>,
+    pub(super) kept: Vec<[[f32; LOCALS]; 3]>,
     /// Force on each node in N, contacts included where they were last looked at.
     pub(super) r: Vec<Quad>,
     pub(super) inverse: Vec<[f32; 6]>,
@@ -63,6 +63,8 @@ pub(super) struct Field {
     /// Displacements before this step of all nodes that moved in it.
     before: Vec<(u32, Vec3)>,
     saved: List,
+    /// Nodes that were free when this step began.
+    settled: List,
     /// Largest displacement of any node so far in m.
     pub(super) displaced: f64,
     pub(super) move_max: f64,
@@ -73,7 +75,7 @@ pub(super) struct Field {
     pub(super) blocks: Vec<[f32; 6]>,
     pub(super) pressed: Vec<[f32; 6]>,
     /// What level 1 moved each node by in this iteration; scratch.
-    pub(super) moved: Vec<Vec3>,
+    pub(super) moved: Vec<(u32, Vec3)>,
     pub(super) old: Vec<Quad>,
     scratch: Box<Ends<3>>,
     pub(super) block_scratch: Box<Ends<6>>,
@@ -109,6 +111,7 @@ impl Field {
             touched: List::new(nodes),
             before: Vec::new(),
             saved: List::new(nodes),
+            settled: List::new(nodes),
             displaced: 0.0,
             move_max: 0.0,
             clamped: 0,
@@ -153,13 +156,20 @@ impl Field {
         self.loud.items.len()
     }
 
-    /// Begins a step: what the last one moved the free nodes of the set by, in order of nodes.
+    /// Whether a node is free and was so all through the last step. What a newcomer moved by is more than the change
+    /// of that step: it made up for what it had missed while it followed the coarse levels, and will not again.
+    fn is_settled(&self, node: u32) -> bool {
+        let first = self.settled.items.is_empty();
+        self.free[node as usize] && (first || self.settled.contains(node))
+    }
+
+    /// Begins a step: what the last one moved the settled nodes of the set by, in order of nodes.
     pub(super) fn take_moves(&mut self, u: &[Vec3]) -> Vec<(u32, Vec3)> {
         self.saved.clear();
         let last = std::mem::take(&mut self.before);
         let by = |(node, before): (u32, Vec3)| {
             let n = node as usize;
-            let moves = self.nodes.contains(node) && self.free[n];
+            let moves = self.nodes.contains(node) && self.is_settled(node);
             moves.then(|| (node, u[n] - before))
         };
         let mut moves: Vec<_> = last.into_iter().filter_map(by).collect();
@@ -167,10 +177,10 @@ impl Field {
         moves
     }
 
-    /// Adds to what free nodes moved by what those on the rim of the set follow, level 1's `e`. What they moved by
-    /// themselves can be more, when they came into the set in that step; what waits beside them would never know.
-    pub(super) fn add_rim(
-        &self,
+    /// Adds to what settled nodes moved by what the others follow, level 1's `e`: newcomers, and those on the rim of
+    /// the set, beside which something waits that would never know what else they did.
+    pub(super) fn add_others(
+        &mut self,
         structure: &Structure,
         coarse: &Multigrid,
         moves: &mut Vec<(u32, Vec3)>,
@@ -178,13 +188,19 @@ impl Field {
         let e = &coarse.patches[0].e;
         for &node in &self.nodes.items {
             let n = node as usize;
-            if !self.free[n] && !self.fixed[n] {
+            if !self.is_settled(node) && !self.fixed[n] {
                 let v = super::cycle::interpolate(&structure.ties[n], e);
                 let by = Vec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
                 moves.push((node, by));
             }
         }
         moves.sort_unstable_by_key(|m| m.0);
+        self.settled.clear();
+        for &node in &self.nodes.items {
+            if self.free[node as usize] {
+                self.settled.insert(node);
+            }
+        }
     }
 
     /// Moves nodes by `share` of what they moved by.
@@ -192,15 +208,6 @@ impl Field {
         for &(node, by) in moves {
             self.shift(u, node, by * share);
         }
-    }
-
-    /// Work of the forces on nodes along these moves, in N m.
-    pub(super) fn work(&self, moves: &[(u32, Vec3)]) -> f64 {
-        let work = |(node, by): &(u32, Vec3)| {
-            let r = &self.r[*node as usize];
-            (0..3).map(|a| f64::from(r[a]) * by[a]).sum::<f64>()
-        };
-        moves.iter().map(work).sum()
     }
 
     /// Nodes that were moved on have taken over what level 1 was moved on by; the others of the set do.

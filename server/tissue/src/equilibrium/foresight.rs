@@ -74,7 +74,8 @@ impl Solver {
         self.coarse.calm();
         let mut last = self.field.take_moves(u);
         self.coarse.recall(&self.structure);
-        self.field.add_rim(&self.structure, &self.coarse, &mut last);
+        self.field
+            .add_others(&self.structure, &self.coarse, &mut last);
         if led {
             if self.carried {
                 self.coarse.defer(&self.structure);
@@ -84,7 +85,7 @@ impl Solver {
         }
         // Of a tool's press only what is near is kept going: the rest costs more than it brings.
         let lags = self.gather(topology, u);
-        let share = self.best_carry(u, &last);
+        let share = self.best_carry(u, &mut last);
         self.carry_on(u, &last, share);
         if !last.is_empty() {
             self.field.blend_forces(&self.structure, share as f32);
@@ -116,7 +117,7 @@ impl Solver {
     }
 
     /// How much of the last step's change is best: where no work is left along it.
-    fn best_carry(&mut self, u: &mut [Vec3], last: &[(u32, Vec3)]) -> f64 {
+    fn best_carry(&mut self, u: &mut [Vec3], last: &mut [(u32, Vec3)]) -> f64 {
         if last.is_empty() {
             return 0.0;
         }
@@ -125,17 +126,13 @@ impl Solver {
         self.field.keep_forces();
         self.coarse.defer(&self.structure);
         let waiting = self.coarse.work_along();
-        let here = waiting[0] + self.field.work(last);
+        let r = &self.field.r;
+        let before: Vec<_> = last.iter().map(|m| r[m.0 as usize]).collect();
         self.field.move_on(u, last, 1.0);
         self.field.evaluate_bricks(&self.structure, u);
-        let there = waiting[1] + self.field.work(last);
+        let share = self.share_of(u, last, &before, waiting, CARRIED);
         self.field.move_on(u, last, -1.0);
-        let by = |n: u32| {
-            let found = last.binary_search_by_key(&n, |m| m.0);
-            found.map_or_else(|_| Vec3::zeros(), |i| last[i].1)
-        };
-        let along = self.contacts.along(u, by, 0.0);
-        along.rest([here, there], CARRIED)
+        share
     }
 
     /// Carries the last step's change on, on all levels.

@@ -9,7 +9,7 @@
 //! | `patch`, `cycle`, `overlay` | the part of the coarse lattices near the tools, one V-cycle over it, what tools add |
 //! | `field`, `choice`, `moves`, `near` | forces on nodes, which of them take part, smoothing |
 //! | `budget` | what a step may cost, and what it did |
-//! | `foresight` | under held nodes, the last step's change carried on |
+//! | `foresight`, `bind` | the last step's change carried on; what hinders a move |
 //! | `follower` | a cut's consequences, worked out beside the solvers |
 //! | `solver` | one step: its stages, its books |
 //! | `jacobi` | the seed's iteration (3.10), the named baseline |
@@ -37,6 +37,7 @@
 // Vectors exist only where everything is inlined into what was dispatched.
 #![allow(clippy::inline_always)]
 
+mod bind;
 mod block;
 mod brick;
 mod budget;

@@ -57,28 +57,9 @@ impl Field {
             let v = super::cycle::interpolate(&structure.ties[n], e);
             let by = Vec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
             let by = if self.fixed[n] { Vec3::zeros() } else { by };
-            self.moved.push(by);
+            self.moved.push((node, by));
             self.shift(u, node, by);
         }
-    }
-
-    /// What the correction moved a node by.
-    pub(super) fn moved_by(&self, node: u32) -> Vec3 {
-        let place = self.nodes.items.binary_search(&node);
-        place.map_or_else(|_| Vec3::zeros(), |i| self.moved[i])
-    }
-
-    /// Work of the bricks' forces along the correction before and after it, in N m.
-    pub(super) fn work_along(&self) -> [f64; 2] {
-        let (mut before, mut after) = (0.0, 0.0);
-        for ((&node, by), old) in self.nodes.items.iter().zip(&self.moved).zip(&self.old) {
-            let new = &self.r[node as usize];
-            for a in 0..3 {
-                before += f64::from(old[a]) * by[a];
-                after += f64::from(new[a]) * by[a];
-            }
-        }
-        [before, after]
     }
 
     /// Takes only `share` of the correction after all; the forces of bricks follow linearly.
@@ -93,7 +74,7 @@ impl Field {
             let node = self.nodes.items[i];
             let n = node as usize;
             if share != 1.0 {
-                self.shift(u, node, self.moved[i] * (share - 1.0));
+                self.shift(u, node, self.moved[i].1 * (share - 1.0));
                 let change = plus(&self.r[n], -1.0, &self.old[i]);
                 self.r[n] = plus(&self.old[i], share as f32, &change);
             }

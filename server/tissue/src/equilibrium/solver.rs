@@ -32,7 +32,7 @@ const EFFORT: [Effort; 2] = [
         loaded: 1.0,
     },
     Effort {
-        before: 0,
+        before: 1,
         after: 1,
         coarsest: 10,
         loaded: 8.0,
@@ -44,12 +44,12 @@ const PENDING: [f32; 2] = [4.0, 7.0];
 /// While a hand waits: change of the size of an element, in parts of it, that may wait with the coarse
 /// level's stiffness at rest (of springs alone, and of tissue that bottoms out), and the one of a brick that stays
 /// in the set while it lasts.
-const STRAINED: [f32; 2] = [0.05, 0.04];
-const BENT: f32 = 0.2;
+const STRAINED: [f32; 2] = [0.12, 0.1];
+const BENT: [f32; 2] = [0.3, 0.2];
 /// Part of their stiffness that elements answer with which wait while a hand does. With all of it the force on a real
 /// thigh is 4 to 5 % too high all through a press, with 0.75 it is 6 % too low at first; the second one is that of
 /// tissue that bottoms out.
-const SLACK: [f32; 2] = [0.85, 0.8];
+const SLACK: [f32; 2] = [0.7, 0.6];
 /// Smoothing steps under the tools when a quick step ends.
 const LAST_STEPS: usize = 5;
 /// Share of the coarse levels' correction that is taken at least and at most: a layer that bottoms out
@@ -331,7 +331,11 @@ impl Solver {
         self.coarse.slack = if budget.near { SLACK[deep] } else { 1.0 };
         self.coarse.follows = self.contacts.proxies.is_empty();
         self.field.limit_moves(&self.structure, budget.near);
-        self.field.bent = if budget.near { BENT } else { f32::INFINITY };
+        self.field.bent = if budget.near {
+            BENT[deep]
+        } else {
+            f32::INFINITY
+        };
         // What took part in the last step takes part again: nothing is gained by beginning coarsely.
         let mut share = if self.carried { 0.0 } else { FIRST_SHARE };
         let jumped = lags;
@@ -466,19 +470,22 @@ impl Solver {
         }
         coarse.cycle(structure, threshold as f32, effort);
         field.add_contacts(u, &self.contacts, -1.0);
+        field.keep_forces();
         field.correct(structure, coarse, u);
         field.evaluate_bricks(structure, u);
-        let by = |n: u32| field.moved_by(n);
-        let along = self.contacts.along(u, by, 1.0);
-        let mut work = field.work_along();
         coarse.defer(structure);
-        if !self.contacts.proxies.is_empty() {
-            // Under held nodes the levels fall short by as much as what waits is too stiff: without it a
-            // cube from rest needs four iterations to 1 %, with it five.
-            let waiting = coarse.work_along();
-            work = [work[0] + waiting[0], work[1] + waiting[1]];
-        }
-        let share = along.rest(work, SHARES);
+        // Under held nodes the levels fall short by as much as what waits is too stiff: without it a
+        // cube from rest needs four iterations to 1 %, with it five.
+        let waiting = if self.contacts.proxies.is_empty() {
+            [0.0; 2]
+        } else {
+            coarse.work_along()
+        };
+        let old = std::mem::take(&mut field.old);
+        let mut moved = std::mem::take(&mut field.moved);
+        let share = self.share_of(u, &mut moved, &old, waiting, SHARES);
+        let (structure, coarse, field) = (&self.structure, &mut self.coarse, &mut self.field);
+        (field.old, field.moved) = (old, moved);
         coarse.commit(structure, share as f32, threshold as f32);
         field.settle(structure, coarse, u, share);
         field.add_contacts(u, &self.contacts, 1.0);
