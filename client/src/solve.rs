@@ -40,7 +40,7 @@ const NICE: i32 = 2;
 /// model is renewed at 250 Hz and leaves room for others. Work and not time that passes: on a crowded
 /// machine a solve would otherwise be given up before it began, and the hand feel a tissue that has not
 /// given way yet.
-const HAPTIC_WORK: Span = Span::from_micros(800);
+const HAPTIC_WORK: Span = Span::from_micros(1000);
 
 /// Longest solve that is told apart, µs.
 const SOLVE_MAX_US: u64 = 1_000_000;

@@ -180,8 +180,8 @@ fn special(region: &Region) -> String {
             m.compress_limit, m.stretch_limit
         );
     }
-    if m.bottoms_out {
-        text.push_str(", bottoms out");
+    if !m.bottoms_out {
+        text.push_str(", does not bottom out");
     }
     text
 }

@@ -106,7 +106,7 @@ struct PressSceneArguments {
     #[arg(long, default_value_t = 100.0)]
     speed_mm_s: f64,
     /// Time a tick may take before its last iteration begins, ms
-    #[arg(long, default_value_t = 0.8)]
+    #[arg(long, default_value_t = 1.0)]
     budget_ms: f64,
     /// How many times to press, each from rest
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]

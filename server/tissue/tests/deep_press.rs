@@ -53,7 +53,6 @@ impl Press {
     fn slab(limit: f64) -> Self {
         let fat = Material {
             compress_limit: limit,
-            bottoms_out: true,
             ..Material::built_in("fat").unwrap()
         };
         let mut model = block([ACROSS, ACROSS, FAT_CELLS + 1], SPACING, &fat, 1);
@@ -215,10 +214,7 @@ fn a_press_of_four_fifths_into_a_slab_inverts_no_cell_and_the_guard_rests_up_to_
 #[test]
 fn a_press_of_two_fifths_into_a_thigh_inverts_no_cell_and_the_guard_rests() {
     let input = Sample::Thigh.input().unwrap();
-    let (mut model, _) = build(&input, &mut |_, _| {}).unwrap();
-    for region in &mut model.regions {
-        region.material.bottoms_out = true;
-    }
+    let (model, _) = build(&input, &mut |_, _| {}).unwrap();
     let topology = Topology::new(Arc::new(model));
     // Along -x the tool meets a corner that is flat at rest, which a tenth of the layer turns over.
     for normal in [Vec3::x(), Vec3::y()] {

@@ -24,7 +24,7 @@ fn rubber() -> Material {
         poisson: 0.3,
         compress_limit: 0.4,
         stretch_limit: 2.0,
-        bottoms_out: true,
+        bottoms_out: false,
         source: "made up for this test".into(),
     }
 }

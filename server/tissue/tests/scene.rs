@@ -315,13 +315,14 @@ fn a_region_overrides_its_material_for_itself_alone() {
         .replace("material = \"bone\"", "material = \"fat\"")
         .replace(
             "young_kpa = 10.0",
-            "young_kpa = 10.0\nstiffening = 7\nbottoms_out = true",
+            "young_kpa = 10.0\nstiffening = 7\nbottoms_out = false",
         );
     let scene = parse(&text).unwrap();
     let [first, last] = [0, 2].map(|r| scene.material(r).unwrap());
     assert_eq!((first.young_pa, last.young_pa), (10e3, 20e3));
     assert_eq!((first.stiffening, last.stiffening), (7.0, 7.0));
-    assert!(first.bottoms_out && last.bottoms_out);
+    assert!(!first.bottoms_out && !last.bottoms_out);
+    assert!(Material::default().bottoms_out);
     assert_eq!((first.fibre_ratio, last.fibre_ratio), (1.0, 2.0));
     assert_eq!(last.fibre_axis, FibreAxis::Given([0.0, 3.0, 4.0]));
     assert!(

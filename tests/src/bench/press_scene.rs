@@ -47,7 +47,7 @@ impl Default for PressScene {
         Self {
             depth_m: 15e-3,
             speed_m_s: 0.1,
-            budget_ms: 0.8,
+            budget_ms: 1.0,
             tolerance: 2.5e-2,
             converged: 1e-5,
             repeats: 5,

@@ -67,9 +67,9 @@ pub(super) struct Multigrid {
     pub(super) pending: f32,
     /// Change of the size of an element, in parts of it, that may wait.
     pub(super) strained: f32,
-    /// Part of its stiffness that an element which waits answers with: trilinear in its corners, it is stiffer than
-    /// the tissue within.
-    pub(super) slack: f32,
+    /// Part of its stiffness that an element which waits answers with, one that is not even and one that is:
+    /// trilinear in its corners, it is stiffer than the tissue within.
+    pub(super) slack: [f32; 2],
     /// Elements visited.
     pub(super) visits: usize,
     /// Whether what a point was moved by before it took part counts as gained: what followed the coarser level.
@@ -84,7 +84,7 @@ impl Multigrid {
             arch: Arch::new(),
             pending: 1.0,
             strained: f32::INFINITY,
-            slack: 1.0,
+            slack: [1.0; 2],
             visits: 0,
             follows: false,
         }
@@ -181,7 +181,8 @@ impl Multigrid {
                 for &child in level.children.row(element) {
                     let by = to_child(&pending, level_below.octant[child as usize]);
                     let force = level_below.force(child, &by);
-                    let force = force.map(|f| f.map(|v| self.slack * v));
+                    let slack = self.slack[usize::from(level_below.element(child).1.even)];
+                    let force = force.map(|f| f.map(|v| slack * v));
                     let waits = below.wait(level_below, child, &by, &force, 1.0);
                     if exceeds(waits, tolerable) && !below.refined.contains(child) {
                         below.wanted.insert(child);
@@ -408,7 +409,7 @@ impl WithSimd for Smooth<'_> {
 struct Defer<'a> {
     level: &'a Level,
     patch: &'a mut Patch,
-    slack: f32,
+    slack: [f32; 2],
 }
 
 impl WithSimd for Defer<'_> {
@@ -428,6 +429,7 @@ impl WithSimd for Defer<'_> {
             }
             let (points, m) = level.element(element);
             let force = m.k.multiply(simd, points, &patch.e).corners();
+            let slack = slack[usize::from(m.even)];
             let force = force.map(|f| f.map(|v| slack * v));
             let mut by = [ZERO; 8];
             for (to, &point) in by.iter_mut().zip(points) {

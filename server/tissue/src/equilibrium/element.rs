@@ -35,6 +35,8 @@ pub(crate) struct Matrix {
     /// Blocks of the corners times the largest eigenvalue of the element scaled by its blocks:
     /// summed over elements they bound the whole matrix from above.
     pub(crate) bound: [[f32; 6]; 8],
+    /// Whether all that it is made of is alike: cubes of one tissue.
+    pub(crate) even: bool,
 }
 
 /// Accumulates in f64 what becomes a [`Matrix`].
@@ -212,6 +214,7 @@ impl Sum {
         Matrix {
             k,
             bound: blocks.map(|b| b.map(|v| (v * largest) as f32)),
+            even: alike,
         }
     }
 

@@ -184,10 +184,6 @@ pub(crate) enum Stiffness {
 }
 
 impl Stiffness {
-    pub(crate) fn is_full(&self) -> bool {
-        matches!(self, Self::Full(_))
-    }
-
     /// The number in a column and a stored row.
     pub(crate) fn get(&self, column: usize, row: usize) -> f32 {
         match self {

@@ -267,7 +267,7 @@ impl Structure {
                 let alike = list.iter().all(|part| part.0 == list[0].0)
                     && match finer {
                         None => forms[list[0].0 as usize].is_regular(per_spacing),
-                        Some(level) => level.matrices[list[0].0 as usize].k.is_full(),
+                        Some(level) => level.matrices[list[0].0 as usize].even,
                     };
                 Arc::new(sum.finish(alike))
             })

@@ -50,7 +50,7 @@
 //! | `fibres` | where they run: `"long"` (the region's long axis) or `[x, y, z]` | | `"long"` |
 //! | `compress_limit` | part of its rest length below which no spring is pressed | 0.05 to 0.95 | 0.3 |
 //! | `stretch_limit` | multiple of its rest length beyond which no spring is pulled | 1.01 to 100 | 3 |
-//! | `bottoms_out` | whether it hardens when pressed flat and never folds; a hand's steps take up to twice as long | `true`, `false` | `false` |
+//! | `bottoms_out` | whether it hardens when pressed flat and never folds; without it a hand's steps take a fifth less | `true`, `false` | `true` |
 //! | `density_kg_m3` | density in kg/m³ | 1 to 25 000 | needed |
 //! | `friction_static` | coefficient of static friction against a tool | 0 to 5 | 0.4 |
 //! | `friction_dynamic` | of dynamic friction; not above the static one | 0 to 5 | 0.3 |
