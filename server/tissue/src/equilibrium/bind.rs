@@ -18,11 +18,9 @@ use super::structure::Structure;
 use crate::Vec3;
 
 /// Share of a move below which what resists it is bound.
-const HINDERED: f64 = 0.7;
+const HINDERED: f64 = 0.5;
 /// Part of what a move gains that a brick may resist it by.
 const RESISTED: f64 = 0.03;
-/// How often bricks are bound in one move: what moves as one strains what is beside it.
-const ROUNDS: usize = 3;
 
 impl Solver {
     /// The share of these moves at which no work is left along them, within bounds. `moves` are in order of nodes,
@@ -36,24 +34,33 @@ impl Solver {
         waiting: [f64; 2],
         bounds: [f64; 2],
     ) -> f64 {
-        let mut round = 0;
-        loop {
-            let by = |n: u32| {
-                let found = moves.binary_search_by_key(&n, |m| m.0);
-                found.map_or_else(|_| Vec3::zeros(), |i| moves[i].1)
-            };
-            let along = self.contacts.along(u, by, 1.0);
-            let here = waiting[0] + work(moves, |i, _| &before[i]);
-            let r = &self.field.r;
-            let there = waiting[1] + work(moves, |_, node| &r[node as usize]);
-            let share = along.rest([here, there], bounds);
-            let gain = here + along.work(0.0);
-            let hindered = share < HINDERED && gain > 0.0 && round < ROUNDS;
-            if !hindered || !self.field.bind(&self.structure, u, moves, RESISTED * gain) {
-                return share;
-            }
-            round += 1;
+        let (share, gain) = self.rest_along(u, moves, before, waiting, bounds);
+        // Once: to bind what is strained by that in turn brought nothing.
+        let hindered = share < HINDERED && gain > 0.0;
+        if !hindered || !self.field.bind(&self.structure, u, moves, RESISTED * gain) {
+            return share;
         }
+        self.rest_along(u, moves, before, waiting, bounds).0
+    }
+
+    /// That share for the moves as they are, and the work along them where they begin, in N m.
+    fn rest_along(
+        &self,
+        u: &[Vec3],
+        moves: &[(u32, Vec3)],
+        before: &[Quad],
+        waiting: [f64; 2],
+        bounds: [f64; 2],
+    ) -> (f64, f64) {
+        let by = |n: u32| {
+            let found = moves.binary_search_by_key(&n, |m| m.0);
+            found.map_or_else(|_| Vec3::zeros(), |i| moves[i].1)
+        };
+        let along = self.contacts.along(u, by, 1.0);
+        let here = waiting[0] + work(moves, |i, _| &before[i]);
+        let r = &self.field.r;
+        let there = waiting[1] + work(moves, |_, node| &r[node as usize]);
+        (along.rest([here, there], bounds), here + along.work(0.0))
     }
 }
 

@@ -40,7 +40,7 @@ const EFFORT: [Effort; 2] = [
 ];
 /// Force on a corner of an element, in thresholds, that its pending displacement may have changed it by
 /// before it is refined; of a solution, and of a step that a hand waits for.
-const PENDING: [f32; 2] = [4.0, 7.0];
+const PENDING: [f32; 2] = [4.0, 10.0];
 /// While a hand waits: change of the size of an element, in parts of it, that may wait with the coarse
 /// level's stiffness at rest (of springs alone, and of tissue that bottoms out), and the one of a brick that stays
 /// in the set while it lasts.
