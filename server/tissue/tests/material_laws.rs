@@ -147,15 +147,16 @@ fn fibred(ratio: f64, axis: [f64; 3]) -> f64 {
 }
 
 #[test]
-fn a_bar_along_its_fibres_is_as_many_times_stiffer_as_asked() {
-    // The strength of the fibres is found for springs in all directions; the lattice has thirteen.
+fn a_bar_shows_what_was_asked_along_its_fibres_and_across_them() {
     for ratio in [0.5, 1.0, 2.0, 3.0, 5.0] {
-        let (along, across) = (
-            fibred(ratio, [0.0, 0.0, 1.0]),
-            fibred(ratio, [1.0, 0.0, 0.0]),
+        let along = fibred(ratio, [0.0, 0.0, 1.0]) / YOUNG_PA;
+        let across = fibred(ratio, [1.0, 0.0, 0.0]) / YOUNG_PA;
+        assert!((along / ratio - 1.0).abs() < 0.02, "{ratio}: {along}");
+        // In the mean of all directions across: along an edge of the lattice it is a little more.
+        assert!(
+            (across - 1.0).abs() < 0.02 * ratio.max(1.0),
+            "{ratio}: {across}"
         );
-        let error = along / across / ratio - 1.0;
-        assert!(error.abs() < 0.08, "ratio {ratio}: {}", along / across);
     }
 }
 

@@ -16,7 +16,7 @@ use nalgebra::{Matrix6, Vector6};
 use rayon::prelude::*;
 
 use super::report::BarReport;
-use crate::equilibrium::Elastic;
+use crate::equilibrium::{Elastic, dyad};
 use crate::{Budget, Cell, Model, NO_CELL, Region, RegionId, Shape, Solver, Topology, Vec3};
 
 /// Widths of a bar in cells, tried from the first to the last. Wider ones say nothing more, and
@@ -321,7 +321,7 @@ fn slope(points: impl Iterator<Item = (f64, f64)> + Clone) -> f64 {
 
 /// Young's modulus in Pa that a region's material says for a direction.
 fn expected(region: &Region, direction: Vec3) -> f64 {
-    let elastic = Elastic::of(region);
+    let elastic = Elastic::asked(region);
     let mut stiffness = Matrix6::zeros();
     let mut weights = 0.0;
     // Points of the cube around the sphere; with r their distance, each stands for 1/r³ of the sphere.
@@ -351,20 +351,6 @@ fn expected(region: &Region, direction: Vec3) -> f64 {
         .map_or(region.material.young_pa, |compliance| {
             1.0 / pulled.dot(&(compliance * pulled))
         })
-}
-
-/// n n as six components, those off the diagonal times √2, so that products of tensors are products of
-/// vectors.
-fn dyad(n: &Vec3) -> Vector6<f64> {
-    let root = 2.0_f64.sqrt();
-    Vector6::new(
-        n.x * n.x,
-        n.y * n.y,
-        n.z * n.z,
-        root * n.y * n.z,
-        root * n.x * n.z,
-        root * n.x * n.y,
-    )
 }
 
 #[cfg(test)]

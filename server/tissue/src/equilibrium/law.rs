@@ -60,6 +60,7 @@
 //! So s is kept above a floor σ(l0/Δd) that is small for springs of the lattice's own length and one
 //! for short ones: k I bounds the length law from above whatever the direction.
 
+use super::fibres;
 use crate::{Material, Region, Vec3};
 
 /// Symmetric 3x3 block: xx, yy, zz, xy, xz, yz.
@@ -126,22 +127,35 @@ pub(crate) struct Elastic {
 }
 
 impl Elastic {
-    /// Those of a region.
+    /// Those of a region, for the thirteen directions of a lattice's springs.
     pub(crate) fn of(region: &Region) -> Self {
+        Self::with(region, |fibre| {
+            fibres::in_a_lattice(region.material.fibre_ratio, fibre)
+        })
+    }
+
+    /// Those of a region, for springs in all directions: what the material says.
+    pub(crate) fn asked(region: &Region) -> Self {
+        Self::with(region, |_| {
+            fibres::in_all_directions(region.material.fibre_ratio)
+        })
+    }
+
+    fn with(region: &Region, strength: impl Fn(&Vec3) -> (f64, f64)) -> Self {
         let (young, nu) = (region.material.young_pa, region.material.poisson);
         let shear = young / (2.0 * (1.0 + nu));
         let lame = young * nu / ((1.0 + nu) * (1.0 - 2.0 * nu));
         let fibre = Vec3::from(region.fibre);
-        let (strength, scale) = if fibre == Vec3::zeros() {
+        let (fibre_strength, scale) = if fibre == Vec3::zeros() {
             (0.0, 1.0)
         } else {
-            fibre_strength(region.material.fibre_ratio)
+            strength(&fibre)
         };
         Self {
             spring_pa: 2.5 * shear * scale,
             bulk_pa: (lame - shear).max(0.0),
             fibre,
-            fibre_strength: strength,
+            fibre_strength,
         }
     }
 
@@ -154,37 +168,6 @@ impl Elastic {
         let cos = d.dot(&self.fibre);
         1.0 + self.fibre_strength * (cos * cos / square) * (cos * cos / square)
     }
-}
-
-/// β and the scale for which springs of strength scale (1 + β cos⁴ θ), θ their angle to the fibres,
-/// have `ratio` times the modulus along the fibres and the same across (reconstructed).
-///
-/// Springs in all directions make the stiffness `C_abcd = <n_a n_b n_c n_d (1 + β n_3⁴)>`, with
-/// `<n_1^2a n_2^2b n_3^2c> = (2a-1)!! (2b-1)!! (2c-1)!! / (2(a+b+c)+1)!!` over the sphere.
-fn fibre_strength(ratio: f64) -> (f64, f64) {
-    let moduli = |beta: f64| {
-        let c33 = 1.0 / 5.0 + beta / 9.0;
-        let c11 = 1.0 / 5.0 + beta / 105.0;
-        let c13 = 1.0 / 15.0 + beta / 63.0;
-        let c12 = 1.0 / 15.0 + beta / 315.0;
-        let along = c33 - 2.0 * c13 * c13 / (c11 + c12);
-        // Pulled across: solve for the strains along the fibres and across both.
-        let det = c11 * c33 - c13 * c13;
-        let across = c11 - (c12 * (c12 * c33 - c13 * c13) + c13 * (c11 * c13 - c12 * c13)) / det;
-        (along, across)
-    };
-    let plain = moduli(0.0).1;
-    let (mut low, mut high) = (-0.999, 1e4);
-    for _ in 0..100 {
-        let beta = 0.5 * (low + high);
-        let (along, across) = moduli(beta);
-        if along < ratio * across {
-            low = beta;
-        } else {
-            high = beta;
-        }
-    }
-    (low, plain / moduli(low).1)
 }
 
 /// Inverse of a symmetric block, kept away from singularity by a part of its trace.
@@ -213,16 +196,6 @@ pub(crate) fn invert(m: &Symmetric) -> Symmetric {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn fibres_raise_the_modulus_along_them_and_leave_that_across() {
-        assert!(fibre_strength(1.0).0.abs() < 1e-9);
-        for ratio in [0.5, 2.0, 5.0] {
-            let (beta, scale) = fibre_strength(ratio);
-            assert!(beta > -1.0 && scale > 0.0, "{ratio}: {beta} {scale}");
-            assert_eq!(beta > 0.0, ratio > 1.0);
-        }
-    }
 
     #[test]
     fn inverse_undoes_the_block() {

@@ -2,7 +2,7 @@
 //!
 //! | noun | what it is |
 //! | --- | --- |
-//! | `law` | what a material makes of springs: length law, volume term, guard, extreme springs, fibres |
+//! | `law`, `fibres` | what a material makes of springs: length law, volume term, guard, extreme springs, fibres |
 //! | `hold`, `corners` | what keeps tissue that bottoms out from folding: held springs, hardening corners |
 //! | `brick`, `kernel`, `slight`, `lanes` | forces of eight cells at a time, in vectors |
 //! | `coarsen`, `element`, `matrix`, `structure` | coarse lattices that open where cuts do, with a matrix per element |
@@ -30,7 +30,9 @@
 //! # What it can not do
 //!
 //! Coarse operators do not follow the deformation, so deep presses converge at half the speed of
-//! shallow ones, and springs alone fold from 30 % of a layer's thickness on (materials can bottom out instead). Near incompressible materials (Poisson's ratio 0.45) smooth slowly. A point tool
+//! shallow ones, and springs that are not to bottom out fold from 30 % of a layer's thickness on. A stiff layer over
+//! something ten times softer is too stiff in a hand's steps. Near incompressible materials (Poisson's ratio 0.45)
+//! smooth slowly. A point tool
 //! (radius below half a spacing) feels the corners of the mesh, and slips between the samples of a soft
 //! surface when it is pressed deeper than its own radius.
 
@@ -46,6 +48,7 @@ mod coarsen;
 mod corners;
 mod cycle;
 mod element;
+mod fibres;
 mod field;
 mod follower;
 mod foresight;
@@ -64,6 +67,7 @@ mod solver;
 mod structure;
 
 pub use budget::{Budget, StepReport};
+pub(crate) use fibres::dyad;
 pub use follower::{Follower, Successor};
 pub(crate) use law::Elastic;
 pub use solver::Solver;
