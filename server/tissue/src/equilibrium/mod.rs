@@ -23,18 +23,17 @@
 //! # Measured
 //!
 //! `palpate-lab bench press-cube` and `press-scene`, one thread of a shared machine: a cube of 8,000
-//! nodes from rest to 1 % in 9.5 ms, of 64,000 in 63 ms; a disc that moves on in 0.9 ms per step that needs no
-//! iteration, in 5 ms with one. A real thigh of 70,000 nodes pressed at 100 mm/s in 1.2 to 1.6 ms per tick (99 %
-//! below 1.7 to 2.2 ms): force error 2 % rms, 5 % at most.
+//! nodes from rest to 1 % in 8 to 9.5 ms, of 64,000 in 58 ms; a disc that moves on in 0.9 ms per step that needs no
+//! iteration, in 5 ms with one. A real thigh of 70,000 nodes pressed at 100 mm/s in 1.3 to 1.4 ms per tick (99 %
+//! below 1.8 to 2.2 ms): force error 1.5 % rms, 3.3 to 5.4 % at most.
 //!
 //! # What it can not do
 //!
 //! Coarse operators do not follow the deformation, so deep presses converge at half the speed of
 //! shallow ones, and springs that are not to bottom out fold from 30 % of a layer's thickness on. A stiff layer over
 //! something ten times softer is too stiff in a hand's steps. Near incompressible materials (Poisson's ratio 0.45)
-//! smooth slowly. A point tool
-//! (radius below half a spacing) feels the corners of the mesh, and slips between the samples of a soft
-//! surface when it is pressed deeper than its own radius.
+//! smooth slowly. A point tool (radius below half a spacing) feels the corners of the mesh, and slips between the
+//! samples of a soft surface when it is pressed deeper than its own radius.
 
 // Vectors exist only where everything is inlined into what was dispatched.
 #![allow(clippy::inline_always)]

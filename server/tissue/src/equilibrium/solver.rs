@@ -48,7 +48,7 @@ const STRAINED: [f32; 2] = [0.12, 0.1];
 const BENT: [f32; 2] = [0.3, 0.2];
 /// Part of their stiffness that elements answer with which wait while a hand does: of those with several tissues or
 /// distorted cells in them, and of those that are even. Trilinear in its corners an element is stiffer than what it is
-/// made of, and the more so the more that differs within. With all of it the force on a slab is 3 to 4 % too high all
+/// made of, and the more so the more that differs within. With all of it the force on a slab is 1 to 4 % too high all
 /// through a press and that on a real thigh 8 %; with 0.7 everywhere that on a slab is 3 % too low.
 const SLACK: [f32; 2] = [0.6, 0.87];
 /// Smoothing steps under the tools when a quick step ends.
