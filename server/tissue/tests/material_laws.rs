@@ -157,6 +157,8 @@ fn a_bar_shows_what_was_asked_along_its_fibres_and_across_them() {
             (across - 1.0).abs() < 0.02 * ratio.max(1.0),
             "{ratio}: {across}"
         );
+        let error = along / across / ratio - 1.0;
+        assert!(error.abs() < 0.08, "ratio {ratio}: {}", along / across);
     }
 }
 

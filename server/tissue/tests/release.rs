@@ -34,11 +34,23 @@ fn tool(k: usize) -> Tool {
     }
 }
 
-const TICKS: usize = 48;
+/// Where it is on its way to 18 mm at 100 mm/s.
+fn deep_tool(k: usize) -> Tool {
+    let depth = 0.4 * k as f64;
+    Tool {
+        id: 1,
+        centre: Vec3::new(33.0 * MM, 30.5 * MM, 32.0 * MM + RADIUS - depth * MM),
+        radius_m: RADIUS,
+    }
+}
 
-/// Force along z of the ticks `at`, solved with a budget.
+const TICKS: usize = 48;
+const DEEP_TICKS: usize = 45;
+
+/// Force along z of the ticks `at` of a tool, solved with a budget.
 fn press(
     topology: &Topology,
+    tool: fn(usize) -> Tool,
     at: &[usize],
     near: bool,
     iterations: usize,
@@ -61,8 +73,8 @@ fn press(
 /// the largest force.
 fn errors(at: &[usize], iterations: usize, bottoms_out: bool) -> (f64, f64) {
     let topology = slab(bottoms_out);
-    let exact = press(&topology, at, false, 100, 1e-5);
-    let quick = press(&topology, at, true, iterations, 0.03);
+    let exact = press(&topology, tool, at, false, 100, 1e-5);
+    let quick = press(&topology, tool, at, true, iterations, 0.03);
     let apart: Vec<f64> = exact.iter().zip(&quick).map(|(e, q)| q - e).collect();
     let rms = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
     let most = |v: &[f64]| v.iter().map(|v| v.abs()).fold(0.0, f64::max);
@@ -97,4 +109,17 @@ fn ticks_that_are_missed_make_no_peaks() {
     // Gaps of up to 12 ticks.
     let some = [3, 4, 9, 10, 18, 19, 20, 27, 33, 35, 38, 39, 44, 46];
     assert_below(&some, 2, (0.12, 0.25));
+}
+
+#[test]
+fn one_quick_iteration_per_tick_goes_wrong_in_no_tick_of_a_deep_press() {
+    let topology = slab(true);
+    let every: Vec<usize> = (1..=DEEP_TICKS).collect();
+    let exact = press(&topology, deep_tool, &every, false, 100, 1e-3);
+    let quick = press(&topology, deep_tool, &every, true, 1, 0.03);
+    for (k, (exact, quick)) in exact.iter().zip(&quick).enumerate() {
+        // It was 7 % with what newcomers make up for carried on as well.
+        let error = quick / exact - 1.0;
+        assert!(error.abs() < 0.04, "tick {k}: {error:.3}");
+    }
 }
