@@ -11,10 +11,13 @@ use crate::Vec3;
 const ROUNDS: usize = 24;
 /// Width of the bracket that is narrow enough.
 const NARROW: f64 = 1e-3;
+/// Distance from the middle of a ball, in radii, within which a sample that comes in does not pass it.
+const CORE: f64 = 0.5;
 
 /// Samples along shapes `u + s by`.
 pub(crate) struct Along {
-    rows: Vec<Row>,
+    /// Each with whether it [pierces](Row::pierces) its ball.
+    rows: Vec<(Row, bool)>,
 }
 
 pub(crate) struct Row {
@@ -27,20 +30,43 @@ pub(crate) struct Row {
     pub(crate) flat: Option<Vec3>,
 }
 
+impl Row {
+    /// Whether the line leads through the core of the ball. Beyond its middle the ball would push onwards, out on
+    /// the far side: under a tool that drew back tissue was thrown through it, and drew it in with ten newtons.
+    fn pierces(&self) -> bool {
+        let towards = -self.from.dot(&self.by);
+        let square = self.by.norm_squared();
+        let core = CORE * self.radius;
+        self.flat.is_none()
+            && towards > 0.0
+            && (self.from + self.by * (towards / square)).norm_squared() < core * core
+    }
+}
+
 impl Along {
     pub(crate) fn new(rows: Vec<Row>) -> Self {
-        Self { rows }
+        let row = |row: Row| {
+            let pierces = row.pierces();
+            (row, pierces)
+        };
+        Self {
+            rows: rows.into_iter().map(row).collect(),
+        }
     }
 
     /// Work per s of the contacts' forces at s, in N m.
     pub(crate) fn work(&self, s: f64) -> f64 {
-        let one = |row: &Row| {
+        let one = |(row, pierces): &(Row, bool)| {
             let v = row.from + row.by * s;
             if let Some(out) = row.flat {
                 let depth = row.radius + v.dot(&out);
                 return -row.stiffness * depth.max(0.0) * row.by.dot(&out);
             }
             let distance = v.norm();
+            if *pierces && (v.dot(&row.by) > 0.0 || distance < CORE * row.radius) {
+                // A wall across the line, as deep as the ball from here on.
+                return -row.stiffness * (row.radius * row.by.norm() + v.dot(&row.by));
+            }
             if distance >= row.radius || distance == 0.0 {
                 return 0.0;
             }
@@ -111,6 +137,19 @@ mod tests {
         let away = Along::new(vec![ball(-8.8e-3, 4000.0)]);
         let s = away.rest([1e-4, 0.0], [0.0, 2.0]);
         assert!((0.8..0.83).contains(&s), "{s}");
+    }
+
+    #[test]
+    fn nothing_passes_through_a_tool() {
+        // What is on its way to 30 mm beyond the near side of a ball of 16 mm.
+        let away = Along::new(vec![ball(-8.8e-3, 4000.0)]);
+        let s = away.rest([1e-4, 1e-4], [0.0, 30.0]);
+        assert!((0.8..0.9).contains(&s), "{s}");
+        // And what slides along it does.
+        let mut beside = ball(-8.8e-3, 40.0);
+        beside.from.x = 7.9e-3;
+        let s = Along::new(vec![beside]).rest([1e-2, 1e-2], [0.0, 30.0]);
+        assert_eq!(s, 30.0);
     }
 
     proptest! {
