@@ -112,6 +112,39 @@ fn ticks_that_are_missed_make_no_peaks() {
 }
 
 #[test]
+fn a_node_that_is_nowhere_is_put_back_and_nobody_waits_for_it() {
+    let topology = slab(true);
+    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut step = |k: usize, shape: &mut Shape, lost: Option<u32>| {
+        if let Some(node) = lost {
+            shape.displacement[node as usize].y = f64::NAN;
+            solver.disturb(shape, &[node]);
+        }
+        let budget = Budget {
+            near: true,
+            ..Budget::new(2, 0.03)
+        };
+        let report = solver.step(&topology, shape, &[tool(k)], budget);
+        (report.fell_back, report.reactions[0].force.z)
+    };
+    for k in 0..10 {
+        assert!(!step(k, &mut shape, None).0);
+    }
+    let lost = (0..topology.node_count() as u32)
+        .rfind(|&n| shape.displacement[n as usize].norm() > MM)
+        .unwrap();
+    assert!(step(10, &mut shape, Some(lost)).0);
+    for k in 11..30 {
+        step(k, &mut shape, None);
+    }
+    let (fell_back, force) = step(30, &mut shape, None);
+    let whole = press(&topology, tool, &(0..=30).collect::<Vec<_>>(), true, 2, 0.03);
+    let error = force / whole.last().unwrap() - 1.0;
+    assert!(!fell_back && error.abs() < 0.1, "{error}");
+    assert!(shape.displacement.iter().all(|u| u.norm().is_finite()));
+}
+
+#[test]
 fn one_quick_iteration_per_tick_goes_wrong_in_no_tick_of_a_deep_press() {
     let topology = slab(true);
     let every: Vec<usize> = (1..=DEEP_TICKS).collect();

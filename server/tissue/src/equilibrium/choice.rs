@@ -74,7 +74,8 @@ impl Field {
         let mut limit = threshold;
         loop {
             self.need(structure, &coarse.patches[0], limit, quick);
-            if !quick || self.needed.items.len() <= NEEDED_MAX {
+            // Forces that are no numbers are louder than any limit; the step is undone for them.
+            if !quick || self.needed.items.len() <= NEEDED_MAX || !limit.is_finite() {
                 break;
             }
             limit *= 2.0;

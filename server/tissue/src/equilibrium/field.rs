@@ -232,12 +232,21 @@ impl Field {
         }
     }
 
-    /// Puts back every node that this step moved.
+    /// Whether every node that this step moved is somewhere, and within `limit` m of where it is at rest.
+    pub(super) fn is_within(&self, u: &[Vec3], limit: f64) -> bool {
+        let within = |&(node, _): &(u32, Vec3)| u[node as usize].norm() < limit;
+        self.before.iter().all(within)
+    }
+
+    /// Puts back every node that this step moved, and to its rest what is nowhere.
     pub(super) fn undo(&mut self, structure: &Structure, u: &mut [Vec3]) {
         for (node, before) in std::mem::take(&mut self.before) {
             u[node as usize] = before;
             self.disturb(structure, node);
         }
+        // What came in from outside was never anywhere else.
+        let lost = |u: &&mut Vec3| !u.norm().is_finite();
+        u.iter_mut().filter(lost).for_each(|u| *u = Vec3::zeros());
         self.displaced = u.iter().map(Vec3::norm).fold(0.0, f64::max);
     }
 

@@ -304,7 +304,7 @@ impl Solver {
         if !near {
             self.pour(shape);
         }
-        if !self.is_sane(topology) {
+        if !self.is_sane(topology, &shape.displacement) {
             self.field.undo(&self.structure, &mut shape.displacement);
             let own = std::mem::take(&mut self.field.own);
             self.restart(topology, own);
@@ -543,9 +543,10 @@ impl Solver {
         }
     }
 
-    fn is_sane(&self, topology: &Topology) -> bool {
+    fn is_sane(&self, topology: &Topology, u: &[Vec3]) -> bool {
         let limit = BLOWN_UP * topology.model().spacing_m;
-        self.report.residual.is_finite() && self.field.displaced < limit
+        // What is smoothed last is in no residual.
+        self.report.residual.is_finite() && self.field.is_within(u, limit)
     }
 
     /// Last stage: reactions and figures.
