@@ -44,6 +44,16 @@ fn deep_tool(k: usize) -> Tool {
     }
 }
 
+/// Where it is on its way to 15 mm and back, at 100 mm/s.
+fn there_and_back_tool(k: usize) -> Tool {
+    let depth = (0.4 * k as f64).min(15.0).min(0.4 * (85.0 - k as f64));
+    Tool {
+        id: 1,
+        centre: Vec3::new(33.0 * MM, 30.5 * MM, 32.0 * MM + RADIUS - depth * MM),
+        radius_m: RADIUS,
+    }
+}
+
 const TICKS: usize = 48;
 const DEEP_TICKS: usize = 45;
 
@@ -138,10 +148,91 @@ fn a_node_that_is_nowhere_is_put_back_and_nobody_waits_for_it() {
         step(k, &mut shape, None);
     }
     let (fell_back, force) = step(30, &mut shape, None);
-    let whole = press(&topology, tool, &(0..=30).collect::<Vec<_>>(), true, 2, 0.03);
+    let whole = press(
+        &topology,
+        tool,
+        &(0..=30).collect::<Vec<_>>(),
+        true,
+        2,
+        0.03,
+    );
     let error = force / whole.last().unwrap() - 1.0;
     assert!(!fell_back && error.abs() < 0.1, "{error}");
     assert!(shape.displacement.iter().all(|u| u.norm().is_finite()));
+}
+
+#[test]
+fn tissue_twice_as_fine_follows_a_deep_press_back_and_never_draws_the_tool_in() {
+    let material = Material {
+        young_pa: 10e3,
+        ..Material::default()
+    };
+    let topology = Topology::new(Arc::new(block([32, 32, 16], 2.0 * MM, &material, 1)));
+    let every: Vec<usize> = (1..=84).collect();
+    let quick = press(&topology, there_and_back_tool, &every, true, 1, 0.03);
+    assert!(quick.iter().all(|f| *f >= 0.0), "{quick:?}");
+    let some: Vec<usize> = (46..=82).step_by(4).collect();
+    let exact = press(&topology, there_and_back_tool, &some, false, 100, 1e-3);
+    let apart: Vec<f64> = some
+        .iter()
+        .zip(&exact)
+        .map(|(&k, e)| quick[k - 1] / e - 1.0)
+        .collect();
+    let rms = (apart.iter().map(|e| e * e).sum::<f64>() / apart.len() as f64).sqrt();
+    assert!(rms < 0.1, "{apart:?}");
+}
+
+#[test]
+fn a_press_after_a_release_has_the_bits_of_the_first() {
+    let topology = slab(true);
+    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut press = || -> Vec<u64> {
+        let tick = |k: usize| {
+            let budget = Budget {
+                near: true,
+                ..Budget::new(1, 0.03)
+            };
+            let report = solver.step(&topology, &mut shape, &[tool(k)], budget);
+            report.reactions[0].force.z.to_bits()
+        };
+        (1..=TICKS).map(tick).collect()
+    };
+    let first = press();
+    assert!(f64::from_bits(first[20]) > 0.1);
+    assert_eq!(press(), first);
+    assert!(shape.displacement.iter().all(|u| *u == Vec3::zeros()));
+}
+
+#[test]
+fn a_tool_within_what_will_be_tissue_again_waits_for_it() {
+    // It draws back 5 mm at once and stays 5 mm below the surface at rest.
+    let topology = slab(true);
+    let at = |depth: f64| Tool {
+        centre: Vec3::new(33.0 * MM, 30.5 * MM, 32.0 * MM + RADIUS - depth * MM),
+        ..tool(0)
+    };
+    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut step = |depth: f64| {
+        let budget = Budget {
+            near: true,
+            ..Budget::new(1, 0.03)
+        };
+        let report = solver.step(&topology, &mut shape, &[at(depth)], budget);
+        report.reactions[0].force.z
+    };
+    for k in 0..25 {
+        step(0.4 * f64::from(k));
+    }
+    let forces: Vec<f64> = (0..40).map(|k| step(5.0 + 1e-6 * f64::from(k))).collect();
+    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let report = solver.step(&topology, &mut shape, &[at(5.0)], Budget::new(200, 1e-4));
+    let exact = report.reactions[0].force.z;
+    assert!(
+        forces.iter().all(|f| *f < 2.0 * exact),
+        "{forces:?} {exact}"
+    );
+    let error = forces[39] / exact - 1.0;
+    assert!(error.abs() < 0.05, "{error}");
 }
 
 #[test]

@@ -62,14 +62,16 @@ impl Along {
                 let depth = row.radius + v.dot(&out);
                 return -row.stiffness * depth.max(0.0) * row.by.dot(&out);
             }
-            let distance = v.norm();
-            if *pierces && (v.dot(&row.by) > 0.0 || distance < CORE * row.radius) {
+            let square = v.norm_squared();
+            let core = CORE * row.radius;
+            if *pierces && (v.dot(&row.by) > 0.0 || square < core * core) {
                 // A wall across the line, as deep as the ball from here on.
                 return -row.stiffness * (row.radius * row.by.norm() + v.dot(&row.by));
             }
-            if distance >= row.radius || distance == 0.0 {
+            if square >= row.radius * row.radius || square == 0.0 {
                 return 0.0;
             }
+            let distance = square.sqrt();
             row.stiffness * (row.radius - distance) / distance * v.dot(&row.by)
         };
         self.rows.iter().map(one).sum()

@@ -5,7 +5,7 @@ use super::ball::Ball;
 use super::index::SurfaceIndex;
 use super::proxy::{Proxy, REACH};
 use super::reaction::Reaction;
-use super::surface::{Surface, area_normal, blend};
+use super::surface::{Foot, Surface, area_normal, blend};
 use super::{FOUNDATION, TOOLS_MAX, Tool};
 use crate::{Topology, Vec3};
 
@@ -37,6 +37,8 @@ pub(crate) struct Sample {
     flat: Option<Vec3>,
     proxy: u32,
     triangle: u32,
+    /// How deep it was in m before the tool moved.
+    depth_before: f64,
 }
 
 /// The contacts of one shape.
@@ -129,7 +131,7 @@ impl Contacts {
         self.index.watch(topology, u, displaced, &balls);
         let surface = Surface {
             topology,
-            u,
+            u: Some(u),
             index: &self.index,
         };
         let mut lags = false;
@@ -146,6 +148,30 @@ impl Contacts {
         }
         self.link();
         lags
+    }
+
+    /// Whether no tool would touch the tissue if it were at rest.
+    pub(crate) fn are_clear(&self, topology: &Topology) -> bool {
+        let surface = Surface {
+            topology,
+            u: None,
+            index: &self.index,
+        };
+        let clear = |proxy: &Proxy| {
+            let foot = surface.nearest(proxy.at, f64::MAX);
+            let outside = |foot: Foot| {
+                let away = proxy.at - foot.at;
+                away.dot(&foot.normal) > 0.0 && away.norm() > proxy.radius
+            };
+            foot.is_none_or(outside)
+        };
+        self.proxies.iter().all(|p| p.placed && clear(p))
+    }
+
+    /// Lets go of all tissue: it is at rest, and all tools are clear of it.
+    pub(crate) fn rest(&mut self) {
+        self.clear();
+        self.proxies.iter_mut().for_each(|p| p.feel(None));
     }
 
     /// Tells each proxy how deep it is already pressed, so that none gets ahead of the tissue.
@@ -179,18 +205,22 @@ impl Contacts {
     }
 
     /// Depth in m (above zero: pressed) and direction into the tissue of a sample.
+    #[inline]
     pub(crate) fn press(&self, sample: &Sample, u: &[Vec3]) -> (f64, Vec3) {
-        let x = sample.rest + blend(&sample.nodes.map(|n| u[n as usize]), &sample.weights);
-        let proxy = &self.proxies[sample.proxy as usize];
-        let v = x - proxy.at;
-        if let Some(out) = sample.flat {
-            return (proxy.radius + v.dot(&out), -out);
-        }
-        let distance = v.norm();
-        if distance >= proxy.radius || distance == 0.0 {
+        let (v, radius) = self.offset(sample, u);
+        // Most of what is in reach does not touch: without a root.
+        if sample.flat.is_none() && v.norm_squared() >= radius * radius {
             return (0.0, Vec3::zeros());
         }
-        (proxy.radius - distance, v / distance)
+        depth(sample, v, radius)
+    }
+
+    /// Where a sample is, from the middle of its tool, and the tool's radius, in m.
+    #[inline]
+    fn offset(&self, sample: &Sample, u: &[Vec3]) -> (Vec3, f64) {
+        let x = sample.rest + blend(&sample.nodes.map(|n| u[n as usize]), &sample.weights);
+        let proxy = &self.proxies[sample.proxy as usize];
+        (x - proxy.at, proxy.radius)
     }
 
     /// The samples along shapes `u + (s - at) by`.
@@ -218,6 +248,23 @@ impl Contacts {
             let (depth, n) = self.press(sample, u);
             if depth > 0.0 {
                 visit(sample, n * (sample.stiffness * depth), sample.stiffness, n);
+            }
+        }
+    }
+
+    /// Calls `visit` with every sample that is pressed or is expected to be again, its depth in m (below zero: it
+    /// has come off), its κ and its direction. Expected is what has come off by less than it was pressed in before the tool
+    /// moved: the criterion of a primal-dual active set, with κ as its factor (Hintermüller, Ito and Kunisch 2002).
+    pub(crate) fn expected(&self, u: &[Vec3], mut visit: impl FnMut(&Sample, f64, f64, Vec3)) {
+        for sample in &self.samples {
+            let (depth, n) = if sample.depth_before > 0.0 {
+                let (v, radius) = self.offset(sample, u);
+                depth(sample, v, radius)
+            } else {
+                self.press(sample, u)
+            };
+            if depth + sample.depth_before > 0.0 {
+                visit(sample, depth, sample.stiffness, n);
             }
         }
     }
@@ -255,8 +302,11 @@ impl Contacts {
     pub(crate) fn reaction(&mut self, topology: &Topology, u: &[Vec3], i: usize) -> Reaction {
         let (mut force, mut count) = (Vec3::zeros(), 0);
         let (mut still, mut sliding, mut sum) = (0.0, 0.0, 0.0);
+        let mut nearest: Option<f64> = None;
         for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
-            let (depth, n) = self.press(sample, u);
+            let (v, radius) = self.offset(sample, u);
+            let (depth, n) = depth(sample, v, radius);
+            nearest = Some(nearest.map_or(depth, |d| d.max(depth)));
             if depth > 0.0 {
                 let f = sample.stiffness * depth;
                 force -= n * f;
@@ -269,8 +319,8 @@ impl Contacts {
             }
         }
         let proxy = &mut self.proxies[i];
+        proxy.feel(nearest);
         if count == 0 {
-            proxy.touching = false;
             proxy.secant.clear();
         }
         let share = if sum > 0.0 { 1.0 / sum } else { 0.0 };
@@ -288,6 +338,19 @@ impl Contacts {
     }
 }
 
+/// Depth of a sample in m, below zero where it is off its tool, and direction into the tissue.
+#[inline]
+fn depth(sample: &Sample, v: Vec3, radius: f64) -> (f64, Vec3) {
+    if let Some(out) = sample.flat {
+        return (radius + v.dot(&out), -out);
+    }
+    let distance = v.norm();
+    if distance == 0.0 {
+        return (0.0, Vec3::zeros());
+    }
+    (radius - distance, v / distance)
+}
+
 fn sample_sphere(
     samples: &mut Vec<Sample>,
     surface: &Surface<'_>,
@@ -295,7 +358,7 @@ fn sample_sphere(
     i: usize,
     own: &[f64],
 ) {
-    let reach = proxy.radius + 0.5 * surface.topology.model().spacing_m;
+    let reach = proxy.radius + 0.5 * surface.topology.model().spacing_m + proxy.gap;
     for triangle in surface.near(proxy.at, reach) {
         if samples.len() + SAMPLES.len() > SAMPLES_MAX {
             return;
@@ -307,7 +370,8 @@ fn sample_sphere(
         let nodes = surface.topology.boundary().triangles[triangle as usize];
         let rest = nodes.map(|n| surface.topology.rest(n));
         for weights in SAMPLES {
-            let v = proxy.at - blend(&corners, &weights);
+            let x = blend(&corners, &weights);
+            let v = proxy.at - x;
             let distance = v.norm();
             if distance > reach || distance == 0.0 {
                 continue;
@@ -324,6 +388,7 @@ fn sample_sphere(
                     flat: None,
                     proxy: i as u32,
                     triangle,
+                    depth_before: (proxy.radius - (proxy.before - x).norm()).max(0.0),
                 });
             }
         }
@@ -349,6 +414,7 @@ fn sample_point(
             flat: Some(foot.normal),
             proxy: i as u32,
             triangle: foot.triangle,
+            depth_before: 0.0,
         });
     }
 }

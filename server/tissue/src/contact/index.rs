@@ -161,11 +161,21 @@ impl SurfaceIndex {
     /// The triangle with the smallest `square` of a distance to the centre of the ball, and that square;
     /// of equal ones the lowest. Only such within the ball count.
     pub(crate) fn nearest(&self, ball: &Ball, square: impl Fn(u32) -> f64) -> Option<(u32, f64)> {
-        let reach = ball.radius * ball.radius;
         if self.watched.covers(&self.at_rest(ball)) {
             return self.watched.nearest(ball, square);
         }
-        let slack = (1.0 + ROUNDING) * self.displaced;
+        self.nearest_within(ball, self.displaced, square)
+    }
+
+    /// The same where no triangle is farther than `displaced` m from where it is at rest.
+    pub(crate) fn nearest_within(
+        &self,
+        ball: &Ball,
+        displaced: f64,
+        square: impl Fn(u32) -> f64,
+    ) -> Option<(u32, f64)> {
+        let reach = ball.radius * ball.radius;
+        let slack = (1.0 + ROUNDING) * displaced;
         let least = |node: &BvhNode| {
             let away = ball.away(node.mins(), node.maxs()).sqrt() - slack;
             away.max(0.0) * away.max(0.0) * (1.0 - ROUNDING)

@@ -13,6 +13,8 @@ const TRAVEL: f64 = 0.5;
 
 /// Distance in spacings from a tool's surface at which it looks for the tissue's.
 pub(crate) const REACH: f64 = 2.0;
+/// Distance to the tissue, in radii, from which on a tool has lost it.
+const LOST: f64 = 0.5;
 /// Depth, in such travels, at which the proxy waits for the tissue to give way.
 const WAIT: f64 = 0.5;
 
@@ -22,6 +24,10 @@ pub(crate) struct Proxy {
     pub(crate) radius: f64,
     pub(crate) target: Vec3,
     pub(crate) at: Vec3,
+    /// Where it was before it last moved.
+    pub(crate) before: Vec3,
+    /// How far in m the tissue may be from it that it touched: by what it drew back, and what is still to follow.
+    pub(crate) gap: f64,
     pub(crate) touching: bool,
     /// Deepest sample at the last look, in m.
     pub(crate) depth: f64,
@@ -37,6 +43,8 @@ impl Proxy {
             radius: tool.radius_m,
             target: tool.centre,
             at: tool.centre,
+            before: tool.centre,
+            gap: 0.0,
             touching: false,
             depth: 0.0,
             placed: false,
@@ -51,7 +59,7 @@ impl Proxy {
 
     /// Where it may go and what it may feel there in this step.
     pub(crate) fn ball(&self, spacing: f64) -> Ball {
-        let (centre, mut radius) = (self.target, self.radius + REACH * spacing);
+        let (centre, mut radius) = (self.target, self.radius + self.gap + REACH * spacing);
         // A tool that jumps is not followed on its way.
         if self.lag() <= 2.0 * radius {
             radius += self.lag();
@@ -64,8 +72,25 @@ impl Proxy {
         (self.target - self.at).norm()
     }
 
-    /// Moves towards the tool; stops at the first touch. Returns whether it moved.
-    pub(crate) fn advance(&mut self, surface: &Surface<'_>) -> bool {
+    /// Moves towards the tool; stops at the first touch.
+    pub(crate) fn advance(&mut self, surface: &Surface<'_>) {
+        self.before = self.at;
+        let touched = self.touching;
+        self.go(surface);
+        if touched {
+            self.gap += (self.at - self.before).norm();
+        }
+    }
+
+    /// Takes in how deep it is pressed in m, below zero how far the tissue is from it; without anything near it
+    /// is nothing.
+    pub(crate) fn feel(&mut self, depth: Option<f64>) {
+        self.gap = depth.map_or(0.0, |d| (-d).max(0.0));
+        // Tissue that is on its way after a tool would get past it unseen if that forgot it.
+        self.touching &= depth.is_some() && self.gap < LOST * self.radius;
+    }
+
+    fn go(&mut self, surface: &Surface<'_>) -> bool {
         let spacing = surface.topology.model().spacing_m;
         let stride = TRAVEL * self.radius.max(0.5 * spacing);
         if !self.placed {

@@ -8,7 +8,8 @@ use crate::{Topology, Vec3};
 #[derive(Clone, Copy)]
 pub(crate) struct Surface<'a> {
     pub(crate) topology: &'a Topology,
-    pub(crate) u: &'a [Vec3],
+    /// Displacements in m, or at rest: that can be asked for its nearest point alone.
+    pub(crate) u: Option<&'a [Vec3]>,
     /// Which has watched `u`.
     pub(crate) index: &'a SurfaceIndex,
 }
@@ -25,8 +26,11 @@ pub(crate) struct Foot {
 
 impl Surface<'_> {
     pub(crate) fn corners(&self, triangle: u32) -> [Vec3; 3] {
-        self.topology.boundary().triangles[triangle as usize]
-            .map(|n| self.topology.rest(n) + self.u[n as usize])
+        let nodes = self.topology.boundary().triangles[triangle as usize];
+        match self.u {
+            Some(u) => nodes.map(|n| self.topology.rest(n) + u[n as usize]),
+            None => nodes.map(|n| self.topology.rest(n)),
+        }
     }
 
     /// Triangles whose boxes have a part within `reach` of `centre`, in the order of their numbers.
@@ -59,7 +63,10 @@ impl Surface<'_> {
             let w = nearest_weights(&corners, &centre);
             (blend(&corners, &w) - centre).norm_squared()
         };
-        let (triangle, _) = self.index.nearest(&ball, square)?;
+        let (triangle, _) = match self.u {
+            Some(_) => self.index.nearest(&ball, square)?,
+            None => self.index.nearest_within(&ball, 0.0, square)?,
+        };
         let corners = self.corners(triangle);
         let weights = nearest_weights(&corners, &centre);
         let at = blend(&corners, &weights);

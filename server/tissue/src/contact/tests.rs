@@ -114,7 +114,7 @@ proptest! {
                 }
                 Event::Search(balls) => {
                     index.watch(&topology, &u, longest(&u), &balls);
-                    let surface = Surface { topology: &topology, u: &u, index: &index };
+                    let surface = Surface { topology: &topology, u: Some(&u), index: &index };
                     for ball in &balls {
                         compare(&surface, ball);
                     }
@@ -147,7 +147,7 @@ proptest! {
                 for weights in SAMPLES {
                     let v = proxy.at - blend(&corners, &weights);
                     let facing = v.dot(&area_normal(&corners)) > 0.0;
-                    if facing && v.norm() <= (radius + 0.5) * D {
+                    if facing && v.norm() <= (radius + 0.5) * D + proxy.gap {
                         expected.push((nodes, weights));
                     }
                 }

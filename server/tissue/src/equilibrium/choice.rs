@@ -178,6 +178,7 @@ impl Field {
         let new = |brick: &u32| !self.left.contains(*brick);
         let new: Vec<u32> = self.set.items.iter().copied().filter(new).collect();
         self.compute(structure, u, &new);
+        self.renew_firmness(structure, u, &new);
         self.sum_up(structure);
     }
 

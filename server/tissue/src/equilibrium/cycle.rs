@@ -302,6 +302,7 @@ impl Multigrid {
     /// Works out what the correction does to the elements that are not refined; `work_along` and
     /// `commit` go by it.
     pub(super) fn defer(&mut self, structure: &Structure) {
+        self.forget();
         let slack = self.slack;
         for (patch, level) in self.patches.iter_mut().zip(&structure.levels) {
             let defer = Defer {
@@ -315,8 +316,8 @@ impl Multigrid {
 
     /// Work of what waits along the correction, before it and after it, in N m: that of the lag, and of
     /// the elements that are not refined.
-    pub(super) fn work_along(&self) -> [f64; 2] {
-        let (mut before, mut curve) = (0.0, 0.0);
+    pub(super) fn work_along(&mut self, structure: &Structure) -> [f64; 2] {
+        let (mut before, mut curve) = (self.work_of_lag_beyond(structure), 0.0);
         for patch in &self.patches {
             for &point in &patch.lagging.items {
                 let p = point as usize;

@@ -27,6 +27,8 @@ pub(super) struct Field {
     pub(super) own: Vec<f64>,
     /// Forces of each brick on its nodes when it was last computed.
     pub(super) forces: Vec<[[f32; LOCALS]; 3]>,
+    /// Bricks that were computed since all was at rest.
+    pub(super) computed: List,
     /// Some of them from before; scratch.
     pub(super) kept: Vec<[[f32; LOCALS]; 3]>,
     /// Force on each node in N, contacts included where they were last looked at.
@@ -57,14 +59,14 @@ pub(super) struct Field {
     /// Change of the size of a brick, in parts of it, from which on it stays in the set.
     pub(super) bent: f32,
     /// Bricks to be computed before anything is said about their nodes.
-    stale: List,
+    pub(super) stale: List,
     /// Nodes that are looked at; scratch.
     pub(super) touched: List,
     /// Displacements before this step of all nodes that moved in it.
-    before: Vec<(u32, Vec3)>,
-    saved: List,
+    pub(super) before: Vec<(u32, Vec3)>,
+    pub(super) saved: List,
     /// Nodes that were free when this step began.
-    settled: List,
+    pub(super) settled: List,
     /// Largest displacement of any node so far in m.
     pub(super) displaced: f64,
     pub(super) move_max: f64,
@@ -74,6 +76,9 @@ pub(super) struct Field {
     /// Blocks of the nodes of the set, without contacts, and of those in contact, with them; scratch.
     pub(super) blocks: Vec<[f32; 6]>,
     pub(super) pressed: Vec<[f32; 6]>,
+    /// Sums of the blocks of each brick's nodes when they were last computed, and of each form's at rest.
+    pub(super) firm: Vec<[f32; 6]>,
+    pub(super) firm_at_rest: Vec<Option<[f32; 6]>>,
     /// What level 1 moved each node by in this iteration; scratch.
     pub(super) moved: Vec<(u32, Vec3)>,
     pub(super) old: Vec<Quad>,
@@ -90,6 +95,7 @@ impl Field {
             fixed: (0..nodes as u32).map(|n| topology.is_pinned(n)).collect(),
             own,
             forces: vec![[[0.0; LOCALS]; 3]; structure.bricks.len()],
+            computed: List::new(structure.bricks.len()),
             kept: Vec::new(),
             r: vec![ZERO; nodes],
             inverse: vec![[0.0; 6]; nodes],
@@ -118,6 +124,8 @@ impl Field {
             visits: 0,
             blocks: vec![[0.0; 6]; nodes],
             pressed: Vec::new(),
+            firm: vec![[0.0; 6]; structure.bricks.len()],
+            firm_at_rest: vec![None; structure.forms.len()],
             moved: Vec::new(),
             old: Vec::new(),
             scratch: Box::new(Ends::new()),
@@ -336,6 +344,9 @@ impl Field {
     /// Forces of the set's bricks.
     pub(super) fn compute(&mut self, structure: &Structure, u: &[Vec3], list: &[u32]) {
         self.visits += list.len();
+        for &brick in list {
+            self.computed.insert(brick);
+        }
         let arch = self.arch;
         let one = |brick: u32, to: &mut [[f32; LOCALS]; 3], scratch: &mut Ends<3>| {
             let b = &structure.bricks[brick as usize];
@@ -416,18 +427,6 @@ impl Field {
             }
         }
         sum
-    }
-
-    /// Computes the set and the force on its nodes. Returns the sum of squares over the free ones.
-    pub(super) fn evaluate(
-        &mut self,
-        structure: &Structure,
-        u: &[Vec3],
-        contacts: &Contacts,
-    ) -> f64 {
-        self.evaluate_bricks(structure, u);
-        self.add_contacts(u, contacts, 1.0);
-        self.square_over_unfixed()
     }
 
     /// Sum of the squares of the forces on the nodes of the set that are not fixed.

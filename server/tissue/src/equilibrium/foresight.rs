@@ -125,7 +125,7 @@ impl Solver {
         self.field.evaluate_bricks(&self.structure, u);
         self.field.keep_forces();
         self.coarse.defer(&self.structure);
-        let waiting = self.coarse.work_along();
+        let waiting = self.work_waiting();
         let r = &self.field.r;
         let before: Vec<_> = last.iter().map(|m| r[m.0 as usize]).collect();
         self.field.move_on(u, last, 1.0);

@@ -68,7 +68,8 @@ impl WithSimd for Forces<'_> {
 pub(crate) struct Tangents<'a> {
     pub(crate) brick: &'a Brick,
     pub(crate) form: &'a Form,
-    pub(crate) u: &'a [Vec3],
+    /// Displacements of all nodes in m, or at rest.
+    pub(crate) u: Option<&'a [Vec3]>,
     pub(crate) per_spacing: f32,
     pub(crate) scratch: &'a mut Ends<6>,
 }
@@ -78,7 +79,10 @@ impl WithSimd for Tangents<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> LocalBlocks {
-        let local = gather(&self.brick.nodes, self.u);
+        let local = match self.u {
+            Some(u) => gather(&self.brick.nodes, u),
+            None => [[0.0; PADDED]; 3],
+        };
         let (form, per_spacing, scratch) = (self.form, self.per_spacing, self.scratch);
         let mut m = if form.curve.held {
             let (mut m, strained) = held_tangents(simd, form, &local, per_spacing, scratch);

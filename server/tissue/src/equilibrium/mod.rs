@@ -6,9 +6,11 @@
 //! | `hold`, `corners` | what keeps tissue that bottoms out from folding: held springs, hardening corners |
 //! | `brick`, `kernel`, `slight`, `lanes` | forces of eight cells at a time, in vectors |
 //! | `coarsen`, `element`, `matrix`, `structure` | coarse lattices that open where cuts do, with a matrix per element |
-//! | `patch`, `cycle`, `overlay` | the part of the coarse lattices near the tools, one V-cycle over it, what tools add |
+//! | `patch`, `cycle`, `beyond` | the part of the coarse lattices near the tools, one V-cycle over it, what it does beyond |
+//! | `overlay`, `stiffen` | what tools and hardened tissue add to the coarse lattices |
 //! | `field`, `choice`, `moves`, `near` | forces on nodes, which of them take part, smoothing |
-//! | `budget` | what a step may cost, and what it did |
+//! | `budget`, `relief` | what a step may cost, what it did, and what may wait for it |
+//! | `home` | what nothing touches is at rest |
 //! | `foresight`, `bind` | the last step's change carried on; what hinders a move |
 //! | `follower` | a cut's consequences, worked out beside the solvers |
 //! | `solver` | one step: its stages, its books |
@@ -16,7 +18,7 @@
 //!
 //! A step is a list of stages: carry the last change on, gather contacts, then per iteration choose
 //! what takes part, compute its forces, correct by the coarse levels, smooth. Coarse operators are those
-//! of the rest state; how much of their correction is taken is measured afterwards. One order of
+//! of the rest state, but where tissue has hardened; how much of their correction is taken is measured afterwards. One order of
 //! everything, no clock: the same steps give the same bits, on any number of threads and with vectors of
 //! any width.
 //!
@@ -29,15 +31,15 @@
 //!
 //! # What it can not do
 //!
-//! Coarse operators do not follow the deformation, so deep presses converge at half the speed of
-//! shallow ones, and springs that are not to bottom out fold from 30 % of a layer's thickness on. A stiff layer over
-//! something ten times softer is too stiff in a hand's steps. Near incompressible materials (Poisson's ratio 0.45)
+//! Coarse operators follow tissue that hardens and do not turn with it. Springs that are not to bottom out fold from
+//! 30 % of a layer's thickness on. A stiff layer over something ten times softer is too stiff in a hand's steps. Near incompressible materials (Poisson's ratio 0.45)
 //! smooth slowly. A point tool (radius below half a spacing) feels the corners of the mesh, and slips between the
 //! samples of a soft surface when it is pressed deeper than its own radius.
 
 // Vectors exist only where everything is inlined into what was dispatched.
 #![allow(clippy::inline_always)]
 
+mod beyond;
 mod bind;
 mod block;
 mod brick;
@@ -52,6 +54,7 @@ mod field;
 mod follower;
 mod foresight;
 mod hold;
+mod home;
 mod jacobi;
 mod kernel;
 mod lanes;
@@ -61,8 +64,10 @@ mod moves;
 mod near;
 mod overlay;
 mod patch;
+mod relief;
 mod slight;
 mod solver;
+mod stiffen;
 mod structure;
 
 pub use budget::{Budget, StepReport};

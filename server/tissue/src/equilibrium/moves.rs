@@ -6,6 +6,7 @@ use super::cycle::{Chebyshev, LOW, Multigrid};
 use super::field::{Field, contact_block};
 use super::kernel::Tangents;
 use super::patch::{apply, interpolate, invert};
+use super::stiffen::firm;
 use super::structure::Structure;
 use crate::Vec3;
 use crate::contact::Contacts;
@@ -146,10 +147,11 @@ impl Field {
             let m = self.arch.dispatch(Tangents {
                 brick: b,
                 form,
-                u,
+                u: Some(u),
                 per_spacing,
                 scratch: &mut self.block_scratch,
             });
+            self.firm[brick as usize] = firm(&m, b.present);
             for i in 0..LOCALS {
                 if b.present >> i & 1 == 1 && self.touched.contains(b.nodes[i]) {
                     let to = &mut blocks[b.nodes[i] as usize];
@@ -168,15 +170,31 @@ impl Field {
     /// The same for the nodes in contact only, whose stiffness comes and goes with what presses: a node
     /// smoothed with that of a moment when nothing pressed is thrown far out of the tool, and comes back.
     pub(super) fn renew_pressed(&mut self, u: &[Vec3], contacts: &Contacts) {
+        self.renew_or_press(u, contacts, false);
+    }
+
+    /// The same, and adds the forces of contacts to those on their nodes.
+    pub(super) fn press(&mut self, u: &[Vec3], contacts: &Contacts) {
+        self.renew_or_press(u, contacts, true);
+    }
+
+    fn renew_or_press(&mut self, u: &[Vec3], contacts: &Contacts, presses: bool) {
         self.pressed.clear();
         let blocks = contacts.nodes.iter().map(|&n| self.blocks[n as usize]);
         self.pressed.extend(blocks);
-        let pressed = &mut self.pressed;
-        contacts.pressed(u, |sample, _, kappa, n| {
+        let (pressed, r) = (&mut self.pressed, &mut self.r);
+        contacts.pressed(u, |sample, force, kappa, n| {
+            let whole = contact_block(CAUTION * kappa, &n);
             for (node, w) in sample.nodes.iter().zip(sample.weights) {
-                let block = contact_block(CAUTION * w * kappa, &n);
-                for (to, v) in pressed[contacts.place(*node)].iter_mut().zip(block) {
-                    *to += v;
+                let place = &mut pressed[contacts.place(*node)];
+                for (to, v) in place.iter_mut().zip(whole) {
+                    *to += w as f32 * v;
+                }
+                if presses {
+                    let r = &mut r[*node as usize];
+                    for a in 0..3 {
+                        r[a] += (w * force[a]) as f32;
+                    }
                 }
             }
         });

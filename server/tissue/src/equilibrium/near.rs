@@ -73,8 +73,7 @@ impl Field {
             for &node in &contacts.nodes {
                 self.r[node as usize] = self.sum(structure, node);
             }
-            self.add_contacts(u, contacts, 1.0);
-            self.renew_pressed(u, contacts);
+            self.press(u, contacts);
             self.relax(u, &near.nodes, &mut factors);
         }
     }

@@ -93,7 +93,7 @@ impl Multigrid {
 }
 
 impl Patch {
-    fn overlay(&mut self, level: &Level, element: u32, add: impl FnOnce(&mut Columns)) {
+    pub(super) fn overlay(&mut self, level: &Level, element: u32, add: impl FnOnce(&mut Columns)) {
         debug_assert!((element as usize) < level.corners.len());
         let entry = &mut self.overlay_of[element as usize];
         if *entry == NONE {
@@ -106,7 +106,7 @@ impl Patch {
         add(&mut self.overlays[*entry as usize].k);
     }
 
-    fn bear(&mut self, point: u32, block: &[f32; 6], weight: f32) {
+    pub(super) fn bear(&mut self, point: u32, block: &[f32; 6], weight: f32) {
         self.stiffened.insert(point);
         for (to, v) in self.stiffer[point as usize].iter_mut().zip(block) {
             *to += weight * v;

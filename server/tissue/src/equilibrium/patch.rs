@@ -116,6 +116,9 @@ pub(super) struct Patch {
     pub(super) gain: Vec<Quad>,
     pub(super) gained: List,
 
+    /// Points beyond the set of which it is known in `e` what they follow.
+    pub(super) followed: List,
+
     pub(super) lag: Vec<Quad>,
     pub(super) lagging: List,
     pub(super) pending: Vec<Corners>,
@@ -157,6 +160,7 @@ impl Patch {
             loaded: List::new(points),
             gain: vec![ZERO; points],
             gained: List::new(points),
+            followed: List::new(points),
             lag: vec![ZERO; points],
             lagging: List::new(points),
             pending: vec![NOTHING; elements],
@@ -170,6 +174,30 @@ impl Patch {
             stiffer: vec![[0.0; 6]; points],
             stiffened: List::new(points),
             inverse: level.bound.iter().map(invert).collect(),
+        }
+    }
+
+    /// Forgets all that was moved, and what waits for it.
+    pub(super) fn rest(&mut self) {
+        for (e, waits) in self.waiting.iter_mut().enumerate() {
+            if std::mem::take(waits) {
+                self.pending[e] = NOTHING;
+                self.owed[e] = NOTHING;
+            }
+        }
+        self.lag.fill(ZERO);
+        self.total.fill([0.0; 3]);
+        self.applied.fill([0.0; 3]);
+        self.deferred.clear();
+        for list in [
+            &mut self.lagging,
+            &mut self.loaded,
+            &mut self.gained,
+            &mut self.followed,
+            &mut self.wanted,
+            &mut self.stirred,
+        ] {
+            list.clear();
         }
     }
 

@@ -6,11 +6,13 @@ use std::sync::Arc;
 use super::budget::{Budget, StepReport};
 use super::choice::{Asked, Keeps};
 use super::cycle::{Effort, Multigrid};
-use super::field::{Field, contact_block, own_stiffness};
+use super::field::{Field, own_stiffness};
 use super::follower::{Follower, Successor, measure};
 use super::foresight::Foresight;
 use super::near::Near;
 use super::patch::take_over;
+use super::relief::Relief;
+use super::stiffen::HELD_STIFFNESS;
 use super::structure::Structure;
 use crate::contact::{Contacts, Tool};
 use crate::{Shape, Topology, Vec3};
@@ -18,9 +20,6 @@ use crate::{Shape, Topology, Vec3};
 /// Nodes held at once at most; [`Solver::hold`] refuses more. Four thousand nodes are a surface of
 /// 25 cm square at 4 mm.
 const HELD_MAX: usize = 4096;
-/// Stiffness that stands for a held node on the coarse levels, in parts of its own, and that draws the levels
-/// after a node that was led on. From 4 to 12 a cube comes to 1 % in three iterations or nearly.
-const HELD_STIFFNESS: f64 = 8.0;
 /// Smoothing steps after each coarse correction.
 const SMOOTHING: usize = 3;
 /// V-cycles: of a solution, and of a step that a hand waits for, where many cheap ones come farther.
@@ -83,17 +82,18 @@ pub struct Solver {
     pub(super) contacts: Contacts,
     near: Near,
     pub(super) held: Vec<u32>,
-    foresight: Foresight,
+    pub(super) foresight: Foresight,
+    pub(super) relief: Relief,
     pub(super) moved: Vec<Vec3>,
     pub(super) reference: f64,
     /// Force in N that moves a typical node by a spacing; see [`LEAST`].
     least: f64,
     report: StepReport,
-    dirty: bool,
+    pub(super) dirty: bool,
     /// Whether this step began with the last one's change everywhere.
     pub(super) carried: bool,
     /// Where nodes were that have been held or moved since the last step.
-    led: BTreeMap<u32, Vec3>,
+    pub(super) led: BTreeMap<u32, Vec3>,
     /// What they were led by, while the levels have not followed.
     drawn: Vec<(u32, Vec3)>,
     last_forces: Vec<Vec3>,
@@ -130,6 +130,7 @@ impl Solver {
             contacts: Contacts::new(topology),
             held: Vec::new(),
             foresight: Foresight::default(),
+            relief: Relief::NONE,
             moved: Vec::new(),
             reference: 0.0,
             report: StepReport::default(),
@@ -277,6 +278,7 @@ impl Solver {
             .displacement
             .resize(topology.node_count(), Vec3::zeros());
         let changed = self.contacts.begin(tools) || self.dirty;
+        let changed = self.go_home(topology, shape) || changed;
         self.report.ignored_tools = self.contacts.ignored;
         self.report.iterations = 0;
         self.report.visits = [0; 2];
@@ -322,10 +324,11 @@ impl Solver {
         budget: &mut Budget<'_>,
     ) {
         let quick = budget.near || budget.tolerance >= QUICK && self.held.is_empty();
-        self.coarse.pending = PENDING[usize::from(quick)];
+        let relief = self.relieve(budget.near);
+        self.coarse.pending = relief * PENDING[usize::from(quick)];
         let deep = usize::from(self.structure.bottoms_out);
         self.coarse.strained = if budget.near {
-            STRAINED[deep]
+            relief * STRAINED[deep]
         } else {
             f32::INFINITY
         };
@@ -333,13 +336,15 @@ impl Solver {
         self.coarse.follows = self.contacts.proxies.is_empty();
         self.field.limit_moves(&self.structure, budget.near);
         self.field.bent = if budget.near {
-            BENT[deep]
+            relief * BENT[deep]
         } else {
             f32::INFINITY
         };
         // What took part in the last step takes part again: nothing is gained by beginning coarsely.
         let mut share = if self.carried { 0.0 } else { FIRST_SHARE };
         let jumped = lags;
+        // What is added to the levels is that of other contacts.
+        let mut outdated = true;
         let touched = self.report.reactions.iter().any(|r| r.contacts > 0);
         let touches = budget.near && !touched && !self.contacts.nodes.is_empty();
         loop {
@@ -380,13 +385,15 @@ impl Solver {
             }
             self.report.iterations += 1;
             self.remember_forces(u);
-            if self.report.iterations > 1 && !quick {
-                self.stiffen(u);
+            if !quick || outdated {
+                self.stiffen(u, self.report.iterations == 1);
+                outdated = false;
             }
-            self.correct(u, share * allowed, quick);
+            self.correct(u, share * allowed, relief, quick);
             self.smooth(u);
             if lags {
                 lags = self.gather(topology, u);
+                outdated = true;
             }
         }
         if quick && self.report.iterations > 0 && !self.contacts.nodes.is_empty() {
@@ -427,13 +434,23 @@ impl Solver {
         self.field.square_over_unfixed()
     }
 
+    /// How many times more than else may wait in this step.
+    fn relieve(&mut self, near: bool) -> f32 {
+        if !near {
+            self.relief = Relief::NONE;
+            return 1.0;
+        }
+        let elements = self.coarse.patches.iter().map(|p| p.set.items.len());
+        let nodes = self.field.nodes.items.len();
+        self.relief.after(nodes, elements.sum())
+    }
+
     /// Stage: proxies and samples.
     pub(super) fn gather(&mut self, topology: &Topology, u: &mut [Vec3]) -> bool {
         let (field, contacts) = (&mut self.field, &mut self.contacts);
         field.let_contacts_go(&self.structure, &contacts.nodes);
         let lags = contacts.gather(topology, u, field.displaced, &field.own);
         field.pour_at(&self.structure, &self.coarse, u, &contacts.nodes);
-        self.stiffen(u);
         lags
     }
 
@@ -455,20 +472,24 @@ impl Solver {
     }
 
     /// Stage: coarse correction, in the share that proves best.
-    fn correct(&mut self, u: &mut [Vec3], threshold: f64, quick: bool) {
-        let effort = EFFORT[usize::from(quick)];
-        let (structure, coarse, field) = (&self.structure, &mut self.coarse, &mut self.field);
+    fn correct(&mut self, u: &mut [Vec3], threshold: f64, relief: f32, quick: bool) {
+        let mut effort = EFFORT[usize::from(quick)];
+        effort.loaded *= relief;
         let drawn = std::mem::take(&mut self.drawn);
         if drawn.is_empty() || self.carried || !self.contacts.nodes.is_empty() {
-            field.restrict(structure, coarse);
+            self.field.restrict(&self.structure, &mut self.coarse);
+            if self.report.iterations == 1 {
+                self.pull(u);
+            }
         } else {
             // A node that has left the others behind is a spike, whose forces no level can follow. So the levels
             // are drawn after it instead.
             for (node, by) in drawn {
-                let force = by * (HELD_STIFFNESS * field.own[node as usize]);
-                coarse.draw(structure, node, &force);
+                let force = by * (HELD_STIFFNESS * self.field.own[node as usize]);
+                self.coarse.draw(&self.structure, node, &force);
             }
         }
+        let (structure, coarse, field) = (&self.structure, &mut self.coarse, &mut self.field);
         coarse.cycle(structure, threshold as f32, effort);
         field.add_contacts(u, &self.contacts, -1.0);
         field.keep_forces();
@@ -480,10 +501,10 @@ impl Solver {
         let waiting = if self.contacts.proxies.is_empty() {
             [0.0; 2]
         } else {
-            coarse.work_along()
+            self.work_waiting()
         };
-        let old = std::mem::take(&mut field.old);
-        let mut moved = std::mem::take(&mut field.moved);
+        let old = std::mem::take(&mut self.field.old);
+        let mut moved = std::mem::take(&mut self.field.moved);
         let share = self.share_of(u, &mut moved, &old, waiting, SHARES);
         let (structure, coarse, field) = (&self.structure, &mut self.coarse, &mut self.field);
         (field.old, field.moved) = (old, moved);
@@ -502,37 +523,13 @@ impl Solver {
         let mut factors = Field::smoothing();
         for s in 0..SMOOTHING {
             if s > 0 {
-                self.field.evaluate(&self.structure, u, &self.contacts);
+                self.field.evaluate_bricks(&self.structure, u);
+                self.field.press(u, &self.contacts);
             }
-            self.field.renew_pressed(u, &self.contacts);
             let nodes = std::mem::take(&mut self.field.nodes.items);
             self.field.relax(u, &nodes, &mut factors);
             self.field.nodes.items = nodes;
         }
-    }
-
-    /// Stage: what contacts and held nodes add to the coarse levels.
-    fn stiffen(&mut self, u: &[Vec3]) {
-        let (structure, coarse) = (&self.structure, &mut self.coarse);
-        coarse.soften(structure);
-        let mut blocks: Vec<[f32; 6]> = vec![[0.0; 6]; self.contacts.nodes.len()];
-        let contacts = &self.contacts;
-        contacts.pressed(u, |sample, _, kappa, n| {
-            for (&node, w) in sample.nodes.iter().zip(sample.weights) {
-                let block = &mut blocks[contacts.place(node)];
-                for (to, v) in block.iter_mut().zip(contact_block(w * kappa, &n)) {
-                    *to += v;
-                }
-            }
-        });
-        for (&node, block) in contacts.nodes.iter().zip(&blocks) {
-            coarse.stiffen(structure, node, block);
-        }
-        for &node in &self.held {
-            let k = (HELD_STIFFNESS * self.field.own[node as usize]) as f32;
-            coarse.stiffen(structure, node, &[k, k, k, 0.0, 0.0, 0.0]);
-        }
-        coarse.spread(structure);
     }
 
     fn remember_forces(&mut self, u: &[Vec3]) {

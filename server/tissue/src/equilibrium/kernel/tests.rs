@@ -104,7 +104,7 @@ fn same_bits(brick: &Brick, form: &Form, u: &[Vec3]) {
         let op = Tangents {
             brick,
             form,
-            u,
+            u: Some(u),
             per_spacing: 250.0,
             scratch,
         };
@@ -187,7 +187,7 @@ fn has_a_potential(brick: &Brick, form: &Form, u: &[Vec3]) {
     let bound = Arch::new().dispatch(Tangents {
         brick,
         form,
-        u,
+        u: Some(u),
         per_spacing: 250.0,
         scratch: &mut Ends::new(),
     });
