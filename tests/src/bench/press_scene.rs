@@ -1,8 +1,8 @@
 //! `bench press-scene`: a sphere pressed into any model at the speed of a hand.
 //!
 //! A sphere of 8 mm radius goes 15 mm deep at 100 mm/s where the model has room for it, solved 250
-//! times a second with the budget of a hand, several times from rest. Afterwards another solver converges
-//! at every tick, and the forces are compared.
+//! times a second with the budget of a hand, several times from rest, and draws back as fast. Afterwards another
+//! solver converges at every place of the tool, and the forces are compared.
 
 use std::fmt;
 use std::sync::Arc;
@@ -61,6 +61,11 @@ impl Default for PressScene {
 pub struct Tick {
     /// Which of the presses it belongs to, from 1.
     pub press: usize,
+    /// Whether the tool draws back.
+    pub draws_back: bool,
+    /// Which of the tools of a press it is.
+    #[serde(skip)]
+    tool: usize,
     /// Depth in mm.
     pub depth_mm: f64,
     /// Force along the normal in N.
@@ -79,6 +84,29 @@ pub struct Tick {
     pub converged_residual: f64,
 }
 
+/// Figures of some ticks.
+#[derive(Debug, Clone, Serialize)]
+pub struct Figures {
+    /// Median and 99th percentile of a tick, ms.
+    pub ms: [f64; 2],
+    /// Largest relative force error.
+    pub worst_error: f64,
+    /// Root of the mean square of it.
+    pub rms_error: f64,
+}
+
+impl Figures {
+    fn of(ticks: &[&Tick]) -> Self {
+        let times: Vec<f64> = ticks.iter().map(|t| t.ms).collect();
+        let squares: f64 = ticks.iter().map(|t| t.error * t.error).sum();
+        Self {
+            ms: [super::median(&times), super::quantile(&times, 0.99)],
+            worst_error: ticks.iter().map(|t| t.error.abs()).fold(0.0, f64::max),
+            rms_error: (squares / ticks.len() as f64).sqrt(),
+        }
+    }
+}
+
 /// Figures of a run.
 #[derive(Debug, Clone, Serialize)]
 pub struct PressSceneReport {
@@ -88,12 +116,11 @@ pub struct PressSceneReport {
     pub nodes: usize,
     /// Bricks and coarse lattices, once, ms.
     pub setup_ms: f64,
-    /// Median and 99th percentile of a tick, ms.
-    pub ms: [f64; 2],
-    /// Largest relative force error while pressing.
-    pub worst_error: f64,
-    /// Root of the mean square of it.
-    pub rms_error: f64,
+    /// Of ticks of pressing, and of being there.
+    #[serde(flatten)]
+    pub press: Figures,
+    /// Of ticks of drawing back.
+    pub back: Figures,
     /// Most nodes that took part.
     pub active: usize,
     /// Slope of the converged force over the last fifth of the depth over that of the first.
@@ -141,7 +168,10 @@ impl PressScene {
         for repeat in 1..=self.repeats {
             progress(&format!("press {repeat} of {}", self.repeats));
             let (mut hand, mut shape) = (first.another(&topology), Shape::rest(&topology));
-            for tool in &tools {
+            let out = (0..moving.saturating_sub(1)).rev();
+            let ways = (0..tools.len()).map(|t| (t, false));
+            for (number, draws_back) in ways.chain(out.map(|t| (t, true))) {
+                let tool = &tools[number];
                 let began = Instant::now();
                 let ms = || began.elapsed().as_secs_f64() * 1e3;
                 let mut stop = || ms() > self.budget_ms;
@@ -153,6 +183,8 @@ impl PressScene {
                 let report = hand.step(&topology, &mut shape, &[*tool], budget);
                 ticks.push(Tick {
                     press: repeat,
+                    draws_back,
+                    tool: number,
                     depth_mm: (RADIUS_M - (tool.centre - place.middle).dot(&place.normal)) * 1e3,
                     force_n: along(report),
                     ms: ms(),
@@ -167,7 +199,7 @@ impl PressScene {
             progress(&format!("converging tick {} of {}", k + 1, tools.len()));
             let budget = Budget::new(200, self.converged);
             let report = exact.step(&topology, &mut shape, &[*tool], budget);
-            for tick in ticks.iter_mut().skip(k).step_by(tools.len()) {
+            for tick in ticks.iter_mut().filter(|t| t.tool == k) {
                 tick.converged_n = along(report);
                 tick.error = (tick.force_n - tick.converged_n) / tick.converged_n.max(LEAST_N);
                 tick.converged_residual = report.residual;
@@ -175,7 +207,7 @@ impl PressScene {
         }
         Ok(PressSceneReport {
             wound,
-            ..summary(&topology, setup_ms, ticks, tools.len())
+            ..summary(&topology, setup_ms, ticks, moving)
         })
     }
 }
@@ -184,12 +216,10 @@ fn summary(
     topology: &Topology,
     setup_ms: f64,
     ticks: Vec<Tick>,
-    per_press: usize,
+    moving: usize,
 ) -> PressSceneReport {
-    let times: Vec<f64> = ticks.iter().map(|t| t.ms).collect();
-    let moving = &ticks[..per_press.saturating_sub(REST)];
-    let worst = ticks.iter().map(|t| t.error.abs()).fold(0.0, f64::max);
-    let squares: f64 = ticks.iter().map(|t| t.error * t.error).sum();
+    let moving = &ticks[..moving.min(ticks.len())];
+    let (back, press): (Vec<&Tick>, Vec<&Tick>) = ticks.iter().partition(|t| t.draws_back);
     let slope = |part: &[Tick]| match part {
         [first, .., last] => {
             (last.converged_n - first.converged_n) / (last.depth_mm - first.depth_mm)
@@ -201,9 +231,8 @@ fn summary(
         wound: None,
         nodes: topology.node_count(),
         setup_ms,
-        ms: [super::median(&times), super::quantile(&times, 0.99)],
-        worst_error: worst,
-        rms_error: (squares / ticks.len() as f64).sqrt(),
+        press: Figures::of(&press),
+        back: Figures::of(&back),
         active: ticks.iter().map(|t| t.active).max().unwrap_or(0),
         stiffening: slope(&moving[moving.len() - fifth..]) / slope(&moving[..fifth]),
         ticks,
@@ -242,14 +271,19 @@ impl fmt::Display for PressSceneReport {
         write!(
             f,
             "{} nodes; tick p50 {:.2} ms, p99 {:.2} ms; force error worst {:.1} %, rms {:.1} %; at \
-             most {} nodes active; slope of the last fifth {:.1} times the first",
+             most {} nodes active; slope of the last fifth {:.1} times the first; drawn back p50 {:.2} ms, \
+             p99 {:.2} ms, worst {:.1} %, rms {:.1} %",
             self.nodes,
-            self.ms[0],
-            self.ms[1],
-            self.worst_error * 100.0,
-            self.rms_error * 100.0,
+            self.press.ms[0],
+            self.press.ms[1],
+            self.press.worst_error * 100.0,
+            self.press.rms_error * 100.0,
             self.active,
-            self.stiffening
+            self.stiffening,
+            self.back.ms[0],
+            self.back.ms[1],
+            self.back.worst_error * 100.0,
+            self.back.rms_error * 100.0
         )
     }
 }
