@@ -175,7 +175,8 @@ impl SurfaceIndex {
         square: impl Fn(u32) -> f64,
     ) -> Option<(u32, f64)> {
         let reach = ball.radius * ball.radius;
-        let slack = (1.0 + ROUNDING) * displaced;
+        // A few nanometres off the surface, digits of the distance are lost in those of the place.
+        let slack = (1.0 + ROUNDING) * displaced + ROUNDING * self.spacing;
         let least = |node: &BvhNode| {
             let away = ball.away(node.mins(), node.maxs()).sqrt() - slack;
             away.max(0.0) * away.max(0.0) * (1.0 - ROUNDING)

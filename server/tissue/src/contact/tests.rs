@@ -90,6 +90,27 @@ fn compare(surface: &Surface<'_>, ball: &Ball) {
     assert_eq!(foot.map(|f| f.triangle), lowest.filter(|_| within));
 }
 
+#[test]
+fn the_nearest_point_is_found_from_a_few_nanometres_away() {
+    let topology = topology();
+    let index = SurfaceIndex::new(&topology);
+    let surface = Surface {
+        topology: &topology,
+        u: None,
+        index: &index,
+    };
+    for (t, nodes) in topology.boundary().triangles.iter().enumerate() {
+        let corners = nodes.map(|n| topology.rest(n));
+        let normal = area_normal(&corners).normalize();
+        for k in 1..40 {
+            let [a, b] = [0.013 * f64::from(k), 0.021];
+            let at = blend(&corners, &[1.0 - a - b, a, b]) + normal * (2.3e-10 * f64::from(k));
+            let foot = surface.nearest(at, f64::MAX).unwrap();
+            assert!((foot.at - at).norm() < 1e-8, "{t} from {at}");
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..Default::default() })]
 
