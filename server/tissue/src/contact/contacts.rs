@@ -150,8 +150,12 @@ impl Contacts {
         lags
     }
 
-    /// Whether no tool would touch the tissue if it were at rest.
-    pub(crate) fn are_clear(&self, topology: &Topology) -> bool {
+    /// Whether no tool is pressed, nor would be if the tissue were at rest.
+    pub(crate) fn are_clear(&self, topology: &Topology, u: &[Vec3]) -> bool {
+        let pressed = |sample: &Sample| self.press(sample, u).0 > 0.0;
+        if self.samples.iter().any(pressed) {
+            return false;
+        }
         let surface = Surface {
             topology,
             u: None,
@@ -171,16 +175,23 @@ impl Contacts {
     /// Lets go of all tissue: it is at rest, and all tools are clear of it.
     pub(crate) fn rest(&mut self) {
         self.clear();
-        self.proxies.iter_mut().for_each(|p| p.feel(None));
+        self.proxies.iter_mut().for_each(|p| p.feel(None, 0.0));
     }
 
-    /// Tells each proxy how deep it is already pressed, so that none gets ahead of the tissue.
+    /// Tells each proxy how deep it is already pressed, so that none gets ahead of the tissue, and how far that is
+    /// behind it.
     fn hold_back(&mut self, u: &[Vec3]) {
-        self.proxies.iter_mut().for_each(|p| p.depth = 0.0);
-        for i in 0..self.samples.len() {
-            let (depth, _) = self.press(&self.samples[i], u);
-            let proxy = &mut self.proxies[self.samples[i].proxy as usize];
-            proxy.depth = proxy.depth.max(depth);
+        let mut nearest = vec![f64::NEG_INFINITY; self.proxies.len()];
+        for sample in &self.samples {
+            let (v, radius) = self.offset(sample, u);
+            let nearest = &mut nearest[sample.proxy as usize];
+            *nearest = nearest.max(depth(sample, v, radius).0);
+        }
+        for (proxy, nearest) in self.proxies.iter_mut().zip(nearest) {
+            proxy.depth = nearest.max(0.0);
+            if nearest.is_finite() {
+                proxy.gap = (-nearest).max(0.0);
+            }
         }
     }
 
@@ -319,7 +330,7 @@ impl Contacts {
             }
         }
         let proxy = &mut self.proxies[i];
-        proxy.feel(nearest);
+        proxy.feel(nearest, topology.model().spacing_m);
         if count == 0 {
             proxy.secant.clear();
         }

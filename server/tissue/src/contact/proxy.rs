@@ -13,7 +13,7 @@ const TRAVEL: f64 = 0.5;
 
 /// Distance in spacings from a tool's surface at which it looks for the tissue's.
 pub(crate) const REACH: f64 = 2.0;
-/// Distance to the tissue, in radii, from which on a tool has lost it.
+/// Distance to the tissue, in radii (of at least half a spacing), from which on a tool has lost it.
 const LOST: f64 = 0.5;
 /// Depth, in such travels, at which the proxy waits for the tissue to give way.
 const WAIT: f64 = 0.5;
@@ -84,10 +84,11 @@ impl Proxy {
 
     /// Takes in how deep it is pressed in m, below zero how far the tissue is from it; without anything near it
     /// is nothing.
-    pub(crate) fn feel(&mut self, depth: Option<f64>) {
+    pub(crate) fn feel(&mut self, depth: Option<f64>, spacing: f64) {
         self.gap = depth.map_or(0.0, |d| (-d).max(0.0));
         // Tissue that is on its way after a tool would get past it unseen if that forgot it.
-        self.touching &= depth.is_some() && self.gap < LOST * self.radius;
+        let lost = LOST * self.radius.max(0.5 * spacing);
+        self.touching &= depth.is_some() && self.gap < lost;
     }
 
     fn go(&mut self, surface: &Surface<'_>) -> bool {
@@ -95,10 +96,13 @@ impl Proxy {
         let stride = TRAVEL * self.radius.max(0.5 * spacing);
         if !self.placed {
             self.place(surface);
+            self.before = self.at;
         }
         let way = self.target - self.at;
         let length = way.norm();
         if length == 0.0 {
+            // What it had lost may have come after it.
+            self.touching = self.touching || self.touches(surface, spacing);
             return false;
         }
         if self.touching {

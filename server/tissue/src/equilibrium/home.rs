@@ -21,7 +21,8 @@ impl Solver {
     /// Puts the tissue to rest if nothing keeps it from there. Returns whether it moved.
     pub(super) fn go_home(&mut self, topology: &Topology, shape: &mut Shape) -> bool {
         let displaced = self.field.displaced > 0.0;
-        if !displaced || !self.held.is_empty() || !self.contacts.are_clear(topology) {
+        let clear = || self.contacts.are_clear(topology, &shape.displacement);
+        if !displaced || !self.held.is_empty() || !clear() {
             return false;
         }
         shape.displacement.fill(Vec3::zeros());
@@ -32,6 +33,7 @@ impl Solver {
         self.led.clear();
         self.relief = Relief::NONE;
         self.reference = 0.0;
+        self.report.reactions.clear();
         self.dirty = false;
         true
     }

@@ -88,7 +88,7 @@ pub struct Solver {
     pub(super) reference: f64,
     /// Force in N that moves a typical node by a spacing; see [`LEAST`].
     least: f64,
-    report: StepReport,
+    pub(super) report: StepReport,
     pub(super) dirty: bool,
     /// Whether this step began with the last one's change everywhere.
     pub(super) carried: bool,
@@ -554,8 +554,8 @@ impl Solver {
         for i in 0..self.contacts.proxies.len() {
             let mut reaction = self.contacts.reaction(topology, u, i);
             let proxy = &mut self.contacts.proxies[i];
+            self.report.lag_m = self.report.lag_m.max(proxy.lag());
             if reaction.contacts > 0 {
-                self.report.lag_m = self.report.lag_m.max(proxy.lag());
                 if !proxy.secant.is_known() {
                     let own = self.field.own[self.contacts.nodes[0] as usize];
                     let wide = (proxy.radius / spacing).max(0.5);
