@@ -127,6 +127,7 @@ fn inspect_model(
         map.insert("file_bytes".into(), json!(bytes));
         map.insert("nodes".into(), json!(file.model.nodes.len()));
         map.insert("cells".into(), json!(file.model.cells.len()));
+        map.insert("gravity_m_s2".into(), json!(file.model.gravity));
         map.insert("materials".into(), materials(&file));
     }
     let mut text = match serde_json::from_str::<BuildSummary>(&file.report_json) {
@@ -139,6 +140,10 @@ fn inspect_model(
     };
     // Writing to a string does not fail.
     let _ = write!(text, "\nmodel {hash}, {:.2} MB", bytes as f64 / 1e6);
+    if file.model.gravity != [0.0; 3] {
+        let [x, y, z] = file.model.gravity;
+        let _ = write!(text, "\ngravity [{x}, {y}, {z}] m/s2");
+    }
     for region in &file.model.regions {
         let m = &region.material;
         let _ = write!(

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use palpate_client::Recording;
 use palpate_device::{Script, ScriptError};
 use palpate_server::host::HostSummary;
-use palpate_tissue::Topology;
+use palpate_tissue::{Solver, Topology};
 
 use crate::chart::Mark;
 use crate::disagreement::{CoursePoint, Disagreement, DistancesMm};
@@ -162,7 +162,11 @@ fn script_file(dir: &Path, name: &str) -> PathBuf {
 }
 
 fn make_scripts(subject: &Subject, seconds: f64) -> Result<Scripts, DemoError> {
-    let place = Place::find(&Topology::new(subject.model.clone()))?;
+    let topology = Topology::new(subject.model.clone());
+    let mut place = Place::find(&topology)?;
+    if subject.model.gravity != [0.0; 3] {
+        place.sag(&topology, &Solver::new(&topology));
+    }
     Ok(Scripts::for_place(&place, seconds)?)
 }
 

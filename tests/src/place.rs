@@ -15,7 +15,7 @@
 
 use std::collections::BTreeMap;
 
-use palpate_tissue::{RegionId, Topology, Vec3};
+use palpate_tissue::{RegionId, Solver, Topology, Vec3};
 
 /// Nodes of the surface that are tried as the middle. Each costs one pass over the bad and the
 /// pinned nodes; more are not better, because neighbours are alike.
@@ -195,6 +195,18 @@ fn normal_of(topology: &Topology, triangle: usize) -> Vec3 {
 }
 
 impl Place {
+    /// Follows the surface to where it hangs by its own weight: the nearest node leads all of it.
+    pub fn sag(&mut self, topology: &Topology, solver: &Solver) {
+        let nodes = topology.boundary().triangles.iter().flatten().copied();
+        let apart = |node: &u32| (topology.rest(*node) - self.middle).norm();
+        let nearest = nodes.min_by(|a, b| apart(a).total_cmp(&apart(b)));
+        let by = nearest.map_or_else(Vec3::zeros, |n| solver.sag_of(n));
+        self.middle += by;
+        for corner in self.triangles.iter_mut().flatten() {
+            *corner += by;
+        }
+    }
+
     /// Looks for the best place of a model at rest.
     pub fn find(topology: &Topology) -> Result<Self, PlaceError> {
         let skin = Skin::new(topology);

@@ -125,7 +125,10 @@ impl Authority {
     /// Displacements for others to compare with: an even choice of the nodes that have moved.
     pub(crate) fn corrections(&self) -> Option<Corrections> {
         let moved: Vec<u32> = (0..self.shape.displacement.len() as u32)
-            .filter(|&n| self.shape.displacement[n as usize].norm() > DISPLACED_M)
+            .filter(|&n| {
+                let by = self.shape.displacement[n as usize] - self.solver.sag_of(n);
+                by.norm() > DISPLACED_M
+            })
             .collect();
         let step = moved.len().div_ceil(CORRECTIONS_MAX).max(1);
         let nodes: Vec<(u32, [f32; 3])> = moved

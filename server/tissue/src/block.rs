@@ -63,6 +63,7 @@ pub fn block(
     };
     let mut model = Model {
         spacing_m,
+        gravity: [0.0; 3],
         regions: vec![region("base", true), region("body", false)],
         nodes,
         lattice,

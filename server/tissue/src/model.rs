@@ -32,6 +32,8 @@ pub struct Region {
 pub struct Model {
     /// Lattice spacing Δd in m.
     pub spacing_m: f64,
+    /// Acceleration of gravity in m/s² along the axes of the model; zeros where there is none.
+    pub gravity: [f64; 3],
     /// Regions in scene order: a later one overrides an earlier one where they overlap.
     pub regions: Vec<Region>,
     /// Rest position of each node in m.

@@ -60,7 +60,9 @@ impl From<Short> for SnapshotError {
 /// sources of materials do not count.
 pub fn model_hash(model: &Model) -> u64 {
     let mut hasher = xxhash_rust::xxh3::Xxh3::new();
-    hasher.update(&model.spacing_m.to_bits().to_le_bytes());
+    for v in [model.spacing_m].iter().chain(&model.gravity) {
+        hasher.update(&v.to_bits().to_le_bytes());
+    }
     for region in &model.regions {
         let m = &region.material;
         hasher.update(&[u8::from(region.pinned) | (u8::from(m.bottoms_out) << 1)]);

@@ -69,6 +69,7 @@ fn model(
         materials: (0..boxes.len()).map(material).collect(),
         auto_spacing: false,
         pinned: Vec::new(),
+        gravity_m_s2: [0.0; 3],
         base: PathBuf::new(),
     };
     let surfaces = boxes.iter().map(|b| cuboid(b.0, b.1, turn)).collect();

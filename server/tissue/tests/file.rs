@@ -36,6 +36,7 @@ fn crooked() -> Model {
         let t = i as f64;
         *p += Vec3::new(t.sin(), (1.7 * t).cos(), (0.3 * t).sin()) * 3e-4 + Vec3::repeat(0.123);
     }
+    model.gravity = [0.1, -9.81, 2.5];
     for l in &mut model.lattice {
         *l = [l[0] - 40, l[1] + 3, l[2]];
     }

@@ -265,6 +265,36 @@ fn every_mistake_is_named_with_its_line_and_what_to_do() {
 }
 
 #[test]
+fn gravity_is_an_acceleration_that_something_withstands() {
+    assert_eq!(parse(THIGH).unwrap().gravity_m_s2, [0.0; 3]);
+    let with = |value: &str| {
+        let line = format!("gravity_m_s2 = {value}\npinned =");
+        parse(&THIGH.replacen("pinned =", &line, 1))
+    };
+    let scene = with("[0, -9.81, 0.5]").unwrap();
+    assert_eq!(scene.gravity_m_s2, [0.0, -9.81, 0.5]);
+    assert_eq!(
+        parse(&scene.to_toml()).unwrap().gravity_m_s2,
+        scene.gravity_m_s2
+    );
+    for (value, words) in [
+        ("9.81", ["[0.0, 0.0, -9.81]", "gravity_m_s2"]),
+        ("[0, 9.81]", ["a list of 2", "[0.0, 0.0, -9.81]"]),
+        ("[0, 0, \"down\"]", ["a number", "gravity_m_s2"]),
+        ("[0, 0, -9810]", ["below 100 m/s2", "9.81"]),
+        ("[0, 0, nan]", ["below 100 m/s2", "NaN"]),
+    ] {
+        let message = with(value).unwrap_err().to_string();
+        let known = words.iter().all(|w| message.contains(w));
+        assert!(known && message.contains("line"), "{value}: {message}");
+    }
+    let loose = with("[0, 0, -9.81]").unwrap().to_toml();
+    let loose = loose.replace("pinned = [\"femur\"]\n", "");
+    let message = parse(&loose).unwrap_err().to_string();
+    assert!(message.contains("name a region in \"pinned\""), "{message}");
+}
+
+#[test]
 fn names_with_quotes_and_line_breaks_survive_writing() {
     let mut scene = parse(THIGH).unwrap();
     scene.regions[1].name = "a \"b\" \\ [c]\n\u{1} d".to_owned();

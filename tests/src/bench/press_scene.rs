@@ -151,6 +151,7 @@ impl PressScene {
         let began = Instant::now();
         let first = Solver::new(&topology);
         let setup_ms = began.elapsed().as_secs_f64() * 1e3;
+        place.sag(&topology, &first);
         let moving = (self.depth_m / (self.speed_m_s * TICK_S)).ceil() as usize;
         let tools: Vec<Tool> = (1..=moving + REST)
             .map(|k| {

@@ -224,6 +224,7 @@ fn cut_out(model: &Model, region: usize, place: &Place) -> Model {
     }
     Model {
         spacing_m: model.spacing_m,
+        gravity: [0.0; 3],
         regions: vec![model.regions[region].clone()],
         nodes,
         lattice,

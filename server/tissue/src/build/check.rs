@@ -5,9 +5,10 @@ use rayon::prelude::*;
 use super::inside::PointQuery;
 use super::lattice::Mending;
 use super::{BUILD_NODES_MAX, BuildError, GRID_CELLS_MAX, RegionReport};
+use crate::equilibrium::adrift;
 use crate::file::POSITION_MAX_M;
 use crate::scene::SceneInput;
-use crate::{Aabb, Surface, Vec3};
+use crate::{Aabb, Model, Surface, Vec3};
 
 /// A region whose volume differs from its input by more than this part earns a warning.
 const VOLUME_WARNING: f64 = 0.01;
@@ -99,6 +100,18 @@ pub(super) fn nesting(
         }
     }
     Ok(())
+}
+
+/// Warns of what gravity pulls at and nothing holds.
+pub(super) fn hanging(model: &Model, warnings: &mut Vec<String>) {
+    let adrift = adrift(model);
+    if adrift > 0 {
+        warnings.push(format!(
+            "{adrift} of {} nodes are joined to nothing that is pinned: they would fall for ever, \
+             so gravity leaves them alone",
+            model.nodes.len()
+        ));
+    }
 }
 
 /// Distance in m between two boxes.

@@ -201,6 +201,7 @@ pub fn build(
     drop(placed.constraints);
     let mut model = Model {
         spacing_m: spacing,
+        gravity: input.scene.gravity_m_s2,
         regions,
         nodes: placed.positions,
         lattice: lattice.nodes,
@@ -222,6 +223,7 @@ pub fn build(
     collector.add_strays(&strays);
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
     check::regions(&regions, &mut warnings);
+    check::hanging(&model, &mut warnings);
     let figures = figures(&model, &faces, &names);
     let report = BuildReport {
         nodes: model.nodes.len(),

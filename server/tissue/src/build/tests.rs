@@ -92,6 +92,27 @@ fn assert_sound(model: &Model, report: &BuildReport) {
 }
 
 #[test]
+fn what_gravity_would_let_fall_is_named() {
+    let beside = ball(0.008);
+    let mut apart = beside.clone();
+    for p in &mut apart.vertices {
+        *p += Vec3::new(0.014, 0.014, 0.0);
+    }
+    let mut input = scene(1.0, &[("held", beside), ("loose", apart)]);
+    let falls = |input: &SceneInput| {
+        let (_, report) = build(input, &mut |_, _| {}).unwrap();
+        let named = |w: &&String| w.contains("fall for ever");
+        report.warnings.iter().filter(named).count()
+    };
+    input.scene.pinned = vec!["held".to_owned()];
+    assert_eq!(falls(&input), 0, "without gravity nothing falls");
+    input.scene.gravity_m_s2 = [0.0, 0.0, -9.81];
+    assert_eq!(falls(&input), 1);
+    input.scene.pinned.push("loose".to_owned());
+    assert_eq!(falls(&input), 0);
+}
+
+#[test]
 fn a_ball_keeps_its_volume_and_its_nodes_lie_on_it() {
     for spacing in [4.0, 8.0] {
         let (model, report) = built(spacing, &[("ball", ball(0.0375))]);

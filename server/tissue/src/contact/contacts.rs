@@ -150,8 +150,8 @@ impl Contacts {
         lags
     }
 
-    /// Whether no tool is pressed, nor would be if the tissue were at rest.
-    pub(crate) fn are_clear(&self, topology: &Topology, u: &[Vec3]) -> bool {
+    /// Whether no tool is pressed, nor would be if all tissue were within `sag` m of where it is at rest.
+    pub(crate) fn are_clear(&self, topology: &Topology, u: &[Vec3], sag: f64) -> bool {
         let pressed = |sample: &Sample| self.press(sample, u).0 > 0.0;
         if self.samples.iter().any(pressed) {
             return false;
@@ -165,7 +165,7 @@ impl Contacts {
             let foot = surface.nearest(proxy.at, f64::MAX);
             let outside = |foot: Foot| {
                 let away = proxy.at - foot.at;
-                away.dot(&foot.normal) > 0.0 && away.norm() > proxy.radius
+                away.dot(&foot.normal) > 0.0 && away.norm() > proxy.radius + sag
             };
             foot.is_none_or(outside)
         };

@@ -108,13 +108,16 @@ pub(crate) fn span(corners: &[Vec3; 8], corner: usize) -> f64 {
 }
 
 impl Topology {
-    /// Where a node, or the node that it was doubled from, stood in the model as built.
-    pub(crate) fn original(&self, node: u32) -> Vec3 {
+    /// The node of the model as built that a node is or was doubled from; itself where it has no cell.
+    pub(crate) fn origin(&self, node: u32) -> u32 {
         let cells = self.node_cells[node as usize];
         let slot = cells.iter().position(|&c| c != NO_CELL);
-        slot.map_or_else(
-            || self.rest(node),
-            |s| self.model.nodes[self.model.cells[cells[s] as usize].corners[s] as usize],
-        )
+        slot.map_or(node, |s| self.model.cells[cells[s] as usize].corners[s])
+    }
+
+    /// Where a node, or the node that it was doubled from, stood in the model as built.
+    pub(crate) fn original(&self, node: u32) -> Vec3 {
+        let known = self.model.nodes.get(self.origin(node) as usize);
+        known.copied().unwrap_or_else(|| self.rest(node))
     }
 }

@@ -14,6 +14,7 @@ use super::cycle::Multigrid;
 use super::kernel::{Ends, Forces};
 use super::patch::{List, interpolate};
 use super::structure::Structure;
+use super::weight::weights;
 use crate::contact::Contacts;
 use crate::{Topology, Vec3};
 
@@ -25,6 +26,8 @@ pub(super) struct Field {
     pub(super) fixed: Vec<bool>,
     /// Mean stiffness of the node at rest in N/m.
     pub(super) own: Vec<f64>,
+    /// Weight of each node in N; empty without gravity.
+    pub(super) weights: Vec<Quad>,
     /// Forces of each brick on its nodes when it was last computed.
     pub(super) forces: Vec<[[f32; LOCALS]; 3]>,
     /// Bricks that were computed since all was at rest.
@@ -67,6 +70,8 @@ pub(super) struct Field {
     pub(super) saved: List,
     /// Nodes that were free when this step began.
     pub(super) settled: List,
+    /// Whether nothing was moved from where the tissue is by itself.
+    pub(super) at_home: bool,
     /// Largest displacement of any node so far in m.
     pub(super) displaced: f64,
     pub(super) move_max: f64,
@@ -94,6 +99,7 @@ impl Field {
         Self {
             fixed: (0..nodes as u32).map(|n| topology.is_pinned(n)).collect(),
             own,
+            weights: weights(topology),
             forces: vec![[[0.0; LOCALS]; 3]; structure.bricks.len()],
             computed: List::new(structure.bricks.len()),
             kept: Vec::new(),
@@ -118,6 +124,7 @@ impl Field {
             before: Vec::new(),
             saved: List::new(nodes),
             settled: List::new(nodes),
+            at_home: true,
             displaced: 0.0,
             move_max: 0.0,
             clamped: 0,
@@ -262,6 +269,7 @@ impl Field {
     pub(super) fn shift(&mut self, u: &mut [Vec3], node: u32, by: Vec3) {
         let n = node as usize;
         self.current = false;
+        self.at_home = false;
         if self.saved.insert(node) {
             self.before.push((node, u[n]));
         }
@@ -408,6 +416,11 @@ impl Field {
         self.current = true;
     }
 
+    /// Sum of the squares of the weights in N².
+    pub(super) fn square_of_weights(&self) -> f64 {
+        self.weights.iter().map(|w| f64::from(square(w))).sum()
+    }
+
     /// What the bricks as they were last computed do to the nodes of the set.
     pub(super) fn sum_up(&mut self, structure: &Structure) {
         for i in 0..self.nodes.items.len() {
@@ -418,7 +431,7 @@ impl Field {
 
     #[inline]
     pub(super) fn sum(&self, structure: &Structure, node: u32) -> Quad {
-        let mut sum = ZERO;
+        let mut sum = *self.weights.get(node as usize).unwrap_or(&ZERO);
         for &entry in structure.around.row(node) {
             let f = &self.forces[(entry / 32) as usize];
             let i = (entry % 32) as usize;
@@ -466,9 +479,10 @@ impl Field {
         free.map(|&n| f64::from(square(&self.r[n as usize]))).sum()
     }
 
-    /// Force of the bricks on one node, computed afresh.
+    /// Force of the bricks on one node and its weight, computed afresh.
     pub(super) fn force_on(&self, structure: &Structure, u: &[Vec3], node: u32) -> Vec3 {
-        let mut sum = Vec3::zeros();
+        let [x, y, z, _] = *self.weights.get(node as usize).unwrap_or(&ZERO);
+        let mut sum = Vec3::new(x.into(), y.into(), z.into());
         for &entry in structure.around.row(node) {
             let b = &structure.bricks[(entry / 32) as usize];
             let form = &structure.forms[b.form as usize];

@@ -8,6 +8,10 @@ use std::sync::Arc;
 
 use super::cycle::Multigrid;
 use super::field::{Field, own_stiffness};
+use super::foresight::Foresight;
+use super::home::Home;
+use super::near::Near;
+use super::solver::Solver;
 use super::structure::Structure;
 use crate::Topology;
 use crate::contact::SurfaceIndex;
@@ -18,6 +22,7 @@ pub struct Follower {
     structure: Arc<Structure>,
     own: Vec<f64>,
     index: SurfaceIndex,
+    home: Option<Arc<Home>>,
 }
 
 /// What one solver needs after a change, ready made.
@@ -26,14 +31,21 @@ pub struct Successor {
     pub(super) field: Field,
     pub(super) coarse: Multigrid,
     pub(super) index: SurfaceIndex,
+    pub(super) home: Option<Arc<Home>>,
 }
 
 impl Follower {
-    pub(super) fn new(structure: &Arc<Structure>, own: &[f64], index: &SurfaceIndex) -> Self {
+    pub(super) fn new(
+        structure: &Arc<Structure>,
+        own: &[f64],
+        index: &SurfaceIndex,
+        home: Option<Arc<Home>>,
+    ) -> Self {
         Self {
             structure: Arc::clone(structure),
             own: own.to_vec(),
             index: index.clone(),
+            home,
         }
     }
 
@@ -42,6 +54,7 @@ impl Follower {
         let before = (&*self.structure, touched);
         self.structure = Arc::new(Structure::after(topology, Some(before)));
         measure(&mut self.own, topology, touched);
+        self.home = Home::of(topology, &self.structure, &self.own, self.home.as_deref());
         self.index.follow(topology);
     }
 
@@ -54,7 +67,66 @@ impl Follower {
             coarse: Multigrid::new(&self.structure),
             structure: Arc::clone(&self.structure),
             index: self.index.clone(),
+            home: self.home.clone(),
         }
+    }
+}
+
+impl Solver {
+    /// Follows a change of the topology. `touched` are the nodes whose springs, pinning or rest
+    /// position changed; new nodes at the end need not be listed. The shape must have been whole
+    /// before it (see [`Budget::near`] and [`Solver::pour`]).
+    pub fn follow(&mut self, topology: &Topology, touched: &[u32]) {
+        let before = (&*self.structure, touched);
+        self.structure = Arc::new(Structure::after(topology, Some(before)));
+        let mut own = std::mem::take(&mut self.field.own);
+        measure(&mut own, topology, touched);
+        self.home = Home::of(topology, &self.structure, &own, self.home.as_deref());
+        self.restart(topology, own);
+        self.contacts.follow(topology);
+    }
+
+    /// One that follows changes of the topology beside this solver, from the topology of now on.
+    pub fn follower(&self) -> Follower {
+        let home = self.home.clone();
+        Follower::new(
+            &self.structure,
+            &self.field.own,
+            self.contacts.index(),
+            home,
+        )
+    }
+
+    /// Follows a change of the topology that a [`Follower`] has followed. The shape must have been
+    /// whole before it, as for [`follow`](Self::follow).
+    pub fn succeed(&mut self, topology: &Topology, successor: Successor) {
+        self.structure = successor.structure;
+        self.contacts.take(topology, successor.index);
+        self.home = successor.home;
+        self.begin_again(successor.field, successor.coarse);
+    }
+
+    /// Forgets all that was known of forces.
+    pub(super) fn restart(&mut self, topology: &Topology, own: Vec<f64>) {
+        let mut field = Field::new(topology, &self.structure, own);
+        field.disturb_all();
+        let coarse = Multigrid::new(&self.structure);
+        self.begin_again(field, coarse);
+    }
+
+    /// Goes on with a field and levels of which every force is still to be computed.
+    fn begin_again(&mut self, field: Field, coarse: Multigrid) {
+        let (displaced, at_home) = (self.field.displaced, self.field.at_home);
+        (self.field, self.coarse) = (field, coarse);
+        self.near = Near::new(&self.structure);
+        self.field.displaced = displaced;
+        // A cut moves what hangs.
+        self.field.at_home = at_home && self.home.is_none();
+        for &node in &self.held {
+            self.field.fixed[node as usize] = true;
+        }
+        self.foresight = Foresight::default();
+        self.dirty = true;
     }
 }
 

@@ -10,7 +10,7 @@
 //! | `overlay`, `stiffen` | what tools and hardened tissue add to the coarse lattices |
 //! | `field`, `choice`, `moves`, `near` | forces on nodes, which of them take part, smoothing |
 //! | `budget`, `relief` | what a step may cost, what it did, and what may wait for it |
-//! | `home` | what nothing touches is at rest |
+//! | `home`, `weight` | where tissue is that nothing touches; what gravity does to it |
 //! | `foresight`, `bind` | the last step's change carried on; what hinders a move |
 //! | `follower` | a cut's consequences, worked out beside the solvers |
 //! | `solver` | one step: its stages, its books |
@@ -70,9 +70,12 @@ mod slight;
 mod solver;
 mod stiffen;
 mod structure;
+mod weight;
 
 pub use budget::{Budget, StepReport};
 pub(crate) use fibres::dyad;
 pub use follower::{Follower, Successor};
+pub use home::Sag;
 pub(crate) use law::Elastic;
 pub use solver::Solver;
+pub(crate) use weight::adrift;

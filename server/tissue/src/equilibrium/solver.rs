@@ -7,8 +7,8 @@ use super::budget::{Budget, StepReport};
 use super::choice::{Asked, Keeps};
 use super::cycle::{Effort, Multigrid};
 use super::field::{Field, own_stiffness};
-use super::follower::{Follower, Successor, measure};
 use super::foresight::Foresight;
+use super::home::Home;
 use super::near::Near;
 use super::patch::take_over;
 use super::relief::Relief;
@@ -80,12 +80,16 @@ pub struct Solver {
     pub(super) field: Field,
     pub(super) coarse: Multigrid,
     pub(super) contacts: Contacts,
-    near: Near,
+    pub(super) near: Near,
     pub(super) held: Vec<u32>,
     pub(super) foresight: Foresight,
     pub(super) relief: Relief,
     pub(super) moved: Vec<Vec3>,
     pub(super) reference: f64,
+    /// Where the tissue is by itself, if not at rest.
+    pub(super) home: Option<Arc<Home>>,
+    /// Whether the shape is known to have begun there.
+    pub(super) moved_in: bool,
     /// Force in N that moves a typical node by a spacing; see [`LEAST`].
     least: f64,
     pub(super) report: StepReport,
@@ -100,21 +104,31 @@ pub struct Solver {
 }
 
 impl Solver {
-    /// A solver for shapes of this topology.
+    /// A solver for shapes of this topology. With gravity it finds out where the tissue hangs, which takes as long
+    /// as solving for all of it; a shape that has not been moved begins there.
     pub fn new(topology: &Topology) -> Self {
-        Self::over(topology, Arc::new(Structure::new(topology)))
+        let structure = Arc::new(Structure::new(topology));
+        let all = 0..topology.node_count() as u32;
+        let own: Vec<f64> = all.map(|n| own_stiffness(topology, n)).collect();
+        let home = Home::of(topology, &structure, &own, None);
+        let field = Field::new(topology, &structure, own);
+        Self::with(topology, structure, field, home)
     }
 
     /// Another solver of the same topology, sharing what does not change.
     #[must_use]
     pub fn another(&self, topology: &Topology) -> Self {
-        Self::over(topology, Arc::clone(&self.structure))
+        let structure = Arc::clone(&self.structure);
+        let field = Field::new(topology, &structure, self.field.own.clone());
+        Self::with(topology, structure, field, self.home.clone())
     }
 
-    fn over(topology: &Topology, structure: Arc<Structure>) -> Self {
-        let all = 0..topology.node_count() as u32;
-        let own = all.map(|n| own_stiffness(topology, n)).collect();
-        let field = Field::new(topology, &structure, own);
+    pub(super) fn with(
+        topology: &Topology,
+        structure: Arc<Structure>,
+        field: Field,
+        home: Option<Arc<Home>>,
+    ) -> Self {
         let mut own: Vec<f64> = field.own.iter().copied().filter(|&k| k > 0.0).collect();
         let middle = own.len() / 2;
         let typical = match own.get(middle) {
@@ -133,6 +147,8 @@ impl Solver {
             relief: Relief::NONE,
             moved: Vec::new(),
             reference: 0.0,
+            home,
+            moved_in: false,
             report: StepReport::default(),
             dirty: false,
             carried: false,
@@ -140,52 +156,6 @@ impl Solver {
             drawn: Vec::new(),
             last_forces: Vec::new(),
         }
-    }
-
-    /// Follows a change of the topology. `touched` are the nodes whose springs, pinning or rest
-    /// position changed; new nodes at the end need not be listed. The shape must have been whole
-    /// before it (see [`Budget::near`] and [`Solver::pour`]).
-    pub fn follow(&mut self, topology: &Topology, touched: &[u32]) {
-        let before = (&*self.structure, touched);
-        self.structure = Arc::new(Structure::after(topology, Some(before)));
-        let mut own = std::mem::take(&mut self.field.own);
-        measure(&mut own, topology, touched);
-        self.restart(topology, own);
-        self.contacts.follow(topology);
-    }
-
-    /// One that follows changes of the topology beside this solver, from the topology of now on.
-    pub fn follower(&self) -> Follower {
-        Follower::new(&self.structure, &self.field.own, self.contacts.index())
-    }
-
-    /// Follows a change of the topology that a [`Follower`] has followed. The shape must have been
-    /// whole before it, as for [`follow`](Self::follow).
-    pub fn succeed(&mut self, topology: &Topology, successor: Successor) {
-        self.structure = successor.structure;
-        self.contacts.take(topology, successor.index);
-        self.begin_again(successor.field, successor.coarse);
-    }
-
-    /// Forgets all that was known of forces.
-    fn restart(&mut self, topology: &Topology, own: Vec<f64>) {
-        let mut field = Field::new(topology, &self.structure, own);
-        field.disturb_all();
-        let coarse = Multigrid::new(&self.structure);
-        self.begin_again(field, coarse);
-    }
-
-    /// Goes on with a field and levels of which every force is still to be computed.
-    fn begin_again(&mut self, field: Field, coarse: Multigrid) {
-        let displaced = self.field.displaced;
-        (self.field, self.coarse) = (field, coarse);
-        self.near = Near::new(&self.structure);
-        self.field.displaced = displaced;
-        for &node in &self.held {
-            self.field.fixed[node as usize] = true;
-        }
-        self.foresight = Foresight::default();
-        self.dirty = true;
     }
 
     /// Moves every node by what the coarse levels hold for it. A step with [`Budget::near`] leaves
@@ -205,6 +175,7 @@ impl Solver {
                 continue;
             };
             self.field.displaced = self.field.displaced.max(u.norm());
+            self.field.at_home = false;
             self.field.disturb(&self.structure, node);
         }
         self.dirty = true;
@@ -242,7 +213,7 @@ impl Solver {
         }
     }
 
-    /// Force of the springs on a node in N (on a held or pinned node: what it carries).
+    /// Force of the springs on a node and its weight in N (on a held or pinned node: what it carries).
     pub fn force_on(&self, shape: &Shape, node: u32) -> Vec3 {
         self.field
             .force_on(&self.structure, &shape.displacement, node)
@@ -277,6 +248,7 @@ impl Solver {
         shape
             .displacement
             .resize(topology.node_count(), Vec3::zeros());
+        self.move_in(shape);
         let changed = self.contacts.begin(tools) || self.dirty;
         let changed = self.go_home(topology, shape) || changed;
         self.report.ignored_tools = self.contacts.ignored;
@@ -462,6 +434,9 @@ impl Solver {
         };
         let mut sum: f64 = self.held.iter().map(|&n| square(n)).sum();
         sum += self.contacts.square(u);
+        if self.held.is_empty() && self.contacts.proxies.is_empty() {
+            sum += self.field.square_of_weights();
+        }
         if sum > 0.0 {
             self.reference = sum.sqrt();
         }
@@ -573,7 +548,7 @@ impl Solver {
         self.report.visits = [self.field.visits, self.coarse.visits];
         self.report.clamped = self.field.clamped;
         if self.report.active_nodes == 0 && self.contacts.nodes.is_empty() && self.held.is_empty() {
-            self.reference = 0.0;
+            self.reference = self.alone();
             self.report.residual = 0.0;
         }
     }

@@ -17,6 +17,8 @@ const LATTICE_MAX: u32 = 1 << 20;
 pub(crate) const POSITION_MAX_M: f64 = 1e4;
 /// Lattice spacings that make sense, in m: from a tenth of a micrometre to ten metres.
 const SPACING_RANGE_M: std::ops::RangeInclusive<f64> = 1e-7..=10.0;
+/// Strongest gravity along an axis that makes sense, in m/s²; of the order of a centrifuge's.
+const GRAVITY_MAX_M_S2: f64 = 1e3;
 /// Young's moduli that make sense, in Pa: from looser than mucus to a hundred times diamond. They
 /// keep every spring's stiffness finite in 32 bits.
 const YOUNG_RANGE_PA: std::ops::RangeInclusive<f64> = 1e-3..=1e14;
@@ -32,6 +34,10 @@ pub(crate) fn check(model: &Model) -> Result<(), String> {
     check_counts(model)?;
     if !SPACING_RANGE_M.contains(&model.spacing_m) {
         return Err(format!("has a spacing of {} m", model.spacing_m));
+    }
+    // Written so that a NaN fails.
+    if !model.gravity.iter().all(|g| g.abs() <= GRAVITY_MAX_M_S2) {
+        return Err(format!("has a gravity of {:?} m/s2", model.gravity));
     }
     check_regions(model)?;
     for (node, (p, l)) in model.nodes.iter().zip(&model.lattice).enumerate() {

@@ -3,7 +3,7 @@
 //! The content, inside the envelope of `container.rs`:
 //!
 //! ```text
-//! counts     nodes, cells, regions (u32 each), spacing in m (f64 bits)
+//! counts     nodes, cells, regions (u32 each), spacing in m, gravity in m/s² (f64 bits)
 //! regions    name, pinned, direction of the fibres, material
 //! lattice    three columns of i32, as steps from node to node
 //! origin     where lattice point (0, 0, 0) would stand in m
@@ -35,7 +35,7 @@ use crate::{Cell, FACES, FibreAxis, Material, Model, NO_CELL, Region, RegionId, 
 
 const MAGIC: [u8; 8] = *b"palpmodl";
 /// Version of the model format that this program writes and reads.
-pub const MODEL_FORMAT: u32 = 2;
+pub const MODEL_FORMAT: u32 = 3;
 /// Bits of a material's flags: its fibres run along a direction that follows, and it bottoms out.
 const GIVEN_AXIS: u8 = 1;
 const BOTTOMS_OUT: u8 = 2;
@@ -147,6 +147,9 @@ fn encode_with(model: &Model, report_json: &str) -> Vec<u8> {
     out.u32(model.cells.len() as u32);
     out.u32(model.regions.len() as u32);
     out.f64(model.spacing_m);
+    for component in model.gravity {
+        out.f64(component);
+    }
     for region in &model.regions {
         write_region(&mut out, region);
     }
@@ -291,6 +294,7 @@ fn read_model(reader: &mut Reader<'_>) -> Result<Model, FileError> {
         }
     }
     let spacing_m = reader.f64()?;
+    let gravity = [reader.f64()?, reader.f64()?, reader.f64()?];
     let regions = (0..regions)
         .map(|_| read_region(reader))
         .collect::<Result<_, _>>()?;
@@ -315,6 +319,7 @@ fn read_model(reader: &mut Reader<'_>) -> Result<Model, FileError> {
     let cells = read_cells(reader, nodes.len(), cells)?;
     Ok(Model {
         spacing_m,
+        gravity,
         regions,
         nodes,
         lattice,

@@ -116,6 +116,7 @@ impl Sample {
             spacing_m: body.spacing_m,
             auto_spacing: false,
             pinned: body.pinned.iter().map(|&name| name.to_owned()).collect(),
+            gravity_m_s2: [0.0; 3],
             regions: regions.collect(),
             materials: BTreeMap::new(),
             base: PathBuf::new(),

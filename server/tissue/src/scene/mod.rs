@@ -7,6 +7,7 @@
 //! spacing_mm = 4.0                 # or "auto": as thin as the thinnest layers,
 //!                                  # but not below spacing_min_mm, if that is given
 //! pinned = ["femur"]               # regions that do not move
+//! gravity_m_s2 = [0.0, 0.0, -9.81] # optional; without it nothing weighs anything
 //!
 //! [[region]]                       # later regions override earlier ones where they overlap
 //! name = "subcutaneous"
@@ -85,6 +86,10 @@ pub const REGIONS_MAX: usize = 64;
 /// larger file is something else under the wrong name. At the bound it is refused unread.
 pub const SCENE_BYTES_MAX: u64 = 1 << 20;
 
+/// Strongest gravity of a scene in m/s², per axis. Reason: ten times that of the Earth is a centrifuge;
+/// more is a slip of unit (mm/s²). At the bound the scene is refused.
+pub const GRAVITY_MAX_M_S2: f64 = 100.0;
+
 /// One region of a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneRegion {
@@ -108,6 +113,9 @@ pub struct Scene {
     pub auto_spacing: bool,
     /// Names of the regions that do not move.
     pub pinned: Vec<String>,
+    /// Acceleration of gravity in m/s² along the axes of the model; zeros for none. Surfaces and labels are the
+    /// shape without it.
+    pub gravity_m_s2: [f64; 3],
     /// In scene order: a later region overrides an earlier one where they overlap.
     pub regions: Vec<SceneRegion>,
     /// `[material.NAME]` tables: changes to built-in materials, and new ones.

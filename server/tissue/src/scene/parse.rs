@@ -10,17 +10,19 @@ use toml::de::{DeTable, DeValue};
 use super::keys::{Text, line_after, nearest};
 use super::materials::{MATERIAL_KEYS, change, materials};
 use super::{
-    REGIONS_MAX, RegionSource, SCENE_BYTES_MAX, SCENE_FORMAT, Scene, SceneError, SceneRegion,
+    GRAVITY_MAX_M_S2, REGIONS_MAX, RegionSource, SCENE_BYTES_MAX, SCENE_FORMAT, Scene, SceneError,
+    SceneRegion,
 };
 use crate::surface::Unit;
 use crate::{Material, MaterialOverride};
 
-const SCENE_KEYS: [&str; 7] = [
+const SCENE_KEYS: [&str; 8] = [
     "format",
     "spacing_mm",
     "spacing_min_mm",
     "labels",
     "pinned",
+    "gravity_m_s2",
     "region",
     "material",
 ];
@@ -78,10 +80,12 @@ fn read(text: &Text, base: PathBuf) -> Result<Scene, SceneError> {
     let materials = materials(text, root)?;
     let regions = regions(text, root, &materials)?;
     let (spacing_m, auto_spacing) = spacing(text, root)?;
+    let pinned = pinned(text, root, &regions)?;
     Ok(Scene {
         spacing_m,
         auto_spacing,
-        pinned: pinned(text, root, &regions)?,
+        gravity_m_s2: gravity(text, root, !pinned.is_empty())?,
+        pinned,
         regions,
         materials,
         base,
@@ -296,6 +300,38 @@ fn unit(text: &Text, table: &DeTable) -> Result<Unit, SceneError> {
             Err(text.error(value.span().start, what))
         }
     }
+}
+
+/// Gravity in m/s²; something has to hold what it pulls at.
+fn gravity(text: &Text, root: &DeTable, is_pinned: bool) -> Result<[f64; 3], SceneError> {
+    const KEY: &str = "gravity_m_s2";
+    const WANTED: &str = "an acceleration such as [0.0, 0.0, -9.81]";
+    let Some(value) = root.get(KEY) else {
+        return Ok([0.0; 3]);
+    };
+    let refuse = |what: String| Err(text.error(value.span().start, what));
+    let components = text.array(KEY, value, WANTED)?;
+    let [x, y, z] = components else {
+        let found = components.len();
+        return refuse(format!("\"{KEY}\" must be {WANTED}, not a list of {found}"));
+    };
+    let gravity = [
+        text.number(KEY, x)?,
+        text.number(KEY, y)?,
+        text.number(KEY, z)?,
+    ];
+    // Written so that a NaN fails.
+    if !gravity.iter().all(|g| g.abs() < GRAVITY_MAX_M_S2) {
+        return refuse(format!(
+            "{KEY} = {gravity:?} must be below {GRAVITY_MAX_M_S2} m/s2 along each axis; the Earth's is 9.81"
+        ));
+    }
+    if !is_pinned && gravity != [0.0; 3] {
+        return refuse(format!(
+            "{KEY} pulls at a model that nothing holds; name a region in \"pinned\""
+        ));
+    }
+    Ok(gravity)
 }
 
 fn pinned(text: &Text, root: &DeTable, regions: &[SceneRegion]) -> Result<Vec<String>, SceneError> {

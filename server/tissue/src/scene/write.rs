@@ -30,6 +30,10 @@ impl Scene {
             let names: Vec<String> = self.pinned.iter().map(|n| quoted(n)).collect();
             writeln!(out, "pinned = [{}]", names.join(", "))?;
         }
+        if self.gravity_m_s2 != [0.0; 3] {
+            let [x, y, z] = self.gravity_m_s2.map(number);
+            writeln!(out, "gravity_m_s2 = [{x}, {y}, {z}]")?;
+        }
         for region in &self.regions {
             writeln!(out, "\n[[region]]\nname = {}", quoted(&region.name))?;
             // Forward slashes are read on every system.

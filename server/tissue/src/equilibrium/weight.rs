@@ -1,0 +1,77 @@
+//! What gravity does to the nodes: the body force of the equilibrium.
+//!
+//! A node weighs what an eighth of each of its cells weighs, as built: cuts change no weight. What hangs together
+//! with nothing that is pinned would fall for ever, which no equilibrium is; it is taken to lie wherever it is, and
+//! weighs nothing.
+
+use super::block::{Quad, ZERO};
+use crate::{Model, Topology};
+
+/// Weight of each node in N, pinned ones included; empty without gravity.
+pub(super) fn weights(topology: &Topology) -> Vec<Quad> {
+    let gravity = topology.model().gravity;
+    if gravity == [0.0; 3] {
+        return Vec::new();
+    }
+    let all = 0..topology.node_count() as u32;
+    let pinned: Vec<bool> = all.clone().map(|n| topology.is_pinned(n)).collect();
+    let cells = (0..topology.cell_count() as u32).map(|c| topology.corners(c));
+    let hangs = hanging(cells, &pinned);
+    let of = |node: u32| {
+        let mut weight = ZERO;
+        if hangs[node as usize] {
+            for a in 0..3 {
+                weight[a] = (topology.mass(node) * gravity[a]) as f32;
+            }
+        }
+        weight
+    };
+    all.map(of).collect()
+}
+
+/// Nodes of a model that weigh nothing though there is gravity, because nothing that is pinned holds them.
+pub(crate) fn adrift(model: &Model) -> usize {
+    if model.gravity == [0.0; 3] {
+        return 0;
+    }
+    let mut pinned = vec![false; model.nodes.len()];
+    for cell in &model.cells {
+        if model.regions[cell.region.index()].pinned {
+            for &node in &cell.corners {
+                pinned[node as usize] = true;
+            }
+        }
+    }
+    let hangs = hanging(model.cells.iter().map(|c| c.corners), &pinned);
+    hangs.iter().filter(|hangs| !**hangs).count()
+}
+
+/// Whether each node is joined, from cell to cell, to one that is pinned.
+fn hanging(cells: impl Iterator<Item = [u32; 8]>, pinned: &[bool]) -> Vec<bool> {
+    // A forest over the nodes, in which each root stands for what is joined.
+    let mut parents: Vec<u32> = (0..pinned.len() as u32).collect();
+    for corners in cells {
+        let first = root(&mut parents, corners[0]);
+        for &other in &corners[1..] {
+            let other = root(&mut parents, other);
+            parents[other as usize] = first;
+        }
+    }
+    let nodes = 0..pinned.len() as u32;
+    let roots: Vec<u32> = nodes.map(|n| root(&mut parents, n)).collect();
+    let mut holds = vec![false; pinned.len()];
+    for (&root, _) in roots.iter().zip(pinned).filter(|(_, pinned)| **pinned) {
+        holds[root as usize] = true;
+    }
+    roots.into_iter().map(|root| holds[root as usize]).collect()
+}
+
+/// The root of a node; makes the way there shorter.
+fn root(parents: &mut [u32], mut node: u32) -> u32 {
+    while parents[node as usize] != node {
+        let above = parents[parents[node as usize] as usize];
+        parents[node as usize] = above;
+        node = above;
+    }
+    node
+}
