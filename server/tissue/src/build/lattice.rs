@@ -210,8 +210,9 @@ fn block_cells(grid: &Grid, at: [usize; 3]) -> [usize; 8] {
 }
 
 /// The cell of a block to flip and its new label: what leaves the fewest faults here, then what holds
-/// nothing together, then what makes the fewest regions touch that do not, then the most doubtful. With `any` false a label may only
-/// sink, which can not go round in circles.
+/// nothing together, then what makes the fewest in the blocks around (faults that move on from block to block end
+/// in cells that a region fills), then what makes the fewest regions touch that do not, then the most doubtful.
+/// With `any` false a label may only sink, which can not go round in circles.
 fn best_flip(
     grid: &Grid,
     labels: &Labels,
@@ -221,21 +222,28 @@ fn best_flip(
     table: &[bool; 256],
 ) -> Option<(usize, u8)> {
     let block = cells.map(|c| labels.label[c]);
-    // Faults left, whether it is held, false faces, doubt, and the flip itself, which decides between
-    // equals.
-    let mut best: Option<(usize, bool, i32, u16, usize, u8)> = None;
+    // Faults left, whether it is held, faults made around, false faces, doubt, and the flip itself, which decides
+    // between equals.
+    let mut best: Option<(usize, bool, usize, i32, u16, usize, u8)> = None;
     for c in 0..8 {
         // The margin of the grid stays empty.
         let at = cell_at(grid, cells[c]);
         if (0..3).any(|a| at[a] == 0 || at[a] + 1 == grid.cells[a]) {
             continue;
         }
+        let held = labels.held.contains(&cells[c]);
         for to in block {
             if to == block[c] || !(any || to < block[c]) {
                 continue;
             }
             let mut after = block;
             after[c] = to;
+            let here = faults(after, table);
+            // The blocks around take longer to look at.
+            if best.is_some_and(|b| (b.0, b.1) < (here, held)) {
+                continue;
+            }
+            let made = faults_made(grid, labels, cells[c], to, table);
             let unlikely = if to == labels.second[cells[c]] {
                 0
             } else {
@@ -243,14 +251,24 @@ fn best_flip(
             };
             let doubt = u16::from(labels.margin[cells[c]]) + unlikely;
             let parted = walls.false_faces_won(grid, labels, cells[c], to);
-            let held = labels.held.contains(&cells[c]);
-            let key = (faults(after, table), held, parted, doubt, c, to);
+            let key = (here, held, made, parted, doubt, c, to);
             if best.is_none_or(|b| key < b) {
                 best = Some(key);
             }
         }
     }
-    best.map(|(_, _, _, _, c, to)| (c, to))
+    best.map(|(_, _, _, _, _, c, to)| (c, to))
+}
+
+/// Faults that another label in a cell makes in the blocks around it, those that it mends left aside.
+fn faults_made(grid: &Grid, labels: &Labels, cell: usize, to: u8, table: &[bool; 256]) -> usize {
+    let made = |at| {
+        let cells = block_cells(grid, at);
+        let before = cells.map(|c| labels.label[c]);
+        let after = cells.map(|c| if c == cell { to } else { labels.label[c] });
+        faults(after, table).saturating_sub(faults(before, table))
+    };
+    blocks_of(grid, cell).map(made).sum()
 }
 
 pub(super) fn cell_at(grid: &Grid, index: usize) -> [usize; 3] {
@@ -492,6 +510,36 @@ mod tests {
         assert!(!manifold(0b0000_1001));
         assert!(!manifold(0b1000_0001));
         assert!(!manifold(!0b1000_0001));
+    }
+
+    #[test]
+    fn a_flip_that_would_only_move_a_fault_on_is_not_made() {
+        let grid = Grid {
+            origin: Vec3::zeros(),
+            spacing: 1.0,
+            cells: [7, 7, 7],
+        };
+        let empty = || vec![0; grid.cell_count()];
+        let mut labels = Labels {
+            label: empty(),
+            second: vec![1; grid.cell_count()],
+            margin: vec![200; grid.cell_count()],
+            held: BTreeSet::new(),
+        };
+        // The first two touch along an edge only. Where the more doubtful cell beside them is filled, the third
+        // one does so, too.
+        for at in [[2, 2, 3], [3, 3, 3], [1, 4, 3]] {
+            labels.label[grid.cell_index(at)] = 1;
+        }
+        let [worse, better] = [[2, 3, 3], [3, 2, 3]].map(|at| grid.cell_index(at));
+        labels.margin[worse] = 10;
+        labels.margin[better] = 20;
+        let mut after = labels.label.clone();
+        after[better] = 1;
+        let mut mending = Mending::default();
+        mend(&grid, &mut labels, &Walls::default(), &mut mending);
+        assert_eq!(labels.label, after);
+        assert_eq!(mending.flipped_outer, 1);
     }
 
     proptest! {
