@@ -6,7 +6,7 @@
 //! every node between cells of different regions that no ray has placed is projected onto the
 //! nearest point of that interface; nodes where the lattice shows a rim go onto the rim.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
 
@@ -52,6 +52,8 @@ pub(super) struct Constraint {
     pub(super) rim: bool,
     /// A corner of that rim.
     pub(super) corner: bool,
+    /// Bit `f`: a cell face that looks way `f` shows that rim; none where any will do.
+    faces: u8,
     /// Bit `r`: the inner interface of region `r`, where it overrides others.
     pub(super) owners: u64,
 }
@@ -122,9 +124,8 @@ pub(super) fn constraints(lattice: &Lattice) -> Vec<Constraint> {
         .into_iter()
         .map(|(regions, corners)| Constraint {
             outer: corners != u8::MAX,
-            rim: false,
-            corner: false,
             owners: regions & (regions - 1),
+            ..Constraint::default()
         })
         .collect()
 }
@@ -174,6 +175,7 @@ pub(super) fn mark_rims(
             continue;
         };
         constraint.rim = true;
+        constraint.faces = seen;
         claims.push(Claim {
             slot,
             node: node as u32,
@@ -190,15 +192,18 @@ pub(super) fn mark_rims(
     sort_candidates(&mut candidates);
     sort_candidates(&mut blunt);
     settle_claims(
-        claims,
+        &mut claims,
         &cells_inside(lattice, constraints),
         grid.spacing,
         constraints,
     );
+    let mut taken: BTreeSet<(usize, u32)> = BTreeSet::new();
     for of_corner in candidates.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
-        let constraint = &mut constraints[of_corner[0].3 as usize];
+        let (slot, corner, _, node) = of_corner[0];
+        let constraint = &mut constraints[node as usize];
         constraint.rim = true;
         constraint.corner = true;
+        taken.insert((slot, corner));
     }
     for of_corner in blunt.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
         // Where a node stands on the rim nearby, nothing is lost.
@@ -206,6 +211,16 @@ pub(super) fn mark_rims(
             let constraint = &mut constraints[of_corner[0].3 as usize];
             constraint.rim = true;
             constraint.corner = true;
+        }
+    }
+    // A rim that ends in a corner leads a node beyond its end to the one that stands there: it takes any rim.
+    for claim in &claims {
+        let end = interfaces.rims[claim.slot].nearest_corner(&claim.point);
+        let held = end.is_some_and(|(corner, distance)| {
+            distance < CLAIM_REACH * grid.spacing && taken.contains(&(claim.slot, corner))
+        });
+        if held {
+            constraints[claim.node as usize].faces = 0;
         }
     }
 }
@@ -233,7 +248,7 @@ struct Claim {
 /// missing, and three nodes around the notch claim the same place: the hollow one is between the
 /// other two on the surface, so it gets it; else the nearest one does.
 fn settle_claims(
-    mut claims: Vec<Claim>,
+    claims: &mut [Claim],
     cells_inside: &[u8],
     spacing: f64,
     constraints: &mut [Constraint],
@@ -330,7 +345,16 @@ pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec
         let rims = constraint.rim_slot().filter(|_| constraint.rim);
         if let Some(rims) = rims.map(|slot| &interfaces.rims[slot]) {
             let corner = constraint.corner.then(|| rims.corner_near(&at)).flatten();
-            at = corner.or_else(|| rims.nearest(&at, |_| true)).unwrap_or(at);
+            // Rims lie side by side where steps are as large as cells; the node's own is the one that it shows.
+            let own = || {
+                rims.nearest(&at, |s| {
+                    constraint.faces == 0 || shows(constraint.faces, s.normals)
+                })
+            };
+            at = corner
+                .or_else(own)
+                .or_else(|| rims.nearest(&at, |_| true))
+                .unwrap_or(at);
         } else if constraint.outer {
             at = nearest(interfaces, Interface::Outer, &at).unwrap_or(at);
         }
@@ -384,6 +408,7 @@ pub(super) fn settle_ties(
                 *constraint = Constraint {
                     rim: kept,
                     corner: kept && constraint.corner,
+                    faces: if kept { constraint.faces } else { 0 },
                     ..Constraint::on(taker)
                 };
             }
@@ -476,4 +501,57 @@ fn snap_along_rays(
         }
     }
     None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::bvh::Bvh;
+    use super::super::rim::{Rims, sharp_edges};
+    use super::*;
+
+    /// The lower end of a wall of 0.6 spacings: its left side, its underside and its right side.
+    fn end_of_a_wall() -> Interfaces {
+        let mut surface = Surface::default();
+        for [x, z] in [[0.0, 1.0], [0.0, 0.0], [0.6, 0.0], [0.6, 1.0]] {
+            let ends = [-5.0, 5.0].map(|y| Vec3::new(x, y, z));
+            surface.vertices.extend(ends);
+        }
+        for a in [0, 2, 4] {
+            let quad = [[a, a + 3, a + 2], [a, a + 1, a + 3]];
+            surface.triangles.extend(quad);
+        }
+        let mut rims = Rims::default();
+        for (_, segment) in sharp_edges(&surface, [&[true; 6], &[false; 6]]) {
+            rims.add(segment);
+        }
+        rims.index(1.0);
+        Interfaces {
+            outer: Bvh::default(),
+            inner: Vec::new(),
+            rims: vec![rims],
+            spacing: 1.0,
+        }
+    }
+
+    #[test]
+    fn a_node_on_a_rim_goes_to_one_that_looks_as_its_cells_do() {
+        let interfaces = end_of_a_wall();
+        let from = Vec3::new(0.4, 0.0, -0.1);
+        let rim_of = |faces| {
+            let constraint = Constraint {
+                outer: true,
+                rim: true,
+                faces,
+                ..Constraint::default()
+            };
+            project(&interfaces, constraint, from)
+        };
+        let [left, right] = [0.0, 0.6].map(|x| Vec3::new(x, 0.0, 0.0));
+        // Its cells show their left and their lower faces, the right and the lower ones, any.
+        assert_eq!(rim_of(0b01_00_01), left);
+        assert_eq!(rim_of(0b01_00_10), right);
+        assert_eq!(rim_of(0), right);
+        // Where no rim looks so, the nearest one is better than none.
+        assert_eq!(rim_of(0b10_01_00), right);
+    }
 }
