@@ -8,7 +8,7 @@
 use pulp::Arch;
 use rayon::prelude::*;
 
-use super::block::{Quad, ZERO};
+use super::block::{Quad, ZERO, laid_out};
 use super::brick::LOCALS;
 use super::cycle::Multigrid;
 use super::kernel::{Ends, Forces};
@@ -100,18 +100,18 @@ impl Field {
             fixed: (0..nodes as u32).map(|n| topology.is_pinned(n)).collect(),
             own,
             weights: weights(topology),
-            forces: vec![[[0.0; LOCALS]; 3]; structure.bricks.len()],
+            forces: laid_out([[0.0; LOCALS]; 3], structure.bricks.len()),
             computed: List::new(structure.bricks.len()),
             kept: Vec::new(),
-            r: vec![ZERO; nodes],
-            inverse: vec![[0.0; 6]; nodes],
-            d: vec![ZERO; nodes],
-            applied: vec![[0.0; 3]; nodes],
+            r: laid_out(ZERO, nodes),
+            inverse: laid_out([0.0; 6], nodes),
+            d: laid_out(ZERO, nodes),
+            applied: laid_out([0.0; 3], nodes),
             set: List::new(structure.bricks.len()),
             left: List::new(structure.bricks.len()),
             nodes: List::new(nodes),
-            inside: vec![0; nodes],
-            free: vec![false; nodes],
+            inside: laid_out(0, nodes),
+            free: laid_out(false, nodes),
             loud: List::new(nodes),
             quiet: List::new(nodes),
             disturbed: List::new(nodes),
@@ -129,10 +129,10 @@ impl Field {
             move_max: 0.0,
             clamped: 0,
             visits: 0,
-            blocks: vec![[0.0; 6]; nodes],
+            blocks: laid_out([0.0; 6], nodes),
             pressed: Vec::new(),
-            firm: vec![[0.0; 6]; structure.bricks.len()],
-            firm_at_rest: vec![None; structure.forms.len()],
+            firm: laid_out([0.0; 6], structure.bricks.len()),
+            firm_at_rest: laid_out(None, structure.forms.len()),
             moved: Vec::new(),
             old: Vec::new(),
             scratch: Box::new(Ends::new()),

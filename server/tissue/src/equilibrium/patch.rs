@@ -11,7 +11,7 @@
 //! bricks, which are then computed afresh) and K p is taken back. Displacements wait likewise: every
 //! point keeps its total and how much of the coarser level's total it has taken over (`applied`).
 
-use super::block::{Quad, ZERO, plus};
+use super::block::{Quad, ZERO, laid_out, plus};
 use super::matrix::{Columns, Corners};
 use super::structure::{Level, Structure};
 
@@ -40,7 +40,7 @@ impl List {
     pub(super) fn new(len: usize) -> Self {
         Self {
             items: Vec::with_capacity(len),
-            member: vec![false; len],
+            member: laid_out(false, len),
         }
     }
 
@@ -151,27 +151,27 @@ impl Patch {
             stirred: List::new(elements),
             wanted: List::new(elements),
             points: List::new(points),
-            inside: vec![0; points],
-            free: vec![false; points],
-            e: vec![ZERO; points],
-            d: vec![ZERO; points],
-            b: vec![ZERO; points],
-            r: vec![ZERO; points],
+            inside: laid_out(0, points),
+            free: laid_out(false, points),
+            e: laid_out(ZERO, points),
+            d: laid_out(ZERO, points),
+            b: laid_out(ZERO, points),
+            r: laid_out(ZERO, points),
             loaded: List::new(points),
-            gain: vec![ZERO; points],
+            gain: laid_out(ZERO, points),
             gained: List::new(points),
             followed: List::new(points),
-            lag: vec![ZERO; points],
+            lag: laid_out(ZERO, points),
             lagging: List::new(points),
-            pending: vec![NOTHING; elements],
-            owed: vec![NOTHING; elements],
-            waiting: vec![false; elements],
+            pending: laid_out(NOTHING, elements),
+            owed: laid_out(NOTHING, elements),
+            waiting: laid_out(false, elements),
             deferred: Vec::new(),
-            total: vec![[0.0; 3]; points],
-            applied: vec![[0.0; 3]; points],
+            total: laid_out([0.0; 3], points),
+            applied: laid_out([0.0; 3], points),
             overlays: Vec::new(),
-            overlay_of: vec![NONE; elements],
-            stiffer: vec![[0.0; 6]; points],
+            overlay_of: laid_out(NONE, elements),
+            stiffer: laid_out([0.0; 6], points),
             stiffened: List::new(points),
             inverse: level.bound.iter().map(invert).collect(),
         }
