@@ -28,6 +28,11 @@ impl Budget<'_> {
             stop: None,
         }
     }
+
+    /// Whether the shell says that time is over.
+    pub(super) fn is_over(&mut self) -> bool {
+        self.stop.as_mut().is_some_and(|stop| stop())
+    }
 }
 
 /// What a step did.

@@ -62,8 +62,8 @@ impl Field {
         steps: usize,
     ) {
         near.gather(structure, self, contacts);
-        // With those of before the correction steps blew up where tissue has become much stiffer since.
-        self.renew_blocks_of(structure, u, &near.bricks.items, &near.nodes);
+        // Their blocks are those of the smoothing before, after the correction: with blocks of before the correction
+        // steps blew up where tissue has become much stiffer since.
         let mut factors = Self::smoothing();
         for _ in 0..steps {
             self.compute(structure, u, &near.bricks.items);

@@ -51,7 +51,7 @@ const BENT: [f32; 2] = [0.3, 0.2];
 /// through a press and that on a real thigh 8 %; with 0.7 everywhere that on a slab is 3 % too low.
 const SLACK: [f32; 2] = [0.6, 0.87];
 /// Smoothing steps under the tools when a quick step ends.
-const LAST_STEPS: usize = 5;
+const LAST_STEPS: usize = 3;
 /// Share of the coarse levels' correction that is taken at least and at most: a layer that bottoms out
 /// is tens of times as stiff as they know.
 const SHARES: [f64; 2] = [0.01, 2.0];
@@ -319,6 +319,10 @@ impl Solver {
         let mut outdated = true;
         let touched = self.report.reactions.iter().any(|r| r.contacts > 0);
         let touches = budget.near && !touched && !self.contacts.nodes.is_empty();
+        // One iteration there is always: without any, what was foreseen would never be checked. Under a
+        // tool that jumped into the tissue there are more: after one it has not given way yet, and the
+        // force is ten times what it will be.
+        let due = if jumped || touches { DUE } else { 1 };
         loop {
             self.field.refresh(&self.structure, u);
             let allowed = self.bring(u, budget.tolerance, budget.near);
@@ -339,14 +343,7 @@ impl Solver {
                 .all(|p| p.wanted.items.is_empty());
             let calm = sum.sqrt() <= allowed && !lags;
             let done = calm && share <= last && (whole || budget.tolerance >= PROVEN);
-            let spent = self.report.iterations >= budget.iterations;
-            // One iteration there is always: without any, what was foreseen would never be checked. Under a
-            // tool that jumped into the tissue there are more: after one it has not given way yet, and the
-            // force is ten times what it will be.
-            let due = self.report.iterations < if jumped || touches { DUE } else { 1 };
-            let spent = spent && !(due && touches);
-            let mut late = || !due && budget.stop.as_mut().is_some_and(|stop| stop());
-            if done || spent || late() {
+            if done || self.is_over(budget, due, touches) {
                 break;
             }
             // All that takes part is near the threshold: only a lower one can make it calmer.
@@ -367,11 +364,36 @@ impl Solver {
                 lags = self.gather(topology, u);
                 outdated = true;
             }
+            // What would take part in a further iteration of a hand's step is for the next step to choose.
+            if quick && self.is_over(budget, due, touches) {
+                break;
+            }
         }
-        if quick && self.report.iterations > 0 && !self.contacts.nodes.is_empty() {
-            let (field, near) = (&mut self.field, &mut self.near);
-            field.smooth_near(&self.structure, near, u, &self.contacts, LAST_STEPS);
+        if quick && self.report.iterations > 0 {
+            self.finish(u);
         }
+    }
+
+    /// Whether no further iteration is to be made: `due` are always, those of a first touch whatever the budget says.
+    fn is_over(&self, budget: &mut Budget<'_>, due: usize, touches: bool) -> bool {
+        let done = self.report.iterations;
+        let more = done < due;
+        done >= budget.iterations && !(more && touches) || !more && budget.is_over()
+    }
+
+    /// Stage: what is under the tools is smoothed once more, and forces are taken stock of.
+    fn finish(&mut self, u: &mut [Vec3]) {
+        let (structure, field, contacts) = (&self.structure, &mut self.field, &self.contacts);
+        if !contacts.nodes.is_empty() {
+            field.smooth_near(structure, &mut self.near, u, contacts, LAST_STEPS);
+        }
+        field.evaluate_bricks(structure, u);
+        field.add_contacts(u, contacts, 1.0);
+        let sum = field.square_over_unfixed();
+        // The next step begins with what bricks do at these places.
+        field.let_contacts_go(structure, &contacts.nodes);
+        field.current = true;
+        self.report.residual = relative(sum, self.reference);
     }
 
     /// Stage: what takes part, and the forces on it. Returns their sum of squares.
@@ -517,7 +539,6 @@ impl Solver {
 
     fn is_sane(&self, topology: &Topology, u: &[Vec3]) -> bool {
         let limit = BLOWN_UP * topology.model().spacing_m;
-        // What is smoothed last is in no residual.
         self.report.residual.is_finite() && self.field.is_within(u, limit)
     }
 
