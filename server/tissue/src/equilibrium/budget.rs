@@ -4,7 +4,7 @@ use crate::contact::Reaction;
 
 /// What a step may cost.
 pub struct Budget<'a> {
-    /// Iterations at most (four at the first touch with `near`, if that is more); one iteration is a coarse
+    /// Iterations at most (three at the first touch with `near`, if that is more); one iteration is a coarse
     /// correction and three smoothing steps over what is active.
     pub iterations: usize,
     /// Relative residual at which to stop; 1e-6 counts as converged. From 0.02 on a step under tools is
@@ -14,7 +14,7 @@ pub struct Budget<'a> {
     /// [`Solver::pour`](crate::Solver::pour), and a step costs what is near. The tolerance is then 0.02 at least.
     pub near: bool,
     /// Asked between iterations; `true` stops. A shell that owns a clock sets a time limit so. There is always
-    /// one iteration, and up to four where a tool has jumped, or with `near` has just touched the tissue.
+    /// one iteration, and up to three where a tool has jumped, or with `near` has just touched the tissue.
     pub stop: Option<&'a mut dyn FnMut() -> bool>,
 }
 

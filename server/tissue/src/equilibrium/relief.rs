@@ -24,7 +24,7 @@ impl Relief {
     pub(super) fn after(&mut self, nodes: usize, elements: usize) -> f32 {
         let load = (nodes as f64 + ELEMENT * elements as f64) / ROOM;
         if load > 1.0 {
-            self.0 = (self.0 * load.sqrt()).min(WIDEST);
+            self.0 = (self.0 * load).min(WIDEST);
         } else if load < ROOMY {
             self.0 = (self.0 * (load / ROOMY).max(0.5).sqrt()).max(1.0);
         }

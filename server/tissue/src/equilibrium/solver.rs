@@ -70,7 +70,7 @@ const QUICK: f64 = 0.02;
 const DEEPEN: f64 = 0.25;
 /// Iterations that are due when a tool has jumped or has just touched the tissue: there is no last change to
 /// begin with.
-const DUE: usize = 4;
+const DUE: usize = 3;
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
 const BLOWN_UP: f64 = 1e4;
 
