@@ -26,9 +26,9 @@
 //!
 //! `palpate-lab bench press-cube` and `press-scene`, one thread of a shared machine: a cube of 8,000
 //! nodes from rest to 1 % in 8 to 9.5 ms, of 64,000 in 58 ms; a disc that moves on in 0.9 ms per step that needs no
-//! iteration, in 5 ms with one. A real thigh of 70,000 nodes pressed at 100 mm/s in 1.3 ms per tick (99 %
-//! below 1.8 ms): force error 1.4 % rms, 3.1 % at most; drawn back in 1.4 ms (2.6 ms), 2.5 % rms. One of 528,000 nodes
-//! in 2.4 ms (3.1 ms), 7 % rms.
+//! iteration, in 5 ms with one. A real thigh of 70,000 nodes pressed at 100 mm/s in 1.25 ms per tick (99 %
+//! below 1.6 ms): force error 1.4 % rms, 3.1 % at most; drawn back in 1.3 ms (1.7 ms), 6 % rms. One of 528,000 nodes
+//! in 2.0 ms (2.4 ms), 7.5 % rms.
 //!
 //! # What it can not do
 //!
