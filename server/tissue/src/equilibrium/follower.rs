@@ -75,7 +75,7 @@ impl Follower {
 impl Solver {
     /// Follows a change of the topology. `touched` are the nodes whose springs, pinning or rest
     /// position changed; new nodes at the end need not be listed. The shape must have been whole
-    /// before it (see [`Budget::near`] and [`Solver::pour`]).
+    /// before it (see [`Budget::near`](crate::Budget::near) and [`Solver::pour`]).
     pub fn follow(&mut self, topology: &Topology, touched: &[u32]) {
         let before = (&*self.structure, touched);
         self.structure = Arc::new(Structure::after(topology, Some(before)));
