@@ -11,6 +11,7 @@
 //! follow different curves go to different bricks, too.
 
 use super::corners::{SKEWED, STRENGTH};
+use super::kernel::Aligned;
 use super::lanes::LANES;
 use super::law::{Curve, Elastic};
 use super::slight::LOOSE;
@@ -74,13 +75,13 @@ const fn corners() -> [[usize; 8]; 8] {
 #[derive(Clone, PartialEq)]
 pub(crate) struct Form {
     /// Rest positions from the middle of the brick in m.
-    pub(crate) rest: [[f32; PADDED]; 3],
+    pub(crate) rest: Aligned<[[f32; PADDED]; 3]>,
     /// Stiffness of the springs of each direction in N/m, by the node that they start at.
-    pub(crate) stiffness: [[f32; SPAN]; DIRECTIONS],
+    pub(crate) stiffness: Aligned<[[f32; SPAN]; DIRECTIONS]>,
     /// Their rest lengths in m.
-    pub(crate) rest_length: [[f32; SPAN]; DIRECTIONS],
+    pub(crate) rest_length: Aligned<[[f32; SPAN]; DIRECTIONS]>,
     /// One over their squares; zero where there is no spring.
-    pub(crate) per_square: [[f32; SPAN]; DIRECTIONS],
+    pub(crate) per_square: Aligned<[[f32; SPAN]; DIRECTIONS]>,
     /// Displacement in m relative to the first node up to which springs may be slight; below zero if never.
     pub(crate) loose: f32,
     /// Bit `4 d + i / 8` is set when a spring of direction `d` starts at a node around `i`.
@@ -200,7 +201,7 @@ impl Draft {
         let spacing = topology.model().spacing_m;
         let origin = topology.rest(nodes[0]);
         // In spacings first: cubes at different places then have the same bits.
-        let mut rest = [[0.0; PADDED]; 3];
+        let mut rest = Aligned([[0.0; PADDED]; 3]);
         for (i, &node) in nodes.iter().enumerate() {
             let d = (topology.rest(node) - origin) / spacing;
             for a in 0..3 {
@@ -224,10 +225,10 @@ impl Draft {
                 per_volume[position] = (1.0 / det) as f32;
             }
         }
-        let mut stiffness = [[0.0; SPAN]; DIRECTIONS];
+        let mut stiffness = Aligned([[0.0; SPAN]; DIRECTIONS]);
         // One where there is no spring: what is divided by it is nothing, and stays nothing.
-        let mut rest_length = [[1.0; SPAN]; DIRECTIONS];
-        let mut per_square = [[0.0; SPAN]; DIRECTIONS];
+        let mut rest_length = Aligned([[1.0; SPAN]; DIRECTIONS]);
+        let mut per_square = Aligned([[0.0; SPAN]; DIRECTIONS]);
         let mut shortest = f32::INFINITY;
         let mut used = 0;
         for (d, row) in stiffness.iter_mut().enumerate() {

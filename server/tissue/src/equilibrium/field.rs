@@ -359,15 +359,13 @@ impl Field {
         let one = |brick: u32, to: &mut [[f32; LOCALS]; 3], scratch: &mut Ends<3>| {
             let b = &structure.bricks[brick as usize];
             let form = &structure.forms[b.form as usize];
-            let f = arch.dispatch(Forces {
+            arch.dispatch(Forces {
                 brick: b,
                 form,
                 u,
+                to,
                 scratch,
             });
-            for a in 0..3 {
-                to[a].copy_from_slice(&f[a][..LOCALS]);
-            }
         };
         if list.len() < PARALLEL || rayon::current_num_threads() == 1 {
             for &brick in list {
@@ -487,10 +485,12 @@ impl Field {
             let b = &structure.bricks[(entry / 32) as usize];
             let form = &structure.forms[b.form as usize];
             let i = (entry % 32) as usize;
-            let f = self.arch.dispatch(Forces {
+            let mut f = [[0.0; LOCALS]; 3];
+            self.arch.dispatch(Forces {
                 brick: b,
                 form,
                 u,
+                to: &mut f,
                 scratch: &mut Ends::new(),
             });
             sum += Vec3::new(f64::from(f[0][i]), f64::from(f[1][i]), f64::from(f[2][i]));

@@ -2,6 +2,8 @@
 //!
 //! Everything is `inline(always)` down to what is dispatched on the machine's vectors.
 
+use std::ops::{Deref, DerefMut};
+
 use pulp::{Simd, WithSimd};
 
 use super::brick::{Brick, CORNER, DIRECTIONS, Form, LOCALS, OFFSETS, PADDED, SPAN};
@@ -17,11 +19,31 @@ use crate::Vec3;
 /// diagonals not at all); measured, 1.6 converges and 1.3 does not.
 pub(crate) const SPRINGS: f32 = 1.7;
 
+/// Numbers where whole vectors of them lie in whole cache lines: a load that needs two lines takes twice as long.
+#[repr(C, align(64))]
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) struct Aligned<T>(pub(crate) T);
+
+impl<T> Deref for Aligned<T> {
+    type Target = T;
+    #[inline(always)]
+    fn deref(&self) -> &T {
+        &self.0
+    }
+}
+
+impl<T> DerefMut for Aligned<T> {
+    #[inline(always)]
+    fn deref_mut(&mut self) -> &mut T {
+        &mut self.0
+    }
+}
+
 /// Three components over the nodes of a brick.
-pub(crate) type Local = [[f32; PADDED]; 3];
+pub(crate) type Local = Aligned<[[f32; PADDED]; 3]>;
 
 /// Symmetric blocks over the nodes of a brick: xx, yy, zz, xy, xz, yz.
-pub(crate) type LocalBlocks = [[f32; PADDED]; 6];
+pub(crate) type LocalBlocks = Aligned<[[f32; PADDED]; 6]>;
 
 /// Cells of a brick.
 const CELLS: usize = 8;
@@ -36,14 +58,15 @@ pub(crate) struct Forces<'a> {
     pub(crate) form: &'a Form,
     /// Displacements of all nodes in m.
     pub(crate) u: &'a [Vec3],
+    pub(crate) to: &'a mut [[f32; LOCALS]; 3],
     pub(crate) scratch: &'a mut Ends<3>,
 }
 
 impl WithSimd for Forces<'_> {
-    type Output = Local;
+    type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> Local {
+    fn with_simd<S: Simd>(self, simd: S) {
         let local = gather(&self.brick.nodes, self.u);
         let mut f = match slight_forces(simd, self.form, &local, self.scratch) {
             Some(f) => f,
@@ -59,7 +82,9 @@ impl WithSimd for Forces<'_> {
         if self.form.has_bulk {
             bulk_forces(simd, self.form, &local, &mut f);
         }
-        f
+        for (to, f) in self.to.iter_mut().zip(&*f) {
+            to.copy_from_slice(&f[..LOCALS]);
+        }
     }
 }
 
@@ -81,7 +106,7 @@ impl WithSimd for Tangents<'_> {
     fn with_simd<S: Simd>(self, simd: S) -> LocalBlocks {
         let local = match self.u {
             Some(u) => gather(&self.brick.nodes, u),
-            None => [[0.0; PADDED]; 3],
+            None => Aligned([[0.0; PADDED]; 3]),
         };
         let (form, per_spacing, scratch) = (self.form, self.per_spacing, self.scratch);
         let mut m = if form.curve.held {
@@ -103,7 +128,7 @@ impl WithSimd for Tangents<'_> {
 /// Displacements of a brick's nodes relative to its first, in f32.
 #[inline(always)]
 fn gather(nodes: &[u32; LOCALS], u: &[Vec3]) -> Local {
-    let mut local = [[0.0; PADDED]; 3];
+    let mut local = Aligned([[0.0; PADDED]; 3]);
     let origin = u[nodes[0] as usize];
     for (i, &node) in nodes.iter().enumerate() {
         let d = u[node as usize] - origin;
@@ -120,6 +145,7 @@ fn gather(nodes: &[u32; LOCALS], u: &[Vec3]) -> Local {
 /// Adding each group to both its ends at once would load, again and again, vectors that overlap
 /// what was stored a moment ago, and wait for it. So all springs are written down first, and each
 /// node then collects from its 26 neighbours.
+#[repr(C, align(64))]
 pub(crate) struct Ends<const C: usize>(pub(crate) [[[f32; LEAD + SPAN]; C]; DIRECTIONS]);
 
 /// Zeros in front: as many as the largest offset, in whole vectors.
@@ -140,8 +166,8 @@ impl<const C: usize> Ends<C> {
 
     /// What starts at each node and `sign` times what ends there.
     #[inline(always)]
-    pub(crate) fn collect<S: Simd>(&self, simd: S, sign: f32) -> [[f32; PADDED]; C] {
-        let mut all = [[0.0; PADDED]; C];
+    pub(crate) fn collect<S: Simd>(&self, simd: S, sign: f32) -> Aligned<[[f32; PADDED]; C]> {
+        let mut all = Aligned([[0.0; PADDED]; C]);
         for (c, to) in all.iter_mut().enumerate() {
             let mut from = 0;
             while from < SPAN {

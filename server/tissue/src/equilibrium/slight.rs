@@ -47,7 +47,7 @@ impl Form {
 fn is_loose<S: Simd>(simd: S, form: &Form, u: &Local) -> bool {
     let zero = V::all(simd, 0.0);
     let mut most = zero;
-    for row in u {
+    for row in &**u {
         let mut from = 0;
         while from < LOCALS {
             let v = V::load(simd, row, from);

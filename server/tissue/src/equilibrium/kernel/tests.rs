@@ -80,24 +80,25 @@ fn slight(u: &[Vec3]) -> Vec<Vec3> {
 }
 
 fn same_bits(brick: &Brick, form: &Form, u: &[Vec3]) {
-    let bits = |rows: &[[f32; PADDED]]| -> Vec<u32> {
+    let bits = |rows: &[&[f32]]| -> Vec<u32> {
         let numbers = rows.iter().flat_map(|row| &row[..LOCALS]);
         numbers.map(|v| v.to_bits()).collect()
     };
     let forces = |wide: bool| {
-        let scratch = &mut Ends::new();
+        let (mut f, scratch) = ([[0.0; LOCALS]; 3], &mut Ends::new());
         let op = Forces {
             brick,
             form,
             u,
+            to: &mut f,
             scratch,
         };
-        let f = if wide {
-            Arch::new().dispatch(op)
+        if wide {
+            Arch::new().dispatch(op);
         } else {
-            op.with_simd(Scalar)
-        };
-        bits(&f)
+            op.with_simd(Scalar);
+        }
+        bits(&f.each_ref().map(|row| &row[..]))
     };
     let tangents = |wide: bool| {
         let scratch = &mut Ends::new();
@@ -113,7 +114,7 @@ fn same_bits(brick: &Brick, form: &Form, u: &[Vec3]) {
         } else {
             op.with_simd(Scalar)
         };
-        bits(&m)
+        bits(&m.each_ref().map(|row| &row[..]))
     };
     assert_eq!(forces(true), forces(false));
     assert_eq!(tangents(true), tangents(false));
@@ -142,12 +143,7 @@ fn a_brick_turned_by_sixty_degrees_bears_no_force() {
         forces(&brick, &form, &turned),
         forces(&brick, &form, &strain()),
     );
-    let size = |f: &Local| -> f32 {
-        f.iter()
-            .flat_map(|row| &row[..LOCALS])
-            .map(|v| v.abs())
-            .sum()
-    };
+    let size = |f: &[[f32; LOCALS]; 3]| -> f32 { f.iter().flatten().map(|v| v.abs()).sum() };
     assert!(
         size(&f) < 1e-4 * size(&strained),
         "{} {}",
@@ -174,13 +170,16 @@ fn strain() -> Vec<Vec3> {
     brick(3.0, true).2.iter().map(|u| u * STRAINED).collect()
 }
 
-fn forces(brick: &Brick, form: &Form, u: &[Vec3]) -> Local {
+fn forces(brick: &Brick, form: &Form, u: &[Vec3]) -> [[f32; LOCALS]; 3] {
+    let mut forces = [[0.0; LOCALS]; 3];
     Arch::new().dispatch(Forces {
         brick,
         form,
         u,
+        to: &mut forces,
         scratch: &mut Ends::new(),
-    })
+    });
+    forces
 }
 
 fn has_a_potential(brick: &Brick, form: &Form, u: &[Vec3]) {
@@ -192,13 +191,13 @@ fn has_a_potential(brick: &Brick, form: &Form, u: &[Vec3]) {
         scratch: &mut Ends::new(),
     });
     for row in &forces(brick, form, u) {
-        let sum: f32 = row[..LOCALS].iter().sum();
-        let size: f32 = row[..LOCALS].iter().map(|v| v.abs()).sum();
+        let sum: f32 = row.iter().sum();
+        let size: f32 = row.iter().map(|v| v.abs()).sum();
         assert!(sum.abs() < 1e-4 * size, "{sum} of {size}");
     }
     // What a node's move along one axis does to all, by differences.
     let step = 1e-6;
-    let stiffness: Vec<[[f32; PADDED]; 3]> = (0..3 * LOCALS)
+    let stiffness: Vec<[[f32; LOCALS]; 3]> = (0..3 * LOCALS)
         .map(|i| {
             let by = |sign: f64| {
                 let mut moved = u.to_vec();
