@@ -54,10 +54,10 @@ impl Home {
         own: &[f64],
         former: Option<&Self>,
     ) -> Option<Arc<Self>> {
-        let field = Field::new(topology, structure, own.to_vec());
-        if field.weights.is_empty() {
+        if topology.model().gravity == [0.0; 3] {
             return None;
         }
+        let field = Field::new(topology, structure, own.to_vec());
         let mut solver = Solver::with(topology, Arc::clone(structure), field, None);
         let mut shape = Shape::rest(topology);
         if let Some(former) = former {
