@@ -24,9 +24,9 @@ const STEPS: usize = 10;
 const ERRORS: [f64; 2] = [0.01, 0.005];
 /// Tolerance of what starts from rest and has its iterations counted.
 const TOLERANCE: f64 = 1e-3;
-/// Tolerances that a step of the moving press may be asked for; the loosest that keeps all errors
-/// within bounds is taken.
-const TOLERANCES: [f64; 8] = [3e-2, 1e-2, 5e-3, 4e-3, 3e-3, 1e-3, 5e-4, 1e-4];
+/// Tolerances that a step of the moving press may be asked for, from the first to the last, each so many times the one
+/// before; the loosest that keeps all errors within bounds is taken.
+const TOLERANCES: [f64; 3] = [3e-2, 1e-4, 0.9];
 /// Tolerance of the first step of the moving press, which the others carry on: what it is off they are, too.
 const FIRST: f64 = 1e-4;
 /// Residual that counts as converged.
@@ -243,10 +243,11 @@ fn moving(cube: &Cube, like: &Solver, progress: &mut dyn FnMut(&str)) -> MovingR
         (first, steps)
     };
     let good = |moved: &Moved| moved.error <= ERRORS[1];
-    let tolerance = TOLERANCES
-        .into_iter()
+    let [loosest, tightest, factor] = TOLERANCES;
+    let tolerance = std::iter::successors(Some(loosest), |t| Some(t * factor))
+        .take_while(|&t| t > tightest)
         .find(|&t| run(t).1.iter().all(good))
-        .unwrap_or(TOLERANCES[7]);
+        .unwrap_or(tightest);
     let runs: Vec<_> = (0..RUNS).map(|_| run(tolerance)).collect();
     let firsts: Vec<f64> = runs.iter().map(|r| r.0.ms).collect();
     let steps = || runs.iter().flat_map(|r| &r.1);
@@ -302,7 +303,7 @@ impl fmt::Display for PressCubeReport {
                 f,
                 "\nmoving, first step   {:>12.2} ms   {} iterations\n\
                  moving, per step     {median:>12.2} ms   mean {mean:.2}, longest {longest:.2} ms; \
-                 iterations {:?} to a residual of {:.0e}; worst error {:.2} %",
+                 iterations {:?} to a residual of {:.1e}; worst error {:.2} %",
                 moving.first_ms,
                 moving.first_iterations,
                 moving.iterations,

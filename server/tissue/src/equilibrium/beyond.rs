@@ -64,14 +64,16 @@ impl Solver {
 }
 
 impl Field {
+    /// Nodes beyond the set that may move and on which forces are known that may not be zero.
+    pub(super) fn loud_beyond(&self) -> impl Iterator<Item = usize> {
+        let beyond = |&&n: &&u32| !self.nodes.contains(n) && !self.fixed[n as usize];
+        self.loud.items.iter().filter(beyond).map(|&n| n as usize)
+    }
+
     /// Work of the known forces on nodes beyond the set along the correction, in N m.
     fn work_beyond(&self, structure: &Structure, coarse: &mut Multigrid) -> f64 {
         let mut sum = 0.0;
-        for &node in &self.loud.items {
-            let n = node as usize;
-            if self.nodes.contains(node) || self.fixed[n] {
-                continue;
-            }
+        for n in self.loud_beyond() {
             let ties = &structure.ties[n];
             for t in 0..ties.len as usize {
                 let e = coarse.correction(structure, 0, ties.to[t]);

@@ -27,3 +27,14 @@ pub(super) fn laid_out<T: Clone>(value: T, len: usize) -> Vec<T> {
     values.resize(len, value);
     values
 }
+
+/// Makes room for so many values, in memory that is there, and for a quarter more, so that it need not be done again
+/// for a few.
+pub(super) fn make_room<T: Clone>(values: &mut Vec<T>, filler: T, len: usize) {
+    if values.capacity() < len {
+        let mut roomy = laid_out(filler, len + len / 4);
+        roomy.clear();
+        roomy.append(values);
+        *values = roomy;
+    }
+}

@@ -2,7 +2,7 @@
 
 use super::brick::LOCALS;
 use super::cycle::Multigrid;
-use super::field::{Field, square};
+use super::field::{Field, Since, square};
 use super::patch::Patch;
 use super::structure::Structure;
 use crate::Vec3;
@@ -120,19 +120,10 @@ impl Field {
     /// Whether an element of level 1 is too deformed for its matrix, which is that of the rest state.
     fn is_bent(&self, structure: &Structure, element: u32, u: &[Vec3]) -> bool {
         let tolerable = f64::from(self.bent) * 2.0 / f64::from(structure.per_spacing);
-        structure.levels[0]
-            .children
-            .row(element)
+        let bricks = structure.levels[0].children.row(element);
+        bricks
             .iter()
-            .any(|&brick| {
-                let first = u[structure.bricks[brick as usize].nodes[0] as usize];
-                let (mut low, mut high) = (first, first);
-                for &node in &structure.bricks[brick as usize].nodes {
-                    low = low.inf(&u[node as usize]);
-                    high = high.sup(&u[node as usize]);
-                }
-                (high - low).max() > tolerable
-            })
+            .any(|&brick| structure.change_of(brick, u) > tolerable)
     }
 
     /// Notes the elements around nodes whose force is above the threshold.
@@ -184,6 +175,8 @@ impl Field {
 
     /// Takes the chosen set and brings its nodes up to date with level 1; forces are still to be computed.
     pub(super) fn take_in(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
+        self.note(structure, coarse);
+        self.since = Since::Chosen;
         std::mem::swap(&mut self.set, &mut self.left);
         self.set.clear();
         for &node in &self.nodes.items {

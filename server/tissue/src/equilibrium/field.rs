@@ -9,6 +9,7 @@ use pulp::Arch;
 use rayon::prelude::*;
 
 use super::block::{Quad, ZERO, laid_out};
+use super::blocks::Blocks;
 use super::brick::LOCALS;
 use super::cycle::Multigrid;
 use super::kernel::{Ends, Forces};
@@ -20,6 +21,18 @@ use crate::{Topology, Vec3};
 
 /// Bricks from which on they are shared among threads.
 const PARALLEL: usize = 512;
+
+/// What has become of the set since a step was carried on.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Since {
+    /// Nothing, and it is still to be noted of its nodes that they are up to date with level 1.
+    Carried,
+    /// Nothing.
+    Noted,
+    /// It was chosen anew.
+    Chosen,
+}
+
 /// What the solver knows of single nodes and bricks.
 pub(super) struct Field {
     /// Pinned or held.
@@ -65,9 +78,12 @@ pub(super) struct Field {
     pub(super) stale: List,
     /// Nodes that are looked at; scratch.
     pub(super) touched: List,
-    /// Displacements before this step of all nodes that moved in it.
-    pub(super) before: Vec<(u32, Vec3)>,
-    pub(super) saved: List,
+    /// Nodes that moved in this step, and where they were displaced to before it.
+    pub(super) moved_on: List,
+    pub(super) start: Vec<Vec3>,
+    /// What nodes moved by when a step was carried on.
+    pub(super) moves: Vec<(u32, Vec3)>,
+    pub(super) since: Since,
     /// Nodes that were free when this step began.
     pub(super) settled: List,
     /// Whether nothing was moved from where the tissue is by itself.
@@ -84,6 +100,8 @@ pub(super) struct Field {
     /// Sums of the blocks of each brick's nodes when they were last computed, and of each form's at rest.
     pub(super) firm: Vec<[f32; 6]>,
     pub(super) firm_at_rest: Vec<Option<[f32; 6]>>,
+    /// Blocks at rest of the forms that many bricks have.
+    pub(super) blocks_at_rest: Vec<Option<Box<Blocks>>>,
     /// What level 1 moved each node by in this iteration; scratch.
     pub(super) moved: Vec<(u32, Vec3)>,
     pub(super) old: Vec<Quad>,
@@ -121,8 +139,10 @@ impl Field {
             bent: f32::INFINITY,
             stale: List::new(structure.bricks.len()),
             touched: List::new(nodes),
-            before: Vec::new(),
-            saved: List::new(nodes),
+            moved_on: List::new(nodes),
+            start: laid_out(Vec3::zeros(), nodes),
+            moves: Vec::new(),
+            since: Since::Chosen,
             settled: List::new(nodes),
             at_home: true,
             displaced: 0.0,
@@ -133,6 +153,7 @@ impl Field {
             pressed: Vec::new(),
             firm: laid_out([0.0; 6], structure.bricks.len()),
             firm_at_rest: laid_out(None, structure.forms.len()),
+            blocks_at_rest: vec![None; structure.forms.len()],
             moved: Vec::new(),
             old: Vec::new(),
             scratch: Box::new(Ends::new()),
@@ -169,115 +190,6 @@ impl Field {
     /// Nodes whose force is not known to be zero.
     pub(super) fn stirred(&self) -> usize {
         self.loud.items.len()
-    }
-
-    /// Whether a node is free and was so all through the last step. What a newcomer moved by is more than the change
-    /// of that step: it made up for what it had missed while it followed the coarse levels, and will not again.
-    fn is_settled(&self, node: u32) -> bool {
-        let first = self.settled.items.is_empty();
-        self.free[node as usize] && (first || self.settled.contains(node))
-    }
-
-    /// Begins a step: what the last one moved the settled nodes of the set by, in order of nodes.
-    pub(super) fn take_moves(&mut self, u: &[Vec3]) -> Vec<(u32, Vec3)> {
-        self.saved.clear();
-        let last = std::mem::take(&mut self.before);
-        let by = |(node, before): (u32, Vec3)| {
-            let n = node as usize;
-            let moves = self.nodes.contains(node) && self.is_settled(node);
-            moves.then(|| (node, u[n] - before))
-        };
-        let mut moves: Vec<_> = last.into_iter().filter_map(by).collect();
-        moves.sort_unstable_by_key(|m| m.0);
-        moves
-    }
-
-    /// Adds to what settled nodes moved by what the others follow, level 1's `e`: newcomers, and those on the rim of
-    /// the set, beside which something waits that would never know what else they did.
-    pub(super) fn add_others(
-        &mut self,
-        structure: &Structure,
-        coarse: &Multigrid,
-        moves: &mut Vec<(u32, Vec3)>,
-    ) {
-        let e = &coarse.patches[0].e;
-        for &node in &self.nodes.items {
-            let n = node as usize;
-            if !self.is_settled(node) && !self.fixed[n] {
-                let v = super::cycle::interpolate(&structure.ties[n], e);
-                let by = Vec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
-                moves.push((node, by));
-            }
-        }
-        moves.sort_unstable_by_key(|m| m.0);
-        self.settled.clear();
-        for &node in &self.nodes.items {
-            if self.free[node as usize] {
-                self.settled.insert(node);
-            }
-        }
-    }
-
-    /// Moves nodes by `share` of what they moved by.
-    pub(super) fn move_on(&mut self, u: &mut [Vec3], moves: &[(u32, Vec3)], share: f64) {
-        for &(node, by) in moves {
-            self.shift(u, node, by * share);
-        }
-    }
-
-    /// Nodes that were moved on have taken over what level 1 was moved on by; the others of the set do.
-    pub(super) fn catch_up(
-        &mut self,
-        structure: &Structure,
-        coarse: &Multigrid,
-        u: &mut [Vec3],
-        moves: &[(u32, Vec3)],
-    ) {
-        for &(node, _) in moves {
-            let n = node as usize;
-            self.applied[n] = interpolate(&structure.ties[n], &coarse.patches[0].total);
-        }
-        let mut moved = moves.iter().map(|m| m.0).peekable();
-        for i in 0..self.nodes.items.len() {
-            let node = self.nodes.items[i];
-            while moved.next_if(|&m| m < node).is_some() {}
-            if moved.peek() != Some(&node) {
-                self.take_over(structure, coarse, u, node);
-            }
-        }
-    }
-
-    /// Whether every node that this step moved is somewhere, and within `limit` m of where it is at rest.
-    pub(super) fn is_within(&self, u: &[Vec3], limit: f64) -> bool {
-        let within = |&(node, _): &(u32, Vec3)| u[node as usize].norm() < limit;
-        self.before.iter().all(within)
-    }
-
-    /// Puts back every node that this step moved, and to its rest what is nowhere.
-    pub(super) fn undo(&mut self, structure: &Structure, u: &mut [Vec3]) {
-        for (node, before) in std::mem::take(&mut self.before) {
-            u[node as usize] = before;
-            self.disturb(structure, node);
-        }
-        // What came in from outside was never anywhere else.
-        let lost = |u: &&mut Vec3| !u.norm().is_finite();
-        u.iter_mut().filter(lost).for_each(|u| *u = Vec3::zeros());
-        self.displaced = u.iter().map(Vec3::norm).fold(0.0, f64::max);
-    }
-
-    #[inline]
-    pub(super) fn shift(&mut self, u: &mut [Vec3], node: u32, by: Vec3) {
-        let n = node as usize;
-        self.current = false;
-        self.at_home = false;
-        if self.saved.insert(node) {
-            self.before.push((node, u[n]));
-        }
-        u[n] += by;
-        let square = u[n].norm_squared();
-        if square > self.displaced * self.displaced {
-            self.displaced = square.sqrt();
-        }
     }
 
     /// Computes what was disturbed, so that forces can be trusted.
@@ -332,7 +244,10 @@ impl Field {
     /// Brings all nodes up to date with level 1; see `patch::take_over` for the levels above.
     pub(super) fn pour(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
         for node in 0..u.len() as u32 {
-            self.take_over(structure, coarse, u, node);
+            // Those of the set always are.
+            if !self.nodes.contains(node) {
+                self.take_over(structure, coarse, u, node);
+            }
         }
     }
 

@@ -8,6 +8,8 @@
 
 use std::collections::BTreeMap;
 
+use super::field::Since;
+use super::path::Path;
 use super::solver::{Solver, relative};
 use crate::{Topology, Vec3};
 
@@ -23,6 +25,11 @@ const CARRIED: [f64; 2] = [0.0, 1.0];
 #[derive(Default)]
 pub(super) struct Foresight {
     drivers: Vec<Driver>,
+    pub(super) path: Path,
+    /// Whether the last step came as far as it was asked to.
+    pub(super) calm: bool,
+    /// Share over which the last step was carried on if it did nothing else.
+    steady: Option<f64>,
 }
 
 struct Driver {
@@ -72,36 +79,76 @@ impl Solver {
             self.stir(u);
         }
         self.coarse.calm();
-        let mut last = self.field.take_moves(u);
         self.coarse.recall(&self.structure);
-        self.field
-            .add_others(&self.structure, &self.coarse, &mut last);
+        if led && self.carried {
+            self.go_on(u, share);
+            return self.gather(topology, u);
+        }
+        self.foresight.path.leave();
+        self.field.note(&self.structure, &self.coarse);
+        let mut last = self.field.take_moves(&self.structure, &self.coarse, u);
         if led {
-            if self.carried {
-                self.coarse.defer(&self.structure);
-            }
-            self.carry_on(u, &last, share);
+            self.field.moves = last;
             return self.gather(topology, u);
         }
         // Of a tool's press only what is near is kept going: the rest costs more than it brings.
         let lags = self.gather(topology, u);
         let share = self.best_carry(u, &mut last);
         self.carry_on(u, &last, share);
+        // Contacts are gathered again when a tool lags, and bring their nodes up to date.
+        self.field.note(&self.structure, &self.coarse);
         if !last.is_empty() {
             self.field.blend_forces(&self.structure, share as f32);
         }
+        self.field.moves = last;
         lags
     }
 
-    /// How much of the last step's change is carried on under held nodes that moved by `guess` times as much:
-    /// less than that, so that what a step got wrong dies out even if the next one has little time.
-    fn trusted(&self, guess: f64) -> f64 {
-        let calmness = relative(self.field.square_over_free(), self.reference);
-        if calmness < TRUSTED {
-            guess.clamp(-1.0, 1.0 - calmness)
+    /// Carries a shape that is led on along its path.
+    fn go_on(&mut self, u: &mut [Vec3], share: f64) {
+        let same = self.field.since != Since::Chosen;
+        let known = self.foresight.steady.filter(|_| same);
+        let mut moves = if known.is_some() {
+            self.field.keep_moves()
         } else {
-            0.0
+            self.field.note(&self.structure, &self.coarse);
+            self.field.take_moves(&self.structure, &self.coarse, u)
+        };
+        let path = &mut self.foresight.path;
+        path.follow(&mut moves, known.unwrap_or(1.0), share);
+        self.foresight.steady = Some(share);
+        self.coarse.defer(&self.structure);
+        self.carry_on(u, &moves, share);
+        self.field.moves = moves;
+    }
+
+    /// Last stage: what the next step needs to know of this one to carry it on, given the residual that it began with.
+    pub(super) fn look_back(&mut self, begun: f64) {
+        let Foresight { path, steady, .. } = &mut self.foresight;
+        if self.report.iterations > 0 {
+            path.solve(1.0 - self.report.residual / begun);
         }
+        *steady = steady.filter(|_| self.carried && self.report.iterations == 0);
+        // All that took part will again.
+        let nodes = self.field.moved_on.items.len();
+        path.make_room(nodes);
+        self.field.make_room(nodes);
+    }
+
+    /// How much of the last step's change is carried on under held nodes that moved by `guess` times as much:
+    /// less than that after a step that had too little time, so that what it got wrong dies out even if this one has
+    /// no more.
+    fn trusted(&self, guess: f64) -> f64 {
+        let residual = relative(self.field.square_over_free(), self.reference);
+        if residual >= TRUSTED {
+            return 0.0;
+        }
+        let most = if self.foresight.calm {
+            1.0
+        } else {
+            1.0 - residual
+        };
+        guess.clamp(-1.0, most)
     }
 
     /// Lets all take part again that has taken part in the last step: it was moved, too, and what only
@@ -140,8 +187,8 @@ impl Solver {
         if share != 0.0 {
             self.coarse
                 .commit(&self.structure, share as f32, f32::INFINITY);
-            self.field.move_on(u, last, share);
-            self.field.catch_up(&self.structure, &self.coarse, u, last);
+            self.field
+                .carry(&self.structure, &self.coarse, u, last, share);
         }
     }
 }

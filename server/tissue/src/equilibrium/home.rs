@@ -13,7 +13,7 @@ use super::block::ZERO;
 use super::brick::LOCALS;
 use super::budget::Budget;
 use super::cycle::Multigrid;
-use super::field::Field;
+use super::field::{Field, Since};
 use super::foresight::Foresight;
 use super::patch::Patch;
 use super::relief::Relief;
@@ -181,12 +181,12 @@ impl Field {
             &mut self.quiet,
             &mut self.disturbed,
             &mut self.stale,
-            &mut self.saved,
+            &mut self.moved_on,
             &mut self.settled,
         ] {
             list.clear();
         }
-        self.before.clear();
+        self.since = Since::Chosen;
         self.current = false;
         self.outdated = true;
         self.at_home = true;

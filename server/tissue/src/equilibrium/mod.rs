@@ -8,10 +8,10 @@
 //! | `coarsen`, `element`, `matrix`, `structure` | coarse lattices that open where cuts do, with a matrix per element |
 //! | `patch`, `cycle`, `beyond` | the part of the coarse lattices near the tools, one V-cycle over it, what it does beyond |
 //! | `overlay`, `stiffen` | what tools and hardened tissue add to the coarse lattices |
-//! | `field`, `choice`, `moves`, `near` | forces on nodes, which of them take part, smoothing |
+//! | `field`, `choice`, `moves`, `blocks`, `near` | forces on nodes, which of them take part, smoothing |
 //! | `budget`, `relief` | what a step may cost, what it did, and what may wait for it |
 //! | `home`, `weight` | where tissue is that nothing touches; what gravity does to it |
-//! | `foresight`, `bind` | the last step's change carried on; what hinders a move |
+//! | `foresight`, `path`, `bind` | the last step's change carried on, along a curve; what hinders a move |
 //! | `follower` | a cut's consequences, worked out beside the solvers |
 //! | `solver` | one step: its stages, its books |
 //! | `jacobi` | the seed's iteration (3.10), the named baseline |
@@ -25,10 +25,10 @@
 //! # Measured
 //!
 //! `palpate-lab bench press-cube` and `press-scene`, one thread of a shared machine: a cube of 8,000
-//! nodes from rest to 1 % in 8 to 9.5 ms, of 64,000 in 58 ms; a disc that moves on in 0.9 ms per step that needs no
-//! iteration, in 5 ms with one. A real thigh of 70,000 nodes pressed at 100 mm/s in 1.25 ms per tick (99 %
+//! nodes from rest to 1 % in 6.5 ms, of 64,000 in 44 ms; a disc that moves on in 0.6 ms per step that needs no
+//! iteration, in 3.3 ms with one. A real thigh of 70,000 nodes pressed at 100 mm/s in 1.25 ms per tick (99 %
 //! below 1.6 ms): force error 1.4 % rms, 3.1 % at most; drawn back in 1.3 ms (1.7 ms), 6 % rms. One of 528,000 nodes
-//! in 2.0 ms (2.4 ms), 7.5 % rms.
+//! in 1.8 ms (2.2 to 2.5 ms), 7.5 % rms.
 //!
 //! # What it can not do
 //!
@@ -43,6 +43,7 @@
 mod beyond;
 mod bind;
 mod block;
+mod blocks;
 mod brick;
 mod budget;
 mod choice;
@@ -65,6 +66,7 @@ mod moves;
 mod near;
 mod overlay;
 mod patch;
+mod path;
 mod relief;
 mod slight;
 mod solver;

@@ -1,24 +1,15 @@
 //! How the nodes of the fine level move: by the coarse levels' correction, and by smoothing.
 
-use super::block::{ZERO, plus};
-use super::brick::LOCALS;
+use super::block::{ZERO, make_room, plus};
 use super::cycle::{Chebyshev, LOW, Multigrid};
-use super::field::{Field, contact_block};
-use super::kernel::Tangents;
-use super::patch::{apply, interpolate, invert};
-use super::stiffen::firm;
+use super::field::{Field, Since};
+use super::patch::{apply, interpolate};
 use super::structure::Structure;
 use crate::Vec3;
-use crate::contact::Contacts;
 
 /// Longest move of a node in one smoothing step, in spacings; longer ones are cut and counted. While a hand
 /// waits, blocks are computed once per iteration, and what bottoms out hardens within the steps that go by them.
 const MOVE_MAX: [f64; 2] = [0.5, 0.02];
-/// How many times a contact counts in the block of a node that is smoothed: a Chebyshev step goes up to 1.74
-/// times as far as the block says, and a contact that has opened does not bring the node back. Without it
-/// forces of a real thigh were up to twice what they should be for a tick, now and then.
-const CAUTION: f64 = 2.0;
-
 impl Field {
     /// Hands the forces on the nodes of the set to level 1.
     pub(super) fn restrict(&self, structure: &Structure, coarse: &mut Multigrid) {
@@ -34,15 +25,135 @@ impl Field {
             }
         }
         // Others that were disturbed wait for their turn; what they carry is known.
-        for &node in &self.loud.items {
-            let n = node as usize;
-            if self.nodes.contains(node) || self.fixed[n] {
-                continue;
-            }
+        for n in self.loud_beyond() {
             let ties = &structure.ties[n];
             for t in 0..ties.len as usize {
                 patch.load(ties.to[t], &self.r[n], ties.weight[t]);
             }
+        }
+    }
+
+    /// Whether a node is free and was so all through the last step. What a newcomer moved by is more than the change
+    /// of that step: it made up for what it had missed while it followed the coarse levels, and will not again.
+    fn is_settled(&self, node: u32) -> bool {
+        let first = self.settled.items.is_empty();
+        self.free[node as usize] && (first || self.settled.contains(node))
+    }
+
+    /// Begins a step: what the last one moved the nodes of the set by, in order of nodes. Newcomers, and those on the
+    /// rim of the set, beside which something waits that would never know what else they did, moved by what they
+    /// follow, level 1's `e`.
+    pub(super) fn take_moves(
+        &mut self,
+        structure: &Structure,
+        coarse: &Multigrid,
+        u: &[Vec3],
+    ) -> Vec<(u32, Vec3)> {
+        let mut moves = std::mem::take(&mut self.moves);
+        moves.clear();
+        let e = &coarse.patches[0].e;
+        for &node in &self.nodes.items {
+            let n = node as usize;
+            if !self.is_settled(node) {
+                if !self.fixed[n] {
+                    let v = super::cycle::interpolate(&structure.ties[n], e);
+                    let by = Vec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
+                    moves.push((node, by));
+                }
+            } else if self.moved_on.contains(node) {
+                moves.push((node, u[n] - self.start[n]));
+            }
+        }
+        self.moved_on.clear();
+        self.settled.clear();
+        for &node in &self.nodes.items {
+            if self.free[node as usize] {
+                self.settled.insert(node);
+            }
+        }
+        moves
+    }
+
+    /// Begins a step after one that was only carried on: it moved by [`moves`](Self::moves).
+    pub(super) fn keep_moves(&mut self) -> Vec<(u32, Vec3)> {
+        self.moved_on.clear();
+        std::mem::take(&mut self.moves)
+    }
+
+    /// Lays out memory for the moves of so many nodes: a step that carries the last one on would wait for it.
+    pub(super) fn make_room(&mut self, nodes: usize) {
+        make_room(&mut self.moves, (0, Vec3::zeros()), nodes);
+    }
+
+    /// Moves nodes by `share` of what they moved by.
+    pub(super) fn move_on(&mut self, u: &mut [Vec3], moves: &[(u32, Vec3)], share: f64) {
+        for &(node, by) in moves {
+            self.shift(u, node, by * share);
+        }
+    }
+
+    /// Moves nodes by `share` of these moves. What level 1 was moved on by is part of that; the other nodes of the
+    /// set take it over.
+    pub(super) fn carry(
+        &mut self,
+        structure: &Structure,
+        coarse: &Multigrid,
+        u: &mut [Vec3],
+        moves: &[(u32, Vec3)],
+        share: f64,
+    ) {
+        self.move_on(u, moves, share);
+        self.since = Since::Carried;
+        let mut moved = moves.iter().map(|m| m.0).peekable();
+        for i in 0..self.nodes.items.len() {
+            let node = self.nodes.items[i];
+            if moved.next_if_eq(&node).is_none() {
+                self.take_over(structure, coarse, u, node);
+            }
+        }
+    }
+
+    /// Notes that the nodes of the set are up to date with level 1, if that was put off.
+    pub(super) fn note(&mut self, structure: &Structure, coarse: &Multigrid) {
+        if self.since == Since::Carried {
+            self.since = Since::Noted;
+            for &node in &self.nodes.items {
+                let ties = &structure.ties[node as usize];
+                self.applied[node as usize] = interpolate(ties, &coarse.patches[0].total);
+            }
+        }
+    }
+
+    /// Whether every node that this step moved is somewhere, and within `limit` m of where it is at rest.
+    pub(super) fn is_within(&self, u: &[Vec3], limit: f64) -> bool {
+        let within = |&node: &u32| u[node as usize].norm() < limit;
+        self.moved_on.items.iter().all(within)
+    }
+
+    /// Puts back every node that this step moved, and to its rest what is nowhere.
+    pub(super) fn undo(&mut self, structure: &Structure, u: &mut [Vec3]) {
+        for node in self.moved_on.take() {
+            u[node as usize] = self.start[node as usize];
+            self.disturb(structure, node);
+        }
+        // What came in from outside was never anywhere else.
+        let lost = |u: &&mut Vec3| !u.norm().is_finite();
+        u.iter_mut().filter(lost).for_each(|u| *u = Vec3::zeros());
+        self.displaced = u.iter().map(Vec3::norm).fold(0.0, f64::max);
+    }
+
+    #[inline]
+    pub(super) fn shift(&mut self, u: &mut [Vec3], node: u32, by: Vec3) {
+        let n = node as usize;
+        self.current = false;
+        self.at_home = false;
+        if self.moved_on.insert(node) {
+            self.start[n] = u[n];
+        }
+        u[n] += by;
+        let square = u[n].norm_squared();
+        if square > self.displaced * self.displaced {
+            self.displaced = square.sqrt();
         }
     }
 
@@ -71,6 +182,9 @@ impl Field {
         u: &mut [Vec3],
         share: f64,
     ) {
+        if self.since == Since::Carried {
+            self.since = Since::Noted;
+        }
         for i in 0..self.nodes.items.len() {
             let node = self.nodes.items[i];
             let n = node as usize;
@@ -111,96 +225,17 @@ impl Field {
         }
     }
 
+    /// The same over the nodes of the set.
+    pub(super) fn relax_set(&mut self, u: &mut [Vec3], factors: &mut Chebyshev) {
+        let nodes = std::mem::take(&mut self.nodes.items);
+        self.relax(u, &nodes, factors);
+        self.nodes.items = nodes;
+    }
+
     /// Sets how far smoothing moves a node at most; see [`MOVE_MAX`].
     pub(super) fn limit_moves(&mut self, structure: &Structure, near: bool) {
         let short = near && structure.bottoms_out;
         self.move_max = MOVE_MAX[usize::from(short)] / f64::from(structure.per_spacing);
-    }
-
-    /// The blocks that smoothing divides by, at the displacements of now.
-    pub(super) fn renew_blocks(&mut self, structure: &Structure, u: &[Vec3], contacts: &Contacts) {
-        let (set, nodes) = (
-            std::mem::take(&mut self.set.items),
-            std::mem::take(&mut self.nodes.items),
-        );
-        self.renew_blocks_of(structure, u, &set, &nodes);
-        (self.set.items, self.nodes.items) = (set, nodes);
-        self.renew_pressed(u, contacts);
-    }
-
-    /// The same, without contacts, for these nodes, given the bricks around them.
-    pub(super) fn renew_blocks_of(
-        &mut self,
-        structure: &Structure,
-        u: &[Vec3],
-        bricks: &[u32],
-        nodes: &[u32],
-    ) {
-        for &node in nodes {
-            self.touched.insert(node);
-            self.blocks[node as usize] = [0.0; 6];
-        }
-        let (blocks, per_spacing) = (&mut self.blocks, structure.per_spacing);
-        for &brick in bricks {
-            let b = &structure.bricks[brick as usize];
-            let form = &structure.forms[b.form as usize];
-            let m = self.arch.dispatch(Tangents {
-                brick: b,
-                form,
-                u: Some(u),
-                per_spacing,
-                scratch: &mut self.block_scratch,
-            });
-            self.firm[brick as usize] = firm(&m, b.present);
-            for i in 0..LOCALS {
-                if b.present >> i & 1 == 1 && self.touched.contains(b.nodes[i]) {
-                    let to = &mut blocks[b.nodes[i] as usize];
-                    for e in 0..6 {
-                        to[e] += m[e][i];
-                    }
-                }
-            }
-        }
-        for &node in nodes {
-            self.inverse[node as usize] = invert(&self.blocks[node as usize]);
-        }
-        self.touched.clear();
-    }
-
-    /// The same for the nodes in contact only, whose stiffness comes and goes with what presses: a node
-    /// smoothed with that of a moment when nothing pressed is thrown far out of the tool, and comes back.
-    pub(super) fn renew_pressed(&mut self, u: &[Vec3], contacts: &Contacts) {
-        self.renew_or_press(u, contacts, false);
-    }
-
-    /// The same, and adds the forces of contacts to those on their nodes.
-    pub(super) fn press(&mut self, u: &[Vec3], contacts: &Contacts) {
-        self.renew_or_press(u, contacts, true);
-    }
-
-    fn renew_or_press(&mut self, u: &[Vec3], contacts: &Contacts, presses: bool) {
-        self.pressed.clear();
-        let blocks = contacts.nodes.iter().map(|&n| self.blocks[n as usize]);
-        self.pressed.extend(blocks);
-        let (pressed, r) = (&mut self.pressed, &mut self.r);
-        contacts.pressed(u, |sample, force, kappa, n| {
-            let whole = contact_block(CAUTION * kappa, &n);
-            for (node, w) in sample.nodes.iter().zip(sample.weights) {
-                let place = &mut pressed[contacts.place(*node)];
-                for (to, v) in place.iter_mut().zip(whole) {
-                    *to += w as f32 * v;
-                }
-                if presses {
-                    let r = &mut r[*node as usize];
-                    for a in 0..3 {
-                        r[a] += (w * force[a]) as f32;
-                    }
-                }
-            }
-        });
-        for (&node, block) in contacts.nodes.iter().zip(&self.pressed) {
-            self.inverse[node as usize] = invert(block);
-        }
     }
 
     /// Chebyshev factors for the fine level.

@@ -29,6 +29,9 @@ pub(super) struct Deferred {
     pub(super) force: Corners,
 }
 
+/// Part of all indices from which on a list is put in order by looking at all of them.
+const FEW: usize = 16;
+
 /// A set of indices that is emptied in the time it took to fill.
 #[derive(Default)]
 pub(super) struct List {
@@ -76,8 +79,15 @@ impl List {
     }
 
     pub(super) fn sort(&mut self) {
-        if !self.items.is_sorted() {
+        if self.items.is_sorted() {
+            return;
+        }
+        if self.items.len() < self.member.len() / FEW {
             self.items.sort_unstable();
+        } else {
+            self.items.clear();
+            let all = 0..self.member.len() as u32;
+            self.items.extend(all.filter(|&i| self.member[i as usize]));
         }
     }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::budget::{Budget, StepReport};
 use super::choice::{Asked, Keeps};
-use super::cycle::{Effort, Multigrid};
+use super::cycle::{Chebyshev, Effort, Multigrid};
 use super::field::{Field, own_stiffness};
 use super::foresight::Foresight;
 use super::home::Home;
@@ -99,7 +99,7 @@ pub struct Solver {
     /// Where nodes were that have been held or moved since the last step.
     pub(super) led: BTreeMap<u32, Vec3>,
     /// What they were led by, while the levels have not followed.
-    drawn: Vec<(u32, Vec3)>,
+    pub(super) drawn: Vec<(u32, Vec3)>,
     last_forces: Vec<Vec3>,
 }
 
@@ -323,6 +323,7 @@ impl Solver {
         // tool that jumped into the tissue there are more: after one it has not given way yet, and the
         // force is ten times what it will be.
         let due = if jumped || touches { DUE } else { 1 };
+        let (mut begun, mut smoothing) = (0.0, None);
         loop {
             self.field.refresh(&self.structure, u);
             let allowed = self.bring(u, budget.tolerance, budget.near);
@@ -343,6 +344,10 @@ impl Solver {
                 .all(|p| p.wanted.items.is_empty());
             let calm = sum.sqrt() <= allowed && !lags;
             let done = calm && share <= last && (whole || budget.tolerance >= PROVEN);
+            if self.report.iterations == 0 {
+                begun = self.report.residual;
+            }
+            self.foresight.calm = done;
             if done || self.is_over(budget, due, touches) {
                 break;
             }
@@ -359,7 +364,7 @@ impl Solver {
                 outdated = false;
             }
             self.correct(u, share * allowed, relief, quick);
-            self.smooth(u);
+            smoothing = Some(self.smooth(u));
             if lags {
                 lags = self.gather(topology, u);
                 outdated = true;
@@ -371,6 +376,14 @@ impl Solver {
         }
         if quick && self.report.iterations > 0 {
             self.finish(u);
+        }
+        if !self.held.is_empty() {
+            // One step more by the forces that told the residual. What it brings is not looked at, so it is nearly
+            // free, and it halves what the path of a shape that is led is wrong by.
+            if let Some(mut smoothing) = smoothing.filter(|_| !quick) {
+                self.field.relax_set(u, &mut smoothing);
+            }
+            self.look_back(begun);
         }
     }
 
@@ -472,18 +485,19 @@ impl Solver {
     fn correct(&mut self, u: &mut [Vec3], threshold: f64, relief: f32, quick: bool) {
         let mut effort = EFFORT[usize::from(quick)];
         effort.loaded *= relief;
+        let draws = self.draws();
         let drawn = std::mem::take(&mut self.drawn);
-        if drawn.is_empty() || self.carried || !self.contacts.nodes.is_empty() {
-            self.field.restrict(&self.structure, &mut self.coarse);
-            if self.report.iterations == 1 {
-                self.pull(u);
-            }
-        } else {
+        if draws {
             // A node that has left the others behind is a spike, whose forces no level can follow. So the levels
             // are drawn after it instead.
             for (node, by) in drawn {
-                let force = by * (HELD_STIFFNESS * self.field.own[node as usize]);
+                let force = by * (HELD_STIFFNESS[1] * self.field.own[node as usize]);
                 self.coarse.draw(&self.structure, node, &force);
+            }
+        } else {
+            self.field.restrict(&self.structure, &mut self.coarse);
+            if self.report.iterations == 1 {
+                self.pull(u);
             }
         }
         let (structure, coarse, field) = (&self.structure, &mut self.coarse, &mut self.field);
@@ -512,7 +526,7 @@ impl Solver {
 
     /// Stage: smoothing on the nodes. All of it or nothing: the steps are one polynomial, and half of that
     /// leaves more than it takes away.
-    fn smooth(&mut self, u: &mut [Vec3]) {
+    fn smooth(&mut self, u: &mut [Vec3]) -> Chebyshev {
         // At the displacements they are used at: with blocks of before the correction, nodes in contact were
         // thrown about where pressed tissue is about to snap through.
         let (structure, contacts) = (&self.structure, &self.contacts);
@@ -523,10 +537,9 @@ impl Solver {
                 self.field.evaluate_bricks(&self.structure, u);
                 self.field.press(u, &self.contacts);
             }
-            let nodes = std::mem::take(&mut self.field.nodes.items);
-            self.field.relax(u, &nodes, &mut factors);
-            self.field.nodes.items = nodes;
+            self.field.relax_set(u, &mut factors);
         }
+        factors
     }
 
     fn remember_forces(&mut self, u: &[Vec3]) {

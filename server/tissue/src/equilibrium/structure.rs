@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::brick::{Brick, Draft, Form, LOCALS};
 use super::coarsen::{Coarse, Joints, Piece, Ties, coarsen, octant};
 use super::element::{Matrix, Sum};
-use crate::{FaceId, NO_CELL, Topology};
+use crate::{FaceId, NO_CELL, Topology, Vec3};
 
 /// Coarse levels at most: 8 halvings take a lattice of 256 points per axis to one.
 const LEVELS_MAX: usize = 8;
@@ -111,6 +111,8 @@ type Parts = Vec<(u32, u32)>;
 pub(crate) struct Structure {
     pub(super) bricks: Vec<Brick>,
     pub(super) forms: Vec<Arc<Form>>,
+    /// Whether more than one brick has the form.
+    pub(super) shared: Vec<bool>,
     /// Element of level 1 that each brick is part of.
     pub(super) element_of: Vec<u32>,
     /// Bricks around each node, as `brick * 32 + entry`.
@@ -127,6 +129,18 @@ pub(crate) struct Structure {
 }
 
 impl Structure {
+    /// How far apart along an axis the nodes of a brick have been displaced, in m at most.
+    pub(super) fn change_of(&self, brick: u32, u: &[Vec3]) -> f64 {
+        let nodes = &self.bricks[brick as usize].nodes;
+        let first = u[nodes[0] as usize];
+        let (mut low, mut high) = (first, first);
+        for &node in nodes {
+            low = low.inf(&u[node as usize]);
+            high = high.sup(&u[node as usize]);
+        }
+        (high - low).max()
+    }
+
     /// That of a topology.
     pub(super) fn new(topology: &Topology) -> Self {
         Self::after(topology, None)
@@ -164,8 +178,9 @@ impl Structure {
             }
         }
         let mut structure = Self {
-            bricks,
+            shared: shared(&bricks, kinds.forms.len()),
             forms: kinds.forms.clone(),
+            bricks,
             element_of,
             around,
             ties,
@@ -275,6 +290,15 @@ impl Structure {
         matrices.extend(made);
         index
     }
+}
+
+/// Which forms more than one brick has.
+fn shared(bricks: &[Brick], forms: usize) -> Vec<bool> {
+    let mut counts = vec![0u32; forms];
+    for brick in bricks {
+        counts[brick.form as usize] += 1;
+    }
+    counts.iter().map(|&count| count > 1).collect()
 }
 
 /// The cells of a topology by their place in the lattice.

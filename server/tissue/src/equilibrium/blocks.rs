@@ -1,0 +1,173 @@
+//! How stiff nodes are: the blocks that smoothing divides by.
+//!
+//! The block of a node is the sum of what the bricks around it oppose to its moves, at the displacements of now. Most of
+//! a body is hardly strained, and there the blocks of a form of brick that many share are taken as they are at rest.
+
+use super::brick::{Brick, LOCALS};
+use super::field::{Field, contact_block};
+use super::kernel::{LocalBlocks, Tangents};
+use super::patch::invert;
+use super::structure::Structure;
+use crate::Vec3;
+use crate::contact::Contacts;
+
+/// How many times a contact counts in the block of a node that is smoothed: a Chebyshev step goes up to 1.74
+/// times as far as the block says, and a contact that has opened does not bring the node back. Without it
+/// forces of a real thigh were up to twice what they should be for a tick, now and then.
+const CAUTION: f64 = 2.0;
+/// Change of the size of a brick in spacings up to which its blocks are those at rest: as much as pressed springs
+/// and corners count as nearer to where they harden than they are.
+const MILD: f64 = 0.05;
+
+/// Blocks of the nodes of a brick in N/m, and their sum over those that are present.
+#[derive(Clone)]
+pub(super) struct Blocks {
+    of: [[f32; 6]; LOCALS],
+    firm: [f32; 6],
+}
+
+impl Blocks {
+    fn new(blocks: &LocalBlocks, present: u32) -> Self {
+        let of = std::array::from_fn(|i| blocks.each_ref().map(|entry| entry[i]));
+        let firm = firm(blocks, present);
+        Self { of, firm }
+    }
+}
+
+impl Field {
+    /// The blocks that smoothing divides by, at the displacements of now.
+    pub(super) fn renew_blocks(&mut self, structure: &Structure, u: &[Vec3], contacts: &Contacts) {
+        for &node in &self.nodes.items {
+            self.blocks[node as usize] = [0.0; 6];
+        }
+        for i in 0..self.set.items.len() {
+            let brick = self.set.items[i];
+            let b = &structure.bricks[brick as usize];
+            if let Some(blocks) = self.at_rest(structure, brick, u) {
+                let (of, firm) = (blocks.of, blocks.firm);
+                self.firm[brick as usize] = firm;
+                self.add_blocks(b, |i, e| of[i][e]);
+            } else {
+                let m = self.tangents(structure, b, Some(u));
+                self.firm[brick as usize] = firm(&m, b.present);
+                self.add_blocks(b, |i, e| m[e][i]);
+            }
+        }
+        for &node in &self.nodes.items {
+            self.inverse[node as usize] = invert(&self.blocks[node as usize]);
+        }
+        self.renew_pressed(u, contacts);
+    }
+
+    #[inline(always)]
+    fn add_blocks(&mut self, brick: &Brick, of: impl Fn(usize, usize) -> f32) {
+        for (i, &node) in brick.nodes.iter().enumerate() {
+            if brick.present >> i & 1 == 1 {
+                for (e, to) in self.blocks[node as usize].iter_mut().enumerate() {
+                    *to += of(i, e);
+                }
+            }
+        }
+    }
+
+    fn tangents(
+        &mut self,
+        structure: &Structure,
+        brick: &Brick,
+        u: Option<&[Vec3]>,
+    ) -> LocalBlocks {
+        self.arch.dispatch(Tangents {
+            brick,
+            form: &structure.forms[brick.form as usize],
+            u,
+            per_spacing: structure.per_spacing,
+            scratch: &mut self.block_scratch,
+        })
+    }
+
+    /// The blocks of a brick that are those at rest, if it is of a form that others have, too, and hardly strained.
+    fn at_rest(&mut self, structure: &Structure, brick: u32, u: &[Vec3]) -> Option<&Blocks> {
+        let b = &structure.bricks[brick as usize];
+        let form = b.form as usize;
+        let mild = MILD / f64::from(structure.per_spacing);
+        if !structure.shared[form] || structure.change_of(brick, u) > mild {
+            return None;
+        }
+        if self.blocks_at_rest[form].is_none() {
+            let m = self.tangents(structure, b, None);
+            self.blocks_at_rest[form] = Some(Box::new(Blocks::new(&m, b.present)));
+        }
+        self.blocks_at_rest[form].as_deref()
+    }
+
+    /// The same for the nodes in contact only, whose stiffness comes and goes with what presses: a node
+    /// smoothed with that of a moment when nothing pressed is thrown far out of the tool, and comes back.
+    pub(super) fn renew_pressed(&mut self, u: &[Vec3], contacts: &Contacts) {
+        self.renew_or_press(u, contacts, false);
+    }
+
+    /// The same, and adds the forces of contacts to those on their nodes.
+    pub(super) fn press(&mut self, u: &[Vec3], contacts: &Contacts) {
+        self.renew_or_press(u, contacts, true);
+    }
+
+    fn renew_or_press(&mut self, u: &[Vec3], contacts: &Contacts, presses: bool) {
+        self.pressed.clear();
+        let blocks = contacts.nodes.iter().map(|&n| self.blocks[n as usize]);
+        self.pressed.extend(blocks);
+        let (pressed, r) = (&mut self.pressed, &mut self.r);
+        contacts.pressed(u, |sample, force, kappa, n| {
+            let whole = contact_block(CAUTION * kappa, &n);
+            for (node, w) in sample.nodes.iter().zip(sample.weights) {
+                let place = &mut pressed[contacts.place(*node)];
+                for (to, v) in place.iter_mut().zip(whole) {
+                    *to += w as f32 * v;
+                }
+                if presses {
+                    let r = &mut r[*node as usize];
+                    for a in 0..3 {
+                        r[a] += (w * force[a]) as f32;
+                    }
+                }
+            }
+        });
+        for (&node, block) in contacts.nodes.iter().zip(&self.pressed) {
+            self.inverse[node as usize] = invert(block);
+        }
+    }
+
+    /// Finds out how firm bricks are that have just come in: with what they were before they waited, or at rest,
+    /// corrections were ten times too long there.
+    pub(super) fn renew_firmness(&mut self, structure: &Structure, u: &[Vec3], bricks: &[u32]) {
+        if !structure.bottoms_out {
+            return;
+        }
+        for &brick in bricks {
+            let firm = if let Some(blocks) = self.at_rest(structure, brick, u) {
+                blocks.firm
+            } else {
+                let b = &structure.bricks[brick as usize];
+                firm(&self.tangents(structure, b, Some(u)), b.present)
+            };
+            self.firm[brick as usize] = firm;
+        }
+    }
+
+    /// Sum of the blocks of a brick's nodes at rest.
+    pub(super) fn firm_at_rest(&mut self, structure: &Structure, brick: u32) -> [f32; 6] {
+        let b = &structure.bricks[brick as usize];
+        if let Some(known) = self.firm_at_rest[b.form as usize] {
+            return known;
+        }
+        let firm = firm(&self.tangents(structure, b, None), b.present);
+        *self.firm_at_rest[b.form as usize].insert(firm)
+    }
+}
+
+/// Sum of the blocks of the nodes that are present.
+fn firm(blocks: &LocalBlocks, present: u32) -> [f32; 6] {
+    std::array::from_fn(|e| {
+        let there = (0..LOCALS).filter(|i| present >> i & 1 == 1);
+        there.map(|i| blocks[e][i]).sum()
+    })
+}
