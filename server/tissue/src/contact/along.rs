@@ -43,6 +43,39 @@ impl Row {
     }
 }
 
+impl Row {
+    /// Whether the sample touches the tool anywhere between these bounds of s.
+    fn meets(&self, [low, high]: [f64; 2]) -> bool {
+        let square = self.by.norm_squared();
+        let nearest = -self.from.dot(&self.by) / square;
+        // Not a number where it does not move: then it is anywhere.
+        let nearest = nearest.max(low).min(high);
+        let v = self.from + self.by * nearest;
+        // A little more, for what is rounded.
+        self.flat.is_some() || v.norm_squared() < 1.001 * self.radius * self.radius
+    }
+}
+
+/// Work per s of one contact's force at s, in N m.
+fn work((row, pierces): &(Row, bool), s: f64) -> f64 {
+    let v = row.from + row.by * s;
+    if let Some(out) = row.flat {
+        let depth = row.radius + v.dot(&out);
+        return -row.stiffness * depth.max(0.0) * row.by.dot(&out);
+    }
+    let square = v.norm_squared();
+    let core = CORE * row.radius;
+    if *pierces && (v.dot(&row.by) > 0.0 || square < core * core) {
+        // A wall across the line, as deep as the ball from here on.
+        return -row.stiffness * (row.radius * row.by.norm() + v.dot(&row.by));
+    }
+    if square >= row.radius * row.radius || square == 0.0 {
+        return 0.0;
+    }
+    let distance = square.sqrt();
+    row.stiffness * (row.radius - distance) / distance * v.dot(&row.by)
+}
+
 impl Along {
     pub(crate) fn new(rows: Vec<Row>) -> Self {
         let row = |row: Row| {
@@ -56,31 +89,17 @@ impl Along {
 
     /// Work per s of the contacts' forces at s, in N m.
     pub(crate) fn work(&self, s: f64) -> f64 {
-        let one = |(row, pierces): &(Row, bool)| {
-            let v = row.from + row.by * s;
-            if let Some(out) = row.flat {
-                let depth = row.radius + v.dot(&out);
-                return -row.stiffness * depth.max(0.0) * row.by.dot(&out);
-            }
-            let square = v.norm_squared();
-            let core = CORE * row.radius;
-            if *pierces && (v.dot(&row.by) > 0.0 || square < core * core) {
-                // A wall across the line, as deep as the ball from here on.
-                return -row.stiffness * (row.radius * row.by.norm() + v.dot(&row.by));
-            }
-            if square >= row.radius * row.radius || square == 0.0 {
-                return 0.0;
-            }
-            let distance = square.sqrt();
-            row.stiffness * (row.radius - distance) / distance * v.dot(&row.by)
-        };
-        self.rows.iter().map(one).sum()
+        self.rows.iter().map(|row| work(row, s)).sum()
     }
 
     /// The s within bounds at which no work is left, where that of everything else is `here` at 0 and
     /// `there` at 1 and linear between: the lowest energy on the line.
     pub(crate) fn rest(&self, [here, there]: [f64; 2], bounds: [f64; 2]) -> f64 {
-        let work = |s: f64| here + s * (there - here) + self.work(s);
+        // Half of what is in reach of a tool does not touch it anywhere on the line.
+        let meets = |(row, pierces): &&(Row, bool)| *pierces || row.meets(bounds);
+        let rows: Vec<_> = self.rows.iter().filter(meets).collect();
+        let contacts = |s: f64| rows.iter().map(|row| work(row, s)).sum::<f64>();
+        let work = |s: f64| here + s * (there - here) + contacts(s);
         let [mut low, mut high] = bounds;
         let (mut left, mut right) = (work(low), work(high));
         if left <= 0.0 {

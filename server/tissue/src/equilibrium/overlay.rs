@@ -82,6 +82,7 @@ impl Multigrid {
         for (patch, level) in self.patches.iter_mut().zip(&structure.levels) {
             for overlay in patch.overlays.drain(..) {
                 patch.overlay_of[overlay.element as usize] = NONE;
+                patch.spare.push(overlay.k);
             }
             for &point in &patch.stiffened.items {
                 patch.stiffer[point as usize] = [0.0; 6];
@@ -98,10 +99,9 @@ impl Patch {
         let entry = &mut self.overlay_of[element as usize];
         if *entry == NONE {
             *entry = self.overlays.len() as u32;
-            self.overlays.push(Overlay {
-                element,
-                k: Box::new(Columns::ZERO),
-            });
+            let mut k = self.spare.pop().unwrap_or_else(|| Box::new(Columns::ZERO));
+            *k = Columns::ZERO;
+            self.overlays.push(Overlay { element, k });
         }
         add(&mut self.overlays[*entry as usize].k);
     }
@@ -114,22 +114,66 @@ impl Patch {
     }
 }
 
+/// Corners of an element that a corner of its child hangs on, and its weights: those that are not zero.
+#[derive(Clone, Copy)]
+struct Hangs {
+    on: [usize; 8],
+    weight: [f32; 8],
+    len: usize,
+}
+
+/// Of each corner of the child in each octant. (Looking for the zeros takes longer than everything else.)
+const HANGS: [[Hangs; 8]; 8] = hangs();
+
+const fn hangs() -> [[Hangs; 8]; 8] {
+    let none = Hangs {
+        on: [0; 8],
+        weight: [0.0; 8],
+        len: 0,
+    };
+    let mut list = [[none; 8]; 8];
+    let mut i = 0;
+    while i < 64 {
+        let (octant, corner) = (i / 8, i % 8);
+        let weights = super::element::WEIGHTS[super::brick::CORNER[octant][corner]];
+        let mut c = 0;
+        while c < 8 {
+            if weights[c] > 0.0 {
+                let hangs = &mut list[octant][corner];
+                hangs.on[hangs.len] = c;
+                hangs.weight[hangs.len] = weights[c] as f32;
+                hangs.len += 1;
+            }
+            c += 1;
+        }
+        i += 1;
+    }
+    list
+}
+
+impl Hangs {
+    #[inline(always)]
+    fn each(&self) -> impl Iterator<Item = (usize, f32)> {
+        let both = self.on.iter().copied().zip(self.weight);
+        both.take(self.len)
+    }
+}
+
 /// Adds `PᵀKP` of the matrix of a finer element.
 fn add_child(to: &mut Columns, child: &Columns, octant: usize) {
-    let corners = &super::brick::CORNER[octant];
-    let weights = corners.map(|place| super::element::WEIGHTS[place].map(|w| w as f32));
-    for (c, row) in weights.iter().enumerate() {
+    let corners = &HANGS[octant];
+    for (c, row) in corners.iter().enumerate() {
         for a in 0..3 {
             // Rows first: what one column of K becomes.
             let from = &child.0[at(c, a)];
             let mut t = [ZERO; 8];
-            for (own, weights) in weights.iter().enumerate() {
+            for (own, hangs) in corners.iter().enumerate() {
                 let value = [0, 1, 2, 3].map(|i| from[lane(own, i)]);
-                for (t, w) in t.iter_mut().zip(weights).filter(|t| *t.1 > 0.0) {
-                    *t = plus(t, *w, &value);
+                for (q, w) in hangs.each() {
+                    t[q] = plus(&t[q], w, &value);
                 }
             }
-            for (p, w) in row.iter().enumerate().filter(|w| *w.1 > 0.0) {
+            for (p, w) in row.each() {
                 let column = &mut to.0[at(p, a)];
                 for (v, t) in column.iter_mut().zip(t.as_flattened()) {
                     *v += w * t;

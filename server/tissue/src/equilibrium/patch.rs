@@ -141,6 +141,8 @@ pub(super) struct Patch {
     pub(super) applied: Vec<[f64; 3]>,
 
     pub(super) overlays: Vec<Overlay>,
+    /// Matrices of former overlays, to be used again.
+    pub(super) spare: Vec<Box<Columns>>,
     pub(super) overlay_of: Vec<u32>,
     /// Bound that overlays add to points, and the points.
     pub(super) stiffer: Vec<[f32; 6]>,
@@ -180,6 +182,7 @@ impl Patch {
             total: laid_out([0.0; 3], points),
             applied: laid_out([0.0; 3], points),
             overlays: Vec::new(),
+            spare: Vec::new(),
             overlay_of: laid_out(NONE, elements),
             stiffer: laid_out([0.0; 6], points),
             stiffened: List::new(points),
