@@ -1,7 +1,8 @@
 //! How stiff nodes are: the blocks that smoothing divides by.
 //!
 //! The block of a node is the sum of what the bricks around it oppose to its moves, at the displacements of now. Most of
-//! a body is hardly strained, and there the blocks of a form of brick that many share are taken as they are at rest.
+//! a body is hardly strained, and there the blocks of a form of brick that many share are taken as they are at rest,
+//! unless its springs stiffen or become extreme before long.
 
 use super::brick::{Brick, LOCALS};
 use super::field::{Field, contact_block};
@@ -90,7 +91,8 @@ impl Field {
         let b = &structure.bricks[brick as usize];
         let form = b.form as usize;
         let mild = MILD / f64::from(structure.per_spacing);
-        if !structure.shared[form] || structure.change_of(brick, u) > mild {
+        let tame = structure.shared[form] && structure.forms[form].is_plain();
+        if !tame || structure.change_of(brick, u) > mild {
             return None;
         }
         if self.blocks_at_rest[form].is_none() {

@@ -22,7 +22,7 @@ use crate::{Topology, Vec3};
 /// Bricks from which on they are shared among threads.
 const PARALLEL: usize = 512;
 
-/// What has become of the set since a step was carried on.
+/// What has become of the set since a step was carried on or level 1's correction was taken.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Since {
     /// Nothing, and it is still to be noted of its nodes that they are up to date with level 1.

@@ -17,6 +17,8 @@ use crate::{Topology, Vec3};
 const ALIKE: f64 = 0.7;
 /// Residual of the last step's set up to which its change may be carried on: errors would be, too.
 const TRUSTED: f64 = 0.1;
+/// Part of a step by which it may be carried on too short and still tell of the curve.
+const ASIDE: f64 = 1e-3;
 /// Bounds of the share of the last change that is carried on under tools, and what is tried first where
 /// tools do not tell.
 const CARRIED: [f64; 2] = [0.0, 1.0];
@@ -81,7 +83,7 @@ impl Solver {
         self.coarse.calm();
         self.coarse.recall(&self.structure);
         if led && self.carried {
-            self.go_on(u, share);
+            self.go_on(u, share, (share - guess).abs() <= ASIDE);
             return self.gather(topology, u);
         }
         self.foresight.path.leave();
@@ -104,9 +106,10 @@ impl Solver {
         lags
     }
 
-    /// Carries a shape that is led on along its path.
-    fn go_on(&mut self, u: &mut [Vec3], share: f64) {
-        let same = self.field.since != Since::Chosen;
+    /// Carries a shape that is led on along its path, over a share that is the `whole` of what it was led on by or
+    /// less.
+    fn go_on(&mut self, u: &mut [Vec3], share: f64, whole: bool) {
+        let same = self.field.since != Since::Chosen && !self.field.outdated;
         let known = self.foresight.steady.filter(|_| same);
         let mut moves = if known.is_some() {
             self.field.keep_moves()
@@ -114,8 +117,16 @@ impl Solver {
             self.field.note(&self.structure, &self.coarse);
             self.field.take_moves(&self.structure, &self.coarse, u)
         };
-        let path = &mut self.foresight.path;
-        path.follow(&mut moves, known.unwrap_or(1.0), share);
+        // What is not free follows level 1, which knows of no curve.
+        let (path, free) = (&mut self.foresight.path, &self.field.free);
+        if !whole {
+            path.leave();
+        }
+        let bends = |node: u32| free[node as usize];
+        path.follow(&mut moves, known.unwrap_or(1.0), share, bends);
+        if !whole {
+            path.lose();
+        }
         self.foresight.steady = Some(share);
         self.coarse.defer(&self.structure);
         self.carry_on(u, &moves, share);
@@ -125,7 +136,7 @@ impl Solver {
     /// Last stage: what the next step needs to know of this one to carry it on, given the residual that it began with.
     pub(super) fn look_back(&mut self, begun: f64) {
         let Foresight { path, steady, .. } = &mut self.foresight;
-        if self.report.iterations > 0 {
+        if self.report.iterations > 0 && begun > 0.0 {
             path.solve(1.0 - self.report.residual / begun);
         }
         *steady = steady.filter(|_| self.carried && self.report.iterations == 0);

@@ -54,12 +54,14 @@ impl Field {
         let e = &coarse.patches[0].e;
         for &node in &self.nodes.items {
             let n = node as usize;
+            // A node that has just been held stays where it is held.
+            if self.fixed[n] {
+                continue;
+            }
             if !self.is_settled(node) {
-                if !self.fixed[n] {
-                    let v = super::cycle::interpolate(&structure.ties[n], e);
-                    let by = Vec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
-                    moves.push((node, by));
-                }
+                let v = super::cycle::interpolate(&structure.ties[n], e);
+                let by = Vec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
+                moves.push((node, by));
             } else if self.moved_on.contains(node) {
                 moves.push((node, u[n] - self.start[n]));
             }
@@ -182,9 +184,7 @@ impl Field {
         u: &mut [Vec3],
         share: f64,
     ) {
-        if self.since == Since::Carried {
-            self.since = Since::Noted;
-        }
+        self.since = Since::Noted;
         for i in 0..self.nodes.items.len() {
             let node = self.nodes.items[i];
             let n = node as usize;

@@ -52,6 +52,11 @@ impl Path {
         self.solved = None;
     }
 
+    /// Notes that the step is not on the curve: what corrects it tells nothing of that.
+    pub(super) fn lose(&mut self) {
+        self.since = 0.0;
+    }
+
     /// Notes that iterations took away this part of what carrying on had left.
     pub(super) fn solve(&mut self, part: f64) {
         self.solved = Some((part / SURE).clamp(0.0, 1.0));
@@ -63,8 +68,14 @@ impl Path {
     }
 
     /// Of these moves, in order of nodes, nodes made the part `made` in the last step; makes of them what they move on
-    /// by over the share of that step which the next one is long.
-    pub(super) fn follow(&mut self, moves: &mut [(u32, Vec3)], made: f64, share: f64) {
+    /// by over the share of that step which the next one is long. Nodes for which `bends` does not hold go straight on.
+    pub(super) fn follow(
+        &mut self,
+        moves: &mut [(u32, Vec3)],
+        made: f64,
+        share: f64,
+        bends: impl Fn(u32) -> bool,
+    ) {
         let far = self.since * (self.since + 1.0) / 2.0;
         let (mut sharper, mut faster) = (0.0, 0.0);
         if let Some(part) = self.solved.take() {
@@ -78,7 +89,13 @@ impl Path {
         }
         self.since = self.since / share + 1.0;
         self.join(moves);
-        for ((_, by), curve) in moves.iter_mut().zip(&mut self.curves) {
+        for ((node, by), curve) in moves.iter_mut().zip(&mut self.curves) {
+            if !bends(*node) {
+                *by *= made;
+                curve.carried = [0, 1, 2].map(|a| (by[a] * share) as f32);
+                curve.bend = [0.0; 3];
+                continue;
+            }
             for a in 0..3 {
                 let last = by[a] * made;
                 let correction = last - f64::from(curve.carried[a]);
@@ -127,7 +144,7 @@ mod tests {
         let mut off = Vec::new();
         for (k, &step) in steps.iter().enumerate() {
             let share = step / last;
-            path.follow(&mut moves, made, share);
+            path.follow(&mut moves, made, share, |_| true);
             made = share;
             (s, last) = (s + step, step);
             let start = at;
@@ -179,20 +196,43 @@ mod tests {
     fn what_was_hardly_solved_for_does_not_bend_a_path() {
         let mut path = Path::default();
         let mut moves = vec![(1, Vec3::x()), (2, Vec3::y())];
-        path.follow(&mut moves, 1.0, 1.0);
+        path.follow(&mut moves, 1.0, 1.0, |_| true);
         path.solve(0.0);
         moves[0].1 = Vec3::x() * 3.0;
-        path.follow(&mut moves, 1.0, 1.0);
+        path.follow(&mut moves, 1.0, 1.0, |_| true);
         assert_eq!(moves, [(1, Vec3::x() * 3.0), (2, Vec3::y())]);
+    }
+
+    #[test]
+    fn what_corrects_a_step_beside_the_curve_does_not_bend_it() {
+        let mut path = Path::default();
+        let mut moves = vec![(1, Vec3::x())];
+        path.follow(&mut moves, 1.0, 1.0, |_| true);
+        path.lose();
+        path.solve(1.0);
+        moves[0].1 = Vec3::x() * 2.0;
+        path.follow(&mut moves, 1.0, 1.0, |_| true);
+        assert_eq!(moves[0].1, Vec3::x() * 2.0);
+    }
+
+    #[test]
+    fn what_follows_a_level_goes_straight_on() {
+        let mut path = Path::default();
+        let mut moves = vec![(1, Vec3::x()), (2, Vec3::x())];
+        path.follow(&mut moves, 1.0, 1.0, |_| true);
+        path.solve(1.0);
+        (moves[0].1, moves[1].1) = (Vec3::x() * 2.0, Vec3::x() * 2.0);
+        path.follow(&mut moves, 1.0, 1.0, |node| node == 2);
+        assert_eq!(moves, [(1, Vec3::x() * 2.0), (2, Vec3::x() * 3.0)]);
     }
 
     #[test]
     fn newcomers_go_straight_on() {
         let mut path = Path::default();
-        path.follow(&mut [(5, Vec3::x())], 1.0, 1.0);
+        path.follow(&mut [(5, Vec3::x())], 1.0, 1.0, |_| true);
         path.solve(1.0);
         let mut moves = [(3, Vec3::y()), (5, Vec3::x() * 1.5), (9, Vec3::z())];
-        path.follow(&mut moves, 1.0, 1.0);
+        path.follow(&mut moves, 1.0, 1.0, |_| true);
         assert_eq!(moves[0].1, Vec3::y());
         assert_eq!(moves[1].1, Vec3::x() * 2.0);
         assert_eq!(moves[2].1, Vec3::z());

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::budget::{Budget, StepReport};
 use super::choice::{Asked, Keeps};
 use super::cycle::{Chebyshev, Effort, Multigrid};
-use super::field::{Field, own_stiffness};
+use super::field::{Field, Since, own_stiffness};
 use super::foresight::Foresight;
 use super::home::Home;
 use super::near::Near;
@@ -319,9 +319,8 @@ impl Solver {
         let mut outdated = true;
         let touched = self.report.reactions.iter().any(|r| r.contacts > 0);
         let touches = budget.near && !touched && !self.contacts.nodes.is_empty();
-        // One iteration there is always: without any, what was foreseen would never be checked. Under a
-        // tool that jumped into the tissue there are more: after one it has not given way yet, and the
-        // force is ten times what it will be.
+        // One there is always: without any, what was foreseen would never be checked. Under a tool that jumped
+        // into the tissue there are more: after one it has not given way, and the force is ten times too high.
         let due = if jumped || touches { DUE } else { 1 };
         let (mut begun, mut smoothing) = (0.0, None);
         loop {
@@ -378,9 +377,11 @@ impl Solver {
             self.finish(u);
         }
         if !self.held.is_empty() {
-            // One step more by the forces that told the residual. What it brings is not looked at, so it is nearly
-            // free, and it halves what the path of a shape that is led is wrong by.
-            if let Some(mut smoothing) = smoothing.filter(|_| !quick) {
+            // One step more by the forces that told the residual, on the nodes that were smoothed: nearly free, as it is
+            // not looked at what it brings, and it halves what the path of a shape that is led is wrong by.
+            let alone =
+                !quick && self.contacts.proxies.is_empty() && self.field.since != Since::Chosen;
+            if let Some(mut smoothing) = smoothing.filter(|_| alone) {
                 self.field.relax_set(u, &mut smoothing);
             }
             self.look_back(begun);

@@ -1,0 +1,155 @@
+//! Shapes of which nodes are held and led on: they follow, and to where they are in equilibrium.
+
+use std::sync::Arc;
+
+use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block};
+
+const SPACING: f64 = 5e-3;
+
+fn cube(material: &Material) -> Topology {
+    Topology::new(Arc::new(block([10, 10, 10], SPACING, material, 1)))
+}
+
+/// Nodes of the top within a radius of its middle.
+fn disc(topology: &Topology, radius: f64) -> Vec<u32> {
+    let middle = Vec3::new(5.0, 5.0, 10.0) * SPACING;
+    let within = |&n: &u32| {
+        let d = topology.rest(n) - middle;
+        d.z.abs() < 1e-6 && d.norm() < radius
+    };
+    (0..topology.node_count() as u32).filter(within).collect()
+}
+
+/// Leads nodes to `to` from where they are at rest.
+fn lead(topology: &Topology, solver: &mut Solver, shape: &mut Shape, nodes: &[u32], to: Vec3) {
+    for &n in nodes {
+        assert!(solver.hold(topology, shape, n, to));
+    }
+}
+
+fn converged(topology: &Topology, nodes: &[u32], to: Vec3) -> Shape {
+    let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
+    lead(topology, &mut solver, &mut shape, nodes, to);
+    solver.step(topology, &mut shape, &[], Budget::new(200, 1e-6));
+    assert!(solver.report().residual <= 1e-6);
+    shape
+}
+
+fn error(shape: &Shape, exact: &Shape) -> f64 {
+    let pairs = shape.displacement.iter().zip(&exact.displacement);
+    let (mut difference, mut size) = (0.0, 0.0);
+    for (a, b) in pairs {
+        difference += (a - b).norm_squared();
+        size += b.norm_squared();
+    }
+    (difference / size).sqrt()
+}
+
+#[test]
+fn a_press_in_equal_steps_hardly_needs_iterations() {
+    let topology = cube(&Material::default());
+    let nodes = disc(&topology, 13e-3);
+    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut iterations = 0;
+    for step in 1..=12 {
+        let to = Vec3::z() * (-1e-4 * f64::from(step));
+        lead(&topology, &mut solver, &mut shape, &nodes, to);
+        let tolerance = if step == 1 { 1e-4 } else { 4e-3 };
+        let report = solver.step(&topology, &mut shape, &[], Budget::new(100, tolerance));
+        assert!(report.residual <= tolerance);
+        if step > 1 {
+            iterations += report.iterations;
+            let off = error(&shape, &converged(&topology, &nodes, to));
+            assert!(off < 0.01, "{off} in step {step}");
+        }
+    }
+    assert!(iterations <= 3, "{iterations}");
+}
+
+#[test]
+fn a_hand_that_moves_unevenly_and_turns_back_is_followed() {
+    let topology = cube(&Material::default());
+    let nodes = disc(&topology, 13e-3);
+    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let depths = [
+        0.2, 0.4, 0.8, 1.2, 1.6, 1.6001, 2.0, 2.1, 1.9, 1.7, 1.0, 0.3,
+    ];
+    for depth in depths {
+        let to = Vec3::new(0.3e-3, 0.0, -1e-3) * depth;
+        lead(&topology, &mut solver, &mut shape, &nodes, to);
+        let report = solver.step(&topology, &mut shape, &[], Budget::new(100, 1e-3));
+        assert!(!report.fell_back && report.residual <= 1e-3);
+        let off = error(&shape, &converged(&topology, &nodes, to));
+        assert!(off < 0.01, "{off} at {depth} mm");
+    }
+}
+
+#[test]
+fn a_node_that_is_held_while_others_are_led_stays_there() {
+    let topology = cube(&Material::default());
+    let nodes = disc(&topology, 8e-3);
+    let other = disc(&topology, 40e-3)
+        .into_iter()
+        .find(|n| !nodes.contains(n))
+        .unwrap();
+    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut at = Vec3::zeros();
+    for step in 1..=8 {
+        let to = Vec3::z() * (-2e-4 * f64::from(step));
+        lead(&topology, &mut solver, &mut shape, &nodes, to);
+        if step == 5 {
+            at = shape.displacement[other as usize];
+            assert!(solver.hold(&topology, &mut shape, other, at));
+        }
+        solver.step(&topology, &mut shape, &[], Budget::new(100, 1e-2));
+        if step >= 5 {
+            assert_eq!(shape.displacement[other as usize], at, "step {step}");
+        }
+    }
+}
+
+#[test]
+fn tissue_that_hardly_stretches_comes_to_rest_within_its_limit_and_beyond() {
+    for stretch in [0.01, 0.03] {
+        let material = Material {
+            stretch_limit: 1.02,
+            ..Material::default()
+        };
+        let topology = cube(&material);
+        let top = disc(&topology, 1.0);
+        let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+        let to = Vec3::z() * (stretch * 10.0 * SPACING);
+        lead(&topology, &mut solver, &mut shape, &top, to);
+        let report = solver.step(&topology, &mut shape, &[], Budget::new(300, 1e-4));
+        assert!(!report.fell_back && report.residual <= 1e-4, "{report:?}");
+    }
+}
+
+#[test]
+fn a_tool_that_jumps_into_what_is_held_feels_what_it_would_have_felt() {
+    let topology = cube(&Material::default());
+    let nodes = disc(&topology, 8e-3);
+    let tool = Tool {
+        id: 1,
+        centre: Vec3::new(10e-3, 10e-3, 50e-3 + 8e-3 - 2e-3),
+        radius_m: 8e-3,
+    };
+    let to = Vec3::z() * -1e-3;
+    let press = |steps: usize, budget: Budget<'static>| {
+        let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+        lead(&topology, &mut solver, &mut shape, &nodes, to);
+        solver.step(&topology, &mut shape, &[], Budget::new(100, 1e-3));
+        let mut budget = Some(budget);
+        for _ in 0..steps {
+            let budget = budget.take().unwrap_or(Budget::new(1, 1e-3));
+            solver.step(&topology, &mut shape, &[tool], budget);
+        }
+        solver.report().reactions[0].force
+    };
+    let exact = press(1, Budget::new(300, 1e-5));
+    let found = press(12, Budget::new(1, 1e-3));
+    assert!(
+        (found - exact).norm() < 0.05 * exact.norm(),
+        "{found} {exact}"
+    );
+}
