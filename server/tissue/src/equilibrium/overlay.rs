@@ -80,10 +80,10 @@ impl Multigrid {
     /// Forgets all added stiffness.
     pub(super) fn soften(&mut self, structure: &Structure) {
         for (patch, level) in self.patches.iter_mut().zip(&structure.levels) {
-            for overlay in patch.overlays.drain(..) {
+            for overlay in &patch.overlays {
                 patch.overlay_of[overlay.element as usize] = NONE;
-                patch.spare.push(overlay.k);
             }
+            patch.spare.append(&mut patch.overlays);
             for &point in &patch.stiffened.items {
                 patch.stiffer[point as usize] = [0.0; 6];
                 patch.inverse[point as usize] = invert(&level.bound[point as usize]);
@@ -99,9 +99,13 @@ impl Patch {
         let entry = &mut self.overlay_of[element as usize];
         if *entry == NONE {
             *entry = self.overlays.len() as u32;
-            let mut k = self.spare.pop().unwrap_or_else(|| Box::new(Columns::ZERO));
-            *k = Columns::ZERO;
-            self.overlays.push(Overlay { element, k });
+            let mut overlay = self.spare.pop().unwrap_or_else(|| Overlay {
+                element,
+                k: Box::new(Columns::ZERO),
+            });
+            overlay.element = element;
+            *overlay.k = Columns::ZERO;
+            self.overlays.push(overlay);
         }
         add(&mut self.overlays[*entry as usize].k);
     }

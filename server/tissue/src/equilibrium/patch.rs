@@ -141,8 +141,8 @@ pub(super) struct Patch {
     pub(super) applied: Vec<[f64; 3]>,
 
     pub(super) overlays: Vec<Overlay>,
-    /// Matrices of former overlays, to be used again.
-    pub(super) spare: Vec<Box<Columns>>,
+    /// Former ones, to be used again.
+    pub(super) spare: Vec<Overlay>,
     pub(super) overlay_of: Vec<u32>,
     /// Bound that overlays add to points, and the points.
     pub(super) stiffer: Vec<[f32; 6]>,
