@@ -70,6 +70,8 @@ pub(super) struct Multigrid {
     /// Part of its stiffness that an element which waits answers with, one that is not even and one that is:
     /// trilinear in its corners, it is stiffer than the tissue within.
     pub(super) slack: [f32; 2],
+    /// Work that the deferred correction does on what waits, all of it, in N m.
+    curve: f64,
     /// Elements visited.
     pub(super) visits: usize,
     /// Whether what a point was moved by before it took part counts as gained: what followed the coarser level.
@@ -85,6 +87,7 @@ impl Multigrid {
             pending: 1.0,
             strained: f32::INFINITY,
             slack: [1.0; 2],
+            curve: 0.0,
             visits: 0,
             follows: false,
         }
@@ -303,12 +306,14 @@ impl Multigrid {
     /// `commit` go by it.
     pub(super) fn defer(&mut self, structure: &Structure) {
         self.forget();
+        self.curve = 0.0;
         let slack = self.slack;
         for (patch, level) in self.patches.iter_mut().zip(&structure.levels) {
             let defer = Defer {
                 level,
                 patch,
                 slack,
+                curve: &mut self.curve,
             };
             self.arch.dispatch(defer);
         }
@@ -317,7 +322,7 @@ impl Multigrid {
     /// Work of what waits along the correction, before it and after it, in N m: that of the lag, and of
     /// the elements that are not refined.
     pub(super) fn work_along(&mut self, structure: &Structure) -> [f64; 2] {
-        let (mut before, mut curve) = (self.work_of_lag_beyond(structure), 0.0);
+        let mut before = self.work_of_lag_beyond(structure);
         for patch in &self.patches {
             for &point in &patch.lagging.items {
                 let p = point as usize;
@@ -325,13 +330,8 @@ impl Multigrid {
                     before += dot(&patch.lag[p], &patch.e[p]);
                 }
             }
-            for deferred in &patch.deferred {
-                for (by, force) in deferred.by.iter().zip(&deferred.force) {
-                    curve += dot(by, force);
-                }
-            }
         }
-        [before, before - curve]
+        [before, before - self.curve]
     }
 
     /// Takes over `share` of the correction: displacements in full, forces of what is not refined
@@ -358,7 +358,8 @@ impl Multigrid {
                 patch.gain[p] = plus(&patch.gain[p], share, &patch.e[p]);
             }
             let mut deferred = std::mem::take(&mut patch.deferred);
-            for Deferred { element, by, force } in deferred.drain(..) {
+            for Deferred { element, force } in deferred.drain(..) {
+                let by = level.corners[element as usize].map(|p| patch.e[p as usize]);
                 if exceeds(patch.wait(level, element, &by, &force, share), tolerable) {
                     patch.wanted.insert(element);
                 }
@@ -411,6 +412,7 @@ struct Defer<'a> {
     level: &'a Level,
     patch: &'a mut Patch,
     slack: [f32; 2],
+    curve: &'a mut f64,
 }
 
 impl WithSimd for Defer<'_> {
@@ -422,6 +424,7 @@ impl WithSimd for Defer<'_> {
             level,
             patch,
             slack,
+            curve,
         } = self;
         patch.deferred.clear();
         for &element in &patch.set.items {
@@ -432,11 +435,10 @@ impl WithSimd for Defer<'_> {
             let force = m.k.multiply(simd, points, &patch.e).corners();
             let slack = slack[usize::from(m.even)];
             let force = force.map(|f| f.map(|v| slack * v));
-            let mut by = [ZERO; 8];
-            for (to, &point) in by.iter_mut().zip(points) {
-                *to = patch.e[point as usize];
+            for (&point, force) in points.iter().zip(&force) {
+                *curve += dot(&patch.e[point as usize], force);
             }
-            patch.deferred.push(Deferred { element, by, force });
+            patch.deferred.push(Deferred { element, force });
         }
     }
 }

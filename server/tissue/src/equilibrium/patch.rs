@@ -24,8 +24,7 @@ pub(super) struct Overlay {
 /// What a correction does to an element that is not refined.
 pub(super) struct Deferred {
     pub(super) element: u32,
-    /// The correction e at its corners, and K e.
-    pub(super) by: Corners,
+    /// K e, the correction's at its corners, in N.
     pub(super) force: Corners,
 }
 
