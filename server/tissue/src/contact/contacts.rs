@@ -3,43 +3,14 @@
 use super::along::{Along, Row};
 use super::ball::Ball;
 use super::index::SurfaceIndex;
-use super::proxy::{Proxy, REACH};
+use super::proxy::Proxy;
 use super::reaction::Reaction;
-use super::surface::{Foot, Surface, area_normal, blend};
-use super::{FOUNDATION, TOOLS_MAX, Tool};
+use super::sample::{Sample, sample_point, sample_sphere};
+use super::surface::{Foot, Surface, blend};
+use super::{TOOLS_MAX, Tool};
 use crate::{Topology, Vec3};
 
-/// Barycentric weights of the four samples of a triangle: the middles of its four equal parts.
-pub(crate) const SAMPLES: [[f64; 3]; 4] = [
-    [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0],
-    [2.0 / 3.0, 1.0 / 6.0, 1.0 / 6.0],
-    [1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0],
-    [1.0 / 6.0, 1.0 / 6.0, 2.0 / 3.0],
-];
-/// Samples per node of a surface of two triangles per node.
-const SAMPLES_PER_NODE: f64 = 8.0;
-/// Samples of all tools at most: a sphere of 20 spacings pressed in to its middle has about 20,000.
-/// Beyond it triangles are left out, in the order of the search.
-const SAMPLES_MAX: usize = 32_768;
-/// Cosine to the centre of the tool from which on a triangle counts in full; at zero it does not.
-const FACING: f64 = 0.3;
 const NONE: u32 = u32::MAX;
-
-/// One point of the surface that a tool may press on.
-pub(crate) struct Sample {
-    pub(crate) nodes: [u32; 3],
-    pub(crate) weights: [f64; 3],
-    /// Where it is at rest.
-    rest: Vec3,
-    /// κ in N/m, its area and facing taken in.
-    stiffness: f64,
-    /// Normal out of the tissue, for a point tool.
-    flat: Option<Vec3>,
-    proxy: u32,
-    triangle: u32,
-    /// How deep it was in m before the tool moved.
-    depth_before: f64,
-}
 
 /// The contacts of one shape.
 pub(crate) struct Contacts {
@@ -185,7 +156,7 @@ impl Contacts {
         for sample in &self.samples {
             let (v, radius) = self.offset(sample, u);
             let nearest = &mut nearest[sample.proxy as usize];
-            *nearest = nearest.max(depth(sample, v, radius).0);
+            *nearest = nearest.max(sample.depth(v, radius).0);
         }
         for (proxy, nearest) in self.proxies.iter_mut().zip(nearest) {
             proxy.depth = nearest.max(0.0);
@@ -223,7 +194,7 @@ impl Contacts {
         if sample.flat.is_none() && v.norm_squared() >= radius * radius {
             return (0.0, Vec3::zeros());
         }
-        depth(sample, v, radius)
+        sample.depth(v, radius)
     }
 
     /// Where a sample is, from the middle of its tool, and the tool's radius, in m.
@@ -270,7 +241,7 @@ impl Contacts {
         for sample in &self.samples {
             let (depth, n) = if sample.depth_before > 0.0 {
                 let (v, radius) = self.offset(sample, u);
-                depth(sample, v, radius)
+                sample.depth(v, radius)
             } else {
                 self.press(sample, u)
             };
@@ -316,7 +287,7 @@ impl Contacts {
         let mut nearest: Option<f64> = None;
         for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
             let (v, radius) = self.offset(sample, u);
-            let (depth, n) = depth(sample, v, radius);
+            let (depth, n) = sample.depth(v, radius);
             nearest = Some(nearest.map_or(depth, |d| d.max(depth)));
             if depth > 0.0 {
                 let f = sample.stiffness * depth;
@@ -347,89 +318,4 @@ impl Contacts {
             at: proxy.at,
         }
     }
-}
-
-/// Depth of a sample in m, below zero where it is off its tool, and direction into the tissue.
-#[inline]
-fn depth(sample: &Sample, v: Vec3, radius: f64) -> (f64, Vec3) {
-    if let Some(out) = sample.flat {
-        return (radius + v.dot(&out), -out);
-    }
-    let distance = v.norm();
-    if distance == 0.0 {
-        return (0.0, Vec3::zeros());
-    }
-    (radius - distance, v / distance)
-}
-
-fn sample_sphere(
-    samples: &mut Vec<Sample>,
-    surface: &Surface<'_>,
-    proxy: &Proxy,
-    i: usize,
-    own: &[f64],
-) {
-    let reach = proxy.radius + 0.5 * surface.topology.model().spacing_m + proxy.gap;
-    for triangle in surface.near(proxy.at, reach) {
-        if samples.len() + SAMPLES.len() > SAMPLES_MAX {
-            return;
-        }
-        let corners = surface.corners(triangle);
-        let Some(normal) = area_normal(&corners).try_normalize(1e-30) else {
-            continue;
-        };
-        let nodes = surface.topology.boundary().triangles[triangle as usize];
-        let rest = nodes.map(|n| surface.topology.rest(n));
-        for weights in SAMPLES {
-            let x = blend(&corners, &weights);
-            let v = proxy.at - x;
-            let distance = v.norm();
-            if distance > reach || distance == 0.0 {
-                continue;
-            }
-            let facing = (v.dot(&normal) / distance / FACING).clamp(0.0, 1.0);
-            if facing > 0.0 {
-                let fade = facing * facing * (3.0 - 2.0 * facing);
-                let share = FOUNDATION / SAMPLES_PER_NODE * fade;
-                samples.push(Sample {
-                    nodes,
-                    weights,
-                    rest: blend(&rest, &weights),
-                    stiffness: share * foundation(own, &nodes, &weights),
-                    flat: None,
-                    proxy: i as u32,
-                    triangle,
-                    depth_before: (proxy.radius - (proxy.before - x).norm()).max(0.0),
-                });
-            }
-        }
-    }
-}
-
-fn sample_point(
-    samples: &mut Vec<Sample>,
-    surface: &Surface<'_>,
-    proxy: &Proxy,
-    i: usize,
-    own: &[f64],
-) {
-    let reach = proxy.radius + REACH * surface.topology.model().spacing_m;
-    if let Some(foot) = surface.nearest(proxy.at, reach) {
-        let nodes = surface.topology.boundary().triangles[foot.triangle as usize];
-        let rest = nodes.map(|n| surface.topology.rest(n));
-        samples.push(Sample {
-            nodes,
-            weights: foot.weights,
-            rest: blend(&rest, &foot.weights),
-            stiffness: FOUNDATION * foundation(own, &nodes, &foot.weights),
-            flat: Some(foot.normal),
-            proxy: i as u32,
-            triangle: foot.triangle,
-            depth_before: 0.0,
-        });
-    }
-}
-
-fn foundation(own: &[f64], nodes: &[u32; 3], weights: &[f64; 3]) -> f64 {
-    (0..3).map(|k| weights[k] * own[nodes[k] as usize]).sum()
 }

@@ -8,7 +8,8 @@
 //! ```
 //!
 //! shared by the three nodes as `w_k f`; the tool feels the opposite. Each triangle has four samples
-//! of equal area, half a spacing apart. κ is [`FOUNDATION`] times the stiffness that the nodes
+//! of equal area, half a spacing apart, or one where the lattice is fine beside the tool ([`FINE_RADIUS`]): a
+//! lattice half as fine has as many under it. κ is [`FOUNDATION`] times the stiffness that the nodes
 //! under the sample have themselves, which leaves a penetration of one or two parts in a hundred
 //! of the indentation. Nothing can pull, and the force grows from zero as a sample enters: so it is
 //! continuous while the tool moves. A triangle that faces away from the centre (the far skin of a
@@ -30,6 +31,7 @@ mod fans;
 mod index;
 mod proxy;
 mod reaction;
+mod sample;
 mod surface;
 #[cfg(test)]
 mod tests;
@@ -46,6 +48,9 @@ use crate::Vec3;
 pub(crate) const FOUNDATION: f64 = 20.0;
 /// Radius, in spacings, below which a tool is a point.
 pub(crate) const POINT_RADIUS: f64 = 0.5;
+/// Radius, in spacings, from which on every triangle has one sample. Under a sphere of 8 mm on a lattice of 2 mm four
+/// make a converged force 0.3 to 0.9 % lower, and take a seventh of a tick.
+pub(crate) const FINE_RADIUS: f64 = 3.0;
 /// Tools that are looked at in one step; more than these are ignored and counted. More than any
 /// table has hands around it.
 pub const TOOLS_MAX: usize = 64;

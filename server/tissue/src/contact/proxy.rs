@@ -164,10 +164,12 @@ impl Proxy {
             let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
             let facing = (self.at - middle).dot(&area_normal(&corners)) > 0.0;
             facing
-                && super::contacts::SAMPLES.iter().any(|w| {
-                    let x = super::surface::blend(&corners, w);
-                    (x - self.at).norm_squared() < self.radius * self.radius
-                })
+                && super::sample::weights_of(self.radius, spacing)
+                    .iter()
+                    .any(|w| {
+                        let x = super::surface::blend(&corners, w);
+                        (x - self.at).norm_squared() < self.radius * self.radius
+                    })
         })
     }
 }

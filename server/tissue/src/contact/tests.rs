@@ -5,8 +5,8 @@ use std::sync::Arc;
 use proptest::prelude::*;
 
 use super::ball::Ball;
-use super::contacts::SAMPLES;
 use super::index::{SurfaceIndex, box_of};
+use super::sample::weights_of;
 use super::surface::{Surface, area_normal, blend, nearest_weights};
 use super::{Contacts, Tool};
 use crate::{BladePoint, CutStroke, Material, Topology, Vec3, block, cut};
@@ -151,7 +151,7 @@ proptest! {
     /// The contacts of a tool are all samples of the surface in its reach that face it.
     #[test]
     fn contacts_are_those_that_a_look_at_every_sample_finds(
-        events in proptest::collection::vec((place(), 0.5..6.0, place(), 0.6..3.0), 1..6),
+        events in proptest::collection::vec((place(), 0.5..6.0, place(), 0.6..5.0), 1..6),
     ) {
         let topology = topology();
         let mut contacts = Contacts::new(&topology);
@@ -165,7 +165,7 @@ proptest! {
             let mut expected = Vec::new();
             for &nodes in &topology.boundary().triangles {
                 let corners = nodes.map(|n| topology.rest(n) + u[n as usize]);
-                for weights in SAMPLES {
+                for &weights in weights_of(radius * D, D) {
                     let v = proxy.at - blend(&corners, &weights);
                     let facing = v.dot(&area_normal(&corners)) > 0.0;
                     if facing && v.norm() <= (radius + 0.5) * D + proxy.gap {
