@@ -11,7 +11,7 @@ use clap::{Args, Parser, Subcommand};
 
 use crate::bench::on_threads;
 use crate::bench::press_cube::PressCube;
-use crate::bench::press_scene::PressScene;
+use crate::bench::press_scene::{Comparison, PressScene};
 use crate::demo::{self, DemoOptions};
 use crate::program::die_with_parent;
 use crate::progress::{Interrupt, Progress};
@@ -115,6 +115,10 @@ struct PressSceneArguments {
     /// How many times to press, each from rest
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]
     repeats: u16,
+    /// Another model to press in turns with the first, so that a machine's slow minutes slow both: how much more
+    /// does a tick of the first take?
+    #[arg(long, value_name = "MODEL")]
+    against: Option<String>,
     /// First cut through the tissue, and press beside the wound
     #[arg(long)]
     wound: bool,
@@ -349,7 +353,16 @@ fn run_press_scene(arguments: &PressSceneArguments) -> Result<ExitCode, String> 
     let dir = tempfile::tempdir().map_err(|e| format!("no temporary folder: {e}"))?;
     let mut progress = Progress::new();
     progress.stage("reading the model");
-    let subject = Subject::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
+    let mut models = Vec::new();
+    for (k, name) in std::iter::once(&arguments.model)
+        .chain(&arguments.against)
+        .enumerate()
+    {
+        let place = dir.path().join(k.to_string());
+        std::fs::create_dir(&place).map_err(|e| format!("no temporary folder: {e}"))?;
+        let subject = Subject::prepare(name, &place).map_err(|e| e.to_string())?;
+        models.push(subject.model);
+    }
     let bench = PressScene {
         depth_m: arguments.depth_mm * 1e-3,
         speed_m_s: arguments.speed_mm_s * 1e-3,
@@ -359,10 +372,15 @@ fn run_press_scene(arguments: &PressSceneArguments) -> Result<ExitCode, String> 
         repeats: usize::from(arguments.repeats),
         ..PressScene::default()
     };
-    let report = on_threads(usize::from(arguments.threads), move || {
-        bench.run(subject.model, &mut |what| progress.tick(what))
-    })??;
-    give(&report, arguments.json)
+    let mut reports = on_threads(usize::from(arguments.threads), move || {
+        bench.run(models, &mut |what| progress.tick(what))
+    })??
+    .into_iter();
+    match (reports.next(), reports.next()) {
+        (Some(report), Some(against)) => give(&Comparison::of(report, against), arguments.json),
+        (Some(report), None) => give(&report, arguments.json),
+        _ => Err("there was no model to press".to_owned()),
+    }
 }
 
 /// Prints a report, for a person or as one JSON object.

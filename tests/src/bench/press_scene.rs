@@ -129,18 +129,49 @@ pub struct PressSceneReport {
     pub ticks: Vec<Tick>,
 }
 
+/// A model with its tools, ready to be pressed.
+struct Prepared {
+    topology: Topology,
+    place: Place,
+    first: Solver,
+    setup_ms: f64,
+    wound: Option<Wound>,
+    tools: Vec<Tool>,
+    /// How many of the tools are on their way down.
+    moving: usize,
+    ticks: Vec<Tick>,
+}
+
 impl PressScene {
-    /// Runs it.
+    /// Runs it; one report per model. Presses of several models take turns, so that their times can be compared
+    /// on a machine with better and worse minutes.
     ///
     /// # Errors
     ///
-    /// When there is no place for a sphere on the model.
+    /// When there is no place for a sphere on a model.
     pub fn run(
         &self,
-        model: Arc<Model>,
+        models: Vec<Arc<Model>>,
         progress: &mut dyn FnMut(&str),
-    ) -> Result<PressSceneReport, String> {
+    ) -> Result<Vec<PressSceneReport>, String> {
         progress("preparing the model");
+        let prepared: Result<Vec<Prepared>, String> =
+            models.into_iter().map(|m| self.prepare(m)).collect();
+        let mut prepared = prepared?;
+        // Presses first: between two ticks of a hand nothing else has to be in the caches.
+        for repeat in 1..=self.repeats {
+            progress(&format!("press {repeat} of {}", self.repeats));
+            for model in &mut prepared {
+                self.press(model, repeat);
+            }
+        }
+        for model in &mut prepared {
+            self.converge(model, progress);
+        }
+        Ok(prepared.into_iter().map(summary).collect())
+    }
+
+    fn prepare(&self, model: Arc<Model>) -> Result<Prepared, String> {
         let mut topology = Topology::new(model);
         let mut place = Place::find(&topology).map_err(|e| e.to_string())?;
         let wound = if self.wound {
@@ -153,7 +184,7 @@ impl PressScene {
         let setup_ms = began.elapsed().as_secs_f64() * 1e3;
         place.sag(&topology, &first);
         let moving = (self.depth_m / (self.speed_m_s * TICK_S)).ceil() as usize;
-        let tools: Vec<Tool> = (1..=moving + REST)
+        let tools = (1..=moving + REST)
             .map(|k| {
                 let depth = (k as f64 * self.speed_m_s * TICK_S).min(self.depth_m);
                 Tool {
@@ -163,63 +194,73 @@ impl PressScene {
                 }
             })
             .collect();
-        let along = |report: &StepReport| report.reactions[0].force.dot(&place.normal);
-        // Presses first: between two ticks of a hand nothing else has to be in the caches.
-        let mut ticks = Vec::new();
-        for repeat in 1..=self.repeats {
-            progress(&format!("press {repeat} of {}", self.repeats));
-            let (mut hand, mut shape) = (first.another(&topology), Shape::rest(&topology));
-            let out = (0..moving.saturating_sub(1)).rev();
-            let ways = (0..tools.len()).map(|t| (t, false));
-            for (number, draws_back) in ways.chain(out.map(|t| (t, true))) {
-                let tool = &tools[number];
-                let began = Instant::now();
-                let ms = || began.elapsed().as_secs_f64() * 1e3;
-                let mut stop = || ms() > self.budget_ms;
-                let budget = Budget {
-                    near: true,
-                    stop: Some(&mut stop),
-                    ..Budget::new(10, self.tolerance)
-                };
-                let report = hand.step(&topology, &mut shape, &[*tool], budget);
-                ticks.push(Tick {
-                    press: repeat,
-                    draws_back,
-                    tool: number,
-                    depth_mm: (RADIUS_M - (tool.centre - place.middle).dot(&place.normal)) * 1e3,
-                    force_n: along(report),
-                    ms: ms(),
-                    iterations: report.iterations,
-                    active: report.active_nodes,
-                    ..Tick::default()
-                });
-            }
+        Ok(Prepared {
+            topology,
+            place,
+            first,
+            setup_ms,
+            wound,
+            tools,
+            moving,
+            ticks: Vec::new(),
+        })
+    }
+
+    /// One press from rest and back.
+    fn press(&self, model: &mut Prepared, repeat: usize) {
+        let (topology, place) = (&model.topology, &model.place);
+        let (mut hand, mut shape) = (model.first.another(topology), Shape::rest(topology));
+        let out = (0..model.moving.saturating_sub(1)).rev();
+        let ways = (0..model.tools.len()).map(|t| (t, false));
+        for (number, draws_back) in ways.chain(out.map(|t| (t, true))) {
+            let tool = &model.tools[number];
+            let began = Instant::now();
+            let ms = || began.elapsed().as_secs_f64() * 1e3;
+            let mut stop = || ms() > self.budget_ms;
+            let budget = Budget {
+                near: true,
+                stop: Some(&mut stop),
+                ..Budget::new(10, self.tolerance)
+            };
+            let report = hand.step(topology, &mut shape, &[*tool], budget);
+            model.ticks.push(Tick {
+                press: repeat,
+                draws_back,
+                tool: number,
+                depth_mm: (RADIUS_M - (tool.centre - place.middle).dot(&place.normal)) * 1e3,
+                force_n: along(report, place),
+                ms: ms(),
+                iterations: report.iterations,
+                active: report.active_nodes,
+                ..Tick::default()
+            });
         }
-        let (mut exact, mut shape) = (first.another(&topology), Shape::rest(&topology));
-        for (k, tool) in tools.iter().enumerate() {
-            progress(&format!("converging tick {} of {}", k + 1, tools.len()));
+    }
+
+    /// Another solver converges at every place of the tool.
+    fn converge(&self, model: &mut Prepared, progress: &mut dyn FnMut(&str)) {
+        let (topology, count) = (&model.topology, model.tools.len());
+        let (mut exact, mut shape) = (model.first.another(topology), Shape::rest(topology));
+        for (k, tool) in model.tools.iter().enumerate() {
+            progress(&format!("converging tick {} of {count}", k + 1));
             let budget = Budget::new(200, self.converged);
-            let report = exact.step(&topology, &mut shape, &[*tool], budget);
-            for tick in ticks.iter_mut().filter(|t| t.tool == k) {
-                tick.converged_n = along(report);
+            let report = exact.step(topology, &mut shape, &[*tool], budget);
+            for tick in model.ticks.iter_mut().filter(|t| t.tool == k) {
+                tick.converged_n = along(report, &model.place);
                 tick.error = (tick.force_n - tick.converged_n) / tick.converged_n.max(LEAST_N);
                 tick.converged_residual = report.residual;
             }
         }
-        Ok(PressSceneReport {
-            wound,
-            ..summary(&topology, setup_ms, ticks, moving)
-        })
     }
 }
 
-fn summary(
-    topology: &Topology,
-    setup_ms: f64,
-    ticks: Vec<Tick>,
-    moving: usize,
-) -> PressSceneReport {
-    let moving = &ticks[..moving.min(ticks.len())];
+fn along(report: &StepReport, place: &Place) -> f64 {
+    report.reactions[0].force.dot(&place.normal)
+}
+
+fn summary(model: Prepared) -> PressSceneReport {
+    let ticks = model.ticks;
+    let moving = &ticks[..model.moving.min(ticks.len())];
     let (back, press): (Vec<&Tick>, Vec<&Tick>) = ticks.iter().partition(|t| t.draws_back);
     let slope = |part: &[Tick]| match part {
         [first, .., last] => {
@@ -229,14 +270,50 @@ fn summary(
     };
     let fifth = (moving.len() / 5).max(2).min(moving.len());
     PressSceneReport {
-        wound: None,
-        nodes: topology.node_count(),
-        setup_ms,
+        wound: model.wound,
+        nodes: model.topology.node_count(),
+        setup_ms: model.setup_ms,
         press: Figures::of(&press),
         back: Figures::of(&back),
         active: ticks.iter().map(|t| t.active).max().unwrap_or(0),
         stiffening: slope(&moving[moving.len() - fifth..]) / slope(&moving[..fifth]),
         ticks,
+    }
+}
+
+/// Two models that were pressed in turns.
+#[derive(Debug, Clone, Serialize)]
+pub struct Comparison {
+    /// The one that was asked for.
+    #[serde(flatten)]
+    pub report: PressSceneReport,
+    /// What it is compared with.
+    pub against: PressSceneReport,
+    /// Times of the first over those of the second: median and 99th percentile.
+    pub ratio: [f64; 2],
+}
+
+impl Comparison {
+    /// Compares.
+    pub fn of(report: PressSceneReport, against: PressSceneReport) -> Self {
+        let ratio = [0, 1].map(|q| report.press.ms[q] / against.press.ms[q]);
+        Self {
+            report,
+            against,
+            ratio,
+        }
+    }
+}
+
+impl fmt::Display for Comparison {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [p50, p99] = self.ratio;
+        writeln!(f, "{}", self.report)?;
+        writeln!(f, "against {}", self.against.figures())?;
+        write!(
+            f,
+            "a tick takes {p50:.2} times as long (p50), {p99:.2} times (p99)"
+        )
     }
 }
 
@@ -269,8 +346,14 @@ impl fmt::Display for PressSceneReport {
                 wound.doubled
             )?;
         }
-        write!(
-            f,
+        f.write_str(&self.figures())
+    }
+}
+
+impl PressSceneReport {
+    /// All but the ticks, in a line.
+    fn figures(&self) -> String {
+        format!(
             "{} nodes; tick p50 {:.2} ms, p99 {:.2} ms; force error worst {:.1} %, rms {:.1} %; at \
              most {} nodes active; slope of the last fifth {:.1} times the first; drawn back p50 {:.2} ms, \
              p99 {:.2} ms, worst {:.1} %, rms {:.1} %",
