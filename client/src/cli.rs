@@ -9,6 +9,7 @@ use std::time::Duration;
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
+use crate::devices::{self, DevicesArguments};
 use crate::{ClientError, DeviceKind, JoinOptions, StatusKind, Summary, run as join};
 
 /// The longest run that can be asked for, s: a day. A larger number is more likely milliseconds.
@@ -49,17 +50,8 @@ enum Command {
     /// Join a session
     #[command(after_help = EXAMPLES)]
     Join(JoinArguments),
-    /// List the devices that this program drives
-    Devices {
-        #[command(subcommand)]
-        command: Option<DevicesCommand>,
-    },
-}
-
-#[derive(Subcommand)]
-enum DevicesCommand {
-    /// List them (the same as without a word)
-    List,
+    /// List the devices that this program drives, test, calibrate or draw one
+    Devices(DevicesArguments),
 }
 
 #[derive(clap::Args)]
@@ -72,7 +64,7 @@ struct JoinArguments {
     /// The device to hold, for roles with a tool
     #[arg(long, value_enum, default_value_t = DeviceKind::Sim)]
     device: DeviceKind,
-    /// What the simulated hand does (a TOML file)
+    /// What the simulated hand does, with or without a simulated device in it (a TOML file)
     #[arg(long, value_name = "FILE")]
     script: Option<PathBuf>,
     /// Leave after so many seconds; without it, stay until the session ends or Ctrl-C
@@ -142,23 +134,12 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         .with_writer(std::io::stderr)
         .try_init();
     match arguments.command {
-        Command::Devices { .. } => list_devices(),
+        Command::Devices(arguments) => devices::run(arguments),
         Command::Join(arguments) => {
             let json = arguments.json;
             report(&join(&arguments.into_options()), json)
         }
     }
-}
-
-fn list_devices() -> ExitCode {
-    let mut out = std::io::stdout().lock();
-    for (kind, sentence) in DeviceKind::ALL {
-        // A reader that went away wants no more lines.
-        if writeln!(out, "{:<8} {sentence}", kind.word()).is_err() {
-            break;
-        }
-    }
-    ExitCode::SUCCESS
 }
 
 /// Says how a run ended, and gives the exit code for it.

@@ -8,8 +8,8 @@ use palpate_protocol::{ModelHash, ProtocolError, Role};
 use palpate_tissue::FileError;
 use palpate_transport::TransportError;
 
-use crate::Summary;
 use crate::realtime::SpawnError;
+use crate::{DeviceError, Summary};
 
 /// Why a run did not end as it should: one sentence each, for people.
 #[derive(Debug, thiserror::Error)]
@@ -30,6 +30,9 @@ pub enum ClientError {
         "the role {0} holds a tool, and the simulated hand needs a script to follow: add --script FILE"
     )]
     NoScript(Role),
+    /// The device can not be opened.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
     /// The server can not be reached, or is another one.
     #[error(transparent)]
     Transport(#[from] TransportError),
@@ -112,7 +115,7 @@ impl ClientError {
     /// 2 where what was typed is wrong, 1 otherwise.
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::Link(_) | Self::Script { .. } | Self::NoScript(_) => 2,
+            Self::Link(_) | Self::Script { .. } | Self::NoScript(_) | Self::Device(_) => 2,
             _ => 1,
         }
     }

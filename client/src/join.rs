@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use palpate_device::backend::sim::{ScriptStart, SimHand};
+use palpate_device::Script;
+use palpate_device::backend::sim::ScriptStart;
 use palpate_device::script::ToolKind;
-use palpate_device::{HapticDevice, Script};
 use palpate_haptics::{Chain, ChainConfig};
 use palpate_protocol::handshake::{Hello, Welcome};
 use palpate_protocol::{JoinLink, Role};
@@ -21,7 +21,7 @@ use crate::session::Session;
 use crate::site::Site;
 use crate::solve::{Hand, ReplicaThread, Work, record_every};
 use crate::status::{Status, fetch_progress};
-use crate::{ClientError, DeviceKind, JoinOptions, Summary};
+use crate::{ClientError, JoinOptions, Summary, devices};
 
 /// Joins a session and stays until it ends, the duration is over or `stop` is set.
 pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
@@ -104,7 +104,7 @@ impl Parts {
         let (mut haptics, mut motion, mut hand) = (None, None, None);
         let mut name = "none".to_owned();
         if let Some(script) = script.filter(|_| welcome.role.has_tool()) {
-            let device = open_device(options.device, script, start.clone());
+            let device = devices::open(options.device, &script, start.clone())?;
             name.clone_from(&device.caps().name);
             let chain = Chain::new(ChainConfig::default(), device.caps());
             let (handle, ports) = spawn(device, chain, loop_config(options))?;
@@ -151,12 +151,6 @@ fn beneath<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     match rayon::ThreadPoolBuilder::new().start_handler(lower).build() {
         Ok(pool) => pool.install(work),
         Err(_) => work(),
-    }
-}
-
-fn open_device(kind: DeviceKind, script: Script, start: ScriptStart) -> Box<dyn HapticDevice> {
-    match kind {
-        DeviceKind::Sim => Box::new(SimHand::new(script, start)),
     }
 }
 

@@ -19,6 +19,7 @@
 pub mod ahead;
 pub mod cli;
 pub mod convert;
+mod devices;
 mod ending;
 mod error;
 mod history;
@@ -39,9 +40,10 @@ pub mod stroke;
 mod summary;
 pub mod view;
 
+pub use devices::{DeviceError, DeviceKind};
 pub use error::ClientError;
 pub use join::run;
-pub use options::{DeviceKind, JoinOptions, StatusKind};
+pub use options::{JoinOptions, StatusKind};
 pub use recording::Recording;
 pub use replica::Replica;
 pub use roster::{Roster, ToolAt};

@@ -5,29 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use clap::ValueEnum;
-
-/// The kinds of devices that this program drives.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum DeviceKind {
-    /// A simulated hand that follows a script and feels the force.
-    Sim,
-}
-
-impl DeviceKind {
-    /// All of them, with a sentence each.
-    pub const ALL: [(Self, &'static str); 1] = [(
-        Self::Sim,
-        "a simulated hand that follows a script (--script FILE) and feels the force",
-    )];
-
-    /// The word for it on the command line.
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::Sim => "sim",
-        }
-    }
-}
+use crate::DeviceKind;
 
 /// Where the progress of a run is shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -50,7 +28,7 @@ pub struct JoinOptions {
     pub name: String,
     /// The device to hold, for roles with a tool.
     pub device: DeviceKind,
-    /// What a simulated hand does.
+    /// What a simulated hand does, with or without a simulated device.
     pub script: Option<PathBuf>,
     /// Leave after this time; without it stay until the session ends.
     pub duration: Option<Duration>,

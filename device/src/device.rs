@@ -157,6 +157,12 @@ pub trait HapticDevice: Send {
     /// Whether its poses can be trusted.
     fn calibration(&self) -> Calibration;
 
+    /// Does what calibration this program can do, in the posture that the driver asks for, and gives the state
+    /// after it. A device whose maker has a program for that only says where it stands.
+    fn calibrate(&mut self) -> Result<Calibration, DeviceFault> {
+        Ok(self.calibration())
+    }
+
     /// Whose clock drives it.
     fn clock(&self) -> ClockOwner;
 

@@ -5,7 +5,8 @@
 //!
 //! - [`HapticDevice`] is the one trait; [`DeviceCaps`] says what a device can do, [`ClockOwner`]
 //!   whose clock drives it.
-//! - [`backend::sim`] is a hand model that follows a [`Script`] and feels our force.
+//! - [`backend::sim`] is a hand model that follows a [`Script`] and feels our force; [`backend::five_dof`] the device
+//!   of 2007, with its kinematics and simulated boards.
 //! - [`conformance`] is the suite that every backend passes.
 //!
 //! Units are SI: metres, seconds, kilograms, newtons, newton metres, radians. Millimetres appear
@@ -14,8 +15,10 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod backend;
+mod clamp;
 pub mod conformance;
 mod device;
+mod placed;
 mod sample;
 pub mod script;
 mod time;
@@ -24,6 +27,7 @@ pub use device::{
     Calibration, ClockOwner, DeviceCaps, DeviceFault, ForceState, HapticDevice, Rejection,
     Workspace, Written,
 };
+pub use placed::{Placed, Placement};
 pub use sample::{Buttons, Faults, Pose, Sample, Wrench};
 pub use script::{Script, ScriptError};
 pub use time::DeviceTime;

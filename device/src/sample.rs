@@ -58,6 +58,15 @@ impl Wrench {
         }
     }
 
+    /// `share` of it.
+    #[must_use]
+    pub fn scaled(&self, share: f64) -> Self {
+        Self {
+            force: self.force * share,
+            torque: self.torque * share,
+        }
+    }
+
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
         is_finite(&self.force) && is_finite(&self.torque)

@@ -1,3 +1,4 @@
 //! One folder per driver.
 
+pub mod five_dof;
 pub mod sim;

@@ -41,6 +41,8 @@ use std::path::Path;
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
 
+use crate::{Placement, Pose};
+
 pub use motion::ScriptPose;
 
 /// Way points in one script. A point per millisecond for 100 s fits; more is refused, because a
@@ -319,6 +321,32 @@ impl Script {
     /// Whether the script begins again after its last way point.
     pub fn repeats(&self) -> bool {
         self.repeat
+    }
+
+    /// The middle of the box around all way points, m.
+    pub fn middle(&self) -> Vector3<f64> {
+        let first = self.ways[0].position;
+        let around = self.ways.iter().fold((first, first), |(low, high), way| {
+            (low.inf(&way.position), high.sup(&way.position))
+        });
+        (around.0 + around.1) * 0.5
+    }
+
+    /// The same script as a device sees it that stands there in the scene.
+    pub fn seen_from(&self, placement: &Placement) -> Result<Self, ScriptError> {
+        let moved = |way: &WayPoint| {
+            let pose = placement.to_device(&Pose {
+                position: way.position,
+                orientation: way.orientation,
+            });
+            WayPoint {
+                position: pose.position,
+                orientation: pose.orientation,
+                ..*way
+            }
+        };
+        let ways = self.ways.iter().map(moved).collect();
+        Self::new(self.tool, self.hand, ways, self.repeat)
     }
 
     /// The time of the last way point, s. A repeated script goes on after it.

@@ -12,6 +12,8 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use nalgebra::Vector3;
 
 use self::body::Body;
+pub(in crate::backend) use self::tremor::Tremor;
+use crate::clamp::{Ramp, clamp_wrench};
 use crate::script::POSITION_MAX_M;
 use crate::{
     Buttons, Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState,
@@ -60,7 +62,7 @@ impl ScriptStart {
     }
 
     /// Seconds of script at `now`; before the start 0 or less.
-    fn script_s(&self, now: DeviceTime) -> f64 {
+    pub(in crate::backend) fn script_s(&self, now: DeviceTime) -> f64 {
         self.get()
             .map_or(f64::NEG_INFINITY, |at| now.micros_since(at) as f64 * 1e-6)
     }
@@ -79,9 +81,7 @@ pub struct SimHand {
 /// What the simulated motors do.
 #[derive(Debug, Clone, Copy)]
 struct Motors {
-    enabled: bool,
-    /// When the ramp began: at the first write after they were enabled.
-    ramp_from: Option<DeviceTime>,
+    ramp: Ramp,
     written: Wrench,
     /// The last time anybody told the device.
     now: DeviceTime,
@@ -89,27 +89,13 @@ struct Motors {
 
 impl Motors {
     const OFF: Self = Self {
-        enabled: false,
-        ramp_from: None,
+        ramp: Ramp::off(ENABLE_RAMP_US),
         written: Wrench::ZERO,
         now: DeviceTime::from_micros(i64::MIN),
     };
 
-    /// The share of the written force that is rendered, 0 to 1.
-    fn ramp(&self) -> f64 {
-        match self.ramp_from {
-            Some(from) if self.enabled => {
-                (self.now.micros_since(from) as f64 / ENABLE_RAMP_US as f64).clamp(0.0, 1.0)
-            }
-            _ => 0.0,
-        }
-    }
-
     fn rendered(&self) -> Wrench {
-        Wrench {
-            force: self.written.force * self.ramp(),
-            torque: self.written.torque * self.ramp(),
-        }
+        self.written.scaled(self.ramp.gain(self.now))
     }
 }
 
@@ -162,21 +148,6 @@ impl SimHand {
         self.body
             .advance(self.motors.now, &self.start, self.motors.rendered().force)
     }
-
-    /// `wrench` within the limits of the motors, and whether they changed it.
-    fn clamp(&self, wrench: Wrench) -> (Wrench, bool) {
-        let within = |v: Vector3<f64>, limit: f64| {
-            let n = v.norm();
-            if n > limit {
-                (v * (limit / n), true)
-            } else {
-                (v, false)
-            }
-        };
-        let (force, a) = within(wrench.force, self.caps.max_force_n);
-        let (torque, b) = within(wrench.torque, self.caps.max_torque_nm);
-        (Wrench { force, torque }, a || b)
-    }
 }
 
 impl HapticDevice for SimHand {
@@ -196,8 +167,13 @@ impl HapticDevice for SimHand {
         if !self.open {
             return Err(DeviceFault::Closed);
         }
+        let ramp = if on {
+            Ramp::on(ENABLE_RAMP_US)
+        } else {
+            Ramp::off(ENABLE_RAMP_US)
+        };
         self.motors = Motors {
-            enabled: on,
+            ramp,
             now: self.motors.now,
             ..Motors::OFF
         };
@@ -205,13 +181,7 @@ impl HapticDevice for SimHand {
     }
 
     fn force_state(&self) -> ForceState {
-        if !self.motors.enabled {
-            ForceState::Off
-        } else if self.motors.ramp() < 1.0 {
-            ForceState::Ramping
-        } else {
-            ForceState::On
-        }
+        self.motors.ramp.state(self.motors.now)
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
@@ -243,7 +213,7 @@ impl HapticDevice for SimHand {
         if !self.open {
             return Written::Rejected(Rejection::Closed);
         }
-        if !self.motors.enabled {
+        if self.motors.ramp.is_off() {
             return Written::Rejected(Rejection::ForcesOff);
         }
         // The old force acts until now. A jump of time shows in the next reading.
@@ -252,8 +222,8 @@ impl HapticDevice for SimHand {
             self.motors.written = Wrench::ZERO;
             return Written::Rejected(Rejection::NotFinite);
         }
-        let (applied, saturated) = self.clamp(wrench);
-        self.motors.ramp_from.get_or_insert(self.motors.now);
+        let (applied, saturated) = clamp_wrench(wrench, &self.caps);
+        self.motors.ramp.begin(self.motors.now);
         self.motors.written = applied;
         if saturated {
             Written::Saturated { applied }

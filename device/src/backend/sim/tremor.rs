@@ -22,7 +22,7 @@ struct Sine {
 }
 
 #[derive(Debug)]
-pub(super) struct Tremor {
+pub(in crate::backend) struct Tremor {
     axes: [[Sine; SINES]; 3],
     is_still: bool,
 }
@@ -30,7 +30,7 @@ pub(super) struct Tremor {
 impl Tremor {
     /// The tremor of `hand`. The spring between script and hand weakens or amplifies it; each
     /// sine is given the amplitude that makes the free hand shake by `hand.tremor_m` rms.
-    pub(super) fn new(hand: &Hand) -> Self {
+    pub(in crate::backend) fn new(hand: &Hand) -> Self {
         let mut rng = Pcg64Mcg::seed_from_u64(hand.seed);
         let amplitude_of_hand = hand.tremor_m * (2.0 / SINES as f64).sqrt();
         let mut axes = [[Sine::default(); SINES]; 3];
@@ -50,7 +50,7 @@ impl Tremor {
     }
 
     /// Displacement (m) and velocity (m/s) of the script's end of the spring at `t_s`.
-    pub(super) fn at(&self, t_s: f64) -> (Vector3<f64>, Vector3<f64>) {
+    pub(in crate::backend) fn at(&self, t_s: f64) -> (Vector3<f64>, Vector3<f64>) {
         let (mut x, mut v) = (Vector3::zeros(), Vector3::zeros());
         if self.is_still {
             return (x, v);

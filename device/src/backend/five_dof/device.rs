@@ -1,0 +1,302 @@
+//! The device behind the one trait: counts become a pose, a wrench becomes codes.
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::arm::Angles;
+use super::linkage::{Linkage, OutOfReach};
+use super::map::Middle;
+use super::port::{Port, PortFault, Six};
+use super::rates::Rate;
+use super::signals::{Drive, Encoder};
+use super::statics::{Torques, torques};
+use crate::clamp::{Ramp, clamp_wrench};
+use crate::{
+    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice,
+    Pose, Rejection, Sample, Wrench, Written,
+};
+
+/// By how much the ends' distance may differ from the probe's length, m. Six readings give five independent
+/// numbers; the sixth says whether they can be true. A count at all six motors is 0.3 mm.
+pub const PROBE_TOLERANCE_M: f64 = 2e-3;
+
+/// How long the driver scales forces up after they were enabled, µs.
+const RAMP_US: i64 = 200_000;
+
+/// What the device is made of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Config {
+    /// Lengths of arms and probe.
+    pub linkage: Linkage,
+    /// The encoders, all alike.
+    pub encoder: Encoder,
+    /// The way from a code to a torque, alike for all motors.
+    pub drive: Drive,
+    /// The largest force that is asked of it, N, for a moment and held.
+    pub force_n: [f64; 2],
+    /// The largest torque about the pivot, N·m.
+    pub torque_nm: f64,
+    /// The stiffness it renders stably, N/m.
+    pub stiffness_n_per_m: f64,
+}
+
+/// How often a wrench could not be rendered as it was asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Counts {
+    /// Torques faded beside a singular posture.
+    pub singular: u64,
+    /// A motor's limit shortened them.
+    pub saturated: u64,
+    /// The probe's length was wrong.
+    pub untrusted: u64,
+}
+
+/// The 5-DOF device behind its boards.
+#[derive(Debug)]
+pub struct FiveDof<P: Port> {
+    port: P,
+    config: Config,
+    caps: DeviceCaps,
+    middle: Middle,
+    angles: [Angles; 2],
+    rates: [Rate; 6],
+    ramp: Ramp,
+    written: Wrench,
+    now: DeviceTime,
+    counts: Counts,
+    open: bool,
+}
+
+impl<P: Port> FiveDof<P> {
+    /// The device behind these boards. Its workspace is the largest cube around the middle of its reach in which the
+    /// probe may be tilted by [`TILT_RAD`](super::map::TILT_RAD) without coming close to a singular posture.
+    ///
+    /// # Errors
+    ///
+    /// When the arms of this linkage can hold the probe nowhere.
+    pub fn open(port: P, config: Config) -> Result<Self, OutOfReach> {
+        let middle = Middle::of(&config.linkage)?;
+        let caps = DeviceCaps {
+            name: "5-DOF device".to_owned(),
+            dof_in: 5,
+            dof_out: 5,
+            workspace: middle.workspace(),
+            max_force_n: config.force_n[0],
+            continuous_force_n: config.force_n[1],
+            max_torque_nm: config.torque_nm,
+            max_stiffness_n_per_m: config.stiffness_n_per_m,
+            rate_hz: 1000.0,
+        };
+        let step = config.encoder.step_rad();
+        Ok(Self {
+            port,
+            caps,
+            angles: middle.angles,
+            middle,
+            rates: std::array::from_fn(|_| Rate::new(step)),
+            ramp: Ramp::off(RAMP_US),
+            written: Wrench::ZERO,
+            now: DeviceTime::from_micros(i64::MIN),
+            counts: Counts::default(),
+            open: true,
+            config,
+        })
+    }
+
+    /// How often what was not rendered.
+    pub fn counts(&self) -> Counts {
+        self.counts
+    }
+
+    /// The angles of the last reading, rad.
+    pub fn angles(&self) -> &[Angles; 2] {
+        &self.angles
+    }
+
+    /// Its boards.
+    pub fn port(&self) -> &P {
+        &self.port
+    }
+
+    /// Lets `torques` act; zero when the boards do not take them.
+    fn drive(&mut self, torques: &[Vector3<f64>; 2]) -> Result<(), PortFault> {
+        let drive = self.config.drive;
+        let codes = six(|arm, k| drive.code(torques[arm][k]));
+        self.port.command(self.now, codes)
+    }
+
+    /// Zero on the motors, and forces off.
+    fn stop(&mut self) {
+        self.ramp = Ramp::off(RAMP_US);
+        self.written = Wrench::ZERO;
+        // Where the boards are gone there is nobody left to be told.
+        let _ = self.drive(&[Vector3::zeros(); 2]);
+    }
+
+    /// What the motors would have to do for the wrench at the present posture.
+    fn torques(&self, wrench: &Wrench) -> Torques {
+        let limit = self.config.drive.limit_nm();
+        torques(&self.config.linkage, &self.angles, wrench, limit)
+    }
+
+    /// Renders `wrench` scaled by the ramp.
+    fn render(&mut self, wrench: Wrench) -> Result<Torques, PortFault> {
+        let gain = self.ramp.gain(self.now);
+        let torques = self.torques(&wrench);
+        self.drive(&torques.nm.map(|t| t * gain))?;
+        Ok(torques)
+    }
+
+    fn refuse(&mut self, why: Rejection) -> Written {
+        self.written = Wrench::ZERO;
+        if self.open && self.drive(&[Vector3::zeros(); 2]).is_err() {
+            return Written::Rejected(Rejection::Driver { code: 0 });
+        }
+        Written::Rejected(why)
+    }
+}
+
+impl<P: Port> HapticDevice for FiveDof<P> {
+    fn caps(&self) -> &DeviceCaps {
+        &self.caps
+    }
+
+    fn calibration(&self) -> Calibration {
+        if self.port.is_homed() {
+            Calibration::Done
+        } else {
+            Calibration::NeedsUser
+        }
+    }
+
+    /// Takes the present posture for that of calibration: the probe in the middle of the workspace, along y. Hold it
+    /// in its rest while this is called.
+    fn calibrate(&mut self) -> Result<Calibration, DeviceFault> {
+        if !self.open {
+            return Err(DeviceFault::Closed);
+        }
+        let (encoder, at) = (self.config.encoder, self.middle.angles);
+        let counts = six(|arm, k| encoder.count(at[arm][k]));
+        self.port.home(counts)?;
+        self.rates.iter_mut().for_each(Rate::clear);
+        Ok(self.calibration())
+    }
+
+    fn clock(&self) -> ClockOwner {
+        ClockOwner::Ours
+    }
+
+    fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
+        if !self.open {
+            return Err(DeviceFault::Closed);
+        }
+        self.stop();
+        if on {
+            if !self.calibration().is_ready() {
+                return Err(DeviceFault::NotCalibrated);
+            }
+            self.ramp = Ramp::on(RAMP_US);
+        }
+        Ok(())
+    }
+
+    fn force_state(&self) -> ForceState {
+        self.ramp.state(self.now)
+    }
+
+    fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
+        if !self.open {
+            return Err(DeviceFault::Closed);
+        }
+        self.now = now.max(self.now);
+        let counts = match self.port.counts(self.now) {
+            Ok(counts) => counts,
+            Err(fault) => {
+                self.stop();
+                return Err(fault.into());
+            }
+        };
+        let encoder = self.config.encoder;
+        let time = self.now.as_secs_f64();
+        let mut rates = [Vector3::zeros(); 2];
+        for (j, &count) in counts.iter().enumerate() {
+            let angle = encoder.angle(count);
+            self.angles[j / 3][j % 3] = angle;
+            rates[j / 3][j % 3] = self.rates[j].read(time, angle);
+        }
+        let linkage = &self.config.linkage;
+        let probe = linkage.probe(&self.angles);
+        let mut faults = Faults::NONE;
+        let wrong = (probe.length_m - linkage.probe_m()).abs() > PROBE_TOLERANCE_M;
+        if wrong || !self.calibration().is_ready() {
+            self.counts.untrusted += u64::from(wrong);
+            faults = faults.with(Faults::UNTRUSTED_POSE);
+        }
+        if !self.caps.workspace.contains(&probe.pivot) {
+            faults = faults.with(Faults::OUT_OF_WORKSPACE);
+        }
+        let (velocity, angular_velocity) = linkage.velocity(&self.angles, &rates);
+        Ok(Sample {
+            time: self.now,
+            pose: Pose {
+                position: probe.pivot,
+                orientation: UnitQuaternion::new_normalize(probe.orientation().into_inner()),
+            },
+            velocity,
+            angular_velocity,
+            buttons: self.port.buttons(self.now),
+            gripper: None,
+            faults,
+        })
+    }
+
+    fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
+        if !self.open {
+            return Written::Rejected(Rejection::Closed);
+        }
+        self.now = now.max(self.now);
+        if self.ramp.is_off() {
+            return self.refuse(Rejection::ForcesOff);
+        }
+        if !wrench.is_finite() {
+            return self.refuse(Rejection::NotFinite);
+        }
+        self.ramp.begin(self.now);
+        let (within, clamped) = clamp_wrench(wrench, &self.caps);
+        let Ok(torques) = self.render(within) else {
+            self.stop();
+            return Written::Rejected(Rejection::Driver { code: 0 });
+        };
+        self.counts.singular += u64::from(torques.singular);
+        self.counts.saturated += u64::from(torques.saturated);
+        let applied = within.scaled(torques.share);
+        self.written = applied;
+        if clamped || torques.share < 1.0 {
+            Written::Saturated { applied }
+        } else {
+            Written::Applied
+        }
+    }
+
+    fn rendered(&self) -> Wrench {
+        self.written.scaled(self.ramp.gain(self.now))
+    }
+
+    fn close(&mut self) {
+        if self.open {
+            self.stop();
+            self.port.close();
+            self.open = false;
+        }
+    }
+}
+
+impl<P: Port> Drop for FiveDof<P> {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+/// A number per motor, of its arm and its place in it.
+fn six(of: impl Fn(usize, usize) -> i32) -> Six {
+    std::array::from_fn(|j| of(j / 3, j % 3))
+}

@@ -1,0 +1,171 @@
+//! Both arms and the probe between their ends (equations 4.7 and 4.8).
+
+use nalgebra::{Unit, UnitQuaternion, Vector3};
+use thiserror::Error;
+
+use super::arm::{Angles, Arm, Side};
+
+/// The probe: its middle and where it points.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Probe {
+    /// The pivot P between the two ends, m (4.7).
+    pub pivot: Vector3<f64>,
+    /// From the right end to the left one (4.8).
+    pub axis: Unit<Vector3<f64>>,
+    /// Distance of the two ends, m. Of a sound device it is the length of the probe.
+    pub length_m: f64,
+}
+
+impl Probe {
+    /// The turn of the tool: none when the probe points along y, and else the shortest to where it points. How
+    /// far it is turned about itself no motor knows.
+    pub fn orientation(&self) -> UnitQuaternion<f64> {
+        // Against y every axis across it will do.
+        UnitQuaternion::rotation_between(&Vector3::y_axis(), &self.axis).unwrap_or_else(|| {
+            UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
+        })
+    }
+}
+
+/// A place that an arm can not come to.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[error("the {} arm can not reach ({:.1}, {:.1}, {:.1}) mm", name(*.side), .end.x * 1e3, .end.y * 1e3, .end.z * 1e3)]
+pub struct OutOfReach {
+    /// Which arm.
+    pub side: Side,
+    /// Where it would have to end, m.
+    pub end: Vector3<f64>,
+}
+
+fn name(side: Side) -> &'static str {
+    match side {
+        Side::Left => "left",
+        Side::Right => "right",
+    }
+}
+
+/// A length of the linkage that can not be.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[error("{what} is {mm} mm; it has to be above 0 and at most {LENGTH_MAX_M} m")]
+pub struct BadLength {
+    what: String,
+    mm: f64,
+}
+
+/// Longer than any link of a device on a table, m.
+const LENGTH_MAX_M: f64 = 5.0;
+
+/// The lengths of a device.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Linkage {
+    /// The left arm and the right one.
+    arms: [Arm; 2],
+    /// Length of the probe between the arms' ends, m.
+    probe_m: f64,
+}
+
+impl Default for Linkage {
+    /// That of 2007: L0 = 80, L1 = 150, L2 = 180 and a probe of 30 mm. Figure 4.1 gives the left arm an upper link of
+    /// 180 mm, probably by mistake; whoever has one so makes the linkage with [`Linkage::new`].
+    fn default() -> Self {
+        let arm = |side| Arm {
+            side,
+            offset_m: 0.08,
+            upper_m: 0.15,
+            lower_m: 0.18,
+        };
+        Self {
+            arms: Side::BOTH.map(arm),
+            probe_m: 0.03,
+        }
+    }
+}
+
+impl Linkage {
+    /// A linkage of arms of L0, L1, L2 (m), left and right, and a probe (m).
+    pub fn new(left: [f64; 3], right: [f64; 3], probe_m: f64) -> Result<Self, BadLength> {
+        let check = |what: String, m: f64| {
+            if m > 0.0 && m <= LENGTH_MAX_M {
+                Ok(m)
+            } else {
+                Err(BadLength { what, mm: m * 1e3 })
+            }
+        };
+        let arm = |side: Side, lengths: [f64; 3]| {
+            let length = |k: usize| check(format!("L{k} of the {} arm", name(side)), lengths[k]);
+            Ok(Arm {
+                side,
+                offset_m: length(0)?,
+                upper_m: length(1)?,
+                lower_m: length(2)?,
+            })
+        };
+        Ok(Self {
+            arms: [arm(Side::Left, left)?, arm(Side::Right, right)?],
+            probe_m: check("the probe".to_owned(), probe_m)?,
+        })
+    }
+
+    /// The left arm and the right one.
+    pub fn arms(&self) -> &[Arm; 2] {
+        &self.arms
+    }
+
+    /// Length of the probe, m.
+    pub fn probe_m(&self) -> f64 {
+        self.probe_m
+    }
+
+    /// Where the arms end, m.
+    pub fn ends(&self, angles: &[Angles; 2]) -> [Vector3<f64>; 2] {
+        [0, 1].map(|a| self.arms[a].end(&angles[a]))
+    }
+
+    /// The probe between the ends that these angles give.
+    pub fn probe(&self, angles: &[Angles; 2]) -> Probe {
+        let [left, right] = self.ends(angles);
+        let across = left - right;
+        Probe {
+            pivot: (left + right) * 0.5,
+            axis: Unit::try_new(across, 1e-12).unwrap_or_else(Vector3::y_axis),
+            length_m: across.norm(),
+        }
+    }
+
+    /// The angles that hold the probe at `pivot` (m) along `axis`.
+    pub fn angles(
+        &self,
+        pivot: &Vector3<f64>,
+        axis: &Unit<Vector3<f64>>,
+    ) -> Result<[Angles; 2], OutOfReach> {
+        let half = axis.into_inner() * (0.5 * self.probe_m);
+        let of = |arm: &Arm, end: Vector3<f64>| {
+            let side = arm.side;
+            arm.angles(&end).ok_or(OutOfReach { side, end })
+        };
+        Ok([
+            of(&self.arms[0], pivot + half)?,
+            of(&self.arms[1], pivot - half)?,
+        ])
+    }
+
+    /// How far both arms are from a singular posture, 0 to 1.
+    pub fn manipulability(&self, angles: &[Angles; 2]) -> f64 {
+        let of = |a: usize| self.arms[a].manipulability(&angles[a]);
+        of(0).min(of(1))
+    }
+
+    /// Velocity of the pivot (m/s) and angular velocity of the probe across its axis (rad/s), for angles that change
+    /// at `rates` (rad/s).
+    pub fn velocity(
+        &self,
+        angles: &[Angles; 2],
+        rates: &[Angles; 2],
+    ) -> (Vector3<f64>, Vector3<f64>) {
+        let of = |a: usize| self.arms[a].jacobian(&angles[a]) * rates[a];
+        let (left, right) = (of(0), of(1));
+        let probe = self.probe(angles);
+        let across = (left - right) / probe.length_m.max(1e-3 * self.probe_m);
+        ((left + right) * 0.5, probe.axis.cross(&across))
+    }
+}

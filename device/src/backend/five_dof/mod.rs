@@ -1,0 +1,36 @@
+//! The 5-DOF device of 2007: two arms of three motors each, and a probe between their ends.
+//!
+//! Forces are rendered along all three axes, torques about the two axes across the probe. What is in the source
+//! (Zhu 2003, and a dissertation of 2007) is the mechanism, the lengths and the encoders; limits of the motors,
+//! inertias and the posture of calibration are not, so whoever builds one gives them ([`Config`]), and the simulated
+//! boards ([`Rig`]) have their own, named as such.
+//!
+//! - [`Arm`] and [`Linkage`]: angles to places and back, Jacobian, singular postures.
+//! - [`torques`]: a wrench on the probe to torques of the motors.
+//! - [`Encoder`], [`Drive`]: counts and codes; [`Port`]: the boards that carry them.
+//! - [`FiveDof`]: all of it as a [`HapticDevice`](crate::HapticDevice).
+//! - [`Rig`]: boards, motors, links and a hand, simulated; [`simulated`] puts all together.
+//! - [`Middle`], [`manipulability`]: workspace and maps.
+
+mod arm;
+mod device;
+mod linkage;
+mod map;
+mod port;
+mod rates;
+mod rig;
+mod signals;
+mod simulated;
+mod statics;
+#[cfg(test)]
+mod tests;
+
+pub use arm::{Angles, Arm, Side};
+pub use device::{Config, Counts, FiveDof, PROBE_TOLERANCE_M};
+pub use linkage::{BadLength, Linkage, OutOfReach, Probe};
+pub use map::{Middle, TILT_RAD, manipulability};
+pub use port::{Port, PortFault, Six};
+pub use rig::{Rig, RigConfig, Sabotage};
+pub use signals::{BadDrive, Drive, Encoder};
+pub use simulated::{Unsuited, invented, simulated};
+pub use statics::{SINGULAR, Torques, end_forces, torques};

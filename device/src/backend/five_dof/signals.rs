@@ -1,0 +1,129 @@
+//! What crosses the cables: counts of the encoders, and codes for the converters that drive the motors.
+
+use thiserror::Error;
+
+/// An incremental encoder on a motor's shaft, read in quadrature: four counts per line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Encoder {
+    /// Lines per turn.
+    pub lines: u32,
+    /// Turns of the motor per turn of the link.
+    pub gear: f64,
+}
+
+impl Default for Encoder {
+    /// Chiba Precision's ENC-258101 of the device of 2007: 2000 lines; directly on the link's axis.
+    fn default() -> Self {
+        Self {
+            lines: 2000,
+            gear: 1.0,
+        }
+    }
+}
+
+impl Encoder {
+    /// Angle of the link between two counts, rad: 0.79 mrad for 2000 lines, 0.14 mm at the end of a 180 mm link.
+    pub fn step_rad(&self) -> f64 {
+        std::f64::consts::TAU / (4.0 * f64::from(self.lines) * self.gear)
+    }
+
+    /// The angle of a link (rad) whose counter is at `count`, from where it was at zero.
+    pub fn angle(&self, count: i32) -> f64 {
+        f64::from(count) * self.step_rad()
+    }
+
+    /// What the counter of a link at this angle (rad) shows: the last line it has passed.
+    pub fn count(&self, angle: f64) -> i32 {
+        (angle / self.step_rad()).floor() as i32
+    }
+}
+
+/// The way from a digital code to a torque of the link: converter, amplifier, motor and gear.
+///
+/// There is no default: the limits of the motors of 2007 are not known, and a wrong one is felt.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Drive {
+    torque_per_volt_nm: f64,
+    full_scale_v: f64,
+    bits: u32,
+    limit_nm: f64,
+}
+
+/// A drive that can not be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+pub enum BadDrive {
+    /// A number is not above zero, or none.
+    #[error("{0} has to be above 0 and finite")]
+    NotPositive(&'static str),
+    /// A converter of so many bits does not exist.
+    #[error("a converter of {0} bits; 8 to 24 are known")]
+    Bits(u32),
+    /// The converter can not reach the limit.
+    #[error("the limit of the torque is beyond what the converter gives at its full scale")]
+    OutOfScale,
+}
+
+impl Drive {
+    /// A drive whose converter of `bits` goes from minus to plus `full_scale_v`, with `torque_per_volt_nm` at the link,
+    /// which is never given more than `limit_nm`.
+    pub fn new(
+        torque_per_volt_nm: f64,
+        full_scale_v: f64,
+        bits: u32,
+        limit_nm: f64,
+    ) -> Result<Self, BadDrive> {
+        for (what, value) in [
+            ("the torque per volt", torque_per_volt_nm),
+            ("the full scale", full_scale_v),
+            ("the limit of the torque", limit_nm),
+        ] {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(BadDrive::NotPositive(what));
+            }
+        }
+        if !(8..=24).contains(&bits) {
+            return Err(BadDrive::Bits(bits));
+        }
+        let drive = Self {
+            torque_per_volt_nm,
+            full_scale_v,
+            bits,
+            limit_nm,
+        };
+        if limit_nm > drive.torque(drive.code_max()) {
+            return Err(BadDrive::OutOfScale);
+        }
+        Ok(drive)
+    }
+
+    /// The largest torque, N·m.
+    pub fn limit_nm(&self) -> f64 {
+        self.limit_nm
+    }
+
+    fn code_max(&self) -> i32 {
+        (1 << (self.bits - 1)) - 1
+    }
+
+    /// Torque between two codes, N·m.
+    pub fn step_nm(&self) -> f64 {
+        let codes = f64::from(1_i32 << (self.bits - 1));
+        self.torque_per_volt_nm * self.full_scale_v / codes
+    }
+
+    /// The code for a torque (N·m) of a link, never for more than the limit; zero for what is no number.
+    pub fn code(&self, nm: f64) -> i32 {
+        let within = if nm.is_nan() {
+            0.0
+        } else {
+            nm.clamp(-self.limit_nm, self.limit_nm)
+        };
+        // Towards zero, so that no code gives more than was asked for.
+        (within / self.step_nm()) as i32
+    }
+
+    /// The torque (N·m) of a link that a code gives.
+    pub fn torque(&self, code: i32) -> f64 {
+        f64::from(code.clamp(-self.code_max(), self.code_max())) * self.step_nm()
+    }
+}

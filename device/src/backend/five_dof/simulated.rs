@@ -1,0 +1,162 @@
+//! The whole device without hardware: invented motors, simulated boards, and the hand of a script that is put into
+//! the middle of its workspace.
+
+use nalgebra::Vector3;
+use thiserror::Error;
+
+use super::map::TILT_RAD;
+use super::{Config, Drive, Encoder, FiveDof, Linkage, Middle, OutOfReach, Rig, RigConfig};
+use crate::backend::sim::ScriptStart;
+use crate::{Placed, Placement, Script, ScriptError};
+
+/// Why a script can not be followed with this device.
+#[derive(Debug, Error)]
+pub enum Unsuited {
+    /// A way point is outside of the workspace.
+    #[error(
+        "way point {number} (t = {t_s} s) is {beyond_mm:.1} mm outside of the workspace of this device, a cube of \
+         {side_mm:.0} mm around the middle of the script; make the script smaller"
+    )]
+    TooFar {
+        /// Which, from 1.
+        number: usize,
+        /// Its time, s.
+        t_s: f64,
+        /// How far outside, mm.
+        beyond_mm: f64,
+        /// Side of the workspace, mm.
+        side_mm: f64,
+    },
+    /// A way point tilts the probe too far.
+    #[error(
+        "way point {number} (t = {t_s} s) tilts the probe by {degrees:.0} degrees; this device takes {most:.0}"
+    )]
+    TooTilted {
+        /// Which, from 1.
+        number: usize,
+        /// Its time, s.
+        t_s: f64,
+        /// How far, degrees.
+        degrees: f64,
+        /// How far it takes.
+        most: f64,
+    },
+    /// The script can not be moved into the device's frame.
+    #[error(transparent)]
+    Script(#[from] ScriptError),
+    /// The arms do not come there.
+    #[error(transparent)]
+    OutOfReach(#[from] OutOfReach),
+}
+
+/// The linkage and the encoders of 2007 with invented motors: 1.5 N·m behind converters of 12 bits, and a force of 8 N
+/// for a moment and 4 N held.
+pub fn invented() -> Config {
+    Config {
+        linkage: Linkage::default(),
+        encoder: Encoder::default(),
+        drive: Drive::new(0.2, 10.0, 12, 1.5).expect("sound numbers"),
+        force_n: [8.0, 4.0],
+        torque_nm: 0.1,
+        stiffness_n_per_m: 1000.0,
+    }
+}
+
+/// The simulated device in the hand of a script of the scene. The middle of the script is in the middle of the
+/// workspace; how the script turns the tool about the probe is lost, as no motor knows of it.
+pub fn simulated(script: &Script, start: ScriptStart) -> Result<Placed<FiveDof<Rig>>, Unsuited> {
+    let config = invented();
+    let middle = Middle::of(&config.linkage)?;
+    let placement = Placement::with(middle.pivot, script.middle());
+    let moved = script.seen_from(&placement)?;
+    check(&moved, &middle)?;
+    let rig = Rig::new(&config, RigConfig::default(), moved, start)?;
+    Ok(Placed::new(FiveDof::open(rig, config)?, placement))
+}
+
+fn check(script: &Script, middle: &Middle) -> Result<(), Unsuited> {
+    let reach = middle.half_m * (1.0 + 1e-9);
+    for (k, way) in script.ways().iter().enumerate() {
+        let (number, t_s) = (k + 1, way.t_s);
+        let away = (way.position - middle.pivot).amax();
+        if away > reach {
+            return Err(Unsuited::TooFar {
+                number,
+                t_s,
+                beyond_mm: (away - reach) * 1e3,
+                side_mm: middle.half_m * 2e3,
+            });
+        }
+        let tilt = (way.orientation * Vector3::y()).angle(&Vector3::y());
+        if tilt > TILT_RAD {
+            return Err(Unsuited::TooTilted {
+                number,
+                t_s,
+                degrees: tilt.to_degrees(),
+                most: TILT_RAD.to_degrees(),
+            });
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::{Unsuited, simulated};
+    use crate::backend::sim::ScriptStart;
+    use crate::script::{Hand, Tool, ToolKind, WayPoint};
+    use crate::{DeviceTime, HapticDevice, Script};
+
+    fn script(ways: Vec<WayPoint>) -> Script {
+        let tool = Tool {
+            kind: ToolKind::Probe,
+            radius_m: 4e-3,
+            length_m: 0.0,
+        };
+        Script::new(tool, Hand::default(), ways, false).unwrap()
+    }
+
+    #[test]
+    fn it_follows_a_script_of_the_scene() {
+        let ways = vec![
+            WayPoint::new(0.0, Vector3::new(0.3, 0.1, 0.02)),
+            WayPoint::new(1.0, Vector3::new(0.3, 0.12, -0.02)),
+        ];
+        let script = script(ways);
+        let start = ScriptStart::at(DeviceTime::ZERO);
+        let mut device = simulated(&script, start).unwrap();
+        for i in 0..1500 {
+            let now = DeviceTime::from_micros(i * 1000);
+            let sample = device.read(now).unwrap();
+            let target = script.pose(now.as_secs_f64()).pose.position;
+            assert!((sample.pose.position - target).norm() < 2e-3);
+            assert!(device.caps().workspace.contains(&sample.pose.position));
+        }
+    }
+
+    #[test]
+    fn a_script_that_it_can_not_follow_is_refused_with_the_way_point() {
+        let far = vec![
+            WayPoint::new(0.0, Vector3::zeros()),
+            WayPoint::new(2.5, Vector3::new(0.3, 0.0, 0.0)),
+        ];
+        let error = simulated(&script(far), ScriptStart::not_yet()).unwrap_err();
+        assert!(
+            matches!(error, Unsuited::TooFar { number: 1, .. }),
+            "{error}"
+        );
+        let tilted = vec![
+            WayPoint::new(0.0, Vector3::zeros()),
+            WayPoint::new(2.5, Vector3::zeros())
+                .turned(UnitQuaternion::from_euler_angles(0.8, 0.0, 0.0)),
+        ];
+        let error = simulated(&script(tilted), ScriptStart::not_yet()).unwrap_err();
+        let said = error.to_string();
+        assert!(
+            said.contains("way point 2 (t = 2.5 s) tilts the probe by 46 degrees"),
+            "{said}"
+        );
+    }
+}
