@@ -8,6 +8,7 @@
 //! Equilibrium is quasi-static, so a shape is a function of topology and contacts: sites that apply
 //! the same operations and solve for the same moments see the same. Pure: no thread, no clock.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use palpate_haptics::ContactModel;
@@ -93,6 +94,7 @@ pub struct Replica {
     /// `None` when it is elsewhere.
     view: Option<View>,
     tools: Vec<Tool>,
+    others: Others,
 }
 
 impl Replica {
@@ -105,6 +107,7 @@ impl Replica {
             view: Some(view),
             topology,
             tools: Vec::new(),
+            others: Others::default(),
         }
     }
 
@@ -197,11 +200,40 @@ impl Replica {
         if report.fell_back && id.is_some() {
             return unusable(free);
         }
-        report
+        self.others
+            .note(report.reactions.iter().filter(|r| Some(r.tool) != id));
+        let model = report
             .reactions
             .iter()
             .find(|r| Some(r.tool) == id)
-            .map_or(free, |r| contact_model(now, version, r))
+            .map_or(free, |r| contact_model(now, version, r));
+        ContactModel {
+            others_j: self.others.work_j,
+            ..model
+        }
+    }
+}
+
+/// What other hands have put into the tissue.
+#[derive(Debug, Default)]
+struct Others {
+    /// Less what they have got back, J.
+    work_j: f64,
+    /// Where each of them was, and what pushed it there.
+    last: BTreeMap<u32, (Vec3, Vec3)>,
+}
+
+impl Others {
+    /// Adds what they did since the last solve: the mean of the two forces over the way between.
+    fn note<'a>(&mut self, reactions: impl Iterator<Item = &'a Reaction>) {
+        let mut now = BTreeMap::new();
+        for r in reactions {
+            if let Some((at, force)) = self.last.get(&r.tool) {
+                self.work_j -= 0.5 * (force + r.force).dot(&(r.at - at));
+            }
+            now.insert(r.tool, (r.at, r.force));
+        }
+        self.last = now;
     }
 }
 
@@ -224,6 +256,7 @@ fn contact_model(now: ClientTime, topology_version: u32, r: &Reaction) -> Contac
         mu_dynamic: r.friction_dynamic.min(r.friction_static),
         radius: MODEL_RADIUS_M,
         in_contact: true,
+        others_j: 0.0,
     }
 }
 

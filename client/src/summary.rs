@@ -112,6 +112,9 @@ pub struct EventCounts {
     pub saturated: u64,
     /// The change of force was limited.
     pub slewed: u64,
+    /// Force was taken away, as the hand would have got more work back than it has put in.
+    #[serde(default)]
+    pub passivated: u64,
     /// The contact model was old.
     pub stale: u64,
     /// The tool was outside the contact model's radius.
@@ -138,6 +141,7 @@ impl EventCounts {
             in_contact: c.in_contact,
             saturated: c.saturated,
             slewed: c.slewed,
+            passivated: c.passivated,
             stale: c.stale,
             left_radius: c.left_radius,
             bad_samples: c.bad_samples,
@@ -181,12 +185,15 @@ impl fmt::Display for Summary {
             )?;
             writeln!(
                 f,
-                "  force        at most {:.2} N, changing at most {:.3} N per tick; {} ticks saturated, {} slewed, {} stale",
+                "  force        at most {:.2} N, changing at most {:.3} N per tick; {} ticks saturated, {} slewed, {} \
+                 passivated, {} stale, {} faulted",
                 self.force_max_n,
                 self.events.max_delta_force_n,
                 self.events.saturated,
                 self.events.slewed,
-                self.events.stale
+                self.events.passivated,
+                self.events.stale,
+                self.events.faulted
             )?;
             writeln!(f, "  device       {}; {}", self.device, self.realtime)?;
         }

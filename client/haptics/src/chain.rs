@@ -8,7 +8,7 @@ use crate::blend::Blend;
 use crate::watchdog::Watched;
 use crate::{
     ContactModel, Counters, EnergyObserver, Events, Friction, FrictionConfig, Grip, LinkGuard,
-    Slew, SoftStart, StiffnessCap, Watchdog, WatchdogConfig, clamp_force,
+    Passivity, Slew, SoftStart, StiffnessCap, Watchdog, WatchdogConfig, clamp_force,
 };
 
 /// How long the slew limit may need to empty the largest force. A force limit so high that it
@@ -43,6 +43,8 @@ pub struct ChainConfig {
     pub friction: FrictionConfig,
     /// What takes force away.
     pub watchdog: WatchdogConfig,
+    /// Whether the passivity controller works. Off for measurements of what it is good for.
+    pub passivity: bool,
 }
 
 impl Default for ChainConfig {
@@ -55,6 +57,7 @@ impl Default for ChainConfig {
             soft_start: Span::from_millis(1000),
             friction: FrictionConfig::default(),
             watchdog: WatchdogConfig::default(),
+            passivity: true,
         }
     }
 }
@@ -83,6 +86,8 @@ pub struct Chain {
     watchdog: Watchdog,
     blend: Blend,
     friction: Friction,
+    /// `None` when it is switched off.
+    passivity: Option<Passivity>,
     slew: Slew,
     observer: EnergyObserver,
     counters: Counters,
@@ -113,6 +118,9 @@ impl Chain {
             watchdog: Watchdog::new(config.watchdog, flush),
             blend: Blend::new(cap),
             friction: Friction::new(config.friction),
+            passivity: config
+                .passivity
+                .then(|| Passivity::new(step_n, config.period)),
             slew: Slew::new(step_n),
             observer: EnergyObserver::default(),
             counters: Counters::default(),
@@ -165,11 +173,16 @@ impl Chain {
             events.set(Events::BAD_MODEL, true);
         }
         let force = self.contact_force(now, dt, &x, &v);
+        let touches = force != Vector3::zeros();
         self.note_grip(&mut events, was_touching);
         let (force, saturated) = clamp_force(force, self.force_limit_n);
         events.set(Events::SATURATED, saturated);
         let gain = self.gain(now, dt, &x, &mut events);
-        let force = self.limit_change(force * gain, &mut events);
+        let force = self.take_away(force * gain, &x, &v, &mut events);
+        let force = self.limit_change(force, &mut events);
+        if let Some(passivity) = &mut self.passivity {
+            passivity.give(x, force, touches);
+        }
         self.observer.observe(x, force);
         self.finish(now, force, events)
     }
@@ -235,6 +248,25 @@ impl Chain {
         gain * link * soft
     }
 
+    /// What of `force` the passivity controller leaves.
+    fn take_away(
+        &mut self,
+        force: Vector3<f64>,
+        x: &Vector3<f64>,
+        v: &Vector3<f64>,
+        events: &mut Events,
+    ) -> Vector3<f64> {
+        let Some(passivity) = &mut self.passivity else {
+            return force;
+        };
+        passivity.hear(self.blend.model().others_j);
+        passivity.observe(x, force.norm());
+        // What counts is the force of this tick, not the one that it is on the way to.
+        let (may, limited) = passivity.limit(self.slew.peek(force), v);
+        events.set(Events::PASSIVATED, limited);
+        if limited { may } else { force }
+    }
+
     fn limit_change(&mut self, target: Vector3<f64>, events: &mut Events) -> Vector3<f64> {
         debug_assert!(
             target.iter().all(|c| c.is_finite()),
@@ -251,6 +283,9 @@ impl Chain {
     fn without_force(&mut self, now: ClientTime, dt: Span, mut events: Events) -> Tick {
         self.friction.reset();
         self.observer.interrupt();
+        if let Some(passivity) = &mut self.passivity {
+            passivity.interrupt();
+        }
         self.soft_start.lower_to(0.0);
         // The gains behind age and radius go on, as if the tool stayed where it was.
         let x = self.blend.model().x0;

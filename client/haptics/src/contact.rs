@@ -55,6 +55,9 @@ pub struct ContactModel {
     pub radius: f64,
     /// Whether the tool touches at all; when not, there is no force.
     pub in_contact: bool,
+    /// What others have put into the tissue since they began, less what they have got back, J. It may come back
+    /// to this hand; see [`Passivity`](crate::Passivity).
+    pub others_j: f64,
 }
 
 impl ContactModel {
@@ -71,6 +74,7 @@ impl ContactModel {
         mu_dynamic: 0.0,
         radius: 0.0,
         in_contact: false,
+        others_j: 0.0,
     };
 
     /// The tool touches nothing, as of `solved_at`.
@@ -99,6 +103,7 @@ impl ContactModel {
                 .chain(&self.stiffness)
                 .all(|c| c.abs() <= COEFFICIENT_MAX)
             && scalars.iter().all(|c| (0.0..=COEFFICIENT_MAX).contains(c))
+            && self.others_j.abs() <= COEFFICIENT_MAX
             && self.normal.iter().all(|c| c.is_finite())
             && (!self.in_contact || (self.normal.norm() - 1.0).abs() < 1e-3)
     }
@@ -189,6 +194,10 @@ mod tests {
             },
             ContactModel {
                 normal: Vector3::zeros(),
+                ..pressed()
+            },
+            ContactModel {
+                others_j: n,
                 ..pressed()
             },
         ] {

@@ -31,6 +31,8 @@ impl Events {
     pub const LINK_LOST: Self = Self(1 << 10);
     /// The soft start is not over.
     pub const SOFT_START: Self = Self(1 << 11);
+    /// Force was taken away, as the hand would have got more work back than it has put in.
+    pub const PASSIVATED: Self = Self(1 << 12);
 
     /// The bits.
     pub const fn bits(self) -> u16 {
@@ -79,6 +81,8 @@ pub struct Counters {
     pub faulted: u64,
     /// [`Events::LINK_LOST`].
     pub link_lost: u64,
+    /// [`Events::PASSIVATED`].
+    pub passivated: u64,
     /// Largest change of force between two ticks, N.
     pub max_delta_force_n: f64,
     /// Largest force, N.
@@ -103,6 +107,7 @@ impl Counters {
             (Events::SLIP, &mut self.slip),
             (Events::FAULTED, &mut self.faulted),
             (Events::LINK_LOST, &mut self.link_lost),
+            (Events::PASSIVATED, &mut self.passivated),
         ] {
             *counter += u64::from(events.contains(event));
         }

@@ -12,7 +12,7 @@
 //!
 //! ```text
 //! not-a-number check -> contact model (blended, stiffness capped) -> stick-slip friction
-//!   -> clamp to the device's continuous force -> soft start x watchdog -> slew limit
+//!   -> clamp to the device's continuous force -> soft start x watchdog -> passivity -> slew limit
 //! ```
 //!
 //! The slew limit is last, so that no stage and no fault can make a step that reaches the hand.
@@ -26,6 +26,7 @@ mod energy;
 mod events;
 mod friction;
 mod limits;
+mod passivity;
 mod soft_start;
 mod watchdog;
 
@@ -36,5 +37,6 @@ pub use energy::EnergyObserver;
 pub use events::{Counters, Events};
 pub use friction::{Contact, Friction, FrictionConfig, Grip};
 pub use limits::{Slew, StiffnessCap, clamp_force};
+pub use passivity::Passivity;
 pub use soft_start::SoftStart;
 pub use watchdog::{LinkGuard, Watchdog, WatchdogConfig};

@@ -68,6 +68,12 @@ impl Slew {
         self.force
     }
 
+    /// Where [`towards`](Self::towards) would get in this tick, N.
+    pub fn peek(&self, target: Vector3<f64>) -> Vector3<f64> {
+        let mut ahead = *self;
+        ahead.towards(target).0
+    }
+
     /// Goes towards `target` (N); the new force, and whether the step was too long. A target that
     /// is not finite counts as none, for this stage is the last before the hand.
     pub fn towards(&mut self, target: Vector3<f64>) -> (Vector3<f64>, bool) {

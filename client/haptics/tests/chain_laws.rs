@@ -36,7 +36,8 @@ fn sample(x: Vector3<f64>) -> Sample {
     Sample::resting(DeviceTime::ZERO, Pose::at(x))
 }
 
-/// Pressed with `force` N against 300 N/m, as solved at `at`.
+/// Pressed with `force` N against 300 N/m, as solved at `at`. Somebody else puts a watt into the tissue: a force that
+/// comes from nowhere would be taken away.
 fn pressed(at: ClientTime, force: f64) -> ContactModel {
     ContactModel {
         topology_version: 1,
@@ -48,6 +49,7 @@ fn pressed(at: ClientTime, force: f64) -> ContactModel {
         mu_dynamic: 0.35,
         radius: 0.01,
         in_contact: true,
+        others_j: at.as_micros() as f64 * 1e-6,
         ..ContactModel::FREE
     }
 }

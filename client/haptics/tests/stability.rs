@@ -72,7 +72,7 @@ fn the_stiffest_stable_spring_falls_with_delay_as_measured() {
             let k = k_max(b, delay);
             println!("b = {b} N s/m, delay {delay} ms: K_max = {k:.1} N/m ({expected})");
             assert!(
-                (k / expected - 1.0).abs() < 0.05,
+                (k / expected - 1.0).abs() < 0.03,
                 "b {b}, delay {delay}: {k}"
             );
         }
@@ -100,6 +100,8 @@ fn growth(b: f64, k: f64, assumed_b: f64) -> f64 {
     };
     let config = ChainConfig {
         damping_ns_per_m: assumed_b,
+        // It is the spring's own stability that is looked at, not who saves it.
+        passivity: false,
         ..ChainConfig::default()
     };
     let mut chain = Chain::new(config, &caps);
