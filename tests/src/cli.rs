@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::bench::haptic_tick::HapticTick;
 use crate::bench::on_threads;
 use crate::bench::press_cube::PressCube;
 use crate::bench::press_scene::{Comparison, PressScene};
@@ -73,6 +74,15 @@ enum Bench {
     PressCube(PressCubeArguments),
     /// A sphere of 8 mm pressed into a model at the speed of a hand: force error and time per tick
     PressScene(PressSceneArguments),
+    /// Time one tick of the force loop: read, compute, write
+    HapticTick {
+        /// Ticks of each device
+        #[arg(long, default_value_t = 200_000, value_parser = clap::value_parser!(u32).range(1000..=100_000_000))]
+        ticks: u32,
+        /// Print one JSON object
+        #[arg(long)]
+        json: bool,
+    },
 }
 
 #[derive(Debug, Args)]
@@ -209,6 +219,11 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Relay(arguments) => run_relay(&arguments),
         Command::Bench(Bench::PressCube(arguments)) => run_press_cube(&arguments),
         Command::Bench(Bench::PressScene(arguments)) => run_press_scene(&arguments),
+        Command::Bench(Bench::HapticTick { ticks, json }) => (HapticTick {
+            ticks: ticks as usize,
+        })
+        .run()
+        .and_then(|report| give(&report, json)),
     };
     done.unwrap_or_else(|sentence| {
         eprintln!("palpate-lab: {sentence}");

@@ -1,4 +1,4 @@
-//! A tick allocates nothing: ten thousand of them, the simulated device included, are counted.
+//! A tick allocates nothing: ten thousand of them, the simulated devices included, are counted.
 
 #![allow(clippy::unwrap_used)]
 
@@ -6,10 +6,11 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use nalgebra::{Matrix3, Vector3};
+use palpate_device::backend::five_dof;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
 use palpate_device::{DeviceTime, HapticDevice, Script};
-use palpate_haptics::{Chain, ChainConfig, ContactModel};
+use palpate_haptics::{Chain, ChainConfig, ContactModel, Counters};
 use palpate_protocol::ClientTime;
 
 thread_local! {
@@ -66,8 +67,7 @@ fn tissue(us: i64, x: Vector3<f64>) -> ContactModel {
     }
 }
 
-#[test]
-fn ten_thousand_ticks_allocate_nothing() {
+fn script() -> Script {
     let tool = Tool {
         kind: ToolKind::Probe,
         radius_m: 0.004,
@@ -83,10 +83,13 @@ fn ten_thousand_ticks_allocate_nothing() {
         tremor_m: 0.000_2,
         ..Hand::default()
     };
-    let script = Script::new(tool, tremor, ways, true).unwrap();
-    let mut hand = SimHand::new(script, ScriptStart::at(DeviceTime::ZERO));
-    hand.enable_forces(true).unwrap();
-    let mut chain = Chain::new(ChainConfig::default(), hand.caps());
+    Script::new(tool, tremor, ways, true).unwrap()
+}
+
+/// Ten thousand ticks with faults; the calls of the allocator, and what the chain counted.
+fn ticks(device: &mut dyn HapticDevice) -> (u64, Counters) {
+    device.enable_forces(true).unwrap();
+    let mut chain = Chain::new(ChainConfig::default(), device.caps());
     let mut model = ContactModel::FREE;
     let mut warm = 0;
     for tick in 0..11_000_i64 {
@@ -99,7 +102,7 @@ fn ten_thousand_ticks_allocate_nothing() {
         let result = if tick % 2500 == 2400 {
             chain.tick_without_sample(now)
         } else {
-            let sample = hand.read(DeviceTime::from_micros(us)).unwrap();
+            let sample = device.read(DeviceTime::from_micros(us)).unwrap();
             if tick % 4 == 0 {
                 model = tissue(us, sample.pose.position);
             }
@@ -108,18 +111,32 @@ fn ten_thousand_ticks_allocate_nothing() {
             }
             chain.tick(now, &sample, &model)
         };
-        let _ = hand.write(DeviceTime::from_micros(us), result.wrench);
+        let _ = device.write(DeviceTime::from_micros(us), result.wrench);
         match tick % 4000 {
             3000 => chain.link_lost(now),
             3300 => chain.link_restored(now),
             _ => {}
         }
     }
-    let calls = CALLS.with(Cell::get) - warm;
-    let c = chain.counters();
-    assert!(
-        c.slip > 500 && c.stick > 500 && c.released > 0 && c.bad_models > 0,
-        "{c:?}"
-    );
-    assert_eq!(calls, 0, "calls of the allocator in 10,000 ticks");
+    (CALLS.with(Cell::get) - warm, *chain.counters())
+}
+
+#[test]
+fn ten_thousand_ticks_allocate_nothing() {
+    let start = || ScriptStart::at(DeviceTime::ZERO);
+    let mut hand = SimHand::new(script(), start());
+    let mut five_dof = five_dof::simulated(&script(), start()).unwrap();
+    let devices: [&mut dyn HapticDevice; 2] = [&mut hand, &mut five_dof];
+    for device in devices {
+        let name = device.caps().name.clone();
+        let (calls, c) = ticks(device);
+        assert!(
+            c.slip > 500 && c.stick > 500 && c.released > 0 && c.bad_models > 0,
+            "{name}: {c:?}"
+        );
+        assert_eq!(
+            calls, 0,
+            "calls of the allocator in 10,000 ticks of the {name}"
+        );
+    }
 }
