@@ -57,7 +57,7 @@ impl HapticTick {
     /// # Errors
     ///
     /// When a device can not follow the script.
-    pub fn run(&self) -> Result<HapticTickReport, String> {
+    pub fn run(self) -> Result<HapticTickReport, String> {
         let start = || ScriptStart::at(DeviceTime::ZERO);
         let script = script().map_err(|e| e.to_string())?;
         let mut hand = SimHand::new(script.clone(), start());
@@ -69,7 +69,7 @@ impl HapticTick {
         })
     }
 
-    fn time(&self, device: &mut dyn HapticDevice) -> Result<Times, String> {
+    fn time(self, device: &mut dyn HapticDevice) -> Result<Times, String> {
         device.enable_forces(true).map_err(|e| e.to_string())?;
         let mut chain = Chain::new(ChainConfig::default(), device.caps());
         let mut model = ContactModel::FREE;
