@@ -28,11 +28,11 @@ impl Default for Placement {
 }
 
 impl Placement {
-    /// Not turned, with the device's `point` (m) at `at` (m) in the scene.
-    pub fn with(point: Vector3<f64>, at: Vector3<f64>) -> Self {
+    /// Turned so, with the device's `point` (m) at `at` (m) in the scene.
+    pub fn with(turn: UnitQuaternion<f64>, point: Vector3<f64>, at: Vector3<f64>) -> Self {
         Self {
-            origin: at - point,
-            ..Self::default()
+            turn,
+            origin: at - turn * point,
         }
     }
 

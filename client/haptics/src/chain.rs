@@ -5,6 +5,7 @@ use palpate_device::{DeviceCaps, Sample, Wrench};
 use palpate_protocol::{ClientTime, Span};
 
 use crate::blend::Blend;
+use crate::passivity::Given;
 use crate::watchdog::Watched;
 use crate::{
     ContactModel, Counters, EnergyObserver, Events, Friction, FrictionConfig, Grip, LinkGuard,
@@ -177,11 +178,21 @@ impl Chain {
         self.note_grip(&mut events, was_touching);
         let (force, saturated) = clamp_force(force, self.force_limit_n);
         events.set(Events::SATURATED, saturated);
-        let gain = self.gain(now, dt, &x, &mut events);
-        let force = self.take_away(force * gain, &x, &v, &mut events);
+        let [trusted, open] = self.gains(now, dt, &x, &mut events);
+        let withheld = force * (1.0 - open);
+        if let Some(passivity) = &mut self.passivity {
+            passivity.hear(self.blend.model().others_j);
+            passivity.observe(&x, force.norm());
+        }
+        let force = self.take_away(force * (trusted * open), &v, &mut events);
         let force = self.limit_change(force, &mut events);
         if let Some(passivity) = &mut self.passivity {
-            passivity.give(x, force, touches);
+            passivity.give(Given {
+                x,
+                force,
+                withheld,
+                touches,
+            });
         }
         self.observer.observe(x, force);
         self.finish(now, force, events)
@@ -222,8 +233,14 @@ impl Chain {
         events.set(Events::RELEASED, was_touching && grip == Grip::Free);
     }
 
-    /// Soft start, watchdog and link as one gain.
-    fn gain(&mut self, now: ClientTime, dt: Span, x: &Vector3<f64>, events: &mut Events) -> f64 {
+    /// The watchdog's gain, and that of soft start and link.
+    fn gains(
+        &mut self,
+        now: ClientTime,
+        dt: Span,
+        x: &Vector3<f64>,
+        events: &mut Events,
+    ) -> [f64; 2] {
         let dt_up = dt.min(DT_UP_MAX);
         let model = self.blend.model();
         let is_outside = (x - model.x0).norm() > model.radius;
@@ -245,22 +262,19 @@ impl Chain {
         events.set(Events::LEFT_RADIUS, has_left);
         events.set(Events::LINK_LOST, self.link.is_lost());
         events.set(Events::SOFT_START, soft < 1.0);
-        gain * link * soft
+        [gain, link * soft]
     }
 
     /// What of `force` the passivity controller leaves.
     fn take_away(
-        &mut self,
+        &self,
         force: Vector3<f64>,
-        x: &Vector3<f64>,
         v: &Vector3<f64>,
         events: &mut Events,
     ) -> Vector3<f64> {
-        let Some(passivity) = &mut self.passivity else {
+        let Some(passivity) = &self.passivity else {
             return force;
         };
-        passivity.hear(self.blend.model().others_j);
-        passivity.observe(x, force.norm());
         // What counts is the force of this tick, not the one that it is on the way to.
         let (may, limited) = passivity.limit(self.slew.peek(force), v);
         events.set(Events::PASSIVATED, limited);
@@ -289,7 +303,7 @@ impl Chain {
         self.soft_start.lower_to(0.0);
         // The gains behind age and radius go on, as if the tool stayed where it was.
         let x = self.blend.model().x0;
-        self.gain(now, dt, &x, &mut events);
+        self.gains(now, dt, &x, &mut events);
         self.soft_start.lower_to(0.0);
         let force = self.limit_change(Vector3::zeros(), &mut events);
         self.finish(now, force, events)

@@ -40,6 +40,20 @@ const FORGETS_S: f64 = 0.1;
 /// The deepest press that an elastic tissue gives back, m.
 const DEPTH_M: f64 = 0.05;
 
+/// What a tool is given in a tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Given {
+    /// Where it is, m.
+    pub x: Vector3<f64>,
+    /// What pushes it until the next tick, N.
+    pub force: Vector3<f64>,
+    /// What the soft start and a lost link keep from it, N. A hand that presses meanwhile works against nothing, and
+    /// finds the force there when they are over: what it would have put in is counted as put in.
+    pub withheld: Vector3<f64>,
+    /// Whether it touches anything at all.
+    pub touches: bool,
+}
+
 /// Takes force away that would give the hand more work than it has put in.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Passivity {
@@ -47,8 +61,8 @@ pub struct Passivity {
     /// δ, N per tick.
     step_n: f64,
     tank_j: f64,
-    /// Where the tool was and what pushes it since.
-    last: Option<(Vector3<f64>, Vector3<f64>)>,
+    /// What was given in the last tick.
+    last: Option<Given>,
     /// What others have put in beside this contact and not got back, J. What they had put in before is theirs to
     /// take back: it is never below zero.
     lent_j: f64,
@@ -87,8 +101,10 @@ impl Passivity {
 
     /// The tool has come to `x` (m), where the tissue pushes it with `there_n` newtons.
     pub fn observe(&mut self, x: &Vector3<f64>, there_n: f64) {
-        if let Some((before, force)) = self.last {
-            self.tank_j -= force.dot(&(x - before));
+        if let Some(last) = self.last {
+            let by = x - last.x;
+            self.tank_j -= last.force.dot(&by);
+            self.tank_j += (-last.withheld.dot(&by)).max(0.0);
         }
         let most = RESERVE_J + there_n * DEPTH_M;
         self.tank_j = self.tank_j.min(most);
@@ -114,12 +130,12 @@ impl Passivity {
         }
     }
 
-    /// The tool is at `x` (m) and is pushed by `force` (N) until the next tick; whether it touches anything at all.
-    pub fn give(&mut self, x: Vector3<f64>, force: Vector3<f64>, touches: bool) {
-        if !touches && self.tank_j > 0.0 {
+    /// What is given until the next tick.
+    pub fn give(&mut self, given: Given) {
+        if !given.touches && self.tank_j > 0.0 {
             self.tank_j *= 1.0 - self.period_s / FORGETS_S;
         }
-        self.last = Some((x, force));
+        self.last = Some(given);
     }
 }
 
@@ -129,10 +145,19 @@ mod tests {
     use palpate_protocol::Span;
     use proptest::prelude::*;
 
-    use super::Passivity;
+    use super::{Given, Passivity};
     use crate::Slew;
 
     const STEP: f64 = 0.6;
+
+    fn given(x: Vector3<f64>, force: Vector3<f64>, touches: bool) -> Given {
+        Given {
+            x,
+            force,
+            withheld: Vector3::zeros(),
+            touches,
+        }
+    }
 
     fn passivity() -> Passivity {
         Passivity::new(STEP, Span::from_millis(1))
@@ -185,9 +210,9 @@ mod tests {
             let v = Vector3::new(0.0, 0.0, 0.1 * f64::from((before - tenth).signum()));
             let force = Vector3::new(0.0, 0.0, -500.0 * z);
             p.observe(&x, force.z);
-            let (given, limited) = p.limit(force, &v);
-            assert!(!limited || tenth <= 20, "{given:?} of {force:?} at {tenth}");
-            p.give(x, given, true);
+            let (may, limited) = p.limit(force, &v);
+            assert!(!limited || tenth <= 20, "{may:?} of {force:?} at {tenth}");
+            p.give(given(x, may, true));
             before = tenth;
         }
         assert!(
@@ -201,22 +226,41 @@ mod tests {
     fn what_a_contact_has_stored_ends_with_it() {
         let mut p = passivity();
         let at = |z: f64| Vector3::new(0.0, 0.0, z);
-        p.give(at(0.0), at(5.0), true);
+        p.give(given(at(0.0), at(5.0), true));
         p.observe(&at(-0.01), 5.0);
         assert!((p.stored_j() - 0.05).abs() < 1e-12);
-        p.give(at(-0.01), Vector3::zeros(), false);
+        p.give(given(at(-0.01), Vector3::zeros(), false));
         assert!(p.stored_j() > 0.049, "a tick is no end");
         for _ in 0..1000 {
-            p.give(at(-0.01), Vector3::zeros(), false);
+            p.give(given(at(-0.01), Vector3::zeros(), false));
         }
         assert!(p.stored_j() < 1e-5);
         // And friction fills it no further than a press is deep.
-        p.give(at(0.0), at(1.0), true);
+        p.give(given(at(0.0), at(1.0), true));
         for i in 1..1000 {
             p.observe(&at(-0.01 * f64::from(i)), 1.0);
-            p.give(at(-0.01 * f64::from(i)), at(1.0), true);
+            p.give(given(at(-0.01 * f64::from(i)), at(1.0), true));
         }
         assert!(p.stored_j() < 0.06, "{} J", p.stored_j());
+    }
+
+    #[test]
+    fn what_was_withheld_while_the_hand_pressed_is_there_when_it_is_over() {
+        let mut p = passivity();
+        let at = |z: f64| Vector3::new(0.0, 0.0, z);
+        p.give(Given {
+            withheld: at(2.0),
+            ..given(at(0.0), Vector3::zeros(), true)
+        });
+        p.observe(&at(-0.01), 2.0);
+        assert_eq!(p.limit(at(2.0), &Vector3::zeros()), (at(2.0), false));
+        // And on the way out it is not paid twice.
+        p.give(Given {
+            withheld: at(2.0),
+            ..given(at(-0.01), Vector3::zeros(), true)
+        });
+        p.observe(&at(0.0), 2.0);
+        assert!((p.stored_j() - 0.02).abs() < 1e-12);
     }
 
     proptest! {
@@ -233,11 +277,11 @@ mod tests {
                 for _ in 0..ticks {
                     p.observe(&along(z), target);
                     let (may, limited) = p.limit(slew.peek(along(target)), &along(speed));
-                    let (given, _) = slew.towards(if limited { may } else { along(target) });
-                    p.give(along(z), given, true);
+                    let (force, _) = slew.towards(if limited { may } else { along(target) });
+                    p.give(given(along(z), force, true));
                     z += speed * 1e-3;
-                    work -= given.z * speed * 1e-3;
-                    most = most.max(given.z);
+                    work -= force.z * speed * 1e-3;
+                    most = most.max(force.z);
                 }
             }
             let ramp = (most + most * most / (2.0 * STEP)) * 1e-3 * 0.4;

@@ -184,6 +184,43 @@ fn a_faulty_sample_takes_the_force_away_and_is_counted() {
 }
 
 #[test]
+fn who_presses_while_forces_are_withheld_feels_them_afterwards() {
+    // 10 mm deep in 300 ms, within the soft start; then a lost link while the hand goes 4 mm deeper.
+    let mut chain = chain();
+    let alone = |t: i64, x: &Vector3<f64>| ContactModel {
+        x0: *x,
+        in_contact: x.z < 0.0,
+        others_j: 0.0,
+        ..pressed(ms(t - t % 4), -300.0 * x.z)
+    };
+    let mut model = ContactModel::FREE;
+    let mut last = 0.0;
+    for t in 0..6000 {
+        let depth = 1e-3 * (t.min(300) as f64 / 30.0 + (t - 2500).clamp(0, 100) as f64 / 25.0);
+        let x = Vector3::new(0.0, 0.0, -depth);
+        if t % 4 == 0 {
+            model = alone(t, &x);
+        }
+        match t {
+            2400 => chain.link_lost(ms(t)),
+            3000 => chain.link_restored(ms(t)),
+            _ => {}
+        }
+        last = chain.tick(ms(t), &sample(x), &model).wrench.force.z;
+        if t == 2300 {
+            assert!((last - 3.0).abs() < 1e-6, "{last} N after the soft start");
+        }
+    }
+    assert!(
+        (last - 4.2).abs() < 1e-6,
+        "{last} N after the link came back"
+    );
+    // But for the first ticks, in which nothing is earned yet.
+    let passivated = chain.counters().passivated;
+    assert!(passivated < 10, "{passivated} ticks");
+}
+
+#[test]
 fn the_soft_start_takes_its_second() {
     let mut chain = chain();
     for t in 0..=1000 {

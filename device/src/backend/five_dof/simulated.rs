@@ -29,7 +29,8 @@ pub enum Unsuited {
     },
     /// A way point tilts the probe too far.
     #[error(
-        "way point {number} (t = {t_s} s) tilts the probe by {degrees:.0} degrees; this device takes {most:.0}"
+        "way point {number} (t = {t_s} s) tilts the probe by {degrees:.0} degrees from where it is at the first; this \
+         device takes {most:.0}"
     )]
     TooTilted {
         /// Which, from 1.
@@ -62,12 +63,14 @@ pub fn invented() -> Config {
     }
 }
 
-/// The simulated device in the hand of a script of the scene. The middle of the script is in the middle of the
-/// workspace; how the script turns the tool about the probe is lost, as no motor knows of it.
+/// The simulated device in the hand of a script of the scene. It stands so that the tool is upright in it at the first way
+/// point, and that the middle of the script is in the middle of the workspace. How the script turns the tool about
+/// the probe after that is lost, as no motor knows of it.
 pub fn simulated(script: &Script, start: ScriptStart) -> Result<Placed<FiveDof<Rig>>, Unsuited> {
     let config = invented();
     let middle = Middle::of(&config.linkage)?;
-    let placement = Placement::with(middle.pivot, script.middle());
+    let upright = script.ways()[0].orientation;
+    let placement = Placement::with(upright, middle.pivot, script.middle());
     let moved = script.seen_from(&placement)?;
     check(&moved, &middle)?;
     let rig = Rig::new(&config, RigConfig::default(), moved, start)?;
@@ -124,7 +127,8 @@ mod tests {
             WayPoint::new(0.0, Vector3::new(0.3, 0.1, 0.02)),
             WayPoint::new(1.0, Vector3::new(0.3, 0.12, -0.02)),
         ];
-        let script = script(ways);
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.3, 1.9, -0.4));
+        let script = script(ways.into_iter().map(|way| way.turned(turn)).collect());
         let start = ScriptStart::at(DeviceTime::ZERO);
         let mut device = simulated(&script, start).unwrap();
         for i in 0..1500 {
@@ -132,6 +136,7 @@ mod tests {
             let sample = device.read(now).unwrap();
             let target = script.pose(now.as_secs_f64()).pose.position;
             assert!((sample.pose.position - target).norm() < 2e-3);
+            assert!(sample.pose.orientation.angle_to(&turn) < 0.03);
             assert!(device.caps().workspace.contains(&sample.pose.position));
         }
     }
