@@ -88,11 +88,13 @@ impl HapticDevice for Watched {
     }
 }
 
-/// A contact of 3 N, solved now.
+/// A contact of 3 N, solved now, that somebody else presses against the tool with a watt.
 fn contact() -> ContactModel {
+    let now = monotonic_now();
     ContactModel {
         topology_version: 1,
-        solved_at: monotonic_now(),
+        solved_at: now,
+        others_j: now.as_micros() as f64 * 1e-6,
         f0: Vector3::new(0.0, 0.0, 3.0),
         stiffness: Matrix3::from_diagonal_element(300.0),
         radius: 0.05,
