@@ -1,0 +1,280 @@
+//! A motion as it was recorded: where the tool was, over time.
+
+use std::path::Path;
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use serde::Deserialize;
+use thiserror::Error;
+
+use crate::script::POSITION_MAX_M;
+use crate::{Buttons, Pose};
+
+/// The largest file that is read: hours at a kilohertz.
+const BYTES_MAX: u64 = 1 << 30;
+/// Columns of a table: time and place, which every row has; how the tool is turned, and the buttons.
+const COLUMNS: [&str; 9] = [
+    "t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "buttons",
+];
+
+/// One moment of a motion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Moment {
+    /// Since the motion began, s.
+    pub t_s: f64,
+    /// Where the tool was.
+    pub pose: Pose,
+    /// The buttons held from here on.
+    pub buttons: Buttons,
+}
+
+/// A recorded motion: at least two moments, in order of time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Motion {
+    moments: Vec<Moment>,
+}
+
+/// Why a file is no motion.
+#[derive(Debug, Error)]
+pub enum MotionError {
+    /// It can not be read.
+    #[error("{path} can not be read: {source}")]
+    Read {
+        /// The file.
+        path: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// It is too large to be one.
+    #[error("{path} has {bytes} bytes; a motion has at most {BYTES_MAX}")]
+    TooLarge {
+        /// The file.
+        path: String,
+        /// Its size.
+        bytes: u64,
+    },
+    /// It is no recording.
+    #[error("this is no recording of a session (JSON with a list \"haptic\"): {0}")]
+    Json(#[from] serde_json::Error),
+    /// The first line of a table is not what it should be.
+    #[error(
+        "line 1 should name the columns: t_s,x_m,y_m,z_m, and if they are known qw,qx,qy,qz and buttons; it is \
+         \"{0}\""
+    )]
+    Header(String),
+    /// A row of a table is wrong.
+    #[error("line {line}: {what}")]
+    Row {
+        /// Which, from 1.
+        line: usize,
+        /// What is wrong.
+        what: String,
+    },
+    /// There is nothing to be replayed.
+    #[error("a motion needs two moments or more; here is {0}")]
+    TooShort(usize),
+    /// A moment that can not be.
+    #[error("moment {number}: {what}")]
+    Moment {
+        /// Which, from 1.
+        number: usize,
+        /// What is wrong.
+        what: &'static str,
+    },
+}
+
+#[derive(Deserialize)]
+struct Recording {
+    haptic: Vec<Point>,
+}
+
+#[derive(Deserialize)]
+struct Point {
+    t_us: i64,
+    position_m: [f64; 3],
+}
+
+impl Motion {
+    /// A motion of these moments; time is counted from the first.
+    pub fn new(mut moments: Vec<Moment>) -> Result<Self, MotionError> {
+        if moments.len() < 2 {
+            return Err(MotionError::TooShort(moments.len()));
+        }
+        let began = moments[0].t_s;
+        let mut before = f64::NEG_INFINITY;
+        for (k, moment) in moments.iter_mut().enumerate() {
+            let wrong = |what| MotionError::Moment {
+                number: k + 1,
+                what,
+            };
+            if !(moment.t_s.is_finite() && moment.pose.is_finite()) {
+                return Err(wrong("holds a number that is not finite"));
+            }
+            if moment.pose.position.amax() > POSITION_MAX_M {
+                return Err(wrong("is more than 10 m away; are these millimetres?"));
+            }
+            if moment.t_s <= before {
+                return Err(wrong("is not later than the one before it"));
+            }
+            before = moment.t_s;
+            moment.t_s -= began;
+        }
+        Ok(Self { moments })
+    }
+
+    /// Reads a recording of a session (`.json`), or a table (`.csv`) with a line of column names.
+    pub fn load(path: &Path) -> Result<Self, MotionError> {
+        let name = || path.display().to_string();
+        let read = |source| MotionError::Read {
+            path: name(),
+            source,
+        };
+        let bytes = std::fs::metadata(path).map_err(read)?.len();
+        if bytes > BYTES_MAX {
+            return Err(MotionError::TooLarge {
+                path: name(),
+                bytes,
+            });
+        }
+        let text = std::fs::read_to_string(path).map_err(read)?;
+        if path
+            .extension()
+            .is_some_and(|e| e.eq_ignore_ascii_case("json"))
+        {
+            Self::from_recording(&text)
+        } else {
+            Self::from_table(&text)
+        }
+    }
+
+    /// From the JSON of a recorded session: its hand's path.
+    pub fn from_recording(text: &str) -> Result<Self, MotionError> {
+        let recording: Recording = serde_json::from_str(text)?;
+        let moment = |p: &Point| Moment {
+            t_s: p.t_us as f64 * 1e-6,
+            pose: Pose::at(p.position_m.into()),
+            buttons: Buttons::NONE,
+        };
+        Self::new(recording.haptic.iter().map(moment).collect())
+    }
+
+    /// From a table of numbers between commas.
+    pub fn from_table(text: &str) -> Result<Self, MotionError> {
+        let mut lines = text.lines().enumerate();
+        let first = lines.next().map_or("", |(_, line)| line.trim());
+        let names: Vec<&str> = first.split(',').map(str::trim).collect();
+        let known = [&COLUMNS[..4], &COLUMNS[..8], &COLUMNS[..]];
+        let short = [&COLUMNS[..4], &COLUMNS[8..]].concat();
+        if !known.contains(&&names[..]) && names != short {
+            return Err(MotionError::Header(first.chars().take(80).collect()));
+        }
+        let mut moments = Vec::new();
+        for (k, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
+            let wrong = |what: String| MotionError::Row { line: k + 1, what };
+            let row = line
+                .split(',')
+                .map(|cell| {
+                    let cell = cell.trim();
+                    cell.parse::<f64>()
+                        .map_err(|_| wrong(format!("\"{cell}\" is no number")))
+                })
+                .collect::<Result<Vec<f64>, MotionError>>()?;
+            if row.len() != names.len() {
+                let (has, asked) = (row.len(), names.len());
+                return Err(wrong(format!("{has} numbers in {asked} columns")));
+            }
+            moments.push(moment(&names, &row).map_err(|what| wrong(what.to_owned()))?);
+        }
+        Self::new(moments)
+    }
+
+    /// The moments.
+    pub fn moments(&self) -> &[Moment] {
+        &self.moments
+    }
+
+    /// How long it is, s.
+    pub fn length_s(&self) -> f64 {
+        self.moments[self.moments.len() - 1].t_s
+    }
+
+    /// The tool at `t_s`, with its velocity (m/s) and its angular velocity (rad/s): between two moments along the cubic
+    /// through them whose velocities are those of the neighbours; at rest before the first and after the last.
+    /// `near` is where the last search ended, and where this one begins.
+    pub fn at(&self, t_s: f64, near: &mut usize) -> (Moment, Vector3<f64>, Vector3<f64>) {
+        let m = &self.moments;
+        let still = Vector3::zeros();
+        let last = m.len() - 1;
+        if t_s <= 0.0 || t_s.is_nan() {
+            return (m[0], still, still);
+        }
+        if t_s >= m[last].t_s {
+            return (m[last], still, still);
+        }
+        let mut i = (*near).min(last - 1);
+        while m[i].t_s > t_s {
+            i -= 1;
+        }
+        while m[i + 1].t_s <= t_s {
+            i += 1;
+        }
+        *near = i;
+        let (a, b) = (&m[i], &m[i + 1]);
+        let h = b.t_s - a.t_s;
+        let s = (t_s - a.t_s) / h;
+        let (va, vb) = (self.velocity(i) * h, self.velocity(i + 1) * h);
+        let (pa, pb) = (a.pose.position, b.pose.position);
+        let by = pb - pa;
+        // Hermite's cubic, from pa on.
+        let (c2, c3) = (by * 3.0 - va * 2.0 - vb, va + vb - by * 2.0);
+        let position = pa + (va + (c2 + c3 * s) * s) * s;
+        let velocity = (va + (c2 * 2.0 + c3 * (3.0 * s)) * s) / h;
+        let turn = a
+            .pose
+            .orientation
+            .rotation_to(&b.pose.orientation)
+            .scaled_axis();
+        let orientation = UnitQuaternion::from_scaled_axis(turn * s) * a.pose.orientation;
+        let moment = Moment {
+            t_s,
+            pose: Pose {
+                position,
+                orientation,
+            },
+            buttons: a.buttons,
+        };
+        (moment, velocity, turn / h)
+    }
+
+    /// Velocity at a moment: the slope between its neighbours, and none at the ends.
+    fn velocity(&self, i: usize) -> Vector3<f64> {
+        let m = &self.moments;
+        if i == 0 || i + 1 == m.len() {
+            return Vector3::zeros();
+        }
+        (m[i + 1].pose.position - m[i - 1].pose.position) / (m[i + 1].t_s - m[i - 1].t_s)
+    }
+}
+
+fn moment(names: &[&str], row: &[f64]) -> Result<Moment, &'static str> {
+    let column = |name: &str| names.iter().position(|n| *n == name).map(|k| row[k]);
+    let number = |name: &str| column(name).unwrap_or(0.0);
+    let orientation = match column("qw") {
+        Some(w) => {
+            let q = Quaternion::new(w, number("qx"), number("qy"), number("qz"));
+            UnitQuaternion::try_new(q, 1e-3).ok_or("the quaternion is zero")?
+        }
+        None => UnitQuaternion::identity(),
+    };
+    let buttons = number("buttons");
+    if !(buttons >= 0.0 && buttons <= f64::from(u32::MAX) && buttons.fract() == 0.0) {
+        return Err("buttons are a number of bits, 0 for none");
+    }
+    Ok(Moment {
+        t_s: number("t_s"),
+        pose: Pose {
+            position: Vector3::new(number("x_m"), number("y_m"), number("z_m")),
+            orientation,
+        },
+        buttons: Buttons::from_bits(buttons as u32),
+    })
+}
