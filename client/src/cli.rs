@@ -62,11 +62,15 @@ struct JoinArguments {
     #[arg(long, default_value_t = default_name())]
     name: String,
     /// The device to hold, for roles with a tool
-    #[arg(long, value_enum, default_value_t = DeviceKind::Sim)]
+    #[arg(long, value_enum, default_value_t = DeviceKind::Auto)]
     device: DeviceKind,
     /// What the simulated hand does, with or without a simulated device in it (a TOML file)
     #[arg(long, value_name = "FILE")]
     script: Option<PathBuf>,
+    /// A recorded motion for the device replay: what --record wrote, or a table of moments (.csv). The
+    /// tool is that of --script then, or a ball of 8 mm radius
+    #[arg(long, value_name = "FILE")]
+    motion: Option<PathBuf>,
     /// Leave after so many seconds; without it, stay until the session ends or Ctrl-C
     #[arg(long, value_name = "S", value_parser = seconds)]
     duration: Option<Duration>,
@@ -91,6 +95,7 @@ impl JoinArguments {
         JoinOptions {
             device: self.device,
             script: self.script,
+            motion: self.motion,
             duration: self.duration,
             record: self.record,
             realtime: !self.no_realtime,

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use palpate_device::ScriptError;
+use palpate_device::backend::replay::MotionError;
 use palpate_protocol::link::LinkError;
 use palpate_protocol::{ModelHash, ProtocolError, Role};
 use palpate_tissue::FileError;
@@ -25,9 +26,18 @@ pub enum ClientError {
         /// What is wrong, and where.
         source: ScriptError,
     },
+    /// The motion can not be replayed.
+    #[error("the motion {}: {source}", path.display())]
+    Motion {
+        /// Its file.
+        path: PathBuf,
+        /// What is wrong, and where.
+        source: MotionError,
+    },
     /// A role with a tool and nothing that moves it.
     #[error(
-        "the role {0} holds a tool, and the simulated hand needs a script to follow: add --script FILE"
+        "the role {0} holds a tool, and the simulated hand needs a script to follow: add --script FILE, or --motion \
+         FILE to replay a recorded motion"
     )]
     NoScript(Role),
     /// The device can not be opened.
@@ -115,7 +125,11 @@ impl ClientError {
     /// 2 where what was typed is wrong, 1 otherwise.
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::Link(_) | Self::Script { .. } | Self::NoScript(_) | Self::Device(_) => 2,
+            Self::Link(_)
+            | Self::Script { .. }
+            | Self::Motion { .. }
+            | Self::NoScript(_)
+            | Self::Device(_) => 2,
             _ => 1,
         }
     }

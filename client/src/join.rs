@@ -2,15 +2,15 @@
 
 use std::sync::Arc;
 
-use palpate_device::Script;
 use palpate_device::backend::sim::ScriptStart;
 use palpate_device::script::ToolKind;
 use palpate_haptics::{Chain, ChainConfig};
+use palpate_protocol::JoinLink;
 use palpate_protocol::handshake::{Hello, Welcome};
-use palpate_protocol::{JoinLink, Role};
 use palpate_tissue::decode_model;
 
 use crate::convert::tool_description;
+use crate::devices::{self, Guide};
 use crate::motion::MotionThread;
 use crate::network::Network;
 use crate::realtime::{
@@ -21,17 +21,21 @@ use crate::session::Session;
 use crate::site::Site;
 use crate::solve::{Hand, ReplicaThread, Work, record_every};
 use crate::status::{Status, fetch_progress};
-use crate::{ClientError, JoinOptions, Summary, devices};
+use crate::{ClientError, JoinOptions, Summary};
 
 /// Joins a session and stays until it ends, the duration is over or `stop` is set.
 pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
     let link: JoinLink = options.link.parse()?;
-    let script = load_script(options, link.role)?;
+    let guide = Guide::load(options, link.role)?;
+    if let Some(guide) = &guide {
+        // What can not be opened is said before anybody is bothered.
+        devices::open(options.device, guide, ScriptStart::not_yet())?.close();
+    }
     let hello = Hello {
         name: options.name.clone(),
         role: link.role,
         grant: link.grant,
-        tool: script.as_ref().map(|s| tool_description(&s.tool())),
+        tool: guide.as_ref().map(|g| tool_description(&g.tool)),
         resume: None,
     };
     let mut status = Status::new(options.status, monotonic_now());
@@ -46,7 +50,7 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
         Arc::clone(&options.stop),
         options.catch_signals,
     )?;
-    let parts = match Parts::start(options, &network, script) {
+    let parts = match Parts::start(options, &network, guide) {
         Ok(parts) => parts,
         Err(error) => {
             network.leave();
@@ -65,18 +69,6 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
     session.finish(ending)
 }
 
-/// The script of who holds a tool; `None` for who only looks.
-fn load_script(options: &JoinOptions, role: Role) -> Result<Option<Script>, ClientError> {
-    if !role.has_tool() {
-        return Ok(None);
-    }
-    let path = options.script.clone().ok_or(ClientError::NoScript(role))?;
-    match Script::load(&path) {
-        Ok(script) => Ok(Some(script)),
-        Err(source) => Err(ClientError::Script { path, source }),
-    }
-}
-
 /// The threads of a session, beside the network's.
 pub(crate) struct Parts {
     pub(crate) haptics: Option<HapticHandle>,
@@ -90,21 +82,21 @@ impl Parts {
     fn start(
         options: &JoinOptions,
         network: &Network,
-        script: Option<Script>,
+        guide: Option<Guide>,
     ) -> Result<Self, ClientError> {
         let welcome = &network.welcome;
         let model = Arc::new(decode_model(&network.model)?);
-        let blade = script
+        let blade = guide
             .as_ref()
-            .map(Script::tool)
+            .map(|guide| guide.tool)
             .filter(|tool| tool.kind == ToolKind::Blade)
             .map(|tool| tool.length_m);
         let site = beneath(|| Site::new(welcome, model, blade));
         let start = ScriptStart::not_yet();
         let (mut haptics, mut motion, mut hand) = (None, None, None);
         let mut name = "none".to_owned();
-        if let Some(script) = script.filter(|_| welcome.role.has_tool()) {
-            let device = devices::open(options.device, &script, start.clone())?;
+        if let Some(guide) = guide.filter(|_| welcome.role.has_tool()) {
+            let device = devices::open(options.device, &guide, start.clone())?;
             name.clone_from(&device.caps().name);
             let chain = Chain::new(ChainConfig::default(), device.caps());
             let (handle, ports) = spawn(device, chain, loop_config(options))?;

@@ -30,6 +30,8 @@ pub struct JoinOptions {
     pub device: DeviceKind,
     /// What a simulated hand does, with or without a simulated device.
     pub script: Option<PathBuf>,
+    /// A recorded motion for a device that replays it; the tool is the script's then, or a ball of 8 mm.
+    pub motion: Option<PathBuf>,
     /// Leave after this time; without it stay until the session ends.
     pub duration: Option<Duration>,
     /// Where to write the [`Recording`](crate::Recording) at the end.
@@ -50,8 +52,9 @@ impl JoinOptions {
         Self {
             link: link.into(),
             name: name.into(),
-            device: DeviceKind::Sim,
+            device: DeviceKind::Auto,
             script: None,
+            motion: None,
             duration: None,
             record: None,
             realtime: true,

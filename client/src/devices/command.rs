@@ -5,13 +5,12 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand, ValueEnum};
-use nalgebra::Vector3;
 use palpate_device::backend::sim::ScriptStart;
 use palpate_device::conformance::{self, Outcome, Report};
-use palpate_device::{Calibration, ClockOwner, DeviceTime, HapticDevice, Script};
+use palpate_device::{Calibration, ClockOwner, DeviceTime, HapticDevice};
 use serde_json::json;
 
-use super::{DeviceKind, open, plot};
+use super::{DeviceKind, Guide, open, plot};
 
 /// What `devices --help` shows at its end.
 const EXAMPLES: &str = "\
@@ -100,10 +99,10 @@ fn say(text: &str) {
     let _ = std::io::stdout().write_all(text.as_bytes());
 }
 
-/// A device in the hand of a script that rests.
+/// A device that rests.
 fn at_rest(kind: DeviceKind) -> Result<Box<dyn HapticDevice>, String> {
-    let script = Script::resting_probe(Vector3::zeros(), 4e-3).map_err(|e| e.to_string())?;
-    open(kind, &script, ScriptStart::not_yet()).map_err(|e| e.to_string())
+    let guide = Guide::at_rest(kind == DeviceKind::Replay)?;
+    open(kind, &guide, ScriptStart::not_yet()).map_err(|e| e.to_string())
 }
 
 fn list(json: bool) -> Done {
@@ -165,7 +164,6 @@ fn calibration_word(calibration: Calibration) -> &'static str {
 }
 
 fn test(kind: DeviceKind, json: bool) -> Done {
-    let kind = kind.chosen();
     let mut device = at_rest(kind)?;
     // No hardware is behind these, so time may run as fast as it can.
     let mut us = 0;
@@ -174,7 +172,7 @@ fn test(kind: DeviceKind, json: bool) -> Done {
         DeviceTime::from_micros(us)
     };
     let options = conformance::Options {
-        moves_under_force: true,
+        moves_under_force: kind != DeviceKind::Replay,
     };
     let report = conformance::run(device.as_mut(), &mut clock, options);
     if json {
@@ -202,7 +200,6 @@ fn as_json(kind: DeviceKind, report: &Report) -> serde_json::Value {
 }
 
 fn calibrate(kind: DeviceKind) -> Done {
-    let kind = kind.chosen();
     let mut device = at_rest(kind)?;
     let state = device
         .calibrate()

@@ -1,15 +1,18 @@
 //! The devices that this program drives: which there are, opening one, and what is done with one outside of a session.
 
 mod command;
+mod guide;
 mod plot;
 
 use clap::ValueEnum;
+use palpate_device::HapticDevice;
 use palpate_device::backend::five_dof;
+use palpate_device::backend::replay::Replay;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
-use palpate_device::{HapticDevice, Script};
 use serde::Serialize;
 
 pub(crate) use command::{DevicesArguments, run};
+pub(crate) use guide::{Guide, Moves};
 
 /// The kinds of devices that this program drives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
@@ -21,11 +24,13 @@ pub enum DeviceKind {
     Sim,
     /// The 5-DOF device of 2007 on simulated boards, in the hand of a script.
     FiveDof,
+    /// A recorded motion, whatever pushes it.
+    Replay,
 }
 
 impl DeviceKind {
     /// All that can be opened, with a sentence each; the best first.
-    pub const ALL: [(Self, &'static str); 2] = [
+    pub const ALL: [(Self, &'static str); 3] = [
         (
             Self::Sim,
             "a simulated hand that follows a script (--script FILE) and feels the force",
@@ -33,6 +38,10 @@ impl DeviceKind {
         (
             Self::FiveDof,
             "the 5-DOF device of 2007 with simulated motors and encoders, in the hand of a script (--script FILE)",
+        ),
+        (
+            Self::Replay,
+            "a recorded motion (--motion FILE) that goes its way whatever pushes it",
         ),
     ];
 
@@ -42,16 +51,17 @@ impl DeviceKind {
             Self::Auto => "auto",
             Self::Sim => "sim",
             Self::FiveDof => "five-dof",
+            Self::Replay => "replay",
         }
     }
 
-    /// The device that is meant: of `auto`, the best that is present.
-    #[must_use]
-    pub const fn chosen(self) -> Self {
-        match self {
-            // Both need no hardware; the hand without a device is the truer one.
-            Self::Auto => Self::Sim,
-            other => other,
+    /// The device that is meant: of `auto`, the best that is present and can be moved so.
+    pub(crate) fn chosen(self, guide: &Guide) -> Self {
+        match (self, &guide.moves) {
+            // None of them needs hardware; a hand without a device is the truest one.
+            (Self::Auto, Moves::Script(_)) => Self::Sim,
+            (Self::Auto, Moves::Motion(_)) => Self::Replay,
+            (other, _) => other,
         }
     }
 }
@@ -62,16 +72,44 @@ pub enum DeviceError {
     /// The script can not be followed with it.
     #[error("the device five-dof can not follow this script: {0}")]
     FiveDof(#[from] five_dof::Unsuited),
+    /// Something else moves it.
+    #[error("the device {device} is moved by {moves}: give {option} FILE, and not {instead}")]
+    MovedOtherwise {
+        /// The device.
+        device: &'static str,
+        /// What moves it.
+        moves: &'static str,
+        /// The option for that.
+        option: &'static str,
+        /// What was given.
+        instead: &'static str,
+    },
 }
 
-/// Opens a device that a script moves.
+/// Opens a device that is moved by its guide.
 pub(crate) fn open(
     kind: DeviceKind,
-    script: &Script,
+    guide: &Guide,
     start: ScriptStart,
 ) -> Result<Box<dyn HapticDevice>, DeviceError> {
-    Ok(match kind.chosen() {
-        DeviceKind::FiveDof => Box::new(five_dof::simulated(script, start)?),
-        DeviceKind::Sim | DeviceKind::Auto => Box::new(SimHand::new(script.clone(), start)),
+    let kind = kind.chosen(guide);
+    let other = |moves, option, instead| DeviceError::MovedOtherwise {
+        device: kind.word(),
+        moves,
+        option,
+        instead,
+    };
+    Ok(match (kind, &guide.moves) {
+        (DeviceKind::FiveDof, Moves::Script(script)) => {
+            Box::new(five_dof::simulated(script, start)?)
+        }
+        (DeviceKind::Sim | DeviceKind::Auto, Moves::Script(script)) => {
+            Box::new(SimHand::new(script.clone(), start))
+        }
+        (DeviceKind::Replay, Moves::Motion(motion)) => Box::new(Replay::new(motion.clone(), start)),
+        (DeviceKind::Replay, Moves::Script(_)) => {
+            return Err(other("a recorded motion", "--motion", "--script alone"));
+        }
+        (_, Moves::Motion(_)) => return Err(other("a script", "--script", "--motion")),
     })
 }

@@ -85,6 +85,8 @@ pub enum MotionError {
 #[derive(Deserialize)]
 struct Recording {
     haptic: Vec<Point>,
+    #[serde(default)]
+    script_started_us: Option<i64>,
 }
 
 #[derive(Deserialize)]
@@ -146,7 +148,7 @@ impl Motion {
         }
     }
 
-    /// From the JSON of a recorded session: its hand's path.
+    /// From the JSON of a recorded session: its hand's path, from where its script began.
     pub fn from_recording(text: &str) -> Result<Self, MotionError> {
         let recording: Recording = serde_json::from_str(text)?;
         let moment = |p: &Point| Moment {
@@ -154,7 +156,9 @@ impl Motion {
             pose: Pose::at(p.position_m.into()),
             buttons: Buttons::NONE,
         };
-        Self::new(recording.haptic.iter().map(moment).collect())
+        let began = recording.script_started_us.unwrap_or(i64::MIN);
+        let points = recording.haptic.iter().filter(|p| p.t_us >= began);
+        Self::new(points.map(moment).collect())
     }
 
     /// From a table of numbers between commas.

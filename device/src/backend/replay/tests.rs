@@ -58,7 +58,8 @@ fn it_goes_its_way_whatever_pushes_it() {
 
 #[test]
 fn a_recording_of_a_session_is_a_motion() {
-    let text = r#"{"name": "Ada", "haptic": [
+    let text = r#"{"name": "Ada", "script_started_us": 4999000, "haptic": [
+        {"t_us": 1000000, "position_m": [9.0, 0.0, 0.1], "force_n": [0, 0, 0]},
         {"t_us": 5000000, "position_m": [0.0, 0.0, 0.1], "force_n": [0, 0, 0]},
         {"t_us": 5004000, "position_m": [0.0, 0.0, 0.09], "force_n": [0, 0, 1]}
     ], "views": []}"#;
