@@ -1,11 +1,11 @@
 //! The tick: the stages in their order, and nothing else.
 
 use nalgebra::Vector3;
-use palpate_device::{DeviceCaps, Sample, Wrench};
+use palpate_device::{DeviceCaps, Faults, Sample, Wrench};
 use palpate_protocol::{ClientTime, Span};
 
 use crate::blend::Blend;
-use crate::passivity::Given;
+use crate::passivity::{Given, Seen};
 use crate::watchdog::Watched;
 use crate::{
     ContactModel, Counters, EnergyObserver, Events, Friction, FrictionConfig, Grip, LinkGuard,
@@ -181,8 +181,17 @@ impl Chain {
         let [trusted, open] = self.gains(now, dt, &x, &mut events);
         let withheld = force * (1.0 - open);
         if let Some(passivity) = &mut self.passivity {
-            passivity.hear(self.blend.model().others_j);
-            passivity.observe(&x, force.norm());
+            let model = self.blend.model();
+            if sample.faults.contains(Faults::TIME_JUMP) {
+                passivity.interrupt();
+            }
+            passivity.hear(model.others_j);
+            passivity.observe(&Seen {
+                x,
+                dt,
+                there_n: force.norm(),
+                stiffness_n_per_m: model.normal_stiffness(),
+            });
         }
         let force = self.take_away(force * (trusted * open), &v, &mut events);
         let force = self.limit_change(force, &mut events);

@@ -37,6 +37,6 @@ pub use energy::EnergyObserver;
 pub use events::{Counters, Events};
 pub use friction::{Contact, Friction, FrictionConfig, Grip};
 pub use limits::{Slew, StiffnessCap, clamp_force};
-pub use passivity::{Given, Passivity};
+pub use passivity::{Given, Passivity, Seen};
 pub use soft_start::SoftStart;
 pub use watchdog::{LinkGuard, Watchdog, WatchdogConfig};

@@ -37,8 +37,23 @@ const RESERVE_J: f64 = 1e-5;
 const LIGHTEST_KG: f64 = 0.08;
 /// Time in which what is stored falls to a third when nothing is touched, s.
 const FORGETS_S: f64 = 0.1;
+/// Faster than any hand, m/s: such a sample is a glitch, and nobody has done the work that it seems to have taken.
+const JUMPS_M_S: f64 = 20.0;
 /// The deepest press that an elastic tissue gives back, m.
 const DEPTH_M: f64 = 0.05;
+
+/// What is known of a tool at the beginning of a tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Seen {
+    /// Where it is, m.
+    pub x: Vector3<f64>,
+    /// Time since the last tick.
+    pub dt: Span,
+    /// What the tissue pushes it with there, before anything is taken away, N.
+    pub there_n: f64,
+    /// Stiffness of the tissue there, N/m.
+    pub stiffness_n_per_m: f64,
+}
 
 /// What a tool is given in a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -48,7 +63,8 @@ pub struct Given {
     /// What pushes it until the next tick, N.
     pub force: Vector3<f64>,
     /// What the soft start and a lost link keep from it, N. A hand that presses meanwhile works against nothing, and
-    /// finds the force there when they are over: what it would have put in is counted as put in.
+    /// finds the force there when they are over: what it would have put in, less what it would have got back, is
+    /// counted as put in.
     pub withheld: Vector3<f64>,
     /// Whether it touches anything at all.
     pub touches: bool,
@@ -66,6 +82,10 @@ pub struct Passivity {
     /// What others have put in beside this contact and not got back, J. What they had put in before is theirs to
     /// take back: it is never below zero.
     lent_j: f64,
+    /// What the hand would have put in while forces were withheld, less what it would have got back, J.
+    kept_j: f64,
+    /// The most that each of them may hold, J.
+    room_j: f64,
     /// What others had put in when it was last heard of.
     others_j: Option<f64>,
 }
@@ -79,6 +99,8 @@ impl Passivity {
             tank_j: 0.0,
             last: None,
             lent_j: 0.0,
+            kept_j: 0.0,
+            room_j: 0.0,
             others_j: None,
         }
     }
@@ -99,16 +121,39 @@ impl Passivity {
         self.lent_j = (self.lent_j + others_j - before).max(0.0);
     }
 
-    /// The tool has come to `x` (m), where the tissue pushes it with `there_n` newtons.
-    pub fn observe(&mut self, x: &Vector3<f64>, there_n: f64) {
-        if let Some(last) = self.last {
-            let by = x - last.x;
-            self.tank_j -= last.force.dot(&by);
-            self.tank_j += (-last.withheld.dot(&by)).max(0.0);
+    /// The tool has moved.
+    pub fn observe(&mut self, seen: &Seen) {
+        let room = RESERVE_J + seen.there_n * DEPTH_M;
+        self.room_j = room.max(self.room_j * self.left_of(FORGETS_S));
+        let dt_s = seen.dt.as_secs_f64().max(self.period_s);
+        let path = self.last.map(|last| (last, seen.x - last.x));
+        match path.filter(|(_, by)| by.norm() <= JUMPS_M_S * dt_s) {
+            Some((last, by)) => {
+                self.tank_j -= last.force.dot(&by);
+                self.kept_j = (self.kept_j - last.withheld.dot(&by)).max(0.0);
+                if last.withheld == Vector3::zeros() {
+                    self.tank_j += std::mem::take(&mut self.kept_j);
+                }
+            }
+            // Nothing is known of the way here. The tissue stores what a spring does that pushes like this.
+            None if seen.there_n > 0.0 => {
+                let stored = 0.5 * seen.there_n * seen.there_n / seen.stiffness_n_per_m.max(1.0);
+                self.kept_j = self.kept_j.max(stored);
+            }
+            None => {}
         }
-        let most = RESERVE_J + there_n * DEPTH_M;
-        self.tank_j = self.tank_j.min(most);
-        self.lent_j = self.lent_j.min(most);
+        // What others have moved this hand by, they have paid for.
+        let debt = (-self.tank_j).max(0.0).min(self.lent_j);
+        self.tank_j += debt;
+        self.lent_j -= debt;
+        for account in [&mut self.tank_j, &mut self.lent_j, &mut self.kept_j] {
+            *account = account.min(self.room_j);
+        }
+    }
+
+    /// What a tick leaves of something that falls to a third in `s` seconds.
+    fn left_of(&self, s: f64) -> f64 {
+        1.0 - self.period_s / s
     }
 
     /// As much of `force` (N) as may be given to a tool that moves with `v` (m/s), and whether that is less. The
@@ -119,7 +164,7 @@ impl Passivity {
             return (force, false);
         }
         let along = force.dot(v) / n;
-        let there = (self.tank_j + self.lent_j - RESERVE_J).max(0.0);
+        let there = (self.tank_j + self.lent_j + self.kept_j - RESERVE_J).max(0.0);
         let impulse = LIGHTEST_KG * ((along * along + 2.0 * there / LIGHTEST_KG).sqrt() - along);
         let most =
             self.step_n * ((1.0 + 2.0 * impulse / (self.period_s * self.step_n)).sqrt() - 1.0);
@@ -132,8 +177,9 @@ impl Passivity {
 
     /// What is given until the next tick.
     pub fn give(&mut self, given: Given) {
-        if !given.touches && self.tank_j > 0.0 {
-            self.tank_j *= 1.0 - self.period_s / FORGETS_S;
+        if !given.touches {
+            // Debts, too: a hand that is off the tissue owes it nothing for long.
+            self.tank_j *= self.left_of(FORGETS_S);
         }
         self.last = Some(given);
     }
@@ -145,10 +191,19 @@ mod tests {
     use palpate_protocol::Span;
     use proptest::prelude::*;
 
-    use super::{Given, Passivity};
+    use super::{Given, Passivity, Seen};
     use crate::Slew;
 
     const STEP: f64 = 0.6;
+
+    fn seen(x: &Vector3<f64>, there_n: f64) -> Seen {
+        Seen {
+            x: *x,
+            dt: Span::from_millis(1),
+            there_n,
+            stiffness_n_per_m: 400.0,
+        }
+    }
 
     fn given(x: Vector3<f64>, force: Vector3<f64>, touches: bool) -> Given {
         Given {
@@ -209,7 +264,7 @@ mod tests {
             let x = Vector3::new(0.0, 0.0, z);
             let v = Vector3::new(0.0, 0.0, 0.1 * f64::from((before - tenth).signum()));
             let force = Vector3::new(0.0, 0.0, -500.0 * z);
-            p.observe(&x, force.z);
+            p.observe(&seen(&x, force.z));
             let (may, limited) = p.limit(force, &v);
             assert!(!limited || tenth <= 20, "{may:?} of {force:?} at {tenth}");
             p.give(given(x, may, true));
@@ -227,7 +282,7 @@ mod tests {
         let mut p = passivity();
         let at = |z: f64| Vector3::new(0.0, 0.0, z);
         p.give(given(at(0.0), at(5.0), true));
-        p.observe(&at(-0.01), 5.0);
+        p.observe(&seen(&at(-0.01), 5.0));
         assert!((p.stored_j() - 0.05).abs() < 1e-12);
         p.give(given(at(-0.01), Vector3::zeros(), false));
         assert!(p.stored_j() > 0.049, "a tick is no end");
@@ -238,7 +293,7 @@ mod tests {
         // And friction fills it no further than a press is deep.
         p.give(given(at(0.0), at(1.0), true));
         for i in 1..1000 {
-            p.observe(&at(-0.01 * f64::from(i)), 1.0);
+            p.observe(&seen(&at(-0.01 * f64::from(i)), 1.0));
             p.give(given(at(-0.01 * f64::from(i)), at(1.0), true));
         }
         assert!(p.stored_j() < 0.06, "{} J", p.stored_j());
@@ -252,15 +307,67 @@ mod tests {
             withheld: at(2.0),
             ..given(at(0.0), Vector3::zeros(), true)
         });
-        p.observe(&at(-0.01), 2.0);
+        p.observe(&seen(&at(-0.01), 2.0));
         assert_eq!(p.limit(at(2.0), &Vector3::zeros()), (at(2.0), false));
-        // And on the way out it is not paid twice.
+        // Who goes out again meanwhile has put nothing in.
         p.give(Given {
             withheld: at(2.0),
             ..given(at(-0.01), Vector3::zeros(), true)
         });
-        p.observe(&at(0.0), 2.0);
-        assert!((p.stored_j() - 0.02).abs() < 1e-12);
+        p.observe(&seen(&at(0.0), 2.0));
+        assert_eq!(
+            p.limit(at(2.0), &Vector3::zeros()),
+            (Vector3::zeros(), true)
+        );
+    }
+
+    #[test]
+    fn neither_a_model_without_contact_nor_a_glitch_takes_what_is_stored() {
+        let at = |z: f64| Vector3::new(0.0, 0.0, z);
+        let mut p = passivity();
+        p.give(given(at(0.0), at(4.0), true));
+        p.observe(&seen(&at(-0.01), 4.0));
+        p.give(given(at(-0.01), Vector3::zeros(), false));
+        p.observe(&seen(&at(-0.01), 0.0));
+        assert!(
+            p.stored_j() > 0.03,
+            "{} J after a tick without contact",
+            p.stored_j()
+        );
+        p.give(given(at(-0.01), at(4.0), true));
+        p.observe(&seen(&at(0.2), 0.0));
+        assert!(p.stored_j() > 0.03, "{} J after a glitch", p.stored_j());
+    }
+
+    #[test]
+    fn a_hand_that_others_have_moved_owes_nothing() {
+        // Ten times 5 mm up at 4 N, paid for by who pushed; then off the tissue, and pressed by this hand alone.
+        let at = |z: f64| Vector3::new(0.0, 0.0, z);
+        let mut p = passivity();
+        p.hear(0.0);
+        for i in 0..10 {
+            p.hear(0.025 * f64::from(i + 1));
+            p.give(given(at(5e-3 * f64::from(i)), at(4.0), true));
+            p.observe(&seen(&at(5e-3 * f64::from(i + 1)), 4.0));
+        }
+        assert!(p.stored_j() >= 0.0, "{} J", p.stored_j());
+        // And with nobody to pay for it, a second off the tissue is enough.
+        p.give(given(at(0.0), at(4.0), true));
+        p.observe(&seen(&at(0.015), 4.0));
+        for _ in 0..1000 {
+            p.give(given(at(0.0), Vector3::zeros(), false));
+            p.observe(&seen(&at(0.0), 0.0));
+        }
+        assert!(p.stored_j() > -1e-5, "{} J", p.stored_j());
+    }
+
+    #[test]
+    fn after_a_gap_the_tissue_is_believed() {
+        let mut p = passivity();
+        let force = Vector3::new(0.0, 0.0, 3.0);
+        p.interrupt();
+        p.observe(&seen(&Vector3::zeros(), 3.0));
+        assert_eq!(p.limit(force, &Vector3::zeros()), (force, false));
     }
 
     proptest! {
@@ -273,9 +380,10 @@ mod tests {
             let (mut p, mut slew) = (passivity(), Slew::new(STEP));
             let (mut z, mut work, mut most) = (0.0, 0.0, 0.0f64);
             let along = |z: f64| Vector3::new(0.0, 0.0, z);
+            p.give(given(along(z), Vector3::zeros(), false));
             for (speed, ticks, target) in ways {
                 for _ in 0..ticks {
-                    p.observe(&along(z), target);
+                    p.observe(&seen(&along(z), target));
                     let (may, limited) = p.limit(slew.peek(along(target)), &along(speed));
                     let (force, _) = slew.towards(if limited { may } else { along(target) });
                     p.give(given(along(z), force, true));

@@ -27,6 +27,7 @@ struct Diary {
 struct Watched {
     caps: DeviceCaps,
     clock: ClockOwner,
+    forces: ForceState,
     reads: u64,
     fails_at: std::ops::Range<u64>,
     panics_at: Option<u64>,
@@ -41,6 +42,7 @@ impl Watched {
         let watched = Self {
             caps,
             clock: ClockOwner::Ours,
+            forces: ForceState::Off,
             reads: 0,
             fails_at: 0..0,
             panics_at: None,
@@ -60,16 +62,19 @@ impl HapticDevice for Watched {
     fn clock(&self) -> ClockOwner {
         self.clock
     }
-    fn enable_forces(&mut self, _on: bool) -> Result<(), DeviceFault> {
+    fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
+        self.forces = if on { ForceState::On } else { ForceState::Off };
         Ok(())
     }
     fn force_state(&self) -> ForceState {
-        ForceState::On
+        self.forces
     }
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
         self.reads += 1;
         assert!(self.panics_at != Some(self.reads), "the driver's own bug");
         if self.fails_at.contains(&self.reads) {
+            // As drivers do: a board that failed gives no force until it is told to.
+            self.forces = ForceState::Off;
             return Err(DeviceFault::Unplugged);
         }
         Ok(Sample::resting(now, Pose::default()))
@@ -169,7 +174,8 @@ fn a_device_that_does_not_answer_gets_no_force_and_the_loop_goes_on() {
     });
     let summary = handle.stop();
     assert_eq!(summary.stats.device_faults, 100);
-    assert_eq!(summary.stats.counters.faulted, 100);
+    // And one tick in which forces are switched on again, as the driver has switched them off.
+    assert_eq!(summary.stats.counters.faulted, 101);
     let diary = diary.lock().unwrap();
     assert_no_step(&diary.written);
     assert!(
@@ -178,6 +184,7 @@ fn a_device_that_does_not_answer_gets_no_force_and_the_loop_goes_on() {
         diary.written[598]
     );
     assert_eq!(diary.written[698], Wrench::ZERO);
+    assert!(diary.written[1000].force.norm() > 0.1, "force is back");
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 
-use palpate_device::{ClockOwner, Faults, HapticDevice, Pose, Sample, Wrench, Written};
+use palpate_device::{ClockOwner, Faults, ForceState, HapticDevice, Pose, Sample, Wrench, Written};
 use palpate_haptics::{Chain, ContactModel, Events};
 use palpate_protocol::{ClientTime, Span};
 use triple_buffer::{Input, Output, triple_buffer};
@@ -19,6 +19,10 @@ use super::{clock, device_time};
 
 /// How often the statistics are published.
 const STATS_EVERY: Span = Span::from_millis(250);
+
+/// How often a device whose forces are off is asked to switch them on again: a board that failed once may be back, and
+/// a device that was not calibrated may be now.
+const ENABLE_EVERY: Span = Span::from_millis(1000);
 
 /// After a stop is asked for, the ticks the force has to come down before the device is closed
 /// all the same. The chain needs 100.
@@ -151,6 +155,7 @@ pub fn spawn(
         trace: Trace::new(config.trace_every, config.trace_points_max),
         last: frame,
         link_is_lost: false,
+        enable_at: now,
     };
     let (tell, told) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new()
@@ -186,6 +191,8 @@ struct HapticLoop {
     trace: Trace,
     last: Frame,
     link_is_lost: bool,
+    /// When forces may be asked for again.
+    enable_at: ClientTime,
 }
 
 impl HapticLoop {
@@ -256,7 +263,12 @@ impl HapticLoop {
     fn tick(&mut self, now: ClientTime) {
         let reading = self.device.read(device_time(now));
         let (sample, tick) = if let Ok(sample) = &reading {
-            (*sample, self.chain.tick(now, sample, self.models.read()))
+            if self.device.caps().dof_out > 0 && self.device.force_state() == ForceState::Off {
+                self.enable_again(now);
+                (*sample, self.chain.tick_without_sample(now))
+            } else {
+                (*sample, self.chain.tick(now, sample, self.models.read()))
+            }
         } else {
             self.meter.stats.device_faults += 1;
             let last = self.last.sample;
@@ -279,6 +291,16 @@ impl HapticLoop {
             contact_age: tick.contact_age,
         };
         self.hand_over(frame, reading.is_ok());
+    }
+
+    /// Asks for forces again, now and then. Until they are on the chain gives none, and its soft start begins after.
+    fn enable_again(&mut self, now: ClientTime) {
+        if now >= self.enable_at {
+            self.enable_at = now + ENABLE_EVERY;
+            if self.device.enable_forces(true).is_err() {
+                self.meter.stats.device_faults += 1;
+            }
+        }
     }
 
     fn hand_over(&mut self, frame: Frame, is_good: bool) {

@@ -124,12 +124,11 @@ impl<P: Port> FiveDof<P> {
         self.port.command(self.now, codes)
     }
 
-    /// Zero on the motors, and forces off.
-    fn stop(&mut self) {
+    /// Zero on the motors, and forces off. The boards may not have heard of it when this is an error.
+    fn stop(&mut self) -> Result<(), PortFault> {
         self.ramp = Ramp::off(RAMP_US);
         self.written = Wrench::ZERO;
-        // Where the boards are gone there is nobody left to be told.
-        let _ = self.drive(&[Vector3::zeros(); 2]);
+        self.drive(&[Vector3::zeros(); 2])
     }
 
     /// What the motors would have to do for the wrench at the present posture.
@@ -148,10 +147,8 @@ impl<P: Port> FiveDof<P> {
 
     fn refuse(&mut self, why: Rejection) -> Written {
         self.written = Wrench::ZERO;
-        if self.open && self.drive(&[Vector3::zeros(); 2]).is_err() {
-            return Written::Rejected(Rejection::Driver { code: 0 });
-        }
-        Written::Rejected(why)
+        let zero = self.drive(&[Vector3::zeros(); 2]);
+        Written::Rejected(zero.err().map_or(why, rejection))
     }
 }
 
@@ -176,7 +173,10 @@ impl<P: Port> HapticDevice for FiveDof<P> {
         }
         let (encoder, at) = (self.config.encoder, self.middle.angles);
         let counts = six(|arm, k| encoder.count(at[arm][k]));
+        // Codes of the posture of before would push in another direction.
+        self.stop()?;
         self.port.home(counts)?;
+        self.angles = at;
         self.rates.iter_mut().for_each(Rate::clear);
         Ok(self.calibration())
     }
@@ -189,7 +189,7 @@ impl<P: Port> HapticDevice for FiveDof<P> {
         if !self.open {
             return Err(DeviceFault::Closed);
         }
-        self.stop();
+        self.stop()?;
         if on {
             if !self.calibration().is_ready() {
                 return Err(DeviceFault::NotCalibrated);
@@ -211,7 +211,8 @@ impl<P: Port> HapticDevice for FiveDof<P> {
         let counts = match self.port.counts(self.now) {
             Ok(counts) => counts,
             Err(fault) => {
-                self.stop();
+                // What is wrong has been said; the next zero is tried with the next reading or order.
+                let _ = self.stop();
                 return Err(fault.into());
             }
         };
@@ -226,15 +227,21 @@ impl<P: Port> HapticDevice for FiveDof<P> {
         let linkage = &self.config.linkage;
         let probe = linkage.probe(&self.angles);
         let mut faults = Faults::NONE;
-        let wrong = (probe.length_m - linkage.probe_m()).abs() > PROBE_TOLERANCE_M;
-        if wrong || !self.calibration().is_ready() {
-            self.counts.untrusted += u64::from(wrong);
+        // Not a number is not within it.
+        let sound = (probe.length_m - linkage.probe_m()).abs() <= PROBE_TOLERANCE_M;
+        let homed = self.calibration().is_ready();
+        if !(sound && homed) {
+            self.counts.untrusted += u64::from(!sound);
             faults = faults.with(Faults::UNTRUSTED_POSE);
         }
         if !self.caps.workspace.contains(&probe.pivot) {
             faults = faults.with(Faults::OUT_OF_WORKSPACE);
         }
         let (velocity, angular_velocity) = linkage.velocity(&self.angles, &rates);
+        if !homed && !self.ramp.is_off() {
+            // Boards that lost their counts under force.
+            self.stop()?;
+        }
         Ok(Sample {
             time: self.now,
             pose: Pose {
@@ -261,16 +268,27 @@ impl<P: Port> HapticDevice for FiveDof<P> {
             return self.refuse(Rejection::NotFinite);
         }
         self.ramp.begin(self.now);
-        let (within, clamped) = clamp_wrench(wrench, &self.caps);
-        let Ok(torques) = self.render(within) else {
-            self.stop();
-            return Written::Rejected(Rejection::Driver { code: 0 });
+        // Nobody can render a torque about the probe's own axis.
+        let axis = self.config.linkage.probe(&self.angles).axis.into_inner();
+        let about_itself = wrench.torque.dot(&axis);
+        let possible = Wrench {
+            torque: wrench.torque - axis * about_itself,
+            ..wrench
+        };
+        let (within, clamped) = clamp_wrench(possible, &self.caps);
+        let torques = match self.render(within) {
+            Ok(torques) => torques,
+            Err(fault) => {
+                let _ = self.stop();
+                return Written::Rejected(rejection(fault));
+            }
         };
         self.counts.singular += u64::from(torques.singular);
         self.counts.saturated += u64::from(torques.saturated);
         let applied = within.scaled(torques.share);
         self.written = applied;
-        if clamped || torques.share < 1.0 {
+        let left_out = about_itself.abs() > 1e-9;
+        if clamped || left_out || torques.share < 1.0 {
             Written::Saturated { applied }
         } else {
             Written::Applied
@@ -283,7 +301,10 @@ impl<P: Port> HapticDevice for FiveDof<P> {
 
     fn close(&mut self) {
         if self.open {
-            self.stop();
+            // A board that did not take the first zero may take the second; the port closes with zero, too.
+            if self.stop().is_err() {
+                let _ = self.stop();
+            }
             self.port.close();
             self.open = false;
         }
@@ -299,4 +320,11 @@ impl<P: Port> Drop for FiveDof<P> {
 /// A number per motor, of its arm and its place in it.
 fn six(of: impl Fn(usize, usize) -> i32) -> Six {
     std::array::from_fn(|j| of(j / 3, j % 3))
+}
+
+fn rejection(fault: PortFault) -> Rejection {
+    match fault {
+        PortFault::Gone => Rejection::Driver { code: -1 },
+        PortFault::Board(code) => Rejection::Driver { code },
+    }
 }

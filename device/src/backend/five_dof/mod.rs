@@ -31,6 +31,6 @@ pub use linkage::{BadLength, Linkage, OutOfReach, Probe};
 pub use map::{Middle, TILT_RAD, manipulability};
 pub use port::{Port, PortFault, Six};
 pub use rig::{Rig, RigConfig, Sabotage};
-pub use signals::{BadDrive, Drive, Encoder};
+pub use signals::{BadDrive, BadEncoder, Drive, Encoder};
 pub use simulated::{Unsuited, invented, simulated};
 pub use statics::{SINGULAR, Torques, end_forces, torques};

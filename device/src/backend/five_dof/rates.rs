@@ -24,7 +24,7 @@ impl Rate {
     /// For readings in steps of `step` rad.
     pub(super) fn new(step: f64) -> Self {
         Self {
-            step,
+            step: step.abs(),
             times: [0.0; WINDOW],
             angles: [0.0; WINDOW],
             newest: 0,

@@ -5,10 +5,18 @@ use thiserror::Error;
 /// An incremental encoder on a motor's shaft, read in quadrature: four counts per line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Encoder {
-    /// Lines per turn.
-    pub lines: u32,
-    /// Turns of the motor per turn of the link.
-    pub gear: f64,
+    lines: u32,
+    gear: f64,
+}
+
+/// An encoder that can not be.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[error(
+    "an encoder of {lines} lines behind a gear of {gear}; both have to be there, and the gear finite"
+)]
+pub struct BadEncoder {
+    lines: u32,
+    gear: f64,
 }
 
 impl Default for Encoder {
@@ -22,6 +30,16 @@ impl Default for Encoder {
 }
 
 impl Encoder {
+    /// An encoder of so many lines per turn, whose motor turns `gear` times per turn of the link; below zero, the
+    /// other way round.
+    pub fn new(lines: u32, gear: f64) -> Result<Self, BadEncoder> {
+        if lines > 0 && gear != 0.0 && gear.is_finite() {
+            Ok(Self { lines, gear })
+        } else {
+            Err(BadEncoder { lines, gear })
+        }
+    }
+
     /// Angle of the link between two counts, rad: 0.79 mrad for 2000 lines, 0.14 mm at the end of a 180 mm link.
     pub fn step_rad(&self) -> f64 {
         std::f64::consts::TAU / (4.0 * f64::from(self.lines) * self.gear)

@@ -11,6 +11,10 @@ use crate::{Buttons, Pose};
 
 /// The largest file that is read: hours at a kilohertz.
 const BYTES_MAX: u64 = 1 << 30;
+/// The longest motion, s: a day. Later times are more likely milliseconds.
+const LONGEST_S: f64 = 86_400.0;
+/// Faster than any hand, m/s.
+const FASTEST_M_S: f64 = 100.0;
 /// Columns of a table: time and place, which every row has; how the tool is turned, and the buttons.
 const COLUMNS: [&str; 9] = [
     "t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "buttons",
@@ -102,7 +106,7 @@ impl Motion {
             return Err(MotionError::TooShort(moments.len()));
         }
         let began = moments[0].t_s;
-        let mut before = f64::NEG_INFINITY;
+        let mut last: Option<Moment> = None;
         for (k, moment) in moments.iter_mut().enumerate() {
             let wrong = |what| MotionError::Moment {
                 number: k + 1,
@@ -114,11 +118,23 @@ impl Motion {
             if moment.pose.position.amax() > POSITION_MAX_M {
                 return Err(wrong("is more than 10 m away; are these millimetres?"));
             }
-            if moment.t_s <= before {
-                return Err(wrong("is not later than the one before it"));
-            }
-            before = moment.t_s;
             moment.t_s -= began;
+            if moment.t_s > LONGEST_S {
+                return Err(wrong(
+                    "is more than a day after the first; are these milliseconds?",
+                ));
+            }
+            if let Some(last) = last {
+                let dt = moment.t_s - last.t_s;
+                if dt <= 0.0 {
+                    return Err(wrong("is not later than the one before it"));
+                }
+                let way = (moment.pose.position - last.pose.position).norm();
+                if way > FASTEST_M_S * dt {
+                    return Err(wrong("is farther from the one before it than 100 m/s go"));
+                }
+            }
+            last = Some(*moment);
         }
         Ok(Self { moments })
     }
@@ -150,7 +166,7 @@ impl Motion {
 
     /// From the JSON of a recorded session: its hand's path, from where its script began.
     pub fn from_recording(text: &str) -> Result<Self, MotionError> {
-        let recording: Recording = serde_json::from_str(text)?;
+        let recording: Recording = serde_json::from_str(without_mark(text))?;
         let moment = |p: &Point| Moment {
             t_s: p.t_us as f64 * 1e-6,
             pose: Pose::at(p.position_m.into()),
@@ -163,7 +179,7 @@ impl Motion {
 
     /// From a table of numbers between commas.
     pub fn from_table(text: &str) -> Result<Self, MotionError> {
-        let mut lines = text.lines().enumerate();
+        let mut lines = without_mark(text).lines().enumerate();
         let first = lines.next().map_or("", |(_, line)| line.trim());
         let names: Vec<&str> = first.split(',').map(str::trim).collect();
         let known = [&COLUMNS[..4], &COLUMNS[..8], &COLUMNS[..]];
@@ -209,7 +225,13 @@ impl Motion {
         let still = Vector3::zeros();
         let last = m.len() - 1;
         if t_s <= 0.0 || t_s.is_nan() {
-            return (m[0], still, still);
+            // Nobody holds a button before the motion begins.
+            let buttons = if t_s == 0.0 {
+                m[0].buttons
+            } else {
+                Buttons::NONE
+            };
+            return (Moment { buttons, ..m[0] }, still, still);
         }
         if t_s >= m[last].t_s {
             return (m[last], still, still);
@@ -259,13 +281,22 @@ impl Motion {
     }
 }
 
+/// Without the byte order mark that some programs begin a text with.
+fn without_mark(text: &str) -> &str {
+    text.strip_prefix('\u{feff}').unwrap_or(text)
+}
+
 fn moment(names: &[&str], row: &[f64]) -> Result<Moment, &'static str> {
     let column = |name: &str| names.iter().position(|n| *n == name).map(|k| row[k]);
     let number = |name: &str| column(name).unwrap_or(0.0);
     let orientation = match column("qw") {
         Some(w) => {
             let q = Quaternion::new(w, number("qx"), number("qy"), number("qz"));
-            UnitQuaternion::try_new(q, 1e-3).ok_or("the quaternion is zero")?
+            let length = q.norm();
+            if !(1e-3..=1e3).contains(&length) {
+                return Err("the quaternion is zero, or far from one");
+            }
+            UnitQuaternion::new_normalize(q)
         }
         None => UnitQuaternion::identity(),
     };

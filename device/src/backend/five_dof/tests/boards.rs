@@ -195,7 +195,7 @@ fn a_cable_that_is_pulled_stops_the_motors_and_is_said() {
     sabotage.unplug();
     assert_eq!(
         device.write(at(500_000), push),
-        Written::Rejected(Rejection::Driver { code: 0 })
+        Written::Rejected(Rejection::Driver { code: -1 })
     );
     assert_eq!(device.read(at(501_000)), Err(DeviceFault::Unplugged));
     assert_eq!(device.force_state(), ForceState::Off);
