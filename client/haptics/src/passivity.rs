@@ -15,16 +15,18 @@
 //! E_k - E_0 >= J v + J²/(2 m)        J = T (|F| + |F|²/(2 δ)),  T the period
 //! ```
 //!
-//! which is solved for |F|. A spring stores |F|²/(2 K): it never comes near while |F| < 2 (δ/T) √(m/K), or 19 N for
+//! which is solved for |F|. A spring stores |F|²/(2 K): it never comes near while |F| < 2 (δ/T) √(m/K), or 17 N for
 //! 400 N/m. So soft tissue is rendered as it is, and a wall that the delay of a solver makes lively loses force
 //! before it can throw the hand back.
 //!
 //! Others who press on the same tissue put work into it, too, and this hand may well be pushed by them: what they have
-//! put in, less what they have got back, is in the tank as well ([`ContactModel::others_j`](crate::ContactModel)).
+//! put in, less what they have got back, counts as well ([`ContactModel::others_j`](crate::ContactModel)), and pays for
+//! what they have moved this hand by.
 //!
-//! What is stored ends with the contact, not at once, as a model without contact may come between two with one: a tool
-//! that has come off has got back all that an elastic tissue owes. Nor does the tank hold more than the force over the depth of any press, so what friction has taken up is not spent on
-//! a later oscillation.
+//! What is stored, or owed, ends with the contact, not at once, as a model without contact may come between two with
+//! one: a tool that has come off has got back all that an elastic tissue owes. Nor does the tank hold more than the
+//! force over the depth of any press, so what friction has taken up is not spent on a later oscillation. Where nothing
+//! is known of the way here (a fault, a jump) the tissue is believed to store what a spring does, |F|²/(2 K).
 
 use nalgebra::Vector3;
 use palpate_protocol::Span;
