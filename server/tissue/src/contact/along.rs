@@ -174,6 +174,26 @@ mod tests {
     }
 
     proptest! {
+        /// Whatever is left out by [`Row::meets`] does nothing between the bounds.
+        #[test]
+        fn what_meets_nowhere_does_no_work(
+            from in prop::array::uniform3(-12e-3..12e-3f64), by in prop::array::uniform3(-10e-3..10e-3f64),
+            low in -2.0..1.0f64, wide in 0.0..4.0f64, still in any::<bool>(),
+        ) {
+            let row = Row {
+                from: from.into(),
+                by: if still { Vec3::zeros() } else { by.into() },
+                ..ball(0.0, 400.0)
+            };
+            let bounds = [low, low + wide];
+            let (meets, pierces) = (row.meets(bounds), row.pierces());
+            let row = (row, false);
+            for k in 0..=200 {
+                let s = low + wide * f64::from(k) / 200.0;
+                prop_assert!(meets || pierces || work(&row, s) == 0.0, "work at {}", s);
+            }
+        }
+
         #[test]
         fn at_rest_no_work_is_left(
             from in -10e-3..-6e-3f64, stiffness in 10.0..1e4f64, here in 1e-6..1e-3f64, falls in 0.0..1e-3f64
