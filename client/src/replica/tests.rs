@@ -197,3 +197,37 @@ fn a_cut_that_nothing_here_can_make_is_an_error_and_not_forgotten() {
     ));
     assert_eq!(replica.topology().version(), 0);
 }
+
+#[test]
+fn what_another_hand_puts_in_and_gets_back_is_counted() {
+    // A tool against 400 N/m along z: in by 10 mm, and out again, in steps of a millimetre.
+    let reaction = |depth: f64| Reaction {
+        tool: 7,
+        force: Vec3::new(0.0, 0.0, 400.0 * depth),
+        stiffness: nalgebra::Matrix3::zeros(),
+        normal: Vec3::z(),
+        contacts: 1,
+        friction_static: 0.0,
+        friction_dynamic: 0.0,
+        force_error: 0.0,
+        at: Vec3::new(0.0, 0.0, -depth),
+    };
+    let mut others = super::Others::default();
+    for mm in 0..=10 {
+        others.note([reaction(1e-3 * f64::from(mm))].iter());
+    }
+    let stored = 0.5 * 400.0 * 1e-4;
+    assert!(
+        (others.work_j - stored).abs() < 1e-12,
+        "{} J",
+        others.work_j
+    );
+    for mm in (0..10).rev() {
+        others.note([reaction(1e-3 * f64::from(mm))].iter());
+    }
+    assert!(others.work_j.abs() < 1e-12, "{} J", others.work_j);
+    // Who was away in between has done nothing on the way.
+    others.note([].iter());
+    others.note([reaction(0.01)].iter());
+    assert!(others.work_j.abs() < 1e-12);
+}
