@@ -212,7 +212,7 @@ fn what_another_hand_puts_in_and_gets_back_is_counted() {
         force_error: 0.0,
         at: Vec3::new(0.0, 0.0, -depth),
     };
-    let mut others = super::Others::default();
+    let mut others = Others::default();
     for mm in 0..=10 {
         others.note([reaction(1e-3 * f64::from(mm))].iter());
     }
