@@ -11,7 +11,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use palpate_haptics::ContactModel;
+use palpate_haptics::{ContactModel, Touch};
 use palpate_protocol::ClientTime;
 use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_tissue::{
@@ -248,22 +248,20 @@ fn contact_model(now: ClientTime, topology_version: u32, r: &Reaction) -> Contac
         topology_version,
         solved_at: now,
         x0: r.at,
-        f0: r.force,
-        stiffness: r.stiffness,
-        damping: (DAMPING_S * along).min(DAMPING_MAX_NS_PER_M),
-        normal: r.normal,
-        mu_static: r.friction_static,
-        mu_dynamic: r.friction_dynamic.min(r.friction_static),
         radius: MODEL_RADIUS_M,
-        in_contact: true,
-        others_j: 0.0,
+        ..ContactModel::single(Touch {
+            damping: (DAMPING_S * along).min(DAMPING_MAX_NS_PER_M),
+            mu_static: r.friction_static,
+            mu_dynamic: r.friction_dynamic.min(r.friction_static),
+            ..Touch::at_pivot(r.force, r.stiffness, r.normal)
+        })
     }
 }
 
 /// A model that the force loop does not take.
 fn unusable(free: ContactModel) -> ContactModel {
     ContactModel {
-        f0: Vec3::repeat(f64::NAN),
+        couple: Vec3::repeat(f64::NAN),
         ..free
     }
 }

@@ -51,18 +51,19 @@ struct Law {
 
 impl Law {
     fn of(model: &ContactModel, cap: StiffnessCap) -> Self {
-        let normal = model.normal;
+        let touch = &model.touches[0];
+        let normal = touch.normal;
         Self {
-            touches: model.in_contact,
+            touches: touch.touches,
             at: model.x0,
-            value: normal.dot(&model.f0),
-            gradient: normal * -cap.apply(model.normal_stiffness()),
+            value: normal.dot(&touch.f0),
+            gradient: normal * -cap.apply(touch.normal_stiffness()),
             reach: model.radius,
             normal,
-            damping: model.damping,
-            tangential: cap.apply(model.tangential_stiffness()),
-            mu_static: model.mu_static,
-            mu_dynamic: model.mu_dynamic.min(model.mu_static),
+            damping: touch.damping,
+            tangential: cap.apply(touch.tangential_stiffness()),
+            mu_static: touch.mu_static,
+            mu_dynamic: touch.mu_dynamic.min(touch.mu_static),
         }
     }
 
@@ -202,7 +203,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::Blend;
-    use crate::{ContactModel, StiffnessCap};
+    use crate::{ContactModel, StiffnessCap, Touch};
 
     fn cap() -> StiffnessCap {
         StiffnessCap::new(
@@ -230,17 +231,16 @@ mod tests {
     }
 
     fn model(us: i64, z: f64, force: f64, k: f64) -> ContactModel {
+        let f0 = Vector3::new(0.0, 0.0, force);
         ContactModel {
             solved_at: at(us),
             x0: Vector3::new(0.0, 0.0, z),
-            f0: Vector3::new(0.0, 0.0, force),
-            stiffness: Matrix3::from_diagonal_element(k),
-            damping: 0.0,
-            mu_static: 0.4,
-            mu_dynamic: 0.3,
             radius: 0.01,
-            in_contact: true,
-            ..ContactModel::FREE
+            ..ContactModel::single(Touch {
+                mu_static: 0.4,
+                mu_dynamic: 0.3,
+                ..Touch::at_pivot(f0, Matrix3::from_diagonal_element(k), Vector3::z())
+            })
         }
     }
 
@@ -255,7 +255,8 @@ mod tests {
                 us += ms * 1000;
                 let x = Vector3::new(0.0, 0.0, z * 0.3);
                 let before = blend.contact(at(us), &x, &v).normal_force;
-                let new = ContactModel { in_contact: touches, ..model(us, z, force, 300.0) };
+                let mut new = model(us, z, force, 300.0);
+                new.touches[0].touches = touches;
                 blend.take(&new, at(us), &x);
                 let after = blend.contact(at(us), &x, &v).normal_force;
                 prop_assert!((before - after).abs() < 1e-9, "{before} N became {after} N");
@@ -265,7 +266,8 @@ mod tests {
         #[test]
         fn the_force_never_pulls(z in -0.05f64..0.05, vz in -1.0f64..1.0, b in 0.0f64..50.0) {
             let mut blend = Blend::new(cap());
-            let m = ContactModel { damping: b, ..model(1000, 0.0, 1.0, 500.0) };
+            let mut m = model(1000, 0.0, 1.0, 500.0);
+            m.touches[0].damping = b;
             let (x, v) = (Vector3::new(0.0, 0.0, z), Vector3::new(0.0, 0.0, vz));
             blend.take(&m, at(1000), &x);
             for us in (1000..20_000).step_by(1000) {

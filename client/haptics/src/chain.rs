@@ -260,7 +260,7 @@ impl Chain {
             has_left,
         } = self
             .watchdog
-            .advance(age, is_outside, model.in_contact, dt, dt_up);
+            .advance(age, is_outside, model.in_contact(), dt, dt_up);
         let link = self.link.gain(now);
         let soft = if self.link.is_lost() {
             self.soft_start.gain()

@@ -28,6 +28,7 @@ mod friction;
 mod limits;
 mod passivity;
 mod soft_start;
+mod touch;
 mod watchdog;
 
 pub use blend::BLEND_MAX;
@@ -39,4 +40,5 @@ pub use friction::{Contact, Friction, FrictionConfig, Grip};
 pub use limits::{Slew, StiffnessCap, clamp_force};
 pub use passivity::{Given, Passivity, Seen};
 pub use soft_start::SoftStart;
+pub use touch::Touch;
 pub use watchdog::{LinkGuard, Watchdog, WatchdogConfig};

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
 use palpate_device::{DeviceTime, Faults, HapticDevice, Pose, Sample, Script};
-use palpate_haptics::{Chain, ChainConfig, ContactModel, Events, Tick};
+use palpate_haptics::{Chain, ChainConfig, ContactModel, Events, Tick, Touch};
 use palpate_protocol::ClientTime;
 use proptest::prelude::*;
 
@@ -36,21 +36,26 @@ fn sample(x: Vector3<f64>) -> Sample {
     Sample::resting(DeviceTime::ZERO, Pose::at(x))
 }
 
+/// A touch at the pivot with `force` N upwards against `k` N/m, with friction.
+fn touch(force: f64, k: f64) -> Touch {
+    let f0 = Vector3::new(0.0, 0.0, force);
+    Touch {
+        damping: 0.5,
+        mu_static: 0.5,
+        mu_dynamic: 0.35,
+        ..Touch::at_pivot(f0, Matrix3::from_diagonal_element(k), Vector3::z())
+    }
+}
+
 /// Pressed with `force` N against 300 N/m, as solved at `at`. Somebody else puts a watt into the tissue: a force that
 /// comes from nowhere would be taken away.
 fn pressed(at: ClientTime, force: f64) -> ContactModel {
     ContactModel {
         topology_version: 1,
         solved_at: at,
-        f0: Vector3::new(0.0, 0.0, force),
-        stiffness: Matrix3::from_diagonal_element(300.0),
-        damping: 0.5,
-        mu_static: 0.5,
-        mu_dynamic: 0.35,
         radius: 0.01,
-        in_contact: true,
         others_j: at.as_micros() as f64 * 1e-6,
-        ..ContactModel::FREE
+        ..ContactModel::single(touch(force, 300.0))
     }
 }
 
@@ -103,9 +108,10 @@ fn force_is_zero_150_ms_after_the_last_solve() {
 fn a_model_that_is_not_finite_is_as_good_as_none() {
     let (mut chain, t0) = holding(8.0);
     let at_rest = sample(Vector3::zeros());
-    let bad = |t| ContactModel {
-        f0: Vector3::repeat(f64::NAN),
-        ..pressed(ms(t), 8.0)
+    let bad = |t| {
+        let mut model = pressed(ms(t), 8.0);
+        model.touches[0].f0 = Vector3::repeat(f64::NAN);
+        model
     };
     // The last good one was solved up to 4 ms before.
     fades(|t| chain.tick(ms(t0 + t), &at_rest, &bad(t0 + t)), 150);
@@ -187,11 +193,14 @@ fn a_faulty_sample_takes_the_force_away_and_is_counted() {
 fn who_presses_while_forces_are_withheld_feels_them_afterwards() {
     // 10 mm deep in 300 ms, within the soft start; then a lost link while the hand goes 4 mm deeper.
     let mut chain = chain();
-    let alone = |t: i64, x: &Vector3<f64>| ContactModel {
-        x0: *x,
-        in_contact: x.z < 0.0,
-        others_j: 0.0,
-        ..pressed(ms(t - t % 4), -300.0 * x.z)
+    let alone = |t: i64, x: &Vector3<f64>| {
+        let mut model = ContactModel {
+            x0: *x,
+            others_j: 0.0,
+            ..pressed(ms(t - t % 4), -300.0 * x.z)
+        };
+        model.touches[0].touches = x.z < 0.0;
+        model
     };
     let mut model = ContactModel::FREE;
     let mut last = 0.0;
@@ -250,22 +259,12 @@ fn a_pause_of_the_thread_skips_no_ramp() {
 fn numbers_beyond_all_measure_leave_nothing_behind() {
     let (mut chain, t0) = holding(3.0);
     let big = f64::MAX;
-    let wild = [
-        ContactModel {
-            f0: Vector3::repeat(big),
-            normal: Vector3::repeat(1.0 / 3.0_f64.sqrt()),
-            ..pressed(ms(t0), 3.0)
-        },
-        ContactModel {
-            stiffness: Matrix3::repeat(big),
-            ..pressed(ms(t0 + 1), 3.0)
-        },
-        ContactModel {
-            damping: big,
-            radius: big,
-            ..pressed(ms(t0 + 2), 3.0)
-        },
-    ];
+    let mut wild = [t0, t0 + 1, t0 + 2].map(|t| pressed(ms(t), 3.0));
+    wild[0].touches[0].f0 = Vector3::repeat(big);
+    wild[0].touches[0].normal = Vector3::repeat(1.0 / 3.0_f64.sqrt());
+    wild[1].touches[0].stiffness = Matrix3::repeat(big);
+    wild[2].touches[0].damping = big;
+    wild[2].radius = big;
     for (t, model) in (t0..).zip(&wild) {
         chain.tick(ms(t), &sample(Vector3::repeat(big)), model);
         chain.tick(ms(t), &sample(Vector3::repeat(-big)), model);
@@ -320,9 +319,11 @@ fn press(interval: i64, delay: i64) -> (f64, f64) {
         if t % interval == 0 {
             solving = ContactModel {
                 x0: x,
-                stiffness: Matrix3::from_diagonal_element(k),
-                in_contact: x.z < 0.0,
                 ..pressed(ms(t), force)
+            };
+            solving.touches[0] = Touch {
+                touches: x.z < 0.0,
+                ..touch(force, k)
             };
         }
         if t % interval == delay {
@@ -410,14 +411,14 @@ proptest! {
             match m.what {
                 0..8 => s.pose.position.y = f64::NAN,
                 8..14 => s.velocity.x = f64::INFINITY,
-                14..20 => model.f0.x = f64::NAN,
-                20..26 => model.stiffness = Matrix3::repeat(f64::MAX),
+                14..20 => model.touches[0].f0.x = f64::NAN,
+                20..26 => model.touches[0].stiffness = Matrix3::repeat(f64::MAX),
                 26..32 => model = ContactModel::free_at(solved_at, 1),
                 32..38 => s.faults = Faults::COMMUNICATION,
                 38..44 => chain.link_lost(now),
                 44..60 => chain.link_restored(now),
                 60..64 => s.pose.position *= 1e300,
-                64..70 => model.normal = Vector3::x(),
+                64..70 => model.touches[0].normal = Vector3::x(),
                 _ => {}
             }
             let tick = if (70..76).contains(&m.what) {

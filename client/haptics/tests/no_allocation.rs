@@ -10,7 +10,7 @@ use palpate_device::backend::five_dof;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
 use palpate_device::{DeviceTime, HapticDevice, Script};
-use palpate_haptics::{Chain, ChainConfig, ContactModel, Counters};
+use palpate_haptics::{Chain, ChainConfig, ContactModel, Counters, Touch};
 use palpate_protocol::ClientTime;
 
 thread_local! {
@@ -52,18 +52,19 @@ static ALLOCATOR: Counting = Counting;
 
 fn tissue(us: i64, x: Vector3<f64>) -> ContactModel {
     let depth = -x.z;
+    let f0 = Vector3::new(0.0, 0.0, 400.0 * depth);
     ContactModel {
         topology_version: 1,
         solved_at: ClientTime::from_micros(us),
         x0: x,
-        f0: Vector3::new(0.0, 0.0, 400.0 * depth),
-        stiffness: Matrix3::from_diagonal_element(400.0),
-        damping: 0.5,
-        mu_static: 0.4,
-        mu_dynamic: 0.3,
         radius: 0.005,
-        in_contact: depth > 0.0,
-        ..ContactModel::FREE
+        ..ContactModel::single(Touch {
+            touches: depth > 0.0,
+            damping: 0.5,
+            mu_static: 0.4,
+            mu_dynamic: 0.3,
+            ..Touch::at_pivot(f0, Matrix3::from_diagonal_element(400.0), Vector3::z())
+        })
     }
 }
 
@@ -107,7 +108,7 @@ fn ticks(device: &mut dyn HapticDevice) -> (u64, Counters) {
                 model = tissue(us, sample.pose.position);
             }
             if tick % 3000 == 0 {
-                model.f0.x = f64::NAN;
+                model.couple.x = f64::NAN;
             }
             chain.tick(now, &sample, &model)
         };

@@ -9,7 +9,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 use palpate_device::{DeviceCaps, DeviceTime, Pose, Sample, Workspace};
-use palpate_haptics::{Chain, ChainConfig, ContactModel, Counters};
+use palpate_haptics::{Chain, ChainConfig, ContactModel, Counters, Touch};
 use palpate_protocol::ClientTime;
 
 /// The sub-step of the hand, s.
@@ -65,15 +65,17 @@ fn run(case: Case, controlled: bool) -> (Counters, f64) {
         let solved = tick.saturating_sub(case.delay) / 4 * 4;
         let x0 = path[solved];
         let depth = (-x0).max(0.0);
+        let f0 = Vector3::new(0.0, 0.0, case.stiffness * depth);
+        let stiffness = Matrix3::from_diagonal_element(case.stiffness);
         let model = ContactModel {
             topology_version: 1,
             solved_at: ClientTime::from_micros(1_000_000 + 1000 * solved as i64),
             x0: Vector3::new(0.0, 0.0, x0),
-            f0: Vector3::new(0.0, 0.0, case.stiffness * depth),
-            stiffness: Matrix3::from_diagonal_element(case.stiffness),
             radius: 0.01,
-            in_contact: depth > 0.0,
-            ..ContactModel::FREE
+            ..ContactModel::single(Touch {
+                touches: depth > 0.0,
+                ..Touch::at_pivot(f0, stiffness, Vector3::z())
+            })
         };
         let mut sample = Sample::resting(DeviceTime::ZERO, Pose::at(Vector3::new(0.0, 0.0, x)));
         sample.velocity.z = v;

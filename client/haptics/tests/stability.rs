@@ -16,7 +16,7 @@
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 use palpate_device::{DeviceCaps, DeviceTime, Pose, Sample, Workspace};
-use palpate_haptics::{Chain, ChainConfig, ContactModel};
+use palpate_haptics::{Chain, ChainConfig, ContactModel, Touch};
 use palpate_protocol::ClientTime;
 
 const MASS: f64 = 0.1;
@@ -113,11 +113,12 @@ fn growth(b: f64, k: f64, assumed_b: f64) -> f64 {
         let model = ContactModel {
             topology_version: 1,
             solved_at: now,
-            f0: Vector3::new(0.0, 0.0, 5.0),
-            stiffness: Matrix3::from_diagonal_element(k),
             radius: 0.01,
-            in_contact: true,
-            ..ContactModel::FREE
+            ..ContactModel::single(Touch::at_pivot(
+                Vector3::new(0.0, 0.0, 5.0),
+                Matrix3::from_diagonal_element(k),
+                Vector3::z(),
+            ))
         };
         let mut sample = Sample::resting(DeviceTime::ZERO, Pose::at(Vector3::new(0.0, 0.0, x)));
         sample.velocity.z = v;

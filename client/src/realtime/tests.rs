@@ -11,7 +11,7 @@ use palpate_device::{
     Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice, Pose,
     Sample, Script, Wrench, Written,
 };
-use palpate_haptics::{Chain, ChainConfig, ContactModel};
+use palpate_haptics::{Chain, ChainConfig, ContactModel, Touch};
 
 use super::{Frame, HapticHandle, HapticPorts, RealtimeConfig, SpawnError, monotonic_now, spawn};
 
@@ -100,11 +100,12 @@ fn contact() -> ContactModel {
         topology_version: 1,
         solved_at: now,
         others_j: now.as_micros() as f64 * 1e-6,
-        f0: Vector3::new(0.0, 0.0, 3.0),
-        stiffness: Matrix3::from_diagonal_element(300.0),
         radius: 0.05,
-        in_contact: true,
-        ..ContactModel::FREE
+        ..ContactModel::single(Touch::at_pivot(
+            Vector3::new(0.0, 0.0, 3.0),
+            Matrix3::from_diagonal_element(300.0),
+            Vector3::z(),
+        ))
     }
 }
 

@@ -77,18 +77,21 @@ fn a_press_gives_a_force_outwards_and_a_model_the_loop_can_use() {
     let now = ClientTime::from_micros(5);
     let own = tool(1, 5.0 * CELL, 3e-3);
     let model = replica.haptic_step(now, Some(&own), &[], thorough());
-    assert!(model.is_usable() && model.in_contact);
-    assert!(model.f0.z > 0.01 && model.normal.z > 0.9, "{model:?}");
+    assert!(model.is_usable() && model.in_contact());
+    assert!(
+        model.force().z > 0.01 && model.touches[0].normal.z > 0.9,
+        "{model:?}"
+    );
     assert!((model.x0 - own.position).norm() < 1e-9);
     assert_eq!(model.solved_at, now);
     let deeper = tool(1, 5.0 * CELL, 4e-3);
     let more = replica.haptic_step(now, Some(&deeper), &[], thorough());
-    assert!(more.f0.z > model.f0.z);
+    assert!(more.force().z > model.force().z);
     let away = tool(1, 5.0 * CELL, -10e-3);
     assert!(
         !replica
             .haptic_step(now, Some(&away), &[], thorough())
-            .in_contact
+            .in_contact()
     );
 }
 
@@ -100,7 +103,7 @@ fn a_blade_that_cuts_feels_nothing() {
     let touches = replica.haptic_step(ClientTime::ZERO, Some(&own), &[], thorough());
     own.buttons = 1;
     let cuts = replica.haptic_step(ClientTime::ZERO, Some(&own), &[], thorough());
-    assert!(touches.in_contact && !cuts.in_contact);
+    assert!(touches.in_contact() && !cuts.in_contact());
 }
 
 #[test]
@@ -110,7 +113,7 @@ fn another_tool_beside_ones_own_changes_what_is_felt() {
     let alone = replica.haptic_step(ClientTime::ZERO, Some(&own), &[], thorough());
     let other = tool(2, 7.5 * CELL, 5e-3);
     let both = replica.haptic_step(ClientTime::ZERO, Some(&own), &[other], thorough());
-    assert!((alone.f0 - both.f0).norm() > 1e-3 * alone.f0.norm());
+    assert!((alone.force() - both.force()).norm() > 1e-3 * alone.force().norm());
 }
 
 #[test]

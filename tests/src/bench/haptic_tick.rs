@@ -11,7 +11,7 @@ use palpate_device::backend::five_dof;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
 use palpate_device::{DeviceTime, HapticDevice, Script};
-use palpate_haptics::{Chain, ChainConfig, ContactModel};
+use palpate_haptics::{Chain, ChainConfig, ContactModel, Touch};
 use palpate_protocol::ClientTime;
 use serde::Serialize;
 
@@ -124,18 +124,19 @@ fn script() -> Result<Script, palpate_device::ScriptError> {
 
 fn tissue(now: ClientTime, x: Vector3<f64>) -> ContactModel {
     let depth = (-x.z).max(0.0);
+    let f0 = Vector3::new(0.0, 0.0, 300.0 * depth);
     ContactModel {
         topology_version: 1,
         solved_at: now,
         x0: x,
-        f0: Vector3::new(0.0, 0.0, 300.0 * depth),
-        stiffness: Matrix3::from_diagonal_element(300.0),
-        damping: 0.3,
-        mu_static: 0.3,
-        mu_dynamic: 0.2,
         radius: 8e-3,
-        in_contact: depth > 0.0,
-        ..ContactModel::FREE
+        ..ContactModel::single(Touch {
+            touches: depth > 0.0,
+            damping: 0.3,
+            mu_static: 0.3,
+            mu_dynamic: 0.2,
+            ..Touch::at_pivot(f0, Matrix3::from_diagonal_element(300.0), Vector3::z())
+        })
     }
 }
 

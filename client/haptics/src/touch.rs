@@ -1,0 +1,169 @@
+//! One place of a tool at which tissue touches it.
+//!
+//! Around the pose that was solved the force on the tool there is linear in how far the place has moved from where it
+//! was (d) and in how fast it moves (v):
+//!
+//! ```text
+//! f(d, v) = f0 − K d − B v
+//! ```
+//!
+//! with K symmetric positive semidefinite, so that moving deeper raises the push outwards. (Texts that write F0 + K d
+//! mean the derivative of the force, which is −K here.)
+
+use nalgebra::{Matrix3, Vector3};
+
+/// The largest component of a place's force, N, or of a torque, N·m, and the largest of its coefficients (stiffness in
+/// N/m, damping in N·s/m, lengths in m) in [`COEFFICIENT_MAX`]. A solver that says more has diverged, and sums of such
+/// numbers could overflow; the model is refused.
+pub(crate) const FORCE_MAX_N: f64 = 1e6;
+
+/// See [`FORCE_MAX_N`].
+pub(crate) const COEFFICIENT_MAX: f64 = 1e9;
+
+/// One place of a tool at which tissue touches it, as it was when it was solved. Its position in
+/// [`ContactModel::touches`](crate::ContactModel::touches) is the place's number ON THE TOOL (a station along a line, a
+/// cell of a plate), so that it is the same contact from model to model, and its friction goes on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Touch {
+    /// Whether it touches at all. When not, nothing else of it counts.
+    pub touches: bool,
+    /// From the tool's pivot (the position of [`Sample::pose`](palpate_device::Sample)) to the place, m, along the
+    /// scene's axes.
+    pub lever: Vector3<f64>,
+    /// Force on the tool there (f0), N, without friction. The loop uses its part along the normal; what acts along the
+    /// surface is the friction stage's.
+    pub f0: Vector3<f64>,
+    /// This place's own part of the stiffness (K), N/m, symmetric positive semidefinite.
+    pub stiffness: Matrix3<f64>,
+    /// Damping B, N·s/m.
+    pub damping: f64,
+    /// Unit normal of the surface, out of the tissue.
+    pub normal: Vector3<f64>,
+    /// What presses there from all sides, N, at least |f0|. Friction is in proportion to it: a needle in its channel is
+    /// pressed from two sides that cancel in f0.
+    pub pressed_n: f64,
+    /// Coefficient of static friction.
+    pub mu_static: f64,
+    /// Coefficient of dynamic friction, at most the static one.
+    pub mu_dynamic: f64,
+}
+
+impl Touch {
+    /// A place that nothing touches.
+    pub const NONE: Self = Self {
+        touches: false,
+        lever: Vector3::new(0.0, 0.0, 0.0),
+        f0: Vector3::new(0.0, 0.0, 0.0),
+        stiffness: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        damping: 0.0,
+        normal: Vector3::new(0.0, 0.0, 1.0),
+        pressed_n: 0.0,
+        mu_static: 0.0,
+        mu_dynamic: 0.0,
+    };
+
+    /// A touch at the pivot itself, pressed from one side with `f0` (N) along the unit `normal` against `stiffness`
+    /// (N/m), without damping and friction.
+    pub fn at_pivot(f0: Vector3<f64>, stiffness: Matrix3<f64>, normal: Vector3<f64>) -> Self {
+        Self {
+            touches: true,
+            f0,
+            stiffness,
+            normal,
+            pressed_n: f0.norm(),
+            ..Self::NONE
+        }
+    }
+
+    /// The linear law when the place has moved by `d` (m) and moves with `v` (m/s), N: not yet one-sided, not yet with
+    /// friction.
+    pub fn linear_force(&self, d: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
+        self.f0 - self.stiffness * d - self.damping * v
+    }
+
+    /// What presses from two sides and cancels in f0 (s), N: it stays while the place touches, and only friction feels
+    /// it.
+    pub fn squeeze_n(&self) -> f64 {
+        (self.pressed_n - self.f0.norm()).max(0.0)
+    }
+
+    /// Stiffness along the normal, N/m.
+    pub fn normal_stiffness(&self) -> f64 {
+        self.normal.dot(&(self.stiffness * self.normal)).max(0.0)
+    }
+
+    /// Stiffness across the normal, N/m: the mean of the two tangential directions.
+    ///
+    /// A solver that lets the contact slide freely reports next to none; the material sticks to
+    /// the tool all the same, so below a tenth of the normal stiffness two thirds of that are
+    /// taken, the ratio of an incompressible half-space (Mindlin 1949: 2 (1 − ν) / (2 − ν)).
+    pub fn tangential_stiffness(&self) -> f64 {
+        let normal = self.normal_stiffness();
+        let tangential = 0.5 * (self.stiffness.trace() - normal);
+        if tangential >= 0.1 * normal {
+            tangential.max(0.0)
+        } else {
+            normal * 2.0 / 3.0
+        }
+    }
+
+    /// Whether the loop may use it: finite, a unit normal, no negative coefficient, nothing beyond all measure.
+    pub(crate) fn is_usable(&self) -> bool {
+        // A comparison with a number that is none is false.
+        let scalars = [
+            self.damping,
+            self.mu_static,
+            self.mu_dynamic,
+            self.pressed_n,
+        ];
+        !self.touches
+            || self.f0.iter().all(|c| c.abs() <= FORCE_MAX_N)
+                && self
+                    .lever
+                    .iter()
+                    .chain(&self.stiffness)
+                    .all(|c| c.abs() <= COEFFICIENT_MAX)
+                && scalars.iter().all(|c| (0.0..=COEFFICIENT_MAX).contains(c))
+                && (self.normal.norm() - 1.0).abs() < 1e-3
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix3, Vector3};
+
+    use super::Touch;
+
+    fn pressed() -> Touch {
+        let stiffness = Matrix3::from_diagonal(&Vector3::new(100.0, 120.0, 400.0));
+        Touch::at_pivot(Vector3::new(0.0, 0.0, 2.0), stiffness, Vector3::z())
+    }
+
+    #[test]
+    fn deeper_is_a_stronger_push_outwards() {
+        let deeper = pressed().linear_force(&Vector3::new(0.0, 0.0, -0.001), &Vector3::zeros());
+        assert!((deeper.z - 2.4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn stiffness_splits_along_and_across_the_normal() {
+        let m = pressed();
+        assert!((m.normal_stiffness() - 400.0).abs() < 1e-9);
+        assert!((m.tangential_stiffness() - 110.0).abs() < 1e-9);
+        let slippery = Touch {
+            stiffness: Matrix3::from_diagonal(&Vector3::new(0.0, 0.0, 300.0)),
+            ..m
+        };
+        assert!((slippery.tangential_stiffness() - 200.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn what_presses_from_one_side_squeezes_nothing() {
+        assert_eq!(pressed().squeeze_n(), 0.0);
+        let needle = Touch {
+            pressed_n: 5.0,
+            ..pressed()
+        };
+        assert!((needle.squeeze_n() - 3.0).abs() < 1e-12);
+    }
+}
