@@ -1,27 +1,31 @@
 //! From one contact model to the next without a step.
 //!
-//! A model arrives every 4 to 10 ms, and tissue is not linear: at the tool's present position the
-//! new one says another force than the old one. Over the time between the two solves the normal
-//! force therefore goes from the one law to the other:
+//! A model arrives every 4 to 10 ms, and tissue is not linear: at the tool's present pose the
+//! new one says other forces than the old one. Over the time between the two solves the normal
+//! force of each place therefore goes from the one law (`law`) to the other:
 //!
 //! ```text
 //! N(x) = (1 − w) N_old(x) + w N_new(x),   w from 0 to 1
-//! N_i(x) = max(0, φ_i + g_i · (x − p_i) − d),   |d| <= φ_i
 //! ```
 //!
-//! with φ the normal force at p, g = −k n its gradient and d = B n·v the damping. Both laws follow
-//! the tool, so the blend delays what is new in a model by at most one interval, and never the
+//! A place that is new grows from nothing, one that is gone fades to it, and levers and normals go along with them. All
+//! laws follow the tool, so the blend delays what is new in a model by at most one interval, and never the
 //! answer to a motion. When a third model comes before the blend is over, the mixture of the
 //! moment becomes the old law: it starts at exactly the force that was given.
 //!
+//! The couple of a model counts with the share of what pressed at its solve and presses now, at most one: a tool that
+//! comes off is not twisted.
+//!
 //! Only the normal part of a model is used here; what acts along the surface is friction's own
-//! (see `friction`), and a frictionless surface has none. With a constant k the normal force is a
+//! (see `friction`), and a frictionless surface has none. With a constant k the normal force of a place is a
 //! function of one coordinate, so it creates no energy, whatever the path.
 
 use nalgebra::Vector3;
 use palpate_protocol::{ClientTime, Span};
 
-use crate::{Contact, ContactModel, StiffnessCap};
+use crate::law::{Law, Said};
+use crate::motion::Motion;
+use crate::{CONTACTS_MAX, Contact, ContactModel, Coupling};
 
 /// The longest blend. Models further apart than this are late, and what a late model says is
 /// wanted soon.
@@ -30,83 +34,79 @@ pub const BLEND_MAX: Span = Span::from_millis(10);
 /// The shortest blend: one tick.
 const BLEND_MIN: Span = Span::from_millis(1);
 
-/// One one-sided law of normal force.
+/// The laws of all places of one model.
 #[derive(Debug, Clone, Copy)]
-struct Law {
-    touches: bool,
-    /// p, m.
-    at: Vector3<f64>,
-    /// φ, N.
-    value: f64,
-    /// g, N/m.
-    gradient: Vector3<f64>,
-    /// |x − p| beyond this counts as this, m.
-    reach: f64,
-    normal: Vector3<f64>,
-    damping: f64,
-    tangential: f64,
-    mu_static: f64,
-    mu_dynamic: f64,
+struct Laws {
+    places: [Law; CONTACTS_MAX],
+    /// C, N·m.
+    couple: Vector3<f64>,
+    /// What presses in all places where C holds, N.
+    pressed: f64,
 }
 
-impl Law {
-    fn of(model: &ContactModel, cap: StiffnessCap) -> Self {
-        let touch = &model.touches[0];
-        let normal = touch.normal;
+impl Laws {
+    const FREE: Self = Self {
+        places: [Law::FREE; CONTACTS_MAX],
+        couple: Vector3::new(0.0, 0.0, 0.0),
+        pressed: 0.0,
+    };
+
+    fn of(model: &ContactModel, coupling: &Coupling) -> Self {
+        let slopes = coupling.slopes(model);
+        let mut places = [Law::FREE; CONTACTS_MAX];
+        let mut pressed = 0.0;
+        for i in 0..CONTACTS_MAX {
+            places[i] = Law::of(model, i, &slopes[i]);
+            pressed += places[i].pressed_at_solve();
+        }
         Self {
-            touches: touch.touches,
-            at: model.x0,
-            value: normal.dot(&touch.f0),
-            gradient: normal * -cap.apply(touch.normal_stiffness()),
-            reach: model.radius,
-            normal,
-            damping: touch.damping,
-            tangential: cap.apply(touch.tangential_stiffness()),
-            mu_static: touch.mu_static,
-            mu_dynamic: touch.mu_dynamic.min(touch.mu_static),
+            places,
+            couple: model.couple,
+            pressed,
         }
     }
 
-    /// N at `x` while moving with `v`.
-    fn normal_force(&self, x: &Vector3<f64>, v: &Vector3<f64>) -> f64 {
-        if !self.touches {
-            return 0.0;
-        }
-        let away = x - self.at;
-        let far = away.norm();
-        let within = if far > self.reach {
-            away * (self.reach / far)
+    /// The couple where `pressed` newtons press, N·m.
+    fn couple_at(&self, pressed: f64) -> Vector3<f64> {
+        if self.pressed > 0.0 {
+            self.couple * (pressed / self.pressed).min(1.0)
         } else {
-            away
-        };
-        let spring = self.value + self.gradient.dot(&within);
-        if spring <= 0.0 {
-            return 0.0;
+            Vector3::zeros()
         }
-        // Bounded by the spring, so that touching and leaving are not steps.
-        spring - (self.damping * self.normal.dot(v)).clamp(-spring, spring)
     }
 }
 
-/// The contact at the present position, smooth over arrivals of models.
+/// One place that touches, at the present pose.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Felt {
+    /// Its number on the tool.
+    pub(crate) place: usize,
+    /// From the pivot, m, along the scene's axes.
+    pub(crate) lever: Vector3<f64>,
+    /// Force along the normal, N; negative only where tissue squeezes from two sides.
+    pub(crate) normal_force: f64,
+    /// What friction has to know.
+    pub(crate) contact: Contact,
+}
+
+/// The contacts at the present pose, smooth over arrivals of models.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Blend {
-    cap: StiffnessCap,
+    coupling: Coupling,
     model: ContactModel,
-    old: Law,
-    new: Law,
+    old: Laws,
+    new: Laws,
     began: ClientTime,
     length: Span,
 }
 
 impl Blend {
-    pub(crate) fn new(cap: StiffnessCap) -> Self {
-        let free = Law::of(&ContactModel::FREE, cap);
+    pub(crate) fn new(coupling: Coupling) -> Self {
         Self {
-            cap,
+            coupling,
             model: ContactModel::FREE,
-            old: free,
-            new: free,
+            old: Laws::FREE,
+            new: Laws::FREE,
             began: ClientTime::ZERO,
             length: BLEND_MIN,
         }
@@ -118,31 +118,61 @@ impl Blend {
     }
 
     /// Takes `model`, which is usable, if it is a new one.
-    pub(crate) fn take(&mut self, model: &ContactModel, now: ClientTime, x: &Vector3<f64>) {
+    pub(crate) fn take(&mut self, model: &ContactModel, now: ClientTime, motion: &Motion) {
         let id = |m: &ContactModel| (m.topology_version, m.solved_at);
         if id(model) == id(&self.model) {
             return;
         }
-        self.old = self.mixture(now, x);
-        self.new = Law::of(model, self.cap);
+        self.old = self.mixture(now, &motion.held());
+        self.new = Laws::of(model, &self.coupling);
         self.length = (model.solved_at - self.model.solved_at).clamp(BLEND_MIN, BLEND_MAX);
         self.began = now;
         self.model = *model;
     }
 
-    /// Contact at `x` (m), moving with `v` (m/s).
-    pub(crate) fn contact(&self, now: ClientTime, x: &Vector3<f64>, v: &Vector3<f64>) -> Contact {
+    /// Tells `each` place that touches a tool in `motion`, in their order; the couple, N·m.
+    pub(crate) fn feel(
+        &self,
+        now: ClientTime,
+        motion: &Motion,
+        mut each: impl FnMut(Felt),
+    ) -> Vector3<f64> {
         let (a, b) = self.weights(now);
-        let mix = |old: f64, new: f64| a * old + b * new;
-        let (a_t, b_t) = self.weights_of_touching(now);
+        let (mut pressed_old, mut pressed_new) = (0.0, 0.0);
+        for place in 0..CONTACTS_MAX {
+            let (old, new) = (&self.old.places[place], &self.new.places[place]);
+            if !(old.touches || new.touches) {
+                continue;
+            }
+            let said = [old.say(motion), new.say(motion)];
+            pressed_old += said[0].pressed;
+            pressed_new += said[1].pressed;
+            each(self.mix(now, place, said));
+        }
+        self.old.couple_at(pressed_old) * a + self.new.couple_at(pressed_new) * b
+    }
+
+    /// What is felt in a `place` where the two laws say so.
+    fn mix(&self, now: ClientTime, place: usize, [said_old, said_new]: [Said; 2]) -> Felt {
+        let (old, new) = (&self.old.places[place], &self.new.places[place]);
+        let (a, b) = self.weights(now);
+        let (a_t, b_t) = self.weights_of_touching(now, place);
         let mix_t = |old: f64, new: f64| a_t * old + b_t * new;
-        Contact {
-            normal: self.normal(now),
-            normal_force: mix(self.old.normal_force(x, v), self.new.normal_force(x, v)),
-            stiffness: mix_t(self.old.tangential, self.new.tangential),
-            damping: mix_t(self.old.damping, self.new.damping),
-            mu_static: mix_t(self.old.mu_static, self.new.mu_static),
-            mu_dynamic: mix_t(self.old.mu_dynamic, self.new.mu_dynamic),
+        let squeeze = a * old.squeeze + b * new.squeeze;
+        let normal_force = a * said_old.normal_force + b * said_new.normal_force;
+        let normal = old.normal * a_t + new.normal * b_t;
+        Felt {
+            place,
+            lever: said_old.lever * a_t + said_new.lever * b_t,
+            normal_force,
+            contact: Contact {
+                normal: normal.try_normalize(0.1).unwrap_or(new.normal),
+                pressed: normal_force.abs() + squeeze,
+                stiffness: mix_t(old.tangential, new.tangential),
+                damping: mix_t(old.damping, new.damping),
+                mu_static: mix_t(old.mu_static, new.mu_static),
+                mu_dynamic: mix_t(old.mu_dynamic, new.mu_dynamic),
+            },
         }
     }
 
@@ -153,60 +183,58 @@ impl Blend {
         (1.0 - w, w)
     }
 
-    /// The same among laws that touch: a free model has no surface to mix in.
-    fn weights_of_touching(&self, now: ClientTime) -> (f64, f64) {
-        match (self.old.touches, self.new.touches) {
+    /// The same among laws that touch: a free place has no surface to mix in.
+    fn weights_of_touching(&self, now: ClientTime, place: usize) -> (f64, f64) {
+        match (
+            self.old.places[place].touches,
+            self.new.places[place].touches,
+        ) {
             (true, false) => (1.0, 0.0),
             (false, _) => (0.0, 1.0),
             (true, true) => self.weights(now),
         }
     }
 
-    fn normal(&self, now: ClientTime) -> Vector3<f64> {
-        let (a, b) = self.weights_of_touching(now);
-        let mixed = self.old.normal * a + self.new.normal * b;
-        mixed.try_normalize(0.1).unwrap_or(self.new.normal)
-    }
-
-    /// The law that is in force at `now`, around `x`, as one.
-    fn mixture(&self, now: ClientTime, x: &Vector3<f64>) -> Law {
-        let still = Vector3::zeros();
-        let contact = self.contact(now, x, &still);
+    /// The laws that are in force at `now`, around the pose that is `held`, as one.
+    fn mixture(&self, now: ClientTime, held: &Motion) -> Laws {
         let (a, b) = self.weights(now);
-        let slope = |law: &Law, share: f64| {
-            let pushes = law.normal_force(x, &still) > 0.0;
-            if pushes {
-                law.gradient * share
-            } else {
-                Vector3::zeros()
-            }
-        };
-        Law {
-            touches: contact.normal_force > 0.0,
-            at: *x,
-            value: contact.normal_force,
-            gradient: slope(&self.old, a) + slope(&self.new, b),
-            reach: self.new.reach.max(self.old.reach),
-            normal: contact.normal,
-            damping: contact.damping,
-            tangential: contact.stiffness,
-            mu_static: contact.mu_static,
-            mu_dynamic: contact.mu_dynamic,
-        }
+        let mut laws = Laws::FREE;
+        let couple = self.feel(now, held, |felt| {
+            let (old, new) = (&self.old.places[felt.place], &self.new.places[felt.place]);
+            let contact = felt.contact;
+            let law = Law {
+                touches: contact.pressed > 0.0,
+                value: felt.normal_force,
+                gradient: old.slope_at(held) * a + new.slope_at(held) * b,
+                reach: new.reach.max(old.reach),
+                normal: contact.normal,
+                damping: contact.damping,
+                tangential: contact.stiffness,
+                squeeze: a * old.squeeze + b * new.squeeze,
+                mu_static: contact.mu_static,
+                mu_dynamic: contact.mu_dynamic,
+                ..Law::FREE
+            };
+            laws.places[felt.place] = law.moved_to(&held.pose(), felt.lever);
+            laws.pressed += contact.pressed;
+        });
+        laws.couple = couple;
+        laws
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Matrix3, Vector3};
+    use nalgebra::{Matrix3, UnitQuaternion, Vector3};
     use palpate_protocol::{ClientTime, Span};
     use proptest::prelude::*;
 
-    use super::Blend;
-    use crate::{ContactModel, StiffnessCap, Touch};
+    use super::{Blend, Felt};
+    use crate::motion::Motion;
+    use crate::{CONTACTS_MAX, ContactModel, Coupling, StiffnessCap, Touch};
 
-    fn cap() -> StiffnessCap {
-        StiffnessCap::new(
+    fn coupling() -> Coupling {
+        let cap = StiffnessCap::new(
             &palpate_device::DeviceCaps {
                 name: "test".to_owned(),
                 dof_in: 3,
@@ -223,7 +251,40 @@ mod tests {
             },
             10.0,
             Span::from_millis(1),
-        )
+        );
+        Coupling::of_wrenches(cap, 0.05)
+    }
+
+    /// A tool that rests at `x`, turned by `turn` (rotation vector, rad).
+    fn resting(x: Vector3<f64>, turn: Vector3<f64>) -> Motion {
+        Motion {
+            x,
+            turn: UnitQuaternion::new(turn),
+            v: Vector3::zeros(),
+            w: Vector3::zeros(),
+        }
+    }
+
+    fn height(z: f64) -> Motion {
+        resting(Vector3::new(0.0, 0.0, z), Vector3::zeros())
+    }
+
+    /// Normal force of the only place, N.
+    fn normal_force(blend: &Blend, us: i64, motion: &Motion) -> f64 {
+        let mut sum = 0.0;
+        blend.feel(at(us), motion, |felt: Felt| sum += felt.normal_force);
+        sum
+    }
+
+    /// Force and torque of all places without friction.
+    fn wrench(blend: &Blend, us: i64, motion: &Motion) -> (Vector3<f64>, Vector3<f64>) {
+        let (mut force, mut torque) = (Vector3::zeros(), Vector3::zeros());
+        let couple = blend.feel(at(us), motion, |felt: Felt| {
+            let push = felt.contact.normal * felt.normal_force;
+            force += push;
+            torque += felt.lever.cross(&push);
+        });
+        (force, torque + couple)
     }
 
     fn at(us: i64) -> ClientTime {
@@ -244,67 +305,142 @@ mod tests {
         }
     }
 
+    fn vector(size: f64) -> impl Strategy<Value = Vector3<f64>> {
+        let c = -size..size;
+        (c.clone(), c.clone(), c).prop_map(|(x, y, z)| Vector3::new(x, y, z))
+    }
+
+    /// Models of tools that are touched here and there.
+    fn models() -> impl Strategy<Value = ContactModel> {
+        let touch = (
+            vector(0.1),
+            vector(1.0),
+            0.0f64..8.0,
+            any::<bool>(),
+            0.0f64..2.0,
+        );
+        let touch = touch.prop_map(|(lever, along, force, touches, squeeze)| {
+            let normal = along.try_normalize(1e-3).unwrap_or_else(Vector3::z);
+            let k = Matrix3::from_diagonal_element(300.0);
+            Touch {
+                touches,
+                lever,
+                pressed_n: force + squeeze,
+                ..Touch::at_pivot(normal * force, k, normal)
+            }
+        });
+        let touches = proptest::collection::vec(touch, CONTACTS_MAX);
+        (touches, vector(0.01), vector(0.2), vector(0.3)).prop_map(|(touches, x0, turn, couple)| {
+            ContactModel {
+                x0,
+                turn0: UnitQuaternion::new(turn),
+                touches: touches.try_into().unwrap(),
+                couple,
+                radius: 0.02,
+                ..ContactModel::FREE
+            }
+        })
+    }
+
     proptest! {
         #[test]
         fn an_arriving_model_changes_nothing_in_its_first_tick(
-            arrivals in proptest::collection::vec((1i64..12, -0.01f64..0.01, 0.0f64..8.0, any::<bool>()), 2..20),
+            arrivals in proptest::collection::vec((1i64..12, models(), vector(0.01), vector(0.3)), 2..12),
         ) {
-            let (mut blend, v) = (Blend::new(cap()), Vector3::zeros());
+            let mut blend = Blend::new(coupling());
             let mut us = 1_000_000;
-            for (ms, z, force, touches) in arrivals {
+            for (ms, model, x, turn) in arrivals {
                 us += ms * 1000;
-                let x = Vector3::new(0.0, 0.0, z * 0.3);
-                let before = blend.contact(at(us), &x, &v).normal_force;
-                let mut new = model(us, z, force, 300.0);
-                new.touches[0].touches = touches;
-                blend.take(&new, at(us), &x);
-                let after = blend.contact(at(us), &x, &v).normal_force;
-                prop_assert!((before - after).abs() < 1e-9, "{before} N became {after} N");
+                let motion = resting(x, turn);
+                let before = wrench(&blend, us, &motion);
+                blend.take(&ContactModel { solved_at: at(us), ..model }, at(us), &motion);
+                let after = wrench(&blend, us, &motion);
+                prop_assert!((before.0 - after.0).norm() < 1e-9, "{before:?} became {after:?}");
+                prop_assert!((before.1 - after.1).norm() < 1e-9, "{before:?} became {after:?}");
             }
         }
 
         #[test]
         fn the_force_never_pulls(z in -0.05f64..0.05, vz in -1.0f64..1.0, b in 0.0f64..50.0) {
-            let mut blend = Blend::new(cap());
+            let mut blend = Blend::new(coupling());
             let mut m = model(1000, 0.0, 1.0, 500.0);
             m.touches[0].damping = b;
-            let (x, v) = (Vector3::new(0.0, 0.0, z), Vector3::new(0.0, 0.0, vz));
-            blend.take(&m, at(1000), &x);
+            let motion = Motion { v: Vector3::new(0.0, 0.0, vz), ..height(z) };
+            blend.take(&m, at(1000), &motion);
             for us in (1000..20_000).step_by(1000) {
-                prop_assert!(blend.contact(at(us), &x, &v).normal_force >= 0.0);
+                prop_assert!(normal_force(&blend, us, &motion) >= 0.0);
             }
         }
     }
 
     #[test]
     fn the_new_model_holds_after_one_interval() {
-        let (mut blend, o) = (Blend::new(cap()), Vector3::zeros());
+        let (mut blend, o) = (Blend::new(coupling()), height(0.0));
         blend.take(&model(4_000, 0.0, 1.0, 500.0), at(4_500), &o);
         blend.take(&model(8_000, 0.0, 3.0, 500.0), at(18_500), &o);
-        assert!((blend.contact(at(18_500), &o, &o).normal_force - 1.0).abs() < 1e-12);
-        assert!((blend.contact(at(20_500), &o, &o).normal_force - 2.0).abs() < 1e-12);
-        assert!((blend.contact(at(22_500), &o, &o).normal_force - 3.0).abs() < 1e-12);
+        for (us, expected) in [(18_500, 1.0), (20_500, 2.0), (22_500, 3.0)] {
+            assert!((normal_force(&blend, us, &o) - expected).abs() < 1e-12);
+        }
     }
 
     #[test]
     fn the_same_model_again_starts_no_new_blend() {
-        let (mut blend, o) = (Blend::new(cap()), Vector3::zeros());
+        let (mut blend, o) = (Blend::new(coupling()), height(0.0));
         let m = model(4_000, 0.0, 2.0, 500.0);
         blend.take(&m, at(5_000), &o);
         blend.take(&m, at(15_000), &o);
-        assert!((blend.contact(at(15_000), &o, &o).normal_force - 2.0).abs() < 1e-12);
+        assert!((normal_force(&blend, 15_000, &o) - 2.0).abs() < 1e-12);
     }
 
     #[test]
     fn beyond_its_reach_the_law_grows_no_further() {
-        let (mut blend, o) = (Blend::new(cap()), Vector3::zeros());
-        blend.take(&model(4_000, 0.0, 1.0, 500.0), at(5_000), &o);
-        let force = |z| {
-            blend
-                .contact(at(60_000), &Vector3::new(0.0, 0.0, z), &o)
-                .normal_force
-        };
-        assert!((force(-0.01) - 6.0).abs() < 1e-9);
-        assert!((force(-0.5) - 6.0).abs() < 1e-9);
+        let mut blend = Blend::new(coupling());
+        blend.take(&model(4_000, 0.0, 1.0, 500.0), at(5_000), &height(0.0));
+        assert!((normal_force(&blend, 60_000, &height(-0.01)) - 6.0).abs() < 1e-9);
+        assert!((normal_force(&blend, 60_000, &height(-0.5)) - 6.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_place_that_goes_fades_and_one_that_comes_grows_over_one_interval() {
+        let (mut blend, o) = (Blend::new(coupling()), height(0.0));
+        let mut first = model(4_000, 0.0, 2.0, 500.0);
+        blend.take(&first, at(5_000), &o);
+        // The same force in another place, 4 ms later.
+        first.touches.swap(0, 7);
+        first.solved_at = at(8_000);
+        blend.take(&first, at(9_000), &o);
+        for (us, expected) in [(9_000, 2.0), (11_000, 1.0), (13_000, 0.0)] {
+            let mut of = [0.0; CONTACTS_MAX];
+            blend.feel(at(us), &o, |felt| of[felt.place] = felt.normal_force);
+            assert!((of[0] - expected).abs() < 1e-12, "{us}: {} N", of[0]);
+            assert!(
+                (of[7] - (2.0 - expected)).abs() < 1e-12,
+                "{us}: {} N",
+                of[7]
+            );
+        }
+    }
+
+    #[test]
+    fn the_couple_goes_with_what_presses() {
+        let mut blend = Blend::new(coupling());
+        let mut pressed = model(4_000, 0.0, 2.0, 500.0);
+        pressed.couple = Vector3::new(0.1, 0.0, 0.0);
+        blend.take(&pressed, at(5_000), &height(0.0));
+        // 2 N are half at 2 mm and gone at 4 mm; deeper the couple stays what it was.
+        for (z, share) in [
+            (-0.002, 1.0),
+            (0.0, 1.0),
+            (0.002, 0.5),
+            (0.004, 0.0),
+            (0.006, 0.0),
+        ] {
+            let (_, torque) = wrench(&blend, 60_000, &height(z));
+            assert!(
+                (torque.x - 0.1 * share).abs() < 1e-12,
+                "{z} m: {} N·m",
+                torque.x
+            );
+        }
     }
 }

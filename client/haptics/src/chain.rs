@@ -1,18 +1,20 @@
 //! The tick: the stages in their order, and nothing else.
 
-use nalgebra::Vector3;
-use palpate_device::{DeviceCaps, Faults, Sample, Wrench};
+use palpate_device::{DeviceCaps, Faults, Pose, Sample, Wrench};
 use palpate_protocol::{ClientTime, Span};
 
 use crate::blend::Blend;
+use crate::limits::WrenchSlew;
+use crate::motion::Motion;
 use crate::passivity::{Given, Seen};
+use crate::places::{Grips, Places};
 use crate::watchdog::Watched;
 use crate::{
-    ContactModel, Counters, EnergyObserver, Events, Friction, FrictionConfig, Grip, LinkGuard,
-    Passivity, Slew, SoftStart, StiffnessCap, Watchdog, WatchdogConfig, clamp_force,
+    ContactModel, Counters, Coupling, EnergyObserver, Events, FrictionConfig, LinkGuard, Passivity,
+    Slew, SoftStart, StiffnessCap, Watchdog, WatchdogConfig, clamp_force,
 };
 
-/// How long the slew limit may need to empty the largest force. A force limit so high that it
+/// How long the slew limit may need to empty the largest force, or torque. A limit so high that it
 /// would need longer raises the slew limit instead, because the watchdog's times count to zero
 /// force at the hand.
 const FLUSH_MAX: Span = Span::from_millis(50);
@@ -21,9 +23,12 @@ const FLUSH_MAX: Span = Span::from_millis(50);
 /// the thread no ramp is skipped.
 const DT_UP_MAX: Span = Span::from_millis(10);
 
-/// How far from the origin, in m, and how fast, in m/s, a tool may be. A sample beyond is as broken
+/// How far from the origin, in m, and how fast, in m/s and rad/s, a tool may be. A sample beyond is as broken
 /// as one that is not a number: sums of such numbers could overflow, and stay in the state.
 const SAMPLE_MAX: f64 = 1e3;
+
+/// How far from one the length of a sample's quaternion may be. Levers would be stretched by what is beyond.
+const QUATERNION_OFF: f64 = 1e-3;
 
 /// The constants of the chain.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,11 +38,19 @@ pub struct ChainConfig {
     /// Damping of device and hand that stiffness is capped by (b in 2 b / T), N·s/m. 0.5 is a
     /// light desktop device held loosely.
     pub damping_ns_per_m: f64,
+    /// How far from the pivot a hand holds the handle and damps its rotation (ℓ of the
+    /// [`Coupling`]), m, above zero. A handle held like a pen rests at the fingertips and in the web between thumb and
+    /// hand, some 100 mm apart (our estimate): 50 mm to each side of the middle.
+    pub grip_m: f64,
     /// The largest force, N, where the device's continuous force is larger.
     pub force_max_n: f64,
+    /// The largest torque, N·m, where the device's is larger: 30 N at the end of a grip.
+    pub torque_max_nm: f64,
     /// How fast the force may change, N/s. 600 is 30 N over 50 ms: a firm press into bone is
     /// rendered as it is, a step is not.
     pub slew_n_per_s: f64,
+    /// How fast the torque may change, N·m/s: 600 N/s at the end of a grip, so that both are emptied in the same time.
+    pub slew_nm_per_s: f64,
     /// Length of the soft start.
     pub soft_start: Span,
     /// Stick and slip.
@@ -53,8 +66,11 @@ impl Default for ChainConfig {
         Self {
             period: Span::from_millis(1),
             damping_ns_per_m: 0.5,
+            grip_m: 0.05,
             force_max_n: 30.0,
+            torque_max_nm: 1.5,
             slew_n_per_s: 600.0,
+            slew_nm_per_s: 30.0,
             soft_start: Span::from_millis(1000),
             friction: FrictionConfig::default(),
             watchdog: WatchdogConfig::default(),
@@ -82,14 +98,16 @@ pub struct Tick {
 #[derive(Debug, Clone)]
 pub struct Chain {
     force_limit_n: f64,
+    /// `None` for a device that renders none.
+    torque_limit_nm: Option<f64>,
     soft_start: SoftStart,
     link: LinkGuard,
     watchdog: Watchdog,
     blend: Blend,
-    friction: Friction,
+    places: Places,
     /// `None` when it is switched off.
     passivity: Option<Passivity>,
-    slew: Slew,
+    slew: WrenchSlew,
     observer: EnergyObserver,
     counters: Counters,
     last_tick: Option<ClientTime>,
@@ -105,24 +123,38 @@ impl Chain {
                 .min(caps.max_force_n)
                 .min(config.force_max_n)
         };
-        let slew_n_per_s = config
-            .slew_n_per_s
-            .max(force_limit_n / FLUSH_MAX.as_secs_f64());
-        let step_n = slew_n_per_s * config.period.as_secs_f64();
-        let flush_ticks = (force_limit_n / step_n).ceil();
+        let torque_limit_nm = (caps.dof_out > 3 && caps.max_torque_nm > 0.0)
+            .then(|| caps.max_torque_nm.min(config.torque_max_nm));
+        let slew = WrenchSlew {
+            force: slew_of(force_limit_n, config.slew_n_per_s, config.period),
+            torque: slew_of(
+                torque_limit_nm.unwrap_or(0.0),
+                config.slew_nm_per_s,
+                config.period,
+            ),
+        };
+        let ticks_of = |limit: f64, slew: Slew| (limit / slew.step()).ceil();
+        let flush_ticks = ticks_of(force_limit_n, slew.force)
+            .max(ticks_of(torque_limit_nm.unwrap_or(0.0), slew.torque));
         let flush = Span::from_secs_f64(flush_ticks * config.period.as_secs_f64());
         let cap = StiffnessCap::new(caps, config.damping_ns_per_m, config.period);
+        let coupling = if torque_limit_nm.is_some() {
+            Coupling::of_wrenches(cap, config.grip_m)
+        } else {
+            Coupling::of_forces(cap)
+        };
         Self {
             force_limit_n,
+            torque_limit_nm,
             soft_start: SoftStart::new(config.soft_start),
             link: LinkGuard::new(&config.watchdog, flush),
             watchdog: Watchdog::new(config.watchdog, flush),
-            blend: Blend::new(cap),
-            friction: Friction::new(config.friction),
+            blend: Blend::new(coupling),
+            places: Places::new(config.friction),
             passivity: config
                 .passivity
-                .then(|| Passivity::new(step_n, config.period)),
-            slew: Slew::new(step_n),
+                .then(|| Passivity::new(slew.force.step(), slew.torque.step(), config.period)),
+            slew,
             observer: EnergyObserver::default(),
             counters: Counters::default(),
             last_tick: None,
@@ -134,9 +166,19 @@ impl Chain {
         self.force_limit_n
     }
 
+    /// The largest torque it gives, N·m; zero for a device that renders none.
+    pub fn torque_limit_nm(&self) -> f64 {
+        self.torque_limit_nm.unwrap_or(0.0)
+    }
+
     /// The largest change of force per tick, N.
     pub fn slew_step_n(&self) -> f64 {
-        self.slew.step_n()
+        self.slew.force.step()
+    }
+
+    /// The largest change of torque per tick, N·m.
+    pub fn slew_step_nm(&self) -> f64 {
+        self.slew.torque.step()
     }
 
     /// What happened so far.
@@ -166,20 +208,18 @@ impl Chain {
         if events != Events::NONE {
             return self.without_force(now, dt, events);
         }
-        let (x, v) = (sample.pose.position, sample.velocity);
-        let was_touching = self.friction.grip() != Grip::Free;
+        let motion = Motion::of(sample);
+        let was_touching = self.places.grips().any();
         if model.is_usable() {
-            self.blend.take(model, now, &x);
+            self.blend.take(model, now, &motion);
         } else {
             events.set(Events::BAD_MODEL, true);
         }
-        let force = self.contact_force(now, dt, &x, &v);
-        let touches = force != Vector3::zeros();
-        self.note_grip(&mut events, was_touching);
-        let (force, saturated) = clamp_force(force, self.force_limit_n);
-        events.set(Events::SATURATED, saturated);
-        let [trusted, open] = self.gains(now, dt, &x, &mut events);
-        let withheld = force * (1.0 - open);
+        let wrench = self.places.tick(&self.blend, now, dt, &motion);
+        let touches = wrench != Wrench::ZERO;
+        note_grips(&mut events, was_touching, self.places.grips());
+        let there = self.clamp(&wrench, &mut events);
+        let [trusted, open] = self.gains(now, dt, &sample.pose, &mut events);
         if let Some(passivity) = &mut self.passivity {
             let model = self.blend.model();
             if sample.faults.contains(Faults::TIME_JUMP) {
@@ -187,24 +227,26 @@ impl Chain {
             }
             passivity.hear(model.others_j);
             passivity.observe(&Seen {
-                x,
+                pose: sample.pose,
                 dt,
-                there_n: force.norm(),
+                there,
                 stiffness_n_per_m: model.normal_stiffness(),
             });
         }
-        let force = self.take_away(force * (trusted * open), &v, &mut events);
-        let force = self.limit_change(force, &mut events);
+        let wanted = self.rendered(there.scaled(trusted * open));
+        let wrench = self.take_away(wanted, &motion, &mut events);
+        let wrench = self.limit_change(&wrench, &mut events);
+        let felt = self.felt_as_if(wrench, &there);
         if let Some(passivity) = &mut self.passivity {
             passivity.give(Given {
-                x,
-                force,
-                withheld,
+                pose: sample.pose,
+                wrench: felt,
+                withheld: there.scaled(1.0 - open),
                 touches,
             });
         }
-        self.observer.observe(x, force);
-        self.finish(now, force, events)
+        self.observer.observe(sample.pose, wrench);
+        self.finish(now, wrench, events)
     }
 
     /// One tick for which the device gave no sample: the force goes to zero.
@@ -223,36 +265,46 @@ impl Chain {
         (now, now - last)
     }
 
-    fn contact_force(
-        &mut self,
-        now: ClientTime,
-        dt: Span,
-        x: &Vector3<f64>,
-        v: &Vector3<f64>,
-    ) -> Vector3<f64> {
-        let contact = self.blend.contact(now, x, v);
-        let tangential = self.friction.tick(&contact, x, v, dt);
-        contact.normal * contact.normal_force + tangential
+    /// What the device can hold of `wrench`. A torque that it does not render goes with the force.
+    fn clamp(&self, wrench: &Wrench, events: &mut Events) -> Wrench {
+        let (force, saturated) = clamp_force(wrench.force, self.force_limit_n);
+        events.set(Events::SATURATED, saturated);
+        let Some(limit_nm) = self.torque_limit_nm else {
+            return self.felt_as_if(Wrench::from_force(force), wrench);
+        };
+        let (torque, saturated) = clamp_force(wrench.torque, limit_nm);
+        events.set(Events::TORQUE_SATURATED, saturated);
+        Wrench { force, torque }
     }
 
-    fn note_grip(&self, events: &mut Events, was_touching: bool) {
-        let grip = self.friction.grip();
-        events.set(Events::STICK, grip == Grip::Stick);
-        events.set(Events::SLIP, grip == Grip::Slip);
-        events.set(Events::RELEASED, was_touching && grip == Grip::Free);
+    /// What the device renders of `wrench`.
+    fn rendered(&self, wrench: Wrench) -> Wrench {
+        if self.torque_limit_nm.is_some() {
+            wrench
+        } else {
+            Wrench::from_force(wrench.force)
+        }
+    }
+
+    /// What is given as a hand would feel it whose device renders torques: as much of the torque `there` as is given of
+    /// the force. A hand that presses tissue by tilting a tool works against that torque, whether it feels it or not,
+    /// and would otherwise be taken for one that the tissue pushes with work that nobody has done.
+    fn felt_as_if(&self, given: Wrench, there: &Wrench) -> Wrench {
+        let n = there.force.norm();
+        if self.torque_limit_nm.is_some() || n == 0.0 {
+            return given;
+        }
+        Wrench {
+            force: given.force,
+            torque: there.torque * (given.force.norm() / n).min(1.0),
+        }
     }
 
     /// The watchdog's gain, and that of soft start and link.
-    fn gains(
-        &mut self,
-        now: ClientTime,
-        dt: Span,
-        x: &Vector3<f64>,
-        events: &mut Events,
-    ) -> [f64; 2] {
+    fn gains(&mut self, now: ClientTime, dt: Span, pose: &Pose, events: &mut Events) -> [f64; 2] {
         let dt_up = dt.min(DT_UP_MAX);
         let model = self.blend.model();
-        let is_outside = (x - model.x0).norm() > model.radius;
+        let is_outside = model.is_left_at(pose);
         let age = now - model.solved_at;
         let Watched {
             gain,
@@ -274,63 +326,78 @@ impl Chain {
         [gain, link * soft]
     }
 
-    /// What of `force` the passivity controller leaves.
-    fn take_away(
-        &self,
-        force: Vector3<f64>,
-        v: &Vector3<f64>,
-        events: &mut Events,
-    ) -> Vector3<f64> {
+    /// What of `wrench` the passivity controller leaves.
+    fn take_away(&self, wrench: Wrench, motion: &Motion, events: &mut Events) -> Wrench {
         let Some(passivity) = &self.passivity else {
-            return force;
+            return wrench;
         };
-        // What counts is the force of this tick, not the one that it is on the way to.
-        let (may, limited) = passivity.limit(self.slew.peek(force), v);
+        // What counts is the wrench of this tick, not the one that it is on the way to.
+        let (may, limited) = passivity.limit(&self.slew.peek(&wrench), &motion.v, &motion.w);
         events.set(Events::PASSIVATED, limited);
-        if limited { may } else { force }
+        if limited { may } else { wrench }
     }
 
-    fn limit_change(&mut self, target: Vector3<f64>, events: &mut Events) -> Vector3<f64> {
-        debug_assert!(
-            target.iter().all(|c| c.is_finite()),
-            "what came in was checked"
-        );
-        let before = self.slew.force();
-        let (force, slewed) = self.slew.towards(target);
-        events.set(Events::SLEWED, slewed);
-        let delta = (force - before).norm();
-        self.counters.max_delta_force_n = self.counters.max_delta_force_n.max(delta);
-        force
+    fn limit_change(&mut self, target: &Wrench, events: &mut Events) -> Wrench {
+        debug_assert!(target.is_finite(), "what came in was checked");
+        let before = self.slew.now();
+        let (wrench, [forced, turned]) = self.slew.towards(target);
+        events.set(Events::SLEWED, forced);
+        events.set(Events::TORQUE_SLEWED, turned);
+        let c = &mut self.counters;
+        let by = (wrench.force - before.force).norm();
+        c.max_delta_force_n = c.max_delta_force_n.max(by);
+        let by = (wrench.torque - before.torque).norm();
+        c.max_delta_torque_nm = c.max_delta_torque_nm.max(by);
+        wrench
     }
 
     fn without_force(&mut self, now: ClientTime, dt: Span, mut events: Events) -> Tick {
-        self.friction.reset();
+        self.places.reset();
         self.observer.interrupt();
         if let Some(passivity) = &mut self.passivity {
             passivity.interrupt();
         }
         self.soft_start.lower_to(0.0);
         // The gains behind age and radius go on, as if the tool stayed where it was.
-        let x = self.blend.model().x0;
-        self.gains(now, dt, &x, &mut events);
+        let pose = self.blend.model().pose();
+        self.gains(now, dt, &pose, &mut events);
         self.soft_start.lower_to(0.0);
-        let force = self.limit_change(Vector3::zeros(), &mut events);
-        self.finish(now, force, events)
+        let wrench = self.limit_change(&Wrench::ZERO, &mut events);
+        self.finish(now, wrench, events)
     }
 
-    fn finish(&mut self, now: ClientTime, force: Vector3<f64>, events: Events) -> Tick {
-        self.counters.count(events);
-        self.counters.max_force_n = self.counters.max_force_n.max(force.norm());
-        self.counters.min_energy_j = self.observer.min_j();
+    fn finish(&mut self, now: ClientTime, wrench: Wrench, events: Events) -> Tick {
+        let c = &mut self.counters;
+        c.count(events);
+        c.max_force_n = c.max_force_n.max(wrench.force.norm());
+        c.max_torque_nm = c.max_torque_nm.max(wrench.torque.norm());
+        c.min_energy_j = self.observer.min_j();
         Tick {
-            wrench: Wrench::from_force(force),
+            wrench,
             events,
             contact_age: now - self.blend.model().solved_at,
         }
     }
 }
 
+/// The slew limit of a force or torque that is `limit` at most: `per_s`, or as fast as it takes to empty it in time.
+fn slew_of(limit: f64, per_s: f64, period: Span) -> Slew {
+    Slew::new(per_s.max(limit / FLUSH_MAX.as_secs_f64()) * period.as_secs_f64())
+}
+
+fn note_grips(events: &mut Events, was_touching: bool, grips: Grips) {
+    events.set(Events::STICK, grips.sticks);
+    events.set(Events::SLIP, grips.slips);
+    events.set(Events::RELEASED, was_touching && !grips.any());
+}
+
 fn is_plausible(sample: &Sample) -> bool {
-    let (x, v) = (&sample.pose.position, &sample.velocity);
-    sample.is_finite() && x.iter().chain(v).all(|c| c.abs() <= SAMPLE_MAX)
+    let (x, v, w) = (
+        &sample.pose.position,
+        &sample.velocity,
+        &sample.angular_velocity,
+    );
+    sample.is_finite()
+        && x.iter().chain(v).chain(w).all(|c| c.abs() <= SAMPLE_MAX)
+        && (sample.pose.orientation.coords.norm() - 1.0).abs() <= QUATERNION_OFF
 }

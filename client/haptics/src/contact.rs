@@ -8,8 +8,8 @@
 //! d_i = x − x0 + (R R0ᵀ − I) r_i,     v_i = v + ω × (R R0ᵀ r_i)         r_i the lever at the solve
 //! ```
 //!
-//! and pushes the tool with a force f_i(d_i, v_i) that is linear along its normal ([`Touch`]) and stick-slip friction across it. On
-//! the tool act
+//! and pushes the tool with a force that is linear in both along its normal ([`Touch`]), and rubs it with stick-slip
+//! friction across it. Of these forces f on the tool come
 //!
 //! ```text
 //! F = Σ f_i,     T = Σ (R R0ᵀ r_i) × f_i + C        about the pivot
@@ -43,7 +43,7 @@ pub struct ContactModel {
     pub turn0: UnitQuaternion<f64>,
     /// The places of the tool, by their number on it.
     pub touches: [Touch; CONTACTS_MAX],
-    /// What is left of the solved torque about the pivot beyond Σ r_i × f0_i (C), N·m. It counts in proportion to what
+    /// What is left of the solved torque about the pivot beyond Σ r × f0 (C), N·m. It counts in proportion to what
     /// presses, and so is gone when the tool comes off.
     pub couple: Vector3<f64>,
     /// How far the pivot, and each place that touches, may be from where they were and the linear law be believed, m.
@@ -113,6 +113,14 @@ impl ContactModel {
     /// Stiffness along the normals of all places that touch, one beside the other, N/m.
     pub fn normal_stiffness(&self) -> f64 {
         self.touching().map(Touch::normal_stiffness).sum()
+    }
+
+    /// The pose that was solved.
+    pub fn pose(&self) -> Pose {
+        Pose {
+            position: self.x0,
+            orientation: self.turn0,
+        }
     }
 
     /// Whether a tool at `pose` has left the radius: its pivot, or a place that touches.

@@ -1,31 +1,48 @@
 //! The energy that crosses the handle, observed and not yet acted upon.
 //!
 //! ```text
-//! E_k = E_(k−1) − F_(k−1) · (x_k − x_(k−1))
+//! E_k = E_(k−1) − F_(k−1) · (x_k − x_(k−1)) − T_(k−1) · θ_k
 //! ```
 //!
-//! F is held from tick to tick, so the sum is exact for what the device renders. Positive: the
-//! hand has put energy in. A passive environment never lets it fall below zero (Hannaford and Ryu
+//! with θ the rotation vector from the last orientation to this one. F and T are held from tick to tick, so the sum is
+//! exact for what the device renders (for the torque: of a turn about one axis, which a turn of a millisecond is).
+//! Positive: the hand has put energy in. A passive environment never lets it fall below zero (Hannaford and Ryu
 //! 2002); how far it does is a measure of how active the loop is.
 
 use nalgebra::Vector3;
+use palpate_device::{Pose, Wrench};
+
+/// The rotation vector from one orientation to the other, rad, along the scene's axes.
+pub(crate) fn turned(from: &Pose, to: &Pose) -> Vector3<f64> {
+    from.orientation.rotation_to(&to.orientation).scaled_axis()
+}
+
+/// What a held wrench does on the way from one pose to the other, J.
+pub(crate) fn work(wrench: &Wrench, from: &Pose, to: &Pose) -> f64 {
+    let moving = wrench.force.dot(&(to.position - from.position));
+    if wrench.torque == Vector3::zeros() {
+        moving
+    } else {
+        moving + wrench.torque.dot(&turned(from, to))
+    }
+}
 
 /// Sums the energy the hand puts in.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct EnergyObserver {
     energy_j: f64,
     min_j: f64,
-    last: Option<(Vector3<f64>, Vector3<f64>)>,
+    last: Option<(Pose, Wrench)>,
 }
 
 impl EnergyObserver {
-    /// The tool is at `x` (m) and will be pushed by `force` (N) until the next call.
-    pub fn observe(&mut self, x: Vector3<f64>, force: Vector3<f64>) {
-        if let Some((x_before, f_before)) = self.last {
-            self.energy_j -= f_before.dot(&(x - x_before));
+    /// The tool is at `pose` and will be pushed and turned by `wrench` until the next call.
+    pub fn observe(&mut self, pose: Pose, wrench: Wrench) {
+        if let Some((before, held)) = &self.last {
+            self.energy_j -= work(held, before, &pose);
             self.min_j = self.min_j.min(self.energy_j);
         }
-        self.last = Some((x, force));
+        self.last = Some((pose, wrench));
     }
 
     /// The path is broken (a bad sample); the sum goes on from the next call.
@@ -46,7 +63,8 @@ impl EnergyObserver {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector3;
+    use nalgebra::{UnitQuaternion, Vector3};
+    use palpate_device::{Pose, Wrench};
 
     use super::EnergyObserver;
 
@@ -56,9 +74,34 @@ mod tests {
         let mut e = EnergyObserver::default();
         for x in (0_i32..=10).chain((0..10).rev()) {
             let x = Vector3::new(f64::from(x) * 1e-3, 0.0, 0.0);
-            e.observe(x, x * -1000.0);
+            e.observe(Pose::at(x), Wrench::from_force(x * -1000.0));
         }
         assert!((e.energy_j() + 0.5 * 1000.0 * 20.0 * 1e-6).abs() < 1e-12);
         assert!(e.min_j() <= e.energy_j());
+    }
+
+    #[test]
+    fn a_held_torque_works_by_the_angle_it_is_turned_through() {
+        let mut e = EnergyObserver::default();
+        let axis = Vector3::new(1.0, 2.0, -1.0).normalize();
+        let wrench = Wrench {
+            force: Vector3::zeros(),
+            torque: axis * 0.3,
+        };
+        // The hand turns against it, from an orientation that has nothing to do with the axis.
+        let start = UnitQuaternion::new(Vector3::new(0.4, 0.0, 1.1));
+        for step in 0..=50 {
+            let orientation = UnitQuaternion::new(axis * (-0.01 * f64::from(step))) * start;
+            let pose = Pose {
+                orientation,
+                ..Pose::default()
+            };
+            e.observe(pose, wrench);
+        }
+        assert!(
+            (e.energy_j() - 0.3 * 0.5).abs() < 1e-12,
+            "{} J",
+            e.energy_j()
+        );
     }
 }

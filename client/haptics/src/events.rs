@@ -19,11 +19,11 @@ impl Events {
     pub const BAD_SAMPLE: Self = Self(1 << 4);
     /// The contact model was not usable, and was not taken.
     pub const BAD_MODEL: Self = Self(1 << 5);
-    /// The tool came off the tissue in this tick.
+    /// The tool came off the tissue in this tick, with every place of it.
     pub const RELEASED: Self = Self(1 << 6);
-    /// The tool sticks to the tissue.
+    /// A place of the tool sticks to the tissue.
     pub const STICK: Self = Self(1 << 7);
-    /// The tool slides over the tissue.
+    /// A place of the tool slides over the tissue. Others may stick in the same tick.
     pub const SLIP: Self = Self(1 << 8);
     /// The device is at fault and gets no force.
     pub const FAULTED: Self = Self(1 << 9);
@@ -33,6 +33,10 @@ impl Events {
     pub const SOFT_START: Self = Self(1 << 11);
     /// Force was taken away, as the hand would have got more work back than it has put in.
     pub const PASSIVATED: Self = Self(1 << 12);
+    /// The torque was clamped to what the device can hold.
+    pub const TORQUE_SATURATED: Self = Self(1 << 13);
+    /// The change of torque was limited.
+    pub const TORQUE_SLEWED: Self = Self(1 << 14);
 
     /// The bits.
     pub const fn bits(self) -> u16 {
@@ -83,10 +87,18 @@ pub struct Counters {
     pub link_lost: u64,
     /// [`Events::PASSIVATED`].
     pub passivated: u64,
+    /// [`Events::TORQUE_SATURATED`].
+    pub torque_saturated: u64,
+    /// [`Events::TORQUE_SLEWED`].
+    pub torque_slewed: u64,
     /// Largest change of force between two ticks, N.
     pub max_delta_force_n: f64,
     /// Largest force, N.
     pub max_force_n: f64,
+    /// Largest change of torque between two ticks, N·m.
+    pub max_delta_torque_nm: f64,
+    /// Largest torque, N·m.
+    pub max_torque_nm: f64,
     /// Smallest energy the hand had put in since the start, J; see
     /// [`EnergyObserver`](crate::EnergyObserver).
     pub min_energy_j: f64,
@@ -108,6 +120,8 @@ impl Counters {
             (Events::FAULTED, &mut self.faulted),
             (Events::LINK_LOST, &mut self.link_lost),
             (Events::PASSIVATED, &mut self.passivated),
+            (Events::TORQUE_SATURATED, &mut self.torque_saturated),
+            (Events::TORQUE_SLEWED, &mut self.torque_slewed),
         ] {
             *counter += u64::from(events.contains(event));
         }

@@ -1,9 +1,9 @@
-//! Stick-slip friction of a point contact.
+//! Stick-slip friction of one place.
 //!
 //! While it STICKS, the tool is tied to the material by the tangential spring of the tissue; while
 //! it SLIPS, the tie is dragged along so that it pulls with the dynamic coefficient. With e the
-//! stretch of the tie (tangential, m), k its stiffness, N the normal force, w the tangential
-//! velocity:
+//! stretch of the tie (tangential, m), k its stiffness, N what presses, w the tangential
+//! velocity, Δx how far the place has moved since the last tick:
 //!
 //! ```text
 //! e ← P_t (e + Δx)                                   P_t = I − n nᵀ
@@ -47,8 +47,8 @@ impl Default for FrictionConfig {
 pub struct Contact {
     /// Unit normal, out of the tissue.
     pub normal: Vector3<f64>,
-    /// Normal force on the tool (N), N, never negative.
-    pub normal_force: f64,
+    /// What presses there from all sides (N), N, never negative.
+    pub pressed: f64,
     /// Tangential stiffness (k), N/m.
     pub stiffness: f64,
     /// Tangential damping (B), N·s/m.
@@ -79,7 +79,6 @@ pub struct Friction {
     stretch: Vector3<f64>,
     /// The stiffness e was last used with, N/m.
     stiffness: f64,
-    last_x: Option<Vector3<f64>>,
     slow_for: Span,
 }
 
@@ -91,7 +90,6 @@ impl Friction {
             grip: Grip::Free,
             stretch: Vector3::zeros(),
             stiffness: 0.0,
-            last_x: None,
             slow_for: Span::ZERO,
         }
     }
@@ -106,28 +104,23 @@ impl Friction {
         *self = Self::new(self.config);
     }
 
-    /// One tick: the tool is at `x` (m), moves with `v` (m/s), `dt` after the last tick. The
+    /// One tick, `dt` after the last: the place has moved by `moved` (m) since and moves with `v` (m/s). The
     /// tangential force on the tool, N.
     pub fn tick(
         &mut self,
         contact: &Contact,
-        x: &Vector3<f64>,
+        moved: &Vector3<f64>,
         v: &Vector3<f64>,
         dt: Span,
     ) -> Vector3<f64> {
-        let moved = self.last_x.map_or_else(Vector3::zeros, |last| x - last);
-        self.last_x = Some(*x);
-        if contact.normal_force <= 0.0 || contact.stiffness <= 0.0 {
-            *self = Self {
-                last_x: self.last_x,
-                ..Self::new(self.config)
-            };
+        if contact.pressed <= 0.0 || contact.stiffness <= 0.0 {
+            self.reset();
             return Vector3::zeros();
         }
         if self.grip == Grip::Free {
             self.grip = Grip::Stick;
         } else {
-            self.stretch_by(contact, &moved);
+            self.stretch_by(contact, moved);
         }
         let v_t = tangential(v, &contact.normal);
         match self.grip {
@@ -144,7 +137,7 @@ impl Friction {
 
     fn stick(&mut self, contact: &Contact, v_t: &Vector3<f64>) -> Vector3<f64> {
         self.stiffness = contact.stiffness;
-        let limit = contact.mu_static * contact.normal_force;
+        let limit = contact.mu_static * contact.pressed;
         if contact.stiffness * self.stretch.norm() > limit {
             self.grip = Grip::Slip;
             self.slow_for = Span::ZERO;
@@ -157,7 +150,7 @@ impl Friction {
 
     fn slip(&mut self, contact: &Contact, v_t: &Vector3<f64>, dt: Span) -> Vector3<f64> {
         let force = self.drag(contact);
-        let sliding = contact.mu_dynamic * contact.normal_force;
+        let sliding = contact.mu_dynamic * contact.pressed;
         let is_slow = v_t.norm() < self.config.stick_speed
             && force.norm() < self.config.stick_share * sliding;
         self.slow_for = if is_slow {
@@ -173,7 +166,7 @@ impl Friction {
 
     /// Shortens the tie to what dynamic friction holds; its pull, N.
     fn drag(&mut self, contact: &Contact) -> Vector3<f64> {
-        let longest = contact.mu_dynamic * contact.normal_force / contact.stiffness;
+        let longest = contact.mu_dynamic * contact.pressed / contact.stiffness;
         let n = self.stretch.norm();
         if n > longest {
             self.stretch *= longest / n;
@@ -193,14 +186,38 @@ mod tests {
     use palpate_protocol::Span;
     use proptest::prelude::*;
 
-    use super::{Contact, Friction, FrictionConfig, Grip};
+    use super::{Contact, FrictionConfig, Grip};
 
     const MS: Span = Span::from_millis(1);
 
-    fn pressed(normal_force: f64) -> Contact {
+    /// A place by where it is, not by how far it has come.
+    struct Friction(super::Friction, Option<Vector3<f64>>);
+
+    impl Friction {
+        fn new(config: FrictionConfig) -> Self {
+            Self(super::Friction::new(config), None)
+        }
+
+        fn tick(
+            &mut self,
+            contact: &Contact,
+            x: &Vector3<f64>,
+            v: &Vector3<f64>,
+            dt: Span,
+        ) -> Vector3<f64> {
+            let moved = x - self.1.replace(*x).unwrap_or(*x);
+            self.0.tick(contact, &moved, v, dt)
+        }
+
+        fn grip(&self) -> Grip {
+            self.0.grip()
+        }
+    }
+
+    fn pressed(n: f64) -> Contact {
         Contact {
             normal: Vector3::z(),
-            normal_force,
+            pressed: n,
             stiffness: 300.0,
             damping: 0.5,
             mu_static: 0.5,

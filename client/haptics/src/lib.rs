@@ -2,17 +2,19 @@
 //! that is safe for the hand.
 //!
 //! This crate never allocates, locks, logs or waits, never reads a clock and never talks to a
-//! device: [`Chain::tick`] takes the time and a sample and gives a wrench.
+//! device: [`Chain::tick`] takes the time and a sample and gives a wrench. There is nothing to lock: a chain owns all its
+//! state, a contact model is plain data that whoever calls it hands over whole (the client through a triple buffer).
 //!
-//! Signs: every force is the force ON THE TOOL, and so on the hand. Normals point out of the
-//! tissue, so that a pressed tool has a positive normal force. Forces are newtons throughout;
-//! there is no gain to tune by feel.
+//! Signs: every force and torque is the one ON THE TOOL, and so on the hand. Normals point out of the
+//! tissue, so that a pressed tool has a positive normal force. Forces are newtons throughout, torques newton metres
+//! about the tool's pivot, along the scene's axes; there is no gain to tune by feel.
 //!
 //! The order of the stages, one file each:
 //!
 //! ```text
-//! not-a-number check -> contact model (blended, stiffness capped) -> stick-slip friction
-//!   -> clamp to the device's continuous force -> soft start x watchdog -> passivity -> slew limit
+//! not-a-number check -> contact model, blended (blend, law) with slopes that hand and device can follow (coupling)
+//!   -> stick-slip friction of every place (friction), all of them summed to a wrench about the pivot (places)
+//!   -> clamp to the device's continuous force and its torque -> soft start x watchdog -> passivity -> slew limit
 //! ```
 //!
 //! The slew limit is last, so that no stage and no fault can make a step that reaches the hand.
@@ -22,11 +24,15 @@
 mod blend;
 mod chain;
 mod contact;
+mod coupling;
 mod energy;
 mod events;
 mod friction;
+mod law;
 mod limits;
+mod motion;
 mod passivity;
+mod places;
 mod soft_start;
 mod touch;
 mod watchdog;
@@ -34,6 +40,7 @@ mod watchdog;
 pub use blend::BLEND_MAX;
 pub use chain::{Chain, ChainConfig, Tick};
 pub use contact::{CONTACTS_MAX, ContactModel};
+pub use coupling::{Coupling, Slope};
 pub use energy::EnergyObserver;
 pub use events::{Counters, Events};
 pub use friction::{Contact, Friction, FrictionConfig, Grip};

@@ -1,7 +1,7 @@
 //! The plain limits: stiffness, force, and change of force.
 
 use nalgebra::Vector3;
-use palpate_device::DeviceCaps;
+use palpate_device::{DeviceCaps, Wrench};
 use palpate_protocol::Span;
 
 /// The largest stiffness the loop renders, N/m.
@@ -32,56 +32,86 @@ impl StiffnessCap {
     }
 }
 
-/// `force` shortened to `limit_n`, and whether it was too long. The direction stays.
-pub fn clamp_force(force: Vector3<f64>, limit_n: f64) -> (Vector3<f64>, bool) {
+/// `force` (or a torque) shortened to `limit`, in the same unit, and whether it was too long. The direction stays.
+pub fn clamp_force(force: Vector3<f64>, limit: f64) -> (Vector3<f64>, bool) {
     let n = force.norm();
-    if n > limit_n {
-        (force * (limit_n / n), true)
+    if n > limit {
+        (force * (limit / n), true)
     } else {
         (force, false)
     }
 }
 
-/// The last stage: what the hand is given never changes by more than a fixed step per tick.
+/// Changes a force, or a torque, by no more than a fixed step per tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Slew {
-    step_n: f64,
-    force: Vector3<f64>,
+    step: f64,
+    now: Vector3<f64>,
 }
 
 impl Slew {
-    /// From zero force, at most `step_n` newtons per tick.
-    pub fn new(step_n: f64) -> Self {
+    /// From zero, at most `step` newtons (newton metres for a torque) per tick.
+    pub fn new(step: f64) -> Self {
         Self {
-            step_n,
-            force: Vector3::zeros(),
+            step,
+            now: Vector3::zeros(),
         }
     }
 
-    /// The step, N per tick.
-    pub fn step_n(&self) -> f64 {
-        self.step_n
+    /// The step, N or N·m per tick.
+    pub fn step(&self) -> f64 {
+        self.step
     }
 
-    /// The force of the last tick, N.
-    pub fn force(&self) -> Vector3<f64> {
-        self.force
+    /// What the last tick gave, N or N·m.
+    pub fn now(&self) -> Vector3<f64> {
+        self.now
     }
 
-    /// Where [`towards`](Self::towards) would get in this tick, N.
+    /// Where [`towards`](Self::towards) would get in this tick, N or N·m.
     pub fn peek(&self, target: Vector3<f64>) -> Vector3<f64> {
         let mut ahead = *self;
         ahead.towards(target).0
     }
 
-    /// Goes towards `target` (N); the new force, and whether the step was too long. A target that
+    /// Goes towards `target`; where it gets to, and whether the step was too long. A target that
     /// is not finite counts as none, for this stage is the last before the hand.
     pub fn towards(&mut self, target: Vector3<f64>) -> (Vector3<f64>, bool) {
         let is_finite = target.iter().all(|c| c.is_finite());
         let target = if is_finite { target } else { Vector3::zeros() };
-        let (step, limited) = clamp_force(target - self.force, self.step_n);
-        self.force = if limited { self.force + step } else { target };
-        (self.force, limited)
+        let (step, limited) = clamp_force(target - self.now, self.step);
+        self.now = if limited { self.now + step } else { target };
+        (self.now, limited)
+    }
+}
+
+/// The last stage: what the hand is given never changes by more than its two steps per tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct WrenchSlew {
+    pub(crate) force: Slew,
+    pub(crate) torque: Slew,
+}
+
+impl WrenchSlew {
+    pub(crate) fn now(&self) -> Wrench {
+        Wrench {
+            force: self.force.now(),
+            torque: self.torque.now(),
+        }
+    }
+
+    pub(crate) fn peek(&self, target: &Wrench) -> Wrench {
+        Wrench {
+            force: self.force.peek(target.force),
+            torque: self.torque.peek(target.torque),
+        }
+    }
+
+    /// Where it gets to, and whether the step of the force and that of the torque was too long.
+    pub(crate) fn towards(&mut self, target: &Wrench) -> (Wrench, [bool; 2]) {
+        let (force, forced) = self.force.towards(target.force);
+        let (torque, turned) = self.torque.towards(target.torque);
+        (Wrench { force, torque }, [forced, turned])
     }
 }
 
@@ -127,7 +157,7 @@ mod tests {
         for bad in [f64::NAN, f64::INFINITY] {
             slew.towards(Vector3::new(bad, 0.0, 0.0));
         }
-        assert_eq!(slew.force(), Vector3::zeros());
+        assert_eq!(slew.now(), Vector3::zeros());
     }
 
     proptest! {
@@ -146,14 +176,14 @@ mod tests {
         ) {
             let mut slew = Slew::new(0.6);
             for (x, y) in targets {
-                let before = slew.force();
+                let before = slew.now();
                 let (after, _) = slew.towards(Vector3::new(x, y, 0.0));
                 prop_assert!((after - before).norm() <= 0.6 + 1e-12);
             }
             for _ in 0..200 {
                 slew.towards(Vector3::zeros());
             }
-            prop_assert_eq!(slew.force(), Vector3::zeros());
+            prop_assert_eq!(slew.now(), Vector3::zeros());
         }
     }
 }

@@ -1,0 +1,214 @@
+//! The one-sided law of one place between two solves.
+//!
+//! ```text
+//! N(d, v) = max(−s, φ + g · d − B n·v),     |B n·v| <= |φ + g · d| + s
+//! ```
+//!
+//! with φ the normal force at the solve, g = −k n its gradient, d how far the place has moved since. What is pressed
+//! from one side has s = 0 and is only ever pushed. What tissue squeezes from two sides, by s beyond what shows in φ (a
+//! needle in its channel), is held from both until one of them has come off: the second can push it back by s, no
+//! more. In proportion to |N| + s it is rubbed.
+
+use nalgebra::Vector3;
+use palpate_device::Pose;
+
+use crate::motion::Motion;
+use crate::{ContactModel, coupling::Slope};
+
+/// One law, with all that friction needs there.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Law {
+    pub(crate) touches: bool,
+    /// The pivot at the solve, m.
+    pub(crate) at: Vector3<f64>,
+    /// From there to the place, m, along the scene's axes.
+    pub(crate) lever: Vector3<f64>,
+    /// The same along the tool's.
+    pub(crate) on_tool: Vector3<f64>,
+    /// φ, N.
+    pub(crate) value: f64,
+    /// g, N/m.
+    pub(crate) gradient: Vector3<f64>,
+    /// |d| beyond this counts as this, m.
+    pub(crate) reach: f64,
+    pub(crate) normal: Vector3<f64>,
+    pub(crate) damping: f64,
+    /// Stiffness across the normal, N/m.
+    pub(crate) tangential: f64,
+    /// s, N.
+    pub(crate) squeeze: f64,
+    pub(crate) mu_static: f64,
+    pub(crate) mu_dynamic: f64,
+}
+
+/// What a law says at a pose.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Said {
+    /// The lever now, m, along the scene's axes.
+    pub(crate) lever: Vector3<f64>,
+    /// N, N.
+    pub(crate) normal_force: f64,
+    /// |N| + s, N.
+    pub(crate) pressed: f64,
+}
+
+impl Law {
+    /// That of a place which nothing touches.
+    pub(crate) const FREE: Self = Self {
+        touches: false,
+        at: Vector3::new(0.0, 0.0, 0.0),
+        lever: Vector3::new(0.0, 0.0, 0.0),
+        on_tool: Vector3::new(0.0, 0.0, 0.0),
+        value: 0.0,
+        gradient: Vector3::new(0.0, 0.0, 0.0),
+        reach: 0.0,
+        normal: Vector3::new(0.0, 0.0, 1.0),
+        damping: 0.0,
+        tangential: 0.0,
+        squeeze: 0.0,
+        mu_static: 0.0,
+        mu_dynamic: 0.0,
+    };
+
+    /// That of the `place` of a model, followed with `slope`.
+    pub(crate) fn of(model: &ContactModel, place: usize, slope: &Slope) -> Self {
+        let touch = &model.touches[place];
+        if !touch.touches {
+            return Self::FREE;
+        }
+        let normal = touch.normal;
+        Self {
+            touches: true,
+            at: model.x0,
+            lever: touch.lever,
+            on_tool: model.turn0.inverse() * touch.lever,
+            value: normal.dot(&touch.f0),
+            gradient: normal * -slope.along,
+            reach: model.radius,
+            normal,
+            damping: touch.damping,
+            tangential: slope.across,
+            squeeze: touch.squeeze_n(),
+            mu_static: touch.mu_static,
+            mu_dynamic: touch.mu_dynamic.min(touch.mu_static),
+        }
+    }
+
+    /// What presses at the solve, N.
+    pub(crate) fn pressed_at_solve(&self) -> f64 {
+        self.value.max(-self.squeeze).abs() + self.squeeze
+    }
+
+    /// N and what goes with it for a tool in `motion`.
+    pub(crate) fn say(&self, motion: &Motion) -> Said {
+        let lever = motion.turn * self.on_tool;
+        if !self.touches {
+            return Said {
+                lever,
+                normal_force: 0.0,
+                pressed: 0.0,
+            };
+        }
+        let away = (motion.x - self.at) + (lever - self.lever);
+        let far = away.norm();
+        let within = if far > self.reach {
+            away * (self.reach / far)
+        } else {
+            away
+        };
+        let floor = -self.squeeze;
+        let spring = (self.value + self.gradient.dot(&within)).max(floor);
+        // Bounded by what presses, so that touching and leaving are not steps.
+        let bound = spring.abs() + self.squeeze;
+        let damper = self.damping * self.normal.dot(&motion.velocity_at(&lever));
+        let normal_force = (spring - damper.clamp(-bound, bound)).max(floor);
+        Said {
+            lever,
+            normal_force,
+            pressed: normal_force.abs() + self.squeeze,
+        }
+    }
+
+    /// The gradient at a pose that is held, N/m: none where one side has come off.
+    pub(crate) fn slope_at(&self, held: &Motion) -> Vector3<f64> {
+        if self.say(held).normal_force > -self.squeeze {
+            self.gradient
+        } else {
+            Vector3::zeros()
+        }
+    }
+
+    /// The same place as if it had been solved at `pose`, with its `lever` (m, scene's axes) there.
+    pub(crate) fn moved_to(self, pose: &Pose, lever: Vector3<f64>) -> Self {
+        Self {
+            at: pose.position,
+            lever,
+            on_tool: pose.orientation.inverse() * lever,
+            ..self
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+    use proptest::prelude::*;
+
+    use super::Law;
+    use crate::motion::Motion;
+
+    fn law(squeeze: f64, damping: f64) -> Law {
+        Law {
+            touches: true,
+            value: 1.0,
+            gradient: Vector3::new(0.0, 0.0, -500.0),
+            reach: 0.05,
+            damping,
+            squeeze,
+            ..Law::FREE
+        }
+    }
+
+    fn at(z: f64, vz: f64) -> Motion {
+        Motion {
+            x: Vector3::new(0.0, 0.0, z),
+            turn: UnitQuaternion::identity(),
+            v: Vector3::new(0.0, 0.0, vz),
+            w: Vector3::zeros(),
+        }
+    }
+
+    #[test]
+    fn what_is_squeezed_from_two_sides_is_held_from_both() {
+        let said = |z| law(2.0, 0.0).say(&at(z, 0.0));
+        assert!((said(0.001).normal_force - 0.5).abs() < 1e-12);
+        assert!((said(0.004).normal_force + 1.0).abs() < 1e-12);
+        assert!((said(0.03).normal_force + 2.0).abs() < 1e-12);
+        assert!((said(0.002).pressed - 2.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_place_at_a_lever_is_pressed_by_turning() {
+        let offset = Law {
+            lever: Vector3::new(0.1, 0.0, 0.0),
+            on_tool: Vector3::new(0.1, 0.0, 0.0),
+            ..law(0.0, 0.0)
+        };
+        // 0.01 rad about +y takes the end of a lever along x down by a millimetre.
+        let turned = Motion {
+            turn: UnitQuaternion::new(Vector3::new(0.0, 0.01, 0.0)),
+            ..at(0.0, 0.0)
+        };
+        assert!((offset.say(&turned).normal_force - 1.5).abs() < 1e-4);
+    }
+
+    proptest! {
+        #[test]
+        fn a_place_pressed_from_one_side_never_pulls(
+            z in -0.05f64..0.05, vz in -1.0f64..1.0, b in 0.0f64..50.0, s in 0.0f64..3.0,
+        ) {
+            prop_assert!(law(0.0, b).say(&at(z, vz)).normal_force >= 0.0);
+            prop_assert!(law(s, b).say(&at(z, vz)).normal_force >= -s);
+        }
+    }
+}

@@ -1,0 +1,339 @@
+//! The laws of the controller by itself.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use palpate_device::{Pose, Wrench};
+use palpate_protocol::Span;
+use proptest::prelude::*;
+
+use super::{Given, LIGHTEST_KG, LIGHTEST_KG_M2, Passivity, Seen};
+use crate::Slew;
+use crate::limits::WrenchSlew;
+
+const STEP: f64 = 0.6;
+const STEP_NM: f64 = 0.03;
+
+fn seen(x: &Vector3<f64>, there_n: f64) -> Seen {
+    Seen {
+        pose: Pose::at(*x),
+        dt: Span::from_millis(1),
+        there: Wrench::from_force(Vector3::new(0.0, 0.0, there_n)),
+        stiffness_n_per_m: 400.0,
+    }
+}
+
+fn given(x: Vector3<f64>, force: Vector3<f64>, touches: bool) -> Given {
+    Given {
+        pose: Pose::at(x),
+        wrench: Wrench::from_force(force),
+        withheld: Wrench::ZERO,
+        touches,
+    }
+}
+
+fn passivity() -> Passivity {
+    Passivity::new(STEP, STEP_NM, Span::from_millis(1))
+}
+
+/// What may be given of a force alone.
+fn limit(p: &Passivity, force: Vector3<f64>, v: &Vector3<f64>) -> (Vector3<f64>, bool) {
+    let (may, limited) = p.limit(&Wrench::from_force(force), v, &Vector3::zeros());
+    assert_eq!(may.torque, Vector3::zeros());
+    (may.force, limited)
+}
+
+#[test]
+fn what_stops_the_hand_is_given_and_what_would_throw_it_back_is_not() {
+    let p = passivity();
+    let force = Vector3::new(0.0, 0.0, 7.0);
+    // 80 g at 0.5 m/s take 40 mN·s to stop: what a force of 7 N gives while it is taken away.
+    assert_eq!(
+        limit(&p, force, &Vector3::new(0.1, 0.0, -0.5)),
+        (force, false)
+    );
+    let (slow, limited) = limit(&p, force, &Vector3::new(0.0, 0.0, -0.1));
+    assert!(limited && slow.z > 1.0 && slow.z < 7.0, "{slow:?}");
+    assert_eq!(
+        limit(&p, force, &Vector3::zeros()),
+        (Vector3::zeros(), true)
+    );
+    let none = Vector3::zeros();
+    assert_eq!(limit(&p, none, &Vector3::x()), (none, false));
+}
+
+#[test]
+fn what_others_put_in_may_push_a_hand_that_rests() {
+    let mut p = passivity();
+    let force = Vector3::new(0.0, 0.0, 2.0);
+    p.hear(5.0);
+    assert!(
+        limit(&p, force, &Vector3::zeros()).1,
+        "they began before this hand came"
+    );
+    p.hear(5.01);
+    assert_eq!(limit(&p, force, &Vector3::zeros()), (force, false));
+    p.hear(5.0);
+    assert!(
+        limit(&p, force, &Vector3::zeros()).1,
+        "they have taken it back"
+    );
+}
+
+#[test]
+fn a_spring_gives_back_what_it_stores() {
+    // 500 N/m, 10 mm and back at 100 mm/s: 25 mJ. Held from tick to tick it would give back a tenth of a millimetre's
+    // work more than it took; nothing is taken away but in the last two.
+    let mut p = passivity();
+    let way = (0..=100).chain((0..100).rev());
+    let mut before: i32 = 0;
+    for tenth in way {
+        let z = -1e-4 * f64::from(tenth);
+        let x = Vector3::new(0.0, 0.0, z);
+        let v = Vector3::new(0.0, 0.0, 0.1 * f64::from((before - tenth).signum()));
+        let force = Vector3::new(0.0, 0.0, -500.0 * z);
+        p.observe(&seen(&x, force.z));
+        let (may, limited) = limit(&p, force, &v);
+        assert!(!limited || tenth <= 20, "{may:?} of {force:?} at {tenth}");
+        p.give(given(x, may, true));
+        before = tenth;
+    }
+    assert!(
+        p.stored_j() >= 0.0 && p.stored_j() < 1e-3,
+        "{} J",
+        p.stored_j()
+    );
+}
+
+#[test]
+fn what_a_contact_has_stored_ends_with_it() {
+    let mut p = passivity();
+    let at = |z: f64| Vector3::new(0.0, 0.0, z);
+    p.give(given(at(0.0), at(5.0), true));
+    p.observe(&seen(&at(-0.01), 5.0));
+    assert!((p.stored_j() - 0.05).abs() < 1e-12);
+    p.give(given(at(-0.01), Vector3::zeros(), false));
+    assert!(p.stored_j() > 0.049, "a tick is no end");
+    for _ in 0..1000 {
+        p.give(given(at(-0.01), Vector3::zeros(), false));
+    }
+    assert!(p.stored_j() < 1e-5);
+    // And friction fills it no further than a press is deep.
+    p.give(given(at(0.0), at(1.0), true));
+    for i in 1..1000 {
+        p.observe(&seen(&at(-0.01 * f64::from(i)), 1.0));
+        p.give(given(at(-0.01 * f64::from(i)), at(1.0), true));
+    }
+    assert!(p.stored_j() < 0.06, "{} J", p.stored_j());
+}
+
+#[test]
+fn what_was_withheld_while_the_hand_pressed_is_there_when_it_is_over() {
+    let mut p = passivity();
+    let at = |z: f64| Vector3::new(0.0, 0.0, z);
+    p.give(Given {
+        withheld: Wrench::from_force(at(2.0)),
+        ..given(at(0.0), Vector3::zeros(), true)
+    });
+    p.observe(&seen(&at(-0.01), 2.0));
+    assert_eq!(limit(&p, at(2.0), &Vector3::zeros()), (at(2.0), false));
+    // Who goes out again meanwhile has put nothing in.
+    p.give(Given {
+        withheld: Wrench::from_force(at(2.0)),
+        ..given(at(-0.01), Vector3::zeros(), true)
+    });
+    p.observe(&seen(&at(0.0), 2.0));
+    assert_eq!(
+        limit(&p, at(2.0), &Vector3::zeros()),
+        (Vector3::zeros(), true)
+    );
+}
+
+#[test]
+fn neither_a_model_without_contact_nor_a_glitch_takes_what_is_stored() {
+    let at = |z: f64| Vector3::new(0.0, 0.0, z);
+    let mut p = passivity();
+    p.give(given(at(0.0), at(4.0), true));
+    p.observe(&seen(&at(-0.01), 4.0));
+    p.give(given(at(-0.01), Vector3::zeros(), false));
+    p.observe(&seen(&at(-0.01), 0.0));
+    assert!(
+        p.stored_j() > 0.03,
+        "{} J after a tick without contact",
+        p.stored_j()
+    );
+    p.give(given(at(-0.01), at(4.0), true));
+    p.observe(&seen(&at(0.2), 0.0));
+    assert!(p.stored_j() > 0.03, "{} J after a glitch", p.stored_j());
+}
+
+#[test]
+fn a_hand_that_others_have_moved_owes_nothing() {
+    // Ten times 5 mm up at 4 N, paid for by who pushed; then off the tissue, and pressed by this hand alone.
+    let at = |z: f64| Vector3::new(0.0, 0.0, z);
+    let mut p = passivity();
+    p.hear(0.0);
+    for i in 0..10 {
+        p.hear(0.025 * f64::from(i + 1));
+        p.give(given(at(5e-3 * f64::from(i)), at(4.0), true));
+        p.observe(&seen(&at(5e-3 * f64::from(i + 1)), 4.0));
+    }
+    assert!(p.stored_j() >= 0.0, "{} J", p.stored_j());
+    // And with nobody to pay for it, a second off the tissue is enough.
+    p.give(given(at(0.0), at(4.0), true));
+    p.observe(&seen(&at(0.015), 4.0));
+    for _ in 0..1000 {
+        p.give(given(at(0.0), Vector3::zeros(), false));
+        p.observe(&seen(&at(0.0), 0.0));
+    }
+    assert!(p.stored_j() > -1e-5, "{} J", p.stored_j());
+}
+
+#[test]
+fn after_a_gap_the_tissue_is_believed() {
+    let mut p = passivity();
+    let force = Vector3::new(0.0, 0.0, 3.0);
+    p.interrupt();
+    p.observe(&seen(&Vector3::zeros(), 3.0));
+    assert_eq!(limit(&p, force, &Vector3::zeros()), (force, false));
+}
+
+/// A wrench along and about z.
+fn screw(force: f64, torque: f64) -> Wrench {
+    Wrench {
+        force: Vector3::new(0.0, 0.0, force),
+        torque: Vector3::new(0.0, 0.0, torque),
+    }
+}
+
+/// A pose at `z` m, turned about z by `angle` rad.
+fn screwed(z: f64, angle: f64) -> Pose {
+    Pose {
+        position: Vector3::new(0.0, 0.0, z),
+        orientation: UnitQuaternion::new(Vector3::new(0.0, 0.0, angle)),
+    }
+}
+
+fn given_wrench(pose: Pose, wrench: Wrench) -> Given {
+    Given {
+        pose,
+        wrench,
+        ..given(Vector3::zeros(), Vector3::zeros(), true)
+    }
+}
+
+fn seen_wrench(pose: Pose, there: Wrench) -> Seen {
+    Seen {
+        pose,
+        there,
+        ..seen(&Vector3::zeros(), 0.0)
+    }
+}
+
+#[test]
+fn force_and_torque_are_taken_away_by_one_factor_and_no_more_than_needed() {
+    let still = Vector3::zeros();
+    for stored in [1e-4, 1e-3, 1e-2] {
+        for (force, torque) in [(7.0, 0.3), (7.0, 0.01), (0.0, 0.3), (0.5, 0.6)] {
+            let mut p = passivity();
+            p.tank_j = stored + super::RESERVE_J;
+            let wrench = screw(force, torque);
+            let (may, limited) = p.limit(&wrench, &still, &still);
+            let share = may.torque.z / torque;
+            assert!((may.force.z - force * share).abs() < 1e-12);
+            assert_eq!(limited, share < 1.0);
+            let impulse = |n: f64, step: f64| 1e-3 * (n + n * n / (2.0 * step));
+            let needs = impulse(may.force.z, STEP).powi(2) / (2.0 * LIGHTEST_KG)
+                + impulse(may.torque.z, STEP_NM).powi(2) / (2.0 * LIGHTEST_KG_M2);
+            assert!(needs <= stored, "{needs} J of {stored}");
+            assert!(!limited || needs > 0.99 * stored, "{needs} J of {stored}");
+        }
+    }
+}
+
+#[test]
+fn a_spring_of_torsion_gives_back_what_it_stores() {
+    // 0.5 N·m/rad, 0.4 rad and back at 2 rad/s: 40 mJ.
+    let mut p = passivity();
+    let mut before: i32 = 0;
+    for step in (0..=200).chain((0..200).rev()) {
+        let angle = -2e-3 * f64::from(step);
+        let wrench = screw(0.0, -0.5 * angle);
+        let w = Vector3::new(0.0, 0.0, 2.0 * f64::from((before - step).signum()));
+        p.observe(&seen_wrench(screwed(0.0, angle), wrench));
+        let (may, limited) = p.limit(&wrench, &Vector3::zeros(), &w);
+        assert!(!limited || step <= 40, "{may:?} of {wrench:?} at {step}");
+        p.give(given_wrench(screwed(0.0, angle), may));
+        before = step;
+    }
+    assert!((0.0..2e-3).contains(&p.stored_j()), "{} J", p.stored_j());
+}
+
+#[test]
+fn a_turn_that_no_hand_makes_is_not_charged() {
+    let mut p = passivity();
+    p.give(given_wrench(screwed(0.0, 0.0), screw(0.0, 0.3)));
+    p.observe(&seen_wrench(screwed(0.0, -0.05), screw(0.0, 0.3)));
+    let stored = p.stored_j();
+    assert!((stored - 0.015).abs() < 1e-12, "{stored} J");
+    p.give(given_wrench(screwed(0.0, -0.05), screw(0.0, 0.3)));
+    p.observe(&seen_wrench(screwed(0.0, 1.5), screw(0.0, 0.3)));
+    assert_eq!(p.stored_j(), stored);
+}
+
+proptest! {
+    #[test]
+    fn along_any_way_and_turn_no_more_is_gained_than_one_ramp_of_each(
+        ways in proptest::collection::vec(
+            (-0.4..0.4f64, -8.0..8.0f64, 1usize..40, 0.0..20.0f64, -0.5..0.5f64), 1..60,
+        ),
+    ) {
+        let mut slew = WrenchSlew { force: Slew::new(STEP), torque: Slew::new(STEP_NM) };
+        let mut p = passivity();
+        let (mut z, mut angle, mut work, mut most) = (0.0, 0.0, 0.0, [0.0f64; 2]);
+        p.give(given_wrench(screwed(z, angle), Wrench::ZERO));
+        for (speed, rate, ticks, force, torque) in ways {
+            let target = screw(force, torque);
+            for _ in 0..ticks {
+                p.observe(&seen_wrench(screwed(z, angle), target));
+                let v = Vector3::new(0.0, 0.0, speed);
+                let w = Vector3::new(0.0, 0.0, rate);
+                let (may, limited) = p.limit(&slew.peek(&target), &v, &w);
+                let (wrench, _) = slew.towards(if limited { &may } else { &target });
+                p.give(given_wrench(screwed(z, angle), wrench));
+                z += speed * 1e-3;
+                angle += rate * 1e-3;
+                work -= (wrench.force.z * speed + wrench.torque.z * rate) * 1e-3;
+                most = [most[0].max(wrench.force.norm()), most[1].max(wrench.torque.norm())];
+            }
+        }
+        let ramp = |most: f64, step: f64, speed: f64| (most + most * most / (2.0 * step)) * 1e-3 * speed;
+        let ramps = ramp(most[0], STEP, 0.4) + ramp(most[1], STEP_NM, 8.0);
+        prop_assert!(work >= -ramps, "{work} J after {ramps} J");
+    }
+}
+
+proptest! {
+    #[test]
+    fn along_any_path_no_more_is_gained_than_one_ramp_gives(
+        ways in proptest::collection::vec((-0.4..0.4f64, 1usize..40, 0.0..20.0f64), 1..60),
+    ) {
+        // The tool is moved, whatever pushes it, and the force wants to be anything: no hand can do worse. One that
+        // turns at once finds the force still there, as the slew limit lets nothing fall at once, but only once.
+        let (mut p, mut slew) = (passivity(), Slew::new(STEP));
+        let (mut z, mut work, mut most) = (0.0, 0.0, 0.0f64);
+        let along = |z: f64| Vector3::new(0.0, 0.0, z);
+        p.give(given(along(z), Vector3::zeros(), false));
+        for (speed, ticks, target) in ways {
+            for _ in 0..ticks {
+                p.observe(&seen(&along(z), target));
+                let (may, limited) = limit(&p, slew.peek(along(target)), &along(speed));
+                let (force, _) = slew.towards(if limited { may } else { along(target) });
+                p.give(given(along(z), force, true));
+                z += speed * 1e-3;
+                work -= force.z * speed * 1e-3;
+                most = most.max(force.z);
+            }
+        }
+        let ramp = (most + most * most / (2.0 * STEP)) * 1e-3 * 0.4;
+        prop_assert!(work >= -ramp, "{work} J after {ramp} J");
+    }
+}

@@ -1,0 +1,103 @@
+//! The places of the tool together: what each of them feels, summed to a wrench about the pivot.
+
+use nalgebra::Vector3;
+use palpate_device::{Pose, Wrench};
+use palpate_protocol::{ClientTime, Span};
+
+use crate::blend::{Blend, Felt};
+use crate::motion::Motion;
+use crate::{CONTACTS_MAX, Friction, FrictionConfig, Grip};
+
+/// Stick and slip of every place, and where the tool was.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Places {
+    frictions: [Friction; CONTACTS_MAX],
+    last: Option<Pose>,
+}
+
+/// What places do: any of them may stick while others slide.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct Grips {
+    pub(crate) sticks: bool,
+    pub(crate) slips: bool,
+}
+
+impl Grips {
+    pub(crate) fn any(self) -> bool {
+        self.sticks || self.slips
+    }
+}
+
+impl Places {
+    pub(crate) fn new(config: FrictionConfig) -> Self {
+        Self {
+            frictions: [Friction::new(config); CONTACTS_MAX],
+            last: None,
+        }
+    }
+
+    /// Every place lets go. For broken paths (a bad sample).
+    pub(crate) fn reset(&mut self) {
+        for friction in &mut self.frictions {
+            friction.reset();
+        }
+        self.last = None;
+    }
+
+    pub(crate) fn grips(&self) -> Grips {
+        let any = |grip| self.frictions.iter().any(|f| f.grip() == grip);
+        Grips {
+            sticks: any(Grip::Stick),
+            slips: any(Grip::Slip),
+        }
+    }
+
+    /// One tick, `dt` after the last: the wrench of the tissue on a tool in `motion`, about its pivot.
+    pub(crate) fn tick(
+        &mut self,
+        blend: &Blend,
+        now: ClientTime,
+        dt: Span,
+        motion: &Motion,
+    ) -> Wrench {
+        let (mut force, mut torque) = (Vector3::zeros(), Vector3::zeros());
+        let couple = self.rub(blend, now, dt, motion, |felt, across| {
+            let push = felt.contact.normal * felt.normal_force + across;
+            force += push;
+            torque += felt.lever.cross(&push);
+        });
+        Wrench {
+            force,
+            torque: torque + couple,
+        }
+    }
+
+    /// Lets every place stick or slip; tells `each` with the force across its normal, N. The couple, N·m.
+    fn rub(
+        &mut self,
+        blend: &Blend,
+        now: ClientTime,
+        dt: Span,
+        motion: &Motion,
+        mut each: impl FnMut(&Felt, Vector3<f64>),
+    ) -> Vector3<f64> {
+        let last = self.last.replace(motion.pose()).unwrap_or(motion.pose());
+        let mut is_felt = [false; CONTACTS_MAX];
+        let couple = blend.feel(now, motion, |felt| {
+            is_felt[felt.place] = true;
+            let moved = motion.moved_since(&last, &felt.lever);
+            let v = motion.velocity_at(&felt.lever);
+            let across = self.frictions[felt.place].tick(&felt.contact, &moved, &v, dt);
+            each(&felt, across);
+        });
+        for (friction, is_felt) in self.frictions.iter_mut().zip(is_felt) {
+            if !is_felt {
+                friction.reset();
+            }
+        }
+        couple
+    }
+}
+
+#[cfg(test)]
+mod tests;
