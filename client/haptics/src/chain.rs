@@ -4,14 +4,13 @@ use palpate_device::{DeviceCaps, Faults, Pose, Sample, Wrench};
 use palpate_protocol::{ClientTime, Span};
 
 use crate::blend::Blend;
-use crate::limits::WrenchSlew;
 use crate::motion::Motion;
 use crate::passivity::{Given, Seen};
 use crate::places::{Grips, Places};
 use crate::watchdog::Watched;
 use crate::{
     ContactModel, Counters, Coupling, EnergyObserver, Events, FrictionConfig, LinkGuard, Passivity,
-    Slew, SoftStart, StiffnessCap, Watchdog, WatchdogConfig, clamp_force,
+    Slew, SoftStart, StiffnessCap, Watchdog, WatchdogConfig, WrenchSlew, clamp_force,
 };
 
 /// How long the slew limit may need to empty the largest force, or torque. A limit so high that it
@@ -49,7 +48,9 @@ pub struct ChainConfig {
     /// How fast the force may change, N/s. 600 is 30 N over 50 ms: a firm press into bone is
     /// rendered as it is, a step is not.
     pub slew_n_per_s: f64,
-    /// How fast the torque may change, N·m/s: 600 N/s at the end of a grip, so that both are emptied in the same time.
+    /// How fast the torque may change, N·m/s: twice as fast as 600 N/s at the end of a grip, so that 1 N·m is emptied
+    /// in the time of 10 N. A handle turns more readily than it moves, and the longer a torque takes to be taken away,
+    /// the less of it may be given; see [`Passivity`].
     pub slew_nm_per_s: f64,
     /// Length of the soft start.
     pub soft_start: Span,
@@ -70,7 +71,7 @@ impl Default for ChainConfig {
             force_max_n: 30.0,
             torque_max_nm: 1.5,
             slew_n_per_s: 600.0,
-            slew_nm_per_s: 30.0,
+            slew_nm_per_s: 60.0,
             soft_start: Span::from_millis(1000),
             friction: FrictionConfig::default(),
             watchdog: WatchdogConfig::default(),
@@ -228,15 +229,17 @@ impl Chain {
             passivity.hear(model.others_j);
             passivity.observe(&Seen {
                 pose: sample.pose,
+                v: motion.v,
+                w: motion.w,
                 dt,
                 there,
                 stiffness_n_per_m: model.normal_stiffness(),
             });
         }
-        let wanted = self.rendered(there.scaled(trusted * open));
-        let wrench = self.take_away(wanted, &motion, &mut events);
+        let target = there.scaled(trusted * open);
+        let wrench = self.take_away(self.rendered(target), &motion, &mut events);
         let wrench = self.limit_change(&wrench, &mut events);
-        let felt = self.felt_as_if(wrench, &there);
+        let felt = self.counted(wrench, &target);
         if let Some(passivity) = &mut self.passivity {
             passivity.give(Given {
                 pose: sample.pose,
@@ -270,7 +273,10 @@ impl Chain {
         let (force, saturated) = clamp_force(wrench.force, self.force_limit_n);
         events.set(Events::SATURATED, saturated);
         let Some(limit_nm) = self.torque_limit_nm else {
-            return self.felt_as_if(Wrench::from_force(force), wrench);
+            let n = wrench.force.norm();
+            let share = if saturated { force.norm() / n } else { 1.0 };
+            let torque = wrench.torque * share;
+            return Wrench { force, torque };
         };
         let (torque, saturated) = clamp_force(wrench.torque, limit_nm);
         events.set(Events::TORQUE_SATURATED, saturated);
@@ -286,17 +292,18 @@ impl Chain {
         }
     }
 
-    /// What is given as a hand would feel it whose device renders torques: as much of the torque `there` as is given of
-    /// the force. A hand that presses tissue by tilting a tool works against that torque, whether it feels it or not,
-    /// and would otherwise be taken for one that the tissue pushes with work that nobody has done.
-    fn felt_as_if(&self, given: Wrench, there: &Wrench) -> Wrench {
-        let n = there.force.norm();
-        if self.torque_limit_nm.is_some() || n == 0.0 {
-            return given;
-        }
+    /// What the work of a hand is counted with that is `given` so much: on a device that renders no torque, with that of
+    /// the `target`, too. Who presses tissue by tilting a tool works against that torque, whether he feels it or not,
+    /// and would otherwise be taken for one whom the tissue pushes with work that nobody has done.
+    fn counted(&self, given: Wrench, target: &Wrench) -> Wrench {
+        let torque = if self.torque_limit_nm.is_some() {
+            given.torque
+        } else {
+            target.torque
+        };
         Wrench {
             force: given.force,
-            torque: there.torque * (given.force.norm() / n).min(1.0),
+            torque,
         }
     }
 
@@ -331,10 +338,9 @@ impl Chain {
         let Some(passivity) = &self.passivity else {
             return wrench;
         };
-        // What counts is the wrench of this tick, not the one that it is on the way to.
-        let (may, limited) = passivity.limit(&self.slew.peek(&wrench), &motion.v, &motion.w);
+        let (may, limited) = passivity.limit(&self.slew, &wrench, &motion.v, &motion.w);
         events.set(Events::PASSIVATED, limited);
-        if limited { may } else { wrench }
+        may
     }
 
     fn limit_change(&mut self, target: &Wrench, events: &mut Events) -> Wrench {

@@ -44,7 +44,7 @@ pub use coupling::{Coupling, Slope};
 pub use energy::EnergyObserver;
 pub use events::{Counters, Events};
 pub use friction::{Contact, Friction, FrictionConfig, Grip};
-pub use limits::{Slew, StiffnessCap, clamp_force};
+pub use limits::{Slew, StiffnessCap, WrenchSlew, clamp_force};
 pub use passivity::{Given, Passivity, Seen};
 pub use soft_start::SoftStart;
 pub use touch::Touch;

@@ -87,28 +87,32 @@ impl Slew {
 
 /// The last stage: what the hand is given never changes by more than its two steps per tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct WrenchSlew {
-    pub(crate) force: Slew,
-    pub(crate) torque: Slew,
+pub struct WrenchSlew {
+    /// Of the force.
+    pub force: Slew,
+    /// Of the torque.
+    pub torque: Slew,
 }
 
 impl WrenchSlew {
-    pub(crate) fn now(&self) -> Wrench {
+    /// What the last tick gave.
+    pub fn now(&self) -> Wrench {
         Wrench {
             force: self.force.now(),
             torque: self.torque.now(),
         }
     }
 
-    pub(crate) fn peek(&self, target: &Wrench) -> Wrench {
+    /// Where [`towards`](Self::towards) would get in this tick.
+    pub fn peek(&self, target: &Wrench) -> Wrench {
         Wrench {
             force: self.force.peek(target.force),
             torque: self.torque.peek(target.torque),
         }
     }
 
-    /// Where it gets to, and whether the step of the force and that of the torque was too long.
-    pub(crate) fn towards(&mut self, target: &Wrench) -> (Wrench, [bool; 2]) {
+    /// Goes towards `target`; where it gets to, and whether the step of the force and that of the torque was too long.
+    pub fn towards(&mut self, target: &Wrench) -> (Wrench, [bool; 2]) {
         let (force, forced) = self.force.towards(target.force);
         let (torque, turned) = self.torque.towards(target.torque);
         (Wrench { force, torque }, [forced, turned])

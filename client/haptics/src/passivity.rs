@@ -17,15 +17,20 @@
 //! E_k - E_0 >= J v + J²/(2 m)        J = T (|F| + |F|²/(2 δ)),  T the period
 //! ```
 //!
-//! which is solved for |F|. With a torque its own impulse L = T (|M| + |M|²/(2 ε)), ε being its step, on the
-//! inertia I of the lightest handle, turning with ω along it, is added, and one factor is looked for that force and torque are both multiplied
-//! by, so that a wrench keeps the line it acts along:
+//! which is solved for |F|. With a torque M its own impulse L = T (|M| + |M|²/(2 ε)), ε being its step, on the inertia I
+//! of the lightest handle, turning with ω along it, is added, and one factor is looked for by which both are multiplied,
+//! so that a wrench keeps the line it acts along:
 //!
 //! ```text
-//! E_k - E_0 >= J v + J²/(2 m) + L ω + L²/(2 I)
+//! E_k - E_0 >= J v + J²/(2 m) + L ω + L²/(2 I)      at any time while they are taken away
 //! ```
 //!
-//! (of a handle whose pivot is its middle of mass, as that of a gimbal with a balanced stylus nearly is). A spring stores |F|²/(2 K): it never comes near while |F| < 2 (δ/T) √(m/K), or 17 N for
+//! At any time, because the two ramps have not the same length: what a fast press is going to pay at the end, a torque
+//! could have spent before. And an arm that is speeding the handle up (a, never below zero) does so until the ramps
+//! are over; a light handle on a stiff arm turns so quickly that this counts. (Of a handle whose pivot is its middle of
+//! mass, as that of a gimbal with a balanced stylus nearly is.)
+//!
+//! A spring stores |F|²/(2 K): it never comes near while |F| < 2 (δ/T) √(m/K), or 17 N for
 //! 400 N/m. So soft tissue is rendered as it is, and a wall that the delay of a solver makes lively loses force
 //! before it can throw the hand back.
 //!
@@ -42,6 +47,7 @@ use nalgebra::Vector3;
 use palpate_device::{Pose, Wrench};
 use palpate_protocol::Span;
 
+use crate::WrenchSlew;
 use crate::energy::{turned, work};
 
 /// Energy that must be earned before any is given back, J: what 0.06 N have moved by 0.3 mm, less than a hand tells.
@@ -63,6 +69,8 @@ const JUMPS_RAD_S: f64 = 100.0;
 const DEPTH_M: f64 = 0.05;
 /// The same of a turn, rad: that depth at the end of a lever as long.
 const TURN_RAD: f64 = 1.0;
+/// Moments of two ramps that are looked at. A ramp has at most 50 ticks, and what it does is smooth.
+const MOMENTS: usize = 16;
 /// Halvings in the search for the common factor: to a millionth.
 const HALVINGS: usize = 20;
 
@@ -71,6 +79,10 @@ const HALVINGS: usize = 20;
 pub struct Seen {
     /// Where it is, and how it is turned.
     pub pose: Pose,
+    /// How fast it moves, m/s.
+    pub v: Vector3<f64>,
+    /// How fast it turns, rad/s.
+    pub w: Vector3<f64>,
     /// Time since the last tick.
     pub dt: Span,
     /// What the tissue pushes and turns it with there, before anything is taken away.
@@ -105,6 +117,10 @@ pub struct Passivity {
     tank_j: f64,
     /// What was given in the last tick.
     last: Option<Given>,
+    /// How fast it moved and turned then, m/s and rad/s.
+    speeds: Option<[Vector3<f64>; 2]>,
+    /// How both have changed since, m/s² and rad/s².
+    speeding_up: [Vector3<f64>; 2],
     /// What others have put in beside this contact and not got back, J. What they had put in before is theirs to
     /// take back: it is never below zero.
     lent_j: f64,
@@ -125,6 +141,8 @@ impl Passivity {
             step_nm,
             tank_j: 0.0,
             last: None,
+            speeds: None,
+            speeding_up: [Vector3::zeros(); 2],
             lent_j: 0.0,
             kept_j: 0.0,
             room_j: 0.0,
@@ -140,6 +158,7 @@ impl Passivity {
     /// The path is broken (a bad sample): what was stored stays, and nothing is known of the work since.
     pub fn interrupt(&mut self) {
         self.last = None;
+        self.speeds = None;
     }
 
     /// Others have put so much into the tissue since they began, less what they have got back, J.
@@ -154,6 +173,11 @@ impl Passivity {
         let room = RESERVE_J + there.force.norm() * DEPTH_M + there.torque.norm() * TURN_RAD;
         self.room_j = room.max(self.room_j * self.left_of(FORGETS_S));
         let dt_s = seen.dt.as_secs_f64().max(self.period_s);
+        let [v, w] = self
+            .speeds
+            .replace([seen.v, seen.w])
+            .unwrap_or([seen.v, seen.w]);
+        self.speeding_up = [(seen.v - v) / dt_s, (seen.w - w) / dt_s];
         match self.last.filter(|last| is_a_way(last, &seen.pose, dt_s)) {
             Some(last) => {
                 self.tank_j -= work(&last.wrench, &last.pose, &seen.pose);
@@ -185,20 +209,28 @@ impl Passivity {
         1.0 - self.period_s / s
     }
 
-    /// As much of `wrench` as may be given to a tool that moves with `v` (m/s) and turns with `w` (rad/s), and whether
-    /// that is less. Its line of action stays.
-    pub fn limit(&self, wrench: &Wrench, v: &Vector3<f64>, w: &Vector3<f64>) -> (Wrench, bool) {
+    /// As much of `target` as may be aimed at by a `slew` limit for a tool that moves with `v` (m/s) and turns with `w`
+    /// (rad/s), and whether that is less. Its line of action stays.
+    pub fn limit(
+        &self,
+        slew: &WrenchSlew,
+        target: &Wrench,
+        v: &Vector3<f64>,
+        w: &Vector3<f64>,
+    ) -> (Wrench, bool) {
         let there = (self.tank_j + self.lent_j + self.kept_j - RESERVE_J).max(0.0);
-        let share = if wrench.torque == Vector3::zeros() {
-            self.share_of_force(&wrench.force, v, there)
-        } else {
-            self.share_of_both(wrench, v, w, there)
-        };
-        if share < 1.0 {
-            (wrench.scaled(share), true)
-        } else {
-            (*wrench, false)
+        // What counts is the wrench of this tick, not the one that it is on the way to.
+        let next = slew.peek(target);
+        if next.torque == Vector3::zeros() && slew.torque.now() == Vector3::zeros() {
+            let share = self.share_of_force(&next.force, v, there);
+            return if share < 1.0 {
+                (next.scaled(share), true)
+            } else {
+                (*target, false)
+            };
         }
+        let share = self.share_of_both(slew, target, v, w, there);
+        (target.scaled(share), share < 1.0)
     }
 
     /// The factor of a force alone, where `there` joules may be given.
@@ -214,25 +246,44 @@ impl Passivity {
         most / n
     }
 
-    /// The same of force and torque: a share at which they do not need more, next to one at which they do.
+    /// The same of force and torque: a share of `target` on the way to which they do not need more, next to one at which
+    /// they do. On the way to nothing at all, the force or the torque may still be more than there is for: that was
+    /// paid for when it was given.
     fn share_of_both(
         &self,
-        wrench: &Wrench,
+        slew: &WrenchSlew,
+        target: &Wrench,
         v: &Vector3<f64>,
         w: &Vector3<f64>,
         there: f64,
     ) -> f64 {
-        let needs = |share: f64| {
-            self.needs(&wrench.force, v, share, self.step_n, LIGHTEST_KG)
-                + self.needs(&wrench.torque, w, share, self.step_nm, LIGHTEST_KG_M2)
+        let is_there = |share: f64| {
+            let next = slew.peek(&target.scaled(share));
+            let ramps = [
+                self.ramp(
+                    &next.force,
+                    v,
+                    &self.speeding_up[0],
+                    self.step_n,
+                    LIGHTEST_KG,
+                ),
+                self.ramp(
+                    &next.torque,
+                    w,
+                    &self.speeding_up[1],
+                    self.step_nm,
+                    LIGHTEST_KG_M2,
+                ),
+            ];
+            Ramp::spend_together(&ramps) <= there
         };
-        if needs(1.0) <= there {
+        if is_there(1.0) {
             return 1.0;
         }
         let (mut enough, mut too_much) = (0.0, 1.0);
         for _ in 0..HALVINGS {
             let middle = 0.5 * (enough + too_much);
-            if needs(middle) <= there {
+            if is_there(middle) {
                 enough = middle;
             } else {
                 too_much = middle;
@@ -241,23 +292,25 @@ impl Passivity {
         enough
     }
 
-    /// What a `share` of a force (or torque) does to something that weighs `inertia` and moves with `v`, while the slew
-    /// limit takes it away, J.
-    fn needs(
+    /// How a force (or torque) on something that weighs `inertia`, moves with `v` and speeds up is taken away by a slew
+    /// limit of `step` per tick.
+    fn ramp(
         &self,
         force: &Vector3<f64>,
         v: &Vector3<f64>,
-        share: f64,
+        speeding_up: &Vector3<f64>,
         step: f64,
         inertia: f64,
-    ) -> f64 {
+    ) -> Ramp {
         let n = force.norm();
-        if n == 0.0 {
-            return 0.0;
+        let along = if n > 0.0 { force / n } else { *force };
+        Ramp {
+            lasts_s: self.period_s * (n / step + 1.0),
+            impulse: self.period_s * (n + n * n / (2.0 * step)),
+            speed: along.dot(v),
+            speeding_up: along.dot(speeding_up).max(0.0),
+            inertia,
         }
-        let given = share * n;
-        let impulse = self.period_s * (given + given * given / (2.0 * step));
-        impulse * force.dot(v) / n + impulse * impulse / (2.0 * inertia)
     }
 
     /// What is given until the next tick.
@@ -267,6 +320,38 @@ impl Passivity {
             self.tank_j *= self.left_of(FORGETS_S);
         }
         self.last = Some(given);
+    }
+}
+
+/// A force, or torque, that is taken away evenly.
+struct Ramp {
+    lasts_s: f64,
+    /// What it gives until it is gone, N·s or N·m·s.
+    impulse: f64,
+    /// Of what it acts on, along it, m/s or rad/s.
+    speed: f64,
+    /// By an arm, m/s² or rad/s².
+    speeding_up: f64,
+    /// kg or kg·m².
+    inertia: f64,
+}
+
+impl Ramp {
+    /// What it has done after `t_s` seconds, J.
+    fn has_done(&self, t_s: f64) -> f64 {
+        let left = (1.0 - t_s / self.lasts_s).max(0.0);
+        let impulse = self.impulse * (1.0 - left * left);
+        let faster = 0.5 * self.speeding_up * t_s.min(self.lasts_s);
+        impulse * (self.speed + faster) + impulse * impulse / (2.0 * self.inertia)
+    }
+
+    /// The most that two have done together at any time, J.
+    fn spend_together([a, b]: &[Self; 2]) -> f64 {
+        let lasts_s = a.lasts_s.max(b.lasts_s);
+        (1..=MOMENTS)
+            .map(|i| lasts_s * i as f64 / MOMENTS as f64)
+            .map(|t_s| a.has_done(t_s) + b.has_done(t_s))
+            .fold(0.0, f64::max)
     }
 }
 

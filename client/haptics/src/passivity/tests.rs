@@ -6,8 +6,7 @@ use palpate_protocol::Span;
 use proptest::prelude::*;
 
 use super::{Given, LIGHTEST_KG, LIGHTEST_KG_M2, Passivity, Seen};
-use crate::Slew;
-use crate::limits::WrenchSlew;
+use crate::{Slew, WrenchSlew};
 
 const STEP: f64 = 0.6;
 const STEP_NM: f64 = 0.03;
@@ -15,6 +14,8 @@ const STEP_NM: f64 = 0.03;
 fn seen(x: &Vector3<f64>, there_n: f64) -> Seen {
     Seen {
         pose: Pose::at(*x),
+        v: Vector3::zeros(),
+        w: Vector3::zeros(),
         dt: Span::from_millis(1),
         there: Wrench::from_force(Vector3::new(0.0, 0.0, there_n)),
         stiffness_n_per_m: 400.0,
@@ -34,9 +35,17 @@ fn passivity() -> Passivity {
     Passivity::new(STEP, STEP_NM, Span::from_millis(1))
 }
 
+/// One that gets everywhere in a tick.
+fn quick() -> WrenchSlew {
+    WrenchSlew {
+        force: Slew::new(1e9),
+        torque: Slew::new(1e9),
+    }
+}
+
 /// What may be given of a force alone.
 fn limit(p: &Passivity, force: Vector3<f64>, v: &Vector3<f64>) -> (Vector3<f64>, bool) {
-    let (may, limited) = p.limit(&Wrench::from_force(force), v, &Vector3::zeros());
+    let (may, limited) = p.limit(&quick(), &Wrench::from_force(force), v, &Vector3::zeros());
     assert_eq!(may.torque, Vector3::zeros());
     (may.force, limited)
 }
@@ -236,7 +245,7 @@ fn force_and_torque_are_taken_away_by_one_factor_and_no_more_than_needed() {
             let mut p = passivity();
             p.tank_j = stored + super::RESERVE_J;
             let wrench = screw(force, torque);
-            let (may, limited) = p.limit(&wrench, &still, &still);
+            let (may, limited) = p.limit(&quick(), &wrench, &still, &still);
             let share = may.torque.z / torque;
             assert!((may.force.z - force * share).abs() < 1e-12);
             assert_eq!(limited, share < 1.0);
@@ -259,7 +268,7 @@ fn a_spring_of_torsion_gives_back_what_it_stores() {
         let wrench = screw(0.0, -0.5 * angle);
         let w = Vector3::new(0.0, 0.0, 2.0 * f64::from((before - step).signum()));
         p.observe(&seen_wrench(screwed(0.0, angle), wrench));
-        let (may, limited) = p.limit(&wrench, &Vector3::zeros(), &w);
+        let (may, limited) = p.limit(&quick(), &wrench, &Vector3::zeros(), &w);
         assert!(!limited || step <= 40, "{may:?} of {wrench:?} at {step}");
         p.give(given_wrench(screwed(0.0, angle), may));
         before = step;
@@ -296,8 +305,8 @@ proptest! {
                 p.observe(&seen_wrench(screwed(z, angle), target));
                 let v = Vector3::new(0.0, 0.0, speed);
                 let w = Vector3::new(0.0, 0.0, rate);
-                let (may, limited) = p.limit(&slew.peek(&target), &v, &w);
-                let (wrench, _) = slew.towards(if limited { &may } else { &target });
+                let (may, _) = p.limit(&slew, &target, &v, &w);
+                let (wrench, _) = slew.towards(&may);
                 p.give(given_wrench(screwed(z, angle), wrench));
                 z += speed * 1e-3;
                 angle += rate * 1e-3;
