@@ -129,6 +129,18 @@ pub struct EventCounts {
     pub link_lost: u64,
     /// Largest change of force between two ticks, N.
     pub max_delta_force_n: f64,
+    /// Clamped to the torque that the device can hold.
+    #[serde(default)]
+    pub torque_saturated: u64,
+    /// The change of torque was limited.
+    #[serde(default)]
+    pub torque_slewed: u64,
+    /// Largest torque, N·m; zero on a device that renders none.
+    #[serde(default)]
+    pub torque_max_nm: f64,
+    /// Largest change of torque between two ticks, N·m.
+    #[serde(default)]
+    pub max_delta_torque_nm: f64,
     /// Smallest energy the hand had put in, J.
     pub min_energy_j: f64,
     /// Samples that found no room on their way to the network.
@@ -149,6 +161,10 @@ impl EventCounts {
             faulted: c.faulted,
             link_lost: c.link_lost,
             max_delta_force_n: c.max_delta_force_n,
+            torque_saturated: c.torque_saturated,
+            torque_slewed: c.torque_slewed,
+            torque_max_nm: c.max_torque_nm,
+            max_delta_torque_nm: c.max_delta_torque_nm,
             min_energy_j: c.min_energy_j,
             frames_dropped,
         }
@@ -195,6 +211,16 @@ impl fmt::Display for Summary {
                 self.events.stale,
                 self.events.faulted
             )?;
+            if self.events.torque_max_nm > 0.0 {
+                writeln!(
+                    f,
+                    "  torque       at most {:.3} N·m, changing at most {:.4} N·m per tick; {} ticks saturated, {} slewed",
+                    self.events.torque_max_nm,
+                    self.events.max_delta_torque_nm,
+                    self.events.torque_saturated,
+                    self.events.torque_slewed
+                )?;
+            }
             writeln!(f, "  device       {}; {}", self.device, self.realtime)?;
         }
         writeln!(

@@ -5,11 +5,11 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use palpate_device::backend::five_dof;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
-use palpate_device::{DeviceTime, HapticDevice, Script};
+use palpate_device::{DeviceCaps, DeviceTime, HapticDevice, Pose, Script};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Counters, Touch};
 use palpate_protocol::ClientTime;
 
@@ -50,22 +50,38 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-fn tissue(us: i64, x: Vector3<f64>) -> ContactModel {
-    let depth = -x.z;
-    let f0 = Vector3::new(0.0, 0.0, 400.0 * depth);
-    ContactModel {
+/// What a line of `contacts` stations along the tool's y feels of 400 N/m below z = 0.
+fn tissue(us: i64, pose: &Pose, contacts: usize) -> ContactModel {
+    let mut model = ContactModel {
         topology_version: 1,
         solved_at: ClientTime::from_micros(us),
-        x0: x,
+        x0: pose.position,
+        turn0: pose.orientation,
         radius: 0.005,
-        ..ContactModel::single(Touch {
+        couple: Vector3::new(0.0, 0.01, 0.0),
+        ..ContactModel::FREE
+    };
+    let share = 1.0 / contacts as f64;
+    for (i, touch) in model.touches[..contacts].iter_mut().enumerate() {
+        let along = 0.04 * ((i as f64 + 0.5) * share - 0.5);
+        let lever = pose.orientation * (Vector3::y() * along);
+        let depth = -(pose.position + lever).z;
+        let f0 = Vector3::new(0.0, 0.0, 400.0 * share * depth.max(0.0));
+        *touch = Touch {
             touches: depth > 0.0,
-            damping: 0.5,
+            lever,
+            damping: 0.5 * share,
             mu_static: 0.4,
             mu_dynamic: 0.3,
-            ..Touch::at_pivot(f0, Matrix3::from_diagonal_element(400.0), Vector3::z())
-        })
+            // Stiffer than can be followed: the slopes of all have to be lowered.
+            ..Touch::at_pivot(
+                f0,
+                Matrix3::from_diagonal_element(4000.0 * share),
+                Vector3::z(),
+            )
+        };
     }
+    model
 }
 
 fn script() -> Script {
@@ -77,7 +93,9 @@ fn script() -> Script {
     let ways = vec![
         WayPoint::new(0.0, Vector3::new(0.0, 0.0, 0.01)),
         WayPoint::new(1.0, Vector3::new(0.0, 0.0, -0.02)),
-        WayPoint::new(2.0, Vector3::new(0.05, 0.0, -0.02)).pressed(),
+        WayPoint::new(2.0, Vector3::new(0.05, 0.0, -0.02))
+            .pressed()
+            .turned(UnitQuaternion::new(Vector3::new(0.15, 0.0, 0.0))),
         WayPoint::new(3.0, Vector3::new(0.0, 0.0, 0.01)),
     ];
     let tremor = Hand {
@@ -88,7 +106,7 @@ fn script() -> Script {
 }
 
 /// Ten thousand ticks with faults; the calls of the allocator, and what the chain counted.
-fn ticks(device: &mut dyn HapticDevice) -> (u64, Counters) {
+fn ticks(device: &mut dyn HapticDevice, contacts: usize) -> (u64, Counters) {
     device.enable_forces(true).unwrap();
     let mut chain = Chain::new(ChainConfig::default(), device.caps());
     let mut model = ContactModel::FREE;
@@ -105,7 +123,7 @@ fn ticks(device: &mut dyn HapticDevice) -> (u64, Counters) {
         } else {
             let sample = device.read(DeviceTime::from_micros(us)).unwrap();
             if tick % 4 == 0 {
-                model = tissue(us, sample.pose.position);
+                model = tissue(us, &sample.pose, contacts);
             }
             if tick % 3000 == 0 {
                 model.couple.x = f64::NAN;
@@ -125,19 +143,32 @@ fn ticks(device: &mut dyn HapticDevice) -> (u64, Counters) {
 #[test]
 fn ten_thousand_ticks_allocate_nothing() {
     let start = || ScriptStart::at(DeviceTime::ZERO);
-    let mut hand = SimHand::new(script(), start());
-    let mut five_dof = five_dof::simulated(&script(), start()).unwrap();
-    let devices: [&mut dyn HapticDevice; 2] = [&mut hand, &mut five_dof];
-    for device in devices {
-        let name = device.caps().name.clone();
-        let (calls, c) = ticks(device);
-        assert!(
-            c.slip > 500 && c.stick > 500 && c.released > 0 && c.bad_models > 0,
-            "{name}: {c:?}"
-        );
-        assert_eq!(
-            calls, 0,
-            "calls of the allocator in 10,000 ticks of the {name}"
-        );
+    for contacts in [1, 4, 16] {
+        let caps = DeviceCaps {
+            dof_out: 6,
+            max_torque_nm: 0.5,
+            ..SimHand::new(script(), start()).caps().clone()
+        };
+        let mut hand = SimHand::new(script(), start());
+        let mut turned = SimHand::with_caps(script(), start(), caps);
+        let mut five_dof = five_dof::simulated(&script(), start()).unwrap();
+        let devices: [(&mut dyn HapticDevice, bool); 3] = [
+            (&mut hand, false),
+            (&mut turned, true),
+            (&mut five_dof, true),
+        ];
+        for (device, renders_torque) in devices {
+            let name = device.caps().name.clone();
+            let (calls, c) = ticks(device, contacts);
+            assert!(
+                c.slip > 500 && c.stick > 500 && c.released > 0 && c.bad_models > 0,
+                "{name}, {contacts}: {c:?}"
+            );
+            assert_eq!(c.max_torque_nm > 0.0, renders_torque, "{name}: {c:?}");
+            assert_eq!(
+                calls, 0,
+                "calls of the allocator in 10,000 ticks of the {name} with {contacts} contacts"
+            );
+        }
     }
 }

@@ -2,7 +2,7 @@
 //! controller off, and that it gains nothing with it on.
 //!
 //! The hand is a mass and an inertia about the pivot with dampers, drawn onto the surface and out of level by soft
-//! springs, and free to bounce and to rock. The contact model is of how the tool was a delay ago, as in the test of the
+//! springs, some of which sweep, and free to bounce and to rock. The contact model is of how the tool was a delay ago, as in the test of the
 //! hand that does not turn.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
@@ -115,7 +115,14 @@ fn run(case: Case, controlled: bool) -> (Counters, f64) {
         } else {
             (-0.01, Vector3::new(0.0, 0.1, 0.1), -2.0)
         };
-        let target = Vector3::new(0.0, 0.0, target);
+        // Where the tool is rubbed, it also sweeps and rocks.
+        let s = if case.mu > 0.0 {
+            1e-3 * tick as f64
+        } else {
+            0.0
+        };
+        let target = Vector3::new(0.01 * (2.0 * s).sin(), 0.0, target);
+        let tilt = tilt * (1.0 + (9.0 * s).sin());
         let h = 1e-3 / SUB_STEPS as f64;
         for _ in 0..SUB_STEPS {
             let pull = (target - pose.position) * 100.0 + Vector3::z() * weight;

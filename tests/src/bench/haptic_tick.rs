@@ -1,16 +1,18 @@
 //! `bench haptic-tick`: what one tick of the force loop costs.
 //!
-//! A hand presses and slides on a linear tissue whose model is renewed every fourth tick. Timed are the reading of the
-//! device, the chain, and the writing: all that happens between two waits.
+//! A hand presses, slides and tilts a line of 1, 4 and 16 stations on a linear tissue whose model is renewed every fourth
+//! tick. Timed are the reading of the device, the chain, and the writing: all that happens between two waits; and the
+//! chain alone, as simulated motors and links are no part of it. Both devices render torques: the simulated hand is
+//! given six degrees of freedom (its turn is its script's, whatever turns it), the 5-DOF device has two of its own.
 
 use std::fmt;
 use std::time::Instant;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use palpate_device::backend::five_dof;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
-use palpate_device::{DeviceTime, HapticDevice, Script};
+use palpate_device::{DeviceCaps, DeviceTime, HapticDevice, Pose, Script};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Touch};
 use palpate_protocol::ClientTime;
 use serde::Serialize;
@@ -18,18 +20,22 @@ use serde::Serialize;
 /// Ticks before the clock runs: the soft start.
 const WARM: usize = 2000;
 
+/// Stations of the tools.
+const CONTACTS: [usize; 3] = [1, 4, 16];
+
+/// Length of a line, m.
+const LENGTH_M: f64 = 0.04;
+
 /// What is to be measured.
 #[derive(Debug, Clone, Copy)]
 pub struct HapticTick {
-    /// Ticks of each device.
+    /// Ticks of each device and tool.
     pub ticks: usize,
 }
 
-/// Times of one device, in µs.
-#[derive(Debug, Clone, Serialize)]
-pub struct Times {
-    /// What the device calls itself.
-    pub device: String,
+/// Times of some part of a tick, in µs.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Quantiles {
     /// Half are shorter.
     pub p50_us: f64,
     /// 99 of 100.
@@ -38,16 +44,46 @@ pub struct Times {
     pub p999_us: f64,
     /// The longest.
     pub max_us: f64,
-    /// Ticks in contact.
-    pub in_contact: u64,
 }
 
-/// Times of all devices.
+impl Quantiles {
+    fn of(times: &[f64]) -> Self {
+        let at = |q| super::quantile(times, q);
+        Self {
+            p50_us: at(0.5),
+            p99_us: at(0.99),
+            p999_us: at(0.999),
+            max_us: at(1.0),
+        }
+    }
+}
+
+/// Times of one device and tool.
+#[derive(Debug, Clone, Serialize)]
+pub struct Times {
+    /// What the device calls itself.
+    pub device: String,
+    /// Stations of the tool.
+    pub contacts: usize,
+    /// Reading, chain and writing.
+    #[serde(flatten)]
+    pub tick: Quantiles,
+    /// The chain alone.
+    pub chain: Quantiles,
+    /// Ticks in contact.
+    pub in_contact: u64,
+    /// Ticks in which a station slid.
+    pub slip: u64,
+    /// The largest torque, N·m.
+    pub max_torque_nm: f64,
+}
+
+/// Times of all devices and tools.
 #[derive(Debug, Clone, Serialize)]
 pub struct HapticTickReport {
     /// Ticks of each.
     pub ticks: usize,
-    /// One row per device.
+    /// One row per device and tool.
     pub devices: Vec<Times>,
 }
 
@@ -60,48 +96,63 @@ impl HapticTick {
     pub fn run(self) -> Result<HapticTickReport, String> {
         let start = || ScriptStart::at(DeviceTime::ZERO);
         let script = script().map_err(|e| e.to_string())?;
-        let mut hand = SimHand::new(script.clone(), start());
-        let mut five = five_dof::simulated(&script, start()).map_err(|e| e.to_string())?;
-        let devices = [self.time(&mut hand)?, self.time(&mut five)?];
+        let mut devices = Vec::new();
+        for contacts in CONTACTS {
+            let caps = DeviceCaps {
+                dof_out: 6,
+                max_torque_nm: 0.5,
+                ..SimHand::new(script.clone(), start()).caps().clone()
+            };
+            let mut hand = SimHand::with_caps(script.clone(), start(), caps);
+            let mut five = five_dof::simulated(&script, start()).map_err(|e| e.to_string())?;
+            devices.push(self.time(&mut hand, contacts)?);
+            devices.push(self.time(&mut five, contacts)?);
+        }
         Ok(HapticTickReport {
             ticks: self.ticks,
-            devices: devices.into(),
+            devices,
         })
     }
 
-    fn time(self, device: &mut dyn HapticDevice) -> Result<Times, String> {
+    fn time(self, device: &mut dyn HapticDevice, contacts: usize) -> Result<Times, String> {
         device.enable_forces(true).map_err(|e| e.to_string())?;
         let mut chain = Chain::new(ChainConfig::default(), device.caps());
         let mut model = ContactModel::FREE;
-        let mut times = Vec::with_capacity(self.ticks);
+        let mut whole = Vec::with_capacity(self.ticks);
+        let mut alone = Vec::with_capacity(self.ticks);
         for tick in 0..self.ticks + WARM {
             let us = 1000 * tick as i64;
             let (device_now, now) = (DeviceTime::from_micros(us), ClientTime::from_micros(us));
             let began = Instant::now();
             let sample = device.read(device_now).map_err(|e| e.to_string())?;
+            let was_read = Instant::now();
             let given = chain.tick(now, &sample, &model);
+            let was_computed = Instant::now();
             let _ = device.write(device_now, given.wrench);
-            let took = began.elapsed();
+            let was_written = Instant::now();
             if tick >= WARM {
-                times.push(took.as_secs_f64() * 1e6);
+                let us = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e6;
+                whole.push(us(began, was_written));
+                alone.push(us(was_read, was_computed));
             }
             if tick % 4 == 0 {
-                model = tissue(now, sample.pose.position);
+                model = tissue(now, &sample.pose, contacts);
             }
         }
-        let at = |q| super::quantile(&times, q);
+        let counters = chain.counters();
         Ok(Times {
             device: device.caps().name.clone(),
-            p50_us: at(0.5),
-            p99_us: at(0.99),
-            p999_us: at(0.999),
-            max_us: at(1.0),
-            in_contact: chain.counters().in_contact,
+            contacts,
+            tick: Quantiles::of(&whole),
+            chain: Quantiles::of(&alone),
+            in_contact: counters.in_contact,
+            slip: counters.slip,
+            max_torque_nm: counters.max_torque_nm,
         })
     }
 }
 
-/// A press that slides, over and over.
+/// A press that slides and tilts, over and over.
 fn script() -> Result<Script, palpate_device::ScriptError> {
     let tool = Tool {
         kind: ToolKind::Probe,
@@ -118,42 +169,61 @@ fn script() -> Result<Script, palpate_device::ScriptError> {
         (1.5, [0.04, 0.0, -0.02]),
         (2.0, [0.0, 0.0, 0.01]),
     ];
-    let ways = ways.map(|(t, at)| WayPoint::new(t, Vector3::from(at)));
+    let mut ways = ways.map(|(t, at)| WayPoint::new(t, Vector3::from(at)));
+    ways[2] = ways[2].turned(UnitQuaternion::new(Vector3::new(0.15, 0.0, 0.0)));
     Script::new(tool, tremor, ways.into(), true)
 }
 
-fn tissue(now: ClientTime, x: Vector3<f64>) -> ContactModel {
-    let depth = (-x.z).max(0.0);
-    let f0 = Vector3::new(0.0, 0.0, 300.0 * depth);
-    ContactModel {
+/// What a line along the probe's axis (y) feels of 300 N/m below z = 0.
+fn tissue(now: ClientTime, pose: &Pose, contacts: usize) -> ContactModel {
+    let mut model = ContactModel {
         topology_version: 1,
         solved_at: now,
-        x0: x,
+        x0: pose.position,
+        turn0: pose.orientation,
         radius: 8e-3,
-        ..ContactModel::single(Touch {
+        ..ContactModel::FREE
+    };
+    let share = 1.0 / contacts as f64;
+    let stiffness = Matrix3::from_diagonal_element(300.0 * share);
+    for (i, touch) in model.touches[..contacts].iter_mut().enumerate() {
+        let along = LENGTH_M * ((i as f64 + 0.5) * share - 0.5);
+        let lever = pose.orientation * (Vector3::y() * along);
+        let depth = -(pose.position + lever).z;
+        let f0 = Vector3::z() * (300.0 * share * depth.max(0.0));
+        *touch = Touch {
             touches: depth > 0.0,
-            damping: 0.3,
+            lever,
+            damping: 0.3 * share,
             mu_static: 0.3,
             mu_dynamic: 0.2,
-            ..Touch::at_pivot(f0, Matrix3::from_diagonal_element(300.0), Vector3::z())
-        })
+            ..Touch::at_pivot(f0, stiffness, Vector3::z())
+        };
     }
+    model
 }
 
 impl fmt::Display for HapticTickReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
+        writeln!(
             f,
-            "{:<16} {:>8} {:>8} {:>8} {:>8} µs",
-            "", "p50", "p99", "p99.9", "max"
+            "{:<16} {:>8}  {:^35}  chain alone",
+            "", "contacts", "tick"
         )?;
-        for d in &self.devices {
-            write!(
-                f,
-                "\n{:<16} {:>8.2} {:>8.2} {:>8.2} {:>8.2}",
-                d.device, d.p50_us, d.p99_us, d.p999_us, d.max_us
-            )?;
+        write!(f, "{:<16} {:>8}", "", "")?;
+        for _ in 0..2 {
+            write!(f, " {:>8} {:>8} {:>8} {:>8}", "p50", "p99", "p99.9", "max")?;
         }
-        write!(f, "\n{} ticks of each, one contact", self.ticks)
+        write!(f, " µs")?;
+        for d in &self.devices {
+            write!(f, "\n{:<16} {:>8}", d.device, d.contacts)?;
+            for q in [&d.tick, &d.chain] {
+                let all = [q.p50_us, q.p99_us, q.p999_us, q.max_us];
+                for us in all {
+                    write!(f, " {us:>8.2}")?;
+                }
+            }
+        }
+        write!(f, "\n{} ticks of each", self.ticks)
     }
 }
