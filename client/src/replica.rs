@@ -198,7 +198,7 @@ impl Replica {
             .step(&self.topology, &mut side.shape, &self.tools, budget);
         let id = own.and_then(ToolAt::contact).map(|t| t.id);
         if report.fell_back && id.is_some() {
-            return unusable(free);
+            return unusable(&free);
         }
         self.others
             .note(report.reactions.iter().filter(|r| Some(r.tool) != id));
@@ -259,10 +259,10 @@ fn contact_model(now: ClientTime, topology_version: u32, r: &Reaction) -> Contac
 }
 
 /// A model that the force loop does not take.
-fn unusable(free: ContactModel) -> ContactModel {
+fn unusable(free: &ContactModel) -> ContactModel {
     ContactModel {
         couple: Vec3::repeat(f64::NAN),
-        ..free
+        ..*free
     }
 }
 

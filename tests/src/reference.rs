@@ -72,7 +72,7 @@ pub struct Reference {
 /// A hand with all that is its own.
 struct Seat {
     hand: SimHand,
-    chain: Chain,
+    chain: Box<Chain>,
     contact: ContactModel,
     tool: ToolAt,
     stroke: StrokeCollector,
@@ -85,7 +85,7 @@ impl Seat {
         let mut hand = SimHand::new(script.clone(), start);
         hand.enable_forces(true)?;
         Ok(Self {
-            chain: Chain::new(ChainConfig::default(), hand.caps()),
+            chain: Box::new(Chain::new(ChainConfig::default(), hand.caps())),
             contact: ContactModel::FREE,
             tool: ToolAt {
                 participant: ParticipantId(number),

@@ -185,7 +185,7 @@ fn an_operation_with_another_result_is_an_error_that_says_which() {
 
 #[test]
 fn a_solve_that_was_thrown_away_is_no_model_for_the_hand() {
-    assert!(!unusable(ContactModel::FREE).is_usable());
+    assert!(!unusable(&ContactModel::FREE).is_usable());
 }
 
 #[test]
