@@ -25,8 +25,8 @@ use crate::Touch;
 use crate::touch::{COEFFICIENT_MAX, FORCE_MAX_N};
 
 /// Contacts in one model, and so places on one tool. A line of 16 stations or a plate of 4 by 4 cells gives forces and
-/// torques as well as twice as many do (within 2 %, see the tests of the chain's laws); a model of them has 3 KB, which
-/// are copied whole between threads.
+/// torques as one of half as many does (within 2 %, which `places` tests); a model has 3 KB, which are copied whole
+/// between threads.
 pub const CONTACTS_MAX: usize = 16;
 
 /// The tissue as the tool feels it near one solved pose. Plain data, copied between threads.
