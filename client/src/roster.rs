@@ -30,11 +30,11 @@ impl ToolAt {
 
     /// The tool as the tissue feels it; `None` while it cuts, or is stale, or is no place at all.
     pub fn contact(&self) -> Option<Tool> {
-        let tool = Tool {
-            id: u32::from(self.participant.0),
-            centre: self.position,
-            radius_m: self.description.radius_m,
-        };
+        let tool = Tool::ball(
+            u32::from(self.participant.0),
+            self.position,
+            self.description.radius_m,
+        );
         (!self.stale && !self.is_cutting() && tool.is_sound()).then_some(tool)
     }
 }

@@ -73,11 +73,7 @@ fn press_tick_on_the_thigh(bencher: Bencher<'_, '_>, wound: bool) {
             way = -way;
         }
         depth += way;
-        let tool = Tool {
-            id: 1,
-            centre: place.middle + place.normal * (RADIUS - depth),
-            radius_m: RADIUS,
-        };
+        let tool = Tool::ball(1, place.middle + place.normal * (RADIUS - depth), RADIUS);
         let budget = Budget {
             near: true,
             ..Budget::new(1, 2.5e-2)

@@ -59,10 +59,12 @@ impl Participant {
         let description = self.tool?;
         let shown = self.timeline.at(t)?;
         let cuts = description.kind == ToolKind::Scalpel && shown.buttons & PRIMARY_BUTTON != 0;
-        (!shown.stale && !cuts).then(|| Tool {
-            id: u32::from(self.id.0),
-            centre: Vec3::from(shown.pose.position_m),
-            radius_m: description.radius_m,
+        (!shown.stale && !cuts).then(|| {
+            Tool::ball(
+                u32::from(self.id.0),
+                Vec3::from(shown.pose.position_m),
+                description.radius_m,
+            )
         })
     }
 }

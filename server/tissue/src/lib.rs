@@ -38,7 +38,7 @@ pub use build::{
     ThinKind, ThinPart, ThinParts, build, region_surface, report_surface,
 };
 pub use cell::{Cell, DIAGONALS, EDGES, FACES, NO_CELL, cell_volume, scaled_jacobian};
-pub use contact::{Reaction, TOOLS_MAX, Tool};
+pub use contact::{Form, PLACES_MAX, Place, Reaction, TOOL_REACH_MAX_M, TOOLS_MAX, Tool};
 pub use cut::{
     BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, BladePoint, CutError, CutOutcome, CutStroke, Moved,
     RestPoint, STROKE_LENGTH_MAX_M, WOUND_WIDTH_MAX_M, cut, to_rest,

@@ -63,11 +63,7 @@ impl Press {
     }
 
     fn tool(&self, depth: f64) -> Tool {
-        Tool {
-            id: 1,
-            centre: self.at + self.normal * (RADIUS - depth),
-            radius_m: RADIUS,
-        }
+        Tool::ball(1, self.at + self.normal * (RADIUS - depth), RADIUS)
     }
 
     fn step(&mut self, depth: f64, iterations: usize, tolerance: f64) -> StepReport {

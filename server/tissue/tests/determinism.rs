@@ -22,11 +22,11 @@ fn press(threads: usize) -> u64 {
         .expect("threads");
     pool.install(|| {
         for step in 1..=3 {
-            let tool = Tool {
-                id: 1,
-                centre: Vec3::new(0.047, 0.05, 0.096 + 0.012 - 1e-3 * f64::from(step)),
-                radius_m: 0.012,
-            };
+            let tool = Tool::ball(
+                1,
+                Vec3::new(0.047, 0.05, 0.096 + 0.012 - 1e-3 * f64::from(step)),
+                0.012,
+            );
             // A small tolerance makes every brick take part, so that threads have something to share.
             solver.step(&topology, &mut shape, &[tool], Budget::new(4, 1e-6));
         }

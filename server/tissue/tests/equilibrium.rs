@@ -27,11 +27,7 @@ fn slab() -> (Topology, Solver, Shape) {
 }
 
 fn tool(x: f64, y: f64, depth: f64, radius: f64) -> Tool {
-    Tool {
-        id: 1,
-        centre: Vec3::new(x, y, 32.0 * MM + radius - depth),
-        radius_m: radius,
-    }
+    Tool::ball(1, Vec3::new(x, y, 32.0 * MM + radius - depth), radius)
 }
 
 fn settle(

@@ -27,11 +27,7 @@ fn a_deep_press_into_built_tissue_neither_folds_nor_blows_up_and_leaves_no_dent(
         let mut shape = Shape::rest(&topology);
         let mut solver = Solver::new(&topology);
         let mut press = |depth_mm: f64| {
-            let tool = Tool {
-                id: 1,
-                centre: at + direction * (RADIUS_M - depth_mm * 1e-3),
-                radius_m: RADIUS_M,
-            };
+            let tool = Tool::ball(1, at + direction * (RADIUS_M - depth_mm * 1e-3), RADIUS_M);
             let report = solver.step(&topology, &mut shape, &[tool], Budget::new(4, 1e-2));
             assert!(!report.fell_back, "at {depth_mm} mm along {direction:?}");
             let moved = shape.displacement.iter().map(Vec3::norm);
@@ -67,11 +63,11 @@ fn a_solver_that_follows_a_cut_finds_what_a_new_one_finds() {
     let mut topology = Topology::new(Arc::new(block([14, 14, 8], 0.004, &fat, 1)));
     let mut shape = Shape::rest(&topology);
     let mut solver = Solver::new(&topology);
-    let tool = Tool {
-        id: 1,
-        centre: Vec3::new(0.022, 0.028, 0.032 + RADIUS_M - 0.003),
-        radius_m: RADIUS_M,
-    };
+    let tool = Tool::ball(
+        1,
+        Vec3::new(0.022, 0.028, 0.032 + RADIUS_M - 0.003),
+        RADIUS_M,
+    );
     solver.step(&topology, &mut shape, &[tool], Budget::new(60, 1e-4));
     let stroke = CutStroke {
         points: (0..8)

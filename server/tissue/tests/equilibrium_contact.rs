@@ -24,11 +24,7 @@ fn slab() -> (Topology, Solver, Shape) {
 }
 
 fn tool(x: f64, y: f64, depth: f64, radius: f64) -> Tool {
-    Tool {
-        id: 1,
-        centre: Vec3::new(x, y, TOP + radius - depth),
-        radius_m: radius,
-    }
+    Tool::ball(1, Vec3::new(x, y, TOP + radius - depth), radius)
 }
 
 fn force(topology: &Topology, solver: &mut Solver, shape: &mut Shape, tool: Tool) -> Vec3 {
@@ -81,7 +77,8 @@ fn the_stiffness_foretells_the_next_force() {
         report = Some(
             solver
                 .step(&topology, &mut shape, &[t], Budget::new(100, 1e-5))
-                .reactions[0],
+                .reactions[0]
+                .clone(),
         );
     }
     let reaction = report.unwrap();

@@ -51,11 +51,11 @@ fn iterations(topology: &Topology, tolerance: f64, step: f64, steps: usize) -> u
     let mut sum = 0;
     for s in 1..=steps {
         let depth = step * s as f64;
-        let tool = Tool {
-            id: 1,
-            centre: Vec3::new(MIDDLE - 6.0 * MM, MIDDLE - 5.0 * MM, TOP + RADIUS - depth),
-            radius_m: RADIUS,
-        };
+        let tool = Tool::ball(
+            1,
+            Vec3::new(MIDDLE - 6.0 * MM, MIDDLE - 5.0 * MM, TOP + RADIUS - depth),
+            RADIUS,
+        );
         let budget = Budget::new(400, tolerance);
         let report = solver.step(topology, &mut shape, &[tool], budget);
         assert!(report.residual <= tolerance && !report.fell_back);

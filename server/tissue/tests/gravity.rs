@@ -72,11 +72,11 @@ fn slit(topology: &mut Topology, x: f64, bottom: f64, uncut: f64) -> CutOutcome 
 fn press(k: usize, top: f64, middle: f64) -> Tool {
     // In by half a millimetre per tick and out again, and off.
     let depth = 0.5 * MM * (12.0 - (k as f64 - 12.0).abs());
-    Tool {
-        id: 1,
-        centre: Vec3::new(middle, middle, top + RADIUS + 0.2 * MM - depth),
-        radius_m: RADIUS,
-    }
+    Tool::ball(
+        1,
+        Vec3::new(middle, middle, top + RADIUS + 0.2 * MM - depth),
+        RADIUS,
+    )
 }
 
 #[test]

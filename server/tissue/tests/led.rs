@@ -129,11 +129,7 @@ fn tissue_that_hardly_stretches_comes_to_rest_within_its_limit_and_beyond() {
 fn a_tool_that_jumps_into_what_is_held_feels_what_it_would_have_felt() {
     let topology = cube(&Material::default());
     let nodes = disc(&topology, 8e-3);
-    let tool = Tool {
-        id: 1,
-        centre: Vec3::new(10e-3, 10e-3, 50e-3 + 8e-3 - 2e-3),
-        radius_m: 8e-3,
-    };
+    let tool = Tool::ball(1, Vec3::new(10e-3, 10e-3, 50e-3 + 8e-3 - 2e-3), 8e-3);
     let to = Vec3::z() * -1e-3;
     let press = |steps: usize, budget: Budget<'static>| {
         let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));

@@ -185,11 +185,11 @@ fn pressed(spacing: f64, depth: f64) -> f64 {
     let mut force = 0.0;
     for step in 1..=steps {
         let depth = depth * step as f64 / steps as f64;
-        let tool = Tool {
-            id: 1,
-            centre: Vec3::new(24.0 * MM, 24.0 * MM, 32.0 * MM + spacing + radius - depth),
-            radius_m: radius,
-        };
+        let tool = Tool::ball(
+            1,
+            Vec3::new(24.0 * MM, 24.0 * MM, 32.0 * MM + spacing + radius - depth),
+            radius,
+        );
         let report = solver.step(&topology, &mut shape, &[tool], Budget::new(300, TOLERANCE));
         assert!(report.residual <= TOLERANCE, "residual {}", report.residual);
         force = report.reactions[0].force.z;

@@ -22,36 +22,33 @@ fn slab(bottoms_out: bool) -> Topology {
 fn tool(k: usize) -> Tool {
     let k = k as f64;
     let depth = (0.4 * k).min(6.0).min(6.0 - 0.6 * (k - 30.0)).max(-4.0);
-    Tool {
-        id: 1,
-        // Over no node in particular, and a little askew.
-        centre: Vec3::new(
-            33.0 * MM + 0.01 * MM * k,
-            30.5 * MM,
-            32.0 * MM + RADIUS - depth * MM,
-        ),
-        radius_m: RADIUS,
-    }
+    // Over no node in particular, and a little askew.
+    let centre = Vec3::new(
+        33.0 * MM + 0.01 * MM * k,
+        30.5 * MM,
+        32.0 * MM + RADIUS - depth * MM,
+    );
+    Tool::ball(1, centre, RADIUS)
 }
 
 /// Where it is on its way to 18 mm at 100 mm/s.
 fn deep_tool(k: usize) -> Tool {
     let depth = 0.4 * k as f64;
-    Tool {
-        id: 1,
-        centre: Vec3::new(33.0 * MM, 30.5 * MM, 32.0 * MM + RADIUS - depth * MM),
-        radius_m: RADIUS,
-    }
+    Tool::ball(
+        1,
+        Vec3::new(33.0 * MM, 30.5 * MM, 32.0 * MM + RADIUS - depth * MM),
+        RADIUS,
+    )
 }
 
 /// Where it is on its way to 15 mm and back, at 100 mm/s.
 fn there_and_back_tool(k: usize) -> Tool {
     let depth = (0.4 * k as f64).min(15.0).min(0.4 * (85.0 - k as f64));
-    Tool {
-        id: 1,
-        centre: Vec3::new(33.0 * MM, 30.5 * MM, 32.0 * MM + RADIUS - depth * MM),
-        radius_m: RADIUS,
-    }
+    Tool::ball(
+        1,
+        Vec3::new(33.0 * MM, 30.5 * MM, 32.0 * MM + RADIUS - depth * MM),
+        RADIUS,
+    )
 }
 
 const TICKS: usize = 48;

@@ -187,11 +187,11 @@ impl PressScene {
         let tools = (1..=moving + REST)
             .map(|k| {
                 let depth = (k as f64 * self.speed_m_s * TICK_S).min(self.depth_m);
-                Tool {
-                    id: 1,
-                    centre: place.middle + place.normal * (RADIUS_M - depth),
-                    radius_m: RADIUS_M,
-                }
+                Tool::ball(
+                    1,
+                    place.middle + place.normal * (RADIUS_M - depth),
+                    RADIUS_M,
+                )
             })
             .collect();
         Ok(Prepared {

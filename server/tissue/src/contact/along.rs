@@ -5,6 +5,7 @@
 //! forces at its two ends: where a tool leaves the tissue, or meets it, the answer was a tenth of what it
 //! should have been. The forces of contacts are cheap, so they are computed wherever they are asked for.
 
+use super::core::Core;
 use crate::Vec3;
 
 /// Rounds that look for where the work ends: the bracket halves at least every other time.
@@ -16,59 +17,77 @@ const CORE: f64 = 0.5;
 
 /// Samples along shapes `u + s by`.
 pub(crate) struct Along {
-    /// Each with whether it [pierces](Row::pierces) its ball.
-    rows: Vec<(Row, bool)>,
+    /// Each with the point of the core that it [pierces](Row::pierces), if it does.
+    rows: Vec<(Row, Option<Vec3>)>,
+    /// The tools' cores, of which only the shape counts.
+    cores: Vec<Core>,
 }
 
 pub(crate) struct Row {
-    /// From the middle of the tool at s = 0, in m, and per s.
+    /// From the middle of the tool's core at s = 0, in m, and per s.
     pub(crate) from: Vec3,
     pub(crate) by: Vec3,
     pub(crate) radius: f64,
     pub(crate) stiffness: f64,
-    /// Normal out of the tissue, for a point tool.
-    pub(crate) flat: Option<Vec3>,
+    /// Which tool.
+    pub(crate) tool: u32,
+}
+
+/// From the middle of a core to the point of it nearest to what is at `v` from there.
+#[inline]
+fn nearest(core: &Core, v: &Vec3) -> Vec3 {
+    let [s, t] = core.nearest(&(core.mid + v));
+    core.a * s + core.b * t
 }
 
 impl Row {
-    /// Whether the line leads through the core of the ball. Beyond its middle the ball would push onwards, out on
-    /// the far side: under a tool that drew back tissue was thrown through it, and drew it in with ten newtons.
-    fn pierces(&self) -> bool {
-        let towards = -self.from.dot(&self.by);
+    /// The point of the core, from its middle, through the ball around which the line leads too near to the centre. Beyond it
+    /// the tool would push onwards, out on the far side: under a tool that drew back tissue was thrown through it, and
+    /// drew it in with ten newtons.
+    fn pierces(&self, core: &Core) -> Option<Vec3> {
+        let centre = if core.is_point() {
+            Vec3::zeros()
+        } else {
+            nearest(core, &self.from)
+        };
+        let from = self.from - centre;
+        let towards = -from.dot(&self.by);
         let square = self.by.norm_squared();
         let core = CORE * self.radius;
-        self.flat.is_none()
-            && towards > 0.0
-            && (self.from + self.by * (towards / square)).norm_squared() < core * core
+        let near = || (from + self.by * (towards / square)).norm_squared() < core * core;
+        (towards > 0.0 && near()).then_some(centre)
     }
-}
 
-impl Row {
-    /// Whether the sample touches the tool anywhere between these bounds of s.
-    fn meets(&self, [low, high]: [f64; 2]) -> bool {
+    /// Whether the sample may touch the tool anywhere between these bounds of s.
+    fn meets(&self, core: &Core, [low, high]: [f64; 2]) -> bool {
         let square = self.by.norm_squared();
         let nearest = -self.from.dot(&self.by) / square;
         // Not a number where it does not move: then it is anywhere.
         let nearest = nearest.max(low).min(high);
         let v = self.from + self.by * nearest;
         // A little more, for what is rounded.
-        self.flat.is_some() || v.norm_squared() < 1.001 * self.radius * self.radius
+        let reach = self.radius + core.half_diagonal();
+        v.norm_squared() < 1.001 * reach * reach
     }
 }
 
 /// Work per s of one contact's force at s, in N m.
-fn work((row, pierces): &(Row, bool), s: f64) -> f64 {
+fn work((row, pierces): &(Row, Option<Vec3>), core: &Core, s: f64) -> f64 {
     let v = row.from + row.by * s;
-    if let Some(out) = row.flat {
-        let depth = row.radius + v.dot(&out);
-        return -row.stiffness * depth.max(0.0) * row.by.dot(&out);
+    if let Some(centre) = pierces {
+        let v = v - centre;
+        let core = CORE * row.radius;
+        if v.dot(&row.by) > 0.0 || v.norm_squared() < core * core {
+            // A wall across the line, as deep as the ball from here on.
+            return -row.stiffness * (row.radius * row.by.norm() + v.dot(&row.by));
+        }
     }
+    let v = if core.is_point() {
+        v
+    } else {
+        v - nearest(core, &v)
+    };
     let square = v.norm_squared();
-    let core = CORE * row.radius;
-    if *pierces && (v.dot(&row.by) > 0.0 || square < core * core) {
-        // A wall across the line, as deep as the ball from here on.
-        return -row.stiffness * (row.radius * row.by.norm() + v.dot(&row.by));
-    }
     if square >= row.radius * row.radius || square == 0.0 {
         return 0.0;
     }
@@ -77,28 +96,42 @@ fn work((row, pierces): &(Row, bool), s: f64) -> f64 {
 }
 
 impl Along {
-    pub(crate) fn new(rows: Vec<Row>) -> Self {
+    pub(crate) fn new(rows: Vec<Row>, cores: Vec<Core>) -> Self {
         let row = |row: Row| {
-            let pierces = row.pierces();
+            let pierces = row.pierces(&cores[row.tool as usize]);
             (row, pierces)
         };
         Self {
             rows: rows.into_iter().map(row).collect(),
+            cores,
         }
+    }
+
+    fn core(&self, row: &Row) -> &Core {
+        &self.cores[row.tool as usize]
     }
 
     /// Work per s of the contacts' forces at s, in N m.
     pub(crate) fn work(&self, s: f64) -> f64 {
-        self.rows.iter().map(|row| work(row, s)).sum()
+        self.rows
+            .iter()
+            .map(|row| work(row, self.core(&row.0), s))
+            .sum()
     }
 
     /// The s within bounds at which no work is left, where that of everything else is `here` at 0 and
     /// `there` at 1 and linear between: the lowest energy on the line.
     pub(crate) fn rest(&self, [here, there]: [f64; 2], bounds: [f64; 2]) -> f64 {
         // Half of what is in reach of a tool does not touch it anywhere on the line.
-        let meets = |(row, pierces): &&(Row, bool)| *pierces || row.meets(bounds);
+        let meets = |(row, pierces): &&(Row, Option<Vec3>)| {
+            pierces.is_some() || row.meets(self.core(row), bounds)
+        };
         let rows: Vec<_> = self.rows.iter().filter(meets).collect();
-        let contacts = |s: f64| rows.iter().map(|row| work(row, s)).sum::<f64>();
+        let contacts = |s: f64| {
+            rows.iter()
+                .map(|row| work(row, self.core(&row.0), s))
+                .sum::<f64>()
+        };
         let work = |s: f64| here + s * (there - here) + contacts(s);
         let [mut low, mut high] = bounds;
         let (mut left, mut right) = (work(low), work(high));
@@ -131,6 +164,7 @@ impl Along {
 
 #[cfg(test)]
 mod tests {
+    use super::super::{Form, Tool};
     use super::*;
     use proptest::prelude::*;
 
@@ -140,13 +174,18 @@ mod tests {
             by: Vec3::new(0.0, 0.0, 1e-3),
             radius: 8e-3,
             stiffness,
-            flat: None,
+            tool: 0,
         }
+    }
+
+    fn along(rows: Vec<Row>) -> Along {
+        let core = Core::of(&Tool::ball(0, Vec3::zeros(), 8e-3));
+        Along::new(rows, vec![core])
     }
 
     #[test]
     fn without_contacts_it_is_where_the_line_crosses_zero() {
-        let none = Along::new(Vec::new());
+        let none = along(Vec::new());
         assert!((none.rest([1.0, -1.0], [0.0, 2.0]) - 0.5).abs() < 1e-3);
         assert_eq!(none.rest([1.0, 0.9], [0.0, 2.0]), 2.0);
         assert_eq!(none.rest([-1.0, -2.0], [0.2, 2.0]), 0.2);
@@ -155,7 +194,7 @@ mod tests {
     #[test]
     fn tissue_that_comes_back_stops_where_the_tool_is() {
         // The tool has gone 0.8 mm away, and is forty times as stiff as what comes back.
-        let away = Along::new(vec![ball(-8.8e-3, 4000.0)]);
+        let away = along(vec![ball(-8.8e-3, 4000.0)]);
         let s = away.rest([1e-4, 0.0], [0.0, 2.0]);
         assert!((0.8..0.83).contains(&s), "{s}");
     }
@@ -163,13 +202,13 @@ mod tests {
     #[test]
     fn nothing_passes_through_a_tool() {
         // What is on its way to 30 mm beyond the near side of a ball of 16 mm.
-        let away = Along::new(vec![ball(-8.8e-3, 4000.0)]);
+        let away = along(vec![ball(-8.8e-3, 4000.0)]);
         let s = away.rest([1e-4, 1e-4], [0.0, 30.0]);
         assert!((0.8..0.9).contains(&s), "{s}");
         // And what slides along it does.
         let mut beside = ball(-8.8e-3, 40.0);
         beside.from.x = 7.9e-3;
-        let s = Along::new(vec![beside]).rest([1e-2, 1e-2], [0.0, 30.0]);
+        let s = along(vec![beside]).rest([1e-2, 1e-2], [0.0, 30.0]);
         assert_eq!(s, 30.0);
     }
 
@@ -179,6 +218,7 @@ mod tests {
         fn what_meets_nowhere_does_no_work(
             from in prop::array::uniform3(-12e-3..12e-3f64), by in prop::array::uniform3(-10e-3..10e-3f64),
             low in -2.0..1.0f64, wide in 0.0..4.0f64, still in any::<bool>(),
+            long in 0.0..0.02f64, broad in 0.0..0.02f64,
         ) {
             let row = Row {
                 from: from.into(),
@@ -186,11 +226,13 @@ mod tests {
                 ..ball(0.0, 400.0)
             };
             let bounds = [low, low + wide];
-            let (meets, pierces) = (row.meets(bounds), row.pierces());
-            let row = (row, false);
+            let form = Form::rectangle(Vec3::zeros(), [Vec3::x() * long, Vec3::y() * broad]);
+            let core = Core::of(&Tool { form, ..Tool::ball(0, Vec3::zeros(), 8e-3) });
+            let meets = row.meets(&core, bounds) || row.pierces(&core).is_some();
+            let row = (row, None);
             for k in 0..=200 {
                 let s = low + wide * f64::from(k) / 200.0;
-                prop_assert!(meets || pierces || work(&row, s) == 0.0, "work at {}", s);
+                prop_assert!(meets || work(&row, &core, s) == 0.0, "work at {}", s);
             }
         }
 
@@ -198,7 +240,7 @@ mod tests {
         fn at_rest_no_work_is_left(
             from in -10e-3..-6e-3f64, stiffness in 10.0..1e4f64, here in 1e-6..1e-3f64, falls in 0.0..1e-3f64
         ) {
-            let along = Along::new(vec![ball(from, stiffness)]);
+            let along = along(vec![ball(from, stiffness)]);
             let s = along.rest([here, here - falls], [-1.0, 2.0]);
             let work = |s: f64| here - s * falls + along.work(s);
             prop_assert!((-1.0..=2.0).contains(&s));

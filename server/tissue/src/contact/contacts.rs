@@ -4,8 +4,7 @@ use super::along::{Along, Row};
 use super::ball::Ball;
 use super::index::SurfaceIndex;
 use super::proxy::Proxy;
-use super::reaction::Reaction;
-use super::sample::{Sample, sample_point, sample_sphere};
+use super::sample::{Sample, depth, sample};
 use super::surface::{Foot, Surface, blend};
 use super::{TOOLS_MAX, Tool};
 use crate::{Topology, Vec3};
@@ -64,9 +63,7 @@ impl Contacts {
                 Some(i) if self.proxies[i].seen => self.ignored += 1,
                 Some(i) => {
                     let proxy = &mut self.proxies[i];
-                    changed |= proxy.target != tool.centre || proxy.radius != tool.radius_m;
-                    proxy.target = tool.centre;
-                    proxy.radius = tool.radius_m;
+                    changed |= proxy.follow(tool);
                     proxy.seen = true;
                 }
                 None if self.proxies.len() < TOOLS_MAX => {
@@ -98,7 +95,8 @@ impl Contacts {
         self.hold_back(u);
         self.clear();
         let spacing = topology.model().spacing_m;
-        let balls: Vec<Ball> = self.proxies.iter().map(|p| p.ball(spacing)).collect();
+        self.proxies.iter_mut().for_each(|p| p.fit(spacing));
+        let balls: Vec<Ball> = self.proxies.iter().flat_map(|p| p.balls(spacing)).collect();
         self.index.watch(topology, u, displaced, &balls);
         let surface = Surface {
             topology,
@@ -110,11 +108,7 @@ impl Contacts {
             proxy.advance(&surface);
             if proxy.touching {
                 lags |= proxy.lag() > 0.0;
-                if proxy.is_point(spacing) {
-                    sample_point(&mut self.samples, &surface, proxy, i, own_stiffness);
-                } else {
-                    sample_sphere(&mut self.samples, &surface, proxy, i, own_stiffness);
-                }
+                sample(&mut self.samples, &surface, proxy, i, own_stiffness);
             }
         }
         self.link();
@@ -132,13 +126,18 @@ impl Contacts {
             u: None,
             index: &self.index,
         };
+        let pitch = topology.model().spacing_m;
         let clear = |proxy: &Proxy| {
-            let foot = surface.nearest(proxy.at, f64::MAX);
-            let outside = |foot: Foot| {
-                let away = proxy.at - foot.at;
-                away.dot(&foot.normal) > 0.0 && away.norm() > proxy.radius + sag
-            };
-            foot.is_none_or(outside)
+            // Between two points of it the tissue may be nearer.
+            let slack = if proxy.core.is_point() { 0.0 } else { pitch };
+            proxy.core.points(pitch).into_iter().all(|point| {
+                let at = proxy.core.at(point);
+                let outside = |foot: Foot| {
+                    let away = at - foot.at;
+                    away.dot(&foot.normal) > 0.0 && away.norm() > proxy.radius + sag + slack
+                };
+                surface.nearest(at, f64::MAX).is_none_or(outside)
+            })
         };
         self.proxies.iter().all(|p| p.placed && clear(p))
     }
@@ -156,7 +155,7 @@ impl Contacts {
         for sample in &self.samples {
             let (v, radius) = self.offset(sample, u);
             let nearest = &mut nearest[sample.proxy as usize];
-            *nearest = nearest.max(sample.depth(v, radius).0);
+            *nearest = nearest.max(depth(v, radius).0);
         }
         for (proxy, nearest) in self.proxies.iter_mut().zip(nearest) {
             proxy.depth = nearest.max(0.0);
@@ -191,18 +190,23 @@ impl Contacts {
     pub(crate) fn press(&self, sample: &Sample, u: &[Vec3]) -> (f64, Vec3) {
         let (v, radius) = self.offset(sample, u);
         // Most of what is in reach does not touch: without a root.
-        if sample.flat.is_none() && v.norm_squared() >= radius * radius {
+        if v.norm_squared() >= radius * radius {
             return (0.0, Vec3::zeros());
         }
-        sample.depth(v, radius)
+        depth(v, radius)
     }
 
-    /// Where a sample is, from the middle of its tool, and the tool's radius, in m.
+    /// Where a sample is, from the core of its tool, and the tool's radius, in m.
     #[inline]
     fn offset(&self, sample: &Sample, u: &[Vec3]) -> (Vec3, f64) {
-        let x = sample.rest + blend(&sample.nodes.map(|n| u[n as usize]), &sample.weights);
         let proxy = &self.proxies[sample.proxy as usize];
-        (x - proxy.at, proxy.radius)
+        (proxy.core.towards(&self.position(sample, u)), proxy.radius)
+    }
+
+    /// Where a sample is.
+    #[inline]
+    pub(super) fn position(&self, sample: &Sample, u: &[Vec3]) -> Vec3 {
+        sample.rest + blend(&sample.nodes.map(|n| u[n as usize]), &sample.weights)
     }
 
     /// The samples along shapes `u + (s - at) by`.
@@ -210,17 +214,18 @@ impl Contacts {
         let moves: Vec<Vec3> = self.nodes.iter().map(|&n| by(n)).collect();
         let row = |sample: &Sample| {
             let by = blend(&sample.nodes.map(|n| moves[self.place(n)]), &sample.weights);
-            let x = sample.rest + blend(&sample.nodes.map(|n| u[n as usize]), &sample.weights);
+            let x = self.position(sample, u);
             let proxy = &self.proxies[sample.proxy as usize];
             Row {
-                from: x - proxy.at - by * at,
+                from: x - proxy.core.mid - by * at,
                 by,
                 radius: proxy.radius,
                 stiffness: sample.stiffness,
-                flat: sample.flat,
+                tool: sample.proxy,
             }
         };
-        Along::new(self.samples.iter().map(row).collect())
+        let cores = self.proxies.iter().map(|p| p.core).collect();
+        Along::new(self.samples.iter().map(row).collect(), cores)
     }
 
     /// Calls `visit` with every pressed sample, its force in N, its κ and its direction.
@@ -239,14 +244,14 @@ impl Contacts {
     /// moved: the criterion of a primal-dual active set, with κ as its factor (Hintermüller, Ito and Kunisch 2002).
     pub(crate) fn expected(&self, u: &[Vec3], mut visit: impl FnMut(&Sample, f64, f64, Vec3)) {
         for sample in &self.samples {
-            let (depth, n) = if sample.depth_before > 0.0 {
+            let (deep, n) = if sample.depth_before > 0.0 {
                 let (v, radius) = self.offset(sample, u);
-                sample.depth(v, radius)
+                depth(v, radius)
             } else {
                 self.press(sample, u)
             };
-            if depth + sample.depth_before > 0.0 {
-                visit(sample, depth, sample.stiffness, n);
+            if deep + sample.depth_before > 0.0 {
+                visit(sample, deep, sample.stiffness, n);
             }
         }
     }
@@ -278,44 +283,5 @@ impl Contacts {
             }
         }
         (force, count)
-    }
-
-    /// The reaction on the tool of proxy `i`; lets go of what no longer touches.
-    pub(crate) fn reaction(&mut self, topology: &Topology, u: &[Vec3], i: usize) -> Reaction {
-        let (mut force, mut count) = (Vec3::zeros(), 0);
-        let (mut still, mut sliding, mut sum) = (0.0, 0.0, 0.0);
-        let mut nearest: Option<f64> = None;
-        for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
-            let (v, radius) = self.offset(sample, u);
-            let (depth, n) = sample.depth(v, radius);
-            nearest = Some(nearest.map_or(depth, |d| d.max(depth)));
-            if depth > 0.0 {
-                let f = sample.stiffness * depth;
-                force -= n * f;
-                count += 1;
-                let face = topology.boundary().faces[sample.triangle as usize / 2];
-                let material = topology.model().material_of(face.cell() as usize);
-                still += f * material.friction_static;
-                sliding += f * material.friction_dynamic;
-                sum += f;
-            }
-        }
-        let proxy = &mut self.proxies[i];
-        proxy.feel(nearest, topology.model().spacing_m);
-        if count == 0 {
-            proxy.secant.clear();
-        }
-        let share = if sum > 0.0 { 1.0 / sum } else { 0.0 };
-        Reaction {
-            tool: proxy.id,
-            force,
-            stiffness: proxy.secant.stiffness(),
-            normal: force.try_normalize(1e-12).unwrap_or_else(Vec3::zeros),
-            contacts: count,
-            friction_static: still * share,
-            friction_dynamic: sliding * share,
-            force_error: 0.0,
-            at: proxy.at,
-        }
     }
 }

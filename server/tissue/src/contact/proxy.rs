@@ -1,9 +1,12 @@
 //! The proxy of a tool: where it is held while tissue stands in its way.
 
+use nalgebra::UnitQuaternion;
+
 use super::ball::Ball;
+use super::core::Core;
 use super::reaction::Secant;
-use super::surface::{Surface, area_normal};
-use super::{POINT_RADIUS, Tool};
+use super::surface::{Foot, Surface, area_normal, blend};
+use super::{PITCH, POINT_RADIUS, Tool};
 use crate::Vec3;
 
 /// Steps in which a free path is searched for the first touch; a longer one counts as a jump.
@@ -21,11 +24,19 @@ const WAIT: f64 = 0.5;
 /// What is remembered of a tool between steps.
 pub(crate) struct Proxy {
     pub(crate) id: u32,
+    /// Radius that it presses with, in m; see `inset`.
     pub(crate) radius: f64,
-    pub(crate) target: Vec3,
+    /// By how much that is more than the tool's. The surface is put inwards by it.
+    pub(crate) inset: f64,
+    /// The tool where the hand has it.
+    pub(crate) target: Tool,
+    /// Where its pivot is, and how it is turned.
     pub(crate) at: Vec3,
-    /// Where it was before it last moved.
-    pub(crate) before: Vec3,
+    pub(crate) turn: UnitQuaternion<f64>,
+    /// Where its core is.
+    pub(crate) core: Core,
+    /// Where that was before it last moved.
+    pub(crate) before: Core,
     /// How far in m the tissue may be from it that it touched: by what it drew back, and what is still to follow.
     pub(crate) gap: f64,
     pub(crate) touching: bool,
@@ -33,17 +44,21 @@ pub(crate) struct Proxy {
     pub(crate) depth: f64,
     pub(crate) placed: bool,
     pub(crate) seen: bool,
-    pub(crate) secant: Secant,
+    pub(super) secant: Secant,
 }
 
 impl Proxy {
     pub(crate) fn new(tool: &Tool) -> Self {
+        let core = Core::of(tool);
         Self {
             id: tool.id,
             radius: tool.radius_m,
-            target: tool.centre,
+            inset: 0.0,
+            target: *tool,
             at: tool.centre,
-            before: tool.centre,
+            turn: tool.turn,
+            core,
+            before: core,
             gap: 0.0,
             touching: false,
             depth: 0.0,
@@ -53,32 +68,84 @@ impl Proxy {
         }
     }
 
-    pub(crate) fn is_point(&self, spacing: f64) -> bool {
-        self.radius < POINT_RADIUS * spacing
+    /// Takes in where the hand has its tool now. Returns whether that is any different.
+    pub(crate) fn follow(&mut self, tool: &Tool) -> bool {
+        let changed = self.target != *tool;
+        let other = self.target.form != tool.form;
+        self.target = *tool;
+        if other {
+            self.set(self.at, self.turn);
+        }
+        changed
+    }
+
+    /// Fits it to the lattice: what is too thin for it presses as something wider would on a surface that lies so much deeper.
+    pub(crate) fn fit(&mut self, spacing: f64) {
+        self.radius = self.target.radius_m.max(POINT_RADIUS * spacing);
+        self.inset = self.radius - self.target.radius_m;
+    }
+
+    /// What a thin one asks for the surface beneath.
+    fn points(&self, spacing: f64) -> Vec<[f64; 2]> {
+        self.core.points(PITCH * spacing)
     }
 
     /// Where it may go and what it may feel there in this step.
-    pub(crate) fn ball(&self, spacing: f64) -> Ball {
-        let (centre, mut radius) = (self.target, self.radius + self.gap + REACH * spacing);
+    pub(crate) fn balls(&self, spacing: f64) -> Vec<Ball> {
+        let mut reach = self.radius + self.inset + self.gap + REACH * spacing;
         // A tool that jumps is not followed on its way.
-        if self.lag() <= 2.0 * radius {
-            radius += self.lag();
+        if self.lag() <= 2.0 * reach {
+            reach += self.lag();
         }
-        Ball { centre, radius }
+        Core::of(&self.target).cover(reach)
     }
 
-    /// Distance in m by which the proxy is behind its tool.
+    /// Distance in m by which the proxy is behind its tool, at the end that is behind most.
     pub(crate) fn lag(&self) -> f64 {
-        (self.target - self.at).norm()
+        let way = (self.target.centre - self.at).norm();
+        if self.target.is_ball() {
+            return way;
+        }
+        way + self.arm() * self.turn.angle_to(&self.target.turn)
+    }
+
+    /// Distance in m from the pivot to the farthest point of its core.
+    fn arm(&self) -> f64 {
+        self.target.form.mid.norm() + self.core.half_diagonal()
+    }
+
+    /// Puts it somewhere.
+    fn set(&mut self, at: Vec3, turn: UnitQuaternion<f64>) {
+        (self.at, self.turn) = (at, turn);
+        self.core = Core::of(&Tool {
+            centre: at,
+            turn,
+            ..self.target
+        });
+    }
+
+    /// Goes a share of the way to its tool, from where it was before.
+    fn approach(&mut self, [at, turn]: [(Vec3, UnitQuaternion<f64>); 2], share: f64) {
+        let way = turn.0 - at.0;
+        if self.target.is_ball() {
+            // It does not matter how it is turned.
+            return self.set(at.0 + way * share, turn.1);
+        }
+        let turned = at.1.try_slerp(&turn.1, share, 1e-9).unwrap_or(turn.1);
+        self.set(at.0 + way * share, turned);
     }
 
     /// Moves towards the tool; stops at the first touch.
     pub(crate) fn advance(&mut self, surface: &Surface<'_>) {
-        self.before = self.at;
+        self.before = self.core;
+        let (at, turn) = (self.at, self.turn);
         let touched = self.touching;
         self.go(surface);
         if touched {
-            self.gap += (self.at - self.before).norm();
+            self.gap += (self.at - at).norm();
+            if !self.target.is_ball() {
+                self.gap += self.arm() * self.turn.angle_to(&turn);
+            }
         }
     }
 
@@ -91,84 +158,106 @@ impl Proxy {
         self.touching &= depth.is_some() && self.gap < lost;
     }
 
-    fn go(&mut self, surface: &Surface<'_>) -> bool {
+    fn go(&mut self, surface: &Surface<'_>) {
         let spacing = surface.topology.model().spacing_m;
         let stride = TRAVEL * self.radius.max(0.5 * spacing);
         if !self.placed {
             self.place(surface);
-            self.before = self.at;
+            self.before = self.core;
         }
-        let way = self.target - self.at;
-        let length = way.norm();
+        let length = self.lag();
+        let there = (self.target.centre, self.target.turn);
         if length == 0.0 {
             // What it had lost may have come after it.
             self.touching = self.touching || self.touches(surface, spacing);
-            return false;
+            return;
         }
+        let from = (self.at, self.turn);
         if self.touching {
             let deeper = self.depth > WAIT * stride && length > WAIT * stride;
             if deeper {
-                return false;
+                return;
             }
-            self.at += way * (stride / length).min(1.0);
             if length <= stride {
-                self.at = self.target;
+                self.set(there.0, there.1);
+            } else {
+                self.approach([from, there], stride / length);
             }
-            return true;
+            return;
         }
         let steps = (length / stride).ceil() as usize;
         if steps > MARCH_MAX {
-            self.at = self.target;
+            self.set(there.0, there.1);
             self.place(surface);
-            return true;
+            return;
         }
-        let from = self.at;
         for s in 1..=steps {
-            self.at = if s == steps {
-                self.target
+            if s == steps {
+                self.set(there.0, there.1);
             } else {
-                from + way * (s as f64 / steps as f64)
-            };
+                self.approach([from, there], s as f64 / steps as f64);
+            }
             if self.touches(surface, spacing) {
                 self.touching = true;
                 break;
             }
         }
-        true
     }
 
     /// Puts a tool without history where it is, or outside the surface if it is inside.
     fn place(&mut self, surface: &Surface<'_>) {
         self.placed = true;
         self.touching = false;
-        if let Some(foot) = surface.nearest(self.at, f64::MAX) {
-            let away = self.at - foot.at;
+        let spacing = surface.topology.model().spacing_m;
+        // As far out as its deepest point is in.
+        let mut out = (0.0, Vec3::zeros());
+        for point in self.points(spacing) {
+            let at = self.core.at(point);
+            let Some(foot) = surface.nearest(at, f64::MAX) else {
+                continue;
+            };
+            let away = at - foot.at;
             if away.dot(&foot.normal) < 0.0 {
-                self.at = foot.at + foot.normal * self.radius;
+                let to = foot.at + foot.normal * self.target.radius_m;
+                let way = (to - at).norm();
+                if way > out.0 {
+                    out = (way, to + (self.at - at));
+                }
                 self.touching = true;
-            } else if away.norm() < self.radius {
+            } else if away.norm() < self.target.radius_m {
                 self.touching = true;
             }
+        }
+        if out.0 > 0.0 {
+            self.set(out.1, self.turn);
         }
     }
 
     fn touches(&self, surface: &Surface<'_>, spacing: f64) -> bool {
-        if self.is_point(spacing) {
-            let reach = self.radius + 0.5 * spacing;
-            return surface
-                .nearest(self.at, reach)
-                .is_some_and(|foot| (self.at - foot.at).dot(&foot.normal) < self.radius);
+        if self.inset > 0.0 {
+            let radius = self.target.radius_m;
+            let reach = radius + 0.5 * spacing;
+            let pressed = |at: Vec3, foot: Foot| (at - foot.at).dot(&foot.normal) < radius;
+            let at_point = |at: Vec3| {
+                let foot = surface.nearest(at, reach);
+                foot.is_some_and(|foot| pressed(at, foot))
+            };
+            return self
+                .points(spacing)
+                .into_iter()
+                .any(|p| at_point(self.core.at(p)));
         }
-        surface.any_near(self.at, self.radius, |triangle| {
+        let Ball { centre, radius } = self.core.ball();
+        surface.any_near(centre, radius + self.radius, |triangle| {
             let corners = surface.corners(triangle);
             let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
-            let facing = (self.at - middle).dot(&area_normal(&corners)) > 0.0;
+            let facing = self.core.towards(&middle).dot(&area_normal(&corners)) < 0.0;
             facing
                 && super::sample::weights_of(self.radius, spacing)
                     .iter()
                     .any(|w| {
-                        let x = super::surface::blend(&corners, w);
-                        (x - self.at).norm_squared() < self.radius * self.radius
+                        let away = self.core.towards(&blend(&corners, w));
+                        away.norm_squared() < self.radius * self.radius
                     })
         })
     }

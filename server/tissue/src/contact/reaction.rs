@@ -2,16 +2,25 @@
 
 use nalgebra::Matrix3;
 
-use crate::Vec3;
+use super::PLACES_MAX;
+use super::contacts::Contacts;
+use super::core::place_of;
+use super::sample::depth;
+use crate::{Topology, Vec3};
+
+/// Part of what presses on a place that is left of it as one force, below which its direction is that of no surface.
+const ONE_SIDED: f64 = 0.3;
 
 /// Answer of the tissue to one tool.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Reaction {
     /// The tool.
     pub tool: u32,
     /// Force on the tool in N.
     pub force: Vec3,
-    /// Estimate of -dF/dx in N/m, symmetric and positive semidefinite.
+    /// Torque on the tool about its pivot in N m.
+    pub torque: Vec3,
+    /// Estimate of -dF/dx in N/m, symmetric and positive semidefinite, for a tool that does not turn.
     pub stiffness: Matrix3<f64>,
     /// Out of the tissue, along the force; zero without contact.
     pub normal: Vec3,
@@ -23,36 +32,207 @@ pub struct Reaction {
     pub friction_dynamic: f64,
     /// Estimate of the error of `force` in N, from what the last iteration changed.
     pub force_error: f64,
-    /// Where the force holds: the proxy, which equals the tool's centre unless the tool jumped.
+    /// Where the force holds: the proxy's pivot, which equals the tool's unless the tool jumped.
     pub at: Vec3,
+    /// The places of the tool that touch, in the order of their numbers. Their forces are all of `force`.
+    pub places: Vec<Place>,
+}
+
+/// What touches one place of a tool.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// Which place of the tool, below [`PLACES_MAX`]: the same one from step to step.
+    pub number: u8,
+    /// From the pivot to where its force acts, in m: the mean of the samples by their forces.
+    pub lever: Vec3,
+    /// Force on the tool there, in N.
+    pub force: Vec3,
+    /// Unit vector out of the tissue. Where a place is pressed from two sides alike, out of one of them.
+    pub normal: Vec3,
+    /// What presses there from both sides together, in N, at least what `force` measures. Friction is in proportion to
+    /// it: a needle in its channel is held though no force is left of what holds it.
+    pub pressed: f64,
+    /// Coefficient of static friction of what is touched there.
+    pub friction_static: f64,
+    /// Coefficient of dynamic friction of what is touched there.
+    pub friction_dynamic: f64,
+}
+
+/// One pressed sample, as its tool feels it.
+struct Felt {
+    place: usize,
+    /// From the pivot, in m.
+    lever: Vec3,
+    force: Vec3,
+    amount: f64,
+    /// μ, static and dynamic.
+    friction: [f64; 2],
+}
+
+impl Place {
+    /// Of the samples of one place, of which there is one at least.
+    fn of(number: usize, felt: &[&Felt]) -> Self {
+        let force: Vec3 = felt.iter().map(|f| f.force).sum();
+        let sum: f64 = felt.iter().map(|f| f.amount).sum();
+        let mean = |of: &dyn Fn(&Felt) -> f64| felt.iter().map(|f| of(f)).sum::<f64>() / sum;
+        let lever: Vec3 = felt.iter().map(|f| f.lever * f.amount).sum();
+        let normal = force
+            .try_normalize(ONE_SIDED * sum)
+            .unwrap_or_else(|| main_axis(felt));
+        let side = |which: f64| -> Vec3 {
+            let on = felt.iter().filter(|f| which * f.force.dot(&normal) > 0.0);
+            on.map(|f| f.force).sum()
+        };
+        Self {
+            number: number as u8,
+            lever: lever / sum,
+            force,
+            normal,
+            pressed: (side(1.0).norm() + side(-1.0).norm()).max(force.norm()),
+            friction_static: mean(&|f| f.amount * f.friction[0]),
+            friction_dynamic: mean(&|f| f.amount * f.friction[1]),
+        }
+    }
+}
+
+/// The direction that most of what presses is along.
+fn main_axis(felt: &[&Felt]) -> Vec3 {
+    let mut sum = Matrix3::zeros();
+    for f in felt.iter().filter(|f| f.amount > 0.0) {
+        sum += f.force * f.force.transpose() / f.amount;
+    }
+    let eigen = sum.symmetric_eigen();
+    eigen.eigenvectors.column(eigen.eigenvalues.imax()).into()
+}
+
+impl Contacts {
+    /// The reaction on the tool of proxy `i`; lets go of what no longer touches.
+    pub(crate) fn reaction(&mut self, topology: &Topology, u: &[Vec3], i: usize) -> Reaction {
+        let (felt, nearest) = self.felt(topology, u, i);
+        let spacing = topology.model().spacing_m;
+        let proxy = &mut self.proxies[i];
+        proxy.feel(nearest, spacing);
+        if felt.is_empty() {
+            proxy.secant.clear();
+        }
+        let force: Vec3 = felt.iter().map(|f| f.force).sum();
+        let torque = felt.iter().map(|f| f.lever.cross(&f.force)).sum();
+        let sum: f64 = felt.iter().map(|f| f.amount).sum();
+        let share = if sum > 0.0 { 1.0 / sum } else { 0.0 };
+        let friction = |k: usize| felt.iter().map(|f| f.amount * f.friction[k]).sum::<f64>();
+        let mut of_place: [Vec<&Felt>; PLACES_MAX] = Default::default();
+        for f in &felt {
+            of_place[f.place].push(f);
+        }
+        let touched = of_place.iter().enumerate().filter(|(_, f)| !f.is_empty());
+        Reaction {
+            tool: proxy.id,
+            force,
+            torque,
+            stiffness: proxy.secant.stiffness(),
+            normal: force.try_normalize(1e-12).unwrap_or_else(Vec3::zeros),
+            contacts: felt.len() as u32,
+            friction_static: friction(0) * share,
+            friction_dynamic: friction(1) * share,
+            force_error: 0.0,
+            at: proxy.at,
+            places: touched.map(|(n, f)| Place::of(n, f)).collect(),
+        }
+    }
+
+    /// The pressed samples of proxy `i`, and the depth in m of the deepest sample, below zero where none is pressed.
+    fn felt(&self, topology: &Topology, u: &[Vec3], i: usize) -> (Vec<Felt>, Option<f64>) {
+        let proxy = &self.proxies[i];
+        let parts = proxy.core.places(proxy.radius, topology.model().spacing_m);
+        let (mut felt, mut nearest) = (Vec::new(), None::<f64>);
+        for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
+            let on_core = proxy.core.nearest(&self.position(sample, u));
+            let c = proxy.core.at(on_core);
+            let (depth, n) = depth(self.position(sample, u) - c, proxy.radius);
+            nearest = Some(nearest.map_or(depth, |d| d.max(depth)));
+            if depth > 0.0 {
+                let amount = sample.stiffness * depth;
+                let face = topology.boundary().faces[sample.triangle as usize / 2];
+                let material = topology.model().material_of(face.cell() as usize);
+                felt.push(Felt {
+                    place: place_of(on_core, parts),
+                    // On the skin of the tool, not of a wider one that stands for it.
+                    lever: c + n * (proxy.radius - proxy.inset) - proxy.at,
+                    force: -n * amount,
+                    amount,
+                    friction: [material.friction_static, material.friction_dynamic],
+                });
+            }
+        }
+        (felt, nearest)
+    }
+
+    /// Learns from the reaction on the tool of proxy `i`, which has some, what its stiffness is in N/m. A node under it
+    /// has the stiffness `own`.
+    pub(crate) fn learn(
+        &mut self,
+        u: &[Vec3],
+        i: usize,
+        reaction: &Reaction,
+        own: f64,
+        spacing: f64,
+    ) -> Matrix3<f64> {
+        let middle = self.middle(u, i);
+        let proxy = &mut self.proxies[i];
+        if !proxy.secant.is_known() {
+            let wide = (proxy.radius / spacing).max(0.5) * proxy.core.spans(spacing).sqrt();
+            let first = 0.5 * own * wide;
+            proxy.secant.start(&reaction.normal, first, 0.3);
+        }
+        proxy.secant.learn(middle, reaction.force, 0.01 * spacing);
+        proxy.secant.stiffness()
+    }
+
+    /// The middle of what presses on the tool of proxy `i`, on its core: what a move of the tool moves it by.
+    fn middle(&self, u: &[Vec3], i: usize) -> Vec3 {
+        let proxy = &self.proxies[i];
+        if proxy.target.is_ball() {
+            return proxy.at;
+        }
+        let (mut at, mut sum) = (Vec3::zeros(), 0.0);
+        for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
+            let (depth, _) = self.press(sample, u);
+            if depth > 0.0 {
+                let on_core = proxy.core.nearest(&self.position(sample, u));
+                at += proxy.core.at(on_core) * (sample.stiffness * depth);
+                sum += sample.stiffness * depth;
+            }
+        }
+        if sum > 0.0 { at / sum } else { proxy.core.mid }
+    }
 }
 
 /// Stiffness learned from pairs of poses and forces: the BFGS update of K so that K s = -ΔF for
 /// the latest move s, which keeps K symmetric and positive.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Secant {
+pub(super) struct Secant {
     last: Option<(Vec3, Vec3)>,
     stiffness: Option<Matrix3<f64>>,
 }
 
 impl Secant {
-    pub(crate) fn clear(&mut self) {
+    pub(super) fn clear(&mut self) {
         *self = Self::default();
     }
 
-    pub(crate) fn is_known(&self) -> bool {
+    fn is_known(&self) -> bool {
         self.stiffness.is_some()
     }
 
     /// Starts from a measured normal stiffness, with `across` of it in the tangent plane.
-    pub(crate) fn start(&mut self, normal: &Vec3, stiffness: f64, across: f64) {
+    fn start(&mut self, normal: &Vec3, stiffness: f64, across: f64) {
         let along = normal * normal.transpose();
         self.stiffness =
             Some(along * stiffness + (Matrix3::identity() - along) * (stiffness * across));
     }
 
     /// Takes in the force at a pose; moves below `least` metres are noise.
-    pub(crate) fn learn(&mut self, at: Vec3, force: Vec3, least: f64) {
+    fn learn(&mut self, at: Vec3, force: Vec3, least: f64) {
         let Some((x, f)) = self.last else {
             self.last = Some((at, force));
             return;
@@ -75,7 +255,7 @@ impl Secant {
         }
     }
 
-    pub(crate) fn stiffness(&self) -> Matrix3<f64> {
+    fn stiffness(&self) -> Matrix3<f64> {
         self.stiffness.unwrap_or_else(Matrix3::zeros)
     }
 }

@@ -3,7 +3,10 @@
 //! How closely they lie is a matter of the tool, not of the lattice: what is felt is how well they stand for the
 //! sphere. Four per triangle of a lattice half as fine are as many as one.
 
-use super::proxy::{Proxy, REACH};
+use super::ball::Ball;
+use super::core::Core;
+use super::outwards::Outwards;
+use super::proxy::Proxy;
 use super::surface::{Surface, area_normal, blend};
 use super::{FINE_RADIUS, FOUNDATION};
 use crate::Vec3;
@@ -20,6 +23,9 @@ const TRIANGLES_PER_NODE: f64 = 2.0;
 /// Samples of all tools at most: a sphere of 40 spacings pressed in to its middle has about 20,000.
 /// Beyond it triangles are left out, in the order of the search.
 const SAMPLES_MAX: usize = 32_768;
+/// Radius, in spacings, below which a tool has so few samples under it that each has to be stiffer: the dent of one a
+/// quarter as wide is carried by one or two, of which each is then as stiff as all that belong to a node.
+const WIDE: f64 = 2.0;
 /// Cosine to the centre of the tool from which on a triangle counts in full; at zero it does not.
 const FACING: f64 = 0.3;
 
@@ -27,32 +33,25 @@ const FACING: f64 = 0.3;
 pub(crate) struct Sample {
     pub(crate) nodes: [u32; 3],
     pub(crate) weights: [f64; 3],
-    /// Where it is at rest.
+    /// Where it is at rest, less what it is put inwards for a thin tool.
     pub(super) rest: Vec3,
     /// κ in N/m, its area and facing taken in.
     pub(super) stiffness: f64,
-    /// Normal out of the tissue, for a point tool.
-    pub(super) flat: Option<Vec3>,
     pub(super) proxy: u32,
     pub(super) triangle: u32,
     /// How deep it was in m before the tool moved.
     pub(super) depth_before: f64,
 }
 
-impl Sample {
-    /// Depth in m, below zero where it is off its tool, and direction into the tissue, at `v` from the middle of
-    /// the tool.
-    #[inline]
-    pub(super) fn depth(&self, v: Vec3, radius: f64) -> (f64, Vec3) {
-        if let Some(out) = self.flat {
-            return (radius + v.dot(&out), -out);
-        }
-        let distance = v.norm();
-        if distance == 0.0 {
-            return (0.0, Vec3::zeros());
-        }
-        (radius - distance, v / distance)
+/// Depth in m, below zero where it is off its tool, and direction into the tissue, of what is at `v` from the core
+/// of a tool.
+#[inline]
+pub(super) fn depth(v: Vec3, radius: f64) -> (f64, Vec3) {
+    let distance = v.norm();
+    if distance == 0.0 {
+        return (0.0, Vec3::zeros());
     }
+    (radius - distance, v / distance)
 }
 
 /// Barycentric weights of the samples of a triangle under a sphere; see [`FINE_RADIUS`].
@@ -64,8 +63,8 @@ pub(super) fn weights_of(radius: f64, spacing: f64) -> &'static [[f64; 3]] {
     }
 }
 
-/// Adds the samples of a sphere: those within its reach that face it.
-pub(super) fn sample_sphere(
+/// Adds the samples of a tool: those of the surface within its reach that face it.
+pub(super) fn sample(
     samples: &mut Vec<Sample>,
     surface: &Surface<'_>,
     proxy: &Proxy,
@@ -75,8 +74,11 @@ pub(super) fn sample_sphere(
     let spacing = surface.topology.model().spacing_m;
     let reach = proxy.radius + 0.5 * spacing + proxy.gap;
     let of_triangle = weights_of(proxy.radius, spacing);
-    let share = FOUNDATION / (TRIANGLES_PER_NODE * of_triangle.len() as f64);
-    for triangle in surface.near(proxy.at, reach) {
+    let narrow = (WIDE * spacing / proxy.radius).max(1.0).powf(1.5);
+    let share = FOUNDATION * narrow / (TRIANGLES_PER_NODE * of_triangle.len() as f64);
+    let triangles = within_reach(surface, &proxy.core, reach + proxy.inset);
+    let outwards = (proxy.inset > 0.0).then(|| Outwards::around(surface, &triangles));
+    for triangle in triangles {
         if samples.len() + of_triangle.len() > SAMPLES_MAX {
             return;
         }
@@ -87,53 +89,43 @@ pub(super) fn sample_sphere(
         let nodes = surface.topology.boundary().triangles[triangle as usize];
         let rest = nodes.map(|n| surface.topology.rest(n));
         for &weights in of_triangle {
-            let x = blend(&corners, &weights);
-            let v = proxy.at - x;
+            let inwards = outwards.as_ref().map_or_else(Vec3::zeros, |outwards| {
+                outwards.at(&nodes, &weights, &normal) * -proxy.inset
+            });
+            let x = blend(&corners, &weights) + inwards;
+            let v = proxy.core.towards(&x);
             let distance = v.norm();
             if distance > reach || distance == 0.0 {
                 continue;
             }
-            let facing = (v.dot(&normal) / distance / FACING).clamp(0.0, 1.0);
+            let facing = (-v.dot(&normal) / distance / FACING).clamp(0.0, 1.0);
             if facing > 0.0 {
                 let fade = facing * facing * (3.0 - 2.0 * facing);
                 samples.push(Sample {
                     nodes,
                     weights,
-                    rest: blend(&rest, &weights),
+                    rest: blend(&rest, &weights) + inwards,
                     stiffness: share * fade * foundation(own, &nodes, &weights),
-                    flat: None,
                     proxy: i as u32,
                     triangle,
-                    depth_before: (proxy.radius - (proxy.before - x).norm()).max(0.0),
+                    depth_before: (proxy.radius - proxy.before.towards(&x).norm()).max(0.0),
                 });
             }
         }
     }
 }
 
-/// Adds the one sample of a point tool: the nearest point of the surface.
-pub(super) fn sample_point(
-    samples: &mut Vec<Sample>,
-    surface: &Surface<'_>,
-    proxy: &Proxy,
-    i: usize,
-    own: &[f64],
-) {
-    let reach = proxy.radius + REACH * surface.topology.model().spacing_m;
-    if let Some(foot) = surface.nearest(proxy.at, reach) {
-        let nodes = surface.topology.boundary().triangles[foot.triangle as usize];
-        let rest = nodes.map(|n| surface.topology.rest(n));
-        samples.push(Sample {
-            nodes,
-            weights: foot.weights,
-            rest: blend(&rest, &foot.weights),
-            stiffness: FOUNDATION * foundation(own, &nodes, &foot.weights),
-            flat: Some(foot.normal),
-            proxy: i as u32,
-            triangle: foot.triangle,
-            depth_before: 0.0,
-        });
+/// Triangles whose boxes have a part within reach of a core, or near that, in the order of their numbers.
+fn within_reach(surface: &Surface<'_>, core: &Core, reach: f64) -> Vec<u32> {
+    let balls = core.cover(reach);
+    if let [ball] = balls[..] {
+        return surface.near(ball.centre, ball.radius);
     }
+    let of_ball = |ball: &Ball| surface.near(ball.centre, ball.radius);
+    let mut found: Vec<u32> = balls.iter().flat_map(of_ball).collect();
+    found.sort_unstable();
+    found.dedup();
+    found
 }
 
 fn foundation(own: &[f64], nodes: &[u32; 3], weights: &[f64; 3]) -> f64 {

@@ -17,8 +17,8 @@ pub(crate) struct Surface<'a> {
 /// A point of the surface.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Foot {
+    #[cfg(test)]
     pub(crate) triangle: u32,
-    pub(crate) weights: [f64; 3],
     pub(crate) at: Vec3,
     /// Out of the tissue, interpolated between the nodes.
     pub(crate) normal: Vec3,
@@ -80,8 +80,8 @@ impl Surface<'_> {
             .try_normalize(1e-3)
             .or_else(|| area_normal(&corners).try_normalize(1e-30))?;
         Some(Foot {
+            #[cfg(test)]
             triangle,
-            weights,
             at,
             normal,
         })

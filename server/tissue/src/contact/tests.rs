@@ -8,7 +8,7 @@ use super::ball::Ball;
 use super::index::{SurfaceIndex, box_of};
 use super::sample::weights_of;
 use super::surface::{Surface, area_normal, blend, nearest_weights};
-use super::{Contacts, Tool};
+use super::{Contacts, Form, POINT_RADIUS, Tool};
 use crate::{BladePoint, CutStroke, Material, Topology, Vec3, block, cut};
 
 const D: f64 = 0.004;
@@ -151,7 +151,8 @@ proptest! {
     /// The contacts of a tool are all samples of the surface in its reach that face it.
     #[test]
     fn contacts_are_those_that_a_look_at_every_sample_finds(
-        events in proptest::collection::vec((place(), 0.5..6.0, place(), 0.6..5.0), 1..6),
+        events in proptest::collection::vec((place(), 0.5..6.0, place(), POINT_RADIUS..5.0), 1..6),
+        ends in place(), is_ball in any::<bool>(),
     ) {
         let topology = topology();
         let mut contacts = Contacts::new(&topology);
@@ -159,14 +160,16 @@ proptest! {
         let own = vec![1.0; u.len()];
         for (at, size, centre, radius) in events {
             deform(&topology, &mut u, at, size * D, (centre - at) * 0.3);
-            contacts.begin(&[Tool { id: 1, centre, radius_m: radius * D }]);
+            let half = if is_ball { Vec3::zeros() } else { ends };
+            let form = Form { half: [half, Vec3::zeros()], ..Form::BALL };
+            contacts.begin(&[Tool { form, ..Tool::ball(1, centre, radius * D) }]);
             contacts.gather(&topology, &u, longest(&u), &own);
             let proxy = &contacts.proxies[0];
             let mut expected = Vec::new();
             for &nodes in &topology.boundary().triangles {
                 let corners = nodes.map(|n| topology.rest(n) + u[n as usize]);
                 for &weights in weights_of(radius * D, D) {
-                    let v = proxy.at - blend(&corners, &weights);
+                    let v = -proxy.core.towards(&blend(&corners, &weights));
                     let facing = v.dot(&area_normal(&corners)) > 0.0;
                     if facing && v.norm() <= (radius + 0.5) * D + proxy.gap {
                         expected.push((nodes, weights));

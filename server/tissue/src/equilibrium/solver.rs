@@ -563,16 +563,10 @@ impl Solver {
         self.report.lag_m = 0.0;
         for i in 0..self.contacts.proxies.len() {
             let mut reaction = self.contacts.reaction(topology, u, i);
-            let proxy = &mut self.contacts.proxies[i];
-            self.report.lag_m = self.report.lag_m.max(proxy.lag());
+            self.report.lag_m = self.report.lag_m.max(self.contacts.proxies[i].lag());
             if reaction.contacts > 0 {
-                if !proxy.secant.is_known() {
-                    let own = self.field.own[self.contacts.nodes[0] as usize];
-                    let wide = (proxy.radius / spacing).max(0.5);
-                    proxy.secant.start(&reaction.normal, 0.5 * own * wide, 0.3);
-                }
-                proxy.secant.learn(proxy.at, reaction.force, 0.01 * spacing);
-                reaction.stiffness = proxy.secant.stiffness();
+                let own = self.field.own[self.contacts.nodes[0] as usize];
+                reaction.stiffness = self.contacts.learn(u, i, &reaction, own, spacing);
                 if let Some(last) = self.last_forces.get(i) {
                     reaction.force_error = (reaction.force - last).norm();
                 }

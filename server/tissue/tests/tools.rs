@@ -1,0 +1,330 @@
+//! Line and surface tools: what they feel on slabs and columns whose answer is known.
+
+use std::sync::Arc;
+
+use nalgebra::UnitQuaternion;
+use palpate_tissue::{
+    Budget, Form, Material, Reaction, Shape, Solver, Tool, Topology, Vec3, block,
+};
+use proptest::prelude::*;
+
+const MM: f64 = 1e-3;
+const D: f64 = 4.0 * MM;
+const YOUNG: f64 = 10e3;
+
+fn material() -> Material {
+    Material {
+        name: "test".into(),
+        young_pa: YOUNG,
+        density_kg_m3: 1000.0,
+        friction_static: 0.4,
+        friction_dynamic: 0.3,
+        source: "test".into(),
+        ..Material::default()
+    }
+}
+
+struct Bench {
+    topology: Topology,
+    solver: Solver,
+    shape: Shape,
+}
+
+impl Bench {
+    fn new(cells: [usize; 3]) -> Self {
+        let topology = Topology::new(Arc::new(block(cells, D, &material(), 1)));
+        let (solver, shape) = (Solver::new(&topology), Shape::rest(&topology));
+        Self {
+            topology,
+            solver,
+            shape,
+        }
+    }
+
+    /// The converged reaction on one tool.
+    fn press(&mut self, tool: Tool) -> Reaction {
+        let budget = Budget::new(400, 1e-5);
+        let report = self
+            .solver
+            .step(&self.topology, &mut self.shape, &[tool], budget);
+        assert_eq!(report.ignored_tools, 0);
+        report.reactions[0].clone()
+    }
+
+    /// Pressed in from above in steps of a millimetre.
+    fn lower(&mut self, tool: Tool, depth: f64) -> Reaction {
+        let steps = (depth / MM).ceil() as usize;
+        let mut last = None;
+        for k in 1..=steps {
+            let by = Vec3::z() * (-depth * k as f64 / steps as f64);
+            let centre = tool.centre + by;
+            last = Some(self.press(Tool { centre, ..tool }));
+        }
+        last.unwrap()
+    }
+}
+
+/// A line along x through the pivot, or beside it by `offset`, whose lower side is at `z`.
+fn needle(pivot: Vec3, offset: f64, half: f64, radius: f64) -> Tool {
+    let mid = Vec3::x() * offset;
+    Tool {
+        form: Form::line(mid - Vec3::x() * half, mid + Vec3::x() * half),
+        ..Tool::ball(1, pivot, radius)
+    }
+}
+
+const CELLS: [usize; 3] = [16, 12, 8];
+const TOP: f64 = 8.0 * D;
+
+fn above(radius: f64) -> Vec3 {
+    Vec3::new(8.0 * D, 6.0 * D, TOP + radius)
+}
+
+#[test]
+fn a_line_of_no_length_is_the_ball() {
+    for radius in [1.0 * MM, 6.0 * MM] {
+        let at = above(radius);
+        let ball = Bench::new(CELLS).lower(Tool::ball(1, at, radius), 4.0 * MM);
+        let line = Bench::new(CELLS).lower(needle(at, 0.0, 1e-12, radius), 4.0 * MM);
+        let miss = (ball.force - line.force).norm();
+        assert!(
+            miss < 1e-4 * ball.force.norm(),
+            "{} {}",
+            ball.force,
+            line.force
+        );
+    }
+}
+
+#[test]
+fn a_centred_line_has_no_torque_and_an_offset_one_force_times_lever() {
+    for radius in [1.0 * MM, 5.0 * MM] {
+        let at = above(radius);
+        let centred = Bench::new(CELLS).lower(needle(at, 0.0, 10.0 * MM, radius), 4.0 * MM);
+        let f = centred.force.z;
+        assert!(f > 0.0 && centred.torque.xy().norm() < 1e-3 * f * 10.0 * MM);
+        // Diagonals of the surface's squares all run one way: a thin needle feels that as a turn in the plane.
+        assert!(centred.torque.z.abs() < 0.03 * f * 10.0 * MM, "{centred:?}");
+        // The same needle on the same tissue, held 15 mm from its middle.
+        let d = 15.0 * MM;
+        let pivot = at - Vec3::x() * d;
+        let offset = Bench::new(CELLS).lower(needle(pivot, d, 10.0 * MM, radius), 4.0 * MM);
+        assert!((offset.force - centred.force).norm() < 1e-3 * f);
+        // T = r x F with r along x and F along z.
+        let miss = (offset.torque.xy() - Vec3::new(0.0, -d * f, 0.0).xy()).norm();
+        assert!(miss < 0.01 * d * f, "{} N m of {}", offset.torque, d * f);
+    }
+}
+
+#[test]
+fn the_places_of_a_line_carry_its_force_and_torque() {
+    let radius = 5.0 * MM;
+    let mut bench = Bench::new(CELLS);
+    let tool = needle(above(radius), 6.0 * MM, 20.0 * MM, radius);
+    let r = bench.lower(tool, 5.0 * MM);
+    assert!(r.places.len() > 2, "{:?}", r.places);
+    assert!(r.places.windows(2).all(|p| p[0].number < p[1].number));
+    let force: Vec3 = r.places.iter().map(|p| p.force).sum();
+    assert!((force - r.force).norm() < 1e-12);
+    let torque: Vec3 = r.places.iter().map(|p| p.lever.cross(&p.force)).sum();
+    let lever = 26.0 * MM;
+    assert!((torque - r.torque).norm() < 0.02 * lever * r.force.norm());
+    for p in &r.places {
+        assert!(p.pressed >= p.force.norm() - 1e-12 && p.pressed < 1.05 * p.force.norm());
+        assert!(
+            (p.friction_static - 0.4).abs() < 1e-12 && (p.friction_dynamic - 0.3).abs() < 1e-12
+        );
+        assert!((p.normal - p.force.normalize()).norm() < 1e-9);
+    }
+}
+
+#[test]
+fn a_plate_on_a_column_is_uniaxial_compression() {
+    // Four times as high as wide; the foot, which can not spread, is a small part of it.
+    let cells = [6, 6, 24];
+    let (side, height) = (6.0 * D, 24.0 * D);
+    let mut bench = Bench::new(cells);
+    let radius = 4.0 * MM;
+    let plate = Tool {
+        form: Form::rectangle(
+            Vec3::zeros(),
+            [Vec3::x() * (0.55 * side), Vec3::y() * (0.55 * side)],
+        ),
+        ..Tool::ball(
+            1,
+            Vec3::new(0.5 * side, 0.5 * side, height + radius),
+            radius,
+        )
+    };
+    let strain = 0.02;
+    let r = bench.lower(plate, strain * height);
+    let expected = YOUNG * strain * side * side;
+    assert!(r.places.len() > 8);
+    assert!(
+        (r.force.z / expected - 1.0).abs() < 0.05,
+        "{} of {expected}",
+        r.force
+    );
+    assert!(r.torque.norm() < 1e-3 * expected * side);
+}
+
+#[test]
+fn a_leaning_plate_feels_a_torque_that_rights_it() {
+    let radius = 3.0 * MM;
+    let at = above(radius);
+    let form = Form::rectangle(
+        Vec3::zeros(),
+        [Vec3::x() * (12.0 * MM), Vec3::y() * (8.0 * MM)],
+    );
+    // Turned about y by +4 degrees: the end at +x goes down.
+    let leaning = |degrees: f64| Tool {
+        turn: UnitQuaternion::from_axis_angle(&Vec3::y_axis(), degrees.to_radians()),
+        form,
+        ..Tool::ball(1, at, radius)
+    };
+    let one = Bench::new(CELLS).lower(leaning(4.0), 4.0 * MM);
+    let other = Bench::new(CELLS).lower(leaning(-4.0), 4.0 * MM);
+    assert!(one.torque.y < -1e-4, "{}", one.torque);
+    assert!((one.torque.y + other.torque.y).abs() < 0.02 * one.torque.y.abs());
+    // And a plate that is turned in place is the one that was lowered turned.
+    let mut bench = Bench::new(CELLS);
+    bench.lower(leaning(0.0), 4.0 * MM);
+    let down = at - Vec3::z() * (4.0 * MM);
+    let mut turned = None;
+    for degree in 1..=4 {
+        let tool = Tool {
+            centre: down,
+            ..leaning(f64::from(degree))
+        };
+        turned = Some(bench.press(tool));
+    }
+    let turned = turned.unwrap();
+    assert!((turned.force - one.force).norm() < 0.01 * one.force.norm());
+    assert!((turned.torque - one.torque).norm() < 0.03 * one.torque.norm());
+}
+
+#[test]
+fn a_blade_pressed_with_its_edge_feels_more_where_it_is_deeper() {
+    // 30 mm long, 10 mm high, 1 mm thick: far thinner than the lattice.
+    let radius = 0.5 * MM;
+    let half = [Vec3::x() * (15.0 * MM), Vec3::z() * (5.0 * MM)];
+    let mut bench = Bench::new(CELLS);
+    let at = Vec3::new(8.0 * D, 6.0 * D + 0.3 * MM, TOP + radius + 5.0 * MM);
+    let tool = Tool {
+        turn: UnitQuaternion::from_axis_angle(&Vec3::y_axis(), 0.1),
+        form: Form::rectangle(Vec3::zeros(), half),
+        ..Tool::ball(1, at, radius)
+    };
+    let r = bench.lower(tool, 3.0 * MM);
+    assert!(
+        r.force.z > 0.0 && r.force.xy().norm() < 0.2 * r.force.z,
+        "{}",
+        r.force
+    );
+    // The end at +x is the lower one, so the torque turns it up: about -y.
+    assert!(r.torque.y < 0.0, "{}", r.torque);
+}
+
+#[test]
+fn a_long_tool_that_swings_in_from_aside_stops_at_the_surface() {
+    let radius = 3.0 * MM;
+    let mut bench = Bench::new(CELLS);
+    // Its pivot stays beside the slab; the needle reaches over it and swings down.
+    let pivot = Vec3::new(-10.0 * MM, 6.0 * D, TOP + 8.0 * MM);
+    let swing = |angle: f64| Tool {
+        turn: UnitQuaternion::from_axis_angle(&Vec3::y_axis(), angle),
+        form: Form::line(Vec3::zeros(), Vec3::x() * (40.0 * MM)),
+        ..Tool::ball(1, pivot, radius)
+    };
+    assert_eq!(bench.press(swing(-0.2)).contacts, 0);
+    // In one step by a quarter of a turn's worth of way: the tip would be 12 mm deep.
+    let r = bench.press(swing(0.35));
+    assert!(r.force.z > 0.0 && r.contacts > 0, "{r:?}");
+    let mut slow = Bench::new(CELLS);
+    let mut s = slow.press(swing(-0.2));
+    for k in 1..=22 {
+        s = slow.press(swing(-0.2 + 0.025 * f64::from(k)));
+    }
+    assert!(
+        (s.force - r.force).norm() < 0.05 * s.force.norm(),
+        "{} {}",
+        r.force,
+        s.force
+    );
+}
+
+#[test]
+fn forms_that_are_none_are_ignored_and_counted() {
+    let mut bench = Bench::new([4, 4, 4]);
+    let ball = Tool::ball(1, Vec3::new(8.0 * MM, 8.0 * MM, 17.0 * MM), 2.0 * MM);
+    let nan = Vec3::new(f64::NAN, 0.0, 0.0);
+    let bad = [
+        Form::line(Vec3::zeros(), nan),
+        Form::line(Vec3::zeros(), Vec3::x() * 1e9),
+        Form::rectangle(nan, [Vec3::zeros(); 2]),
+        // No rectangle.
+        Form::rectangle(Vec3::zeros(), [Vec3::x(), Vec3::new(0.5, 0.5, 0.0)]),
+    ];
+    for form in bad {
+        let tool = Tool { form, ..ball };
+        assert!(!tool.is_sound());
+        let report = bench.solver.step(
+            &bench.topology,
+            &mut bench.shape,
+            &[tool],
+            Budget::new(3, 1e-3),
+        );
+        assert_eq!((report.ignored_tools, report.reactions.len()), (1, 0));
+    }
+}
+
+#[test]
+fn a_tool_larger_than_the_model_presses_all_of_it() {
+    let mut bench = Bench::new([4, 4, 4]);
+    let radius = 4.0 * MM;
+    let plate = Tool {
+        form: Form::rectangle(Vec3::zeros(), [Vec3::x() * 0.8, Vec3::y() * 0.8]),
+        ..Tool::ball(1, Vec3::new(8.0 * MM, 8.0 * MM, 16.0 * MM + radius), radius)
+    };
+    let r = bench.lower(plate, 1.0 * MM);
+    // A little more than a free column of its size, as its foot is held.
+    let free = YOUNG * (1.0 / 16.0) * (16.0 * MM) * (16.0 * MM);
+    assert!(
+        (0.95..1.4).contains(&(r.force.z / free)),
+        "{} of {free}",
+        r.force
+    );
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 12, failure_persistence: None, ..Default::default() })]
+
+    /// What pushes a tool out is what it is pressed with: no tool is drawn in, and no work is got from a press and back.
+    #[test]
+    fn no_tool_is_drawn_in(
+        long in 0.0..0.02f64, broad in 0.0..0.012f64, radius in 0.3e-3..6e-3f64, lean in -0.3..0.3f64, turn in -3.0..3.0f64,
+    ) {
+        let q = UnitQuaternion::from_axis_angle(&Vec3::y_axis(), lean)
+            * UnitQuaternion::from_axis_angle(&Vec3::z_axis(), turn);
+        let form = Form::rectangle(Vec3::zeros(), [Vec3::x() * long, Vec3::y() * broad]);
+        let tool = Tool { turn: q, form, ..Tool::ball(1, above(radius + long * lean.abs().sin()), radius) };
+        let mut bench = Bench::new(CELLS);
+        let mut most = 0.0_f64;
+        let mut work = 0.0;
+        let mut last: Option<f64> = None;
+        for k in 0..=12 {
+            let depth = 0.5 * MM * f64::from(k.min(12 - k));
+            let by = Vec3::z() * -depth;
+            let r = bench.press(Tool { centre: tool.centre + by, ..tool });
+            prop_assert!(r.force.z > -1e-6, "{}", r.force);
+            most = most.max(r.force.z);
+            if let Some(before) = last {
+                let step = if k <= 6 { 0.5 * MM } else { -0.5 * MM };
+                work += 0.5 * (before + r.force.z) * step;
+            }
+            last = Some(r.force.z);
+        }
+        prop_assert!(most > 0.0);
+        prop_assert!(work > -0.02 * most * 3.0 * MM, "{work} J of {}", most * 3.0 * MM);
+    }
+}
