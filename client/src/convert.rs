@@ -2,8 +2,8 @@
 
 use nalgebra::{Quaternion, UnitQuaternion};
 use palpate_device::script::{Tool as ScriptTool, ToolKind as ScriptToolKind};
-use palpate_protocol::handshake::{ToolDescription, ToolKind};
 use palpate_protocol::operation::{BladePoint, CutStroke};
+use palpate_protocol::tool::{ToolDescription, ToolKind};
 use palpate_protocol::{LocalSample, Pose};
 use palpate_tissue::Vec3;
 
@@ -28,13 +28,17 @@ fn tissue_blade(p: &BladePoint) -> palpate_tissue::BladePoint {
 /// The blade of a tool at `pose`, for the wire: its edge lies along the tool's own z axis, from the
 /// tip up; the axis points that way, against the depth, as the tissue wants it.
 pub fn wire_blade(pose: &Pose, length_m: f64) -> BladePoint {
-    let [x, y, z, w] = pose.orientation;
-    let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6).unwrap_or_default();
     BladePoint {
         tip_m: pose.position_m,
-        axis: (turn * Vec3::z()).into(),
+        axis: (orientation(pose) * Vec3::z()).into(),
         depth_m: length_m,
     }
+}
+
+/// The rotation of a pose of the wire; of one that is none, no rotation.
+pub(crate) fn orientation(pose: &Pose) -> UnitQuaternion<f64> {
+    let [x, y, z, w] = pose.orientation;
+    UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6).unwrap_or_default()
 }
 
 /// The tool of a script, as others see it.
@@ -43,8 +47,13 @@ pub fn tool_description(tool: &ScriptTool) -> ToolDescription {
         kind: match tool.kind {
             ScriptToolKind::Probe => ToolKind::Probe,
             ScriptToolKind::Blade => ToolKind::Scalpel,
+            ScriptToolKind::Needle => ToolKind::Needle,
+            ScriptToolKind::Plate => ToolKind::Plate,
+            ScriptToolKind::Forceps => ToolKind::Grasper,
         },
         radius_m: tool.radius_m,
+        length_m: tool.length_m,
+        width_m: tool.width_m,
     }
 }
 

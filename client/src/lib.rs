@@ -22,6 +22,7 @@ pub mod convert;
 mod devices;
 mod ending;
 mod error;
+mod felt;
 mod history;
 mod inbox;
 mod join;

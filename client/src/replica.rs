@@ -11,29 +11,17 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use palpate_haptics::{ContactModel, Touch};
+use palpate_haptics::ContactModel;
 use palpate_protocol::ClientTime;
 use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_tissue::{
-    Budget, CutOutcome, Model, Reaction, Shape, Solver, Successor, Tool, Topology, Vec3,
+    Budget, CutOutcome, Model, Reaction, Shape, Solver, Successor, Tool, Topology,
 };
 
 use crate::ahead::{Ahead, ReadyCut, ReplicaError};
-use crate::roster::{ToolAt, gather};
+use crate::felt::{contact_model, unusable};
+use crate::roster::{ToolAt, gather, owner};
 use crate::view::{View, ViewCut};
-
-/// How far from the solved position the force law is believed, m: half a metre per second for 16
-/// ms, four periods of the solver. Smaller lets the force fade in fast strokes, larger believes a
-/// linear law where the tissue is none.
-pub const MODEL_RADIUS_M: f64 = 8e-3;
-
-/// Damping of the contact in parts of its normal stiffness, s: 1 ms takes the ring out of a hand
-/// against tissue and is not felt.
-const DAMPING_S: f64 = 1e-3;
-
-/// Damping of the contact at most, N·s/m: well below what a 0.1 kg handle at 1 kHz turns into
-/// oscillation (2 m / T is 200).
-const DAMPING_MAX_NS_PER_M: f64 = 2.0;
 
 /// Iterations at most; time ends most solves.
 pub const ITERATIONS: usize = 4;
@@ -196,17 +184,15 @@ impl Replica {
         let report = side
             .solver
             .step(&self.topology, &mut side.shape, &self.tools, budget);
-        let id = own.and_then(ToolAt::contact).map(|t| t.id);
-        if report.fell_back && id.is_some() {
+        let presses = own.is_some_and(|own| own.contacts().next().is_some());
+        if report.fell_back && presses {
             return unusable(&free);
         }
+        let is_own = |r: &&Reaction| me == Some(owner(r.tool));
         self.others
-            .note(report.reactions.iter().filter(|r| Some(r.tool) != id));
-        let model = report
-            .reactions
-            .iter()
-            .find(|r| Some(r.tool) == id)
-            .map_or(free, |r| contact_model(now, version, r));
+            .note(report.reactions.iter().filter(|r| !is_own(r)));
+        let parts: Vec<&Reaction> = report.reactions.iter().filter(is_own).collect();
+        let model = contact_model(now, version, &parts);
         ContactModel {
             others_j: self.others.work_j,
             ..model
@@ -219,50 +205,24 @@ impl Replica {
 struct Others {
     /// Less what they have got back, J.
     work_j: f64,
-    /// Where each of them was, and what pushed it there.
-    last: BTreeMap<u32, (Vec3, Vec3)>,
+    /// What was felt at each of them.
+    last: BTreeMap<u32, Reaction>,
 }
 
 impl Others {
-    /// Adds what they did since the last solve: the mean of the two forces over the way between.
+    /// Adds what they did since the last solve: the mean of the two forces over the way between, and of the two
+    /// torques over the turn.
     fn note<'a>(&mut self, reactions: impl Iterator<Item = &'a Reaction>) {
         let mut now = BTreeMap::new();
         for r in reactions {
-            if let Some((at, force)) = self.last.get(&r.tool) {
-                self.work_j -= 0.5 * (force + r.force).dot(&(r.at - at));
+            if let Some(last) = self.last.get(&r.tool) {
+                let turned = (r.turn * last.turn.inverse()).scaled_axis();
+                self.work_j -= 0.5 * (last.force + r.force).dot(&(r.at - last.at));
+                self.work_j -= 0.5 * (last.torque + r.torque).dot(&turned);
             }
-            now.insert(r.tool, (r.at, r.force));
+            now.insert(r.tool, r.clone());
         }
         self.last = now;
-    }
-}
-
-/// What the force loop has to know of a reaction until the next solve. The linear law stands where
-/// the solver computed the force: at the tool, unless that jumped and the proxy is still on its way.
-fn contact_model(now: ClientTime, topology_version: u32, r: &Reaction) -> ContactModel {
-    if r.contacts == 0 || (r.normal.norm() - 1.0).abs() > 1e-6 {
-        return ContactModel::free_at(now, topology_version);
-    }
-    let along = r.normal.dot(&(r.stiffness * r.normal)).max(0.0);
-    ContactModel {
-        topology_version,
-        solved_at: now,
-        x0: r.at,
-        radius: MODEL_RADIUS_M,
-        ..ContactModel::single(Touch {
-            damping: (DAMPING_S * along).min(DAMPING_MAX_NS_PER_M),
-            mu_static: r.friction_static,
-            mu_dynamic: r.friction_dynamic.min(r.friction_static),
-            ..Touch::at_pivot(r.force, r.stiffness, r.normal)
-        })
-    }
-}
-
-/// A model that the force loop does not take.
-fn unusable(free: &ContactModel) -> ContactModel {
-    ContactModel {
-        couple: Vec3::repeat(f64::NAN),
-        ..*free
     }
 }
 

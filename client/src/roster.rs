@@ -2,10 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use palpate_protocol::handshake::{ROSTER_MAX, RosterEntry, ToolDescription, ToolKind};
+use nalgebra::UnitQuaternion;
+use palpate_protocol::handshake::{ROSTER_MAX, RosterEntry};
 use palpate_protocol::timeline::{Shown, Timeline};
+use palpate_protocol::tool::{PARTS_MAX, ToolDescription, ToolKind};
 use palpate_protocol::{ParticipantId, Role, ServerTime, ToolSample};
-use palpate_tissue::{Tool, Vec3};
+use palpate_tissue::{Form, Tool, Vec3};
+
+use crate::convert::orientation;
 
 /// A tool at a moment, with all that the tissue has to know of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -16,6 +20,8 @@ pub struct ToolAt {
     pub description: ToolDescription,
     /// Position of its tip, m.
     pub position: Vec3,
+    /// Rotation from its own frame to the scene's.
+    pub orientation: UnitQuaternion<f64>,
     /// One bit per button; bit 0 is the main one.
     pub buttons: u8,
     /// Whether nothing has come from it for too long.
@@ -28,21 +34,40 @@ impl ToolAt {
         self.description.kind == ToolKind::Scalpel && self.buttons & 1 == 1
     }
 
-    /// The tool as the tissue feels it; `None` while it cuts, or is stale, or is no place at all.
-    pub fn contact(&self) -> Option<Tool> {
-        let tool = Tool::ball(
-            u32::from(self.participant.0),
-            self.position,
-            self.description.radius_m,
-        );
-        (!self.stale && !self.is_cutting() && tool.is_sound()).then_some(tool)
+    /// The parts of the tool as the tissue feels them; none while it cuts, or is stale, or is no place at all.
+    pub fn contacts(&self) -> impl Iterator<Item = Tool> + '_ {
+        let held = self.buttons & 1 == 1;
+        let parts = self.description.parts(held).enumerate();
+        let presses = !self.stale && !self.is_cutting();
+        parts
+            .filter(move |_| presses)
+            .map(|(i, part)| Tool {
+                turn: self.orientation,
+                form: Form::rectangle(part.mid.into(), part.half.map(Vec3::from)),
+                ..Tool::ball(
+                    part_id(self.participant, i),
+                    self.position,
+                    self.description.radius_m,
+                )
+            })
+            .filter(Tool::is_sound)
     }
+}
+
+/// How the tissue tells parts of tools apart.
+fn part_id(who: ParticipantId, part: usize) -> u32 {
+    u32::from(who.0) * PARTS_MAX + part as u32
+}
+
+/// Whose part it is.
+pub(crate) fn owner(tool: u32) -> ParticipantId {
+    ParticipantId((tool / PARTS_MAX) as u16)
 }
 
 /// The tools that touch, as the tissue takes them.
 pub(crate) fn gather<'a>(into: &mut Vec<Tool>, tools: impl Iterator<Item = &'a ToolAt>) {
     into.clear();
-    into.extend(tools.filter_map(ToolAt::contact));
+    into.extend(tools.flat_map(ToolAt::contacts));
 }
 
 #[derive(Debug, Clone)]
@@ -162,6 +187,7 @@ fn placed(participant: ParticipantId, description: ToolDescription, shown: &Show
         participant,
         description,
         position: Vec3::from(shown.pose.position_m),
+        orientation: orientation(&shown.pose),
         buttons: shown.buttons,
         stale: shown.stale,
     }
@@ -178,9 +204,9 @@ mod tests {
             participant: ParticipantId(who),
             name: format!("p{who}"),
             role: Role::Trainee,
-            tool: Some(ToolDescription {
-                kind,
-                radius_m: 0.004,
+            tool: Some(match kind {
+                ToolKind::Scalpel => ToolDescription::scalpel(0.004, 0.02),
+                _ => ToolDescription::probe(0.004),
             }),
         }
     }
@@ -202,8 +228,8 @@ mod tests {
             roster.insert(ParticipantId(who), sample(1000, 1));
         }
         let tools = roster.tools_seen_at(ServerTime::from_micros(500));
-        assert!(tools[0].is_cutting() && tools[0].contact().is_none());
-        assert!(tools[1].contact().is_some());
+        assert!(tools[0].is_cutting() && tools[0].contacts().next().is_none());
+        assert!(tools[1].contacts().next().is_some());
     }
 
     #[test]
@@ -211,7 +237,7 @@ mod tests {
         let mut roster = Roster::new(&[entry(1, ToolKind::Probe)]);
         roster.insert(ParticipantId(1), sample(0, 0));
         let late = roster.tools_seen_at(ServerTime::from_micros(300_000));
-        assert!(late[0].stale && late[0].contact().is_none());
+        assert!(late[0].stale && late[0].contacts().next().is_none());
         roster.leave(ParticipantId(1));
         roster.insert(ParticipantId(1), sample(310_000, 0));
         assert!(

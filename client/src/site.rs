@@ -16,14 +16,15 @@ use palpate_haptics::ContactModel;
 use palpate_protocol::clock::ClockMap;
 use palpate_protocol::compensation::DelaySchedule;
 use palpate_protocol::datagram::Corrections;
-use palpate_protocol::handshake::{RosterEntry, ToolDescription, Welcome};
+use palpate_protocol::handshake::{RosterEntry, Welcome};
 use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::request::{RequestKind, RequestRefusal};
 use palpate_protocol::session::{ClientEvent, CloseReason};
+use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{
     ClientTime, LocalSample, ParticipantId, ServerTime, Span, ToolSample, TopologyHash,
 };
-use palpate_tissue::{Budget, Model, Vec3};
+use palpate_tissue::{Budget, Model};
 
 use crate::ahead::{Ahead, ReadyCut, ReplicaError};
 use crate::recording::OperationRecord;
@@ -400,7 +401,7 @@ impl Site {
     pub fn haptic_step(
         &mut self,
         now: ClientTime,
-        position: Vec3,
+        pose: palpate_device::Pose,
         buttons: u8,
         budget: Budget<'_>,
     ) -> Option<ContactModel> {
@@ -408,7 +409,8 @@ impl Site {
         let own = self.own_tool().map(|description| ToolAt {
             participant: self.me,
             description,
-            position,
+            position: pose.position,
+            orientation: pose.orientation,
             buttons,
             stale: false,
         });

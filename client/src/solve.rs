@@ -312,8 +312,8 @@ impl Turns {
             stop: Some(&mut stop),
         };
         let buttons = (sample.buttons.bits() & 0xff) as u8;
-        let position = sample.pose.position;
-        if let Some(model) = self.work.site.haptic_step(began, position, buttons, budget) {
+        let pose = sample.pose;
+        if let Some(model) = self.work.site.haptic_step(began, pose, buttons, budget) {
             hand.models.write(model);
             record_time(&mut self.haptic_us, began);
         }

@@ -8,13 +8,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use palpate_client::{ClientError, JoinOptions, Recording, Summary, convert};
-use palpate_protocol::handshake::{
-    Hello, RefusalReason, Refused, RosterEntry, ToolDescription, ToolKind, Welcome,
-};
+use palpate_protocol::handshake::{Hello, RefusalReason, Refused, RosterEntry, Welcome};
 use palpate_protocol::operation::{
     BladePoint, CompensationMode, CompensationSettings, CutStroke, Operation, OperationKind,
 };
 use palpate_protocol::session::{PeerEvent, PeerMessage};
+use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{
     CertificateHash, Epoch, Grant, JoinLink, ModelHash, ModelInfo, OperationId, ParticipantId,
     Role, ServerTime, Span, TopologyHash,
@@ -185,10 +184,7 @@ fn welcome(info: ModelInfo, now: ServerTime, hello: &Hello) -> PeerMessage {
         role,
         tool,
     };
-    let probe = ToolDescription {
-        kind: ToolKind::Probe,
-        radius_m: 6e-3,
-    };
+    let probe = ToolDescription::probe(6e-3);
     let roster = vec![
         entry(ME, &hello.name, hello.role, hello.tool),
         entry(ParticipantId(2), "Bob", Role::Trainee, Some(probe)),

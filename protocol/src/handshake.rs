@@ -14,10 +14,11 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use crate::operation::CompensationSettings;
+use crate::tool::ToolDescription;
 use crate::{Epoch, Grant, ModelHash, ParticipantId, ProtocolError, ServerTime, TopologyHash};
 
 /// The version that this crate speaks. It grows with every change of any message.
-pub const PROTOCOL_VERSION: u16 = 1;
+pub const PROTOCOL_VERSION: u16 = 2;
 
 /// What every palpate stream begins with.
 pub const MAGIC: [u8; 4] = *b"PALP";
@@ -147,26 +148,6 @@ pub struct Hello {
     pub tool: Option<ToolDescription>,
     /// To take a lost seat again.
     pub resume: Option<Resume>,
-}
-
-/// What a tool looks like to the others.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct ToolDescription {
-    /// What it does.
-    pub kind: ToolKind,
-    /// Radius of its spherical tip in metres.
-    pub radius_m: f64,
-}
-
-/// The tools that this version knows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum ToolKind {
-    /// A rounded probe that presses.
-    Probe,
-    /// A blade that cuts while its main button is held.
-    Scalpel,
-    /// Pulls on what it holds.
-    Grasper,
 }
 
 /// The seat that a returning client had.

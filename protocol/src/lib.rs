@@ -31,6 +31,7 @@ mod sequence;
 pub mod session;
 mod time;
 pub mod timeline;
+pub mod tool;
 pub mod verlet;
 
 pub use datagram::DATAGRAM_MAX_BYTES;

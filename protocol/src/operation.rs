@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::handshake::{Role, ToolDescription};
+use crate::handshake::Role;
+use crate::tool::ToolDescription;
 use crate::{OperationId, ParticipantId, ServerTime, Span, TopologyHash};
 
 /// The most blade points in one stroke. 512 points of 56 B stay below half of the largest frame;

@@ -2,8 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::handshake::{Hello, Refused, ToolDescription, Welcome};
+use crate::handshake::{Hello, Refused, Welcome};
 use crate::operation::{BladePoint, Operation, STROKE_MAX_POINTS};
+use crate::tool::ToolDescription;
 use crate::{RequestId, ServerTime, TopologyHash};
 
 /// Everything that a client writes on the operations stream after the preamble.
@@ -67,15 +68,10 @@ impl RequestKind {
     pub fn is_valid(&self) -> bool {
         match self {
             Self::Cut(cut) => cut.is_valid(),
-            Self::SetTool(tool) => tool_is_valid(tool),
+            Self::SetTool(tool) => tool.is_valid(),
             Self::Leave | Self::ReportDelay(_) | Self::TopologyReport { .. } => true,
         }
     }
-}
-
-/// Whether a tool's tip radius is between 0.1 mm and 100 mm.
-pub fn tool_is_valid(tool: &ToolDescription) -> bool {
-    (1e-4..=0.1).contains(&tool.radius_m)
 }
 
 /// A stroke as the participant's hand made it: in the world frame, on the deformed tissue.

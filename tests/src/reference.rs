@@ -91,6 +91,7 @@ impl Seat {
                 participant: ParticipantId(number),
                 description: tool_description(&script.tool()),
                 position: script.ways()[0].position,
+                orientation: script.ways()[0].orientation,
                 buttons: 0,
                 stale: false,
             },
@@ -121,6 +122,7 @@ impl Seat {
     /// Takes over where the tool is; gives the stroke that has just ended.
     fn take(&mut self, us: i64, sample: &Sample) -> Option<CutRequest> {
         self.tool.position = sample.pose.position;
+        self.tool.orientation = sample.pose.orientation;
         self.tool.buttons = (sample.buttons.bits() & 0xff) as u8;
         let q = sample.pose.orientation;
         let pose = Pose {

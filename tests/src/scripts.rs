@@ -12,7 +12,7 @@
 //! ```
 
 use nalgebra::{Rotation3, UnitQuaternion};
-use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
+use palpate_device::script::{Hand, Tool, WayPoint};
 use palpate_device::{Script, ScriptError};
 use palpate_tissue::Vec3;
 
@@ -173,11 +173,7 @@ fn holder(place: &Place, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptEr
     path.to(0.80, pressed(0.0));
     path.sway(0.82, 0.94, pressed);
     path.to(1.0, above);
-    let tool = Tool {
-        kind: ToolKind::Probe,
-        radius_m: r,
-        length_m: 0.0,
-    };
+    let tool = Tool::probe(r);
     Script::new(tool, Hand::default(), path.ways, false)
 }
 
@@ -204,11 +200,7 @@ fn cutter(place: &Place, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptEr
     path.to(0.68, pressed(0.0));
     path.sway(0.70, 0.94, pressed);
     path.to(1.0, over);
-    let tool = Tool {
-        kind: ToolKind::Blade,
-        radius_m: r,
-        length_m: sizes.blade_length,
-    };
+    let tool = Tool::blade(r, sizes.blade_length);
     Script::new(tool, Hand::default(), path.ways, false)
 }
 

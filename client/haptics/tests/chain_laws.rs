@@ -4,7 +4,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 use palpate_device::backend::sim::{ScriptStart, SimHand};
-use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
+use palpate_device::script::{Hand, Tool, WayPoint};
 use palpate_device::{DeviceTime, Faults, HapticDevice, Pose, Sample, Script};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Events, Tick, Touch};
 use palpate_protocol::ClientTime;
@@ -18,11 +18,7 @@ fn ms(ms: i64) -> ClientTime {
 }
 
 fn hand(ways: Vec<WayPoint>) -> SimHand {
-    let tool = Tool {
-        kind: ToolKind::Probe,
-        radius_m: 0.004,
-        length_m: 0.0,
-    };
+    let tool = Tool::probe(0.004);
     let script = Script::new(tool, Hand::default(), ways, false).unwrap();
     SimHand::new(script, ScriptStart::at(DeviceTime::from_micros(BOOT_US)))
 }

@@ -8,7 +8,7 @@ use std::cell::Cell;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use palpate_device::backend::five_dof;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
-use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
+use palpate_device::script::{Hand, Tool, WayPoint};
 use palpate_device::{DeviceCaps, DeviceTime, HapticDevice, Pose, Script};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Counters, Touch};
 use palpate_protocol::ClientTime;
@@ -85,11 +85,7 @@ fn tissue(us: i64, pose: &Pose, contacts: usize) -> ContactModel {
 }
 
 fn script() -> Script {
-    let tool = Tool {
-        kind: ToolKind::Probe,
-        radius_m: 0.004,
-        length_m: 0.0,
-    };
+    let tool = Tool::probe(0.004);
     let ways = vec![
         WayPoint::new(0.0, Vector3::new(0.0, 0.0, 0.01)),
         WayPoint::new(1.0, Vector3::new(0.0, 0.0, -0.02)),

@@ -2,18 +2,14 @@
 
 use nalgebra::Vector3;
 use palpate_device::backend::replay::{Moment, Motion, MotionError};
-use palpate_device::script::{Tool, ToolKind};
+use palpate_device::script::Tool;
 use palpate_device::{Buttons, Pose, Script, ScriptError};
 use palpate_protocol::Role;
 
 use crate::{ClientError, JoinOptions};
 
 /// The tool of a motion without a script: a ball of 8 mm radius.
-const BALL: Tool = Tool {
-    kind: ToolKind::Probe,
-    radius_m: 8e-3,
-    length_m: 0.0,
-};
+const BALL: Tool = Tool::probe(8e-3);
 
 /// What moves a device, and what it carries.
 #[derive(Debug, Clone)]

@@ -230,12 +230,8 @@ fn a_reader_that_is_away_loses_frames_and_not_the_loop() {
 
 #[test]
 fn a_simulated_hand_begins_its_script_when_the_session_does() {
-    use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
-    let tool = Tool {
-        kind: ToolKind::Probe,
-        radius_m: 0.004,
-        length_m: 0.0,
-    };
+    use palpate_device::script::{Hand, Tool, WayPoint};
+    let tool = Tool::probe(0.004);
     let ways = vec![
         WayPoint::new(0.0, Vector3::zeros()),
         WayPoint::new(0.1, Vector3::new(0.02, 0.0, 0.0)),

@@ -1,7 +1,8 @@
 use std::sync::Arc;
 
-use palpate_protocol::handshake::{ToolDescription, ToolKind};
+use nalgebra::UnitQuaternion;
 use palpate_protocol::operation::{BladePoint, CutStroke, Operation, OperationKind};
+use palpate_protocol::tool::{ToolDescription, ToolKind};
 use palpate_protocol::{ClientTime, OperationId, ParticipantId, ServerTime};
 use palpate_tissue::{Budget, Material, Model, Vec3, block, cut};
 
@@ -26,11 +27,9 @@ fn tissue() -> Arc<Model> {
 fn tool(who: u16, x: f64, depth: f64) -> ToolAt {
     ToolAt {
         participant: ParticipantId(who),
-        description: ToolDescription {
-            kind: ToolKind::Probe,
-            radius_m: 6e-3,
-        },
+        description: ToolDescription::probe(6e-3),
         position: Vec3::new(x, 5.0 * CELL, 6.0 * CELL + 6e-3 - depth),
+        orientation: UnitQuaternion::identity(),
         buttons: 0,
         stale: false,
     }
@@ -99,7 +98,7 @@ fn a_press_gives_a_force_outwards_and_a_model_the_loop_can_use() {
 fn a_blade_that_cuts_feels_nothing() {
     let mut replica = Replica::new(tissue(), true);
     let mut own = tool(1, 5.0 * CELL, 3e-3);
-    own.description.kind = ToolKind::Scalpel;
+    own.description = ToolDescription::scalpel(6e-3, 0.02);
     let touches = replica.haptic_step(ClientTime::ZERO, Some(&own), &[], thorough());
     own.buttons = 1;
     let cuts = replica.haptic_step(ClientTime::ZERO, Some(&own), &[], thorough());
@@ -184,11 +183,6 @@ fn an_operation_with_another_result_is_an_error_that_says_which() {
 }
 
 #[test]
-fn a_solve_that_was_thrown_away_is_no_model_for_the_hand() {
-    assert!(!unusable(&ContactModel::FREE).is_usable());
-}
-
-#[test]
 fn a_cut_that_nothing_here_can_make_is_an_error_and_not_forgotten() {
     let mut replica = Replica::new(tissue(), false);
     let cut = operation(&mut replica);
@@ -214,6 +208,9 @@ fn what_another_hand_puts_in_and_gets_back_is_counted() {
         friction_dynamic: 0.0,
         force_error: 0.0,
         at: Vec3::new(0.0, 0.0, -depth),
+        torque: Vec3::zeros(),
+        turn: UnitQuaternion::identity(),
+        places: Vec::new(),
     };
     let mut others = Others::default();
     for mm in 0..=10 {
@@ -233,4 +230,43 @@ fn what_another_hand_puts_in_and_gets_back_is_counted() {
     others.note([].iter());
     others.note([reaction(0.01)].iter());
     assert!(others.work_j.abs() < 1e-12);
+}
+
+#[test]
+fn a_plate_that_leans_and_open_jaws_are_felt_in_many_places_with_a_torque() {
+    let turn = UnitQuaternion::from_axis_angle(&Vec3::y_axis(), 0.1);
+    let plate = ToolDescription {
+        kind: ToolKind::Plate,
+        length_m: 0.03,
+        width_m: 0.016,
+        ..ToolDescription::probe(2e-3)
+    };
+    let jaws = ToolDescription {
+        kind: ToolKind::Grasper,
+        ..plate
+    };
+    let mut models = Vec::new();
+    for (description, orientation) in [(plate, turn), (jaws, UnitQuaternion::identity())] {
+        let mut replica = Replica::new(tissue(), true);
+        let own = ToolAt {
+            description,
+            orientation,
+            position: Vec3::new(5.0 * CELL, 5.0 * CELL, 6.0 * CELL + 1e-3),
+            ..tool(1, 0.0, 0.0)
+        };
+        let model = replica.haptic_step(ClientTime::ZERO, Some(&own), &[], thorough());
+        assert!(model.is_usable() && model.in_contact());
+        models.push(model);
+    }
+    let [plate, jaws] = models[..] else {
+        unreachable!("two tools, two models")
+    };
+    assert!(plate.touching().count() >= 2);
+    assert!(plate.turn0.angle_to(&turn) < 1e-9);
+    // The end at +x is deeper and is pushed up: about -y.
+    assert!(plate.torque().y < -1e-5, "{}", plate.torque());
+    // One jaw's tip on either side of the pivot: what the one turns the other turns back.
+    let sides = [1.0, -1.0].map(|s| jaws.touching().filter(|t| s * t.lever.x > 0.0).count());
+    assert!(sides[0] > 0 && sides[1] > 0, "{sides:?}");
+    assert!(jaws.force().z > 0.0 && jaws.torque().y.abs() < 1e-3 * jaws.force().z);
 }

@@ -1,6 +1,6 @@
-use palpate_protocol::handshake::ToolKind;
 use palpate_protocol::operation::{CompensationMode, CompensationSettings, LeaveReason};
 use palpate_protocol::request::RequestRefused;
+use palpate_protocol::tool::ToolKind;
 use palpate_protocol::{
     Epoch, ModelHash, ModelInfo, OperationId, Pose, RequestId, Role, ToolTrack,
 };
@@ -25,9 +25,9 @@ fn model() -> Arc<Model> {
 }
 
 fn tool(kind: ToolKind) -> ToolDescription {
-    ToolDescription {
-        kind,
-        radius_m: 4e-3,
+    match kind {
+        ToolKind::Scalpel => ToolDescription::scalpel(4e-3, 0.02),
+        _ => ToolDescription::probe(4e-3),
     }
 }
 
@@ -243,7 +243,7 @@ fn who_only_looks_has_no_contact_model() {
     };
     let mut site = Site::new(&welcome, model(), None);
     assert!(
-        site.haptic_step(ms(0), Vec3::zeros(), 0, budget())
+        site.haptic_step(ms(0), palpate_device::Pose::default(), 0, budget())
             .is_none()
     );
 }

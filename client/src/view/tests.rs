@@ -1,4 +1,4 @@
-use palpate_protocol::handshake::{ToolDescription, ToolKind};
+use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{ParticipantId, ServerTime};
 use palpate_tissue::{Budget, Material, Vec3, block};
 
@@ -23,11 +23,9 @@ fn view() -> View {
 fn tool(who: u16, x: f64, depth: f64) -> ToolAt {
     ToolAt {
         participant: ParticipantId(who),
-        description: ToolDescription {
-            kind: ToolKind::Probe,
-            radius_m: 6e-3,
-        },
+        description: ToolDescription::probe(6e-3),
         position: Vec3::new(x, 5.0 * CELL, 6.0 * CELL + 6e-3 - depth),
+        orientation: nalgebra::UnitQuaternion::identity(),
         buttons: 0,
         stale: false,
     }

@@ -3,13 +3,11 @@
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::{Ease, Hand, Script, ScriptError, Tool, ToolKind, WayPoint};
+use super::tool::ToolTable;
+use super::{Ease, Hand, Script, ScriptError, WayPoint};
 
 /// The first line of every script.
 const FORMAT: &str = "palpate-script/1";
-
-/// Length of a blade's edge where the file names none, mm: about that of a number 10 blade.
-const BLADE_LENGTH_MM: f64 = 20.0;
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -22,22 +20,6 @@ struct File {
     hand: HandTable,
     #[serde(default)]
     way: Vec<WayTable>,
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ToolTable {
-    kind: KindName,
-    radius_mm: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    length_mm: Option<f64>,
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum KindName {
-    Probe,
-    Blade,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -112,7 +94,7 @@ impl Script {
                 },
             });
         }
-        Self::new(tool(&file.tool), hand(&file.hand), ways, file.repeat)
+        Self::new(file.tool.tool(), hand(&file.hand), ways, file.repeat)
     }
 
     /// The script as a file; parsing it gives the same script to within a nanometre.
@@ -121,14 +103,7 @@ impl Script {
         let file = File {
             format: FORMAT.to_owned(),
             repeat: self.repeats(),
-            tool: ToolTable {
-                kind: match tool.kind {
-                    ToolKind::Probe => KindName::Probe,
-                    ToolKind::Blade => KindName::Blade,
-                },
-                radius_mm: to_mm(tool.radius_m),
-                length_mm: (tool.kind == ToolKind::Blade).then(|| to_mm(tool.length_m)),
-            },
+            tool: ToolTable::of(&tool, to_mm),
             hand: HandTable {
                 mass_kg: hand.mass_kg,
                 stiffness_n_per_m: hand.stiffness_n_per_m,
@@ -157,18 +132,6 @@ fn way_table(way: &WayPoint) -> WayTable {
             Ease::Linear => EaseName::Linear,
         },
         quat: Some([q.w, q.i, q.j, q.k]),
-    }
-}
-
-fn tool(table: &ToolTable) -> Tool {
-    let (kind, length_mm) = match table.kind {
-        KindName::Probe => (ToolKind::Probe, table.length_mm.unwrap_or(0.0)),
-        KindName::Blade => (ToolKind::Blade, table.length_mm.unwrap_or(BLADE_LENGTH_MM)),
-    };
-    Tool {
-        kind,
-        radius_m: table.radius_mm / 1e3,
-        length_m: length_mm / 1e3,
     }
 }
 
@@ -285,7 +248,31 @@ mod tests {
         let blade = Script::from_toml(&example().replace("\"probe\"", "\"blade\"")).unwrap();
         assert_eq!(blade.tool().length_m, 0.02);
         let e = Script::from_toml(&example().replace("# length_mm", "length_mm")).unwrap_err();
-        assert!(e.to_string().contains("only a blade"), "{e}");
+        assert!(e.to_string().contains("a probe has no length"), "{e}");
+    }
+
+    #[test]
+    fn a_plate_needs_both_sides_and_a_needle_has_no_width() {
+        let with = |kind: &str, sides: &str| {
+            let text = example().replace("\"probe\"", kind);
+            Script::from_toml(&text.replace("# width_mm = 10.0", sides))
+        };
+        let plate = with("\"plate\"", "width_mm = 10.0\nlength_mm = 30.0").unwrap();
+        assert_eq!((plate.tool().length_m, plate.tool().width_m), (0.03, 0.01));
+        for (kind, sides, key) in [
+            ("\"plate\"", "width_mm = 10.0", "tool.length_mm"),
+            ("\"forceps\"", "length_mm = 10.0", "tool.width_mm"),
+            (
+                "\"needle\"",
+                "length_mm = 10.0\nwidth_mm = 1.0",
+                "tool.width_mm",
+            ),
+            ("\"needle\"", "", "tool.length_mm"),
+            ("\"probe\"", "width_mm = 1.0", "tool.width_mm"),
+        ] {
+            let e = with(kind, sides).unwrap_err();
+            assert!(e.to_string().starts_with(key), "{kind}: {e}");
+        }
     }
 
     proptest! {
@@ -295,7 +282,7 @@ mod tests {
                 ((0.001f64..3.0, -0.5f64..0.5, -0.5f64..0.5), (any::<bool>(), any::<bool>(), -3.0f64..3.0)),
                 1..20
             ),
-            blade in any::<bool>(),
+            kind in 0..5,
             seed in 0u64..1 << 62,
         ) {
             let mut t_s = 0.0;
@@ -312,16 +299,19 @@ mod tests {
                     }
                 })
                 .collect();
-            let tool = if blade {
-                Tool { kind: ToolKind::Blade, radius_m: 0.0005, length_m: 0.0123 }
-            } else {
-                Tool { kind: ToolKind::Probe, radius_m: 0.0042, length_m: 0.0 }
+            let (length_m, width_m) = (0.0123, 0.0125);
+            let tool = match kind {
+                0 => Tool::probe(0.0042),
+                1 => Tool::blade(0.0005, length_m),
+                2 => Tool { kind: ToolKind::Needle, ..Tool::blade(0.0005, length_m) },
+                3 => Tool { kind: ToolKind::Plate, width_m, ..Tool::blade(0.002, length_m) },
+                _ => Tool { kind: ToolKind::Forceps, width_m, ..Tool::blade(0.002, length_m) },
             };
             let hand = Hand { tremor_m: 0.000_3, seed, ..Hand::default() };
             let script = Script::new(tool, hand, ways, false).unwrap();
             let text = script.to_toml();
             let again = Script::from_toml(&text).unwrap();
-            prop_assert_eq!(again.tool().kind, tool.kind);
+            prop_assert_eq!(again.tool(), tool);
             prop_assert_eq!(again.hand().seed, seed);
             for (a, b) in script.ways().iter().zip(again.ways()) {
                 prop_assert!((a.position - b.position).norm() < 1e-9);

@@ -5,9 +5,10 @@
 //! repeat = false              # true: begin again at the first way point (the last must be there)
 //!
 //! [tool]
-//! kind = "probe"              # "probe" (a ball) or "blade" (cuts along the path of its tip)
-//! radius_mm = 4.0             # of the probe's ball, or half the thickness of the blade
-//! # length_mm = 20.0          # of the blade's edge, from the tip upwards; blades only
+//! kind = "probe"              # "probe" (a ball), "blade" (cuts along the path of its tip), "needle", "plate" or "forceps"
+//! radius_mm = 4.0             # of the probe's ball, or half the thickness of any other tool
+//! # length_mm = 20.0          # of blade and needle from the tip upwards, of a plate along x, of the jaws; not of a probe
+//! # width_mm = 10.0           # of a plate, or of the jaws of forceps, along y
 //!
 //! [hand]                      # optional, as is each line of it
 //! mass_kg = 0.3
@@ -35,6 +36,7 @@
 
 mod format;
 mod motion;
+mod tool;
 
 use std::path::Path;
 
@@ -44,6 +46,7 @@ use thiserror::Error;
 use crate::{Placement, Pose};
 
 pub use motion::ScriptPose;
+pub use tool::{Tool, ToolKind};
 
 /// Way points in one script. A point per millisecond for 100 s fits; more is refused, because a
 /// script is read whole.
@@ -59,26 +62,6 @@ pub const POSITION_MAX_M: f64 = 10.0;
 /// How far apart the first and the last way point of a repeated script may be, m; more would be a
 /// jump of the hand at every repetition.
 pub const REPEAT_GAP_MAX_M: f64 = 1e-4;
-
-/// What the hand holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum ToolKind {
-    /// A ball that presses.
-    Probe,
-    /// An edge that cuts along the path of its tip while the primary button is held.
-    Blade,
-}
-
-/// The tool of a script.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Tool {
-    /// Its kind.
-    pub kind: ToolKind,
-    /// Radius of the probe's ball, or half the thickness of the blade, m.
-    pub radius_m: f64,
-    /// Length of the blade's edge from the tip upwards, m; zero for a probe.
-    pub length_m: f64,
-}
 
 /// The hand that is pulled along a script.
 ///
@@ -260,7 +243,7 @@ impl Script {
         ways: Vec<WayPoint>,
         repeat: bool,
     ) -> Result<Self, ScriptError> {
-        check_tool(&tool)?;
+        tool.check()?;
         check_hand(&hand)?;
         check_ways(&ways, repeat)?;
         Ok(Self {
@@ -273,11 +256,7 @@ impl Script {
 
     /// A probe that rests at `position` (m) for ever.
     pub fn resting_probe(position: Vector3<f64>, radius_m: f64) -> Result<Self, ScriptError> {
-        let tool = Tool {
-            kind: ToolKind::Probe,
-            radius_m,
-            length_m: 0.0,
-        };
+        let tool = Tool::probe(radius_m);
         Self::new(
             tool,
             Hand::default(),
@@ -352,36 +331,6 @@ impl Script {
     /// The time of the last way point, s. A repeated script goes on after it.
     pub fn end_s(&self) -> f64 {
         self.ways[self.ways.len() - 1].t_s
-    }
-}
-
-fn check_tool(tool: &Tool) -> Result<(), ScriptError> {
-    let refuse = |key, value_m: f64, rule| {
-        Err(ScriptError::Value {
-            key,
-            value: value_m * 1e3,
-            rule,
-        })
-    };
-    if !(tool.radius_m > 0.0 && tool.radius_m <= 0.1) {
-        return refuse(
-            "tool.radius_mm",
-            tool.radius_m,
-            "must be above 0 and at most 100",
-        );
-    }
-    match tool.kind {
-        ToolKind::Probe if tool.length_m != 0.0 => refuse(
-            "tool.length_mm",
-            tool.length_m,
-            "only a blade has a length; remove the line",
-        ),
-        ToolKind::Blade if !(tool.length_m > 0.0 && tool.length_m <= 0.5) => refuse(
-            "tool.length_mm",
-            tool.length_m,
-            "must be above 0 and at most 500",
-        ),
-        _ => Ok(()),
     }
 }
 
@@ -482,14 +431,10 @@ fn check_ways(ways: &[WayPoint], repeat: bool) -> Result<(), ScriptError> {
 mod tests {
     use nalgebra::Vector3;
 
-    use super::{Hand, Script, ScriptError, Tool, ToolKind, WayPoint};
+    use super::{Hand, Script, ScriptError, Tool, WayPoint};
 
     fn probe() -> Tool {
-        Tool {
-            kind: ToolKind::Probe,
-            radius_m: 0.004,
-            length_m: 0.0,
-        }
+        Tool::probe(0.004)
     }
 
     fn ways(at: &[(f64, f64)]) -> Vec<WayPoint> {

@@ -90,14 +90,10 @@ mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
     use proptest::prelude::*;
 
-    use super::super::{Hand, Script, Tool, ToolKind, WayPoint};
+    use super::super::{Hand, Script, Tool, WayPoint};
 
     fn script(repeat: bool) -> Script {
-        let tool = Tool {
-            kind: ToolKind::Probe,
-            radius_m: 0.004,
-            length_m: 0.0,
-        };
+        let tool = Tool::probe(0.004);
         let turn = UnitQuaternion::new(Vector3::new(0.0, 0.3, 1.0));
         let ways = vec![
             WayPoint::new(0.5, Vector3::new(0.0, 0.0, 0.08)),

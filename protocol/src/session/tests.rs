@@ -8,10 +8,11 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::*;
-use crate::handshake::{ModelInfo, ToolDescription, ToolKind};
+use crate::handshake::ModelInfo;
 use crate::operation::{CompensationMode, CompensationSettings, OperationKind};
 use crate::request::RequestKind;
 use crate::timeline::Timeline;
+use crate::tool::ToolDescription;
 use crate::{
     ClientTime, Epoch, Grant, LocalSample, ModelHash, OperationId, Pose, Role, ServerTime,
     TopologyHash,
@@ -88,10 +89,7 @@ fn hello() -> Hello {
         name: "pair".to_owned(),
         role: Role::Trainee,
         grant: Grant([1; 16]),
-        tool: Some(ToolDescription {
-            kind: ToolKind::Scalpel,
-            radius_m: 0.001,
-        }),
+        tool: Some(ToolDescription::scalpel(0.001, 0.02)),
         resume: None,
     }
 }

@@ -5,9 +5,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use palpate_protocol::handshake::{
-    Hello, PROTOCOL_VERSION, Preamble, RefusalReason, ToolDescription, ToolKind, Welcome,
-};
+use palpate_protocol::handshake::{Hello, PROTOCOL_VERSION, Preamble, RefusalReason, Welcome};
 use palpate_protocol::operation::{
     CompensationMode, CompensationSettings, Operation, OperationKind,
 };
@@ -15,6 +13,7 @@ use palpate_protocol::request::RequestKind;
 use palpate_protocol::session::{
     ClientEvent, ClientSession, CloseReason, PeerDatagram, PeerEvent, PeerMessage,
 };
+use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{
     CertificateHash, ClientTime, Epoch, Grant, JoinLink, LocalSample, ModelHash, ModelInfo,
     OperationId, ParticipantId, Pose, Role, ServerTime, ToolTrack, TopologyHash,
@@ -51,10 +50,7 @@ fn hello(name: &str) -> Hello {
         name: name.to_owned(),
         role: Role::Trainee,
         grant: GRANT,
-        tool: Some(ToolDescription {
-            kind: ToolKind::Probe,
-            radius_m: 0.004,
-        }),
+        tool: Some(ToolDescription::probe(0.004)),
         resume: None,
     }
 }

@@ -1,10 +1,12 @@
 //! One seat of the session.
 
+use nalgebra::{Quaternion, UnitQuaternion};
 use palpate_protocol::compensation::{DelayEstimator, DelayRule};
-use palpate_protocol::handshake::{RosterEntry, ToolDescription, ToolKind};
+use palpate_protocol::handshake::RosterEntry;
 use palpate_protocol::timeline::Timeline;
+use palpate_protocol::tool::{PARTS_MAX, ToolDescription, ToolKind, ToolPart};
 use palpate_protocol::{ParticipantId, Role, ServerTime};
-use palpate_tissue::{Tool, Vec3};
+use palpate_tissue::{Form, Tool, Vec3};
 
 use crate::PeerKey;
 
@@ -53,18 +55,28 @@ impl Participant {
         }
     }
 
-    /// The tool as it presses at a moment; `None` when it has none, nothing is known of it, it has
+    /// The parts of the tool as they press at a moment; none when it has none, nothing is known of it, it has
     /// been silent for too long, or it is a blade that is cutting and so goes through.
-    pub(crate) fn pressing_at(&mut self, t: ServerTime) -> Option<Tool> {
-        let description = self.tool?;
-        let shown = self.timeline.at(t)?;
-        let cuts = description.kind == ToolKind::Scalpel && shown.buttons & PRIMARY_BUTTON != 0;
-        (!shown.stale && !cuts).then(|| {
-            Tool::ball(
-                u32::from(self.id.0),
+    pub(crate) fn pressing_at(&mut self, t: ServerTime) -> Vec<Tool> {
+        let known = self.tool.zip(self.timeline.at(t));
+        let Some((description, shown)) = known.filter(|(_, shown)| !shown.stale) else {
+            return Vec::new();
+        };
+        let held = shown.buttons & PRIMARY_BUTTON != 0;
+        if description.kind == ToolKind::Scalpel && held {
+            return Vec::new();
+        }
+        let [x, y, z, w] = shown.pose.orientation;
+        let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6).unwrap_or_default();
+        let part = |(i, part): (usize, ToolPart)| Tool {
+            turn,
+            form: Form::rectangle(part.mid.into(), part.half.map(Vec3::from)),
+            ..Tool::ball(
+                u32::from(self.id.0) * PARTS_MAX + i as u32,
                 Vec3::from(shown.pose.position_m),
                 description.radius_m,
             )
-        })
+        };
+        description.parts(held).enumerate().map(part).collect()
     }
 }

@@ -4,12 +4,13 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use palpate_protocol::compensation::{DelaySchedule, GroupDelay};
-use palpate_protocol::handshake::{Hello, RefusalReason, Refused, ToolDescription, Welcome};
+use palpate_protocol::handshake::{Hello, RefusalReason, Refused, Welcome};
 use palpate_protocol::operation::{LeaveReason, Operation, OperationKind};
 use palpate_protocol::request::{
-    DelayReport, Request, RequestKind, RequestRefusal, RequestRefused, tool_is_valid,
+    DelayReport, Request, RequestKind, RequestRefusal, RequestRefused,
 };
 use palpate_protocol::session::{CloseReason, PeerDatagram, PeerEvent, PeerMessage};
+use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{
     OperationId, ParticipantId, RequestId, ServerTime, Span, ToolSample, ToolTrack, TopologyHash,
 };
@@ -130,7 +131,7 @@ impl Room {
             Err(RefusalReason::NameTaken {
                 name: hello.name.clone(),
             })
-        } else if role.has_tool() && !hello.tool.as_ref().is_some_and(tool_is_valid) {
+        } else if role.has_tool() && !hello.tool.as_ref().is_some_and(ToolDescription::is_valid) {
             Err(RefusalReason::BadTool { role })
         } else {
             Ok(())
@@ -216,7 +217,7 @@ impl Room {
         cut: &palpate_protocol::request::CutRequest,
         now: ServerTime,
     ) -> Result<(), RequestRefusal> {
-        use palpate_protocol::handshake::ToolKind;
+        use palpate_protocol::tool::ToolKind;
         let author = &self.participants[&who];
         if author.tool.is_none_or(|t| t.kind != ToolKind::Scalpel) {
             return Err(RequestRefusal::NotAllowed);
@@ -242,7 +243,7 @@ impl Room {
             .participants
             .get_mut(&who)
             .ok_or(RequestRefusal::NotAllowed)?;
-        if !participant.role.has_tool() || !tool_is_valid(&tool) {
+        if !participant.role.has_tool() || !tool.is_valid() {
             return Err(RequestRefusal::NotAllowed);
         }
         participant.tool = Some(tool);
@@ -336,7 +337,7 @@ impl Room {
         let tools: Vec<Tool> = self
             .participants
             .values_mut()
-            .filter_map(|p| p.pressing_at(view_time))
+            .flat_map(|p| p.pressing_at(view_time))
             .collect();
         let report = self.authority.settle(view_time, &tools, stop);
         self.send_corrections(now);

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use palpate_protocol::handshake::{Hello, ModelInfo, RefusalReason, ToolDescription, ToolKind};
+use palpate_protocol::handshake::{Hello, ModelInfo, RefusalReason};
 use palpate_protocol::operation::{
     BladePoint, CompensationMode, CompensationSettings, LeaveReason, Operation, OperationKind,
 };
@@ -10,6 +10,7 @@ use palpate_protocol::request::{
     CutRequest, Request, RequestKind, RequestRefusal, TimedBladePoint,
 };
 use palpate_protocol::session::{CloseReason, PeerDatagram, PeerEvent, PeerMessage};
+use palpate_protocol::tool::{ToolDescription, ToolKind};
 use palpate_protocol::{
     Epoch, Grant, ModelHash, Pose, RequestId, Role, ServerTime, Span, ToolSample, TopologyHash,
 };
@@ -50,9 +51,9 @@ fn hello(name: &str, role: Role, kind: ToolKind) -> PeerEvent {
     } else {
         TRAINEE
     };
-    let tool = role.has_tool().then_some(ToolDescription {
-        kind,
-        radius_m: 0.008,
+    let tool = role.has_tool().then_some(match kind {
+        ToolKind::Scalpel => ToolDescription::scalpel(0.008, 0.02),
+        _ => ToolDescription::probe(0.008),
     });
     PeerEvent::Hello(Hello {
         name: name.into(),
@@ -260,10 +261,7 @@ fn a_probe_may_not_cut_and_a_stroke_through_air_cuts_nothing() {
         })
     };
     assert_eq!(refused(&drain(&mut room)), Some(RequestRefusal::NotAllowed));
-    let scalpel = ToolDescription {
-        kind: ToolKind::Scalpel,
-        radius_m: 0.002,
-    };
+    let scalpel = ToolDescription::scalpel(0.002, 0.02);
     room.handle_event(PeerKey(1), request(RequestKind::SetTool(scalpel)), ms(210));
     let RequestKind::Cut(mut air) = stroke() else {
         unreachable!()

@@ -11,7 +11,7 @@ use std::time::Instant;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use palpate_device::backend::five_dof;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
-use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
+use palpate_device::script::{Hand, Tool, WayPoint};
 use palpate_device::{DeviceCaps, DeviceTime, HapticDevice, Pose, Script};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Touch};
 use palpate_protocol::ClientTime;
@@ -154,11 +154,7 @@ impl HapticTick {
 
 /// A press that slides and tilts, over and over.
 fn script() -> Result<Script, palpate_device::ScriptError> {
-    let tool = Tool {
-        kind: ToolKind::Probe,
-        radius_m: 4e-3,
-        length_m: 0.0,
-    };
+    let tool = Tool::probe(4e-3);
     let tremor = Hand {
         tremor_m: 2e-4,
         ..Hand::default()

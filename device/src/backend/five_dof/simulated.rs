@@ -109,15 +109,11 @@ mod tests {
 
     use super::{Unsuited, simulated};
     use crate::backend::sim::ScriptStart;
-    use crate::script::{Hand, Tool, ToolKind, WayPoint};
+    use crate::script::{Hand, Tool, WayPoint};
     use crate::{DeviceTime, HapticDevice, Script};
 
     fn script(ways: Vec<WayPoint>) -> Script {
-        let tool = Tool {
-            kind: ToolKind::Probe,
-            radius_m: 4e-3,
-            length_m: 0.0,
-        };
+        let tool = Tool::probe(4e-3);
         Script::new(tool, Hand::default(), ways, false).unwrap()
     }
 

@@ -250,17 +250,13 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::{CATCH_UP_MAX_US, ScriptStart, SimHand};
-    use crate::script::{Hand, Tool, ToolKind, WayPoint};
+    use crate::script::{Hand, Tool, WayPoint};
     use crate::{
         DeviceTime, Faults, ForceState, HapticDevice, Sample, Script, Wrench, Written, conformance,
     };
 
     fn press(tremor_m: f64) -> Script {
-        let tool = Tool {
-            kind: ToolKind::Probe,
-            radius_m: 0.004,
-            length_m: 0.0,
-        };
+        let tool = Tool::probe(0.004);
         let ways = vec![
             WayPoint::new(0.0, Vector3::new(0.0, 0.0, 0.08)),
             WayPoint::new(1.0, Vector3::new(0.0, 0.0, 0.04)),

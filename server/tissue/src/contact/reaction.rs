@@ -1,6 +1,6 @@
 //! What a tool feels, and how that changes when it moves a little.
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, UnitQuaternion};
 
 use super::PLACES_MAX;
 use super::contacts::Contacts;
@@ -34,6 +34,8 @@ pub struct Reaction {
     pub force_error: f64,
     /// Where the force holds: the proxy's pivot, which equals the tool's unless the tool jumped.
     pub at: Vec3,
+    /// How the proxy is turned.
+    pub turn: UnitQuaternion<f64>,
     /// The places of the tool that touch, in the order of their numbers. Their forces are all of `force`.
     pub places: Vec<Place>,
 }
@@ -136,6 +138,7 @@ impl Contacts {
             friction_dynamic: friction(1) * share,
             force_error: 0.0,
             at: proxy.at,
+            turn: proxy.turn,
             places: touched.map(|(n, f)| Place::of(n, f)).collect(),
         }
     }

@@ -6,7 +6,7 @@ use super::super::rates::Rate;
 use super::super::{Drive, Encoder, FiveDof, Port, PortFault, Rig, RigConfig, Six, invented};
 use super::middle;
 use crate::backend::sim::ScriptStart;
-use crate::script::{Hand, Tool, ToolKind, WayPoint};
+use crate::script::{Hand, Tool, WayPoint};
 use crate::{
     Calibration, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Rejection, Sample,
     Script, Wrench, Written, conformance,
@@ -17,11 +17,7 @@ fn at(us: i64) -> DeviceTime {
 }
 
 fn script(turn: UnitQuaternion<f64>, to: Vector3<f64>) -> Script {
-    let tool = Tool {
-        kind: ToolKind::Probe,
-        radius_m: 4e-3,
-        length_m: 0.0,
-    };
+    let tool = Tool::probe(4e-3);
     let ways = vec![
         WayPoint::new(0.0, middle()).turned(turn),
         WayPoint::new(1.0, to).turned(turn).linear(),

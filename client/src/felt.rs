@@ -1,0 +1,180 @@
+//! From what the solver says of one's own tool to what the force loop has to know until the next solve.
+
+use palpate_haptics::{CONTACTS_MAX, ContactModel, Touch};
+use palpate_protocol::ClientTime;
+use palpate_tissue::{Place, Reaction, Vec3};
+
+/// How far from the solved position the force law is believed, m: half a metre per second for 16
+/// ms, four periods of the solver. Smaller lets the force fade in fast strokes, larger believes a
+/// linear law where the tissue is none.
+pub(crate) const MODEL_RADIUS_M: f64 = 8e-3;
+
+/// Damping of the contact in parts of its normal stiffness, s: 1 ms takes the ring out of a hand
+/// against tissue and is not felt.
+const DAMPING_S: f64 = 1e-3;
+
+/// Damping of all contacts together at most, N·s/m: well below what a 0.1 kg handle at 1 kHz turns into
+/// oscillation (2 m / T is 200).
+const DAMPING_MAX_NS_PER_M: f64 = 2.0;
+
+/// The model of a tool made of these parts, which share its pivot. The linear law stands where the solver computed the
+/// forces: at the tool, unless that jumped and the proxy is still on its way.
+pub(crate) fn contact_model(
+    now: ClientTime,
+    topology_version: u32,
+    parts: &[&Reaction],
+) -> ContactModel {
+    let free = ContactModel::free_at(now, topology_version);
+    let Some(first) = parts.iter().find(|r| r.contacts > 0) else {
+        return free;
+    };
+    let mut model = ContactModel {
+        x0: first.at,
+        turn0: first.turn,
+        radius: MODEL_RADIUS_M,
+        ..free
+    };
+    // The places of a tool of two parts: the first half is one's, the second the other's.
+    let of_part = CONTACTS_MAX / parts.len().clamp(1, CONTACTS_MAX);
+    let mut torque = Vec3::zeros();
+    for (part, reaction) in parts.iter().enumerate() {
+        let from_pivot = reaction.at - first.at;
+        torque += reaction.torque + from_pivot.cross(&reaction.force);
+        let pressed: f64 = reaction.places.iter().map(|p| p.pressed).sum();
+        for place in &reaction.places {
+            let at = usize::from(place.number) * of_part / CONTACTS_MAX;
+            let slot = &mut model.touches[part * of_part + at];
+            let new = touch(reaction, place, place.pressed / pressed, from_pivot);
+            *slot = if slot.touches { both(slot, &new) } else { new };
+        }
+    }
+    for touch in model.touching() {
+        torque -= touch.lever.cross(&touch.f0);
+    }
+    model.couple = torque;
+    model
+}
+
+/// What a place feels that carries `share` of all that presses.
+fn touch(reaction: &Reaction, place: &Place, share: f64, from_pivot: Vec3) -> Touch {
+    let stiffness = reaction.stiffness * share;
+    let along = place.normal.dot(&(stiffness * place.normal)).max(0.0);
+    Touch {
+        touches: true,
+        lever: place.lever + from_pivot,
+        f0: place.force,
+        stiffness,
+        damping: (DAMPING_S * along).min(DAMPING_MAX_NS_PER_M * share),
+        normal: place.normal,
+        pressed_n: place.pressed,
+        mu_static: place.friction_static,
+        mu_dynamic: place.friction_dynamic.min(place.friction_static),
+    }
+}
+
+/// Two places that are one to the force loop.
+fn both(a: &Touch, b: &Touch) -> Touch {
+    let sum = a.pressed_n + b.pressed_n;
+    let [p, q] = [a.pressed_n / sum, b.pressed_n / sum];
+    let f0 = a.f0 + b.f0;
+    Touch {
+        touches: true,
+        lever: a.lever * p + b.lever * q,
+        f0,
+        stiffness: a.stiffness + b.stiffness,
+        damping: a.damping + b.damping,
+        normal: f0.try_normalize(0.1 * sum).unwrap_or(a.normal),
+        pressed_n: sum.max(f0.norm()),
+        mu_static: a.mu_static * p + b.mu_static * q,
+        mu_dynamic: a.mu_dynamic * p + b.mu_dynamic * q,
+    }
+}
+
+/// A model that the force loop does not take.
+pub(crate) fn unusable(free: &ContactModel) -> ContactModel {
+    ContactModel {
+        couple: Vec3::repeat(f64::NAN),
+        ..*free
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix3, UnitQuaternion};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn place(number: u8, lever: Vec3, force: Vec3) -> Place {
+        Place {
+            number,
+            lever,
+            force,
+            normal: force.normalize(),
+            pressed: force.norm() * 1.1,
+            friction_static: 0.5,
+            friction_dynamic: 0.3,
+        }
+    }
+
+    fn reaction(places: Vec<Place>) -> Reaction {
+        let force: Vec3 = places.iter().map(|p| p.force).sum();
+        Reaction {
+            tool: 2,
+            force,
+            torque: places.iter().map(|p| p.lever.cross(&p.force)).sum::<Vec3>()
+                + Vec3::new(1e-3, 0.0, 2e-3),
+            stiffness: Matrix3::from_diagonal_element(400.0),
+            normal: force.normalize(),
+            contacts: 5,
+            friction_static: 0.5,
+            friction_dynamic: 0.3,
+            force_error: 0.0,
+            at: Vec3::new(0.1, 0.2, 0.3),
+            turn: UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3),
+            places,
+        }
+    }
+
+    proptest! {
+        /// Nothing of the solver's force, torque and stiffness is lost on the way, whatever the number of parts.
+        #[test]
+        fn force_torque_and_stiffness_are_all_of_the_solvers(
+            parts in proptest::collection::vec(
+                proptest::collection::vec((prop::array::uniform3(-0.05..0.05f64), prop::array::uniform3(0.1..2.0f64)), 1..16),
+                1..3,
+            ),
+        ) {
+            let parts: Vec<Reaction> = parts
+                .into_iter()
+                .map(|places| {
+                    let numbered = places.into_iter().enumerate();
+                    reaction(numbered.map(|(n, (l, f))| place(n as u8, l.into(), f.into())).collect())
+                })
+                .collect();
+            let of: Vec<&Reaction> = parts.iter().collect();
+            let model = contact_model(ClientTime::from_micros(7), 3, &of);
+            prop_assert!(model.is_usable() && model.in_contact());
+            let force: Vec3 = parts.iter().map(|r| r.force).sum();
+            let torque: Vec3 = parts.iter().map(|r| r.torque).sum();
+            prop_assert!((model.force() - force).norm() < 1e-9);
+            prop_assert!((model.torque() - torque).norm() < 1e-9);
+            let stiffness: Matrix3<f64> = model.touching().map(|t| t.stiffness).sum();
+            let expected = Matrix3::from_diagonal_element(400.0 * parts.len() as f64);
+            prop_assert!((stiffness - expected).norm() < 1e-6);
+            prop_assert!(model.touching().map(|t| t.damping).sum::<f64>() <= 2.0 * parts.len() as f64);
+        }
+    }
+
+    #[test]
+    fn a_tool_that_nothing_touches_is_free() {
+        let nothing = Reaction {
+            contacts: 0,
+            ..reaction(vec![place(0, Vec3::zeros(), Vec3::z())])
+        };
+        let model = contact_model(ClientTime::ZERO, 1, &[&nothing]);
+        assert!(!model.in_contact() && model.is_usable());
+        assert!(!contact_model(ClientTime::ZERO, 1, &[]).in_contact());
+        assert!(!unusable(&ContactModel::FREE).is_usable());
+    }
+}
