@@ -12,8 +12,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use palpate_haptics::ContactModel;
-use palpate_protocol::ClientTime;
 use palpate_protocol::operation::{Operation, OperationKind};
+use palpate_protocol::{ClientTime, Span};
 use palpate_tissue::{
     Budget, CutOutcome, Model, Reaction, Shape, Solver, Successor, Tool, Topology,
 };
@@ -23,18 +23,43 @@ use crate::felt::{contact_model, unusable};
 use crate::roster::{ToolAt, gather, owner};
 use crate::view::{View, ViewCut};
 
+/// From one solve of what the hand feels to the next.
+pub const HAPTIC_PERIOD: Span = Span::from_millis(4);
+
+/// Work on what the hand feels after which no further iteration begins: with it the contact
+/// model is renewed at 250 Hz and leaves room for others. Work and not time that passes: on a crowded
+/// machine a solve would otherwise be given up before it began, and the hand feel a tissue that has not
+/// given way yet.
+pub const HAPTIC_WORK: Span = Span::from_micros(1000);
+
 /// Iterations at most; time ends most solves.
-pub const ITERATIONS: usize = 4;
+const ITERATIONS: usize = 4;
 
 /// Residual at which the hand's solve ends: the force is then within a few percent.
-pub const HAPTIC_TOLERANCE: f64 = 3e-2;
+const HAPTIC_TOLERANCE: f64 = 3e-2;
 
 /// Residual at which the hand's solve ends while the hand rests: time is there, and a force that
 /// stands still is felt for what it is.
-pub const RESTING_TOLERANCE: f64 = 5e-3;
+const RESTING_TOLERANCE: f64 = 5e-3;
 
 /// A hand slower than this rests, m/s.
-pub const RESTING_M_S: f64 = 0.005;
+const RESTING_M_S: f64 = 0.005;
+
+/// The budget of a solve of what a hand feels that moves with `speed_m_s`; `stop` says when its
+/// [work](HAPTIC_WORK) is done.
+pub fn hand_budget(speed_m_s: f64, stop: &mut dyn FnMut() -> bool) -> Budget<'_> {
+    let tolerance = if speed_m_s < RESTING_M_S {
+        RESTING_TOLERANCE
+    } else {
+        HAPTIC_TOLERANCE
+    };
+    Budget {
+        near: true,
+        iterations: ITERATIONS,
+        tolerance,
+        stop: Some(stop),
+    }
+}
 
 /// One shape of the tissue and its solver.
 pub(crate) struct Side {

@@ -14,7 +14,6 @@ use palpate_haptics::ContactModel;
 use palpate_protocol::request::RequestKind;
 use palpate_protocol::session::{ClientEvent, CloseReason};
 use palpate_protocol::{ClientTime, LocalSample, Span};
-use palpate_tissue::Budget;
 use palpate_transport::ClientCommand;
 use tokio::sync::mpsc;
 use triple_buffer::{Input, Output};
@@ -26,21 +25,12 @@ use crate::realtime::{
     Frame, device_time, lower_priority_of_this_thread, monotonic_now, sleep_until, worked,
 };
 use crate::recording::{Recording, VIEW_HZ};
-use crate::replica::{HAPTIC_TOLERANCE, ITERATIONS, RESTING_M_S, RESTING_TOLERANCE};
+use crate::replica::{HAPTIC_PERIOD, HAPTIC_WORK, hand_budget};
 use crate::site::{Site, SiteCounters, SiteError, ViewNews};
 use crate::view::{Order, ViewReport, ViewThread};
 
-/// From turn to turn.
-const PERIOD: Span = Span::from_millis(4);
-
 /// How much the thread gives way to the network and the screen.
 const NICE: i32 = 2;
-
-/// Work on what the hand feels after which no further iteration begins, per turn: with it the contact
-/// model is renewed at 250 Hz and leaves room for others. Work and not time that passes: on a crowded
-/// machine a solve would otherwise be given up before it began, and the hand feel a tissue that has not
-/// given way yet.
-const HAPTIC_WORK: Span = Span::from_micros(1000);
 
 /// Longest solve that is told apart, µs.
 const SOLVE_MAX_US: u64 = 1_000_000;
@@ -196,7 +186,7 @@ impl Turns {
             }
             self.publish();
             // After a long solve the missed turns are one.
-            deadline = (deadline + PERIOD).max(monotonic_now());
+            deadline = (deadline + HAPTIC_PERIOD).max(monotonic_now());
             sleep_until(deadline);
         }
     }
@@ -300,17 +290,7 @@ impl Turns {
         let (began, at_first) = (monotonic_now(), worked());
         let mut stop = || worked() - at_first > HAPTIC_WORK;
         let sample = &frame.sample;
-        let tolerance = if sample.velocity.norm() < RESTING_M_S {
-            RESTING_TOLERANCE
-        } else {
-            HAPTIC_TOLERANCE
-        };
-        let budget = Budget {
-            near: true,
-            iterations: ITERATIONS,
-            tolerance,
-            stop: Some(&mut stop),
-        };
+        let budget = hand_budget(sample.velocity.norm(), &mut stop);
         let buttons = (sample.buttons.bits() & 0xff) as u8;
         let pose = sample.pose;
         if let Some(model) = self.work.site.haptic_step(began, pose, buttons, budget) {

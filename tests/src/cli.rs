@@ -14,6 +14,7 @@ use crate::bench::on_threads;
 use crate::bench::press_cube::PressCube;
 use crate::bench::press_scene::{Comparison, PressScene};
 use crate::demo::{self, DemoOptions};
+use crate::experiments::command;
 use crate::program::die_with_parent;
 use crate::progress::{Interrupt, Progress};
 use crate::relay::{Profile, Relay};
@@ -63,6 +64,14 @@ enum Command {
     /// Pass UDP packets on, late and not all of them
     #[command(after_help = EXAMPLES)]
     Relay(RelayArguments),
+    /// Run an experiment: what a hand feels, against converged answers
+    #[command(after_help = command::RUN_HELP)]
+    Run(command::RunArguments),
+    /// List the experiments
+    List,
+    /// Run every experiment and make one page of it
+    #[command(after_help = command::RUN_HELP)]
+    All(command::AllArguments),
     /// Measure the equilibrium against its own converged answer
     #[command(subcommand, after_help = BENCHES)]
     Bench(Bench),
@@ -217,6 +226,9 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     let done = match cli.command {
         Command::Demo(arguments) => run_demo(arguments),
         Command::Relay(arguments) => run_relay(&arguments),
+        Command::Run(arguments) => command::run(&arguments),
+        Command::List => command::list(),
+        Command::All(arguments) => command::all(&arguments),
         Command::Bench(Bench::PressCube(arguments)) => run_press_cube(&arguments),
         Command::Bench(Bench::PressScene(arguments)) => run_press_scene(&arguments),
         Command::Bench(Bench::HapticTick { ticks, json }) => (HapticTick {
@@ -238,7 +250,7 @@ fn role_line(name: &str, args: &[OsString]) -> Vec<OsString> {
 }
 
 /// Writes a line for whoever reads our standard output.
-fn say(line: &str) -> Result<(), String> {
+pub(crate) fn say(line: &str) -> Result<(), String> {
     let mut out = std::io::stdout().lock();
     writeln!(out, "{line}")
         .and_then(|()| out.flush())

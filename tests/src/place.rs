@@ -27,6 +27,9 @@ const EDGE_COS: f64 = 0.75;
 /// Clearance that is enough: half of the distance of the places, a tool's radius and some rest.
 const CLEARANCE_ENOUGH_M: f64 = 0.045;
 
+/// Clearance that a tool needs that presses without sliding.
+const ROOM_FOR_A_TOOL_M: f64 = 0.015;
+
 /// Depth of soft tissue that is enough.
 const DEPTH_ENOUGH_M: f64 = 0.040;
 
@@ -116,8 +119,8 @@ impl<'a> Skin<'a> {
         Self { topology, nodes }
     }
 
-    /// The best middle: node, clearance, depth.
-    fn middle(&self) -> Option<(u32, f64, f64)> {
+    /// The middle with the best score of clearance and depth: node, clearance, depth.
+    fn middle(&self, score: impl Fn(f64, f64) -> f64) -> Option<(u32, f64, f64)> {
         let at = |n: u32| self.topology.rest(n);
         let good: Vec<u32> = self
             .nodes
@@ -149,8 +152,7 @@ impl<'a> Skin<'a> {
         for n in good.into_iter().step_by(step) {
             let clearance = nearest(&bad, at(n)).min(extent / 2.0);
             let depth = nearest(&pinned, at(n)).min(extent);
-            let room = (clearance / CLEARANCE_ENOUGH_M).min(1.0);
-            let score = room * (1.0 + (depth / DEPTH_ENOUGH_M).min(1.0)) + 0.1 * clearance;
+            let score = score(clearance, depth);
             if best.as_ref().is_none_or(|b| score > b.0) {
                 best = Some((score, (n, clearance, depth)));
             }
@@ -210,11 +212,34 @@ impl Place {
     /// Looks for the best place of a model at rest.
     pub fn find(topology: &Topology) -> Result<Self, PlaceError> {
         let skin = Skin::new(topology);
-        let (node, clearance_m, depth_m) = skin.middle().ok_or(PlaceError::Nowhere)?;
+        let found = skin.middle(|clearance, depth| {
+            let room = (clearance / CLEARANCE_ENOUGH_M).min(1.0);
+            room * (1.0 + (depth / DEPTH_ENOUGH_M).min(1.0)) + 0.1 * clearance
+        });
+        Self::around(topology, &skin, found)
+    }
+
+    /// Looks for where the least tissue, but two spacings of it, lies over what is pinned, with room for a tool.
+    pub fn find_thin(topology: &Topology) -> Result<Self, PlaceError> {
+        let skin = Skin::new(topology);
+        let least = 2.0 * topology.model().spacing_m;
+        let found = skin.middle(|clearance, depth| {
+            let room = (clearance / ROOM_FOR_A_TOOL_M).min(1.0);
+            room - depth.max(least) / DEPTH_ENOUGH_M
+        });
+        Self::around(topology, &skin, found)
+    }
+
+    fn around(
+        topology: &Topology,
+        skin: &Skin<'_>,
+        found: Option<(u32, f64, f64)>,
+    ) -> Result<Self, PlaceError> {
+        let (node, clearance_m, depth_m) = found.ok_or(PlaceError::Nowhere)?;
         let middle = topology.rest(node);
         let reach = clearance_m.min(CLEARANCE_ENOUGH_M);
-        let normal = mean_normal(&skin, middle, reach).unwrap_or(skin.nodes[&node].normal);
-        let v = flattest(&skin, middle, reach, normal);
+        let normal = mean_normal(skin, middle, reach).unwrap_or(skin.nodes[&node].normal);
+        let v = flattest(skin, middle, reach, normal);
         let u = v.cross(&normal);
         let near = 2.0 * CLEARANCE_ENOUGH_M;
         let triangles = topology

@@ -15,7 +15,7 @@ fn median(times: &[f64]) -> f64 {
 }
 
 /// The value that the share `q` of some times does not exceed, in their unit.
-fn quantile(times: &[f64], q: f64) -> f64 {
+pub(crate) fn quantile(times: &[f64], q: f64) -> f64 {
     let mut sorted = times.to_vec();
     sorted.sort_by(f64::total_cmp);
     let last = sorted.len().saturating_sub(1);

@@ -1,0 +1,148 @@
+//! Stick and slip of a ball and of a line (Lin 2007, figs 4.11 to 4.13).
+
+use std::sync::Arc;
+
+use palpate_device::script::WayPoint;
+use palpate_haptics::ChainConfig;
+use palpate_protocol::tool::{ToolDescription, ToolKind};
+use palpate_tissue::{Material, Vec3, block};
+use serde_json::json;
+
+use super::{Bench, Outcome, panel, with_friction};
+use crate::chart::{BLUE, Chart, GREEN, GREY, Line, ORANGE};
+use crate::trial::{Course, Trial, path};
+
+const SPACING_M: f64 = 4e-3;
+const CELLS: [usize; 3] = [26, 14, 8];
+const DEPTH_M: f64 = 5e-3;
+const DRAG_M: f64 = 30e-3;
+/// Slow, so that what is stretched before it slips shows.
+const SPEED_M_S: f64 = 0.03;
+/// Pressing takes so long, s.
+const PRESS_S: f64 = 0.25;
+
+/// Static and dynamic.
+const SURFACES: [(&str, [f64; 2], &str); 3] = [
+    ("0.2 / 0.1", [0.2, 0.1], BLUE),
+    ("0.4 / 0.3", [0.4, 0.3], GREEN),
+    ("0.6 / 0.4", [0.6, 0.4], ORANGE),
+];
+
+fn ball() -> ToolDescription {
+    ToolDescription::probe(8e-3)
+}
+
+/// Lies along y, across the way it is dragged, and is held at its tip.
+fn line() -> ToolDescription {
+    ToolDescription {
+        kind: ToolKind::Needle,
+        radius_m: 4e-3,
+        length_m: 24e-3,
+        width_m: 0.0,
+    }
+}
+
+/// What was seen of the slip.
+fn slip(course: &Course, [still, sliding]: [f64; 2]) -> serde_json::Value {
+    let ratios = |slides: bool| {
+        let points = course.checked().filter(move |(p, _)| p.slides == slides);
+        points.map(|(p, t)| p.felt.force.x.abs() / t.pressed_n.max(1e-9))
+    };
+    let mean = ratios(true).sum::<f64>() / ratios(true).count().max(1) as f64;
+    let peak = ratios(false).fold(0.0_f64, f64::max);
+    json!({
+        "static": still, "dynamic": sliding, "break_away": peak, "while_sliding": mean,
+        "force": course.sliding(), "torque": course.sliding_torque(),
+    })
+}
+
+pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    let muscle = Material::resolve("muscle", None).map_err(|e| e.to_string())?;
+    let tissue = block(CELLS, SPACING_M, &muscle, 1);
+    let [_, y, top] = [0, 1, 2].map(|i| CELLS[i] as f64 * SPACING_M);
+    let flat =
+        nalgebra::UnitQuaternion::from_axis_angle(&Vec3::x_axis(), -std::f64::consts::FRAC_PI_2);
+    let tools = [
+        (
+            "ball",
+            ball(),
+            nalgebra::UnitQuaternion::identity(),
+            0.5 * y,
+        ),
+        ("line", line(), flat, 0.5 * y - 12e-3),
+    ];
+    let (mut charts, mut figures, mut tables) = (Vec::new(), Vec::new(), Vec::new());
+    for (name, tool, turn, beside) in tools {
+        let (mut drag, mut torque) = (Vec::new(), Vec::new());
+        for (mu, friction, colour) in SURFACES {
+            let above = Vec3::new(28e-3, beside, top + tool.radius_m);
+            let down = above - Vec3::z() * DEPTH_M;
+            let to = down + Vec3::x() * DRAG_M;
+            let trial = Trial {
+                model: Arc::new(with_friction(&tissue, friction)),
+                tool,
+                path: path(vec![
+                    WayPoint::new(0.0, above + Vec3::z() * 1e-3).turned(turn),
+                    WayPoint::new(PRESS_S, down).turned(turn),
+                    WayPoint::new(PRESS_S + DRAG_M / SPEED_M_S, to)
+                        .turned(turn)
+                        .linear(),
+                ])?,
+                chain: ChainConfig::default(),
+            };
+            let course = bench.run(&format!("{name}, {mu}"), &trial);
+            let moved = |p: &crate::trial::Point| (p.position.x - down.x) * 1e3;
+            let dragged = || course.points.iter().filter(|p| p.t_s >= PRESS_S);
+            let felt = |of: &dyn Fn(&crate::trial::Point) -> f64| {
+                dragged().map(|p| (moved(p), of(p))).collect()
+            };
+            let truth = |of: &dyn Fn(&crate::trial::Truth) -> f64| {
+                let checked = course.checked().filter(|(p, _)| p.t_s >= PRESS_S);
+                checked.map(|(p, t)| (moved(p), of(&t))).collect()
+            };
+            let line = |what: &str, colour, dashed, points| Line {
+                name: format!("{mu} {what}"),
+                colour,
+                dashed,
+                points,
+            };
+            drag.push(line("felt", colour, false, felt(&|p| -p.felt.force.x)));
+            let sliding = truth(&|t| -(t.plain.force.x + t.friction.force.x));
+            drag.push(line("sliding, converged", GREY, true, sliding));
+            torque.push(line(
+                "felt",
+                colour,
+                false,
+                felt(&|p| 1e3 * p.felt.torque.z),
+            ));
+            let sliding = truth(&|t| 1e3 * (t.plain.torque.z + t.friction.torque.z));
+            torque.push(line("sliding, converged", GREY, true, sliding));
+            figures.push(json!({ "tool": name, "surface": slip(&course, friction) }));
+            tables.push((format!("friction-{name}-{}", friction[0]), course.csv()));
+        }
+        let mut panels = vec![panel("Force against the drag", "force (N)", drag)];
+        if name == "line" {
+            panels.push(panel(
+                "Torque about the held end, upwards",
+                "torque (mN·m)",
+                torque,
+            ));
+        }
+        let chart = Chart {
+            title: format!("Friction: a {name} pressed 5 mm into muscle and dragged over it"),
+            x_label: "way (mm)".to_owned(),
+            panels,
+            marks: Vec::new(),
+        };
+        charts.push((format!("friction-{name}"), chart));
+    }
+    Ok(Outcome {
+        caption: "Legends give the coefficients of static and dynamic friction. The tool sticks until what it is dragged with \
+                  is more than the static one holds, and slides on with the dynamic one. The line is held at one end: friction \
+                  along it turns the hand."
+            .to_owned(),
+        figures: json!({ "experiment": "friction", "cases": figures }),
+        charts,
+        tables,
+    })
+}

@@ -1,0 +1,199 @@
+//! Experiments: what a hand feels of a tool on tissue, against what is true.
+//!
+//! Each is a few [trials](crate::trial) and gives figures, tables (CSV) and charts (SVG). The figures of the
+//! dissertation that they stand for are named at each. All together make one page, [`gallery`](mod@gallery).
+
+pub mod command;
+mod friction;
+pub mod gallery;
+mod handle;
+mod leg_press;
+mod press;
+mod soft_hard;
+mod tool_paths;
+
+use std::path::Path;
+
+use palpate_tissue::{Model, Topology};
+use serde_json::Value;
+
+use crate::chart::{Chart, Line, Panel};
+use crate::place::Place;
+use crate::trial::{Course, Trial};
+
+/// An experiment that can be asked for.
+#[derive(Debug, Clone, Copy)]
+pub struct Experiment {
+    /// What to call it.
+    pub name: &'static str,
+    /// What it shows, in a line.
+    pub about: &'static str,
+    run: fn(&mut Bench<'_>) -> Result<Outcome, String>,
+}
+
+/// All of them, in the order in which they are run.
+pub const ALL: [Experiment; 6] = [
+    Experiment {
+        name: "soft-hard",
+        about: "a ball on soft, on stiff tissue and between them (Lin 2007, fig 4.8)",
+        run: soft_hard::run,
+    },
+    Experiment {
+        name: "friction",
+        about: "a ball and a line dragged over tissue: stick, slip and the torque of it (figs 4.11 to 4.13)",
+        run: friction::run,
+    },
+    Experiment {
+        name: "handle",
+        about: "a soft grip around a hard core: force against depth for three materials (fig 7.4)",
+        run: handle::run,
+    },
+    Experiment {
+        name: "tool-paths",
+        about: "the same place reached along four paths (fig 7.10)",
+        run: tool_paths::run,
+    },
+    Experiment {
+        name: "leg-press",
+        about: "a leg with rigid bones pressed over muscle and over bone (fig 7.11)",
+        run: leg_press::run,
+    },
+    Experiment {
+        name: "press",
+        about: "a ball and a line pressed in at 100 mm/s and dragged: what 1 kHz on one core makes of it",
+        run: press::run,
+    },
+];
+
+/// The experiment of that name.
+pub fn named(name: &str) -> Option<Experiment> {
+    ALL.into_iter().find(|e| e.name == name)
+}
+
+/// What an experiment works with.
+pub struct Bench<'a> {
+    /// A model instead of the experiment's own, for those that press any tissue.
+    pub model: Option<std::sync::Arc<Model>>,
+    /// Where built models may be kept.
+    pub dir: &'a Path,
+    /// Told what is done, and its share.
+    pub progress: &'a mut (dyn FnMut(&str, f64) + Send),
+}
+
+impl Bench<'_> {
+    /// Makes a trial and says so.
+    fn run(&mut self, what: &str, trial: &Trial) -> Course {
+        trial.run(&mut |done| (self.progress)(what, done))
+    }
+
+    /// The model asked for, or a built-in sample.
+    fn model_or(&mut self, sample: &str) -> Result<std::sync::Arc<Model>, String> {
+        if let Some(model) = &self.model {
+            return Ok(std::sync::Arc::clone(model));
+        }
+        (self.progress)(&format!("building the sample \"{sample}\""), 0.0);
+        let subject = crate::subject::Subject::prepare(sample, self.dir);
+        Ok(subject.map_err(|e| e.to_string())?.model)
+    }
+}
+
+/// What came of an experiment.
+#[derive(Debug, Clone)]
+pub struct Outcome {
+    /// What it shows, for a reader of its page.
+    pub caption: String,
+    /// Its figures: an object.
+    pub figures: Value,
+    /// Charts, by the name of their file.
+    pub charts: Vec<(String, Chart)>,
+    /// Tables, by the name of their file.
+    pub tables: Vec<(String, String)>,
+}
+
+impl Experiment {
+    /// Runs it.
+    pub fn run(&self, bench: &mut Bench<'_>) -> Result<Outcome, String> {
+        (self.run)(bench)
+    }
+}
+
+impl Outcome {
+    /// Writes charts and tables into `dir`, which is made when it is not there.
+    pub fn write(&self, dir: &Path) -> Result<(), String> {
+        let io = |path: &Path, e: std::io::Error| {
+            format!(
+                "{}: {e}; check that the folder can be written and has room",
+                path.display()
+            )
+        };
+        std::fs::create_dir_all(dir).map_err(|e| io(dir, e))?;
+        for (name, chart) in &self.charts {
+            let path = dir.join(format!("{name}.svg"));
+            std::fs::write(&path, chart.to_svg()).map_err(|e| io(&path, e))?;
+        }
+        for (name, table) in &self.tables {
+            let path = dir.join(format!("{name}.csv"));
+            std::fs::write(&path, table).map_err(|e| io(&path, e))?;
+        }
+        Ok(())
+    }
+}
+
+/// The same tissue without friction.
+fn without_friction(model: &Model) -> Model {
+    let mut model = model.clone();
+    for region in &mut model.regions {
+        region.material.friction_static = 0.0;
+        region.material.friction_dynamic = 0.0;
+    }
+    model
+}
+
+/// The same tissue with this friction everywhere, static and dynamic.
+fn with_friction(model: &Model, [still, sliding]: [f64; 2]) -> Model {
+    let mut model = model.clone();
+    for region in &mut model.regions {
+        region.material.friction_static = still;
+        region.material.friction_dynamic = sliding;
+    }
+    model
+}
+
+/// A place to press in the middle of a model.
+fn place(model: &std::sync::Arc<Model>) -> Result<Place, String> {
+    let topology = Topology::new(std::sync::Arc::clone(model));
+    Place::find(&topology).map_err(|e| e.to_string())
+}
+
+/// Two lines of a colour: felt, and the converged one with dashes.
+fn felt_and_true(
+    name: &str,
+    colour: &'static str,
+    course: &Course,
+    of: impl Fn(&crate::trial::Point, Option<crate::trial::Truth>) -> (f64, f64),
+) -> [Line; 2] {
+    let felt = course.points.iter().map(|p| of(p, None)).collect();
+    let truth = course.checked().map(|(p, t)| of(p, Some(t))).collect();
+    [
+        Line {
+            name: format!("{name}: felt"),
+            colour,
+            dashed: false,
+            points: felt,
+        },
+        Line {
+            name: format!("{name}: converged"),
+            colour: crate::chart::GREY,
+            dashed: true,
+            points: truth,
+        },
+    ]
+}
+
+fn panel(title: &str, y_label: &str, lines: Vec<Line>) -> Panel {
+    Panel {
+        title: title.to_owned(),
+        y_label: y_label.to_owned(),
+        lines,
+    }
+}

@@ -1,0 +1,126 @@
+//! What the force loop makes of a press at 100 mm/s: a ball, and a line that is dragged on with friction.
+
+use std::sync::Arc;
+
+use nalgebra::UnitQuaternion;
+use palpate_device::script::WayPoint;
+use palpate_haptics::ChainConfig;
+use palpate_protocol::tool::{ToolDescription, ToolKind};
+use palpate_tissue::Vec3;
+use serde_json::json;
+
+use super::{Bench, Outcome, felt_and_true, panel, place, without_friction};
+use crate::chart::{BLUE, Chart, ORANGE};
+use crate::trial::{Course, Trial, path};
+
+const SPEED_M_S: f64 = 0.1;
+const DEPTH_M: f64 = 15e-3;
+const LINE_DEPTH_M: f64 = 8e-3;
+const DRAG_M: f64 = 30e-3;
+const RADIUS_M: f64 = 8e-3;
+
+/// Lies along v, and is held at one end.
+const LINE: ToolDescription = ToolDescription {
+    kind: ToolKind::Needle,
+    radius_m: 4e-3,
+    length_m: 30e-3,
+    width_m: 0.0,
+};
+
+fn ball(bench: &mut Bench<'_>, model: &Arc<palpate_tissue::Model>) -> Result<Course, String> {
+    let place = place(model)?;
+    let top = place.middle + place.normal * RADIUS_M;
+    let down = top - place.normal * DEPTH_M;
+    let takes = DEPTH_M / SPEED_M_S;
+    let trial = Trial {
+        model: Arc::new(without_friction(model)),
+        tool: ToolDescription::probe(RADIUS_M),
+        path: path(vec![
+            WayPoint::new(0.0, top + place.normal * 1e-3),
+            WayPoint::new(0.05, top),
+            WayPoint::new(0.05 + takes, down).linear(),
+            WayPoint::new(0.15 + takes, down),
+        ])?,
+        chain: ChainConfig::default(),
+    };
+    Ok(bench.run("ball", &trial))
+}
+
+fn line(bench: &mut Bench<'_>, model: &Arc<palpate_tissue::Model>) -> Result<Course, String> {
+    let place = place(model)?;
+    // The tool's z along v: its middle over the place, its handle's end half a length before it.
+    let turn = UnitQuaternion::rotation_between(&Vec3::z(), &place.v).unwrap_or_default();
+    let held = place.middle - place.v * (0.5 * LINE.length_m) - place.u * (0.5 * DRAG_M);
+    let top = held + place.normal * LINE.radius_m;
+    let down = top - place.normal * LINE_DEPTH_M;
+    let pressed = LINE_DEPTH_M / SPEED_M_S;
+    let to = down + place.u * DRAG_M;
+    let trial = Trial {
+        model: Arc::clone(model),
+        tool: LINE,
+        path: path(vec![
+            WayPoint::new(0.0, top + place.normal * 2e-3).turned(turn),
+            WayPoint::new(0.05, top).turned(turn),
+            WayPoint::new(0.05 + pressed, down).turned(turn).linear(),
+            WayPoint::new(0.05 + pressed + DRAG_M / SPEED_M_S, to)
+                .turned(turn)
+                .linear(),
+        ])?,
+        chain: ChainConfig::default(),
+    };
+    Ok(bench.run("line", &trial))
+}
+
+pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    let model = bench.model_or("thigh")?;
+    let ball = ball(bench, &model)?;
+    let line = line(bench, &model)?;
+    let norm = |v: Vec3| v.norm();
+    let of_ball = felt_and_true("ball", BLUE, &ball, |p, truth| {
+        (p.t_s, norm(truth.map_or(p.felt.force, |t| t.plain.force)))
+    });
+    let of_line = felt_and_true("line", ORANGE, &line, |p, truth| {
+        let truth = truth.map(|t| if p.slides { t.sliding() } else { t.plain });
+        (p.t_s, norm(truth.map_or(p.felt.force, |t| t.force)))
+    });
+    let torque = felt_and_true("line", ORANGE, &line, |p, truth| {
+        let truth = truth.map(|t| if p.slides { t.sliding() } else { t.plain });
+        (p.t_s, 1e3 * norm(truth.map_or(p.felt.torque, |t| t.torque)))
+    });
+    let chart = Chart {
+        title: "Pressed at 100 mm/s on one core, felt at 1 kHz".to_owned(),
+        x_label: "time (s)".to_owned(),
+        panels: vec![
+            panel(
+                "Ball of 8 mm, 15 mm deep, without friction",
+                "force (N)",
+                of_ball.to_vec(),
+            ),
+            panel(
+                "Line of 30 mm, 8 mm deep, then dragged with friction",
+                "force (N)",
+                of_line.to_vec(),
+            ),
+            panel(
+                "Torque about the end at which the line is held",
+                "torque (mN·m)",
+                torque.to_vec(),
+            ),
+        ],
+        marks: Vec::new(),
+    };
+    Ok(Outcome {
+        caption: "The haptic path (a model every 4 ms at best, 1 ms of work each, one thread) against an independent solver \
+                  that converges at every third millisecond. Converged friction is drawn where the tool slides."
+            .to_owned(),
+        figures: json!({
+            "experiment": "press", "nodes": model.nodes.len(),
+            "ball": { "force": ball.plain(), "solve_ms": ball.solve_ms, "passivated": ball.counters.passivated,
+                      "slewed": ball.counters.slewed },
+            "line": { "force": line.sliding(), "torque": line.sliding_torque(), "solve_ms": line.solve_ms,
+                      "passivated": line.counters.passivated, "slewed": line.counters.slewed },
+        }),
+        charts: vec![("press".to_owned(), chart)],
+        tables: vec![("press-ball".to_owned(), ball.csv()), ("press-line".to_owned(), line.csv())],
+    })
+}

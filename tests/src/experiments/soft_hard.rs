@@ -1,0 +1,112 @@
+//! Soft and hard tissue side by side (Lin 2007, fig 4.8): the same press is answered by what is beneath it.
+
+use std::sync::Arc;
+
+use palpate_device::script::WayPoint;
+use palpate_haptics::ChainConfig;
+use palpate_protocol::tool::ToolDescription;
+use palpate_tissue::{Material, Model, Region, RegionId, Vec3, block};
+use serde_json::json;
+
+use super::{Bench, Outcome, felt_and_true, panel, without_friction};
+use crate::chart::{BLUE, Chart, GREEN, ORANGE};
+use crate::trial::{Course, Trial, path};
+
+const SPACING_M: f64 = 4e-3;
+const CELLS: [usize; 3] = [24, 12, 9];
+const RADIUS_M: f64 = 8e-3;
+const DEPTH_M: f64 = 8e-3;
+const SPEED_M_S: f64 = 0.05;
+
+/// Fat on the left, muscle on the right, on a base that is pinned.
+fn tissue() -> Result<Model, String> {
+    let of = |name: &str| Material::resolve(name, None).map_err(|e| e.to_string());
+    let mut model = block(CELLS, SPACING_M, &of("fat")?, 1);
+    model.regions.push(Region {
+        name: "right".to_owned(),
+        material: of("muscle")?,
+        pinned: false,
+        fibre: [0.0; 3],
+    });
+    let middle = 0.5 * CELLS[0] as f64 * SPACING_M;
+    for cell in &mut model.cells {
+        let x = cell.corners.map(|n| model.nodes[n as usize].x);
+        let x = x.iter().sum::<f64>() / 8.0;
+        if cell.region == RegionId(1) && x > middle {
+            cell.region = RegionId(2);
+        }
+    }
+    Ok(without_friction(&model))
+}
+
+/// Straight down, a rest, and up again.
+fn press_at(share: f64) -> Result<palpate_device::script::Script, String> {
+    let [x, y, z] = [0, 1, 2].map(|i| CELLS[i] as f64 * SPACING_M);
+    let top = Vec3::new(share * x, 0.5 * y, z + RADIUS_M);
+    let down = top - Vec3::z() * DEPTH_M;
+    let takes = DEPTH_M / SPEED_M_S;
+    path(vec![
+        WayPoint::new(0.0, top + Vec3::z() * 1e-3),
+        WayPoint::new(0.05, top),
+        WayPoint::new(0.05 + takes, down).linear(),
+        WayPoint::new(0.15 + takes, down),
+        WayPoint::new(0.15 + 2.0 * takes, top + Vec3::z() * 1e-3).linear(),
+    ])
+}
+
+pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    let model = Arc::new(tissue()?);
+    let spots = [
+        ("on fat", 0.25, BLUE),
+        ("between", 0.5, GREEN),
+        ("on muscle", 0.75, ORANGE),
+    ];
+    let (mut lines, mut figures, mut tables) = (Vec::new(), Vec::new(), Vec::new());
+    let mut largest = Vec::new();
+    for (name, share, colour) in spots {
+        let trial = Trial {
+            model: Arc::clone(&model),
+            tool: ToolDescription::probe(RADIUS_M),
+            path: press_at(share)?,
+            chain: ChainConfig::default(),
+        };
+        let course = bench.run(name, &trial);
+        lines.extend(felt_and_true(name, colour, &course, |p, truth| {
+            (p.t_s, truth.map_or(p.felt.force.z, |t| t.plain.force.z))
+        }));
+        let deviation = course.plain();
+        largest.push(deviation.largest);
+        figures.push(json!({
+            "spot": name, "force_n": deviation.largest, "deviation": deviation, "sideways_n": sideways(&course),
+        }));
+        tables.push((
+            format!("soft-hard-{}", name.replace(' ', "-")),
+            course.csv(),
+        ));
+    }
+    let chart = Chart {
+        title: "Soft and hard: a ball of 8 mm pressed 8 mm deep".to_owned(),
+        x_label: "time (s)".to_owned(),
+        panels: vec![panel("Force out of the tissue", "force (N)", lines)],
+        marks: Vec::new(),
+    };
+    Ok(Outcome {
+        caption: "Fat and muscle side by side on a rigid base, pressed 8 mm deep at 50 mm/s by a ball of 8 mm. \
+                  Between the two the force lies between, and points towards the softer side."
+            .to_owned(),
+        figures: json!({
+            "experiment": "soft-hard", "spots": figures, "stiff_over_soft": largest[2] / largest[0],
+        }),
+        charts: vec![("soft-hard".to_owned(), chart)],
+        tables,
+    })
+}
+
+/// Largest converged force along x, from soft to stiff, N.
+fn sideways(course: &Course) -> f64 {
+    let along = course.checked().map(|(_, t)| t.plain.force.x);
+    along.fold(
+        0.0,
+        |most: f64, x| if x.abs() > most.abs() { x } else { most },
+    )
+}
