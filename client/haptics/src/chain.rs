@@ -77,8 +77,9 @@ pub struct Tick {
 /// The 1 kHz chain that protects the hand.
 ///
 /// In every tick call exactly one of [`tick`](Self::tick) and, when the device could not be read,
-/// [`tick_without_sample`](Self::tick_without_sample), and write the wrench. Times should not run
-/// backwards; one that does counts as no time passed.
+/// [`tick_without_sample`](Self::tick_without_sample), and write the wrench. What the device renders
+/// instead is said with [`goes_on_from`](Self::goes_on_from) or [`cut_to`](Self::cut_to). Times should
+/// not run backwards; one that does counts as no time passed.
 #[derive(Debug, Clone)]
 pub struct Chain {
     force_limit_n: f64,
@@ -155,6 +156,27 @@ impl Chain {
             let gain = self.link.restore(now);
             self.soft_start.lower_to(self.soft_start.gain() * gain);
         }
+    }
+
+    /// The device renders `wrench` and not the one it was given last, because it clamped that or lost
+    /// some of it. What follows goes on from there: nothing steps when the device takes more again,
+    /// and the work that is counted is what was done.
+    pub fn goes_on_from(&mut self, wrench: &Wrench) {
+        let (force, _) = clamp_force(wrench.force, self.force_limit_n);
+        self.slew.begin_at(force);
+        let force = self.slew.force();
+        self.observer.correct(force);
+        if let Some(passivity) = &mut self.passivity {
+            passivity.correct(force);
+        }
+    }
+
+    /// The device took its force away by itself, down to `rest`: it refused a wrench, its motors are
+    /// off, or a watchdog of its own acted. As [`goes_on_from`](Self::goes_on_from), and the force
+    /// comes back over the soft start, as after every other fault.
+    pub fn cut_to(&mut self, rest: &Wrench) {
+        self.goes_on_from(rest);
+        self.soft_start.lower_to(0.0);
     }
 
     /// One tick.

@@ -68,6 +68,13 @@ impl Slew {
         self.force
     }
 
+    /// What stands at the device is `force` (N), whatever it was given: the next step is from there.
+    /// One that is not finite counts as none.
+    pub fn begin_at(&mut self, force: Vector3<f64>) {
+        let is_finite = force.iter().all(|c| c.is_finite());
+        self.force = if is_finite { force } else { Vector3::zeros() };
+    }
+
     /// Where [`towards`](Self::towards) would get in this tick, N.
     pub fn peek(&self, target: Vector3<f64>) -> Vector3<f64> {
         let mut ahead = *self;

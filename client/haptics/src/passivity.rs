@@ -177,6 +177,14 @@ impl Passivity {
         }
     }
 
+    /// What pushes the tool until the next tick is `force` (N), and not what was given: the device has clamped it, or
+    /// taken it away.
+    pub fn correct(&mut self, force: Vector3<f64>) {
+        if let Some(last) = &mut self.last {
+            last.force = force;
+        }
+    }
+
     /// What is given until the next tick.
     pub fn give(&mut self, given: Given) {
         if !given.touches {

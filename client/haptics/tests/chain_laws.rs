@@ -5,7 +5,7 @@
 use nalgebra::{Matrix3, Vector3};
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
-use palpate_device::{DeviceTime, Faults, HapticDevice, Pose, Sample, Script};
+use palpate_device::{DeviceTime, Faults, HapticDevice, Pose, Sample, Script, Wrench};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Events, Tick};
 use palpate_protocol::ClientTime;
 use proptest::prelude::*;
@@ -244,6 +244,38 @@ fn a_pause_of_the_thread_skips_no_ramp() {
         last = tick.wrench.force;
     }
     assert!(last.norm() < 6.0 * 0.14, "{} N", last.norm());
+}
+
+#[test]
+fn the_next_step_begins_at_what_the_device_renders() {
+    let at_rest = sample(Vector3::zeros());
+    for there in [0.0, 2.5] {
+        let (mut chain, t0) = holding(8.0);
+        let rendered = Wrench::from_force(Vector3::new(0.0, 0.0, there));
+        chain.goes_on_from(&rendered);
+        let tick = chain.tick(ms(t0), &at_rest, &pressed(ms(t0), 8.0));
+        let z = tick.wrench.force.z;
+        assert!(
+            (z - there - chain.slew_step_n()).abs() < 1e-9,
+            "{z} N from {there} N"
+        );
+        // And after a cut over the soft start as well.
+        let (mut chain, t0) = holding(8.0);
+        chain.cut_to(&rendered);
+        let mut last = 0.0;
+        for t in t0..t0 + 500 {
+            last = chain
+                .tick(ms(t), &at_rest, &pressed(ms(t), 8.0))
+                .wrench
+                .force
+                .z;
+        }
+        assert!((last - 4.0).abs() < 0.1, "half way: {last} N");
+    }
+    let (mut chain, _) = holding(8.0);
+    chain.goes_on_from(&Wrench::from_force(Vector3::repeat(f64::NAN)));
+    let tick = chain.tick_without_sample(ms(2000));
+    assert_eq!(tick.wrench, Wrench::ZERO, "no number is no force");
 }
 
 #[test]
