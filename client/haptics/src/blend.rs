@@ -116,17 +116,18 @@ impl Blend {
         &self.model
     }
 
-    /// Takes `model`, which is usable, if it is a new one.
-    pub(crate) fn take(&mut self, model: &ContactModel, now: ClientTime, x: &Vector3<f64>) {
+    /// Takes `model`, which is usable, if it is a new one; whether it was.
+    pub(crate) fn take(&mut self, model: &ContactModel, now: ClientTime, x: &Vector3<f64>) -> bool {
         let id = |m: &ContactModel| (m.topology_version, m.solved_at);
         if id(model) == id(&self.model) {
-            return;
+            return false;
         }
         self.old = self.mixture(now, x);
         self.new = Law::of(model, self.cap);
         self.length = (model.solved_at - self.model.solved_at).clamp(BLEND_MIN, BLEND_MAX);
         self.began = now;
         self.model = *model;
+        true
     }
 
     /// Contact at `x` (m), moving with `v` (m/s).

@@ -78,8 +78,10 @@ pub struct Tick {
 ///
 /// In every tick call exactly one of [`tick`](Self::tick) and, when the device could not be read,
 /// [`tick_without_sample`](Self::tick_without_sample), and write the wrench. What the device renders
-/// instead is said with [`goes_on_from`](Self::goes_on_from) or [`cut_to`](Self::cut_to). Times should
-/// not run backwards; one that does counts as no time passed.
+/// instead is said with [`goes_on_from`](Self::goes_on_from) or [`cut_to`](Self::cut_to).
+///
+/// Times should not run backwards. Where one does, the chain's own time goes on by one period, and
+/// what it knows is as old as it was: a clock that was put back keeps no old force alive.
 #[derive(Debug, Clone)]
 pub struct Chain {
     force_limit_n: f64,
@@ -93,7 +95,12 @@ pub struct Chain {
     slew: Slew,
     observer: EnergyObserver,
     counters: Counters,
+    period: Span,
     last_tick: Option<ClientTime>,
+    /// How far the chain's own time is ahead of the clock that it is given; more after every step back.
+    ahead: Span,
+    /// When the model in use was solved, in the chain's own time.
+    solved_at: ClientTime,
 }
 
 impl Chain {
@@ -126,7 +133,10 @@ impl Chain {
             slew: Slew::new(step_n),
             observer: EnergyObserver::default(),
             counters: Counters::default(),
+            period: config.period,
             last_tick: None,
+            ahead: Span::ZERO,
+            solved_at: ClientTime::ZERO,
         }
     }
 
@@ -147,13 +157,13 @@ impl Chain {
 
     /// The link to the session was lost: force goes to zero in 100 ms.
     pub fn link_lost(&mut self, now: ClientTime) {
-        self.link.lose(now);
+        self.link.lose(self.own_time(now));
     }
 
     /// The link is back: force comes back over the soft start.
     pub fn link_restored(&mut self, now: ClientTime) {
         if self.link.is_lost() {
-            let gain = self.link.restore(now);
+            let gain = self.link.restore(self.own_time(now));
             self.soft_start.lower_to(self.soft_start.gain() * gain);
         }
     }
@@ -191,7 +201,9 @@ impl Chain {
         let (x, v) = (sample.pose.position, sample.velocity);
         let was_touching = self.friction.grip() != Grip::Free;
         if model.is_usable() {
-            self.blend.take(model, now, &x);
+            if self.blend.take(model, now, &x) {
+                self.solved_at = model.solved_at + self.ahead;
+            }
         } else {
             events.set(Events::BAD_MODEL, true);
         }
@@ -237,12 +249,23 @@ impl Chain {
         self.without_force(now, dt, events)
     }
 
-    /// `now`, not before the last tick, and the time since.
+    /// `now` in the chain's own time, which never runs backwards.
+    fn own_time(&self, now: ClientTime) -> ClientTime {
+        let own = now + self.ahead;
+        self.last_tick
+            .map_or(own, |last| own.max(last + self.ahead))
+    }
+
+    /// The chain's own time at `now`, and what of it has passed since the last tick.
     fn step_time(&mut self, now: ClientTime) -> (ClientTime, Span) {
         let last = self.last_tick.unwrap_or(now);
-        let now = now.max(last);
+        let before = last + self.ahead;
+        if now < last {
+            self.ahead = before + self.period - now;
+        }
         self.last_tick = Some(now);
-        (now, now - last)
+        let own = now + self.ahead;
+        (own, own - before)
     }
 
     fn contact_force(
@@ -275,7 +298,7 @@ impl Chain {
         let dt_up = dt.min(DT_UP_MAX);
         let model = self.blend.model();
         let is_outside = (x - model.x0).norm() > model.radius;
-        let age = now - model.solved_at;
+        let age = now - self.solved_at;
         let Watched {
             gain,
             is_stale,
@@ -347,7 +370,7 @@ impl Chain {
         Tick {
             wrench: Wrench::from_force(force),
             events,
-            contact_age: now - self.blend.model().solved_at,
+            contact_age: now - self.solved_at,
         }
     }
 }

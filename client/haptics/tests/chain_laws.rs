@@ -247,6 +247,46 @@ fn a_pause_of_the_thread_skips_no_ramp() {
 }
 
 #[test]
+fn a_clock_that_is_put_back_keeps_no_old_force_alive() {
+    let at_rest = sample(Vector3::zeros());
+    for back_ms in [1, 5, 9, 40, 5000] {
+        // The solver is gone.
+        let (mut chain, t0) = holding(8.0);
+        let last = pressed(ms(t0), 8.0);
+        chain.tick(ms(t0), &at_rest, &last);
+        let zero_at = fades(|t| chain.tick(ms(t0 + t - back_ms), &at_rest, &last), 150);
+        assert!(
+            zero_at > 75,
+            "{zero_at} ms after a step of {back_ms} ms back"
+        );
+        // The link is, and was lost before the clock was put back; the solver is well.
+        let (mut chain, t0) = holding(8.0);
+        chain.link_lost(ms(t0));
+        chain.tick(ms(t0), &at_rest, &pressed(ms(t0), 8.0));
+        let model = |t| ContactModel {
+            // Who presses does not notice the clock.
+            others_j: pressed(ms(t0 + t), 8.0).others_j,
+            ..pressed(ms(t0 + t - back_ms), 8.0)
+        };
+        fades(|t| chain.tick(ms(t0 + t - back_ms), &at_rest, &model(t)), 100);
+    }
+}
+
+#[test]
+fn after_a_step_of_the_clock_new_models_are_felt_as_before() {
+    for jump_ms in [-5000, -3, 3, 5000] {
+        let (mut chain, t0) = holding(4.0);
+        let mut last = Vector3::zeros();
+        for t in 0..200 {
+            let now = ms(t0 + t + jump_ms);
+            let tick = chain.tick(now, &sample(Vector3::zeros()), &pressed(now, 4.0));
+            last = tick.wrench.force;
+        }
+        assert!((last.z - 4.0).abs() < 1e-9, "{last:?} after {jump_ms} ms");
+    }
+}
+
+#[test]
 fn the_next_step_begins_at_what_the_device_renders() {
     let at_rest = sample(Vector3::zeros());
     for there in [0.0, 2.5] {
