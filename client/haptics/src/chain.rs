@@ -99,6 +99,8 @@ pub struct Chain {
     last_tick: Option<ClientTime>,
     /// How far the chain's own time is ahead of the clock that it is given; more after every step back.
     ahead: Span,
+    /// The same before the last of them, for models that were stamped before it.
+    ahead_before: Span,
     /// When the model in use was solved, in the chain's own time.
     solved_at: ClientTime,
 }
@@ -136,6 +138,7 @@ impl Chain {
             period: config.period,
             last_tick: None,
             ahead: Span::ZERO,
+            ahead_before: Span::ZERO,
             solved_at: ClientTime::ZERO,
         }
     }
@@ -202,7 +205,7 @@ impl Chain {
         let was_touching = self.friction.grip() != Grip::Free;
         if model.is_usable() {
             if self.blend.take(model, now, &x) {
-                self.solved_at = model.solved_at + self.ahead;
+                self.solved_at = self.in_own_time(model.solved_at, now);
             }
         } else {
             events.set(Events::BAD_MODEL, true);
@@ -256,11 +259,22 @@ impl Chain {
             .map_or(own, |last| own.max(last + self.ahead))
     }
 
+    /// When a model was solved that is taken at `own` in the chain's own time: one that seems to come from the future was
+    /// stamped before the clock was put back.
+    fn in_own_time(&self, solved_at: ClientTime, own: ClientTime) -> ClientTime {
+        if solved_at + self.ahead > own {
+            solved_at + self.ahead_before
+        } else {
+            solved_at + self.ahead
+        }
+    }
+
     /// The chain's own time at `now`, and what of it has passed since the last tick.
     fn step_time(&mut self, now: ClientTime) -> (ClientTime, Span) {
         let last = self.last_tick.unwrap_or(now);
         let before = last + self.ahead;
         if now < last {
+            self.ahead_before = self.ahead;
             self.ahead = before + self.period - now;
         }
         self.last_tick = Some(now);

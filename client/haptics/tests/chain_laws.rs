@@ -259,6 +259,14 @@ fn a_clock_that_is_put_back_keeps_no_old_force_alive() {
             zero_at > 75,
             "{zero_at} ms after a step of {back_ms} ms back"
         );
+        // So is the force when the last model was on its way meanwhile.
+        let (mut chain, t0) = holding(8.0);
+        let mut left = 8.0;
+        for t in 1..=150 {
+            let tick = chain.tick(ms(t0 + t - back_ms), &at_rest, &last);
+            left = tick.wrench.force.norm();
+        }
+        assert_eq!(left, 0.0, "after a step of {back_ms} ms back");
         // The link is, and was lost before the clock was put back; the solver is well.
         let (mut chain, t0) = holding(8.0);
         chain.link_lost(ms(t0));
@@ -268,7 +276,10 @@ fn a_clock_that_is_put_back_keeps_no_old_force_alive() {
             others_j: pressed(ms(t0 + t), 8.0).others_j,
             ..pressed(ms(t0 + t - back_ms), 8.0)
         };
-        fades(|t| chain.tick(ms(t0 + t - back_ms), &at_rest, &model(t)), 100);
+        fades(
+            |t| chain.tick(ms(t0 + t - back_ms), &at_rest, &model(t)),
+            100,
+        );
     }
 }
 
