@@ -163,6 +163,7 @@ impl HandLoop {
                 (self.chain.tick_without_sample(now), Some(sample))
             }
             Ok(sample) => {
+                self.wait_for_ramp();
                 let tick = self.chain.tick(now, &sample, model);
                 let is_bad = tick.events.contains(Events::BAD_SAMPLE);
                 (tick, (!is_bad).then_some(sample))
@@ -231,15 +232,21 @@ impl HandLoop {
         self.device.caps().dof_out > 0 && self.device.force_state() == ForceState::Off
     }
 
+    /// While a driver brings its forces up, the soft start waits: the two together would be steeper than the slew limit.
+    fn wait_for_ramp(&mut self) {
+        if self.device.force_state() == ForceState::Ramping {
+            self.chain.cut_to(&self.device.rendered());
+        }
+    }
+
     fn write(&mut self, at: DeviceTime, tick: &Tick) {
         match self.device.write(at, tick.wrench) {
-            Written::Applied => {}
+            // A device without motors refuses nothing that was ever asked of it.
+            Written::Applied | Written::Rejected(Rejection::NoMotors) => {}
             Written::Saturated { applied } => {
                 self.counts.saturated += 1;
                 self.chain.goes_on_from(&applied);
             }
-            // A device without motors refuses nothing that was ever asked of it.
-            Written::Rejected(Rejection::NoMotors) => {}
             Written::Rejected(_) => {
                 self.counts.rejected += 1;
                 self.chain.cut_to(&Wrench::ZERO);
