@@ -5,7 +5,7 @@ use std::fmt;
 use palpate_haptics::Counters;
 use serde::{Deserialize, Serialize};
 
-use crate::realtime::{LoopStats, Percentiles};
+use crate::realtime::{DeviceCounts, LoopStats, Percentiles};
 
 /// The figures of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -143,12 +143,18 @@ pub struct EventCounts {
     pub max_delta_torque_nm: f64,
     /// Smallest energy the hand had put in, J.
     pub min_energy_j: f64,
+    /// Wrenches that the device refused.
+    #[serde(default)]
+    pub device_rejected: u64,
+    /// Times that the device took its force away by itself.
+    #[serde(default)]
+    pub device_cuts: u64,
     /// Samples that found no room on their way to the network.
     pub frames_dropped: u64,
 }
 
 impl EventCounts {
-    fn of(c: &Counters, frames_dropped: u64) -> Self {
+    fn of(c: &Counters, device: DeviceCounts, frames_dropped: u64) -> Self {
         Self {
             in_contact: c.in_contact,
             saturated: c.saturated,
@@ -166,6 +172,8 @@ impl EventCounts {
             torque_max_nm: c.max_torque_nm,
             max_delta_torque_nm: c.max_delta_torque_nm,
             min_energy_j: c.min_energy_j,
+            device_rejected: device.rejected,
+            device_cuts: device.cuts,
             frames_dropped,
         }
     }
@@ -179,7 +187,7 @@ impl Summary {
         self.lateness_us = stats.lateness_us.into();
         self.missed = stats.missed;
         self.force_max_n = stats.counters.max_force_n;
-        self.events = EventCounts::of(&stats.counters, stats.frames_dropped);
+        self.events = EventCounts::of(&stats.counters, stats.device, stats.frames_dropped);
     }
 }
 

@@ -180,7 +180,10 @@ pub trait HapticDevice: Send {
     /// [`Written::Rejected`] and the device renders zero.
     fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written;
 
-    /// What the device renders now, as far as its driver knows: after clamps and ramps.
+    /// What the device renders now, as far as its driver knows: after clamps and ramps. A driver whose
+    /// device takes its force away by itself (a watchdog of its own, motors that were cut) gives here
+    /// what is left from that moment on: the loop goes on from there, and what it does not know it can
+    /// not keep from becoming a blow.
     fn rendered(&self) -> Wrench;
 
     /// Writes zero, then closes. A second call does nothing.

@@ -15,6 +15,10 @@ use crate::bench::press_cube::PressCube;
 use crate::bench::press_scene::{Comparison, PressScene};
 use crate::demo::{self, DemoOptions};
 use crate::experiments::command;
+use crate::haptic_faults::course::Setup;
+use crate::haptic_faults::fault::Class;
+use crate::haptic_faults::outcome::Outcome;
+use crate::haptic_faults::{self, Trial, picture};
 use crate::program::die_with_parent;
 use crate::progress::{Interrupt, Progress};
 use crate::relay::{Profile, Relay};
@@ -48,6 +52,27 @@ Examples:
 
 Compare figures of one run on one machine only: other work on it changes them.";
 
+const FAULTS: &str = "\
+A simulated hand presses into a tissue of springs (200 N/m to bone, 20 kN/m) at up to 0.5 m/s, through the force
+loop that clients run, in virtual time, and something breaks: the solver stalls, the link is lost, contact models or
+poses hold numbers that are none, the device is unplugged, refuses, or clamps, the process is stopped, the clock jumps;
+or several at once. Looked at is what the device renders:
+
+  - it changes by no more than the slew limit per tick
+  - it is zero within 150 ms of the loss of its source
+  - it is a number, and within the limit
+  - what broke is counted, and the force comes back when it is over
+
+Seeds take the classes of faults in turns, and one seed always is the same run.
+
+Examples:
+  palpate-lab haptic-faults                       1,000 runs, a quarter of a minute
+  palpate-lab haptic-faults --seeds 100000 --json
+  palpate-lab haptic-faults -o faults             also a table and a chart of one run per class
+  palpate-lab haptic-faults --seed 27 -o faults   one run: its faults, figures, and every tick
+
+The exit code is 0 when every law held, 2 when the command line is wrong, 1 otherwise.";
+
 /// The laboratory: emulated networks, scripted hands, the demo.
 #[derive(Debug, Parser)]
 #[command(name = "palpate-lab", version, after_help = EXAMPLES)]
@@ -72,6 +97,9 @@ enum Command {
     /// Run every experiment and make one page of it
     #[command(after_help = command::RUN_HELP)]
     All(command::AllArguments),
+    /// Break what a hand depends on, and see that no fault jerks it
+    #[command(after_help = FAULTS)]
+    HapticFaults(HapticFaultsArguments),
     /// Measure the equilibrium against its own converged answer
     #[command(subcommand, after_help = BENCHES)]
     Bench(Bench),
@@ -179,6 +207,22 @@ struct DemoArguments {
 }
 
 #[derive(Debug, Args)]
+struct HapticFaultsArguments {
+    /// How many runs; their seeds are 0, 1, 2, ...
+    #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
+    seeds: u64,
+    /// Replay one seed and tell all about it
+    #[arg(long, value_name = "S", conflicts_with = "seeds")]
+    seed: Option<u64>,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+    /// Where a table (CSV) and a chart (SVG) of one run per class go, every tick in them
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
 struct RelayArguments {
     /// Where clients send to; port 0 takes any free one
     #[arg(long, value_name = "ADDRESS")]
@@ -229,6 +273,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Run(arguments) => command::run(&arguments),
         Command::List => command::list(),
         Command::All(arguments) => command::all(&arguments),
+        Command::HapticFaults(arguments) => run_haptic_faults(&arguments),
         Command::Bench(Bench::PressCube(arguments)) => run_press_cube(&arguments),
         Command::Bench(Bench::PressScene(arguments)) => run_press_scene(&arguments),
         Command::Bench(Bench::HapticTick { ticks, json }) => (HapticTick {
@@ -342,6 +387,83 @@ fn run_relay(arguments: &RelayArguments) -> Result<ExitCode, String> {
         ))?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+fn run_haptic_faults(arguments: &HapticFaultsArguments) -> Result<ExitCode, String> {
+    let interrupt = Interrupt::listen().map_err(|e| format!("no signals can be caught: {e}"))?;
+    let mut progress = Progress::new();
+    let (seeds, of) = match arguments.seed {
+        Some(seed) => (seed..seed.saturating_add(1), 1),
+        None => (0..arguments.seeds, arguments.seeds),
+    };
+    let mut told = |seed: u64, outcome: &Outcome| {
+        if seed.is_multiple_of(16) {
+            let (runs, failed) = (outcome.runs, outcome.failed());
+            progress.tick(&format!("{runs} of {of} runs, {failed} broke a law"));
+        }
+        !interrupt.is_set()
+    };
+    let setup = Setup::default();
+    let outcome = haptic_faults::all(seeds, &setup, &mut told).map_err(|e| e.to_string())?;
+    drop(progress);
+    if outcome.runs < of {
+        return Err(format!("interrupted after {} of {of} runs", outcome.runs));
+    }
+    give(&outcome, arguments.json)?;
+    if let Some(seed) = arguments.seed
+        && !arguments.json
+    {
+        tell_of(seed)?;
+    }
+    if let Some(dir) = &arguments.output {
+        let classes = Class::ALL.len() as u64;
+        let shown = arguments
+            .seed
+            .map_or(0..classes.min(of), |seed| seed..seed.saturating_add(1));
+        for seed in shown {
+            let trial = kept(seed)?;
+            let name = picture::write(&trial, dir)
+                .map_err(|e| format!("{} can not be written: {e}", dir.display()))?;
+            eprintln!("{}", dir.join(name).display());
+        }
+    }
+    Ok(if outcome.ok {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    })
+}
+
+/// A seed's runs with every tick kept.
+fn kept(seed: u64) -> Result<Trial, String> {
+    let setup = Setup {
+        keep: true,
+        ..Setup::default()
+    };
+    Trial::of(seed, &setup).map_err(|e| e.to_string())
+}
+
+/// All about one seed.
+fn tell_of(seed: u64) -> Result<(), String> {
+    let trial = kept(seed)?;
+    let (plan, tissue) = (&trial.plan, &trial.plan.tissue);
+    for fault in &plan.faults {
+        let at_ms = fault.from_us as f64 * 1e-3;
+        say(&format!("{at_ms:9.1} ms  {fault}"))?;
+    }
+    say(&format!(
+        "tissue of {:.0} N/m, {:.2} N·s/m, friction {:.2} and {:.2}; device of {:.1} N, {:?}",
+        tissue.stiffness,
+        tissue.damping,
+        tissue.mu_static,
+        tissue.mu_dynamic,
+        plan.caps.continuous_force_n,
+        plan.driver
+    ))?;
+    say(&format!(
+        "afterwards at most {:.2} N, without the fault {:.2} N; {:?}",
+        trial.run.force_after_n, trial.without.force_after_n, trial.run.counters
+    ))
 }
 
 fn run_press_cube(arguments: &PressCubeArguments) -> Result<ExitCode, String> {

@@ -12,6 +12,7 @@
 //! | know what would be felt without a network | [`mod@reference`] |
 //! | compare | [`disagreement`], [`force_error`] |
 //! | measure the equilibrium | [`mod@bench`] |
+//! | break what a hand depends on, and see that it is not jerked | [`haptic_faults`] |
 //! | see all of it at once | [`demo`], [`report`], [`plots`] |
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
@@ -23,6 +24,7 @@ pub mod demo;
 pub mod disagreement;
 pub mod experiments;
 pub mod force_error;
+pub mod haptic_faults;
 pub mod place;
 pub mod plots;
 pub mod program;

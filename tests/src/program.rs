@@ -232,11 +232,28 @@ impl Program {
     /// Asks it politely to end.
     pub fn ask_to_end(&self) {
         #[cfg(unix)]
+        self.signal(rustix::process::Signal::TERM);
+    }
+
+    /// Stops it where it is: nothing of it runs until [`go_on`](Self::go_on).
+    #[cfg(unix)]
+    pub fn stand_still(&self) {
+        self.signal(rustix::process::Signal::STOP);
+    }
+
+    /// Lets it go on after [`stand_still`](Self::stand_still).
+    #[cfg(unix)]
+    pub fn go_on(&self) {
+        self.signal(rustix::process::Signal::CONT);
+    }
+
+    #[cfg(unix)]
+    fn signal(&self, signal: rustix::process::Signal) {
         if let Ok(id) = i32::try_from(self.child.id())
             && let Some(pid) = rustix::process::Pid::from_raw(id)
         {
             // It may have ended by itself.
-            let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
+            let _ = rustix::process::kill_process(pid, signal);
         }
     }
 
@@ -393,6 +410,24 @@ mod tests {
         program.wait_for_success(SOON).unwrap();
         let last: serde_json::Value = program.last_json("a number").unwrap();
         assert_eq!(last["a"], 3);
+    }
+
+    #[test]
+    fn who_stands_still_says_nothing_until_it_goes_on() {
+        let mut program = shell("echo up; while :; do sleep 0.02; echo tick; done");
+        program.line("come up", SOON).unwrap();
+        program.stand_still();
+        // What was on its way, and then nothing.
+        while program.line("tick", Duration::from_millis(500)).is_ok() {}
+        program.go_on();
+        assert_eq!(program.line("tick", SOON).unwrap(), "tick");
+        program.stand_still();
+        let proc_entry = format!("/proc/{}", program.id());
+        drop(program);
+        assert!(
+            !Path::new(&proc_entry).exists(),
+            "a still one is ended, too"
+        );
     }
 
     #[test]

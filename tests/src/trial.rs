@@ -30,10 +30,10 @@ const TICK: Span = Span::from_millis(1);
 pub const CHECK_MS: i64 = 3;
 /// Rest before the path begins: the soft start of the chain is over then.
 const LEAD: Span = Span::from_millis(1200);
-/// Residual of what counts as converged.
-const CONVERGED: f64 = 1e-5;
-/// Iterations for it at most.
-const ITERATIONS: usize = 300;
+/// Residual of what counts as converged: forces are then known to a part in a thousand or two.
+const CONVERGED: f64 = 1e-4;
+/// Iterations for it at most; a table says what residual was left.
+const ITERATIONS: usize = 60;
 /// Slower than this a tool does not slide, m/s.
 const SLIDES_M_S: f64 = 5e-3;
 /// Ticks for which it must have slid.

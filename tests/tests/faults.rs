@@ -8,9 +8,14 @@ use std::net::{SocketAddr, UdpSocket};
 use std::process::Command;
 use std::time::Duration;
 
-use palpate_client::realtime::monotonic_now;
+use palpate_client::realtime::{RealtimeConfig, monotonic_now};
+use palpate_client::recording::HapticPoint;
+use palpate_device::backend::sim::{ScriptStart, SimHand};
+use palpate_device::{HapticDevice, Script};
+use palpate_haptics::{Chain, ChainConfig};
 use palpate_lab::program::Program;
 use palpate_lab::scripts::STROKE_SHARES;
+use palpate_tissue::Vec3;
 
 use table::{Table, alone, executable};
 
@@ -57,6 +62,70 @@ fn a_client_killed_mid_stroke_is_gone_within_two_seconds_and_the_others_go_on() 
         "the hand went on: {}",
         left.summary.ticks
     );
+}
+
+/// The largest change of force per tick that a client's chain gives a simulated hand, N.
+fn slew_step_n() -> f64 {
+    let script = Script::resting_probe(Vec3::zeros(), 0.004).unwrap();
+    let hand = SimHand::new(script, ScriptStart::not_yet());
+    Chain::new(ChainConfig::default(), hand.caps()).slew_step_n()
+}
+
+#[test]
+fn a_client_that_is_stopped_while_it_presses_goes_on_without_a_jerk() {
+    let _alone = alone();
+    let table = Table::new();
+    let session = table.host("lan", 1);
+    let [script, _] = table.scripts(6.0);
+    let dir = table.dir.path();
+    let mut holder = session
+        .join("holder", "trainee", Some(&script), dir)
+        .unwrap();
+    holder.wait_until_in(&|| false).unwrap();
+    // The first press lasts from 2.2 to 4.6 s, the second from 5.5 s on.
+    sleep(3.2);
+    holder.program.stand_still();
+    sleep(0.3);
+    holder.program.go_on();
+    let went_on_us = monotonic_now().as_micros();
+    sleep(4.0);
+    holder.program.ask_to_end();
+    let left = holder.leave().unwrap();
+    let (host, _) = session.end().unwrap();
+
+    let (events, step_n) = (left.summary.events, slew_step_n());
+    let largest = events.max_delta_force_n;
+    assert!(
+        largest > 0.0 && largest <= step_n * (1.0 + 1e-9),
+        "a step of {largest} N"
+    );
+    assert!(left.summary.missed >= 250, "{} missed", left.summary.missed);
+    // Of every few ticks one is recorded; they too are no farther apart, also across the pause.
+    let hand = &left.recording.haptic;
+    let between_n = step_n * f64::from(RealtimeConfig::default().trace_every) * (1.0 + 1e-9);
+    for pair in hand.windows(2) {
+        let step = (Vec3::from(pair[1].force_n) - Vec3::from(pair[0].force_n)).norm();
+        assert!(step <= between_n, "{step} N between {pair:?}");
+    }
+    let is_pause = |w: &[HapticPoint]| w[1].t_us - w[0].t_us > 250_000 && w[0].t_us < went_on_us;
+    assert!(hand.windows(2).any(is_pause), "nothing ran meanwhile");
+    let largest_n = |since_us: i64, until_us: i64| {
+        let within = hand
+            .iter()
+            .filter(|p| (since_us..until_us).contains(&p.t_us));
+        within
+            .map(|p| Vec3::from(p.force_n).norm())
+            .fold(0.0, f64::max)
+    };
+    assert!(
+        largest_n(i64::MIN, went_on_us - 250_000) > 0.1,
+        "it pressed before"
+    );
+    assert!(
+        largest_n(went_on_us + 250_000, i64::MAX) > 0.1,
+        "and presses again"
+    );
+    assert_eq!(left.summary.topology_hash, host.topology_hash);
 }
 
 #[test]

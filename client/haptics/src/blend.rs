@@ -117,17 +117,18 @@ impl Blend {
         &self.model
     }
 
-    /// Takes `model`, which is usable, if it is a new one.
-    pub(crate) fn take(&mut self, model: &ContactModel, now: ClientTime, motion: &Motion) {
+    /// Takes `model`, which is usable, if it is a new one; whether it was.
+    pub(crate) fn take(&mut self, model: &ContactModel, now: ClientTime, motion: &Motion) -> bool {
         let id = |m: &ContactModel| (m.topology_version, m.solved_at);
         if id(model) == id(&self.model) {
-            return;
+            return false;
         }
         self.old = self.mixture(now, &motion.held());
         self.new = Laws::of(model, &self.coupling);
         self.length = (model.solved_at - self.model.solved_at).clamp(BLEND_MIN, BLEND_MAX);
         self.began = now;
         self.model = *model;
+        true
     }
 
     /// Tells `each` place that touches a tool in `motion`, in their order; the couple, N·m.

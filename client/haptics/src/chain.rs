@@ -94,8 +94,11 @@ pub struct Tick {
 /// The 1 kHz chain that protects the hand.
 ///
 /// In every tick call exactly one of [`tick`](Self::tick) and, when the device could not be read,
-/// [`tick_without_sample`](Self::tick_without_sample), and write the wrench. Times should not run
-/// backwards; one that does counts as no time passed.
+/// [`tick_without_sample`](Self::tick_without_sample), and write the wrench. What the device renders
+/// instead is said with [`goes_on_from`](Self::goes_on_from) or [`cut_to`](Self::cut_to).
+///
+/// Times should not run backwards. Where one does, the chain's own time goes on by one period, and
+/// what it knows is as old as it was: a clock that was put back keeps no old force alive.
 #[derive(Debug, Clone)]
 pub struct Chain {
     force_limit_n: f64,
@@ -111,7 +114,14 @@ pub struct Chain {
     slew: WrenchSlew,
     observer: EnergyObserver,
     counters: Counters,
+    period: Span,
     last_tick: Option<ClientTime>,
+    /// How far the chain's own time is ahead of the clock that it is given; more after every step back.
+    ahead: Span,
+    /// The same before the last of them, for models that were stamped before it.
+    ahead_before: Span,
+    /// When the model in use was solved, in the chain's own time.
+    solved_at: ClientTime,
 }
 
 impl Chain {
@@ -158,7 +168,11 @@ impl Chain {
             slew,
             observer: EnergyObserver::default(),
             counters: Counters::default(),
+            period: config.period,
             last_tick: None,
+            ahead: Span::ZERO,
+            ahead_before: Span::ZERO,
+            solved_at: ClientTime::ZERO,
         }
     }
 
@@ -189,15 +203,39 @@ impl Chain {
 
     /// The link to the session was lost: force goes to zero in 100 ms.
     pub fn link_lost(&mut self, now: ClientTime) {
-        self.link.lose(now);
+        self.link.lose(self.own_time(now));
     }
 
     /// The link is back: force comes back over the soft start.
     pub fn link_restored(&mut self, now: ClientTime) {
         if self.link.is_lost() {
-            let gain = self.link.restore(now);
+            let gain = self.link.restore(self.own_time(now));
             self.soft_start.lower_to(self.soft_start.gain() * gain);
         }
+    }
+
+    /// The device renders `wrench` and not the one it was given last, because it clamped that or lost
+    /// some of it. What follows goes on from there: nothing steps when the device takes more again,
+    /// and the work that is counted is what was done.
+    pub fn goes_on_from(&mut self, wrench: &Wrench) {
+        let limits = [self.force_limit_n, self.torque_limit_nm()];
+        let [force, torque] = [(wrench.force, limits[0]), (wrench.torque, limits[1])]
+            .map(|(of, limit)| clamp_force(of, limit).0);
+        self.slew.begin_at(&Wrench { force, torque });
+        let stands = self.slew.now();
+        self.observer.correct(stands);
+        if let Some(passivity) = &mut self.passivity {
+            let torque = self.torque_limit_nm.map(|_| stands.torque);
+            passivity.correct(stands.force, torque);
+        }
+    }
+
+    /// The device took its force away by itself, down to `rest`: it refused a wrench, its motors are
+    /// off, or a watchdog of its own acted. As [`goes_on_from`](Self::goes_on_from), and the force
+    /// comes back over the soft start, as after every other fault.
+    pub fn cut_to(&mut self, rest: &Wrench) {
+        self.goes_on_from(rest);
+        self.soft_start.lower_to(0.0);
     }
 
     /// One tick.
@@ -212,7 +250,9 @@ impl Chain {
         let motion = Motion::of(sample);
         let was_touching = self.places.grips().any();
         if model.is_usable() {
-            self.blend.take(model, now, &motion);
+            if self.blend.take(model, now, &motion) {
+                self.solved_at = self.in_own_time(model.solved_at, now);
+            }
         } else {
             events.set(Events::BAD_MODEL, true);
         }
@@ -260,12 +300,34 @@ impl Chain {
         self.without_force(now, dt, events)
     }
 
-    /// `now`, not before the last tick, and the time since.
+    /// `now` in the chain's own time, which never runs backwards.
+    fn own_time(&self, now: ClientTime) -> ClientTime {
+        let own = now + self.ahead;
+        self.last_tick
+            .map_or(own, |last| own.max(last + self.ahead))
+    }
+
+    /// When a model was solved that is taken at `own` in the chain's own time: one that seems to come from the future was
+    /// stamped before the clock was put back.
+    fn in_own_time(&self, solved_at: ClientTime, own: ClientTime) -> ClientTime {
+        if solved_at + self.ahead > own {
+            solved_at + self.ahead_before
+        } else {
+            solved_at + self.ahead
+        }
+    }
+
+    /// The chain's own time at `now`, and what of it has passed since the last tick.
     fn step_time(&mut self, now: ClientTime) -> (ClientTime, Span) {
         let last = self.last_tick.unwrap_or(now);
-        let now = now.max(last);
+        let before = last + self.ahead;
+        if now < last {
+            self.ahead_before = self.ahead;
+            self.ahead = before + self.period - now;
+        }
         self.last_tick = Some(now);
-        (now, now - last)
+        let own = now + self.ahead;
+        (own, own - before)
     }
 
     /// What the device can hold of `wrench`. A torque that it does not render goes with the force.
@@ -312,7 +374,7 @@ impl Chain {
         let dt_up = dt.min(DT_UP_MAX);
         let model = self.blend.model();
         let is_outside = model.is_left_at(pose);
-        let age = now - model.solved_at;
+        let age = now - self.solved_at;
         let Watched {
             gain,
             is_stale,
@@ -381,7 +443,7 @@ impl Chain {
         Tick {
             wrench,
             events,
-            contact_age: now - self.blend.model().solved_at,
+            contact_age: now - self.solved_at,
         }
     }
 }

@@ -45,6 +45,13 @@ impl EnergyObserver {
         self.last = Some((pose, wrench));
     }
 
+    /// What pushes and turns the tool until the next call is `wrench`, and not what was said.
+    pub fn correct(&mut self, wrench: Wrench) {
+        if let Some((_, last)) = &mut self.last {
+            *last = wrench;
+        }
+    }
+
     /// The path is broken (a bad sample); the sum goes on from the next call.
     pub fn interrupt(&mut self) {
         self.last = None;

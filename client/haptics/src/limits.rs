@@ -68,6 +68,13 @@ impl Slew {
         self.now
     }
 
+    /// What stands at the device is `now` (N or N·m), whatever it was given: the next step is from there.
+    /// One that is not finite counts as none.
+    pub fn begin_at(&mut self, now: Vector3<f64>) {
+        let is_finite = now.iter().all(|c| c.is_finite());
+        self.now = if is_finite { now } else { Vector3::zeros() };
+    }
+
     /// Where [`towards`](Self::towards) would get in this tick, N or N·m.
     pub fn peek(&self, target: Vector3<f64>) -> Vector3<f64> {
         let mut ahead = *self;
@@ -101,6 +108,13 @@ impl WrenchSlew {
             force: self.force.now(),
             torque: self.torque.now(),
         }
+    }
+
+    /// What stands at the device is `wrench`, whatever it was given: the next steps are from there. What of it is not
+    /// finite counts as none.
+    pub fn begin_at(&mut self, wrench: &Wrench) {
+        self.force.begin_at(wrench.force);
+        self.torque.begin_at(wrench.torque);
     }
 
     /// Where [`towards`](Self::towards) would get in this tick.

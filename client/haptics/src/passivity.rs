@@ -313,6 +313,15 @@ impl Passivity {
         }
     }
 
+    /// What pushes the tool until the next tick is `force` (N), and not what was given: the device has clamped it, or
+    /// taken it away. So is what turns it `torque` (N·m), where the device renders any.
+    pub fn correct(&mut self, force: Vector3<f64>, torque: Option<Vector3<f64>>) {
+        if let Some(last) = &mut self.last {
+            last.wrench.force = force;
+            last.wrench.torque = torque.unwrap_or(last.wrench.torque);
+        }
+    }
+
     /// What is given until the next tick.
     pub fn give(&mut self, given: Given) {
         if !given.touches {

@@ -5,7 +5,7 @@
 use nalgebra::{Matrix3, Vector3};
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::script::{Hand, Tool, WayPoint};
-use palpate_device::{DeviceTime, Faults, HapticDevice, Pose, Sample, Script};
+use palpate_device::{DeviceTime, Faults, HapticDevice, Pose, Sample, Script, Wrench};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Events, Tick, Touch};
 use palpate_protocol::ClientTime;
 use proptest::prelude::*;
@@ -249,6 +249,89 @@ fn a_pause_of_the_thread_skips_no_ramp() {
         last = tick.wrench.force;
     }
     assert!(last.norm() < 6.0 * 0.14, "{} N", last.norm());
+}
+
+#[test]
+fn a_clock_that_is_put_back_keeps_no_old_force_alive() {
+    let at_rest = sample(Vector3::zeros());
+    for back_ms in [1, 5, 9, 40, 5000] {
+        // The solver is gone.
+        let (mut chain, t0) = holding(8.0);
+        let last = pressed(ms(t0), 8.0);
+        chain.tick(ms(t0), &at_rest, &last);
+        let zero_at = fades(|t| chain.tick(ms(t0 + t - back_ms), &at_rest, &last), 150);
+        assert!(
+            zero_at > 75,
+            "{zero_at} ms after a step of {back_ms} ms back"
+        );
+        // So is the force when the last model was on its way meanwhile.
+        let (mut chain, t0) = holding(8.0);
+        let mut left = 8.0;
+        for t in 1..=150 {
+            let tick = chain.tick(ms(t0 + t - back_ms), &at_rest, &last);
+            left = tick.wrench.force.norm();
+        }
+        assert_eq!(left, 0.0, "after a step of {back_ms} ms back");
+        // The link is, and was lost before the clock was put back; the solver is well.
+        let (mut chain, t0) = holding(8.0);
+        chain.link_lost(ms(t0));
+        chain.tick(ms(t0), &at_rest, &pressed(ms(t0), 8.0));
+        let model = |t| ContactModel {
+            // Who presses does not notice the clock.
+            others_j: pressed(ms(t0 + t), 8.0).others_j,
+            ..pressed(ms(t0 + t - back_ms), 8.0)
+        };
+        fades(
+            |t| chain.tick(ms(t0 + t - back_ms), &at_rest, &model(t)),
+            100,
+        );
+    }
+}
+
+#[test]
+fn after_a_step_of_the_clock_new_models_are_felt_as_before() {
+    for jump_ms in [-5000, -3, 3, 5000] {
+        let (mut chain, t0) = holding(4.0);
+        let mut last = Vector3::zeros();
+        for t in 0..200 {
+            let now = ms(t0 + t + jump_ms);
+            let tick = chain.tick(now, &sample(Vector3::zeros()), &pressed(now, 4.0));
+            last = tick.wrench.force;
+        }
+        assert!((last.z - 4.0).abs() < 1e-9, "{last:?} after {jump_ms} ms");
+    }
+}
+
+#[test]
+fn the_next_step_begins_at_what_the_device_renders() {
+    let at_rest = sample(Vector3::zeros());
+    for there in [0.0, 2.5] {
+        let (mut chain, t0) = holding(8.0);
+        let rendered = Wrench::from_force(Vector3::new(0.0, 0.0, there));
+        chain.goes_on_from(&rendered);
+        let tick = chain.tick(ms(t0), &at_rest, &pressed(ms(t0), 8.0));
+        let z = tick.wrench.force.z;
+        assert!(
+            (z - there - chain.slew_step_n()).abs() < 1e-9,
+            "{z} N from {there} N"
+        );
+        // And after a cut over the soft start as well.
+        let (mut chain, t0) = holding(8.0);
+        chain.cut_to(&rendered);
+        let mut last = 0.0;
+        for t in t0..t0 + 500 {
+            last = chain
+                .tick(ms(t), &at_rest, &pressed(ms(t), 8.0))
+                .wrench
+                .force
+                .z;
+        }
+        assert!((last - 4.0).abs() < 0.1, "half way: {last} N");
+    }
+    let (mut chain, _) = holding(8.0);
+    chain.goes_on_from(&Wrench::from_force(Vector3::repeat(f64::NAN)));
+    let tick = chain.tick_without_sample(ms(2000));
+    assert_eq!(tick.wrench, Wrench::ZERO, "no number is no force");
 }
 
 #[test]

@@ -10,9 +10,11 @@
 //! ```
 //!
 //! [`spawn`] starts it, [`HapticHandle`] steers it, [`HapticHandle::stop`] ramps the force down,
-//! closes the device and hands out the [`LoopSummary`]. All `unsafe` of the client is in `sys`.
+//! closes the device and hands out the [`LoopSummary`]. What a turn does is [`HandLoop`], which
+//! knows neither thread nor clock, on the grid of [`Pace`]. All `unsafe` of the client is in `sys`.
 
 mod clock;
+mod hand_loop;
 mod handle;
 mod pace;
 mod priority;
@@ -24,8 +26,10 @@ mod thread;
 mod trace;
 
 pub use clock::{device_time, monotonic_now, sleep_until, worked};
+pub use hand_loop::{DeviceCounts, ENABLE_EVERY, Frame, HandLoop, Turned, Wishes};
 pub use handle::{HapticHandle, LoopSummary};
+pub use pace::Pace;
 pub use priority::{Priority, lower_priority_of_this_thread};
 pub use stats::{LoopStats, Percentiles};
-pub use thread::{Frame, HapticPorts, RealtimeConfig, SpawnError, spawn};
+pub use thread::{HapticPorts, RealtimeConfig, SpawnError, spawn};
 pub use trace::{Trace, TracePoint};

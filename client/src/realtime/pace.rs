@@ -4,9 +4,10 @@ use palpate_protocol::{ClientTime, Span};
 
 /// Absolute deadlines on a fixed grid. A tick that ends after later deadlines skips them: a late
 /// loop goes on at the next point of the grid and never bursts to catch up, because two ticks at
-/// once would give the hand one force for two moments.
+/// once would give the hand one force for two moments. Nor does it wait for a clock that was put
+/// back: then the grid begins anew.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Pace {
+pub struct Pace {
     period: Span,
     deadline: ClientTime,
     missed: u64,
@@ -14,7 +15,7 @@ pub(super) struct Pace {
 
 impl Pace {
     /// The first deadline is one `period` after `now`.
-    pub(super) fn new(now: ClientTime, period: Span) -> Self {
+    pub fn new(now: ClientTime, period: Span) -> Self {
         Self {
             period,
             deadline: now + period,
@@ -23,17 +24,17 @@ impl Pace {
     }
 
     /// When the next tick is due.
-    pub(super) fn deadline(&self) -> ClientTime {
+    pub fn deadline(&self) -> ClientTime {
         self.deadline
     }
 
     /// Deadlines that were skipped so far.
-    pub(super) fn missed(&self) -> u64 {
+    pub fn missed(&self) -> u64 {
         self.missed
     }
 
     /// The tick of the present deadline ended at `now`.
-    pub(super) fn done(&mut self, now: ClientTime) {
+    pub fn done(&mut self, now: ClientTime) {
         self.deadline = self.deadline + self.period;
         let over = (now - self.deadline).as_micros();
         if over >= 0 {
@@ -41,6 +42,7 @@ impl Pace {
             self.missed += skipped as u64;
             self.deadline = self.deadline + Span::from_micros(skipped * self.period.as_micros());
         }
+        self.deadline = self.deadline.min(now + self.period);
     }
 }
 
@@ -71,5 +73,13 @@ mod tests {
         assert_eq!((pace.deadline(), pace.missed()), (at(5_000), 3));
         pace.done(at(6_000));
         assert_eq!((pace.deadline(), pace.missed()), (at(7_000), 4));
+    }
+
+    #[test]
+    fn a_clock_that_is_put_back_is_not_waited_for() {
+        let mut pace = Pace::new(at(9_000_000), Span::from_millis(1));
+        pace.done(at(9_001_100));
+        pace.done(at(4_000_000));
+        assert_eq!((pace.deadline(), pace.missed()), (at(4_001_000), 0));
     }
 }

@@ -4,6 +4,8 @@ use hdrhistogram::Histogram;
 use palpate_haptics::Counters;
 use palpate_protocol::{ClientTime, Span};
 
+use super::hand_loop::DeviceCounts;
+
 /// The longest lateness or computing time that is told apart, µs; longer ones count as this.
 const MAX_US: u64 = 10_000_000;
 
@@ -51,12 +53,8 @@ pub struct LoopStats {
     pub force_n: f64,
     /// What the chain met; its largest change of force per tick among it.
     pub counters: Counters,
-    /// Ticks in which the device could not be read.
-    pub device_faults: u64,
-    /// Wrenches that the device clamped.
-    pub device_saturated: u64,
-    /// Wrenches that the device refused.
-    pub device_rejected: u64,
+    /// What the device did beside rendering.
+    pub device: DeviceCounts,
     /// Frames that found the ring to the network full and were dropped.
     pub frames_dropped: u64,
 }

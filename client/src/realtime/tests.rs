@@ -174,7 +174,7 @@ fn a_device_that_does_not_answer_gets_no_force_and_the_loop_goes_on() {
         ticks > 1000
     });
     let summary = handle.stop();
-    assert_eq!(summary.stats.device_faults, 100);
+    assert_eq!(summary.stats.device.faults, 100);
     // And one tick in which forces are switched on again, as the driver has switched them off.
     assert_eq!(summary.stats.counters.faulted, 101);
     let diary = diary.lock().unwrap();

@@ -1,32 +1,25 @@
-//! The loop itself: wait, read, tick, write, hand over.
+//! The thread: it waits, lets the [`HandLoop`] take a turn, and hands over what came of it.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 
-use palpate_device::{ClockOwner, Faults, ForceState, HapticDevice, Pose, Sample, Wrench, Written};
-use palpate_haptics::{Chain, ContactModel, Events};
-use palpate_protocol::{ClientTime, Span};
+use palpate_device::{ClockOwner, HapticDevice};
+use palpate_haptics::{Chain, ContactModel};
+use palpate_protocol::Span;
 use triple_buffer::{Input, Output, triple_buffer};
 
+use super::clock;
+use super::hand_loop::{Frame, HandLoop, Turned, Wishes};
 use super::handle::{HapticHandle, LoopSummary};
 use super::pace::Pace;
 use super::priority::{Priority, raise_this_thread};
 use super::stats::{LoopStats, Meter};
 use super::trace::{Trace, TracePoint};
-use super::{clock, device_time};
 
 /// How often the statistics are published.
 const STATS_EVERY: Span = Span::from_millis(250);
-
-/// How often a device whose forces are off is asked to switch them on again: a board that failed once may be back, and
-/// a device that was not calibrated may be now.
-const ENABLE_EVERY: Span = Span::from_millis(1000);
-
-/// After a stop is asked for, the ticks the force has to come down before the device is closed
-/// all the same. The chain needs 100.
-const STOP_TICKS_MAX: u32 = 150;
 
 /// How the thread runs.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,22 +52,6 @@ impl Default for RealtimeConfig {
             recording: true,
         }
     }
-}
-
-/// One tick as others see it. It crosses threads whole.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Frame {
-    /// When the tick was, on the client's clock.
-    pub time: ClientTime,
-    /// What the device said; after a failed reading the last sample, with
-    /// [`Faults::UNTRUSTED_POSE`].
-    pub sample: Sample,
-    /// What was written to the device.
-    pub wrench: Wrench,
-    /// What happened.
-    pub events: Events,
-    /// Age of the contact model that was used.
-    pub contact_age: Span,
 }
 
 /// The ends of the thread's buffers. Each goes to the one thread that uses it.
@@ -125,13 +102,7 @@ pub fn spawn(
         });
     }
     let now = clock::monotonic_now();
-    let frame = Frame {
-        time: now,
-        sample: Sample::resting(device_time(now), Pose::default()),
-        wrench: Wrench::ZERO,
-        events: Events::NONE,
-        contact_age: Span::ZERO,
-    };
+    let frame = Frame::before(now);
     let control = Arc::new(Control {
         stop: AtomicBool::new(false),
         link_lost: AtomicBool::new(false),
@@ -143,8 +114,7 @@ pub fn spawn(
     let (stats_in, stats_out) = triple_buffer(&LoopStats::default());
     let (ring_in, ring_out) = rtrb::RingBuffer::new(config.ring_frames.max(1));
     let haptic_loop = HapticLoop {
-        device,
-        chain,
+        hand: HandLoop::new(device, chain, config.period, now),
         control: Arc::clone(&control),
         models: models_out,
         newest: newest_in,
@@ -153,9 +123,6 @@ pub fn spawn(
         stats: stats_in,
         meter: Meter::new(now),
         trace: Trace::new(config.trace_every, config.trace_points_max),
-        last: frame,
-        link_is_lost: false,
-        enable_at: now,
     };
     let (tell, told) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new()
@@ -179,8 +146,7 @@ pub fn spawn(
 }
 
 struct HapticLoop {
-    device: Box<dyn HapticDevice>,
-    chain: Chain,
+    hand: HandLoop,
     control: Arc<Control>,
     models: Output<ContactModel>,
     newest: Input<Frame>,
@@ -189,10 +155,6 @@ struct HapticLoop {
     stats: Input<LoopStats>,
     meter: Meter,
     trace: Trace,
-    last: Frame,
-    link_is_lost: bool,
-    /// When forces may be asked for again.
-    enable_at: ClientTime,
 }
 
 impl HapticLoop {
@@ -202,7 +164,7 @@ impl HapticLoop {
         let mut pace = Pace::new(began, period);
         // Neither a panic of ours nor one of a driver may leave a force standing.
         let outcome = catch_unwind(AssertUnwindSafe(|| self.live(&mut pace)));
-        let closed = catch_unwind(AssertUnwindSafe(|| self.device.close()));
+        let closed = catch_unwind(AssertUnwindSafe(|| self.hand.close()));
         let panicked = outcome.and(closed).err().map(|p| message_of(p.as_ref()));
         let stats = self.meter.snapshot(clock::monotonic_now(), pace.missed());
         self.stats.write(stats);
@@ -219,94 +181,42 @@ impl HapticLoop {
 
     /// From enabled forces to zero force.
     fn live(&mut self, pace: &mut Pace) {
-        if self.device.enable_forces(true).is_err() {
-            self.meter.stats.device_faults += 1;
-        }
+        self.hand.begin();
         let mut publish_at = pace.deadline() + STATS_EVERY;
-        let mut ticks_to_stop = STOP_TICKS_MAX;
         loop {
             let deadline = pace.deadline();
             clock::sleep_until(deadline);
             let woke = clock::monotonic_now();
-            self.steer(woke);
-            self.tick(woke);
+            let turned = self.hand.turn(woke, self.wishes(), self.models.read());
+            self.hand_over(turned);
             let done = clock::monotonic_now();
             self.meter.record(deadline, woke, done);
             pace.done(done);
-            if done >= publish_at {
+            // A clock that was put back makes no status line wait.
+            if done >= publish_at || publish_at - done > STATS_EVERY {
                 publish_at = done + STATS_EVERY;
                 let stats = self.meter.snapshot(done, pace.missed());
                 self.stats.write(stats);
             }
-            if self.control.stop.load(Ordering::Acquire) {
-                ticks_to_stop -= 1;
-                if ticks_to_stop == 0 || self.last.wrench == Wrench::ZERO {
-                    return;
-                }
+            if turned.is_over {
+                return;
             }
         }
     }
 
-    /// Follows the flags of the handle: a stop fades the force as a lost link does.
-    fn steer(&mut self, now: ClientTime) {
-        let lost = self.control.link_lost.load(Ordering::Acquire)
-            || self.control.stop.load(Ordering::Acquire);
-        if lost && !self.link_is_lost {
-            self.chain.link_lost(now);
-        } else if !lost && self.link_is_lost {
-            self.chain.link_restored(now);
-        }
-        self.link_is_lost = lost;
-    }
-
-    /// One tick: read, compute, write, hand over.
-    fn tick(&mut self, now: ClientTime) {
-        let reading = self.device.read(device_time(now));
-        let (sample, tick) = if let Ok(sample) = &reading {
-            if self.device.caps().dof_out > 0 && self.device.force_state() == ForceState::Off {
-                self.enable_again(now);
-                (*sample, self.chain.tick_without_sample(now))
-            } else {
-                (*sample, self.chain.tick(now, sample, self.models.read()))
-            }
-        } else {
-            self.meter.stats.device_faults += 1;
-            let last = self.last.sample;
-            let untrusted = Sample {
-                faults: last.faults.with(Faults::UNTRUSTED_POSE),
-                ..last
-            };
-            (untrusted, self.chain.tick_without_sample(now))
-        };
-        match self.device.write(device_time(now), tick.wrench) {
-            Written::Applied => {}
-            Written::Saturated { .. } => self.meter.stats.device_saturated += 1,
-            Written::Rejected(_) => self.meter.stats.device_rejected += 1,
-        }
-        let frame = Frame {
-            time: now,
-            sample,
-            wrench: tick.wrench,
-            events: tick.events,
-            contact_age: tick.contact_age,
-        };
-        self.hand_over(frame, reading.is_ok());
-    }
-
-    /// Asks for forces again, now and then. Until they are on the chain gives none, and its soft start begins after.
-    fn enable_again(&mut self, now: ClientTime) {
-        if now >= self.enable_at {
-            self.enable_at = now + ENABLE_EVERY;
-            if self.device.enable_forces(true).is_err() {
-                self.meter.stats.device_faults += 1;
-            }
+    /// What the handle wants.
+    fn wishes(&self) -> Wishes {
+        Wishes {
+            link_lost: self.control.link_lost.load(Ordering::Acquire),
+            stop: self.control.stop.load(Ordering::Acquire),
         }
     }
 
-    fn hand_over(&mut self, frame: Frame, is_good: bool) {
+    fn hand_over(&mut self, turned: Turned) {
+        let frame = turned.frame;
         self.newest.write(frame);
         self.view.write(frame);
-        if is_good && self.frames.push(frame).is_err() {
+        if turned.is_good && self.frames.push(frame).is_err() {
             self.meter.stats.frames_dropped += 1;
         }
         if self.control.recording.load(Ordering::Relaxed) {
@@ -318,8 +228,8 @@ impl HapticLoop {
             });
         }
         self.meter.stats.force_n = frame.wrench.force.norm();
-        self.meter.stats.counters = *self.chain.counters();
-        self.last = frame;
+        self.meter.stats.counters = *self.hand.chain().counters();
+        self.meter.stats.device = self.hand.counts();
     }
 }
 

@@ -60,7 +60,7 @@ impl Bench {
             let centre = tool.centre + by;
             last = Some(self.press(Tool { centre, ..tool }));
         }
-        last.unwrap()
+        last.expect("a press has a step")
     }
 }
 

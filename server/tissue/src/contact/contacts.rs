@@ -200,13 +200,7 @@ impl Contacts {
     #[inline]
     fn offset(&self, sample: &Sample, u: &[Vec3]) -> (Vec3, f64) {
         let proxy = &self.proxies[sample.proxy as usize];
-        (proxy.core.towards(&self.position(sample, u)), proxy.radius)
-    }
-
-    /// Where a sample is.
-    #[inline]
-    pub(super) fn position(&self, sample: &Sample, u: &[Vec3]) -> Vec3 {
-        sample.rest + blend(&sample.nodes.map(|n| u[n as usize]), &sample.weights)
+        (proxy.core.towards(&sample.position(u)), proxy.radius)
     }
 
     /// The samples along shapes `u + (s - at) by`.
@@ -214,7 +208,7 @@ impl Contacts {
         let moves: Vec<Vec3> = self.nodes.iter().map(|&n| by(n)).collect();
         let row = |sample: &Sample| {
             let by = blend(&sample.nodes.map(|n| moves[self.place(n)]), &sample.weights);
-            let x = self.position(sample, u);
+            let x = sample.position(u);
             let proxy = &self.proxies[sample.proxy as usize];
             Row {
                 from: x - proxy.core.mid - by * at,

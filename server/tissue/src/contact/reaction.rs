@@ -149,9 +149,9 @@ impl Contacts {
         let parts = proxy.core.places(proxy.radius, topology.model().spacing_m);
         let (mut felt, mut nearest) = (Vec::new(), None::<f64>);
         for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
-            let on_core = proxy.core.nearest(&self.position(sample, u));
+            let on_core = proxy.core.nearest(&sample.position(u));
             let c = proxy.core.at(on_core);
-            let (depth, n) = depth(self.position(sample, u) - c, proxy.radius);
+            let (depth, n) = depth(sample.position(u) - c, proxy.radius);
             nearest = Some(nearest.map_or(depth, |d| d.max(depth)));
             if depth > 0.0 {
                 let amount = sample.stiffness * depth;
@@ -201,7 +201,7 @@ impl Contacts {
         for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
             let (depth, _) = self.press(sample, u);
             if depth > 0.0 {
-                let on_core = proxy.core.nearest(&self.position(sample, u));
+                let on_core = proxy.core.nearest(&sample.position(u));
                 at += proxy.core.at(on_core) * (sample.stiffness * depth);
                 sum += sample.stiffness * depth;
             }

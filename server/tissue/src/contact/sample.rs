@@ -43,6 +43,14 @@ pub(crate) struct Sample {
     pub(super) depth_before: f64,
 }
 
+impl Sample {
+    /// Where it is.
+    #[inline]
+    pub(super) fn position(&self, u: &[Vec3]) -> Vec3 {
+        self.rest + blend(&self.nodes.map(|n| u[n as usize]), &self.weights)
+    }
+}
+
 /// Depth in m, below zero where it is off its tool, and direction into the tissue, of what is at `v` from the core
 /// of a tool.
 #[inline]

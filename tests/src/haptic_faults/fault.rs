@@ -1,0 +1,302 @@
+//! The faults: what breaks, for how long, and how badly.
+
+use std::fmt;
+
+use rand::RngExt;
+use rand_pcg::Pcg64;
+use serde::Serialize;
+
+/// What kind of thing breaks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Class {
+    /// The solver gives no contact model for a while.
+    SolverStall,
+    /// The link to the session is lost and comes back.
+    LinkLost,
+    /// Contact models hold numbers that are none, or beyond all measure.
+    BadModels,
+    /// Poses hold numbers that are none, or beyond all measure.
+    BadPoses,
+    /// The device is unplugged in contact, and plugged in again.
+    Unplugged,
+    /// The device refuses what is written.
+    Refused,
+    /// The device gives less than it is asked for.
+    Clamped,
+    /// The process is stopped and continued.
+    Stopped,
+    /// The machine's clock jumps ahead.
+    ClockAhead,
+    /// The machine's clock is put back.
+    ClockBack,
+    /// Two to four of the others, at once.
+    Several,
+}
+
+impl Class {
+    /// All of them.
+    pub const ALL: [Self; 11] = [
+        Self::SolverStall,
+        Self::LinkLost,
+        Self::BadModels,
+        Self::BadPoses,
+        Self::Unplugged,
+        Self::Refused,
+        Self::Clamped,
+        Self::Stopped,
+        Self::ClockAhead,
+        Self::ClockBack,
+        Self::Several,
+    ];
+
+    /// The class of a seed: they take turns.
+    pub fn of_seed(seed: u64) -> Self {
+        Self::ALL[(seed % Self::ALL.len() as u64) as usize]
+    }
+
+    /// Its name.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::SolverStall => "solver-stall",
+            Self::LinkLost => "link-lost",
+            Self::BadModels => "bad-models",
+            Self::BadPoses => "bad-poses",
+            Self::Unplugged => "unplugged",
+            Self::Refused => "refused",
+            Self::Clamped => "clamped",
+            Self::Stopped => "stopped",
+            Self::ClockAhead => "clock-ahead",
+            Self::ClockBack => "clock-back",
+            Self::Several => "several",
+        }
+    }
+}
+
+impl fmt::Display for Class {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.word())
+    }
+}
+
+/// How a contact model is wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BadModel {
+    /// A force that is not a number.
+    ForceNan,
+    /// A stiffness that is not finite.
+    StiffnessInfinite,
+    /// A normal that is none.
+    NormalZero,
+    /// A force as large as numbers go.
+    ForceMax,
+    /// A force a thousand times too large, which is still a number one could mean.
+    ForceThousandfold,
+    /// A normal that points anywhere.
+    NormalAnywhere,
+    /// Stamped an hour ahead.
+    FromTheFuture,
+    /// Work of others that nobody has done.
+    WorkOfOthers,
+}
+
+impl BadModel {
+    const ALL: [Self; 8] = [
+        Self::ForceNan,
+        Self::StiffnessInfinite,
+        Self::NormalZero,
+        Self::ForceMax,
+        Self::ForceThousandfold,
+        Self::NormalAnywhere,
+        Self::FromTheFuture,
+        Self::WorkOfOthers,
+    ];
+}
+
+/// How a pose is wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BadPose {
+    /// A position that is not a number.
+    PositionNan,
+    /// A velocity without end.
+    VelocityInfinite,
+    /// A position on the moon.
+    FarAway,
+    /// A turn that is not a number.
+    TurnNan,
+}
+
+impl BadPose {
+    const ALL: [Self; 4] = [
+        Self::PositionNan,
+        Self::VelocityInfinite,
+        Self::FarAway,
+        Self::TurnNan,
+    ];
+}
+
+/// What breaks.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum What {
+    /// See [`Class::SolverStall`].
+    SolverStall,
+    /// See [`Class::LinkLost`].
+    LinkLost,
+    /// See [`Class::BadModels`]; every `every`-th of them.
+    BadModels {
+        /// How.
+        how: BadModel,
+        /// 1 for all.
+        every: u32,
+    },
+    /// See [`Class::BadPoses`]; every `every`-th of them.
+    BadPoses {
+        /// How.
+        how: BadPose,
+        /// 1 for all.
+        every: u32,
+    },
+    /// See [`Class::Unplugged`].
+    Unplugged {
+        /// Whether its motors are off when it is back, until they are switched on.
+        forgets: bool,
+    },
+    /// See [`Class::Refused`]; every `every`-th write.
+    Refused {
+        /// 1 for all.
+        every: u32,
+    },
+    /// See [`Class::Clamped`].
+    Clamped {
+        /// To so many newtons.
+        to_n: f64,
+    },
+    /// See [`Class::Stopped`].
+    Stopped,
+    /// The clock goes on `by_us` µs later or, below zero, earlier.
+    Clock {
+        /// µs.
+        by_us: i64,
+    },
+}
+
+impl What {
+    /// Its kind.
+    pub fn class(self) -> Class {
+        match self {
+            Self::SolverStall => Class::SolverStall,
+            Self::LinkLost => Class::LinkLost,
+            Self::BadModels { .. } => Class::BadModels,
+            Self::BadPoses { .. } => Class::BadPoses,
+            Self::Unplugged { .. } => Class::Unplugged,
+            Self::Refused { .. } => Class::Refused,
+            Self::Clamped { .. } => Class::Clamped,
+            Self::Stopped => Class::Stopped,
+            Self::Clock { by_us } if by_us < 0 => Class::ClockBack,
+            Self::Clock { .. } => Class::ClockAhead,
+        }
+    }
+}
+
+/// A fault and its time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fault {
+    /// What breaks.
+    pub what: What,
+    /// When it begins, µs of the run.
+    pub from_us: i64,
+    /// When it is over, µs of the run.
+    pub until_us: i64,
+}
+
+impl Fault {
+    /// A fault of a class (not [`Class::Several`]) that begins at `from_us`.
+    pub(super) fn random(class: Class, from_us: i64, rng: &mut Pcg64) -> Self {
+        let lasts_us = 1000
+            * match class {
+                Class::Stopped if rng.random_bool(0.3) => rng.random_range(500..=10_000),
+                Class::Stopped => rng.random_range(50..=500),
+                Class::LinkLost | Class::Unplugged => rng.random_range(10..=1_000),
+                Class::ClockAhead | Class::ClockBack => 0,
+                _ => rng.random_range(10..=500),
+            };
+        Self {
+            what: what(class, rng),
+            from_us,
+            until_us: from_us + lasts_us,
+        }
+    }
+
+    /// Whether it is there at `us`. A jump of the clock has no length.
+    pub fn is_on(&self, us: i64) -> bool {
+        (self.from_us..self.until_us).contains(&us)
+    }
+}
+
+fn what(class: Class, rng: &mut Pcg64) -> What {
+    let every = if rng.random_bool(0.6) {
+        1
+    } else {
+        rng.random_range(2..=6)
+    };
+    match class {
+        Class::SolverStall | Class::Several => What::SolverStall,
+        Class::LinkLost => What::LinkLost,
+        Class::BadModels => What::BadModels {
+            how: BadModel::ALL[rng.random_range(0..BadModel::ALL.len())],
+            every,
+        },
+        Class::BadPoses => What::BadPoses {
+            how: BadPose::ALL[rng.random_range(0..BadPose::ALL.len())],
+            every,
+        },
+        Class::Unplugged => What::Unplugged {
+            forgets: rng.random_bool(0.7),
+        },
+        Class::Refused => What::Refused { every },
+        Class::Clamped => What::Clamped {
+            to_n: rng.random_range(0.0..3.0),
+        },
+        Class::Stopped => What::Stopped,
+        Class::ClockAhead => What::Clock {
+            by_us: jump_us(rng),
+        },
+        Class::ClockBack => What::Clock {
+            by_us: -jump_us(rng),
+        },
+    }
+}
+
+/// From 2 ms to 10 s, the small ones as likely as the large: 2 ms is hardly more than a late tick.
+fn jump_us(rng: &mut Pcg64) -> i64 {
+    10f64.powf(rng.random_range(3.3..7.0)) as i64
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let every = |n: u32| {
+            if n == 1 {
+                String::new()
+            } else {
+                format!(", one of {n}")
+            }
+        };
+        match self.what {
+            What::SolverStall => write!(f, "the solver stalls")?,
+            What::LinkLost => write!(f, "the link is lost")?,
+            What::BadModels { how, every: n } => write!(f, "bad models ({how:?}{})", every(n))?,
+            What::BadPoses { how, every: n } => write!(f, "bad poses ({how:?}{})", every(n))?,
+            What::Unplugged { forgets: true } => write!(f, "unplugged, motors off when back")?,
+            What::Unplugged { forgets: false } => write!(f, "unplugged")?,
+            What::Refused { every: n } => write!(f, "writes refused{}", every(n))?,
+            What::Clamped { to_n } => write!(f, "clamped to {to_n:.1} N")?,
+            What::Stopped => write!(f, "the process is stopped")?,
+            What::Clock { by_us } => write!(f, "the clock jumps by {} ms", by_us / 1000)?,
+        }
+        let lasts_ms = (self.until_us - self.from_us) / 1000;
+        if lasts_ms > 0 {
+            write!(f, ", {lasts_ms} ms")?;
+        }
+        Ok(())
+    }
+}

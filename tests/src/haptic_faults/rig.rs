@@ -1,0 +1,340 @@
+//! A device that breaks when it is told to, and remembers what it was told.
+//!
+//! The hand in it lives in the time of the run, whatever the clock of the program says.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use palpate_device::backend::sim::{CATCH_UP_MAX_US, SimHand};
+use palpate_device::{
+    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice,
+    Rejection, Sample, Wrench, Written,
+};
+
+use super::fault::{BadPose, What};
+
+/// What a driver answers while its device is not there.
+const GONE: Rejection = Rejection::Driver { code: -1 };
+
+/// A device's own watchdog: without a write it takes the force away.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SelfCut {
+    /// After so long, µs.
+    pub after_us: i64,
+    /// Whether the motors stay off until they are switched on.
+    pub turns_off: bool,
+}
+
+/// How a device and its driver behave.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Driver {
+    /// Whether forces come up over 100 ms after they were switched on, or at once.
+    pub ramps: bool,
+    /// Whether the hand is somewhere else, and says so, after a pause of more than a second.
+    pub leaps_after_pause: bool,
+    /// What it does without writes; `None`: it renders the last wrench for ever.
+    pub watchdog: Option<SelfCut>,
+}
+
+/// What a write did.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Write {
+    /// What was asked for.
+    pub asked: Wrench,
+    /// What the device rendered right before.
+    pub before: Wrench,
+    /// What it rendered right after.
+    pub after: Wrench,
+    /// Whether the device did as it was asked: it neither refused nor clamped.
+    pub obeyed: bool,
+    /// Whether the motors were on and not ramping.
+    pub is_on: bool,
+}
+
+/// What happened at the device so far.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Log {
+    /// The last write; taken by who looks.
+    pub write: Option<Write>,
+    /// Readings that failed.
+    pub unread: u64,
+    /// Readings with numbers that are none.
+    pub bad_poses: u64,
+    /// Writes that it refused.
+    pub refused: u64,
+    /// Writes that it clamped.
+    pub clamped: u64,
+    /// The force that it took away by itself since who looks took this, N.
+    pub cut_n: f64,
+    /// Writes that were no numbers.
+    pub nan_written: u64,
+    /// Calls with a time before that of the call before.
+    pub times_back: u64,
+}
+
+/// What the run does to the device, and what it sees of it.
+#[derive(Debug, Clone, Default)]
+pub struct Bench {
+    /// The time of the run, µs.
+    pub now_us: i64,
+    /// What is broken now.
+    pub faults: Vec<What>,
+    /// What happened.
+    pub log: Log,
+}
+
+/// The run's hold on its device.
+#[derive(Debug, Clone, Default)]
+pub struct Hold(Arc<Mutex<Bench>>);
+
+impl Hold {
+    /// The bench; nobody holds it for long.
+    pub fn bench(&self) -> MutexGuard<'_, Bench> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The device.
+pub struct Rig {
+    hand: SimHand,
+    driver: Driver,
+    hold: Hold,
+    /// For a driver without a ramp, whose hand is always on.
+    on: bool,
+    is_plugged: bool,
+    last_write_us: i64,
+    last_read_us: i64,
+    last_told: DeviceTime,
+    reads: u32,
+    writes: u32,
+    /// Added to every write: a device that jerks, for tests of those who look.
+    jerk: Option<Jerk>,
+}
+
+/// A device that does what nobody asked it to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Jerk {
+    /// With this write.
+    pub write: u32,
+    /// By so many newtons.
+    pub by_n: f64,
+}
+
+impl Rig {
+    /// A rig around a hand, from the run's time `now_us` on.
+    pub fn new(hand: SimHand, driver: Driver, jerk: Option<Jerk>) -> (Self, Hold) {
+        let hold = Hold::default();
+        let rig = Self {
+            hand,
+            driver,
+            hold: hold.clone(),
+            on: false,
+            is_plugged: true,
+            last_write_us: 0,
+            last_read_us: 0,
+            last_told: DeviceTime::from_micros(i64::MIN),
+            reads: 0,
+            writes: 0,
+            jerk,
+        };
+        (rig, hold)
+    }
+
+    fn now(&self) -> DeviceTime {
+        DeviceTime::from_micros(self.hold.bench().now_us)
+    }
+
+    fn heard(&mut self, told: DeviceTime) {
+        self.hold.bench().log.times_back += u64::from(told < self.last_told);
+        self.last_told = told;
+    }
+
+    fn fault<T>(&self, find: impl Fn(&What) -> Option<T>) -> Option<T> {
+        self.hold.bench().faults.iter().find_map(find)
+    }
+
+    /// The force is gone at `at`, by the device's own doing.
+    fn drop_force(&mut self, at: DeviceTime, turns_off: bool) {
+        let stood = self.hand.rendered().force.norm();
+        let _ = self.hand.write(at, Wrench::ZERO);
+        self.hold.bench().log.cut_n += stood;
+        if turns_off {
+            self.on = false;
+            if self.driver.ramps {
+                // A simulated hand can be switched off at any time.
+                let _ = self.hand.enable_forces(false);
+            }
+        }
+    }
+
+    fn unplug_or_plug(&mut self, now: DeviceTime) {
+        let gone = self.fault(|what| match what {
+            What::Unplugged { forgets } => Some(*forgets),
+            _ => None,
+        });
+        if let Some(forgets) = gone
+            && self.is_plugged
+        {
+            self.drop_force(now, forgets);
+        }
+        self.is_plugged = gone.is_none();
+    }
+
+    /// Lets the hand live until `now`, with the watchdog at its time.
+    fn live_until(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
+        if let Some(watchdog) = self.driver.watchdog {
+            let at = DeviceTime::from_micros(self.last_write_us + watchdog.after_us);
+            if at < now && self.hand.rendered() != Wrench::ZERO {
+                self.hand.read(at)?;
+                self.drop_force(at, watchdog.turns_off);
+            }
+        }
+        if !self.driver.leaps_after_pause {
+            let mut at = self.last_read_us;
+            while at + CATCH_UP_MAX_US / 2 < now.as_micros() {
+                at += CATCH_UP_MAX_US / 2;
+                self.hand.read(DeviceTime::from_micros(at))?;
+            }
+        }
+        self.last_read_us = now.as_micros();
+        self.hand.read(now)
+    }
+}
+
+fn spoilt(mut sample: Sample, how: BadPose) -> Sample {
+    match how {
+        BadPose::PositionNan => sample.pose.position.x = f64::NAN,
+        BadPose::VelocityInfinite => sample.velocity.z = f64::INFINITY,
+        BadPose::FarAway => sample.pose.position.y = -3.8e8,
+        BadPose::TurnNan => sample.pose.orientation.as_mut_unchecked().coords.x = f64::NAN,
+    }
+    sample
+}
+
+impl HapticDevice for Rig {
+    fn caps(&self) -> &DeviceCaps {
+        self.hand.caps()
+    }
+
+    fn calibration(&self) -> Calibration {
+        self.hand.calibration()
+    }
+
+    fn clock(&self) -> ClockOwner {
+        self.hand.clock()
+    }
+
+    fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
+        if !self.is_plugged {
+            return Err(DeviceFault::Unplugged);
+        }
+        self.on = on;
+        if self.driver.ramps {
+            return self.hand.enable_forces(on);
+        }
+        if self.hand.force_state() == ForceState::Off {
+            self.hand.enable_forces(true)?;
+            // Its ramp runs while nothing is asked for yet, before the run begins.
+            let now = self.now();
+            let _ = self
+                .hand
+                .write(now.plus_micros(-CATCH_UP_MAX_US / 2), Wrench::ZERO);
+        }
+        Ok(())
+    }
+
+    fn force_state(&self) -> ForceState {
+        match (self.driver.ramps, self.on) {
+            (true, _) => self.hand.force_state(),
+            (false, true) => ForceState::On,
+            (false, false) => ForceState::Off,
+        }
+    }
+
+    fn read(&mut self, told: DeviceTime) -> Result<Sample, DeviceFault> {
+        self.heard(told);
+        let now = self.now();
+        let sample = self.live_until(now)?;
+        self.unplug_or_plug(now);
+        if !self.is_plugged {
+            self.hold.bench().log.unread += 1;
+            return Err(DeviceFault::Unplugged);
+        }
+        self.reads = self.reads.wrapping_add(1);
+        let reads = self.reads;
+        let bad = self.fault(|what| match what {
+            What::BadPoses { how, every } if reads.is_multiple_of(*every) => Some(*how),
+            _ => None,
+        });
+        let sample = Sample {
+            time: told,
+            ..sample
+        };
+        Ok(match bad {
+            Some(how) => {
+                self.hold.bench().log.bad_poses += 1;
+                spoilt(sample, how)
+            }
+            None => sample,
+        })
+    }
+
+    fn write(&mut self, told: DeviceTime, asked: Wrench) -> Written {
+        self.heard(told);
+        let now = self.now();
+        self.last_write_us = now.as_micros();
+        self.writes = self.writes.wrapping_add(1);
+        let writes = self.writes;
+        let before = self.hand.rendered();
+        let state = self.force_state();
+        let refuses = self.fault(|what| match what {
+            What::Refused { every } if writes.is_multiple_of(*every) => Some(()),
+            _ => None,
+        });
+        let limit = self.fault(|what| match what {
+            What::Clamped { to_n } => Some(*to_n),
+            _ => None,
+        });
+        let jerk = self.jerk.filter(|j| j.write == writes);
+        let done = if !self.is_plugged {
+            Written::Rejected(GONE)
+        } else if state == ForceState::Off {
+            Written::Rejected(Rejection::ForcesOff)
+        } else if !asked.is_finite() {
+            self.hold.bench().log.nan_written += 1;
+            Written::Rejected(Rejection::NotFinite)
+        } else if refuses.is_some() {
+            Written::Rejected(Rejection::Driver { code: 7 })
+        } else {
+            let norm = asked.force.norm();
+            let share = limit.filter(|n| norm > *n).map_or(1.0, |n| n / norm);
+            let mut given = asked.scaled(share);
+            given.force.z += jerk.map_or(0.0, |j| j.by_n);
+            match self.hand.write(now, given) {
+                Written::Applied if share < 1.0 => Written::Saturated { applied: given },
+                other => other,
+            }
+        };
+        if matches!(done, Written::Rejected(_)) {
+            let _ = self.hand.write(now, Wrench::ZERO);
+        }
+        let mut bench = self.hold.bench();
+        bench.log.refused += u64::from(matches!(done, Written::Rejected(_)));
+        bench.log.clamped += u64::from(matches!(done, Written::Saturated { .. }));
+        bench.log.write = Some(Write {
+            asked,
+            before,
+            after: self.hand.rendered(),
+            obeyed: done == Written::Applied,
+            is_on: state == ForceState::On,
+        });
+        done
+    }
+
+    fn rendered(&self) -> Wrench {
+        self.hand.rendered()
+    }
+
+    fn close(&mut self) {
+        self.hand.close();
+    }
+}
