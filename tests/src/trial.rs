@@ -27,7 +27,7 @@ use serde::Serialize;
 /// From one tick of the chain to the next.
 const TICK: Span = Span::from_millis(1);
 /// From one converged answer to the next, ms. It has no part in common with the haptic path's period.
-pub const CHECK_MS: i64 = 3;
+pub const CHECK_MS: i64 = 7;
 /// Rest before the path begins: the soft start of the chain is over then.
 const LEAD: Span = Span::from_millis(1200);
 /// Residual of what counts as converged: forces are then known to a part in a thousand or two.
@@ -310,7 +310,7 @@ impl Course {
         use std::fmt::Write as _;
         let mut csv = String::from(
             "t_s,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n,tx_nmm,ty_nmm,tz_nmm,slides,converged_fx_n,converged_fy_n,\
-             converged_fz_n,converged_tx_nmm,converged_ty_nmm,converged_tz_nmm,pressed_n\n",
+             converged_fz_n,converged_tx_nmm,converged_ty_nmm,converged_tz_nmm,pressed_n,residual\n",
         );
         for p in &self.points {
             let (x, f, t) = (p.position * 1e3, p.felt.force, p.felt.torque * 1e3);
@@ -340,11 +340,11 @@ impl Course {
                     let (f, t) = (all.force, all.torque * 1e3);
                     let _ = writeln!(
                         csv,
-                        ",{:.5},{:.5},{:.5},{:.4},{:.4},{:.4},{:.5}",
-                        f.x, f.y, f.z, t.x, t.y, t.z, truth.pressed_n
+                        ",{:.5},{:.5},{:.5},{:.4},{:.4},{:.4},{:.5},{:.1e}",
+                        f.x, f.y, f.z, t.x, t.y, t.z, truth.pressed_n, truth.residual
                     );
                 }
-                None => csv.push_str(",,,,,,,\n"),
+                None => csv.push_str(",,,,,,,,\n"),
             }
         }
         csv

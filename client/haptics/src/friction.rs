@@ -15,11 +15,18 @@
 //! Two coefficients and a tie are Lin 2007, chapter 4; the velocity band, the η and the dwell
 //! are ours, so that noise in the velocity does not make the contact chatter.
 //!
-//! Energy: shortening e by da along itself loses k e·da; a stiffness that rises keeps the force
-//! and shortens e, one that falls keeps e. So the tie never gives back more than was put in.
+//! A solver's stiffness goes up and down by a third from model to model while a tool slides over the lattice. The tie keeps
+//! its own unless that of the tissue is more, or less than [`FORGIVES`] of it: each fall would take some of the force of
+//! a tool that sticks, and none would give it back.
+//!
+//! Energy: shortening e by da along itself loses k e·da; a stiffness that rises keeps the force and shortens e, one
+//! that falls keeps k e². So the tie never gives back more than was put in.
 
 use nalgebra::Vector3;
 use palpate_protocol::Span;
+
+/// Share of a tie's stiffness down to which that of the tissue may fall before the tie follows.
+const FORGIVES: f64 = 0.6;
 
 /// The constants of stick and slip.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -49,7 +56,7 @@ pub struct Contact {
     pub normal: Vector3<f64>,
     /// What presses there from all sides (N), N, never negative.
     pub pressed: f64,
-    /// Tangential stiffness (k), N/m.
+    /// Tangential stiffness of the tissue, N/m.
     pub stiffness: f64,
     /// Tangential damping (B), N·s/m.
     pub damping: f64,
@@ -77,7 +84,7 @@ pub struct Friction {
     grip: Grip,
     /// e, m.
     stretch: Vector3<f64>,
-    /// The stiffness e was last used with, N/m.
+    /// The tie's stiffness (k), N/m.
     stiffness: f64,
     slow_for: Span,
 }
@@ -119,6 +126,7 @@ impl Friction {
         }
         if self.grip == Grip::Free {
             self.grip = Grip::Stick;
+            self.stiffness = contact.stiffness;
         } else {
             self.stretch_by(contact, moved);
         }
@@ -130,20 +138,25 @@ impl Friction {
     }
 
     fn stretch_by(&mut self, contact: &Contact, moved: &Vector3<f64>) {
-        let keep = (self.stiffness / contact.stiffness).min(1.0);
-        self.stretch = tangential(&(self.stretch * keep + moved), &contact.normal);
-        self.stiffness = contact.stiffness;
+        let ratio = self.stiffness / contact.stiffness;
+        if ratio < 1.0 {
+            self.stretch *= ratio;
+            self.stiffness = contact.stiffness;
+        } else if ratio * FORGIVES > 1.0 {
+            self.stretch *= ratio.sqrt();
+            self.stiffness = contact.stiffness;
+        }
+        self.stretch = tangential(&(self.stretch + moved), &contact.normal);
     }
 
     fn stick(&mut self, contact: &Contact, v_t: &Vector3<f64>) -> Vector3<f64> {
-        self.stiffness = contact.stiffness;
         let limit = contact.mu_static * contact.pressed;
-        if contact.stiffness * self.stretch.norm() > limit {
+        if self.stiffness * self.stretch.norm() > limit {
             self.grip = Grip::Slip;
             self.slow_for = Span::ZERO;
             return self.drag(contact);
         }
-        let pull = self.stretch * -contact.stiffness - v_t * contact.damping;
+        let pull = self.stretch * -self.stiffness - v_t * contact.damping;
         let n = pull.norm();
         if n > limit { pull * (limit / n) } else { pull }
     }
@@ -166,12 +179,12 @@ impl Friction {
 
     /// Shortens the tie to what dynamic friction holds; its pull, N.
     fn drag(&mut self, contact: &Contact) -> Vector3<f64> {
-        let longest = contact.mu_dynamic * contact.pressed / contact.stiffness;
+        let longest = contact.mu_dynamic * contact.pressed / self.stiffness;
         let n = self.stretch.norm();
         if n > longest {
             self.stretch *= longest / n;
         }
-        self.stretch * -contact.stiffness
+        self.stretch * -self.stiffness
     }
 }
 

@@ -22,7 +22,7 @@ const RADIUS_M: f64 = 8e-3;
 /// Lies along v, and is held at one end.
 const LINE: ToolDescription = ToolDescription {
     kind: ToolKind::Needle,
-    radius_m: 4e-3,
+    radius_m: 8e-3,
     length_m: 30e-3,
     width_m: 0.0,
 };
@@ -111,7 +111,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     };
     Ok(Outcome {
         caption: "The haptic path (a model every 4 ms at best, 1 ms of work each, one thread) against an independent solver \
-                  that converges at every third millisecond. Converged friction is drawn where the tool slides."
+                  that converges every seventh millisecond. Converged friction is drawn where the tool slides."
             .to_owned(),
         figures: json!({
             "experiment": "press", "nodes": model.nodes.len(),

@@ -133,7 +133,8 @@ fn on_a_slope_a_line_sticks_below_the_static_angle_and_slips_above() {
     for n in [1, 8, 16] {
         let (moved, slipped) = block_on_slope(n, 0.95);
         assert!(
-            !slipped && moved < MU[0] * 0.2 * 9.81 / 300.0,
+            // Two thirds of the stiffness along the normal hold it.
+            !slipped && moved < MU[0] * 0.2 * 9.81 / 200.0,
             "{n}: {moved} m"
         );
         let (moved, slipped) = block_on_slope(n, 1.05);
