@@ -35,8 +35,9 @@ pub const HAPTIC_WORK: Span = Span::from_micros(1000);
 /// Iterations at most; time ends most solves.
 const ITERATIONS: usize = 4;
 
-/// Residual at which the hand's solve ends: the force is then within a few percent.
-const HAPTIC_TOLERANCE: f64 = 3e-2;
+/// Residual at which the hand's solve ends: the force is then within a percent or two. With three times as much a
+/// line that is dragged at 50 mm/s over a thigh felt a force that was 6 % off instead of 4 %.
+const HAPTIC_TOLERANCE: f64 = 1e-2;
 
 /// Residual at which the hand's solve ends while the hand rests: time is there, and a force that
 /// stands still is felt for what it is.

@@ -39,7 +39,7 @@ pub const GREEN: &str = "#009e73";
 /// One line.
 #[derive(Debug, Clone)]
 pub struct Line {
-    /// What it is, for the legend.
+    /// What it is, for the legend; empty for a line that another one's entry stands for.
     pub name: String,
     /// Its colour.
     pub colour: &'static str,
@@ -194,7 +194,7 @@ impl Panel {
 
     fn legend(&self, svg: &mut String, y: f64) {
         let mut at = LEFT;
-        for line in &self.lines {
+        for line in self.lines.iter().filter(|l| !l.name.is_empty()) {
             let dash = dash(line.dashed);
             let (colour, end, middle) = (line.colour, at + 22.0, y - 4.0);
             let _ = writeln!(

@@ -8,8 +8,8 @@ use palpate_protocol::tool::{ToolDescription, ToolKind};
 use palpate_tissue::{Material, Vec3, block};
 use serde_json::json;
 
-use super::{Bench, Outcome, panel, with_friction};
-use crate::chart::{BLUE, Chart, GREEN, GREY, Line, ORANGE};
+use super::{Bench, Outcome, converged, line, panel, with_friction};
+use crate::chart::{BLUE, Chart, GREEN, ORANGE};
 use crate::trial::{Course, Trial, path};
 
 const SPACING_M: f64 = 4e-3;
@@ -33,10 +33,10 @@ fn ball() -> ToolDescription {
 }
 
 /// Lies along y, across the way it is dragged, and is held at its tip.
-fn line() -> ToolDescription {
+fn bar() -> ToolDescription {
     ToolDescription {
         kind: ToolKind::Needle,
-        radius_m: 4e-3,
+        radius_m: 8e-3,
         length_m: 24e-3,
         width_m: 0.0,
     }
@@ -69,7 +69,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             nalgebra::UnitQuaternion::identity(),
             0.5 * y,
         ),
-        ("line", line(), flat, 0.5 * y - 12e-3),
+        ("line", bar(), flat, 0.5 * y - 12e-3),
     ];
     let (mut charts, mut figures, mut tables) = (Vec::new(), Vec::new(), Vec::new());
     for (name, tool, turn, beside) in tools {
@@ -100,23 +100,13 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
                 let checked = course.checked().filter(|(p, _)| p.t_s >= PRESS_S);
                 checked.map(|(p, t)| (moved(p), of(&t))).collect()
             };
-            let line = |what: &str, colour, dashed, points| Line {
-                name: format!("{mu} {what}"),
-                colour,
-                dashed,
-                points,
-            };
-            drag.push(line("felt", colour, false, felt(&|p| -p.felt.force.x)));
-            let sliding = truth(&|t| -(t.plain.force.x + t.friction.force.x));
-            drag.push(line("sliding, converged", GREY, true, sliding));
-            torque.push(line(
-                "felt",
-                colour,
-                false,
-                felt(&|p| 1e3 * p.felt.torque.z),
-            ));
-            let sliding = truth(&|t| 1e3 * (t.plain.torque.z + t.friction.torque.z));
-            torque.push(line("sliding, converged", GREY, true, sliding));
+            drag.push(line(mu, colour, felt(&|p| -p.felt.force.x)));
+            drag.push(converged(truth(&|t| {
+                -(t.plain.force.x + t.friction.force.x)
+            })));
+            torque.push(line(mu, colour, felt(&|p| 1e3 * p.felt.torque.z)));
+            let turning = truth(&|t| 1e3 * (t.plain.torque.z + t.friction.torque.z));
+            torque.push(converged(turning));
             figures.push(json!({ "tool": name, "surface": slip(&course, friction) }));
             tables.push((format!("friction-{name}-{}", friction[0]), course.csv()));
         }
@@ -137,7 +127,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         charts.push((format!("friction-{name}"), chart));
     }
     Ok(Outcome {
-        caption: "Legends give the coefficients of static and dynamic friction. The tool sticks until what it is dragged with \
+        caption: "Legends give the coefficients of static and dynamic friction; the converged answer is that of a tool that slides. The tool sticks until what it is dragged with \
                   is more than the static one holds, and slides on with the dynamic one. The line is held at one end: friction \
                   along it turns the hand."
             .to_owned(),

@@ -165,7 +165,7 @@ fn place(model: &std::sync::Arc<Model>) -> Result<Place, String> {
     Place::find(&topology).map_err(|e| e.to_string())
 }
 
-/// Two lines of a colour: felt, and the converged one with dashes.
+/// What was felt in a colour, and the converged answer in grey dashes.
 fn felt_and_true(
     name: &str,
     colour: &'static str,
@@ -174,23 +174,32 @@ fn felt_and_true(
 ) -> [Line; 2] {
     let felt = course.points.iter().map(|p| of(p, None)).collect();
     let truth = course.checked().map(|(p, t)| of(p, Some(t))).collect();
-    [
-        Line {
-            name: format!("{name}: felt"),
-            colour,
-            dashed: false,
-            points: felt,
-        },
-        Line {
-            name: format!("{name}: converged"),
-            colour: crate::chart::GREY,
-            dashed: true,
-            points: truth,
-        },
-    ]
+    [line(name, colour, felt), converged(truth)]
 }
 
-fn panel(title: &str, y_label: &str, lines: Vec<Line>) -> Panel {
+fn line(name: &str, colour: &'static str, points: Vec<(f64, f64)>) -> Line {
+    Line {
+        name: name.to_owned(),
+        colour,
+        dashed: false,
+        points,
+    }
+}
+
+/// A line of what converged. [`panel`] names the first.
+fn converged(points: Vec<(f64, f64)>) -> Line {
+    Line {
+        name: String::new(),
+        colour: crate::chart::GREY,
+        dashed: true,
+        points,
+    }
+}
+
+fn panel(title: &str, y_label: &str, mut lines: Vec<Line>) -> Panel {
+    if let Some(first) = lines.iter_mut().find(|l| l.dashed) {
+        "converged".clone_into(&mut first.name);
+    }
     Panel {
         title: title.to_owned(),
         y_label: y_label.to_owned(),
