@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use nalgebra::UnitQuaternion;
 use palpate_tissue::{
-    Budget, Form, Material, Reaction, Shape, Solver, Tool, Topology, Vec3, block,
+    BladePoint, Budget, CutStroke, Form, Material, Place, Reaction, Shape, Solver, Tool, Topology,
+    Vec3, block, cut,
 };
 use proptest::prelude::*;
 
@@ -327,4 +328,118 @@ proptest! {
         prop_assert!(most > 0.0);
         prop_assert!(work > -0.02 * most * 3.0 * MM, "{work} J of {}", most * 3.0 * MM);
     }
+}
+
+#[test]
+fn four_times_the_samples_change_the_force_by_less_than_two_percent() {
+    // At three spacings a triangle has one sample, below it four.
+    let press = |radius: f64| {
+        let mut bench = Bench::new(CELLS);
+        bench.lower(needle(above(radius), 0.0, 12.0 * MM, radius), 5.0 * MM)
+    };
+    let (few, many) = (press(3.001 * D), press(2.999 * D));
+    assert!(
+        many.contacts > 3 * few.contacts,
+        "{} {}",
+        many.contacts,
+        few.contacts
+    );
+    let change = few.force.norm() / many.force.norm() - 1.0;
+    assert!(change.abs() < 0.02, "{change}");
+}
+
+#[test]
+fn a_ball_pushes_a_face_an_edge_and_a_corner_outwards_less_and_less() {
+    let radius = 6.0 * MM;
+    let push = |at: Vec3, along: Vec3| {
+        let mut bench = Bench::new(CELLS);
+        let (out, mut last) = (along.normalize(), None);
+        for k in 1..=4 {
+            let centre = at + out * (radius - MM * f64::from(k));
+            last = Some(bench.press(Tool::ball(1, centre, radius)));
+        }
+        let r = last.expect("four steps");
+        let aside = r.force - out * r.force.dot(&out);
+        assert!(aside.norm() < 0.25 * r.force.norm(), "{along}: {}", r.force);
+        assert!(r.places.len() == 1 && r.torque.norm() < radius * r.force.norm());
+        r.force.dot(&out)
+    };
+    let [x, y, z] = [0, 1, 2].map(|i| CELLS[i] as f64 * D);
+    let face = push(Vec3::new(0.5 * x, 0.5 * y, z), Vec3::z());
+    let edge = push(Vec3::new(x, 0.5 * y, z), Vec3::new(1.0, 0.0, 1.0));
+    let corner = push(Vec3::new(x, y, z), Vec3::new(1.0, 1.0, 1.0));
+    assert!(
+        face > edge && edge > corner && corner > 0.0,
+        "{face} {edge} {corner}"
+    );
+}
+
+/// Fig 4.14: what holds a tool inside is summed over the layers that it goes through, each with its own friction.
+#[test]
+fn a_blade_in_its_wound_is_squeezed_from_both_sides_by_every_layer_with_its_own_friction() {
+    let mut model = block([14, 14, 9], D, &material(), 1);
+    let mut upper = model.regions[1].clone();
+    upper.name = "upper".into();
+    upper.material.young_pa = 3.0 * YOUNG;
+    (
+        upper.material.friction_static,
+        upper.material.friction_dynamic,
+    ) = (0.2, 0.1);
+    model.regions.push(upper);
+    for cell in &mut model.cells {
+        let z = cell
+            .corners
+            .map(|n| model.nodes[n as usize].z)
+            .iter()
+            .sum::<f64>()
+            / 8.0;
+        if z > 6.0 * D {
+            cell.region = palpate_tissue::RegionId(2);
+        }
+    }
+    let mut topology = Topology::new(Arc::new(model));
+    let top = 9.0 * D;
+    let point = |x: f64| BladePoint {
+        tip: Vec3::new(x, 7.0 * D, top - 6.0 * D),
+        axis: Vec3::z(),
+        depth_m: 6.0 * D + 0.01,
+    };
+    let stroke = CutStroke {
+        points: vec![point(-0.01), point(14.0 * D + 0.01)],
+        width_m: 0.0,
+    };
+    cut(&mut topology, &stroke).expect("a cut right through");
+    let (solver, shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut bench = Bench {
+        topology,
+        solver,
+        shape,
+    };
+    // A plate on edge, 3 mm thick, lowered into the wound; half of it in each layer.
+    let (radius, half) = (1.5 * MM, 9.0 * MM);
+    let tool = |depth: f64| Tool {
+        form: Form::rectangle(Vec3::z() * half, [Vec3::z() * half, Vec3::x() * (8.0 * MM)]),
+        ..Tool::ball(1, Vec3::new(7.0 * D, 7.0 * D, top + radius - depth), radius)
+    };
+    let mut last = None;
+    for k in 1..=36 {
+        last = Some(bench.press(tool(0.5 * MM * f64::from(k))));
+    }
+    let r = last.expect("steps");
+    let pressed: f64 = r.places.iter().map(|p| p.pressed).sum();
+    // The places at the tip lie for the most part in the lower layer, the others in the upper one.
+    let (deep, high): (Vec<&Place>, Vec<&Place>) =
+        r.places.iter().partition(|p| p.friction_static > 0.3);
+    assert!(!deep.is_empty() && !high.is_empty(), "{:#?}", r.places);
+    for p in &high {
+        assert!((p.friction_static - 0.2).abs() < 1e-9 && (p.friction_dynamic - 0.1).abs() < 1e-9);
+    }
+    for p in &r.places {
+        // From both sides, across the wound: nothing of it is left as a force.
+        assert!(
+            p.pressed > 3.0 * p.force.xy().norm() && p.normal.y.abs() > 0.8,
+            "{p:?}"
+        );
+    }
+    assert!(pressed > 3.0 * r.force.norm(), "{pressed} {}", r.force);
 }
