@@ -18,6 +18,7 @@ pub mod backend;
 mod clamp;
 pub mod conformance;
 mod device;
+mod motors;
 mod placed;
 mod sample;
 pub mod script;
