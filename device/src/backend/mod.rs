@@ -1,5 +1,14 @@
-//! One folder per driver.
+//! One folder per driver, and what drivers share.
+//!
+//! A driver's own frame is x to the right, y away from the user and z up, with the origin where the maker has it;
+//! [`Placed`](crate::Placed) puts it into the scene.
 
+pub mod dhd;
 pub mod five_dof;
+mod found;
+mod library;
 pub mod replay;
 pub mod sim;
+
+pub use found::{Choice, Found};
+pub use library::LibraryError;
