@@ -133,6 +133,9 @@ pub enum DeviceFault {
     /// The device no longer answers.
     #[error("the device no longer answers; check its cable and power")]
     Unplugged,
+    /// Its motors have no power.
+    #[error("the device's motors have no power; plug in its power supply")]
+    NoPower,
     /// The device does not know where it is.
     #[error("the device is not calibrated; follow its maker's procedure, then try again")]
     NotCalibrated,

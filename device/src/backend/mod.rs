@@ -4,9 +4,11 @@
 //! [`Placed`](crate::Placed) puts it into the scene.
 
 pub mod dhd;
+mod exchange;
 pub mod five_dof;
 mod found;
 mod library;
+pub mod openhaptics;
 pub mod replay;
 pub mod sim;
 
