@@ -7,6 +7,7 @@ pub mod dhd;
 mod exchange;
 pub mod five_dof;
 mod found;
+pub mod haply;
 mod library;
 pub mod openhaptics;
 pub mod replay;
