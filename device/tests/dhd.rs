@@ -11,7 +11,7 @@ use mock::Mock;
 use nalgebra::Vector3;
 use palpate_device::backend::dhd::{self, Dhd, DhdError};
 use palpate_device::backend::{Choice, LibraryError};
-use palpate_device::conformance::{self, Options, Outcome};
+use palpate_device::conformance::{self, Hooks, Options, Outcome, Report, Row};
 use palpate_device::{
     Buttons, Calibration, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Rejection,
     Wrench, Written,
@@ -25,6 +25,11 @@ const INITIALISED: u32 = 4;
 const NOT_A_NUMBER: u32 = 5;
 const OPEN_ERROR: u32 = 6;
 const SYSTEM_TYPE: u32 = 7;
+const MILLIMETRES: u32 = 8;
+const SWAPS_AXES: u32 = 9;
+const HALF_FORCE: u32 = 10;
+/// Turning a knob that is not there is taken amiss.
+const UNKNOWN: u32 = 99;
 
 /// What the stand-in took amiss.
 const WRONG: u32 = 0;
@@ -60,29 +65,63 @@ fn hold(device: &mut Dhd, from: i64, ms: i64, wrench: Wrench) {
     }
 }
 
-#[test]
-fn it_passes_the_suite_and_the_library_takes_nothing_amiss() {
-    let mock = mock();
-    let mut device = open(&mock);
+/// What the suite says of the driver over a stand-in whose knobs were turned.
+fn suite(mock: &Mock) -> Report {
+    let mut device = open(mock);
     let mut ms = 0;
     let mut clock = || {
         ms += 1;
         at(ms)
     };
+    let mut unplug = || {
+        mock.set(POSITION_ERROR, 2.0);
+        mock.set(FORCE_ERROR, 2.0);
+    };
+    let mut at_motors = || Vector3::from(force(mock)).norm();
+    let mut amiss = || {
+        let log = mock.log().into_iter();
+        log.filter(|l| l.starts_with("wrong")).collect::<Vec<_>>()
+    };
+    let hooks = Hooks {
+        unplug: Some(&mut unplug),
+        at_motors: Some(&mut at_motors),
+        amiss: Some(&mut amiss),
+    };
     let options = Options {
         moves_under_force: true,
     };
-    let report = conformance::run(&mut device, &mut clock, options);
+    conformance::run_with(&mut device, &mut clock, options, hooks)
+}
+
+#[test]
+fn it_passes_the_suite_and_the_library_takes_nothing_amiss() {
+    let report = suite(&mock());
+    let rows = report.rows();
     assert!(
-        report.rows().iter().all(|r| r.outcome == Outcome::Passed),
+        rows.iter().all(|r| r.outcome == Outcome::Passed),
         "{report}"
     );
-    let wrong: Vec<String> = mock
-        .log()
-        .into_iter()
-        .filter(|l| l.starts_with("wrong"))
-        .collect();
-    assert_eq!((mock.get(WRONG), wrong), (0.0, vec![]));
+    assert_eq!(rows.len(), 13, "{report}");
+}
+
+#[test]
+fn the_suite_sees_what_the_library_does_wrong() {
+    for (knob, value, word) in [
+        (POSITION_ERROR, 2.0, "poses are metres"),
+        (NOT_A_NUMBER, 1.0, "poses are metres"),
+        (MILLIMETRES, 1.0, "poses are metres"),
+        (INITIALISED, 0.0, "enabling ramps"),
+        (FORCE_ERROR, 6.0, "enabling ramps"),
+        (UNKNOWN, 0.0, "amiss"),
+        (SWAPS_AXES, 1.0, "along its own axis"),
+        (HALF_FORCE, 1.0, "motors get"),
+    ] {
+        let mock = mock();
+        mock.set(knob, value);
+        let report = suite(&mock);
+        let is_broken = |r: &Row| matches!(r.outcome, Outcome::Failed(_)) && r.law.contains(word);
+        assert!(report.rows().iter().any(is_broken), "knob {knob}: {report}");
+    }
 }
 
 #[test]

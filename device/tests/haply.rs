@@ -6,11 +6,11 @@ mod fake_haply;
 
 use std::net::TcpListener;
 
-use fake_haply::{Fake, Manners};
+use fake_haply::{Fake, Manners, Told};
 use nalgebra::Vector3;
 use palpate_device::backend::Choice;
 use palpate_device::backend::haply::{self, Haply, HaplyError, Service};
-use palpate_device::conformance::{self, Options, Outcome};
+use palpate_device::conformance::{self, Hooks, Options, Outcome, Report, Row};
 use palpate_device::{
     Buttons, Calibration, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Sample, Wrench,
 };
@@ -73,32 +73,64 @@ fn push() -> Wrench {
     Wrench::from_force(Vector3::new(2.0, 0.0, 0.0))
 }
 
+/// What the suite says of the driver over a service that `is_told` something after opening.
+fn suite(is_new: bool, is_told: impl FnOnce(&mut Told)) -> Report {
+    let Bench {
+        fake,
+        mut device,
+        mut ms,
+    } = Bench::new(is_new);
+    fake.with(is_told);
+    fake.hears(4);
+    let mut clock = || {
+        ms += 1;
+        fake.answers();
+        DeviceTime::from_micros(ms * 1000)
+    };
+    let mut unplug = || fake.with(|t| t.manners = Manners::WithoutDevice);
+    let mut at_motors = || fake.with(|t| Vector3::from(t.force).norm());
+    let mut amiss = || fake.with(|t| t.wrong.clone());
+    let hooks = Hooks {
+        unplug: Some(&mut unplug),
+        at_motors: Some(&mut at_motors),
+        amiss: Some(&mut amiss),
+    };
+    let options = Options {
+        moves_under_force: true,
+    };
+    conformance::run_with(&mut device, &mut clock, options, hooks)
+}
+
 #[test]
 fn it_passes_the_suite_with_both_spellings_and_the_service_refuses_nothing() {
     for is_new in [true, false] {
-        let Bench {
-            fake,
-            mut device,
-            mut ms,
-        } = Bench::new(is_new);
-        let mut clock = || {
-            ms += 1;
-            fake.answers();
-            DeviceTime::from_micros(ms * 1000)
-        };
-        let options = Options {
-            moves_under_force: true,
-        };
-        let report = conformance::run(&mut device, &mut clock, options);
+        let report = suite(is_new, |_| ());
+        let rows = report.rows();
         assert!(
-            report.rows().iter().all(|r| r.outcome == Outcome::Passed),
+            rows.iter().all(|r| r.outcome == Outcome::Passed),
             "{report}"
         );
-        fake.with(|t| {
-            assert_eq!(t.wrong, Vec::<String>::new());
-            assert_eq!(t.force, [0.0; 3]);
-            assert!(t.most_n <= 6.0 + 1e-9, "{} N", t.most_n);
-        });
+        assert_eq!(rows.len(), 13, "{report}");
+    }
+}
+
+#[test]
+fn the_suite_sees_what_the_service_does_wrong() {
+    type Tell = fn(&mut Told);
+    let cases: [(Tell, &str); 7] = [
+        (|t| t.manners = Manners::WithoutDevice, "poses are metres"),
+        (|t| t.manners = Manners::HangsUp, "poses are metres"),
+        (|t| t.unit = 1e3, "poses are metres"),
+        (|t| t.calibrated = false, "enabling ramps"),
+        (|t| t.way = |[x, y, z]| [y, x, z], "along its own axis"),
+        (|t| t.way = |f| f.map(|n| n / 2.0), "motors get"),
+        // From now on it wants the other spelling.
+        (|t| t.is_new = false, "amiss"),
+    ];
+    for (i, (is_told, word)) in cases.into_iter().enumerate() {
+        let report = suite(true, is_told);
+        let is_broken = |r: &Row| matches!(r.outcome, Outcome::Failed(_)) && r.law.contains(word);
+        assert!(report.rows().iter().any(is_broken), "case {i}: {report}");
     }
 }
 

@@ -9,7 +9,7 @@ use std::sync::OnceLock;
 use mock::Mock;
 use nalgebra::Vector3;
 use palpate_device::backend::openhaptics::{self, OpenHaptics};
-use palpate_device::conformance::{self, Options, Outcome};
+use palpate_device::conformance::{self, Hooks, Options, Outcome, Report, Row};
 use palpate_device::{
     Buttons, Calibration, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Wrench,
 };
@@ -21,6 +21,15 @@ const INIT_ERROR: u32 = 4;
 const NOT_A_NUMBER: u32 = 6;
 const FLOODS: u32 = 7;
 const STEP: u32 = 8;
+const MICROMETRES: u32 = 9;
+const SWAPS_AXES: u32 = 10;
+const HALF_FORCE: u32 = 11;
+const ERRORS_PER_FRAME: u32 = 12;
+/// Turning a knob that is not there is taken amiss.
+const UNKNOWN: u32 = 99;
+
+/// How many errors nobody has asked for.
+const ERRORS: u32 = 9;
 
 /// What the stand-in took amiss.
 const WRONG: u32 = 0;
@@ -73,25 +82,69 @@ fn close(mut device: OpenHaptics, mock: &Mock) {
     device.close();
 }
 
-#[test]
-fn it_passes_the_suite_and_the_library_takes_nothing_amiss() {
-    let mock = mock();
-    let mut device = open(&mock);
+/// What the suite says of the driver over a stand-in whose knobs were turned after opening.
+fn suite(mock: &Mock, turn_knobs: impl Fn(&Mock)) -> Report {
+    let mut device = open(mock);
+    turn_knobs(mock);
     let mut ms = 0;
     let mut clock = || {
         ms += 1;
         mock.set(STEP, 1.0);
         at(ms)
     };
+    let mut unplug = || mock.set(EACH_FRAME, f64::from(0x0302));
+    let mut at_motors = || force(mock).norm();
+    let mut amiss = || {
+        let mut amiss = wrongs(mock);
+        if mock.get(ERRORS) > 0.0 {
+            amiss.push(format!("{} errors that nobody asked for", mock.get(ERRORS)));
+        }
+        amiss
+    };
+    let hooks = Hooks {
+        unplug: Some(&mut unplug),
+        at_motors: Some(&mut at_motors),
+        amiss: Some(&mut amiss),
+    };
     let options = Options {
         moves_under_force: true,
     };
-    let report = conformance::run(&mut device, &mut clock, options);
+    conformance::run_with(&mut device, &mut clock, options, hooks)
+}
+
+#[test]
+fn it_passes_the_suite_and_the_library_takes_nothing_amiss() {
+    let report = suite(&mock(), |_| ());
+    let rows = report.rows();
     assert!(
-        report.rows().iter().all(|r| r.outcome == Outcome::Passed),
+        rows.iter().all(|r| r.outcome == Outcome::Passed),
         "{report}"
     );
-    assert_eq!(wrongs(&mock), Vec::<String>::new());
+    assert_eq!(rows.len(), 13, "{report}");
+}
+
+#[test]
+fn the_suite_sees_what_the_library_does_wrong() {
+    for (knob, value, word) in [
+        (NOT_A_NUMBER, 1.0, "poses are metres"),
+        (MICROMETRES, 1.0, "poses are metres"),
+        (EACH_FRAME, f64::from(0x0302), "poses are metres"),
+        (CALIBRATION, f64::from(0x5002), "enabling ramps"),
+        (SWAPS_AXES, 1.0, "along its own axis"),
+        (HALF_FORCE, 1.0, "motors get"),
+        // More errors than are ever asked for.
+        (ERRORS_PER_FRAME, 100.0, "amiss"),
+        (UNKNOWN, 0.0, "amiss"),
+    ] {
+        let mock = mock();
+        let report = suite(&mock, |mock| {
+            // The calibration is asked for every hundred turns.
+            mock.set(knob, value);
+            mock.set(STEP, 101.0);
+        });
+        let is_broken = |r: &Row| matches!(r.outcome, Outcome::Failed(_)) && r.law.contains(word);
+        assert!(report.rows().iter().any(is_broken), "knob {knob}: {report}");
+    }
 }
 
 #[test]

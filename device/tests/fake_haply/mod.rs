@@ -48,6 +48,10 @@ pub(crate) struct Told {
     /// The last force that it could read, N.
     pub(crate) force: [f64; 3],
     pub(crate) most_n: f64,
+    /// Numbers per metre.
+    pub(crate) unit: f64,
+    /// What becomes of a force on its way to the motors.
+    pub(crate) way: fn([f64; 3]) -> [f64; 3],
     /// What a real service would refuse.
     pub(crate) wrong: Vec<String>,
     events: Vec<String>,
@@ -62,7 +66,7 @@ impl Told {
 
     fn message(&self, is_first: bool) -> Value {
         let xyz = |v: [f64; 3]| json!({ "x": v[0], "y": v[1], "z": v[2] });
-        let at = [self.x[0], self.x[1] - 0.12, self.x[2] + 0.15];
+        let at = [self.x[0], self.x[1] - 0.12, self.x[2] + 0.15].map(|m| m * self.unit);
         let device = |id: &&str| {
             let mut state = json!({ "cursor_position": xyz(at), "cursor_velocity": xyz(self.v) });
             state[if self.is_new { "control_mode" } else { "mode" }] = json!("force");
@@ -91,7 +95,7 @@ impl Told {
     fn hear(&mut self, text: &str) {
         self.heard += 1;
         match self.order(text) {
-            Ok(force) => self.force = force,
+            Ok(force) => self.force = (self.way)(force),
             Err(why) => self.wrong.push(format!("{why}: {text}")),
         }
         let n = self.force.iter().map(|f| f * f).sum::<f64>().sqrt();
@@ -150,6 +154,8 @@ impl Fake {
                 heard: 0,
                 force: [0.0; 3],
                 most_n: 0.0,
+                unit: 1.0,
+                way: |force| force,
                 wrong: Vec::new(),
                 events: Vec::new(),
                 x: [0.0; 3],

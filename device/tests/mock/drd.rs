@@ -21,6 +21,9 @@ struct Knobs {
     /// Opening fails with this code.
     open_error: i32,
     system_type: i32,
+    millimetres: bool,
+    swaps_axes: bool,
+    half_force: bool,
 }
 
 struct State {
@@ -47,6 +50,9 @@ static STATE: Mutex<State> = Mutex::new(State {
         not_a_number: false,
         open_error: 0,
         system_type: 35,
+        millimetres: false,
+        swaps_axes: false,
+        half_force: false,
     },
     open: false,
     on: false,
@@ -107,7 +113,13 @@ pub extern "C" fn mock_set(knob: u32, value: f64) {
         5 => s.knobs.not_a_number = value != 0.0,
         6 => s.knobs.open_error = value as i32,
         7 => s.knobs.system_type = value as i32,
-        _ => s.wrong += 1,
+        8 => s.knobs.millimetres = value != 0.0,
+        9 => s.knobs.swaps_axes = value != 0.0,
+        10 => s.knobs.half_force = value != 0.0,
+        _ => {
+            s.wrong += 1;
+            s.note("wrong: an unknown knob");
+        }
     });
 }
 
@@ -165,7 +177,8 @@ pub extern "C" fn drdOpenID(index: i32) -> i32 {
 pub extern "C" fn drdClose(id: i32) -> i32 {
     with(|s| {
         s.called(id);
-        if s.on || s.force != [0.0; 3] {
+        // Without a plug it can not be told anything, and holds nothing.
+        if s.on || s.force != [0.0; 3] && s.knobs.force_error == 0 {
             s.wrong += 1;
             s.note("wrong: closed with forces on");
         }
@@ -223,11 +236,13 @@ pub unsafe extern "C" fn dhdGetPosition(x: *mut f64, y: *mut f64, z: *mut f64, i
         if s.knobs.position_error != 0 {
             return s.fails(s.knobs.position_error);
         }
-        let at = if s.knobs.not_a_number {
-            [f64::NAN; 3]
-        } else {
-            s.x
-        };
+        let mut at = s.x;
+        if s.knobs.not_a_number {
+            at = [f64::NAN; 3];
+        }
+        if s.knobs.millimetres {
+            at = at.map(|m| 1e3 * (m + 1e-3));
+        }
         // SAFETY: the caller's promise.
         unsafe { (*x, *y, *z) = (at[0], at[1], at[2]) };
         s.knobs.returns
@@ -361,6 +376,12 @@ pub extern "C" fn dhdSetForceAndTorqueAndGripperForce(
         s.most_n = s.most_n.max(n);
         s.pushes += 1;
         s.force = force;
+        if s.knobs.swaps_axes {
+            s.force.swap(0, 1);
+        }
+        if s.knobs.half_force {
+            s.force = s.force.map(|f| f / 2.0);
+        }
         s.step();
         s.knobs.returns
     })

@@ -23,7 +23,10 @@ struct State {
     init_error: u32,
     not_a_number: bool,
     floods: bool,
-    ignores_leaving: bool,
+    micrometres: bool,
+    swaps_axes: bool,
+    half_force: bool,
+    errors_per_frame: u32,
     // The device.
     open: bool,
     current: u32,
@@ -53,7 +56,10 @@ static STATE: Mutex<State> = Mutex::new(State {
     init_error: 0,
     not_a_number: false,
     floods: false,
-    ignores_leaving: false,
+    micrometres: false,
+    swaps_axes: false,
+    half_force: false,
+    errors_per_frame: 0,
     open: false,
     current: 0,
     in_frame: false,
@@ -101,10 +107,19 @@ impl State {
 
     fn end_frame(&mut self) {
         self.applied = if self.output { self.set } else { [0.0; 3] };
+        if self.swaps_axes {
+            self.applied.swap(0, 1);
+        }
+        if self.half_force {
+            self.applied = self.applied.map(|f| f / 2.0);
+        }
         for i in 0..3 {
             let a = (self.applied[i] - 400.0 * self.x[i] - 12.0 * self.v[i]) / 0.1;
             self.v[i] += a * 1e-3;
             self.x[i] += self.v[i] * 1e-3;
+        }
+        for _ in 0..self.errors_per_frame {
+            self.errors.push_back(0x0200);
         }
         if self.each_frame != 0 {
             self.errors.push_back(self.each_frame);
@@ -137,7 +152,7 @@ fn servo() {
         if s.in_frame {
             s.wrong("a frame left open");
         }
-        if again == 0 && !s.ignores_leaving {
+        if again == 0 {
             s.note("done");
             s.job = None;
         }
@@ -180,6 +195,10 @@ pub extern "C" fn mock_set(knob: u32, value: f64) {
         4 => s.init_error = value as u32,
         6 => s.not_a_number = value != 0.0,
         7 => s.floods = value != 0.0,
+        9 => s.micrometres = value != 0.0,
+        10 => s.swaps_axes = value != 0.0,
+        11 => s.half_force = value != 0.0,
+        12 => s.errors_per_frame = value as u32,
         _ => s.wrong("an unknown knob"),
     }
 }
@@ -302,7 +321,8 @@ pub extern "system" fn hdDisable(capability: u32) {
 #[no_mangle]
 pub unsafe extern "system" fn hdGetDoublev(parameter: u32, out: *mut f64) {
     let mut s = lock();
-    let mm = |m: f64| m * 1e3;
+    let unit = if s.micrometres { 1e6 } else { 1e3 };
+    let mm = |m: f64| (m + f64::from(u8::from(s.micrometres)) * 1e-3) * unit;
     let (x, v) = (s.x.map(mm), s.v.map(mm));
     let x = if s.not_a_number { [f64::NAN; 3] } else { x };
     if parameter < 0x2500 {

@@ -249,6 +249,8 @@ impl HapticDevice for OpenHaptics {
             self.api.switch(parameter::FORCE_OUTPUT, false);
             servo.stop();
             self.api.disable_device(self.handle);
+            // The next one to open a device would be told of them.
+            drain(&self.api);
         }
     }
 }
