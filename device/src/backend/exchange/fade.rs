@@ -35,6 +35,11 @@ impl Fade {
                 self.left = self.left.saturating_sub(1);
             }
         }
+        self.share()
+    }
+
+    /// The share of the last turn.
+    pub(in crate::backend) fn share(&self) -> f64 {
         f64::from(self.left) / f64::from(self.turns)
     }
 }

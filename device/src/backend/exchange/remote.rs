@@ -36,6 +36,8 @@ pub(in crate::backend) struct News {
     pub(in crate::backend) calibration: Calibration,
     /// Whether its motors have power.
     pub(in crate::backend) powered: bool,
+    /// Of what the loop wrote, so much is rendered: less after a pause of the loop.
+    pub(in crate::backend) share: f64,
     /// The driver knows that the device is gone.
     pub(in crate::backend) lost: Option<DeviceFault>,
 }
@@ -54,6 +56,7 @@ impl News {
             faults: Faults::NONE,
             calibration: Calibration::Done,
             powered: true,
+            share: 1.0,
             lost: None,
         }
     }
@@ -106,7 +109,10 @@ pub(in crate::backend) struct DriverEnd {
 impl DriverEnd {
     /// Hands the newest news over.
     pub(in crate::backend) fn tell(&mut self, news: News) {
-        self.news.write(news);
+        self.news.write(News {
+            share: self.fade.share(),
+            ..news
+        });
     }
 
     /// What to render in this turn; once per turn.
@@ -134,6 +140,11 @@ impl Remote {
     /// The motors, as the trait sees them.
     pub(in crate::backend) fn motors(&self) -> &Motors {
         &self.motors
+    }
+
+    /// What is rendered now, as far as the newest news tell.
+    pub(in crate::backend) fn rendered(&self) -> Wrench {
+        self.motors.rendered().scaled(self.last().share)
     }
 
     /// The newest news, and whether they are newer than those of the last call.
@@ -352,10 +363,15 @@ mod tests {
 
     #[test]
     fn a_loop_that_stands_still_leaves_no_force() {
-        let (_remote, mut end, _) = pushed();
+        let (mut remote, mut end, _) = pushed();
         let forces: Vec<f64> = (0..60).map(|_| end.order().wrench.force.norm()).collect();
         assert!(forces[..15].iter().all(|n| *n == 3.0));
         assert!(forces[45..].iter().all(|n| *n == 0.0));
         assert!(forces.windows(2).all(|w| w[0] - w[1] < 0.16));
+        // And it learns of it with the next news.
+        assert_eq!(remote.rendered(), push());
+        end.tell(News::at_rest());
+        remote.read(at(301_000)).unwrap();
+        assert_eq!(remote.rendered(), Wrench::ZERO);
     }
 }

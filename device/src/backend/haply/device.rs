@@ -137,7 +137,7 @@ impl HapticDevice for Haply {
     }
 
     fn rendered(&self) -> Wrench {
-        self.remote.motors().rendered()
+        self.remote.rendered()
     }
 
     /// Zero, then the end of the conversation.

@@ -228,7 +228,7 @@ impl HapticDevice for OpenHaptics {
     }
 
     fn rendered(&self) -> Wrench {
-        self.remote.motors().rendered()
+        self.remote.rendered()
     }
 
     /// Zero, then forces off, then the scheduler, then the device.
