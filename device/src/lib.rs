@@ -6,8 +6,9 @@
 //! - [`HapticDevice`] is the one trait; [`DeviceCaps`] says what a device can do, [`ClockOwner`]
 //!   whose clock drives it.
 //! - [`backend::sim`] is a hand model that follows a [`Script`] and feels our force; [`backend::five_dof`] the device
-//!   of 2007, with its kinematics and simulated boards; [`backend::dhd`] drives what people own, through the library that
-//!   its maker gives them.
+//!   of 2007, with its kinematics and simulated boards.
+//! - [`backend::haply`], [`backend::openhaptics`] and [`backend::dhd`] drive what people own, through the service or the
+//!   library that their makers give them.
 //! - [`conformance`] is the suite that every backend passes.
 //!
 //! Units are SI: metres, seconds, kilograms, newtons, newton metres, radians. Millimetres appear

@@ -1,6 +1,9 @@
 //! A stand-in for the Haply service: it answers every message with one state, notes what it was told, and misbehaves when
 //! a test says so. Its Inverse3 is 0.1 kg on a spring, one millisecond per message.
 
+// Each test program uses a part of it.
+#![allow(dead_code)]
+
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};

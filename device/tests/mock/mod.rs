@@ -1,6 +1,9 @@
 //! Stand-ins for makers' libraries: compiled once per test program, and copied for every test, so that each has one with
 //! a memory of its own.
 
+// Each test program uses a part of it.
+#![allow(dead_code)]
+
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
