@@ -2,26 +2,13 @@
 
 #![allow(clippy::unwrap_used)]
 
-use std::path::{Path, PathBuf};
+mod stand_in;
+
+use std::path::Path;
 use std::process::{Command, Output};
 
 use serde_json::Value;
-
-/// A stand-in for a maker's library, compiled from the device package's tests.
-fn compiled(source: &str, folder: &Path) -> PathBuf {
-    let manifest = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let file = folder.join(source).with_extension("so");
-    let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
-    let done = Command::new(rustc)
-        .args(["--edition", "2021", "--crate-type", "cdylib", "-O", "-o"])
-        .arg(&file)
-        .arg(manifest.join("../device/tests/mock").join(source))
-        .output()
-        .unwrap();
-    let said = String::from_utf8_lossy(&done.stderr);
-    assert!(done.status.success(), "{said}");
-    file
-}
+use stand_in::compiled;
 
 /// A machine on which nothing but what `libraries` name is installed.
 fn devices(arguments: &[&str], libraries: &[(&str, &Path)]) -> Output {

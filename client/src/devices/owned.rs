@@ -33,6 +33,9 @@ impl Sources {
         let file = |name| std::env::var_os(name).map(PathBuf::from);
         let mut haply = Service::default();
         if let Ok(url) = std::env::var("PALPATE_HAPLY") {
+            // Events come from the same host, on the port that the maker gave them.
+            let host = url.rsplit_once(':').map(|(host, _)| host);
+            haply.events = host.map(|host| format!("{host}:10020"));
             haply.simulation = url;
         }
         Self {
