@@ -6,6 +6,7 @@ use palpate_device::script::Tool;
 use palpate_device::{Buttons, Pose, Script, ScriptError};
 use palpate_protocol::Role;
 
+use super::{DeviceKind, best};
 use crate::{ClientError, JoinOptions};
 
 /// The tool of a motion without a script: a ball of 8 mm radius.
@@ -25,6 +26,13 @@ pub(crate) enum Moves {
     Script(Script),
     /// The device itself was there.
     Motion(Motion),
+    /// Whoever holds it.
+    Held {
+        /// Where the middle of its workspace is put, m; without it a little above the tissue.
+        at: Option<Vector3<f64>>,
+        /// The best kind that is plugged in.
+        best: DeviceKind,
+    },
 }
 
 impl Guide {
@@ -43,6 +51,15 @@ impl Guide {
             }
             None => None,
         };
+        let asked = options.device;
+        let best = match (&options.motion, &script) {
+            (None, _) if asked.is_owned() => Some(asked),
+            (None, None) if asked == DeviceKind::Auto => best(&options.sources),
+            _ => None,
+        };
+        if let Some(best) = best {
+            return Ok(Some(Self::held(script.as_ref(), best)));
+        }
         let guide = match (&options.motion, script) {
             (Some(path), script) => {
                 let wrong = |source| ClientError::Motion {
@@ -61,6 +78,25 @@ impl Guide {
             (None, None) => return Err(ClientError::NoScript(role)),
         };
         Ok(Some(guide))
+    }
+
+    /// A device in somebody's own hand. A script only says which tool it is, and around where it goes.
+    pub(crate) fn held(script: Option<&Script>, best: DeviceKind) -> Self {
+        let middle = |script: &Script| {
+            let first = script.ways()[0].position;
+            let ways = script.ways().iter();
+            let (min, max) = ways.fold((first, first), |(min, max), way| {
+                (min.inf(&way.position), max.sup(&way.position))
+            });
+            (min + max) / 2.0
+        };
+        Self {
+            tool: script.map_or(BALL, Script::tool),
+            moves: Moves::Held {
+                at: script.map(middle),
+                best,
+            },
+        }
     }
 
     /// One at rest in the origin, by a script or a motion.
