@@ -136,6 +136,11 @@ pub fn run(
             "disabling renders zero at once",
             disabling_is_zero(&mut bench),
         );
+    } else {
+        always(
+            "without motors every wrench is refused, and a cue moves nothing",
+            no_motors_no_force(&mut bench),
+        );
     }
     always(
         "closing renders zero and ends every call",
@@ -372,6 +377,29 @@ fn disabling_is_zero(bench: &mut Bench<'_>) -> Verdict {
     let state = bench.device.force_state();
     ensure(state == ForceState::Off, || format!("{state:?}"))?;
     bench.expect_rendered_zero()
+}
+
+fn no_motors_no_force(bench: &mut Bench<'_>) -> Verdict {
+    bench
+        .device
+        .enable_forces(true)
+        .map_err(|e| e.to_string())?;
+    for n in [1.0, f64::NAN] {
+        let wrench = Wrench::from_force(Vector3::new(0.0, 0.0, n));
+        let now = (bench.clock)();
+        let before = bench.device.read(now).map_err(|e| e.to_string())?.pose;
+        let written = bench.device.write(now, wrench);
+        ensure(written == Written::Rejected(Rejection::NoMotors), || {
+            format!("{written:?}")
+        })?;
+        bench.device.cue(now, &wrench);
+        bench.expect_rendered_zero()?;
+        let after = bench.device.read(now).map_err(|e| e.to_string())?.pose;
+        ensure(before == after, || {
+            format!("a cue moved the tool from {before:?} to {after:?}")
+        })?;
+    }
+    Ok(())
 }
 
 fn closing_is_final(bench: &mut Bench<'_>) -> Verdict {

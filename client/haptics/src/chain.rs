@@ -68,6 +68,10 @@ impl Default for ChainConfig {
 pub struct Tick {
     /// What to write to the device; always finite.
     pub wrench: Wrench,
+    /// What the tissue does to the tool, as far as the contact model can be believed, up to
+    /// [`ChainConfig::force_max_n`]; always finite. It is for those who can not render it: a device without motors
+    /// hints at it, a view draws it. Nothing of it protects a hand, so it is never to be written.
+    pub felt: Wrench,
     /// What happened.
     pub events: Events,
     /// Age of the contact model that was used.
@@ -82,6 +86,8 @@ pub struct Tick {
 #[derive(Debug, Clone)]
 pub struct Chain {
     force_limit_n: f64,
+    /// The largest force that is told of without being written, N.
+    felt_limit_n: f64,
     soft_start: SoftStart,
     link: LinkGuard,
     watchdog: Watchdog,
@@ -114,6 +120,7 @@ impl Chain {
         let cap = StiffnessCap::new(caps, config.damping_ns_per_m, config.period);
         Self {
             force_limit_n,
+            felt_limit_n: config.force_max_n,
             soft_start: SoftStart::new(config.soft_start),
             link: LinkGuard::new(&config.watchdog, flush),
             watchdog: Watchdog::new(config.watchdog, flush),
@@ -176,9 +183,12 @@ impl Chain {
         let force = self.contact_force(now, dt, &x, &v);
         let touches = force != Vector3::zeros();
         self.note_grip(&mut events, was_touching);
+        let (felt, _) = clamp_force(force, self.felt_limit_n);
         let (force, saturated) = clamp_force(force, self.force_limit_n);
-        events.set(Events::SATURATED, saturated);
+        // A device without motors is not asked for more than it has.
+        events.set(Events::SATURATED, saturated && self.force_limit_n > 0.0);
         let [trusted, open] = self.gains(now, dt, &x, &mut events);
+        let felt = felt * (trusted * open);
         let withheld = force * (1.0 - open);
         if let Some(passivity) = &mut self.passivity {
             let model = self.blend.model();
@@ -204,7 +214,7 @@ impl Chain {
             });
         }
         self.observer.observe(x, force);
-        self.finish(now, force, events)
+        self.finish(now, force, felt, events)
     }
 
     /// One tick for which the device gave no sample: the force goes to zero.
@@ -315,15 +325,22 @@ impl Chain {
         self.gains(now, dt, &x, &mut events);
         self.soft_start.lower_to(0.0);
         let force = self.limit_change(Vector3::zeros(), &mut events);
-        self.finish(now, force, events)
+        self.finish(now, force, Vector3::zeros(), events)
     }
 
-    fn finish(&mut self, now: ClientTime, force: Vector3<f64>, events: Events) -> Tick {
+    fn finish(
+        &mut self,
+        now: ClientTime,
+        force: Vector3<f64>,
+        felt: Vector3<f64>,
+        events: Events,
+    ) -> Tick {
         self.counters.count(events);
         self.counters.max_force_n = self.counters.max_force_n.max(force.norm());
         self.counters.min_energy_j = self.observer.min_j();
         Tick {
             wrench: Wrench::from_force(force),
+            felt: Wrench::from_force(felt),
             events,
             contact_age: now - self.blend.model().solved_at,
         }

@@ -5,7 +5,7 @@
 use nalgebra::{Matrix3, Vector3};
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::script::{Hand, Tool, ToolKind, WayPoint};
-use palpate_device::{DeviceTime, Faults, HapticDevice, Pose, Sample, Script};
+use palpate_device::{DeviceTime, Faults, HapticDevice, Pose, Sample, Script, Wrench};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Events, Tick};
 use palpate_protocol::ClientTime;
 use proptest::prelude::*;
@@ -110,6 +110,34 @@ fn a_model_that_is_not_finite_is_as_good_as_none() {
     // The last good one was solved up to 4 ms before.
     fades(|t| chain.tick(ms(t0 + t), &at_rest, &bad(t0 + t)), 150);
     assert!(chain.counters().bad_models > 0);
+}
+
+#[test]
+fn a_device_without_motors_gets_no_force_and_is_told_what_it_would_be() {
+    let mut caps = hand(vec![WayPoint::new(0.0, Vector3::zeros())])
+        .caps()
+        .clone();
+    caps.dof_out = 0;
+    caps.max_force_n = 0.0;
+    caps.continuous_force_n = 0.0;
+    caps.max_stiffness_n_per_m = 0.0;
+    let mut chain = Chain::new(ChainConfig::default(), &caps);
+    let deeper = Vector3::new(0.0, 0.0, -2e-3);
+    let mut tick = |t: i64, x| chain.tick(ms(t), &sample(x), &pressed(ms(t - t % 4), 4.0));
+    for t in 0..2000 {
+        let now = tick(t, Vector3::zeros());
+        assert_eq!(now.wrench, Wrench::ZERO);
+        assert!(now.felt.is_finite() && !now.events.contains(Events::SATURATED));
+    }
+    assert!((tick(2000, Vector3::zeros()).felt.force.z - 4.0).abs() < 1e-9);
+    // It follows the tool between two models as a force does: 300 N/m.
+    let blended = (2001..2050).map(|t| tick(t, deeper));
+    assert!((blended.last().unwrap().felt.force.z - 4.6).abs() < 1e-6);
+    // And an old model is no more believed than for a hand.
+    let old = pressed(ms(2048), 4.0);
+    let last = (2050..2300).map(|t| chain.tick(ms(t), &sample(deeper), &old));
+    let felt: Vec<f64> = last.map(|tick| tick.felt.force.norm()).collect();
+    assert!(felt[0] > 4.0 && felt[160..].iter().all(|n| *n == 0.0));
 }
 
 #[test]

@@ -69,8 +69,10 @@ pub struct Frame {
     /// What the device said; after a failed reading the last sample, with
     /// [`Faults::UNTRUSTED_POSE`].
     pub sample: Sample,
-    /// What was written to the device.
+    /// What was written to the device; zero for one that renders no force.
     pub wrench: Wrench,
+    /// What the tissue does to the tool, for those who show it: see [`Tick::felt`](palpate_haptics::Tick::felt).
+    pub felt: Wrench,
     /// What happened.
     pub events: Events,
     /// Age of the contact model that was used.
@@ -129,6 +131,7 @@ pub fn spawn(
         time: now,
         sample: Sample::resting(device_time(now), Pose::default()),
         wrench: Wrench::ZERO,
+        felt: Wrench::ZERO,
         events: Events::NONE,
         contact_age: Span::ZERO,
     };
@@ -278,15 +281,20 @@ impl HapticLoop {
             };
             (untrusted, self.chain.tick_without_sample(now))
         };
-        match self.device.write(device_time(now), tick.wrench) {
-            Written::Applied => {}
-            Written::Saturated { .. } => self.meter.stats.device_saturated += 1,
-            Written::Rejected(_) => self.meter.stats.device_rejected += 1,
+        if self.device.caps().dof_out == 0 {
+            self.device.cue(device_time(now), &tick.felt);
+        } else {
+            match self.device.write(device_time(now), tick.wrench) {
+                Written::Applied => {}
+                Written::Saturated { .. } => self.meter.stats.device_saturated += 1,
+                Written::Rejected(_) => self.meter.stats.device_rejected += 1,
+            }
         }
         let frame = Frame {
             time: now,
             sample,
             wrench: tick.wrench,
+            felt: tick.felt,
             events: tick.events,
             contact_age: tick.contact_age,
         };
