@@ -1,5 +1,6 @@
-//! One folder per driver.
+//! One folder per driver; `steered` is what those share that steer a tool.
 
 pub mod five_dof;
 pub mod replay;
 pub mod sim;
+pub mod steered;
