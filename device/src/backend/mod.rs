@@ -3,4 +3,5 @@
 pub mod five_dof;
 pub mod replay;
 pub mod sim;
+pub mod spacemouse;
 pub mod steered;
