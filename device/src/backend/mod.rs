@@ -1,6 +1,7 @@
 //! One folder per driver; `steered` is what those share that steer a tool.
 
 pub mod five_dof;
+pub mod gamepad;
 pub mod replay;
 pub mod sim;
 pub mod spacemouse;
