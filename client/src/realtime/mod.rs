@@ -14,6 +14,8 @@
 
 mod clock;
 mod handle;
+#[cfg(test)]
+mod input_tests;
 mod pace;
 mod priority;
 mod stats;

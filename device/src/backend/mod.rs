@@ -2,6 +2,7 @@
 
 pub mod five_dof;
 pub mod gamepad;
+pub mod pointer;
 pub mod replay;
 pub mod sim;
 pub mod spacemouse;
