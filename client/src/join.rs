@@ -82,10 +82,13 @@ impl Parts {
     fn start(
         options: &JoinOptions,
         network: &Network,
-        guide: Option<Guide>,
+        mut guide: Option<Guide>,
     ) -> Result<Self, ClientError> {
         let welcome = &network.welcome;
         let model = Arc::new(decode_model(&network.model)?);
+        if let Some(guide) = &mut guide {
+            guide.find_place(&model, options.script.is_some());
+        }
         let blade = guide
             .as_ref()
             .map(|guide| guide.tool)

@@ -8,9 +8,14 @@ use clap::{Args, Subcommand, ValueEnum};
 use palpate_device::backend::sim::ScriptStart;
 use palpate_device::conformance::{self, Outcome, Report};
 use palpate_device::{Calibration, ClockOwner, DeviceTime, HapticDevice};
+use palpate_protocol::Span;
 use serde_json::json;
 
 use super::{DeviceKind, Guide, open, plot};
+use crate::realtime::{device_time, monotonic_now, sleep_until};
+
+/// From tick to tick while hardware is tested.
+const TICK: Span = Span::from_millis(1);
 
 /// What `devices --help` shows at its end.
 const EXAMPLES: &str = "\
@@ -73,7 +78,10 @@ enum Plotted {
 /// The command. Errors are said on standard error.
 pub(crate) fn run(arguments: DevicesArguments) -> ExitCode {
     let done = match arguments.command.unwrap_or(Command::List { json: false }) {
-        Command::List { json } => list(json),
+        Command::List { json } => {
+            list(json);
+            Ok(())
+        }
         Command::Test { device, json } => test(device, json),
         Command::Calibrate { device } => calibrate(device),
         Command::Plot {
@@ -99,16 +107,29 @@ fn say(text: &str) {
     let _ = std::io::stdout().write_all(text.as_bytes());
 }
 
+/// The width of a device's word in the list.
+const WORD: usize = 10;
+
 /// A device that rests.
 fn at_rest(kind: DeviceKind) -> Result<Box<dyn HapticDevice>, String> {
-    let guide = Guide::at_rest(kind == DeviceKind::Replay)?;
+    let guide = if kind.is_steered() {
+        Guide::held()
+    } else {
+        Guide::at_rest(kind == DeviceKind::Replay)?
+    };
     open(kind, &guide, ScriptStart::not_yet()).map_err(|e| e.to_string())
 }
 
-fn list(json: bool) -> Done {
+fn list(json: bool) {
     let mut rows = Vec::new();
     for (kind, sentence) in DeviceKind::ALL {
-        let device = at_rest(kind)?;
+        let mut device = match at_rest(kind) {
+            Ok(device) => device,
+            Err(why) => {
+                rows.push(absent(kind, sentence, &why, json));
+                continue;
+            }
+        };
         let caps = device.caps();
         let side = (caps.workspace.max - caps.workspace.min).min();
         if json {
@@ -122,28 +143,47 @@ fn list(json: bool) -> Done {
                 "clock": clock_word(device.clock()), "calibration": calibration_word(device.calibration()),
             }));
         } else {
+            let forces = if caps.dof_out == 0 {
+                format!("{} degrees of freedom, no force", caps.dof_in)
+            } else {
+                format!(
+                    "{} of {} degrees of freedom push, up to {} N ({} N held) and {} N·m, {} N/m",
+                    caps.dof_out,
+                    caps.dof_in,
+                    caps.max_force_n,
+                    caps.continuous_force_n,
+                    caps.max_torque_nm,
+                    caps.max_stiffness_n_per_m,
+                )
+            };
             rows.push(json!(format!(
-                "{:<9} {sentence}\n{:<9} {} of {} degrees of freedom push, up to {} N ({} N held) and {} N·m, \
-                 {} N/m; {:.0} mm to move in; {}\n",
+                "{:<WORD$} {sentence}\n{:<WORD$} {forces}; {:.0} mm to move in; {}\n",
                 kind.word(),
                 "",
-                caps.dof_out,
-                caps.dof_in,
-                caps.max_force_n,
-                caps.continuous_force_n,
-                caps.max_torque_nm,
-                caps.max_stiffness_n_per_m,
                 side * 1e3,
                 calibration_word(device.calibration()),
             )));
         }
+        device.close();
     }
     if json {
         say(&format!("{}\n", json!({ "devices": rows })));
     } else {
         say(&rows.iter().filter_map(|r| r.as_str()).collect::<String>());
     }
-    Ok(())
+}
+
+/// A row for a device that can not be opened now.
+fn absent(kind: DeviceKind, sentence: &str, why: &str, json: bool) -> serde_json::Value {
+    if json {
+        json!({ "device": kind.word(), "is": sentence, "present": false, "why": why })
+    } else {
+        json!(format!(
+            "{:<WORD$} {sentence}\n{:<WORD$} not here: {why}\n",
+            kind.word(),
+            ""
+        ))
+    }
 }
 
 fn clock_word(clock: ClockOwner) -> &'static str {
@@ -165,14 +205,20 @@ fn calibration_word(calibration: Calibration) -> &'static str {
 
 fn test(kind: DeviceKind, json: bool) -> Done {
     let mut device = at_rest(kind)?;
-    // No hardware is behind these, so time may run as fast as it can.
     let mut us = 0;
+    let mut due = monotonic_now();
     let mut clock = || {
+        if kind.is_steered() {
+            due = due + TICK;
+            sleep_until(due);
+            return device_time(monotonic_now());
+        }
+        // No hardware is behind the others, so time may run as fast as it can.
         us += 1000;
         DeviceTime::from_micros(us)
     };
     let options = conformance::Options {
-        moves_under_force: kind != DeviceKind::Replay,
+        moves_under_force: !kind.is_steered() && kind != DeviceKind::Replay,
     };
     let report = conformance::run(device.as_mut(), &mut clock, options);
     if json {
