@@ -11,7 +11,7 @@ use palpate_protocol::handshake::{Hello, Welcome};
 use palpate_tissue::decode_model;
 
 use crate::convert::tool_description;
-use crate::devices::{self, DeviceChoice, Guide, Moves};
+use crate::devices::{self, DeviceChoice, Guide};
 use crate::motion::MotionThread;
 use crate::network::Network;
 use crate::realtime::{
@@ -32,10 +32,10 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
     if let Some(guide) = &guide {
         // What can not be opened is said before anybody is bothered.
         let mut device = open(options, guide, ScriptStart::not_yet())?;
-        match guide.moves {
-            // What somebody holds is opened once: it may calibrate then, and who holds it waits.
-            Moves::Held { .. } => held = Some(device),
-            _ => device.close(),
+        if guide.is_opened_once() {
+            held = Some(device);
+        } else {
+            device.close();
         }
     }
     let hello = Hello {
@@ -102,7 +102,7 @@ impl Parts {
     fn start(
         options: &JoinOptions,
         network: &Network,
-        guide: Option<Guide>,
+        mut guide: Option<Guide>,
         held: Option<Box<dyn HapticDevice>>,
     ) -> Result<Self, ClientError> {
         let welcome = &network.welcome;
@@ -112,17 +112,16 @@ impl Parts {
             .map(|guide| guide.tool)
             .filter(|tool| tool.kind == ToolKind::Blade)
             .map(|tool| tool.length_m);
-        let held = match guide.as_ref().map(|guide| &guide.moves) {
-            Some(Moves::Held { at, .. }) => held.map(|held| devices::placed(held, *at, &model)),
-            _ => None,
-        };
+        if let Some(guide) = &mut guide {
+            guide.find_place(&model);
+        }
         let site = beneath(|| Site::new(welcome, model, blade));
         let start = ScriptStart::not_yet();
         let (mut haptics, mut motion, mut hand) = (None, None, None);
         let mut name = "none".to_owned();
         if let Some(guide) = guide.filter(|_| welcome.role.has_tool()) {
             let device = match held {
-                Some(held) => held,
+                Some(held) => guide.placed(held),
                 None => open(options, &guide, start.clone())?,
             };
             name.clone_from(&device.caps().name);

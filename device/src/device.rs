@@ -21,7 +21,7 @@ impl Workspace {
     }
 }
 
-/// What a device can do. All of it is positive and finite.
+/// What a device can do. All of it is positive and finite; force, torque and stiffness are zero where it renders none.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DeviceCaps {
     /// What to call it to the user.
@@ -151,7 +151,8 @@ pub enum DeviceFault {
 /// A haptic device. Constructors belong to the backends; everything after that is here.
 ///
 /// The calling order: [`enable_forces`](Self::enable_forces), then in every tick one
-/// [`read`](Self::read) and one [`write`](Self::write) with times that do not run backwards, and
+/// [`read`](Self::read) and one [`write`](Self::write) (of a device that renders no force
+/// [`cue`](Self::cue)) with times that do not run backwards, and
 /// [`close`](Self::close) at the end. Neither `read` nor `write` allocates, locks or logs, and
 /// neither panics.
 ///
@@ -190,6 +191,11 @@ pub trait HapticDevice: Send {
     /// Renders `wrench` from `now` until the next write. A wrench that is not finite is
     /// [`Written::Rejected`] and the device renders zero.
     fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written;
+
+    /// Tells a device that renders no force what the tool would be pushed with, once per tick and in place of
+    /// [`write`](Self::write). It is a hint and no force: a driver may let its hardware shake, and most do nothing. Like
+    /// the others it neither allocates nor waits.
+    fn cue(&mut self, _now: DeviceTime, _felt: &Wrench) {}
 
     /// What the device renders now, as far as its driver knows: after clamps and ramps. A driver whose
     /// device takes its force away by itself (a watchdog of its own, motors that were cut) gives here
@@ -233,6 +239,10 @@ impl<D: HapticDevice + ?Sized> HapticDevice for Box<D> {
 
     fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
         (**self).write(now, wrench)
+    }
+
+    fn cue(&mut self, now: DeviceTime, felt: &Wrench) {
+        (**self).cue(now, felt);
     }
 
     fn rendered(&self) -> Wrench {

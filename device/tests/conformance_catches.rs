@@ -6,11 +6,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
 use nalgebra::Vector3;
+use palpate_device::backend::pointer::{Pointer, PointerConfig, PointerHandle};
 use palpate_device::backend::sim::{ScriptStart, SimHand};
-use palpate_device::conformance::{Hooks, Options, Outcome, Report, run_with};
+use palpate_device::conformance::{Hooks, Options, Outcome, Report, run, run_with};
 use palpate_device::{
     Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice,
-    Rejection, Sample, Script, Wrench, Written,
+    Rejection, Sample, Script, Workspace, Wrench, Written,
 };
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -223,5 +224,84 @@ fn each_bug_breaks_the_law_it_should() {
             broken.iter().any(|law| law.contains(word)),
             "{bug:?} broke {broken:?}"
         );
+    }
+}
+
+/// A pointer that claims to push, or that moves when it is only told.
+struct Eager {
+    pointer: Pointer,
+    _view: PointerHandle,
+    applies: bool,
+    pushed: f64,
+}
+
+impl HapticDevice for Eager {
+    fn caps(&self) -> &DeviceCaps {
+        self.pointer.caps()
+    }
+    fn calibration(&self) -> Calibration {
+        self.pointer.calibration()
+    }
+    fn clock(&self) -> ClockOwner {
+        self.pointer.clock()
+    }
+    fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
+        self.pointer.enable_forces(on)
+    }
+    fn force_state(&self) -> ForceState {
+        self.pointer.force_state()
+    }
+    fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
+        let mut sample = self.pointer.read(now)?;
+        sample.pose.position.z += self.pushed;
+        Ok(sample)
+    }
+    fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
+        let written = self.pointer.write(now, wrench);
+        if self.applies {
+            Written::Applied
+        } else {
+            written
+        }
+    }
+    fn cue(&mut self, _now: DeviceTime, felt: &Wrench) {
+        if !self.applies {
+            self.pushed = 1e-3 * felt.force.z;
+        }
+    }
+    fn rendered(&self) -> Wrench {
+        self.pointer.rendered()
+    }
+    fn close(&mut self) {
+        self.pointer.close();
+    }
+}
+
+#[test]
+fn a_device_without_motors_that_pushes_all_the_same_is_caught() {
+    for applies in [true, false] {
+        let half = Vector3::repeat(0.1);
+        let workspace = Workspace {
+            min: -half,
+            max: half,
+        };
+        let config = PointerConfig::new(workspace, palpate_device::Pose::default());
+        let (pointer, view) = Pointer::new(&config).unwrap();
+        let mut device = Eager {
+            pointer,
+            _view: view,
+            applies,
+            pushed: 0.0,
+        };
+        let mut us = 0;
+        let mut clock = || {
+            us += 1000;
+            DeviceTime::from_micros(us)
+        };
+        let report = run(&mut device, &mut clock, Options::default());
+        let caught = report.rows().iter().any(|row| {
+            row.law.contains("without motors") && matches!(row.outcome, Outcome::Failed(_))
+        });
+        assert!(caught, "{report}");
     }
 }

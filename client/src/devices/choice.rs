@@ -30,6 +30,9 @@ impl FromStr for DeviceChoice {
             )
         })?;
         match which {
+            Some(_) if kind.is_steered() => Err(format!(
+                "of {word} the first that is connected is taken; leave out what follows the colon"
+            )),
             Some(_) if !kind.is_owned() => Err(format!(
                 "of {word} there is one; leave out what follows the colon"
             )),
@@ -61,6 +64,7 @@ mod tests {
         assert_eq!(named.which.as_deref(), Some("Left Device"));
         assert!(parsed("haply:").unwrap_err().contains("after the colon"));
         assert!(parsed("sim:1").unwrap_err().contains("there is one"));
+        assert!(parsed("gamepad:1").unwrap_err().contains("the first"));
         let unknown = parsed("joystick").unwrap_err();
         assert!(
             unknown.contains("openhaptics") && unknown.contains("auto"),

@@ -8,7 +8,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use palpate_device::backend::Found;
 use palpate_device::backend::sim::ScriptStart;
 use palpate_device::conformance::{self, Outcome, Report};
-use palpate_device::{Calibration, ClockOwner, DeviceTime, HapticDevice};
+use palpate_device::{Calibration, ClockOwner, DeviceCaps, DeviceTime, HapticDevice};
 use palpate_protocol::Span;
 use serde_json::json;
 
@@ -117,7 +117,7 @@ fn say(text: &str) {
 /// A device that rests, or lies there.
 fn at_rest(choice: &DeviceChoice) -> Result<Box<dyn HapticDevice>, String> {
     let sources = Sources::from_environment();
-    let guide = if choice.kind.is_owned() {
+    let guide = if choice.kind.is_held() {
         Guide::held(None, choice.kind)
     } else {
         Guide::at_rest(choice.kind == DeviceKind::Replay)?
@@ -148,8 +148,18 @@ fn list(json: bool) {
                 kind.word(),
                 ""
             )),
-            (Ok(device), true) => as_row(kind, sentence, &found, device.as_deref()),
-            (Ok(device), false) => json!(as_text(kind, sentence, &found, device.as_deref())),
+            (Ok(mut device), is_json) => {
+                let there = device.as_deref();
+                let row = if is_json {
+                    as_row(kind, sentence, &found, there)
+                } else {
+                    json!(as_text(kind, sentence, &found, there))
+                };
+                if let Some(device) = &mut device {
+                    device.close();
+                }
+                row
+            }
         });
     }
     if json {
@@ -201,22 +211,31 @@ fn as_text(
     let listed = |found: &Found| format!("{:<WORD$} {}:{found}\n", "", kind.word());
     lines.extend(found.iter().map(listed));
     if let Some(device) = device {
-        let caps = device.caps();
         lines.push(format!(
-            "{:<WORD$} {} of {} degrees of freedom push, up to {} N ({} N held) and {} N·m, {} N/m; {:.0} mm to \
-             move in; {}\n",
+            "{:<WORD$} {}; {:.0} mm to move in; {}\n",
             "",
-            caps.dof_out,
-            caps.dof_in,
-            caps.max_force_n,
-            caps.continuous_force_n,
-            caps.max_torque_nm,
-            caps.max_stiffness_n_per_m,
+            forces(device.caps()),
             side_m(device) * 1e3,
             calibration_word(device.calibration()),
         ));
     }
     lines.concat()
+}
+
+/// What it can push with.
+fn forces(caps: &DeviceCaps) -> String {
+    if caps.dof_out == 0 {
+        return format!("{} degrees of freedom, no force", caps.dof_in);
+    }
+    format!(
+        "{} of {} degrees of freedom push, up to {} N ({} N held) and {} N·m, {} N/m",
+        caps.dof_out,
+        caps.dof_in,
+        caps.max_force_n,
+        caps.continuous_force_n,
+        caps.max_torque_nm,
+        caps.max_stiffness_n_per_m,
+    )
 }
 
 /// The shortest side of what it can reach, m.
@@ -247,7 +266,7 @@ fn test(choice: &DeviceChoice, json: bool) -> Done {
     let mut device = at_rest(choice)?;
     let (mut us, mut due) = (0, monotonic_now());
     let mut clock = || {
-        if kind.is_owned() {
+        if kind.is_held() {
             due = due + TICK;
             sleep_until(due);
             return device_time(monotonic_now());
@@ -257,7 +276,7 @@ fn test(choice: &DeviceChoice, json: bool) -> Done {
         DeviceTime::from_micros(us)
     };
     let options = conformance::Options {
-        moves_under_force: !kind.is_owned() && kind != DeviceKind::Replay,
+        moves_under_force: !kind.is_held() && kind != DeviceKind::Replay,
     };
     let report = conformance::run(device.as_mut(), &mut clock, options);
     if json {

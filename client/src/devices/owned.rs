@@ -2,16 +2,11 @@
 
 use std::path::PathBuf;
 
-use nalgebra::Vector3;
+use palpate_device::HapticDevice;
 use palpate_device::backend::haply::{self, HaplyError, Service};
 use palpate_device::backend::{Found, dhd, openhaptics};
-use palpate_device::{HapticDevice, Placed, Placement};
-use palpate_tissue::Model;
 
 use super::DeviceKind;
-
-/// How far above the tissue the middle of a device's workspace is put, m. The smallest reaches 40 mm down from there.
-const ABOVE_M: f64 = 0.02;
 
 /// The kinds of devices that people own, the best first: more degrees of freedom and more force.
 const KINDS: [DeviceKind; 3] = [DeviceKind::Dhd, DeviceKind::Haply, DeviceKind::OpenHaptics];
@@ -71,13 +66,13 @@ pub(crate) fn find(kind: DeviceKind, sources: &Sources) -> Result<Vec<Found>, Ow
 }
 
 /// The best kind of which one is plugged in. Where nothing is installed that is known in a moment.
-pub(crate) fn best(sources: &Sources) -> Option<DeviceKind> {
+pub(super) fn best(sources: &Sources) -> Option<DeviceKind> {
     let is_there = |kind: &DeviceKind| find(*kind, sources).is_ok_and(|found| !found.is_empty());
     KINDS.into_iter().find(is_there)
 }
 
 /// Opens the device of this kind with this id, or the only one; `None` for a kind that nobody owns.
-pub(crate) fn open(
+pub(super) fn open(
     kind: DeviceKind,
     which: Option<&str>,
     sources: &Sources,
@@ -90,40 +85,11 @@ pub(crate) fn open(
     }))
 }
 
-/// Puts a device's workspace with its middle `at` a place of the scene, or a little above the middle of the tissue.
-pub(crate) fn placed(
-    device: Box<dyn HapticDevice>,
-    at: Option<Vector3<f64>>,
-    model: &Model,
-) -> Box<dyn HapticDevice> {
-    let at = at.unwrap_or_else(|| above(model));
-    let workspace = device.caps().workspace;
-    let middle = (workspace.min + workspace.max) / 2.0;
-    let placement = Placement::with(Placement::default().turn, middle, at);
-    Box::new(Placed::new(device, placement))
-}
-
-fn above(model: &Model) -> Vector3<f64> {
-    let Some(first) = model.nodes.first() else {
-        return Vector3::zeros();
-    };
-    let (mut min, mut max) = (*first, *first);
-    for node in &model.nodes {
-        (min, max) = (min.inf(node), max.sup(node));
-    }
-    let middle = (min + max) / 2.0;
-    Vector3::new(middle.x, middle.y, max.z + ABOVE_M)
-}
-
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector3;
     use palpate_device::backend::haply::Service;
-    use palpate_device::backend::sim::{ScriptStart, SimHand};
-    use palpate_device::{HapticDevice, Script};
-    use palpate_tissue::{Material, block};
 
-    use super::{KINDS, Sources, best, find, open, placed};
+    use super::{KINDS, Sources, best, find, open};
 
     /// A place where nothing is installed.
     fn nowhere() -> Sources {
@@ -146,33 +112,5 @@ mod tests {
             assert!(why.contains(word), "{why}");
             assert!(open(kind, None, &nowhere()).is_err());
         }
-    }
-
-    #[test]
-    fn a_device_reaches_the_tissue_wherever_its_own_origin_is() {
-        let model = block([10, 10, 6], 4e-3, &Material::default(), 1);
-        let script = Script::resting_probe(Vector3::zeros(), 4e-3).unwrap();
-        let mut caps = SimHand::new(script.clone(), ScriptStart::not_yet())
-            .caps()
-            .clone();
-        caps.workspace.min = Vector3::new(-0.2, 0.7, 0.1);
-        caps.workspace.max = Vector3::new(0.2, 0.9, 0.2);
-        let hand = || -> Box<dyn HapticDevice> {
-            let start = ScriptStart::not_yet();
-            Box::new(SimHand::with_caps(script.clone(), start, caps.clone()))
-        };
-        let middle_of = |device: Box<dyn HapticDevice>| {
-            let workspace = device.caps().workspace;
-            (workspace.min + workspace.max) / 2.0
-        };
-        let (mut min, mut max) = (model.nodes[0], model.nodes[0]);
-        for node in &model.nodes {
-            (min, max) = (min.inf(node), max.sup(node));
-        }
-        let middle = middle_of(placed(hand(), None, &model));
-        assert!((middle.xy() - (min + max).xy() / 2.0).norm() < 1e-12);
-        assert!((middle.z - max.z - super::ABOVE_M).abs() < 1e-12);
-        let there = Vector3::new(1.0, 2.0, 3.0);
-        assert!((middle_of(placed(hand(), Some(there), &model)) - there).norm() < 1e-12);
     }
 }

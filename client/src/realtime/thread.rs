@@ -174,7 +174,7 @@ impl HapticLoop {
             clock::sleep_until(deadline);
             let woke = clock::monotonic_now();
             let turned = self.hand.turn(woke, self.wishes(), self.models.read());
-            self.hand_over(turned);
+            self.hand_over(&turned);
             let done = clock::monotonic_now();
             self.meter.record(deadline, woke, done);
             pace.done(done);
@@ -198,7 +198,7 @@ impl HapticLoop {
         }
     }
 
-    fn hand_over(&mut self, turned: Turned) {
+    fn hand_over(&mut self, turned: &Turned) {
         let frame = turned.frame;
         self.newest.write(frame);
         self.view.write(frame);

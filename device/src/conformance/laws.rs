@@ -246,6 +246,29 @@ pub(super) fn disabling_is_zero(bench: &mut Bench<'_, '_>) -> Verdict {
     bench.expect_rendered_zero()
 }
 
+pub(super) fn no_motors_no_force(bench: &mut Bench<'_, '_>) -> Verdict {
+    bench
+        .device
+        .enable_forces(true)
+        .map_err(|e| e.to_string())?;
+    for n in [1.0, f64::NAN] {
+        let wrench = Wrench::from_force(Vector3::new(0.0, 0.0, n));
+        let now = (bench.clock)();
+        let before = bench.device.read(now).map_err(|e| e.to_string())?.pose;
+        let written = bench.device.write(now, wrench);
+        ensure(written == Written::Rejected(Rejection::NoMotors), || {
+            format!("{written:?}")
+        })?;
+        bench.device.cue(now, &wrench);
+        bench.expect_rendered_zero()?;
+        let after = bench.device.read(now).map_err(|e| e.to_string())?.pose;
+        ensure(before == after, || {
+            format!("a cue moved the tool from {before:?} to {after:?}")
+        })?;
+    }
+    Ok(())
+}
+
 /// The motors get what the device says it renders. What is on its way may be as old as a twentieth of a second.
 pub(super) fn motors_get_it(bench: &mut Bench<'_, '_>) -> Verdict {
     let wrench = bench.gentle(2);

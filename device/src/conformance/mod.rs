@@ -218,6 +218,11 @@ fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
             laws::disabling_is_zero,
         ),
         law(
+            "without motors every wrench is refused, and a cue moves nothing",
+            when(!has_motors, ""),
+            laws::no_motors_no_force,
+        ),
+        law(
             "a plug that is pulled ends force and is said",
             when(hooks.unplug.is_some(), ""),
             laws::unplugging_is_said,
