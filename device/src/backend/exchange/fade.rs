@@ -38,6 +38,11 @@ impl Fade {
         self.share()
     }
 
+    /// The force was taken away at once; what is renewed from now on comes back as after a fade.
+    pub(in crate::backend) const fn cut(&mut self) {
+        self.left = 0;
+    }
+
     /// The share of the last turn.
     pub(in crate::backend) fn share(&self) -> f64 {
         f64::from(self.left) / f64::from(self.turns)
@@ -56,6 +61,15 @@ mod tests {
         let shares: Vec<f64> = (0..60).map(|_| fade.turn(false)).collect();
         assert!(shares[..20].iter().all(|s| *s == 1.0));
         assert!(shares[39..].iter().all(|s| *s == 0.0));
+    }
+
+    #[test]
+    fn after_a_cut_nothing_comes_back_before_it_is_renewed_and_then_as_slowly_as_after_a_fade() {
+        let mut fade = Fade::new(20, 20);
+        fade.cut();
+        assert!((0..60).all(|_| fade.turn(false) == 0.0));
+        let shares: Vec<f64> = (0..20).map(|_| fade.turn(true)).collect();
+        assert_eq!((shares[0], shares[19]), (0.05, 1.0));
     }
 
     proptest! {

@@ -115,6 +115,13 @@ impl DriverEnd {
         });
     }
 
+    /// The device was told to render nothing, or is gone: what was ordered until now is no longer meant. The loop learns
+    /// of it with the next news.
+    pub(in crate::backend) fn cut(&mut self) {
+        self.orders.update();
+        self.fade.cut();
+    }
+
     /// What to render in this turn; once per turn.
     pub(in crate::backend) fn order(&mut self) -> Order {
         let is_renewed = self.orders.update();
@@ -373,5 +380,18 @@ mod tests {
         end.tell(News::at_rest());
         remote.read(at(301_000)).unwrap();
         assert_eq!(remote.rendered(), Wrench::ZERO);
+    }
+
+    #[test]
+    fn what_was_ordered_before_a_cut_is_not_rendered_after_it() {
+        let (mut remote, mut end, caps) = pushed();
+        end.cut();
+        assert!((0..30).all(|_| end.order().wrench == Wrench::ZERO));
+        // The loop learns of it, and what it writes then comes back slowly.
+        end.tell(News::at_rest());
+        remote.read(at(300_000)).unwrap();
+        assert_eq!(remote.rendered(), Wrench::ZERO);
+        let _ = remote.write(at(300_000), push(), &caps);
+        assert!((end.order().wrench.force.norm() - 0.15).abs() < 1e-9);
     }
 }

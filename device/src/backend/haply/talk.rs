@@ -53,11 +53,14 @@ impl Talk {
                 return;
             }
             link.close();
+            self.end.cut();
             self.end.tell(News {
                 lost: Some(DeviceFault::Unplugged),
                 ..self.news
             });
             next = self.begin_again();
+            // What the loop wrote before it had heard of the loss is not meant for the new conversation.
+            self.end.cut();
         }
     }
 
@@ -105,6 +108,7 @@ impl Talk {
                 Received::Nothing if self.leave.load(Ordering::Acquire) => return Ok(()),
                 Received::Nothing if owed < OWED_MAX => {
                     self.send(link, &Order::OFF)?;
+                    self.end.cut();
                     owed += 1;
                 }
                 Received::Nothing | Received::Unfit(_) | Received::Closed(_) => return Err(Over),
