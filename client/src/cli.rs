@@ -9,8 +9,8 @@ use std::time::Duration;
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
-use crate::devices::{self, DevicesArguments};
-use crate::{ClientError, DeviceKind, JoinOptions, StatusKind, Summary, run as join};
+use crate::devices::{self, DeviceChoice, DevicesArguments, Sources};
+use crate::{ClientError, JoinOptions, StatusKind, Summary, run as join};
 
 /// The longest run that can be asked for, s: a day. A larger number is more likely milliseconds.
 const DURATION_MAX_S: f64 = 86_400.0;
@@ -26,6 +26,9 @@ Examples:
 
   Figures for a program on standard output, everything else on standard error:
     palpate-client join LINK --script press.toml --duration 20 --json > run.json
+
+  With the Touch, Inverse3, omega or Falcon that is plugged in:
+    palpate-client join \"palpate://192.168.1.20:4433/trainee?cert=...&grant=...\"
 
   Which devices this program drives:
     palpate-client devices
@@ -61,9 +64,10 @@ struct JoinArguments {
     /// The name that others see
     #[arg(long, default_value_t = default_name())]
     name: String,
-    /// The device to hold, for roles with a tool
-    #[arg(long, value_enum, default_value_t = DeviceKind::Auto)]
-    device: DeviceKind,
+    /// The device to hold, for roles with a tool: one that `devices` lists (haply, or haply:ID where there are several),
+    /// or auto: what moves the tool decides, and without --script and --motion the best that is plugged in
+    #[arg(long, value_name = "DEVICE", default_value = "auto")]
+    device: DeviceChoice,
     /// What the simulated hand does, with or without a simulated device in it (a TOML file)
     #[arg(long, value_name = "FILE")]
     script: Option<PathBuf>,
@@ -93,7 +97,9 @@ impl JoinArguments {
             StatusKind::Stdout
         };
         JoinOptions {
-            device: self.device,
+            device: self.device.kind,
+            device_id: self.device.which,
+            sources: Sources::from_environment(),
             script: self.script,
             motion: self.motion,
             duration: self.duration,

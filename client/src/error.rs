@@ -36,8 +36,8 @@ pub enum ClientError {
     },
     /// A role with a tool and nothing that moves it.
     #[error(
-        "the role {0} holds a tool, and the simulated hand needs a script to follow: add --script FILE, or --motion \
-         FILE to replay a recorded motion"
+        "the role {0} holds a tool, no device for it is plugged in (`palpate-client devices` says what is missing), and the \
+         simulated hand needs a script to follow: add --script FILE, or --motion FILE to replay a recorded motion"
     )]
     NoScript(Role),
     /// The device can not be opened.

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use palpate_device::HapticDevice;
 use palpate_device::backend::sim::ScriptStart;
 use palpate_device::script::ToolKind;
 use palpate_haptics::{Chain, ChainConfig};
@@ -10,7 +11,7 @@ use palpate_protocol::handshake::{Hello, Welcome};
 use palpate_tissue::decode_model;
 
 use crate::convert::tool_description;
-use crate::devices::{self, Guide};
+use crate::devices::{self, DeviceChoice, Guide};
 use crate::motion::MotionThread;
 use crate::network::Network;
 use crate::realtime::{
@@ -27,9 +28,15 @@ use crate::{ClientError, JoinOptions, Summary};
 pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
     let link: JoinLink = options.link.parse()?;
     let guide = Guide::load(options, link.role)?;
+    let mut held = None;
     if let Some(guide) = &guide {
         // What can not be opened is said before anybody is bothered.
-        devices::open(options.device, guide, ScriptStart::not_yet())?.close();
+        let mut device = open(options, guide, ScriptStart::not_yet())?;
+        if guide.is_opened_once() {
+            held = Some(device);
+        } else {
+            device.close();
+        }
     }
     let hello = Hello {
         name: options.name.clone(),
@@ -50,7 +57,7 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
         Arc::clone(&options.stop),
         options.catch_signals,
     )?;
-    let parts = match Parts::start(options, &network, guide) {
+    let parts = match Parts::start(options, &network, guide, held) {
         Ok(parts) => parts,
         Err(error) => {
             network.leave();
@@ -69,6 +76,19 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
     session.finish(ending)
 }
 
+/// Opens the device that was asked for.
+fn open(
+    options: &JoinOptions,
+    guide: &Guide,
+    start: ScriptStart,
+) -> Result<Box<dyn HapticDevice>, ClientError> {
+    let choice = DeviceChoice {
+        kind: options.device,
+        which: options.device_id.clone(),
+    };
+    Ok(devices::open(&choice, guide, start, &options.sources)?)
+}
+
 /// The threads of a session, beside the network's.
 pub(crate) struct Parts {
     pub(crate) haptics: Option<HapticHandle>,
@@ -82,7 +102,8 @@ impl Parts {
     fn start(
         options: &JoinOptions,
         network: &Network,
-        guide: Option<Guide>,
+        mut guide: Option<Guide>,
+        held: Option<Box<dyn HapticDevice>>,
     ) -> Result<Self, ClientError> {
         let welcome = &network.welcome;
         let model = Arc::new(decode_model(&network.model)?);
@@ -91,12 +112,18 @@ impl Parts {
             .map(|guide| guide.tool)
             .filter(|tool| tool.kind == ToolKind::Blade)
             .map(|tool| tool.length_m);
+        if let Some(guide) = &mut guide {
+            guide.find_place(&model);
+        }
         let site = beneath(|| Site::new(welcome, model, blade));
         let start = ScriptStart::not_yet();
         let (mut haptics, mut motion, mut hand) = (None, None, None);
         let mut name = "none".to_owned();
         if let Some(guide) = guide.filter(|_| welcome.role.has_tool()) {
-            let device = devices::open(options.device, &guide, start.clone())?;
+            let device = match held {
+                Some(held) => guide.placed(held),
+                None => open(options, &guide, start.clone())?,
+            };
             name.clone_from(&device.caps().name);
             let chain = Chain::new(ChainConfig::default(), device.caps());
             let (handle, ports) = spawn(device, chain, loop_config(options))?;

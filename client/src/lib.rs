@@ -41,7 +41,7 @@ pub mod stroke;
 mod summary;
 pub mod view;
 
-pub use devices::{DeviceError, DeviceKind};
+pub use devices::{DeviceError, DeviceKind, OwnedError, Sources};
 pub use error::ClientError;
 pub use join::run;
 pub use options::{JoinOptions, StatusKind};

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use crate::DeviceKind;
+use crate::{DeviceKind, Sources};
 
 /// Where the progress of a run is shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -28,6 +28,10 @@ pub struct JoinOptions {
     pub name: String,
     /// The device to hold, for roles with a tool.
     pub device: DeviceKind,
+    /// Which of several devices of a kind, as `devices` lists it.
+    pub device_id: Option<String>,
+    /// Where makers' services and libraries are.
+    pub sources: Sources,
     /// What a simulated hand does, with or without a simulated device.
     pub script: Option<PathBuf>,
     /// A recorded motion for a device that replays it; the tool is the script's then, or a ball of 8 mm.
@@ -53,6 +57,8 @@ impl JoinOptions {
             link: link.into(),
             name: name.into(),
             device: DeviceKind::Auto,
+            device_id: None,
+            sources: Sources::default(),
             script: None,
             motion: None,
             duration: None,

@@ -2,12 +2,14 @@
 //! Nothing here asserts how fast it is.
 #![allow(clippy::unwrap_used)]
 
+mod stand_in;
+
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use palpate_client::{ClientError, JoinOptions, Recording, Summary, convert};
+use palpate_client::{ClientError, DeviceKind, JoinOptions, Recording, Sources, Summary, convert};
 use palpate_protocol::handshake::{Hello, RefusalReason, Refused, RosterEntry, Welcome};
 use palpate_protocol::operation::{
     BladePoint, CompensationMode, CompensationSettings, CutStroke, Operation, OperationKind,
@@ -410,4 +412,37 @@ fn a_signal_ends_the_program_politely_with_its_summary_as_json() {
         ("Ada", "you left")
     );
     fake.stop();
+}
+
+#[test]
+fn a_device_that_somebody_holds_joins_without_a_script() {
+    for (kind, source, called) in [
+        (DeviceKind::Dhd, "drd.rs", "omega.7"),
+        (DeviceKind::OpenHaptics, "hd.rs", "Touch"),
+        // What is plugged in is found.
+        (DeviceKind::Auto, "drd.rs", "omega.7"),
+    ] {
+        let fake = Fake::start(Manner::Plays, false);
+        let library = stand_in::compiled(source, fake.directory.path());
+        let options = JoinOptions {
+            device: kind,
+            sources: Sources {
+                libhd: Some(library.clone()),
+                libdrd: Some(library),
+                ..Sources::default()
+            },
+            script: None,
+            duration: Some(Duration::from_secs(1)),
+            ..fake.options()
+        };
+        let summary = palpate_client::run(&options).unwrap();
+        assert_eq!(summary.device, called);
+        assert!(summary.ticks > 0, "{summary}");
+        assert_eq!(
+            (summary.events.faulted, summary.events.bad_samples),
+            (0, 0),
+            "{summary}"
+        );
+        fake.stop();
+    }
 }

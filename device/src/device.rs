@@ -21,7 +21,7 @@ impl Workspace {
     }
 }
 
-/// What a device can do. All of it is positive and finite.
+/// What a device can do. All of it is positive and finite; force, torque and stiffness are zero where it renders none.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DeviceCaps {
     /// What to call it to the user.
@@ -64,7 +64,8 @@ impl Calibration {
     }
 }
 
-/// Whose clock drives a device. Real drivers differ in this more than in anything else.
+/// Whose clock drives a device. Real drivers differ in this more than in anything else; the loop that drives them does
+/// not: a driver of a device with a clock of its own has a thread for it, which hands the newest over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum ClockOwner {
     /// We read and write whenever we want to.
@@ -133,6 +134,9 @@ pub enum DeviceFault {
     /// The device no longer answers.
     #[error("the device no longer answers; check its cable and power")]
     Unplugged,
+    /// Its motors have no power.
+    #[error("the device's motors have no power; plug in its power supply")]
+    NoPower,
     /// The device does not know where it is.
     #[error("the device is not calibrated; follow its maker's procedure, then try again")]
     NotCalibrated,
@@ -147,9 +151,17 @@ pub enum DeviceFault {
 /// A haptic device. Constructors belong to the backends; everything after that is here.
 ///
 /// The calling order: [`enable_forces`](Self::enable_forces), then in every tick one
-/// [`read`](Self::read) and one [`write`](Self::write) with times that do not run backwards, and
+/// [`read`](Self::read) and one [`write`](Self::write) (of a device that renders no force
+/// [`cue`](Self::cue)) with times that do not run backwards, and
 /// [`close`](Self::close) at the end. Neither `read` nor `write` allocates, locks or logs, and
 /// neither panics.
+///
+/// Whoever calls them at the rate of [`DeviceCaps::rate_hz`] may rely on the following, whoever's [`clock`](Self::clock)
+/// drives the device. Neither waits for the device longer than one call of its driver takes: where the clock is not ours,
+/// `read` gives what came last, and [`Sample::time`] says since when it is known. What came last and is older than
+/// 50 ms carries [`Faults::COMMUNICATION`](crate::Faults::COMMUNICATION), and after half a second reading is an error.
+/// A wrench stands for as long as the loop goes on: a driver with a thread of its own takes it away by itself when
+/// nobody has written for some tens of milliseconds.
 pub trait HapticDevice: Send {
     /// What it can do; constant for as long as it is open.
     fn caps(&self) -> &DeviceCaps;
@@ -180,6 +192,11 @@ pub trait HapticDevice: Send {
     /// [`Written::Rejected`] and the device renders zero.
     fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written;
 
+    /// Tells a device that renders no force what the tool would be pushed with, once per tick and in place of
+    /// [`write`](Self::write). It is a hint and no force: a driver may let its hardware shake, and most do nothing. Like
+    /// the others it neither allocates nor waits.
+    fn cue(&mut self, _now: DeviceTime, _felt: &Wrench) {}
+
     /// What the device renders now, as far as its driver knows: after clamps and ramps. A driver whose
     /// device takes its force away by itself (a watchdog of its own, motors that were cut) gives here
     /// what is left from that moment on: the loop goes on from there, and what it does not know it can
@@ -188,4 +205,51 @@ pub trait HapticDevice: Send {
 
     /// Writes zero, then closes. A second call does nothing.
     fn close(&mut self);
+}
+
+/// A device of whatever kind.
+impl<D: HapticDevice + ?Sized> HapticDevice for Box<D> {
+    fn caps(&self) -> &DeviceCaps {
+        (**self).caps()
+    }
+
+    fn calibration(&self) -> Calibration {
+        (**self).calibration()
+    }
+
+    fn calibrate(&mut self) -> Result<Calibration, DeviceFault> {
+        (**self).calibrate()
+    }
+
+    fn clock(&self) -> ClockOwner {
+        (**self).clock()
+    }
+
+    fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
+        (**self).enable_forces(on)
+    }
+
+    fn force_state(&self) -> ForceState {
+        (**self).force_state()
+    }
+
+    fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
+        (**self).read(now)
+    }
+
+    fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
+        (**self).write(now, wrench)
+    }
+
+    fn cue(&mut self, now: DeviceTime, felt: &Wrench) {
+        (**self).cue(now, felt);
+    }
+
+    fn rendered(&self) -> Wrench {
+        (**self).rendered()
+    }
+
+    fn close(&mut self) {
+        (**self).close();
+    }
 }

@@ -7,6 +7,8 @@
 //!   whose clock drives it.
 //! - [`backend::sim`] is a hand model that follows a [`Script`] and feels our force; [`backend::five_dof`] the device
 //!   of 2007, with its kinematics and simulated boards.
+//! - [`backend::haply`], [`backend::openhaptics`] and [`backend::dhd`] drive what people own, through the service or the
+//!   library that their makers give them.
 //! - [`conformance`] is the suite that every backend passes.
 //!
 //! Units are SI: metres, seconds, kilograms, newtons, newton metres, radians. Millimetres appear
@@ -18,6 +20,7 @@ pub mod backend;
 mod clamp;
 pub mod conformance;
 mod device;
+mod motors;
 mod placed;
 mod sample;
 pub mod script;

@@ -156,6 +156,11 @@ impl<D: HapticDevice> HapticDevice for Placed<D> {
         }
     }
 
+    fn cue(&mut self, now: DeviceTime, felt: &Wrench) {
+        let turn = self.placement.turn.inverse();
+        self.device.cue(now, &turned(turn, *felt));
+    }
+
     fn rendered(&self) -> Wrench {
         turned(self.placement.turn, self.device.rendered())
     }

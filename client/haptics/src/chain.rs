@@ -85,6 +85,10 @@ impl Default for ChainConfig {
 pub struct Tick {
     /// What to write to the device; always finite.
     pub wrench: Wrench,
+    /// What the tissue does to the tool, about its pivot, as far as the contact model can be believed, up to
+    /// [`ChainConfig::force_max_n`] and [`ChainConfig::torque_max_nm`]; always finite. It is for those who can not render it: a device without motors
+    /// hints at it, a view draws it. Nothing of it protects a hand, so it is never to be written.
+    pub felt: Wrench,
     /// What happened.
     pub events: Events,
     /// Age of the contact model that was used.
@@ -104,6 +108,8 @@ pub struct Chain {
     force_limit_n: f64,
     /// `None` for a device that renders none.
     torque_limit_nm: Option<f64>,
+    /// The largest force and torque that are told of without being written, N and N·m.
+    felt_limits: [f64; 2],
     soft_start: SoftStart,
     link: LinkGuard,
     watchdog: Watchdog,
@@ -157,6 +163,7 @@ impl Chain {
         Self {
             force_limit_n,
             torque_limit_nm,
+            felt_limits: [config.force_max_n, config.torque_max_nm],
             soft_start: SoftStart::new(config.soft_start),
             link: LinkGuard::new(&config.watchdog, flush),
             watchdog: Watchdog::new(config.watchdog, flush),
@@ -259,8 +266,10 @@ impl Chain {
         let wrench = self.places.tick(&self.blend, now, dt, &motion);
         let touches = wrench != Wrench::ZERO;
         note_grips(&mut events, was_touching, self.places.grips());
+        let felt = self.told(&wrench);
         let there = self.clamp(&wrench, &mut events);
         let [trusted, open] = self.gains(now, dt, &sample.pose, &mut events);
+        let felt = felt.scaled(trusted * open);
         if let Some(passivity) = &mut self.passivity {
             let model = self.blend.model();
             if sample.faults.contains(Faults::TIME_JUMP) {
@@ -279,17 +288,17 @@ impl Chain {
         let target = there.scaled(trusted * open);
         let wrench = self.take_away(self.rendered(target), &motion, &mut events);
         let wrench = self.limit_change(&wrench, &mut events);
-        let felt = self.counted(wrench, &target);
+        let counted = self.counted(wrench, &target);
         if let Some(passivity) = &mut self.passivity {
             passivity.give(Given {
                 pose: sample.pose,
-                wrench: felt,
+                wrench: counted,
                 withheld: there.scaled(1.0 - open),
                 touches,
             });
         }
         self.observer.observe(sample.pose, wrench);
-        self.finish(now, wrench, events)
+        self.finish(now, wrench, felt, events)
     }
 
     /// One tick for which the device gave no sample: the force goes to zero.
@@ -330,10 +339,20 @@ impl Chain {
         (own, own - before)
     }
 
+    /// What is told of `wrench` to those who can not render it.
+    fn told(&self, wrench: &Wrench) -> Wrench {
+        let [force_n, torque_nm] = self.felt_limits;
+        Wrench {
+            force: clamp_force(wrench.force, force_n).0,
+            torque: clamp_force(wrench.torque, torque_nm).0,
+        }
+    }
+
     /// What the device can hold of `wrench`. A torque that it does not render goes with the force.
     fn clamp(&self, wrench: &Wrench, events: &mut Events) -> Wrench {
         let (force, saturated) = clamp_force(wrench.force, self.force_limit_n);
-        events.set(Events::SATURATED, saturated);
+        // A device without motors is not asked for more than it has.
+        events.set(Events::SATURATED, saturated && self.force_limit_n > 0.0);
         let Some(limit_nm) = self.torque_limit_nm else {
             let n = wrench.force.norm();
             let share = if saturated { force.norm() / n } else { 1.0 };
@@ -431,10 +450,10 @@ impl Chain {
         self.gains(now, dt, &pose, &mut events);
         self.soft_start.lower_to(0.0);
         let wrench = self.limit_change(&Wrench::ZERO, &mut events);
-        self.finish(now, wrench, events)
+        self.finish(now, wrench, Wrench::ZERO, events)
     }
 
-    fn finish(&mut self, now: ClientTime, wrench: Wrench, events: Events) -> Tick {
+    fn finish(&mut self, now: ClientTime, wrench: Wrench, felt: Wrench, events: Events) -> Tick {
         let c = &mut self.counters;
         c.count(events);
         c.max_force_n = c.max_force_n.max(wrench.force.norm());
@@ -442,6 +461,7 @@ impl Chain {
         c.min_energy_j = self.observer.min_j();
         Tick {
             wrench,
+            felt,
             events,
             contact_age: now - self.solved_at,
         }

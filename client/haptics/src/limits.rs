@@ -13,12 +13,15 @@ use palpate_protocol::Span;
 pub struct StiffnessCap(f64);
 
 impl StiffnessCap {
-    /// The smaller of what the device claims and 2 b / T, with `damping_ns_per_m` = b.
+    /// The smaller of what the device claims and 2 b / T, with `damping_ns_per_m` = b. A device without motors
+    /// claims nothing; what it is told of the force is capped by the second alone.
     pub fn new(caps: &DeviceCaps, damping_ns_per_m: f64, period: Span) -> Self {
-        Self(
-            caps.max_stiffness_n_per_m
-                .min(2.0 * damping_ns_per_m / period.as_secs_f64()),
-        )
+        let stable = 2.0 * damping_ns_per_m / period.as_secs_f64();
+        Self(if caps.dof_out == 0 {
+            stable
+        } else {
+            caps.max_stiffness_n_per_m.min(stable)
+        })
     }
 
     /// The cap, N/m.

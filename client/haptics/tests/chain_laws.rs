@@ -115,6 +115,42 @@ fn a_model_that_is_not_finite_is_as_good_as_none() {
 }
 
 #[test]
+fn a_device_without_motors_gets_no_force_and_is_told_what_it_would_be() {
+    let mut caps = hand(vec![WayPoint::new(0.0, Vector3::zeros())])
+        .caps()
+        .clone();
+    caps.dof_out = 0;
+    caps.max_force_n = 0.0;
+    caps.continuous_force_n = 0.0;
+    caps.max_stiffness_n_per_m = 0.0;
+    let mut chain = Chain::new(ChainConfig::default(), &caps);
+    let deeper = Vector3::new(0.0, 0.0, -2e-3);
+    // Pressed at a place 30 mm to the right of the pivot.
+    let pressed = |at, force| {
+        let mut model = pressed(at, force);
+        model.touches[0].lever = Vector3::new(0.03, 0.0, 0.0);
+        model
+    };
+    let mut tick = |t: i64, x| chain.tick(ms(t), &sample(x), &pressed(ms(t - t % 4), 4.0));
+    for t in 0..2000 {
+        let now = tick(t, Vector3::zeros());
+        assert_eq!(now.wrench, Wrench::ZERO);
+        assert!(now.felt.is_finite() && !now.events.contains(Events::SATURATED));
+    }
+    let Wrench { force, torque } = tick(2000, Vector3::zeros()).felt;
+    assert!((force.z - 4.0).abs() < 1e-9);
+    assert!((torque - Vector3::new(0.0, -0.12, 0.0)).norm() < 1e-9);
+    // It follows the tool between two models as a force does: 300 N/m.
+    let blended = (2001..2050).map(|t| tick(t, deeper));
+    assert!((blended.last().unwrap().felt.force.z - 4.6).abs() < 1e-6);
+    // And an old model is no more believed than for a hand.
+    let old = pressed(ms(2048), 4.0);
+    let last = (2050..2300).map(|t| chain.tick(ms(t), &sample(deeper), &old));
+    let felt: Vec<f64> = last.map(|tick| tick.felt.force.norm()).collect();
+    assert!(felt[0] > 4.0 && felt[160..].iter().all(|n| *n == 0.0));
+}
+
+#[test]
 fn a_lost_link_takes_the_force_away_in_100_ms() {
     for force in [0.5, 4.0, 10.0, 50.0] {
         let (mut chain, t0) = holding(force);

@@ -7,9 +7,13 @@ use std::cell::Cell;
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use palpate_device::backend::five_dof;
+use palpate_device::backend::pointer::{Modifiers, Pointer, PointerConfig, PointerEvent, View};
 use palpate_device::backend::sim::{ScriptStart, SimHand};
+use palpate_device::backend::steered::{
+    Controls, Gone, Kind, News, RateControl, Rumble, Source, Space, Steered,
+};
 use palpate_device::script::{Hand, Tool, WayPoint};
-use palpate_device::{DeviceCaps, DeviceTime, HapticDevice, Pose, Script};
+use palpate_device::{Buttons, DeviceCaps, DeviceTime, HapticDevice, Pose, Script, Workspace};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Counters, Touch};
 use palpate_protocol::ClientTime;
 
@@ -126,7 +130,12 @@ fn ticks(device: &mut dyn HapticDevice, contacts: usize) -> (u64, Counters) {
             }
             chain.tick(now, &sample, &model)
         };
-        let _ = device.write(DeviceTime::from_micros(us), result.wrench);
+        let now_device = DeviceTime::from_micros(us);
+        if device.caps().dof_out == 0 {
+            device.cue(now_device, &result.felt);
+        } else {
+            let _ = device.write(now_device, result.wrench);
+        }
         match tick % 4000 {
             3000 => chain.link_lost(now),
             3300 => chain.link_restored(now),
@@ -166,5 +175,74 @@ fn ten_thousand_ticks_allocate_nothing() {
                 "calls of the allocator in 10,000 ticks of the {name} with {contacts} contacts"
             );
         }
+    }
+}
+
+/// A hand that pushes down for ever.
+struct Pushes;
+
+impl Source for Pushes {
+    fn listen(&mut self, patience: std::time::Duration) -> Result<News, Gone> {
+        std::thread::park_timeout(patience / 16);
+        Ok(News::Controls(Controls {
+            push: Vector3::new(0.0, 0.0, -1.0),
+            ..Controls::NEUTRAL
+        }))
+    }
+
+    fn reopen(&mut self) -> bool {
+        true
+    }
+}
+
+#[test]
+fn ten_thousand_ticks_of_devices_without_motors_allocate_nothing() {
+    let half = Vector3::repeat(0.1);
+    let space = Space {
+        workspace: Workspace {
+            min: -half,
+            max: half,
+        },
+        start: Pose::default(),
+    };
+    let config = PointerConfig::new(space.workspace, space.start);
+    let (mut pointer, mut handle) = Pointer::new(&config).unwrap();
+    for i in 0..200 {
+        let event = PointerEvent {
+            time: DeviceTime::from_micros(i),
+            view: View {
+                centre: Vector3::zeros(),
+                right: Vector3::x(),
+                up: Vector3::z(),
+                eye_m: Some(0.3),
+            },
+            at: Some([1e-4 * i as f64, -5e-4 * i as f64]),
+            wheel_m: 1e-5,
+            buttons: Buttons::PRIMARY,
+            modifiers: if i % 2 == 0 {
+                Modifiers::NONE
+            } else {
+                Modifiers::TURN
+            },
+        };
+        handle.send(event).unwrap();
+    }
+    let kind = Kind {
+        name: "steered".to_owned(),
+        dof_in: 6,
+        silence_max_us: None,
+        rate: RateControl::default(),
+        rumble: Some(Rumble::default()),
+    };
+    let mut steered = Steered::open(Box::new(Pushes), kind, &space).unwrap();
+    let devices: [&mut dyn HapticDevice; 2] = [&mut pointer, &mut steered];
+    for device in devices {
+        let name = device.caps().name.clone();
+        let (calls, c) = ticks(device, 16);
+        assert_eq!(c.max_force_n, 0.0, "{name}: {c:?}");
+        assert_eq!(
+            calls, 0,
+            "calls of the allocator in 10,000 ticks of the {name}"
+        );
     }
 }

@@ -5,18 +5,30 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand, ValueEnum};
+use palpate_device::backend::Found;
 use palpate_device::backend::sim::ScriptStart;
 use palpate_device::conformance::{self, Outcome, Report};
-use palpate_device::{Calibration, ClockOwner, DeviceTime, HapticDevice};
+use palpate_device::{Calibration, ClockOwner, DeviceCaps, DeviceTime, HapticDevice};
+use palpate_protocol::Span;
 use serde_json::json;
 
-use super::{DeviceKind, Guide, open, plot};
+use super::{DeviceChoice, DeviceKind, Guide, Sources, open, owned, plot};
+use crate::realtime::{device_time, monotonic_now, sleep_until};
+
+/// From tick to tick while hardware is tested.
+const TICK: Span = Span::from_millis(1);
+
+/// The width of a device's word in the list.
+const WORD: usize = 12;
 
 /// What `devices --help` shows at its end.
 const EXAMPLES: &str = "\
 Examples:
   Which devices this program drives, and what they can do:
     palpate-client devices
+
+  Calibrate the omega that is plugged in; it moves by itself, so keep your hands off:
+    palpate-client devices calibrate dhd
 
   Whether one of them keeps all laws of a haptic device (hold nothing, and do not touch it):
     palpate-client devices test five-dof
@@ -42,16 +54,16 @@ enum Command {
     },
     /// Run the suite that every haptic device has to pass, and print its table
     Test {
-        /// Which device
-        device: DeviceKind,
+        /// Which device; haply:ID where there are several
+        device: DeviceChoice,
         /// Print the table as one JSON object
         #[arg(long)]
         json: bool,
     },
     /// Do the calibration that this program can do, and say what is left to you
     Calibrate {
-        /// Which device
-        device: DeviceKind,
+        /// Which device; haply:ID where there are several
+        device: DeviceChoice,
     },
     /// Draw where a device can go (SVG)
     Plot {
@@ -73,9 +85,12 @@ enum Plotted {
 /// The command. Errors are said on standard error.
 pub(crate) fn run(arguments: DevicesArguments) -> ExitCode {
     let done = match arguments.command.unwrap_or(Command::List { json: false }) {
-        Command::List { json } => list(json),
-        Command::Test { device, json } => test(device, json),
-        Command::Calibrate { device } => calibrate(device),
+        Command::List { json } => {
+            list(json);
+            Ok(())
+        }
+        Command::Test { device, json } => test(&device, json),
+        Command::Calibrate { device } => calibrate(&device),
         Command::Plot {
             device: Plotted::FiveDof,
             output,
@@ -99,51 +114,134 @@ fn say(text: &str) {
     let _ = std::io::stdout().write_all(text.as_bytes());
 }
 
-/// A device that rests.
-fn at_rest(kind: DeviceKind) -> Result<Box<dyn HapticDevice>, String> {
-    let guide = Guide::at_rest(kind == DeviceKind::Replay)?;
-    open(kind, &guide, ScriptStart::not_yet()).map_err(|e| e.to_string())
+/// A device that rests, or lies there.
+fn at_rest(choice: &DeviceChoice) -> Result<Box<dyn HapticDevice>, String> {
+    let sources = Sources::from_environment();
+    let guide = if choice.kind.is_held() {
+        Guide::held(None, choice.kind)
+    } else {
+        Guide::at_rest(choice.kind == DeviceKind::Replay)?
+    };
+    open(choice, &guide, ScriptStart::not_yet(), &sources).map_err(|e| e.to_string())
 }
 
-fn list(json: bool) -> Done {
+fn list(json: bool) {
+    let sources = Sources::from_environment();
     let mut rows = Vec::new();
     for (kind, sentence) in DeviceKind::ALL {
-        let device = at_rest(kind)?;
-        let caps = device.caps();
-        let side = (caps.workspace.max - caps.workspace.min).min();
-        if json {
-            rows.push(json!({
-                "device": kind.word(), "is": sentence, "name": caps.name, "present": true,
-                "dof_in": caps.dof_in, "dof_out": caps.dof_out,
-                "max_force_n": caps.max_force_n, "continuous_force_n": caps.continuous_force_n,
-                "max_torque_nm": caps.max_torque_nm,
-                "max_stiffness_n_per_m": caps.max_stiffness_n_per_m,
-                "workspace_m": side, "rate_hz": caps.rate_hz,
-                "clock": clock_word(device.clock()), "calibration": calibration_word(device.calibration()),
-            }));
-        } else {
-            rows.push(json!(format!(
-                "{:<9} {sentence}\n{:<9} {} of {} degrees of freedom push, up to {} N ({} N held) and {} N·m, \
-                 {} N/m; {:.0} mm to move in; {}\n",
+        let found = owned::find(kind, &sources).map_err(|why| why.to_string());
+        let several = found.as_ref().is_ok_and(|found| found.len() > 1);
+        let choice = DeviceChoice { kind, which: None };
+        let opened = match &found {
+            Err(why) => Err(why.clone()),
+            // Nothing is to be opened where it is not clear which.
+            Ok(_) if several => Ok(None),
+            Ok(_) => at_rest(&choice).map(Some),
+        };
+        let found = found.unwrap_or_default();
+        rows.push(match (opened, json) {
+            (Err(why), true) => {
+                json!({ "device": kind.word(), "is": sentence, "present": false, "why": why })
+            }
+            (Err(why), false) => json!(format!(
+                "{:<WORD$} {sentence}\n{:<WORD$} not here: {why}\n",
                 kind.word(),
-                "",
-                caps.dof_out,
-                caps.dof_in,
-                caps.max_force_n,
-                caps.continuous_force_n,
-                caps.max_torque_nm,
-                caps.max_stiffness_n_per_m,
-                side * 1e3,
-                calibration_word(device.calibration()),
-            )));
-        }
+                ""
+            )),
+            (Ok(mut device), is_json) => {
+                let there = device.as_deref();
+                let row = if is_json {
+                    as_row(kind, sentence, &found, there)
+                } else {
+                    json!(as_text(kind, sentence, &found, there))
+                };
+                if let Some(device) = &mut device {
+                    device.close();
+                }
+                row
+            }
+        });
     }
     if json {
         say(&format!("{}\n", json!({ "devices": rows })));
     } else {
         say(&rows.iter().filter_map(|r| r.as_str()).collect::<String>());
     }
-    Ok(())
+}
+
+/// A device that is there, or several of a kind, for a program.
+fn as_row(
+    kind: DeviceKind,
+    sentence: &str,
+    found: &[Found],
+    device: Option<&dyn HapticDevice>,
+) -> serde_json::Value {
+    let found: Vec<_> = found
+        .iter()
+        .map(|f| json!({ "id": f.id, "name": f.name }))
+        .collect();
+    let mut row = json!({ "device": kind.word(), "is": sentence, "present": true });
+    if kind.is_owned() {
+        row["found"] = json!(found);
+    }
+    let Some(device) = device else { return row };
+    let caps = device.caps();
+    let of_it = json!({
+        "name": caps.name, "dof_in": caps.dof_in, "dof_out": caps.dof_out,
+        "max_force_n": caps.max_force_n, "continuous_force_n": caps.continuous_force_n,
+        "max_torque_nm": caps.max_torque_nm,
+        "max_stiffness_n_per_m": caps.max_stiffness_n_per_m,
+        "workspace_m": side_m(device), "rate_hz": caps.rate_hz,
+        "clock": clock_word(device.clock()), "calibration": calibration_word(device.calibration()),
+    });
+    if let (Some(row), serde_json::Value::Object(of_it)) = (row.as_object_mut(), of_it) {
+        row.extend(of_it);
+    }
+    row
+}
+
+/// The same for people.
+fn as_text(
+    kind: DeviceKind,
+    sentence: &str,
+    found: &[Found],
+    device: Option<&dyn HapticDevice>,
+) -> String {
+    let mut lines = vec![format!("{:<WORD$} {sentence}\n", kind.word())];
+    let listed = |found: &Found| format!("{:<WORD$} {}:{found}\n", "", kind.word());
+    lines.extend(found.iter().map(listed));
+    if let Some(device) = device {
+        lines.push(format!(
+            "{:<WORD$} {}; {:.0} mm to move in; {}\n",
+            "",
+            forces(device.caps()),
+            side_m(device) * 1e3,
+            calibration_word(device.calibration()),
+        ));
+    }
+    lines.concat()
+}
+
+/// What it can push with.
+fn forces(caps: &DeviceCaps) -> String {
+    if caps.dof_out == 0 {
+        return format!("{} degrees of freedom, no force", caps.dof_in);
+    }
+    format!(
+        "{} of {} degrees of freedom push, up to {} N ({} N held) and {} N·m, {} N/m",
+        caps.dof_out,
+        caps.dof_in,
+        caps.max_force_n,
+        caps.continuous_force_n,
+        caps.max_torque_nm,
+        caps.max_stiffness_n_per_m,
+    )
+}
+
+/// The shortest side of what it can reach, m.
+fn side_m(device: &dyn HapticDevice) -> f64 {
+    let workspace = device.caps().workspace;
+    (workspace.max - workspace.min).min()
 }
 
 fn clock_word(clock: ClockOwner) -> &'static str {
@@ -163,16 +261,22 @@ fn calibration_word(calibration: Calibration) -> &'static str {
     }
 }
 
-fn test(kind: DeviceKind, json: bool) -> Done {
-    let mut device = at_rest(kind)?;
-    // No hardware is behind these, so time may run as fast as it can.
-    let mut us = 0;
+fn test(choice: &DeviceChoice, json: bool) -> Done {
+    let kind = choice.kind;
+    let mut device = at_rest(choice)?;
+    let (mut us, mut due) = (0, monotonic_now());
     let mut clock = || {
+        if kind.is_held() {
+            due = due + TICK;
+            sleep_until(due);
+            return device_time(monotonic_now());
+        }
+        // No hardware is behind the others, so time may run as fast as it can.
         us += 1000;
         DeviceTime::from_micros(us)
     };
     let options = conformance::Options {
-        moves_under_force: kind != DeviceKind::Replay,
+        moves_under_force: !kind.is_held() && kind != DeviceKind::Replay,
     };
     let report = conformance::run(device.as_mut(), &mut clock, options);
     if json {
@@ -199,8 +303,9 @@ fn as_json(kind: DeviceKind, report: &Report) -> serde_json::Value {
     json!({ "device": kind.word(), "passed": report.passed(), "laws": rows.collect::<Vec<_>>() })
 }
 
-fn calibrate(kind: DeviceKind) -> Done {
-    let mut device = at_rest(kind)?;
+fn calibrate(choice: &DeviceChoice) -> Done {
+    let kind = choice.kind;
+    let mut device = at_rest(choice)?;
     let state = device
         .calibrate()
         .map_err(|e| format!("{}: {e}", kind.word()))?;

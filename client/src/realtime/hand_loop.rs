@@ -9,9 +9,7 @@
 //! - a sample that is no number goes no further than the chain;
 //! - a clock that is put back neither stops the device's time nor keeps an old force alive.
 
-use palpate_device::{
-    DeviceTime, Faults, ForceState, HapticDevice, Pose, Rejection, Sample, Wrench, Written,
-};
+use palpate_device::{DeviceTime, Faults, ForceState, HapticDevice, Pose, Sample, Wrench, Written};
 use palpate_haptics::{Chain, ContactModel, Events, Tick};
 use palpate_protocol::{ClientTime, Span};
 
@@ -36,8 +34,10 @@ pub struct Frame {
     /// What the device said; after a failed reading, or one that is no number, the last good sample,
     /// with [`Faults::UNTRUSTED_POSE`].
     pub sample: Sample,
-    /// What was written to the device.
+    /// What was written to the device; zero for one that renders no force.
     pub wrench: Wrench,
+    /// What the tissue does to the tool, for those who show it: see [`Tick::felt`].
+    pub felt: Wrench,
     /// What happened.
     pub events: Events,
     /// Age of the contact model that was used.
@@ -51,6 +51,7 @@ impl Frame {
             time: now,
             sample: Sample::resting(device_time(now), Pose::default()),
             wrench: Wrench::ZERO,
+            felt: Wrench::ZERO,
             events: Events::NONE,
             contact_age: Span::ZERO,
         }
@@ -182,6 +183,7 @@ impl HandLoop {
                 ..last
             }),
             wrench: tick.wrench,
+            felt: tick.felt,
             events: tick.events,
             contact_age: tick.contact_age,
         };
@@ -239,10 +241,14 @@ impl HandLoop {
         }
     }
 
+    /// A device without motors is only told what the tool would feel.
     fn write(&mut self, at: DeviceTime, tick: &Tick) {
+        if self.device.caps().dof_out == 0 {
+            self.device.cue(at, &tick.felt);
+            return;
+        }
         match self.device.write(at, tick.wrench) {
-            // A device without motors refuses nothing that was ever asked of it.
-            Written::Applied | Written::Rejected(Rejection::NoMotors) => {}
+            Written::Applied => {}
             Written::Saturated { applied } => {
                 self.counts.saturated += 1;
                 self.chain.goes_on_from(&applied);

@@ -16,6 +16,8 @@
 mod clock;
 mod hand_loop;
 mod handle;
+#[cfg(test)]
+mod input_tests;
 mod pace;
 mod priority;
 mod stats;

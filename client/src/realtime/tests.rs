@@ -13,7 +13,7 @@ use palpate_device::{
 };
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Touch};
 
-use super::{Frame, HapticHandle, HapticPorts, RealtimeConfig, SpawnError, monotonic_now, spawn};
+use super::{Frame, HapticHandle, HapticPorts, RealtimeConfig, monotonic_now, spawn};
 
 /// What a device that is watched did.
 #[derive(Default)]
@@ -260,10 +260,12 @@ fn press_free_until(ports: &mut HapticPorts, mut is_enough: impl FnMut(&Frame) -
 }
 
 #[test]
-fn a_device_with_a_clock_of_its_own_is_refused_by_name() {
-    let (mut device, _diary) = Watched::new();
-    device.clock = ClockOwner::DeviceCallback;
-    let chain = Chain::new(ChainConfig::default(), device.caps());
-    let refused = spawn(Box::new(device), chain, RealtimeConfig::default());
-    assert!(matches!(refused, Err(SpawnError::ForeignClock { name }) if name == "simulated hand"));
+fn a_device_with_a_clock_of_its_own_is_driven_like_any_other() {
+    for clock in [ClockOwner::DeviceCallback, ClockOwner::ReplyPerMessage] {
+        let (mut device, _diary) = Watched::new();
+        device.clock = clock;
+        let (handle, mut ports) = start(device);
+        press_free_until(&mut ports, |f| f.sample.time > DeviceTime::ZERO);
+        assert!(handle.stop().panicked.is_none());
+    }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 
-use palpate_device::{ClockOwner, HapticDevice};
+use palpate_device::HapticDevice;
 use palpate_haptics::{Chain, ContactModel};
 use palpate_protocol::Span;
 use triple_buffer::{Input, Output, triple_buffer};
@@ -69,15 +69,6 @@ pub struct HapticPorts {
 /// Why the thread did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum SpawnError {
-    /// The device wants to drive the loop itself.
-    #[error(
-        "the device \"{name}\" is driven by its own clock, and this program drives devices by its \
-         own; choose another device"
-    )]
-    ForeignClock {
-        /// What the device calls itself.
-        name: String,
-    },
     /// The system gave no thread.
     #[error("the system did not start the haptic thread: {0}")]
     System(#[from] std::io::Error),
@@ -96,11 +87,6 @@ pub fn spawn(
     chain: Chain,
     config: RealtimeConfig,
 ) -> Result<(HapticHandle, HapticPorts), SpawnError> {
-    if device.clock() != ClockOwner::Ours {
-        return Err(SpawnError::ForeignClock {
-            name: device.caps().name.clone(),
-        });
-    }
     let now = clock::monotonic_now();
     let frame = Frame::before(now);
     let control = Arc::new(Control {
@@ -188,7 +174,7 @@ impl HapticLoop {
             clock::sleep_until(deadline);
             let woke = clock::monotonic_now();
             let turned = self.hand.turn(woke, self.wishes(), self.models.read());
-            self.hand_over(turned);
+            self.hand_over(&turned);
             let done = clock::monotonic_now();
             self.meter.record(deadline, woke, done);
             pace.done(done);
@@ -212,7 +198,7 @@ impl HapticLoop {
         }
     }
 
-    fn hand_over(&mut self, turned: Turned) {
+    fn hand_over(&mut self, turned: &Turned) {
         let frame = turned.frame;
         self.newest.write(frame);
         self.view.write(frame);

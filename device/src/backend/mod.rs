@@ -1,5 +1,21 @@
-//! One folder per driver.
+//! One folder per driver, and what drivers share; `steered` is that of those which steer a tool.
+//!
+//! A driver's own frame is x to the right, y away from the user and z up, with the origin where the maker has it;
+//! [`Placed`](crate::Placed) puts it into the scene.
 
+pub mod dhd;
+mod exchange;
 pub mod five_dof;
+mod found;
+pub mod gamepad;
+pub mod haply;
+mod library;
+pub mod openhaptics;
+pub mod pointer;
 pub mod replay;
 pub mod sim;
+pub mod spacemouse;
+pub mod steered;
+
+pub use found::{Choice, Found};
+pub use library::LibraryError;

@@ -9,7 +9,7 @@ use super::port::{Port, PortFault, Six};
 use super::rates::Rate;
 use super::signals::{Drive, Encoder};
 use super::statics::{Torques, torques};
-use crate::clamp::{Ramp, clamp_wrench};
+use crate::motors::Motors;
 use crate::{
     Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice,
     Pose, Rejection, Sample, Wrench, Written,
@@ -59,11 +59,8 @@ pub struct FiveDof<P: Port> {
     middle: Middle,
     angles: [Angles; 2],
     rates: [Rate; 6],
-    ramp: Ramp,
-    written: Wrench,
-    now: DeviceTime,
+    motors: Motors,
     counts: Counts,
-    open: bool,
 }
 
 impl<P: Port> FiveDof<P> {
@@ -93,11 +90,8 @@ impl<P: Port> FiveDof<P> {
             angles: middle.angles,
             middle,
             rates: std::array::from_fn(|_| Rate::new(step)),
-            ramp: Ramp::off(RAMP_US),
-            written: Wrench::ZERO,
-            now: DeviceTime::from_micros(i64::MIN),
+            motors: Motors::new(RAMP_US),
             counts: Counts::default(),
-            open: true,
             config,
         })
     }
@@ -121,13 +115,12 @@ impl<P: Port> FiveDof<P> {
     fn drive(&mut self, torques: &[Vector3<f64>; 2]) -> Result<(), PortFault> {
         let drive = self.config.drive;
         let codes = six(|arm, k| drive.code(torques[arm][k]));
-        self.port.command(self.now, codes)
+        self.port.command(self.motors.now(), codes)
     }
 
     /// Zero on the motors, and forces off. The boards may not have heard of it when this is an error.
     fn stop(&mut self) -> Result<(), PortFault> {
-        self.ramp = Ramp::off(RAMP_US);
-        self.written = Wrench::ZERO;
+        self.motors.stop();
         self.drive(&[Vector3::zeros(); 2])
     }
 
@@ -139,14 +132,14 @@ impl<P: Port> FiveDof<P> {
 
     /// Renders `wrench` scaled by the ramp.
     fn render(&mut self, wrench: Wrench) -> Result<Torques, PortFault> {
-        let gain = self.ramp.gain(self.now);
+        let gain = self.motors.gain();
         let torques = self.torques(&wrench);
         self.drive(&torques.nm.map(|t| t * gain))?;
         Ok(torques)
     }
 
     fn refuse(&mut self, why: Rejection) -> Written {
-        self.written = Wrench::ZERO;
+        self.motors.render_only(Wrench::ZERO);
         let zero = self.drive(&[Vector3::zeros(); 2]);
         Written::Rejected(zero.err().map_or(why, rejection))
     }
@@ -168,7 +161,7 @@ impl<P: Port> HapticDevice for FiveDof<P> {
     /// Takes the present posture for that of calibration: the probe in the middle of the workspace, along y. Hold it
     /// in its rest while this is called.
     fn calibrate(&mut self) -> Result<Calibration, DeviceFault> {
-        if !self.open {
+        if !self.motors.is_open() {
             return Err(DeviceFault::Closed);
         }
         let (encoder, at) = (self.config.encoder, self.middle.angles);
@@ -186,29 +179,23 @@ impl<P: Port> HapticDevice for FiveDof<P> {
     }
 
     fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
-        if !self.open {
+        if !self.motors.is_open() {
             return Err(DeviceFault::Closed);
         }
         self.stop()?;
-        if on {
-            if !self.calibration().is_ready() {
-                return Err(DeviceFault::NotCalibrated);
-            }
-            self.ramp = Ramp::on(RAMP_US);
+        if on && !self.calibration().is_ready() {
+            return Err(DeviceFault::NotCalibrated);
         }
-        Ok(())
+        self.motors.enable(on)
     }
 
     fn force_state(&self) -> ForceState {
-        self.ramp.state(self.now)
+        self.motors.state()
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        if !self.open {
-            return Err(DeviceFault::Closed);
-        }
-        self.now = now.max(self.now);
-        let counts = match self.port.counts(self.now) {
+        let now = self.motors.tell(now)?;
+        let counts = match self.port.counts(now) {
             Ok(counts) => counts,
             Err(fault) => {
                 // What is wrong has been said; the next zero is tried with the next reading or order.
@@ -217,7 +204,7 @@ impl<P: Port> HapticDevice for FiveDof<P> {
             }
         };
         let encoder = self.config.encoder;
-        let time = self.now.as_secs_f64();
+        let time = now.as_secs_f64();
         let mut rates = [Vector3::zeros(); 2];
         for (j, &count) in counts.iter().enumerate() {
             let angle = encoder.angle(count);
@@ -238,36 +225,31 @@ impl<P: Port> HapticDevice for FiveDof<P> {
             faults = faults.with(Faults::OUT_OF_WORKSPACE);
         }
         let (velocity, angular_velocity) = linkage.velocity(&self.angles, &rates);
-        if !homed && !self.ramp.is_off() {
+        if !homed && !self.motors.are_off() {
             // Boards that lost their counts under force.
             self.stop()?;
         }
         Ok(Sample {
-            time: self.now,
+            time: now,
             pose: Pose {
                 position: probe.pivot,
                 orientation: UnitQuaternion::new_normalize(probe.orientation().into_inner()),
             },
             velocity,
             angular_velocity,
-            buttons: self.port.buttons(self.now),
+            buttons: self.port.buttons(now),
             gripper: None,
             faults,
         })
     }
 
     fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
-        if !self.open {
+        if self.motors.tell(now).is_err() {
             return Written::Rejected(Rejection::Closed);
         }
-        self.now = now.max(self.now);
-        if self.ramp.is_off() {
-            return self.refuse(Rejection::ForcesOff);
+        if let Err(why) = self.motors.ready() {
+            return self.refuse(why);
         }
-        if !wrench.is_finite() {
-            return self.refuse(Rejection::NotFinite);
-        }
-        self.ramp.begin(self.now);
         // Nobody can render a torque about the probe's own axis.
         let axis = self.config.linkage.probe(&self.angles).axis.into_inner();
         let about_itself = wrench.torque.dot(&axis);
@@ -275,7 +257,10 @@ impl<P: Port> HapticDevice for FiveDof<P> {
             torque: wrench.torque - axis * about_itself,
             ..wrench
         };
-        let (within, clamped) = clamp_wrench(possible, &self.caps);
+        let (within, clamped) = match self.motors.take(now, possible, &self.caps) {
+            Ok(taken) => taken,
+            Err(why) => return self.refuse(why),
+        };
         let torques = match self.render(within) {
             Ok(torques) => torques,
             Err(fault) => {
@@ -286,7 +271,7 @@ impl<P: Port> HapticDevice for FiveDof<P> {
         self.counts.singular += u64::from(torques.singular);
         self.counts.saturated += u64::from(torques.saturated);
         let applied = within.scaled(torques.share);
-        self.written = applied;
+        self.motors.render_only(applied);
         let left_out = about_itself.abs() > 1e-9;
         if clamped || left_out || torques.share < 1.0 {
             Written::Saturated { applied }
@@ -296,17 +281,17 @@ impl<P: Port> HapticDevice for FiveDof<P> {
     }
 
     fn rendered(&self) -> Wrench {
-        self.written.scaled(self.ramp.gain(self.now))
+        self.motors.rendered()
     }
 
     fn close(&mut self) {
-        if self.open {
+        if self.motors.is_open() {
             // A board that did not take the first zero may take the second; the port closes with zero, too.
             if self.stop().is_err() {
                 let _ = self.stop();
             }
             self.port.close();
-            self.open = false;
+            self.motors.close();
         }
     }
 }

@@ -10,10 +10,10 @@ mod tests;
 use nalgebra::Vector3;
 
 use crate::backend::sim::ScriptStart;
-use crate::clamp::{Ramp, clamp_wrench};
+use crate::motors::Motors;
 use crate::{
     Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice,
-    Rejection, Sample, Workspace, Wrench, Written,
+    Sample, Workspace, Wrench, Written,
 };
 
 pub use motion::{Moment, Motion, MotionError};
@@ -28,10 +28,7 @@ pub struct Replay {
     motion: Motion,
     start: ScriptStart,
     near: usize,
-    ramp: Ramp,
-    written: Wrench,
-    now: DeviceTime,
-    open: bool,
+    motors: Motors,
 }
 
 impl Replay {
@@ -56,10 +53,7 @@ impl Replay {
             motion,
             start,
             near: 0,
-            ramp: Ramp::off(RAMP_US),
-            written: Wrench::ZERO,
-            now: DeviceTime::from_micros(i64::MIN),
-            open: true,
+            motors: Motors::new(RAMP_US),
         }
     }
 }
@@ -78,31 +72,19 @@ impl HapticDevice for Replay {
     }
 
     fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
-        if !self.open {
-            return Err(DeviceFault::Closed);
-        }
-        self.written = Wrench::ZERO;
-        self.ramp = if on {
-            Ramp::on(RAMP_US)
-        } else {
-            Ramp::off(RAMP_US)
-        };
-        Ok(())
+        self.motors.enable(on)
     }
 
     fn force_state(&self) -> ForceState {
-        self.ramp.state(self.now)
+        self.motors.state()
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        if !self.open {
-            return Err(DeviceFault::Closed);
-        }
-        self.now = now.max(self.now);
-        let t_s = self.start.script_s(self.now);
+        let now = self.motors.tell(now)?;
+        let t_s = self.start.script_s(now);
         let (moment, velocity, angular_velocity) = self.motion.at(t_s, &mut self.near);
         Ok(Sample {
-            time: self.now,
+            time: now,
             pose: moment.pose,
             velocity,
             angular_velocity,
@@ -113,34 +95,18 @@ impl HapticDevice for Replay {
     }
 
     fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
-        if !self.open {
-            return Written::Rejected(Rejection::Closed);
-        }
-        if self.ramp.is_off() {
-            return Written::Rejected(Rejection::ForcesOff);
-        }
-        self.now = now.max(self.now);
-        if !wrench.is_finite() {
-            self.written = Wrench::ZERO;
-            return Written::Rejected(Rejection::NotFinite);
-        }
-        self.ramp.begin(self.now);
-        let (applied, clamped) = clamp_wrench(wrench, &self.caps);
-        self.written = applied;
-        if clamped {
-            Written::Saturated { applied }
-        } else {
-            Written::Applied
+        match self.motors.take(now, wrench, &self.caps) {
+            Ok((_, false)) => Written::Applied,
+            Ok((applied, true)) => Written::Saturated { applied },
+            Err(why) => Written::Rejected(why),
         }
     }
 
     fn rendered(&self) -> Wrench {
-        self.written.scaled(self.ramp.gain(self.now))
+        self.motors.rendered()
     }
 
     fn close(&mut self) {
-        self.ramp = Ramp::off(RAMP_US);
-        self.written = Wrench::ZERO;
-        self.open = false;
+        self.motors.close();
     }
 }

@@ -13,11 +13,11 @@ use nalgebra::Vector3;
 
 use self::body::Body;
 pub(in crate::backend) use self::tremor::Tremor;
-use crate::clamp::{Ramp, clamp_wrench};
+use crate::motors::Motors;
 use crate::script::POSITION_MAX_M;
 use crate::{
     Buttons, Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState,
-    HapticDevice, Rejection, Sample, Script, Workspace, Wrench, Written,
+    HapticDevice, Sample, Script, Workspace, Wrench, Written,
 };
 
 /// How long the simulated driver scales forces up after they were enabled, µs. Short, because the
@@ -75,28 +75,6 @@ pub struct SimHand {
     body: Body,
     start: ScriptStart,
     motors: Motors,
-    open: bool,
-}
-
-/// What the simulated motors do.
-#[derive(Debug, Clone, Copy)]
-struct Motors {
-    ramp: Ramp,
-    written: Wrench,
-    /// The last time anybody told the device.
-    now: DeviceTime,
-}
-
-impl Motors {
-    const OFF: Self = Self {
-        ramp: Ramp::off(ENABLE_RAMP_US),
-        written: Wrench::ZERO,
-        now: DeviceTime::from_micros(i64::MIN),
-    };
-
-    fn rendered(&self) -> Wrench {
-        self.written.scaled(self.ramp.gain(self.now))
-    }
 }
 
 impl SimHand {
@@ -127,8 +105,7 @@ impl SimHand {
             caps,
             body: Body::new(script),
             start,
-            motors: Motors::OFF,
-            open: true,
+            motors: Motors::new(ENABLE_RAMP_US),
         }
     }
 
@@ -142,11 +119,10 @@ impl SimHand {
         &self.start
     }
 
-    /// Lets the hand live until `now` under the force it is given.
-    fn advance(&mut self, now: DeviceTime) -> Faults {
-        self.motors.now = now.max(self.motors.now);
-        self.body
-            .advance(self.motors.now, &self.start, self.motors.rendered().force)
+    /// Lets the hand live until now under the force it is given.
+    fn advance(&mut self) -> Faults {
+        let (now, force) = (self.motors.now(), self.motors.rendered().force);
+        self.body.advance(now, &self.start, force)
     }
 }
 
@@ -164,32 +140,16 @@ impl HapticDevice for SimHand {
     }
 
     fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
-        if !self.open {
-            return Err(DeviceFault::Closed);
-        }
-        let ramp = if on {
-            Ramp::on(ENABLE_RAMP_US)
-        } else {
-            Ramp::off(ENABLE_RAMP_US)
-        };
-        self.motors = Motors {
-            ramp,
-            now: self.motors.now,
-            ..Motors::OFF
-        };
-        Ok(())
+        self.motors.enable(on)
     }
 
     fn force_state(&self) -> ForceState {
-        self.motors.ramp.state(self.motors.now)
+        self.motors.state()
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        if !self.open {
-            return Err(DeviceFault::Closed);
-        }
-        let faults = self.advance(now);
-        let now = self.motors.now;
+        let now = self.motors.tell(now)?;
+        let faults = self.advance();
         let script = self.body.script().pose(self.start.script_s(now));
         Ok(Sample {
             time: now,
@@ -210,25 +170,17 @@ impl HapticDevice for SimHand {
     }
 
     fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
-        if !self.open {
-            return Written::Rejected(Rejection::Closed);
-        }
-        if self.motors.ramp.is_off() {
-            return Written::Rejected(Rejection::ForcesOff);
+        if let Err(why) = self.motors.ready() {
+            return Written::Rejected(why);
         }
         // The old force acts until now. A jump of time shows in the next reading.
-        self.advance(now);
-        if !wrench.is_finite() {
-            self.motors.written = Wrench::ZERO;
-            return Written::Rejected(Rejection::NotFinite);
+        if self.motors.tell(now).is_ok() {
+            self.advance();
         }
-        let (applied, saturated) = clamp_wrench(wrench, &self.caps);
-        self.motors.ramp.begin(self.motors.now);
-        self.motors.written = applied;
-        if saturated {
-            Written::Saturated { applied }
-        } else {
-            Written::Applied
+        match self.motors.take(now, wrench, &self.caps) {
+            Ok((_, false)) => Written::Applied,
+            Ok((applied, true)) => Written::Saturated { applied },
+            Err(why) => Written::Rejected(why),
         }
     }
 
@@ -237,11 +189,7 @@ impl HapticDevice for SimHand {
     }
 
     fn close(&mut self) {
-        self.motors = Motors {
-            now: self.motors.now,
-            ..Motors::OFF
-        };
-        self.open = false;
+        self.motors.close();
     }
 }
 

@@ -1,162 +1,11 @@
-//! The suite that every backend passes, as code that runs against any device.
-//!
-//! The caller gives the clock, so that the same suite runs on virtual time (tests) and on real
-//! hardware. It moves no further than a fifth of the continuous force, except for the one write
-//! that must be clamped; hold the tool, or let it lie, while it runs on hardware.
-//!
-//! What it can not see from outside (that zero reaches the motors before the port is closed, that
-//! a panic stays on this side of a C callback) each backend tests at its own port.
-
-use std::fmt;
+//! The laws, one function each; an error says how the device broke it.
 
 use nalgebra::Vector3;
 
-use crate::{DeviceFault, DeviceTime, ForceState, HapticDevice, Rejection, Wrench, Written};
+use super::{Bench, Verdict};
+use crate::{DeviceFault, DeviceTime, ForceState, Rejection, Wrench, Written};
 
-/// What the suite may expect.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Options {
-    /// The tool is free and a force moves it, as a simulated hand's does. Without it the test of
-    /// the axes is skipped: a held stylus may not move.
-    pub moves_under_force: bool,
-}
-
-/// How one law came out.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Outcome {
-    /// It holds.
-    Passed,
-    /// It does not apply to this device.
-    Skipped(&'static str),
-    /// It is broken.
-    Failed(String),
-}
-
-/// One law and how it came out.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Row {
-    /// The law.
-    pub law: &'static str,
-    /// How it came out.
-    pub outcome: Outcome,
-}
-
-/// The table of results.
-#[derive(Debug, Clone)]
-pub struct Report {
-    rows: Vec<Row>,
-}
-
-impl Report {
-    /// Every law in the order it was tried.
-    pub fn rows(&self) -> &[Row] {
-        &self.rows
-    }
-
-    /// Whether no law is broken.
-    pub fn passed(&self) -> bool {
-        !self
-            .rows
-            .iter()
-            .any(|r| matches!(r.outcome, Outcome::Failed(_)))
-    }
-}
-
-impl fmt::Display for Report {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for Row { law, outcome } in &self.rows {
-            match outcome {
-                Outcome::Passed => writeln!(f, "passed   {law}")?,
-                Outcome::Skipped(why) => writeln!(f, "skipped  {law}: {why}")?,
-                Outcome::Failed(why) => writeln!(f, "FAILED   {law}: {why}")?,
-            }
-        }
-        Ok(())
-    }
-}
-
-type Verdict = Result<(), String>;
-
-/// The device under test and the clock it is tested with.
-struct Bench<'a> {
-    device: &'a mut dyn HapticDevice,
-    clock: &'a mut dyn FnMut() -> DeviceTime,
-}
-
-/// Runs the suite and closes the device. `clock` gives the time of the next tick, once per call;
-/// on hardware it waits for it.
-pub fn run(
-    device: &mut dyn HapticDevice,
-    clock: &mut dyn FnMut() -> DeviceTime,
-    options: Options,
-) -> Report {
-    let has_motors = device.caps().dof_out > 0;
-    let mut bench = Bench { device, clock };
-    let mut rows = Vec::new();
-    let mut always = |law, verdict: Verdict| {
-        let outcome = verdict.map_or_else(Outcome::Failed, |()| Outcome::Passed);
-        rows.push(Row { law, outcome });
-    };
-    always(
-        "caps are finite and consistent",
-        caps_are_consistent(&bench),
-    );
-    always(
-        "poses are metres, finite and of unit turn",
-        poses_are_metres(&mut bench),
-    );
-    always(
-        "the time of samples does not run backwards",
-        time_is_monotonic(&mut bench),
-    );
-    if has_motors {
-        always(
-            "a write with forces off is rejected and renders zero",
-            off_is_zero(&mut bench),
-        );
-        always(
-            "enabling ramps up to what is written",
-            enabling_ramps(&mut bench),
-        );
-        always(
-            "a wrench that is not finite is rejected and renders zero",
-            nan_is_zero(&mut bench),
-        );
-        always(
-            "a wrench beyond the limit is clamped, not turned",
-            clamps(&mut bench),
-        );
-        if options.moves_under_force {
-            always(
-                "a force moves the tool along its own axis",
-                axes_agree(&mut bench),
-            );
-        }
-        always(
-            "disabling renders zero at once",
-            disabling_is_zero(&mut bench),
-        );
-    }
-    always(
-        "closing renders zero and ends every call",
-        closing_is_final(&mut bench),
-    );
-    if !has_motors {
-        rows.push(Row {
-            law: "force laws",
-            outcome: Outcome::Skipped("it renders no force"),
-        });
-    } else if !options.moves_under_force {
-        let why = "the tool may be held";
-        rows.push(Row {
-            law: "a force moves the tool along its own axis",
-            outcome: Outcome::Skipped(why),
-        });
-    }
-    Report { rows }
-}
-
-impl Bench<'_> {
+impl Bench<'_, '_> {
     /// `n` ticks with `wrench`; the last sample's position.
     fn tick(&mut self, n: usize, wrench: Wrench) -> Result<Vector3<f64>, String> {
         let mut position = Vector3::zeros();
@@ -187,6 +36,29 @@ impl Bench<'_> {
         (self.device.caps().rate_hz * s) as usize
     }
 
+    fn at_motors(&mut self) -> Option<f64> {
+        self.hooks.at_motors.as_mut().map(|look| look())
+    }
+
+    fn unplug(&mut self) {
+        if let Some(unplug) = &mut self.hooks.unplug {
+            unplug();
+            self.is_unplugged = true;
+        }
+    }
+
+    fn amiss(&mut self) -> Vec<String> {
+        self.hooks
+            .amiss
+            .as_mut()
+            .map_or_else(Vec::new, |look| look())
+    }
+
+    fn expect_zero_at_motors(&mut self) -> Verdict {
+        let left = self.at_motors().unwrap_or_default();
+        ensure(left == 0.0, || format!("the motors are left with {left} N"))
+    }
+
     fn expect_rendered_zero(&self) -> Verdict {
         let rendered = self.device.rendered();
         ensure(rendered == Wrench::ZERO, || {
@@ -199,7 +71,7 @@ fn ensure(holds: bool, why: impl FnOnce() -> String) -> Verdict {
     if holds { Ok(()) } else { Err(why()) }
 }
 
-fn caps_are_consistent(bench: &Bench<'_>) -> Verdict {
+pub(super) fn caps_are_consistent(bench: &mut Bench<'_, '_>) -> Verdict {
     let c = bench.device.caps();
     let extent = c.workspace.max - c.workspace.min;
     ensure(extent.iter().all(|e| (1e-3..=20.0).contains(e)), || {
@@ -237,7 +109,7 @@ fn caps_are_consistent(bench: &Bench<'_>) -> Verdict {
     })
 }
 
-fn poses_are_metres(bench: &mut Bench<'_>) -> Verdict {
+pub(super) fn poses_are_metres(bench: &mut Bench<'_, '_>) -> Verdict {
     let now = (bench.clock)();
     let sample = bench.device.read(now).map_err(|e| e.to_string())?;
     ensure(sample.is_finite(), || format!("{sample:?}"))?;
@@ -252,7 +124,7 @@ fn poses_are_metres(bench: &mut Bench<'_>) -> Verdict {
     })
 }
 
-fn time_is_monotonic(bench: &mut Bench<'_>) -> Verdict {
+pub(super) fn time_is_monotonic(bench: &mut Bench<'_, '_>) -> Verdict {
     let mut before = DeviceTime::from_micros(i64::MIN);
     for _ in 0..10 {
         let now = (bench.clock)();
@@ -263,7 +135,7 @@ fn time_is_monotonic(bench: &mut Bench<'_>) -> Verdict {
     Ok(())
 }
 
-fn off_is_zero(bench: &mut Bench<'_>) -> Verdict {
+pub(super) fn off_is_zero(bench: &mut Bench<'_, '_>) -> Verdict {
     let now = (bench.clock)();
     let wrench = bench.gentle(0);
     let written = bench.device.write(now, wrench);
@@ -273,7 +145,7 @@ fn off_is_zero(bench: &mut Bench<'_>) -> Verdict {
     bench.expect_rendered_zero()
 }
 
-fn enabling_ramps(bench: &mut Bench<'_>) -> Verdict {
+pub(super) fn enabling_ramps(bench: &mut Bench<'_, '_>) -> Verdict {
     bench
         .device
         .enable_forces(true)
@@ -302,7 +174,7 @@ fn enabling_ramps(bench: &mut Bench<'_>) -> Verdict {
     bench.tick(1, Wrench::ZERO).map(|_| ())
 }
 
-fn nan_is_zero(bench: &mut Bench<'_>) -> Verdict {
+pub(super) fn nan_is_zero(bench: &mut Bench<'_, '_>) -> Verdict {
     for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         for axis in 0..6 {
             let gentle = bench.gentle(2);
@@ -324,7 +196,7 @@ fn nan_is_zero(bench: &mut Bench<'_>) -> Verdict {
     Ok(())
 }
 
-fn clamps(bench: &mut Bench<'_>) -> Verdict {
+pub(super) fn clamps(bench: &mut Bench<'_, '_>) -> Verdict {
     let limit = bench.device.caps().max_force_n;
     let direction = Vector3::new(1.0, -2.0, 2.0) / 3.0;
     let now = (bench.clock)();
@@ -346,7 +218,7 @@ fn clamps(bench: &mut Bench<'_>) -> Verdict {
     })
 }
 
-fn axes_agree(bench: &mut Bench<'_>) -> Verdict {
+pub(super) fn axes_agree(bench: &mut Bench<'_, '_>) -> Verdict {
     let settle = bench.ticks_in(2.0);
     for axis in 0..3 {
         let rest = bench.tick(settle, Wrench::ZERO)?;
@@ -362,7 +234,7 @@ fn axes_agree(bench: &mut Bench<'_>) -> Verdict {
     bench.tick(settle, Wrench::ZERO).map(|_| ())
 }
 
-fn disabling_is_zero(bench: &mut Bench<'_>) -> Verdict {
+pub(super) fn disabling_is_zero(bench: &mut Bench<'_, '_>) -> Verdict {
     let wrench = bench.gentle(1);
     bench.tick(10, wrench)?;
     bench
@@ -374,8 +246,88 @@ fn disabling_is_zero(bench: &mut Bench<'_>) -> Verdict {
     bench.expect_rendered_zero()
 }
 
-fn closing_is_final(bench: &mut Bench<'_>) -> Verdict {
-    if bench.device.caps().dof_out > 0 {
+pub(super) fn no_motors_no_force(bench: &mut Bench<'_, '_>) -> Verdict {
+    bench
+        .device
+        .enable_forces(true)
+        .map_err(|e| e.to_string())?;
+    for n in [1.0, f64::NAN] {
+        let wrench = Wrench::from_force(Vector3::new(0.0, 0.0, n));
+        let now = (bench.clock)();
+        let before = bench.device.read(now).map_err(|e| e.to_string())?.pose;
+        let written = bench.device.write(now, wrench);
+        ensure(written == Written::Rejected(Rejection::NoMotors), || {
+            format!("{written:?}")
+        })?;
+        bench.device.cue(now, &wrench);
+        bench.expect_rendered_zero()?;
+        let after = bench.device.read(now).map_err(|e| e.to_string())?.pose;
+        ensure(before == after, || {
+            format!("a cue moved the tool from {before:?} to {after:?}")
+        })?;
+    }
+    Ok(())
+}
+
+/// The motors get what the device says it renders. What is on its way may be as old as a twentieth of a second.
+pub(super) fn motors_get_it(bench: &mut Bench<'_, '_>) -> Verdict {
+    let wrench = bench.gentle(2);
+    bench.tick(bench.ticks_in(0.5), wrench)?;
+    let said = bench.device.rendered().force.norm();
+    let got = bench.at_motors().unwrap_or(said);
+    ensure((got - said).abs() <= 1e-6 * said, || {
+        format!("it says {said} N, and the motors got {got} N")
+    })?;
+    bench.tick(bench.ticks_in(0.05), Wrench::ZERO)?;
+    bench.expect_zero_at_motors()
+}
+
+/// A plug that is pulled under force: the driver says so within a second, takes the force away on its side, takes no
+/// more, and does not switch on again.
+pub(super) fn unplugging_is_said(bench: &mut Bench<'_, '_>) -> Verdict {
+    let forced = bench.device.caps().dof_out > 0;
+    let wrench = bench.gentle(1);
+    if forced {
+        bench
+            .device
+            .enable_forces(true)
+            .map_err(|e| e.to_string())?;
+        bench.tick(bench.ticks_in(1.0), wrench)?;
+    }
+    bench.unplug();
+    let mut said = false;
+    for _ in 0..bench.ticks_in(1.0) {
+        let now = (bench.clock)();
+        said = match bench.device.read(now) {
+            Ok(sample) if sample.faults.forbid_force() => {
+                bench.expect_rendered_zero()?;
+                said
+            }
+            Ok(_) => said,
+            Err(_) => true,
+        };
+        let written = bench.device.write(now, wrench);
+        if said {
+            let is_taken = forced && !matches!(written, Written::Rejected(_));
+            ensure(!is_taken, || format!("{written:?} after it was gone"))?;
+            break;
+        }
+    }
+    ensure(said, || {
+        "readings go on as if nothing had happened".to_owned()
+    })?;
+    bench.expect_rendered_zero()?;
+    if forced {
+        let state = bench.device.force_state();
+        ensure(state == ForceState::Off, || format!("{state:?}"))?;
+        let enabled = bench.device.enable_forces(true);
+        ensure(enabled.is_err(), || "it can be switched on".to_owned())?;
+    }
+    Ok(())
+}
+
+pub(super) fn closing_is_final(bench: &mut Bench<'_, '_>) -> Verdict {
+    if bench.device.caps().dof_out > 0 && !bench.is_unplugged {
         bench
             .device
             .enable_forces(true)
@@ -386,6 +338,9 @@ fn closing_is_final(bench: &mut Bench<'_>) -> Verdict {
     bench.device.close();
     bench.device.close();
     bench.expect_rendered_zero()?;
+    if !bench.is_unplugged {
+        bench.expect_zero_at_motors()?;
+    }
     let now = (bench.clock)();
     let written = bench.device.write(now, Wrench::ZERO);
     ensure(written == Written::Rejected(Rejection::Closed), || {
@@ -397,4 +352,10 @@ fn closing_is_final(bench: &mut Bench<'_>) -> Verdict {
     ensure(enabled == Err(DeviceFault::Closed), || {
         format!("{enabled:?}")
     })
+}
+
+/// Frames in their order, calls in theirs, and no error left unasked for, as the maker's side has it.
+pub(super) fn nothing_amiss(bench: &mut Bench<'_, '_>) -> Verdict {
+    let amiss = bench.amiss();
+    ensure(amiss.is_empty(), || amiss.join("; "))
 }

@@ -1,0 +1,116 @@
+//! Devices that people own: where their maker's services and libraries are, which are plugged in, and opening one.
+
+use std::path::PathBuf;
+
+use palpate_device::HapticDevice;
+use palpate_device::backend::haply::{self, HaplyError, Service};
+use palpate_device::backend::{Found, dhd, openhaptics};
+
+use super::DeviceKind;
+
+/// The kinds of devices that people own, the best first: more degrees of freedom and more force.
+const KINDS: [DeviceKind; 3] = [DeviceKind::Dhd, DeviceKind::Haply, DeviceKind::OpenHaptics];
+
+/// Where makers' services and libraries are, when not where they usually are.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Sources {
+    /// The Haply service.
+    pub haply: Service,
+    /// The file of libHD; `None` lets the system look for it.
+    pub libhd: Option<PathBuf>,
+    /// The file of libdrd.
+    pub libdrd: Option<PathBuf>,
+}
+
+impl Sources {
+    /// As `PALPATE_HAPLY` (`ws://host:port`), `PALPATE_LIBHD` and `PALPATE_LIBDRD` say.
+    pub fn from_environment() -> Self {
+        let file = |name| std::env::var_os(name).map(PathBuf::from);
+        let mut haply = Service::default();
+        if let Ok(url) = std::env::var("PALPATE_HAPLY") {
+            // Events come from the same host, on the port that the maker gave them.
+            let host = url.rsplit_once(':').map(|(host, _)| host);
+            haply.events = host.map(|host| format!("{host}:10020"));
+            haply.simulation = url;
+        }
+        Self {
+            haply,
+            libhd: file("PALPATE_LIBHD"),
+            libdrd: file("PALPATE_LIBDRD"),
+        }
+    }
+}
+
+/// Why such a device can not be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum OwnedError {
+    /// An Inverse3.
+    #[error(transparent)]
+    Haply(#[from] HaplyError),
+    /// A Touch or Phantom.
+    #[error(transparent)]
+    OpenHaptics(#[from] openhaptics::OpenHapticsError),
+    /// A device of Force Dimension or a Falcon.
+    #[error(transparent)]
+    Dhd(#[from] dhd::DhdError),
+}
+
+/// The devices of this kind that are plugged in; none of a kind that nobody owns.
+pub(crate) fn find(kind: DeviceKind, sources: &Sources) -> Result<Vec<Found>, OwnedError> {
+    Ok(match kind {
+        DeviceKind::Haply => haply::find(&sources.haply)?,
+        DeviceKind::OpenHaptics => vec![openhaptics::find(sources.libhd.as_deref(), None)?],
+        DeviceKind::Dhd => dhd::find(sources.libdrd.as_deref())?,
+        _ => Vec::new(),
+    })
+}
+
+/// The best kind of which one is plugged in. Where nothing is installed that is known in a moment.
+pub(super) fn best(sources: &Sources) -> Option<DeviceKind> {
+    let is_there = |kind: &DeviceKind| find(*kind, sources).is_ok_and(|found| !found.is_empty());
+    KINDS.into_iter().find(is_there)
+}
+
+/// Opens the device of this kind with this id, or the only one; `None` for a kind that nobody owns.
+pub(super) fn open(
+    kind: DeviceKind,
+    which: Option<&str>,
+    sources: &Sources,
+) -> Result<Option<Box<dyn HapticDevice>>, OwnedError> {
+    Ok(Some(match kind {
+        DeviceKind::Haply => Box::new(haply::open(&sources.haply, which)?),
+        DeviceKind::OpenHaptics => Box::new(openhaptics::open(sources.libhd.as_deref(), which)?),
+        DeviceKind::Dhd => Box::new(dhd::open(sources.libdrd.as_deref(), which)?),
+        _ => return Ok(None),
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use palpate_device::backend::haply::Service;
+
+    use super::{KINDS, Sources, best, find, open};
+
+    /// A place where nothing is installed.
+    fn nowhere() -> Sources {
+        Sources {
+            haply: Service {
+                // The port of nothing: discarded since 1983.
+                simulation: "ws://127.0.0.1:9".to_owned(),
+                events: None,
+            },
+            libhd: Some("nowhere/libHD.so".into()),
+            libdrd: Some("nowhere/libdrd.so".into()),
+        }
+    }
+
+    #[test]
+    fn where_nothing_is_installed_each_kind_says_what_is_missing() {
+        assert_eq!(best(&nowhere()), None);
+        for (kind, word) in KINDS.into_iter().zip(["libdrd", "haply.co", "libHD"]) {
+            let why = find(kind, &nowhere()).unwrap_err().to_string();
+            assert!(why.contains(word), "{why}");
+            assert!(open(kind, None, &nowhere()).is_err());
+        }
+    }
+}

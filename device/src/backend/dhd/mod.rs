@@ -1,0 +1,83 @@
+//! Devices of Force Dimension (delta, omega, sigma) and the Novint Falcon, through their maker's library.
+//!
+//! The library is `libdrd`, with `libdhd` in it; the SDK is free for owners at forcedimension.com and not built in: it is
+//! loaded when a device is opened. Its calls return at once, so our clock drives it. It speaks metres, newtons and
+//! radians.
+//!
+//! Its frame is x towards the user, y to the right and z up; [`Dhd`] speaks of x to the right, y away from the user and z
+//! up, as all drivers here.
+//!
+//! A device has to find its reference after it got power. [`calibrate`](crate::HapticDevice::calibrate) lets it: it then
+//! moves by itself for some seconds, so keep hands off.
+
+mod device;
+mod error;
+mod models;
+mod sys;
+
+use std::path::Path;
+
+pub use device::Dhd;
+pub use error::DhdError;
+
+use self::sys::Api;
+use super::found::{Found, choose};
+
+/// What to look at when none is found.
+const HINT: &str = "look at its cable and power, and see that you may use USB devices (the SDK's manual has a udev rule)";
+
+/// The devices that are plugged in. Each is opened for a moment, without force, to ask for its name; one that another
+/// program uses is listed by its number.
+///
+/// `library` is the file to load; without one the system looks for it.
+///
+/// # Errors
+///
+/// When the library is missing or unfit.
+pub fn find(library: Option<&Path>) -> Result<Vec<Found>, DhdError> {
+    list(&Api::load(library)?)
+}
+
+fn list(api: &Api) -> Result<Vec<Found>, DhdError> {
+    let count = api
+        .count()
+        .map_err(|code| refused(api, "count devices", code))?;
+    Ok((0..count).map(|index| name_of(api, index)).collect())
+}
+
+fn name_of(api: &Api, index: usize) -> Found {
+    if api.open(index).is_err() {
+        return Found {
+            id: index.to_string(),
+            name: format!("not free: {}", api.last_words()),
+        };
+    }
+    let found = Found {
+        id: api.serial().map_or(index.to_string(), |s| s.to_string()),
+        name: api.name(),
+    };
+    api.close();
+    found
+}
+
+/// Opens the device with this id, or the only one.
+///
+/// # Errors
+///
+/// When the library is missing or unfit, none or several are plugged in, or the device does not open.
+pub fn open(library: Option<&Path>, which: Option<&str>) -> Result<Dhd, DhdError> {
+    let api = Api::load(library)?;
+    let found = list(&api)?;
+    let index = choose("dhd", HINT, &found, which)?;
+    api.open(index)
+        .map_err(|code| refused(&api, "open the device", code))?;
+    Ok(Dhd::new(api))
+}
+
+fn refused(api: &Api, what: &'static str, code: error::Code) -> DhdError {
+    DhdError::Refused {
+        what,
+        words: api.last_words(),
+        code: code.0,
+    }
+}

@@ -1,0 +1,256 @@
+//! The C functions of libdrd and libdhd behind safe ones.
+//!
+//! Types and numbers are those of the public headers `dhdc.h` and `drdc.h` (SDK 3.7 to 3.17). A device's number is a C
+//! `char` there; it is passed as an `int`, which holds it on every machine. After opening, all calls go to -1, the device
+//! that was opened last: the number that opening returns is another one in some releases.
+
+use std::ffi::{CStr, c_char, c_int, c_uint};
+use std::path::Path;
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::error::Code;
+use crate::Wrench;
+use crate::backend::library::{Library, LibraryError, Wanted};
+
+/// The library on this system, and how it is got.
+const WANTED: Wanted = Wanted {
+    what: "the Force Dimension SDK (libdrd)",
+    names: if cfg!(windows) {
+        &["drd64.dll", "drd.dll"]
+    } else if cfg!(target_os = "macos") {
+        &["libdrd.dylib", "libdrd.3.dylib"]
+    } else {
+        &["libdrd.so", "libdrd.so.3", "libdrd.so.2"]
+    },
+    how: "Download the SDK from forcedimension.com, unpack it, and let the system find its library: copy it to \
+          /usr/local/lib and run ldconfig, or name it in PALPATE_LIBDRD.",
+};
+
+/// The device that was opened last.
+const LAST: c_int = -1;
+
+type Int = unsafe extern "system" fn(c_int) -> c_int;
+type Bool = unsafe extern "system" fn(c_int) -> bool;
+type Three = unsafe extern "system" fn(*mut f64, *mut f64, *mut f64, c_int) -> c_int;
+
+/// The functions that are called, and the library they are in.
+pub(super) struct Api {
+    count: unsafe extern "system" fn() -> c_int,
+    open: Int,
+    close: Int,
+    system_type: Int,
+    system_name: unsafe extern "system" fn(c_int) -> *const c_char,
+    serial: unsafe extern "system" fn(*mut c_uint, c_int) -> c_int,
+    last_error: unsafe extern "system" fn() -> c_int,
+    last_words: unsafe extern "system" fn() -> *const c_char,
+    position: Three,
+    velocity: Three,
+    turn: unsafe extern "system" fn(*mut [[f64; 3]; 3], c_int) -> c_int,
+    turning: Three,
+    buttons: unsafe extern "system" fn(c_int) -> c_uint,
+    has_wrist: Bool,
+    has_gripper: Bool,
+    gripper: unsafe extern "system" fn(*mut f64, c_int) -> c_int,
+    force: unsafe extern "system" fn(f64, f64, f64, f64, f64, f64, f64, c_int) -> c_int,
+    enable: unsafe extern "system" fn(u8, c_int) -> c_int,
+    is_initialised: Bool,
+    initialise: Int,
+    stop: unsafe extern "system" fn(bool, c_int) -> c_int,
+    // The last field: what is above points into it.
+    _library: Library,
+}
+
+impl std::fmt::Debug for Api {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Api").finish_non_exhaustive()
+    }
+}
+
+impl Api {
+    /// Loads the library and finds all functions.
+    pub(super) fn load(file: Option<&Path>) -> Result<Self, LibraryError> {
+        let library = WANTED.load(file)?;
+        // SAFETY: every type is that of the function in the public headers, and the library lives as long as `Self`.
+        unsafe {
+            Ok(Self {
+                count: library.function("dhdGetDeviceCount")?,
+                open: library.function("drdOpenID")?,
+                close: library.function("drdClose")?,
+                system_type: library.function("dhdGetSystemType")?,
+                system_name: library.function("dhdGetSystemName")?,
+                serial: library.function("dhdGetSerialNumber")?,
+                last_error: library.function("dhdErrorGetLast")?,
+                last_words: library.function("dhdErrorGetLastStr")?,
+                position: library.function("dhdGetPosition")?,
+                velocity: library.function("dhdGetLinearVelocity")?,
+                turn: library.function("dhdGetOrientationFrame")?,
+                turning: library.function("dhdGetAngularVelocityRad")?,
+                buttons: library.function("dhdGetButtonMask")?,
+                has_wrist: library.function("dhdHasWrist")?,
+                has_gripper: library.function("dhdHasGripper")?,
+                gripper: library.function("dhdGetGripperAngleRad")?,
+                force: library.function("dhdSetForceAndTorqueAndGripperForce")?,
+                enable: library.function("dhdEnableForce")?,
+                is_initialised: library.function("drdIsInitialized")?,
+                initialise: library.function("drdAutoInit")?,
+                stop: library.function("drdStop")?,
+                _library: library,
+            })
+        }
+    }
+
+    /// An error is below zero. One above is none: 1 says that the same value was read within a control period, 2 that a
+    /// motor is at its limit.
+    fn checked(&self, returned: c_int) -> Result<c_int, Code> {
+        if returned < 0 {
+            // SAFETY: takes nothing and returns a number.
+            Err(Code(unsafe { (self.last_error)() }))
+        } else {
+            Ok(returned)
+        }
+    }
+
+    /// What the library says of its last error.
+    pub(super) fn last_words(&self) -> String {
+        // SAFETY: takes nothing and returns a text of the library's own, or null.
+        text(unsafe { (self.last_words)() })
+    }
+
+    /// How many devices are plugged in.
+    pub(super) fn count(&self) -> Result<usize, Code> {
+        // SAFETY: takes nothing and returns a number.
+        self.checked(unsafe { (self.count)() }).map(|n| n as usize)
+    }
+
+    /// Opens device `index`; from now on it is the one that all other calls mean.
+    pub(super) fn open(&self, index: usize) -> Result<(), Code> {
+        // SAFETY: takes a number.
+        self.checked(unsafe { (self.open)(index as c_int) })
+            .map(|_| ())
+    }
+
+    /// Closes it.
+    pub(super) fn close(&self) {
+        // SAFETY: takes a number. What it says is of no use any more.
+        let _ = unsafe { (self.close)(LAST) };
+    }
+
+    /// Which model it is, in the numbers of the header.
+    pub(super) fn system_type(&self) -> c_int {
+        // SAFETY: takes a number.
+        unsafe { (self.system_type)(LAST) }
+    }
+
+    /// What it calls itself.
+    pub(super) fn name(&self) -> String {
+        // SAFETY: takes a number and returns a text of the library's own, or null.
+        text(unsafe { (self.system_name)(LAST) })
+    }
+
+    /// Its serial number, where it has one. Releases differ in how wide the number is; it is written to the beginning.
+    pub(super) fn serial(&self) -> Option<u32> {
+        let mut number: c_uint = 0;
+        // SAFETY: the pointer is valid for four bytes; the widest release writes four.
+        let returned = unsafe { (self.serial)(&raw mut number, LAST) };
+        (returned >= 0 && number != 0).then_some(u32::from_le(number))
+    }
+
+    fn three(&self, function: Three) -> Result<Vector3<f64>, Code> {
+        let mut v = [0.0; 3];
+        let [x, y, z] = &mut v;
+        // SAFETY: three valid pointers to doubles, as all functions of this type take.
+        self.checked(unsafe { function(x, y, z, LAST) })?;
+        Ok(Vector3::from(v))
+    }
+
+    /// Where the effector is, m, in the device's own frame.
+    pub(super) fn position(&self) -> Result<Vector3<f64>, Code> {
+        self.three(self.position)
+    }
+
+    /// How fast it goes, m/s.
+    pub(super) fn velocity(&self) -> Result<Vector3<f64>, Code> {
+        self.three(self.velocity)
+    }
+
+    /// How fast it turns, rad/s.
+    pub(super) fn turning(&self) -> Result<Vector3<f64>, Code> {
+        self.three(self.turning)
+    }
+
+    /// How it is turned.
+    pub(super) fn turn(&self) -> Result<Matrix3<f64>, Code> {
+        let mut rows = [[0.0; 3]; 3];
+        // SAFETY: a valid pointer to nine doubles, row after row.
+        self.checked(unsafe { (self.turn)(&raw mut rows, LAST) })?;
+        Ok(Matrix3::from_fn(|i, j| rows[i][j]))
+    }
+
+    /// Its buttons, one bit each.
+    pub(super) fn buttons(&self) -> u32 {
+        // SAFETY: takes a number.
+        unsafe { (self.buttons)(LAST) }
+    }
+
+    /// Whether it knows how it is turned.
+    pub(super) fn has_wrist(&self) -> bool {
+        // SAFETY: takes a number.
+        unsafe { (self.has_wrist)(LAST) }
+    }
+
+    /// Whether it has a gripper.
+    pub(super) fn has_gripper(&self) -> bool {
+        // SAFETY: takes a number.
+        unsafe { (self.has_gripper)(LAST) }
+    }
+
+    /// How far the gripper is open, rad.
+    pub(super) fn gripper(&self) -> Result<f64, Code> {
+        let mut rad = 0.0;
+        // SAFETY: a valid pointer to a double.
+        self.checked(unsafe { (self.gripper)(&raw mut rad, LAST) })?;
+        Ok(rad)
+    }
+
+    /// Force (N) and torque (N·m) in the device's own frame, no force on the gripper; whether a motor is at its limit.
+    pub(super) fn push(&self, wrench: &Wrench) -> Result<bool, Code> {
+        let (f, t) = (wrench.force, wrench.torque);
+        // SAFETY: takes numbers.
+        let returned = unsafe { (self.force)(f.x, f.y, f.z, t.x, t.y, t.z, 0.0, LAST) };
+        Ok(self.checked(returned)? == 2)
+    }
+
+    /// Switches the motors.
+    pub(super) fn enable(&self, on: bool) -> Result<(), Code> {
+        // SAFETY: takes numbers.
+        self.checked(unsafe { (self.enable)(u8::from(on), LAST) })
+            .map(|_| ())
+    }
+
+    /// Whether it knows where it is.
+    pub(super) fn is_initialised(&self) -> bool {
+        // SAFETY: takes a number.
+        unsafe { (self.is_initialised)(LAST) }
+    }
+
+    /// Lets it find its reference; it moves by itself, for some seconds.
+    pub(super) fn initialise(&self) -> Result<(), Code> {
+        // SAFETY: takes a number.
+        let done = self.checked(unsafe { (self.initialise)(LAST) });
+        // The library's own control holds the device afterwards; a hand could not move it.
+        // SAFETY: takes a truth value and a number.
+        let released = self.checked(unsafe { (self.stop)(false, LAST) });
+        done.and(released).map(|_| ())
+    }
+}
+
+/// A text of the library's own.
+fn text(words: *const c_char) -> String {
+    if words.is_null() {
+        return String::new();
+    }
+    // SAFETY: not null, and the library's texts end with a zero and are constants of it.
+    let words = unsafe { CStr::from_ptr(words) };
+    words.to_string_lossy().into_owned()
+}

@@ -1,0 +1,397 @@
+//! The two ends of an exchange.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use triple_buffer::{Input, Output, triple_buffer};
+
+use super::Fade;
+use crate::motors::Motors;
+use crate::{
+    Buttons, Calibration, DeviceCaps, DeviceFault, DeviceTime, Faults, Pose, Rejection, Sample,
+    Wrench, Written,
+};
+
+/// News older than this give no force, µs.
+const LATE_US: i64 = 50_000;
+
+/// A device without news for so long counts as unplugged, µs.
+const GONE_US: i64 = 500_000;
+
+/// How long forces ramp up after they were enabled, µs.
+const RAMP_US: i64 = 200_000;
+
+/// The code of a write that was refused because the device has not been heard of.
+const NOT_HEARD: Rejection = Rejection::Driver { code: -1 };
+
+/// What a driver's thread has heard from the device.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::backend) struct News {
+    /// m, in the frame of all drivers.
+    pub(in crate::backend) pose: Pose,
+    /// m/s.
+    pub(in crate::backend) velocity: Vector3<f64>,
+    /// rad/s.
+    pub(in crate::backend) angular_velocity: Vector3<f64>,
+    pub(in crate::backend) buttons: Buttons,
+    pub(in crate::backend) faults: Faults,
+    pub(in crate::backend) calibration: Calibration,
+    /// Whether its motors have power.
+    pub(in crate::backend) powered: bool,
+    /// Of what the loop wrote, so much is rendered: less after a pause of the loop.
+    pub(in crate::backend) share: f64,
+    /// The driver knows that the device is gone.
+    pub(in crate::backend) lost: Option<DeviceFault>,
+}
+
+impl News {
+    /// Of a device that rests in its origin.
+    pub(in crate::backend) fn at_rest() -> Self {
+        Self {
+            pose: Pose {
+                position: Vector3::zeros(),
+                orientation: UnitQuaternion::identity(),
+            },
+            velocity: Vector3::zeros(),
+            angular_velocity: Vector3::zeros(),
+            buttons: Buttons::NONE,
+            faults: Faults::NONE,
+            calibration: Calibration::Done,
+            powered: true,
+            share: 1.0,
+            lost: None,
+        }
+    }
+}
+
+/// What the loop wants of the device.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::backend) struct Order {
+    /// To be rendered, ramp and limits included.
+    pub(in crate::backend) wrench: Wrench,
+    /// Whether the motors may push.
+    pub(in crate::backend) on: bool,
+}
+
+impl Order {
+    /// No force, and motors off.
+    pub(in crate::backend) const OFF: Self = Self {
+        wrench: Wrench::ZERO,
+        on: false,
+    };
+}
+
+/// Makes the two ends. The driver's thread fades forces as `fade` says.
+pub(in crate::backend) fn between(fade: Fade) -> (Remote, DriverEnd) {
+    let (news_in, news_out) = triple_buffer(&News::at_rest());
+    let (orders_in, orders_out) = triple_buffer(&Order::OFF);
+    let remote = Remote {
+        motors: Motors::new(RAMP_US),
+        news: news_out,
+        orders: orders_in,
+        heard_at: None,
+        is_late: false,
+    };
+    let end = DriverEnd {
+        news: news_in,
+        orders: orders_out,
+        fade,
+    };
+    (remote, end)
+}
+
+/// The driver's end.
+#[derive(Debug)]
+pub(in crate::backend) struct DriverEnd {
+    news: Input<News>,
+    orders: Output<Order>,
+    fade: Fade,
+}
+
+impl DriverEnd {
+    /// Hands the newest news over.
+    pub(in crate::backend) fn tell(&mut self, news: News) {
+        self.news.write(News {
+            share: self.fade.share(),
+            ..news
+        });
+    }
+
+    /// The device was told to render nothing, or is gone: what was ordered until now is no longer meant. The loop learns
+    /// of it with the next news.
+    pub(in crate::backend) fn cut(&mut self) {
+        self.orders.update();
+        self.fade.cut();
+    }
+
+    /// What to render in this turn; once per turn.
+    pub(in crate::backend) fn order(&mut self) -> Order {
+        let is_renewed = self.orders.update();
+        let newest = *self.orders.output_buffer();
+        Order {
+            wrench: newest.wrench.scaled(self.fade.turn(is_renewed)),
+            ..newest
+        }
+    }
+}
+
+/// The loop's end: all of the one trait that does not depend on the device.
+#[derive(Debug)]
+pub(in crate::backend) struct Remote {
+    motors: Motors,
+    news: Output<News>,
+    orders: Input<Order>,
+    heard_at: Option<DeviceTime>,
+    is_late: bool,
+}
+
+impl Remote {
+    /// The motors, as the trait sees them.
+    pub(in crate::backend) fn motors(&self) -> &Motors {
+        &self.motors
+    }
+
+    /// What is rendered now, as far as the newest news tell.
+    pub(in crate::backend) fn rendered(&self) -> Wrench {
+        self.motors.rendered().scaled(self.last().share)
+    }
+
+    /// The newest news, and whether they are newer than those of the last call.
+    pub(in crate::backend) fn hear(&mut self) -> (News, bool) {
+        let is_new = self.news.update();
+        (*self.news.output_buffer(), is_new)
+    }
+
+    /// The last news that were heard.
+    pub(in crate::backend) fn last(&self) -> &News {
+        self.news.output_buffer()
+    }
+
+    /// No force, motors off.
+    pub(in crate::backend) fn halt(&mut self) {
+        self.motors.stop();
+        self.orders.write(Order::OFF);
+    }
+
+    /// Switches the motors.
+    pub(in crate::backend) fn enable(&mut self, on: bool) -> Result<(), DeviceFault> {
+        if !self.motors.is_open() {
+            return Err(DeviceFault::Closed);
+        }
+        self.halt();
+        if !on {
+            return Ok(());
+        }
+        let (news, _) = self.hear();
+        match news.lost {
+            Some(why) => return Err(why),
+            None if self.is_late => return Err(DeviceFault::Unplugged),
+            None if !news.powered => return Err(DeviceFault::NoPower),
+            None if !news.calibration.is_ready() => return Err(DeviceFault::NotCalibrated),
+            None => {}
+        }
+        self.motors.enable(true)?;
+        self.orders.write(Order {
+            on: true,
+            ..Order::OFF
+        });
+        Ok(())
+    }
+
+    /// The newest news as a sample, whose time is that of the first reading that saw them.
+    pub(in crate::backend) fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
+        let now = self.motors.tell(now)?;
+        let (news, is_new) = self.hear();
+        let heard_at = match self.heard_at {
+            Some(at) if !is_new => at,
+            _ => now,
+        };
+        self.heard_at = Some(heard_at);
+        let age_us = now.micros_since(heard_at);
+        self.is_late = age_us > LATE_US;
+        if news.lost.is_some() || age_us > GONE_US {
+            self.halt();
+            return Err(news.lost.unwrap_or(DeviceFault::Unplugged));
+        }
+        let mut faults = news.faults;
+        if self.is_late {
+            faults = faults.with(Faults::COMMUNICATION);
+        }
+        if !news.calibration.is_ready() {
+            faults = faults.with(Faults::UNTRUSTED_POSE);
+        }
+        if faults.forbid_force() && !self.motors.are_off() {
+            self.motors.render_only(Wrench::ZERO);
+            self.orders.write(Order {
+                on: true,
+                ..Order::OFF
+            });
+        }
+        Ok(Sample {
+            time: heard_at,
+            pose: news.pose,
+            velocity: news.velocity,
+            angular_velocity: news.angular_velocity,
+            buttons: news.buttons,
+            gripper: None,
+            faults,
+        })
+    }
+
+    /// Hands a wrench over.
+    pub(in crate::backend) fn write(
+        &mut self,
+        now: DeviceTime,
+        wrench: Wrench,
+        caps: &DeviceCaps,
+    ) -> Written {
+        let taken = self.motors.take(now, wrench, caps);
+        let written = match taken {
+            Ok(_) if self.is_late => {
+                self.motors.render_only(Wrench::ZERO);
+                Written::Rejected(NOT_HEARD)
+            }
+            Ok((_, false)) => Written::Applied,
+            Ok((applied, true)) => Written::Saturated { applied },
+            Err(why) => Written::Rejected(why),
+        };
+        if self.motors.ready().is_ok() {
+            self.orders.write(Order {
+                wrench: self.motors.rendered(),
+                on: true,
+            });
+        }
+        written
+    }
+
+    /// No force, motors off, and nothing more; whether it was open until now.
+    pub(in crate::backend) fn close(&mut self) -> bool {
+        self.orders.write(Order::OFF);
+        self.motors.close()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::{DriverEnd, Fade, GONE_US, LATE_US, NOT_HEARD, News, Order, Remote, between};
+    use crate::backend::sim::{ScriptStart, SimHand};
+    use crate::{
+        Calibration, DeviceCaps, DeviceFault, DeviceTime, Faults, HapticDevice, Script, Wrench,
+        Written,
+    };
+
+    fn pushed() -> (Remote, DriverEnd, DeviceCaps) {
+        let script = Script::resting_probe(Vector3::zeros(), 4e-3).unwrap();
+        let caps = SimHand::new(script, ScriptStart::not_yet()).caps().clone();
+        let (mut remote, mut end) = between(Fade::new(20, 20));
+        remote.enable(true).unwrap();
+        for ms in 0..300 {
+            end.tell(News::at_rest());
+            remote.read(at(ms * 1000)).unwrap();
+            let _ = remote.write(at(ms * 1000), push(), &caps);
+        }
+        assert_eq!(end.order().wrench, push());
+        (remote, end, caps)
+    }
+
+    fn at(us: i64) -> DeviceTime {
+        DeviceTime::from_micros(us)
+    }
+
+    fn push() -> Wrench {
+        Wrench::from_force(Vector3::new(0.0, 3.0, 0.0))
+    }
+
+    #[test]
+    fn news_that_stay_out_take_the_force_away_and_then_the_device() {
+        let (mut remote, mut end, caps) = pushed();
+        let heard = 299_000;
+        assert!(remote.read(at(heard + LATE_US)).unwrap().faults.is_empty());
+        let late = remote.read(at(heard + LATE_US + 1)).unwrap();
+        assert!(late.faults.contains(Faults::COMMUNICATION));
+        assert_eq!(late.time, at(heard));
+        let written = remote.write(at(heard + LATE_US + 1), push(), &caps);
+        assert_eq!(written, Written::Rejected(NOT_HEARD));
+        assert_eq!(
+            (remote.motors().rendered(), end.order().wrench),
+            (Wrench::ZERO, Wrench::ZERO)
+        );
+        let gone = remote.read(at(heard + GONE_US + 1));
+        assert_eq!(gone, Err(DeviceFault::Unplugged));
+        assert_eq!(end.order(), Order::OFF);
+        assert_eq!(remote.enable(true), Err(DeviceFault::Unplugged));
+        // Back again.
+        end.tell(News::at_rest());
+        assert!(remote.read(at(heard + GONE_US + 2000)).is_ok());
+        assert_eq!(remote.enable(true), Ok(()));
+    }
+
+    #[test]
+    fn what_the_driver_knows_to_be_lost_is_said_at_once() {
+        let (mut remote, mut end, _) = pushed();
+        end.tell(News {
+            lost: Some(DeviceFault::Unplugged),
+            ..News::at_rest()
+        });
+        assert_eq!(remote.read(at(300_000)), Err(DeviceFault::Unplugged));
+        assert_eq!(end.order(), Order::OFF);
+    }
+
+    #[test]
+    fn a_device_without_power_or_place_gets_no_force() {
+        let (mut remote, mut end, _) = pushed();
+        end.tell(News {
+            powered: false,
+            ..News::at_rest()
+        });
+        assert_eq!(remote.enable(true), Err(DeviceFault::NoPower));
+        end.tell(News {
+            calibration: Calibration::NeedsUser,
+            ..News::at_rest()
+        });
+        assert_eq!(remote.enable(true), Err(DeviceFault::NotCalibrated));
+        let sample = remote.read(at(300_000)).unwrap();
+        assert!(sample.faults.contains(Faults::UNTRUSTED_POSE));
+    }
+
+    #[test]
+    fn a_fault_that_forbids_force_takes_it_away_before_anybody_writes() {
+        let (mut remote, mut end, _) = pushed();
+        end.tell(News {
+            faults: Faults::EMERGENCY_STOP,
+            ..News::at_rest()
+        });
+        remote.read(at(300_000)).unwrap();
+        assert_eq!(
+            (remote.motors().rendered(), end.order().wrench),
+            (Wrench::ZERO, Wrench::ZERO)
+        );
+    }
+
+    #[test]
+    fn a_loop_that_stands_still_leaves_no_force() {
+        let (mut remote, mut end, _) = pushed();
+        let forces: Vec<f64> = (0..60).map(|_| end.order().wrench.force.norm()).collect();
+        assert!(forces[..15].iter().all(|n| *n == 3.0));
+        assert!(forces[45..].iter().all(|n| *n == 0.0));
+        assert!(forces.windows(2).all(|w| w[0] - w[1] < 0.16));
+        // And it learns of it with the next news.
+        assert_eq!(remote.rendered(), push());
+        end.tell(News::at_rest());
+        remote.read(at(301_000)).unwrap();
+        assert_eq!(remote.rendered(), Wrench::ZERO);
+    }
+
+    #[test]
+    fn what_was_ordered_before_a_cut_is_not_rendered_after_it() {
+        let (mut remote, mut end, caps) = pushed();
+        end.cut();
+        assert!((0..30).all(|_| end.order().wrench == Wrench::ZERO));
+        // The loop learns of it, and what it writes then comes back slowly.
+        end.tell(News::at_rest());
+        remote.read(at(300_000)).unwrap();
+        assert_eq!(remote.rendered(), Wrench::ZERO);
+        let _ = remote.write(at(300_000), push(), &caps);
+        assert!((end.order().wrench.force.norm() - 0.15).abs() < 1e-9);
+    }
+}

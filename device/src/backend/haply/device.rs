@@ -1,0 +1,159 @@
+//! The device behind the one trait.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+
+use nalgebra::Vector3;
+
+use super::alarms::{Alarms, listen};
+use super::talk::Talk;
+use super::{HINT, HaplyError, Service, inventory};
+use crate::backend::exchange::{Fade, News, Remote, between};
+use crate::backend::found::choose;
+use crate::{
+    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice, Sample,
+    Workspace, Wrench, Written,
+};
+
+/// Messages without a new force before it fades, and those that it fades for: 20 ms each, when the loop has stopped and a
+/// message goes out every 2 ms.
+const FADE: Fade = Fade::new(10, 10);
+
+/// An open Inverse3.
+#[derive(Debug)]
+pub struct Haply {
+    remote: Remote,
+    caps: DeviceCaps,
+    leave: Arc<AtomicBool>,
+    talk: Option<JoinHandle<()>>,
+    events: Option<JoinHandle<()>>,
+}
+
+impl Haply {
+    pub(super) fn open(service: &Service, which: Option<&str>) -> Result<Self, HaplyError> {
+        let (link, message) = inventory(&service.simulation)?;
+        let found = message.found();
+        let chosen = &found[choose("haply", HINT, &found, which)?];
+        let (mut remote, mut end) = between(FADE);
+        // Until it has a place that can be, the loop hears nothing.
+        let news = message.news(&chosen.id, &News::at_rest());
+        if let Some(news) = news {
+            end.tell(news);
+        }
+        remote.hear();
+        let mut device = Self {
+            remote,
+            caps: caps(&chosen.name, &chosen.id, message.has_grip()),
+            leave: Arc::default(),
+            talk: None,
+            events: None,
+        };
+        let alarms: Arc<Alarms> = Arc::default();
+        if let Some(url) = service.events.clone() {
+            let (id, leave) = (chosen.id.clone(), Arc::clone(&device.leave));
+            let alarms = Arc::clone(&alarms);
+            let listening = move || listen(&url, &id, &alarms, &leave);
+            device.events = Some(spawn("haply events", listening)?);
+        }
+        let talk = Talk {
+            url: service.simulation.clone(),
+            id: chosen.id.clone(),
+            spelling: message.spelling(),
+            end,
+            news: news.unwrap_or_else(News::at_rest),
+            alarms,
+            leave: Arc::clone(&device.leave),
+        };
+        device.talk = Some(spawn("haply", move || talk.hold(link))?);
+        Ok(device)
+    }
+
+    /// Lets the next message go out now. It waits for nobody.
+    fn nudge(&self) {
+        if let Some(talk) = &self.talk {
+            talk.thread().unpark();
+        }
+    }
+}
+
+fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, HaplyError> {
+    let builder = std::thread::Builder::new().name(name.to_owned());
+    builder
+        .spawn(work)
+        .map_err(|why| HaplyError::Thread(why.to_string()))
+}
+
+/// What an Inverse3 can do. The service does not tell; the forces are modest ones for a desktop device, and the box is wide
+/// enough for either hand. Whoever has the maker's data sheet can widen them here.
+fn caps(name: &str, id: &str, has_grip: bool) -> DeviceCaps {
+    DeviceCaps {
+        name: format!("{name}, {id}"),
+        dof_in: if has_grip { 6 } else { 3 },
+        dof_out: 3,
+        workspace: Workspace {
+            min: Vector3::new(-0.25, -0.35, -0.15),
+            max: Vector3::new(0.25, 0.1, 0.45),
+        },
+        max_force_n: 6.0,
+        continuous_force_n: 3.0,
+        max_torque_nm: 0.0,
+        max_stiffness_n_per_m: 1000.0,
+        rate_hz: 1000.0,
+    }
+}
+
+impl HapticDevice for Haply {
+    fn caps(&self) -> &DeviceCaps {
+        &self.caps
+    }
+
+    fn calibration(&self) -> Calibration {
+        self.remote.last().calibration
+    }
+
+    fn clock(&self) -> ClockOwner {
+        ClockOwner::ReplyPerMessage
+    }
+
+    fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
+        let enabled = self.remote.enable(on);
+        self.nudge();
+        enabled
+    }
+
+    fn force_state(&self) -> ForceState {
+        self.remote.motors().state()
+    }
+
+    fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
+        self.remote.read(now)
+    }
+
+    fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
+        let written = self.remote.write(now, wrench, &self.caps);
+        self.nudge();
+        written
+    }
+
+    fn rendered(&self) -> Wrench {
+        self.remote.rendered()
+    }
+
+    /// Zero, then the end of the conversation.
+    fn close(&mut self) {
+        self.remote.close();
+        self.leave.store(true, Ordering::Release);
+        for thread in [self.talk.take(), self.events.take()].into_iter().flatten() {
+            thread.thread().unpark();
+            // A thread that panicked is over as well, and the service ends its session with it.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Drop for Haply {
+    fn drop(&mut self) {
+        self.close();
+    }
+}

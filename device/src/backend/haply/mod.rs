@@ -1,0 +1,92 @@
+//! The Haply Inverse3, through its maker's service on this machine.
+//!
+//! The Haply Inverse Service comes with the Haply Hub (haply.co) or alone, runs in the background and speaks JSON over two
+//! WebSockets: on port 10001 it answers every message with one state, so that whoever sends is the clock; on port 10020
+//! it tells safety events. It has x to the right, y away from the user and z up, metres, metres per second and newtons. The
+//! force is spelled `vector` since version 3.5, and `values` before; which of them is meant shows in the first message.
+//!
+//! Two threads of the driver's own hold these conversations; [`Haply`] hands over what is newest and never waits.
+//! A message goes out when the loop has written, and every 2 ms when it has not.
+//!
+//! | the service says | it becomes |
+//! | --- | --- |
+//! | `ebrake_triggered`, until `ebrake_released` | [`Faults::EMERGENCY_STOP`](crate::Faults::EMERGENCY_STOP) |
+//! | `fod_stage_changed` as a warning, until it comes as no warning | [`Faults::OVER_FORCE`](crate::Faults::OVER_FORCE) |
+//! | `stall_detected`, `stability_ceiling` | the same for 250 messages |
+//! | a state without the device, `device-disconnected` | [`DeviceFault::Unplugged`](crate::DeviceFault::Unplugged) |
+//! | no state, or none that can be read, for 50 ms | [`Faults::COMMUNICATION`](crate::Faults::COMMUNICATION) and no force |
+//!
+//! Turns and buttons are those of the first VerseGrip that the service knows, wireless ones first.
+
+mod alarms;
+mod device;
+mod error;
+mod link;
+mod message;
+mod talk;
+
+pub use device::Haply;
+pub use error::HaplyError;
+
+use self::link::{Link, Received};
+use self::message::Message;
+use super::found::Found;
+
+/// Where the service listens.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Service {
+    /// For states and forces, `ws://host:port`.
+    pub simulation: String,
+    /// For safety events; `None` goes without.
+    pub events: Option<String>,
+}
+
+impl Default for Service {
+    /// Where it listens unless it was configured otherwise.
+    fn default() -> Self {
+        Self {
+            simulation: "ws://localhost:10001".to_owned(),
+            events: Some("ws://localhost:10020".to_owned()),
+        }
+    }
+}
+
+/// What to look at when none is found.
+const HINT: &str = "look at its cable and power supply, and whether the Haply Hub shows it";
+
+/// The devices that the service knows.
+///
+/// # Errors
+///
+/// When no service answers, or with something else than its inventory.
+pub fn find(service: &Service) -> Result<Vec<Found>, HaplyError> {
+    Ok(inventory(&service.simulation)?.1.found())
+}
+
+/// Opens the device with this id, or the only one.
+///
+/// # Errors
+///
+/// When no service answers, or with something else than its inventory, and when none or several devices are plugged in.
+pub fn open(service: &Service, which: Option<&str>) -> Result<Haply, HaplyError> {
+    Haply::open(service, which)
+}
+
+/// A conversation and its first message, which the service begins with.
+fn inventory(url: &str) -> Result<(Link, Message), HaplyError> {
+    let mut link = Link::open(url)?;
+    let unfit = |why: String| HaplyError::Unfit {
+        url: url.to_owned(),
+        why,
+    };
+    match link.receive() {
+        Received::Text(text) => match Message::read(&text) {
+            Ok(message) => Ok((link, message)),
+            Err(why) => Err(unfit(why)),
+        },
+        Received::Nothing => Err(HaplyError::Silent {
+            url: url.to_owned(),
+        }),
+        Received::Unfit(why) | Received::Closed(why) => Err(unfit(why)),
+    }
+}

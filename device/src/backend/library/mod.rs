@@ -1,0 +1,183 @@
+//! Libraries that a device's maker gives to its owner: found and loaded when a device is opened, never built in.
+//!
+//! Every way in which that fails is one sentence with the file, what is wrong with it, and what to do.
+
+mod machine;
+pub(super) mod sys;
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+pub(super) use sys::Library;
+
+/// Where systems keep libraries. The loader has its own list; these are looked through to say why it found nothing.
+const FOLDERS: [&str; 7] = [
+    "/usr/lib",
+    "/usr/lib64",
+    "/usr/lib32",
+    "/usr/local/lib",
+    "/usr/lib/x86_64-linux-gnu",
+    "/usr/lib/aarch64-linux-gnu",
+    "/usr/lib/i386-linux-gnu",
+];
+
+/// Why a maker's library can not be used.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum LibraryError {
+    /// The loader knows none of its names.
+    #[error("{what} is not installed: the system finds none of {names}. {how}")]
+    NotInstalled {
+        /// The maker's software.
+        what: &'static str,
+        /// The names that were tried.
+        names: String,
+        /// How it is got.
+        how: &'static str,
+    },
+    /// The file that was named is not there, or can not be read.
+    #[error("the library {} can not be read: {why}", file.display())]
+    Unreadable {
+        /// The file.
+        file: PathBuf,
+        /// What the system said.
+        why: String,
+    },
+    /// It was built for another processor.
+    #[error(
+        "the library {} is built for {is}, and this program for {needs}: install the maker's edition for {needs}",
+        file.display()
+    )]
+    OtherMachine {
+        /// The file.
+        file: PathBuf,
+        /// The processor it is for.
+        is: &'static str,
+        /// The processor of this program.
+        needs: &'static str,
+    },
+    /// The loader refused it.
+    #[error("the library {} can not be loaded: {why}", file.display())]
+    Refused {
+        /// The file.
+        file: PathBuf,
+        /// What the loader said: a library that it needs in turn is missing, or it is no library.
+        why: String,
+    },
+    /// It lacks a function.
+    #[error(
+        "the library {} has no function {symbol}: it is too old, or another library of that name. {how}",
+        file.display()
+    )]
+    NoFunction {
+        /// The file.
+        file: PathBuf,
+        /// The function.
+        symbol: &'static str,
+        /// How a newer one is got.
+        how: &'static str,
+    },
+}
+
+/// A library of a maker.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Wanted {
+    /// The maker's software, as its owner knows it.
+    pub(super) what: &'static str,
+    /// The library's names on this system, the newest first.
+    pub(super) names: &'static [&'static str],
+    /// How it is got: a whole sentence.
+    pub(super) how: &'static str,
+}
+
+impl Wanted {
+    /// Loads it from `file`, or from wherever the system's loader finds it.
+    pub(super) fn load(self, file: Option<&Path>) -> Result<Library, LibraryError> {
+        match file {
+            Some(file) => self.load_file(file),
+            None => self.load_by_name(),
+        }
+    }
+
+    fn load_file(self, file: &Path) -> Result<Library, LibraryError> {
+        fits(file)?;
+        Library::open(file, self.how).map_err(|why| LibraryError::Refused {
+            file: file.to_owned(),
+            why,
+        })
+    }
+
+    fn load_by_name(self) -> Result<Library, LibraryError> {
+        let mut refused = None;
+        for name in self.names {
+            match Library::open(Path::new(name), self.how) {
+                Ok(library) => return Ok(library),
+                Err(why) if is_absent(name, &why) => {}
+                Err(why) => refused = refused.or(Some((PathBuf::from(name), why))),
+            }
+        }
+        if let Some((file, why)) = refused {
+            return Err(LibraryError::Refused { file, why });
+        }
+        // A loader passes over files for another processor as if they were not there.
+        for folder in FOLDERS {
+            for name in self.names {
+                let file = Path::new(folder).join(name);
+                if file.is_file() {
+                    fits(&file)?;
+                }
+            }
+        }
+        Err(LibraryError::NotInstalled {
+            what: self.what,
+            names: self.names.join(", "),
+            how: self.how,
+        })
+    }
+}
+
+/// Whether a loader's refusal means that there is no library `name`, and not that one was found and is broken.
+fn is_absent(name: &str, why: &str) -> bool {
+    let says_so = ["No such file", "no such file", "not found", "not be found"];
+    let about_it = why.contains(name) || !why.contains(".so") && !why.contains(".dylib");
+    about_it && says_so.iter().any(|words| why.contains(words))
+}
+
+/// Whether `file` is there and not for another processor.
+fn fits(file: &Path) -> Result<(), LibraryError> {
+    let mut head = Vec::new();
+    std::fs::File::open(file)
+        .and_then(|opened| opened.take(machine::HEAD_BYTES).read_to_end(&mut head))
+        .map_err(|why| LibraryError::Unreadable {
+            file: file.to_owned(),
+            why: why.to_string(),
+        })?;
+    match machine::of(&head) {
+        Some(is) if is != std::env::consts::ARCH => Err(LibraryError::OtherMachine {
+            file: file.to_owned(),
+            is,
+            needs: std::env::consts::ARCH,
+        }),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_absent;
+
+    #[test]
+    fn a_missing_library_is_told_from_a_broken_one() {
+        let absent = "libHD.so: cannot open shared object file: No such file or directory";
+        assert!(is_absent("libHD.so", absent));
+        let lacks =
+            "libPhantomIOLib42.so: cannot open shared object file: No such file or directory";
+        assert!(!is_absent("libHD.so", lacks));
+        assert!(!is_absent("libHD.so", "libHD.so: file too short"));
+        assert!(is_absent(
+            "HD.dll",
+            "The specified module could not be found. (os error 126)"
+        ));
+    }
+}

@@ -1,0 +1,49 @@
+//! The system's loader.
+
+use std::path::{Path, PathBuf};
+
+use super::LibraryError;
+
+/// A loaded library. Functions that were taken from it may be called for as long as it lives.
+#[derive(Debug)]
+pub(in crate::backend) struct Library {
+    loaded: libloading::Library,
+    file: PathBuf,
+    how: &'static str,
+}
+
+impl Library {
+    /// Loads `file`: a path, or a name that the loader looks for. The error is the loader's own sentence.
+    pub(super) fn open(file: &Path, how: &'static str) -> Result<Self, String> {
+        // SAFETY: loading runs the library's initialisers. It is the library that the owner of a device installed for
+        // it, or named, and other programs load it in the same way.
+        let loaded = unsafe { libloading::Library::new(file) };
+        let loaded = loaded.map_err(|e| match std::error::Error::source(&e) {
+            Some(source) => source.to_string(),
+            None => e.to_string(),
+        })?;
+        Ok(Self {
+            loaded,
+            file: file.to_owned(),
+            how,
+        })
+    }
+
+    /// The function `symbol`.
+    ///
+    /// # Safety
+    ///
+    /// `F` is a function pointer with the types of that function, and it is not called after `self` is dropped.
+    pub(in crate::backend) unsafe fn function<F: Copy>(
+        &self,
+        symbol: &'static str,
+    ) -> Result<F, LibraryError> {
+        // SAFETY: the caller vouches for the type.
+        let found = unsafe { self.loaded.get::<F>(symbol) };
+        found.map(|f| *f).map_err(|_| LibraryError::NoFunction {
+            file: self.file.clone(),
+            symbol,
+            how: self.how,
+        })
+    }
+}

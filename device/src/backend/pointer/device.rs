@@ -1,0 +1,249 @@
+//! The device behind the one trait.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rtrb::Consumer;
+use thiserror::Error;
+
+use super::handle::{Counters, line};
+use super::{Aim, EVENTS_MAX, Follower, PointerEvent, PointerHandle};
+use crate::{
+    Buttons, Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState,
+    HapticDevice, Pose, Rejection, Sample, Workspace, Wrench, Written,
+};
+
+/// An event this old presses no button any more, µs: the loop was held up, and whoever pressed meant another moment.
+const OLD_US: i64 = 500_000;
+
+/// The longest step of the follower, µs; a longer pause is several.
+const STEP_MAX_US: i64 = 1000;
+
+/// The longest pause between two readings that is followed through, µs. After a longer one the tool is where it was,
+/// at rest, and the sample carries [`Faults::TIME_JUMP`].
+const PAUSE_MAX_US: i64 = 100_000;
+
+/// What a pointer may do with a tool.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PointerConfig {
+    /// Where the tool may go.
+    pub workspace: Workspace,
+    /// Where it is at first.
+    pub start: Pose,
+    /// The fastest it moves, m/s, 0.001 to 2.
+    pub speed_m_per_s: f64,
+    /// The fastest it turns, rad/s, 0.01 to 20.
+    pub turn_rad_per_s: f64,
+}
+
+impl PointerConfig {
+    /// In this workspace from `start` on, no faster than a hand is led over tissue: 0.4 m/s, 4 rad/s.
+    pub fn new(workspace: Workspace, start: Pose) -> Self {
+        Self {
+            workspace,
+            start,
+            speed_m_per_s: 0.4,
+            turn_rad_per_s: 4.0,
+        }
+    }
+}
+
+/// Why there can be no such pointer.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum BadPointer {
+    /// A speed that can not be.
+    #[error("{what} of the pointer is {found}, and must be a number from {least} to {most}")]
+    Speed {
+        /// Which.
+        what: &'static str,
+        /// What it is.
+        found: f64,
+        /// The smallest it may be.
+        least: f64,
+        /// The largest it may be.
+        most: f64,
+    },
+    /// The start or the workspace is not made of numbers, or the workspace is inside out.
+    #[error("the pointer's workspace or start is not a box and a pose of finite numbers")]
+    Place,
+}
+
+/// A tool under a pointer.
+#[derive(Debug)]
+pub struct Pointer {
+    caps: DeviceCaps,
+    aim: Aim,
+    follower: Follower,
+    events: Consumer<PointerEvent>,
+    counters: Arc<Counters>,
+    /// The time of the last event that was heeded.
+    last: DeviceTime,
+    now: Option<DeviceTime>,
+    open: bool,
+}
+
+impl Pointer {
+    /// A tool under a pointer, and where a view hands in what happens to that.
+    pub fn new(config: &PointerConfig) -> Result<(Self, PointerHandle), BadPointer> {
+        for (what, found, least, most) in [
+            ("speed_m_per_s", config.speed_m_per_s, 1e-3, 2.0),
+            ("turn_rad_per_s", config.turn_rad_per_s, 1e-2, 20.0),
+        ] {
+            if !(least..=most).contains(&found) {
+                return Err(BadPointer::Speed {
+                    what,
+                    found,
+                    least,
+                    most,
+                });
+            }
+        }
+        let Workspace { min, max } = config.workspace;
+        let finite = min.iter().chain(&max).all(|c| c.is_finite());
+        if !(finite && config.start.is_finite() && (0..3).all(|i| min[i] <= max[i])) {
+            return Err(BadPointer::Place);
+        }
+        let (handle, events, counters) = line();
+        let aim = Aim::new(config.workspace, config.start);
+        let pointer = Self {
+            caps: DeviceCaps {
+                name: "pointer".to_owned(),
+                dof_in: 6,
+                dof_out: 0,
+                workspace: config.workspace,
+                max_force_n: 0.0,
+                continuous_force_n: 0.0,
+                max_torque_nm: 0.0,
+                max_stiffness_n_per_m: 0.0,
+                rate_hz: 1000.0,
+            },
+            follower: Follower::new(*aim.goal(), config.speed_m_per_s, config.turn_rad_per_s),
+            aim,
+            events,
+            counters,
+            last: DeviceTime::from_micros(i64::MIN),
+            now: None,
+            open: true,
+        };
+        Ok((pointer, handle))
+    }
+
+    /// Takes in what came since the last reading. A button that was pressed and let go again in between is held in this
+    /// reading: what it held on the way, and whether something was left out.
+    fn hear(&mut self, now: DeviceTime) -> (Buttons, Faults) {
+        let count = |c: &AtomicU64| {
+            c.fetch_add(1, Ordering::Relaxed);
+        };
+        let mut held = Buttons::NONE;
+        let mut faults = Faults::NONE;
+        // No more than fit: a view that floods the line does not hold up the loop.
+        for _ in 0..EVENTS_MAX {
+            let Ok(event) = self.events.pop() else {
+                break;
+            };
+            if !event.is_sound() {
+                count(&self.counters.unsound);
+                faults = Faults::COMMUNICATION;
+                continue;
+            }
+            if event.time < self.last {
+                count(&self.counters.out_of_order);
+                continue;
+            }
+            self.last = event.time;
+            count(&self.counters.heeded);
+            let Some(at) = event.at else {
+                self.aim.leave(*self.follower.lead());
+                continue;
+            };
+            let is_old = now.micros_since(event.time) > OLD_US;
+            if is_old {
+                count(&self.counters.old);
+            }
+            self.aim.take(&event, at, !is_old);
+            held = held.with(self.aim.buttons());
+        }
+        (held, faults)
+    }
+}
+
+impl HapticDevice for Pointer {
+    fn caps(&self) -> &DeviceCaps {
+        &self.caps
+    }
+
+    fn calibration(&self) -> Calibration {
+        Calibration::NotNeeded
+    }
+
+    fn clock(&self) -> ClockOwner {
+        ClockOwner::Ours
+    }
+
+    fn enable_forces(&mut self, _on: bool) -> Result<(), DeviceFault> {
+        if self.open {
+            Ok(())
+        } else {
+            Err(DeviceFault::Closed)
+        }
+    }
+
+    fn force_state(&self) -> ForceState {
+        ForceState::Off
+    }
+
+    fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
+        if !self.open {
+            return Err(DeviceFault::Closed);
+        }
+        let before = self.now.unwrap_or(now);
+        let now = now.max(before);
+        self.now = Some(now);
+        if self.events.is_abandoned() && self.events.is_empty() {
+            self.follower.halt();
+            self.aim.leave(*self.follower.pose());
+            return Err(DeviceFault::Unplugged);
+        }
+        let (held, mut faults) = self.hear(now);
+        let passed = now.micros_since(before);
+        if passed > PAUSE_MAX_US {
+            self.follower.halt();
+            faults = faults.with(Faults::TIME_JUMP);
+        } else {
+            let steps = (passed + STEP_MAX_US - 1) / STEP_MAX_US;
+            for _ in 0..steps {
+                let h = passed as f64 * 1e-6 / steps as f64;
+                self.follower.step(self.aim.goal(), h);
+            }
+        }
+        // What rounding adds to the sum of a path within the box.
+        let mut pose = *self.follower.pose();
+        let Workspace { min, max } = self.caps.workspace;
+        pose.position = pose.position.sup(&min).inf(&max);
+        Ok(Sample {
+            time: now,
+            pose,
+            velocity: self.follower.velocity(),
+            angular_velocity: self.follower.angular_velocity(),
+            buttons: held.with(self.aim.buttons()),
+            gripper: None,
+            faults,
+        })
+    }
+
+    fn write(&mut self, _now: DeviceTime, _wrench: Wrench) -> Written {
+        Written::Rejected(if self.open {
+            Rejection::NoMotors
+        } else {
+            Rejection::Closed
+        })
+    }
+
+    fn rendered(&self) -> Wrench {
+        Wrench::ZERO
+    }
+
+    fn close(&mut self) {
+        self.open = false;
+    }
+}

@@ -1,0 +1,388 @@
+//! The laws of the pointer.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use proptest::prelude::*;
+
+use super::{
+    EVENTS_MAX, Modifiers, Pointer, PointerConfig, PointerEvent, PointerHandle, RATE_PER_S, View,
+};
+use crate::{
+    Buttons, DeviceFault, DeviceTime, Faults, HapticDevice, Pose, Sample, Workspace, conformance,
+};
+
+/// From the front: x to the right, z up, looking along y.
+fn front() -> View {
+    View {
+        centre: Vector3::zeros(),
+        right: Vector3::x(),
+        up: Vector3::z(),
+        eye_m: None,
+    }
+}
+
+fn room() -> Workspace {
+    Workspace {
+        min: Vector3::repeat(-0.1),
+        max: Vector3::repeat(0.1),
+    }
+}
+
+fn pointer() -> (Pointer, PointerHandle) {
+    Pointer::new(&PointerConfig::new(room(), Pose::default())).unwrap()
+}
+
+fn at(us: i64) -> DeviceTime {
+    DeviceTime::from_micros(us)
+}
+
+fn event(us: i64, x: f64, z: f64) -> PointerEvent {
+    PointerEvent {
+        time: at(us),
+        view: front(),
+        at: Some([x, z]),
+        wheel_m: 0.0,
+        buttons: Buttons::NONE,
+        modifiers: Modifiers::NONE,
+    }
+}
+
+/// Reads every millisecond from `from` to before `to` ms; the last sample.
+fn run(device: &mut Pointer, from: i64, to: i64) -> Sample {
+    let samples = (from..to).map(|ms| device.read(at(ms * 1000)).unwrap());
+    samples.last().unwrap()
+}
+
+#[test]
+fn it_passes_the_conformance_suite() {
+    let (mut device, mut handle) = pointer();
+    handle.send(event(0, 0.05, 0.02)).unwrap();
+    let mut us = 0;
+    let mut clock = || {
+        us += 1000;
+        at(us)
+    };
+    let report = conformance::run(&mut device, &mut clock, conformance::Options::default());
+    assert!(report.passed(), "{report}");
+}
+
+#[test]
+fn the_tool_comes_to_rest_under_the_pointer() {
+    let (mut device, mut handle) = pointer();
+    handle.send(event(0, 0.05, -0.02)).unwrap();
+    let sample = run(&mut device, 0, 600);
+    assert!((sample.pose.position - Vector3::new(0.05, 0.0, -0.02)).norm() < 1e-6);
+    assert!(sample.velocity.norm() < 1e-5);
+}
+
+#[test]
+fn in_perspective_it_is_where_the_line_of_sight_crosses_its_depth() {
+    let (mut device, mut handle) = pointer();
+    let view = View {
+        centre: Vector3::new(0.0, -0.5, 0.0),
+        eye_m: Some(0.5),
+        ..front()
+    };
+    let seen = PointerEvent {
+        view,
+        ..event(0, 0.02, 0.01)
+    };
+    handle.send(seen).unwrap();
+    // The origin is twice as far from the eye as the view plane.
+    let sample = run(&mut device, 0, 600);
+    assert!((sample.pose.position - Vector3::new(0.04, 0.0, 0.02)).norm() < 1e-6);
+    // The wheel moves it along the line of sight.
+    let deeper = PointerEvent {
+        wheel_m: 0.05,
+        time: at(600_000),
+        ..seen
+    };
+    handle.send(deeper).unwrap();
+    let sample = run(&mut device, 600, 1200);
+    assert!((sample.pose.position - Vector3::new(0.042, 0.05, 0.021)).norm() < 1e-6);
+}
+
+#[test]
+fn a_pointer_of_60_hz_gives_a_steady_velocity() {
+    let (mut device, mut handle) = pointer();
+    let (v, mut next) = (0.05, 0);
+    let mut speeds = Vec::new();
+    let mut before = Sample::resting(at(0), Pose::default());
+    for ms in 0..1500 {
+        if ms * 60 >= next * 1000 {
+            next += 1;
+            let x = v * ms as f64 * 1e-3 - 0.03;
+            handle.send(event(ms * 1000, x, 0.0)).unwrap();
+        }
+        let sample = device.read(at(ms * 1000)).unwrap();
+        let jump = (sample.velocity - before.velocity).norm();
+        assert!(
+            jump < 1e-3 * RATE_PER_S * 0.4 * 2.0,
+            "{jump} m/s at {ms} ms"
+        );
+        let moved = (sample.pose.position - before.pose.position) * 1e3;
+        assert!((moved - (sample.velocity + before.velocity) / 2.0).norm() < 1e-3);
+        if ms > 500 {
+            speeds.push(sample.velocity.x);
+        }
+        before = sample;
+    }
+    let ripple = speeds.iter().map(|s| (s / v - 1.0).abs());
+    let most = ripple.fold(0.0, f64::max);
+    // The first harmonic's 2 w²/(w² + W²), and what the others add.
+    assert!((0.04..0.08).contains(&most), "{most}");
+}
+
+#[test]
+fn behind_a_steady_pointer_it_is_late_by_two_time_constants() {
+    let (mut device, mut handle) = pointer();
+    let v = 0.1;
+    let mut sample = Sample::resting(at(0), Pose::default());
+    for ms in 0..800 {
+        let x = v * ms as f64 * 1e-3;
+        handle.send(event(ms * 1000, x, 0.0)).unwrap();
+        sample = device.read(at(ms * 1000)).unwrap();
+    }
+    let late_s = (v * 0.799 - sample.pose.position.x) / v;
+    // The step in which an event is heard is the lead's, too.
+    assert!((late_s - 2.0 / RATE_PER_S).abs() < 1e-3, "{late_s} s");
+}
+
+#[test]
+fn when_events_stop_or_the_pointer_leaves_the_tool_stays_put() {
+    let (mut device, mut handle) = pointer();
+    let pressed = PointerEvent {
+        buttons: Buttons::PRIMARY,
+        ..event(0, 0.09, 0.0)
+    };
+    handle.send(pressed).unwrap();
+    assert_eq!(run(&mut device, 0, 100).buttons, Buttons::PRIMARY);
+    let left = PointerEvent {
+        at: None,
+        time: at(100_000),
+        ..pressed
+    };
+    let from = device.read(at(100_000)).unwrap();
+    handle.send(left).unwrap();
+    let stopped = run(&mut device, 101, 500);
+    assert_eq!(stopped.buttons, Buttons::NONE);
+    assert!(stopped.velocity.norm() < 1e-6);
+    // No farther than the way of the delay.
+    let on = stopped.pose.position.x - from.pose.position.x;
+    assert!(
+        (0.0..=0.4 * 2.0 / RATE_PER_S + 1e-3).contains(&on),
+        "{on} m"
+    );
+    let later = run(&mut device, 500, 3000);
+    assert!((later.pose.position - stopped.pose.position).norm() < 1e-9);
+}
+
+#[test]
+fn a_click_between_two_readings_is_held_in_one() {
+    let (mut device, mut handle) = pointer();
+    let down = PointerEvent {
+        buttons: Buttons::PRIMARY,
+        ..event(100, 0.0, 0.0)
+    };
+    handle.send(down).unwrap();
+    handle.send(event(200, 0.0, 0.0)).unwrap();
+    assert_eq!(device.read(at(1000)).unwrap().buttons, Buttons::PRIMARY);
+    assert_eq!(device.read(at(2000)).unwrap().buttons, Buttons::NONE);
+}
+
+#[test]
+fn what_can_not_be_is_left_out_counted_and_said_once() {
+    let (mut device, mut handle) = pointer();
+    let good = event(0, 0.0, 0.0);
+    let bad = [
+        event(0, f64::NAN, 0.0),
+        PointerEvent {
+            wheel_m: f64::INFINITY,
+            ..good
+        },
+        PointerEvent {
+            view: View {
+                up: Vector3::x(),
+                ..front()
+            },
+            ..good
+        },
+        PointerEvent {
+            view: View {
+                eye_m: Some(0.0),
+                ..front()
+            },
+            ..good
+        },
+    ];
+    for event in bad {
+        handle.send(event).unwrap();
+        let sample = device.read(at(0)).unwrap();
+        assert!(sample.faults.contains(Faults::COMMUNICATION));
+        assert_eq!(sample.pose, Pose::default());
+    }
+    assert_eq!(device.read(at(0)).unwrap().faults, Faults::NONE);
+    handle.send(event(5000, 0.0, 0.0)).unwrap();
+    handle.send(event(4000, 0.05, 0.0)).unwrap();
+    device.read(at(6000)).unwrap();
+    let counts = handle.counts();
+    assert_eq!(
+        (counts.unsound, counts.out_of_order, counts.heeded),
+        (4, 1, 1)
+    );
+}
+
+#[test]
+fn an_old_event_lets_go_and_presses_nothing() {
+    let (mut device, mut handle) = pointer();
+    let with = |us, bits| PointerEvent {
+        buttons: Buttons::from_bits(bits),
+        ..event(us, 0.0, 0.0)
+    };
+    handle.send(with(0, 0b01)).unwrap();
+    assert_eq!(device.read(at(0)).unwrap().buttons.bits(), 0b01);
+    handle.send(with(1000, 0b11)).unwrap();
+    assert_eq!(device.read(at(900_000)).unwrap().buttons.bits(), 0b01);
+    handle.send(with(2000, 0b10)).unwrap();
+    assert_eq!(device.read(at(901_000)).unwrap().buttons.bits(), 0b00);
+    assert_eq!(handle.counts().old, 2);
+}
+
+#[test]
+fn a_line_that_nobody_reads_is_full_and_says_so() {
+    let (_device, mut handle) = pointer();
+    for i in 0..EVENTS_MAX {
+        handle.send(event(i as i64, 0.0, 0.0)).unwrap();
+    }
+    assert!(handle.send(event(9999, 0.0, 0.0)).is_err());
+}
+
+#[test]
+fn without_a_view_the_device_is_unplugged_and_at_rest() {
+    let (mut device, mut handle) = pointer();
+    handle.send(event(0, 0.09, 0.0)).unwrap();
+    run(&mut device, 0, 100);
+    drop(handle);
+    assert_eq!(device.read(at(100_000)), Err(DeviceFault::Unplugged));
+    assert_eq!(device.read(at(101_000)), Err(DeviceFault::Unplugged));
+}
+
+#[test]
+fn fine_movements_count_a_part_and_turns_leave_the_tool_where_it_is() {
+    let (mut device, mut handle) = pointer();
+    handle.send(event(0, 0.0, 0.0)).unwrap();
+    let held = |us, x, modifiers| PointerEvent {
+        modifiers,
+        ..event(us, x, 0.0)
+    };
+    handle.send(held(1, 0.05, Modifiers::FINE)).unwrap();
+    let fine = run(&mut device, 0, 400);
+    assert!((fine.pose.position.x - 0.01).abs() < 1e-6);
+    handle.send(held(400_000, 0.07, Modifiers::TURN)).unwrap();
+    let turned = run(&mut device, 400, 1000);
+    assert!((turned.pose.position - fine.pose.position).norm() < 1e-6);
+    // 20 mm to the right: what faces the viewer goes to the right.
+    let expected = UnitQuaternion::from_scaled_axis(Vector3::z() * 0.4);
+    assert!(turned.pose.orientation.angle_to(&expected) < 1e-6);
+    assert!((turned.pose.orientation * -Vector3::y()).x > 0.0);
+    // Let go, it moves on from there; back in the view after it left, it is under the pointer.
+    handle.send(event(1_000_000, 0.08, 0.0)).unwrap();
+    let on = run(&mut device, 1000, 1600);
+    assert!((on.pose.position.x - 0.02).abs() < 1e-6);
+    let left = PointerEvent {
+        at: None,
+        ..event(1_600_000, 0.0, 0.0)
+    };
+    handle.send(left).unwrap();
+    handle.send(event(1_600_001, 0.08, 0.0)).unwrap();
+    let back = run(&mut device, 1600, 2200);
+    assert!((back.pose.position.x - 0.08).abs() < 1e-6);
+}
+
+#[test]
+fn beyond_the_wall_the_pointer_finds_its_tool_again_and_the_wheel_at_once() {
+    let (mut device, mut handle) = pointer();
+    handle.send(event(0, 0.3, 0.0)).unwrap();
+    let at_wall = run(&mut device, 0, 900);
+    assert!((at_wall.pose.position.x - 0.1).abs() < 1e-9);
+    handle.send(event(900_000, 0.05, 0.0)).unwrap();
+    let back = run(&mut device, 900, 1600);
+    assert!((back.pose.position.x - 0.05).abs() < 1e-6);
+    let wheel = |us, wheel_m| PointerEvent {
+        wheel_m,
+        ..event(us, 0.05, 0.0)
+    };
+    handle.send(wheel(1_600_000, 0.5)).unwrap();
+    handle.send(wheel(1_600_001, 0.5)).unwrap();
+    handle.send(wheel(1_600_002, -0.01)).unwrap();
+    let sample = run(&mut device, 1600, 2600);
+    assert!((sample.pose.position.y - 0.09).abs() < 1e-6, "{sample:?}");
+}
+
+fn events() -> impl Strategy<Value = Vec<(PointerEvent, i64)>> {
+    let number = || {
+        prop_oneof![
+            10 => -0.3..0.3f64,
+            1 => prop::sample::select(vec![f64::NAN, f64::INFINITY, -1e9, 999.0]),
+        ]
+    };
+    let view =
+        (prop::array::uniform3(-4.0..4.0f64), 0..3u8, number()).prop_map(|(turn, kind, eye)| {
+            let turn = UnitQuaternion::from_scaled_axis(Vector3::from(turn));
+            View {
+                centre: turn * Vector3::new(0.0, 0.0, 0.3),
+                right: turn * Vector3::x(),
+                up: turn * Vector3::y(),
+                eye_m: (kind > 0).then_some(if kind == 1 { 0.4 } else { eye }),
+            }
+        });
+    let event = (
+        view,
+        prop::option::weighted(0.9, [number(), number()]),
+        number(),
+        0..4u8,
+        -2000..9000i64,
+    );
+    let event = event.prop_map(|(view, at, wheel_m, keys, us)| PointerEvent {
+        time: DeviceTime::from_micros(us),
+        view,
+        at,
+        wheel_m,
+        buttons: Buttons::from_bits(u32::from(keys)),
+        modifiers: match keys {
+            0 => Modifiers::NONE,
+            1 => Modifiers::FINE,
+            2 => Modifiers::TURN,
+            _ => Modifiers::FINE.with(Modifiers::TURN),
+        },
+    });
+    prop::collection::vec((event, 0..60i64), 1..40)
+}
+
+proptest! {
+    #[test]
+    fn no_pointer_leads_the_tool_out_of_its_box_or_faster_than_it_may(run in events()) {
+        let config = PointerConfig::new(room(), Pose::default());
+        let (mut device, mut handle) = Pointer::new(&config).unwrap();
+        let mut now = 0;
+        let mut before = Sample::resting(at(0), Pose::default());
+        for (mut event, ms) in run {
+            event.time = event.time.plus_micros(now);
+            handle.send(event).unwrap();
+            for _ in 0..ms {
+                now += 1000;
+                let sample = device.read(at(now)).unwrap();
+                prop_assert!(sample.is_finite());
+                prop_assert!(room().contains(&sample.pose.position));
+                prop_assert!(sample.velocity.norm() <= config.speed_m_per_s * (1.0 + 1e-9));
+                // |x''| = w² |r - x - 2 x'/w|, and both are at most 2 V/w.
+                let jump = (sample.velocity - before.velocity).norm();
+                prop_assert!(jump <= 4.0 * RATE_PER_S * config.speed_m_per_s * 1e-3);
+                let moved = (sample.pose.position - before.pose.position) * 1e3;
+                prop_assert!(moved.norm() <= config.speed_m_per_s * (1.0 + 1e-6));
+                let turned = sample.pose.orientation.angle_to(&before.pose.orientation) * 1e3;
+                prop_assert!(turned <= 1.2 * config.turn_rad_per_s);
+                before = sample;
+            }
+        }
+    }
+}

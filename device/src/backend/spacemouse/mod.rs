@@ -1,0 +1,90 @@
+//! 6-DOF mice of 3Dconnexion: a cap that is pushed and twisted steers the tool; no force.
+//!
+//! - [`Report`]: what one message of the device says; [`Cap`]: what follows from all of them.
+//! - [`known`]: which devices these are.
+//! - [`Port`]: where the messages come from. The hardware's port is built with the feature `spacemouse`.
+//!
+//! The device's own axes are x to the right, y towards the user and z down; deflections are turned half about x into
+//! the scene's: x to the right, y away and z up. That is a rotation, so twists turn along with pushes.
+
+mod cap;
+mod known;
+mod report;
+#[cfg(feature = "spacemouse")]
+mod system;
+#[cfg(test)]
+mod tests;
+
+use super::steered::{Gone, Kind, News, OpenError, RateControl, Source, Space, Steered};
+use std::time::Duration;
+
+pub use cap::Cap;
+pub use known::{MULTI_AXIS, VENDORS, known};
+pub use report::{BadReport, FULL, REPORT_BYTES_MAX, Report};
+#[cfg(feature = "spacemouse")]
+pub use system::open;
+
+/// A cap that is held repeats itself every 8 to 16 ms (measured by others on a SpaceNavigator and a SpaceMouse
+/// Wireless); one that was not heard of for so long is out of reach, µs.
+pub const SILENCE_MAX_US: i64 = 250_000;
+
+/// What a 6-DOF mouse is connected to.
+pub trait Port: Send {
+    /// Waits at most `patience` for the next message and writes it to `into`; how long it is, 0 for none.
+    fn report(
+        &mut self,
+        into: &mut [u8; REPORT_BYTES_MAX],
+        patience: Duration,
+    ) -> Result<usize, Gone>;
+
+    /// Looks once, without waiting, for the device that was gone; whether it is back.
+    fn reopen(&mut self) -> bool;
+}
+
+/// Steers a tool in `space` with the mouse behind `port`, which is called `name`.
+pub fn over(
+    port: impl Port + 'static,
+    name: String,
+    rate: RateControl,
+    space: &Space,
+) -> Result<Steered, OpenError> {
+    let kind = Kind {
+        name,
+        dof_in: 6,
+        silence_max_us: Some(SILENCE_MAX_US),
+        rate,
+        rumble: None,
+    };
+    let listener = Listener {
+        port,
+        cap: Cap::default(),
+    };
+    Steered::open(Box::new(listener), kind, space)
+}
+
+/// A port and what was heard there.
+struct Listener<P> {
+    port: P,
+    cap: Cap,
+}
+
+impl<P: Port> Source for Listener<P> {
+    fn listen(&mut self, patience: Duration) -> Result<News, Gone> {
+        let mut bytes = [0; REPORT_BYTES_MAX];
+        let n = self.port.report(&mut bytes, patience)?;
+        if n == 0 {
+            return Ok(News::Quiet);
+        }
+        let bytes = &bytes[..n.min(REPORT_BYTES_MAX)];
+        Ok(match Report::parse(bytes) {
+            Ok(Some(report)) => News::Controls(self.cap.take(report)),
+            Ok(None) => News::Quiet,
+            Err(_) => News::Garbled,
+        })
+    }
+
+    fn reopen(&mut self) -> bool {
+        self.cap = Cap::default();
+        self.port.reopen()
+    }
+}

@@ -1,0 +1,104 @@
+//! One message of a 6-DOF mouse.
+//!
+//! The first byte says what it is; numbers are 16 bits, the lower byte first:
+//!
+//! | first byte | then | from |
+//! | --- | --- | --- |
+//! | 1 | three numbers: translation | all |
+//! | 1 | six numbers: translation, rotation | newer devices, in place of 1 and 2 |
+//! | 2 | three numbers: rotation | older devices, after each 1 |
+//! | 3 | one to four bytes: a bit per button | all |
+//!
+//! Others (0x17, the battery) say nothing about the hand. Read from the report descriptors of a SpaceNavigator and a
+//! SpaceMouse Wireless, and from what these were seen to send.
+
+use nalgebra::Vector3;
+use thiserror::Error;
+
+use crate::Buttons;
+
+/// The number of a full deflection, both ways: the logical range of the report descriptors. Caps that are pushed hard
+/// go beyond.
+pub const FULL: f64 = 350.0;
+
+/// The longest message that is read, bytes; a USB device at full speed sends no longer one.
+pub const REPORT_BYTES_MAX: usize = 64;
+
+/// The most buttons, in bytes.
+const BUTTON_BYTES_MAX: usize = 4;
+
+/// What a message says, in the device's own axes; 1 is a full deflection.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Report {
+    /// The cap is pushed.
+    Push(Vector3<f64>),
+    /// The cap is twisted.
+    Twist(Vector3<f64>),
+    /// Both in one.
+    Both {
+        /// How it is pushed.
+        push: Vector3<f64>,
+        /// How it is twisted.
+        twist: Vector3<f64>,
+    },
+    /// These buttons are held and no others. Bit 0 is the left one, or the first of the device's own numbering.
+    Buttons(Buttons),
+}
+
+/// A message that ends before it has said what it began to say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+#[error("message {id} of the 6-DOF mouse has {found} bytes, and needs {needed}")]
+pub struct BadReport {
+    /// Its first byte.
+    pub id: u8,
+    /// How long it is.
+    pub found: usize,
+    /// How long it would have to be.
+    pub needed: usize,
+}
+
+impl Report {
+    /// What `bytes` say; `None` when it is nothing about the hand.
+    pub fn parse(bytes: &[u8]) -> Result<Option<Self>, BadReport> {
+        let Some((&id, rest)) = bytes.split_first() else {
+            return Err(BadReport {
+                id: 0,
+                found: 0,
+                needed: 1,
+            });
+        };
+        let short = |needed| BadReport {
+            id,
+            found: bytes.len(),
+            needed,
+        };
+        Ok(match id {
+            1 => {
+                let push = numbers(rest).ok_or(short(7))?;
+                // Some systems fill a message up to the length of the longest; what is too short for a rotation is
+                // no part of one.
+                Some(match rest.get(6..).and_then(numbers) {
+                    Some(twist) => Self::Both { push, twist },
+                    None => Self::Push(push),
+                })
+            }
+            2 => Some(Self::Twist(numbers(rest).ok_or(short(7))?)),
+            3 if rest.is_empty() => return Err(short(2)),
+            3 => {
+                let bits = rest.iter().take(BUTTON_BYTES_MAX).rev();
+                let bits = bits.fold(0, |bits: u32, &byte| bits << 8 | u32::from(byte));
+                Some(Self::Buttons(Buttons::from_bits(bits)))
+            }
+            _ => None,
+        })
+    }
+}
+
+/// Three numbers, each within −1 and 1.
+fn numbers(bytes: &[u8]) -> Option<Vector3<f64>> {
+    let number = |i: usize| {
+        let pair = [*bytes.get(2 * i)?, *bytes.get(2 * i + 1)?];
+        Some((f64::from(i16::from_le_bytes(pair)) / FULL).clamp(-1.0, 1.0))
+    };
+    Some(Vector3::new(number(0)?, number(1)?, number(2)?))
+}

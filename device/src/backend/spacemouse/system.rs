@@ -1,0 +1,88 @@
+//! The hardware's port: raw HID reports, by the crate hidapi. On Linux without a library of the system.
+
+use std::ffi::CString;
+use std::time::Duration;
+
+use hidapi::{DeviceInfo, HidApi, HidDevice};
+
+use super::{Gone, Port, REPORT_BYTES_MAX, VENDORS, known, over};
+use crate::backend::steered::{OpenError, RateControl, Space, Steered};
+
+const WHAT: &str = "6-DOF mouse";
+
+/// What to do where the system keeps raw devices to itself.
+const PERMISSION: &str = "on Linux a udev rule gives it to whoever sits at the machine: put the line \
+     KERNEL==\"hidraw*\", ATTRS{idVendor}==\"256f\", TAG+=\"uaccess\" (and the same with 046d for older devices) into \
+     /etc/udev/rules.d/70-spacemouse.rules, and plug it in again";
+
+/// Steers a tool in `space` with the first 6-DOF mouse that is connected.
+pub fn open(rate: RateControl, space: &Space) -> Result<Steered, OpenError> {
+    let mut api = HidApi::new().map_err(|e| OpenError::Library {
+        what: WHAT,
+        why: e.to_string(),
+    })?;
+    let found = find(&mut api).ok_or(OpenError::NotFound { what: WHAT })?;
+    let device = api.open_path(&found.path).map_err(|e| OpenError::Refused {
+        name: found.name.clone(),
+        why: format!("{e}; {PERMISSION}"),
+    })?;
+    let name = found.name.clone();
+    let port = Hid {
+        api,
+        device: Some(device),
+    };
+    over(port, name, rate, space)
+}
+
+/// A mouse that is connected.
+struct Found {
+    path: CString,
+    name: String,
+}
+
+fn find(api: &mut HidApi) -> Option<Found> {
+    // A list that can not be made anew is empty: nothing is there, as far as anybody can tell.
+    api.reset_devices().ok()?;
+    for vendor in VENDORS {
+        api.add_devices(vendor, 0).ok()?;
+    }
+    api.device_list().find_map(found)
+}
+
+fn found(info: &DeviceInfo) -> Option<Found> {
+    // Old systems tell neither page nor usage.
+    let usage = Some((info.usage_page(), info.usage())).filter(|u| *u != (0, 0));
+    let name = known(info.vendor_id(), info.product_id(), usage)?;
+    Some(Found {
+        path: info.path().to_owned(),
+        name: name.to_owned(),
+    })
+}
+
+/// The port over raw HID reports.
+struct Hid {
+    api: HidApi,
+    device: Option<HidDevice>,
+}
+
+impl Port for Hid {
+    fn report(
+        &mut self,
+        into: &mut [u8; REPORT_BYTES_MAX],
+        patience: Duration,
+    ) -> Result<usize, Gone> {
+        let device = self.device.as_ref().ok_or(Gone)?;
+        let patience = i32::try_from(patience.as_millis()).unwrap_or(i32::MAX);
+        device.read_timeout(into, patience).map_err(|_| {
+            self.device = None;
+            Gone
+        })
+    }
+
+    fn reopen(&mut self) -> bool {
+        // Any known mouse will do: who plugs in another one wants to go on with it.
+        let device = find(&mut self.api).and_then(|found| self.api.open_path(&found.path).ok());
+        self.device = device;
+        self.device.is_some()
+    }
+}

@@ -1,0 +1,229 @@
+//! The device behind the one trait.
+
+use nalgebra::Vector3;
+use thiserror::Error;
+use triple_buffer::Output;
+
+use super::controls::{State, line};
+use super::driver::{Driver, Hint};
+use super::rumble::Shaker;
+use super::{BadRate, RateControl, Rumble, Source, Steering};
+use crate::{
+    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice,
+    Pose, Rejection, Sample, Workspace, Wrench, Written,
+};
+
+/// Where a tool may go and where it begins.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Space {
+    /// The box it stays in.
+    pub workspace: Workspace,
+    /// Where it is at first.
+    pub start: Pose,
+}
+
+/// What kind of device it is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Kind {
+    /// What to call it to the user.
+    pub name: String,
+    /// Degrees of freedom it senses.
+    pub dof_in: u8,
+    /// A deflection of which nothing was heard for so long counts as none, µs. For devices that repeat themselves
+    /// while they are held: the last word of one that is out of reach must not lead the tool on. `None` for those
+    /// that speak only when something changes.
+    pub silence_max_us: Option<i64>,
+    /// How deflections become speeds.
+    pub rate: RateControl,
+    /// How a force becomes a hint, for hardware that shakes.
+    pub rumble: Option<Rumble>,
+}
+
+/// Why a device that steers can not be opened.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum OpenError {
+    /// None is there.
+    #[error("no {what} is connected; plug one in, or switch it on, and try again")]
+    NotFound {
+        /// What was looked for.
+        what: &'static str,
+    },
+    /// One is there, and the system does not give it.
+    #[error("the {name} is there and can not be opened: {why}")]
+    Refused {
+        /// What it is called.
+        name: String,
+        /// What the system said, and what to do.
+        why: String,
+    },
+    /// The library that finds them does not work here.
+    #[error("{what}s can not be looked for on this system: {why}")]
+    Library {
+        /// What was looked for.
+        what: &'static str,
+        /// What it said.
+        why: String,
+    },
+    /// The parameters can not be.
+    #[error("{0}")]
+    Rate(String),
+    /// The system gave no thread.
+    #[error("the system did not start a thread for the device: {0}")]
+    Thread(String),
+}
+
+impl From<BadRate> for OpenError {
+    fn from(bad: BadRate) -> Self {
+        Self::Rate(bad.to_string())
+    }
+}
+
+/// A tool that is steered, as a device. It senses and renders no force.
+///
+/// An unplugged device is looked for ([`REOPEN_EVERY`](super::REOPEN_EVERY)); until it is back every reading is
+/// [`DeviceFault::Unplugged`], and then the tool goes on from where it was, from rest and with no button held.
+#[derive(Debug)]
+pub struct Steered {
+    caps: DeviceCaps,
+    steering: Steering,
+    silence_max_us: Option<i64>,
+    shaker: Option<Shaker>,
+    states: Output<State>,
+    hint: Hint,
+    driver: Driver,
+    heard: u64,
+    heard_at: DeviceTime,
+    garbled: u64,
+    now: DeviceTime,
+    open: bool,
+}
+
+impl Steered {
+    /// Steers a tool in `space` with what `source` says; the source gets a thread of its own.
+    pub fn open(source: Box<dyn Source>, kind: Kind, space: &Space) -> Result<Self, OpenError> {
+        let steering = Steering::new(kind.rate, space.workspace, space.start)?;
+        let (teller, states) = line();
+        let hint = Hint::default();
+        let driver = Driver::spawn(source, teller, hint.clone())
+            .map_err(|e| OpenError::Thread(e.to_string()))?;
+        Ok(Self {
+            caps: DeviceCaps {
+                name: kind.name,
+                dof_in: kind.dof_in,
+                dof_out: 0,
+                workspace: space.workspace,
+                max_force_n: 0.0,
+                continuous_force_n: 0.0,
+                max_torque_nm: 0.0,
+                max_stiffness_n_per_m: 0.0,
+                rate_hz: 1000.0,
+            },
+            steering,
+            silence_max_us: kind.silence_max_us,
+            shaker: kind.rumble.map(Shaker::new),
+            states,
+            hint,
+            driver,
+            heard: 0,
+            heard_at: DeviceTime::from_micros(i64::MIN),
+            garbled: 0,
+            now: DeviceTime::from_micros(i64::MIN),
+            open: true,
+        })
+    }
+
+    /// Messages of the device so far that made no sense.
+    pub fn garbled(&self) -> u64 {
+        self.garbled
+    }
+}
+
+impl HapticDevice for Steered {
+    fn caps(&self) -> &DeviceCaps {
+        &self.caps
+    }
+
+    fn calibration(&self) -> Calibration {
+        Calibration::NotNeeded
+    }
+
+    fn clock(&self) -> ClockOwner {
+        ClockOwner::Ours
+    }
+
+    fn enable_forces(&mut self, _on: bool) -> Result<(), DeviceFault> {
+        if self.open {
+            Ok(())
+        } else {
+            Err(DeviceFault::Closed)
+        }
+    }
+
+    fn force_state(&self) -> ForceState {
+        ForceState::Off
+    }
+
+    fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
+        if !self.open {
+            return Err(DeviceFault::Closed);
+        }
+        self.now = now.max(self.now);
+        let state = *self.states.read();
+        if !state.present {
+            self.steering.halt(self.now);
+            return Err(DeviceFault::Unplugged);
+        }
+        if state.heard != self.heard {
+            self.heard = state.heard;
+            self.heard_at = self.now;
+        }
+        let silence = self.now.micros_since(self.heard_at);
+        let (push, twist) = if self.silence_max_us.is_some_and(|max| silence > max) {
+            (Vector3::zeros(), Vector3::zeros())
+        } else {
+            (state.controls.push, state.controls.twist)
+        };
+        let mut faults = self.steering.advance(self.now, &push, &twist);
+        if state.garbled != self.garbled {
+            self.garbled = state.garbled;
+            faults = faults.with(Faults::COMMUNICATION);
+        }
+        Ok(Sample {
+            time: self.now,
+            pose: *self.steering.pose(),
+            velocity: self.steering.velocity(),
+            angular_velocity: self.steering.angular_velocity(),
+            buttons: state.controls.buttons,
+            gripper: state.controls.gripper,
+            faults,
+        })
+    }
+
+    fn write(&mut self, _now: DeviceTime, _wrench: Wrench) -> Written {
+        Written::Rejected(if self.open {
+            Rejection::NoMotors
+        } else {
+            Rejection::Closed
+        })
+    }
+
+    fn cue(&mut self, now: DeviceTime, felt: &Wrench) {
+        self.now = now.max(self.now);
+        let strength = match &mut self.shaker {
+            Some(shaker) if self.open => shaker.feel(self.now, felt),
+            _ => None,
+        };
+        if let Some(strength) = strength {
+            self.hint.set(strength as f32);
+        }
+    }
+
+    fn rendered(&self) -> Wrench {
+        Wrench::ZERO
+    }
+
+    fn close(&mut self) {
+        self.open = false;
+        self.driver.stop();
+    }
+}

@@ -1,0 +1,241 @@
+//! The suite that every backend passes, as code that runs against any device.
+//!
+//! The caller gives the clock, so that the same suite runs on virtual time (tests) and on real
+//! hardware. It moves no further than a fifth of the continuous force, except for the one write
+//! that must be clamped; hold the tool, or let it lie, while it runs on hardware.
+//!
+//! What happens at the motors it sees through [`Hooks`], where the caller has some: a stand-in for a
+//! device or its maker's library does, and so may a force gauge. What no hook shows (that a panic stays on
+//! this side of a C callback) each backend tests at its own port.
+
+mod laws;
+
+use std::fmt;
+
+use crate::{DeviceTime, HapticDevice};
+
+/// What the suite may expect.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Options {
+    /// The tool is free and a force moves it, as a simulated hand's does. Without it the test of
+    /// the axes is skipped: a held stylus may not move.
+    pub moves_under_force: bool,
+}
+
+/// How one law came out.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Outcome {
+    /// It holds.
+    Passed,
+    /// It does not apply to this device.
+    Skipped(&'static str),
+    /// It is broken.
+    Failed(String),
+}
+
+/// One law and how it came out.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Row {
+    /// The law.
+    pub law: &'static str,
+    /// How it came out.
+    pub outcome: Outcome,
+}
+
+/// The table of results.
+#[derive(Debug, Clone)]
+pub struct Report {
+    rows: Vec<Row>,
+}
+
+impl Report {
+    /// Every law in the order it was tried.
+    pub fn rows(&self) -> &[Row] {
+        &self.rows
+    }
+
+    /// Whether no law is broken.
+    pub fn passed(&self) -> bool {
+        !self
+            .rows
+            .iter()
+            .any(|r| matches!(r.outcome, Outcome::Failed(_)))
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for Row { law, outcome } in &self.rows {
+            match outcome {
+                Outcome::Passed => writeln!(f, "passed   {law}")?,
+                Outcome::Skipped(why) => writeln!(f, "skipped  {law}: {why}")?,
+                Outcome::Failed(why) => writeln!(f, "FAILED   {law}: {why}")?,
+            }
+        }
+        Ok(())
+    }
+}
+
+type Verdict = Result<(), String>;
+
+/// What the caller sees and does behind the driver's back. All of it is optional: without a hook its laws are left out.
+#[derive(Default)]
+pub struct Hooks<'a> {
+    /// Pulls the plug, for good. It is called once, late, under force.
+    pub unplug: Option<&'a mut dyn FnMut()>,
+    /// The force that the motors got last, N.
+    pub at_motors: Option<&'a mut dyn FnMut() -> f64>,
+    /// What the maker's side took amiss until now: calls out of order, frames left open, errors that nobody asked for.
+    pub amiss: Option<&'a mut dyn FnMut() -> Vec<String>>,
+}
+
+/// The device under test and the clock it is tested with.
+struct Bench<'a, 'h> {
+    device: &'a mut dyn HapticDevice,
+    clock: &'a mut dyn FnMut() -> DeviceTime,
+    hooks: Hooks<'h>,
+    is_unplugged: bool,
+}
+
+/// Runs the suite and closes the device. `clock` gives the time of the next tick, once per call;
+/// on hardware it waits for it.
+pub fn run(
+    device: &mut dyn HapticDevice,
+    clock: &mut dyn FnMut() -> DeviceTime,
+    options: Options,
+) -> Report {
+    run_with(device, clock, options, Hooks::default())
+}
+
+/// The same, with eyes and hands behind the driver's back.
+pub fn run_with(
+    device: &mut dyn HapticDevice,
+    clock: &mut dyn FnMut() -> DeviceTime,
+    options: Options,
+    hooks: Hooks<'_>,
+) -> Report {
+    let has_motors = device.caps().dof_out > 0;
+    let laws = laws_for(options, has_motors, &hooks);
+    let mut bench = Bench {
+        device,
+        clock,
+        hooks,
+        is_unplugged: false,
+    };
+    let mut rows = Vec::new();
+    for Law {
+        words,
+        applies,
+        check,
+    } in laws
+    {
+        let outcome = match applies {
+            Ok(()) => check(&mut bench).map_or_else(Outcome::Failed, |()| Outcome::Passed),
+            Err("") => continue,
+            Err(why) => Outcome::Skipped(why),
+        };
+        rows.push(Row {
+            law: words,
+            outcome,
+        });
+    }
+    if !has_motors {
+        rows.push(Row {
+            law: "force laws",
+            outcome: Outcome::Skipped("it renders no force"),
+        });
+    }
+    Report { rows }
+}
+
+/// A law, why it is left out (nothing is said where the reason is empty), and its test.
+struct Law {
+    words: &'static str,
+    applies: Result<(), &'static str>,
+    check: fn(&mut Bench<'_, '_>) -> Verdict,
+}
+
+/// All laws in the order they are tried.
+fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
+    let when = |holds: bool, why| if holds { Ok(()) } else { Err(why) };
+    // Of a device without motors one row says so for all of them.
+    let forced = when(has_motors, "");
+    let moves = forced.and(when(options.moves_under_force, "the tool may be held"));
+    let law = |words, applies, check| Law {
+        words,
+        applies,
+        check,
+    };
+    vec![
+        law(
+            "caps are finite and consistent",
+            Ok(()),
+            laws::caps_are_consistent,
+        ),
+        law(
+            "poses are metres, finite and of unit turn",
+            Ok(()),
+            laws::poses_are_metres,
+        ),
+        law(
+            "the time of samples does not run backwards",
+            Ok(()),
+            laws::time_is_monotonic,
+        ),
+        law(
+            "a write with forces off is rejected and renders zero",
+            forced,
+            laws::off_is_zero,
+        ),
+        law(
+            "enabling ramps up to what is written",
+            forced,
+            laws::enabling_ramps,
+        ),
+        law(
+            "a wrench that is not finite is rejected and renders zero",
+            forced,
+            laws::nan_is_zero,
+        ),
+        law(
+            "a wrench beyond the limit is clamped, not turned",
+            forced,
+            laws::clamps,
+        ),
+        law(
+            "a force moves the tool along its own axis",
+            moves,
+            laws::axes_agree,
+        ),
+        law(
+            "the motors get what is said to be rendered",
+            forced.and(when(hooks.at_motors.is_some(), "")),
+            laws::motors_get_it,
+        ),
+        law(
+            "disabling renders zero at once",
+            forced,
+            laws::disabling_is_zero,
+        ),
+        law(
+            "without motors every wrench is refused, and a cue moves nothing",
+            when(!has_motors, ""),
+            laws::no_motors_no_force,
+        ),
+        law(
+            "a plug that is pulled ends force and is said",
+            when(hooks.unplug.is_some(), ""),
+            laws::unplugging_is_said,
+        ),
+        law(
+            "closing renders zero and ends every call",
+            Ok(()),
+            laws::closing_is_final,
+        ),
+        law(
+            "nothing is left or taken amiss on the maker's side",
+            when(hooks.amiss.is_some(), ""),
+            laws::nothing_amiss,
+        ),
+    ]
+}

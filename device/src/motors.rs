@@ -1,0 +1,205 @@
+//! What every driver with motors has to say of closed devices, forces that are off, ramps and limits.
+
+use crate::clamp::{Ramp, clamp_wrench};
+use crate::{DeviceCaps, DeviceFault, DeviceTime, ForceState, Rejection, Wrench};
+
+/// A driver's motors as the one trait sees them: off until enabled, zero until written to, closed for good.
+///
+/// It decides what may reach the motors and never touches them: the driver renders what [`take`](Self::take) and
+/// [`rendered`](Self::rendered) give.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Motors {
+    ramp_us: i64,
+    ramp: Ramp,
+    written: Wrench,
+    /// The last time anybody told the device.
+    now: DeviceTime,
+    open: bool,
+}
+
+impl Motors {
+    /// Motors that are off, of a device that is open; enabled ones scale forces up for `ramp_us`, µs.
+    pub(crate) const fn new(ramp_us: i64) -> Self {
+        Self {
+            ramp_us,
+            ramp: Ramp::off(ramp_us),
+            written: Wrench::ZERO,
+            now: DeviceTime::from_micros(i64::MIN),
+            open: true,
+        }
+    }
+
+    /// Whether the device was not closed.
+    pub(crate) const fn is_open(&self) -> bool {
+        self.open
+    }
+
+    /// Whether the motors are off.
+    pub(crate) const fn are_off(&self) -> bool {
+        self.ramp.is_off()
+    }
+
+    /// The last time anybody told the device.
+    pub(crate) const fn now(&self) -> DeviceTime {
+        self.now
+    }
+
+    /// It is `now`, or as late as it was when time runs backwards; an error of a device that was closed.
+    pub(crate) fn tell(&mut self, now: DeviceTime) -> Result<DeviceTime, DeviceFault> {
+        if !self.open {
+            return Err(DeviceFault::Closed);
+        }
+        self.now = now.max(self.now);
+        Ok(self.now)
+    }
+
+    /// Switches on or off, in both cases from zero.
+    pub(crate) fn enable(&mut self, on: bool) -> Result<(), DeviceFault> {
+        if !self.open {
+            return Err(DeviceFault::Closed);
+        }
+        self.stop();
+        if on {
+            self.ramp = Ramp::on(self.ramp_us);
+        }
+        Ok(())
+    }
+
+    /// Zero, and off.
+    pub(crate) fn stop(&mut self) {
+        self.ramp = Ramp::off(self.ramp_us);
+        self.written = Wrench::ZERO;
+    }
+
+    /// Whether the motors may push.
+    pub(crate) fn state(&self) -> ForceState {
+        self.ramp.state(self.now)
+    }
+
+    /// Whether anything may be written at all.
+    pub(crate) fn ready(&self) -> Result<(), Rejection> {
+        if !self.open {
+            Err(Rejection::Closed)
+        } else if self.are_off() {
+            Err(Rejection::ForcesOff)
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Takes a wrench that is written at `now`: what may be rendered of it, before the ramp, and whether the limits
+    /// changed it. What is refused leaves zero.
+    pub(crate) fn take(
+        &mut self,
+        now: DeviceTime,
+        wrench: Wrench,
+        caps: &DeviceCaps,
+    ) -> Result<(Wrench, bool), Rejection> {
+        self.ready()?;
+        self.now = now.max(self.now);
+        if !wrench.is_finite() {
+            self.written = Wrench::ZERO;
+            return Err(Rejection::NotFinite);
+        }
+        self.ramp.begin(self.now);
+        let (within, clamped) = clamp_wrench(wrench, caps);
+        self.written = within;
+        Ok((within, clamped))
+    }
+
+    /// The driver found that it renders this and no more.
+    pub(crate) fn render_only(&mut self, wrench: Wrench) {
+        self.written = wrench;
+    }
+
+    /// What is rendered now, ramp included.
+    pub(crate) fn rendered(&self) -> Wrench {
+        self.written.scaled(self.gain())
+    }
+
+    /// The share of what is written that is rendered now, 0 to 1.
+    pub(crate) fn gain(&self) -> f64 {
+        self.ramp.gain(self.now)
+    }
+
+    /// Zero, off, and closed for good; whether it was open until now.
+    pub(crate) fn close(&mut self) -> bool {
+        self.stop();
+        std::mem::replace(&mut self.open, false)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+    use proptest::prelude::*;
+
+    use super::Motors;
+    use crate::backend::sim::{ScriptStart, SimHand};
+    use crate::{
+        DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice, Rejection, Script, Wrench,
+    };
+
+    fn caps() -> DeviceCaps {
+        let script = Script::resting_probe(Vector3::zeros(), 4e-3).unwrap();
+        SimHand::new(script, ScriptStart::not_yet()).caps().clone()
+    }
+
+    fn push(n: f64) -> Wrench {
+        Wrench::from_force(Vector3::new(n, 0.0, 0.0))
+    }
+
+    #[test]
+    fn what_is_refused_leaves_zero() {
+        let (caps, at) = (caps(), DeviceTime::from_micros);
+        let mut motors = Motors::new(1000);
+        assert_eq!(
+            motors.take(at(0), push(1.0), &caps),
+            Err(Rejection::ForcesOff)
+        );
+        motors.enable(true).unwrap();
+        assert_eq!(motors.take(at(0), push(1.0), &caps), Ok((push(1.0), false)));
+        assert_eq!(motors.rendered(), Wrench::ZERO);
+        motors.tell(at(1000)).unwrap();
+        assert_eq!(
+            (motors.rendered(), motors.state()),
+            (push(1.0), ForceState::On)
+        );
+        assert_eq!(
+            motors.take(at(2000), push(f64::NAN), &caps),
+            Err(Rejection::NotFinite)
+        );
+        assert_eq!(motors.rendered(), Wrench::ZERO);
+        assert!(motors.close() && !motors.close());
+        assert_eq!(
+            motors.take(at(3000), push(1.0), &caps),
+            Err(Rejection::Closed)
+        );
+        assert_eq!(motors.enable(true), Err(DeviceFault::Closed));
+        assert_eq!(motors.tell(at(4000)), Err(DeviceFault::Closed));
+    }
+
+    proptest! {
+        #[test]
+        fn no_order_of_calls_renders_more_than_the_limit_or_with_motors_off(
+            calls in prop::collection::vec((0..4_u8, -50.0..50.0_f64, 0..400_i64), 1..60),
+        ) {
+            let caps = caps();
+            let mut motors = Motors::new(500);
+            let mut us = 0;
+            for (call, n, step) in calls {
+                us += step;
+                let now = DeviceTime::from_micros(us);
+                match call {
+                    0 => motors.enable(n > 0.0).unwrap(),
+                    1 => motors.stop(),
+                    2 => motors.tell(now).map(|_| ()).unwrap(),
+                    _ => { let _ = motors.take(now, push(n), &caps); }
+                }
+                let rendered = motors.rendered().force.norm();
+                prop_assert!(rendered <= caps.max_force_n * (1.0 + 1e-12));
+                prop_assert!(!motors.are_off() || rendered == 0.0);
+            }
+        }
+    }
+}

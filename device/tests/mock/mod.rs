@@ -1,0 +1,103 @@
+//! Stand-ins for makers' libraries: compiled once per test program, and copied for every test, so that each has one with
+//! a memory of its own.
+
+// Each test program uses a part of it.
+#![allow(dead_code)]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// A stand-in that a test talks to behind the driver's back.
+pub(crate) struct Mock {
+    library: libloading::Library,
+    folder: tempfile::TempDir,
+    name: &'static str,
+}
+
+impl Mock {
+    /// Compiles `source`, a file beside this one, with flags of its own (`--cfg lacks_buttons`).
+    pub(crate) fn compiled(source: &str, name: &'static str, flags: &[&str]) -> Self {
+        // In the target's own folder: what a test program keeps to its end is not tidied up.
+        let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
+        let file = folder.path().join(name);
+        let source = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("tests/mock")
+            .join(source);
+        let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
+        let mut command = Command::new(rustc);
+        command.args([
+            "--edition",
+            "2021",
+            "--crate-type",
+            "cdylib",
+            "-O",
+            "-C",
+            "panic=unwind",
+        ]);
+        let done = command
+            .args(flags)
+            .arg("-o")
+            .arg(&file)
+            .arg(&source)
+            .output()
+            .unwrap();
+        assert!(
+            done.status.success(),
+            "{}",
+            String::from_utf8_lossy(&done.stderr)
+        );
+        Self::load(folder, name)
+    }
+
+    /// One more with the same functions.
+    pub(crate) fn copy(&self) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::copy(self.file(), folder.path().join(self.name)).unwrap();
+        Self::load(folder, self.name)
+    }
+
+    fn load(folder: tempfile::TempDir, name: &'static str) -> Self {
+        // SAFETY: our own library, whose initialisers do nothing.
+        let library = unsafe { libloading::Library::new(folder.path().join(name)) }.unwrap();
+        Self {
+            library,
+            folder,
+            name,
+        }
+    }
+
+    /// Where it is.
+    pub(crate) fn file(&self) -> PathBuf {
+        self.folder.path().join(self.name)
+    }
+
+    /// Turns a knob.
+    pub(crate) fn set(&self, knob: u32, value: f64) {
+        // SAFETY: the type is that of `mock_set` in every stand-in.
+        let set = unsafe { self.library.get::<extern "C" fn(u32, f64)>("mock_set") }.unwrap();
+        set(knob, value);
+    }
+
+    /// Reads a gauge.
+    pub(crate) fn get(&self, what: u32) -> f64 {
+        // SAFETY: the type is that of `mock_get` in every stand-in.
+        let get = unsafe { self.library.get::<extern "C" fn(u32) -> f64>("mock_get") }.unwrap();
+        get(what)
+    }
+
+    /// What it noted, line by line.
+    pub(crate) fn log(&self) -> Vec<String> {
+        // SAFETY: the type is that of `mock_log` in every stand-in.
+        let log = unsafe {
+            self.library
+                .get::<unsafe extern "C" fn(*mut u8, usize) -> usize>("mock_log")
+        };
+        let log = log.unwrap();
+        let mut bytes = vec![0; 4_100_000];
+        // SAFETY: the pointer is valid for as many bytes as it says.
+        let n = unsafe { log(bytes.as_mut_ptr(), bytes.len()) };
+        bytes.truncate(n);
+        let text = String::from_utf8(bytes).unwrap();
+        text.lines().map(str::to_owned).collect()
+    }
+}
