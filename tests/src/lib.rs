@@ -12,6 +12,7 @@
 //! | know what would be felt without a network | [`mod@reference`] |
 //! | compare | [`disagreement`], [`force_error`] |
 //! | measure the equilibrium | [`mod@bench`] |
+//! | know what a hand feels of a tool, and what is true | [`trial`], [`experiments`] |
 //! | break what a hand depends on, and see that it is not jerked | [`haptic_faults`] |
 //! | see all of it at once | [`demo`], [`report`], [`plots`] |
 
