@@ -9,6 +9,8 @@
 //!   of 2007, with its kinematics and simulated boards.
 //! - [`backend::haply`], [`backend::openhaptics`] and [`backend::dhd`] drive what people own, through the service or the
 //!   library that their makers give them.
+//! - [`backend::spacemouse`], [`backend::gamepad`] and [`backend::pointer`] steer a tool and render no force; they are told
+//!   what it would feel ([`HapticDevice::cue`]).
 //! - [`conformance`] is the suite that every backend passes.
 //!
 //! Units are SI: metres, seconds, kilograms, newtons, newton metres, radians. Millimetres appear
