@@ -30,8 +30,9 @@ const TICK: Span = Span::from_millis(1);
 pub const CHECK_MS: i64 = 7;
 /// Rest before the path begins: the soft start of the chain is over then.
 const LEAD: Span = Span::from_millis(1200);
-/// Residual of what counts as converged: forces are then known to a part in a thousand or two.
-const CONVERGED: f64 = 1e-4;
+/// Residual of what counts as converged: 1e-3 leaves a fifth of a percent of the force, and a thigh would take a second
+/// per place for 1e-4.
+const CONVERGED: f64 = 5e-4;
 /// Iterations for it at most; a table says what residual was left.
 const ITERATIONS: usize = 60;
 /// Slower than this a tool does not slide, m/s.
