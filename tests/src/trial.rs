@@ -27,7 +27,7 @@ use serde::Serialize;
 /// From one tick of the chain to the next.
 const TICK: Span = Span::from_millis(1);
 /// From one converged answer to the next, ms. It has no part in common with the haptic path's period.
-pub const CHECK_MS: i64 = 7;
+pub const CHECK_MS: i64 = 11;
 /// Rest before the path begins: the soft start of the chain is over then.
 const LEAD: Span = Span::from_millis(1200);
 /// Residual of what counts as converged: 1e-3 leaves a fifth of a percent of the force, and a thigh would take a second

@@ -24,7 +24,7 @@ Examples:
   palpate-lab all -o report                      every experiment, and report/index.html with all charts
 
 What a hand feels comes from the haptic path as clients run it: models solved 250 times a second with 1 ms of work
-each, on one thread, and the 1 kHz chain between them. It is compared with a solver that converges every seventh
+each, on one thread, and the 1 kHz chain between them. It is compared with a solver that converges every eleventh
 millisecond. rms is the root mean square of the difference over that of the converged answer.";
 
 /// Arguments of `run`.

@@ -113,7 +113,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     };
     Ok(Outcome {
         caption: "The haptic path (a model every 4 ms at best, 1 ms of work each, one thread) against an independent solver \
-                  that converges every seventh millisecond. Converged friction is drawn where the tool slides."
+                  that converges every eleventh millisecond. Converged friction is drawn where the tool slides."
             .to_owned(),
         figures: json!({
             "experiment": "press", "nodes": model.nodes.len(),
