@@ -290,7 +290,7 @@ impl Turns {
         let (began, at_first) = (monotonic_now(), worked());
         let mut stop = || worked() - at_first > HAPTIC_WORK;
         let sample = &frame.sample;
-        let budget = hand_budget(sample.velocity.norm(), &mut stop);
+        let budget = hand_budget(&mut stop);
         let buttons = (sample.buttons.bits() & 0xff) as u8;
         let pose = sample.pose;
         if let Some(model) = self.work.site.haptic_step(began, pose, buttons, budget) {

@@ -267,7 +267,9 @@ pub enum RefusalReason {
     #[error("the name must have 1 to {NAME_MAX_BYTES} bytes and no control characters")]
     BadName,
     /// The role needs a tool and none fit was offered.
-    #[error("the role {role} needs a tool with a radius between 0.1 mm and 100 mm")]
+    #[error(
+        "the role {role} needs a tool with a radius between 0.1 mm and 100 mm, and with the length and width of its kind (at most 500 mm)"
+    )]
     BadTool {
         /// The role asked for.
         role: Role,

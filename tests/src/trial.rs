@@ -111,7 +111,7 @@ pub struct Deviation {
     pub worst: f64,
     /// Largest truth, N or N·m.
     pub largest: f64,
-    /// Points that were compared.
+    /// Points that were compared. Without any the shares are none.
     pub n: usize,
 }
 
@@ -127,7 +127,7 @@ impl Deviation {
             largest = largest.max(truth.norm());
             n += 1;
         }
-        let share = |a: f64, b: f64| if b > 0.0 { a / b } else { 0.0 };
+        let share = |a: f64, b: f64| if b > 0.0 { a / b } else { f64::NAN };
         Self {
             rms: share(off, all).sqrt(),
             worst: share(worst, largest),
@@ -210,7 +210,7 @@ impl Trial {
             if coming.is_none() && now >= solve_at {
                 let began = worked();
                 let mut stop = || worked() - began > HAPTIC_WORK;
-                let budget = hand_budget(at.velocity.norm(), &mut stop);
+                let budget = hand_budget(&mut stop);
                 let model = replica.haptic_step(now, Some(&self.at(&at)), &[], budget);
                 let took = worked() - began;
                 coming = Some((now + took, model));
@@ -309,6 +309,22 @@ impl Course {
     pub fn sliding_torque(&self) -> Deviation {
         let slides = self.checked().filter(|(p, _)| p.slides);
         Deviation::of(slides.map(|(p, t)| (p.felt.torque, t.sliding().torque)))
+    }
+
+    /// Of the checks from `from_s` on, the share at which the tool slid.
+    pub fn slid(&self, from_s: f64) -> f64 {
+        let all = || self.checked().filter(|(p, _)| p.t_s >= from_s);
+        all().filter(|(p, _)| p.slides).count() as f64 / all().count() as f64
+    }
+
+    /// The worst residual of what counts as converged, and at how many checks it was more than asked for.
+    pub fn residuals(&self) -> serde_json::Value {
+        let worst = self.checked().map(|(_, t)| t.residual).fold(0.0, f64::max);
+        let over = self
+            .checked()
+            .filter(|(_, t)| t.residual > CONVERGED)
+            .count();
+        serde_json::json!({ "worst": worst, "over": over, "checks": self.checked().count() })
     }
 
     /// The course as a table.

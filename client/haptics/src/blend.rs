@@ -125,6 +125,9 @@ impl Blend {
         }
         self.old = self.mixture(now, &motion.held());
         self.new = Laws::of(model, &self.coupling);
+        for (old, new) in self.old.places.iter().zip(&mut self.new.places) {
+            new.face_as(old);
+        }
         self.length = (model.solved_at - self.model.solved_at).clamp(BLEND_MIN, BLEND_MAX);
         self.began = now;
         self.model = *model;

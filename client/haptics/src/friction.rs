@@ -15,7 +15,7 @@
 //! Two coefficients and a tie are Lin 2007, chapter 4; the velocity band, the η and the dwell
 //! are ours, so that noise in the velocity does not make the contact chatter.
 //!
-//! A solver's stiffness goes up and down by a third from model to model while a tool slides over the lattice. The tie keeps
+//! A solver's stiffness goes up and down by a fifth from model to model while a tool slides over the lattice. The tie keeps
 //! its own unless that of the tissue is more, or less than [`FORGIVES`] of it: each fall would take some of the force of
 //! a tool that sticks, and none would give it back.
 //!
@@ -26,7 +26,7 @@ use nalgebra::Vector3;
 use palpate_protocol::Span;
 
 /// Share of a tie's stiffness down to which that of the tissue may fall before the tie follows.
-const FORGIVES: f64 = 0.6;
+const FORGIVES: f64 = 0.8;
 
 /// The constants of stick and slip.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -94,6 +94,15 @@ impl Law {
         }
     }
 
+    /// Says the same along the side that `old` is felt from: which of its two sides a squeezed place has its normal from
+    /// is nobody's choice, and a mixture of the two would be none.
+    pub(crate) fn face_as(&mut self, old: &Self) {
+        let both = self.squeeze > 0.0 && old.squeeze > 0.0 && old.touches && self.touches;
+        if both && old.normal.dot(&self.normal) < 0.0 {
+            (self.normal, self.value, self.gradient) = (-self.normal, -self.value, -self.gradient);
+        }
+    }
+
     /// What presses at the solve, N.
     pub(crate) fn pressed_at_solve(&self) -> f64 {
         self.value.max(-self.squeeze).abs() + self.squeeze

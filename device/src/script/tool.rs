@@ -67,12 +67,8 @@ impl Tool {
                 rule,
             })
         };
-        if !(self.radius_m > 0.0 && self.radius_m <= 0.1) {
-            return refuse(
-                "tool.radius_mm",
-                self.radius_m,
-                "must be above 0 and at most 100",
-            );
+        if !(1e-4..=0.1).contains(&self.radius_m) {
+            return refuse("tool.radius_mm", self.radius_m, "must be 0.1 to 100");
         }
         let is_side = |m: f64| m > 0.0 && m <= LENGTH_MAX_M;
         let some = "must be above 0 and at most 500";

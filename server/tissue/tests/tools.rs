@@ -443,3 +443,38 @@ fn a_blade_in_its_wound_is_squeezed_from_both_sides_by_every_layer_with_its_own_
     }
     assert!(pressed > 3.0 * r.force.norm(), "{pressed} {}", r.force);
 }
+
+#[test]
+fn a_ball_that_turns_in_place_is_said_to_have_turned() {
+    let mut bench = Bench::new(CELLS);
+    let ball = Tool::ball(1, above(8.0 * MM) - Vec3::z() * (4.0 * MM), 8.0 * MM);
+    bench.press(ball);
+    let turn = UnitQuaternion::from_axis_angle(&Vec3::x_axis(), 1.2);
+    let turned = bench.press(Tool { turn, ..ball });
+    assert!(turned.turn.angle_to(&turn) < 1e-12 && turned.force.z > 0.0);
+}
+
+#[test]
+fn a_jaw_that_closes_into_a_wall_comes_upon_it_from_outside() {
+    // A wall 24 mm thick; the jaw stands beside it, and its form then says that it is 6 mm further in, past the surface.
+    let mut bench = Bench::new([6, 10, 8]);
+    let radius = 2.0 * MM;
+    let jaw = |x: f64| Tool {
+        form: Form::rectangle(
+            Vec3::x() * x,
+            [Vec3::z() * (8.0 * MM), Vec3::y() * (5.0 * MM)],
+        ),
+        ..Tool::ball(
+            1,
+            Vec3::new(24.0 * MM + 8.0 * MM, 20.0 * MM, 22.0 * MM),
+            radius,
+        )
+    };
+    assert_eq!(bench.press(jaw(0.0)).contacts, 0);
+    let mut closed = bench.press(jaw(-12.0 * MM));
+    for _ in 0..10 {
+        closed = bench.press(jaw(-12.0 * MM));
+    }
+    // Pushed back out, along +x.
+    assert!(closed.force.x > 0.0 && closed.contacts > 0, "{closed:?}");
+}

@@ -72,6 +72,12 @@ pub fn list() -> Result<ExitCode, String> {
 
 /// Runs one.
 pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
+    if arguments.model.is_some() && !arguments.experiment.takes_models {
+        let name = arguments.experiment.name;
+        return Err(format!(
+            "\"{name}\" has tissue of its own; leave --model out"
+        ));
+    }
     let kept = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
     let mut progress = Progress::new();
     let model = match &arguments.model {

@@ -28,6 +28,8 @@ pub struct Experiment {
     pub name: &'static str,
     /// What it shows, in a line.
     pub about: &'static str,
+    /// Whether it can press another model than its own.
+    pub takes_models: bool,
     run: fn(&mut Bench<'_>) -> Result<Outcome, String>,
 }
 
@@ -36,31 +38,37 @@ pub const ALL: [Experiment; 6] = [
     Experiment {
         name: "soft-hard",
         about: "a ball on soft, on stiff tissue and between them (Lin 2007, fig 4.8)",
+        takes_models: false,
         run: soft_hard::run,
     },
     Experiment {
         name: "friction",
         about: "a ball and a line dragged over tissue: stick, slip and the torque of it (figs 4.11 to 4.13)",
+        takes_models: false,
         run: friction::run,
     },
     Experiment {
         name: "handle",
         about: "a soft grip around a hard core: force against depth for three materials (fig 7.4)",
+        takes_models: true,
         run: handle::run,
     },
     Experiment {
         name: "tool-paths",
         about: "the same place reached along four paths (fig 7.10)",
+        takes_models: true,
         run: tool_paths::run,
     },
     Experiment {
         name: "leg-press",
         about: "a leg with rigid bones pressed over muscle and over bone (fig 7.11)",
+        takes_models: true,
         run: leg_press::run,
     },
     Experiment {
         name: "press",
-        about: "a ball and a line pressed in at 100 mm/s and dragged: what 1 kHz on one core makes of it",
+        about: "a ball and a line pressed in at 100 mm/s, the line dragged on: what one solving thread and 1 kHz make of it",
+        takes_models: true,
         run: press::run,
     },
 ];

@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use nalgebra::UnitQuaternion;
 use palpate_device::script::WayPoint;
 use palpate_haptics::ChainConfig;
 use palpate_protocol::tool::{ToolDescription, ToolKind};
@@ -11,7 +10,7 @@ use serde_json::json;
 
 use super::{Bench, Outcome, felt_and_true, panel, place, without_friction};
 use crate::chart::{BLUE, Chart, ORANGE};
-use crate::trial::{Course, Trial, path};
+use crate::trial::{Course, Trial, path, upright};
 
 const SPEED_M_S: f64 = 0.1;
 const DEPTH_M: f64 = 15e-3;
@@ -48,35 +47,50 @@ fn ball(bench: &mut Bench<'_>, model: &Arc<palpate_tissue::Model>) -> Result<Cou
     Ok(bench.run("ball", &trial))
 }
 
-fn line(bench: &mut Bench<'_>, model: &Arc<palpate_tissue::Model>) -> Result<Course, String> {
+fn line(
+    bench: &mut Bench<'_>,
+    model: &Arc<palpate_tissue::Model>,
+    slides: bool,
+) -> Result<Course, String> {
     let place = place(model)?;
     // The tool's z along v: its middle over the place, its handle's end half a length before it.
-    let turn = UnitQuaternion::rotation_between(&Vec3::z(), &place.v).unwrap_or_default();
+    let turn = upright(&place.v);
     let held = place.middle - place.v * (0.5 * LINE.length_m) - place.u * (0.5 * DRAG_M);
     let top = held + place.normal * LINE.radius_m;
     let down = top - place.normal * LINE_DEPTH_M;
     let pressed = LINE_DEPTH_M / SPEED_M_S;
-    let to = down + place.u * DRAG_M;
+    let mut ways = vec![
+        WayPoint::new(0.0, top + place.normal * 2e-3).turned(turn),
+        WayPoint::new(0.05, top).turned(turn),
+        WayPoint::new(0.05 + pressed, down).turned(turn).linear(),
+    ];
+    let (what, model) = if slides {
+        let to = WayPoint::new(dragged_from() + DRAG_M / DRAG_M_S, down + place.u * DRAG_M);
+        ways.push(to.turned(turn).linear());
+        ("line that is dragged", Arc::clone(model))
+    } else {
+        ways.push(WayPoint::new(0.15 + pressed, down).turned(turn));
+        ("line", Arc::new(without_friction(model)))
+    };
     let trial = Trial {
-        model: Arc::clone(model),
+        model,
         tool: LINE,
-        path: path(vec![
-            WayPoint::new(0.0, top + place.normal * 2e-3).turned(turn),
-            WayPoint::new(0.05, top).turned(turn),
-            WayPoint::new(0.05 + pressed, down).turned(turn).linear(),
-            WayPoint::new(0.05 + pressed + DRAG_M / DRAG_M_S, to)
-                .turned(turn)
-                .linear(),
-        ])?,
+        path: path(ways)?,
         chain: ChainConfig::default(),
     };
-    Ok(bench.run("line", &trial))
+    Ok(bench.run(what, &trial))
+}
+
+/// When the line is pressed in and begins to slide, s.
+fn dragged_from() -> f64 {
+    0.05 + LINE_DEPTH_M / SPEED_M_S
 }
 
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let model = bench.model_or("thigh")?;
     let ball = ball(bench, &model)?;
-    let line = line(bench, &model)?;
+    let pressed = line(bench, &model, false)?;
+    let line = line(bench, &model, true)?;
     let norm = |v: Vec3| v.norm();
     let of_ball = felt_and_true("ball", BLUE, &ball, |p, truth| {
         (p.t_s, norm(truth.map_or(p.felt.force, |t| t.plain.force)))
@@ -90,7 +104,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         (p.t_s, 1e3 * norm(truth.map_or(p.felt.torque, |t| t.torque)))
     });
     let chart = Chart {
-        title: "Pressed at 100 mm/s on one core, felt at 1 kHz".to_owned(),
+        title: "Pressed at 100 mm/s, solved on one thread, felt at 1 kHz".to_owned(),
         x_label: "time (s)".to_owned(),
         panels: vec![
             panel(
@@ -112,15 +126,18 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         marks: Vec::new(),
     };
     Ok(Outcome {
-        caption: "The haptic path (a model every 4 ms at best, 1 ms of work each, one thread) against an independent solver \
+        caption: "The haptic path (a model every 4 ms at best, 1 ms of work each, solved on one thread) against an independent solver \
                   that converges every eleventh millisecond. Converged friction is drawn where the tool slides."
             .to_owned(),
         figures: json!({
             "experiment": "press", "nodes": model.nodes.len(),
             "ball": { "force": ball.plain(), "solve_ms": ball.solve_ms, "passivated": ball.counters.passivated,
-                      "slewed": ball.counters.slewed },
-            "line": { "force": line.sliding(), "torque": line.sliding_torque(), "solve_ms": line.solve_ms,
-                      "passivated": line.counters.passivated, "slewed": line.counters.slewed },
+                      "residuals": ball.residuals() },
+            "line_pressed": { "force": pressed.plain(), "torque": pressed.plain_torque(), "solve_ms": pressed.solve_ms,
+                              "passivated": pressed.counters.passivated, "residuals": pressed.residuals() },
+            "line_dragged": { "force": line.sliding(), "torque": line.sliding_torque(), "slid": line.slid(dragged_from()),
+                              "solve_ms": line.solve_ms, "passivated": line.counters.passivated,
+                              "residuals": line.residuals() },
         }),
         charts: vec![("press".to_owned(), chart)],
         tables: vec![("press-ball".to_owned(), ball.csv()), ("press-line".to_owned(), line.csv())],

@@ -128,9 +128,10 @@ impl Contacts {
         };
         let pitch = topology.model().spacing_m;
         let clear = |proxy: &Proxy| {
+            let (points, apart) = proxy.core.points_and_pitch(pitch);
             // Between two points of it the tissue may be nearer.
-            let slack = if proxy.core.is_point() { 0.0 } else { pitch };
-            proxy.core.points(pitch).into_iter().all(|point| {
+            let slack = if proxy.core.is_point() { 0.0 } else { apart };
+            points.into_iter().all(|point| {
                 let at = proxy.core.at(point);
                 let outside = |foot: Foot| {
                     let away = at - foot.at;

@@ -91,8 +91,13 @@ impl Core {
         }
     }
 
-    /// Points on it no further than `pitch` apart, ends included. [`POINTS_MAX`] at most.
+    /// Points on it no further than `pitch` apart, ends included, or further where that were more than [`POINTS_MAX`].
     pub(crate) fn points(&self, pitch: f64) -> Vec<[f64; 2]> {
+        self.points_and_pitch(pitch).0
+    }
+
+    /// The same, and how far apart they are at most.
+    pub(crate) fn points_and_pitch(&self, pitch: f64) -> (Vec<[f64; 2]>, f64) {
         let count = |pitch: f64| {
             [self.a, self.b].map(|axis| {
                 let length = 2.0 * axis.norm();
@@ -117,7 +122,8 @@ impl Core {
             }
         };
         let all = (0..n[0]).flat_map(|i| (0..n[1]).map(move |j| (i, j)));
-        all.map(|(i, j)| [along(i, n[0]), along(j, n[1])]).collect()
+        let points = all.map(|(i, j)| [along(i, n[0]), along(j, n[1])]);
+        (points.collect(), pitch)
     }
 
     /// Balls that hold every point within `reach` of it.

@@ -63,8 +63,8 @@ pub(crate) const PITCH: f64 = 0.5;
 /// Radius, in spacings, from which on every triangle has one sample. Under a sphere of 8 mm on a lattice of 2 mm four
 /// make a converged force 0.3 to 0.9 % lower, and take a seventh of a tick.
 pub(crate) const FINE_RADIUS: f64 = 3.0;
-/// Tools that are looked at in one step; more than these are ignored and counted. More than any
-/// table has hands around it.
-pub const TOOLS_MAX: usize = 64;
+/// Tools that are looked at in one step; more than these are ignored and counted. A session has 64 people
+/// at most, and forceps are two.
+pub const TOOLS_MAX: usize = 128;
 /// Places of a tool that are told apart at most: what touches it along a line or a surface is summed in so many parts.
 pub const PLACES_MAX: usize = 16;

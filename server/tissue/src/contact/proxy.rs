@@ -74,7 +74,13 @@ impl Proxy {
         let other = self.target.form != tool.form;
         self.target = *tool;
         if other {
+            // What is inside of it now is met from outside: jaws that close come upon what is between them.
             self.set(self.at, self.turn);
+            self.placed = false;
+        }
+        if tool.is_ball() {
+            // It turns without moving.
+            self.turn = tool.turn;
         }
         changed
     }
@@ -242,13 +248,16 @@ impl Proxy {
                 let foot = surface.nearest(at, reach);
                 foot.is_some_and(|foot| pressed(at, foot))
             };
-            return self
-                .points(spacing)
-                .into_iter()
-                .any(|p| at_point(self.core.at(p)));
+            let mut points = self.points(spacing).into_iter();
+            // Between the points of a large plate tissue may come up.
+            let found = points.any(|p| at_point(self.core.at(p)));
+            if found || self.core.b == Vec3::zeros() {
+                return found;
+            }
         }
         let Ball { centre, radius } = self.core.ball();
-        surface.any_near(centre, radius + self.radius, |triangle| {
+        let skin = self.target.radius_m;
+        surface.any_near(centre, radius + skin, |triangle| {
             let corners = surface.corners(triangle);
             let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
             let facing = self.core.towards(&middle).dot(&area_normal(&corners)) < 0.0;
@@ -257,7 +266,7 @@ impl Proxy {
                     .iter()
                     .any(|w| {
                         let away = self.core.towards(&blend(&corners, w));
-                        away.norm_squared() < self.radius * self.radius
+                        away.norm_squared() < skin * skin
                     })
         })
     }

@@ -153,8 +153,8 @@ impl Contacts {
             let c = proxy.core.at(on_core);
             let (depth, n) = depth(sample.position(u) - c, proxy.radius);
             nearest = Some(nearest.map_or(depth, |d| d.max(depth)));
-            if depth > 0.0 {
-                let amount = sample.stiffness * depth;
+            let amount = sample.stiffness * depth;
+            if amount > 0.0 {
                 let face = topology.boundary().faces[sample.triangle as usize / 2];
                 let material = topology.model().material_of(face.cell() as usize);
                 felt.push(Felt {
