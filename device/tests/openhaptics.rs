@@ -283,6 +283,18 @@ fn errors_become_faults_and_all_of_them_are_asked_for() {
 }
 
 #[test]
+fn a_model_that_does_not_know_what_it_is_asked_every_frame_gets_its_force() {
+    let mock = mock();
+    let mut device = open(&mock);
+    mock.set(EACH_FRAME, f64::from(0x0100));
+    device.enable_forces(true).unwrap();
+    hold(&mut device, &mock, 0..400, push(0.8, 0.0, 0.0));
+    assert_eq!(device.read(at(400)).unwrap().faults, Faults::NONE);
+    assert_eq!(force(&mock).x, 0.8);
+    close(device, &mock);
+}
+
+#[test]
 fn a_device_that_does_not_know_its_place_gives_no_force_until_it_is_calibrated() {
     let mock = mock();
     mock.set(CALIBRATION, f64::from(0x5002));

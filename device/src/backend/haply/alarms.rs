@@ -34,6 +34,18 @@ impl Alarms {
         self.gone.load(Ordering::Acquire)
     }
 
+    /// The service lists the device again: that it went is over, whether or not anybody heard it come back.
+    pub(super) fn is_back(&self) {
+        self.gone.store(false, Ordering::Release);
+    }
+
+    /// A new conversation begins. What lasted in the old one may have ended while nobody listened; a service that
+    /// restarted knows nothing of it, and one that still means it says so again.
+    fn begin(&self) {
+        self.brake.store(false, Ordering::Release);
+        self.stage.store(false, Ordering::Release);
+    }
+
     /// Takes an event to heart if it is about device `id`.
     fn hear(&self, id: &str, text: &str) {
         // What can not be read is none of the events that are known.
@@ -110,6 +122,7 @@ struct About {
 pub(super) fn listen(url: &str, id: &str, alarms: &Arc<Alarms>, leave: &AtomicBool) {
     while !leave.load(Ordering::Acquire) {
         if let Ok(mut link) = Link::open(url) {
+            alarms.begin();
             link.wait_at_most(WAIT);
             while !leave.load(Ordering::Acquire) {
                 match link.receive() {
@@ -179,6 +192,17 @@ mod tests {
     }
 
     #[test]
+    fn what_lasted_in_a_conversation_ends_with_the_next_one() {
+        let (alarms, mut watch) = (Alarms::default(), Watch::default());
+        alarms.hear("049D", &event("ebrake_triggered", "error", "049D"));
+        alarms.hear("049D", &event("fod_stage_changed", "warning", "049D"));
+        let both = Faults::EMERGENCY_STOP.with(Faults::OVER_FORCE);
+        assert_eq!(watch.look(&alarms), both);
+        alarms.begin();
+        assert_eq!(watch.look(&alarms), Faults::NONE);
+    }
+
+    #[test]
     fn a_device_that_is_disconnected_is_gone_until_it_is_back() {
         let alarms = Alarms::default();
         alarms.hear(
@@ -190,6 +214,12 @@ mod tests {
             "1",
             r#"{"name":"device-connected","data":{"device_id":"1"}}"#,
         );
+        assert!(!alarms.is_gone());
+        alarms.hear(
+            "1",
+            r#"{"name":"device-disconnected","data":{"device_id":"1"}}"#,
+        );
+        alarms.is_back();
         assert!(!alarms.is_gone());
     }
 }

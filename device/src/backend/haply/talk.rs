@@ -82,6 +82,7 @@ impl Talk {
                 && message.found().iter().any(|f| f.id == self.id)
             {
                 self.spelling = message.spelling();
+                self.alarms.is_back();
                 return Some(link);
             }
             // Orders go on, and nobody takes them: the loop nudges this thread with each.

@@ -140,7 +140,10 @@ impl Wanted {
 /// Whether a loader's refusal means that there is no library `name`, and not that one was found and is broken.
 fn is_absent(name: &str, why: &str) -> bool {
     let says_so = ["No such file", "no such file", "not found", "not be found"];
-    let about_it = why.contains(name) || !why.contains(".so") && !why.contains(".dylib");
+    // What is missing stands before the first colon, and may be a newer one of the same name that `name` needs.
+    let missing = why.split(':').next().unwrap_or(why);
+    let is_it = missing.rsplit('/').next() == name.rsplit('/').next();
+    let about_it = is_it || !why.contains(".so") && !why.contains(".dylib");
     about_it && says_so.iter().any(|words| why.contains(words))
 }
 
@@ -171,6 +174,8 @@ mod tests {
     fn a_missing_library_is_told_from_a_broken_one() {
         let absent = "libHD.so: cannot open shared object file: No such file or directory";
         assert!(is_absent("libHD.so", absent));
+        let needs = "libdrd.so.3: cannot open shared object file: No such file or directory";
+        assert!(!is_absent("libdrd.so", needs));
         let lacks =
             "libPhantomIOLib42.so: cannot open shared object file: No such file or directory";
         assert!(!is_absent("libHD.so", lacks));

@@ -37,6 +37,9 @@ pub enum OpenHapticsError {
     },
 }
 
+/// A parameter, value, operation or type that this model does not know. Whoever asks a model of three degrees of freedom
+/// for turns gets one each frame, and the frame is as good as without the question.
+const INVALID: std::ops::RangeInclusive<u32> = 0x0100..=0x0103;
 const WARM_MOTORS: u32 = 0x0200;
 const FORCE_ERRORS: std::ops::RangeInclusive<u32> = 0x0201..=0x0204;
 const DEVICE_FAULT: u32 = 0x0300;
@@ -54,12 +57,39 @@ impl Errors {
     /// One more.
     pub(super) fn add(&mut self, code: u32) {
         match code {
+            code if INVALID.contains(&code) => {}
             WARM_MOTORS => self.faults = self.faults.with(Faults::MOTORS_WARM),
             code if FORCE_ERRORS.contains(&code) => {
                 self.faults = self.faults.with(Faults::OVER_FORCE);
             }
             DEVICE_FAULT | COMM_ERROR => self.lost = true,
             _ => self.faults = self.faults.with(Faults::COMMUNICATION),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Errors;
+    use crate::Faults;
+
+    fn of(codes: impl IntoIterator<Item = u32>) -> Errors {
+        let mut errors = Errors::default();
+        codes.into_iter().for_each(|code| errors.add(code));
+        errors
+    }
+
+    #[test]
+    fn what_a_model_does_not_know_is_no_fault_and_hides_none() {
+        assert_eq!(of(0x0100..=0x0103), Errors::default());
+        assert_eq!(of([0x0100, 0x0201]).faults, Faults::OVER_FORCE);
+        assert!(of([0x0100, 0x0302]).lost);
+    }
+
+    #[test]
+    fn what_is_not_known_here_forbids_force() {
+        for code in [0x0104, 0x0301, 0x0900] {
+            assert!(of([code]).faults.forbid_force(), "{code:#x}");
         }
     }
 }
