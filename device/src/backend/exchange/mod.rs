@@ -12,5 +12,5 @@
 mod fade;
 mod remote;
 
-pub(super) use fade::Fade;
+pub(super) use fade::{Fade, Share};
 pub(super) use remote::{DriverEnd, News, Order, Remote, between};

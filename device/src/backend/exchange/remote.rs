@@ -3,7 +3,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use triple_buffer::{Input, Output, triple_buffer};
 
-use super::Fade;
+use super::{Fade, Share};
 use crate::motors::Motors;
 use crate::{
     Buttons, Calibration, DeviceCaps, DeviceFault, DeviceTime, Faults, Pose, Rejection, Sample,
@@ -36,8 +36,8 @@ pub(in crate::backend) struct News {
     pub(in crate::backend) calibration: Calibration,
     /// Whether its motors have power.
     pub(in crate::backend) powered: bool,
-    /// Of what the loop wrote, so much is rendered: less after a pause of the loop.
-    pub(in crate::backend) share: f64,
+    /// Of what the loop wrote before it stood still, so much is left; see [`Share::since`] for what it wrote since.
+    pub(in crate::backend) share: Share,
     /// The driver knows that the device is gone.
     pub(in crate::backend) lost: Option<DeviceFault>,
 }
@@ -56,7 +56,7 @@ impl News {
             faults: Faults::NONE,
             calibration: Calibration::Done,
             powered: true,
-            share: 1.0,
+            share: Share::FULL,
             lost: None,
         }
     }
@@ -69,6 +69,8 @@ pub(in crate::backend) struct Order {
     pub(in crate::backend) wrench: Wrench,
     /// Whether the motors may push.
     pub(in crate::backend) on: bool,
+    /// The share that the loop had heard of, and went on from.
+    heard: Share,
 }
 
 impl Order {
@@ -76,6 +78,7 @@ impl Order {
     pub(in crate::backend) const OFF: Self = Self {
         wrench: Wrench::ZERO,
         on: false,
+        heard: Share::FULL,
     };
 }
 
@@ -88,6 +91,7 @@ pub(in crate::backend) fn between(fade: Fade) -> (Remote, DriverEnd) {
         news: news_out,
         orders: orders_in,
         heard_at: None,
+        heard_share: Share::FULL,
         is_late: false,
     };
     let end = DriverEnd {
@@ -126,8 +130,9 @@ impl DriverEnd {
     pub(in crate::backend) fn order(&mut self) -> Order {
         let is_renewed = self.orders.update();
         let newest = *self.orders.output_buffer();
+        let part = self.fade.turn(is_renewed, newest.heard);
         Order {
-            wrench: newest.wrench.scaled(self.fade.turn(is_renewed)),
+            wrench: newest.wrench.scaled(part),
             ..newest
         }
     }
@@ -140,6 +145,8 @@ pub(in crate::backend) struct Remote {
     news: Output<News>,
     orders: Input<Order>,
     heard_at: Option<DeviceTime>,
+    /// The share that was known when the last wrench was handed over.
+    heard_share: Share,
     is_late: bool,
 }
 
@@ -151,7 +158,8 @@ impl Remote {
 
     /// What is rendered now, as far as the newest news tell.
     pub(in crate::backend) fn rendered(&self) -> Wrench {
-        self.motors.rendered().scaled(self.last().share)
+        let part = self.last().share.since(self.heard_share);
+        self.motors.rendered().scaled(part)
     }
 
     /// The newest news, and whether they are newer than those of the last call.
@@ -254,9 +262,11 @@ impl Remote {
             Err(why) => Written::Rejected(why),
         };
         if self.motors.ready().is_ok() {
+            self.heard_share = self.last().share;
             self.orders.write(Order {
                 wrench: self.motors.rendered(),
                 on: true,
+                heard: self.heard_share,
             });
         }
         written
@@ -272,6 +282,7 @@ impl Remote {
 #[cfg(test)]
 mod tests {
     use nalgebra::Vector3;
+    use proptest::prelude::*;
 
     use super::{DriverEnd, Fade, GONE_US, LATE_US, NOT_HEARD, News, Order, Remote, between};
     use crate::backend::sim::{ScriptStart, SimHand};
@@ -387,11 +398,86 @@ mod tests {
         let (mut remote, mut end, caps) = pushed();
         end.cut();
         assert!((0..30).all(|_| end.order().wrench == Wrench::ZERO));
-        // The loop learns of it, and what it writes then comes back slowly.
-        end.tell(News::at_rest());
-        remote.read(at(300_000)).unwrap();
-        assert_eq!(remote.rendered(), Wrench::ZERO);
+        // Nor what a loop orders that has not heard of it.
         let _ = remote.write(at(300_000), push(), &caps);
-        assert!((end.order().wrench.force.norm() - 0.15).abs() < 1e-9);
+        assert_eq!(end.order().wrench, Wrench::ZERO);
+        // The loop learns of it and goes on from nothing; what it writes then is rendered.
+        end.tell(News::at_rest());
+        remote.read(at(301_000)).unwrap();
+        assert_eq!(remote.rendered(), Wrench::ZERO);
+        let step = push().scaled(0.2);
+        let _ = remote.write(at(301_000), step, &caps);
+        assert_eq!((remote.rendered(), end.order().wrench), (step, step));
+    }
+
+    #[test]
+    fn what_a_loop_orders_that_has_heard_of_a_fade_is_not_faded_again() {
+        let (mut remote, mut end, caps) = pushed();
+        while end.order().wrench.force.norm() > 1.5 + 1e-9 {}
+        end.tell(News::at_rest());
+        remote.read(at(330_000)).unwrap();
+        assert!((remote.rendered().force.norm() - 1.5).abs() < 1e-9);
+        let less = push().scaled(0.3);
+        let _ = remote.write(at(330_000), less, &caps);
+        assert_eq!((remote.rendered(), end.order().wrench), (less, less));
+    }
+
+    /// A loop that goes on from what is rendered, by its own steps of at most `STEP_N`.
+    struct Loop {
+        remote: Remote,
+        caps: DeviceCaps,
+        us: i64,
+        /// N, along the push.
+        stands: f64,
+    }
+
+    /// 600 N/s at 1 kHz.
+    const STEP_N: f64 = 0.6;
+
+    impl Loop {
+        fn turn(&mut self, towards: f64) {
+            // So little that news which stay out are still believed: what comes then is another law.
+            self.us += 1;
+            self.remote.read(at(self.us)).unwrap();
+            let there = self.remote.rendered().force.y;
+            self.stands = there + (towards - there).clamp(-STEP_N, STEP_N);
+            let wrench = Wrench::from_force(Vector3::new(0.0, self.stands, 0.0));
+            assert_eq!(
+                self.remote.write(at(self.us), wrench, &self.caps),
+                Written::Applied
+            );
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_turns_of_loop_and_driver_change_the_force_by_more_than_the_loops_own_steps(
+            turns in prop::collection::vec((0..3_u8, -3.0..3.0_f64, 1..30_u32), 1..60),
+        ) {
+            let (remote, mut end, caps) = pushed();
+            let mut hand = Loop { remote, caps, us: 300_000, stands: 3.0 };
+            let (mut before, mut orders) = (3.0, 0);
+            let mut driver = |end: &mut DriverEnd, orders: &mut u32| {
+                let now = end.order().wrench.force.y;
+                let change = (now - before).abs();
+                // Without a new order it only ever fades.
+                let is_fade = *orders == 0 && now.abs() <= f64::abs(before) && now * before >= 0.0;
+                let is_step = change <= f64::from(*orders) * STEP_N + 1e-9;
+                (before, *orders) = (now, 0);
+                end.tell(News::at_rest());
+                is_fade || is_step
+            };
+            for (who, towards, times) in turns {
+                for _ in 0..times {
+                    if who != 1 {
+                        hand.turn(towards);
+                        orders += 1;
+                    }
+                    if who != 2 {
+                        prop_assert!(driver(&mut end, &mut orders));
+                    }
+                }
+            }
+        }
     }
 }
