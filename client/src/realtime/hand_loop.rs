@@ -9,7 +9,9 @@
 //! - a sample that is no number goes no further than the chain;
 //! - a clock that is put back neither stops the device's time nor keeps an old force alive.
 
-use palpate_device::{DeviceTime, Faults, ForceState, HapticDevice, Pose, Sample, Wrench, Written};
+use palpate_device::{
+    DeviceTime, Faults, ForceState, HapticDevice, Pose, Rejection, Sample, Wrench, Written,
+};
 use palpate_haptics::{Chain, ContactModel, Events, Tick};
 use palpate_protocol::{ClientTime, Span};
 
@@ -74,7 +76,7 @@ pub struct DeviceCounts {
     pub faults: u64,
     /// Wrenches that it clamped.
     pub saturated: u64,
-    /// Wrenches that it refused.
+    /// Wrenches that it refused while its forces were on; where they are off it refuses each one.
     pub rejected: u64,
     /// Times that it took its force away by itself, between two writes.
     pub cuts: u64,
@@ -161,13 +163,15 @@ impl HandLoop {
             Ok(sample) if self.forces_are_off() => {
                 self.chain.cut_to(&Wrench::ZERO);
                 self.enable_again(at);
-                (self.chain.tick_without_sample(now), Some(sample))
+                // The chain judges the sample, which goes to others, and makes no force of one with such a fault.
+                let faults = sample.faults.with(Faults::UNTRUSTED_POSE);
+                let tick = self.chain.tick(now, &Sample { faults, ..sample }, model);
+                (tick, judged(&tick, sample))
             }
             Ok(sample) => {
                 self.wait_for_ramp();
                 let tick = self.chain.tick(now, &sample, model);
-                let is_bad = tick.events.contains(Events::BAD_SAMPLE);
-                (tick, (!is_bad).then_some(sample))
+                (tick, judged(&tick, sample))
             }
             Err(_) => {
                 self.counts.faults += 1;
@@ -178,7 +182,7 @@ impl HandLoop {
         let last = self.last.sample;
         self.last = Frame {
             time: now,
-            sample: good.filter(Sample::is_finite).unwrap_or(Sample {
+            sample: good.unwrap_or(Sample {
                 faults: last.faults.with(Faults::UNTRUSTED_POSE),
                 ..last
             }),
@@ -189,7 +193,7 @@ impl HandLoop {
         };
         Turned {
             frame: self.last,
-            is_good: good.is_some_and(|sample| sample.is_finite()),
+            is_good: good.is_some(),
             is_over: wishes.stop && self.has_stopped(),
         }
     }
@@ -253,8 +257,8 @@ impl HandLoop {
                 self.counts.saturated += 1;
                 self.chain.goes_on_from(&applied);
             }
-            Written::Rejected(_) => {
-                self.counts.rejected += 1;
+            Written::Rejected(why) => {
+                self.counts.rejected += u64::from(why != Rejection::ForcesOff);
                 self.chain.cut_to(&Wrench::ZERO);
             }
         }
@@ -275,6 +279,12 @@ impl HandLoop {
         self.ticks_to_stop = self.ticks_to_stop.saturating_sub(1);
         self.ticks_to_stop == 0 || self.last.wrench == Wrench::ZERO
     }
+}
+
+/// The sample, unless the chain found in this tick that it can not be.
+fn judged(tick: &Tick, sample: Sample) -> Option<Sample> {
+    let is_bad = tick.events.contains(Events::BAD_SAMPLE);
+    (!is_bad).then_some(sample)
 }
 
 #[cfg(test)]
@@ -298,7 +308,9 @@ mod tests {
     #[derive(Default)]
     struct Orders {
         refuses: bool,
-        is_blind: bool,
+        /// m, added to the place that it says.
+        astray: f64,
+        is_off: bool,
         renders: Wrench,
         told: Vec<DeviceTime>,
     }
@@ -319,19 +331,24 @@ mod tests {
             Ok(())
         }
         fn force_state(&self) -> ForceState {
+            if self.1.lock().unwrap().is_off {
+                return ForceState::Off;
+            }
             ForceState::On
         }
         fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
             let mut orders = self.1.lock().unwrap();
             orders.told.push(now);
             let mut sample = Sample::resting(now, Pose::default());
-            if orders.is_blind {
-                sample.pose.position.z = f64::NAN;
-            }
+            sample.pose.position.x += orders.astray;
             Ok(sample)
         }
         fn write(&mut self, _now: DeviceTime, wrench: Wrench) -> Written {
             let mut orders = self.1.lock().unwrap();
+            if orders.is_off {
+                orders.renders = Wrench::ZERO;
+                return Written::Rejected(Rejection::ForcesOff);
+            }
             if orders.refuses {
                 orders.renders = Wrench::ZERO;
                 return Written::Rejected(Rejection::Driver { code: 1 });
@@ -430,14 +447,43 @@ mod tests {
     #[test]
     fn a_pose_that_is_no_number_goes_no_further() {
         let mut run = Run::pressed();
-        run.orders.lock().unwrap().is_blind = true;
+        run.orders.lock().unwrap().astray = f64::NAN;
         let turned = run.turn();
         let sample = turned.frame.sample;
         assert!(!turned.is_good && sample.is_finite());
         assert!(sample.faults.contains(Faults::UNTRUSTED_POSE));
-        run.orders.lock().unwrap().is_blind = false;
+        run.orders.lock().unwrap().astray = 0.0;
         let turned = run.turn();
         assert!(turned.is_good && turned.frame.sample.faults == Faults::NONE);
+    }
+
+    #[test]
+    fn a_pose_that_can_not_be_goes_no_further_while_forces_are_off() {
+        let mut run = Run::pressed();
+        run.orders.lock().unwrap().is_off = true;
+        assert!(run.turn().is_good);
+        run.orders.lock().unwrap().astray = 2e3;
+        let turned = run.turn();
+        let sample = turned.frame.sample;
+        assert!(!turned.is_good && sample.pose.position.x == 0.0);
+        assert!(sample.faults.contains(Faults::UNTRUSTED_POSE));
+        run.orders.lock().unwrap().astray = 0.0;
+        let turned = run.turn();
+        assert!(turned.is_good && turned.frame.sample.faults == Faults::NONE);
+    }
+
+    #[test]
+    fn writes_while_forces_are_off_are_not_counted_as_refused_and_the_force_comes_back_slowly() {
+        let mut run = Run::pressed();
+        run.orders.lock().unwrap().is_off = true;
+        for _ in 0..500 {
+            run.turn();
+        }
+        run.orders.lock().unwrap().is_off = false;
+        let step = run.largest_step(1200);
+        assert!(step <= 0.6 + 1e-9, "a step of {step} N");
+        assert!((run.renders() - 6.0).abs() < 1e-9, "{} N", run.renders());
+        assert_eq!(run.hand.counts().rejected, 0);
     }
 
     #[test]

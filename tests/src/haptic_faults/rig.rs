@@ -59,7 +59,7 @@ pub struct Log {
     pub unread: u64,
     /// Readings with numbers that are none.
     pub bad_poses: u64,
-    /// Writes that it refused.
+    /// Writes that it refused while its forces were on.
     pub refused: u64,
     /// Writes that it clamped.
     pub clamped: u64,
@@ -318,7 +318,8 @@ impl HapticDevice for Rig {
             let _ = self.hand.write(now, Wrench::ZERO);
         }
         let mut bench = self.hold.bench();
-        bench.log.refused += u64::from(matches!(done, Written::Rejected(_)));
+        let is_refused = matches!(done, Written::Rejected(why) if why != Rejection::ForcesOff);
+        bench.log.refused += u64::from(is_refused);
         bench.log.clamped += u64::from(matches!(done, Written::Saturated { .. }));
         bench.log.write = Some(Write {
             asked,
