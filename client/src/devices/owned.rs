@@ -65,10 +65,15 @@ pub(crate) fn find(kind: DeviceKind, sources: &Sources) -> Result<Vec<Found>, Ow
     })
 }
 
-/// The best kind of which one is plugged in. Where nothing is installed that is known in a moment.
+/// The best kind of which one device is plugged in and free. Where nothing is installed that is known in a moment.
 pub(super) fn best(sources: &Sources) -> Option<DeviceKind> {
-    let is_there = |kind: &DeviceKind| find(*kind, sources).is_ok_and(|found| !found.is_empty());
+    let is_there = |kind: &DeviceKind| find(*kind, sources).is_ok_and(|found| is_one_free(&found));
     KINDS.into_iter().find(is_there)
+}
+
+/// Whether one can be opened without saying which.
+fn is_one_free(found: &[Found]) -> bool {
+    found.iter().filter(|f| f.is_free).count() == 1
 }
 
 /// Opens the device of this kind with this id, or the only one; `None` for a kind that nobody owns.
@@ -87,9 +92,10 @@ pub(super) fn open(
 
 #[cfg(test)]
 mod tests {
+    use palpate_device::backend::Found;
     use palpate_device::backend::haply::Service;
 
-    use super::{KINDS, Sources, best, find, open};
+    use super::{KINDS, Sources, best, find, is_one_free, open};
 
     /// A place where nothing is installed.
     fn nowhere() -> Sources {
@@ -102,6 +108,20 @@ mod tests {
             libhd: Some("nowhere/libHD.so".into()),
             libdrd: Some("nowhere/libdrd.so".into()),
         }
+    }
+
+    #[test]
+    fn a_kind_is_taken_by_itself_only_where_one_device_is_free() {
+        let of = |free: &[bool]| {
+            let found = |is_free: &bool| Found {
+                id: String::new(),
+                name: String::new(),
+                is_free: *is_free,
+            };
+            is_one_free(&free.iter().map(found).collect::<Vec<Found>>())
+        };
+        assert!(of(&[true]) && of(&[false, true]));
+        assert!(!of(&[]) && !of(&[false]) && !of(&[true, true]));
     }
 
     #[test]

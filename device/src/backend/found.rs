@@ -11,6 +11,8 @@ pub struct Found {
     pub id: String,
     /// What it calls itself.
     pub name: String,
+    /// Whether it can be opened, as far as that is known; another program may use it.
+    pub is_free: bool,
 }
 
 impl fmt::Display for Found {
@@ -66,14 +68,19 @@ fn list(found: &[Found]) -> String {
     all.join(", ")
 }
 
-/// The place in `found` of the device that is meant.
+/// The place in `found` of the device that is meant: without an id the only one, or the only one that is free. Where
+/// there is but one and it is not free, it is meant all the same, and opening it says why it is not.
 pub(super) fn choose(
     kind: &'static str,
     hint: &'static str,
     found: &[Found],
     which: Option<&str>,
 ) -> Result<usize, Choice> {
-    let fits = |f: &Found| which.is_none_or(|which| f.id.eq_ignore_ascii_case(which));
+    let is_any_free = found.iter().any(|f| f.is_free);
+    let fits = |f: &Found| match which {
+        Some(which) => f.id.eq_ignore_ascii_case(which),
+        None => f.is_free || !is_any_free,
+    };
     let places: Vec<usize> = (0..found.len()).filter(|&i| fits(&found[i])).collect();
     match (places.as_slice(), which) {
         ([one], _) => Ok(*one),
@@ -103,6 +110,7 @@ mod tests {
         let one = |id: &&str| Found {
             id: (*id).to_owned(),
             name: "Inverse3".to_owned(),
+            is_free: true,
         };
         ids.iter().map(one).collect()
     }
@@ -116,6 +124,24 @@ mod tests {
         assert!(matches!(pick(&[], Some("1")), Err(Choice::None { .. })));
         let twice = pick(&["049D", "049D"], Some("049D")).unwrap_err();
         assert!(matches!(twice, Choice::Alike { count: 2, .. }));
+    }
+
+    #[test]
+    fn the_only_free_one_is_meant_and_the_only_one_even_where_it_is_not_free() {
+        let pick = |free: &[bool], which| {
+            let mut all = found(&["0", "1", "2"][..free.len()]);
+            for (device, is_free) in all.iter_mut().zip(free) {
+                device.is_free = *is_free;
+            }
+            choose("dhd", "look", &all, which)
+        };
+        assert_eq!(pick(&[false, true], None), Ok(1));
+        assert_eq!(pick(&[false], None), Ok(0));
+        assert_eq!(pick(&[false, true], Some("0")), Ok(0));
+        for doubtful in [&[false, false][..], &[true, false, true]] {
+            let several = pick(doubtful, None);
+            assert!(matches!(several, Err(Choice::Several { .. })));
+        }
     }
 
     #[test]

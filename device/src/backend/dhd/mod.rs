@@ -50,11 +50,13 @@ fn name_of(api: &Api, index: usize) -> Found {
         return Found {
             id: index.to_string(),
             name: format!("not free: {}", api.last_words()),
+            is_free: false,
         };
     }
     let found = Found {
         id: api.serial().map_or(index.to_string(), |s| s.to_string()),
         name: api.name(),
+        is_free: true,
     };
     api.close();
     found

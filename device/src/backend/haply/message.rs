@@ -142,6 +142,8 @@ impl Message {
                     Some(hand) => format!("Haply {kind}, {hand}-handed"),
                     None => format!("Haply {kind}"),
                 },
+                // The service does not say whether others use it.
+                is_free: true,
             }
         };
         self.devices().iter().map(found).collect()

@@ -39,6 +39,7 @@ pub fn find(library: Option<&Path>, name: Option<&str>) -> Result<Found, OpenHap
     Ok(Found {
         id: device::called(name).to_owned(),
         name: format!("{model}, serial number {serial}"),
+        is_free: true,
     })
 }
 
