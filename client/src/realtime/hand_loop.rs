@@ -308,8 +308,8 @@ mod tests {
     #[derive(Default)]
     struct Orders {
         refuses: bool,
-        is_blind: bool,
-        is_far: bool,
+        /// m, added to the place that it says.
+        astray: f64,
         is_off: bool,
         renders: Wrench,
         told: Vec<DeviceTime>,
@@ -340,12 +340,7 @@ mod tests {
             let mut orders = self.1.lock().unwrap();
             orders.told.push(now);
             let mut sample = Sample::resting(now, Pose::default());
-            if orders.is_blind {
-                sample.pose.position.z = f64::NAN;
-            }
-            if orders.is_far {
-                sample.pose.position.x = 2e3;
-            }
+            sample.pose.position.x += orders.astray;
             Ok(sample)
         }
         fn write(&mut self, _now: DeviceTime, wrench: Wrench) -> Written {
@@ -452,12 +447,12 @@ mod tests {
     #[test]
     fn a_pose_that_is_no_number_goes_no_further() {
         let mut run = Run::pressed();
-        run.orders.lock().unwrap().is_blind = true;
+        run.orders.lock().unwrap().astray = f64::NAN;
         let turned = run.turn();
         let sample = turned.frame.sample;
         assert!(!turned.is_good && sample.is_finite());
         assert!(sample.faults.contains(Faults::UNTRUSTED_POSE));
-        run.orders.lock().unwrap().is_blind = false;
+        run.orders.lock().unwrap().astray = 0.0;
         let turned = run.turn();
         assert!(turned.is_good && turned.frame.sample.faults == Faults::NONE);
     }
@@ -467,12 +462,12 @@ mod tests {
         let mut run = Run::pressed();
         run.orders.lock().unwrap().is_off = true;
         assert!(run.turn().is_good);
-        run.orders.lock().unwrap().is_far = true;
+        run.orders.lock().unwrap().astray = 2e3;
         let turned = run.turn();
         let sample = turned.frame.sample;
         assert!(!turned.is_good && sample.pose.position.x == 0.0);
         assert!(sample.faults.contains(Faults::UNTRUSTED_POSE));
-        run.orders.lock().unwrap().is_far = false;
+        run.orders.lock().unwrap().astray = 0.0;
         let turned = run.turn();
         assert!(turned.is_good && turned.frame.sample.faults == Faults::NONE);
     }

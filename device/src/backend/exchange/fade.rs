@@ -14,7 +14,7 @@ impl Share {
     pub(in crate::backend) const FULL: Self = Self { left: 1.0, outs: 0 };
 
     /// What is rendered, 0 to 1, of a force whose loop had `heard` of a share and went on from there.
-    pub(in crate::backend) fn of_what(self, heard: Self) -> f64 {
+    pub(in crate::backend) fn since(self, heard: Self) -> f64 {
         if self.outs != heard.outs {
             0.0
         } else if heard.left <= self.left {
@@ -32,7 +32,7 @@ impl Share {
 ///
 /// The loop goes on from what is rendered as soon as it has heard the share, so what it orders then has the share in it
 /// already. Each order says what its loop had heard; of that, only what was lost since is taken away, as
-/// [`Share::of_what`] says, and the share comes back only once the loop has heard how low it is. So nothing that is rendered
+/// [`Share::since`] says, and the share comes back only once the loop has heard how low it is. So nothing that is rendered
 /// changes by more than the loop's own step when it is back.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::backend) struct Fade {
@@ -60,7 +60,7 @@ impl Fade {
     pub(in crate::backend) fn turn(&mut self, is_renewed: bool, heard: Share) -> f64 {
         if is_renewed {
             self.missed = 0;
-            if self.share().of_what(heard) >= 1.0 {
+            if self.share().since(heard) >= 1.0 {
                 self.left = (self.left + 1).min(self.turns);
             }
         } else {
@@ -70,7 +70,7 @@ impl Fade {
                 self.outs = self.outs.wrapping_add(u32::from(self.left == 0));
             }
         }
-        self.share().of_what(heard)
+        self.share().since(heard)
     }
 
     /// The force was taken away at once; what is renewed from now on comes back as after a fade.

@@ -36,7 +36,7 @@ pub(in crate::backend) struct News {
     pub(in crate::backend) calibration: Calibration,
     /// Whether its motors have power.
     pub(in crate::backend) powered: bool,
-    /// Of what the loop wrote before it stood still, so much is left; see [`Share::of_what`] for what it wrote since.
+    /// Of what the loop wrote before it stood still, so much is left; see [`Share::since`] for what it wrote since.
     pub(in crate::backend) share: Share,
     /// The driver knows that the device is gone.
     pub(in crate::backend) lost: Option<DeviceFault>,
@@ -158,7 +158,7 @@ impl Remote {
 
     /// What is rendered now, as far as the newest news tell.
     pub(in crate::backend) fn rendered(&self) -> Wrench {
-        let part = self.last().share.of_what(self.heard_share);
+        let part = self.last().share.since(self.heard_share);
         self.motors.rendered().scaled(part)
     }
 

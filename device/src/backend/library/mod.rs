@@ -141,8 +141,9 @@ impl Wanted {
 fn is_absent(name: &str, why: &str) -> bool {
     let says_so = ["No such file", "no such file", "not found", "not be found"];
     // What is missing stands before the first colon, and may be a newer one of the same name that `name` needs.
-    let missing = why.split(':').next().unwrap_or(why);
-    let is_it = missing.rsplit('/').next() == name.rsplit('/').next();
+    // Some loaders say words of their own before it: `dlopen(NAME, flags)`, `Error loading shared library NAME`.
+    let missing = why.split([':', ',']).next().unwrap_or(why);
+    let is_it = missing.rsplit(['/', '(', ' ']).next() == name.rsplit('/').next();
     let about_it = is_it || !why.contains(".so") && !why.contains(".dylib");
     about_it && says_so.iter().any(|words| why.contains(words))
 }
@@ -180,6 +181,8 @@ mod tests {
             "libPhantomIOLib42.so: cannot open shared object file: No such file or directory";
         assert!(!is_absent("libHD.so", lacks));
         assert!(!is_absent("libHD.so", "libHD.so: file too short"));
+        let mac = "dlopen(libHD.dylib, 0x0005): tried: 'libHD.dylib' (no such file)";
+        assert!(is_absent("libHD.dylib", mac));
         assert!(is_absent(
             "HD.dll",
             "The specified module could not be found. (os error 126)"
