@@ -9,7 +9,7 @@ use std::process::Command;
 
 /// A stand-in that a test talks to behind the driver's back.
 pub(crate) struct Mock {
-    library: libloading::Library,
+    loaded: libloading::Library,
     folder: tempfile::TempDir,
     name: &'static str,
 }
@@ -58,9 +58,9 @@ impl Mock {
 
     fn load(folder: tempfile::TempDir, name: &'static str) -> Self {
         // SAFETY: our own library, whose initialisers do nothing.
-        let library = unsafe { libloading::Library::new(folder.path().join(name)) }.unwrap();
+        let loaded = unsafe { libloading::Library::new(folder.path().join(name)) }.unwrap();
         Self {
-            library,
+            loaded,
             folder,
             name,
         }
@@ -74,14 +74,14 @@ impl Mock {
     /// Turns a knob.
     pub(crate) fn set(&self, knob: u32, value: f64) {
         // SAFETY: the type is that of `mock_set` in every stand-in.
-        let set = unsafe { self.library.get::<extern "C" fn(u32, f64)>("mock_set") }.unwrap();
+        let set = unsafe { self.loaded.get::<extern "C" fn(u32, f64)>("mock_set") }.unwrap();
         set(knob, value);
     }
 
     /// Reads a gauge.
     pub(crate) fn get(&self, what: u32) -> f64 {
         // SAFETY: the type is that of `mock_get` in every stand-in.
-        let get = unsafe { self.library.get::<extern "C" fn(u32) -> f64>("mock_get") }.unwrap();
+        let get = unsafe { self.loaded.get::<extern "C" fn(u32) -> f64>("mock_get") }.unwrap();
         get(what)
     }
 
@@ -89,7 +89,7 @@ impl Mock {
     pub(crate) fn log(&self) -> Vec<String> {
         // SAFETY: the type is that of `mock_log` in every stand-in.
         let log = unsafe {
-            self.library
+            self.loaded
                 .get::<unsafe extern "C" fn(*mut u8, usize) -> usize>("mock_log")
         };
         let log = log.unwrap();
