@@ -378,6 +378,30 @@ mod tests {
     }
 
     #[test]
+    fn a_squeezed_place_is_led_alike_whichever_of_its_sides_the_normal_is_from() {
+        let squeezed = |us, normal| ContactModel {
+            solved_at: at(us),
+            radius: 0.01,
+            ..ContactModel::single(Touch {
+                pressed_n: 2.0,
+                ..Touch::at_pivot(
+                    Vector3::new(0.0, 0.0, 0.1),
+                    Matrix3::from_diagonal_element(300.0),
+                    normal,
+                )
+            })
+        };
+        let mut blend = Blend::new(coupling());
+        let aside = height(-0.002);
+        blend.take(&squeezed(4_000, Vector3::z()), at(4_500), &aside);
+        blend.take(&squeezed(8_000, -Vector3::z()), at(18_500), &aside);
+        for us in (18_500..=22_500).step_by(500) {
+            let (force, _) = wrench(&blend, us, &aside);
+            assert!((force.z - 0.7).abs() < 1e-9, "{us}: {force}");
+        }
+    }
+
+    #[test]
     fn the_new_model_holds_after_one_interval() {
         let (mut blend, o) = (Blend::new(coupling()), height(0.0));
         blend.take(&model(4_000, 0.0, 1.0, 500.0), at(4_500), &o);
