@@ -13,6 +13,7 @@ use std::sync::Arc;
 
 use palpate_haptics::ContactModel;
 use palpate_protocol::operation::{Operation, OperationKind};
+use palpate_protocol::tool::part_owner;
 use palpate_protocol::{ClientTime, Span};
 use palpate_tissue::{
     Budget, CutOutcome, Model, Reaction, Shape, Solver, Successor, Tool, Topology,
@@ -20,7 +21,7 @@ use palpate_tissue::{
 
 use crate::ahead::{Ahead, ReadyCut, ReplicaError};
 use crate::felt::{contact_model, unusable};
-use crate::roster::{ToolAt, gather, owner};
+use crate::roster::{ToolAt, gather};
 use crate::view::{View, ViewCut};
 
 /// From one solve of what the hand feels to the next.
@@ -202,7 +203,7 @@ impl Replica {
         if report.fell_back && presses {
             return unusable(&free);
         }
-        let is_own = |r: &&Reaction| me == Some(owner(r.tool));
+        let is_own = |r: &&Reaction| me == Some(part_owner(r.tool));
         self.others
             .note(report.reactions.iter().filter(|r| !is_own(r)));
         let parts: Vec<&Reaction> = report.reactions.iter().filter(is_own).collect();

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::UnitQuaternion;
 use palpate_protocol::handshake::{ROSTER_MAX, RosterEntry};
 use palpate_protocol::timeline::{Shown, Timeline};
-use palpate_protocol::tool::{PARTS_MAX, ToolDescription, ToolKind};
+use palpate_protocol::tool::{ToolDescription, ToolKind, part_id};
 use palpate_protocol::{ParticipantId, Role, ServerTime, ToolSample};
 use palpate_tissue::{Form, Tool, Vec3};
 
@@ -52,16 +52,6 @@ impl ToolAt {
             })
             .filter(Tool::is_sound)
     }
-}
-
-/// How the tissue tells parts of tools apart.
-fn part_id(who: ParticipantId, part: usize) -> u32 {
-    u32::from(who.0) * PARTS_MAX + part as u32
-}
-
-/// Whose part it is.
-pub(crate) fn owner(tool: u32) -> ParticipantId {
-    ParticipantId((tool / PARTS_MAX) as u16)
 }
 
 /// The tools that touch, as the tissue takes them.

@@ -2,11 +2,23 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::ParticipantId;
+
 /// Longest tool, m.
 pub const TOOL_LENGTH_MAX_M: f64 = 0.5;
 
 /// Parts of one tool at most.
-pub const PARTS_MAX: u32 = 2;
+const PARTS_MAX: u32 = 2;
+
+/// A number for a part of somebody's tool, that tells the parts of all tools apart.
+pub fn part_id(who: ParticipantId, part: usize) -> u32 {
+    u32::from(who.0) * PARTS_MAX + part as u32
+}
+
+/// Whose the part with this number is.
+pub fn part_owner(id: u32) -> ParticipantId {
+    ParticipantId((id / PARTS_MAX) as u16)
+}
 
 /// Distance between the tips of open jaws, in parts of their length.
 const OPENING: f64 = 0.25;
@@ -162,6 +174,15 @@ mod tests {
         for b in bad {
             assert!(!b.is_valid(), "{b:?}");
         }
+    }
+
+    #[test]
+    fn a_part_is_told_apart_and_its_owner_known() {
+        let ids: Vec<u32> = (0..3)
+            .flat_map(|who| (0..2).map(move |part| part_id(ParticipantId(who), part)))
+            .collect();
+        assert!(ids.windows(2).all(|w| w[0] < w[1]));
+        assert_eq!(part_owner(part_id(ParticipantId(u16::MAX), 1)).0, u16::MAX);
     }
 
     #[test]

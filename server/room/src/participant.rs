@@ -4,7 +4,7 @@ use nalgebra::{Quaternion, UnitQuaternion};
 use palpate_protocol::compensation::{DelayEstimator, DelayRule};
 use palpate_protocol::handshake::RosterEntry;
 use palpate_protocol::timeline::Timeline;
-use palpate_protocol::tool::{PARTS_MAX, ToolDescription, ToolKind, ToolPart};
+use palpate_protocol::tool::{ToolDescription, ToolKind, ToolPart, part_id};
 use palpate_protocol::{ParticipantId, Role, ServerTime};
 use palpate_tissue::{Form, Tool, Vec3};
 
@@ -72,7 +72,7 @@ impl Participant {
             turn,
             form: Form::rectangle(part.mid.into(), part.half.map(Vec3::from)),
             ..Tool::ball(
-                u32::from(self.id.0) * PARTS_MAX + i as u32,
+                part_id(self.id, i),
                 Vec3::from(shown.pose.position_m),
                 description.radius_m,
             )
