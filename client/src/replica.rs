@@ -125,6 +125,11 @@ impl Replica {
     }
 
     /// What is seen; `None` when it is elsewhere.
+    pub fn view(&self) -> Option<&View> {
+        self.view.as_ref()
+    }
+
+    /// The same, to solve or correct it.
     pub fn view_mut(&mut self) -> Option<&mut View> {
         self.view.as_mut()
     }

@@ -24,7 +24,7 @@ use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{
     ClientTime, LocalSample, ParticipantId, ServerTime, Span, ToolSample, TopologyHash,
 };
-use palpate_tissue::{Budget, Model};
+use palpate_tissue::{Budget, Model, Shape};
 
 use crate::ahead::{Ahead, ReadyCut, ReplicaError};
 use crate::recording::OperationRecord;
@@ -450,6 +450,12 @@ impl Site {
         let view = self.replica.view_mut()?;
         view.step(frame.s, &frame.tools, budget);
         Some(frame)
+    }
+
+    /// What was seen last and the version of its topology; `None` where the view is elsewhere.
+    pub fn seen(&self) -> Option<(&Shape, u32)> {
+        let view = self.replica.view()?;
+        Some((view.shape(), view.topology().version()))
     }
 
     /// The next request for the server.

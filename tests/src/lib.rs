@@ -10,6 +10,7 @@
 //! | find where to press and cut on any model, and make scripts of it | [`place`], [`scripts`] |
 //! | run a server and clients as processes | [`program`], [`session`] |
 //! | know what would be felt without a network | [`mod@reference`] |
+//! | run a whole session in virtual time | [`rehearsal`] |
 //! | compare | [`disagreement`], [`force_error`] |
 //! | measure the equilibrium | [`mod@bench`] |
 //! | know what a hand feels of a tool, and what is true | [`trial`], [`experiments`] |
@@ -31,6 +32,7 @@ pub mod plots;
 pub mod program;
 pub mod progress;
 pub mod reference;
+pub mod rehearsal;
 pub mod relay;
 pub mod report;
 pub mod scripts;

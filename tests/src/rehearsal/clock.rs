@@ -1,0 +1,55 @@
+//! A participant's clock against true time.
+
+use palpate_protocol::ClientTime;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+/// The most that a crystal is off, parts per million.
+const DRIFT_PPM: f64 = 50.0;
+
+/// The largest difference between two machines' monotonic clocks, s: they count from the boot.
+const OFFSET_S: f64 = 1e6;
+
+/// A clock that began at some time and is a little too fast or too slow.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SiteClock {
+    offset_us: i64,
+    rate: f64,
+}
+
+impl SiteClock {
+    /// The clock of a seat under a seed.
+    pub(super) fn of(seed: u64, seat: usize) -> Self {
+        let mut rng = Pcg64::seed_from_u64(seed ^ (seat as u64 + 1).wrapping_mul(0x9e37_79b9));
+        Self {
+            offset_us: (rng.random_range(0.0..OFFSET_S) * 1e6) as i64,
+            rate: 1.0 + rng.random_range(-DRIFT_PPM..DRIFT_PPM) * 1e-6,
+        }
+    }
+
+    /// What it shows at a moment of true time, µs.
+    pub(super) fn at(&self, true_us: i64) -> ClientTime {
+        let ran = (true_us as f64 * self.rate).round() as i64;
+        ClientTime::from_micros(self.offset_us + ran)
+    }
+
+    /// The moment of true time at which it shows `t`, µs.
+    pub(super) fn true_us(&self, t: ClientTime) -> i64 {
+        ((t.as_micros() - self.offset_us) as f64 / self.rate).round() as i64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_it_shows_can_be_taken_back() {
+        for seat in 0..20 {
+            let clock = SiteClock::of(7, seat);
+            for us in [0, 1, 999_999, 3_600_000_000] {
+                assert!((clock.true_us(clock.at(us)) - us).abs() <= 1);
+            }
+        }
+    }
+}

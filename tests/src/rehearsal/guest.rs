@@ -1,0 +1,247 @@
+//! One participant of a rehearsal: hand, force loop, session and site, on a clock of its own.
+
+use std::sync::Arc;
+
+use palpate_client::convert::{local_sample, tool_description};
+use palpate_client::realtime::{HandLoop, Wishes, device_time};
+use palpate_client::recording::{HapticPoint, Recording, ToolRecord, ViewRecord, choose_nodes};
+use palpate_client::replica::hand_budget;
+use palpate_client::site::{Site, ViewFrame};
+use palpate_client::view::VIEW_TOLERANCE;
+use palpate_device::backend::sim::{ScriptStart, SimHand};
+use palpate_device::{HapticDevice, Script};
+use palpate_haptics::{Chain, ChainConfig, ContactModel};
+use palpate_protocol::handshake::Hello;
+use palpate_protocol::session::{ClientEvent, ClientSession};
+use palpate_protocol::{ClientTime, Grant, Role, Span};
+use palpate_tissue::{Budget, Model};
+
+use super::clock::SiteClock;
+use super::wires::Wires;
+
+/// From one turn of the force loop to the next.
+const TICK: Span = Span::from_millis(1);
+
+/// Ticks from one model of the hand to the next, as in the client.
+const HAPTIC_EVERY: u64 = 4;
+
+/// Iterations of one view: as many as the client makes.
+const VIEW_ITERATIONS: usize = 2;
+
+/// Why a guest can not go on, for a report.
+pub(super) type Trouble = String;
+
+/// A participant.
+pub(super) struct Guest {
+    seat: usize,
+    clock: SiteClock,
+    model: Arc<Model>,
+    script: ScriptStart,
+    blade_length_m: Option<f64>,
+    hand: HandLoop,
+    contact: ContactModel,
+    session: ClientSession,
+    site: Option<Site>,
+    ticks: u64,
+    link_lost: bool,
+    /// What it saw and felt, in true time.
+    pub(super) recording: Recording,
+    pub(super) trouble: Option<Trouble>,
+}
+
+impl Guest {
+    /// A trainee who follows a script and asks to be let in.
+    pub(super) fn new(
+        seat: usize,
+        name: &str,
+        grant: Grant,
+        model: Arc<Model>,
+        script: &Script,
+        clock: SiteClock,
+    ) -> Result<Self, Trouble> {
+        let tool = tool_description(&script.tool());
+        let hello = Hello {
+            name: name.to_owned(),
+            role: Role::Trainee,
+            grant,
+            tool: Some(tool),
+            resume: None,
+        };
+        let start = ScriptStart::not_yet();
+        let device = SimHand::new(script.clone(), start.clone());
+        let chain = Chain::new(ChainConfig::default(), device.caps());
+        let now = clock.at(0);
+        let mut hand = HandLoop::new(Box::new(device), chain, TICK, now);
+        hand.begin();
+        Ok(Self {
+            seat,
+            model,
+            blade_length_m: (script.tool().length_m > 0.0).then_some(script.tool().length_m),
+            script: start,
+            hand,
+            contact: ContactModel::free_at(now, 0),
+            session: ClientSession::new(hello, now).map_err(|e| e.to_string())?,
+            site: None,
+            ticks: 0,
+            link_lost: false,
+            recording: Recording {
+                name: name.to_owned(),
+                role: Role::Trainee.word().to_owned(),
+                ..Recording::default()
+            },
+            trouble: None,
+            clock,
+        })
+    }
+
+    /// Bytes of the operations stream, at a moment of true time.
+    pub(super) fn handle_stream(&mut self, bytes: &[u8], at_us: i64) {
+        self.session.handle_stream(bytes, self.clock.at(at_us));
+        self.take_events(at_us);
+    }
+
+    /// A datagram.
+    pub(super) fn handle_datagram(&mut self, bytes: &[u8], at_us: i64) {
+        self.session.handle_datagram(bytes, self.clock.at(at_us));
+        self.take_events(at_us);
+    }
+
+    /// One millisecond of its life.
+    pub(super) fn turn(&mut self, at_us: i64, wires: &mut Wires) {
+        let now = self.clock.at(at_us);
+        self.feel(now, at_us);
+        if self.session.poll_timeout().is_some_and(|due| due <= now) {
+            self.session.handle_timeout(now);
+        }
+        self.take_events(at_us);
+        if self.ticks.is_multiple_of(HAPTIC_EVERY) {
+            self.live(now, at_us);
+        }
+        self.ticks += 1;
+        while let Some(bytes) = self.session.poll_stream() {
+            wires.send_stream_up(self.seat, &bytes, at_us);
+        }
+        while let Some(bytes) = self.session.poll_datagram(now) {
+            wires.send_datagram_up(self.seat, bytes, at_us);
+        }
+    }
+
+    fn feel(&mut self, now: ClientTime, at_us: i64) {
+        let wishes = Wishes {
+            link_lost: self.link_lost,
+            stop: false,
+        };
+        let turned = self.hand.turn(now, wishes, &self.contact);
+        let frame = turned.frame;
+        if self.ticks.is_multiple_of(HAPTIC_EVERY) {
+            self.recording.haptic.push(HapticPoint {
+                t_us: at_us,
+                position_m: frame.sample.pose.position.into(),
+                force_n: frame.wrench.force.into(),
+            });
+        }
+        if turned.is_good && self.site.is_some() {
+            let sample = local_sample(&frame);
+            self.session.send_motion(sample);
+            if let Some(site) = &mut self.site {
+                site.handle_own(&sample);
+            }
+        }
+        if self.ticks.is_multiple_of(HAPTIC_EVERY)
+            && let Some(site) = &mut self.site
+        {
+            let buttons = (frame.sample.buttons.bits() & 0xff) as u8;
+            // It ends by iterations and residual, which one seed repeats, and not by time.
+            let mut never = || false;
+            let budget = hand_budget(&mut never);
+            if let Some(model) = site.haptic_step(now, frame.sample.pose, buttons, budget) {
+                self.contact = model;
+            }
+        }
+    }
+
+    fn take_events(&mut self, at_us: i64) {
+        let now = self.clock.at(at_us);
+        while let Some(event) = self.session.poll_event() {
+            match &event {
+                ClientEvent::Welcomed(welcome) => {
+                    self.recording.participant = welcome.participant.0;
+                    let model = Arc::clone(&self.model);
+                    self.site = Some(Site::new(welcome, model, self.blade_length_m));
+                }
+                ClientEvent::LinkLost => self.link_lost = true,
+                ClientEvent::LinkRestored => self.link_lost = false,
+                ClientEvent::Closed(reason) => {
+                    self.trouble.get_or_insert(reason.to_string());
+                }
+                _ => {}
+            }
+            if let Some(site) = &mut self.site
+                && let Err(error) = site.handle_event(event, now)
+            {
+                self.trouble.get_or_insert(error.to_string());
+            }
+        }
+    }
+
+    /// What the client's replica thread does every 4 ms, but for the hand.
+    fn live(&mut self, now: ClientTime, at_us: i64) {
+        let Some(site) = &mut self.site else { return };
+        if let Err(error) = site.advance(now) {
+            self.trouble.get_or_insert(error.to_string());
+        }
+        if let Some(at) = site.script_start()
+            && self.script.get().is_none_or(|t| t > device_time(now))
+        {
+            self.script.set(device_time(at));
+            self.recording.script_started_us = Some(self.clock.true_us(at));
+        }
+        let budget = Budget {
+            near: false,
+            iterations: VIEW_ITERATIONS,
+            tolerance: VIEW_TOLERANCE,
+            stop: None,
+        };
+        if let Some(frame) = site.view_step(now, budget) {
+            let view = record(site, &frame, at_us);
+            self.recording.views.extend(view);
+        }
+        while let Some(request) = site.poll_request() {
+            if let Err(error) = self.session.request(request) {
+                self.trouble.get_or_insert(error.to_string());
+            }
+        }
+        while let Some(mut operation) = site.poll_applied() {
+            operation.applied_us = at_us;
+            self.recording.operations.push(operation);
+        }
+        while site.poll_notice().is_some() {}
+    }
+
+    /// Version and hash of its own topology; `None` before it was let in.
+    pub(super) fn topology(&self) -> Option<(u32, u64)> {
+        let topology = self.site.as_ref()?.replica().topology();
+        Some((topology.version(), topology.hash().0))
+    }
+}
+
+fn record(site: &mut Site, frame: &ViewFrame, at_us: i64) -> Option<ViewRecord> {
+    let (shape, version) = site.seen()?;
+    let moved = shape.displacement.iter().enumerate();
+    Some(ViewRecord {
+        s_us: frame.s.as_micros(),
+        shown_us: at_us,
+        delay_us: frame.delay.as_micros(),
+        tools: frame
+            .tools
+            .iter()
+            .map(|t| ToolRecord {
+                participant: t.participant.0,
+                position_m: t.position.into(),
+                stale: t.stale,
+            })
+            .collect(),
+        nodes: choose_nodes(moved.map(|(n, u)| (n as u32, (*u).into()))),
+        topology_version: version,
+    })
+}

@@ -1,0 +1,104 @@
+//! The server's side of a rehearsal: the room and its end of every session, without socket or clock.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use palpate_protocol::session::ServerPeer;
+use palpate_protocol::{ServerTime, TopologyHash};
+use palpate_room::{Output, PeerKey, Room, RoomConfig};
+use palpate_tissue::Model;
+
+use super::wires::Wires;
+
+/// The server.
+pub(super) struct Host {
+    room: Room,
+    peers: BTreeMap<PeerKey, ServerPeer>,
+    /// What a tick may cost is counted in iterations, which one seed repeats, and not in time.
+    pub(super) ticks: u64,
+}
+
+impl Host {
+    /// A server for `seats` guests, numbered from 0 as flows of the network.
+    pub(super) fn new(model: Arc<Model>, config: RoomConfig, seats: usize) -> Self {
+        let now = ServerTime::ZERO;
+        let peers = (0..seats).map(|seat| (key(seat), ServerPeer::new(now)));
+        Self {
+            room: Room::new(model, config, now),
+            peers: peers.collect(),
+            ticks: 0,
+        }
+    }
+
+    /// Bytes of a guest's operations stream.
+    pub(super) fn handle_stream(&mut self, seat: usize, bytes: &[u8], now: ServerTime) {
+        if let Some(peer) = self.peers.get_mut(&key(seat)) {
+            peer.handle_stream(bytes, now);
+        }
+    }
+
+    /// A guest's datagram.
+    pub(super) fn handle_datagram(&mut self, seat: usize, bytes: &[u8], now: ServerTime) {
+        if let Some(peer) = self.peers.get_mut(&key(seat)) {
+            peer.handle_datagram(bytes, now);
+        }
+    }
+
+    /// Ticks when it is time to, and sends what there is to send.
+    pub(super) fn turn(&mut self, now: ServerTime, wires: &mut Wires) {
+        for peer in self.peers.values_mut() {
+            if peer.poll_timeout().is_some_and(|due| due <= now) {
+                peer.handle_timeout(now);
+            }
+        }
+        self.take_events(now);
+        if self.room.poll_timeout() <= now {
+            self.ticks += u64::from(self.room.handle_tick(now, &mut || false).is_some());
+        }
+        self.give_outputs(now);
+        for (key, peer) in &mut self.peers {
+            let seat = key.0 as usize;
+            while let Some(bytes) = peer.poll_stream() {
+                wires.send_stream_down(seat, &bytes, now.as_micros());
+            }
+            while let Some(bytes) = peer.poll_datagram(now) {
+                wires.send_datagram_down(seat, bytes, now.as_micros());
+            }
+        }
+    }
+
+    fn take_events(&mut self, now: ServerTime) {
+        for (key, peer) in &mut self.peers {
+            while let Some(event) = peer.poll_event() {
+                self.room.handle_event(*key, event, now);
+            }
+        }
+    }
+
+    fn give_outputs(&mut self, now: ServerTime) {
+        while let Some(output) = self.room.poll_output() {
+            match output {
+                Output::Message(key, message) => {
+                    if let Some(peer) = self.peers.get_mut(&key) {
+                        // An error closes the session, which its event says.
+                        let _ = peer.send(&message, now);
+                    }
+                }
+                Output::Datagram(key, datagram) => {
+                    if let Some(peer) = self.peers.get_mut(&key) {
+                        peer.send_datagram(&datagram, now);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Version and hash of the authoritative topology.
+    pub(super) fn topology(&self) -> (u32, TopologyHash) {
+        self.room.topology()
+    }
+}
+
+fn key(seat: usize) -> PeerKey {
+    PeerKey(seat as u64)
+}

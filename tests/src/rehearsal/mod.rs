@@ -1,0 +1,189 @@
+//! A whole session in virtual time: the room, both ends of every session, sites, force loops and
+//! simulated hands over an emulated network, all of them the parts that users run.
+//!
+//! ```text
+//! hand -> force loop -> session -> wires -> peer -> room        1 ms per turn
+//!          ^ model      |                    operations, motion, corrections
+//!         site <--------+<------ wires <-----+
+//! ```
+//!
+//! There are no threads and no clocks, and solves end by iterations and residual and not by time, so
+//! that one seed always is the same session. What is left out is what a machine that is too slow
+//! does; for that there is the [real session](crate::session).
+
+mod clock;
+mod guest;
+mod host;
+mod wires;
+
+use std::sync::Arc;
+
+use palpate_client::Recording;
+use palpate_device::Script;
+use palpate_protocol::operation::CompensationSettings;
+use palpate_protocol::{Epoch, Grant, ModelHash, ModelInfo, Role, ServerTime};
+use palpate_room::RoomConfig;
+use palpate_tissue::Model;
+use serde::Serialize;
+
+use crate::relay::Profile;
+use clock::SiteClock;
+use guest::Guest;
+use host::Host;
+use wires::{Arrived, Wires};
+
+/// From one turn to the next, µs.
+const TURN_US: i64 = 1000;
+
+/// A session in which scripts have not begun after this time never begins, µs.
+const BEGIN_WITHIN_US: i64 = 20_000_000;
+
+/// After the scripts, µs: what is on its way arrives, and is shown.
+const SETTLE_US: i64 = 1_500_000;
+
+/// What is to be rehearsed.
+#[derive(Debug, Clone)]
+pub struct Rehearsal<'a> {
+    /// The tissue.
+    pub model: &'a Arc<Model>,
+    /// One trainee per script, named by its place.
+    pub scripts: &'a [&'a Script],
+    /// The network between the server and each of them.
+    pub profile: &'a Profile,
+    /// The seed of packets' fates and of clocks.
+    pub seed: u64,
+    /// Artificial time compensation.
+    pub compensation: CompensationSettings,
+    /// Views per second.
+    pub tick_hz: u32,
+}
+
+/// Bytes of UDP payload that one participant causes per second of the session, without those of QUIC.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct BytesPerSecond {
+    /// To the server.
+    pub up: f64,
+    /// From the server.
+    pub down: f64,
+}
+
+/// What came of it.
+#[derive(Debug, Clone)]
+pub struct Rehearsed {
+    /// What each participant saw and felt; times are true ones.
+    pub recordings: Vec<Recording>,
+    /// Version and hash of the topology: the server's, then each participant's.
+    pub topologies: Vec<(u32, u64)>,
+    /// The mean over the participants, from the beginning of the scripts.
+    pub bytes_per_s: BytesPerSecond,
+    /// What went wrong; nothing, when all is well.
+    pub troubles: Vec<String>,
+}
+
+impl Rehearsed {
+    /// Whether everybody has the server's topology.
+    pub fn hashes_equal(&self) -> bool {
+        self.topologies.windows(2).all(|w| w[0] == w[1])
+    }
+}
+
+impl Rehearsal<'_> {
+    /// Runs it to the end of the longest script. `progress` is told the share that is done, and gives
+    /// whether to go on.
+    pub fn run(&self, mut progress: impl FnMut(f64) -> bool) -> Result<Rehearsed, String> {
+        let grant = Grant(*b"a rehearsal only");
+        let mut wires = Wires::new(self.profile, self.seed);
+        let mut host = Host::new(Arc::clone(self.model), self.config(grant), self.scripts.len());
+        let mut guests = Vec::new();
+        for (seat, script) in self.scripts.iter().enumerate() {
+            let name = format!("trainee-{}", seat + 1);
+            let clock = SiteClock::of(self.seed, seat);
+            let model = Arc::clone(self.model);
+            guests.push(Guest::new(seat, &name, grant, model, script, clock)?);
+        }
+        let script_us = self.scripts.iter().map(|s| s.end_s()).fold(0.0, f64::max) * 1e6;
+        let (mut at_us, mut began_us) = (0_i64, None::<i64>);
+        loop {
+            deliver(&mut host, &mut guests, &mut wires, at_us);
+            host.turn(ServerTime::from_micros(at_us), &mut wires);
+            for guest in &mut guests {
+                guest.turn(at_us, &mut wires);
+            }
+            if began_us.is_none() {
+                began_us = guests.iter().find_map(|g| g.recording.script_started_us);
+                wires.count_from_here();
+            }
+            let end_us = began_us.map(|b| b + script_us as i64 + SETTLE_US);
+            if guests.iter().any(|g| g.trouble.is_some())
+                || end_us.map_or(at_us > BEGIN_WITHIN_US, |end| at_us >= end)
+            {
+                break;
+            }
+            if at_us % 50_000 == 0 {
+                let share = end_us.map_or(0.0, |end| at_us as f64 / end as f64);
+                if !progress(share) {
+                    return Err("interrupted".to_owned());
+                }
+            }
+            at_us += TURN_US;
+        }
+        let mut troubles: Vec<String> = guests.iter().filter_map(|g| g.trouble.clone()).collect();
+        if began_us.is_none() {
+            troubles.push("the scripts did not begin".to_owned());
+        }
+        let seconds = (at_us - began_us.unwrap_or(0)) as f64 * 1e-6;
+        let (up, down) = wires.counted();
+        let share = 1.0 / (seconds.max(1e-3) * guests.len().max(1) as f64);
+        let (version, hash) = host.topology();
+        let own = guests.iter().filter_map(Guest::topology);
+        Ok(Rehearsed {
+            topologies: std::iter::once((version, hash.0)).chain(own).collect(),
+            recordings: guests.into_iter().map(|g| g.recording).collect(),
+            bytes_per_s: BytesPerSecond {
+                up: up as f64 * share,
+                down: down as f64 * share,
+            },
+            troubles,
+        })
+    }
+
+    fn config(&self, grant: Grant) -> RoomConfig {
+        RoomConfig {
+            epoch: Epoch(1),
+            model: ModelInfo {
+                hash: ModelHash(0),
+                bytes: 0,
+            },
+            grants: vec![(Role::Trainee, grant)],
+            seats: self.scripts.len() as u16,
+            tick_hz: self.tick_hz,
+            compensation: self.compensation,
+            start_when_tools: self.scripts.len() as u16,
+        }
+    }
+}
+
+/// Hands over what has arrived until `at_us`, each at its own moment. What the server passes on
+/// leaves at once, as from its event loop.
+fn deliver(host: &mut Host, guests: &mut [Guest], wires: &mut Wires, at_us: i64) {
+    while let Some((when_us, seat, arrived)) = wires.pop_due(at_us) {
+        let then = ServerTime::from_micros(when_us);
+        match arrived {
+            Arrived::StreamUp(bytes) => host.handle_stream(seat, &bytes, then),
+            Arrived::DatagramUp(bytes) => host.handle_datagram(seat, &bytes, then),
+            Arrived::StreamDown(bytes) => {
+                guests[seat].handle_stream(&bytes, when_us);
+                continue;
+            }
+            Arrived::DatagramDown(bytes) => {
+                guests[seat].handle_datagram(&bytes, when_us);
+                continue;
+            }
+        }
+        host.turn(then, wires);
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::print_stdout)]
+mod tests;

@@ -1,0 +1,61 @@
+use palpate_protocol::operation::CompensationMode;
+use palpate_tissue::{Material, Topology, block};
+
+use super::*;
+use crate::disagreement::Disagreement;
+use crate::force_error::{ForceError, over_script};
+use crate::place::Place;
+use crate::reference;
+use crate::scripts::Scripts;
+
+fn model() -> Arc<Model> {
+    let soft = Material {
+        name: "soft".into(),
+        young_pa: 1e4,
+        density_kg_m3: 1000.0,
+        friction_static: 0.4,
+        friction_dynamic: 0.3,
+        source: "test".into(),
+        ..Material::default()
+    };
+    Arc::new(block([18, 18, 6], 0.005, &soft, 1))
+}
+
+fn rehearse(model: &Arc<Model>, scripts: &Scripts, profile: &Profile, seed: u64) -> Rehearsed {
+    let scripts = [&scripts.holder, &scripts.cutter];
+    let rehearsal = Rehearsal {
+        model,
+        scripts: &scripts,
+        profile,
+        seed,
+        compensation: CompensationSettings {
+            mode: CompensationMode::Adaptive { cap_us: 500_000 },
+            initial_delay_us: 100_000,
+        },
+        tick_hz: 60,
+    };
+    rehearsal.run(|_| true).unwrap()
+}
+
+#[test]
+fn one_seed_is_one_session_and_everybody_has_the_same_topology_in_the_end() {
+    let model = model();
+    let place = Place::find(&Topology::new(Arc::clone(&model))).unwrap();
+    let scripts = Scripts::for_place(&place, 4.0).unwrap();
+    let profile = Profile::named("transatlantic").unwrap();
+    let began = std::time::Instant::now();
+    let a = rehearse(&model, &scripts, &profile, 5);
+    println!("{:?}", began.elapsed());
+    assert_eq!(a.troubles, Vec::<String>::new());
+    assert!(a.hashes_equal() && a.topologies[0].0 == 1, "{:?}", a.topologies);
+    let views: Vec<&Recording> = a.recordings.iter().collect();
+    let d = Disagreement::between(&views);
+    println!("{:?} {:?} {:?} {:?} {:?}", d.views, d.tools, d.nodes, d.contents, a.bytes_per_s);
+    let r = reference::run(&model, [&scripts.holder, &scripts.cutter], |_| true).unwrap();
+    for (recording, course) in a.recordings.iter().zip(&r.courses) {
+        let felt = over_script(&recording.haptic, recording.script_started_us.unwrap());
+        println!("{:?}", ForceError::between(&felt, course));
+    }
+    let b = rehearse(&model, &scripts, &profile, 5);
+    assert_eq!(a.recordings, b.recordings);
+}
