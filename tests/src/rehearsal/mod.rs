@@ -185,5 +185,4 @@ fn deliver(host: &mut Host, guests: &mut [Guest], wires: &mut Wires, at_us: i64)
 }
 
 #[cfg(test)]
-#[allow(clippy::print_stdout)]
 mod tests;

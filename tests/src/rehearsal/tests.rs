@@ -43,18 +43,18 @@ fn one_seed_is_one_session_and_everybody_has_the_same_topology_in_the_end() {
     let place = Place::find(&Topology::new(Arc::clone(&model))).unwrap();
     let scripts = Scripts::for_place(&place, 4.0).unwrap();
     let profile = Profile::named("transatlantic").unwrap();
-    let began = std::time::Instant::now();
     let a = rehearse(&model, &scripts, &profile, 5);
-    println!("{:?}", began.elapsed());
     assert_eq!(a.troubles, Vec::<String>::new());
     assert!(a.hashes_equal() && a.topologies[0].0 == 1, "{:?}", a.topologies);
     let views: Vec<&Recording> = a.recordings.iter().collect();
     let d = Disagreement::between(&views);
-    println!("{:?} {:?} {:?} {:?} {:?}", d.views, d.tools, d.nodes, d.contents, a.bytes_per_s);
+    assert!(d.nodes.p95 < 0.05, "{:?}", d.nodes);
     let r = reference::run(&model, [&scripts.holder, &scripts.cutter], |_| true).unwrap();
     for (recording, course) in a.recordings.iter().zip(&r.courses) {
         let felt = over_script(&recording.haptic, recording.script_started_us.unwrap());
-        println!("{:?}", ForceError::between(&felt, course));
+        // A blade lets go when its button is pressed, up to a solve earlier or later.
+        let error = ForceError::between(&felt, course).unwrap();
+        assert!(error.rms_percent < 8.0, "{error:?}");
     }
     let b = rehearse(&model, &scripts, &profile, 5);
     assert_eq!(a.recordings, b.recordings);
