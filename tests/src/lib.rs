@@ -6,7 +6,7 @@
 //!
 //! | to | look in |
 //! | --- | --- |
-//! | make a network bad | [`relay`] |
+//! | make a network bad, for pure machines or for programs | [`network`], [`relay`] |
 //! | find where to press and cut on any model, and make scripts of it | [`place`], [`scripts`] |
 //! | run a server and clients as processes | [`program`], [`session`] |
 //! | know what would be felt without a network | [`mod@reference`] |
@@ -26,6 +26,7 @@ pub mod disagreement;
 pub mod experiments;
 pub mod force_error;
 pub mod haptic_faults;
+pub mod network;
 pub mod place;
 pub mod plots;
 pub mod program;
