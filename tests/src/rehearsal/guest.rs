@@ -18,6 +18,7 @@ use palpate_tissue::{Budget, Model};
 
 use super::clock::SiteClock;
 use super::wires::Wires;
+use crate::network::Direction;
 
 /// From one turn of the force loop to the next.
 const TICK: Span = Span::from_millis(1);
@@ -119,10 +120,10 @@ impl Guest {
         }
         self.ticks += 1;
         while let Some(bytes) = self.session.poll_stream() {
-            wires.send_stream_up(self.seat, &bytes, at_us);
+            wires.send_stream(self.seat, Direction::Up, &bytes, at_us.unsigned_abs());
         }
         while let Some(bytes) = self.session.poll_datagram(now) {
-            wires.send_datagram_up(self.seat, bytes, at_us);
+            wires.send_datagram(self.seat, Direction::Up, bytes, at_us.unsigned_abs());
         }
     }
 

@@ -9,13 +9,12 @@ use palpate_room::{Output, PeerKey, Room, RoomConfig};
 use palpate_tissue::Model;
 
 use super::wires::Wires;
+use crate::network::Direction;
 
 /// The server.
 pub(super) struct Host {
     room: Room,
     peers: BTreeMap<PeerKey, ServerPeer>,
-    /// What a tick may cost is counted in iterations, which one seed repeats, and not in time.
-    pub(super) ticks: u64,
 }
 
 impl Host {
@@ -26,7 +25,6 @@ impl Host {
         Self {
             room: Room::new(model, config, now),
             peers: peers.collect(),
-            ticks: 0,
         }
     }
 
@@ -53,16 +51,18 @@ impl Host {
         }
         self.take_events(now);
         if self.room.poll_timeout() <= now {
-            self.ticks += u64::from(self.room.handle_tick(now, &mut || false).is_some());
+            // What a tick may cost is counted in iterations, which one seed repeats, and not in time.
+            self.room.handle_tick(now, &mut || false);
         }
         self.give_outputs(now);
+        let at_us = now.as_micros().unsigned_abs();
         for (key, peer) in &mut self.peers {
             let seat = key.0 as usize;
             while let Some(bytes) = peer.poll_stream() {
-                wires.send_stream_down(seat, &bytes, now.as_micros());
+                wires.send_stream(seat, Direction::Down, &bytes, at_us);
             }
             while let Some(bytes) = peer.poll_datagram(now) {
-                wires.send_datagram_down(seat, bytes, now.as_micros());
+                wires.send_datagram(seat, Direction::Down, bytes, at_us);
             }
         }
     }

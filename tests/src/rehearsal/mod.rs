@@ -26,7 +26,7 @@ use palpate_room::RoomConfig;
 use palpate_tissue::Model;
 use serde::Serialize;
 
-use crate::relay::Profile;
+use crate::network::{Direction, Profile};
 use clock::SiteClock;
 use guest::Guest;
 use host::Host;
@@ -92,8 +92,12 @@ impl Rehearsal<'_> {
     /// whether to go on.
     pub fn run(&self, mut progress: impl FnMut(f64) -> bool) -> Result<Rehearsed, String> {
         let grant = Grant(*b"a rehearsal only");
-        let mut wires = Wires::new(self.profile, self.seed);
-        let mut host = Host::new(Arc::clone(self.model), self.config(grant), self.scripts.len());
+        let mut wires = Wires::new(self.profile, self.seed, self.scripts.len());
+        let mut host = Host::new(
+            Arc::clone(self.model),
+            self.config(grant),
+            self.scripts.len(),
+        );
         let mut guests = Vec::new();
         for (seat, script) in self.scripts.iter().enumerate() {
             let name = format!("trainee-{}", seat + 1);
@@ -132,7 +136,6 @@ impl Rehearsal<'_> {
             troubles.push("the scripts did not begin".to_owned());
         }
         let seconds = (at_us - began_us.unwrap_or(0)) as f64 * 1e-6;
-        let (up, down) = wires.counted();
         let share = 1.0 / (seconds.max(1e-3) * guests.len().max(1) as f64);
         let (version, hash) = host.topology();
         let own = guests.iter().filter_map(Guest::topology);
@@ -140,8 +143,8 @@ impl Rehearsal<'_> {
             topologies: std::iter::once((version, hash.0)).chain(own).collect(),
             recordings: guests.into_iter().map(|g| g.recording).collect(),
             bytes_per_s: BytesPerSecond {
-                up: up as f64 * share,
-                down: down as f64 * share,
+                up: wires.counted(Direction::Up) as f64 * share,
+                down: wires.counted(Direction::Down) as f64 * share,
             },
             troubles,
         })
@@ -166,21 +169,24 @@ impl Rehearsal<'_> {
 /// Hands over what has arrived until `at_us`, each at its own moment. What the server passes on
 /// leaves at once, as from its event loop.
 fn deliver(host: &mut Host, guests: &mut [Guest], wires: &mut Wires, at_us: i64) {
-    while let Some((when_us, seat, arrived)) = wires.pop_due(at_us) {
-        let then = ServerTime::from_micros(when_us);
-        match arrived {
-            Arrived::StreamUp(bytes) => host.handle_stream(seat, &bytes, then),
-            Arrived::DatagramUp(bytes) => host.handle_datagram(seat, &bytes, then),
-            Arrived::StreamDown(bytes) => {
-                guests[seat].handle_stream(&bytes, when_us);
-                continue;
+    while let Some((when_us, seat, direction, arrived)) = wires.pop_due(at_us.unsigned_abs()) {
+        let when_us = when_us as i64;
+        match (direction, arrived) {
+            (Direction::Up, arrived) => {
+                let then = ServerTime::from_micros(when_us);
+                match arrived {
+                    Arrived::Stream(bytes) => host.handle_stream(seat, &bytes, then),
+                    Arrived::Datagram(bytes) => host.handle_datagram(seat, &bytes, then),
+                }
+                host.turn(then, wires);
             }
-            Arrived::DatagramDown(bytes) => {
+            (Direction::Down, Arrived::Stream(bytes)) => {
+                guests[seat].handle_stream(&bytes, when_us);
+            }
+            (Direction::Down, Arrived::Datagram(bytes)) => {
                 guests[seat].handle_datagram(&bytes, when_us);
-                continue;
             }
         }
-        host.turn(then, wires);
     }
 }
 

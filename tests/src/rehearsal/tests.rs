@@ -45,7 +45,11 @@ fn one_seed_is_one_session_and_everybody_has_the_same_topology_in_the_end() {
     let profile = Profile::named("transatlantic").unwrap();
     let a = rehearse(&model, &scripts, &profile, 5);
     assert_eq!(a.troubles, Vec::<String>::new());
-    assert!(a.hashes_equal() && a.topologies[0].0 == 1, "{:?}", a.topologies);
+    assert!(
+        a.hashes_equal() && a.topologies[0].0 == 1,
+        "{:?}",
+        a.topologies
+    );
     let views: Vec<&Recording> = a.recordings.iter().collect();
     let d = Disagreement::between(&views);
     assert!(d.nodes.p95 < 0.05, "{:?}", d.nodes);

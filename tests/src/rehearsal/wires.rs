@@ -4,29 +4,22 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 
-use crate::relay::{Direction, Fates, Profile};
+use crate::network::{Direction, Path, Profile};
 
 /// Bytes of a stream that go as one packet.
 const SEGMENT_BYTES: usize = 1100;
 
 /// A lost segment is sent again after so long, µs: as a transport does that has seen a round trip of a
 /// quarter of a second. It is waited for; what came after it is kept.
-const AGAIN_US: i64 = 300_000;
-
-/// A datagram that is older than this was lost for good, whatever its fate says, µs.
-const LIFE_US: i64 = 60_000_000;
+const AGAIN_US: u64 = 300_000;
 
 /// What arrives.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Arrived {
-    /// At the server, in order.
-    StreamUp(Vec<u8>),
-    /// At the server.
-    DatagramUp(Vec<u8>),
-    /// At a participant, in order.
-    StreamDown(Vec<u8>),
-    /// At a participant.
-    DatagramDown(Vec<u8>),
+    /// Bytes of the operations stream, in order.
+    Stream(Vec<u8>),
+    /// A datagram.
+    Datagram(Vec<u8>),
 }
 
 /// What is on its way.
@@ -35,151 +28,175 @@ enum Packet {
     Datagram(Vec<u8>),
     /// Its place in the stream.
     Segment(u64, Vec<u8>),
+    /// It was lost; its sender notices, and sends it again.
+    Again(u64, Vec<u8>),
 }
 
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct OnTheWay {
-    at_us: i64,
+    at_us: u64,
     /// Of two that arrive together the one that was sent first comes first.
     order: u64,
     seat: usize,
-    is_up: bool,
+    direction: Direction,
     packet: Packet,
 }
 
 /// One direction of one session.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Way {
-    packets: u64,
-    last_us: i64,
+    path: Path,
     next_out: u64,
     next_in: u64,
     early: BTreeMap<u64, Vec<u8>>,
+    bytes: u64,
 }
 
 /// All sessions' wires.
 #[derive(Debug)]
 pub(super) struct Wires {
-    fates: Fates,
-    ways: BTreeMap<(usize, bool), Way>,
+    /// Of every seat, up and down.
+    ways: Vec<[Way; 2]>,
     queue: BinaryHeap<Reverse<OnTheWay>>,
     order: u64,
-    bytes: [u64; 2],
 }
 
 impl Wires {
-    pub(super) fn new(profile: &Profile, seed: u64) -> Self {
+    /// Wires for `seats` participants, each with a network of its own.
+    pub(super) fn new(profile: &Profile, seed: u64, seats: usize) -> Self {
+        let way = |seat: usize, direction| Way {
+            path: Path::new(profile, seed, seat as u64, direction),
+            next_out: 0,
+            next_in: 0,
+            early: BTreeMap::new(),
+            bytes: 0,
+        };
+        let both = |seat| [way(seat, Direction::Up), way(seat, Direction::Down)];
         Self {
-            fates: Fates::new(profile.clone(), seed),
-            ways: BTreeMap::new(),
+            ways: (0..seats).map(both).collect(),
             queue: BinaryHeap::new(),
             order: 0,
-            bytes: [0; 2],
         }
     }
 
-    pub(super) fn send_datagram_up(&mut self, seat: usize, bytes: Vec<u8>, at_us: i64) {
-        self.send(seat, true, Packet::Datagram(bytes), at_us);
+    fn way(&mut self, seat: usize, direction: Direction) -> &mut Way {
+        &mut self.ways[seat][usize::from(direction == Direction::Down)]
     }
 
-    pub(super) fn send_datagram_down(&mut self, seat: usize, bytes: Vec<u8>, at_us: i64) {
-        self.send(seat, false, Packet::Datagram(bytes), at_us);
+    /// Sends a datagram, which may get lost.
+    pub(super) fn send_datagram(
+        &mut self,
+        seat: usize,
+        direction: Direction,
+        bytes: Vec<u8>,
+        at_us: u64,
+    ) {
+        self.send(seat, direction, Packet::Datagram(bytes), at_us);
     }
 
-    pub(super) fn send_stream_up(&mut self, seat: usize, bytes: &[u8], at_us: i64) {
-        self.send_stream(seat, true, bytes, at_us);
-    }
-
-    pub(super) fn send_stream_down(&mut self, seat: usize, bytes: &[u8], at_us: i64) {
-        self.send_stream(seat, false, bytes, at_us);
-    }
-
-    fn send_stream(&mut self, seat: usize, is_up: bool, bytes: &[u8], at_us: i64) {
+    /// Sends bytes of the operations stream.
+    pub(super) fn send_stream(
+        &mut self,
+        seat: usize,
+        direction: Direction,
+        bytes: &[u8],
+        at_us: u64,
+    ) {
         for piece in bytes.chunks(SEGMENT_BYTES) {
-            let way = self.ways.entry((seat, is_up)).or_default();
+            let way = self.way(seat, direction);
             let n = way.next_out;
             way.next_out += 1;
-            self.send(seat, is_up, Packet::Segment(n, piece.to_vec()), at_us);
+            self.send(seat, direction, Packet::Segment(n, piece.to_vec()), at_us);
         }
     }
 
-    fn send(&mut self, seat: usize, is_up: bool, packet: Packet, at_us: i64) {
-        let direction = if is_up { Direction::Up } else { Direction::Down };
-        let is_reliable = matches!(packet, Packet::Segment(..));
+    fn send(&mut self, seat: usize, direction: Direction, packet: Packet, at_us: u64) {
         let len = match &packet {
-            Packet::Datagram(bytes) | Packet::Segment(_, bytes) => bytes.len(),
-        };
-        let mut sent_us = at_us;
-        let (copies, due_us) = loop {
-            let way = self.ways.entry((seat, is_up)).or_default();
-            let fate = self.fates.fate(seat as u64, direction, way.packets);
-            way.packets += 1;
-            self.bytes[usize::from(is_up)] += len as u64;
-            let mut due = sent_us + fate.delay_us as i64;
-            if fate.copies > 0 {
-                if !self.fates.profile().reorder && !is_reliable {
-                    due = due.max(way.last_us);
-                    way.last_us = due;
-                }
-                break (fate.copies, due);
-            }
-            sent_us += AGAIN_US;
-            if !is_reliable || sent_us - at_us > LIFE_US {
-                return;
+            Packet::Datagram(bytes) | Packet::Segment(_, bytes) | Packet::Again(_, bytes) => {
+                bytes.len()
             }
         };
-        for _ in 0..copies {
-            self.order += 1;
-            self.queue.push(Reverse(OnTheWay {
-                at_us: due_us,
-                order: self.order,
-                seat,
-                is_up,
-                packet: packet.clone(),
-            }));
+        let way = self.way(seat, direction);
+        way.bytes += len as u64;
+        let mut arrived = false;
+        // What is damaged fails its authentication, and is lost.
+        for arrival in way
+            .path
+            .send(at_us, len)
+            .into_iter()
+            .filter(|a| a.corrupted.is_none())
+        {
+            arrived = true;
+            self.put(arrival.at_us, seat, direction, packet.clone());
+        }
+        if let Packet::Segment(n, bytes) = packet
+            && !arrived
+        {
+            self.put(at_us + AGAIN_US, seat, direction, Packet::Again(n, bytes));
         }
     }
 
-    /// The next that has arrived by `until_us`: when, for or from which seat, and what.
-    pub(super) fn pop_due(&mut self, until_us: i64) -> Option<(i64, usize, Arrived)> {
-        while self.queue.peek().is_some_and(|Reverse(p)| p.at_us <= until_us) {
+    fn put(&mut self, at_us: u64, seat: usize, direction: Direction, packet: Packet) {
+        self.order += 1;
+        self.queue.push(Reverse(OnTheWay {
+            at_us,
+            order: self.order,
+            seat,
+            direction,
+            packet,
+        }));
+    }
+
+    /// The next that has arrived by `until_us`: when, at which end of whose session, and what.
+    pub(super) fn pop_due(&mut self, until_us: u64) -> Option<(u64, usize, Direction, Arrived)> {
+        while self
+            .queue
+            .peek()
+            .is_some_and(|Reverse(p)| p.at_us <= until_us)
+        {
             let Reverse(p) = self.queue.pop()?;
             let arrived = match p.packet {
-                Packet::Datagram(bytes) if p.is_up => Arrived::DatagramUp(bytes),
-                Packet::Datagram(bytes) => Arrived::DatagramDown(bytes),
-                Packet::Segment(n, bytes) => {
-                    let way = self.ways.entry((p.seat, p.is_up)).or_default();
-                    if n >= way.next_in {
-                        way.early.insert(n, bytes);
-                    }
-                    let mut whole = Vec::new();
-                    while let Some(next) = way.early.remove(&way.next_in) {
-                        way.next_in += 1;
-                        whole.extend(next);
-                    }
-                    if whole.is_empty() {
-                        continue;
-                    }
-                    if p.is_up {
-                        Arrived::StreamUp(whole)
-                    } else {
-                        Arrived::StreamDown(whole)
-                    }
+                Packet::Datagram(bytes) => Arrived::Datagram(bytes),
+                Packet::Again(n, bytes) => {
+                    self.send(p.seat, p.direction, Packet::Segment(n, bytes), p.at_us);
+                    continue;
                 }
+                Packet::Segment(n, bytes) => match self.way(p.seat, p.direction).take(n, bytes) {
+                    Some(whole) => Arrived::Stream(whole),
+                    None => continue,
+                },
             };
-            return Some((p.at_us, p.seat, arrived));
+            return Some((p.at_us, p.seat, p.direction, arrived));
         }
         None
     }
 
     /// Counts bytes from now on.
     pub(super) fn count_from_here(&mut self) {
-        self.bytes = [0; 2];
+        for way in self.ways.iter_mut().flatten() {
+            way.bytes = 0;
+        }
     }
 
-    /// Bytes of all participants, up and down; what was sent again counts again.
-    pub(super) fn counted(&self) -> (u64, u64) {
-        (self.bytes[1], self.bytes[0])
+    /// Bytes of all participants in a direction; what was sent again counts again.
+    pub(super) fn counted(&self, direction: Direction) -> u64 {
+        let of = |ways: &[Way; 2]| ways[usize::from(direction == Direction::Down)].bytes;
+        self.ways.iter().map(of).sum()
+    }
+}
+
+impl Way {
+    /// Takes a segment; gives what follows without a hole on what was given before.
+    fn take(&mut self, n: u64, bytes: Vec<u8>) -> Option<Vec<u8>> {
+        if n >= self.next_in {
+            self.early.insert(n, bytes);
+        }
+        let mut whole = Vec::new();
+        while let Some(next) = self.early.remove(&self.next_in) {
+            self.next_in += 1;
+            whole.extend(next);
+        }
+        (!whole.is_empty()).then_some(whole)
     }
 }
 
@@ -189,22 +206,20 @@ mod tests {
 
     #[test]
     fn a_stream_arrives_whole_and_in_order_over_a_network_that_loses_and_reorders() {
-        let mut wires = Wires::new(&Profile::named("lossy").unwrap(), 3);
+        let mut wires = Wires::new(&Profile::named("lossy").unwrap(), 3, 2);
         let sent: Vec<u8> = (0..40_000_u32).map(|i| (i % 251) as u8).collect();
         for (i, piece) in sent.chunks(97).enumerate() {
-            wires.send_stream_up(0, piece, i as i64 * 1000);
-            wires.send_datagram_up(0, vec![1], i as i64 * 1000);
+            let at_us = i as u64 * 1000;
+            wires.send_stream(1, Direction::Up, piece, at_us);
+            wires.send_datagram(1, Direction::Up, vec![1], at_us);
         }
-        let mut back = Vec::new();
-        let mut datagrams = 0;
-        let mut last = 0;
-        while let Some((at_us, seat, arrived)) = wires.pop_due(i64::MAX) {
-            assert!(at_us >= last && seat == 0);
+        let (mut back, mut datagrams, mut last) = (Vec::new(), 0, 0);
+        while let Some((at_us, seat, direction, arrived)) = wires.pop_due(u64::MAX) {
+            assert!(at_us >= last && seat == 1 && direction == Direction::Up);
             last = at_us;
             match arrived {
-                Arrived::StreamUp(bytes) => back.extend(bytes),
-                Arrived::DatagramUp(_) => datagrams += 1,
-                other => panic!("{other:?}"),
+                Arrived::Stream(bytes) => back.extend(bytes),
+                Arrived::Datagram(_) => datagrams += 1,
             }
         }
         assert_eq!(back, sent);
