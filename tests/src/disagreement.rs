@@ -139,6 +139,17 @@ impl Disagreement {
     }
 }
 
+/// Gives the distance in mm of every node that counts between two recordings, at every instant.
+pub fn each_node(a: &Recording, b: &Recording, mut give: impl FnMut(f32)) {
+    let mut views = Vec::new();
+    compare_views(a, b, &mut views);
+    for (_, distance) in views {
+        if let Distance::Node(mm) = distance {
+            give(mm);
+        }
+    }
+}
+
 fn course(views: &[(i64, Distance)]) -> Vec<CoursePoint> {
     let mut pieces: BTreeMap<i64, Vec<f32>> = BTreeMap::new();
     for (t, d) in views {

@@ -43,27 +43,39 @@ pub fn over_script(points: &[HapticPoint], started_us: i64) -> Vec<ForcePoint> {
         .collect()
 }
 
+/// The points of a course at which either side touches, with those of its reference; both in the
+/// order of time.
+fn touching(course: &[ForcePoint], reference: &[ForcePoint]) -> Vec<(ForcePoint, ForcePoint)> {
+    let mut index = 0;
+    let mut both = |p: &ForcePoint| {
+        let r = at(reference, &mut index, p.t_s)?;
+        let touches = norm(p.force_n).max(norm(r.force_n)) > CONTACT_N;
+        touches.then_some((*p, r))
+    };
+    course.iter().filter_map(&mut both).collect()
+}
+
+/// `|F - F_ref|` and `|F_ref|` over the contact, N.
+pub fn difference(course: &[ForcePoint], reference: &[ForcePoint]) -> Vec<(f64, f64)> {
+    let pair =
+        |(p, r): (ForcePoint, ForcePoint)| (norm(minus(p.force_n, r.force_n)), norm(r.force_n));
+    touching(course, reference).into_iter().map(pair).collect()
+}
+
 impl ForceError {
     /// Compares a course with its reference, both in the order of time. `None` without contact.
     pub fn between(course: &[ForcePoint], reference: &[ForcePoint]) -> Option<Self> {
-        let mut index = 0;
-        let (mut error, mut size, mut apart, mut count) = (0.0, 0.0, 0.0, 0_usize);
+        let (mut error, mut size, mut apart) = (0.0, 0.0, 0.0);
         let mut max_n = 0.0_f64;
-        for p in course {
-            let Some(r) = at(reference, &mut index, p.t_s) else {
-                continue;
-            };
-            let (f, g) = (norm(p.force_n), norm(r.force_n));
-            if f.max(g) <= CONTACT_N {
-                continue;
-            }
+        let pairs = touching(course, reference);
+        for (p, r) in &pairs {
             let e = norm(minus(p.force_n, r.force_n));
             error += e * e;
-            size += g * g;
+            size += norm(r.force_n).powi(2);
             apart += norm(minus(p.position_m, r.position_m)).powi(2);
             max_n = max_n.max(e);
-            count += 1;
         }
+        let count = pairs.len();
         let span = course.last()?.t_s - course.first()?.t_s;
         let step = span / (course.len().max(2) - 1) as f64;
         (size > 0.0).then(|| Self {

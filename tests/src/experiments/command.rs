@@ -11,8 +11,8 @@ use super::{ALL, Bench, Experiment, Outcome, gallery, named};
 use crate::bench::on_threads;
 use crate::cli::say;
 use crate::hand::Recorded;
+use crate::network::Profile;
 use crate::progress::Progress;
-use crate::relay::Profile;
 use crate::subject::Subject;
 
 /// Where everything goes when nothing is said.
@@ -25,6 +25,7 @@ Examples:
   palpate-lab run friction                       figures here, charts and tables in ./palpate-experiments
   palpate-lab run press --model thigh.palp --json
   palpate-lab run table-7-1 --motion hand.csv    a table time_s,x_m,y_m,z_m[,qw,qx,qy,qz]; rows in order of time
+  palpate-lab run replicas --seeds 1000 --profile satellite --json
   palpate-lab run mine.toml                      its experiment, and seed, profile, motion, model as lines of it;
                                                  what is said here as well counts more than what is said there
   palpate-lab all -o report                      every experiment, and report/index.html with all charts
@@ -48,7 +49,10 @@ pub struct RunArguments {
     /// Seed of what is left to chance [default: 1]
     #[arg(long)]
     seed: Option<u64>,
-    /// A network instead of the experiment's own ones
+    /// How many sessions with seeds of their own, where the experiment tries several
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    seeds: Option<u64>,
+    /// A network instead of the experiment's own ones: a name, or a file (.toml)
     #[arg(long)]
     profile: Option<String>,
     /// A recorded motion of a hand (CSV) instead of the experiment's own
@@ -99,6 +103,7 @@ fn experiment(name: &str) -> Result<Experiment, String> {
 struct Given {
     model: Option<std::sync::Arc<palpate_tissue::Model>>,
     seed: Option<u64>,
+    seeds: Option<u64>,
     profile: Option<Profile>,
     motion: Option<std::sync::Arc<Recorded>>,
 }
@@ -118,6 +123,7 @@ impl RunArguments {
         let recipe = Recipe {
             experiment: experiment.name.to_owned(),
             seed: self.seed.or(file.seed),
+            seeds: self.seeds.or(file.seeds),
             profile: self.profile.clone().or(file.profile),
             motion: self.motion.clone().or(file.motion),
             model: self.model.clone().or(file.model),
@@ -139,6 +145,11 @@ fn refuse_idle(experiment: Experiment, recipe: &Recipe) -> Result<(), String> {
             "seed",
             recipe.seed.is_some() && !takes.seed,
             "leaves nothing to chance",
+        ),
+        (
+            "seeds",
+            recipe.seeds.is_some() && !takes.seeds,
+            "is one run",
         ),
         (
             "profile",
@@ -175,10 +186,11 @@ pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
     let mut progress = Progress::new();
     let mut given = Given {
         seed: recipe.seed,
+        seeds: recipe.seeds,
         ..Given::default()
     };
     if let Some(name) = &recipe.profile {
-        given.profile = Some(Profile::named(name).map_err(|e| e.to_string())?);
+        given.profile = Some(Profile::parse(name).map_err(|e| e.to_string())?);
     }
     if let Some(file) = &recipe.motion {
         let hand = Recorded::load(Path::new(file)).map_err(|e| format!("{file}: {e}"))?;
@@ -251,6 +263,7 @@ fn made(
         experiment.run(&mut Bench {
             model: given.model,
             seed: given.seed.unwrap_or(SEED),
+            seeds: given.seeds,
             profile: given.profile,
             motion: given.motion,
             dir,

@@ -10,6 +10,7 @@ mod handle;
 mod leg_press;
 mod press;
 pub mod recipe;
+mod replicas;
 mod soft_hard;
 mod tool_paths;
 
@@ -20,8 +21,8 @@ use serde_json::Value;
 
 use crate::chart::{Chart, Line, Panel};
 use crate::hand::Recorded;
+use crate::network::Profile;
 use crate::place::Place;
-use crate::relay::Profile;
 use crate::trial::{Course, Trial};
 
 /// An experiment that can be asked for.
@@ -43,6 +44,8 @@ pub struct Takes {
     pub model: bool,
     /// A seed of what is left to chance.
     pub seed: bool,
+    /// How many seeds to try.
+    pub seeds: bool,
     /// A network.
     pub profile: bool,
     /// A recorded motion of a hand.
@@ -54,6 +57,7 @@ impl Takes {
     pub const NOTHING: Self = Self {
         model: false,
         seed: false,
+        seeds: false,
         profile: false,
         motion: false,
     };
@@ -66,7 +70,7 @@ impl Takes {
 }
 
 /// All of them, in the order in which they are run.
-pub const ALL: [Experiment; 6] = [
+pub const ALL: [Experiment; 7] = [
     Experiment {
         name: "soft-hard",
         about: "a ball on soft, on stiff tissue and between them (Lin 2007, fig 4.8)",
@@ -103,6 +107,18 @@ pub const ALL: [Experiment; 6] = [
         takes: Takes::MODELS,
         run: press::run,
     },
+    Experiment {
+        name: "replicas",
+        about: "two people press, cut and let go: how far apart are their shapes and forces, over networks to 400 ms",
+        takes: Takes {
+            model: true,
+            seed: true,
+            seeds: true,
+            profile: true,
+            motion: false,
+        },
+        run: replicas::run,
+    },
 ];
 
 /// The experiment of that name.
@@ -116,6 +132,8 @@ pub struct Bench<'a> {
     pub model: Option<std::sync::Arc<Model>>,
     /// The seed of everything that is left to chance.
     pub seed: u64,
+    /// How many seeds to try, where the experiment tries several.
+    pub seeds: Option<u64>,
     /// A network instead of the experiment's own ones.
     pub profile: Option<Profile>,
     /// A recorded motion instead of the experiment's own hand.

@@ -3,6 +3,7 @@
 //! ```toml
 //! experiment = "table-7-1"
 //! seed = 7                    # each of these only where the experiment takes it
+//! seeds = 100
 //! motion = "hand.csv"         # files are looked for beside this one
 //! profile = "transatlantic"
 //! model = "thigh"
@@ -12,7 +13,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-/// The largest file that is read, bytes: it names an experiment and four options.
+/// The largest file that is read, bytes: it names an experiment and its options.
 const BYTES_MAX: u64 = 64 << 10;
 
 /// What is to be run, and with what.
@@ -23,6 +24,8 @@ pub struct Recipe {
     pub experiment: String,
     /// Of everything that is left to chance.
     pub seed: Option<u64>,
+    /// How many seeds to try.
+    pub seeds: Option<u64>,
     /// The network.
     pub profile: Option<String>,
     /// A recorded motion (CSV).
