@@ -18,6 +18,7 @@
 //! The relay for real sockets, [`relay`](crate::relay), stands on the same [`Path`].
 
 mod checked;
+pub(crate) mod command;
 mod draw;
 mod link;
 mod path;
