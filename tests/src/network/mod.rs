@@ -27,6 +27,9 @@ mod trace;
 mod virtual_clock;
 mod virtual_network;
 
+#[cfg(test)]
+mod laws;
+
 pub use link::{Bursts, Jitter, Link, Outage, Outages, Rate, Step, Steps};
 pub use path::{
     Arrival, Arrivals, Corruption, DELAY_MAX_MS, Direction, HEADER_BYTES, Path, PathCounts,

@@ -41,7 +41,7 @@ pub(crate) struct Arguments {
 /// A number of seconds that is given, checked.
 fn seconds(name: &str, given: Option<f64>) -> Result<Option<Duration>, String> {
     match given {
-        Some(s) if !(s >= 1e-3 && s < 1e9) => Err(format!(
+        Some(s) if !(1e-3..1e9).contains(&s) => Err(format!(
             "{name} {s} must be a number of seconds from 0.001 to a billion"
         )),
         given => Ok(given.map(Duration::from_secs_f64)),
