@@ -221,3 +221,36 @@ fn a_relay_counts_what_it_passed_on() {
     );
     assert_eq!(lines[1]["sent"], 0);
 }
+
+#[test]
+fn a_profile_that_can_not_be_is_refused_with_its_line() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("mine.toml");
+    let path = file.display().to_string();
+    for (line, right) in [
+        ("delay_ms = -5.0", "from 0 to 60000"),
+        ("deley_ms = 5.0", "unknown field"),
+        ("loss = nan", "from 0 to 1"),
+    ] {
+        std::fs::write(&file, format!("name = \"mine\"\n[both]\n{line}\n")).unwrap();
+        let relay = ["relay", "--listen", "127.0.0.1:0", "--to", "127.0.0.1:9"];
+        let arguments = [&relay[..], &["--profile", &path]].concat();
+        refused(&arguments, 2, &["mine.toml", "line 3", right]);
+        refused(&["profiles", &path], 1, &["mine.toml", "line 3", right]);
+    }
+    refused(&["profiles", "metr"], 1, &["did you mean \"metro\"?"]);
+}
+
+#[test]
+fn a_printed_profile_is_a_file_to_begin_with() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("mine.toml");
+    let printed = run(&["profiles", "wifi-bursts"]);
+    assert!(printed.status.success());
+    std::fs::write(&file, &printed.stdout).unwrap();
+    let again = run(&["profiles", &file.display().to_string()]);
+    assert!(again.status.success());
+    assert_eq!(again.stdout, printed.stdout);
+    let list = String::from_utf8(run(&["profiles"]).stdout).unwrap();
+    assert!(list.contains("satellite") && list.contains("300 ms one way"));
+}

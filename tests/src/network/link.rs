@@ -159,16 +159,22 @@ pub struct Outage {
     pub to_s: f64,
 }
 
-/// A time within the period, when there is one.
-fn within(at_s: f64, repeat_s: Option<f64>) -> f64 {
-    repeat_s.map_or(at_s, |period| at_s.rem_euclid(period))
+/// Seconds in whole microseconds, in which things happen exactly when their file says.
+fn micros(s: f64) -> u64 {
+    (s * 1e6).round() as u64
+}
+
+/// A time within the period, when there is one; microseconds.
+fn within(at_us: u64, repeat_s: Option<f64>) -> u64 {
+    repeat_s.map_or(at_us, |period| at_us % micros(period).max(1))
 }
 
 impl Steps {
-    /// The delay at a time in seconds, in milliseconds; before the first step `otherwise`.
-    pub fn delay_ms(&self, at_s: f64, otherwise: f64) -> f64 {
-        let at_s = within(at_s, self.repeat_s);
-        let passed = self.delays.partition_point(|s| s.at_s <= at_s);
+    /// The delay at a time in microseconds after the network began, in milliseconds; before the
+    /// first step `otherwise`.
+    pub fn delay_ms(&self, at_us: u64, otherwise: f64) -> f64 {
+        let at_us = within(at_us, self.repeat_s);
+        let passed = self.delays.partition_point(|s| micros(s.at_s) <= at_us);
         passed
             .checked_sub(1)
             .map_or(otherwise, |last| self.delays[last].delay_ms)
@@ -176,10 +182,10 @@ impl Steps {
 }
 
 impl Outages {
-    /// Whether there is no link at a time in seconds.
-    pub fn covers(&self, at_s: f64) -> bool {
-        let at_s = within(at_s, self.repeat_s);
-        let begun = self.times.partition_point(|o| o.from_s <= at_s);
-        begun > 0 && at_s < self.times[begun - 1].to_s
+    /// Whether there is no link at a time in microseconds after the network began.
+    pub fn covers(&self, at_us: u64) -> bool {
+        let at_us = within(at_us, self.repeat_s);
+        let begun = self.times.partition_point(|o| micros(o.from_s) <= at_us);
+        begun > 0 && at_us < micros(self.times[begun - 1].to_s)
     }
 }

@@ -18,6 +18,7 @@
 //! The relay for real sockets, [`relay`](crate::relay), stands on the same [`Path`].
 
 mod checked;
+pub(crate) mod command;
 mod draw;
 mod link;
 mod path;
@@ -25,6 +26,9 @@ mod profile;
 mod trace;
 mod virtual_clock;
 mod virtual_network;
+
+#[cfg(test)]
+mod laws;
 
 pub use link::{Bursts, Jitter, Link, Outage, Outages, Rate, Step, Steps};
 pub use path::{

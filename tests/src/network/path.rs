@@ -151,8 +151,8 @@ impl Path {
         self.counts.sent += 1;
         // The state changes with every packet, whatever else becomes of it.
         let was_bad = self.change_state(n);
-        let at_s = self.now_us as f64 * 1e-6;
-        if self.link.outages.as_ref().is_some_and(|o| o.covers(at_s)) {
+        let now_us = self.now_us;
+        if self.link.outages.as_ref().is_some_and(|o| o.covers(now_us)) {
             self.counts.in_outage += 1;
             return Arrivals::default();
         }
@@ -160,7 +160,7 @@ impl Path {
             self.counts.queue_full += 1;
             return Arrivals::default();
         };
-        let recorded = self.link.trace.as_ref().map(|t| t.at(at_s * 1e3));
+        let recorded = self.link.trace.as_ref().map(|t| t.at(now_us));
         let bursts = self.link.bursts.filter(|_| was_bad);
         let loss = bursts.map_or(self.link.loss, |b| b.loss);
         if self.draw.share(n, Purpose::Loss) < loss || recorded.is_some_and(|r| r.lost) {
@@ -168,8 +168,9 @@ impl Path {
             return Arrivals::default();
         }
         let steps = self.link.steps.as_ref();
-        let fixed_ms = steps.map_or(self.link.delay_ms, |s| s.delay_ms(at_s, self.link.delay_ms))
-            + recorded.map_or(0.0, |r| r.delay_ms)
+        let fixed_ms = steps.map_or(self.link.delay_ms, |s| {
+            s.delay_ms(now_us, self.link.delay_ms)
+        }) + recorded.map_or(0.0, |r| r.delay_ms)
             + bursts.map_or(0.0, |b| b.delay_ms);
         self.arrivals(n, leaves_us, fixed_ms)
     }

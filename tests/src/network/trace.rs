@@ -100,23 +100,31 @@ impl Trace {
         &self.rows
     }
 
-    /// After how long it begins again, milliseconds.
-    pub fn period_ms(&self) -> f64 {
+    /// After how long it begins again, microseconds.
+    pub fn period_us(&self) -> u64 {
         match *self.rows {
-            [.., ref before, ref last] => {
-                2.0 * last.time_ms - before.time_ms - self.rows[0].time_ms
+            [ref first, .., ref before, ref last] => {
+                (last.starts_us() - first.starts_us()) + (last.starts_us() - before.starts_us())
             }
+            [ref first, ref last] => 2 * (last.starts_us() - first.starts_us()),
             // One row is for ever; the length does not matter.
-            _ => 1.0,
+            _ => 1,
         }
     }
 
-    /// The row that a packet meets at a time after the network began: the last one not later.
-    pub fn at(&self, time_ms: f64) -> TraceRow {
-        let first_ms = self.rows[0].time_ms;
-        let time_ms = first_ms + time_ms.rem_euclid(self.period_ms());
-        let passed = self.rows.partition_point(|row| row.time_ms <= time_ms);
+    /// The row that a packet meets at a time after the network began, microseconds: the last one
+    /// not later.
+    pub fn at(&self, at_us: u64) -> TraceRow {
+        let at_us = self.rows[0].starts_us() + at_us % self.period_us().max(1);
+        let passed = self.rows.partition_point(|row| row.starts_us() <= at_us);
         self.rows[passed.max(1) - 1]
+    }
+}
+
+impl TraceRow {
+    /// Its time in whole microseconds, in which a row begins exactly where its file says.
+    fn starts_us(&self) -> u64 {
+        (self.time_ms * 1e3).round() as u64
     }
 }
 
@@ -137,10 +145,10 @@ fn rows_of(text: &str) -> Result<Vec<TraceRow>, (usize, String)> {
     for (n, line) in lines {
         let row = row_of(line).map_err(|why| (n, why))?;
         if let Some(last) = rows.last()
-            && row.time_ms <= last.time_ms
+            && row.starts_us() <= last.starts_us()
         {
             let why = format!(
-                "the time {} ms is not after {} ms of the row before: sort the rows by time",
+                "the time {} ms is not a microsecond after {} ms of the row before: sort the rows by time",
                 row.time_ms, last.time_ms
             );
             return Err((n, why));

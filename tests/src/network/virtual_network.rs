@@ -86,8 +86,14 @@ impl<T: Clone> VirtualNetwork<T> {
         }
     }
 
-    /// Gives a flow a network of its own, before its first packet or for those from now on.
+    /// Gives a flow a network of its own, before its first packet or for those from now on, which
+    /// count from 0 again. At most [`FLOWS_MAX`] flows have one; a further one is counted as
+    /// overflowed.
     pub fn set_profile(&mut self, flow: u64, profile: Profile) {
+        if self.own.len() >= FLOWS_MAX && !self.own.contains_key(&flow) {
+            self.overflowed += 1;
+            return;
+        }
         for direction in [Direction::Up, Direction::Down] {
             self.paths.remove(&(flow, direction));
         }
@@ -148,7 +154,7 @@ impl<T: Clone> VirtualNetwork<T> {
         path.map(Path::counts).unwrap_or_default()
     }
 
-    /// Packets for which there was no room; not part of their fates, and 0 in any sound run.
+    /// Packets and flows for which there was no room; not part of any fate, and 0 in a sound run.
     pub fn overflowed(&self) -> u64 {
         self.overflowed
     }
