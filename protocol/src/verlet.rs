@@ -173,10 +173,10 @@ pub fn interpolate(k0: Knot, k1: Knot, a0: Vec3, a1: Vec3, t: f64) -> Vec3 {
     map2(line, bend, |x, b| x - u * (1.0 - u) * gap * gap / 6.0 * b)
 }
 
-/// The cubic with the velocities `v0`, `v1` at its ends (Hermite), also beyond them.
+/// The cubic with the velocities `v0`, `v1` at its ends (Hermite).
 pub fn hermite(k0: Knot, k1: Knot, v0: Vec3, v1: Vec3, t: f64) -> Vec3 {
     let gap = (k1.t - k0.t).max(1e-6);
-    let u = (t - k0.t) / gap;
+    let u = ((t - k0.t) / gap).clamp(0.0, 1.0);
     let (u2, u3) = (u * u, u * u * u);
     let ends = map2(k0.x, k1.x, |x0, x1| {
         (2.0 * u3 - 3.0 * u2 + 1.0) * x0 + (3.0 * u2 - 2.0 * u3) * x1
@@ -185,6 +185,23 @@ pub fn hermite(k0: Knot, k1: Knot, v0: Vec3, v1: Vec3, t: f64) -> Vec3 {
         gap * ((u3 - 2.0 * u2 + u) * v0 + (u3 - u2) * v1)
     });
     map2(ends, slopes, |a, b| a + b)
+}
+
+/// Where the cubic of two samples and their velocities arrives: to be carried on as a [`Fit`] is. The cubic itself
+/// goes with the third power of time, and its third derivative is little but noise: 50 ms on it was 1.3 mm away from a
+/// hand of which a straight line is 0.4.
+pub fn end_of_cubic((k0, v0): (Knot, Vec3), (k1, v1): (Knot, Vec3)) -> Fit {
+    let gap = (k1.t - k0.t).max(1e-6);
+    let chord = velocity(k0, k1);
+    let slopes = map2(v0, v1, |v0, v1| 2.0 * v0 + 4.0 * v1);
+    Fit {
+        x: k1.x,
+        v: v1,
+        a: limited(
+            map2(slopes, chord, |s, c| (s - 6.0 * c) / gap),
+            ACCELERATION_MAX,
+        ),
+    }
 }
 
 #[cfg(test)]
@@ -275,6 +292,8 @@ mod tests {
     #[test]
     fn a_cubic_with_its_velocities_is_interpolated_exactly() {
         let v = |t: f64| [3.0 * t * t, -1.0, t];
+        let end = end_of_cubic((cubic(0.1), v(0.1)), (cubic(0.4), v(0.4)));
+        assert!((end.a[0] - 6.0 * 0.4).abs() < 1e-9 && (end.a[2] - 1.0).abs() < 1e-9);
         let got = hermite(cubic(0.1), cubic(0.4), v(0.1), v(0.4), 0.2);
         for (got, want) in got.iter().zip(cubic(0.2).x) {
             assert!((got - want).abs() < 1e-12);

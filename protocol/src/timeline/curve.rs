@@ -271,10 +271,7 @@ impl Curve {
                 let (Some(v0), Some(v1)) = (before, self.fit_before(i, newest)) else {
                     return straight;
                 };
-                let on = |s: f64| verlet::hermite(km, k1, v0.v, v1.v, s);
-                let h = 1e-4;
-                let v = verlet::map2(on(s - h), on(s + h), |a, b| (b - a) / (2.0 * h));
-                (on(s), v)
+                verlet::end_of_cubic((km, v0.v), (k1, v1.v)).on(s)
             }
         }
     }
