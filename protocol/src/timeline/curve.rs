@@ -256,7 +256,6 @@ impl Curve {
         let newest = self.samples[i].time;
         match self.method {
             Method::Hold => (k1.x, [0.0; 3]),
-            Method::Linear => straight,
             Method::Verlet => self.fit_before(i, newest).map_or(straight, |f| f.on(s)),
             Method::VerletRaw if i >= 2 => {
                 let (k0, km) = (self.knot(i - 2, newest), self.knot(i - 1, newest));
@@ -265,7 +264,7 @@ impl Curve {
                 let v = verlet::map2(v, a, |v, a| v + a * (s - 0.5 * km.t));
                 (verlet::extrapolate(km, k1, a, s), v)
             }
-            Method::VerletRaw => straight,
+            Method::Linear | Method::VerletRaw => straight,
             Method::Hermite => {
                 let before = self.behind(i).and_then(|m| self.fit_before(m, newest));
                 let (Some(v0), Some(v1)) = (before, self.fit_before(i, newest)) else {
