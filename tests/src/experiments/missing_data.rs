@@ -1,5 +1,7 @@
 //! A stretch of a hand's motion with a gap, and what each method makes of it (Lin 2007, fig 6.9).
 
+use std::fmt::Write as _;
+
 use palpate_protocol::timeline::{Method, Timeline};
 use palpate_protocol::{ServerTime, Span};
 use serde_json::{Value, json};
@@ -71,12 +73,14 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
                     .pose
                     .position_m;
                 let error = 1e3 * distance(at, sampled.truth(t));
-                table.push_str(&format!(
-                    "{kind},{},{},{},{error}\n",
+                // Writing to a string can not fail.
+                let _ = writeln!(
+                    table,
+                    "{kind},{},{},{},{error}",
                     method.name(),
                     ms(t),
                     place(at)
-                ));
+                );
                 course.0.push((ms(t), place(at)));
                 course.1.push((ms(t), error));
             }

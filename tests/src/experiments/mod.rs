@@ -40,6 +40,8 @@ pub struct Experiment {
 }
 
 /// The options that an experiment takes.
+// Four options that have nothing to do with each other, and no states of one thing.
+#[allow(clippy::struct_excessive_bools)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Takes {
     /// Another model than its own.
