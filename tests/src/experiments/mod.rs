@@ -8,10 +8,13 @@ mod friction;
 pub mod gallery;
 mod handle;
 mod leg_press;
+mod missing_data;
 mod press;
 pub mod recipe;
 mod replicas;
+mod samples;
 mod soft_hard;
+mod table_7_1;
 mod tool_paths;
 
 use std::path::Path;
@@ -20,7 +23,7 @@ use palpate_tissue::{Model, Topology};
 use serde_json::Value;
 
 use crate::chart::{Chart, Line, Panel};
-use crate::hand::Recorded;
+use crate::hand::{Hand, Random, Recorded, Temper};
 use crate::network::Profile;
 use crate::place::Place;
 use crate::trial::{Course, Trial};
@@ -38,6 +41,8 @@ pub struct Experiment {
 }
 
 /// The options that an experiment takes.
+// Four options that have nothing to do with each other, and no states of one thing.
+#[allow(clippy::struct_excessive_bools)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Takes {
     /// Another model than its own.
@@ -67,10 +72,17 @@ impl Takes {
         model: true,
         ..Self::NOTHING
     };
+
+    /// A hand: a recorded one, or the seed of a random one.
+    pub const HANDS: Self = Self {
+        seed: true,
+        motion: true,
+        ..Self::NOTHING
+    };
 }
 
 /// All of them, in the order in which they are run.
-pub const ALL: [Experiment; 7] = [
+pub const ALL: [Experiment; 9] = [
     Experiment {
         name: "soft-hard",
         about: "a ball on soft, on stiff tissue and between them (Lin 2007, fig 4.8)",
@@ -119,6 +131,18 @@ pub const ALL: [Experiment; 7] = [
         },
         run: replicas::run,
     },
+    Experiment {
+        name: "table-7-1",
+        about: "what is made up for missing samples of a hand, against its true motion (table 7.1)",
+        takes: Takes::HANDS,
+        run: table_7_1::run,
+    },
+    Experiment {
+        name: "missing-data",
+        about: "one gap in a hand's motion, as every method fills it (fig 6.9)",
+        takes: Takes::HANDS,
+        run: missing_data::run,
+    },
 ];
 
 /// The experiment of that name.
@@ -148,6 +172,14 @@ impl Bench<'_> {
     /// Makes a trial and says so.
     fn run(&mut self, what: &str, trial: &Trial) -> Course {
         trial.run(&mut |done| (self.progress)(what, done))
+    }
+
+    /// The hand asked for, or a random one of 87 mm/s with a tremor of 0.1 mm.
+    fn hand(&self) -> std::sync::Arc<dyn Hand> {
+        match &self.motion {
+            Some(recorded) => std::sync::Arc::<Recorded>::clone(recorded),
+            None => std::sync::Arc::new(Random::new(Temper::default(), self.seed)),
+        }
     }
 
     /// The model asked for, or a built-in sample.

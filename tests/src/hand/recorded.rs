@@ -237,7 +237,7 @@ mod tests {
                 "\"force_n\" in place of qw",
             ),
             (GOOD.replace(",z_m", ""), "z_m is missing"),
-            (GOOD[..GOOD.len() - 24].to_owned(), "there are 2 rows"),
+            (GOOD[..GOOD.len() - 26].to_owned(), "there are 2 rows"),
             (String::new(), "line 1"),
             (
                 "time_s,x_m,y_m,z_m,qw,qx,qy,qz\n0,0,0,0,0,0,0,0\n".to_owned(),

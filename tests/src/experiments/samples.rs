@@ -1,0 +1,72 @@
+//! A hand's motion as a stream of samples brings it, beside what it truly is.
+
+use palpate_protocol::datagram::POSITION_STEP_M;
+use palpate_protocol::timeline::Timeline;
+use palpate_protocol::{Pose, ServerTime, ToolSample};
+
+use crate::hand::Hand;
+
+/// Samples before a gap that any method may look at, µs.
+pub(super) const HISTORY_US: i64 = 60_000;
+
+/// A hand and how often it is sampled.
+pub(super) struct Sampled<'a> {
+    hand: &'a dyn Hand,
+    pub(super) period_us: i64,
+    end_us: i64,
+}
+
+impl<'a> Sampled<'a> {
+    /// A hand that is sampled so often. Only the first hour of it is looked at.
+    pub(super) fn new(hand: &'a dyn Hand, rate_hz: u32) -> Result<Self, String> {
+        let end_us = (hand.length_s().min(3600.0) * 1e6) as i64;
+        let sampled = Self {
+            hand,
+            period_us: 1_000_000 / i64::from(rate_hz),
+            end_us,
+        };
+        sampled.room(HISTORY_US)?;
+        Ok(sampled)
+    }
+
+    /// The first and the last moment, µs, at which there is history before and `after_us` beyond.
+    pub(super) fn room(&self, after_us: i64) -> Result<(i64, i64), String> {
+        let last = self.end_us - after_us - HISTORY_US;
+        if last < 2 * HISTORY_US {
+            return Err(format!(
+                "the motion lasts {:.3} s; {:.3} s are needed for samples before and after a gap",
+                self.end_us as f64 * 1e-6,
+                (after_us + 3 * HISTORY_US) as f64 * 1e-6
+            ));
+        }
+        Ok((2 * HISTORY_US, last))
+    }
+
+    /// Where the hand truly is, m.
+    pub(super) fn truth(&self, t_us: i64) -> [f64; 3] {
+        self.hand.at(t_us as f64 * 1e-6).position_m
+    }
+
+    /// Puts the samples from one moment to another, both included, into a timeline, as the wire rounds them.
+    pub(super) fn fill(&self, timeline: &mut Timeline, from_us: i64, until_us: i64) {
+        // Counted back from the end, so that the last one is known to the moment.
+        let n = (until_us - from_us) / self.period_us;
+        for k in (0..=n).rev() {
+            let t_us = until_us - k * self.period_us;
+            let pose = self.hand.at(t_us as f64 * 1e-6);
+            let position_m = pose
+                .position_m
+                .map(|x| (x / POSITION_STEP_M).round() * POSITION_STEP_M);
+            timeline.insert(ToolSample {
+                time: ServerTime::from_micros(t_us),
+                pose: Pose { position_m, ..pose },
+                ..ToolSample::default()
+            });
+        }
+    }
+}
+
+/// Between two places, m.
+pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>()).sqrt()
+}

@@ -1,0 +1,359 @@
+//! How far each method of making up samples is from a hand's true motion (Lin 2007, table 7.1; only its caption is
+//! known, so lengths of gaps and packet rates are ours).
+//!
+//! Gaps are spread over the motion, each at a random moment of its share, so that no period of motion and gaps agrees.
+//! Before a gap 60 ms of samples are known, rounded as on the wire; for interpolation also 60 ms after it, which begin at
+//! the first whole period at or beyond the gap's end. What the timeline answers is compared with the motion itself,
+//! every half millisecond of the gap.
+//!
+//! Force is what a tool would feel that is pressed into tissue of one stiffness k, whose surface is a plane through the
+//! motion's mean, across the axis along which it moves most: F = k max(0, depth). The percentage is the root mean
+//! square of the error of F over that of F where the hand truly is; k cancels out of it.
+
+use std::fmt::Write as _;
+
+use palpate_protocol::timeline::{Method, Timeline};
+use palpate_protocol::{ServerTime, Span};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use serde_json::{Value, json};
+
+use super::samples::{HISTORY_US, Sampled, distance};
+use super::{Bench, Outcome, line};
+use crate::chart::{BLUE, Chart, GREEN, GREY, ORANGE, Panel};
+use crate::hand::Hand;
+
+/// Lengths of gaps, ms.
+const GAPS_MS: [i64; 6] = [5, 10, 20, 33, 50, 100];
+
+/// Samples per second.
+const RATES_HZ: [u32; 4] = [100, 250, 500, 1000];
+
+/// Gaps of each length and rate.
+const GAPS: usize = 300;
+
+/// From one moment asked for to the next, µs.
+const STEP_US: i64 = 500;
+
+/// Of how much of an endless motion, µs.
+const LONGEST_US: i64 = 300_000_000;
+
+/// Lines of extrapolation and of interpolation above this are cut off in the pictures, mm: hold's would flatten all
+/// others.
+const DRAWN_MAX_MM: [f64; 2] = [1.2, 0.25];
+
+/// A line of the table.
+#[derive(Debug, Clone, Copy)]
+struct Row {
+    interpolation: bool,
+    method: Method,
+    rate_hz: u32,
+    gap_ms: i64,
+    rms_mm: f64,
+    max_mm: f64,
+    force_percent: f64,
+    n: usize,
+}
+
+impl Row {
+    fn kind(&self) -> &'static str {
+        if self.interpolation {
+            "interpolation"
+        } else {
+            "extrapolation"
+        }
+    }
+
+    fn json(&self) -> Value {
+        json!({
+            "kind": self.kind(), "method": self.method.name(), "rate_hz": self.rate_hz, "gap_ms": self.gap_ms,
+            "rms_mm": self.rms_mm, "max_mm": self.max_mm, "force_percent": self.force_percent, "n": self.n,
+        })
+    }
+}
+
+/// Errors of one row on their way.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sum {
+    squares: f64,
+    max: f64,
+    force_squares: f64,
+    true_force_squares: f64,
+    n: usize,
+}
+
+impl Sum {
+    /// `shown` and `truth` in m; `wall` says how deep a place is.
+    fn add(&mut self, shown: [f64; 3], truth: [f64; 3], wall: impl Fn([f64; 3]) -> f64) {
+        let error = distance(shown, truth);
+        self.squares += error * error;
+        self.max = self.max.max(error);
+        self.force_squares += (wall(shown) - wall(truth)).powi(2);
+        self.true_force_squares += wall(truth).powi(2);
+        self.n += 1;
+    }
+
+    fn row(&self, interpolation: bool, method: Method, rate_hz: u32, gap_ms: i64) -> Row {
+        let share = self.force_squares / self.true_force_squares.max(f64::MIN_POSITIVE);
+        Row {
+            interpolation,
+            method,
+            rate_hz,
+            gap_ms,
+            rms_mm: 1e3 * (self.squares / self.n.max(1) as f64).sqrt(),
+            max_mm: 1e3 * self.max,
+            force_percent: 100.0 * share.sqrt(),
+            n: self.n,
+        }
+    }
+}
+
+/// The plane that stands for tissue, and how fast the hand moves.
+#[derive(Debug, Clone, Copy)]
+struct Overall {
+    axis: usize,
+    surface_m: f64,
+    speed_rms_m_s: f64,
+}
+
+impl Overall {
+    fn of(sampled: &Sampled<'_>) -> Result<Self, String> {
+        const AT_US: i64 = 7_310;
+        let (first, last) = sampled.room(0)?;
+        let places: Vec<[f64; 3]> = (first..=last.min(LONGEST_US))
+            .step_by(AT_US as usize)
+            .map(|t| sampled.truth(t))
+            .collect();
+        let n = places.len() as f64;
+        let mean = |axis: usize| places.iter().map(|p| p[axis]).sum::<f64>() / n;
+        let spread = |axis: usize| {
+            let mean = mean(axis);
+            places.iter().map(|p| (p[axis] - mean).powi(2)).sum::<f64>()
+        };
+        let axis = (0..3)
+            .max_by(|a, b| spread(*a).total_cmp(&spread(*b)))
+            .unwrap_or(0);
+        let way = |p: &[[f64; 3]]| distance(p[0], p[1]).powi(2);
+        let squares = places.windows(2).map(way).sum::<f64>() / (n - 1.0).max(1.0);
+        Ok(Self {
+            axis,
+            surface_m: mean(axis),
+            speed_rms_m_s: squares.sqrt() / (AT_US as f64 * 1e-6),
+        })
+    }
+
+    fn depth(&self, at: [f64; 3]) -> f64 {
+        (self.surface_m - at[self.axis]).max(0.0)
+    }
+}
+
+pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    let hand = bench.hand();
+    let seed = bench.seed;
+    let mut said = |share| (bench.progress)("gaps", share);
+    let (rows, overall) = rows(&*hand, seed, GAPS, &mut said)?;
+    let mut table = String::from("kind,method,rate_hz,gap_ms,rms_mm,max_mm,force_percent,n\n");
+    for r in &rows {
+        // Writing to a string can not fail.
+        let _ = writeln!(
+            table,
+            "{},{},{},{},{:.6},{:.6},{:.4},{}",
+            r.kind(),
+            r.method.name(),
+            r.rate_hz,
+            r.gap_ms,
+            r.rms_mm,
+            r.max_mm,
+            r.force_percent,
+            r.n
+        );
+    }
+    let listed: Vec<Value> = rows.iter().map(Row::json).collect();
+    Ok(Outcome {
+        caption: "Errors of what is made up for missing samples, against the motion itself. The stream is rounded to 0.01 mm as on the wire. Each \
+                  method is shown as far as the gap goes; in a session what is beyond 50 ms is held. Force is that of a spring behind \
+                  a plane through the motion's mean, in percent of its own root mean square. Lines end where they leave the picture."
+            .to_owned(),
+        figures: json!({
+            "experiment": "table-7-1", "seed": seed, "speed_rms_mm_s": 1e3 * overall.speed_rms_m_s, "rows": listed,
+        }),
+        charts: vec![("table-7-1".to_owned(), chart(&rows))],
+        tables: vec![("table-7-1".to_owned(), table)],
+    })
+}
+
+/// The whole table.
+fn rows(
+    hand: &dyn Hand,
+    seed: u64,
+    gaps: usize,
+    said: &mut dyn FnMut(f64),
+) -> Result<(Vec<Row>, Overall), String> {
+    let mut rows = Vec::new();
+    let overall = Overall::of(&Sampled::new(hand, RATES_HZ[0])?)?;
+    let total = (RATES_HZ.len() * GAPS_MS.len()) as f64;
+    for (i, rate_hz) in RATES_HZ.into_iter().enumerate() {
+        let sampled = Sampled::new(hand, rate_hz)?;
+        for (k, gap_ms) in GAPS_MS.into_iter().enumerate() {
+            said((i * GAPS_MS.len() + k) as f64 / total);
+            let mut rng = Pcg64::seed_from_u64(seed);
+            let sums = sums(&sampled, overall, gap_ms, gaps, &mut rng)?;
+            for (s, interpolation) in sums.iter().zip([false, true]) {
+                for (sum, method) in s.iter().zip(Method::ALL) {
+                    rows.push(sum.row(interpolation, method, rate_hz, gap_ms));
+                }
+            }
+        }
+    }
+    rows.sort_by_key(|r| r.interpolation);
+    Ok((rows, overall))
+}
+
+/// Errors of each method, of extrapolation and of interpolation.
+fn sums(
+    sampled: &Sampled<'_>,
+    overall: Overall,
+    gap_ms: i64,
+    gaps: usize,
+    rng: &mut Pcg64,
+) -> Result<[[Sum; 5]; 2], String> {
+    let gap_us = gap_ms * 1000;
+    // The next sample comes a whole number of periods after the last.
+    let missing_us = (gap_us + sampled.period_us - 1) / sampled.period_us * sampled.period_us;
+    let (first, last) = sampled.room(missing_us + HISTORY_US)?;
+    let share = (last.min(LONGEST_US) - first) as f64 / gaps as f64;
+    let mut sums = [[Sum::default(); 5]; 2];
+    for k in 0..gaps {
+        let began = first + ((k as f64 + rng.random_range(0.0..1.0)) * share) as i64;
+        let truth: Vec<[f64; 3]> = (STEP_US..=missing_us)
+            .step_by(STEP_US as usize)
+            .map(|t| sampled.truth(began + t))
+            .collect();
+        for (m, method) in Method::ALL.into_iter().enumerate() {
+            let mut timeline = Timeline::new(method, Span::from_micros(missing_us));
+            sampled.fill(&mut timeline, began - HISTORY_US, began);
+            let mut beyond = timeline.clone();
+            sampled.fill(
+                &mut timeline,
+                began + missing_us,
+                began + missing_us + HISTORY_US,
+            );
+            for (truth, t) in truth.iter().zip((STEP_US..).step_by(STEP_US as usize)) {
+                let at = ServerTime::from_micros(began + t);
+                let mut add = |kind: usize, timeline: &mut Timeline| {
+                    if let Some(shown) = timeline.at(at) {
+                        sums[kind][m].add(shown.pose.position_m, *truth, |p| overall.depth(p));
+                    }
+                };
+                if t <= gap_us {
+                    add(0, &mut beyond);
+                }
+                if t < missing_us {
+                    add(1, &mut timeline);
+                }
+            }
+        }
+    }
+    Ok(sums)
+}
+
+/// The errors over the length of the gap, for the slowest and the fastest stream.
+fn chart(rows: &[Row]) -> Chart {
+    let panel = |interpolation: bool, rate_hz: u32| {
+        let lines = Method::ALL.into_iter().map(|method| {
+            let (colour, dashed) = match method {
+                Method::Hold => (GREY, true),
+                Method::Linear => (GREEN, false),
+                Method::VerletRaw => (ORANGE, true),
+                Method::Verlet => (BLUE, false),
+                Method::Hermite => (ORANGE, false),
+            };
+            let points = (rows.iter())
+                .filter(|r| r.interpolation == interpolation && r.rate_hz == rate_hz)
+                .filter(|r| r.method == method)
+                .map(|r| (r.gap_ms as f64, r.rms_mm))
+                .take_while(|p| p.1 <= DRAWN_MAX_MM[usize::from(interpolation)])
+                .collect();
+            super::Line {
+                dashed,
+                ..line(method.name(), colour, points)
+            }
+        });
+        Panel {
+            title: format!(
+                "{} at {rate_hz} Hz",
+                if interpolation {
+                    "Interpolation"
+                } else {
+                    "Extrapolation"
+                }
+            ),
+            y_label: "rms (mm)".to_owned(),
+            lines: lines.collect(),
+        }
+    };
+    Chart {
+        title: "Missing samples made up: distance to the true motion".to_owned(),
+        x_label: "length of the gap (ms)".to_owned(),
+        panels: vec![
+            panel(false, RATES_HZ[0]),
+            panel(false, RATES_HZ[3]),
+            panel(true, RATES_HZ[0]),
+            panel(true, RATES_HZ[3]),
+        ],
+        marks: Vec::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hand::{Random, Recorded, Temper};
+
+    fn table(hand: &dyn Hand, seed: u64, gaps: usize) -> Vec<Row> {
+        rows(hand, seed, gaps, &mut |_| ()).unwrap().0
+    }
+
+    fn beats(rows: &[Row], interpolation: bool, up_to_ms: i64) {
+        let of = |like: &Row, method: Method| {
+            let same = |r: &&Row| {
+                r.interpolation == like.interpolation
+                    && (r.rate_hz, r.gap_ms, r.method) == (like.rate_hz, like.gap_ms, method)
+            };
+            rows.iter().find(same).unwrap().rms_mm
+        };
+        let verlet = |r: &&Row| {
+            r.method == Method::Verlet && r.interpolation == interpolation && r.gap_ms <= up_to_ms
+        };
+        for row in rows.iter().filter(verlet) {
+            let (linear, hold) = (of(row, Method::Linear), of(row, Method::Hold));
+            assert!(
+                row.n > 0 && row.rms_mm < linear && linear < hold,
+                "{row:?}: {linear} {hold}"
+            );
+        }
+    }
+
+    #[test]
+    fn verlet_is_nearer_than_lines_in_every_row_whatever_the_seed() {
+        for seed in 1..=4 {
+            let rows = table(&Random::new(Temper::default(), seed), seed, 100);
+            beats(&rows, false, 50);
+            beats(&rows, true, 100);
+            let row = |r: &&Row| {
+                (r.interpolation, r.method, r.rate_hz, r.gap_ms)
+                    == (false, Method::Verlet, 1000, 10)
+            };
+            let found = rows.iter().find(row).unwrap();
+            assert!(found.rms_mm <= 0.02, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn the_table_of_a_motion_that_is_too_short_says_how_long_it_has_to_be() {
+        let text = "time_s,x_m,y_m,z_m\n0,0,0,0\n0.05,0,0,0\n0.1,0,0,0\n";
+        let hand = Recorded::parse(text).unwrap();
+        let said = rows(&hand, 1, 10, &mut |_| ()).unwrap_err();
+        assert!(said.contains("the motion lasts 0.100 s"), "{said}");
+    }
+}
