@@ -20,6 +20,11 @@ pub struct PathStats {
     pub sent_packets: u64,
     /// Packets of ours that were lost.
     pub lost_packets: u64,
+    /// Bytes sent as UDP payload, with everything that QUIC adds; the headers of IP and UDP, 28 bytes
+    /// a packet with IPv4, are not in it.
+    pub sent_bytes: u64,
+    /// Bytes received, counted alike.
+    pub received_bytes: u64,
     /// Datagrams that were not sent, because the buffer was full or the rate cap reached.
     pub skipped_datagrams: u64,
 }
@@ -93,11 +98,14 @@ impl Connection {
 
     /// How it does.
     pub fn stats(&self) -> PathStats {
-        let path = self.quic.stats().path;
+        let all = self.quic.stats();
+        let path = all.path;
         PathStats {
             rtt: path.rtt,
             sent_packets: path.sent_packets,
             lost_packets: path.lost_packets,
+            sent_bytes: all.udp_tx.bytes,
+            received_bytes: all.udp_rx.bytes,
             skipped_datagrams: self.skipped,
         }
     }
