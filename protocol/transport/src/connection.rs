@@ -5,6 +5,8 @@ use std::time::{Duration, Instant};
 
 use quinn::{RecvStream, SendStream, VarInt};
 
+use crate::TransportError;
+use crate::client::socket_towards;
 use crate::error::in_words;
 use crate::rate_cap::RateCap;
 
@@ -89,6 +91,19 @@ impl Connection {
             .await
             .map(Vec::from)
             .map_err(|e| in_words(&e))
+    }
+
+    /// Goes on from another socket of this host: after a change of network, when the old one is of
+    /// no use any more. The other side follows. A server's connections have no socket of their own.
+    pub fn rebind(&self) -> Result<(), TransportError> {
+        let Some(endpoint) = &self.endpoint else {
+            return Ok(());
+        };
+        let socket = socket_towards(self.quic.remote_address())?;
+        let address = socket.local_addr().unwrap_or(self.quic.remote_address());
+        endpoint
+            .rebind(socket)
+            .map_err(|source| TransportError::Bind { address, source })
     }
 
     /// A second grip on the same connection, for receiving datagrams while the stream is used.

@@ -1,5 +1,5 @@
 //! Nobody starves: two sessions that send all they may and a bulk flow share a narrow path.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 #[path = "support/relay.rs"]
 mod relay;
