@@ -29,6 +29,8 @@ pub struct PathStats {
     pub received_bytes: u64,
     /// Datagrams that were not sent, because the buffer was full or the rate cap reached.
     pub skipped_datagrams: u64,
+    /// Datagrams of the other side that were dropped unread: it sent more than any of ours does.
+    pub refused_datagrams: u64,
 }
 
 /// One connection with its operations stream. Give it to
@@ -39,6 +41,8 @@ pub struct Connection {
     pub(crate) recv: RecvStream,
     cap: RateCap,
     skipped: u64,
+    taking: RateCap,
+    refused: u64,
     /// A client's own endpoint lives as long as its connection.
     endpoint: Option<quinn::Endpoint>,
 }
@@ -53,8 +57,10 @@ impl Connection {
             quic,
             send,
             recv,
-            cap: RateCap::new(Instant::now()),
+            cap: RateCap::sending(Instant::now()),
             skipped: 0,
+            taking: RateCap::taking(Instant::now()),
+            refused: 0,
             endpoint,
         }
     }
@@ -84,7 +90,15 @@ impl Connection {
         sent
     }
 
-    /// The next datagram.
+    /// Whether a datagram of so many bytes is taken from the other side now; if not, it is counted
+    /// and is to be dropped.
+    pub(crate) fn takes(&mut self, len: usize) -> bool {
+        let taken = self.taking.take(len, Instant::now());
+        self.refused += u64::from(!taken);
+        taken
+    }
+
+    /// The next datagram, as it came. The drivers of sessions take no more than the cap.
     pub async fn read_datagram(&self) -> Result<Vec<u8>, String> {
         self.quic
             .read_datagram()
@@ -122,6 +136,7 @@ impl Connection {
             sent_bytes: all.udp_tx.bytes,
             received_bytes: all.udp_rx.bytes,
             skipped_datagrams: self.skipped,
+            refused_datagrams: self.refused,
         }
     }
 
