@@ -17,16 +17,19 @@
 //! ```text
 //! q > 15 ms and something was lost       a queue that overflows: loss by others' traffic and ours
 //! q > r_base + 100 ms                    a queue so deep that it does not even overflow
-//! l > 15 %                               heavy loss without any queue, over 2 s
+//! l > 10 %                               heavy loss without any queue, over 2 s
 //! ```
 //!
-//! and k becomes one less after two seconds without a queue. Loss alone below 15 % is the path's
-//! own (radio) and changes nothing, or motion would wait behind caution again. The floor alone
-//! would be unfair: it stands together with a cap on what the application may send ([`RateCap`]),
-//! with the back-off and with the breaker, so that a path that is truly too narrow is left to
-//! others. Measured, two sessions that send all they may and one Cubic flow on 10 Mbit/s with 64 KiB
-//! of queue: the Cubic flow gets 0.48 to 0.68 of it, every session 0.15 to 0.31. (With the floor alone
-//! it got 0.03.)
+//! and k becomes one less after two seconds without a queue, or later where returning failed. Loss
+//! alone below 10 % is the path's own (radio) and changes nothing, or motion would wait behind
+//! caution again. Heavy loss counts for who came when the queue was full already and does not know
+//! the path without it.
+//!
+//! The floor alone would be unfair: it stands together with a cap on what the application may send
+//! ([`RateCap`]), with the back-off and with the breaker, so that a path that is truly too narrow is
+//! left to others. Measured, two sessions that send all they may and one Cubic flow on 10 Mbit/s with
+//! 64 KiB of queue: the Cubic flow gets 0.57 to 0.69 of it, each session 0.15 to 0.21. (With the
+//! floor alone the Cubic flow got 0.03.)
 //!
 //! The rule is a reconstruction: loss counts as congestion only with a backlog, after Veno (Fu and
 //! Liew 2003); giving way to delay, after LEDBAT (RFC 6817).
@@ -72,6 +75,13 @@ const ROUND_MIN_PACKETS: u32 = 8;
 /// that it has just left.
 const RETURN: Duration = Duration::from_secs(2);
 
+/// ... and each return that fails doubles the wait for the next one, up to this. It fails when the
+/// floor must give way again within [`RETURN_FAILED`].
+const RETURN_MAX: Duration = Duration::from_secs(16);
+
+/// See [`RETURN_MAX`].
+const RETURN_FAILED: Duration = Duration::from_secs(6);
+
 /// `r_base` is the shortest round trip of the last one to two of these. A route may become longer;
 /// until this has passed, its delay is taken for a queue.
 const BASE_PERIOD: Duration = Duration::from_secs(30);
@@ -82,8 +92,8 @@ const BREAKER_PERIOD: Duration = Duration::from_secs(2);
 /// The share of bytes lost in a period that opens the breaker.
 const BREAKER_LOSS: f64 = 0.4;
 
-/// The share of bytes lost in a period that makes k one more. Three times what motion must stand.
-const LOSS_HEAVY: f64 = 0.15;
+/// The share of bytes lost in a period that makes k one more. Twice what motion must stand.
+const LOSS_HEAVY: f64 = 0.1;
 
 /// A period with fewer bytes than this says nothing.
 const BREAKER_MIN_BYTES: u64 = 32 * 1024;
@@ -161,6 +171,9 @@ struct Floor {
     /// k, and when it last grew or was seen to be needed.
     back_off: u32,
     back_off_since: Instant,
+    /// What stands for two seconds in the file's derivation, and when the floor last returned.
+    return_after: Duration,
+    returned_at: Option<Instant>,
     round: Round,
     base: Base,
     lost_at: Option<Instant>,
@@ -179,6 +192,8 @@ impl Floor {
             recovery_since: now,
             back_off: 0,
             back_off_since: now,
+            return_after: RETURN,
+            returned_at: None,
             round: Round::new(now),
             base: Base::new(now),
             lost_at: None,
@@ -211,6 +226,14 @@ impl Floor {
     }
 
     fn give_way(&mut self, now: Instant) {
+        if let Some(returned) = self.returned_at.take() {
+            let failed = now.saturating_duration_since(returned) < RETURN_FAILED;
+            self.return_after = if failed {
+                (2 * self.return_after).min(RETURN_MAX)
+            } else {
+                RETURN
+            };
+        }
         self.back_off = (self.back_off + 1).min(BACK_OFF_MAX);
         self.back_off_since = now;
         self.reno = WINDOW_MIN;
@@ -237,8 +260,11 @@ impl Floor {
         } else if queue > QUEUE_GONE {
             // Others are still there; what was given way stays given.
             self.back_off_since = now;
-        } else if now.saturating_duration_since(self.back_off_since) >= RETURN {
-            self.back_off = self.back_off.saturating_sub(1);
+        } else if now.saturating_duration_since(self.back_off_since) >= self.return_after {
+            if self.back_off > 0 {
+                self.back_off -= 1;
+                self.returned_at = Some(now);
+            }
             self.back_off_since = now;
         }
     }
@@ -346,7 +372,7 @@ mod tests {
         let mut now = Instant::now();
         let mut floor = Floor::new(now, 1200);
         for _ in 0..20 {
-            half_a_second(&mut floor, &mut now, |i| ms(50 + i * 7 % 40), 8);
+            half_a_second(&mut floor, &mut now, |i| ms(50 + i * 7 % 40), 14);
             assert!(floor.window() >= WINDOW_FLOOR);
         }
     }
