@@ -28,7 +28,7 @@
 //! The floor alone would be unfair: it stands together with a cap on what the application may send
 //! ([`RateCap`]), with the back-off and with the breaker, so that a path that is truly too narrow is
 //! left to others. Measured, two sessions that send all they may and one Cubic flow on 10 Mbit/s with
-//! 64 KiB of queue: the Cubic flow gets 0.57 to 0.69 of it, each session 0.15 to 0.21. (With the
+//! 64 KiB of queue: the Cubic flow gets 0.44 to 0.69 of it, each session 0.14 to 0.35. (With the
 //! floor alone the Cubic flow got 0.03.)
 //!
 //! The rule is a reconstruction: loss counts as congestion only with a backlog, after Veno (Fu and
