@@ -1,9 +1,10 @@
 //! How a client reaches the server of a join link.
 
-use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
+use std::sync::Arc;
 
 use palpate_protocol::JoinLink;
-use quinn::{ConnectionError, Endpoint};
+use quinn::{ConnectionError, Endpoint, TokioRuntime};
 
 use crate::TransportError;
 use crate::config::{self, ALPN_SESSION};
@@ -34,15 +35,16 @@ pub(crate) async fn reach(
     alpn: &[u8],
 ) -> Result<(Endpoint, quinn::Connection), TransportError> {
     let address = resolve(link).await?;
-    let local: SocketAddr = if address.is_ipv4() {
-        (Ipv4Addr::UNSPECIFIED, 0).into()
-    } else {
-        (Ipv6Addr::UNSPECIFIED, 0).into()
-    };
-    let endpoint = Endpoint::client(local).map_err(|source| TransportError::Bind {
-        address: local,
-        source,
-    })?;
+    let socket = socket_towards(address)?;
+    let local = socket.local_addr().unwrap_or(address);
+    let config = config::client_endpoint();
+    let endpoint =
+        Endpoint::new(config, None, socket, Arc::new(TokioRuntime)).map_err(|source| {
+            TransportError::Bind {
+                address: local,
+                source,
+            }
+        })?;
     let mut attempt = 1;
     loop {
         match try_once(&endpoint, link, address, alpn).await {
@@ -51,6 +53,19 @@ pub(crate) async fn reach(
             Ok(quic) => return Ok((endpoint, quic)),
         }
     }
+}
+
+/// A socket of this host that reaches `address`, at a port that the system chooses.
+pub(crate) fn socket_towards(address: SocketAddr) -> Result<UdpSocket, TransportError> {
+    let local: SocketAddr = if address.is_ipv4() {
+        (Ipv4Addr::UNSPECIFIED, 0).into()
+    } else {
+        (Ipv6Addr::UNSPECIFIED, 0).into()
+    };
+    UdpSocket::bind(local).map_err(|source| TransportError::Bind {
+        address: local,
+        source,
+    })
 }
 
 async fn resolve(link: &JoinLink) -> Result<SocketAddr, TransportError> {

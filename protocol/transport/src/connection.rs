@@ -5,6 +5,8 @@ use std::time::{Duration, Instant};
 
 use quinn::{RecvStream, SendStream, VarInt};
 
+use crate::TransportError;
+use crate::client::socket_towards;
 use crate::error::in_words;
 use crate::rate_cap::RateCap;
 
@@ -20,8 +22,15 @@ pub struct PathStats {
     pub sent_packets: u64,
     /// Packets of ours that were lost.
     pub lost_packets: u64,
+    /// Bytes sent as UDP payload, with everything that QUIC adds; the headers of IP and UDP, 28 bytes
+    /// a packet with IPv4, are not in it.
+    pub sent_bytes: u64,
+    /// Bytes received, counted alike.
+    pub received_bytes: u64,
     /// Datagrams that were not sent, because the buffer was full or the rate cap reached.
     pub skipped_datagrams: u64,
+    /// Datagrams of the other side that were dropped unread: it sent more than any of ours does.
+    pub refused_datagrams: u64,
 }
 
 /// One connection with its operations stream. Give it to
@@ -32,6 +41,8 @@ pub struct Connection {
     pub(crate) recv: RecvStream,
     cap: RateCap,
     skipped: u64,
+    taking: RateCap,
+    refused: u64,
     /// A client's own endpoint lives as long as its connection.
     endpoint: Option<quinn::Endpoint>,
 }
@@ -46,8 +57,10 @@ impl Connection {
             quic,
             send,
             recv,
-            cap: RateCap::new(Instant::now()),
+            cap: RateCap::sending(Instant::now()),
             skipped: 0,
+            taking: RateCap::taking(Instant::now()),
+            refused: 0,
             endpoint,
         }
     }
@@ -77,13 +90,34 @@ impl Connection {
         sent
     }
 
-    /// The next datagram.
+    /// Whether a datagram of so many bytes is taken from the other side now; if not, it is counted
+    /// and is to be dropped.
+    pub(crate) fn takes(&mut self, len: usize) -> bool {
+        let taken = self.taking.take(len, Instant::now());
+        self.refused += u64::from(!taken);
+        taken
+    }
+
+    /// The next datagram, as it came. The drivers of sessions take no more than the cap.
     pub async fn read_datagram(&self) -> Result<Vec<u8>, String> {
         self.quic
             .read_datagram()
             .await
             .map(Vec::from)
             .map_err(|e| in_words(&e))
+    }
+
+    /// Goes on from another socket of this host: after a change of network, when the old one is of
+    /// no use any more. The other side follows. A server's connections have no socket of their own.
+    pub fn rebind(&self) -> Result<(), TransportError> {
+        let Some(endpoint) = &self.endpoint else {
+            return Ok(());
+        };
+        let socket = socket_towards(self.quic.remote_address())?;
+        let address = socket.local_addr().unwrap_or(self.quic.remote_address());
+        endpoint
+            .rebind(socket)
+            .map_err(|source| TransportError::Bind { address, source })
     }
 
     /// A second grip on the same connection, for receiving datagrams while the stream is used.
@@ -93,12 +127,16 @@ impl Connection {
 
     /// How it does.
     pub fn stats(&self) -> PathStats {
-        let path = self.quic.stats().path;
+        let all = self.quic.stats();
+        let path = all.path;
         PathStats {
             rtt: path.rtt,
             sent_packets: path.sent_packets,
             lost_packets: path.lost_packets,
+            sent_bytes: all.udp_tx.bytes,
+            received_bytes: all.udp_rx.bytes,
             skipped_datagrams: self.skipped,
+            refused_datagrams: self.refused,
         }
     }
 

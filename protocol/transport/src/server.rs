@@ -1,13 +1,13 @@
 //! A listening socket: sessions are handed out, model transfers are served here.
 
 use std::io::ErrorKind;
-use std::net::SocketAddr;
+use std::net::{SocketAddr, UdpSocket};
 use std::sync::Arc;
 use std::time::Duration;
 
 use palpate_protocol::{Grant, ModelHash};
 use quinn::crypto::rustls::HandshakeData;
-use quinn::{Endpoint, Incoming, VarInt};
+use quinn::{Endpoint, Incoming, TokioRuntime, VarInt};
 use tokio::sync::{Mutex, Semaphore, mpsc};
 use tokio::task::JoinHandle;
 
@@ -52,7 +52,14 @@ impl Server {
             ErrorKind::AddrInUse => TransportError::PortTaken { address },
             _ => TransportError::Bind { address, source },
         };
-        let endpoint = Endpoint::server(config, address).map_err(at_address)?;
+        let socket = UdpSocket::bind(address).map_err(at_address)?;
+        let endpoint = Endpoint::new(
+            config::server_endpoint(),
+            Some(config),
+            socket,
+            Arc::new(TokioRuntime),
+        )
+        .map_err(at_address)?;
         let address = endpoint.local_addr().map_err(at_address)?;
         let (sender, receiver) = mpsc::channel(ACCEPTED_MAX);
         let listener = tokio::spawn(listen(endpoint.clone(), sender, models));

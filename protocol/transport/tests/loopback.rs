@@ -1,6 +1,9 @@
 //! Sessions over real quinn on the loopback interface.
 #![allow(clippy::unwrap_used)]
 
+#[path = "support/relay.rs"]
+mod relay;
+
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -22,6 +25,7 @@ use palpate_transport::{
     ClientCommand, ClientHandle, ModelSource, PeerHandle, PeerId, PeerInput, Server,
     ServerIdentity, TransportError, connect, fetch_model, spawn_client, spawn_peer,
 };
+use relay::{Relay, Way};
 use tokio::sync::mpsc;
 
 const ANY_PORT: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
@@ -386,4 +390,105 @@ async fn a_silent_address_is_given_up_with_a_sentence() {
     link.port = socket.local_addr().unwrap().port();
     let error = connect(&link).await.err().unwrap();
     assert!(matches!(error, TransportError::NoAnswer { .. }), "{error}");
+}
+
+/// The number in the next datagram.
+async fn next_number(connection: &palpate_transport::Connection) -> u64 {
+    let bytes = tokio::time::timeout(PATIENCE, connection.read_datagram())
+        .await
+        .unwrap()
+        .unwrap();
+    u64::from_le_bytes(bytes.try_into().unwrap())
+}
+
+/// Numbers from here to there, 4 ms apart, until one of them has arrived.
+async fn numbers_pass(
+    from: &mut palpate_transport::Connection,
+    to: &palpate_transport::Connection,
+    first: u64,
+) {
+    for n in first.. {
+        assert!(n < first + 5_000, "no datagram passes");
+        from.send_datagram(n.to_le_bytes().to_vec());
+        let soon = tokio::time::timeout(Duration::from_millis(4), next_number(to));
+        if soon.await.is_ok_and(|seen| seen >= first) {
+            return;
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_client_that_goes_on_from_another_socket_keeps_its_datagrams_and_its_stream() {
+    let (server, link) = serve();
+    let mut client = connect(&link).await.unwrap();
+    client.write(b"one").await.unwrap();
+    let mut served = server.accept().await.unwrap();
+    let mut buffer = [0; 16];
+    assert_eq!(served.read(&mut buffer).await.unwrap(), Some(3));
+    let old = served.remote_address();
+    for round in 1..=3 {
+        client.rebind().unwrap();
+        numbers_pass(&mut client, &served, round * 10_000).await;
+        numbers_pass(&mut served, &client, round * 10_000).await;
+        client.write(b"more").await.unwrap();
+        assert_eq!(served.read(&mut buffer).await.unwrap(), Some(4));
+        served.write(b"back").await.unwrap();
+        assert_eq!(client.read(&mut buffer).await.unwrap(), Some(4));
+    }
+    assert_ne!(served.remote_address().port(), old.port());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_session_goes_on_when_the_gateway_between_changes_its_port() {
+    let (server, mut link) = serve();
+    let path = Relay::start(
+        &[server.local_addr()],
+        Way::delayed(Duration::from_millis(10)),
+    );
+    link.port = path.addresses()[0].port();
+    let (sender, mut receiver) = mpsc::channel(1024);
+    let inbox = (sender, Instant::now());
+    let (peer, mut client) = admit(&server, &link, 1, &inbox, &mut receiver).await;
+    for id in 0..10 {
+        if id % 3 == 1 {
+            path.forget();
+        }
+        assert!(peer.send(operation(id)));
+        let now = client_clock(inbox.1)();
+        let samples = (0..4_i64).map(|i| LocalSample {
+            time: now - palpate_protocol::Span::from_millis(3 - i),
+            pose: Pose::IDENTITY,
+            ..LocalSample::default()
+        });
+        client
+            .commands
+            .send(ClientCommand::Motion(samples.collect()))
+            .await
+            .unwrap();
+        loop {
+            match next_event(&mut client).await {
+                ClientEvent::Operation(o) if o.id == OperationId(id) => break,
+                ClientEvent::Closed(why) => panic!("{why}"),
+                _ => {}
+            }
+        }
+    }
+    // Motion passes after the last change, by which everything earlier has arrived.
+    while receiver.try_recv().is_ok() {}
+    for _ in 0..500 {
+        let now = client_clock(inbox.1)();
+        let samples = (0..4_i64).map(|i| LocalSample {
+            time: now - palpate_protocol::Span::from_millis(3 - i),
+            ..LocalSample::default()
+        });
+        let motion = ClientCommand::Motion(samples.collect());
+        client.commands.send(motion).await.unwrap();
+        tokio::time::sleep(Duration::from_millis(4)).await;
+        match receiver.try_recv().map(|input| input.event) {
+            Ok(PeerEvent::Motion(_)) => return,
+            Ok(PeerEvent::Closed(why)) => panic!("{why}"),
+            _ => {}
+        }
+    }
+    panic!("no motion passes");
 }

@@ -134,8 +134,10 @@ pub(crate) async fn drive<M: Machine>(
         };
         match moved {
             Moved::Datagram(Ok(bytes)) => {
-                machine.handle_datagram(&bytes);
-                drain_datagrams(&mut machine, &datagrams).await;
+                if connection.takes(bytes.len()) {
+                    machine.handle_datagram(&bytes);
+                }
+                drain_datagrams(&mut machine, &mut connection, &datagrams).await;
             }
             Moved::Read(Ok(Some(n))) => machine.handle_stream(&buffer[..n]),
             Moved::Read(Ok(None)) => {
@@ -192,7 +194,11 @@ fn deliver<M: Machine>(
 }
 
 /// Takes what else has already arrived.
-async fn drain_datagrams<M: Machine>(machine: &mut M, datagrams: &quinn::Connection) {
+async fn drain_datagrams<M: Machine>(
+    machine: &mut M,
+    connection: &mut Connection,
+    datagrams: &quinn::Connection,
+) {
     for _ in 1..DATAGRAMS_PER_TURN {
         let next = tokio::select! {
             biased;
@@ -200,6 +206,8 @@ async fn drain_datagrams<M: Machine>(machine: &mut M, datagrams: &quinn::Connect
             () = std::future::ready(()) => None,
         };
         let Some(bytes) = next else { return };
-        machine.handle_datagram(&bytes);
+        if connection.takes(bytes.len()) {
+            machine.handle_datagram(&bytes);
+        }
     }
 }

@@ -1,0 +1,183 @@
+//! A peer that sends more than it may is heard no more than others, and harms nobody.
+#![allow(clippy::unwrap_used)]
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use palpate_protocol::handshake::Hello;
+use palpate_protocol::session::{ClientSession, PeerEvent};
+use palpate_protocol::tool::ToolDescription;
+use palpate_protocol::{ClientTime, Grant, JoinLink, Role, ServerTime};
+use palpate_transport::{
+    ModelSource, PeerHandle, PeerId, PeerInput, Server, ServerIdentity, connect, spawn_client,
+    spawn_peer,
+};
+use quinn::crypto::rustls::QuicClientConfig;
+use quinn::{Connection, Endpoint, RecvStream, SendStream};
+use rustls::pki_types::CertificateDer;
+use tokio::sync::mpsc;
+
+const ANY_PORT: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
+const PATIENCE: Duration = Duration::from_secs(20);
+const GRANT: Grant = Grant([9; 16]);
+
+/// What one connection may send, bytes per second; twice as much is sent here.
+const MAY: f64 = 1_250_000.0;
+
+/// How long it floods.
+const FLOOD: Duration = Duration::from_secs(2);
+
+fn hello(name: &str) -> Hello {
+    Hello {
+        name: name.to_owned(),
+        role: Role::Trainee,
+        grant: GRANT,
+        tool: Some(ToolDescription::probe(0.004)),
+        resume: None,
+    }
+}
+
+/// The inbox of a room, and what its peers put into it.
+struct Room {
+    server: Server,
+    link: JoinLink,
+    certificate: CertificateDer<'static>,
+    sender: mpsc::Sender<PeerInput>,
+    inbox: mpsc::Receiver<PeerInput>,
+    since: Instant,
+}
+
+impl Room {
+    fn open() -> Self {
+        let identity = ServerIdentity::generate().unwrap();
+        let models: ModelSource = Arc::new(|_, _| None);
+        let server = Server::bind(ANY_PORT, &identity, models).unwrap();
+        let link = JoinLink {
+            host: "127.0.0.1".to_owned(),
+            port: server.local_addr().port(),
+            role: Role::Trainee,
+            certificate: identity.certificate_hash(),
+            grant: GRANT,
+        };
+        let (sender, inbox) = mpsc::channel(1024);
+        Self {
+            server,
+            link,
+            certificate: identity.to_der().0.into(),
+            sender,
+            inbox,
+            since: Instant::now(),
+        }
+    }
+
+    async fn accept(&self, id: u64) -> PeerHandle {
+        let since = self.since;
+        let clock = move || ServerTime::from_micros(since.elapsed().as_micros() as i64);
+        let connection = self.server.accept().await.unwrap();
+        spawn_peer(connection, PeerId(id), clock, self.sender.clone())
+    }
+
+    /// Waits until this peer has introduced itself; nobody may be closed meanwhile.
+    async fn hears_hello_of(&mut self, id: u64) {
+        loop {
+            let input = tokio::time::timeout(PATIENCE, self.inbox.recv()).await;
+            let PeerInput { peer, event, .. } = input.unwrap().unwrap();
+            match event {
+                PeerEvent::Hello(_) if peer == PeerId(id) => return,
+                PeerEvent::Closed(why) => panic!("{peer:?} was closed: {why}"),
+                _ => {}
+            }
+        }
+    }
+}
+
+/// A connection like a client's, without the cap of our own on what it sends.
+async fn unbound(room: &Room) -> (Endpoint, Connection, SendStream, RecvStream) {
+    let mut roots = rustls::RootCertStore::empty();
+    roots.add(room.certificate.clone()).unwrap();
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let mut tls = rustls::ClientConfig::builder_with_provider(provider)
+        .with_protocol_versions(&[&rustls::version::TLS13])
+        .unwrap()
+        .with_root_certificates(roots)
+        .with_no_client_auth();
+    tls.alpn_protocols = vec![b"palpate/1".to_vec()];
+    let config = quinn::ClientConfig::new(Arc::new(QuicClientConfig::try_from(tls).unwrap()));
+    let endpoint = Endpoint::client(ANY_PORT).unwrap();
+    let connection = endpoint
+        .connect_with(config, room.server.local_addr(), "palpate")
+        .unwrap()
+        .await
+        .unwrap();
+    let (send, recv) = connection.open_bi().await.unwrap();
+    (endpoint, connection, send, recv)
+}
+
+/// Sends datagrams of `len` bytes, so many a second, for [`FLOOD`]; how many.
+async fn flood(connection: &Connection, len: usize, per_second: f64) -> u64 {
+    let start = Instant::now();
+    let mut sent = 0;
+    while start.elapsed() < FLOOD {
+        while (sent as f64) < start.elapsed().as_secs_f64() * per_second {
+            let bytes = vec![0xee; len].into();
+            connection.send_datagram_wait(bytes).await.unwrap();
+            sent += 1;
+        }
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    sent
+}
+
+/// One peer floods while another comes; then the first goes on as if nothing had been.
+async fn a_flood_is_capped_and_harms_nobody(len: usize, per_second: f64) {
+    let mut room = Room::open();
+    let (_endpoint, bad, mut send, mut recv) = unbound(&room).await;
+    let mut session = ClientSession::new(hello("loud"), ClientTime::ZERO).unwrap();
+    let preamble = session.poll_stream().unwrap();
+    send.write_all(&preamble).await.unwrap();
+    let loud = room.accept(1).await;
+
+    let flooding = tokio::spawn({
+        let bad = bad.clone();
+        async move { flood(&bad, len, per_second).await }
+    });
+    tokio::time::sleep(FLOOD / 2).await;
+    let since = Instant::now();
+    let clock = move || ClientTime::from_micros(since.elapsed().as_micros() as i64);
+    let other = ClientSession::new(hello("quiet"), clock()).unwrap();
+    let _quiet = spawn_client(connect(&room.link).await.unwrap(), other, clock);
+    let quiet_peer = room.accept(2).await;
+    room.hears_hello_of(2).await;
+    let sent = flooding.await.unwrap();
+
+    let mut buffer = [0; 1024];
+    while let Some(bytes) = session.poll_stream() {
+        send.write_all(&bytes).await.unwrap();
+    }
+    let n = recv.read(&mut buffer).await.unwrap().unwrap();
+    session.handle_stream(&buffer[..n], ClientTime::ZERO);
+    while let Some(bytes) = session.poll_stream() {
+        send.write_all(&bytes).await.unwrap();
+    }
+    room.hears_hello_of(1).await;
+
+    // Figures are renewed ten times a second.
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    let (loud, quiet) = (loud.stats(), quiet_peer.stats());
+    let taken = loud.link.noise.total();
+    assert!(loud.path.refused_datagrams > 0, "{loud:?}");
+    assert!(taken + loud.path.refused_datagrams <= sent, "{loud:?}");
+    assert!(taken < sent * 9 / 10, "{taken} of {sent} were taken");
+    assert_eq!(quiet.path.refused_datagrams, 0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_sends_twice_what_it_may_is_cut_to_the_cap_and_stays_in_the_session() {
+    a_flood_is_capped_and_harms_nobody(1100, 2.0 * MAY / 1100.0).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_flood_of_tiny_datagrams_is_cut_by_their_number() {
+    a_flood_is_capped_and_harms_nobody(1, 20_000.0).await;
+}
