@@ -200,6 +200,7 @@ fn welcome(info: ModelInfo, now: ServerTime, hello: &Hello) -> PeerMessage {
         roster,
         topology_version: 0,
         topology_hash: wire(Topology::new(Arc::new(model())).hash()),
+        first_operation: OperationId(0),
         operations_so_far: 0,
         compensation: CompensationSettings {
             mode: CompensationMode::Fixed,
@@ -207,7 +208,7 @@ fn welcome(info: ModelInfo, now: ServerTime, hello: &Hello) -> PeerMessage {
         },
         tick_hz: 250,
         session_started_at: None,
-        resume_token: [0; 16],
+        resume_token: ResumeToken([0; 16]),
     }))
 }
 

@@ -38,7 +38,7 @@ enum State {
 /// The server's end of one client's session: see [`crate::session`] for the calling order.
 ///
 /// Answer [`PeerEvent::Hello`] with [`PeerMessage::Welcome`] or [`PeerMessage::Refused`]; after the
-/// welcome send every operation of the log from number 0 and then each new one.
+/// welcome send every operation of the log from its `first_operation` and then each new one.
 pub struct ServerPeer {
     state: State,
     decoder: FrameDecoder<ClientMessage>,
@@ -269,7 +269,7 @@ impl ServerPeer {
                 self.decoder.set_limit(codec::FRAME_MAX_BYTES);
                 self.state = State::Joined {
                     participant: welcome.participant,
-                    next_operation: OperationId(0),
+                    next_operation: welcome.first_operation,
                 };
                 self.heard = now;
                 Ok(())

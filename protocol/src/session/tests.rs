@@ -14,7 +14,7 @@ use crate::request::RequestKind;
 use crate::timeline::Timeline;
 use crate::tool::ToolDescription;
 use crate::{
-    ClientTime, Epoch, Grant, LocalSample, ModelHash, OperationId, Pose, Role, ServerTime,
+    ClientTime, Epoch, Grant, LocalSample, ModelHash, OperationId, Pose, ResumeToken, Role, ServerTime,
     TopologyHash,
 };
 
@@ -190,6 +190,7 @@ impl Pair {
             roster: Vec::new(),
             topology_version: 0,
             topology_hash: TopologyHash(0),
+            first_operation: OperationId(0),
             operations_so_far: log,
             compensation: CompensationSettings {
                 mode: CompensationMode::Fixed,
@@ -197,7 +198,7 @@ impl Pair {
             },
             tick_hz: 250,
             session_started_at: None,
-            resume_token: [0; 16],
+            resume_token: ResumeToken([0; 16]),
         })));
         (0..log).for_each(|id| self.send(&operation(id)));
     }

@@ -68,6 +68,7 @@ fn welcome(participant: u16, operations_so_far: u64) -> PeerMessage {
         roster: Vec::new(),
         topology_version: 0,
         topology_hash: TopologyHash(1),
+        first_operation: OperationId(0),
         operations_so_far,
         compensation: CompensationSettings {
             mode: CompensationMode::None,
@@ -75,7 +76,7 @@ fn welcome(participant: u16, operations_so_far: u64) -> PeerMessage {
         },
         tick_hz: 250,
         session_started_at: None,
-        resume_token: [0; 16],
+        resume_token: ResumeToken([0; 16]),
     }))
 }
 
