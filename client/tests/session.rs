@@ -18,7 +18,7 @@ use palpate_protocol::session::{PeerEvent, PeerMessage};
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{
     CertificateHash, Epoch, Grant, JoinLink, ModelHash, ModelInfo, OperationId, ParticipantId,
-    Role, ServerTime, Span, TopologyHash,
+    ResumeToken, Role, ServerTime, Span, TopologyHash,
 };
 use palpate_tissue::{Material, Model, Topology, block, cut, encode_model};
 use palpate_transport::{
@@ -346,7 +346,11 @@ fn a_goodbye_is_a_normal_end() {
 #[test]
 fn a_server_that_dies_is_said_and_the_figures_are_kept() {
     let fake = Fake::start(Manner::Dies, false);
-    let error = palpate_client::run(&fake.options()).unwrap_err();
+    let options = JoinOptions {
+        reconnect: Duration::from_secs(1),
+        ..fake.options()
+    };
+    let error = palpate_client::run(&options).unwrap_err();
     assert!(matches!(error, ClientError::ServerLost { .. }), "{error}");
     assert!(error.summary().unwrap().ticks > 0);
     fake.stop();

@@ -16,8 +16,8 @@ use serde::{Deserialize, Serialize};
 use crate::operation::{CompensationSettings, Operation};
 use crate::tool::ToolDescription;
 use crate::{
-    Epoch, Grant, ModelHash, OperationId, ParticipantId, ProtocolError, ResumeToken, ServerTime, Span,
-    TopologyHash,
+    Epoch, Grant, ModelHash, OperationId, ParticipantId, ProtocolError, ResumeToken, ServerTime,
+    Span, TopologyHash,
 };
 
 /// The version that this crate speaks. It grows with every change of any message.

@@ -2,7 +2,7 @@ use palpate_protocol::operation::{CompensationMode, CompensationSettings, LeaveR
 use palpate_protocol::request::RequestRefused;
 use palpate_protocol::tool::ToolKind;
 use palpate_protocol::{
-    Epoch, ModelHash, ModelInfo, OperationId, Pose, RequestId, Role, ToolTrack,
+    Epoch, ModelHash, ModelInfo, OperationId, Pose, RequestId, ResumeToken, Role, ToolTrack,
 };
 use palpate_tissue::{Material, block};
 

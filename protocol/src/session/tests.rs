@@ -14,8 +14,8 @@ use crate::request::RequestKind;
 use crate::timeline::Timeline;
 use crate::tool::ToolDescription;
 use crate::{
-    ClientTime, Epoch, Grant, LocalSample, ModelHash, OperationId, Pose, ResumeToken, Role, ServerTime,
-    TopologyHash,
+    ClientTime, Epoch, Grant, LocalSample, ModelHash, OperationId, Pose, ResumeToken, Role,
+    ServerTime, TopologyHash,
 };
 
 const OFFSET_US: i64 = 42_000_000;

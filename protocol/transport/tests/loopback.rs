@@ -16,7 +16,7 @@ use palpate_protocol::session::{
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{
     CertificateHash, ClientTime, Epoch, Grant, JoinLink, LocalSample, ModelHash, ModelInfo,
-    OperationId, ParticipantId, Pose, Role, ServerTime, ToolTrack, TopologyHash,
+    OperationId, ParticipantId, Pose, ResumeToken, Role, ServerTime, ToolTrack, TopologyHash,
 };
 use palpate_transport::{
     ClientCommand, ClientHandle, ModelSource, PeerHandle, PeerId, PeerInput, Server,

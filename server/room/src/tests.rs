@@ -12,7 +12,8 @@ use palpate_protocol::request::{
 use palpate_protocol::session::{CloseReason, PeerDatagram, PeerEvent, PeerMessage};
 use palpate_protocol::tool::{ToolDescription, ToolKind};
 use palpate_protocol::{
-    Epoch, Grant, ModelHash, Pose, RequestId, ResumeToken, Role, ServerTime, Span, ToolSample, TopologyHash,
+    Epoch, Grant, ModelHash, Pose, RequestId, ResumeToken, Role, ServerTime, Span, ToolSample,
+    TopologyHash,
 };
 use palpate_tissue::{Material, Model, block};
 

@@ -162,7 +162,12 @@ fn another_token_another_name_or_another_number_takes_nobodys_seat() {
         participant: ParticipantId(77),
         ..seat
     };
-    let guesses = [("ann", wrong), ("bob", other), ("ann", nobody), ("eve", seat)];
+    let guesses = [
+        ("ann", wrong),
+        ("bob", other),
+        ("ann", nobody),
+        ("eve", seat),
+    ];
     for (peer, (name, resume)) in guesses.into_iter().enumerate() {
         room.handle_event(PeerKey(10 + peer as u64), back(name, resume), ms(1500));
         assert_eq!(
