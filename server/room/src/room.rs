@@ -13,12 +13,13 @@ use palpate_protocol::request::{
 use palpate_protocol::session::{PeerDatagram, PeerEvent, PeerMessage};
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{
-    OperationId, ParticipantId, RequestId, ServerTime, Span, ToolSample, ToolTrack, TopologyHash,
+    OperationId, ParticipantId, RequestId, ServerTime, Span, ToolSample, TopologyHash,
 };
 use palpate_tissue::{Model, Tool};
 
 use crate::authority::{Authority, TickReport};
 use crate::config::RoomConfig;
+use crate::fan_out::FanOut;
 use crate::participant::Participant;
 
 /// A change of the artificial delay takes effect so much later, so that everybody has heard of it.
@@ -67,6 +68,7 @@ pub struct Room {
     next_tick: ServerTime,
     next_correction: ServerTime,
     cuts: u64,
+    fan_out: FanOut,
     outputs: VecDeque<Output>,
 }
 
@@ -86,6 +88,7 @@ impl Room {
             next_tick: now,
             next_correction: now,
             cuts: 0,
+            fan_out: FanOut::default(),
             outputs: VecDeque::new(),
             config,
         }
@@ -205,23 +208,36 @@ impl Room {
             participant.delay.handle_arrival(newest.time, now, in_force);
         }
         self.start_if_due(now);
-        let tracks: Arc<[ToolTrack]> = Arc::from([ToolTrack {
-            participant: who,
-            samples,
-        }]);
-        for (peer, _) in self.by_peer.iter().filter(|(_, id)| **id != who) {
-            let datagram = PeerDatagram::Motion(Arc::clone(&tracks));
-            self.outputs.push_back(Output::Datagram(*peer, datagram));
+        self.fan_out.push(who, &samples);
+        self.send_motion(now);
+    }
+
+    /// Passes motion on, when its round has come, to all but its author.
+    fn send_motion(&mut self, now: ServerTime) {
+        let Some(tracks) = self.fan_out.poll(now) else {
+            return;
+        };
+        for (peer, id) in &self.by_peer {
+            if tracks.iter().any(|track| track.participant != *id) {
+                // The session leaves out its own participant's tool.
+                let datagram = PeerDatagram::Motion(Arc::clone(&tracks));
+                self.outputs.push_back(Output::Datagram(*peer, datagram));
+            }
         }
     }
 
     /// Brings the tissue to the newest moment of the common grid that is due, within what `stop`
-    /// allows. `None` when that moment has been settled already.
+    /// allows, and passes on what motion waits. `None` when no tick is due, or its moment has been settled
+    /// already.
     pub fn handle_tick(
         &mut self,
         now: ServerTime,
         stop: &mut dyn FnMut() -> bool,
     ) -> Option<TickReport> {
+        self.send_motion(now);
+        if now < self.next_tick {
+            return None;
+        }
         let period = self.config.tick_period();
         while self.next_tick <= now {
             self.next_tick = self.next_tick + period;
@@ -287,9 +303,10 @@ impl Room {
         }
     }
 
-    /// When the next tick is due.
+    /// When [`handle_tick`](Self::handle_tick) is due: for the next tick, or for motion that waits.
     pub fn poll_timeout(&self) -> ServerTime {
-        self.next_tick
+        let motion = self.fan_out.due();
+        motion.map_or(self.next_tick, |due| due.min(self.next_tick))
     }
 
     /// The next thing to send.

@@ -19,6 +19,7 @@ use palpate_tissue::{Material, Model, block};
 
 use crate::{Output, PeerKey, Room, RoomConfig};
 
+mod motion;
 mod seats;
 
 const TRAINEE: Grant = Grant([7; 16]);
@@ -30,6 +31,10 @@ fn model() -> Arc<Model> {
 }
 
 fn room(start_when_tools: u16) -> Room {
+    room_of(3, start_when_tools)
+}
+
+fn room_of(seats: u16, start_when_tools: u16) -> Room {
     let config = RoomConfig {
         epoch: Epoch(1),
         model: ModelInfo {
@@ -37,7 +42,7 @@ fn room(start_when_tools: u16) -> Room {
             bytes: 1,
         },
         grants: vec![(Role::Trainee, TRAINEE), (Role::Spectator, SPECTATOR)],
-        seats: 3,
+        seats,
         tick_hz: 50,
         compensation: CompensationSettings {
             mode: CompensationMode::Fixed,

@@ -113,6 +113,7 @@ impl Room {
         let before = std::mem::replace(&mut seat.place, Place::Here(peer));
         // What the dead connection may still have told of the tool does not go on with the new one.
         seat.forget_motion();
+        self.fan_out.remove(id);
         if let Place::Here(old) = before {
             // A dead connection that nobody noticed yet. Its end, when it comes, is nobody's.
             self.by_peer.remove(&old);
@@ -219,6 +220,7 @@ impl Room {
             self.by_peer.remove(&peer);
         }
         seat.forget_motion();
+        self.fan_out.remove(who);
         self.group.remove(who);
         self.append(who, OperationKind::Away { participant: who }, now);
     }
@@ -230,6 +232,7 @@ impl Room {
         if let Place::Here(peer) = gone.place {
             self.by_peer.remove(&peer);
         }
+        self.fan_out.remove(who);
         self.group.remove(who);
         let kind = OperationKind::Left {
             participant: who,
