@@ -40,6 +40,21 @@ enum State {
     Closed,
 }
 
+#[cfg(test)]
+impl ClientSession {
+    /// The states, in the words of the document of the states.
+    pub(super) const STATES: [&str; 4] = ["Preamble", "Hello", "Joined", "Closed"];
+
+    pub(super) fn state_name(&self) -> &'static str {
+        match self.state {
+            State::Preamble(_) => Self::STATES[0],
+            State::Hello => Self::STATES[1],
+            State::Joined(_) => Self::STATES[2],
+            State::Closed => Self::STATES[3],
+        }
+    }
+}
+
 struct Joined {
     participant: ParticipantId,
     next_operation: OperationId,

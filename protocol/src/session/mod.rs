@@ -154,4 +154,6 @@ pub enum PeerDatagram {
 }
 
 #[cfg(test)]
+mod states;
+#[cfg(test)]
 mod tests;

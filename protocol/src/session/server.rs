@@ -35,6 +35,22 @@ enum State {
     Closed,
 }
 
+#[cfg(test)]
+impl ServerPeer {
+    /// The states, in the words of the document of the states.
+    pub(super) const STATES: [&str; 5] = ["Preamble", "Hello", "Asked", "Joined", "Closed"];
+
+    pub(super) fn state_name(&self) -> &'static str {
+        match self.state {
+            State::Preamble(_) => Self::STATES[0],
+            State::Hello => Self::STATES[1],
+            State::Asked => Self::STATES[2],
+            State::Joined { .. } => Self::STATES[3],
+            State::Closed => Self::STATES[4],
+        }
+    }
+}
+
 /// The server's end of one client's session: see [`crate::session`] for the calling order.
 ///
 /// Answer [`PeerEvent::Hello`] with [`PeerMessage::Welcome`] or [`PeerMessage::Refused`]; after the

@@ -21,6 +21,7 @@ use crate::{Output, PeerKey, Room, RoomConfig};
 
 mod motion;
 mod seats;
+mod states;
 
 const TRAINEE: Grant = Grant([7; 16]);
 const SPECTATOR: Grant = Grant([9; 16]);
