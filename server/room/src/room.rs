@@ -99,7 +99,7 @@ impl Room {
         match (event, self.by_peer.get(&peer).copied()) {
             (PeerEvent::Hello(hello), None) => self.handle_hello(peer, hello, now),
             (PeerEvent::Request(request), Some(who)) => self.handle_request(who, request, now),
-            (PeerEvent::Motion(samples), Some(who)) => self.handle_motion(who, samples, now),
+            (PeerEvent::Motion(samples), Some(who)) => self.handle_motion(who, &samples, now),
             (PeerEvent::Delay(report), Some(who)) => self.group.handle_report(who, report),
             (PeerEvent::Closed(reason), Some(who)) => self.handle_leave(who, &reason, now),
             // A second hello is the session's business; the rest comes from nobody we know.
@@ -193,7 +193,7 @@ impl Room {
         }
     }
 
-    fn handle_motion(&mut self, who: ParticipantId, samples: Vec<ToolSample>, now: ServerTime) {
+    fn handle_motion(&mut self, who: ParticipantId, samples: &[ToolSample], now: ServerTime) {
         let in_force = self.schedule.delay_at(now);
         let Some(participant) = self.participants.get_mut(&who) else {
             return;
@@ -201,14 +201,14 @@ impl Room {
         if participant.tool.is_none() || samples.is_empty() {
             return;
         }
-        for sample in &samples {
+        for sample in samples {
             participant.timeline.insert(*sample);
         }
         if let Some(newest) = samples.last() {
             participant.delay.handle_arrival(newest.time, now, in_force);
         }
         self.start_if_due(now);
-        self.fan_out.push(who, &samples);
+        self.fan_out.push(who, samples);
         self.send_motion(now);
     }
 

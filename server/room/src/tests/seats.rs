@@ -58,15 +58,11 @@ fn cut(room: &mut Room, peer: PeerKey, now: ServerTime) {
 
 #[test]
 fn who_lost_the_connection_finds_number_role_tool_and_the_rest_of_the_log() {
-    let (mut room, seat) = two();
+    let (mut room, mut seat) = two();
     cut(&mut room, PeerKey(1), ms(200));
-    let seat = {
-        let mut seat = seat;
-        operations(&drain(&mut room), PeerKey(1))
-            .iter()
-            .for_each(|o| seat.note(o));
-        seat
-    };
+    for operation in operations(&drain(&mut room), PeerKey(1)) {
+        seat.note(&operation);
+    }
     room.handle_event(PeerKey(1), lost(), ms(1000));
     let to_bob = operations(&drain(&mut room), PeerKey(2));
     assert!(
