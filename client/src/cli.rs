@@ -78,6 +78,9 @@ struct JoinArguments {
     /// Leave after so many seconds; without it, stay until the session ends or Ctrl-C
     #[arg(long, value_name = "S", value_parser = seconds)]
     duration: Option<Duration>,
+    /// Try for so many seconds to come back when the connection is lost; the server keeps the seat for 60
+    #[arg(long, value_name = "S", value_parser = seconds, default_value = "60")]
+    reconnect: Duration,
     /// Write the summary as one JSON object to standard output
     #[arg(long)]
     json: bool,
@@ -103,6 +106,7 @@ impl JoinArguments {
             script: self.script,
             motion: self.motion,
             duration: self.duration,
+            reconnect: self.reconnect,
             record: self.record,
             realtime: !self.no_realtime,
             catch_signals: true,

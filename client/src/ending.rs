@@ -11,8 +11,6 @@ pub(crate) enum Ending {
     Wish(String),
     /// The session is over.
     Closed(CloseReason),
-    /// Nothing comes any more.
-    Silence,
     /// The copy is not the server's.
     Diverged(String),
     /// One of our threads broke.
@@ -40,11 +38,6 @@ pub(crate) fn conclude(
             Ok(*end(reason.to_string()))
         }
         Ending::Closed(CloseReason::ConnectionLost(detail)) => {
-            let summary = end(format!("the server is gone: {detail}"));
-            Err(ClientError::ServerLost { detail, summary })
-        }
-        Ending::Silence => {
-            let detail = "nothing was heard from it for 3 s".to_owned();
             let summary = end(format!("the server is gone: {detail}"));
             Err(ClientError::ServerLost { detail, summary })
         }

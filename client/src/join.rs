@@ -12,8 +12,9 @@ use palpate_tissue::decode_model;
 
 use crate::convert::tool_description;
 use crate::devices::{self, DeviceChoice, Guide};
+use crate::lifeline::Condition;
 use crate::motion::MotionThread;
-use crate::network::Network;
+use crate::network::{Joining, Network};
 use crate::realtime::{
     HapticHandle, RealtimeConfig, lower_priority_of_this_thread, monotonic_now, spawn,
 };
@@ -50,13 +51,14 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
         "joining {}:{} as {}",
         link.host, link.port, link.role
     ));
-    let network = Network::open(
+    let joining = Joining {
         link,
         hello,
-        fetch_progress(options.status),
-        Arc::clone(&options.stop),
-        options.catch_signals,
-    )?;
+        reconnect: options.reconnect,
+        stop: Arc::clone(&options.stop),
+        catch_signals: options.catch_signals,
+    };
+    let network = Network::open(joining, fetch_progress(options.status))?;
     let parts = match Parts::start(options, &network, guide, held) {
         Ok(parts) => parts,
         Err(error) => {
@@ -69,6 +71,7 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
         network,
         parts,
         status,
+        seen: Condition::default(),
         began: monotonic_now(),
     };
     session.greet();

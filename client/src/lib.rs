@@ -26,6 +26,7 @@ mod felt;
 mod history;
 mod inbox;
 mod join;
+mod lifeline;
 mod motion;
 mod network;
 mod options;

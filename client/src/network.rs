@@ -5,7 +5,7 @@ use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use palpate_protocol::handshake::{Hello, Welcome};
+use palpate_protocol::handshake::{Hello, Resume, Welcome};
 use palpate_protocol::session::{ClientEvent, ClientSession, CloseReason};
 use palpate_protocol::{JoinLink, ModelHash, Span};
 use palpate_transport::{
@@ -15,7 +15,11 @@ use tokio::sync::{mpsc as async_mpsc, watch};
 
 use crate::ClientError;
 use crate::inbox::Inbox;
+use crate::lifeline::{Condition, Lifeline, end};
 use crate::realtime::{monotonic_now, sleep_until};
+
+/// Commands that may wait for the network thread: a second of motion.
+const COMMANDS_MAX: usize = 256;
 
 /// How soon a wish to stop is noticed.
 const STOP_POLL: Duration = Duration::from_millis(50);
@@ -41,7 +45,20 @@ pub(crate) struct Network {
     pub(crate) inbox: Arc<Inbox>,
     /// Newest figures.
     pub(crate) stats: watch::Receiver<DriverStats>,
+    /// Whether there is a connection.
+    pub(crate) condition: watch::Receiver<Condition>,
     thread: JoinHandle<()>,
+}
+
+/// Where and how to join.
+pub(crate) struct Joining {
+    pub(crate) link: JoinLink,
+    pub(crate) hello: Hello,
+    /// How long to try to come back when the connection is lost.
+    pub(crate) reconnect: Duration,
+    pub(crate) stop: Arc<AtomicBool>,
+    /// Whether SIGINT and SIGTERM set `stop` from now on.
+    pub(crate) catch_signals: bool,
 }
 
 struct Opened {
@@ -50,18 +67,12 @@ struct Opened {
     commands: async_mpsc::Sender<ClientCommand>,
     inbox: Arc<Inbox>,
     stats: watch::Receiver<DriverStats>,
+    condition: watch::Receiver<Condition>,
 }
 
 impl Network {
-    /// Joins: returns when the session stands and the model is here. With `catch_signals`, SIGINT
-    /// and SIGTERM set `stop` from now on.
-    pub(crate) fn open(
-        link: JoinLink,
-        hello: Hello,
-        progress: Progress,
-        stop: Arc<AtomicBool>,
-        catch_signals: bool,
-    ) -> Result<Self, ClientError> {
+    /// Joins: returns when the session stands and the model is here.
+    pub(crate) fn open(joining: Joining, progress: Progress) -> Result<Self, ClientError> {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()?;
@@ -70,10 +81,10 @@ impl Network {
             .name("network".to_owned())
             .spawn(move || {
                 runtime.block_on(async {
-                    if catch_signals {
-                        tokio::spawn(watch_signals(Arc::clone(&stop)));
+                    if joining.catch_signals {
+                        tokio::spawn(watch_signals(Arc::clone(&joining.stop)));
                     }
-                    live(&link, hello, progress, &stop, &tell).await;
+                    live(joining, progress, &tell).await;
                 });
             })?;
         let opened = told.recv().unwrap_or_else(|_| {
@@ -86,6 +97,7 @@ impl Network {
             commands: opened.commands,
             inbox: opened.inbox,
             stats: opened.stats,
+            condition: opened.condition,
             thread,
         })
     }
@@ -112,55 +124,72 @@ impl Network {
 
 /// The thread's life: join, tell, pump.
 async fn live(
-    link: &JoinLink,
-    hello: Hello,
+    joining: Joining,
     progress: Progress,
-    stop: &AtomicBool,
     tell: &mpsc::SyncSender<Result<Opened, ClientError>>,
 ) {
+    let (link, stop) = (&joining.link, &*joining.stop);
     let stopped = || ClientError::EndedWhileJoining("you stopped it".to_owned());
-    let joining = tokio::select! {
-        joined = join(link, hello) => joined,
+    let joined = tokio::select! {
+        joined = join(link, joining.hello.clone()) => joined,
         () = until(stop) => Err(stopped()),
     };
-    let (mut handle, welcome) = match joining {
+    let (mut handle, welcome) = match joined {
         Ok(joined) => joined,
         // Main has gone when this fails; then nobody is left to be told.
         Err(error) => return drop(tell.send(Err(error))),
     };
     let inbox = Arc::new(Inbox::default());
+    let mut seat = Resume::after_welcome(&welcome, None);
     let fetched = {
         let fetching = fetch(link, welcome.model.hash, progress);
         tokio::select! {
             fetched = fetching => fetched,
-            why = pump(&mut handle, &inbox) => Err(ClientError::EndedWhileJoining(why)),
+            why = pump(&mut handle, &inbox, &mut seat) => Err(ClientError::EndedWhileJoining(why)),
             () = until(stop) => Err(stopped()),
         }
     };
     match fetched {
         Ok(model) => {
+            let (commands, command_receiver) = async_mpsc::channel(COMMANDS_MAX);
+            let (stats_sender, stats) = watch::channel(DriverStats::default());
+            let (condition_sender, condition) = watch::channel(Condition::default());
             let opened = Opened {
                 welcome,
                 model,
-                commands: handle.commands.clone(),
+                commands,
                 inbox: Arc::clone(&inbox),
-                stats: handle.stats.clone(),
+                stats,
+                condition,
             };
-            if tell.send(Ok(opened)).is_ok() {
-                pump(&mut handle, &inbox).await;
+            if tell.send(Ok(opened)).is_err() {
+                return end(handle).await;
             }
+            let lifeline = Lifeline {
+                link,
+                hello: joining.hello.clone(),
+                seat,
+                patience: joining.reconnect,
+                inbox: &inbox,
+                commands: command_receiver,
+                stats: stats_sender,
+                condition: condition_sender,
+                is_lost: false,
+            };
+            lifeline.run(handle).await;
         }
-        Err(error) => drop(tell.send(Err(error))),
-    }
-    // Dropping the commands leaves the session, if it still stands.
-    drop(handle.commands);
-    handle.events.close();
-    if handle.task.await.is_err() {
-        tracing::error!("the task of the session ended by a panic");
+        Err(error) => {
+            drop(tell.send(Err(error)));
+            end(handle).await;
+        }
     }
 }
 
-async fn join(link: &JoinLink, hello: Hello) -> Result<(ClientHandle, Box<Welcome>), ClientError> {
+/// Connects and is let in.
+pub(crate) async fn join(
+    link: &JoinLink,
+    hello: Hello,
+) -> Result<(ClientHandle, Box<Welcome>), ClientError> {
     let connection = connect(link).await?;
     let session = ClientSession::new(hello, monotonic_now())?;
     let mut handle = spawn_client(connection, session, monotonic_now);
@@ -200,10 +229,14 @@ async fn fetch(
     }
 }
 
-/// Moves events into the inbox until the session is over; says why it was.
-async fn pump(handle: &mut ClientHandle, inbox: &Inbox) -> String {
+/// Moves events into the inbox while the model comes, until the session is over; says why it was.
+async fn pump(handle: &mut ClientHandle, inbox: &Inbox, seat: &mut Resume) -> String {
     while let Some(event) = handle.events.recv().await {
         let ended = match &event {
+            ClientEvent::Operation(operation) => {
+                seat.note(operation);
+                None
+            }
             ClientEvent::Closed(reason) => Some(reason.to_string()),
             _ => None,
         };

@@ -5,6 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
+use palpate_protocol::handshake::SEAT_KEPT;
+
 use crate::{DeviceKind, Sources};
 
 /// Where the progress of a run is shown.
@@ -38,6 +40,9 @@ pub struct JoinOptions {
     pub motion: Option<PathBuf>,
     /// Leave after this time; without it stay until the session ends.
     pub duration: Option<Duration>,
+    /// For how long to try to come back when the connection is lost; the server keeps the seat for
+    /// [`SEAT_KEPT`].
+    pub reconnect: Duration,
     /// Where to write the [`Recording`](crate::Recording) at the end.
     pub record: Option<PathBuf>,
     /// Whether to ask for real-time priority.
@@ -62,6 +67,7 @@ impl JoinOptions {
             script: None,
             motion: None,
             duration: None,
+            reconnect: Duration::from_micros(SEAT_KEPT.as_micros().unsigned_abs()),
             record: None,
             realtime: true,
             catch_signals: false,

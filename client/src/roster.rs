@@ -111,6 +111,13 @@ impl Roster {
         self.seats.remove(&who);
     }
 
+    /// The connection of somebody was lost: their tool is nowhere until it is heard of again.
+    pub fn lose(&mut self, who: ParticipantId) {
+        if let Some(seat) = self.seats.get_mut(&who) {
+            (seat.seen, seat.felt) = (Timeline::default(), Timeline::default());
+        }
+    }
+
     /// Somebody took another tool.
     pub fn change_tool(&mut self, who: ParticipantId, tool: ToolDescription) {
         if let Some(seat) = self.seats.get_mut(&who) {
@@ -228,6 +235,11 @@ mod tests {
         roster.insert(ParticipantId(1), sample(0, 0));
         let late = roster.tools_seen_at(ServerTime::from_micros(300_000));
         assert!(late[0].stale && late[0].contacts().next().is_none());
+        roster.insert(ParticipantId(1), sample(300_000, 0));
+        let now = ServerTime::from_micros(300_000);
+        assert!(!roster.tools_seen_at(now)[0].stale);
+        roster.lose(ParticipantId(1));
+        assert!(roster.tools_seen_at(now).is_empty());
         roster.leave(ParticipantId(1));
         roster.insert(ParticipantId(1), sample(310_000, 0));
         assert!(

@@ -3,10 +3,12 @@
 use std::path::Path;
 use std::sync::atomic::Ordering;
 
+use palpate_protocol::session::CloseReason;
 use palpate_protocol::{ClientTime, Span};
 
 use crate::ending::{Ending, conclude};
 use crate::join::Parts;
+use crate::lifeline::Condition;
 use crate::motion::MotionThread;
 use crate::network::Network;
 use crate::realtime::{
@@ -20,15 +22,14 @@ use crate::{ClientError, JoinOptions, Summary};
 /// How often the main thread looks around.
 const LOOK_AROUND: Span = Span::from_millis(50);
 
-/// A server from which nothing came for so long, after the link was lost, is given up.
-const GIVE_UP: Span = Span::from_millis(2000);
-
 /// A session that stands.
 pub(crate) struct Session<'a> {
     pub(crate) options: &'a JoinOptions,
     pub(crate) network: Network,
     pub(crate) parts: Parts,
     pub(crate) status: Status,
+    /// How the connection did when it was last looked at.
+    pub(crate) seen: Condition,
     pub(crate) began: ClientTime,
 }
 
@@ -53,7 +54,6 @@ impl Session<'_> {
 
     /// Looks after everything until it is over.
     pub(crate) fn supervise(&mut self) -> Ending {
-        let mut lost_since: Option<ClientTime> = None;
         loop {
             let now = monotonic_now();
             let progress = self.parts.replica.progress();
@@ -74,10 +74,7 @@ impl Session<'_> {
             if !self.parts.replica.is_running() {
                 return Ending::Panicked("solver");
             }
-            lost_since = progress.link_lost.then(|| lost_since.unwrap_or(now));
-            if lost_since.is_some_and(|since| now - since > GIVE_UP) {
-                return Ending::Silence;
-            }
+            self.look_at_connection();
             if self.options.stop.load(Ordering::Acquire) {
                 return Ending::Wish("you left".to_owned());
             }
@@ -85,6 +82,9 @@ impl Session<'_> {
             if let Some(duration) = self.options.duration
                 && stayed.as_secs_f64() >= duration.as_secs_f64()
             {
+                if let Some(why) = &self.seen.lost {
+                    return Ending::Closed(CloseReason::ConnectionLost(why.clone()));
+                }
                 let sentence = format!("you left after {} s, as asked", duration.as_secs_f64());
                 return Ending::Wish(sentence);
             }
@@ -94,6 +94,28 @@ impl Session<'_> {
             }
             sleep_until(now + LOOK_AROUND);
         }
+    }
+
+    /// Says when the connection is lost and when it is back.
+    fn look_at_connection(&mut self) {
+        let now = self.network.condition.borrow().clone();
+        if now == self.seen {
+            return;
+        }
+        if now.returns > self.seen.returns {
+            self.status.say("back in the session, in the same seat");
+        }
+        if let Some(why) = now.lost.as_ref().filter(|_| self.seen.lost.is_none()) {
+            self.status.say(&format!(
+                "the connection is lost ({why}); there is no force until it is back, which is tried for {} s",
+                self.options.reconnect.as_secs_f64()
+            ));
+        }
+        if now.requests_lost > self.seen.requests_lost {
+            self.status
+                .say("a cut was not sent, because there is no connection");
+        }
+        self.seen = now;
     }
 
     fn figures(&mut self, stayed: Span, progress: &Progress) -> Figures {
@@ -128,6 +150,7 @@ impl Session<'_> {
             role: self.network.welcome.role.word().to_owned(),
             participant: self.network.welcome.participant.0,
             device: self.parts.device,
+            reconnects: self.network.condition.borrow().returns,
             compensation_ms: progress.delay.as_millis_f64(),
             clock_error_bound_ms: progress.clock_error.map(Span::as_millis_f64),
             realtime: "no force loop".to_owned(),

@@ -197,7 +197,23 @@ impl Site {
             ClientEvent::LinkLost => self.notice("nothing comes from the server".to_owned()),
             ClientEvent::LinkRestored => self.notice("the server is back".to_owned()),
             ClientEvent::Closed(reason) => self.closed = Some(reason),
-            ClientEvent::Welcomed(_) | ClientEvent::Motion(_) | ClientEvent::Delays(_) => {}
+            ClientEvent::Welcomed(welcome) => self.handle_return(&welcome)?,
+            ClientEvent::Motion(_) | ClientEvent::Delays(_) => {}
+        }
+        Ok(())
+    }
+
+    /// The connection was made anew: the log goes on where it stopped, or this copy is not of this log.
+    fn handle_return(&mut self, welcome: &Welcome) -> Result<(), SiteError> {
+        let had = self.counters.operations + self.deferred.len() as u64;
+        if welcome.first_operation.0 != had {
+            return Err(SiteError::Differs(format!(
+                "it has {had} operations of the log, and the server begins again with {}",
+                welcome.first_operation
+            )));
+        }
+        if self.expected.is_some() {
+            self.expected = Some((welcome.topology_version, welcome.topology_hash));
         }
         Ok(())
     }
@@ -328,11 +344,22 @@ impl Site {
                 "joined"
             }
             OperationKind::Left { participant, .. } => {
-                if let Some(name) = self.roster.name_of(*participant) {
-                    self.notice(format!("{name} left"));
-                }
+                self.notice_of(*participant, "left");
                 self.roster.leave(*participant);
                 "left"
+            }
+            OperationKind::Away { participant } => {
+                if *participant != self.me {
+                    self.roster.lose(*participant);
+                    self.notice_of(*participant, "lost the connection; the seat is kept");
+                }
+                "away"
+            }
+            OperationKind::Back { participant } => {
+                if *participant != self.me {
+                    self.notice_of(*participant, "is back");
+                }
+                "back"
             }
             OperationKind::ToolChanged { participant, tool } => {
                 self.roster.change_tool(*participant, *tool);
@@ -510,6 +537,12 @@ impl Site {
 
     fn own_tool(&self) -> Option<ToolDescription> {
         self.roster.tool_of(self.me)
+    }
+
+    fn notice_of(&mut self, who: ParticipantId, what: &str) {
+        if let Some(name) = self.roster.name_of(who) {
+            self.notice(format!("{name} {what}"));
+        }
     }
 
     fn notice(&mut self, sentence: String) {

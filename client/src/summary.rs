@@ -64,6 +64,8 @@ pub struct Summary {
     pub device: String,
     /// How the force loop was scheduled, in a sentence.
     pub realtime: String,
+    /// How often the connection was lost and made anew.
+    pub reconnects: u64,
     /// Length of the run, from the first view on.
     pub seconds: f64,
     /// How it ended, in a sentence.

@@ -18,7 +18,7 @@ use palpate_protocol::session::{PeerEvent, PeerMessage};
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{
     CertificateHash, Epoch, Grant, JoinLink, ModelHash, ModelInfo, OperationId, ParticipantId,
-    Role, ServerTime, Span, TopologyHash,
+    ResumeToken, Role, ServerTime, Span, TopologyHash,
 };
 use palpate_tissue::{Material, Model, Topology, block, cut, encode_model};
 use palpate_transport::{
@@ -29,6 +29,7 @@ use tokio::sync::mpsc;
 
 const GRANT: Grant = Grant([3; 16]);
 const ME: ParticipantId = ParticipantId(1);
+const TOKEN: ResumeToken = ResumeToken([5; 16]);
 const CELL: f64 = 4e-3;
 
 /// What the server does once somebody says hello.
@@ -43,6 +44,8 @@ enum Manner {
     SaysGoodbye,
     /// Dies after a while.
     Dies,
+    /// As `Plays`, but loses the connection after a while and keeps the seat.
+    LosesIt,
 }
 
 struct Fake {
@@ -148,6 +151,9 @@ impl Fake {
 async fn serve(server: Server, manner: Manner, info: ModelInfo) {
     let since = Instant::now();
     let clock = move || ServerTime::from_micros(since.elapsed().as_micros() as i64 + 9_000_000);
+    if manner == Manner::LosesIt {
+        lose(&server, info, clock).await;
+    }
     let connection = server.accept().await.unwrap();
     let (sender, mut inbox) = mpsc::channel(4096);
     let peer = spawn_peer(connection, PeerId(1), clock, sender);
@@ -156,6 +162,31 @@ async fn serve(server: Server, manner: Manner, info: ModelInfo) {
             PeerEvent::Hello(_) if manner == Manner::Refuses => {
                 let refused = Refused::because(RefusalReason::Full { seats: 1 });
                 peer.send(PeerMessage::Refused(refused));
+            }
+            PeerEvent::Hello(hello) if manner == Manner::LosesIt => {
+                // Who comes back names the seat and has the two operations of before.
+                let seat = hello.resume.unwrap();
+                assert!(seat.participant == ME && seat.token.matches(&TOKEN));
+                assert_eq!(seat.next_operation, OperationId(2));
+                let PeerMessage::Welcome(first) = welcome(info, clock(), &hello) else {
+                    unreachable!()
+                };
+                peer.send(PeerMessage::Welcome(Box::new(Welcome {
+                    first_operation: OperationId(2),
+                    operations_so_far: 3,
+                    topology_version: seat.topology_version,
+                    topology_hash: seat.topology_hash,
+                    ..*first
+                })));
+                peer.send(PeerMessage::Operation(Arc::new(Operation {
+                    id: OperationId(2),
+                    at: clock(),
+                    author: ME,
+                    topology_version_before: seat.topology_version,
+                    topology_version_after: seat.topology_version,
+                    hash_after: seat.topology_hash,
+                    kind: OperationKind::Back { participant: ME },
+                })));
             }
             PeerEvent::Hello(hello) => {
                 assert_eq!(hello.tool.is_some(), hello.role.has_tool());
@@ -179,6 +210,37 @@ async fn serve(server: Server, manner: Manner, info: ModelInfo) {
     }
 }
 
+/// Plays for the first client until its hand moves; then the connection breaks without a word.
+async fn lose(
+    server: &Server,
+    info: ModelInfo,
+    clock: impl Fn() -> ServerTime + Copy + Send + 'static,
+) {
+    let connection = server.accept().await.unwrap();
+    let (sender, mut inbox) = mpsc::channel(4096);
+    // What runs here ends in the middle of whatever it does.
+    let breakable = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(1)
+        .enable_all()
+        .build()
+        .unwrap();
+    let peer = {
+        let _inside = breakable.enter();
+        spawn_peer(connection, PeerId(0), clock, sender)
+    };
+    while let Some(PeerInput { event, .. }) = inbox.recv().await {
+        match event {
+            PeerEvent::Hello(hello) => {
+                peer.send(welcome(info, clock(), &hello));
+                play(&peer, Manner::Plays, clock());
+            }
+            PeerEvent::Motion(_) => break,
+            _ => {}
+        }
+    }
+    breakable.shutdown_background();
+}
+
 fn welcome(info: ModelInfo, now: ServerTime, hello: &Hello) -> PeerMessage {
     let entry = |participant: ParticipantId, name: &str, role, tool| RosterEntry {
         participant,
@@ -200,6 +262,7 @@ fn welcome(info: ModelInfo, now: ServerTime, hello: &Hello) -> PeerMessage {
         roster,
         topology_version: 0,
         topology_hash: wire(Topology::new(Arc::new(model())).hash()),
+        first_operation: OperationId(0),
         operations_so_far: 0,
         compensation: CompensationSettings {
             mode: CompensationMode::Fixed,
@@ -207,7 +270,7 @@ fn welcome(info: ModelInfo, now: ServerTime, hello: &Hello) -> PeerMessage {
         },
         tick_hz: 250,
         session_started_at: None,
-        resume_token: [0; 16],
+        resume_token: TOKEN,
     }))
 }
 
@@ -345,9 +408,28 @@ fn a_goodbye_is_a_normal_end() {
 #[test]
 fn a_server_that_dies_is_said_and_the_figures_are_kept() {
     let fake = Fake::start(Manner::Dies, false);
-    let error = palpate_client::run(&fake.options()).unwrap_err();
+    let options = JoinOptions {
+        reconnect: Duration::from_secs(1),
+        ..fake.options()
+    };
+    let error = palpate_client::run(&options).unwrap_err();
     assert!(matches!(error, ClientError::ServerLost { .. }), "{error}");
     assert!(error.summary().unwrap().ticks > 0);
+    fake.stop();
+}
+
+#[test]
+fn a_lost_connection_is_made_anew_and_the_same_copy_goes_on() {
+    let fake = Fake::start(Manner::LosesIt, false);
+    let options = JoinOptions {
+        duration: Some(Duration::from_secs(5)),
+        ..fake.options()
+    };
+    let summary = palpate_client::run(&options).unwrap();
+    assert_eq!(summary.reconnects, 1);
+    assert_eq!((summary.operations, summary.cuts), (3, 1));
+    assert_eq!(summary.topology_version, 1);
+    assert!(summary.events.link_lost > 0, "no force without a server");
     fake.stop();
 }
 

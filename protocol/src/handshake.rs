@@ -13,12 +13,15 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::operation::CompensationSettings;
+use crate::operation::{CompensationSettings, Operation};
 use crate::tool::ToolDescription;
-use crate::{Epoch, Grant, ModelHash, ParticipantId, ProtocolError, ServerTime, TopologyHash};
+use crate::{
+    Epoch, Grant, ModelHash, OperationId, ParticipantId, ProtocolError, ResumeToken, ServerTime,
+    Span, TopologyHash,
+};
 
 /// The version that this crate speaks. It grows with every change of any message.
-pub const PROTOCOL_VERSION: u16 = 2;
+pub const PROTOCOL_VERSION: u16 = 3;
 
 /// What every palpate stream begins with.
 pub const MAGIC: [u8; 4] = *b"PALP";
@@ -35,6 +38,9 @@ pub const NAME_MAX_BYTES: usize = 64;
 
 /// The most participants of a session; a roster longer than this is a protocol error.
 pub const ROSTER_MAX: usize = 64;
+
+/// A seat whose connection was lost is kept so long for its participant to come back.
+pub const SEAT_KEPT: Span = Span::from_millis(60_000);
 
 /// The fixed bytes that come before everything else.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -150,13 +156,41 @@ pub struct Hello {
     pub resume: Option<Resume>,
 }
 
-/// The seat that a returning client had.
+/// The seat that a returning client had, and how much of the log it has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Resume {
     /// Who it was.
     pub participant: ParticipantId,
     /// The token from its [`Welcome`].
-    pub token: [u8; 16],
+    pub token: ResumeToken,
+    /// The first operation that it does not have.
+    pub next_operation: OperationId,
+    /// How often the topology has changed after the operations that it has.
+    pub topology_version: u32,
+    /// The topology hash after the operations that it has. A server that finds another one at this place
+    /// of its own log sends the whole log.
+    pub topology_hash: TopologyHash,
+}
+
+impl Resume {
+    /// The seat that a welcome gives, with nothing of the log yet, or with what was there before.
+    pub fn after_welcome(welcome: &Welcome, before: Option<Self>) -> Self {
+        let had = before.filter(|b| b.next_operation == welcome.first_operation);
+        Self {
+            participant: welcome.participant,
+            token: welcome.resume_token,
+            next_operation: welcome.first_operation,
+            topology_version: had.map_or(0, |b| b.topology_version),
+            topology_hash: had.map_or(TopologyHash(0), |b| b.topology_hash),
+        }
+    }
+
+    /// Notes the next operation of the log.
+    pub fn note(&mut self, operation: &Operation) {
+        self.next_operation = operation.id.next();
+        self.topology_version = operation.topology_version_after;
+        self.topology_hash = operation.hash_after;
+    }
 }
 
 /// The model that a session runs on; fetched separately when the client does not hold it.
@@ -181,8 +215,8 @@ pub struct RosterEntry {
     pub tool: Option<ToolDescription>,
 }
 
-/// The server's answer to a [`Hello`] it accepts. The whole log follows: first the
-/// `operations_so_far` operations from number 0, then each new one as it happens.
+/// The server's answer to a [`Hello`] it accepts. The log follows: first the operations from
+/// `first_operation` up to `operations_so_far`, then each new one as it happens.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Welcome {
     /// The newcomer's own number.
@@ -201,7 +235,9 @@ pub struct Welcome {
     pub topology_version: u32,
     /// The topology hash after `operations_so_far` operations.
     pub topology_hash: TopologyHash,
-    /// How many operations the log holds; they follow on the stream at once.
+    /// The first operation that follows: 0, except for who takes a seat again and has all before it.
+    pub first_operation: OperationId,
+    /// How many operations the log holds; those from `first_operation` on follow on the stream at once.
     pub operations_so_far: u64,
     /// The artificial time compensation in force. Changes come as operations.
     pub compensation: CompensationSettings,
@@ -209,8 +245,8 @@ pub struct Welcome {
     pub tick_hz: u32,
     /// When the scripts began, if they did.
     pub session_started_at: Option<ServerTime>,
-    /// What takes this seat again after a lost connection.
-    pub resume_token: [u8; 16],
+    /// What takes this seat again after a lost connection, within [`SEAT_KEPT`].
+    pub resume_token: ResumeToken,
 }
 
 /// The server's answer to a [`Hello`] it does not accept.
@@ -274,8 +310,10 @@ pub enum RefusalReason {
         /// The role asked for.
         role: Role,
     },
-    /// The seat to resume is gone.
-    #[error("the seat to resume has been given up; join again without resuming")]
+    /// The seat to resume is gone, or the token is another's; which of them is not told.
+    #[error(
+        "the seat to take again has been given up, or belongs to somebody else; join again as somebody new"
+    )]
     NoSuchSeat,
     /// The session ends or the server stops.
     #[error("the server is closing the session; try again later")]

@@ -38,7 +38,7 @@ pub use datagram::DATAGRAM_MAX_BYTES;
 pub use error::ProtocolError;
 pub use handshake::{ModelInfo, PROTOCOL_VERSION, Role};
 pub use ids::{Epoch, ModelHash, OperationId, ParticipantId, RequestId, TopologyHash};
-pub use link::{CertificateHash, Grant, JoinLink};
+pub use link::{CertificateHash, Grant, JoinLink, ResumeToken};
 pub use sample::{LocalSample, Pose, ToolSample, ToolTrack};
 pub use sequence::{Arrival, SequenceWindow, WINDOW_BITS};
 pub use time::{ClientTime, ServerTime, Span};

@@ -43,12 +43,35 @@ impl Grant {
 
     /// Compares in a time that tells nothing about where the difference is.
     pub fn matches(&self, other: &Self) -> bool {
-        self.0
-            .iter()
-            .zip(other.0)
-            .fold(0, |acc, (a, b)| acc | (a ^ b))
-            == 0
+        is_equal(&self.0, &other.0)
     }
+}
+
+/// Bytes of a resume token: too many to guess.
+pub const TOKEN_BYTES: usize = 16;
+
+/// A secret that takes one seat of one session again after its connection was lost. Its bytes come from
+/// the shell, at random.
+#[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ResumeToken(pub [u8; TOKEN_BYTES]);
+
+impl ResumeToken {
+    /// Compares in a time that tells nothing about where the difference is.
+    pub fn matches(&self, other: &Self) -> bool {
+        is_equal(&self.0, &other.0)
+    }
+}
+
+impl fmt::Debug for ResumeToken {
+    /// Says that there is one, and not which: logs are read by many.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("ResumeToken(..)")
+    }
+}
+
+/// Whether two secrets are the same, looking at all of both whatever the first difference is.
+fn is_equal<const N: usize>(a: &[u8; N], b: &[u8; N]) -> bool {
+    a.iter().zip(b).fold(0, |acc, (a, b)| acc | (a ^ b)) == 0
 }
 
 impl fmt::Debug for Grant {

@@ -52,6 +52,16 @@ pub enum OperationKind {
         /// Why.
         reason: LeaveReason,
     },
+    /// The connection of somebody was lost: their tool presses no more, their seat is kept.
+    Away {
+        /// Their number.
+        participant: ParticipantId,
+    },
+    /// Somebody whose connection was lost is back in their seat.
+    Back {
+        /// Their number.
+        participant: ParticipantId,
+    },
     /// Somebody took another tool.
     ToolChanged {
         /// Their number.

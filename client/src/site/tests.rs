@@ -2,7 +2,7 @@ use palpate_protocol::operation::{CompensationMode, CompensationSettings, LeaveR
 use palpate_protocol::request::RequestRefused;
 use palpate_protocol::tool::ToolKind;
 use palpate_protocol::{
-    Epoch, ModelHash, ModelInfo, OperationId, Pose, RequestId, Role, ToolTrack,
+    Epoch, ModelHash, ModelInfo, OperationId, Pose, RequestId, ResumeToken, Role, ToolTrack,
 };
 use palpate_tissue::{Material, block};
 
@@ -54,6 +54,7 @@ fn welcome(delay_us: u32) -> Welcome {
         roster: vec![entry(ME, ToolKind::Scalpel), entry(OTHER, ToolKind::Probe)],
         topology_version: 0,
         topology_hash: TopologyHash(topology.hash().0),
+        first_operation: OperationId(0),
         operations_so_far: 0,
         compensation: CompensationSettings {
             mode: CompensationMode::Fixed,
@@ -61,7 +62,7 @@ fn welcome(delay_us: u32) -> Welcome {
         },
         tick_hz: 250,
         session_started_at: None,
-        resume_token: [0; 16],
+        resume_token: ResumeToken([0; 16]),
     }
 }
 

@@ -40,10 +40,25 @@ enum State {
     Closed,
 }
 
+#[cfg(test)]
+impl ClientSession {
+    /// The states, in the words of the document of the states.
+    pub(super) const STATES: [&str; 4] = ["Preamble", "Hello", "Joined", "Closed"];
+
+    pub(super) fn state_name(&self) -> &'static str {
+        match self.state {
+            State::Preamble(_) => Self::STATES[0],
+            State::Hello => Self::STATES[1],
+            State::Joined(_) => Self::STATES[2],
+            State::Closed => Self::STATES[3],
+        }
+    }
+}
+
 struct Joined {
     participant: ParticipantId,
     next_operation: OperationId,
-    /// What was in the log at the welcome.
+    /// How long the log was at the welcome.
     catch_up: u64,
     schedule: DelaySchedule,
     newest_shown: Vec<(ParticipantId, ServerTime)>,
@@ -63,6 +78,8 @@ pub struct ClientSession {
     motion: MotionBatch,
     events: VecDeque<ClientEvent>,
     last_request: u32,
+    /// Where the log may go on for who takes a seat again.
+    resumes_at: Option<OperationId>,
     started: ClientTime,
     heard: ClientTime,
     link_lost: bool,
@@ -75,6 +92,7 @@ impl ClientSession {
     pub fn new(hello: Hello, now: ClientTime) -> Result<Self, ProtocolError> {
         let mut outbox = Outbox::default();
         outbox.push_bytes(Preamble::OURS.to_bytes().to_vec())?;
+        let resumes_at = hello.resume.map(|r| r.next_operation);
         let frame = codec::encode_frame(&ClientMessage::Hello(hello))?;
         if frame.len() > codec::HELLO_MAX_BYTES {
             return Err(ProtocolError::TooLarge {
@@ -94,6 +112,7 @@ impl ClientSession {
             motion: MotionBatch::default(),
             events: VecDeque::new(),
             last_request: 0,
+            resumes_at,
             started: now,
             heard: now,
             link_lost: false,
@@ -175,17 +194,29 @@ impl ClientSession {
                 detail: format!("{} entries, at most {ROSTER_MAX}", welcome.roster.len()),
             });
         }
+        let first = welcome.first_operation;
+        let is_continued = first.0 == 0 || self.resumes_at == Some(first);
+        if !is_continued || first.0 > welcome.operations_so_far {
+            return Err(ProtocolError::OutOfRange {
+                what: "the beginning of the log",
+                detail: format!(
+                    "{first} of {}, where {} was asked for",
+                    welcome.operations_so_far,
+                    self.resumes_at.unwrap_or_default()
+                ),
+            });
+        }
         self.link.open(welcome.epoch, welcome.participant);
         self.state = State::Joined(Box::new(Joined {
             participant: welcome.participant,
-            next_operation: OperationId(0),
+            next_operation: first,
             catch_up: welcome.operations_so_far,
             schedule: DelaySchedule::new(&welcome.compensation),
             newest_shown: Vec::new(),
         }));
         self.probe_due = now;
         self.report_due = now + DELAY_REPORT_PERIOD;
-        let nothing_to_catch_up = welcome.operations_so_far == 0;
+        let nothing_to_catch_up = welcome.operations_so_far == first.0;
         self.emit(ClientEvent::Welcomed(welcome));
         if nothing_to_catch_up {
             self.emit(ClientEvent::CaughtUp);

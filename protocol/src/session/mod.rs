@@ -130,7 +130,7 @@ pub enum PeerEvent {
 /// What a server tells one client reliably and in order.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PeerMessage {
-    /// Lets the client in. Every operation of the log, from number 0, is sent after it.
+    /// Lets the client in. Every operation of the log, from the first that it names, is sent after it.
     Welcome(Box<Welcome>),
     /// Does not let the client in; closes the session.
     Refused(Refused),
@@ -153,5 +153,7 @@ pub enum PeerDatagram {
     Delays(Arc<[(ParticipantId, DelayReport)]>),
 }
 
+#[cfg(test)]
+mod states;
 #[cfg(test)]
 mod tests;

@@ -35,10 +35,26 @@ enum State {
     Closed,
 }
 
+#[cfg(test)]
+impl ServerPeer {
+    /// The states, in the words of the document of the states.
+    pub(super) const STATES: [&str; 5] = ["Preamble", "Hello", "Asked", "Joined", "Closed"];
+
+    pub(super) fn state_name(&self) -> &'static str {
+        match self.state {
+            State::Preamble(_) => Self::STATES[0],
+            State::Hello => Self::STATES[1],
+            State::Asked => Self::STATES[2],
+            State::Joined { .. } => Self::STATES[3],
+            State::Closed => Self::STATES[4],
+        }
+    }
+}
+
 /// The server's end of one client's session: see [`crate::session`] for the calling order.
 ///
 /// Answer [`PeerEvent::Hello`] with [`PeerMessage::Welcome`] or [`PeerMessage::Refused`]; after the
-/// welcome send every operation of the log from number 0 and then each new one.
+/// welcome send every operation of the log from its `first_operation` and then each new one.
 pub struct ServerPeer {
     state: State,
     decoder: FrameDecoder<ClientMessage>,
@@ -269,7 +285,7 @@ impl ServerPeer {
                 self.decoder.set_limit(codec::FRAME_MAX_BYTES);
                 self.state = State::Joined {
                     participant: welcome.participant,
-                    next_operation: OperationId(0),
+                    next_operation: welcome.first_operation,
                 };
                 self.heard = now;
                 Ok(())

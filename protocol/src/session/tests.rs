@@ -8,14 +8,15 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::*;
-use crate::handshake::ModelInfo;
+use crate::codec;
+use crate::handshake::{ModelInfo, Preamble, Resume};
 use crate::operation::{CompensationMode, CompensationSettings, OperationKind};
-use crate::request::RequestKind;
+use crate::request::{RequestKind, ServerMessage};
 use crate::timeline::Timeline;
 use crate::tool::ToolDescription;
 use crate::{
-    ClientTime, Epoch, Grant, LocalSample, ModelHash, OperationId, Pose, Role, ServerTime,
-    TopologyHash,
+    ClientTime, Epoch, Grant, LocalSample, ModelHash, OperationId, Pose, ResumeToken, Role,
+    ServerTime, TopologyHash,
 };
 
 const OFFSET_US: i64 = 42_000_000;
@@ -84,7 +85,7 @@ struct Pair {
     server_events: Vec<PeerEvent>,
 }
 
-fn hello() -> Hello {
+pub(super) fn hello() -> Hello {
     Hello {
         name: "pair".to_owned(),
         role: Role::Trainee,
@@ -178,33 +179,41 @@ impl Pair {
             self.step();
         }
         let server_time = self.server_now();
-        self.send(&PeerMessage::Welcome(Box::new(Welcome {
-            participant: ParticipantId(5),
-            epoch: Epoch(2),
-            role: Role::Trainee,
-            server_time,
-            model: ModelInfo {
-                hash: ModelHash(1),
-                bytes: 1,
-            },
-            roster: Vec::new(),
-            topology_version: 0,
-            topology_hash: TopologyHash(0),
-            operations_so_far: log,
-            compensation: CompensationSettings {
-                mode: CompensationMode::Fixed,
-                initial_delay_us: 150_000,
-            },
-            tick_hz: 250,
-            session_started_at: None,
-            resume_token: [0; 16],
-        })));
+        let mut welcome = welcome(0, log);
+        welcome.server_time = server_time;
+        self.send(&PeerMessage::Welcome(Box::new(welcome)));
         (0..log).for_each(|id| self.send(&operation(id)));
     }
 }
 
-fn operation(id: u64) -> PeerMessage {
-    PeerMessage::Operation(Arc::new(Operation {
+/// A welcome to a log of which the operations from `first` up to `log` follow.
+pub(super) fn welcome(first: u64, log: u64) -> Welcome {
+    Welcome {
+        participant: ParticipantId(5),
+        epoch: Epoch(2),
+        role: Role::Trainee,
+        server_time: ServerTime::ZERO,
+        model: ModelInfo {
+            hash: ModelHash(1),
+            bytes: 1,
+        },
+        roster: Vec::new(),
+        topology_version: 0,
+        topology_hash: TopologyHash(0),
+        first_operation: OperationId(first),
+        operations_so_far: log,
+        compensation: CompensationSettings {
+            mode: CompensationMode::Fixed,
+            initial_delay_us: 150_000,
+        },
+        tick_hz: 250,
+        session_started_at: None,
+        resume_token: ResumeToken([0; 16]),
+    }
+}
+
+pub(super) fn operation_at(id: u64) -> Operation {
+    Operation {
         id: OperationId(id),
         at: ServerTime::ZERO,
         author: ParticipantId::SERVER,
@@ -214,7 +223,11 @@ fn operation(id: u64) -> PeerMessage {
         kind: OperationKind::Started {
             at: ServerTime::from_micros(id as i64),
         },
-    }))
+    }
+}
+
+fn operation(id: u64) -> PeerMessage {
+    PeerMessage::Operation(Arc::new(operation_at(id)))
 }
 
 fn hand(t_us: i64) -> [f64; 3] {
@@ -431,4 +444,61 @@ fn a_hello_without_a_name_is_refused_with_a_sentence() {
     assert!(
         matches!(last, Some(ClientEvent::Closed(CloseReason::Refused(r))) if r.sentence.contains("name"))
     );
+}
+
+fn returning(next: u64) -> ClientSession {
+    let seat = Resume {
+        participant: ParticipantId(5),
+        token: ResumeToken([0; 16]),
+        next_operation: OperationId(next),
+        topology_version: 0,
+        topology_hash: TopologyHash(0),
+    };
+    let hello = Hello {
+        resume: Some(seat),
+        ..hello()
+    };
+    ClientSession::new(hello, ClientTime::ZERO).unwrap()
+}
+
+#[test]
+fn who_returns_is_sent_the_log_from_where_it_stopped() {
+    let mut pair = Pair::new(1, 20_000, 5_000, 0.1);
+    pair.client = returning(7);
+    while !matches!(pair.server_events.last(), Some(PeerEvent::Hello(_))) {
+        pair.step();
+    }
+    pair.send(&PeerMessage::Welcome(Box::new(welcome(7, 9))));
+    (7..12).for_each(|id| pair.send(&operation(id)));
+    pair.steps(500);
+    let told: Vec<u64> = pair
+        .client_events
+        .iter()
+        .filter_map(|e| match e {
+            ClientEvent::Operation(o) => Some(o.id.0),
+            ClientEvent::CaughtUp => Some(100),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(told, [7, 8, 100, 9, 10, 11]);
+}
+
+#[test]
+fn a_log_that_begins_where_nobody_asked_is_a_violation() {
+    let begins = |mut client: ClientSession, first, log| {
+        let frame = ServerMessage::Welcome(Box::new(welcome(first, log)));
+        client.handle_stream(&Preamble::OURS.to_bytes(), ClientTime::ZERO);
+        client.handle_stream(&codec::encode_frame(&frame).unwrap(), ClientTime::ZERO);
+        !client.is_closed()
+    };
+    let newcomer = || ClientSession::new(hello(), ClientTime::ZERO).unwrap();
+    assert!(begins(newcomer(), 0, 4));
+    assert!(
+        !begins(newcomer(), 3, 4),
+        "it has nothing of the first three"
+    );
+    assert!(begins(returning(3), 3, 3));
+    assert!(begins(returning(3), 0, 4), "the whole log always does");
+    assert!(!begins(returning(3), 2, 4));
+    assert!(!begins(returning(3), 3, 2), "beyond its end");
 }

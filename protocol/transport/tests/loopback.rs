@@ -19,7 +19,7 @@ use palpate_protocol::session::{
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{
     CertificateHash, ClientTime, Epoch, Grant, JoinLink, LocalSample, ModelHash, ModelInfo,
-    OperationId, ParticipantId, Pose, Role, ServerTime, ToolTrack, TopologyHash,
+    OperationId, ParticipantId, Pose, ResumeToken, Role, ServerTime, ToolTrack, TopologyHash,
 };
 use palpate_transport::{
     ClientCommand, ClientHandle, ModelSource, PeerHandle, PeerId, PeerInput, Server,
@@ -72,6 +72,7 @@ fn welcome(participant: u16, operations_so_far: u64) -> PeerMessage {
         roster: Vec::new(),
         topology_version: 0,
         topology_hash: TopologyHash(1),
+        first_operation: OperationId(0),
         operations_so_far,
         compensation: CompensationSettings {
             mode: CompensationMode::None,
@@ -79,7 +80,7 @@ fn welcome(participant: u16, operations_so_far: u64) -> PeerMessage {
         },
         tick_hz: 250,
         session_started_at: None,
-        resume_token: [0; 16],
+        resume_token: ResumeToken([0; 16]),
     }))
 }
 

@@ -1,7 +1,7 @@
 //! What the host decides before anybody joins.
 
 use palpate_protocol::operation::CompensationSettings;
-use palpate_protocol::{Epoch, Grant, ModelInfo, Role, Span};
+use palpate_protocol::{Epoch, Grant, ModelInfo, ParticipantId, ResumeToken, Role, Span};
 
 /// Most participants at once. A roster must fit one frame, and every tool costs a contact search per
 /// tick; beyond it a newcomer is refused politely.
@@ -22,6 +22,9 @@ pub struct RoomConfig {
     pub tick_hz: u32,
     /// Artificial time compensation.
     pub compensation: CompensationSettings,
+    /// Gives the secret with which a participant takes the seat again. Randomness is the shell's: a
+    /// service draws it, an experiment derives it from the number, so that one seed replays it.
+    pub fresh_token: fn(ParticipantId) -> ResumeToken,
     /// Scripts begin when so many tools are in the session; 0: at once.
     pub start_when_tools: u16,
 }

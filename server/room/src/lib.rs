@@ -9,6 +9,7 @@
 mod authority;
 mod config;
 mod convert;
+mod fan_out;
 mod participant;
 mod room;
 #[cfg(test)]

@@ -5,7 +5,7 @@ use palpate_protocol::compensation::{DelayEstimator, DelayRule};
 use palpate_protocol::handshake::RosterEntry;
 use palpate_protocol::timeline::Timeline;
 use palpate_protocol::tool::{ToolDescription, ToolKind, ToolPart, part_id};
-use palpate_protocol::{ParticipantId, Role, ServerTime};
+use palpate_protocol::{ParticipantId, ResumeToken, Role, ServerTime};
 use palpate_tissue::{Form, Tool, Vec3};
 
 use crate::PeerKey;
@@ -13,10 +13,26 @@ use crate::PeerKey;
 /// Bit of the primary button in a sample.
 const PRIMARY_BUTTON: u8 = 1;
 
+/// Where somebody with a seat is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Place {
+    /// Connected.
+    Here(PeerKey),
+    /// Their connection was lost; the seat is kept.
+    Away {
+        /// Until then.
+        until: ServerTime,
+    },
+}
+
 /// Somebody in the session.
 #[derive(Debug)]
 pub(crate) struct Participant {
-    pub(crate) peer: PeerKey,
+    pub(crate) place: Place,
+    /// What takes the seat again.
+    pub(crate) token: ResumeToken,
+    /// How often the seat was taken again.
+    pub(crate) resumed: u16,
     pub(crate) id: ParticipantId,
     pub(crate) name: String,
     pub(crate) role: Role,
@@ -30,13 +46,16 @@ pub(crate) struct Participant {
 impl Participant {
     pub(crate) fn new(
         peer: PeerKey,
+        token: ResumeToken,
         id: ParticipantId,
         name: String,
         role: Role,
         tool: Option<ToolDescription>,
     ) -> Self {
         Self {
-            peer,
+            place: Place::Here(peer),
+            token,
+            resumed: 0,
             id,
             name,
             role,
@@ -44,6 +63,25 @@ impl Participant {
             timeline: Timeline::default(),
             delay: DelayEstimator::new(DelayRule::MeanDeviation),
         }
+    }
+
+    /// The connection, while there is one.
+    pub(crate) fn peer(&self) -> Option<PeerKey> {
+        match self.place {
+            Place::Here(peer) => Some(peer),
+            Place::Away { .. } => None,
+        }
+    }
+
+    /// Whether the seat was kept for long enough.
+    pub(crate) fn is_given_up(&self, now: ServerTime) -> bool {
+        matches!(self.place, Place::Away { until } if now >= until)
+    }
+
+    /// Forgets where the tool was and how late its samples came: it presses no more until it is heard of.
+    pub(crate) fn forget_motion(&mut self) {
+        self.timeline = Timeline::default();
+        self.delay = DelayEstimator::new(DelayRule::MeanDeviation);
     }
 
     pub(crate) fn roster_entry(&self) -> RosterEntry {

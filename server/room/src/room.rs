@@ -1,23 +1,25 @@
 //! The session machine.
 
+mod seats;
+
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use palpate_protocol::compensation::{DelaySchedule, GroupDelay};
-use palpate_protocol::handshake::{Hello, RefusalReason, Refused, Welcome};
-use palpate_protocol::operation::{LeaveReason, Operation, OperationKind};
+use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::request::{
     DelayReport, Request, RequestKind, RequestRefusal, RequestRefused,
 };
-use palpate_protocol::session::{CloseReason, PeerDatagram, PeerEvent, PeerMessage};
+use palpate_protocol::session::{PeerDatagram, PeerEvent, PeerMessage};
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{
-    OperationId, ParticipantId, RequestId, ServerTime, Span, ToolSample, ToolTrack, TopologyHash,
+    OperationId, ParticipantId, RequestId, ServerTime, Span, ToolSample, TopologyHash,
 };
 use palpate_tissue::{Model, Tool};
 
 use crate::authority::{Authority, TickReport};
-use crate::config::{RoomConfig, SEATS_MAX};
+use crate::config::RoomConfig;
+use crate::fan_out::FanOut;
 use crate::participant::Participant;
 
 /// A change of the artificial delay takes effect so much later, so that everybody has heard of it.
@@ -66,6 +68,7 @@ pub struct Room {
     next_tick: ServerTime,
     next_correction: ServerTime,
     cuts: u64,
+    fan_out: FanOut,
     outputs: VecDeque<Output>,
 }
 
@@ -85,6 +88,7 @@ impl Room {
             next_tick: now,
             next_correction: now,
             cuts: 0,
+            fan_out: FanOut::default(),
             outputs: VecDeque::new(),
             config,
         }
@@ -95,88 +99,12 @@ impl Room {
         match (event, self.by_peer.get(&peer).copied()) {
             (PeerEvent::Hello(hello), None) => self.handle_hello(peer, hello, now),
             (PeerEvent::Request(request), Some(who)) => self.handle_request(who, request, now),
-            (PeerEvent::Motion(samples), Some(who)) => self.handle_motion(who, samples, now),
+            (PeerEvent::Motion(samples), Some(who)) => self.handle_motion(who, &samples, now),
             (PeerEvent::Delay(report), Some(who)) => self.group.handle_report(who, report),
             (PeerEvent::Closed(reason), Some(who)) => self.handle_leave(who, &reason, now),
             // A second hello is the session's business; the rest comes from nobody we know.
             _ => {}
         }
-    }
-
-    fn handle_hello(&mut self, peer: PeerKey, hello: Hello, now: ServerTime) {
-        match self.admit(&hello) {
-            Err(reason) => {
-                self.send(peer, PeerMessage::Refused(Refused::because(reason)));
-            }
-            Ok(()) => self.welcome(peer, hello, now),
-        }
-    }
-
-    fn admit(&self, hello: &Hello) -> Result<(), RefusalReason> {
-        let role = hello.role;
-        let granted = self
-            .config
-            .grants
-            .iter()
-            .any(|(r, g)| *r == role && g.matches(&hello.grant));
-        let seats = self.config.seats.min(SEATS_MAX);
-        if !granted {
-            Err(RefusalReason::BadGrant { role })
-        } else if hello.resume.is_some() {
-            Err(RefusalReason::NoSuchSeat)
-        } else if self.participants.len() >= usize::from(seats) || self.next_participant == u16::MAX
-        {
-            Err(RefusalReason::Full { seats })
-        } else if self.participants.values().any(|p| p.name == hello.name) {
-            Err(RefusalReason::NameTaken {
-                name: hello.name.clone(),
-            })
-        } else if role.has_tool() && !hello.tool.as_ref().is_some_and(ToolDescription::is_valid) {
-            Err(RefusalReason::BadTool { role })
-        } else {
-            Ok(())
-        }
-    }
-
-    fn welcome(&mut self, peer: PeerKey, hello: Hello, now: ServerTime) {
-        let id = ParticipantId(self.next_participant);
-        self.next_participant += 1;
-        let tool = hello.tool.filter(|_| hello.role.has_tool());
-        let welcome = Welcome {
-            participant: id,
-            epoch: self.config.epoch,
-            role: hello.role,
-            server_time: now,
-            model: self.config.model,
-            roster: self
-                .participants
-                .values()
-                .map(Participant::roster_entry)
-                .collect(),
-            topology_version: self.authority.version(),
-            topology_hash: wire_hash(self.authority.hash()),
-            operations_so_far: self.log.len() as u64,
-            compensation: self.config.compensation,
-            tick_hz: self.config.tick_hz,
-            session_started_at: self.started_at,
-            // Seats can not be resumed yet: no token is good.
-            resume_token: [0; 16],
-        };
-        self.send(peer, PeerMessage::Welcome(Box::new(welcome)));
-        for operation in self.log.clone() {
-            self.send(peer, PeerMessage::Operation(operation));
-        }
-        let participant = Participant::new(peer, id, hello.name.clone(), hello.role, tool);
-        self.participants.insert(id, participant);
-        self.by_peer.insert(peer, id);
-        let kind = OperationKind::Joined {
-            participant: id,
-            name: hello.name,
-            role: hello.role,
-            tool,
-        };
-        self.append(id, kind, now);
-        self.start_if_due(now);
     }
 
     /// Scripts begin when enough tools have been heard of: a site that still builds its copy of the
@@ -265,7 +193,7 @@ impl Room {
         }
     }
 
-    fn handle_motion(&mut self, who: ParticipantId, samples: Vec<ToolSample>, now: ServerTime) {
+    fn handle_motion(&mut self, who: ParticipantId, samples: &[ToolSample], now: ServerTime) {
         let in_force = self.schedule.delay_at(now);
         let Some(participant) = self.participants.get_mut(&who) else {
             return;
@@ -273,59 +201,48 @@ impl Room {
         if participant.tool.is_none() || samples.is_empty() {
             return;
         }
-        for sample in &samples {
+        for sample in samples {
             participant.timeline.insert(*sample);
         }
         if let Some(newest) = samples.last() {
             participant.delay.handle_arrival(newest.time, now, in_force);
         }
         self.start_if_due(now);
-        let tracks: Arc<[ToolTrack]> = Arc::from([ToolTrack {
-            participant: who,
-            samples,
-        }]);
-        for other in self.participants.values().filter(|p| p.id != who) {
-            let datagram = PeerDatagram::Motion(Arc::clone(&tracks));
-            self.outputs
-                .push_back(Output::Datagram(other.peer, datagram));
+        self.fan_out.push(who, samples);
+        self.send_motion(now);
+    }
+
+    /// Passes motion on, when its round has come, to all but its author.
+    fn send_motion(&mut self, now: ServerTime) {
+        let Some(tracks) = self.fan_out.poll(now) else {
+            return;
+        };
+        for (peer, id) in &self.by_peer {
+            if tracks.iter().any(|track| track.participant != *id) {
+                // The session leaves out its own participant's tool.
+                let datagram = PeerDatagram::Motion(Arc::clone(&tracks));
+                self.outputs.push_back(Output::Datagram(*peer, datagram));
+            }
         }
     }
 
-    fn handle_leave(&mut self, who: ParticipantId, reason: &CloseReason, now: ServerTime) {
-        let Some(gone) = self.participants.remove(&who) else {
-            return;
-        };
-        self.by_peer.remove(&gone.peer);
-        self.group.remove(who);
-        let reason = match reason {
-            CloseReason::Left => LeaveReason::Left,
-            CloseReason::Violation(_) => LeaveReason::Violation,
-            CloseReason::Refused(_) | CloseReason::Goodbye(_) => LeaveReason::Removed,
-            CloseReason::Silent(_)
-            | CloseReason::HandshakeTimeout
-            | CloseReason::ConnectionLost(_) => LeaveReason::Silent,
-        };
-        self.append(
-            who,
-            OperationKind::Left {
-                participant: who,
-                reason,
-            },
-            now,
-        );
-    }
-
     /// Brings the tissue to the newest moment of the common grid that is due, within what `stop`
-    /// allows. `None` when that moment has been settled already.
+    /// allows, and passes on what motion waits. `None` when no tick is due, or its moment has been settled
+    /// already.
     pub fn handle_tick(
         &mut self,
         now: ServerTime,
         stop: &mut dyn FnMut() -> bool,
     ) -> Option<TickReport> {
+        self.send_motion(now);
+        if now < self.next_tick {
+            return None;
+        }
         let period = self.config.tick_period();
         while self.next_tick <= now {
             self.next_tick = self.next_tick + period;
         }
+        self.give_up_kept(now);
         self.change_delay(now);
         let hz = i64::from(self.config.tick_hz.max(1));
         let grid = (self.schedule.shown_at(now).as_micros() * hz).div_euclid(1_000_000);
@@ -372,10 +289,9 @@ impl Room {
             return;
         };
         let corrections = Arc::new(corrections);
-        for participant in self.participants.values() {
+        for peer in self.by_peer.keys() {
             let datagram = PeerDatagram::Corrections(Arc::clone(&corrections));
-            self.outputs
-                .push_back(Output::Datagram(participant.peer, datagram));
+            self.outputs.push_back(Output::Datagram(*peer, datagram));
         }
     }
 
@@ -387,9 +303,10 @@ impl Room {
         }
     }
 
-    /// When the next tick is due.
+    /// When [`handle_tick`](Self::handle_tick) is due: for the next tick, or for motion that waits.
     pub fn poll_timeout(&self) -> ServerTime {
-        self.next_tick
+        let motion = self.fan_out.due();
+        motion.map_or(self.next_tick, |due| due.min(self.next_tick))
     }
 
     /// The next thing to send.
@@ -397,7 +314,7 @@ impl Room {
         self.outputs.pop_front()
     }
 
-    /// Number of participants.
+    /// Number of participants, with those whose seat is kept.
     pub fn participant_count(&self) -> usize {
         self.participants.len()
     }
@@ -433,7 +350,7 @@ impl Room {
     }
 
     fn refuse(&mut self, who: ParticipantId, id: RequestId, reason: RequestRefusal) {
-        if let Some(peer) = self.participants.get(&who).map(|p| p.peer) {
+        if let Some(peer) = self.participants.get(&who).and_then(Participant::peer) {
             self.send(
                 peer,
                 PeerMessage::RequestRefused(RequestRefused { id, reason }),

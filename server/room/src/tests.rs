@@ -12,11 +12,16 @@ use palpate_protocol::request::{
 use palpate_protocol::session::{CloseReason, PeerDatagram, PeerEvent, PeerMessage};
 use palpate_protocol::tool::{ToolDescription, ToolKind};
 use palpate_protocol::{
-    Epoch, Grant, ModelHash, Pose, RequestId, Role, ServerTime, Span, ToolSample, TopologyHash,
+    Epoch, Grant, ModelHash, Pose, RequestId, ResumeToken, Role, ServerTime, Span, ToolSample,
+    TopologyHash,
 };
 use palpate_tissue::{Material, Model, block};
 
 use crate::{Output, PeerKey, Room, RoomConfig};
+
+mod motion;
+mod seats;
+mod states;
 
 const TRAINEE: Grant = Grant([7; 16]);
 const SPECTATOR: Grant = Grant([9; 16]);
@@ -27,6 +32,10 @@ fn model() -> Arc<Model> {
 }
 
 fn room(start_when_tools: u16) -> Room {
+    room_of(3, start_when_tools)
+}
+
+fn room_of(seats: u16, start_when_tools: u16) -> Room {
     let config = RoomConfig {
         epoch: Epoch(1),
         model: ModelInfo {
@@ -34,12 +43,13 @@ fn room(start_when_tools: u16) -> Room {
             bytes: 1,
         },
         grants: vec![(Role::Trainee, TRAINEE), (Role::Spectator, SPECTATOR)],
-        seats: 3,
+        seats,
         tick_hz: 50,
         compensation: CompensationSettings {
             mode: CompensationMode::Fixed,
             initial_delay_us: 20_000,
         },
+        fresh_token: |who| ResumeToken([who.0 as u8; 16]),
         start_when_tools,
     };
     Room::new(model(), config, ServerTime::ZERO)
@@ -332,7 +342,7 @@ fn a_tool_that_presses_is_passed_on_deforms_the_tissue_and_is_gone_with_its_owne
     let left = operations(&drain(&mut room), PeerKey(2));
     assert!(matches!(
         left[..],
-        [ref o] if matches!(o.kind, OperationKind::Left { reason: LeaveReason::Silent, .. })
+        [ref o] if matches!(o.kind, OperationKind::Away { .. })
     ));
     let mut tools = 1;
     for step in 0..20 {

@@ -11,7 +11,7 @@ mod summary;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::Arc;
 
-use palpate_protocol::{Epoch, Grant, JoinLink, ModelHash, ModelInfo, Role};
+use palpate_protocol::{Epoch, Grant, JoinLink, ModelHash, ModelInfo, ResumeToken, Role};
 use palpate_room::RoomConfig;
 use palpate_transport::{ModelSource, ServerIdentity};
 
@@ -47,6 +47,7 @@ pub fn host(options: &HostOptions) -> Result<(), ServerError> {
         seats: options.seats,
         tick_hz: options.tick_hz,
         compensation: options.compensation,
+        fresh_token: |_| ResumeToken(rand::random()),
         start_when_tools: options.start_when_tools,
     };
     let nodes = loaded.model.nodes.len();

@@ -1,0 +1,252 @@
+//! The connection of a session that stands: pumped while it lives, made anew when it is lost.
+
+use std::time::Duration;
+
+use palpate_protocol::JoinLink;
+use palpate_protocol::handshake::{Hello, Resume, Welcome};
+use palpate_protocol::session::{ClientEvent, CloseReason};
+use palpate_transport::{ClientCommand, ClientHandle, DriverStats};
+use tokio::sync::{mpsc, watch};
+use tokio::time::Instant;
+
+use crate::ClientError;
+use crate::inbox::Inbox;
+use crate::network::join;
+
+/// A session that says its link is lost is given up so much later: the server then has given up the
+/// connection too, and waits for a new one.
+const SILENCE_MAX: Duration = Duration::from_secs(1);
+
+/// Before the first attempt to come back; doubled for every further one.
+const WAIT_FIRST: Duration = Duration::from_millis(250);
+
+/// The longest wait between two attempts.
+const WAIT_MAX: Duration = Duration::from_secs(8);
+
+/// One attempt at most. Packets of a handshake are repeated after 0.3, 0.6, 1.2 s: beyond that a new
+/// handshake is sooner heard than an old one.
+const ATTEMPT_MAX: Duration = Duration::from_secs(4);
+
+/// How the connection does, for the status line.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(crate) struct Condition {
+    /// Why it is lost, while it is.
+    pub(crate) lost: Option<String>,
+    /// How often it was made anew.
+    pub(crate) returns: u64,
+    /// Requests that were made while there was no connection: they are not sent.
+    pub(crate) requests_lost: u64,
+}
+
+/// What a connection needs to be made anew, and the ends that outlive it.
+pub(crate) struct Lifeline<'a> {
+    pub(crate) link: &'a JoinLink,
+    pub(crate) hello: Hello,
+    pub(crate) seat: Resume,
+    /// How long to try.
+    pub(crate) patience: Duration,
+    pub(crate) inbox: &'a Inbox,
+    pub(crate) commands: mpsc::Receiver<ClientCommand>,
+    pub(crate) stats: watch::Sender<DriverStats>,
+    pub(crate) condition: watch::Sender<Condition>,
+    pub(crate) is_lost: bool,
+}
+
+/// Why a connection is pumped no more.
+enum Over {
+    /// The session is over, and the inbox knows.
+    Ended,
+    /// The participant goes.
+    Leaving,
+    /// Only the connection is lost.
+    Lost(String),
+}
+
+impl Lifeline<'_> {
+    /// Keeps the session standing until it is over.
+    pub(crate) async fn run(mut self, mut handle: ClientHandle) {
+        loop {
+            let why = match self.pump(&mut handle).await {
+                Over::Ended | Over::Leaving => return end(handle).await,
+                Over::Lost(why) => why,
+            };
+            // Leaving politely would give up the seat.
+            handle.task.abort();
+            match self.come_back(why).await {
+                Some(again) => handle = again,
+                None => return,
+            }
+        }
+    }
+
+    async fn pump(&mut self, handle: &mut ClientHandle) -> Over {
+        let mut give_up: Option<Instant> = None;
+        loop {
+            let silence = async {
+                match give_up {
+                    Some(at) => tokio::time::sleep_until(at).await,
+                    None => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                event = handle.events.recv() => {
+                    match &event {
+                        Some(ClientEvent::LinkLost) => give_up = Some(Instant::now() + SILENCE_MAX),
+                        Some(ClientEvent::LinkRestored) => give_up = None,
+                        _ => {}
+                    }
+                    if let Some(over) = self.take(event) {
+                        return over;
+                    }
+                }
+                command = self.commands.recv() => match command {
+                    Some(command) => self.pass_on(handle, command),
+                    None => return Over::Leaving,
+                },
+                Ok(()) = handle.stats.changed() => {
+                    self.stats.send_replace(*handle.stats.borrow_and_update());
+                }
+                () = silence => {
+                    return Over::Lost("nothing was heard from the server for 2 s".to_owned());
+                }
+            }
+        }
+    }
+
+    /// Notes an event and puts it into the inbox.
+    fn take(&mut self, event: Option<ClientEvent>) -> Option<Over> {
+        let lost = |reason: &CloseReason| {
+            matches!(
+                reason,
+                CloseReason::ConnectionLost(_) | CloseReason::Silent(_)
+            )
+        };
+        let event = match event {
+            None => return Some(Over::Lost("the session ended without a word".to_owned())),
+            Some(ClientEvent::Closed(reason)) if lost(&reason) => {
+                return Some(Over::Lost(reason.to_string()));
+            }
+            Some(event) => event,
+        };
+        match &event {
+            ClientEvent::LinkLost => self.is_lost = true,
+            ClientEvent::LinkRestored => self.is_lost = false,
+            ClientEvent::Operation(operation) => self.seat.note(operation),
+            _ => {}
+        }
+        let is_last = matches!(event, ClientEvent::Closed(_));
+        if !self.inbox.push(event) {
+            self.close("the operations came faster than this machine applies them".to_owned());
+            return Some(Over::Ended);
+        }
+        is_last.then_some(Over::Ended)
+    }
+
+    fn pass_on(&mut self, handle: &ClientHandle, command: ClientCommand) {
+        let is_request = matches!(command, ClientCommand::Request(_));
+        if handle.commands.try_send(command).is_err() && is_request {
+            self.condition.send_modify(|c| c.requests_lost += 1);
+        }
+    }
+
+    /// Takes the seat again; `None` when that failed for good, and the inbox knows, or nobody wants it.
+    async fn come_back(&mut self, why: String) -> Option<ClientHandle> {
+        if !std::mem::replace(&mut self.is_lost, true) {
+            self.inbox.push(ClientEvent::LinkLost);
+        }
+        tracing::info!(why, "the connection is lost");
+        self.condition.send_modify(|c| c.lost = Some(why.clone()));
+        let give_up = Instant::now() + self.patience;
+        let (mut wait, mut last) = (WAIT_FIRST, None);
+        loop {
+            let next = (Instant::now() + wait).min(give_up);
+            if while_away(
+                &mut self.commands,
+                &self.condition,
+                tokio::time::sleep_until(next),
+            )
+            .await
+            .is_none()
+            {
+                self.inbox.push(ClientEvent::Closed(CloseReason::Left));
+                return None;
+            }
+            if Instant::now() >= give_up {
+                let tried = self.patience.as_secs_f64();
+                let last = last.map_or(String::new(), |l| format!(": {l}"));
+                self.close(format!(
+                    "{why}; it could not be reached again within {tried} s{last}"
+                ));
+                return None;
+            }
+            let hello = Hello {
+                resume: Some(self.seat),
+                ..self.hello.clone()
+            };
+            let attempt = tokio::time::timeout(ATTEMPT_MAX, join(self.link, hello));
+            match while_away(&mut self.commands, &self.condition, attempt).await {
+                None => {
+                    self.inbox.push(ClientEvent::Closed(CloseReason::Left));
+                    return None;
+                }
+                Some(Ok(Ok((handle, welcome)))) => {
+                    self.welcome_back(welcome);
+                    return Some(handle);
+                }
+                Some(Ok(Err(ClientError::Refused(sentence)))) => {
+                    self.close(sentence);
+                    return None;
+                }
+                Some(Ok(Err(error))) => last = Some(error.to_string()),
+                Some(Err(_)) => last = Some("no answer".to_owned()),
+            }
+            wait = (2 * wait).min(WAIT_MAX);
+        }
+    }
+
+    fn welcome_back(&mut self, welcome: Box<Welcome>) {
+        self.seat = Resume::after_welcome(&welcome, Some(self.seat));
+        self.is_lost = false;
+        self.inbox.push(ClientEvent::Welcomed(welcome));
+        self.inbox.push(ClientEvent::LinkRestored);
+        self.condition.send_modify(|c| {
+            c.lost = None;
+            c.returns += 1;
+        });
+    }
+
+    /// The last event always finds room.
+    fn close(&self, why: String) {
+        let reason = CloseReason::ConnectionLost(why);
+        self.inbox.push(ClientEvent::Closed(reason));
+    }
+}
+
+/// Does something while there is no connection: motion is dropped, requests are counted. `None` when the
+/// participant leaves meanwhile.
+async fn while_away<T>(
+    commands: &mut mpsc::Receiver<ClientCommand>,
+    condition: &watch::Sender<Condition>,
+    work: impl Future<Output = T>,
+) -> Option<T> {
+    tokio::pin!(work);
+    loop {
+        tokio::select! {
+            done = &mut work => return Some(done),
+            command = commands.recv() => match command {
+                None | Some(ClientCommand::Leave) => return None,
+                Some(ClientCommand::Request(_)) => condition.send_modify(|c| c.requests_lost += 1),
+                Some(ClientCommand::Motion(_)) => {}
+            },
+        }
+    }
+}
+
+/// Dropping the commands leaves the session, if it still stands.
+pub(crate) async fn end(mut handle: ClientHandle) {
+    drop(handle.commands);
+    handle.events.close();
+    if handle.task.await.is_err() {
+        tracing::error!("the task of the session ended by a panic");
+    }
+}

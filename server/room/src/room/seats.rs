@@ -1,0 +1,256 @@
+//! Who gets a seat, who keeps it without a connection, and who takes it again.
+
+use palpate_protocol::handshake::{Hello, RefusalReason, Refused, Resume, SEAT_KEPT, Welcome};
+use palpate_protocol::operation::{CompensationSettings, LeaveReason, OperationKind};
+use palpate_protocol::session::{CloseReason, PeerMessage};
+use palpate_protocol::tool::ToolDescription;
+use palpate_protocol::{OperationId, ParticipantId, ServerTime};
+
+use super::{Room, wire_hash};
+use crate::PeerKey;
+use crate::config::SEATS_MAX;
+use crate::participant::{Participant, Place};
+
+/// How often a seat can be taken again. Every time adds two operations to the log, which every newcomer
+/// is sent; a connection that breaks once a minute lasts for more than an hour and a half.
+const RESUMES_MAX: u16 = 100;
+
+impl Room {
+    pub(super) fn handle_hello(&mut self, peer: PeerKey, hello: Hello, now: ServerTime) {
+        let result = match hello.resume {
+            Some(resume) => self
+                .admit_again(&hello, &resume, now)
+                .map(|()| self.take_again(peer, &resume, now)),
+            None => self.admit(&hello).map(|()| self.seat(peer, hello, now)),
+        };
+        if let Err(reason) = result {
+            self.send(peer, PeerMessage::Refused(Refused::because(reason)));
+        }
+    }
+
+    fn admit(&self, hello: &Hello) -> Result<(), RefusalReason> {
+        let role = hello.role;
+        let seats = self.config.seats.min(SEATS_MAX);
+        if !self.is_granted(hello) {
+            Err(RefusalReason::BadGrant { role })
+        } else if self.participants.len() >= usize::from(seats) || self.next_participant == u16::MAX
+        {
+            Err(RefusalReason::Full { seats })
+        } else if self.participants.values().any(|p| p.name == hello.name) {
+            // A seat that is kept keeps its name too.
+            Err(RefusalReason::NameTaken {
+                name: hello.name.clone(),
+            })
+        } else if role.has_tool() && !hello.tool.as_ref().is_some_and(ToolDescription::is_valid) {
+            Err(RefusalReason::BadTool { role })
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Whether somebody may take a seat again. A wrong token and a seat that is gone are answered alike,
+    /// so that who guesses learns nothing.
+    fn admit_again(
+        &self,
+        hello: &Hello,
+        resume: &Resume,
+        now: ServerTime,
+    ) -> Result<(), RefusalReason> {
+        if !self.is_granted(hello) {
+            return Err(RefusalReason::BadGrant { role: hello.role });
+        }
+        let seat = self.participants.get(&resume.participant);
+        let is_theirs = seat.is_some_and(|seat| {
+            seat.token.matches(&resume.token)
+                && seat.name == hello.name
+                && seat.role == hello.role
+                && seat.resumed < RESUMES_MAX
+                && !seat.is_given_up(now)
+        });
+        if is_theirs {
+            Ok(())
+        } else {
+            Err(RefusalReason::NoSuchSeat)
+        }
+    }
+
+    fn is_granted(&self, hello: &Hello) -> bool {
+        let mut grants = self.config.grants.iter();
+        grants.any(|(role, grant)| *role == hello.role && grant.matches(&hello.grant))
+    }
+
+    fn seat(&mut self, peer: PeerKey, hello: Hello, now: ServerTime) {
+        let id = ParticipantId(self.next_participant);
+        self.next_participant += 1;
+        let tool = hello.tool.filter(|_| hello.role.has_tool());
+        let token = (self.config.fresh_token)(id);
+        let name = hello.name.clone();
+        let participant = Participant::new(peer, token, id, name, hello.role, tool);
+        let first = OperationId(0);
+        let welcome = self.welcome(&participant, self.config.compensation, first, now);
+        self.greet(peer, welcome);
+        self.participants.insert(id, participant);
+        self.by_peer.insert(peer, id);
+        let kind = OperationKind::Joined {
+            participant: id,
+            name: hello.name,
+            role: hello.role,
+            tool,
+        };
+        self.append(id, kind, now);
+        self.start_if_due(now);
+    }
+
+    /// Gives somebody their seat back: number, role and tool as they were, and of the log what they do
+    /// not have.
+    fn take_again(&mut self, peer: PeerKey, resume: &Resume, now: ServerTime) {
+        let id = resume.participant;
+        let first = self.continues_at(resume);
+        let Some(seat) = self.participants.get_mut(&id) else {
+            return;
+        };
+        seat.resumed += 1;
+        let before = std::mem::replace(&mut seat.place, Place::Here(peer));
+        // What the dead connection may still have told of the tool does not go on with the new one.
+        seat.forget_motion();
+        self.fan_out.remove(id);
+        if let Place::Here(old) = before {
+            // A dead connection that nobody noticed yet. Its end, when it comes, is nobody's.
+            self.by_peer.remove(&old);
+            self.group.remove(id);
+            let sentence = "you came back over another connection".to_owned();
+            self.send(old, PeerMessage::Goodbye(sentence));
+        }
+        // Who goes on does not read the changes of the delay again: it begins with the one in force.
+        let mut compensation = self.config.compensation;
+        if first > OperationId(0) {
+            let in_force = self.schedule.delay_at(now).as_micros();
+            compensation.initial_delay_us = u32::try_from(in_force).unwrap_or(0);
+        }
+        if let Some(seat) = self.participants.get(&id) {
+            let welcome = self.welcome(seat, compensation, first, now);
+            self.greet(peer, welcome);
+        }
+        self.by_peer.insert(peer, id);
+        self.append(id, OperationKind::Back { participant: id }, now);
+    }
+
+    /// The first operation that somebody who returns does not have; 0 when what they have is not our log.
+    fn continues_at(&self, resume: &Resume) -> OperationId {
+        let last = resume
+            .next_operation
+            .0
+            .checked_sub(1)
+            .and_then(|last| self.log.get(usize::try_from(last).ok()?));
+        let is_ours = last.is_some_and(|last| {
+            last.topology_version_after == resume.topology_version
+                && last.hash_after == resume.topology_hash
+        });
+        if is_ours {
+            resume.next_operation
+        } else {
+            OperationId(0)
+        }
+    }
+
+    fn welcome(
+        &self,
+        seat: &Participant,
+        compensation: CompensationSettings,
+        first_operation: OperationId,
+        now: ServerTime,
+    ) -> Welcome {
+        Welcome {
+            participant: seat.id,
+            epoch: self.config.epoch,
+            role: seat.role,
+            server_time: now,
+            model: self.config.model,
+            roster: self
+                .participants
+                .values()
+                .map(Participant::roster_entry)
+                .collect(),
+            topology_version: self.authority.version(),
+            topology_hash: wire_hash(self.authority.hash()),
+            first_operation,
+            operations_so_far: self.log.len() as u64,
+            compensation,
+            tick_hz: self.config.tick_hz,
+            session_started_at: self.started_at,
+            // The same every time: a welcome that gets lost must not take the seat with it.
+            resume_token: seat.token,
+        }
+    }
+
+    fn greet(&mut self, peer: PeerKey, welcome: Welcome) {
+        let first = usize::try_from(welcome.first_operation.0).unwrap_or(usize::MAX);
+        self.send(peer, PeerMessage::Welcome(Box::new(welcome)));
+        let missing = self.log.get(first..).unwrap_or_default().to_vec();
+        for operation in missing {
+            self.send(peer, PeerMessage::Operation(operation));
+        }
+    }
+
+    /// The connection of somebody is over: who only lost it keeps the seat for a while.
+    pub(super) fn handle_leave(
+        &mut self,
+        who: ParticipantId,
+        reason: &CloseReason,
+        now: ServerTime,
+    ) {
+        match reason {
+            CloseReason::Left => self.give_up(who, LeaveReason::Left, now),
+            CloseReason::Violation(_) => self.give_up(who, LeaveReason::Violation, now),
+            CloseReason::Refused(_) | CloseReason::Goodbye(_) => {
+                self.give_up(who, LeaveReason::Removed, now);
+            }
+            CloseReason::Silent(_)
+            | CloseReason::HandshakeTimeout
+            | CloseReason::ConnectionLost(_) => self.keep(who, now),
+        }
+    }
+
+    fn keep(&mut self, who: ParticipantId, now: ServerTime) {
+        let Some(seat) = self.participants.get_mut(&who) else {
+            return;
+        };
+        let until = now + SEAT_KEPT;
+        if let Place::Here(peer) = std::mem::replace(&mut seat.place, Place::Away { until }) {
+            self.by_peer.remove(&peer);
+        }
+        seat.forget_motion();
+        self.fan_out.remove(who);
+        self.group.remove(who);
+        self.append(who, OperationKind::Away { participant: who }, now);
+    }
+
+    fn give_up(&mut self, who: ParticipantId, reason: LeaveReason, now: ServerTime) {
+        let Some(gone) = self.participants.remove(&who) else {
+            return;
+        };
+        if let Place::Here(peer) = gone.place {
+            self.by_peer.remove(&peer);
+        }
+        self.fan_out.remove(who);
+        self.group.remove(who);
+        let kind = OperationKind::Left {
+            participant: who,
+            reason,
+        };
+        self.append(who, kind, now);
+    }
+
+    /// Gives up the seats that were kept for long enough.
+    pub(super) fn give_up_kept(&mut self, now: ServerTime) {
+        let over: Vec<ParticipantId> = self
+            .participants
+            .values()
+            .filter(|p| p.is_given_up(now))
+            .map(|p| p.id)
+            .collect();
+        for who in over {
+            self.give_up(who, LeaveReason::Silent, now);
+        }
+    }
+}

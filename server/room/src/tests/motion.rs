@@ -1,0 +1,74 @@
+//! Motion from everybody to everybody.
+
+use std::collections::BTreeMap;
+
+use palpate_protocol::ParticipantId;
+
+use super::*;
+
+/// Everybody moves at 1 kHz in batches of 4 ms, for one second. The datagrams to each peer, and the newest
+/// sample of each tool that each was sent.
+fn second_of(
+    participants: u16,
+) -> (
+    BTreeMap<PeerKey, usize>,
+    BTreeMap<(PeerKey, ParticipantId), ServerTime>,
+) {
+    let mut room = room_of(participants, 0);
+    for who in 1..=participants {
+        let hello = hello(&format!("p{who}"), Role::Trainee, ToolKind::Probe);
+        room.handle_event(PeerKey(u64::from(who)), hello, ms(0));
+    }
+    drain(&mut room);
+    let (mut sent, mut newest) = (BTreeMap::new(), BTreeMap::new());
+    for now in 1..1020 {
+        for who in 1..=u64::from(participants) {
+            // Each has a phase of its own.
+            if (now + who as i64) % 4 == 0 && now <= 1000 {
+                let above = |t: i64| ToolSample {
+                    time: ms(t),
+                    ..ToolSample::default()
+                };
+                let batch = PeerEvent::Motion((now - 4..now).map(above).collect());
+                room.handle_event(PeerKey(who), batch, ms(now));
+            }
+        }
+        if room.poll_timeout() <= ms(now) {
+            room.handle_tick(ms(now), &mut || true);
+        }
+        for output in drain(&mut room) {
+            let Output::Datagram(peer, PeerDatagram::Motion(tracks)) = output else {
+                continue;
+            };
+            *sent.entry(peer).or_insert(0) += 1;
+            for track in tracks.iter() {
+                let last = track.samples[track.samples.len() - 1].time;
+                newest.insert((peer, track.participant), last);
+            }
+        }
+    }
+    (sent, newest)
+}
+
+#[test]
+fn a_crowd_gets_rounds_and_not_every_batch_of_everybody() {
+    let (sent, newest) = second_of(32);
+    assert_eq!(sent.len(), 32);
+    for (peer, count) in &sent {
+        assert!((80..=130).contains(count), "{count} rounds to {peer:?}");
+    }
+    for peer in 1..=32 {
+        for who in 1..=32 {
+            let last = newest[&(PeerKey(peer), ParticipantId(who))];
+            assert!(last >= ms(995), "{who} to {peer}: {last:?}");
+        }
+    }
+}
+
+#[test]
+fn two_get_every_batch_of_each_other_within_four_milliseconds() {
+    let (sent, _) = second_of(2);
+    for (peer, count) in &sent {
+        assert!((240..=260).contains(count), "{count} rounds to {peer:?}");
+    }
+}

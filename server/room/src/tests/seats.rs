@@ -1,0 +1,250 @@
+//! Seats that are kept without a connection, and taken again.
+
+use palpate_protocol::handshake::{Resume, SEAT_KEPT, Welcome};
+use palpate_protocol::{OperationId, ParticipantId};
+
+use super::*;
+
+fn lost() -> PeerEvent {
+    PeerEvent::Closed(CloseReason::ConnectionLost("a test".into()))
+}
+
+fn welcome(outputs: &[Output], to: PeerKey) -> Welcome {
+    let mut welcomes = outputs.iter().filter_map(|o| match o {
+        Output::Message(peer, PeerMessage::Welcome(w)) if *peer == to => Some(w.as_ref().clone()),
+        _ => None,
+    });
+    welcomes.next().expect("a welcome")
+}
+
+/// What a participant at `peer` has after everything that was sent to it.
+fn seat_of(outputs: &[Output], peer: PeerKey, before: Option<Resume>) -> Resume {
+    let mut seat = Resume::after_welcome(&welcome(outputs, peer), before);
+    for operation in operations(outputs, peer) {
+        assert_eq!(operation.id, seat.next_operation, "no hole in the log");
+        seat.note(&operation);
+    }
+    seat
+}
+
+fn back(name: &str, resume: Resume) -> PeerEvent {
+    let PeerEvent::Hello(hello) = hello(name, Role::Trainee, ToolKind::Scalpel) else {
+        unreachable!()
+    };
+    PeerEvent::Hello(Hello {
+        resume: Some(resume),
+        ..hello
+    })
+}
+
+/// A session with Ann and her blade at peer 1 and Bob at peer 2; Ann's seat.
+fn two() -> (Room, Resume) {
+    let mut room = room(1);
+    let ann = hello("ann", Role::Trainee, ToolKind::Scalpel);
+    room.handle_event(PeerKey(1), ann, ms(0));
+    let bob = hello("bob", Role::Trainee, ToolKind::Probe);
+    room.handle_event(PeerKey(2), bob, ms(0));
+    let seat = seat_of(&drain(&mut room), PeerKey(1), None);
+    (room, seat)
+}
+
+fn cut(room: &mut Room, peer: PeerKey, now: ServerTime) {
+    let request = Request {
+        id: RequestId(1),
+        kind: stroke(),
+    };
+    room.handle_event(peer, PeerEvent::Request(request), now);
+}
+
+#[test]
+fn who_lost_the_connection_finds_number_role_tool_and_the_rest_of_the_log() {
+    let (mut room, mut seat) = two();
+    cut(&mut room, PeerKey(1), ms(200));
+    for operation in operations(&drain(&mut room), PeerKey(1)) {
+        seat.note(&operation);
+    }
+    room.handle_event(PeerKey(1), lost(), ms(1000));
+    let to_bob = operations(&drain(&mut room), PeerKey(2));
+    assert!(
+        matches!(to_bob[..], [ref o] if o.kind == OperationKind::Away { participant: ParticipantId(1) })
+    );
+    room.handle_event(PeerKey(3), back("ann", seat), ms(31_000));
+    let outputs = drain(&mut room);
+    let again = welcome(&outputs, PeerKey(3));
+    assert_eq!(again.participant, ParticipantId(1));
+    assert_eq!(again.role, Role::Trainee);
+    assert_eq!(again.first_operation, seat.next_operation);
+    assert!(again.resume_token.matches(&seat.token));
+    let me = again.roster.iter().find(|e| e.name == "ann").unwrap();
+    assert_eq!(me.tool.map(|t| t.kind), Some(ToolKind::Scalpel));
+    let later = seat_of(&outputs, PeerKey(3), Some(seat));
+    assert_eq!(
+        later.next_operation.0 as usize,
+        room.operation_count(),
+        "everything that was missed, and that she is back"
+    );
+    let to_bob = operations(&outputs, PeerKey(2));
+    assert!(
+        matches!(to_bob[..], [ref o] if o.kind == OperationKind::Back { participant: ParticipantId(1) })
+    );
+    cut(&mut room, PeerKey(3), ms(31_100));
+    assert!(room.topology().0 >= 1, "her blade is hers again");
+}
+
+#[test]
+fn a_tool_stops_pressing_at_once_when_its_connection_is_lost() {
+    let mut room = room(1);
+    let ann = hello("ann", Role::Trainee, ToolKind::Probe);
+    room.handle_event(PeerKey(1), ann, ms(0));
+    room.handle_event(PeerKey(1), pressing(0, 100), ms(100));
+    let pressed = room.handle_tick(ms(101), &mut || false).unwrap();
+    assert_eq!(pressed.tools, 1);
+    room.handle_event(PeerKey(1), lost(), ms(102));
+    let after = room.handle_tick(ms(121), &mut || false).unwrap();
+    assert_eq!(after.tools, 0);
+}
+
+#[test]
+fn a_kept_seat_keeps_its_name_and_counts_until_it_is_given_up() {
+    let (mut room, seat) = two();
+    room.handle_event(PeerKey(1), lost(), ms(1000));
+    drain(&mut room);
+    let other = hello("ann", Role::Spectator, ToolKind::Probe);
+    room.handle_event(PeerKey(3), other.clone(), ms(1100));
+    let taken = refusal(&drain(&mut room));
+    assert!(matches!(taken, Some(RefusalReason::NameTaken { .. })));
+    assert_eq!(room.participant_count(), 2);
+    let end = ms(1000) + SEAT_KEPT;
+    room.handle_tick(end, &mut || false);
+    let left = operations(&drain(&mut room), PeerKey(2));
+    assert!(matches!(
+        left[..],
+        [ref o] if matches!(o.kind, OperationKind::Left { reason: LeaveReason::Silent, .. })
+    ));
+    room.handle_event(PeerKey(4), back("ann", seat), end);
+    assert_eq!(
+        refusal(&drain(&mut room)),
+        Some(RefusalReason::NoSuchSeat),
+        "too late"
+    );
+    room.handle_event(PeerKey(5), other, end);
+    assert_eq!(refusal(&drain(&mut room)), None, "the name is free");
+}
+
+#[test]
+fn a_seat_is_expired_for_who_returns_even_before_a_tick_has_given_it_up() {
+    let (mut room, seat) = two();
+    room.handle_event(PeerKey(1), lost(), ms(1000));
+    drain(&mut room);
+    let end = ms(1000) + SEAT_KEPT;
+    room.handle_event(PeerKey(4), back("ann", seat), end);
+    assert_eq!(refusal(&drain(&mut room)), Some(RefusalReason::NoSuchSeat));
+}
+
+#[test]
+fn another_token_another_name_or_another_number_takes_nobodys_seat() {
+    let (mut room, seat) = two();
+    room.handle_event(PeerKey(1), lost(), ms(1000));
+    drain(&mut room);
+    let wrong = Resume {
+        token: ResumeToken([99; 16]),
+        ..seat
+    };
+    let other = Resume {
+        participant: ParticipantId(2),
+        ..seat
+    };
+    let nobody = Resume {
+        participant: ParticipantId(77),
+        ..seat
+    };
+    let guesses = [
+        ("ann", wrong),
+        ("bob", other),
+        ("ann", nobody),
+        ("eve", seat),
+    ];
+    for (peer, (name, resume)) in guesses.into_iter().enumerate() {
+        room.handle_event(PeerKey(10 + peer as u64), back(name, resume), ms(1500));
+        assert_eq!(
+            refusal(&drain(&mut room)),
+            Some(RefusalReason::NoSuchSeat),
+            "{name} {resume:?}"
+        );
+    }
+    room.handle_event(PeerKey(20), back("ann", seat), ms(1600));
+    assert_eq!(refusal(&drain(&mut room)), None, "the right one still does");
+}
+
+#[test]
+fn a_dead_connection_that_nobody_noticed_gives_way_to_the_new_one() {
+    let (mut room, seat) = two();
+    room.handle_event(PeerKey(3), back("ann", seat), ms(1500));
+    let outputs = drain(&mut room);
+    assert_eq!(welcome(&outputs, PeerKey(3)).participant, ParticipantId(1));
+    let is_told = |o: &Output| matches!(o, Output::Message(PeerKey(1), PeerMessage::Goodbye(_)));
+    assert!(outputs.iter().any(is_told), "the old one is closed");
+    // What the old one still says, and its end, change nothing.
+    let before = room.operation_count();
+    cut(&mut room, PeerKey(1), ms(1600));
+    room.handle_event(PeerKey(1), lost(), ms(1700));
+    assert_eq!(room.operation_count(), before);
+    cut(&mut room, PeerKey(3), ms(1800));
+    assert_eq!(room.operation_count(), before + 1);
+}
+
+#[test]
+fn who_left_or_broke_the_protocol_has_no_seat_to_come_back_to() {
+    let violation = palpate_protocol::ProtocolError::OutOfRange {
+        what: "a test",
+        detail: String::new(),
+    };
+    for reason in [CloseReason::Left, CloseReason::Violation(violation)] {
+        let (mut room, seat) = two();
+        room.handle_event(PeerKey(1), PeerEvent::Closed(reason), ms(1000));
+        drain(&mut room);
+        room.handle_event(PeerKey(3), back("ann", seat), ms(1100));
+        assert_eq!(refusal(&drain(&mut room)), Some(RefusalReason::NoSuchSeat));
+    }
+}
+
+#[test]
+fn a_log_that_is_not_ours_is_sent_anew_from_its_beginning() {
+    let (mut room, seat) = two();
+    room.handle_event(PeerKey(1), lost(), ms(1000));
+    drain(&mut room);
+    let strangers = [
+        Resume {
+            topology_hash: TopologyHash(1),
+            ..seat
+        },
+        Resume {
+            topology_version: 7,
+            ..seat
+        },
+        Resume {
+            next_operation: OperationId(u64::MAX),
+            ..seat
+        },
+    ];
+    for (i, stranger) in strangers.into_iter().enumerate() {
+        let peer = PeerKey(30 + i as u64);
+        room.handle_event(peer, back("ann", stranger), ms(1100));
+        let outputs = drain(&mut room);
+        assert_eq!(welcome(&outputs, peer).first_operation, OperationId(0));
+        let all = operations(&outputs, peer);
+        assert_eq!(all.len(), room.operation_count());
+    }
+}
+
+#[test]
+fn a_seat_can_not_be_taken_again_without_end() {
+    let (mut room, seat) = two();
+    let refused = (0..1000).find_map(|i| {
+        let peer = PeerKey(100 + i);
+        room.handle_event(peer, back("ann", seat), ms(1000));
+        refusal(&drain(&mut room))
+    });
+    assert_eq!(refused, Some(RefusalReason::NoSuchSeat));
+    assert!(room.operation_count() < 300);
+}

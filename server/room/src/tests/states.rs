@@ -1,0 +1,105 @@
+//! The document of the states, held against a seat.
+
+use palpate_protocol::handshake::{Resume, SEAT_KEPT};
+use palpate_protocol::{OperationId, ParticipantId, ProtocolError};
+
+use super::*;
+
+const DOCUMENT: &str = include_str!("../../../../protocol/STATES.md");
+
+const STATES: [&str; 3] = ["Here", "Away", "Gone"];
+
+const ANN: ParticipantId = ParticipantId(1);
+
+fn seat() -> Resume {
+    Resume {
+        participant: ANN,
+        token: ResumeToken([1; 16]),
+        next_operation: OperationId(0),
+        topology_version: 0,
+        topology_hash: TopologyHash(0),
+    }
+}
+
+fn back(resume: Resume) -> PeerEvent {
+    let PeerEvent::Hello(hello) = hello("ann", Role::Trainee, ToolKind::Probe) else {
+        unreachable!()
+    };
+    PeerEvent::Hello(Hello {
+        resume: Some(resume),
+        ..hello
+    })
+}
+
+/// Where Ann's seat is, as the log tells it to everybody.
+fn state_of(room: &mut Room, log: &mut Vec<Arc<Operation>>) -> &'static str {
+    log.extend(operations(&drain(room), PeerKey(2)));
+    let of_ann = |o: &Arc<Operation>| match &o.kind {
+        OperationKind::Joined { participant, .. } | OperationKind::Back { participant } => {
+            (*participant == ANN).then_some("Here")
+        }
+        OperationKind::Away { participant } => (*participant == ANN).then_some("Away"),
+        OperationKind::Left { participant, .. } => (*participant == ANN).then_some("Gone"),
+        _ => None,
+    };
+    log.iter().rev().find_map(of_ann).unwrap()
+}
+
+fn run(from: &str, what: &str) -> &'static str {
+    let (mut room, mut log) = (room(1), Vec::new());
+    let ann = hello("ann", Role::Trainee, ToolKind::Probe);
+    let lost = || PeerEvent::Closed(CloseReason::ConnectionLost("a test".into()));
+    room.handle_event(PeerKey(1), ann.clone(), ms(0));
+    let bob = hello("bob", Role::Spectator, ToolKind::Probe);
+    room.handle_event(PeerKey(2), bob, ms(0));
+    match from {
+        "Away" => room.handle_event(PeerKey(1), lost(), ms(0)),
+        "Gone" => room.handle_event(PeerKey(1), PeerEvent::Closed(CloseReason::Left), ms(0)),
+        _ => {}
+    }
+    assert_eq!(state_of(&mut room, &mut log), from);
+    let closed = |reason| (PeerKey(1), PeerEvent::Closed(reason));
+    let (peer, event) = match what {
+        "it leaves" => closed(CloseReason::Left),
+        "it breaks the protocol" => closed(CloseReason::Violation(ProtocolError::NotPalpate {
+            found: [0; 4],
+        })),
+        "the server sends it away" => closed(CloseReason::Goodbye("a test".into())),
+        "the connection is lost" => (PeerKey(1), lost()),
+        "silence" => closed(CloseReason::Silent(Span::from_millis(2000))),
+        "it comes back over another connection" => (PeerKey(3), back(seat())),
+        "a wrong token" => {
+            let token = ResumeToken([2; 16]);
+            (PeerKey(3), back(Resume { token, ..seat() }))
+        }
+        "somebody new with its name" => (PeerKey(3), ann),
+        "59 s pass" | "60 s pass" => {
+            let short = Span::from_millis(if what == "59 s pass" { 1000 } else { 0 });
+            room.handle_tick(ms(0) + SEAT_KEPT - short, &mut || true);
+            return state_of(&mut room, &mut log);
+        }
+        other => panic!("no test for \"{other}\" of a seat"),
+    };
+    room.handle_event(peer, event, ms(0));
+    state_of(&mut room, &mut log)
+}
+
+#[test]
+fn a_seat_moves_as_the_document_says() {
+    let section = DOCUMENT.split("## Seat\n").nth(1).unwrap();
+    let lines = section.lines().filter(|l| l.starts_with('|')).skip(2);
+    let rows: Vec<Vec<&str>> = lines
+        .map(|l| l.split('|').map(str::trim).collect())
+        .collect();
+    for state in STATES {
+        assert!(rows.iter().any(|r| r[1] == state), "{state} is missing");
+        assert!(
+            rows.iter().any(|r| r[3] == state),
+            "nothing leads to {state}"
+        );
+    }
+    for row in &rows {
+        assert!(STATES.contains(&row[1]), "there is no state {}", row[1]);
+        assert_eq!(run(row[1], row[2]), row[3], "{}, {}", row[1], row[2]);
+    }
+}
