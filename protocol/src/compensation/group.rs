@@ -33,10 +33,10 @@ pub const CHANGE_PERIOD: Span = Span::from_millis(250);
 pub const RAISE_PERIOD: Span = Span::from_millis(50);
 
 /// What an operation needs beyond its way, to be sent again once on a short path.
-const LEAD_MARGIN: Span = Span::from_millis(40);
+const LEAD_MARGIN: Span = Span::from_millis(20);
 
 /// A smaller change than this is not worth an operation when growing; when shrinking it must be
-/// four times as much.
+/// twice as much.
 pub const CHANGE_MIN: Span = Span::from_millis(2);
 
 impl GroupDelay {
@@ -86,7 +86,7 @@ impl GroupDelay {
         let wanted = self.wanted.iter().map(|(_, w)| *w).max()?.min(cap_us);
         let change = i64::from(wanted) - i64::from(self.target_us);
         let min = CHANGE_MIN.as_micros();
-        if !(change >= min || change <= -4 * min) {
+        if !(change >= min || change <= -2 * min) {
             return None;
         }
         let period = if change > 0 {

@@ -37,7 +37,7 @@ pub const SLEW_UP: f64 = 0.25;
 
 /// The largest D of the adaptive rule unless the host raises it: beyond it two people no longer
 /// work on one moment.
-pub const CAP_DEFAULT: Span = Span::from_millis(200);
+pub const CAP_DEFAULT: Span = Span::from_millis(400);
 
 /// How many ages the percentile looks at; older ones are forgotten.
 pub const PERCENTILE_WINDOW: usize = 200;

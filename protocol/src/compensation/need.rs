@@ -9,7 +9,7 @@
 //!
 //! With D >= n nothing is made up; with D < n the timeline goes n - D beyond its newest sample.
 //! That is nearly free for a few milliseconds (`verlet`: 0.02 mm rms at 10 ms), so that D need not
-//! cover everything: it is aimed [`BRIDGE`] below the [`SHARE`] of n.
+//! cover everything: it is aimed [`BRIDGE`] or less below the [`SHARE`] of n.
 //!
 //! ```text
 //! D* = max( q(n over LONG or SHORT + MARGIN, the lesser) - BRIDGE,  what a burst needed )
@@ -27,8 +27,13 @@ use std::collections::VecDeque;
 
 use crate::{ServerTime, Span};
 
-/// How far beyond the newest sample the rule lets the timeline go at the edge of its [`SHARE`].
+/// The farthest beyond the newest sample that the rule lets the timeline go at the edge of its
+/// [`SHARE`].
 pub const BRIDGE: Span = Span::from_millis(12);
+
+/// The bridge in spreads (from the median to the [`SHARE`]) of the need. A wide need is bridged now
+/// and then, a narrow one would be all the time, and would leave nothing for when the path changes.
+const BRIDGE_SPREADS: i64 = 2;
 
 /// The share of the time in which D and the bridge together are to be enough.
 const SHARE: f64 = 0.96;
@@ -43,7 +48,7 @@ const SHORT: Span = Span::from_millis(700);
 const MARGIN_US: i64 = 5000;
 
 /// Packets in a row, all later than anything bridged, that make a step up.
-const STEP_PACKETS: usize = 4;
+const STEP_PACKETS: usize = 3;
 
 /// A step up is one when all of [`STEP_PACKETS`] are so much above the long memory's quantile.
 const STEP_US: i64 = 6000;
@@ -85,6 +90,7 @@ pub(super) struct Need {
     last_arrival: ServerTime,
     intervals: VecDeque<Interval>,
     settled_us: Option<i64>,
+    bridge_us: i64,
     rise: Option<Rise>,
     burst: Option<(ServerTime, i64)>,
     since_sorted: u32,
@@ -188,13 +194,15 @@ impl Need {
         if self.burst.is_some_and(|(at, _)| now - at > BURST_MEMORY) {
             self.burst = None;
         }
-        let long = self.quantile(now, LONG);
-        let short = self.quantile(now, SHORT);
+        let long = self.quantile(now, LONG, SHARE);
+        let short = self.quantile(now, SHORT, SHARE);
+        let spread = long - self.quantile(now, LONG, 0.5);
+        self.bridge_us = (BRIDGE_SPREADS * spread).clamp(0, BRIDGE.as_micros());
         long.min(short.saturating_add(MARGIN_US))
     }
 
-    /// The need that is exceeded for 1 - [`SHARE`] of the time within a memory.
-    fn quantile(&self, now: ServerTime, memory: Span) -> i64 {
+    /// The need that is not exceeded for a share of the time within a memory.
+    fn quantile(&self, now: ServerTime, memory: Span, share: f64) -> i64 {
         // Within an interval the need rises evenly: its time above a level x is to - x.
         let mut ends: Vec<(i64, i64)> = Vec::with_capacity(2 * self.intervals.len());
         let mut total = 0;
@@ -208,7 +216,7 @@ impl Need {
             ends.push((i.from_us, -1));
         }
         ends.sort_unstable_by(|a, b| b.cmp(a));
-        let allowed = ((1.0 - SHARE) * total as f64) as i64;
+        let allowed = ((1.0 - share) * total as f64) as i64;
         let (mut above, mut open, mut level) = (0, 0, ends.first().map_or(0, |e| e.0));
         for (at, opens) in ends {
             let gained = open * (level - at);
@@ -224,7 +232,7 @@ impl Need {
 
     /// D*, microseconds; `None` before two packets.
     pub(super) fn wanted_us(&self) -> Option<i64> {
-        let settled = self.settled_us? - BRIDGE.as_micros();
+        let settled = self.settled_us? - self.bridge_us;
         let burst = self.burst.map_or(0, |(_, us)| us);
         Some(settled.max(burst).max(0))
     }
