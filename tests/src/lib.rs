@@ -8,6 +8,7 @@
 //! | --- | --- |
 //! | make a network bad | [`relay`] |
 //! | find where to press and cut on any model, and make scripts of it | [`place`], [`scripts`] |
+//! | have a hand whose motion is known at every moment | [`hand`] |
 //! | run a server and clients as processes | [`program`], [`session`] |
 //! | know what would be felt without a network | [`mod@reference`] |
 //! | compare | [`disagreement`], [`force_error`] |
@@ -25,6 +26,7 @@ pub mod demo;
 pub mod disagreement;
 pub mod experiments;
 pub mod force_error;
+pub mod hand;
 pub mod haptic_faults;
 pub mod place;
 pub mod plots;

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use crate::timeline::{Method, SAMPLES_MAX, Source, from_unit, unit};
-use crate::verlet::{self, Knot, Vec3, WINDOW_S};
+use crate::verlet::{self, FIT_S, Fit, Knot, Vec3, WINDOW_S};
 use crate::{Pose, ServerTime, Span, ToolSample};
 
 /// Two samples farther apart than this are not joined by a curve but by a straight line: there was
@@ -104,6 +104,68 @@ impl Curve {
         (j > i && self.samples[j].time - self.samples[i].time <= JOINED_MAX).then_some(j)
     }
 
+    /// The parabola of the samples up to number `i`: those of the last [`FIT_S`], and more where that
+    /// would be fewer than three. Nothing while they reach back by less than [`WINDOW_S`], where an acceleration would
+    /// be noise.
+    fn fit_before(&self, i: usize, origin: ServerTime) -> Option<Fit> {
+        let newest = self.samples[i].time;
+        let reach = |from: ServerTime, by: f64| {
+            let edge = from - Span::from_secs_f64(by);
+            self.samples
+                .partition_point(|s| s.time <= edge)
+                .saturating_sub(1)
+        };
+        let mut first = reach(newest, FIT_S);
+        if first + 2 > i {
+            first = reach(self.samples[first].time, WINDOW_S);
+        }
+        let joined = newest - JOINED_MAX;
+        first = first.max(self.samples.partition_point(|s| s.time < joined));
+        let spans = newest - self.samples[first].time;
+        if spans < Span::from_secs_f64(WINDOW_S) {
+            return None;
+        }
+        let knots = (first..=i).map(|k| self.knot(k, origin));
+        verlet::fit(knots, self.knot(i, origin))
+    }
+
+    /// The parabola of the samples from number `i` on, in the same way.
+    fn fit_after(&self, i: usize, origin: ServerTime) -> Option<Fit> {
+        let (oldest, last) = (self.samples[i].time, self.samples.len() - 1);
+        let reach = |from: ServerTime, by: f64| {
+            let edge = from + Span::from_secs_f64(by);
+            self.samples.partition_point(|s| s.time < edge).min(last)
+        };
+        let mut end = reach(oldest, FIT_S);
+        if end < i + 2 {
+            end = reach(self.samples[end].time, WINDOW_S);
+        }
+        let joined = oldest + JOINED_MAX;
+        end = end.min(self.samples.partition_point(|s| s.time <= joined) - 1);
+        let spans = self.samples[end].time - oldest;
+        if spans < Span::from_secs_f64(WINDOW_S) {
+            return None;
+        }
+        let knots = (i..=end).map(|k| self.knot(k, origin));
+        verlet::fit(knots, self.knot(i, origin))
+    }
+
+    /// The velocities at both ends of the gap after number `i`, each from its own side: a difference across the gap
+    /// would cut off what bends within it. An end that nothing is known of has no curvature there.
+    fn slopes(&self, i: usize) -> (Vec3, Vec3) {
+        let origin = self.samples[i].time;
+        let chord = verlet::velocity(self.knot(i, origin), self.knot(i + 1, origin));
+        let free = |other: Vec3| verlet::map2(chord, other, |c, o| 1.5 * c - 0.5 * o);
+        let before = self.fit_before(i, origin).map(|f| f.v);
+        let after = self.fit_after(i + 1, origin).map(|f| f.v);
+        match (before, after) {
+            (Some(v0), Some(v1)) => (v0, v1),
+            (Some(v0), None) => (v0, free(v0)),
+            (None, Some(v1)) => (free(v1), v1),
+            (None, None) => (chord, chord),
+        }
+    }
+
     /// From one window before a sample to one after it.
     fn velocity_at(&self, i: usize) -> Vec3 {
         let origin = self.samples[i].time;
@@ -121,18 +183,22 @@ impl Curve {
         let joined = s1.time - s0.time <= JOINED_MAX;
         let method = if joined { self.method } else { Method::Linear };
         let position_m = match method {
-            Method::Verlet => {
-                let a0 = self
-                    .behind(i)
-                    .map(|m| verlet::acceleration(self.knot(m, s0.time), k0, k1));
-                let a1 = self
-                    .ahead(i + 1)
-                    .map(|p| verlet::acceleration(k0, k1, self.knot(p, s0.time)));
+            Method::Verlet | Method::VerletRaw => {
+                let raw = method == Method::VerletRaw;
+                let (before, after) = if raw {
+                    let next = Some(i + 2).filter(|p| *p < self.samples.len());
+                    (i.checked_sub(1), next)
+                } else {
+                    (self.behind(i), self.ahead(i + 1))
+                };
+                let a0 = before.map(|m| verlet::acceleration(self.knot(m, s0.time), k0, k1));
+                let a1 = after.map(|p| verlet::acceleration(k0, k1, self.knot(p, s0.time)));
                 let (a0, a1) = (a0.or(a1).unwrap_or_default(), a1.or(a0).unwrap_or_default());
                 verlet::interpolate(k0, k1, a0, a1, at)
             }
             Method::Hermite => {
-                verlet::hermite(k0, k1, self.velocity_at(i), self.velocity_at(i + 1), at)
+                let (v0, v1) = self.slopes(i);
+                verlet::hermite(k0, k1, v0, v1, at)
             }
             Method::Linear => verlet::interpolate(k0, k1, [0.0; 3], [0.0; 3], at),
             Method::Hold => s0.pose.position_m,
@@ -163,13 +229,7 @@ impl Curve {
         };
         let (km, k1) = (self.knot(m, newest.time), self.knot(i, newest.time));
         let s = (t - newest.time).as_secs_f64();
-        let a = match (self.method, self.behind(m)) {
-            (Method::Verlet, Some(o)) => verlet::acceleration(self.knot(o, newest.time), km, k1),
-            _ => [0.0; 3],
-        };
-        let position_m = verlet::extrapolate(km, k1, a, s);
-        let speed = verlet::velocity(km, k1);
-        let velocity = verlet::map2(speed, a, |v, a| v + a * (s - 0.5 * km.t));
+        let (position_m, velocity) = self.carried_on(i, (km, k1), s);
         let (qm, q1) = (
             unit(self.samples[m].pose.orientation),
             unit(newest.pose.orientation),
@@ -185,5 +245,37 @@ impl Curve {
             },
             velocity,
         )
+    }
+
+    /// Position and velocity `s` seconds beyond number `i`, the newest; `km` is one window before `k1`, its own knot.
+    fn carried_on(&self, i: usize, (km, k1): (Knot, Knot), s: f64) -> (Vec3, Vec3) {
+        let straight = (
+            verlet::extrapolate(km, k1, [0.0; 3], s),
+            verlet::velocity(km, k1),
+        );
+        let newest = self.samples[i].time;
+        match self.method {
+            Method::Hold => (k1.x, [0.0; 3]),
+            Method::Linear => straight,
+            Method::Verlet => self.fit_before(i, newest).map_or(straight, |f| f.on(s)),
+            Method::VerletRaw if i >= 2 => {
+                let (k0, km) = (self.knot(i - 2, newest), self.knot(i - 1, newest));
+                let a = verlet::acceleration(k0, km, k1);
+                let v = verlet::velocity(km, k1);
+                let v = verlet::map2(v, a, |v, a| v + a * (s - 0.5 * km.t));
+                (verlet::extrapolate(km, k1, a, s), v)
+            }
+            Method::VerletRaw => straight,
+            Method::Hermite => {
+                let before = self.behind(i).and_then(|m| self.fit_before(m, newest));
+                let (Some(v0), Some(v1)) = (before, self.fit_before(i, newest)) else {
+                    return straight;
+                };
+                let on = |s: f64| verlet::hermite(km, k1, v0.v, v1.v, s);
+                let h = 1e-4;
+                let v = verlet::map2(on(s - h), on(s + h), |a, b| (b - a) / (2.0 * h));
+                (on(s), v)
+            }
+        }
     }
 }

@@ -41,16 +41,40 @@ pub const SAMPLES_MAX: usize = 2048;
 /// How missing samples are made up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Method {
-    /// Verlet steps with a windowed second difference.
+    /// Verlet's rule with accelerations from a window of samples.
     #[default]
     Verlet,
-    /// Between samples the cubic with their velocities; beyond them straight on. No
-    /// better than Verlet on the motion of the tests, up to gaps of 50 ms.
+    /// Verlet's rule with the second difference from sample to sample, which multiplies their noise.
+    VerletRaw,
+    /// The cubic with the velocities of both ends, which come from a window on each side; beyond the samples the one of
+    /// the last window goes on. Between samples it is nearer than Verlet from about 20 to 30 ms on.
     Hermite,
     /// Straight lines.
     Linear,
     /// The last sample stays.
     Hold,
+}
+
+impl Method {
+    /// All of them, the plainest first.
+    pub const ALL: [Self; 5] = [
+        Self::Hold,
+        Self::Linear,
+        Self::VerletRaw,
+        Self::Verlet,
+        Self::Hermite,
+    ];
+
+    /// What it is called in tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Hold => "hold",
+            Self::Linear => "linear",
+            Self::VerletRaw => "verlet",
+            Self::Verlet => "verlet-windowed",
+            Self::Hermite => "hermite",
+        }
+    }
 }
 
 /// Where what is shown comes from.

@@ -6,10 +6,13 @@ use std::process::ExitCode;
 use clap::Args;
 use serde_json::json;
 
+use super::recipe::Recipe;
 use super::{ALL, Bench, Experiment, Outcome, gallery, named};
 use crate::bench::on_threads;
 use crate::cli::say;
+use crate::hand::Recorded;
 use crate::progress::Progress;
+use crate::relay::Profile;
 use crate::subject::Subject;
 
 /// Where everything goes when nothing is said.
@@ -21,21 +24,36 @@ Examples:
   palpate-lab list
   palpate-lab run friction                       figures here, charts and tables in ./palpate-experiments
   palpate-lab run press --model thigh.palp --json
+  palpate-lab run table-7-1 --motion hand.csv    a table time_s,x_m,y_m,z_m[,qw,qx,qy,qz]; rows in order of time
+  palpate-lab run mine.toml                      its experiment, and seed, profile, motion, model as lines of it;
+                                                 what is said here as well counts more than what is said there
   palpate-lab all -o report                      every experiment, and report/index.html with all charts
 
 What a hand feels comes from the haptic path as clients run it: models solved 250 times a second with 1 ms of work
 each, on one thread, and the 1 kHz chain between them. It is compared with a solver that converges every eleventh
 millisecond. rms is the root mean square of the difference over that of the converged answer.";
 
+/// The seed when nothing is said.
+const SEED: u64 = 1;
+
 /// Arguments of `run`.
 #[derive(Debug, Args)]
 pub struct RunArguments {
-    /// Which experiment; `palpate-lab list` names them
-    #[arg(value_parser = experiment)]
-    experiment: Experiment,
+    /// Which experiment (`palpate-lab list` names them), or a file (.toml) that names one with its options
+    #[arg(value_parser = which, value_name = "NAME|FILE.toml")]
+    experiment: Which,
     /// Other tissue than the experiment's own: a model file (.palp), a scene (.toml), or a sample
     #[arg(long)]
     model: Option<String>,
+    /// Seed of what is left to chance [default: 1]
+    #[arg(long)]
+    seed: Option<u64>,
+    /// A network instead of the experiment's own ones
+    #[arg(long)]
+    profile: Option<String>,
+    /// A recorded motion of a hand (CSV) instead of the experiment's own
+    #[arg(long, value_name = "FILE.csv")]
+    motion: Option<String>,
     /// Print one line of JSON, and write charts and tables only where -o says
     #[arg(long)]
     json: bool,
@@ -55,11 +73,90 @@ pub struct AllArguments {
     json: bool,
 }
 
+/// What is asked for.
+#[derive(Debug, Clone)]
+enum Which {
+    Named(Experiment),
+    File(PathBuf),
+}
+
+fn which(word: &str) -> Result<Which, String> {
+    if Path::new(word).extension().is_some_and(|e| e == "toml") {
+        return Ok(Which::File(word.into()));
+    }
+    experiment(word).map(Which::Named)
+}
+
 fn experiment(name: &str) -> Result<Experiment, String> {
     named(name).ok_or_else(|| {
         let names = ALL.map(|e| e.name).join(", ");
         format!("there is no experiment \"{name}\"; there are {names}")
     })
+}
+
+/// What an experiment is given.
+#[derive(Debug, Default)]
+struct Given {
+    model: Option<std::sync::Arc<palpate_tissue::Model>>,
+    seed: Option<u64>,
+    profile: Option<Profile>,
+    motion: Option<std::sync::Arc<Recorded>>,
+}
+
+impl RunArguments {
+    /// The experiment and its options, from here and from the file.
+    fn recipe(&self) -> Result<(Experiment, Recipe), String> {
+        let (experiment, file) = match &self.experiment {
+            Which::Named(experiment) => (*experiment, Recipe::default()),
+            Which::File(path) => {
+                let recipe = Recipe::load(path)?;
+                let named = experiment(&recipe.experiment);
+                let named = named.map_err(|e| format!("{}: {e}", path.display()))?;
+                (named, recipe)
+            }
+        };
+        let recipe = Recipe {
+            experiment: experiment.name.to_owned(),
+            seed: self.seed.or(file.seed),
+            profile: self.profile.clone().or(file.profile),
+            motion: self.motion.clone().or(file.motion),
+            model: self.model.clone().or(file.model),
+        };
+        Ok((experiment, recipe))
+    }
+}
+
+/// Refuses options that the experiment would not look at.
+fn refuse_idle(experiment: Experiment, recipe: &Recipe) -> Result<(), String> {
+    let (name, takes) = (experiment.name, experiment.takes);
+    let idle = [
+        (
+            "model",
+            recipe.model.is_some() && !takes.model,
+            "has tissue of its own",
+        ),
+        (
+            "seed",
+            recipe.seed.is_some() && !takes.seed,
+            "leaves nothing to chance",
+        ),
+        (
+            "profile",
+            recipe.profile.is_some() && !takes.profile,
+            "has no network, or its own ones",
+        ),
+        (
+            "motion",
+            recipe.motion.is_some() && !takes.motion,
+            "moves its tools along paths of its own",
+        ),
+    ];
+    match idle.into_iter().find(|(_, idle, _)| *idle) {
+        Some((option, _, why)) => Err(format!(
+            "\"{name}\" {why}; leave {option} out (--{option}, or its line in the file)"
+        )),
+        None => Ok(()),
+    }
 }
 
 /// Lists the experiments.
@@ -72,23 +169,27 @@ pub fn list() -> Result<ExitCode, String> {
 
 /// Runs one.
 pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
-    if arguments.model.is_some() && !arguments.experiment.takes_models {
-        let name = arguments.experiment.name;
-        return Err(format!(
-            "\"{name}\" has tissue of its own; leave --model out"
-        ));
-    }
+    let (experiment, recipe) = arguments.recipe()?;
+    refuse_idle(experiment, &recipe)?;
     let kept = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
     let mut progress = Progress::new();
-    let model = match &arguments.model {
-        Some(name) => {
-            progress.stage(&format!("preparing the model \"{name}\""));
-            let subject = Subject::prepare(name, kept.path()).map_err(|e| e.to_string())?;
-            Some(subject.model)
-        }
-        None => None,
+    let mut given = Given {
+        seed: recipe.seed,
+        ..Given::default()
     };
-    let outcome = made(arguments.experiment, model, kept.path(), &mut progress)?;
+    if let Some(name) = &recipe.profile {
+        given.profile = Some(Profile::named(name).map_err(|e| e.to_string())?);
+    }
+    if let Some(file) = &recipe.motion {
+        let hand = Recorded::load(Path::new(file)).map_err(|e| format!("{file}: {e}"))?;
+        given.motion = Some(std::sync::Arc::new(hand));
+    }
+    if let Some(name) = &recipe.model {
+        progress.stage(&format!("preparing the model \"{name}\""));
+        let subject = Subject::prepare(name, kept.path()).map_err(|e| e.to_string())?;
+        given.model = Some(subject.model);
+    }
+    let outcome = made(experiment, given, kept.path(), &mut progress)?;
     let out = match (&arguments.out, arguments.json) {
         (Some(dir), _) => Some(dir.clone()),
         (None, true) => None,
@@ -116,7 +217,7 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
     let mut progress = Progress::new();
     let mut done = Vec::new();
     for experiment in ALL {
-        let outcome = made(experiment, None, kept.path(), &mut progress)?;
+        let outcome = made(experiment, Given::default(), kept.path(), &mut progress)?;
         outcome.write(&arguments.out)?;
         if arguments.json {
             say(&outcome.figures.to_string())?;
@@ -138,7 +239,7 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
 /// One experiment on one thread, as the haptic path is measured.
 fn made(
     experiment: Experiment,
-    model: Option<std::sync::Arc<palpate_tissue::Model>>,
+    given: Given,
     dir: &Path,
     progress: &mut Progress,
 ) -> Result<Outcome, String> {
@@ -148,7 +249,10 @@ fn made(
     };
     on_threads(1, || {
         experiment.run(&mut Bench {
-            model,
+            model: given.model,
+            seed: given.seed.unwrap_or(SEED),
+            profile: given.profile,
+            motion: given.motion,
             dir,
             progress: &mut told,
         })

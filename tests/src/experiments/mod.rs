@@ -9,6 +9,7 @@ pub mod gallery;
 mod handle;
 mod leg_press;
 mod press;
+pub mod recipe;
 mod soft_hard;
 mod tool_paths;
 
@@ -18,7 +19,9 @@ use palpate_tissue::{Model, Topology};
 use serde_json::Value;
 
 use crate::chart::{Chart, Line, Panel};
+use crate::hand::Recorded;
 use crate::place::Place;
+use crate::relay::Profile;
 use crate::trial::{Course, Trial};
 
 /// An experiment that can be asked for.
@@ -28,9 +31,38 @@ pub struct Experiment {
     pub name: &'static str,
     /// What it shows, in a line.
     pub about: &'static str,
-    /// Whether it can press another model than its own.
-    pub takes_models: bool,
+    /// Which options it takes. Others are refused.
+    pub takes: Takes,
     run: fn(&mut Bench<'_>) -> Result<Outcome, String>,
+}
+
+/// The options that an experiment takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Takes {
+    /// Another model than its own.
+    pub model: bool,
+    /// A seed of what is left to chance.
+    pub seed: bool,
+    /// A network.
+    pub profile: bool,
+    /// A recorded motion of a hand.
+    pub motion: bool,
+}
+
+impl Takes {
+    /// None of them.
+    pub const NOTHING: Self = Self {
+        model: false,
+        seed: false,
+        profile: false,
+        motion: false,
+    };
+
+    /// Only another model.
+    pub const MODELS: Self = Self {
+        model: true,
+        ..Self::NOTHING
+    };
 }
 
 /// All of them, in the order in which they are run.
@@ -38,37 +70,37 @@ pub const ALL: [Experiment; 6] = [
     Experiment {
         name: "soft-hard",
         about: "a ball on soft, on stiff tissue and between them (Lin 2007, fig 4.8)",
-        takes_models: false,
+        takes: Takes::NOTHING,
         run: soft_hard::run,
     },
     Experiment {
         name: "friction",
         about: "a ball and a line dragged over tissue: stick, slip and the torque of it (figs 4.11 to 4.13)",
-        takes_models: false,
+        takes: Takes::NOTHING,
         run: friction::run,
     },
     Experiment {
         name: "handle",
         about: "a soft grip around a hard core: force against depth for three materials (fig 7.4)",
-        takes_models: true,
+        takes: Takes::MODELS,
         run: handle::run,
     },
     Experiment {
         name: "tool-paths",
         about: "the same place reached along four paths (fig 7.10)",
-        takes_models: true,
+        takes: Takes::MODELS,
         run: tool_paths::run,
     },
     Experiment {
         name: "leg-press",
         about: "a leg with rigid bones pressed over muscle and over bone (fig 7.11)",
-        takes_models: true,
+        takes: Takes::MODELS,
         run: leg_press::run,
     },
     Experiment {
         name: "press",
         about: "a ball and a line pressed in at 100 mm/s, the line dragged on: what one solving thread and 1 kHz make of it",
-        takes_models: true,
+        takes: Takes::MODELS,
         run: press::run,
     },
 ];
@@ -82,6 +114,12 @@ pub fn named(name: &str) -> Option<Experiment> {
 pub struct Bench<'a> {
     /// A model instead of the experiment's own, for those that press any tissue.
     pub model: Option<std::sync::Arc<Model>>,
+    /// The seed of everything that is left to chance.
+    pub seed: u64,
+    /// A network instead of the experiment's own ones.
+    pub profile: Option<Profile>,
+    /// A recorded motion instead of the experiment's own hand.
+    pub motion: Option<std::sync::Arc<Recorded>>,
     /// Where built models may be kept.
     pub dir: &'a Path,
     /// Told what is done, and its share.
