@@ -2,10 +2,8 @@
 
 use std::ffi::{OsStr, OsString};
 use std::io::Write as _;
-use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::time::{Duration, Instant};
 
 use clap::{Args, Parser, Subcommand};
 
@@ -19,9 +17,10 @@ use crate::haptic_faults::course::Setup;
 use crate::haptic_faults::fault::Class;
 use crate::haptic_faults::outcome::Outcome;
 use crate::haptic_faults::{self, Trial, picture};
+use crate::network::{self, Profile};
 use crate::program::die_with_parent;
 use crate::progress::{Interrupt, Progress};
-use crate::relay::{Profile, Relay};
+use crate::relay;
 use crate::report::DEFINITIONS;
 use crate::subject::Subject;
 
@@ -40,7 +39,8 @@ Examples:
 
 Network profiles: none, lan (0.3 ms), metro (5 ms), transatlantic (60 ms one way, 2 % loss),
   intercontinental (120 ms, 2 %), satellite (300 ms, 1 %), wifi-bursts (8 ms with bad moments),
-  lte (35 ms with bad moments), lossy (40 ms, 20 % loss)
+  lte (35 ms with bad moments), lossy (40 ms, 20 % loss), steps (30, 80, 120 ms, 10 s each),
+  or a TOML file of your own, for which `palpate-lab profiles NAME` prints a beginning
 
 The exit code is 0 when all is well, 2 when the command line is wrong, 1 otherwise; for the demo, 1
 also when topology hashes differ, a process died, or the cut did not arrive.";
@@ -88,7 +88,10 @@ enum Command {
     Demo(DemoArguments),
     /// Pass UDP packets on, late and not all of them
     #[command(after_help = EXAMPLES)]
-    Relay(RelayArguments),
+    Relay(relay::command::Arguments),
+    /// List the networks that have names, or print one as the file of your own to begin with
+    #[command(after_help = network::command::HELP)]
+    Profiles(network::command::Arguments),
     /// Run an experiment: what a hand feels, against converged answers
     #[command(after_help = command::RUN_HELP)]
     Run(command::RunArguments),
@@ -186,7 +189,7 @@ struct DemoArguments {
     #[arg(long, default_value_t = 20.0, value_name = "S")]
     seconds: f64,
     /// The network between server and clients
-    #[arg(long, default_value = "transatlantic", value_parser = Profile::named)]
+    #[arg(long, default_value = "transatlantic", value_parser = Profile::parse)]
     profile: Profile,
     /// Seed of what happens to which packet
     #[arg(long, default_value_t = 1)]
@@ -222,28 +225,6 @@ struct HapticFaultsArguments {
     output: Option<PathBuf>,
 }
 
-#[derive(Debug, Args)]
-struct RelayArguments {
-    /// Where clients send to; port 0 takes any free one
-    #[arg(long, value_name = "ADDRESS")]
-    listen: SocketAddr,
-    /// Where the server listens
-    #[arg(long, value_name = "ADDRESS")]
-    to: SocketAddr,
-    /// The network to be
-    #[arg(long, default_value = "transatlantic", value_parser = Profile::named)]
-    profile: Profile,
-    /// Seed of what happens to which packet
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// End after so many seconds; without it, on Ctrl-C
-    #[arg(long, value_name = "S")]
-    duration: Option<f64>,
-    /// Print one JSON object when listening and one with the figures at the end
-    #[arg(long)]
-    json: bool,
-}
-
 /// Runs the command line `args`, the program's name first.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     let args: Vec<OsString> = args.into_iter().collect();
@@ -269,7 +250,8 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     };
     let done = match cli.command {
         Command::Demo(arguments) => run_demo(arguments),
-        Command::Relay(arguments) => run_relay(&arguments),
+        Command::Relay(arguments) => relay::command::run(&arguments),
+        Command::Profiles(arguments) => network::command::run(&arguments),
         Command::Run(arguments) => command::run(&arguments),
         Command::List => command::list(),
         Command::All(arguments) => command::all(&arguments),
@@ -339,54 +321,6 @@ fn run_demo(arguments: DemoArguments) -> Result<ExitCode, String> {
     } else {
         ExitCode::FAILURE
     })
-}
-
-fn run_relay(arguments: &RelayArguments) -> Result<ExitCode, String> {
-    if arguments.duration.is_some_and(|s| !(s > 0.0 && s < 1e9)) {
-        return Err("--duration must be a number of seconds above 0".to_owned());
-    }
-    let interrupt = Interrupt::listen().map_err(|e| format!("no signals can be caught: {e}"))?;
-    let profile = arguments.profile.clone();
-    let relay = Relay::start(arguments.listen, arguments.to, profile, arguments.seed)
-        .map_err(|e| format!("cannot listen on {}: {e}", arguments.listen))?;
-    if arguments.json {
-        say(&serde_json::json!({ "listening": relay.local_addr() }).to_string())?;
-    } else {
-        say(&format!(
-            "network {} with seed {}: {} to {}; end with Ctrl-C",
-            arguments.profile.name,
-            arguments.seed,
-            relay.local_addr(),
-            arguments.to
-        ))?;
-    }
-    let began = Instant::now();
-    let is_over = || {
-        let limit = arguments.duration.map(Duration::from_secs_f64);
-        limit.is_some_and(|l| began.elapsed() >= l)
-    };
-    while !interrupt.is_set() && !is_over() {
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    let s = relay.stats();
-    if arguments.json {
-        say(&serde_json::to_string(&s).expect("figures are plain data"))?;
-    } else {
-        say(&format!(
-            "{} packets from {} client(s) and back: {} dropped ({:.2} %), {} doubled, {} overtook; \
-             delay {:.1} ms mean, {:.1} ms p99; {} found no room",
-            s.sent,
-            s.clients,
-            s.dropped,
-            s.loss * 100.0,
-            s.duplicated,
-            s.reordered,
-            s.delay_mean_ms,
-            s.delay_p99_ms,
-            s.overflowed
-        ))?;
-    }
-    Ok(ExitCode::SUCCESS)
 }
 
 fn run_haptic_faults(arguments: &HapticFaultsArguments) -> Result<ExitCode, String> {
@@ -550,7 +484,7 @@ mod tests {
     use clap::CommandFactory;
 
     use super::{Cli, EXAMPLES};
-    use crate::relay::Profile;
+    use crate::network::Profile;
 
     #[test]
     fn the_command_line_is_consistent_and_names_every_profile() {

@@ -6,7 +6,7 @@
 //!
 //! | to | look in |
 //! | --- | --- |
-//! | make a network bad | [`relay`] |
+//! | make a network bad, for pure machines or for programs | [`network`], [`relay`] |
 //! | find where to press and cut on any model, and make scripts of it | [`place`], [`scripts`] |
 //! | have a hand whose motion is known at every moment | [`hand`] |
 //! | run a server and clients as processes | [`program`], [`session`] |
@@ -29,6 +29,7 @@ pub mod experiments;
 pub mod force_error;
 pub mod hand;
 pub mod haptic_faults;
+pub mod network;
 pub mod place;
 pub mod plots;
 pub mod program;

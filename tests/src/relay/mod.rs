@@ -4,17 +4,18 @@
 //! client <-> relay's listening socket <-> one socket per client <-> server
 //! ```
 //!
-//! What happens to a packet is decided by a pure function, [`Fates::fate`], of the seed, the flow
-//! (which client), the direction and the packet's number: the same profile and seed give the same
-//! fates. The sockets and the threads around it are in [`Relay`]. It needs no privileges and no
-//! queueing discipline of the kernel, and it never looks into a packet.
+//! What happens to a packet is what a [`Path`](crate::network::Path) says of it, the same as in
+//! virtual time: the same profile and seed give the same fates. The sockets and the threads around
+//! it are in [`Relay`]. It needs no privileges and no queueing discipline of the kernel, and it
+//! never looks into a packet.
 
-mod fate;
-mod profile;
+pub(crate) mod command;
 mod socket;
 mod stats;
 
-pub use fate::{Direction, Fate, Fates};
-pub use profile::{Bursts, Jitter, Profile, UnknownProfile};
-pub use socket::{CLIENTS_MAX, QUEUE_MAX_PACKETS, Relay};
+#[cfg(test)]
+mod laws;
+
+pub use crate::network::{Direction, Profile};
+pub use socket::{CLIENTS_MAX, QUEUE_MAX_PACKETS, RebindError, Relay};
 pub use stats::RelayStats;

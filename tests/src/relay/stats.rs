@@ -13,8 +13,14 @@ pub struct RelayStats {
     pub clients: u64,
     /// Packets that came in.
     pub sent: u64,
-    /// Packets that were lost on purpose.
+    /// Packets that were lost on purpose: by chance, in an outage, at a full bottleneck.
     pub dropped: u64,
+    /// Those of them that were lost because the link was down.
+    #[serde(default)]
+    pub in_outage: u64,
+    /// Those of them that were lost because the bottleneck's queue was full.
+    #[serde(default)]
+    pub queue_full: u64,
     /// Packets that the relay had no room for; not part of the fates.
     pub overflowed: u64,
     /// Packets that went out, doubles included.
@@ -23,6 +29,12 @@ pub struct RelayStats {
     pub reordered: u64,
     /// Packets that went out twice.
     pub duplicated: u64,
+    /// Packets that went out with flipped bits.
+    #[serde(default)]
+    pub corrupted: u64,
+    /// How often a client got a new address towards the server.
+    #[serde(default)]
+    pub rebinds: u64,
     /// Measured delay inside the relay, mean, milliseconds.
     pub delay_mean_ms: f64,
     /// Measured delay, median, to 0.1 ms.

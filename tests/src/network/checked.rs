@@ -1,0 +1,121 @@
+//! Numbers of a profile's file, refused where they stand when they can not be.
+//!
+//! The sentences name what would be right; the reader of the file adds the place.
+
+use serde::de::{Deserialize, Deserializer, Error};
+
+use super::link::{Outage, Step};
+use super::path::DELAY_MAX_MS;
+
+/// A number between two others, both included; not-a-number is between none.
+fn between<'de, D: Deserializer<'de>>(
+    deserializer: D,
+    (low, high): (f64, f64),
+    what: &str,
+) -> Result<f64, D::Error> {
+    let x = f64::deserialize(deserializer)?;
+    if (low..=high).contains(&x) {
+        Ok(x)
+    } else {
+        let bounds = format!("{x} is not {what}: write a number from {low} to {high}");
+        Err(D::Error::custom(bounds))
+    }
+}
+
+/// A share of packets, 0 to 1.
+pub(super) fn share<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+    between(d, (0.0, 1.0), "a share of packets")
+}
+
+/// [`share`] of a key that may be left out.
+pub(super) fn maybe_share<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f64>, D::Error> {
+    share(d).map(Some)
+}
+
+/// A delay in milliseconds.
+pub(super) fn delay_ms<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+    between(d, (0.0, DELAY_MAX_MS), "a delay in milliseconds")
+}
+
+/// [`delay_ms`] of a key that may be left out.
+pub(super) fn maybe_delay_ms<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f64>, D::Error> {
+    delay_ms(d).map(Some)
+}
+
+/// A length in milliseconds that something is divided by.
+pub(super) fn spread_ms<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+    between(d, (0.001, DELAY_MAX_MS), "a spread in milliseconds")
+}
+
+/// The exponent of a heavy tail. Below 1 there is no mean, and from 100 on it is no tail.
+pub(super) fn exponent<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+    between(d, (1.0, 100.0), "an exponent")
+}
+
+/// A mean number of packets in a row.
+pub(super) fn packets<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+    between(d, (1.0, 1e9), "a mean number of packets in a row")
+}
+
+/// Bits per second. A packet of 1200 B takes 10 s on the slowest.
+pub(super) fn bits_per_s<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+    between(d, (1e3, 1e12), "a rate in bits per second")
+}
+
+/// Bytes of a queue; less than one full packet would let none through.
+pub(super) fn queue_bytes<'de, D: Deserializer<'de>>(d: D) -> Result<u64, D::Error> {
+    let bytes = u64::deserialize(d)?;
+    if (1500..=1 << 32).contains(&bytes) {
+        Ok(bytes)
+    } else {
+        Err(D::Error::custom(format!(
+            "a queue of {bytes} bytes: write 1500, which is one full packet, to 4294967296"
+        )))
+    }
+}
+
+/// A moment or a length in seconds, up to a week.
+pub(super) fn seconds<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+    between(d, (0.0, 604_800.0), "a moment in seconds")
+}
+
+/// A period in seconds, from a millisecond to a week.
+pub(super) fn maybe_period_s<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f64>, D::Error> {
+    between(d, (1e-3, 604_800.0), "a period in seconds").map(Some)
+}
+
+/// Steps, the earlier first.
+pub(super) fn steps<'de, D: Deserializer<'de>>(d: D) -> Result<Vec<Step>, D::Error> {
+    let steps = Vec::<Step>::deserialize(d)?;
+    for pair in steps.windows(2) {
+        if pair[1].at_s <= pair[0].at_s {
+            return Err(D::Error::custom(format!(
+                "the step at {} s stands behind the one at {} s: write them in the order of time",
+                pair[1].at_s, pair[0].at_s
+            )));
+        }
+    }
+    Ok(steps)
+}
+
+/// Outages, the earlier first, none within another.
+pub(super) fn outages<'de, D: Deserializer<'de>>(d: D) -> Result<Vec<Outage>, D::Error> {
+    let outages = Vec::<Outage>::deserialize(d)?;
+    let mut free_from_s = 0.0;
+    for outage in &outages {
+        if outage.to_s <= outage.from_s {
+            return Err(D::Error::custom(format!(
+                "an outage from {} s to {} s ends before it begins",
+                outage.from_s, outage.to_s
+            )));
+        }
+        if outage.from_s < free_from_s {
+            return Err(D::Error::custom(format!(
+                "the outage from {} s begins before the one above it ended: write them in the order of time",
+                outage.from_s
+            )));
+        }
+        free_from_s = outage.to_s;
+    }
+    Ok(outages)
+}

@@ -1,0 +1,464 @@
+//! What a network is like, by name or from a file.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::checked;
+use super::link::{Bursts, Jitter, Link, Outages, Rate, Step, Steps};
+use super::path::Direction;
+use super::trace::{Trace, TraceError};
+
+/// The largest file of a profile, bytes. A long list of steps fits; a trace has a file of its own.
+const FILE_BYTES_MAX: u64 = 1_000_000;
+
+/// A network.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Profile {
+    /// What it is called.
+    pub name: String,
+    /// What becomes of packets to the server.
+    pub up: Link,
+    /// What becomes of packets to a client.
+    pub down: Link,
+}
+
+/// Why there is no profile.
+#[derive(Debug, thiserror::Error)]
+pub enum ProfileError {
+    /// A name that no profile has.
+    #[error("there is no network profile \"{name}\"{}. Known profiles: {}; or give a TOML file's path, which ends in .toml", nearest(name), NAMES.join(", "))]
+    Unknown {
+        /// The name.
+        name: String,
+    },
+    /// The file can not be read.
+    #[error("the network profile {} can not be read: {why}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        why: std::io::Error,
+    },
+    /// It is too large.
+    #[error("the network profile {} has {bytes} bytes, more than {FILE_BYTES_MAX}: long recordings go into a trace", path.display())]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+        /// Its size.
+        bytes: u64,
+    },
+    /// Something in it is wrong.
+    #[error("{}: {why}", path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and where: the line, the column, and what would be right.
+        why: String,
+    },
+    /// Its trace is wrong.
+    #[error("{}: {why}", path.display())]
+    Trace {
+        /// The profile's file.
+        path: PathBuf,
+        /// What is wrong with the trace.
+        why: TraceError,
+    },
+}
+
+/// The named profiles.
+const NAMES: [&str; 10] = [
+    "none",
+    "lan",
+    "metro",
+    "transatlantic",
+    "intercontinental",
+    "satellite",
+    "wifi-bursts",
+    "lte",
+    "lossy",
+    "steps",
+];
+
+/// A profile as it stands in a file.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Document {
+    name: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    both: Option<LinkDocument>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    up: Option<LinkDocument>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    down: Option<LinkDocument>,
+}
+
+/// One direction as it stands in a file: what is not said is taken from elsewhere.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct LinkDocument {
+    #[serde(
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "checked::maybe_delay_ms"
+    )]
+    delay_ms: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reorder: Option<bool>,
+    #[serde(
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "checked::maybe_share"
+    )]
+    loss: Option<f64>,
+    #[serde(
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "checked::maybe_share"
+    )]
+    duplicate: Option<f64>,
+    #[serde(
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "checked::maybe_share"
+    )]
+    corrupt: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    trace: Option<PathBuf>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    jitter: Option<Jitter>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    bursts: Option<Bursts>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rate: Option<Rate>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    steps: Option<Steps>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    outages: Option<Outages>,
+}
+
+impl LinkDocument {
+    /// The document that says all about a link and nothing that goes without saying.
+    fn of(link: &Link) -> Self {
+        let unless_zero = |x: f64| (x != 0.0).then_some(x);
+        Self {
+            delay_ms: Some(link.delay_ms),
+            reorder: link.reorder.then_some(true),
+            loss: unless_zero(link.loss),
+            duplicate: unless_zero(link.duplicate),
+            corrupt: unless_zero(link.corrupt),
+            trace: link.trace.as_ref().map(|t| t.file.clone()),
+            jitter: (link.jitter != Jitter::None).then_some(link.jitter),
+            bursts: link.bursts,
+            rate: link.rate,
+            steps: link.steps.clone(),
+            outages: link.outages.clone(),
+        }
+    }
+
+    /// This, and `other` where this says nothing.
+    fn or(self, other: &Self) -> Self {
+        let other = other.clone();
+        Self {
+            delay_ms: self.delay_ms.or(other.delay_ms),
+            reorder: self.reorder.or(other.reorder),
+            loss: self.loss.or(other.loss),
+            duplicate: self.duplicate.or(other.duplicate),
+            corrupt: self.corrupt.or(other.corrupt),
+            trace: self.trace.or(other.trace),
+            jitter: self.jitter.or(other.jitter),
+            bursts: self.bursts.or(other.bursts),
+            rate: self.rate.or(other.rate),
+            steps: self.steps.or(other.steps),
+            outages: self.outages.or(other.outages),
+        }
+    }
+
+    /// The link; a trace is looked for in `folder`.
+    fn into_link(self, folder: &Path) -> Result<Link, TraceError> {
+        let trace = self.trace.map(|file| Trace::read(&file, folder));
+        Ok(Link {
+            delay_ms: self.delay_ms.unwrap_or_default(),
+            steps: self.steps,
+            jitter: self.jitter.unwrap_or_default(),
+            reorder: self.reorder.unwrap_or_default(),
+            loss: self.loss.unwrap_or_default(),
+            bursts: self.bursts,
+            duplicate: self.duplicate.unwrap_or_default(),
+            corrupt: self.corrupt.unwrap_or_default(),
+            rate: self.rate,
+            outages: self.outages,
+            trace: trace.transpose()?,
+        })
+    }
+}
+
+impl Profile {
+    /// The names that [`named`](Self::named) knows.
+    pub fn names() -> &'static [&'static str] {
+        &NAMES
+    }
+
+    /// A network that changes nothing.
+    pub fn none() -> Self {
+        Self::both("none", Link::default())
+    }
+
+    /// A network that is the same in both directions.
+    pub fn both(name: &str, link: Link) -> Self {
+        Self {
+            name: name.to_owned(),
+            up: link.clone(),
+            down: link,
+        }
+    }
+
+    /// One of its directions.
+    pub fn link(&self, direction: Direction) -> &Link {
+        match direction {
+            Direction::Up => &self.up,
+            Direction::Down => &self.down,
+        }
+    }
+
+    /// A profile by its name, or from the file of that path, which ends in `.toml`.
+    pub fn parse(name_or_path: &str) -> Result<Self, ProfileError> {
+        let path = Path::new(name_or_path);
+        if path.extension().is_some_and(|e| e == "toml") {
+            Self::read(path)
+        } else {
+            Self::named(name_or_path)
+        }
+    }
+
+    /// A profile from a TOML file. The files of traces are looked for beside it.
+    pub fn read(path: &Path) -> Result<Self, ProfileError> {
+        let read = |why| ProfileError::Read {
+            path: path.to_owned(),
+            why,
+        };
+        let bytes = std::fs::metadata(path).map_err(read)?.len();
+        if bytes > FILE_BYTES_MAX {
+            let path = path.to_owned();
+            return Err(ProfileError::TooLarge { path, bytes });
+        }
+        Self::from_toml(&std::fs::read_to_string(path).map_err(read)?, path)
+    }
+
+    /// A profile from the text of the file `path`, which is only named in errors and says where
+    /// traces are.
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, ProfileError> {
+        let document: Document = toml::from_str(text).map_err(|why| ProfileError::Content {
+            path: path.to_owned(),
+            why: why.to_string().trim_end().to_owned(),
+        })?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let both = document.both.unwrap_or_default();
+        let link = |own: Option<LinkDocument>| {
+            let link = own.unwrap_or_default().or(&both).into_link(folder);
+            link.map_err(|why| ProfileError::Trace {
+                path: path.to_owned(),
+                why,
+            })
+        };
+        Ok(Self {
+            name: document.name,
+            up: link(document.up)?,
+            down: link(document.down)?,
+        })
+    }
+
+    /// The profile as the text of a file.
+    pub fn to_toml(&self) -> String {
+        let of = |link| Some(LinkDocument::of(link));
+        let (both, up, down) = if self.up == self.down {
+            (of(&self.up), None, None)
+        } else {
+            (None, of(&self.up), of(&self.down))
+        };
+        let document = Document {
+            name: self.name.clone(),
+            both,
+            up,
+            down,
+        };
+        toml::to_string(&document).expect("a profile is plain data")
+    }
+
+    /// A profile by its name.
+    pub fn named(name: &str) -> Result<Self, ProfileError> {
+        let uniform = |reach_ms| Jitter::Uniform { reach_ms };
+        let normal = |deviation_ms| Jitter::Normal { deviation_ms };
+        let plain = |delay_ms, jitter, loss| Link {
+            delay_ms,
+            jitter,
+            loss,
+            ..Link::default()
+        };
+        let link = match name {
+            "none" => Link::default(),
+            "lan" => plain(0.3, uniform(0.1), 0.0),
+            "metro" => plain(5.0, normal(0.5), 0.001),
+            "transatlantic" => Link {
+                reorder: true,
+                ..plain(60.0, uniform(10.0), 0.02)
+            },
+            "intercontinental" => Link {
+                reorder: true,
+                ..plain(120.0, uniform(15.0), 0.02)
+            },
+            "satellite" => plain(300.0, normal(5.0), 0.01),
+            "wifi-bursts" => Link {
+                bursts: Some(Bursts {
+                    good_packets: 480.0,
+                    bad_packets: 20.0,
+                    loss: 0.4,
+                    delay_ms: 60.0,
+                }),
+                ..plain(8.0, normal(2.0), 0.005)
+            },
+            "lte" => Link {
+                bursts: Some(Bursts {
+                    good_packets: 1640.0,
+                    bad_packets: 25.0,
+                    loss: 0.1,
+                    delay_ms: 100.0,
+                }),
+                ..plain(35.0, normal(6.0), 0.005)
+            },
+            "lossy" => Link {
+                reorder: true,
+                duplicate: 0.01,
+                ..plain(40.0, uniform(10.0), 0.2)
+            },
+            "steps" => Link {
+                steps: Some(Steps {
+                    repeat_s: Some(30.0),
+                    delays: [(0.0, 30.0), (10.0, 80.0), (20.0, 120.0)]
+                        .map(|(at_s, delay_ms)| Step { at_s, delay_ms })
+                        .into(),
+                }),
+                ..plain(30.0, uniform(2.0), 0.0)
+            },
+            _ => {
+                return Err(ProfileError::Unknown {
+                    name: name.to_owned(),
+                });
+            }
+        };
+        Ok(Self::both(name, link))
+    }
+}
+
+/// A question after the name that is meant, when one is near.
+fn nearest(name: &str) -> String {
+    let nearest = NAMES.iter().min_by_key(|n| edits(name, n));
+    nearest
+        .filter(|n| edits(name, n) <= n.len() / 2)
+        .map(|n| format!("; did you mean \"{n}\"?"))
+        .unwrap_or_default()
+}
+
+/// How many letters must be changed, added or taken away to make one word of the other.
+fn edits(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, ca) in a.chars().take(64).enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, cb) in b.iter().enumerate() {
+            let change = diagonal + usize::from(ca != *cb);
+            diagonal = row[j + 1];
+            row[j + 1] = change.min(diagonal + 1).min(row[j] + 1);
+        }
+    }
+    row[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_name_is_a_profile_and_its_file_is_the_same() {
+        for name in Profile::names() {
+            let profile = Profile::parse(name).unwrap();
+            assert_eq!(profile.name, *name);
+            let text = profile.to_toml();
+            let again = Profile::from_toml(&text, Path::new("again.toml")).unwrap();
+            assert_eq!(again, profile, "{text}");
+        }
+    }
+
+    #[test]
+    fn an_unknown_name_is_answered_with_the_nearest_and_all() {
+        let sentence = Profile::parse("transatlantik").unwrap_err().to_string();
+        assert!(
+            sentence.contains("did you mean \"transatlantic\"?"),
+            "{sentence}"
+        );
+        assert!(sentence.contains("satellite"));
+        let sentence = Profile::parse("qqqq").unwrap_err().to_string();
+        assert!(!sentence.contains("did you mean"), "{sentence}");
+    }
+
+    #[test]
+    fn a_direction_says_what_is_different() {
+        let text = "name = \"dsl\"\n\
+            [both]\ndelay_ms = 12\nloss = 0.01\njitter = { kind = \"gamma\", mean_ms = 4, deviation_ms = 2 }\n\
+            [up]\nrate = { bits_per_s = 1e6, queue_bytes = 20000 }\n\
+            [down]\nloss = 0.0\noutages = { repeat_s = 60, times = [{ from_s = 1, to_s = 1.5 }] }\n";
+        let profile = Profile::from_toml(text, Path::new("dsl.toml")).unwrap();
+        assert_eq!((profile.up.delay_ms, profile.down.delay_ms), (12.0, 12.0));
+        assert_eq!((profile.up.loss, profile.down.loss), (0.01, 0.0));
+        assert!(profile.up.rate.is_some() && profile.down.rate.is_none());
+        let again = Profile::from_toml(&profile.to_toml(), Path::new("dsl.toml")).unwrap();
+        assert_eq!(again, profile);
+    }
+
+    #[test]
+    fn what_can_not_be_is_refused_with_file_line_and_what_would_be_right() {
+        let cases = [
+            ("delay_ms = -3", "from 0 to 60000"),
+            ("delay_ms = nan", "from 0 to 60000"),
+            ("delay_ms = inf", "from 0 to 60000"),
+            ("loss = 1.5", "from 0 to 1"),
+            ("duplicate = -0.1", "from 0 to 1"),
+            ("corrupt = nan", "from 0 to 1"),
+            ("deley_ms = 3", "unknown field `deley_ms`"),
+            ("jitter = { kind = \"gama\" }", "`gamma`"),
+            (
+                "jitter = { kind = \"uniform\", reach_ms = -1 }",
+                "from 0 to 60000",
+            ),
+            (
+                "jitter = { kind = \"pareto\", scale_ms = 1, exponent = 0.5 }",
+                "from 1 to 100",
+            ),
+            (
+                "bursts = { good_packets = 100, bad_packets = 0, loss = 0.5 }",
+                "from 1 to",
+            ),
+            (
+                "rate = { bits_per_s = 1e6, queue_bytes = 100 }",
+                "write 1500",
+            ),
+            (
+                "rate = { bits_per_s = 0, queue_bytes = 10000 }",
+                "from 1000 to",
+            ),
+            (
+                "steps = { delays = [{ at_s = 2, delay_ms = 1 }, { at_s = 1, delay_ms = 1 }] }",
+                "in the order of time",
+            ),
+            (
+                "outages = { times = [{ from_s = 2, to_s = 1 }] }",
+                "ends before it begins",
+            ),
+        ];
+        for (line, right) in cases {
+            let text = format!("name = \"mine\"\n[both]\n{line}\n");
+            let error = Profile::from_toml(&text, Path::new("mine.toml")).unwrap_err();
+            let sentence = error.to_string();
+            for part in ["mine.toml", "line 3", right] {
+                assert!(sentence.contains(part), "{line}: {sentence}");
+            }
+        }
+    }
+}

@@ -1,0 +1,192 @@
+//! Delays and losses as they were recorded on a real network.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Rows of a trace: 17 minutes at 1 kHz, and 24 MB.
+pub const TRACE_ROWS_MAX: usize = 1_000_000;
+
+/// Bytes of a trace's file: [`TRACE_ROWS_MAX`] rows of 64.
+const TRACE_BYTES_MAX: u64 = 64_000_000;
+
+/// The first line of a trace.
+const HEADER: &str = "time_ms,delay_ms,lost";
+
+/// A recorded network. It begins again when it ends, a row's length after its last row.
+#[derive(Clone, PartialEq)]
+pub struct Trace {
+    /// The file it came from, as the profile names it.
+    pub file: PathBuf,
+    rows: Arc<[TraceRow]>,
+}
+
+/// What was seen from a time on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TraceRow {
+    /// When, milliseconds.
+    pub time_ms: f64,
+    /// Delay of a packet sent then, milliseconds.
+    pub delay_ms: f64,
+    /// Whether it was lost.
+    pub lost: bool,
+}
+
+/// Why a trace can not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum TraceError {
+    /// The file can not be read.
+    #[error("the trace {} can not be read: {why}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        why: std::io::Error,
+    },
+    /// It is too large.
+    #[error("the trace {} has {bytes} bytes, more than {TRACE_BYTES_MAX}: cut it shorter", path.display())]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+        /// Its size.
+        bytes: u64,
+    },
+    /// A row is wrong.
+    #[error("{} line {line}: {why}", path.display())]
+    Row {
+        /// The file.
+        path: PathBuf,
+        /// The line, from 1.
+        line: usize,
+        /// What is wrong and what would be right.
+        why: String,
+    },
+}
+
+impl fmt::Debug for Trace {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let rows = self.rows.len();
+        write!(f, "Trace({}, {rows} rows)", self.file.display())
+    }
+}
+
+impl Trace {
+    /// Reads a CSV file with the columns `time_ms,delay_ms,lost`, from `folder` unless the name is
+    /// a whole path. A delay may be left empty where a packet was lost.
+    pub fn read(file: &Path, folder: &Path) -> Result<Self, TraceError> {
+        let path = folder.join(file);
+        let read = |why| TraceError::Read {
+            path: path.clone(),
+            why,
+        };
+        let bytes = std::fs::metadata(&path).map_err(read)?.len();
+        if bytes > TRACE_BYTES_MAX {
+            return Err(TraceError::TooLarge { path, bytes });
+        }
+        let text = std::fs::read_to_string(&path).map_err(read)?;
+        let rows = rows_of(&text).map_err(|(line, why)| TraceError::Row {
+            path: path.clone(),
+            line,
+            why,
+        })?;
+        Ok(Self {
+            file: file.to_owned(),
+            rows: rows.into(),
+        })
+    }
+
+    /// Its rows.
+    pub fn rows(&self) -> &[TraceRow] {
+        &self.rows
+    }
+
+    /// After how long it begins again, milliseconds.
+    pub fn period_ms(&self) -> f64 {
+        match *self.rows {
+            [.., ref before, ref last] => {
+                2.0 * last.time_ms - before.time_ms - self.rows[0].time_ms
+            }
+            // One row is for ever; the length does not matter.
+            _ => 1.0,
+        }
+    }
+
+    /// The row that a packet meets at a time after the network began: the last one not later.
+    pub fn at(&self, time_ms: f64) -> TraceRow {
+        let first_ms = self.rows[0].time_ms;
+        let time_ms = first_ms + time_ms.rem_euclid(self.period_ms());
+        let passed = self.rows.partition_point(|row| row.time_ms <= time_ms);
+        self.rows[passed.max(1) - 1]
+    }
+}
+
+/// The rows of a file, or the line that is wrong and why.
+fn rows_of(text: &str) -> Result<Vec<TraceRow>, (usize, String)> {
+    let mut lines = text
+        .lines()
+        .enumerate()
+        .map(|(n, line)| (n + 1, line.trim()))
+        .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
+    let header: Option<String> = lines
+        .next()
+        .map(|(_, line)| line.split_whitespace().collect());
+    if header.as_deref() != Some(HEADER) {
+        return Err((1, format!("a trace begins with the line {HEADER}")));
+    }
+    let mut rows: Vec<TraceRow> = Vec::new();
+    for (n, line) in lines {
+        let row = row_of(line).map_err(|why| (n, why))?;
+        if let Some(last) = rows.last()
+            && row.time_ms <= last.time_ms
+        {
+            let why = format!(
+                "the time {} ms is not after {} ms of the row before: sort the rows by time",
+                row.time_ms, last.time_ms
+            );
+            return Err((n, why));
+        }
+        if rows.len() == TRACE_ROWS_MAX {
+            return Err((
+                n,
+                format!("more than {TRACE_ROWS_MAX} rows: cut it shorter"),
+            ));
+        }
+        rows.push(row);
+    }
+    if rows.is_empty() {
+        return Err((1, "a trace needs at least one row".to_owned()));
+    }
+    Ok(rows)
+}
+
+fn row_of(line: &str) -> Result<TraceRow, String> {
+    let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+    let [time, delay, lost] = cells[..] else {
+        return Err(format!("{} cells, but {HEADER} are three", cells.len()));
+    };
+    let lost = match lost {
+        "0" | "false" => false,
+        "1" | "true" => true,
+        other => return Err(format!("lost is \"{other}\": write 0 or 1")),
+    };
+    let number = |name: &str, cell: &str, max: f64| {
+        let x: f64 = cell
+            .parse()
+            .map_err(|_| format!("{name} is \"{cell}\": write a number"))?;
+        if (0.0..=max).contains(&x) {
+            Ok(x)
+        } else {
+            Err(format!("{name} is {x}: write a number from 0 to {max}"))
+        }
+    };
+    let delay_ms = if lost && delay.is_empty() {
+        0.0
+    } else {
+        number("delay_ms", delay, super::path::DELAY_MAX_MS)?
+    };
+    Ok(TraceRow {
+        time_ms: number("time_ms", time, 1e12)?,
+        delay_ms,
+        lost,
+    })
+}

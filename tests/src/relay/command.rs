@@ -1,0 +1,106 @@
+//! `palpate-lab relay`.
+
+use std::net::SocketAddr;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use clap::Args;
+
+use super::Relay;
+use crate::cli::say;
+use crate::network::Profile;
+use crate::progress::Interrupt;
+
+/// What can be said to it.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    /// Where clients send to; port 0 takes any free one
+    #[arg(long, value_name = "ADDRESS")]
+    listen: SocketAddr,
+    /// Where the server listens
+    #[arg(long, value_name = "ADDRESS")]
+    to: SocketAddr,
+    /// The network to be: a name, or a TOML file
+    #[arg(long, default_value = "transatlantic", value_parser = Profile::parse)]
+    profile: Profile,
+    /// Seed of what happens to which packet
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// End after so many seconds; without it, on Ctrl-C
+    #[arg(long, value_name = "S")]
+    duration: Option<f64>,
+    /// Every so many seconds let the server see every client at a new address, as when a router
+    /// forgets whom an address belonged to
+    #[arg(long, value_name = "S")]
+    rebind_every: Option<f64>,
+    /// Print one JSON object when listening and one with the figures at the end
+    #[arg(long)]
+    json: bool,
+}
+
+/// A number of seconds that is given, checked.
+fn seconds(name: &str, given: Option<f64>) -> Result<Option<Duration>, String> {
+    match given {
+        Some(s) if !(s >= 1e-3 && s < 1e9) => Err(format!(
+            "{name} {s} must be a number of seconds from 0.001 to a billion"
+        )),
+        given => Ok(given.map(Duration::from_secs_f64)),
+    }
+}
+
+/// Runs it until its time is over or Ctrl-C.
+pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
+    let duration = seconds("--duration", arguments.duration)?;
+    let rebind_every = seconds("--rebind-every", arguments.rebind_every)?;
+    let interrupt = Interrupt::listen().map_err(|e| format!("no signals can be caught: {e}"))?;
+    let profile = arguments.profile.clone();
+    let relay = Relay::start(arguments.listen, arguments.to, profile, arguments.seed)
+        .map_err(|e| format!("cannot listen on {}: {e}", arguments.listen))?;
+    if arguments.json {
+        say(&serde_json::json!({ "listening": relay.local_addr() }).to_string())?;
+    } else {
+        say(&format!(
+            "network {} with seed {}: {} to {}; end with Ctrl-C",
+            arguments.profile.name,
+            arguments.seed,
+            relay.local_addr(),
+            arguments.to
+        ))?;
+    }
+    let began = Instant::now();
+    let mut rebound = began;
+    while !interrupt.is_set() && duration.is_none_or(|d| began.elapsed() < d) {
+        std::thread::sleep(Duration::from_millis(20));
+        if rebind_every.is_some_and(|period| rebound.elapsed() >= period) {
+            rebound = Instant::now();
+            let clients = relay.stats().clients;
+            for flow in 0..clients as usize {
+                relay.rebind(flow).map_err(|e| e.to_string())?;
+            }
+        }
+    }
+    let s = relay.stats();
+    if arguments.json {
+        say(&serde_json::to_string(&s).expect("figures are plain data"))?;
+    } else {
+        say(&format!(
+            "{} packets from {} client(s) and back: {} dropped ({:.2} %; {} of them in outages, {} at the \
+             bottleneck), {} doubled, {} with flipped bits, {} overtook; delay {:.1} ms mean, {:.1} ms p99; \
+             {} new addresses; {} found no room",
+            s.sent,
+            s.clients,
+            s.dropped,
+            s.loss * 100.0,
+            s.in_outage,
+            s.queue_full,
+            s.duplicated,
+            s.corrupted,
+            s.reordered,
+            s.delay_mean_ms,
+            s.delay_p99_ms,
+            s.rebinds,
+            s.overflowed
+        ))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
