@@ -210,7 +210,10 @@ impl ClockEstimate {
             }
             (None, Some(last)) => {
                 let since_us = (m.at - last.at).as_micros().unsigned_abs() as f64;
-                far(last.offset_us(), (last.rtt_us / 2) as f64 + DRIFT_MAX * since_us)
+                far(
+                    last.offset_us(),
+                    (last.rtt_us / 2) as f64 + DRIFT_MAX * since_us,
+                )
             }
             _ => false,
         }

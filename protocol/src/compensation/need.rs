@@ -150,7 +150,9 @@ impl Need {
         if self.intervals.len() <= STEP_PACKETS {
             return false;
         }
-        let recent = self.intervals.range(self.intervals.len() - STEP_PACKETS + 1..);
+        let recent = self
+            .intervals
+            .range(self.intervals.len() - STEP_PACKETS + 1..);
         // Just after an arrival the need is at its least.
         let least = recent.map(|i| i.from_us).min().unwrap_or(0);
         if least <= settled_us + STEP_US {

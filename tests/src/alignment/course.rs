@@ -52,6 +52,19 @@ pub struct Moment {
     pub stale: bool,
     /// D as it is at the first site, milliseconds.
     pub delay_ms: f64,
+    /// How old the newest sample of the second tool is at the first site, milliseconds.
+    pub age_ms: f64,
+}
+
+impl Moment {
+    /// How far apart the two sites show the tools, the farther of the two, millimetres.
+    pub fn apart_mm(&self) -> f64 {
+        let apart = [self.first, self.second].map(|[own, other]| {
+            let square: f64 = own.iter().zip(other).map(|(a, b)| (a - b).powi(2)).sum();
+            square.sqrt() * 1e3
+        });
+        apart[0].max(apart[1])
+    }
 }
 
 /// A session of two sites and a server.
@@ -120,13 +133,16 @@ impl Course {
     fn shown(&mut self, now: i64) -> Option<Moment> {
         let [a, b] = &mut self.sites;
         let ([a_own, a_other], [b_own, b_other]) = (a.shown(now)?, b.shown(now)?);
-        let delay = a.schedule.delay_at(a.server_time(now)?);
+        let here = a.server_time(now)?;
+        let delay = a.schedule.delay_at(here);
+        let age = here - a.views[1].newest()?;
         Some(Moment {
             time_s: now as f64 * 1e-6,
             first: [a_own.pose.position_m, b_other.pose.position_m],
             second: [b_own.pose.position_m, a_other.pose.position_m],
             stale: a_other.stale || b_other.stale,
             delay_ms: delay.as_millis_f64(),
+            age_ms: age.as_millis_f64(),
         })
     }
 
@@ -219,7 +235,8 @@ impl Course {
                 self.sites[k].clock.handle_reply(reply, here);
             }
             Parcel::ReportUp(report) => {
-                self.group.handle_report(ParticipantId(k as u16 + 1), report);
+                self.group
+                    .handle_report(ParticipantId(k as u16 + 1), report);
             }
             Parcel::ChangeDown(delay_us, effective_at) => {
                 self.sites[k].schedule.handle_change(delay_us, effective_at);

@@ -9,6 +9,7 @@
 //! true time (Lin 2007, figs 7.26 to 7.28).
 
 pub mod course;
+pub mod emulated;
 pub mod hand;
 mod site;
 pub mod way;
@@ -105,7 +106,8 @@ impl Figures {
         self.disagreement_mm.p95 <= SAFE_MM && self.corrections_over_1mm == 0
     }
 
-    fn of(moments: &[Moment]) -> Self {
+    /// The figures of these moments.
+    pub fn of(moments: &[Moment]) -> Self {
         let mut distances = Vec::with_capacity(2 * moments.len());
         let (mut over, mut stale) = (0, 0);
         let mut last: Option<[[f64; 3]; 2]> = None;
@@ -156,8 +158,8 @@ fn percentile(values: &mut [f64], p: f64) -> f64 {
     *values.select_nth_unstable_by(index, f64::total_cmp).1
 }
 
-/// An alignment over paths made by `ways`, which gets a generator of their own and one of the whole
-/// network.
+/// An alignment over paths made by `ways`, which gets the number of a path (up and down of the first
+/// site, up and down of the second), a generator of its own and one of the whole network.
 #[derive(Debug, Clone, Copy)]
 pub struct Alignment<W> {
     /// Makes a path.
@@ -167,20 +169,20 @@ pub struct Alignment<W> {
 }
 
 /// An alignment over paths that follow a law.
-pub fn over(law: Law, seed: u64) -> Alignment<impl Fn(Pcg64, Pcg64) -> Box<dyn Way>> {
-    let ways = move |own: Pcg64, air: Pcg64| -> Box<dyn Way> {
+pub fn over(law: Law, seed: u64) -> Alignment<impl Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> {
+    let ways = move |_: usize, own: Pcg64, air: Pcg64| -> Box<dyn Way> {
         Box::new(LawfulWay::new(law, own, air, WARM_UP_US + COUNTED_US))
     };
     Alignment { ways, seed }
 }
 
-impl<W: Fn(Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
+impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
     /// Every moment that counts.
     pub fn moments(&self, mode: Mode) -> Vec<Moment> {
         let mut rng = Pcg64::seed_from_u64(self.seed ^ 0x70_61_74_68);
         let air = Pcg64::seed_from_u64(rng.random());
-        let mut way = || (self.ways)(Pcg64::seed_from_u64(rng.random()), air.clone());
-        let ways = [[way(), way()], [way(), way()]];
+        let mut way = |number| (self.ways)(number, Pcg64::seed_from_u64(rng.random()), air.clone());
+        let ways = [[way(0), way(1)], [way(2), way(3)]];
         let (settings, rule) = mode.settings();
         let mut course = Course::new(&settings, rule, ways, self.seed);
         let mut moments = Vec::with_capacity((COUNTED_US / 1000) as usize);

@@ -11,8 +11,8 @@ use super::{ALL, Bench, Experiment, Outcome, gallery, named};
 use crate::bench::on_threads;
 use crate::cli::say;
 use crate::hand::Recorded;
+use crate::network::Profile;
 use crate::progress::Progress;
-use crate::relay::Profile;
 use crate::subject::Subject;
 
 /// Where everything goes when nothing is said.
