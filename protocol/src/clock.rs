@@ -419,4 +419,92 @@ mod tests {
         assert_eq!(clock.handle_reply(reply, now), None);
         assert_eq!(clock.rtt(), None);
     }
+
+    #[test]
+    fn the_strip_is_nearer_than_the_fastest_round_trip_alone() {
+        // Two people at 10 ms of jitter: what they see of one tool is as far apart as their clocks.
+        for seed in 0..8 {
+            let mut rng = Pcg64::seed_from_u64(seed);
+            run(&mut rng, 60, 40e-6, 10_000, |t3, _, error_us| {
+                if t3 > 20_000_000 {
+                    assert!(error_us.abs() < 600.0, "{error_us} µs");
+                }
+            });
+        }
+    }
+
+    #[test]
+    fn a_clock_that_is_set_by_hours_begins_the_estimate_anew_and_is_counted() {
+        for step_us in [7_200_000_000_i64, -7_200_000_000] {
+            let mut clock = ClockEstimate::new();
+            let (mut lost, mut wrong) = (0, 0);
+            for i in 0..600 {
+                let true_us = 10_000_000_000 + i * 100_000;
+                let set_us = if i >= 300 { step_us } else { 0 };
+                let probe = clock.probe(ClientTime::from_micros(true_us + set_us));
+                let server = ServerTime::from_micros(true_us + 30_000);
+                let reply = Reply {
+                    id: probe.id,
+                    client_sent: probe.client_sent,
+                    server_received: server,
+                    server_sent: server,
+                };
+                let here = ClientTime::from_micros(true_us + 60_000 + set_us);
+                clock.handle_reply(reply, here);
+                match clock.map() {
+                    Some(map) => {
+                        let error_us = map.to_server(here).as_micros() - true_us - 60_000;
+                        wrong += i32::from(error_us.abs() > map.error_bound().as_micros());
+                    }
+                    None => lost += i32::from(i >= 300),
+                }
+            }
+            assert_eq!(clock.steps(), 1);
+            // Wrong only until the third answer says so; without a map until it is locked.
+            assert!(wrong < STEP_REPLIES as i32, "{wrong}");
+            assert!(lost <= LOCK_REPLIES as i32, "{lost}");
+        }
+    }
+
+    #[test]
+    fn one_damaged_answer_changes_nothing() {
+        let mut clock = ClockEstimate::new();
+        for i in 0..100 {
+            let probe = clock.probe(ClientTime::from_micros(i * 100_000));
+            let damage = if i == 50 { 9_000_000_000 } else { 0 };
+            let server = ServerTime::from_micros(i * 100_000 + 30_000 + damage);
+            let reply = Reply {
+                id: probe.id,
+                client_sent: probe.client_sent,
+                server_received: server,
+                server_sent: server,
+            };
+            clock.handle_reply(reply, ClientTime::from_micros(i * 100_000 + 60_000));
+        }
+        assert_eq!(clock.steps(), 0);
+        let map = clock.map().unwrap();
+        let t = ClientTime::from_micros(10_000_000);
+        assert!((map.to_server(t).as_micros() - 10_000_000).abs() <= 1);
+    }
+
+    #[test]
+    fn a_path_that_is_slower_one_way_stays_within_the_bound() {
+        let mut clock = ClockEstimate::new();
+        for i in 0..300 {
+            let probe = clock.probe(ClientTime::from_micros(i * 100_000));
+            let server = ServerTime::from_micros(i * 100_000 + 90_000);
+            let reply = Reply {
+                id: probe.id,
+                client_sent: probe.client_sent,
+                server_received: server,
+                server_sent: server,
+            };
+            let here = ClientTime::from_micros(i * 100_000 + 100_000);
+            if let Some(map) = clock.handle_reply(reply, here) {
+                let error = map.to_server(here).as_micros() - here.as_micros();
+                assert!(error.abs() <= map.error_bound().as_micros(), "{error}");
+                assert!(error > 39_000, "the asymmetry can not be seen");
+            }
+        }
+    }
 }
