@@ -188,11 +188,12 @@ impl Course {
 
     /// On the ordered stream: what is lost is sent again, and nothing overtakes.
     fn send_reliably(&mut self, k: usize, direction: usize, now: i64, parcel: Parcel) {
-        let mut sent = now;
+        // A path is asked in the order of time: what is sent again must not run ahead of the samples.
+        let mut again_us = 0;
         let at = loop {
-            match self.ways[k][direction].delay_us(sent) {
-                Some(delay_us) => break sent + delay_us,
-                None => sent += RESEND_US,
+            match self.ways[k][direction].delay_us(now) {
+                Some(delay_us) => break now + again_us + delay_us,
+                None => again_us += RESEND_US,
             }
         };
         let at = at.max(self.stream_us[k][direction] + 1);
