@@ -20,6 +20,7 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod alignment;
 pub mod bench;
 pub mod chart;
 pub mod cli;

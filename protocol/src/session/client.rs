@@ -318,6 +318,9 @@ impl ClientSession {
             let generated = oldest.min(header.generated);
             self.delay
                 .handle_arrival(generated, arrival, joined.schedule.delay_at(arrival));
+            if self.delay.take_urgent() {
+                self.report_due = now;
+            }
         }
         for track in tracks {
             self.emit(ClientEvent::Motion(track));

@@ -61,7 +61,7 @@ impl Participant {
             role,
             tool,
             timeline: Timeline::default(),
-            delay: DelayEstimator::new(DelayRule::MeanDeviation),
+            delay: DelayEstimator::new(DelayRule::default()),
         }
     }
 
@@ -81,7 +81,7 @@ impl Participant {
     /// Forgets where the tool was and how late its samples came: it presses no more until it is heard of.
     pub(crate) fn forget_motion(&mut self) {
         self.timeline = Timeline::default();
-        self.delay = DelayEstimator::new(DelayRule::MeanDeviation);
+        self.delay = DelayEstimator::new(DelayRule::default());
     }
 
     pub(crate) fn roster_entry(&self) -> RosterEntry {

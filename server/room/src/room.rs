@@ -22,9 +22,6 @@ use crate::config::RoomConfig;
 use crate::fan_out::FanOut;
 use crate::participant::Participant;
 
-/// A change of the artificial delay takes effect so much later, so that everybody has heard of it.
-const CHANGE_LEAD: Span = Span::from_millis(300);
-
 /// Scripts begin so much after the last tool has come.
 const START_LEAD: Span = Span::from_millis(1000);
 
@@ -269,7 +266,7 @@ impl Room {
         if self.log.len() >= OPERATIONS_MAX {
             return;
         }
-        if let Some(change) = self.group.poll_change(now, CHANGE_LEAD) {
+        if let Some(change) = self.group.poll_change(now, self.group.lead()) {
             self.schedule
                 .handle_change(change.delay_us, change.effective_at);
             let kind = OperationKind::Compensation {

@@ -3,6 +3,7 @@
 //! Each is a few [trials](crate::trial) and gives figures, tables (CSV) and charts (SVG). The figures of the
 //! dissertation that they stand for are named at each. All together make one page, [`gallery`](mod@gallery).
 
+mod atc;
 pub mod command;
 mod friction;
 pub mod gallery;
@@ -67,6 +68,13 @@ impl Takes {
         motion: false,
     };
 
+    /// A network and what its chances come from.
+    pub const NETWORKS: Self = Self {
+        seed: true,
+        profile: true,
+        ..Self::NOTHING
+    };
+
     /// Only another model.
     pub const MODELS: Self = Self {
         model: true,
@@ -82,7 +90,7 @@ impl Takes {
 }
 
 /// All of them, in the order in which they are run.
-pub const ALL: [Experiment; 9] = [
+pub const ALL: [Experiment; 14] = [
     Experiment {
         name: "soft-hard",
         about: "a ball on soft, on stiff tissue and between them (Lin 2007, fig 4.8)",
@@ -118,6 +126,36 @@ pub const ALL: [Experiment; 9] = [
         about: "a ball and a line pressed in at 100 mm/s, the line dragged on: what one solving thread and 1 kHz make of it",
         takes: Takes::MODELS,
         run: press::run,
+    },
+    Experiment {
+        name: "atc-none",
+        about: "two sites align a part without artificial time compensation (fig 7.26)",
+        takes: Takes::NETWORKS,
+        run: atc::none,
+    },
+    Experiment {
+        name: "atc-fixed",
+        about: "two sites align a part, everything shown at the smallest fixed delay that is safe (fig 7.27)",
+        takes: Takes::NETWORKS,
+        run: atc::fixed,
+    },
+    Experiment {
+        name: "atc-adaptive",
+        about: "two sites align a part, the delay follows what the network needs (fig 7.28)",
+        takes: Takes::NETWORKS,
+        run: atc::adaptive,
+    },
+    Experiment {
+        name: "transmission",
+        about: "what a motion takes from site to site, with the delay and without (fig 7.24)",
+        takes: Takes::NETWORKS,
+        run: atc::transmission,
+    },
+    Experiment {
+        name: "jitter",
+        about: "how a tool shakes that jitter has come over, with compensation and without (fig 7.25)",
+        takes: Takes::NETWORKS,
+        run: atc::jitter,
     },
     Experiment {
         name: "replicas",

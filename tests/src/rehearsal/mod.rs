@@ -21,7 +21,7 @@ use std::sync::Arc;
 use palpate_client::Recording;
 use palpate_device::Script;
 use palpate_protocol::operation::CompensationSettings;
-use palpate_protocol::{Epoch, Grant, ModelHash, ModelInfo, Role, ServerTime};
+use palpate_protocol::{Epoch, Grant, ModelHash, ModelInfo, ResumeToken, Role, ServerTime};
 use palpate_room::RoomConfig;
 use palpate_tissue::Model;
 use serde::Serialize;
@@ -162,6 +162,8 @@ impl Rehearsal<'_> {
             tick_hz: self.tick_hz,
             compensation: self.compensation,
             start_when_tools: self.scripts.len() as u16,
+            // Nobody else is here who could guess.
+            fresh_token: |who| ResumeToken([who.0 as u8; 16]),
         }
     }
 }

@@ -6,8 +6,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use palpate_lab::network::Profile;
 use palpate_lab::place::Place;
-use palpate_lab::relay::Profile;
 use palpate_lab::scripts::Scripts;
 use palpate_lab::session::{Hosting, Participant, Session};
 use palpate_lab::subject::Subject;

@@ -1,0 +1,162 @@
+//! Who can no longer work with the others, because their network needs more delay than all accept.
+
+use super::CAP_DEFAULT;
+use crate::{ServerTime, Span};
+
+/// Beyond the cap for so long, a participant becomes a spectator: a burst of a radio link is over by
+/// then, and for that long others hold the tool still.
+pub const DEMOTE_AFTER: Span = Span::from_millis(3000);
+
+/// Below the way back for so long, they get their tool back: longer, so that a path that is sometimes
+/// good does not throw somebody in and out.
+pub const RESTORE_AFTER: Span = Span::from_millis(10_000);
+
+/// The way back is this share of the cap.
+pub const RESTORE_SHARE: f64 = 0.9;
+
+/// A report that is older says nothing; until the next one nothing is decided.
+pub const REPORT_OLD: Span = Span::from_millis(2000);
+
+/// What a participant is to be told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Verdict {
+    /// They become a spectator: they need `wanted`, more than the `cap`.
+    Demote {
+        /// What they need.
+        wanted: Span,
+        /// What is accepted.
+        cap: Span,
+    },
+    /// Their network has recovered: they get their tool back.
+    Restore,
+}
+
+/// The decision about one participant. Calling order: [`handle_wanted`](Self::handle_wanted) with
+/// every report, while they are a spectator too; its answer is acted on by whoever owns the roles.
+#[derive(Debug, Clone)]
+pub struct Demotion {
+    cap: Span,
+    demoted: bool,
+    /// Since when the reports have been asking for the other state.
+    since: Option<ServerTime>,
+    last: Option<ServerTime>,
+    demotions: u64,
+}
+
+impl Default for Demotion {
+    fn default() -> Self {
+        Self::new(CAP_DEFAULT)
+    }
+}
+
+impl Demotion {
+    /// Somebody who takes part.
+    pub fn new(cap: Span) -> Self {
+        Self {
+            cap,
+            demoted: false,
+            since: None,
+            last: None,
+            demotions: 0,
+        }
+    }
+
+    /// A report, and what follows from it.
+    pub fn handle_wanted(&mut self, wanted: Span, now: ServerTime) -> Option<Verdict> {
+        if self.last.is_some_and(|last| now - last > REPORT_OLD) {
+            self.since = None;
+        }
+        self.last = Some(now);
+        let way_back_us = (self.cap.as_micros() as f64 * RESTORE_SHARE) as i64;
+        let asks = if self.demoted {
+            wanted.as_micros() <= way_back_us
+        } else {
+            wanted > self.cap
+        };
+        if !asks {
+            self.since = None;
+            return None;
+        }
+        let since = *self.since.get_or_insert(now);
+        let patience = if self.demoted {
+            RESTORE_AFTER
+        } else {
+            DEMOTE_AFTER
+        };
+        if now - since < patience {
+            return None;
+        }
+        self.since = None;
+        self.demoted = !self.demoted;
+        if self.demoted {
+            self.demotions += 1;
+            let cap = self.cap;
+            Some(Verdict::Demote { wanted, cap })
+        } else {
+            Some(Verdict::Restore)
+        }
+    }
+
+    /// Whether they are a spectator because of their network. The group's delay does not follow
+    /// them then.
+    pub fn is_demoted(&self) -> bool {
+        self.demoted
+    }
+
+    /// How often it came to that.
+    pub fn demotions(&self) -> u64 {
+        self.demotions
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Reports four times a second.
+    fn feed(demotion: &mut Demotion, from_s: i64, until_s: i64, ms: i64) -> Vec<(i64, Verdict)> {
+        let quarters = from_s * 4..until_s * 4;
+        let verdicts = quarters.filter_map(|i| {
+            let now = ServerTime::from_micros(i * 250_000);
+            let verdict = demotion.handle_wanted(Span::from_millis(ms), now);
+            verdict.map(|v| (i / 4, v))
+        });
+        verdicts.collect()
+    }
+
+    #[test]
+    fn who_needs_too_much_for_long_watches_until_the_network_has_recovered_for_longer() {
+        let mut demotion = Demotion::default();
+        assert_eq!(feed(&mut demotion, 0, 2, 600), [], "a burst");
+        assert_eq!(feed(&mut demotion, 2, 20, 390), []);
+        let verdicts = feed(&mut demotion, 20, 30, 600);
+        let (wanted, cap) = (Span::from_millis(600), CAP_DEFAULT);
+        assert_eq!(verdicts, [(23, Verdict::Demote { wanted, cap })]);
+        assert_eq!(feed(&mut demotion, 30, 60, 390), [], "not yet well enough");
+        assert_eq!(feed(&mut demotion, 60, 69, 300), []);
+        assert_eq!(feed(&mut demotion, 69, 75, 300), [(70, Verdict::Restore)]);
+        assert!(!demotion.is_demoted());
+        assert_eq!(demotion.demotions(), 1);
+    }
+
+    proptest! {
+        #[test]
+        fn nobody_is_thrown_in_and_out_faster_than_both_patiences(
+            wanted in prop::collection::vec(0_i64..1000, 1..400),
+        ) {
+            let mut demotion = Demotion::default();
+            let mut last: Option<(ServerTime, Verdict)> = None;
+            for (i, ms) in wanted.into_iter().enumerate() {
+                let now = ServerTime::from_micros(i as i64 * 250_000);
+                if let Some(verdict) = demotion.handle_wanted(Span::from_millis(ms), now) {
+                    if let Some((at, before)) = last {
+                        prop_assert!(now - at >= DEMOTE_AFTER);
+                        prop_assert_ne!(before == Verdict::Restore, verdict == Verdict::Restore);
+                    }
+                    last = Some((now, verdict));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! One site's measurement of the age of what it receives.
+
+use std::collections::VecDeque;
+
+use super::need::Need;
+use super::{ALPHA, PERCENTILE_WINDOW};
+use crate::request::DelayReport;
+use crate::{ServerTime, Span};
+
+/// Which rule gives D* from the measured ages.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum DelayRule {
+    /// μ + 4ν + packet interval.
+    MeanDeviation,
+    /// The 98th percentile of the last [`PERCENTILE_WINDOW`] ages + packet interval.
+    Percentile,
+    /// What is needed so that the timeline can bridge the rest ([`need`](super::BRIDGE)): the default, because
+    /// the other two cover nearly every packet, and pay a third more delay for what extrapolation
+    /// gives for nothing.
+    #[default]
+    Bridged,
+}
+
+/// One site's measurement of the age of what it receives.
+#[derive(Debug, Clone)]
+pub struct DelayEstimator {
+    rule: DelayRule,
+    mean_us: f64,
+    deviation_us: f64,
+    interval_us: f64,
+    last_arrival: Option<ServerTime>,
+    spike_us: Option<f64>,
+    ages_us: VecDeque<i64>,
+    need: Need,
+    urgent: bool,
+    measured: u64,
+}
+
+impl DelayEstimator {
+    /// Nothing measured yet.
+    pub fn new(rule: DelayRule) -> Self {
+        Self {
+            rule,
+            mean_us: 0.0,
+            deviation_us: 0.0,
+            interval_us: 4000.0,
+            last_arrival: None,
+            spike_us: None,
+            ages_us: VecDeque::with_capacity(PERCENTILE_WINDOW),
+            need: Need::default(),
+            urgent: false,
+            measured: 0,
+        }
+    }
+
+    /// Notes that something generated at one moment arrived at another, while the delay `in_force`
+    /// held.
+    pub fn handle_arrival(&mut self, generated: ServerTime, arrival: ServerTime, in_force: Span) {
+        let d = (arrival - generated).as_micros();
+        let d_us = d as f64;
+        self.urgent |= self.need.handle_arrival(generated, arrival);
+        if self.ages_us.len() == PERCENTILE_WINDOW {
+            self.ages_us.pop_front();
+        }
+        self.ages_us.push_back(d);
+        if let Some(last) = self.last_arrival {
+            // Packets that arrive together say nothing about the interval; gaps of a silent tool
+            // neither.
+            let gap = (arrival - last).as_micros() as f64;
+            self.interval_us += ALPHA * (gap.clamp(0.0, 50_000.0) - self.interval_us);
+        }
+        self.last_arrival = Some(arrival);
+        if self.measured == 0 {
+            self.mean_us = d_us;
+        }
+        self.measured += 1;
+        let in_force_us = in_force.as_micros() as f64;
+        if d_us > in_force_us + 8.0 * self.deviation_us {
+            self.spike_us = Some(d_us);
+        } else if d_us <= in_force_us {
+            self.spike_us = None;
+        }
+        self.mean_us += ALPHA * (d_us - self.mean_us);
+        self.deviation_us += ALPHA * ((d_us - self.mean_us).abs() - self.deviation_us);
+    }
+
+    /// The delay D* that this site needs; `None` before the first arrival.
+    pub fn wanted(&self) -> Option<Span> {
+        if self.measured == 0 {
+            return None;
+        }
+        let settled = match self.rule {
+            DelayRule::MeanDeviation => self.mean_us + 4.0 * self.deviation_us,
+            DelayRule::Percentile => self.percentile_us(0.98),
+            DelayRule::Bridged => {
+                let us = self.need.wanted_us().unwrap_or(self.mean_us as i64);
+                return Some(Span::from_micros(us));
+            }
+        } + self.interval_us;
+        let wanted = self.spike_us.map_or(settled, |spike| settled.max(spike));
+        Some(Span::from_micros(wanted.max(0.0).round() as i64))
+    }
+
+    fn percentile_us(&self, p: f64) -> f64 {
+        let mut ages: Vec<i64> = self.ages_us.iter().copied().collect();
+        let index = ((ages.len() - 1) as f64 * p).round() as usize;
+        *ages.select_nth_unstable(index).1 as f64
+    }
+
+    /// The mean age μ.
+    pub fn mean(&self) -> Span {
+        Span::from_micros(self.mean_us.round() as i64)
+    }
+
+    /// The mean deviation ν.
+    pub fn deviation(&self) -> Span {
+        Span::from_micros(self.deviation_us.round() as i64)
+    }
+
+    /// Whether an age far beyond D is being followed.
+    pub fn in_spike(&self) -> bool {
+        self.spike_us.is_some()
+    }
+
+    /// Whether the path has become slower since the last question: report it now, not at the next
+    /// period, because until D has grown everybody extrapolates.
+    pub fn take_urgent(&mut self) -> bool {
+        std::mem::take(&mut self.urgent) && self.rule == DelayRule::Bridged
+    }
+
+    /// For the server; `None` before the first arrival.
+    pub fn report(&self) -> Option<DelayReport> {
+        let us = |s: Span| u32::try_from(s.as_micros().max(0)).unwrap_or(u32::MAX);
+        self.wanted().map(|wanted| DelayReport {
+            mean_us: us(self.mean()),
+            deviation_us: us(self.deviation()),
+            wanted_us: us(wanted),
+        })
+    }
+}

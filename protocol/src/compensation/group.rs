@@ -1,0 +1,119 @@
+//! The server's choice of D.
+
+use crate::operation::{CompensationMode, CompensationSettings};
+use crate::request::DelayReport;
+use crate::{ParticipantId, ServerTime, Span};
+
+/// The server's choice of D for the whole group.
+///
+/// Calling order: [`handle_report`](Self::handle_report) and [`remove`](Self::remove) as they
+/// come, [`poll_change`](Self::poll_change) at least every 100 ms; what it gives becomes an
+/// operation in the log, and is also given to the server's own [`DelaySchedule`].
+#[derive(Debug, Clone)]
+pub struct GroupDelay {
+    mode: CompensationMode,
+    target_us: u32,
+    last_change: Option<ServerTime>,
+    wanted: Vec<(ParticipantId, u32)>,
+}
+
+/// A decision of the server, to be written into the log.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DelayChange {
+    /// The delay to reach, microseconds.
+    pub delay_us: u32,
+    /// From when on.
+    pub effective_at: ServerTime,
+}
+
+/// Not more often than this is D lowered, so that the log stays short.
+pub const CHANGE_PERIOD: Span = Span::from_millis(250);
+
+/// Not more often than this is D raised: sooner, because everybody extrapolates until it is.
+pub const RAISE_PERIOD: Span = Span::from_millis(50);
+
+/// What an operation needs beyond its way, to be sent again once on a short path.
+const LEAD_MARGIN: Span = Span::from_millis(20);
+
+/// A smaller change than this is not worth an operation when growing; when shrinking it must be
+/// twice as much.
+pub const CHANGE_MIN: Span = Span::from_millis(2);
+
+impl GroupDelay {
+    /// The group at the beginning of a session.
+    pub fn new(settings: &CompensationSettings) -> Self {
+        Self {
+            mode: settings.mode,
+            target_us: settings.initial_delay_us,
+            last_change: None,
+            wanted: Vec::new(),
+        }
+    }
+
+    /// What a site needs: a participant's report, or the server's own measurement of what it
+    /// receives, under [`ParticipantId::SERVER`].
+    pub fn handle_report(&mut self, who: ParticipantId, report: DelayReport) {
+        match self.wanted.iter_mut().find(|(p, _)| *p == who) {
+            Some((_, wanted)) => *wanted = report.wanted_us,
+            None => self.wanted.push((who, report.wanted_us)),
+        }
+    }
+
+    /// A participant went.
+    pub fn remove(&mut self, who: ParticipantId) {
+        self.wanted.retain(|(p, _)| *p != who);
+    }
+
+    /// Whether somebody needs more than the cap: what they are shown is extrapolated or held where
+    /// it comes too late, and what they do is shown to others late.
+    pub fn beyond_cap(&self) -> impl Iterator<Item = ParticipantId> + '_ {
+        let cap = match self.mode {
+            CompensationMode::Adaptive { cap_us } => cap_us,
+            CompensationMode::None | CompensationMode::Fixed => u32::MAX,
+        };
+        self.wanted
+            .iter()
+            .filter(move |(_, w)| *w > cap)
+            .map(|(p, _)| *p)
+    }
+
+    /// A new decision, if one is due. It takes effect `lead` from now: choose the time that an
+    /// operation needs to reach everybody, so that all change together.
+    pub fn poll_change(&mut self, now: ServerTime, lead: Span) -> Option<DelayChange> {
+        let CompensationMode::Adaptive { cap_us } = self.mode else {
+            return None;
+        };
+        let wanted = self.wanted.iter().map(|(_, w)| *w).max()?.min(cap_us);
+        let change = i64::from(wanted) - i64::from(self.target_us);
+        let min = CHANGE_MIN.as_micros();
+        if !(change >= min || change <= -2 * min) {
+            return None;
+        }
+        let period = if change > 0 {
+            RAISE_PERIOD
+        } else {
+            CHANGE_PERIOD
+        };
+        if self.last_change.is_some_and(|last| now - last < period) {
+            return None;
+        }
+        self.target_us = wanted;
+        self.last_change = Some(now);
+        Some(DelayChange {
+            delay_us: wanted,
+            effective_at: now + lead,
+        })
+    }
+
+    /// A lead for [`poll_change`](Self::poll_change) that lets an operation reach everybody: what they
+    /// need covers two ways, and an operation goes one.
+    pub fn lead(&self) -> Span {
+        let wanted = self.wanted.iter().map(|(_, w)| *w).max().unwrap_or(0);
+        LEAD_MARGIN + Span::from_micros(i64::from(wanted.max(self.target_us)) / 2)
+    }
+
+    /// The delay last decided.
+    pub fn target(&self) -> Span {
+        Span::from_micros(i64::from(self.target_us))
+    }
+}

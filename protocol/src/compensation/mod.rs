@@ -1,0 +1,50 @@
+//! Artificial time compensation: every site shows an event stamped t at t + D.
+//!
+//! Each site measures the age of what it receives (Lin 2007, chapter 6; the rule is
+//! reconstructed):
+//!
+//! ```text
+//! d = t_arrival - t_generated;   μ += α (d - μ);   ν += α (|d - μ| - ν)          α = 0.02
+//! D* = μ + 4ν + packet interval, or the 98th percentile of the last 200 d + interval
+//! spike mode: while d > D + 8ν, D* follows d at once; it ends when d falls below D again
+//! bridged: what the timeline can not bridge of the time since the newest sample (the default, `need`)
+//! group: D = max over participants, slewed by dD/dt in [-0.02, +0.25], D <= cap
+//! ```
+//!
+//! [`Demotion`] says who needs too much for too long. [`DelayEstimator`] is one site's measurement, [`GroupDelay`] the server's decision,
+//! [`DelaySchedule`] what everybody makes of the decisions: the same D at the same server time on
+//! every site, because it is a function of the operations log alone.
+
+mod demotion;
+mod estimator;
+mod group;
+mod need;
+mod schedule;
+
+use crate::Span;
+
+pub use demotion::{DEMOTE_AFTER, Demotion, REPORT_OLD, RESTORE_AFTER, RESTORE_SHARE, Verdict};
+pub use estimator::{DelayEstimator, DelayRule};
+pub use group::{CHANGE_MIN, CHANGE_PERIOD, DelayChange, GroupDelay, RAISE_PERIOD};
+pub use need::BRIDGE;
+pub use schedule::DelaySchedule;
+
+/// Weight of the newest measurement in μ and ν: a memory of 50 packets, 0.2 s at 250 Hz.
+pub const ALPHA: f64 = 0.02;
+
+/// How fast D may shrink, seconds per second: a tool shown seems at most 2 % faster than it was.
+pub const SLEW_DOWN: f64 = 0.02;
+
+/// How fast D may grow, seconds per second: what is shown slows down to three quarters.
+pub const SLEW_UP: f64 = 0.25;
+
+/// The largest D of the adaptive rule unless the host raises it. With a server in the middle an age is
+/// two one-way trips: two people at 120 ms from it need 240 ms and their jitter, and 200 ms would send
+/// both away from an intercontinental session. Beyond 400 ms two people no longer work on one moment.
+pub const CAP_DEFAULT: Span = Span::from_millis(400);
+
+/// How many ages the percentile looks at; older ones are forgotten.
+pub const PERCENTILE_WINDOW: usize = 200;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,85 @@
+//! D over server time.
+
+use std::collections::VecDeque;
+
+use super::{SLEW_DOWN, SLEW_UP};
+use crate::operation::CompensationSettings;
+use crate::{ServerTime, Span};
+
+/// D over server time, as the operations log says it.
+///
+/// From `effective_at` on, D moves from where it then is towards the new value, by at most
+/// [`SLEW_UP`] and [`SLEW_DOWN`] per second. Give it every `Compensation` operation in the order of
+/// the log; ask it for any time from then on.
+#[derive(Debug, Clone)]
+pub struct DelaySchedule {
+    changes: VecDeque<Change>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Change {
+    from: ServerTime,
+    at_start_us: f64,
+    target_us: f64,
+}
+
+impl Change {
+    fn at(&self, t: ServerTime) -> f64 {
+        let elapsed = (t - self.from).as_micros().max(0) as f64;
+        let way = self.target_us - self.at_start_us;
+        self.at_start_us + way.clamp(-SLEW_DOWN * elapsed, SLEW_UP * elapsed)
+    }
+}
+
+/// Changes remembered, so that past moments can still be asked for. At the server's shortest
+/// period of 250 ms this is 16 s; older moments get the delay of the oldest remembered change.
+const CHANGES_MAX: usize = 64;
+
+impl DelaySchedule {
+    /// The schedule at the beginning of a session.
+    pub fn new(settings: &CompensationSettings) -> Self {
+        let initial_us = f64::from(settings.initial_delay_us);
+        let first = Change {
+            from: ServerTime::ZERO,
+            at_start_us: initial_us,
+            target_us: initial_us,
+        };
+        Self {
+            changes: VecDeque::from([first]),
+        }
+    }
+
+    /// A `Compensation` operation. One that would take effect before its predecessor takes effect
+    /// with it.
+    pub fn handle_change(&mut self, delay_us: u32, effective_at: ServerTime) {
+        let last = self.changes.back().copied();
+        let from = last.map_or(effective_at, |l| effective_at.max(l.from));
+        let target_us = f64::from(delay_us);
+        let at_start_us = last.map_or(target_us, |l| l.at(from));
+        if self.changes.len() == CHANGES_MAX {
+            self.changes.pop_front();
+        }
+        self.changes.push_back(Change {
+            from,
+            at_start_us,
+            target_us,
+        });
+    }
+
+    /// D at a moment.
+    pub fn delay_at(&self, t: ServerTime) -> Span {
+        let change = self
+            .changes
+            .iter()
+            .rev()
+            .find(|c| c.from <= t)
+            .or(self.changes.front());
+        Span::from_micros(change.map_or(0.0, |c| c.at(t)).round() as i64)
+    }
+
+    /// The moment τ = t - D(t) that is shown at server time t. It never runs backwards, because D
+    /// grows more slowly than time.
+    pub fn shown_at(&self, t: ServerTime) -> ServerTime {
+        t - self.delay_at(t)
+    }
+}

@@ -1,0 +1,144 @@
+use super::*;
+use crate::operation::{CompensationMode, CompensationSettings};
+use crate::request::DelayReport;
+use crate::{ParticipantId, ServerTime};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+fn at(us: i64) -> ServerTime {
+    ServerTime::from_micros(us)
+}
+
+fn adaptive(initial_us: u32, cap_us: u32) -> CompensationSettings {
+    CompensationSettings {
+        mode: CompensationMode::Adaptive { cap_us },
+        initial_delay_us: initial_us,
+    }
+}
+
+#[test]
+fn what_a_site_wants_covers_nearly_all_that_arrives() {
+    for rule in [DelayRule::MeanDeviation, DelayRule::Percentile] {
+        let mut rng = Pcg64::seed_from_u64(3);
+        let mut estimator = DelayEstimator::new(rule);
+        let (mut late, mut count) = (0, 0);
+        for i in 0..5000_i64 {
+            let d = 60_000 + rng.random_range(-10_000..10_000);
+            if i > 1000 {
+                let wanted = estimator.wanted().unwrap().as_micros();
+                assert!((68_000..90_000).contains(&wanted), "{rule:?}: {wanted} µs");
+                count += 1;
+                late += i32::from(d > wanted);
+            }
+            let wanted = estimator.wanted().unwrap_or(Span::from_millis(80));
+            estimator.handle_arrival(at(i * 4000), at(i * 4000 + d), wanted);
+        }
+        assert!(
+            late * 50 < count,
+            "{rule:?}: {late} of {count} came too late"
+        );
+    }
+}
+
+#[test]
+fn a_spike_is_followed_at_once_and_forgotten_when_it_is_over() {
+    let mut estimator = DelayEstimator::new(DelayRule::MeanDeviation);
+    let in_force = Span::from_millis(70);
+    let mut t = 0;
+    let mut feed = |estimator: &mut DelayEstimator, d: i64| {
+        t += 4000;
+        estimator.handle_arrival(at(t), at(t + d), in_force);
+    };
+    for i in 0..500 {
+        feed(&mut estimator, 60_000 + i % 3 * 1000);
+    }
+    assert!(!estimator.in_spike());
+    feed(&mut estimator, 180_000);
+    assert!(estimator.in_spike());
+    assert!(estimator.wanted() >= Some(Span::from_millis(180)));
+    feed(&mut estimator, 60_000);
+    assert!(!estimator.in_spike());
+    assert!(estimator.wanted() < Some(Span::from_millis(100)));
+}
+
+#[test]
+fn the_schedule_is_one_function_of_the_log_and_never_runs_backwards() {
+    let mut schedule = DelaySchedule::new(&adaptive(50_000, 200_000));
+    schedule.handle_change(150_000, at(1_000_000));
+    schedule.handle_change(60_000, at(2_000_000));
+    assert_eq!(schedule.delay_at(at(900_000)), Span::from_millis(50));
+    assert_eq!(schedule.delay_at(at(1_200_000)), Span::from_millis(100));
+    assert_eq!(schedule.delay_at(at(2_000_000)), Span::from_millis(150));
+    assert_eq!(schedule.delay_at(at(3_000_000)), Span::from_millis(130));
+    assert_eq!(schedule.delay_at(at(9_000_000)), Span::from_millis(60));
+    let mut last = schedule.shown_at(at(0));
+    for ms in 1..10_000 {
+        let shown = schedule.shown_at(at(ms * 1000));
+        let rate = (shown - last).as_micros() as f64 / 1000.0;
+        assert!(
+            (1.0 - SLEW_UP - 0.002..=1.0 + SLEW_DOWN + 0.002).contains(&rate),
+            "{rate}"
+        );
+        last = shown;
+    }
+}
+
+#[test]
+fn the_group_follows_its_slowest_up_to_the_cap_and_names_who_is_beyond() {
+    let mut group = GroupDelay::new(&adaptive(50_000, 200_000));
+    let report = |wanted_us| DelayReport {
+        wanted_us,
+        ..DelayReport::default()
+    };
+    let (near, far) = (ParticipantId(1), ParticipantId(2));
+    let lead = Span::from_millis(100);
+    group.handle_report(near, report(70_000));
+    group.handle_report(far, report(320_000));
+    let change = group.poll_change(at(0), lead).unwrap();
+    assert_eq!(
+        (change.delay_us, change.effective_at),
+        (200_000, at(100_000))
+    );
+    assert_eq!(group.beyond_cap().collect::<Vec<_>>(), [far]);
+    assert_eq!(
+        group.poll_change(at(100_000), lead),
+        None,
+        "not twice within the period"
+    );
+    group.remove(far);
+    assert_eq!(
+        group.poll_change(at(300_000), lead).unwrap().delay_us,
+        70_000
+    );
+    assert_eq!(
+        group.poll_change(at(900_000), lead),
+        None,
+        "nothing changed"
+    );
+
+    let mut raised = GroupDelay::new(&adaptive(50_000, 600_000));
+    raised.handle_report(far, report(320_000));
+    assert_eq!(raised.poll_change(at(0), lead).unwrap().delay_us, 320_000);
+    assert_eq!(raised.beyond_cap().count(), 0);
+}
+
+#[test]
+fn a_fixed_delay_stays() {
+    let settings = CompensationSettings {
+        mode: CompensationMode::Fixed,
+        initial_delay_us: 80_000,
+    };
+    let mut group = GroupDelay::new(&settings);
+    group.handle_report(
+        ParticipantId(1),
+        DelayReport {
+            wanted_us: 150_000,
+            ..DelayReport::default()
+        },
+    );
+    assert_eq!(group.poll_change(at(0), Span::ZERO), None);
+    assert_eq!(
+        DelaySchedule::new(&settings).delay_at(at(77)),
+        Span::from_millis(80)
+    );
+}

@@ -1,0 +1,247 @@
+//! The course of an alignment: everything in the order of true time.
+
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, VecDeque};
+
+use palpate_protocol::compensation::{DelayRule, GroupDelay};
+use palpate_protocol::datagram::{Probe, Reply};
+use palpate_protocol::operation::CompensationSettings;
+use palpate_protocol::request::DelayReport;
+use palpate_protocol::{ParticipantId, ServerTime, ToolSample};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::hand::Hand;
+use super::site::Site;
+use super::way::Way;
+
+/// One tick of a hand and of a picture, microseconds.
+const TICK_US: i64 = 1000;
+/// Samples in a packet.
+const BATCH: usize = 4;
+/// Between reports of the delay that a site needs, microseconds, as the client does.
+const REPORT_US: i64 = 250_000;
+/// Between clock probes, microseconds: until the clock is known, and then.
+const PROBE_US: [i64; 2] = [20_000, 100_000];
+/// What is lost on the stream of operations comes so much later, microseconds.
+const RESEND_US: i64 = 100_000;
+/// Clocks of the sites run faster or slower by at most this (50 ppm).
+const DRIFT_MAX: f64 = 50e-6;
+
+/// Something on its way.
+#[derive(Debug)]
+enum Parcel {
+    SamplesUp(Vec<ToolSample>),
+    SamplesDown(Vec<ToolSample>),
+    ProbeUp(Probe),
+    ReplyDown(Reply),
+    ReportUp(DelayReport),
+    ChangeDown(u32, ServerTime),
+}
+
+/// What is shown of both tools by both sites at one moment.
+#[derive(Debug, Clone, Copy)]
+pub struct Moment {
+    /// True time, seconds.
+    pub time_s: f64,
+    /// Where the first tool is shown by its own site, metres, and by the other.
+    pub first: [[f64; 3]; 2],
+    /// The same of the second tool.
+    pub second: [[f64; 3]; 2],
+    /// Whether a tool shown is stale.
+    pub stale: bool,
+    /// D as it is at the first site, milliseconds.
+    pub delay_ms: f64,
+    /// How old the newest sample of the second tool is at the first site, milliseconds.
+    pub age_ms: f64,
+}
+
+impl Moment {
+    /// How far apart the two sites show the tools, the farther of the two, millimetres.
+    pub fn apart_mm(&self) -> f64 {
+        let apart = [self.first, self.second].map(|[own, other]| {
+            let square: f64 = own.iter().zip(other).map(|(a, b)| (a - b).powi(2)).sum();
+            square.sqrt() * 1e3
+        });
+        apart[0].max(apart[1])
+    }
+}
+
+/// A session of two sites and a server.
+pub struct Course {
+    sites: [Site; 2],
+    /// Up and down of the first site, up and down of the second.
+    ways: [[Box<dyn Way>; 2]; 2],
+    group: GroupDelay,
+    parcels: VecDeque<(usize, Parcel)>,
+    first_parcel: usize,
+    due: BinaryHeap<Reverse<(i64, usize)>>,
+    stream_us: [[i64; 2]; 2],
+    probe_due_us: [i64; 2],
+    report_due_us: [i64; 2],
+}
+
+impl Course {
+    /// A session over these paths.
+    pub fn new(
+        settings: &CompensationSettings,
+        rule: DelayRule,
+        ways: [[Box<dyn Way>; 2]; 2],
+        seed: u64,
+    ) -> Self {
+        let mut rng = Pcg64::seed_from_u64(seed);
+        let mut site = || {
+            let offset_us = rng.random_range(-3_600_000_000..3_600_000_000);
+            let drift = rng.random_range(-DRIFT_MAX..DRIFT_MAX);
+            Site::new(Hand::new(&mut rng), settings, rule, (offset_us, drift))
+        };
+        Self {
+            sites: [site(), site()],
+            ways,
+            group: GroupDelay::new(settings),
+            parcels: VecDeque::new(),
+            first_parcel: 0,
+            due: BinaryHeap::new(),
+            stream_us: [[0; 2]; 2],
+            probe_due_us: [0; 2],
+            report_due_us: [REPORT_US; 2],
+        }
+    }
+
+    /// Goes on until `until_us`, and gives every moment from `from_us` on.
+    pub fn run(&mut self, from_us: i64, until_us: i64, moment: &mut dyn FnMut(Moment)) {
+        for now in (0..until_us).step_by(TICK_US as usize) {
+            while let Some(&Reverse((at, number))) = self.due.peek() {
+                if at > now {
+                    break;
+                }
+                self.due.pop();
+                self.arrive(at, number);
+            }
+            for k in 0..2 {
+                self.tick(k, now);
+            }
+            self.decide(now);
+            if now >= from_us
+                && let Some(shown) = self.shown(now)
+            {
+                moment(shown);
+            }
+        }
+    }
+
+    fn shown(&mut self, now: i64) -> Option<Moment> {
+        let [a, b] = &mut self.sites;
+        let ([a_own, a_other], [b_own, b_other]) = (a.shown(now)?, b.shown(now)?);
+        let here = a.server_time(now)?;
+        let delay = a.schedule.delay_at(here);
+        let age = here - a.views[1].newest()?;
+        Some(Moment {
+            time_s: now as f64 * 1e-6,
+            first: [a_own.pose.position_m, b_other.pose.position_m],
+            second: [b_own.pose.position_m, a_other.pose.position_m],
+            stale: a_other.stale || b_other.stale,
+            delay_ms: delay.as_millis_f64(),
+            age_ms: age.as_millis_f64(),
+        })
+    }
+
+    fn tick(&mut self, k: usize, now: i64) {
+        let site = &mut self.sites[k];
+        if now >= self.probe_due_us[k] {
+            let period = PROBE_US[usize::from(site.clock.map().is_some())];
+            self.probe_due_us[k] = now + period;
+            let probe = site.clock.probe(site.clock_at(now));
+            self.send(k, 0, now, Parcel::ProbeUp(probe));
+        }
+        let site = &mut self.sites[k];
+        let sampled = site.sample(now).is_some();
+        if sampled && site.batch.len() == BATCH {
+            let batch = std::mem::take(&mut site.batch);
+            self.send(k, 0, now, Parcel::SamplesUp(batch));
+        }
+        let site = &mut self.sites[k];
+        if site.estimator.take_urgent() || now >= self.report_due_us[k] {
+            self.report_due_us[k] = now + REPORT_US;
+            if let Some(report) = site.estimator.report() {
+                self.send_reliably(k, 0, now, Parcel::ReportUp(report));
+            }
+        }
+    }
+
+    fn decide(&mut self, now: i64) {
+        let lead = self.group.lead();
+        let at = ServerTime::from_micros(now);
+        if let Some(change) = self.group.poll_change(at, lead) {
+            for k in 0..2 {
+                let parcel = Parcel::ChangeDown(change.delay_us, change.effective_at);
+                self.send_reliably(k, 1, now, parcel);
+            }
+        }
+    }
+
+    fn send(&mut self, k: usize, direction: usize, now: i64, parcel: Parcel) {
+        if let Some(delay_us) = self.ways[k][direction].delay_us(now) {
+            self.post(k, now + delay_us, parcel);
+        }
+    }
+
+    /// On the ordered stream: what is lost is sent again, and nothing overtakes.
+    fn send_reliably(&mut self, k: usize, direction: usize, now: i64, parcel: Parcel) {
+        // A path is asked in the order of time: what is sent again must not run ahead of the samples.
+        let mut again_us = 0;
+        let at = loop {
+            match self.ways[k][direction].delay_us(now) {
+                Some(delay_us) => break now + again_us + delay_us,
+                None => again_us += RESEND_US,
+            }
+        };
+        let at = at.max(self.stream_us[k][direction] + 1);
+        self.stream_us[k][direction] = at;
+        self.post(k, at, parcel);
+    }
+
+    fn post(&mut self, k: usize, at: i64, parcel: Parcel) {
+        let number = self.first_parcel + self.parcels.len();
+        self.parcels.push_back((k, parcel));
+        self.due.push(Reverse((at, number)));
+    }
+
+    /// A parcel arrives: at the server from site k, or at site k.
+    fn arrive(&mut self, at: i64, number: usize) {
+        let nothing = Parcel::SamplesDown(Vec::new());
+        let place = &mut self.parcels[number - self.first_parcel];
+        let (k, parcel) = (place.0, std::mem::replace(&mut place.1, nothing));
+        while let Some((_, Parcel::SamplesDown(gone))) = self.parcels.front()
+            && gone.is_empty()
+        {
+            self.parcels.pop_front();
+            self.first_parcel += 1;
+        }
+        let server_now = ServerTime::from_micros(at);
+        match parcel {
+            Parcel::SamplesUp(samples) => self.send(1 - k, 1, at, Parcel::SamplesDown(samples)),
+            Parcel::SamplesDown(samples) => self.sites[k].handle_samples(&samples, at),
+            Parcel::ProbeUp(probe) => {
+                let reply = Reply {
+                    id: probe.id,
+                    client_sent: probe.client_sent,
+                    server_received: server_now,
+                    server_sent: server_now,
+                };
+                self.send(k, 1, at, Parcel::ReplyDown(reply));
+            }
+            Parcel::ReplyDown(reply) => {
+                let here = self.sites[k].clock_at(at);
+                self.sites[k].clock.handle_reply(reply, here);
+            }
+            Parcel::ReportUp(report) => {
+                self.group
+                    .handle_report(ParticipantId(k as u16 + 1), report);
+            }
+            Parcel::ChangeDown(delay_us, effective_at) => {
+                self.sites[k].schedule.handle_change(delay_us, effective_at);
+            }
+        }
+    }
+}

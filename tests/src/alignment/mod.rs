@@ -1,0 +1,221 @@
+//! Two sites align a shared part, in virtual time: how far apart do they see it?
+//!
+//! Each site moves its own hand; the samples go up to the server in packets of four and down to the
+//! other site, and both show both tools at s = t - D through the timelines of the protocol. The
+//! machines are the real ones (clock, estimator, group, schedule, timeline); only the network and the
+//! hands are made up, so that a minute takes a fraction of a second and a seed replays it.
+//!
+//! The disagreement is the distance between what the two sites show of the same tool at the same
+//! true time (Lin 2007, figs 7.26 to 7.28).
+
+pub mod course;
+pub mod emulated;
+pub mod hand;
+mod site;
+pub mod way;
+
+use palpate_protocol::compensation::{CAP_DEFAULT, DelayRule};
+use palpate_protocol::operation::{CompensationMode, CompensationSettings};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use serde::Serialize;
+
+use course::{Course, Moment};
+use way::{Law, LawfulWay, Way};
+
+/// What is not counted at the beginning, microseconds: clocks and delays settle.
+pub const WARM_UP_US: i64 = 10_000_000;
+
+/// What is counted, microseconds.
+pub const COUNTED_US: i64 = 60_000_000;
+
+/// The disagreement that is safe for 95 % of the time, millimetres.
+pub const SAFE_MM: f64 = 0.1;
+
+/// The largest step shown that is safe, millimetres.
+pub const STEP_SAFE_MM: f64 = 1.0;
+
+/// The largest fixed delay looked at, milliseconds.
+const FIXED_MAX_MS: u32 = 1000;
+
+/// What compensates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mode {
+    /// Nothing.
+    None,
+    /// One delay, milliseconds.
+    Fixed(u32),
+    /// The delay that a rule gives.
+    Adaptive(DelayRule),
+}
+
+impl Mode {
+    fn settings(self) -> (CompensationSettings, DelayRule) {
+        let (mode, initial_delay_us, rule) = match self {
+            Self::None => (CompensationMode::None, 0, DelayRule::default()),
+            Self::Fixed(ms) => (CompensationMode::Fixed, ms * 1000, DelayRule::default()),
+            Self::Adaptive(rule) => {
+                let cap_us = u32::try_from(CAP_DEFAULT.as_micros()).unwrap_or(u32::MAX);
+                (CompensationMode::Adaptive { cap_us }, 60_000, rule)
+            }
+        };
+        let settings = CompensationSettings {
+            mode,
+            initial_delay_us,
+        };
+        (settings, rule)
+    }
+}
+
+/// Root mean square, 95th percentile and largest, millimetres.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Disagreement {
+    /// Root mean square.
+    pub rms: f64,
+    /// 95th percentile.
+    pub p95: f64,
+    /// The largest.
+    pub max: f64,
+}
+
+/// Mean and 95th percentile of D, milliseconds.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Compensation {
+    /// Mean.
+    pub mean: f64,
+    /// 95th percentile.
+    pub p95: f64,
+}
+
+/// What came of an alignment.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Figures {
+    /// Between what the two sites show.
+    pub disagreement_mm: Disagreement,
+    /// The delay.
+    pub compensation_ms: Compensation,
+    /// Steps of the disagreement from one millisecond to the next by more than 1 mm.
+    pub corrections_over_1mm: u64,
+    /// Milliseconds in which a tool was shown that nothing was known of.
+    pub stale_ticks: u64,
+}
+
+impl Figures {
+    /// Whether two people can work with it.
+    pub fn is_safe(&self) -> bool {
+        self.disagreement_mm.p95 <= SAFE_MM && self.corrections_over_1mm == 0
+    }
+
+    /// The figures of these moments.
+    pub fn of(moments: &[Moment]) -> Self {
+        let mut distances = Vec::with_capacity(2 * moments.len());
+        let (mut over, mut stale) = (0, 0);
+        let mut last: Option<[[f64; 3]; 2]> = None;
+        for m in moments {
+            let apart = [m.first, m.second].map(|[own, other]| sub(other, own));
+            if let Some(last) = last {
+                over += (0..2)
+                    .filter(|&k| norm_mm(sub(apart[k], last[k])) > STEP_SAFE_MM)
+                    .count() as u64;
+            }
+            distances.extend(apart.map(norm_mm));
+            last = Some(apart);
+            stale += u64::from(m.stale);
+        }
+        let mut delays: Vec<f64> = moments.iter().map(|m| m.delay_ms).collect();
+        let n = distances.len().max(1) as f64;
+        let rms = (distances.iter().map(|d| d * d).sum::<f64>() / n).sqrt();
+        let mean = delays.iter().sum::<f64>() / delays.len().max(1) as f64;
+        Self {
+            disagreement_mm: Disagreement {
+                rms,
+                max: distances.iter().copied().fold(0.0, f64::max),
+                p95: percentile(&mut distances, 0.95),
+            },
+            compensation_ms: Compensation {
+                mean,
+                p95: percentile(&mut delays, 0.95),
+            },
+            corrections_over_1mm: over,
+            stale_ticks: stale,
+        }
+    }
+}
+
+fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|k| a[k] - b[k])
+}
+
+fn norm_mm(v: [f64; 3]) -> f64 {
+    v.iter().map(|c| c * c).sum::<f64>().sqrt() * 1e3
+}
+
+fn percentile(values: &mut [f64], p: f64) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let index = ((values.len() - 1) as f64 * p).round() as usize;
+    *values.select_nth_unstable_by(index, f64::total_cmp).1
+}
+
+/// An alignment over paths made by `ways`, which gets the number of a path (up and down of the first
+/// site, up and down of the second), a generator of its own and one of the whole network.
+#[derive(Debug, Clone, Copy)]
+pub struct Alignment<W> {
+    /// Makes a path.
+    pub ways: W,
+    /// What replays it.
+    pub seed: u64,
+}
+
+/// An alignment over paths that follow a law.
+pub fn over(law: Law, seed: u64) -> Alignment<impl Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> {
+    let ways = move |_: usize, own: Pcg64, air: Pcg64| -> Box<dyn Way> {
+        Box::new(LawfulWay::new(law, own, air, WARM_UP_US + COUNTED_US))
+    };
+    Alignment { ways, seed }
+}
+
+impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
+    /// Every moment that counts.
+    pub fn moments(&self, mode: Mode) -> Vec<Moment> {
+        let mut rng = Pcg64::seed_from_u64(self.seed ^ 0x70_61_74_68);
+        let air = Pcg64::seed_from_u64(rng.random());
+        let mut way = |number| (self.ways)(number, Pcg64::seed_from_u64(rng.random()), air.clone());
+        let ways = [[way(0), way(1)], [way(2), way(3)]];
+        let (settings, rule) = mode.settings();
+        let mut course = Course::new(&settings, rule, ways, self.seed);
+        let mut moments = Vec::with_capacity((COUNTED_US / 1000) as usize);
+        course.run(WARM_UP_US, WARM_UP_US + COUNTED_US, &mut |m| {
+            moments.push(m);
+        });
+        moments
+    }
+
+    /// The figures of a mode.
+    pub fn figures(&self, mode: Mode) -> Figures {
+        Figures::of(&self.moments(mode))
+    }
+
+    /// The smallest fixed delay, whole milliseconds, that is safe; `None` when none is.
+    pub fn smallest_safe_fixed_ms(&self) -> Option<u32> {
+        let safe = |ms| self.figures(Mode::Fixed(ms)).is_safe();
+        let (mut low, mut high) = (0, 64);
+        while !safe(high) {
+            low = high + 1;
+            high *= 2;
+            if high > FIXED_MAX_MS {
+                return None;
+            }
+        }
+        while low < high {
+            let middle = low.midpoint(high);
+            if safe(middle) {
+                high = middle;
+            } else {
+                low = middle + 1;
+            }
+        }
+        Some(high)
+    }
+}

@@ -1,0 +1,91 @@
+//! One of the two people: a clock of their own, a hand, and what they are shown.
+
+use palpate_protocol::clock::{ClockEstimate, ClockMap};
+use palpate_protocol::compensation::{DelayEstimator, DelayRule, DelaySchedule};
+use palpate_protocol::operation::CompensationSettings;
+use palpate_protocol::timeline::{Shown, Timeline};
+use palpate_protocol::{ClientTime, Pose, ServerTime, ToolSample};
+
+use super::hand::Hand;
+
+/// A site of the alignment.
+#[derive(Debug)]
+pub(super) struct Site {
+    pub hand: Hand,
+    pub clock: ClockEstimate,
+    pub estimator: DelayEstimator,
+    pub schedule: DelaySchedule,
+    /// One's own tool and the other's, as seen here.
+    pub views: [Timeline; 2],
+    pub batch: Vec<ToolSample>,
+    offset_us: i64,
+    drift: f64,
+}
+
+impl Site {
+    pub(super) fn new(
+        hand: Hand,
+        settings: &CompensationSettings,
+        rule: DelayRule,
+        (offset_us, drift): (i64, f64),
+    ) -> Self {
+        Self {
+            hand,
+            clock: ClockEstimate::new(),
+            estimator: DelayEstimator::new(rule),
+            schedule: DelaySchedule::new(settings),
+            views: [Timeline::default(), Timeline::default()],
+            batch: Vec::new(),
+            offset_us,
+            drift,
+        }
+    }
+
+    /// One's own clock at a moment of true time.
+    pub(super) fn clock_at(&self, true_us: i64) -> ClientTime {
+        let drifted = (self.drift * true_us as f64).round() as i64;
+        ClientTime::from_micros(true_us + drifted + self.offset_us)
+    }
+
+    /// The server's time as it is known here.
+    pub(super) fn server_time(&self, true_us: i64) -> Option<ServerTime> {
+        let map: ClockMap = self.clock.map()?;
+        Some(map.to_server(self.clock_at(true_us)))
+    }
+
+    /// Takes a sample of the hand; `None` until the clock is known.
+    pub(super) fn sample(&mut self, true_us: i64) -> Option<()> {
+        let time = self.server_time(true_us)?;
+        let pose = Pose {
+            position_m: self.hand.at(true_us as f64 * 1e-6),
+            ..Pose::IDENTITY
+        };
+        let sample = ToolSample {
+            time,
+            pose,
+            ..ToolSample::default()
+        };
+        self.views[0].insert(sample);
+        self.batch.push(sample);
+        Some(())
+    }
+
+    /// Samples of the other's tool have come.
+    pub(super) fn handle_samples(&mut self, samples: &[ToolSample], true_us: i64) {
+        let (Some(newest), Some(now)) = (samples.last(), self.server_time(true_us)) else {
+            return;
+        };
+        let in_force = self.schedule.delay_at(now);
+        self.estimator.handle_arrival(newest.time, now, in_force);
+        for sample in samples {
+            self.views[1].insert(*sample);
+        }
+    }
+
+    /// Both tools as they are shown now.
+    pub(super) fn shown(&mut self, true_us: i64) -> Option<[Shown; 2]> {
+        let moment = self.schedule.shown_at(self.server_time(true_us)?);
+        let [own, other] = &mut self.views;
+        Some([own.at(moment)?, other.at(moment)?])
+    }
+}

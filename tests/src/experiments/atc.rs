@@ -1,0 +1,239 @@
+//! Two sites align a shared part, with artificial time compensation and without (figs 7.24 to 7.28).
+
+use serde_json::{Value, json};
+
+use super::{Bench, Outcome, line};
+use crate::alignment::course::Moment;
+use crate::alignment::emulated::emulated;
+use crate::alignment::way::Way;
+use crate::alignment::{Alignment, Figures, Mode};
+use crate::chart::{BLUE, Chart, Line, ORANGE, Panel};
+use crate::network::Profile;
+use palpate_protocol::compensation::DelayRule;
+use rand_pcg::Pcg64;
+
+/// The network when none is asked for.
+const PROFILE: &str = "transatlantic";
+
+/// Seconds drawn of shaking tools: more would be a black bar.
+const DRAWN_S: f64 = 2.0;
+
+fn profile(bench: &Bench<'_>) -> Result<Profile, String> {
+    match &bench.profile {
+        Some(profile) => Ok(profile.clone()),
+        None => Profile::named(PROFILE).map_err(|e| e.to_string()),
+    }
+}
+
+/// Nothing compensates.
+pub(super) fn none(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    aligned(bench, "none")
+}
+
+/// The smallest fixed delay that is safe.
+pub(super) fn fixed(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    aligned(bench, "fixed")
+}
+
+/// The delay of the default rule.
+pub(super) fn adaptive(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    aligned(bench, "adaptive")
+}
+
+fn aligned(bench: &mut Bench<'_>, name: &str) -> Result<Outcome, String> {
+    let profile = profile(bench)?;
+    let alignment = emulated(&profile, bench.seed);
+    (bench.progress)("looking for the smallest safe fixed delay", 0.0);
+    let safe_ms = alignment.smallest_safe_fixed_ms();
+    let mode = match name {
+        "none" => Mode::None,
+        "fixed" => Mode::Fixed(safe_ms.ok_or_else(|| {
+            format!(
+                "on the network {} no fixed delay up to 1 s brings two sites within 0.1 mm for 95 % of the time; \
+                 choose one that loses less, or atc-adaptive",
+                profile.name
+            )
+        })?),
+        _ => Mode::Adaptive(DelayRule::default()),
+    };
+    (bench.progress)("aligning", 0.9);
+    let moments = alignment.moments(mode);
+    let figures = Figures::of(&moments);
+    let mut value: Value = json!({
+        "mode": name,
+        "profile": profile.name,
+        "seed": bench.seed,
+        "smallest_safe_fixed_ms": safe_ms,
+    });
+    if let (Value::Object(all), Ok(Value::Object(own))) =
+        (&mut value, serde_json::to_value(figures))
+    {
+        all.extend(own);
+    }
+    let apart = (moments.iter()).map(|m| (m.time_s, m.apart_mm())).collect();
+    let delay = moments.iter().map(|m| (m.time_s, m.delay_ms)).collect();
+    let panels = vec![
+        panel(
+            "what two sites show of one tool is apart by",
+            "mm",
+            line("disagreement", ORANGE, apart),
+        ),
+        panel("artificial delay", "ms", line("D", BLUE, delay)),
+    ];
+    Ok(Outcome {
+        caption: format!(
+            "Two sites align a part over the network {}, compensation {name}: the distance between what they show \
+             of the same tool at the same time, and the delay.",
+            profile.name
+        ),
+        figures: value,
+        charts: vec![(
+            format!("atc-{name}"),
+            chart(&format!("alignment, compensation {name}"), panels),
+        )],
+        tables: vec![(format!("atc-{name}"), table(&moments))],
+    })
+}
+
+/// What a motion takes from site to site: without compensation what the network makes of it, with
+/// it the same for all.
+pub(super) fn transmission(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    let profile = profile(bench)?;
+    let alignment = emulated(&profile, bench.seed);
+    (bench.progress)("aligning", 0.0);
+    let (without, with) = both(&alignment);
+    let age = |moments: &[Moment]| -> Vec<(f64, f64)> {
+        moments.iter().map(|m| (m.time_s, m.age_ms)).collect()
+    };
+    let delay: Vec<_> = with.iter().map(|m| (m.time_s, m.delay_ms)).collect();
+    let (age, mean) = (age(&without), |v: &[(f64, f64)]| {
+        v.iter().map(|p| p.1).sum::<f64>() / v.len().max(1) as f64
+    });
+    let spread = |v: &[(f64, f64)]| {
+        let m = mean(v);
+        (v.iter().map(|p| (p.1 - m).powi(2)).sum::<f64>() / v.len().max(1) as f64).sqrt()
+    };
+    let figures = json!({
+        "profile": profile.name,
+        "seed": bench.seed,
+        "without_ms": { "mean": mean(&age), "deviation": spread(&age) },
+        "with_ms": { "mean": mean(&delay), "deviation": spread(&delay) },
+    });
+    let panels = vec![Panel {
+        title: "from a motion to its picture at the other site".to_owned(),
+        y_label: "ms".to_owned(),
+        lines: vec![
+            line("without compensation", ORANGE, age),
+            line("with", BLUE, delay),
+        ],
+    }];
+    Ok(Outcome {
+        caption: format!(
+            "The age of the newest sample at the other site over the network {}, and of what is shown under adaptive \
+             compensation.",
+            profile.name
+        ),
+        figures,
+        charts: vec![(
+            "transmission".to_owned(),
+            chart("transmission time", panels),
+        )],
+        tables: vec![("transmission".to_owned(), table(&with))],
+    })
+}
+
+/// How a tool shakes at the other site: the second difference of what is shown over 1 ms.
+pub(super) fn jitter(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    let profile = profile(bench)?;
+    let alignment = emulated(&profile, bench.seed);
+    (bench.progress)("aligning", 0.0);
+    let (without, with) = both(&alignment);
+    let (without, with) = (shaking(&without), shaking(&with));
+    let rms = |v: &[(f64, f64)]| {
+        (v.iter().map(|p| p.1 * p.1).sum::<f64>() / v.len().max(1) as f64).sqrt()
+    };
+    let figures = json!({
+        "profile": profile.name,
+        "seed": bench.seed,
+        "without_um": rms(&without),
+        "with_um": rms(&with),
+    });
+    let drawn = |v: Vec<(f64, f64)>| -> Vec<(f64, f64)> {
+        let until = v.first().map_or(0.0, |p| p.0) + DRAWN_S;
+        v.into_iter().take_while(|p| p.0 < until).collect()
+    };
+    let panels = vec![
+        panel(
+            "without compensation",
+            "µm",
+            line("shaking", ORANGE, drawn(without)),
+        ),
+        panel(
+            "with adaptive compensation",
+            "µm",
+            line("shaking", BLUE, drawn(with)),
+        ),
+    ];
+    Ok(Outcome {
+        caption: format!(
+            "How much the other's tool jerks from one millisecond to the next (second difference of what is shown) over \
+             the network {}.",
+            profile.name
+        ),
+        figures,
+        charts: vec![("jitter".to_owned(), chart("jitter of a tool shown", panels))],
+        tables: Vec::new(),
+    })
+}
+
+/// The same session without compensation and with the default rule.
+fn both<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
+    alignment: &Alignment<W>,
+) -> (Vec<Moment>, Vec<Moment>) {
+    let adaptive = Mode::Adaptive(DelayRule::default());
+    (alignment.moments(Mode::None), alignment.moments(adaptive))
+}
+
+/// Second differences of the first tool at the other site, micrometres.
+fn shaking(moments: &[Moment]) -> Vec<(f64, f64)> {
+    let jerked = moments.windows(3).map(|w| {
+        let [a, b, c] = [w[0].first[1], w[1].first[1], w[2].first[1]];
+        let square = (0..3)
+            .map(|k| (a[k] - 2.0 * b[k] + c[k]).powi(2))
+            .sum::<f64>();
+        (w[1].time_s, square.sqrt() * 1e6)
+    });
+    jerked.collect()
+}
+
+fn panel(title: &str, y_label: &str, line: Line) -> Panel {
+    Panel {
+        title: title.to_owned(),
+        y_label: y_label.to_owned(),
+        lines: vec![line],
+    }
+}
+
+fn chart(title: &str, panels: Vec<Panel>) -> Chart {
+    Chart {
+        title: title.to_owned(),
+        x_label: "time, s".to_owned(),
+        panels,
+        marks: Vec::new(),
+    }
+}
+
+fn table(moments: &[Moment]) -> String {
+    let mut table = String::from("time_s,disagreement_mm,delay_ms,age_ms\n");
+    for m in moments.iter().step_by(10) {
+        let row = format!(
+            "{:.3},{:.5},{:.3},{:.3}\n",
+            m.time_s,
+            m.apart_mm(),
+            m.delay_ms,
+            m.age_ms
+        );
+        table.push_str(&row);
+    }
+    table
+}
