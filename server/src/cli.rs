@@ -90,8 +90,9 @@ struct HostArgs {
     /// Artificial time compensation: adaptive, fixed:MS or none
     #[arg(long, default_value = "adaptive", value_name = "MODE")]
     compensation: String,
-    /// Most that adaptive compensation may delay, in ms
-    #[arg(long, default_value_t = 200, value_name = "MS")]
+    /// Most that adaptive compensation may delay, in ms: an event goes to the server and on, and so is as old as two
+    /// ways together
+    #[arg(long, default_value_t = 400, value_name = "MS")]
     delay_cap: u32,
     /// Seats in the session
     #[arg(long, default_value_t = 16)]

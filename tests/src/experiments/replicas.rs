@@ -95,10 +95,10 @@ impl Distances {
 struct Tally {
     sessions: u64,
     apart: Distances,
-    /// |F - F_ref|² and |F_ref|² over the contact, summed, N².
+    /// `|F - F_ref|²` and `|F_ref|²` over the contact, summed, N².
     off: f64,
     size: f64,
-    /// |F - F_ref| over the contact, N.
+    /// `|F - F_ref|` over the contact, N.
     errors: Vec<f32>,
     equal: u64,
     bytes: BytesPerSecond,
@@ -316,7 +316,7 @@ fn csv(row: &Value) -> String {
         &row["bytes_per_s"]["up"],
         &row["bytes_per_s"]["down"],
     ];
-    let cells: Vec<String> = cells.iter().map(|c| c.to_string()).collect();
+    let cells: Vec<String> = cells.iter().map(ToString::to_string).collect();
     cells.join(",") + "\n"
 }
 
