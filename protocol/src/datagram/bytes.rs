@@ -20,11 +20,6 @@ impl Writer {
 
     put!(u8: u8, u16: u16, u32: u32, i64: i64);
 
-    /// The low `N` bytes of a number.
-    pub(super) fn low<const N: usize>(&mut self, v: u64) {
-        self.0.extend_from_slice(&v.to_le_bytes()[..N]);
-    }
-
     pub(super) fn into_vec(self) -> Vec<u8> {
         self.0
     }
@@ -68,13 +63,6 @@ impl<'a> Reader<'a> {
     }
 
     take!(u8: u8, u16: u16, u32: u32, i64: i64);
-
-    /// A number of `N` bytes.
-    pub(super) fn low<const N: usize>(&mut self) -> Result<u64, ProtocolError> {
-        let mut all = [0; 8];
-        all[..N].copy_from_slice(&self.array::<N>()?);
-        Ok(u64::from_le_bytes(all))
-    }
 
     /// What has not been read.
     pub(super) fn rest(self) -> &'a [u8] {

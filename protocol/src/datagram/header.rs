@@ -2,14 +2,15 @@
 
 use super::bytes::{Reader, Writer};
 use super::{Moment, quantise};
-use crate::{Epoch, ParticipantId, ProtocolError, ServerTime};
+use crate::{Epoch, ParticipantId, ProtocolError, ServerTime, Span};
 
 const KIND_MASK: u8 = 0x0f;
 const HAS_ACKNOWLEDGEMENT: u8 = 0x10;
 const HAS_WHOLE_TIME: u8 = 0x20;
 
-/// Bits of a time that is not whole: 335 s at steps of 20 µs.
-const TIME_BITS: u32 = 24;
+/// A time that is not whole may be so far from the newest that arrived: somewhat less than half of what 16
+/// bits span at steps of 20 µs, 1.3 s.
+pub const SHORT_TIME: Span = Span::from_millis(500);
 
 /// The low bytes of an epoch and of a participant. QUIC keeps connections apart; this finds mistakes:
 /// the next epoch differs from the one before, and so do neighbours.
@@ -51,8 +52,8 @@ pub struct Header {
     /// [`TIME_STEP_US`](super::TIME_STEP_US). Of motion: when the newest sample of its first tool
     /// was taken.
     pub generated: ServerTime,
-    /// Whether the time is sent whole: until the other side has acknowledged anything, and where it
-    /// jumps.
+    /// Whether the time is sent whole: wherever it is more than [`SHORT_TIME`] from the newest that the
+    /// other side has acknowledged.
     pub whole_time: bool,
     /// What arrived from the other side, in some of the datagrams.
     pub acknowledged: Option<Acknowledgement>,
@@ -71,10 +72,9 @@ pub struct Expected {
 
 impl Expected {
     /// The time of which these are the low bits and which is nearest to what is expected.
-    fn time(&self, low: u32) -> i64 {
+    fn time(&self, low: u16) -> i64 {
         let near = quantise::time(self.generated);
-        let ahead = low.wrapping_sub(near as u32) << (u32::BITS - TIME_BITS);
-        near.saturating_add(i64::from(ahead as i32 >> (u32::BITS - TIME_BITS)))
+        near.saturating_add(i64::from(low.wrapping_sub(near as u16) as i16))
     }
 }
 
@@ -87,6 +87,7 @@ impl Header {
     pub(super) fn moment(&self) -> Moment {
         Moment {
             sequence: self.sequence,
+            stream: self.tag.stream,
             generated: self.generated,
         }
     }
@@ -102,7 +103,7 @@ impl Header {
         if self.whole_time {
             w.i64(time);
         } else {
-            w.low::<3>(time as u64);
+            w.u16(time as u16);
         }
         if let Some(a) = self.acknowledged {
             w.u16(a.newest as u16);
@@ -128,7 +129,7 @@ impl Header {
         let time = if whole_time {
             r.i64()?
         } else {
-            expected.time(r.low::<3>()? as u32)
+            expected.time(r.u16()?)
         };
         let acknowledged = if kind & HAS_ACKNOWLEDGEMENT == 0 {
             None

@@ -3,13 +3,13 @@
 //! All integers are little endian. Every datagram begins with the header
 //!
 //! ```text
-//! kind and flags u8 | epoch u8 | stream u8 | sequence u16 | generated u24 or i64 | newest u16, bits u32
+//! kind and flags u8 | epoch u8 | stream u8 | sequence u16 | generated u16 or i64 | newest u16, bits u32
 //! ```
 //!
 //! The low four bits of the first byte are the kind; 0x10 says that an acknowledgement is there, 0x20
 //! that the time has 64 bits. `epoch` and `stream` are the low bytes of the session's epoch and of
 //! the participant whose connection it is, in both directions; `sequence` counts the datagrams of one
-//! direction, its low 16 bits; `generated` is in steps of 20 µs, its low 24 bits or all; `newest`
+//! direction, its low 16 bits; `generated` is in steps of 20 µs, its low 16 bits or all; `newest`
 //! (low 16 bits) and `bits` acknowledge the other direction: bit i says that number `newest` - 1 - i
 //! arrived. What is cut off is what is nearest to the newest that arrived. The body follows:
 //!
@@ -40,7 +40,7 @@ use range_coder::{RangeDecoder, RangeEncoder};
 use shape::{Frame, Nodes};
 
 pub use corrections::{Corrections, Displacements};
-pub use header::{Acknowledgement, Expected, Header, Tag};
+pub use header::{Acknowledgement, Expected, Header, SHORT_TIME, Tag};
 pub use memory::Memory;
 pub use quantise::{POSITION_MAX_M, POSITION_STEP_M, TIME_STEP_US};
 
@@ -111,6 +111,7 @@ const KIND_DISPLACEMENTS: u8 = 6;
 #[derive(Debug, Clone, Copy)]
 struct Moment {
     sequence: u32,
+    stream: u8,
     generated: ServerTime,
 }
 

@@ -1,12 +1,14 @@
 //! Tool samples in a datagram.
 //!
 //! The samples are rounded ([`super::quantise`]) and the whole body is range-coded
-//! ([`super::range_coder`]): count of tools (7 raw bits), then per tool
+//! ([`super::range_coder`]): count of tools
+//! minus one, then per tool
 //!
 //! ```text
-//! participant (16 raw bits) | samples - 1 (3 raw bits)
+//! participant minus the header's `stream` | 6 minus the number of samples
 //! whether from a baseline; if so: how many datagrams ago it was
-//! the newest sample: time before `generated`, position, orientation, buttons, force
+//! times: the newest before `generated`, then the steps back, less 1 ms each, 2 ms from the fifth on
+//! the newest sample: position, orientation, buttons, force
 //! the oldest sample and then always the middle one of what is left, against what is known by then
 //! ```
 //!
@@ -26,6 +28,18 @@ const PERIOD: i64 = 1000 / TIME_STEP_US;
 
 /// A hand goes on for about 60 ms as it went; in steps of time.
 const LEAD_UNITS: i64 = 60_000 / TIME_STEP_US;
+
+/// New samples in a usual datagram. Of the batch before, every second one is repeated: what is lost with
+/// a datagram is then between two that are 2 ms apart, where interpolation errs by less than a step.
+pub(crate) const BATCH: usize = 4;
+
+/// Samples in a usual datagram.
+pub(crate) const USUAL_SAMPLES: usize = BATCH + BATCH / 2;
+
+/// The usual step of time before the sample that is `rank` from the newest.
+fn usual_step(rank: usize) -> i64 {
+    if rank <= BATCH { PERIOD } else { 2 * PERIOD }
+}
 
 /// What is farther apart than this (in steps of time, about an hour) tells nothing about each other;
 /// products with it stay within 64 bits.
@@ -72,6 +86,9 @@ fn on_line(a: &Point, b: &Point, at: i64, span: i64) -> Point {
 /// The chances of everything in a body. The first values are from a band-limited hand of 87 mm/s rms
 /// with a tremor of 0.1 mm at round trips of 20 to 200 ms.
 struct Model {
+    tracks: Number,
+    participant: Number,
+    samples: Number,
     ago: Number,
     age: Number,
     step: Number,
@@ -91,6 +108,9 @@ impl Model {
         let near = [215, 190, 150, 100, 60, 40, 30];
         let between = [70, 30, 30];
         Self {
+            tracks: Number::new(&[40]),
+            participant: Number::new(&[128, 128, 160, 128]),
+            samples: Number::new(&[20]),
             ago: Number::new(&[254, 252, 245, 220, 130, 60, 20]),
             age: Number::new(&[128, 240, 240, 235, 230, 225, 215, 200, 170, 130, 100]),
             step: Number::new(&[110, 40, 60, 100]),
@@ -213,8 +233,9 @@ fn code_points(
         .code(c, narrow(generated.saturating_sub(points[last].time)))?;
     points[last].time = generated.saturating_sub(i64::from(age));
     for i in (0..last).rev() {
+        let usual = usual_step(last - i);
         let step = points[i + 1].time.saturating_sub(points[i].time);
-        let step = i64::from(m.step.code(c, narrow(step - PERIOD))?) + PERIOD;
+        let step = i64::from(m.step.code(c, narrow(step - usual))?) + usual;
         if step < 0 {
             return Err(refuse("the step between samples", format!("{step} steps")));
         }
@@ -287,8 +308,10 @@ fn write_track(
     let Some(newest) = track.samples.last().filter(|_| count <= TRACK_MAX_SAMPLES) else {
         return Err(refuse("the number of samples", count.to_string()));
     };
-    c.raw(16, u32::from(track.participant.0))?;
-    c.raw(3, count as u32 - 1)?;
+    let stream = i32::from(at.stream);
+    m.participant
+        .code(c, i32::from(track.participant.0) - stream)?;
+    m.samples.code(c, USUAL_SAMPLES as i32 - count as i32)?;
     let known = memory.known_point(track.participant);
     c.bit(&mut m.has_baseline, known.is_some())?;
     if let Some((sequence, _)) = known {
@@ -310,8 +333,15 @@ fn read_track(
     at: Moment,
     memory: &Memory,
 ) -> Result<(ToolTrack, Anchor), ProtocolError> {
-    let participant = ParticipantId(c.raw(16, 0)? as u16);
-    let count = c.raw(3, 0)? as usize + 1;
+    let participant = i32::from(at.stream) + m.participant.code(c, 0)?;
+    let participant = u16::try_from(participant)
+        .map(ParticipantId)
+        .map_err(|_| refuse("a participant", participant.to_string()))?;
+    let count = USUAL_SAMPLES as i32 - m.samples.code(c, 0)?;
+    let count = usize::try_from(count).unwrap_or(0);
+    if !(1..=TRACK_MAX_SAMPLES).contains(&count) {
+        return Err(refuse("the number of samples", count.to_string()));
+    }
     let baseline = if c.bit(&mut m.has_baseline, false)? {
         let sequence = at.sequence.wrapping_sub(m.ago.code(c, 0)? as u32);
         let known = memory.point_at(participant, sequence);
@@ -340,8 +370,8 @@ pub(super) fn write(
     if tracks.len() > TRACKS_MAX {
         return Err(refuse("the number of tools", tracks.len().to_string()));
     }
-    c.raw(7, tracks.len() as u32)?;
     let mut m = Model::new();
+    m.tracks.code(c, tracks.len() as i32 - 1)?;
     for track in tracks {
         let anchor = write_track(c, &mut m, at, memory, track)?;
         memory.remember_point(track.participant, at.sequence, anchor);
@@ -355,11 +385,12 @@ pub(super) fn read(
     at: Moment,
     memory: &mut Memory,
 ) -> Result<Vec<ToolTrack>, ProtocolError> {
-    let count = c.raw(7, 0)? as usize;
-    if count > TRACKS_MAX {
+    let mut m = Model::new();
+    let count = m.tracks.code(c, 0)? + 1;
+    let fits = usize::try_from(count).is_ok_and(|n| n <= TRACKS_MAX);
+    if !fits {
         return Err(refuse("the number of tools", count.to_string()));
     }
-    let mut m = Model::new();
     let mut tracks = Vec::new();
     for _ in 0..count {
         let (track, anchor) = read_track(c, &mut m, at, memory)?;

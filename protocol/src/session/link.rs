@@ -3,7 +3,9 @@
 
 use std::collections::VecDeque;
 
-use crate::datagram::{Acknowledgement, Body, Datagram, Expected, Header, Memory, Opened, Tag};
+use crate::datagram::{
+    Acknowledgement, Body, Datagram, Expected, Header, Memory, Opened, SHORT_TIME, Tag,
+};
 use crate::session::DATAGRAM_BACKLOG_MAX;
 use crate::{Arrival, Epoch, ParticipantId, ProtocolError, SequenceWindow, ServerTime, Span};
 
@@ -14,9 +16,8 @@ const ACKNOWLEDGE_EVERY: u32 = 8;
 /// An acknowledgement goes along at least so often, if anything has arrived.
 const ACKNOWLEDGE_WITHIN: Span = Span::from_millis(40);
 
-/// Where the time jumps by more than this, it is sent whole: a quarter of what its short form spans
-/// leaves room for what is lost in between.
-const TIME_JUMP: Span = Span::from_millis(80_000);
+/// Times of our datagrams that are kept until they are acknowledged.
+const TIMES_KEPT_MAX: usize = 256;
 
 /// Datagrams that were thrown away, by reason.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -107,8 +108,10 @@ pub(super) struct Link {
     /// What our datagrams said, and theirs.
     sent: Memory,
     received: Memory,
-    /// The times in the newest datagram of either direction.
-    sent_at: ServerTime,
+    /// The times in our newest datagrams by number, and in the newest one that is acknowledged.
+    sent_at: VecDeque<(u32, ServerTime)>,
+    known_at: Option<ServerTime>,
+    /// The time in their newest datagram.
     received_at: ServerTime,
     /// Datagrams that arrived since the last acknowledgement, and when that left.
     unacknowledged: u32,
@@ -198,6 +201,10 @@ impl Link {
     fn acknowledge(&mut self, sequence: u32) {
         if self.acknowledged.insert(sequence).is_fresh() {
             self.sent.acknowledge(sequence);
+            let sent = self.sent_at.iter().find(|(n, _)| *n == sequence);
+            if let Some((_, time)) = sent {
+                self.known_at = self.known_at.max(Some(*time));
+            }
         }
     }
 
@@ -241,13 +248,13 @@ impl Link {
             _ => generated,
         };
         let sequence = self.last_sequence.wrapping_add(1).max(1);
-        let heard = self.acknowledged.acknowledgement().is_some();
+        let near = |t: ServerTime| (generated - t).abs() <= SHORT_TIME;
         let datagram = Datagram {
             header: Header {
                 tag,
                 sequence,
                 generated,
-                whole_time: !heard || (generated - self.sent_at).abs() > TIME_JUMP,
+                whole_time: !self.known_at.is_some_and(near),
                 acknowledged: self.acknowledgement_due(generated),
             },
             body,
@@ -263,7 +270,10 @@ impl Link {
             }
         };
         self.last_sequence = sequence;
-        self.sent_at = generated;
+        if self.sent_at.len() == TIMES_KEPT_MAX {
+            self.sent_at.pop_front();
+        }
+        self.sent_at.push_back((sequence, generated));
         if datagram.header.acknowledged.is_some() {
             self.unacknowledged = 0;
             self.acknowledged_at = generated;
