@@ -64,6 +64,12 @@ pub enum ProtocolError {
         /// The part that was being read.
         what: &'static str,
     },
+    /// A datagram tells differences from another one that did not arrive or is forgotten.
+    #[error("a datagram tells differences from datagram {sequence}, which is not there")]
+    NoBaseline {
+        /// The number of the other one.
+        sequence: u32,
+    },
     /// A datagram of a kind that this version does not know.
     #[error("a datagram of the unknown kind {kind}")]
     DatagramKind {

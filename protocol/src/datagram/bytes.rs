@@ -18,21 +18,7 @@ impl Writer {
         Self(Vec::with_capacity(bytes))
     }
 
-    put!(u8: u8, u16: u16, u32: u32, i16: i16, i32: i32, i64: i64);
-
-    /// The low `N` bytes of a number.
-    pub(super) fn low<const N: usize>(&mut self, v: u64) {
-        self.0.extend_from_slice(&v.to_le_bytes()[..N]);
-    }
-
-    /// A number in groups of seven bits, low first, the top bit set on all but the last.
-    pub(super) fn varint(&mut self, mut v: u32) {
-        while v >= 0x80 {
-            self.0.push(v as u8 | 0x80);
-            v >>= 7;
-        }
-        self.0.push(v as u8);
-    }
+    put!(u8: u8, u16: u16, u32: u32, i64: i64);
 
     pub(super) fn into_vec(self) -> Vec<u8> {
         self.0
@@ -76,33 +62,11 @@ impl<'a> Reader<'a> {
         Ok(*head)
     }
 
-    take!(u8: u8, u16: u16, u32: u32, i16: i16, i32: i32, i64: i64);
+    take!(u8: u8, u16: u16, u32: u32, i64: i64);
 
-    /// A number of `N` bytes.
-    pub(super) fn low<const N: usize>(&mut self) -> Result<u64, ProtocolError> {
-        let mut all = [0; 8];
-        all[..N].copy_from_slice(&self.array::<N>()?);
-        Ok(u64::from_le_bytes(all))
-    }
-
-    /// See [`Writer::varint`]; more than 32 bits are out of range.
-    pub(super) fn varint(&mut self) -> Result<u32, ProtocolError> {
-        let mut v = 0_u32;
-        for shift in (0..35).step_by(7) {
-            let byte = self.u8()?;
-            let part = u32::from(byte & 0x7f);
-            if shift == 28 && byte > 0x0f {
-                break;
-            }
-            v |= part << shift;
-            if byte < 0x80 {
-                return Ok(v);
-            }
-        }
-        Err(ProtocolError::OutOfRange {
-            what: "a packed number",
-            detail: "more than 32 bits".to_owned(),
-        })
+    /// What has not been read.
+    pub(super) fn rest(self) -> &'a [u8] {
+        self.rest
     }
 
     /// Makes sure, before anything is allocated, that `count` items of at least `bytes` each can

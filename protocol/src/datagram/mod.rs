@@ -3,43 +3,53 @@
 //! All integers are little endian. Every datagram begins with the header
 //!
 //! ```text
-//! kind u8 | epoch u32 | stream u16 | sequence u32 | generated i64 µs | newest u32 | bits u32
+//! kind and flags u8 | epoch u8 | stream u8 | sequence u16 | generated u16 or i64 | newest u16, bits u32
 //! ```
 //!
-//! `stream` is the participant whose connection it is, in both directions; `sequence` counts the
-//! datagrams of one direction; `newest` and `bits` acknowledge the other direction: bit i says that
-//! number `newest` - 1 - i arrived. The body follows:
+//! The low four bits of the first byte are the kind; 0x10 says that an acknowledgement is there, 0x20
+//! that the time has 64 bits. `epoch` and `stream` are the low bytes of the session's epoch and of
+//! the participant whose connection it is, in both directions; `sequence` counts the datagrams of one
+//! direction, its low 16 bits; `generated` is in steps of 20 µs, its low 16 bits or all; `newest`
+//! (low 16 bits) and `bits` acknowledge the other direction: bit i says that number `newest` - 1 - i
+//! arrived. What is cut off is what is nearest to the newest that arrived. The body follows:
 //!
 //! | kind | body |
 //! | --- | --- |
 //! | 1 motion | tracks, see [`motion`] |
-//! | 2 corrections | displacements, see [`corrections`] |
+//! | 2 corrections | displacements of chosen nodes, see [`shape`] |
 //! | 3 probe | id u32, client time i64 |
 //! | 4 reply | id u32, client time i64, server received i64, server sent i64 |
 //! | 5 delays | count u8, then {participant u16, mean u32, deviation u32, wanted u32} |
+//! | 6 displacements | those of all nodes in view, see [`shape`] |
 //!
 //! Decoders never panic, never allocate more than the datagram could hold, and refuse what follows
 //! a message.
 
 mod bytes;
-pub mod corrections;
+mod corrections;
+mod header;
+pub mod memory;
 pub mod motion;
 mod quantise;
+mod range_coder;
+pub mod shape;
 
 use bytes::{Reader, Writer};
 
-pub use corrections::Corrections;
-pub use quantise::{POSITION_MAX_M, POSITION_STEP_M};
+use range_coder::{RangeDecoder, RangeEncoder};
+use shape::{Frame, Nodes};
+
+pub use corrections::{Corrections, Displacements};
+pub use header::{Acknowledgement, Expected, Header, SHORT_TIME, Tag};
+pub use memory::Memory;
+pub use quantise::{POSITION_MAX_M, POSITION_STEP_M, TIME_STEP_US};
 
 use crate::request::DelayReport;
-use crate::{ClientTime, Epoch, ParticipantId, ProtocolError, ServerTime, ToolTrack};
+use crate::{ClientTime, ParticipantId, ProtocolError, ServerTime, ToolTrack};
 
 /// The largest datagram in bytes: below the smallest path that QUIC allows (1200 B of UDP payload)
 /// with room for its own header. What does not fit goes into the next one.
 pub const DATAGRAM_MAX_BYTES: usize = 1100;
-
-/// Size of the header in bytes.
-pub const HEADER_BYTES: usize = 27;
 
 /// The most samples of one tool in one datagram: the newest batch of four 1 kHz samples and the
 /// batch before, repeated.
@@ -51,30 +61,15 @@ pub const TRACKS_MAX: usize = 64;
 /// The most delay reports in one datagram.
 pub const DELAYS_MAX: usize = 64;
 
-/// What every datagram begins with, after the kind.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Header {
-    /// The life of the session; an earlier one is refused.
-    pub epoch: Epoch,
-    /// The participant whose connection this is.
-    pub stream: ParticipantId,
-    /// Counts the datagrams of this direction.
-    pub sequence: u32,
-    /// When the datagram was made, in server time as the sender knows it.
-    pub generated: ServerTime,
-    /// The newest number that arrived from the other side.
-    pub newest: u32,
-    /// Bit i: number `newest` - 1 - i arrived.
-    pub bits: u32,
-}
-
 /// What a datagram says.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Body {
     /// Where tools were.
     Motion(Vec<ToolTrack>),
-    /// Where nodes of the tissue are.
+    /// Where some nodes of the tissue are.
     Corrections(Corrections),
+    /// Where all nodes in view are.
+    Displacements(Displacements),
     /// A question for the clock.
     Probe(Probe),
     /// Its answer.
@@ -110,6 +105,15 @@ const KIND_CORRECTIONS: u8 = 2;
 const KIND_PROBE: u8 = 3;
 const KIND_REPLY: u8 = 4;
 const KIND_DELAYS: u8 = 5;
+const KIND_DISPLACEMENTS: u8 = 6;
+
+/// What a body may refer to: its own number and time.
+#[derive(Debug, Clone, Copy)]
+struct Moment {
+    sequence: u32,
+    stream: u8,
+    generated: ServerTime,
+}
 
 /// A header and what it heads.
 #[derive(Debug, Clone, PartialEq)]
@@ -120,47 +124,134 @@ pub struct Datagram {
     pub body: Body,
 }
 
+impl Body {
+    const fn kind(&self) -> u8 {
+        match self {
+            Self::Motion(_) => KIND_MOTION,
+            Self::Corrections(_) => KIND_CORRECTIONS,
+            Self::Probe(_) => KIND_PROBE,
+            Self::Reply(_) => KIND_REPLY,
+            Self::Delays(_) => KIND_DELAYS,
+            Self::Displacements(_) => KIND_DISPLACEMENTS,
+        }
+    }
+
+    /// Two halves of what is too much for one datagram; `None` for what has no halves.
+    pub(crate) fn halves(self) -> Option<(Self, Self)> {
+        match self {
+            Self::Motion(mut tracks) if tracks.len() > 1 => {
+                let rest = tracks.split_off(tracks.len() / 2);
+                Some((Self::Motion(tracks), Self::Motion(rest)))
+            }
+            Self::Corrections(mut c) if c.nodes.len() > 1 => {
+                let nodes = c.nodes.split_off(c.nodes.len() / 2);
+                let rest = Corrections { nodes, ..c };
+                Some((Self::Corrections(c), Self::Corrections(rest)))
+            }
+            Self::Displacements(mut d) if d.nodes.len() > 1 => {
+                let nodes = d.nodes.split_off(d.nodes.len() / 2);
+                let rest = Displacements { nodes, ..d };
+                Some((Self::Displacements(d), Self::Displacements(rest)))
+            }
+            _ => None,
+        }
+    }
+}
+
 impl Datagram {
     /// The bytes on the wire; an error where a value is out of range or the whole is longer than
-    /// [`DATAGRAM_MAX_BYTES`].
-    pub fn encode(&self) -> Result<Vec<u8>, ProtocolError> {
-        let mut w = Writer::with_capacity(DATAGRAM_MAX_BYTES);
-        w.u8(match &self.body {
-            Body::Motion(_) => KIND_MOTION,
-            Body::Corrections(_) => KIND_CORRECTIONS,
-            Body::Probe(_) => KIND_PROBE,
-            Body::Reply(_) => KIND_REPLY,
-            Body::Delays(_) => KIND_DELAYS,
+    /// [`DATAGRAM_MAX_BYTES`]. `memory` is of this direction: it gives the baseline, and keeps what
+    /// this datagram says.
+    pub fn encode(&self, memory: &mut Memory) -> Result<Vec<u8>, ProtocolError> {
+        let bytes = self.encode_any_size(memory).and_then(|out| {
+            if out.len() > DATAGRAM_MAX_BYTES {
+                return Err(ProtocolError::TooLarge {
+                    what: "datagram",
+                    bytes: out.len(),
+                    limit: DATAGRAM_MAX_BYTES,
+                });
+            }
+            Ok(out)
         });
-        self.header.write(&mut w);
-        match &self.body {
-            Body::Motion(tracks) => motion::write(&mut w, self.header.generated, tracks)?,
-            Body::Corrections(c) => corrections::write(&mut w, self.header.generated, c)?,
+        if bytes.is_err() {
+            memory.forget(self.header.sequence);
+        }
+        bytes
+    }
+
+    fn encode_any_size(&self, memory: &mut Memory) -> Result<Vec<u8>, ProtocolError> {
+        let mut w = Writer::with_capacity(DATAGRAM_MAX_BYTES);
+        self.header.write(self.body.kind(), &mut w);
+        let at = self.header.moment();
+        Ok(match &self.body {
+            Body::Motion(tracks) => {
+                let mut c = RangeEncoder::after(w.into_vec());
+                motion::write(&mut c, at, memory, tracks)?;
+                c.finish()
+            }
+            Body::Corrections(x) => {
+                let frame = Frame {
+                    topology_version: x.topology_version,
+                    view_time: x.view_time,
+                };
+                let nodes = Nodes::of(shape::FINE_STEP_UM, &x.nodes);
+                let mut c = RangeEncoder::after(w.into_vec());
+                shape::write(&mut c, at, memory, frame, nodes)?;
+                c.finish()
+            }
+            Body::Displacements(x) => {
+                let frame = Frame {
+                    topology_version: x.topology_version,
+                    view_time: x.view_time,
+                };
+                let nodes = Nodes::of(x.step_um, &x.nodes);
+                let mut c = RangeEncoder::after(w.into_vec());
+                shape::write(&mut c, at, memory, frame, nodes)?;
+                c.finish()
+            }
             Body::Probe(p) => {
                 w.u32(p.id);
                 w.i64(p.client_sent.as_micros());
+                w.into_vec()
             }
             Body::Reply(r) => {
                 w.u32(r.id);
                 w.i64(r.client_sent.as_micros());
                 w.i64(r.server_received.as_micros());
                 w.i64(r.server_sent.as_micros());
+                w.into_vec()
             }
-            Body::Delays(list) => write_delays(&mut w, list)?,
-        }
-        let out = w.into_vec();
-        if out.len() > DATAGRAM_MAX_BYTES {
-            return Err(ProtocolError::TooLarge {
-                what: "datagram",
-                bytes: out.len(),
-                limit: DATAGRAM_MAX_BYTES,
-            });
-        }
-        Ok(out)
+            Body::Delays(list) => {
+                write_delays(&mut w, list)?;
+                w.into_vec()
+            }
+        })
     }
 
-    /// Reads one datagram, all of it.
-    pub fn decode(bytes: &[u8]) -> Result<Self, ProtocolError> {
+    /// Reads one datagram, all of it. `expected` completes what the header cuts off, `memory` is of
+    /// this direction.
+    pub fn decode(
+        bytes: &[u8],
+        expected: &Expected,
+        memory: &mut Memory,
+    ) -> Result<Self, ProtocolError> {
+        let opened = Opened::read(bytes, expected)?;
+        opened.body(memory)
+    }
+}
+
+/// A datagram of which only the header is read.
+#[derive(Debug, Clone, Copy)]
+pub struct Opened<'a> {
+    /// The header.
+    pub header: Header,
+    kind: u8,
+    rest: &'a [u8],
+}
+
+impl<'a> Opened<'a> {
+    /// Reads the header.
+    pub fn read(bytes: &'a [u8], expected: &Expected) -> Result<Self, ProtocolError> {
         if bytes.len() > DATAGRAM_MAX_BYTES {
             return Err(ProtocolError::TooLarge {
                 what: "datagram",
@@ -169,55 +260,90 @@ impl Datagram {
             });
         }
         let mut r = Reader::new(bytes, "header");
-        let kind = r.u8()?;
-        let header = Header::read(&mut r)?;
-        let body = match kind {
-            KIND_MOTION => Body::Motion(motion::read(&mut r, header.generated)?),
-            KIND_CORRECTIONS => Body::Corrections(corrections::read(&mut r, header.generated)?),
-            KIND_PROBE => {
-                r.part("probe");
-                Body::Probe(Probe {
-                    id: r.u32()?,
-                    client_sent: ClientTime::from_micros(r.i64()?),
+        let (header, kind) = Header::read(&mut r, expected)?;
+        Ok(Self {
+            header,
+            kind,
+            rest: r.rest(),
+        })
+    }
+
+    /// Reads the body too.
+    pub fn body(self, memory: &mut Memory) -> Result<Datagram, ProtocolError> {
+        let datagram = self.read_body(memory);
+        if datagram.is_err() {
+            memory.forget(self.header.sequence);
+        }
+        datagram
+    }
+
+    fn read_body(self, memory: &mut Memory) -> Result<Datagram, ProtocolError> {
+        let at = self.header.moment();
+        let body = match self.kind {
+            KIND_MOTION => {
+                let mut c = RangeDecoder::new(self.rest, "motion");
+                let tracks = motion::read(&mut c, at, memory)?;
+                c.finish()?;
+                Body::Motion(tracks)
+            }
+            KIND_CORRECTIONS => {
+                let mut c = RangeDecoder::new(self.rest, "corrections");
+                let (frame, nodes) = shape::read(&mut c, at, memory)?;
+                c.finish()?;
+                if nodes.step_um != shape::FINE_STEP_UM {
+                    return Err(ProtocolError::OutOfRange {
+                        what: "the step of corrections",
+                        detail: format!("{} µm", nodes.step_um),
+                    });
+                }
+                Body::Corrections(Corrections {
+                    topology_version: frame.topology_version,
+                    view_time: frame.view_time,
+                    nodes: nodes.metres(),
                 })
             }
-            KIND_REPLY => {
-                r.part("reply");
-                Body::Reply(Reply {
-                    id: r.u32()?,
-                    client_sent: ClientTime::from_micros(r.i64()?),
-                    server_received: ServerTime::from_micros(r.i64()?),
-                    server_sent: ServerTime::from_micros(r.i64()?),
+            KIND_DISPLACEMENTS => {
+                let mut c = RangeDecoder::new(self.rest, "displacements");
+                let (frame, nodes) = shape::read(&mut c, at, memory)?;
+                c.finish()?;
+                Body::Displacements(Displacements {
+                    step_um: nodes.step_um,
+                    topology_version: frame.topology_version,
+                    view_time: frame.view_time,
+                    nodes: nodes.metres(),
                 })
             }
-            KIND_DELAYS => Body::Delays(read_delays(&mut r)?),
-            kind => return Err(ProtocolError::DatagramKind { kind }),
+            kind => read_plain(kind, self.rest)?,
         };
-        r.finish()?;
-        Ok(Self { header, body })
+        Ok(Datagram {
+            header: self.header,
+            body,
+        })
     }
 }
 
-impl Header {
-    fn write(&self, w: &mut Writer) {
-        w.u32(self.epoch.0);
-        w.u16(self.stream.0);
-        w.u32(self.sequence);
-        w.i64(self.generated.as_micros());
-        w.u32(self.newest);
-        w.u32(self.bits);
-    }
-
-    fn read(r: &mut Reader<'_>) -> Result<Self, ProtocolError> {
-        Ok(Self {
-            epoch: Epoch(r.u32()?),
-            stream: ParticipantId(r.u16()?),
-            sequence: r.u32()?,
-            generated: ServerTime::from_micros(r.i64()?),
-            newest: r.u32()?,
-            bits: r.u32()?,
-        })
-    }
+/// The bodies of whole bytes.
+fn read_plain(kind: u8, bytes: &[u8]) -> Result<Body, ProtocolError> {
+    let mut r = Reader::new(bytes, "probe");
+    let body = match kind {
+        KIND_PROBE => Body::Probe(Probe {
+            id: r.u32()?,
+            client_sent: ClientTime::from_micros(r.i64()?),
+        }),
+        KIND_REPLY => {
+            r.part("reply");
+            Body::Reply(Reply {
+                id: r.u32()?,
+                client_sent: ClientTime::from_micros(r.i64()?),
+                server_received: ServerTime::from_micros(r.i64()?),
+                server_sent: ServerTime::from_micros(r.i64()?),
+            })
+        }
+        KIND_DELAYS => Body::Delays(read_delays(&mut r)?),
+        kind => return Err(ProtocolError::DatagramKind { kind }),
+    };
+    r.finish()?;
+    Ok(body)
 }
 
 fn write_delays(

@@ -1,38 +1,128 @@
 //! Real numbers as small integers.
 //!
-//! Rotations by the smallest three: of a unit quaternion (x, y, z, w) the component of largest
-//! magnitude is left out; q and -q are the same rotation, so its sign is made positive; each of the
-//! others lies in ±1/√2 and becomes a 15-bit integer. 2 + 3·15 bits = 47. The error of a component
-//! is at most 1/√2 / 16383 / 2 = 2.2e-5, of the angle below 0.01°.
+//! Rotations by the smallest three: of a unit quaternion (x, y, z, w) one component is left out; q
+//! and -q are the same rotation, so its sign is made positive; the others become integers. It is the
+//! largest one, unless the rotation before it left out another that is still above
+//! [`KEPT_COMPONENT`]: differences need the same one left out.
 
-use crate::ProtocolError;
+use crate::{Pose, ProtocolError, ServerTime, ToolSample};
 
-/// Step of a position in metres: 0.01 mm, a tenth of the tremor of a steady hand.
-pub const POSITION_STEP_M: f64 = 1e-5;
+/// Step of a position in metres: 0.02 mm, a fifth of the tremor of a steady hand.
+pub const POSITION_STEP_M: f64 = 2e-5;
 
 /// The largest coordinate in metres. What is farther away is refused on both sides.
 pub const POSITION_MAX_M: f64 = 20.0;
 
+/// Step of the time of a sample in microseconds: at 1 m/s a tool moves by a position step in it.
+pub const TIME_STEP_US: i64 = 20;
+
 /// Step of a force in newtons.
 pub(super) const FORCE_STEP_N: f64 = 0.01;
 
-const HALF: f64 = 16_383.0;
+/// Step of a component of a quaternion. With what is left out at 0.4 or more the error of the angle
+/// is at most 2 · √3/2 · step / 0.4 = 3.5e-4 rad = 0.02°.
+const COMPONENT_STEP: f64 = 8e-5;
 
-/// A coordinate as 24 bits around the middle.
-pub(super) fn position(x_m: f64) -> Result<u32, ProtocolError> {
+/// Down to this magnitude a component may be left out that is not the largest.
+const KEPT_COMPONENT: f64 = 0.4;
+
+/// The largest component in steps: 1, a little rounded up.
+pub(super) const COMPONENT_MAX: i32 = 12_500;
+
+/// The largest coordinate in steps.
+pub(super) const POSITION_MAX: i32 = 1_000_000;
+
+/// A rotation in integers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct Turn {
+    /// Which component is left out, 0 to 3.
+    pub(super) omitted: u8,
+    /// The others in their order, in steps.
+    pub(super) parts: [i32; 3],
+}
+
+/// A sample in integers: what both ends know of it to the bit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct Point {
+    /// Server time in steps.
+    pub(super) time: i64,
+    /// Position in steps.
+    pub(super) position: [i32; 3],
+    /// Orientation.
+    pub(super) turn: Turn,
+    /// Buttons.
+    pub(super) buttons: u8,
+    /// Force in steps.
+    pub(super) force: Option<[i32; 3]>,
+}
+
+impl Point {
+    /// Rounds a sample; `near` is the rotation that it will be told apart from.
+    pub(super) fn of(sample: &ToolSample, near: Option<Turn>) -> Result<Self, ProtocolError> {
+        let mut position = [0; 3];
+        for (q, x) in position.iter_mut().zip(sample.pose.position_m) {
+            *q = coordinate(x)?;
+        }
+        Ok(Self {
+            time: time(sample.time),
+            position,
+            turn: Turn::of(sample.pose.orientation, near)?,
+            buttons: sample.buttons,
+            force: sample
+                .force_n
+                .map(|f| f.map(|x| i32::from(saturating_i16(x, FORCE_STEP_N)))),
+        })
+    }
+
+    /// Makes sure that it is what a sender may send.
+    pub(super) fn check(&self) -> Result<(), ProtocolError> {
+        if let Some(x) = self.position.iter().find(|x| x.abs() > POSITION_MAX) {
+            let x_m = f64::from(*x) * POSITION_STEP_M;
+            return Err(out_of_range("a position", x_m, POSITION_MAX_M));
+        }
+        if let Some(c) = self.turn.parts.iter().find(|c| c.abs() > COMPONENT_MAX) {
+            let c = f64::from(*c) * COMPONENT_STEP;
+            return Err(out_of_range("a part of an orientation", c, 1.0));
+        }
+        let force_max = i32::from(i16::MAX) + 1;
+        if let Some(f) = self.force.iter().flatten().find(|f| f.abs() > force_max) {
+            let limit = f64::from(force_max) * FORCE_STEP_N;
+            return Err(out_of_range("a force", f64::from(*f) * FORCE_STEP_N, limit));
+        }
+        Ok(())
+    }
+
+    /// The sample.
+    pub(super) fn sample(&self) -> ToolSample {
+        ToolSample {
+            time: time_back(self.time),
+            pose: Pose {
+                position_m: self.position.map(|x| f64::from(x) * POSITION_STEP_M),
+                orientation: self.turn.quaternion(),
+            },
+            buttons: self.buttons,
+            force_n: self.force.map(|f| f.map(|x| f64::from(x) * FORCE_STEP_N)),
+        }
+    }
+}
+
+/// A time in steps.
+pub(super) fn time(t: ServerTime) -> i64 {
+    t.as_micros()
+        .saturating_add(TIME_STEP_US / 2)
+        .div_euclid(TIME_STEP_US)
+}
+
+/// The time of so many steps.
+pub(super) fn time_back(steps: i64) -> ServerTime {
+    ServerTime::from_micros(steps.saturating_mul(TIME_STEP_US))
+}
+
+fn coordinate(x_m: f64) -> Result<i32, ProtocolError> {
     if !x_m.is_finite() || x_m.abs() > POSITION_MAX_M {
         return Err(out_of_range("a position", x_m, POSITION_MAX_M));
     }
-    Ok(((x_m / POSITION_STEP_M).round() as i32 + (1 << 23)) as u32)
-}
-
-/// The coordinate in metres.
-pub(super) fn position_back(q: u32) -> Result<f64, ProtocolError> {
-    let x_m = f64::from(q as i32 - (1 << 23)) * POSITION_STEP_M;
-    if x_m.abs() > POSITION_MAX_M + POSITION_STEP_M {
-        return Err(out_of_range("a position", x_m, POSITION_MAX_M));
-    }
-    Ok(x_m)
+    Ok((x_m / POSITION_STEP_M).round() as i32)
 }
 
 fn out_of_range(what: &'static str, value: f64, limit: f64) -> ProtocolError {
@@ -48,38 +138,44 @@ pub(super) fn saturating_i16(value: f64, step: f64) -> i16 {
     (value / step).round() as i16
 }
 
-/// A unit quaternion (x, y, z, w) in 47 bits; an error where it is none.
-pub(super) fn rotation(q: [f64; 4]) -> Result<u64, ProtocolError> {
-    let norm = q.iter().map(|c| c * c).sum::<f64>().sqrt();
-    if !(0.5..2.0).contains(&norm) {
-        return Err(ProtocolError::OutOfRange {
-            what: "an orientation",
-            detail: format!("a quaternion of length {norm}, not 1"),
-        });
+impl Turn {
+    /// Rounds a unit quaternion (x, y, z, w); an error where it is none.
+    fn of(q: [f64; 4], near: Option<Self>) -> Result<Self, ProtocolError> {
+        let norm = q.iter().map(|c| c * c).sum::<f64>().sqrt();
+        if !(0.5..2.0).contains(&norm) {
+            return Err(ProtocolError::OutOfRange {
+                what: "an orientation",
+                detail: format!("a quaternion of length {norm}, not 1"),
+            });
+        }
+        let largest = (0..4).fold(
+            0,
+            |best, i| if q[i].abs() > q[best].abs() { i } else { best },
+        );
+        let omitted = near
+            .map(|n| usize::from(n.omitted))
+            .filter(|i| q[*i].abs() >= KEPT_COMPONENT * norm)
+            .unwrap_or(largest);
+        let scale = q[omitted].signum() / (norm * COMPONENT_STEP);
+        let mut others = (0..4).filter(|i| *i != omitted);
+        let parts = [(); 3].map(|()| others.next().map_or(0, |i| (q[i] * scale).round() as i32));
+        Ok(Self {
+            omitted: omitted as u8,
+            parts,
+        })
     }
-    let largest = (0..4).fold(
-        0,
-        |best, i| if q[i].abs() > q[best].abs() { i } else { best },
-    );
-    let scale = q[largest].signum() / norm * HALF * std::f64::consts::SQRT_2;
-    let others = (0..4).filter(|i| *i != largest);
-    Ok(others.fold(largest as u64, |bits, i| {
-        let v = (q[i] * scale).round().clamp(-HALF, HALF) + HALF;
-        (bits << 15) | v as u64
-    }))
-}
 
-/// The unit quaternion (x, y, z, w).
-pub(super) fn rotation_back(bits: u64) -> [f64; 4] {
-    let largest = (bits >> 45 & 3) as usize;
-    let mut q = [0.0; 4];
-    let mut rest = 1.0;
-    for (slot, i) in (0..4).filter(|i| *i != largest).enumerate() {
-        let v = (bits >> (15 * (2 - slot)) & 0x7fff) as f64;
-        q[i] = (v - HALF) / (HALF * std::f64::consts::SQRT_2);
-        rest -= q[i] * q[i];
+    /// The unit quaternion (x, y, z, w).
+    fn quaternion(self) -> [f64; 4] {
+        let omitted = usize::from(self.omitted);
+        let mut q = [0.0; 4];
+        let mut rest = 1.0;
+        for (part, i) in self.parts.iter().zip((0..4).filter(|i| *i != omitted)) {
+            q[i] = f64::from(*part) * COMPONENT_STEP;
+            rest -= q[i] * q[i];
+        }
+        q[omitted] = rest.max(0.0).sqrt();
+        let norm = q.iter().map(|c| c * c).sum::<f64>().sqrt();
+        q.map(|c| c / norm)
     }
-    q[largest] = rest.max(0.0).sqrt();
-    let norm = q.iter().map(|c| c * c).sum::<f64>().sqrt();
-    q.map(|c| c / norm)
 }

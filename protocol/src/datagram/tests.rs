@@ -7,13 +7,32 @@ use crate::{Pose, Span, ToolSample};
 
 fn header() -> Header {
     Header {
-        epoch: Epoch(3),
-        stream: ParticipantId(2),
+        tag: Tag {
+            epoch: 3,
+            stream: 2,
+        },
         sequence: 77,
         generated: ServerTime::from_micros(9_000_000),
-        newest: 12,
-        bits: 0b1011,
+        whole_time: false,
+        acknowledged: Some(Acknowledgement {
+            newest: 12,
+            bits: 0b1011,
+        }),
     }
+}
+
+/// Without anything to tell differences from.
+fn encode(datagram: &Datagram) -> Result<Vec<u8>, ProtocolError> {
+    datagram.encode(&mut Memory::default())
+}
+
+fn decode(bytes: &[u8]) -> Result<Datagram, ProtocolError> {
+    let expected = Expected {
+        sequence: 70,
+        generated: ServerTime::from_micros(8_900_000),
+        sent: 13,
+    };
+    Datagram::decode(bytes, &expected, &mut Memory::default())
 }
 
 fn track(participant: u16, samples: i64, force: bool) -> ToolTrack {
@@ -64,6 +83,12 @@ fn every_kind() -> Vec<Datagram> {
             view_time,
             nodes: nodes(20),
         }),
+        Body::Displacements(Displacements {
+            step_um: 50,
+            topology_version: 2,
+            view_time,
+            nodes: nodes(20),
+        }),
         Body::Probe(probe),
         Body::Reply(reply),
         Body::Delays(vec![
@@ -81,38 +106,24 @@ fn every_kind() -> Vec<Datagram> {
 #[test]
 fn every_kind_reads_back_as_written_up_to_its_quantum() {
     for datagram in every_kind() {
-        let bytes = datagram.encode().unwrap();
-        let back = Datagram::decode(&bytes).unwrap();
+        let bytes = encode(&datagram).unwrap();
+        let back = decode(&bytes).unwrap();
         assert_eq!(back.header, datagram.header);
         // Written again, it is the same to the bit.
-        assert_eq!(back.encode().unwrap(), bytes);
+        assert_eq!(encode(&back).unwrap(), bytes);
     }
 }
 
 #[test]
-fn the_batch_of_one_tool_has_the_size_that_is_documented() {
-    let body = Body::Motion(vec![track(1, 8, false)]);
-    let bytes = Datagram {
-        header: header(),
-        body,
-    }
-    .encode()
-    .unwrap();
-    assert_eq!(bytes.len(), 27 + 1 + 7 + 8 * 18);
-    let track = track(1, 8, true);
-    assert_eq!(motion::track_bytes(&track), 7 + 8 * 24);
-}
-
-#[test]
-fn every_truncation_is_an_error() {
+fn every_truncation_is_an_error_or_a_valid_message() {
     for datagram in every_kind() {
-        let bytes = datagram.encode().unwrap();
+        let bytes = encode(&datagram).unwrap();
         for len in 0..bytes.len() {
-            assert!(
-                Datagram::decode(&bytes[..len]).is_err(),
-                "{len} of {}",
-                bytes.len()
-            );
+            check(&bytes[..len]);
+            // The header is 13 bytes here; of a range code that ends early the rest is zeros.
+            if len < 13 {
+                assert!(decode(&bytes[..len]).is_err(), "{len} of {}", bytes.len());
+            }
         }
     }
 }
@@ -120,9 +131,9 @@ fn every_truncation_is_an_error() {
 #[test]
 fn every_byte_too_many_is_an_error() {
     for datagram in every_kind() {
-        let mut bytes = datagram.encode().unwrap();
+        let mut bytes = encode(&datagram).unwrap();
         bytes.push(0);
-        let error = Datagram::decode(&bytes).unwrap_err();
+        let error = decode(&bytes).unwrap_err();
         assert!(
             matches!(error, ProtocolError::TrailingBytes { extra: 1, .. }),
             "{error}"
@@ -133,7 +144,7 @@ fn every_byte_too_many_is_an_error() {
 #[test]
 fn no_flipped_bit_makes_the_decoder_panic_or_give_what_is_out_of_range() {
     for datagram in every_kind() {
-        let good = datagram.encode().unwrap();
+        let good = encode(&datagram).unwrap();
         for bit in 0..good.len() * 8 {
             let mut bytes = good.clone();
             bytes[bit / 8] ^= 1 << (bit % 8);
@@ -144,7 +155,7 @@ fn no_flipped_bit_makes_the_decoder_panic_or_give_what_is_out_of_range() {
 
 /// Whatever decodes is within the ranges that the types promise.
 fn check(bytes: &[u8]) {
-    let Ok(datagram) = Datagram::decode(bytes) else {
+    let Ok(datagram) = decode(bytes) else {
         return;
     };
     match datagram.body {
@@ -161,6 +172,7 @@ fn check(bytes: &[u8]) {
             }
         }
         Body::Corrections(c) => assert!(c.nodes.is_sorted_by(|a, b| a.0 < b.0)),
+        Body::Displacements(d) => assert!(d.nodes.is_sorted_by(|a, b| a.0 < b.0)),
         Body::Probe(_) | Body::Reply(_) | Body::Delays(_) => {}
     }
 }
@@ -170,11 +182,10 @@ fn what_can_not_be_sent_is_refused_and_not_sent_wrong() {
     let send = |f: fn(&mut ToolSample)| {
         let mut track = track(1, 1, false);
         f(&mut track.samples[0]);
-        Datagram {
+        encode(&Datagram {
             header: header(),
             body: Body::Motion(vec![track]),
-        }
-        .encode()
+        })
     };
     assert!(send(|s| s.pose.position_m[0] = f64::NAN).is_err());
     assert!(send(|s| s.pose.position_m[1] = 20.1).is_err());
@@ -195,8 +206,8 @@ fn corrections_of_any_length_are_divided_into_datagrams() {
             header: header(),
             body: Body::Corrections(piece),
         };
-        let bytes = datagram.encode().unwrap();
-        match Datagram::decode(&bytes).unwrap().body {
+        let bytes = encode(&datagram).unwrap();
+        match decode(&bytes).unwrap().body {
             Body::Corrections(c) => back.extend(c.nodes),
             other => panic!("{other:?}"),
         }
@@ -211,7 +222,7 @@ fn corrections_of_any_length_are_divided_into_datagrams() {
 
 proptest! {
     #[test]
-    fn no_noise_makes_the_decoder_panic(bytes in proptest::collection::vec(any::<u8>(), 0..1200), kind in 0_u8..7) {
+    fn no_noise_makes_the_decoder_panic(bytes in proptest::collection::vec(any::<u8>(), 0..1200), kind in 0_u8..8) {
         check(&bytes);
         let mut bytes = bytes;
         if let Some(first) = bytes.first_mut() {
@@ -229,19 +240,19 @@ proptest! {
         let q = nalgebra::UnitQuaternion::from_scaled_axis(nalgebra::Vector3::from(axis) * angle);
         let orientation = [q.i, q.j, q.k, q.w];
         let sample = ToolSample {
-            time: ServerTime::ZERO,
+            time: header().generated,
             pose: Pose { position_m: [x, -x, 0.0], orientation },
             ..ToolSample::default()
         };
         let track = ToolTrack { participant: ParticipantId(1), samples: vec![sample] };
-        let bytes = Datagram { header: header(), body: Body::Motion(vec![track]) }.encode().unwrap();
-        let Body::Motion(tracks) = Datagram::decode(&bytes).unwrap().body else {
+        let bytes = encode(&Datagram { header: header(), body: Body::Motion(vec![track]) }).unwrap();
+        let Body::Motion(tracks) = decode(&bytes).unwrap().body else {
             panic!("another kind");
         };
         let back = tracks[0].samples[0].pose;
         prop_assert!((back.position_m[0] - x).abs() <= 0.51 * POSITION_STEP_M);
         let [i, j, k, w] = back.orientation;
         let p = nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::new(w, i, j, k));
-        prop_assert!(p.angle_to(&q) < 0.01_f64.to_radians());
+        prop_assert!(p.angle_to(&q) < 0.02_f64.to_radians());
     }
 }

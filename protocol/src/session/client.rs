@@ -270,6 +270,7 @@ impl ClientSession {
         match datagram.body {
             Body::Motion(tracks) => self.handle_motion(&datagram.header, tracks, now),
             Body::Corrections(c) => self.emit(ClientEvent::Corrections(c)),
+            Body::Displacements(d) => self.emit(ClientEvent::Displacements(d)),
             Body::Reply(reply) => {
                 if let Some(map) = self.clock.handle_reply(reply, now) {
                     self.emit(ClientEvent::Clock(map));
@@ -513,8 +514,14 @@ impl ClientSession {
         }
         if self.events.len() == EVENTS_MAX {
             // Lossy news make room; a shell that never drains loses those first.
-            let lossy =
-                |e: &ClientEvent| matches!(e, ClientEvent::Motion(_) | ClientEvent::Corrections(_));
+            let lossy = |e: &ClientEvent| {
+                matches!(
+                    e,
+                    ClientEvent::Motion(_)
+                        | ClientEvent::Corrections(_)
+                        | ClientEvent::Displacements(_)
+                )
+            };
             if let Some(i) = self.events.iter().position(lossy) {
                 self.events.remove(i);
             } else {

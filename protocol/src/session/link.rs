@@ -3,9 +3,21 @@
 
 use std::collections::VecDeque;
 
-use crate::datagram::{Body, Datagram, Header};
+use crate::datagram::{
+    Acknowledgement, Body, Datagram, Expected, Header, Memory, Opened, SHORT_TIME, Tag,
+};
 use crate::session::DATAGRAM_BACKLOG_MAX;
-use crate::{Arrival, Epoch, ParticipantId, SequenceWindow, ServerTime, Span};
+use crate::{Arrival, Epoch, ParticipantId, ProtocolError, SequenceWindow, ServerTime, Span};
+
+/// An acknowledgement goes along when so many datagrams have arrived since the last one: its bits
+/// cover 33, so that each number is told four times and a loss of three in a row costs nothing.
+const ACKNOWLEDGE_EVERY: u32 = 8;
+
+/// An acknowledgement goes along at least so often, if anything has arrived.
+const ACKNOWLEDGE_WITHIN: Span = Span::from_millis(40);
+
+/// Times of our datagrams that are kept until they are acknowledged.
+const TIMES_KEPT_MAX: usize = 256;
 
 /// Datagrams that were thrown away, by reason.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -22,6 +34,8 @@ pub struct NoiseCounters {
     pub old: u64,
     /// Before the handshake was done.
     pub early: u64,
+    /// Differences from something that did not arrive here.
+    pub no_baseline: u64,
 }
 
 impl NoiseCounters {
@@ -33,6 +47,7 @@ impl NoiseCounters {
             + self.duplicate
             + self.old
             + self.early
+            + self.no_baseline
     }
 }
 
@@ -84,40 +99,60 @@ fn lost(got: u64, of: u64) -> f64 {
 /// The datagram side of one end. Closed until [`open`](Self::open): what comes before is noise.
 #[derive(Debug, Default)]
 pub(super) struct Link {
-    identity: Option<(Epoch, ParticipantId)>,
+    tag: Option<Tag>,
     /// Numbers begin with 1, so that 0 can say that nothing has arrived yet.
     last_sequence: u32,
     arrived: SequenceWindow,
     acknowledged: SequenceWindow,
     waiting: VecDeque<Body>,
+    /// What our datagrams said, and theirs.
+    sent: Memory,
+    received: Memory,
+    /// The times in our newest datagrams by number, and in the newest one that is acknowledged.
+    sent_at: VecDeque<(u32, ServerTime)>,
+    known_at: Option<ServerTime>,
+    /// The time in their newest datagram.
+    received_at: ServerTime,
+    /// Datagrams that arrived since the last acknowledgement, and when that left.
+    unacknowledged: u32,
+    acknowledged_at: ServerTime,
     stats: LinkStats,
 }
 
 impl Link {
     pub(super) fn open(&mut self, epoch: Epoch, participant: ParticipantId) {
-        self.identity = Some((epoch, participant));
+        self.tag = Some(Tag::new(epoch, participant));
     }
 
     /// The content of a datagram that is to be read; everything else is counted.
     pub(super) fn accept(&mut self, bytes: &[u8]) -> Option<Datagram> {
-        let noise = &mut self.stats.noise;
-        let Some((epoch, participant)) = self.identity else {
-            noise.early += 1;
+        let Some(tag) = self.tag else {
+            self.stats.noise.early += 1;
             return None;
         };
-        let Ok(datagram) = Datagram::decode(bytes) else {
+        let expected = Expected {
+            sequence: self.arrived.acknowledgement().map_or(0, |(n, _)| n),
+            generated: self.received_at,
+            sent: self.last_sequence,
+        };
+        let noise = &mut self.stats.noise;
+        let Ok(opened) = Opened::read(bytes, &expected) else {
             noise.malformed += 1;
             return None;
         };
-        if datagram.header.epoch != epoch {
+        if opened.header.tag.epoch != tag.epoch {
             noise.other_epoch += 1;
             return None;
         }
-        if datagram.header.stream != participant {
+        if opened.header.tag.stream != tag.stream {
             noise.misdirected += 1;
             return None;
         }
-        match self.arrived.insert(datagram.header.sequence) {
+        // Whether it is new is asked before the body is read, whether it counts as arrived is said after:
+        // what can not be read must not be acknowledged, or it would become a baseline.
+        let mut arrived = self.arrived.clone();
+        let arrival = arrived.insert(opened.header.sequence);
+        match arrival {
             Arrival::New | Arrival::Late => {}
             Arrival::Duplicate => {
                 noise.duplicate += 1;
@@ -128,7 +163,25 @@ impl Link {
                 return None;
             }
         }
-        self.note_acknowledgement(datagram.header.newest, datagram.header.bits);
+        let datagram = match opened.body(&mut self.received) {
+            Ok(datagram) => datagram,
+            Err(ProtocolError::NoBaseline { .. }) => {
+                noise.no_baseline += 1;
+                return None;
+            }
+            Err(_) => {
+                noise.malformed += 1;
+                return None;
+            }
+        };
+        self.arrived = arrived;
+        self.unacknowledged += 1;
+        if arrival == Arrival::New {
+            self.received_at = datagram.header.generated;
+        }
+        if let Some(a) = datagram.header.acknowledged {
+            self.note_acknowledgement(a.newest, a.bits);
+        }
         Some(datagram)
     }
 
@@ -139,10 +192,20 @@ impl Link {
         }
         for i in (0..32_u32).rev().filter(|i| bits >> i & 1 == 1) {
             if let Some(n) = newest.checked_sub(1 + i).filter(|n| *n > 0) {
-                self.acknowledged.insert(n);
+                self.acknowledge(n);
             }
         }
-        self.acknowledged.insert(newest);
+        self.acknowledge(newest);
+    }
+
+    fn acknowledge(&mut self, sequence: u32) {
+        if self.acknowledged.insert(sequence).is_fresh() {
+            self.sent.acknowledge(sequence);
+            let sent = self.sent_at.iter().find(|(n, _)| *n == sequence);
+            if let Some((_, time)) = sent {
+                self.known_at = self.known_at.max(Some(*time));
+            }
+        }
     }
 
     pub(super) fn count_misdirected(&mut self) {
@@ -175,24 +238,65 @@ impl Link {
     /// A datagram of this side. `None`, and counted, where it can not be encoded or the link is
     /// not open.
     pub(super) fn encode(&mut self, body: Body, generated: ServerTime) -> Option<Vec<u8>> {
-        let (epoch, stream) = self.identity?;
-        let (newest, bits) = self.arrived.acknowledgement().unwrap_or((0, 0));
-        let sequence = self.last_sequence.wrapping_add(1).max(1);
-        let header = Header {
-            epoch,
-            stream,
-            sequence,
-            generated,
-            newest,
-            bits,
+        let tag = self.tag?;
+        let generated = match &body {
+            // Its newest sample then needs no time of its own.
+            Body::Motion(tracks) => tracks
+                .first()
+                .and_then(|t| t.samples.last())
+                .map_or(generated, |s| s.time),
+            _ => generated,
         };
-        let Ok(bytes) = (Datagram { header, body }).encode() else {
+        let sequence = self.last_sequence.wrapping_add(1).max(1);
+        let near = |t: ServerTime| (generated - t).abs() <= SHORT_TIME;
+        let datagram = Datagram {
+            header: Header {
+                tag,
+                sequence,
+                generated,
+                whole_time: !self.known_at.is_some_and(near),
+                acknowledged: self.acknowledgement_due(generated),
+            },
+            body,
+        };
+        let bytes = match datagram.encode(&mut self.sent) {
+            Ok(bytes) => bytes,
+            Err(ProtocolError::TooLarge { .. }) => {
+                return self.encode_halves(datagram.body, generated);
+            }
+            Err(_) => {
+                self.stats.skipped += 1;
+                return None;
+            }
+        };
+        self.last_sequence = sequence;
+        if self.sent_at.len() == TIMES_KEPT_MAX {
+            self.sent_at.pop_front();
+        }
+        self.sent_at.push_back((sequence, generated));
+        if datagram.header.acknowledged.is_some() {
+            self.unacknowledged = 0;
+            self.acknowledged_at = generated;
+        }
+        self.stats.sent += 1;
+        Some(bytes)
+    }
+
+    /// Sends the first half now and lets the other wait; what has no halves is counted.
+    fn encode_halves(&mut self, body: Body, generated: ServerTime) -> Option<Vec<u8>> {
+        let Some((first, second)) = body.halves() else {
             self.stats.skipped += 1;
             return None;
         };
-        self.last_sequence = sequence;
-        self.stats.sent += 1;
-        Some(bytes)
+        self.waiting.push_front(second);
+        self.encode(first, generated)
+    }
+
+    fn acknowledgement_due(&self, generated: ServerTime) -> Option<Acknowledgement> {
+        let waited = (generated - self.acknowledged_at).abs() >= ACKNOWLEDGE_WITHIN;
+        let due = self.unacknowledged >= ACKNOWLEDGE_EVERY || waited;
+        let (newest, bits) = self.arrived.acknowledgement()?;
+        (due && self.unacknowledged > 0).then_some(Acknowledgement { newest, bits })
     }
 
     pub(super) fn stats(&self) -> LinkStats {

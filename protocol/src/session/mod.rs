@@ -22,7 +22,7 @@ mod server;
 use std::sync::Arc;
 
 use crate::clock::ClockMap;
-use crate::datagram::Corrections;
+use crate::datagram::{Corrections, Displacements};
 use crate::handshake::{Hello, Refused, Welcome};
 use crate::operation::Operation;
 use crate::request::{DelayReport, Request, RequestRefused};
@@ -99,6 +99,8 @@ pub enum ClientEvent {
     Motion(ToolTrack),
     /// Where nodes of the tissue are on the server.
     Corrections(Corrections),
+    /// Where the nodes in view are; only for a client without a tissue of its own.
+    Displacements(Displacements),
     /// What each participant needs of the artificial delay, for the screen.
     Delays(Vec<(ParticipantId, DelayReport)>),
     /// The clock estimate moved: the map from now on. The first one means that it is locked.
@@ -149,6 +151,8 @@ pub enum PeerDatagram {
     Motion(Arc<[ToolTrack]>),
     /// Where nodes are, one piece of [`Corrections::pieces`].
     Corrections(Arc<Corrections>),
+    /// Where the nodes in view are, one piece of [`Displacements::pieces`].
+    Displacements(Arc<Displacements>),
     /// What each participant needs of the artificial delay.
     Delays(Arc<[(ParticipantId, DelayReport)]>),
 }
@@ -157,3 +161,6 @@ pub enum PeerDatagram {
 mod states;
 #[cfg(test)]
 mod tests;
+
+#[cfg(test)]
+mod rate_tests;

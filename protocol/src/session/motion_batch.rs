@@ -1,13 +1,16 @@
-//! One's own samples on their way into datagrams: four new ones, and the four before repeated.
+//! One's own samples on their way into datagrams: four new ones at 250 datagrams a second of a 1 kHz
+//! device, and every second one of the four before repeated.
 
 use std::collections::VecDeque;
 
 use crate::clock::ClockMap;
-use crate::datagram::{POSITION_MAX_M, TRACK_MAX_SAMPLES};
+use crate::datagram::POSITION_MAX_M;
+use crate::datagram::motion::{BATCH, USUAL_SAMPLES};
 use crate::{ClientTime, LocalSample, Span, ToolSample};
 
-/// New samples per datagram: 250 datagrams a second of a 1 kHz device.
-pub(super) const BATCH: usize = 4;
+/// The force goes along with the newest sample of every so many batches, 31 times a second: it is shown and
+/// not felt by others, and would take as many bytes as the poses.
+const FORCE_EVERY: u32 = 8;
 
 /// What waited longer than this is not sent any more: others show something newer by then.
 const STALE: Span = Span::from_millis(50);
@@ -24,6 +27,7 @@ pub(super) struct MotionBatch {
     kept: VecDeque<LocalSample>,
     unsent: usize,
     stale: usize,
+    batches: u32,
 }
 
 impl MotionBatch {
@@ -67,18 +71,22 @@ impl MotionBatch {
         }
         let end = self.kept.len().min(first_new + BATCH);
         let newest = self.kept[end - 1].time;
-        let start = end.saturating_sub(TRACK_MAX_SAMPLES);
+        let repeated = (1..=USUAL_SAMPLES - BATCH).rev();
+        let repeated = repeated.filter_map(|back| (end - BATCH.min(end) + 1).checked_sub(2 * back));
+        let with_force = self.batches % FORCE_EVERY == 0;
         self.unsent = self.kept.len() - end;
-        let recent = |s: &&LocalSample| newest - s.time <= STALE;
-        let samples = self
-            .kept
-            .range(start..end)
-            .filter(recent)
+        self.batches = self.batches.wrapping_add(1);
+        let samples = repeated
+            .chain(end.saturating_sub(BATCH)..end)
+            .map(|i| &self.kept[i])
+            .filter(|s| newest - s.time <= STALE)
             .map(|s| ToolSample {
                 time: map.to_server(s.time),
                 pose: s.pose,
                 buttons: s.buttons,
-                force_n: s.force_n.filter(|f| f.iter().all(|x| x.is_finite())),
+                force_n: s
+                    .force_n
+                    .filter(|f| with_force && s.time == newest && f.iter().all(|x| x.is_finite())),
             });
         Some(samples.collect())
     }

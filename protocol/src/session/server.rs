@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 
 use crate::codec::{self, FrameDecoder};
-use crate::datagram::{Body, Probe, Reply, motion};
-use crate::datagram::{DATAGRAM_MAX_BYTES, HEADER_BYTES, TRACKS_MAX};
+use crate::datagram::TRACKS_MAX;
+use crate::datagram::{Body, Probe, Reply};
 use crate::handshake::{PROTOCOL_VERSION, Preamble, RefusalReason, Refused, name_is_valid};
 use crate::request::{
     ClientMessage, Request, RequestKind, RequestRefusal, RequestRefused, ServerMessage,
@@ -196,7 +196,9 @@ impl ServerPeer {
                 [(who, report)] if *who == participant => self.emit(PeerEvent::Delay(*report)),
                 _ => self.link.count_misdirected(),
             },
-            Body::Corrections(_) | Body::Reply(_) => self.link.count_misdirected(),
+            Body::Corrections(_) | Body::Displacements(_) | Body::Reply(_) => {
+                self.link.count_misdirected()
+            }
         }
     }
 
@@ -334,6 +336,9 @@ impl ServerPeer {
             PeerDatagram::Corrections(c) => {
                 self.link.enqueue(Body::Corrections(c.as_ref().clone()));
             }
+            PeerDatagram::Displacements(d) => {
+                self.link.enqueue(Body::Displacements(d.as_ref().clone()));
+            }
             PeerDatagram::Delays(list) => {
                 for piece in list.chunks(crate::datagram::DELAYS_MAX) {
                     self.link.enqueue(Body::Delays(piece.to_vec()));
@@ -343,21 +348,17 @@ impl ServerPeer {
         self.heartbeat_due = now + HEARTBEAT;
     }
 
-    /// Divides the tools of the others into datagrams.
+    /// Puts the tools of the others into datagrams; one that gets too long is halved when it is
+    /// encoded.
     fn enqueue_motion(&mut self, tracks: &[ToolTrack], own: ParticipantId) {
-        let room = DATAGRAM_MAX_BYTES - HEADER_BYTES - 1;
-        let mut bytes = 0;
-        let mut batch = Vec::new();
         let others = tracks
             .iter()
             .filter(|t| t.participant != own && !t.samples.is_empty());
+        let mut batch = Vec::new();
         for track in others {
-            let more = motion::track_bytes(track);
-            if (bytes + more > room || batch.len() == TRACKS_MAX) && !batch.is_empty() {
+            if batch.len() == TRACKS_MAX {
                 self.link.enqueue(Body::Motion(std::mem::take(&mut batch)));
-                bytes = 0;
             }
-            bytes += more;
             batch.push(track.clone());
         }
         if !batch.is_empty() {

@@ -28,18 +28,24 @@ enum Cargo {
 }
 
 /// One direction: a stream that is never lost, datagrams that are.
-struct Path {
+pub(super) struct Path {
     rng: Pcg64,
     delay_us: i64,
     jitter_us: i64,
     loss: f64,
     stream_due: i64,
     order: u64,
+    /// Datagrams and their bytes, for counting.
+    pub(super) datagrams: (u64, u64),
     on_the_way: BinaryHeap<Reverse<(i64, u64, Cargo)>>,
 }
 
 impl Path {
     fn send(&mut self, now_us: i64, cargo: Cargo) {
+        if let Cargo::Datagram(bytes) = &cargo {
+            self.datagrams.0 += 1;
+            self.datagrams.1 += bytes.len() as u64;
+        }
         let mut due = now_us + self.delay_us + self.rng.random_range(0..=self.jitter_us);
         let lost = self.rng.random_bool(self.loss);
         let doubled = self.rng.random_bool(0.02);
@@ -75,14 +81,14 @@ impl Path {
 }
 
 /// A client, a server's peer and the link between them. The server's clock is 42 s ahead.
-struct Pair {
-    now_us: i64,
-    client: ClientSession,
-    server: ServerPeer,
-    up: Path,
-    down: Path,
-    client_events: Vec<ClientEvent>,
-    server_events: Vec<PeerEvent>,
+pub(super) struct Pair {
+    pub(super) now_us: i64,
+    pub(super) client: ClientSession,
+    pub(super) server: ServerPeer,
+    pub(super) up: Path,
+    pub(super) down: Path,
+    pub(super) client_events: Vec<ClientEvent>,
+    pub(super) server_events: Vec<PeerEvent>,
 }
 
 pub(super) fn hello() -> Hello {
@@ -96,7 +102,7 @@ pub(super) fn hello() -> Hello {
 }
 
 impl Pair {
-    fn new(seed: u64, delay_us: i64, jitter_us: i64, loss: f64) -> Self {
+    pub(super) fn new(seed: u64, delay_us: i64, jitter_us: i64, loss: f64) -> Self {
         let path = |stream| Path {
             rng: Pcg64::new(u128::from(seed), stream),
             delay_us,
@@ -104,6 +110,7 @@ impl Pair {
             loss,
             stream_due: 0,
             order: 0,
+            datagrams: (0, 0),
             on_the_way: BinaryHeap::new(),
         };
         Self {
@@ -117,16 +124,16 @@ impl Pair {
         }
     }
 
-    fn client_now(&self) -> ClientTime {
+    pub(super) fn client_now(&self) -> ClientTime {
         ClientTime::from_micros(self.now_us)
     }
 
-    fn server_now(&self) -> ServerTime {
+    pub(super) fn server_now(&self) -> ServerTime {
         ServerTime::from_micros(self.now_us + OFFSET_US)
     }
 
     /// One millisecond.
-    fn step(&mut self) {
+    pub(super) fn step(&mut self) {
         self.now_us += 1000;
         let (c, s) = (self.client_now(), self.server_now());
         while let Some(cargo) = self.up.arrived(self.now_us) {
@@ -165,7 +172,7 @@ impl Pair {
             .extend(std::iter::from_fn(|| self.server.poll_event()));
     }
 
-    fn steps(&mut self, ms: i64) {
+    pub(super) fn steps(&mut self, ms: i64) {
         (0..ms).for_each(|_| self.step());
     }
 
@@ -174,7 +181,7 @@ impl Pair {
     }
 
     /// Until the client is in, with `log` operations before it.
-    fn join(&mut self, log: u64) {
+    pub(super) fn join(&mut self, log: u64) {
         while !matches!(self.server_events.last(), Some(PeerEvent::Hello(_))) {
             self.step();
         }
