@@ -193,6 +193,8 @@ impl Site {
                     self.view_news.push_back(news);
                 }
             }
+            // Told to those that have no tissue of their own; this one has.
+            ClientEvent::Displacements(_) => {}
             ClientEvent::Clock(map) => self.clock = Some(map),
             ClientEvent::LinkLost => self.notice("nothing comes from the server".to_owned()),
             ClientEvent::LinkRestored => self.notice("the server is back".to_owned()),

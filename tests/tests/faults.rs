@@ -133,14 +133,22 @@ fn when_the_server_is_killed_clients_take_the_force_away_and_say_so() {
     let _alone = alone();
     let table = Table::new();
     let mut session = table.host("lan", 2);
-    let [mut holder, mut cutter] = table.trainees(&session, 6.0);
-    sleep(2.5);
+    let link = session.link("trainee").unwrap().to_string();
+    let trainees = table.scripts(6.0).map(|script| {
+        let script = script.to_str().unwrap();
+        let words = ["client", "join", &link, "--json", "--reconnect", "3"];
+        let arguments = words.into_iter().chain(["--script", script]);
+        Program::start("client", executable(), arguments).unwrap()
+    });
+    sleep(4.5);
     session.server.kill();
-    for participant in [&mut holder, &mut cutter] {
-        let status = participant.program.wait(SOON).unwrap();
+    for mut trainee in trainees {
+        let status = trainee.wait(SOON).unwrap();
         sleep(0.1);
-        let said = participant.program.tail();
+        let said = trainee.tail();
         assert!(!status.success(), "{said}");
+        assert!(said.contains("LINK LOST, no force"), "{said}");
+        assert!(said.contains("which is tried for 3 s"), "{said}");
         assert!(said.contains("the server is gone"), "{said}");
         assert!(!said.contains("panicked"), "{said}");
     }
