@@ -193,14 +193,13 @@ impl Site {
                     self.view_news.push_back(news);
                 }
             }
-            // Told to those that have no tissue of their own; this one has.
-            ClientEvent::Displacements(_) => {}
             ClientEvent::Clock(map) => self.clock = Some(map),
             ClientEvent::LinkLost => self.notice("nothing comes from the server".to_owned()),
             ClientEvent::LinkRestored => self.notice("the server is back".to_owned()),
             ClientEvent::Closed(reason) => self.closed = Some(reason),
             ClientEvent::Welcomed(welcome) => self.handle_return(&welcome)?,
-            ClientEvent::Motion(_) | ClientEvent::Delays(_) => {}
+            // Displacements are for those that have no tissue of their own; this one has.
+            ClientEvent::Motion(_) | ClientEvent::Delays(_) | ClientEvent::Displacements(_) => {}
         }
         Ok(())
     }

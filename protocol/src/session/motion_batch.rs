@@ -73,7 +73,7 @@ impl MotionBatch {
         let newest = self.kept[end - 1].time;
         let repeated = (1..=USUAL_SAMPLES - BATCH).rev();
         let repeated = repeated.filter_map(|back| (end - BATCH.min(end) + 1).checked_sub(2 * back));
-        let with_force = self.batches % FORCE_EVERY == 0;
+        let with_force = self.batches.is_multiple_of(FORCE_EVERY);
         self.unsent = self.kept.len() - end;
         self.batches = self.batches.wrapping_add(1);
         let samples = repeated

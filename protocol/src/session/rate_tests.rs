@@ -120,7 +120,6 @@ fn a_full_subscriber_stays_below_its_rates() {
         (100_000, 20_000, 0.05),
     ] {
         let ([up, down], bytes) = rates(3, delay_us, jitter_us, loss);
-        println!("{delay_us} {up} {down} {bytes:?}");
         assert!(up <= 100e3, "{up} bit/s up, {bytes:?} B");
         assert!(down <= 150e3, "{down} bit/s down, {bytes:?} B");
     }

@@ -197,7 +197,7 @@ impl ServerPeer {
                 _ => self.link.count_misdirected(),
             },
             Body::Corrections(_) | Body::Displacements(_) | Body::Reply(_) => {
-                self.link.count_misdirected()
+                self.link.count_misdirected();
             }
         }
     }

@@ -93,7 +93,8 @@ fn which(word: &str) -> Result<Which, String> {
 
 fn experiment(name: &str) -> Result<Experiment, String> {
     named(name).ok_or_else(|| {
-        let names = ALL.map(|e| e.name).join(", ");
+        let names: Vec<_> = ALL.iter().map(|e| e.name).collect();
+        let names = names.join(", ");
         format!("there is no experiment \"{name}\"; there are {names}")
     })
 }

@@ -90,7 +90,7 @@ impl Takes {
 }
 
 /// All of them, in the order in which they are run.
-pub const ALL: [Experiment; 14] = [
+pub const ALL: &[Experiment] = &[
     Experiment {
         name: "soft-hard",
         about: "a ball on soft, on stiff tissue and between them (Lin 2007, fig 4.8)",
@@ -185,7 +185,7 @@ pub const ALL: [Experiment; 14] = [
 
 /// The experiment of that name.
 pub fn named(name: &str) -> Option<Experiment> {
-    ALL.into_iter().find(|e| e.name == name)
+    ALL.iter().find(|e| e.name == name).copied()
 }
 
 /// What an experiment works with.
