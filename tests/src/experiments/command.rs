@@ -229,7 +229,7 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
     let kept = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
     let mut progress = Progress::new();
     let mut done = Vec::new();
-    for experiment in ALL {
+    for &experiment in ALL {
         let outcome = made(experiment, Given::default(), kept.path(), &mut progress)?;
         outcome.write(&arguments.out)?;
         if arguments.json {
