@@ -2,6 +2,8 @@
 //!
 //! Everything is bounded; what found no room is counted in [`Dropped`].
 
+use nalgebra::Vector3;
+use palpate_device::{Buttons, Pose};
 use serde::{Deserialize, Serialize};
 
 /// Points of the hand's path: 20 minutes of every fourth tick. Later ones are dropped and counted.
@@ -55,8 +57,26 @@ pub struct HapticPoint {
     pub t_us: i64,
     /// Where the tool was, m.
     pub position_m: [f64; 3],
+    /// How it was turned: x, y, z, w of a unit quaternion.
+    pub orientation: [f64; 4],
+    /// The buttons that were held, one bit each; bit 0 cuts.
+    pub buttons: u32,
     /// The force on the tool, N.
     pub force_n: [f64; 3],
+}
+
+impl HapticPoint {
+    /// A point of a sample of the device, and the force (N) on the tool then.
+    pub fn new(t_us: i64, pose: &Pose, buttons: Buttons, force_n: Vector3<f64>) -> Self {
+        let q = pose.orientation;
+        Self {
+            t_us,
+            position_m: pose.position.into(),
+            orientation: [q.i, q.j, q.k, q.w],
+            buttons: buttons.bits(),
+            force_n: force_n.into(),
+        }
+    }
 }
 
 /// One view of the table.

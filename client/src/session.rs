@@ -218,11 +218,8 @@ fn write_recording(
     outcome: Result<Summary, ClientError>,
 ) -> Result<Summary, ClientError> {
     if let Some(haptics) = haptics {
-        let point = |p: &TracePoint| HapticPoint {
-            t_us: p.time.as_micros(),
-            position_m: p.position.into(),
-            force_n: p.force.into(),
-        };
+        let point =
+            |p: &TracePoint| HapticPoint::new(p.time.as_micros(), &p.pose, p.buttons, p.force);
         recording.haptic = haptics.trace.points().iter().map(point).collect();
         recording.dropped.haptic = haptics.trace.lost();
     }

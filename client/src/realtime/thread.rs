@@ -208,7 +208,8 @@ impl HapticLoop {
         if self.control.recording.load(Ordering::Relaxed) {
             self.trace.record(TracePoint {
                 time: frame.time,
-                position: frame.sample.pose.position,
+                pose: frame.sample.pose,
+                buttons: frame.sample.buttons,
                 force: frame.wrench.force,
                 events: frame.events,
             });

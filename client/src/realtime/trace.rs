@@ -1,6 +1,7 @@
 //! The path and the force of a run, kept for plots and comparisons.
 
 use nalgebra::Vector3;
+use palpate_device::{Buttons, Pose};
 use palpate_haptics::Events;
 use palpate_protocol::ClientTime;
 
@@ -9,8 +10,10 @@ use palpate_protocol::ClientTime;
 pub struct TracePoint {
     /// When.
     pub time: ClientTime,
-    /// Position of the tool, m.
-    pub position: Vector3<f64>,
+    /// Where the tool was.
+    pub pose: Pose,
+    /// The buttons that were held.
+    pub buttons: Buttons,
     /// Force on the tool, N.
     pub force: Vector3<f64>,
     /// What happened in the tick.
@@ -82,7 +85,8 @@ mod tests {
         for i in 0..100 {
             trace.record(TracePoint {
                 time: ClientTime::from_micros(i),
-                position: Vector3::zeros(),
+                pose: Pose::default(),
+                buttons: Buttons::NONE,
                 force: Vector3::zeros(),
                 events: Events::NONE,
             });

@@ -3,10 +3,12 @@
 //!
 //! Whole sessions are [rehearsed](crate::rehearsal) in virtual time, one per seed, over several
 //! networks. The disagreement counts every node that is displaced by more than 0.05 mm on either
-//! side, every 10 ms; the force error is compared with [one table](mod@crate::reference).
+//! side, every 10 ms. Forces are compared with those of the same hands on the same ways at [one
+//! table](reference::replay), and with hands that [follow their scripts](reference::run) there.
 
 use std::sync::Arc;
 
+use palpate_client::Recording;
 use palpate_device::Script;
 use palpate_protocol::operation::{CompensationMode, CompensationSettings};
 use palpate_tissue::{Material, Model, Topology, block};
@@ -90,16 +92,61 @@ impl Distances {
     }
 }
 
+/// Differences of forces over the contact.
+#[derive(Debug, Clone, Default)]
+struct ForceErrors {
+    /// `|F - F_ref|²` and `|F_ref|²`, summed, N².
+    off: f64,
+    size: f64,
+    /// `|F - F_ref|`, N.
+    errors: Vec<f32>,
+}
+
+impl ForceErrors {
+    fn add(&mut self, recording: &Recording, course: &[ForcePoint]) {
+        let Some(began) = recording.script_started_us else {
+            return;
+        };
+        for (off, size) in difference(&over_script(&recording.haptic, began), course) {
+            self.off += off * off;
+            self.size += size * size;
+            self.errors.push(off as f32);
+        }
+    }
+
+    fn join(mut self, mut other: Self) -> Self {
+        self.errors.append(&mut other.errors);
+        Self {
+            off: self.off + other.off,
+            size: self.size + other.size,
+            ..self
+        }
+    }
+
+    fn rms(&self) -> f64 {
+        (self.off / self.size).sqrt()
+    }
+
+    /// The error that 95 of 100 moments of contact stay below, over the rms of the force.
+    fn p95(&mut self) -> f64 {
+        if self.errors.is_empty() {
+            return f64::NAN;
+        }
+        let at = (self.errors.len() - 1) * 95 / 100;
+        let p95 = *self.errors.select_nth_unstable_by(at, f32::total_cmp).1;
+        f64::from(p95) / (self.size / self.errors.len() as f64).sqrt()
+    }
+}
+
 /// What the sessions over one network gave.
 #[derive(Debug, Clone, Default)]
 struct Tally {
     sessions: u64,
     apart: Distances,
-    /// `|F - F_ref|²` and `|F_ref|²` over the contact, summed, N².
-    off: f64,
-    size: f64,
-    /// `|F - F_ref|` over the contact, N.
-    errors: Vec<f32>,
+    /// From the same hands at one table.
+    felt: ForceErrors,
+    /// From hands that follow their scripts there.
+    scripted: ForceErrors,
     equal: u64,
     bytes: BytesPerSecond,
     troubles: Vec<String>,
@@ -108,7 +155,7 @@ struct Tally {
 }
 
 impl Tally {
-    fn of(rehearsed: &Rehearsed, truth: &[Vec<ForcePoint>; 2], seed: u64) -> Self {
+    fn of(rehearsed: &Rehearsed, tables: [&[Vec<ForcePoint>; 2]; 2], seed: u64) -> Self {
         let mut tally = Self {
             sessions: 1,
             equal: u64::from(rehearsed.hashes_equal()),
@@ -123,27 +170,21 @@ impl Tally {
             let all: Vec<_> = rehearsed.recordings.iter().collect();
             tally.course = Disagreement::between(&all).course;
         }
-        for (recording, course) in rehearsed.recordings.iter().zip(truth) {
-            let Some(began) = recording.script_started_us else {
-                continue;
-            };
-            for (off, size) in difference(&over_script(&recording.haptic, began), course) {
-                tally.off += off * off;
-                tally.size += size * size;
-                tally.errors.push(off as f32);
-            }
+        let [same_hands, scripted] = tables;
+        for (k, recording) in rehearsed.recordings.iter().enumerate() {
+            tally.felt.add(recording, &same_hands[k]);
+            tally.scripted.add(recording, &scripted[k]);
         }
         tally
     }
 
     fn join(mut self, mut other: Self) -> Self {
         self.apart = self.apart.join(&other.apart);
-        self.errors.append(&mut other.errors);
+        self.felt = self.felt.join(other.felt);
+        self.scripted = self.scripted.join(other.scripted);
         self.troubles.append(&mut other.troubles);
         Self {
             sessions: self.sessions + other.sessions,
-            off: self.off + other.off,
-            size: self.size + other.size,
             equal: self.equal + other.equal,
             bytes: BytesPerSecond {
                 up: self.bytes.up + other.bytes.up,
@@ -158,31 +199,18 @@ impl Tally {
         }
     }
 
-    fn force_rms(&self) -> f64 {
-        (self.off / self.size).sqrt()
-    }
-
-    /// The error that 95 of 100 moments of contact stay below, over the rms of the force.
-    fn force_p95(&mut self) -> f64 {
-        if self.errors.is_empty() {
-            return f64::NAN;
-        }
-        let at = (self.errors.len() - 1) * 95 / 100;
-        let p95 = *self.errors.select_nth_unstable_by(at, f32::total_cmp).1;
-        f64::from(p95) / (self.size / self.errors.len() as f64).sqrt()
-    }
-
     fn row(&mut self, profile: &Profile) -> Value {
         let n = self.sessions.max(1) as f64;
         let (p50, p95) = (self.apart.quantile(0.5), self.apart.quantile(0.95));
         let equal = self.equal == self.sessions;
-        let (rms, force_p95) = (self.force_rms(), self.force_p95());
+        let (rms, force_p95) = (self.felt.rms(), self.felt.p95());
         json!({
             "profile": profile.name,
             "seeds": self.sessions,
             "shape_disagreement_mm": { "p50": p50, "p95": p95, "max": self.apart.max },
             "force_error_rms": rms,
             "force_error_p95": force_p95,
+            "force_error_rms_scripted": self.scripted.rms(),
             "hashes_equal": equal,
             "bytes_per_s": { "up": self.bytes.up / n, "down": self.bytes.down / n },
             "troubles": self.troubles,
@@ -284,7 +312,7 @@ fn session(
     profile: &Profile,
     base: u64,
     seed: u64,
-    truth: &[Vec<ForcePoint>; 2],
+    scripted: &[Vec<ForcePoint>; 2],
 ) -> Result<Tally, String> {
     let rehearsal = Rehearsal {
         model,
@@ -297,7 +325,14 @@ fn session(
         },
         tick_hz: TICK_HZ,
     };
-    Ok(Tally::of(&rehearsal.run(|_| true)?, truth, seed))
+    let rehearsed = rehearsal.run(|_| true)?;
+    let [a, b] = rehearsed.recordings.as_slice() else {
+        return Err("a session of two has two recordings".to_owned());
+    };
+    let same_hands =
+        reference::replay(model, *scripts, [a, b], |_| true).map_err(|e| e.to_string())?;
+    let tables = [&same_hands.courses, scripted];
+    Ok(Tally::of(&rehearsed, tables, seed))
 }
 
 const HEADER: &str = "network,sessions,shape_p50_mm,shape_p95_mm,shape_max_mm,force_rms,force_p95,hashes_equal,up_bytes_s,down_bytes_s\n";

@@ -135,11 +135,9 @@ impl Guest {
         let turned = self.hand.turn(now, wishes, &self.contact);
         let frame = turned.frame;
         if self.ticks.is_multiple_of(HAPTIC_EVERY) {
-            self.recording.haptic.push(HapticPoint {
-                t_us: at_us,
-                position_m: frame.sample.pose.position.into(),
-                force_n: frame.wrench.force.into(),
-            });
+            let (pose, buttons) = (&frame.sample.pose, frame.sample.buttons);
+            let point = HapticPoint::new(at_us, pose, buttons, frame.wrench.force);
+            self.recording.haptic.push(point);
         }
         if turned.is_good && self.site.is_some() {
             let sample = local_sample(&frame);

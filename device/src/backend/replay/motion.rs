@@ -97,6 +97,15 @@ struct Recording {
 struct Point {
     t_us: i64,
     position_m: [f64; 3],
+    /// x, y, z, w; older recordings do not tell it, nor the buttons.
+    #[serde(default = "not_turned")]
+    orientation: [f64; 4],
+    #[serde(default)]
+    buttons: u32,
+}
+
+fn not_turned() -> [f64; 4] {
+    [0.0, 0.0, 0.0, 1.0]
 }
 
 impl Motion {
@@ -167,14 +176,26 @@ impl Motion {
     /// From the JSON of a recorded session: its hand's path, from where its script began.
     pub fn from_recording(text: &str) -> Result<Self, MotionError> {
         let recording: Recording = serde_json::from_str(without_mark(text))?;
-        let moment = |p: &Point| Moment {
-            t_s: p.t_us as f64 * 1e-6,
-            pose: Pose::at(p.position_m.into()),
-            buttons: Buttons::NONE,
+        let moment = |(k, p): (usize, &Point)| {
+            let [x, y, z, w] = p.orientation;
+            let orientation = unit(Quaternion::new(w, x, y, z));
+            let pose = orientation.map(|orientation| Pose {
+                position: p.position_m.into(),
+                orientation,
+            });
+            Ok(Moment {
+                t_s: p.t_us as f64 * 1e-6,
+                pose: pose.map_err(|what| MotionError::Moment {
+                    number: k + 1,
+                    what,
+                })?,
+                buttons: Buttons::from_bits(p.buttons),
+            })
         };
         let began = recording.script_started_us.unwrap_or(i64::MIN);
-        let points = recording.haptic.iter().filter(|p| p.t_us >= began);
-        Self::new(points.map(moment).collect())
+        let points = recording.haptic.iter().enumerate();
+        let points = points.filter(|(_, p)| p.t_us >= began);
+        Self::new(points.map(moment).collect::<Result<_, MotionError>>()?)
     }
 
     /// From a table of numbers between commas.
@@ -286,18 +307,18 @@ fn without_mark(text: &str) -> &str {
     text.strip_prefix('\u{feff}').unwrap_or(text)
 }
 
+fn unit(q: Quaternion<f64>) -> Result<UnitQuaternion<f64>, &'static str> {
+    if !(1e-3..=1e3).contains(&q.norm()) {
+        return Err("the quaternion is zero, or far from one");
+    }
+    Ok(UnitQuaternion::new_normalize(q))
+}
+
 fn moment(names: &[&str], row: &[f64]) -> Result<Moment, &'static str> {
     let column = |name: &str| names.iter().position(|n| *n == name).map(|k| row[k]);
     let number = |name: &str| column(name).unwrap_or(0.0);
     let orientation = match column("qw") {
-        Some(w) => {
-            let q = Quaternion::new(w, number("qx"), number("qy"), number("qz"));
-            let length = q.norm();
-            if !(1e-3..=1e3).contains(&length) {
-                return Err("the quaternion is zero, or far from one");
-            }
-            UnitQuaternion::new_normalize(q)
-        }
+        Some(w) => unit(Quaternion::new(w, number("qx"), number("qy"), number("qz")))?,
         None => UnitQuaternion::identity(),
     };
     let buttons = number("buttons");

@@ -61,11 +61,19 @@ fn a_recording_of_a_session_is_a_motion() {
     let text = r#"{"name": "Ada", "script_started_us": 4999000, "haptic": [
         {"t_us": 1000000, "position_m": [9.0, 0.0, 0.1], "force_n": [0, 0, 0]},
         {"t_us": 5000000, "position_m": [0.0, 0.0, 0.1], "force_n": [0, 0, 0]},
-        {"t_us": 5004000, "position_m": [0.0, 0.0, 0.09], "force_n": [0, 0, 1]}
+        {"t_us": 5004000, "position_m": [0.0, 0.0, 0.09], "orientation": [1, 0, 0, 0], "buttons": 1,
+         "force_n": [0, 0, 1]}
     ], "views": []}"#;
     let motion = Motion::from_recording(text).unwrap();
     assert!((motion.length_s() - 4e-3).abs() < 1e-12);
-    assert_eq!(motion.moments()[1].pose.position.z, 0.09);
+    let [first, second] = motion.moments() else {
+        panic!("{motion:?}")
+    };
+    assert_eq!(first.pose.orientation.angle(), 0.0);
+    assert_eq!(first.buttons, Buttons::NONE);
+    assert_eq!(second.pose.position.z, 0.09);
+    assert_eq!(second.pose.orientation.i, 1.0);
+    assert_eq!(second.buttons, Buttons::PRIMARY);
     let error = Motion::from_recording("{\"views\": []}").unwrap_err();
     assert!(error.to_string().contains("\"haptic\""), "{error}");
     let error = Motion::from_recording("{\"haptic\": []}").unwrap_err();

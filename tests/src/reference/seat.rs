@@ -1,0 +1,141 @@
+//! A seat at the table: a hand, its haptic chain, its tool and the stroke of its blade.
+
+use nalgebra::{Quaternion, Unit};
+use palpate_client::ToolAt;
+use palpate_client::convert::tool_description;
+use palpate_client::recording::Recording;
+use palpate_client::stroke::StrokeCollector;
+use palpate_device::backend::replay::{Moment, Motion, Replay};
+use palpate_device::backend::sim::{ScriptStart, SimHand};
+use palpate_device::{
+    Buttons, DeviceFault, DeviceTime, HapticDevice, Pose as DevicePose, Sample, Script,
+};
+use palpate_haptics::{Chain, ChainConfig, ContactModel};
+use palpate_protocol::request::CutRequest;
+use palpate_protocol::{ClientTime, ParticipantId, Pose, ServerTime};
+
+use super::{LEAD_US, ReferenceError};
+use crate::force_error::ForcePoint;
+
+/// A hand with all that is its own.
+pub(super) struct Seat {
+    hand: Box<dyn HapticDevice>,
+    chain: Box<Chain>,
+    /// When the script begins, µs of the table.
+    script_us: i64,
+    pub(super) contact: ContactModel,
+    pub(super) tool: ToolAt,
+    stroke: StrokeCollector,
+    pub(super) course: Vec<ForcePoint>,
+}
+
+impl Seat {
+    /// Somebody who follows a script, which begins after [`LEAD_US`].
+    pub(super) fn of_script(script: &Script, number: u16) -> Result<Self, DeviceFault> {
+        let start = ScriptStart::at(DeviceTime::from_micros(LEAD_US));
+        let hand = SimHand::new(script.clone(), start);
+        let chain = Chain::new(ChainConfig::default(), hand.caps());
+        Self::new(Box::new(hand), chain, script, number, LEAD_US)
+    }
+
+    /// Somebody whose hand goes where it went in a session, whatever pushes it; `zero_us` of the session's
+    /// clock is [`LEAD_US`] at the table. It renders what the hand of the session did.
+    pub(super) fn of_recording(
+        recording: &Recording,
+        script: &Script,
+        number: u16,
+        zero_us: i64,
+    ) -> Result<Self, ReferenceError> {
+        let unusable = |what: String| ReferenceError::Recording {
+            name: recording.name.clone(),
+            what,
+        };
+        let began = recording
+            .script_started_us
+            .ok_or_else(|| unusable("its script did not begin".to_owned()))?;
+        let moments = recording.haptic.iter().map(|p| {
+            let [x, y, z, w] = p.orientation;
+            Moment {
+                t_s: (p.t_us - zero_us) as f64 * 1e-6,
+                pose: DevicePose {
+                    position: p.position_m.into(),
+                    orientation: Unit::new_normalize(Quaternion::new(w, x, y, z)),
+                },
+                buttons: Buttons::from_bits(p.buttons),
+            }
+        });
+        let motion = Motion::new(moments.collect()).map_err(|e| unusable(e.to_string()))?;
+        let first_us = recording.haptic[0].t_us - zero_us + LEAD_US;
+        let start = ScriptStart::at(DeviceTime::from_micros(first_us));
+        let rendering = SimHand::new(script.clone(), ScriptStart::not_yet());
+        let chain = Chain::new(ChainConfig::default(), rendering.caps());
+        let script_us = began - zero_us + LEAD_US;
+        let hand = Box::new(Replay::new(motion, start));
+        Ok(Self::new(hand, chain, script, number, script_us)?)
+    }
+
+    fn new(
+        mut hand: Box<dyn HapticDevice>,
+        chain: Chain,
+        script: &Script,
+        number: u16,
+        script_us: i64,
+    ) -> Result<Self, DeviceFault> {
+        hand.enable_forces(true)?;
+        Ok(Self {
+            hand,
+            chain: Box::new(chain),
+            script_us,
+            contact: ContactModel::FREE,
+            tool: ToolAt {
+                participant: ParticipantId(number),
+                description: tool_description(&script.tool()),
+                position: script.ways()[0].position,
+                orientation: script.ways()[0].orientation,
+                buttons: 0,
+                stale: false,
+            },
+            stroke: StrokeCollector::new(script.tool().length_m),
+            course: Vec::new(),
+        })
+    }
+
+    /// Seconds of its script at a moment of the table.
+    pub(super) fn script_s(&self, us: i64) -> f64 {
+        (us - self.script_us) as f64 * 1e-6
+    }
+
+    /// A millisecond of the hand and its chain.
+    pub(super) fn tick(&mut self, us: i64) -> Result<Sample, DeviceFault> {
+        let now = DeviceTime::from_micros(us);
+        let sample = self.hand.read(now)?;
+        let tick = self
+            .chain
+            .tick(ClientTime::from_micros(us), &sample, &self.contact);
+        // What the hand can not render it clamps; the chain clamps below that.
+        let _ = self.hand.write(now, tick.wrench);
+        if us >= self.script_us {
+            self.course.push(ForcePoint {
+                t_s: self.script_s(us),
+                force_n: tick.wrench.force.into(),
+                position_m: sample.pose.position.into(),
+            });
+        }
+        Ok(sample)
+    }
+
+    /// Takes over where the tool is; gives the stroke that has just ended.
+    pub(super) fn take(&mut self, us: i64, sample: &Sample) -> Option<CutRequest> {
+        self.tool.position = sample.pose.position;
+        self.tool.orientation = sample.pose.orientation;
+        self.tool.buttons = (sample.buttons.bits() & 0xff) as u8;
+        let q = sample.pose.orientation;
+        let pose = Pose {
+            position_m: sample.pose.position.into(),
+            orientation: [q.i, q.j, q.k, q.w],
+        };
+        let pressed = self.tool.is_cutting();
+        self.stroke
+            .push(ServerTime::from_micros(us), &pose, pressed)
+    }
+}
