@@ -26,7 +26,7 @@
 //!
 //! Three samples 10 ms apart reach 20 ms back and throw all others of a 1 kHz stream away. Two errors are carried on:
 //! the parabola's for the hand's third derivative j, which grows with the reach W, and the noise σ of samples, here the
-//! rounding to 0.01 mm on the wire, which falls with the n samples that are used. For a parabola of least squares over
+//! rounding to 0.0125 mm on the wire, which falls with the n samples that are used. For a parabola of least squares over
 //! evenly spaced samples (its residual of a cubic is Legendre's third polynomial; its coefficients at the end of the
 //! window have the variances of the inverse normal equations for large n)
 //!
@@ -63,7 +63,7 @@ pub const FIT_S: f64 = 0.015;
 pub const FADES_S: f64 = 0.025;
 
 /// What a fit may make of the newest sample, metres: two steps of the wire. More is motion, not noise.
-const NOISE_MAX_M: f64 = 2e-5;
+const NOISE_MAX_M: f64 = 2.5e-5;
 
 /// No hand accelerates faster, m/s²; what seems to is noise.
 pub const ACCELERATION_MAX: f64 = 50.0;

@@ -134,11 +134,12 @@ fn when_the_server_is_killed_clients_take_the_force_away_and_say_so() {
     let table = Table::new();
     let mut session = table.host("lan", 2);
     let link = session.link("trainee").unwrap().to_string();
-    let trainees = table.scripts(6.0).map(|script| {
-        let script = script.to_str().unwrap();
-        let words = ["client", "join", &link, "--json", "--reconnect", "3"];
-        let arguments = words.into_iter().chain(["--script", script]);
-        Program::start("client", executable(), arguments).unwrap()
+    let [holder, cutter] = table.scripts(6.0);
+    let trainees = [("holder", holder), ("cutter", cutter)].map(|(name, script)| {
+        let (link, script) = (&link, script.to_str().unwrap());
+        let words = ["client", "join", link, "--name", name, "--reconnect", "3"];
+        let arguments = words.into_iter().chain(["--json", "--script", script]);
+        Program::start(name, executable(), arguments).unwrap()
     });
     sleep(4.5);
     session.server.kill();

@@ -166,6 +166,17 @@ impl Curve {
         }
     }
 
+    /// The ends of the gap after number `i` without the noise of their rounding, each from its own side.
+    fn quiet_ends(&self, i: usize, k0: Knot, k1: Knot) -> (Knot, Knot) {
+        let origin = self.samples[i].time;
+        let quiet = |k: Knot, fit: Option<Fit>| Knot {
+            x: fit.map_or(k.x, |f| f.x),
+            ..k
+        };
+        let (before, after) = (self.fit_before(i, origin), self.fit_after(i + 1, origin));
+        (quiet(k0, before), quiet(k1, after))
+    }
+
     /// From one window before a sample to one after it.
     fn velocity_at(&self, i: usize) -> Vec3 {
         let origin = self.samples[i].time;
@@ -194,6 +205,11 @@ impl Curve {
                 let a0 = before.map(|m| verlet::acceleration(self.knot(m, s0.time), k0, k1));
                 let a1 = after.map(|p| verlet::acceleration(k0, k1, self.knot(p, s0.time)));
                 let (a0, a1) = (a0.or(a1).unwrap_or_default(), a1.or(a0).unwrap_or_default());
+                let (k0, k1) = if raw {
+                    (k0, k1)
+                } else {
+                    self.quiet_ends(i, k0, k1)
+                };
                 verlet::interpolate(k0, k1, a0, a1, at)
             }
             Method::Hermite => {

@@ -170,7 +170,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     }
     let listed: Vec<Value> = rows.iter().map(Row::json).collect();
     Ok(Outcome {
-        caption: "Errors of what is made up for missing samples, against the motion itself. The stream is rounded to 0.01 mm as on the wire. Each \
+        caption: "Errors of what is made up for missing samples, against the motion itself. The stream is rounded to 0.0125 mm as on the wire. Each \
                   method is shown as far as the gap goes; in a session what is beyond 50 ms is held. Force is that of a spring behind \
                   a plane through the motion's mean, in percent of its own root mean square. Lines end where they leave the picture."
             .to_owned(),
