@@ -25,7 +25,7 @@ Examples:
   palpate-lab run friction                       figures here, charts and tables in ./palpate-experiments
   palpate-lab run press --model thigh.palp --json
   palpate-lab run table-7-1 --motion hand.csv    a table time_s,x_m,y_m,z_m[,qw,qx,qy,qz]; rows in order of time
-  palpate-lab run replicas --seeds 1000 --profile satellite --json
+  palpate-lab run replicas --seeds 1000 --real 20 --json
   palpate-lab run mine.toml                      its experiment, and seed, profile, motion, model as lines of it;
                                                  what is said here as well counts more than what is said there
   palpate-lab all -o report                      every experiment, and report/index.html with all charts
@@ -52,6 +52,9 @@ pub struct RunArguments {
     /// How many sessions with seeds of their own, where the experiment tries several
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     seeds: Option<u64>,
+    /// Run so many sessions in real time as well, with processes and QUIC, where the experiment can
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    real: Option<u64>,
     /// A network instead of the experiment's own ones: a name, or a file (.toml)
     #[arg(long)]
     profile: Option<String>,
@@ -105,6 +108,7 @@ struct Given {
     model: Option<std::sync::Arc<palpate_tissue::Model>>,
     seed: Option<u64>,
     seeds: Option<u64>,
+    real: Option<u64>,
     profile: Option<Profile>,
     motion: Option<std::sync::Arc<Recorded>>,
 }
@@ -125,6 +129,7 @@ impl RunArguments {
             experiment: experiment.name.to_owned(),
             seed: self.seed.or(file.seed),
             seeds: self.seeds.or(file.seeds),
+            real: self.real.or(file.real),
             profile: self.profile.clone().or(file.profile),
             motion: self.motion.clone().or(file.motion),
             model: self.model.clone().or(file.model),
@@ -151,6 +156,11 @@ fn refuse_idle(experiment: Experiment, recipe: &Recipe) -> Result<(), String> {
             "seeds",
             recipe.seeds.is_some() && !takes.seeds,
             "is one run",
+        ),
+        (
+            "real",
+            recipe.real.is_some() && !takes.real,
+            "has no sessions in real time",
         ),
         (
             "profile",
@@ -188,6 +198,7 @@ pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
     let mut given = Given {
         seed: recipe.seed,
         seeds: recipe.seeds,
+        real: recipe.real,
         ..Given::default()
     };
     if let Some(name) = &recipe.profile {
@@ -265,6 +276,7 @@ fn made(
             model: given.model,
             seed: given.seed.unwrap_or(SEED),
             seeds: given.seeds,
+            real: given.real,
             profile: given.profile,
             motion: given.motion,
             dir,

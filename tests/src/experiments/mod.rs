@@ -42,7 +42,7 @@ pub struct Experiment {
 }
 
 /// The options that an experiment takes.
-// Four options that have nothing to do with each other, and no states of one thing.
+// Options that have nothing to do with each other, and no states of one thing.
 #[allow(clippy::struct_excessive_bools)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Takes {
@@ -52,6 +52,8 @@ pub struct Takes {
     pub seed: bool,
     /// How many seeds to try.
     pub seeds: bool,
+    /// Sessions in real time, with processes and sockets.
+    pub real: bool,
     /// A network.
     pub profile: bool,
     /// A recorded motion of a hand.
@@ -64,6 +66,7 @@ impl Takes {
         model: false,
         seed: false,
         seeds: false,
+        real: false,
         profile: false,
         motion: false,
     };
@@ -164,6 +167,7 @@ pub const ALL: &[Experiment] = &[
             model: true,
             seed: true,
             seeds: true,
+            real: true,
             profile: true,
             motion: false,
         },
@@ -196,6 +200,8 @@ pub struct Bench<'a> {
     pub seed: u64,
     /// How many seeds to try, where the experiment tries several.
     pub seeds: Option<u64>,
+    /// How many sessions in real time too.
+    pub real: Option<u64>,
     /// A network instead of the experiment's own ones.
     pub profile: Option<Profile>,
     /// A recorded motion instead of the experiment's own hand.

@@ -4,6 +4,7 @@
 //! experiment = "table-7-1"
 //! seed = 7                    # each of these only where the experiment takes it
 //! seeds = 100
+//! real = 20
 //! motion = "hand.csv"         # files are looked for beside this one
 //! profile = "transatlantic"
 //! model = "thigh"
@@ -26,6 +27,8 @@ pub struct Recipe {
     pub seed: Option<u64>,
     /// How many seeds to try.
     pub seeds: Option<u64>,
+    /// How many sessions in real time.
+    pub real: Option<u64>,
     /// The network.
     pub profile: Option<String>,
     /// A recorded motion (CSV).

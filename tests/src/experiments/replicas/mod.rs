@@ -6,9 +6,11 @@
 //! side, every 10 ms. Forces are compared with those of the same hands on the same ways at [one
 //! table](reference::replay), and with hands that [follow their scripts](reference::run) there.
 
+mod real;
+mod tally;
+
 use std::sync::Arc;
 
-use palpate_client::Recording;
 use palpate_device::Script;
 use palpate_protocol::operation::{CompensationMode, CompensationSettings};
 use palpate_tissue::{Material, Model, Topology, block};
@@ -18,13 +20,14 @@ use serde_json::{Value, json};
 use super::{Bench, Outcome, panel};
 use crate::bench::on_threads;
 use crate::chart::{BLUE, Chart, GREEN, GREY, Line, ORANGE};
-use crate::disagreement::{CoursePoint, Disagreement, each_node};
-use crate::force_error::{ForcePoint, difference, over_script};
+use crate::disagreement::CoursePoint;
+use crate::force_error::ForcePoint;
 use crate::network::{Jitter, Link, Profile};
 use crate::place::Place;
 use crate::reference;
-use crate::rehearsal::{BytesPerSecond, Rehearsal, Rehearsed};
+use crate::rehearsal::Rehearsal;
 use crate::scripts::Scripts;
+use tally::{Sat, Tally};
 
 /// Sessions per network when nothing is said: each takes one to two seconds.
 const SEEDS: u64 = 20;
@@ -38,186 +41,6 @@ const TICK_HZ: u32 = 60;
 /// The most that the artificial delay may be: at 400 ms of round trip to the server an event of one
 /// participant is 400 ms old when it reaches the other.
 const CAP_US: u32 = 700_000;
-
-/// Width of a bucket of distances, mm, and how many there are: to 20 mm.
-const BUCKET_MM: f64 = 5e-4;
-const BUCKETS: usize = 40_000;
-
-/// What is asked of views: 95 of 100 distances below this, mm ...
-const SHAPE_P95_MM: f64 = 0.1;
-/// ... and of forces, as a share.
-const FORCE_RMS: f64 = 0.05;
-
-/// Distances, counted by size.
-#[derive(Debug, Clone)]
-struct Distances {
-    counts: Vec<u64>,
-    max: f64,
-}
-
-impl Default for Distances {
-    fn default() -> Self {
-        Self {
-            counts: vec![0; BUCKETS],
-            max: 0.0,
-        }
-    }
-}
-
-impl Distances {
-    fn add(&mut self, mm: f64) {
-        let bucket = ((mm / BUCKET_MM) as usize).min(BUCKETS - 1);
-        self.counts[bucket] += 1;
-        self.max = self.max.max(mm);
-    }
-
-    fn join(mut self, other: &Self) -> Self {
-        for (a, b) in self.counts.iter_mut().zip(&other.counts) {
-            *a += b;
-        }
-        self.max = self.max.max(other.max);
-        self
-    }
-
-    /// The upper edge of the bucket in which the share `q` is reached.
-    fn quantile(&self, q: f64) -> f64 {
-        let all: u64 = self.counts.iter().sum();
-        let rank = (q * all as f64).ceil().max(1.0) as u64;
-        let mut seen = 0;
-        let bucket = self.counts.iter().position(|c| {
-            seen += c;
-            seen >= rank
-        });
-        bucket.map_or(0.0, |b| ((b + 1) as f64 * BUCKET_MM).min(self.max))
-    }
-}
-
-/// Differences of forces over the contact.
-#[derive(Debug, Clone, Default)]
-struct ForceErrors {
-    /// `|F - F_ref|²` and `|F_ref|²`, summed, N².
-    off: f64,
-    size: f64,
-    /// `|F - F_ref|`, N.
-    errors: Vec<f32>,
-}
-
-impl ForceErrors {
-    fn add(&mut self, recording: &Recording, course: &[ForcePoint]) {
-        let Some(began) = recording.script_started_us else {
-            return;
-        };
-        for (off, size) in difference(&over_script(&recording.haptic, began), course) {
-            self.off += off * off;
-            self.size += size * size;
-            self.errors.push(off as f32);
-        }
-    }
-
-    fn join(mut self, mut other: Self) -> Self {
-        self.errors.append(&mut other.errors);
-        Self {
-            off: self.off + other.off,
-            size: self.size + other.size,
-            ..self
-        }
-    }
-
-    fn rms(&self) -> f64 {
-        (self.off / self.size).sqrt()
-    }
-
-    /// The error that 95 of 100 moments of contact stay below, over the rms of the force.
-    fn p95(&mut self) -> f64 {
-        if self.errors.is_empty() {
-            return f64::NAN;
-        }
-        let at = (self.errors.len() - 1) * 95 / 100;
-        let p95 = *self.errors.select_nth_unstable_by(at, f32::total_cmp).1;
-        f64::from(p95) / (self.size / self.errors.len() as f64).sqrt()
-    }
-}
-
-/// What the sessions over one network gave.
-#[derive(Debug, Clone, Default)]
-struct Tally {
-    sessions: u64,
-    apart: Distances,
-    /// From the same hands at one table.
-    felt: ForceErrors,
-    /// From hands that follow their scripts there.
-    scripted: ForceErrors,
-    equal: u64,
-    bytes: BytesPerSecond,
-    troubles: Vec<String>,
-    /// Of the first seed.
-    course: Vec<CoursePoint>,
-}
-
-impl Tally {
-    fn of(rehearsed: &Rehearsed, tables: [&[Vec<ForcePoint>; 2]; 2], seed: u64) -> Self {
-        let mut tally = Self {
-            sessions: 1,
-            equal: u64::from(rehearsed.hashes_equal()),
-            bytes: rehearsed.bytes_per_s,
-            troubles: rehearsed.troubles.clone(),
-            ..Self::default()
-        };
-        if let [a, b] = rehearsed.recordings.as_slice() {
-            each_node(a, b, |mm| tally.apart.add(f64::from(mm)));
-        }
-        if seed == 0 {
-            let all: Vec<_> = rehearsed.recordings.iter().collect();
-            tally.course = Disagreement::between(&all).course;
-        }
-        let [same_hands, scripted] = tables;
-        for (k, recording) in rehearsed.recordings.iter().enumerate() {
-            tally.felt.add(recording, &same_hands[k]);
-            tally.scripted.add(recording, &scripted[k]);
-        }
-        tally
-    }
-
-    fn join(mut self, mut other: Self) -> Self {
-        self.apart = self.apart.join(&other.apart);
-        self.felt = self.felt.join(other.felt);
-        self.scripted = self.scripted.join(other.scripted);
-        self.troubles.append(&mut other.troubles);
-        Self {
-            sessions: self.sessions + other.sessions,
-            equal: self.equal + other.equal,
-            bytes: BytesPerSecond {
-                up: self.bytes.up + other.bytes.up,
-                down: self.bytes.down + other.bytes.down,
-            },
-            course: if self.course.is_empty() {
-                other.course
-            } else {
-                self.course
-            },
-            ..self
-        }
-    }
-
-    fn row(&mut self, profile: &Profile) -> Value {
-        let n = self.sessions.max(1) as f64;
-        let (p50, p95) = (self.apart.quantile(0.5), self.apart.quantile(0.95));
-        let equal = self.equal == self.sessions;
-        let (rms, force_p95) = (self.felt.rms(), self.felt.p95());
-        json!({
-            "profile": profile.name,
-            "seeds": self.sessions,
-            "shape_disagreement_mm": { "p50": p50, "p95": p95, "max": self.apart.max },
-            "force_error_rms": rms,
-            "force_error_p95": force_p95,
-            "force_error_rms_scripted": self.scripted.rms(),
-            "hashes_equal": equal,
-            "bytes_per_s": { "up": self.bytes.up / n, "down": self.bytes.down / n },
-            "troubles": self.troubles,
-            "ok": p95 <= SHAPE_P95_MM && rms <= FORCE_RMS && equal && self.troubles.is_empty(),
-        })
-    }
-}
 
 /// A network with this round trip to the server, 5 % loss and 20 ms of jitter, but for one without delay.
 fn far(round_trip_ms: f64) -> Profile {
@@ -258,7 +81,10 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         .unwrap_or_else(|| Arc::new(soft_block()));
     let place = Place::find(&Topology::new(Arc::clone(&model))).map_err(|e| e.to_string())?;
     let scripts = Scripts::for_place(&place, SECONDS).map_err(|e| e.to_string())?;
-    let scripts = [&scripts.holder, &scripts.cutter];
+    // Both sides follow what the file says, which is rounded.
+    let files = [&scripts.holder, &scripts.cutter].map(Script::to_toml);
+    let read = |text: &String| Script::from_toml(text).map_err(|e| e.to_string());
+    let scripts = [&read(&files[0])?, &read(&files[1])?];
     (bench.progress)("one table", 0.0);
     let truth = reference::run(&model, scripts, |_| true).map_err(|e| e.to_string())?;
     let networks = bench.profile.clone().map_or_else(networks, |p| vec![p]);
@@ -296,6 +122,12 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     figures["experiment"] = json!("replicas");
     figures["nodes"] = json!(model.nodes.len());
     figures["networks"] = json!(rows);
+    if let Some(n) = bench.real {
+        let mut tally = real::sessions(bench, &model, &files, &networks[0], n, |sat, is_first| {
+            compared(&model, &scripts, sat, &truth.courses, is_first)
+        })?;
+        figures["real"] = tally.row(&networks[0]);
+    }
     Ok(Outcome {
         caption: "Two trainees press, cut and press again, in virtual time over emulated networks: distance of the \
                   shapes that they see at the same instant, and of what they feel from the same on one table."
@@ -325,14 +157,31 @@ fn session(
         },
         tick_hz: TICK_HZ,
     };
-    let rehearsed = rehearsal.run(|_| true)?;
-    let [a, b] = rehearsed.recordings.as_slice() else {
-        return Err("a session of two has two recordings".to_owned());
-    };
-    let same_hands =
-        reference::replay(model, *scripts, [a, b], |_| true).map_err(|e| e.to_string())?;
-    let tables = [&same_hands.courses, scripted];
-    Ok(Tally::of(&rehearsed, tables, seed))
+    compared(
+        model,
+        scripts,
+        rehearsal.run(|_| true)?.try_into()?,
+        scripted,
+        seed == 0,
+    )
+}
+
+/// A session beside the same hands at one table.
+fn compared(
+    model: &Arc<Model>,
+    scripts: &[&Script; 2],
+    session: Sat,
+    scripted: &[Vec<ForcePoint>; 2],
+    is_first: bool,
+) -> Result<Tally, String> {
+    let recordings = session.recordings.each_ref();
+    let same_hands = reference::replay(model, *scripts, recordings, |_| true);
+    let same_hands = same_hands.map_err(|e| e.to_string())?;
+    Ok(Tally::of(
+        session,
+        [&same_hands.courses, scripted],
+        is_first,
+    ))
 }
 
 const HEADER: &str = "network,sessions,shape_p50_mm,shape_p95_mm,shape_max_mm,force_rms,force_p95,hashes_equal,up_bytes_s,down_bytes_s\n";

@@ -1,0 +1,218 @@
+//! What many sessions have in common: distances of shapes, errors of forces.
+
+use palpate_client::Recording;
+use serde_json::{Value, json};
+
+use crate::disagreement::{CoursePoint, Disagreement, each_node};
+use crate::force_error::{ForcePoint, difference, over_script};
+use crate::network::Profile;
+use crate::rehearsal::{BytesPerSecond, Rehearsed};
+
+/// Width of a bucket of distances, mm, and how many there are: to 20 mm.
+const BUCKET_MM: f64 = 5e-4;
+const BUCKETS: usize = 40_000;
+
+/// What is asked of views: 95 of 100 distances below this, mm ...
+const SHAPE_P95_MM: f64 = 0.1;
+/// ... and of forces, as a share.
+const FORCE_RMS: f64 = 0.05;
+
+/// Distances, counted by size.
+#[derive(Debug, Clone)]
+struct Distances {
+    counts: Vec<u64>,
+    max: f64,
+}
+
+impl Default for Distances {
+    fn default() -> Self {
+        Self {
+            counts: vec![0; BUCKETS],
+            max: 0.0,
+        }
+    }
+}
+
+impl Distances {
+    fn add(&mut self, mm: f64) {
+        let bucket = ((mm / BUCKET_MM) as usize).min(BUCKETS - 1);
+        self.counts[bucket] += 1;
+        self.max = self.max.max(mm);
+    }
+
+    fn join(mut self, other: &Self) -> Self {
+        for (a, b) in self.counts.iter_mut().zip(&other.counts) {
+            *a += b;
+        }
+        self.max = self.max.max(other.max);
+        self
+    }
+
+    /// The upper edge of the bucket in which the share `q` is reached.
+    fn quantile(&self, q: f64) -> f64 {
+        let all: u64 = self.counts.iter().sum();
+        let rank = (q * all as f64).ceil().max(1.0) as u64;
+        let mut seen = 0;
+        let bucket = self.counts.iter().position(|c| {
+            seen += c;
+            seen >= rank
+        });
+        bucket.map_or(0.0, |b| ((b + 1) as f64 * BUCKET_MM).min(self.max))
+    }
+}
+
+/// Differences of forces over the contact.
+#[derive(Debug, Clone, Default)]
+struct ForceErrors {
+    /// `|F - F_ref|²` and `|F_ref|²`, summed, N².
+    off: f64,
+    size: f64,
+    /// `|F - F_ref|`, N.
+    errors: Vec<f32>,
+}
+
+impl ForceErrors {
+    fn add(&mut self, recording: &Recording, course: &[ForcePoint]) {
+        let Some(began) = recording.script_started_us else {
+            return;
+        };
+        for (off, size) in difference(&over_script(&recording.haptic, began), course) {
+            self.off += off * off;
+            self.size += size * size;
+            self.errors.push(off as f32);
+        }
+    }
+
+    fn join(mut self, mut other: Self) -> Self {
+        self.errors.append(&mut other.errors);
+        Self {
+            off: self.off + other.off,
+            size: self.size + other.size,
+            ..self
+        }
+    }
+
+    fn rms(&self) -> f64 {
+        (self.off / self.size).sqrt()
+    }
+
+    /// The error that 95 of 100 moments of contact stay below, over the rms of the force.
+    fn p95(&mut self) -> f64 {
+        if self.errors.is_empty() {
+            return f64::NAN;
+        }
+        let at = (self.errors.len() - 1) * 95 / 100;
+        let p95 = *self.errors.select_nth_unstable_by(at, f32::total_cmp).1;
+        f64::from(p95) / (self.size / self.errors.len() as f64).sqrt()
+    }
+}
+
+/// A session of two, when it is over.
+pub(super) struct Sat {
+    pub(super) recordings: [Recording; 2],
+    pub(super) hashes_equal: bool,
+    /// Nothing where it was not measured.
+    pub(super) bytes_per_s: Option<BytesPerSecond>,
+    pub(super) troubles: Vec<String>,
+}
+
+impl TryFrom<Rehearsed> for Sat {
+    type Error = String;
+
+    fn try_from(rehearsed: Rehearsed) -> Result<Self, String> {
+        let hashes_equal = rehearsed.hashes_equal();
+        let recordings = <[Recording; 2]>::try_from(rehearsed.recordings);
+        Ok(Self {
+            recordings: recordings.map_err(|r| format!("{} recordings of two", r.len()))?,
+            hashes_equal,
+            bytes_per_s: Some(rehearsed.bytes_per_s),
+            troubles: rehearsed.troubles,
+        })
+    }
+}
+
+/// What the sessions over one network gave.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Tally {
+    sessions: u64,
+    apart: Distances,
+    /// From the same hands at one table.
+    felt: ForceErrors,
+    /// From hands that follow their scripts there.
+    scripted: ForceErrors,
+    equal: u64,
+    /// Summed over the sessions of which it is known.
+    bytes: Option<BytesPerSecond>,
+    troubles: Vec<String>,
+    /// Of the first seed.
+    pub(super) course: Vec<CoursePoint>,
+}
+
+impl Tally {
+    /// One session, whose forces at two tables are `tables`: the same hands', and those of hands that follow
+    /// the scripts.
+    pub(super) fn of(session: Sat, tables: [&[Vec<ForcePoint>; 2]; 2], is_first: bool) -> Self {
+        let mut tally = Self {
+            sessions: 1,
+            equal: u64::from(session.hashes_equal),
+            bytes: session.bytes_per_s,
+            troubles: session.troubles,
+            ..Self::default()
+        };
+        let [a, b] = &session.recordings;
+        each_node(a, b, |mm| tally.apart.add(f64::from(mm)));
+        if is_first {
+            tally.course = Disagreement::between(&[a, b]).course;
+        }
+        let [same_hands, scripted] = tables;
+        for (k, recording) in session.recordings.iter().enumerate() {
+            tally.felt.add(recording, &same_hands[k]);
+            tally.scripted.add(recording, &scripted[k]);
+        }
+        tally
+    }
+
+    pub(super) fn join(mut self, mut other: Self) -> Self {
+        self.apart = self.apart.join(&other.apart);
+        self.felt = self.felt.join(other.felt);
+        self.scripted = self.scripted.join(other.scripted);
+        self.troubles.append(&mut other.troubles);
+        Self {
+            sessions: self.sessions + other.sessions,
+            equal: self.equal + other.equal,
+            bytes: match (self.bytes, other.bytes) {
+                (Some(a), Some(b)) => Some(BytesPerSecond {
+                    up: a.up + b.up,
+                    down: a.down + b.down,
+                }),
+                (one, other) => one.or(other),
+            },
+            course: if self.course.is_empty() {
+                other.course
+            } else {
+                self.course
+            },
+            ..self
+        }
+    }
+
+    /// As JSON.
+    pub(super) fn row(&mut self, profile: &Profile) -> Value {
+        let n = self.sessions.max(1) as f64;
+        let (p50, p95) = (self.apart.quantile(0.5), self.apart.quantile(0.95));
+        let equal = self.equal == self.sessions;
+        let (rms, force_p95) = (self.felt.rms(), self.felt.p95());
+        json!({
+            "profile": profile.name,
+            "seeds": self.sessions,
+            "shape_disagreement_mm": { "p50": p50, "p95": p95, "max": self.apart.max },
+            "force_error_rms": rms,
+            "force_error_p95": force_p95,
+            "force_error_rms_scripted": self.scripted.rms(),
+            "hashes_equal": equal,
+            "bytes_per_s": self.bytes.map(|b| json!({ "up": b.up / n, "down": b.down / n })),
+            "troubles": self.troubles,
+            "ok": p95 <= SHAPE_P95_MM && rms <= FORCE_RMS && equal && self.troubles.is_empty(),
+        })
+    }
+}
