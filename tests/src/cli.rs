@@ -12,7 +12,7 @@ use crate::bench::on_threads;
 use crate::bench::press_cube::PressCube;
 use crate::bench::press_scene::{Comparison, PressScene};
 use crate::demo::{self, DemoOptions};
-use crate::experiments::command;
+use crate::experiments::{command, tour};
 use crate::haptic_faults::course::Setup;
 use crate::haptic_faults::fault::Class;
 use crate::haptic_faults::outcome::Outcome;
@@ -92,14 +92,14 @@ enum Command {
     /// List the networks that have names, or print one as the file of your own to begin with
     #[command(after_help = network::command::HELP)]
     Profiles(network::command::Arguments),
-    /// Run an experiment: what a hand feels, against converged answers
+    /// Run an experiment on the network or on what a hand feels
     #[command(after_help = command::RUN_HELP)]
     Run(command::RunArguments),
     /// List the experiments
     List,
-    /// Run every experiment and make one page of it
+    /// Run every experiment and make one page of it, readable without a network
     #[command(after_help = command::RUN_HELP)]
-    All(command::AllArguments),
+    All(tour::AllArguments),
     /// Break what a hand depends on, and see that no fault jerks it
     #[command(after_help = FAULTS)]
     HapticFaults(HapticFaultsArguments),
@@ -254,7 +254,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Profiles(arguments) => network::command::run(&arguments),
         Command::Run(arguments) => command::run(&arguments),
         Command::List => command::list(),
-        Command::All(arguments) => command::all(&arguments),
+        Command::All(arguments) => tour::all(&arguments),
         Command::HapticFaults(arguments) => run_haptic_faults(&arguments),
         Command::Bench(Bench::PressCube(arguments)) => run_press_cube(&arguments),
         Command::Bench(Bench::PressScene(arguments)) => run_press_scene(&arguments),
