@@ -8,6 +8,7 @@ use super::{ALL, Bench, Experiment, Outcome, named};
 use crate::bench::on_threads;
 use crate::cli::say;
 use crate::hand::Recorded;
+use crate::nearest::did_you_mean;
 use crate::network::Profile;
 use crate::progress::Progress;
 use crate::subject::Subject;
@@ -101,9 +102,9 @@ fn which(word: &str) -> Result<Which, String> {
 /// The experiment of that name.
 pub(super) fn experiment(name: &str) -> Result<Experiment, String> {
     named(name).ok_or_else(|| {
-        let names: Vec<_> = ALL.iter().map(|e| e.name).collect();
-        let names = names.join(", ");
-        format!("there is no experiment \"{name}\"; there are {names}")
+        let names: Vec<&str> = ALL.iter().map(|e| e.name).collect();
+        let (meant, names) = (did_you_mean(name, &names), names.join(", "));
+        format!("there is no experiment \"{name}\"{meant}; there are {names}")
     })
 }
 

@@ -18,4 +18,4 @@ mod laws;
 
 pub use crate::network::{Direction, Profile};
 pub use socket::{CLIENTS_MAX, QUEUE_MAX_PACKETS, RebindError, Relay};
-pub use stats::RelayStats;
+pub use stats::{RelayStats, WayStats};
