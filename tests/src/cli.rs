@@ -13,6 +13,7 @@ use crate::bench::press_cube::PressCube;
 use crate::bench::press_scene::{Comparison, PressScene};
 use crate::demo::{self, DemoOptions};
 use crate::experiments::{command, tour};
+use crate::hand;
 use crate::haptic_faults::course::Setup;
 use crate::haptic_faults::fault::Class;
 use crate::haptic_faults::outcome::Outcome;
@@ -93,6 +94,9 @@ enum Command {
     /// List the networks that have names, or print one as the file of your own to begin with
     #[command(after_help = network::command::HELP)]
     Profiles(network::command::Arguments),
+    /// Write the motion of a random hand as a table, for `run --motion`
+    #[command(after_help = hand::command::HELP)]
+    Hand(hand::command::Arguments),
     /// Run an experiment on the network or on what a hand feels
     #[command(after_help = command::RUN_HELP)]
     Run(command::RunArguments),
@@ -253,6 +257,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Demo(arguments) => run_demo(arguments),
         Command::Relay(arguments) => relay::command::run(&arguments),
         Command::Profiles(arguments) => network::command::run(&arguments),
+        Command::Hand(arguments) => hand::command::run(&arguments),
         Command::Run(arguments) => command::run(&arguments),
         Command::List => command::list(),
         Command::All(arguments) => tour::all(&arguments),

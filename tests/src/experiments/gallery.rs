@@ -183,6 +183,15 @@ fn flatten(
         _ => format!("{path}.{key}"),
     };
     match value {
+        // Things of one kind by their names are a list.
+        Value::Object(object) if !path.is_empty() && is_list(object) => {
+            let named = object.iter().map(|(name, value)| {
+                let mut row = value.clone();
+                row["name"] = Value::from(name.clone());
+                row
+            });
+            lists.push((path.to_owned(), named.collect()));
+        }
         Value::Object(object) => {
             for (key, value) in object {
                 flatten(&below(key), value, scalars, lists);
@@ -197,6 +206,15 @@ fn flatten(
     }
 }
 
+/// Whether all that is in it has the same keys, more than one.
+fn is_list(object: &Map<String, Value>) -> bool {
+    let mut keys = (object.values()).map(|v| v.as_object().map(|o| o.keys().collect::<Vec<_>>()));
+    let Some(Some(first)) = keys.next() else {
+        return false;
+    };
+    object.len() > 2 && first.len() > 1 && keys.all(|k| k.as_ref() == Some(&first))
+}
+
 /// Objects as rows, with a column for every path that any of them has.
 fn of_objects(objects: &[Value]) -> (Vec<String>, Vec<Vec<String>>) {
     let flat: Vec<Map<String, Value>> = (objects.iter())
@@ -209,7 +227,8 @@ fn of_objects(objects: &[Value]) -> (Vec<String>, Vec<Vec<String>>) {
             scalars
         })
         .collect();
-    let mut head: Vec<String> = Vec::new();
+    let is_named = flat.iter().any(|row| row.contains_key("name"));
+    let mut head: Vec<String> = is_named.then(|| "name".to_owned()).into_iter().collect();
     for key in flat.iter().flat_map(Map::keys) {
         if !head.contains(key) {
             head.push(key.clone());
@@ -371,6 +390,21 @@ mod tests {
         ] {
             assert!(html.contains(expected), "{expected} is not in {html}");
         }
+    }
+
+    #[test]
+    fn things_of_one_kind_by_name_are_rows() {
+        let figures = json!({ "classes": { "x": { "a": 1, "b": 2 }, "y": { "a": 3, "b": 4 }, "z": { "a": 5, "b": 6 } } });
+        let outcome = Outcome {
+            figures,
+            ..outcome()
+        };
+        let html = page(&[part("good", Ok(outcome))], &origin());
+        assert!(
+            html.contains("classes: 3 rows")
+                && html.contains(">name<")
+                && !html.contains("classes.x")
+        );
     }
 
     #[test]

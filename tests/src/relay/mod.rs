@@ -14,6 +14,8 @@ mod socket;
 mod stats;
 
 #[cfg(test)]
+mod delay_laws;
+#[cfg(test)]
 mod laws;
 
 pub use crate::network::{Direction, Profile};
