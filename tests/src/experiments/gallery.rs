@@ -227,13 +227,18 @@ fn of_objects(objects: &[Value]) -> (Vec<String>, Vec<Vec<String>>) {
             scalars
         })
         .collect();
-    let is_named = flat.iter().any(|row| row.contains_key("name"));
-    let mut head: Vec<String> = is_named.then(|| "name".to_owned()).into_iter().collect();
+    let mut head: Vec<String> = Vec::new();
     for key in flat.iter().flat_map(Map::keys) {
         if !head.contains(key) {
             head.push(key.clone());
         }
     }
+    // What a row is called comes before its numbers.
+    let is_word = |key: &String| {
+        let values = flat.iter().filter_map(|row| row.get(key));
+        values.clone().next().is_some() && values.into_iter().all(Value::is_string)
+    };
+    head.sort_by_key(|key| !is_word(key));
     let rows = (flat.iter())
         .map(|row| {
             let cells = head.iter().map(|k| row.get(k).map_or(String::new(), cell));
