@@ -17,6 +17,9 @@ const CUBE_NODES: usize = 20;
 /// Hands for which something breaks.
 const FAULTS: u64 = 500;
 
+/// Who is told what is done, and its share.
+pub(super) type Told<'a> = dyn FnMut(&str, f64) + Send + 'a;
+
 /// A bench on the page.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Measured {
@@ -27,7 +30,7 @@ pub(super) struct Measured {
     /// What repeats it.
     pub(super) command: &'static str,
     /// Runs it; is told what it does.
-    pub(super) run: fn(&mut (dyn FnMut(&str, f64) + Send)) -> Result<Outcome, String>,
+    pub(super) run: fn(&mut Told<'_>) -> Result<Outcome, String>,
 }
 
 /// In the order of the page.
@@ -66,7 +69,7 @@ fn outcome(caption: &str, report: &impl Serialize) -> Result<Outcome, String> {
     })
 }
 
-fn haptic_tick(told: &mut (dyn FnMut(&str, f64) + Send)) -> Result<Outcome, String> {
+fn haptic_tick(told: &mut Told<'_>) -> Result<Outcome, String> {
     told("ticks", 0.0);
     let report = HapticTick { ticks: TICKS }.run()?;
     outcome(
@@ -76,7 +79,7 @@ fn haptic_tick(told: &mut (dyn FnMut(&str, f64) + Send)) -> Result<Outcome, Stri
     )
 }
 
-fn press_cube(told: &mut (dyn FnMut(&str, f64) + Send)) -> Result<Outcome, String> {
+fn press_cube(told: &mut Told<'_>) -> Result<Outcome, String> {
     let cube = PressCube {
         nodes: CUBE_NODES,
         poisson: 0.25,
@@ -90,7 +93,7 @@ fn press_cube(told: &mut (dyn FnMut(&str, f64) + Send)) -> Result<Outcome, Strin
     )
 }
 
-fn faults(told: &mut (dyn FnMut(&str, f64) + Send)) -> Result<Outcome, String> {
+fn faults(told: &mut Told<'_>) -> Result<Outcome, String> {
     let mut each = |seed: u64, _: &haptic_faults::outcome::Outcome| {
         told("runs", seed as f64 / FAULTS as f64);
         true

@@ -394,8 +394,10 @@ mod tests {
         };
         for row in rows.iter().filter(verlet) {
             let (linear, hold) = (of(row, Method::Linear), of(row, Method::Hold));
+            // Below a tenth of the wire's step both are its rounding.
+            let rounding = 0.1e3 * POSITION_STEP_M;
             assert!(
-                row.n > 0 && row.rms_mm < linear && linear < hold,
+                row.n > 0 && row.rms_mm < linear + rounding && linear < hold,
                 "{row:?}: {linear} {hold}"
             );
         }
@@ -412,7 +414,9 @@ mod tests {
                     == (false, Method::Verlet, 1000, 10)
             };
             let found = rows.iter().find(row).unwrap();
-            assert!(found.rms_mm <= 0.02, "{found:?}");
+            // 0.02 mm where places are known to 0.01 mm; the wire rounds them to 0.02 mm, and what is carried on for
+            // 10 ms from 15 such samples is off by their rounding.
+            assert!(found.rms_mm <= 0.03, "{found:?}");
         }
     }
 

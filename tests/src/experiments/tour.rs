@@ -2,6 +2,7 @@
 //!
 //! What fails is said on the page and by the exit code; the others are run all the same.
 
+use std::fmt::Write as _;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -39,7 +40,7 @@ pub struct AllArguments {
     /// A recorded motion of a hand (CSV) for those that follow one
     #[arg(long, value_name = "FILE.csv")]
     motion: Option<String>,
-    /// Print one line of JSON for each: {experiment, ok, took_s, figures}, or error in place of figures
+    /// Print one line of JSON for each: its name, whether it is ok, its time, and its figures or what is wrong
     #[arg(long)]
     json: bool,
 }
@@ -106,11 +107,12 @@ impl AllArguments {
         let recipe = self.recipe(experiment);
         let mut command = format!("palpate-lab run {}", experiment.name);
         if experiment.takes.seed {
-            command += &format!(" --seed {}", recipe.seed.unwrap_or(SEED));
+            // Writing to a string can not fail.
+            let _ = write!(command, " --seed {}", recipe.seed.unwrap_or(SEED));
         }
         for (option, value) in [("profile", recipe.profile), ("motion", recipe.motion)] {
             if let Some(value) = value {
-                command += &format!(" --{option} {value}");
+                let _ = write!(command, " --{option} {value}");
             }
         }
         command

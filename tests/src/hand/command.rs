@@ -1,5 +1,6 @@
 //! `palpate-lab hand`.
 
+use std::fmt::Write as _;
 use std::process::ExitCode;
 
 use clap::Args;
@@ -75,7 +76,11 @@ fn table(arguments: &Arguments) -> Result<String, String> {
             (pose.position_m, pose.orientation)
         };
         // To a tenth of a micrometre and a microradian: a hundredth of the wire's step.
-        table += &format!("{t_s:.6},{x:.7},{y:.7},{z:.7},{w:.6},{i:.6},{j:.6},{l:.6}\n");
+        // Writing to a string can not fail.
+        let _ = writeln!(
+            table,
+            "{t_s:.6},{x:.7},{y:.7},{z:.7},{w:.6},{i:.6},{j:.6},{l:.6}"
+        );
     }
     Ok(table)
 }

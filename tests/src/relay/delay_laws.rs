@@ -29,6 +29,9 @@ const LATER: f64 = 0.1;
 
 const HERE: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 
+/// A name, what is asked for, and its distribution over ms.
+type Law = (&'static str, Jitter, fn(f64) -> f64);
+
 /// A relay of one law, what is sent into it and what comes out.
 struct Line {
     relay: Relay,
@@ -135,7 +138,7 @@ fn delays_through_real_sockets_are_distributed_as_asked_for() {
         scale_ms: 4.0,
         exponent: 3.0,
     };
-    let laws: [(&str, Jitter, fn(f64) -> f64); 3] = [
+    let laws: [Law; 3] = [
         ("uniform", uniform, |x| ((x - 10.0) / 20.0).clamp(0.0, 1.0)),
         ("gamma", gamma, |x| {
             let z = (x - 20.0).max(0.0) / 4.0;
