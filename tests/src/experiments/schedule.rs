@@ -1,20 +1,20 @@
 //! How far a list of experiments is, and how long the rest of it takes.
 
-/// What experiments take, s: on two cores at 2.6 GHz, optimised. Only their proportions matter, as what has been done
-/// says how fast this machine is.
+/// What experiments take, s: rough, from a machine of two cores that others used as well. Only their proportions matter,
+/// as what has been done says how fast this machine is.
 const TOOK_S: &[(&str, f64)] = &[
     ("soft-hard", 2.0),
     ("friction", 15.0),
     ("handle", 15.0),
-    ("tool-paths", 90.0),
+    ("tool-paths", 120.0),
     ("leg-press", 30.0),
-    ("press", 30.0),
+    ("press", 80.0),
     ("atc-none", 4.0),
     ("atc-fixed", 4.0),
     ("atc-adaptive", 4.0),
     ("transmission", 1.0),
     ("jitter", 1.0),
-    ("replicas", 240.0),
+    ("replicas", 150.0),
     ("table-7-1", 5.0),
     ("missing-data", 0.5),
     ("haptic-tick", 5.0),
