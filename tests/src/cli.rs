@@ -12,7 +12,8 @@ use crate::bench::on_threads;
 use crate::bench::press_cube::PressCube;
 use crate::bench::press_scene::{Comparison, PressScene};
 use crate::demo::{self, DemoOptions};
-use crate::experiments::command;
+use crate::experiments::{command, tour};
+use crate::hand;
 use crate::haptic_faults::course::Setup;
 use crate::haptic_faults::fault::Class;
 use crate::haptic_faults::outcome::Outcome;
@@ -40,6 +41,7 @@ Examples:
 Network profiles: none, lan (0.3 ms), metro (5 ms), transatlantic (60 ms one way, 2 % loss),
   intercontinental (120 ms, 2 %), satellite (300 ms, 1 %), wifi-bursts (8 ms with bad moments),
   lte (35 ms with bad moments), lossy (40 ms, 20 % loss), steps (30, 80, 120 ms, 10 s each),
+  gamma (50 ms and what queues add), bursts (50 and 120 ms), outages (25 ms, at times no link),
   or a TOML file of your own, for which `palpate-lab profiles NAME` prints a beginning
 
 The exit code is 0 when all is well, 2 when the command line is wrong, 1 otherwise; for the demo, 1
@@ -92,14 +94,17 @@ enum Command {
     /// List the networks that have names, or print one as the file of your own to begin with
     #[command(after_help = network::command::HELP)]
     Profiles(network::command::Arguments),
-    /// Run an experiment: what a hand feels, against converged answers
+    /// Write the motion of a random hand as a table, for `run --motion`
+    #[command(after_help = hand::command::HELP)]
+    Hand(hand::command::Arguments),
+    /// Run an experiment on the network or on what a hand feels
     #[command(after_help = command::RUN_HELP)]
     Run(command::RunArguments),
     /// List the experiments
     List,
-    /// Run every experiment and make one page of it
+    /// Run every experiment and make one page of it, readable without a network
     #[command(after_help = command::RUN_HELP)]
-    All(command::AllArguments),
+    All(tour::AllArguments),
     /// Break what a hand depends on, and see that no fault jerks it
     #[command(after_help = FAULTS)]
     HapticFaults(HapticFaultsArguments),
@@ -252,9 +257,10 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Demo(arguments) => run_demo(arguments),
         Command::Relay(arguments) => relay::command::run(&arguments),
         Command::Profiles(arguments) => network::command::run(&arguments),
+        Command::Hand(arguments) => hand::command::run(&arguments),
         Command::Run(arguments) => command::run(&arguments),
         Command::List => command::list(),
-        Command::All(arguments) => command::all(&arguments),
+        Command::All(arguments) => tour::all(&arguments),
         Command::HapticFaults(arguments) => run_haptic_faults(&arguments),
         Command::Bench(Bench::PressCube(arguments)) => run_press_cube(&arguments),
         Command::Bench(Bench::PressScene(arguments)) => run_press_scene(&arguments),

@@ -30,6 +30,7 @@ pub mod experiments;
 pub mod force_error;
 pub mod hand;
 pub mod haptic_faults;
+mod nearest;
 pub mod network;
 pub mod place;
 pub mod plots;

@@ -29,8 +29,9 @@ pub fn forces(felt: &[Felt<'_>], marks: Vec<Mark>) -> Chart {
             title: format!("Force on the tool of the {}", f.name),
             y_label: "force / N".to_owned(),
             lines: vec![
-                line("without a network", GREY, false, f.reference),
                 line("in the session", colours[i % 3], false, f.session),
+                // On top and with dashes: where the two agree, both are to be seen.
+                line("without a network", GREY, true, f.reference),
             ]
             .into_iter()
             .filter(|l| !l.points.is_empty())

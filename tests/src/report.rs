@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::disagreement::{CoursePoint, Disagreement, DistancesMm};
 use crate::force_error::ForceError;
-use crate::relay::RelayStats;
+use crate::relay::{RelayStats, WayStats};
 
 /// The figures of a demo.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -107,6 +107,12 @@ pub struct NetworkReport {
     pub dropped: u64,
     /// Packets that it let overtake others.
     pub reordered: u64,
+    /// What became of packets to the server.
+    #[serde(default)]
+    pub up: WayStats,
+    /// What became of packets to clients.
+    #[serde(default)]
+    pub down: WayStats,
     /// Share of packets it lost, 0 to 1.
     pub loss: f64,
     /// Mean delay it gave, one way, ms.
@@ -147,6 +153,8 @@ impl From<RelayStats> for NetworkReport {
             sent: s.sent,
             dropped: s.dropped,
             reordered: s.reordered,
+            up: s.up,
+            down: s.down,
             loss: s.loss,
             delay_mean_ms: s.delay_mean_ms,
             delay_p99_ms: s.delay_p99_ms,
@@ -336,6 +344,8 @@ impl Report {
             n.reordered,
             n.lateness_p99_ms
         )?;
+        writeln!(f, "  to server    {}", n.up)?;
+        writeln!(f, "  to clients   {}", n.down)?;
         let rtts: Vec<f64> = self.participants.iter().filter_map(|p| p.rtt_ms).collect();
         let losses: Vec<f64> = self.participants.iter().map(|p| p.loss).collect();
         let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;

@@ -42,7 +42,7 @@ use shape::{Frame, Nodes};
 pub use corrections::{Corrections, Displacements};
 pub use header::{Acknowledgement, Expected, Header, SHORT_TIME, Tag};
 pub use memory::Memory;
-pub use quantise::{POSITION_MAX_M, POSITION_STEP_M, TIME_STEP_US};
+pub use quantise::{POSITION_MAX_M, POSITION_STEP_M, TIME_STEP_US, as_sent};
 
 use crate::request::DelayReport;
 use crate::{ClientTime, ParticipantId, ProtocolError, ServerTime, ToolTrack};

@@ -106,6 +106,16 @@ impl Point {
     }
 }
 
+/// The sample as the other side knows it: time, place, turn and force to their steps. The steps of a turn are those of
+/// its first sample in a track; later ones may leave out another part of the quaternion, with the same bound.
+///
+/// # Errors
+///
+/// When it may not be sent at all: a place or a turn that is none, or too far away.
+pub fn as_sent(sample: &ToolSample) -> Result<ToolSample, ProtocolError> {
+    Ok(Point::of(sample, None)?.sample())
+}
+
 /// A time in steps.
 pub(super) fn time(t: ServerTime) -> i64 {
     t.as_micros()

@@ -1,22 +1,21 @@
-//! `palpate-lab run`, `list` and `all`.
+//! `palpate-lab run` and `list`.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::Args;
-use serde_json::json;
-
 use super::recipe::Recipe;
-use super::{ALL, Bench, Experiment, Outcome, gallery, named};
+use super::{ALL, Bench, Experiment, Outcome, named};
 use crate::bench::on_threads;
 use crate::cli::say;
 use crate::hand::Recorded;
+use crate::nearest::did_you_mean;
 use crate::network::Profile;
 use crate::progress::Progress;
 use crate::subject::Subject;
+use clap::Args;
 
 /// Where everything goes when nothing is said.
-const DIR: &str = "palpate-experiments";
+pub(super) const DIR: &str = "palpate-experiments";
 
 /// What `run --help` ends with.
 pub const RUN_HELP: &str = "\
@@ -24,18 +23,38 @@ Examples:
   palpate-lab list
   palpate-lab run friction                       figures here, charts and tables in ./palpate-experiments
   palpate-lab run press --model thigh.palp --json
-  palpate-lab run table-7-1 --motion hand.csv    a table time_s,x_m,y_m,z_m[,qw,qx,qy,qz]; rows in order of time
+  palpate-lab run table-7-1 --motion hand.csv    a table time_s,x_m,y_m,z_m[,qw,qx,qy,qz]; see `palpate-lab hand`
   palpate-lab run replicas --seeds 1000 --real 20 --json
   palpate-lab run mine.toml                      its experiment, and seed, profile, motion, model as lines of it;
                                                  what is said here as well counts more than what is said there
-  palpate-lab all -o report                      every experiment, and report/index.html with all charts
+  palpate-lab all --out report                   every experiment, and report/index.html with all tables and charts
+  palpate-lab all --only atc-fixed,atc-adaptive --profile mine-too.toml --out report
+
+A file that names an experiment (files in it are looked for beside it):
+  experiment = \"table-7-1\"
+  seed = 7                                       and seeds, profile, model, where `palpate-lab list` names them
+  motion = \"hand.csv\"
+
+One JSON object comes with --json, and stands in NAME.json where --out says:
+  table-7-1     {experiment, seed, speed_rms_mm_s, rows [{kind: interpolation|extrapolation, method, rate_hz, gap_ms,
+                rms_mm, max_mm, rms_deg, force_percent, n}]}
+  missing-data  {experiment, rate_hz, gap_ms, methods [{kind, method, rms_mm, max_mm, rms_deg}]}
+  atc-*         {mode, profile, seed, disagreement_mm {rms, p95, max}, compensation_ms {mean, p95},
+                smallest_safe_fixed_ms, corrections_over_1mm, stale_ticks}
+  transmission  {profile, seed, without_ms {mean, deviation}, with_ms {mean, deviation}}
+  jitter        {profile, seed, without_um, with_um}
+  replicas      {profile, seeds, shape_disagreement_mm {p50, p95, max}, force_error_rms, force_error_p95, hashes_equal,
+                bytes_per_s {up, down}, ok, networks [the same for each network]}
+  on tissue     {experiment, spots | cases | materials | paths [{..., deviation {largest, n, rms, worst}}]}: largest force
+                (N) or torque (N m), rms and worst deviation from the converged answer as shares of it
+Lengths end in _mm or _um, times in _ms, angles in _deg; shares are 0 to 1 unless they end in _percent.
 
 What a hand feels comes from the haptic path as clients run it: models solved 250 times a second with 1 ms of work
 each, on one thread, and the 1 kHz chain between them. It is compared with a solver that converges every eleventh
 millisecond. rms is the root mean square of the difference over that of the converged answer.";
 
 /// The seed when nothing is said.
-const SEED: u64 = 1;
+pub(super) const SEED: u64 = 1;
 
 /// Arguments of `run`.
 #[derive(Debug, Args)]
@@ -64,20 +83,9 @@ pub struct RunArguments {
     /// Print one line of JSON, and write charts and tables only where -o says
     #[arg(long)]
     json: bool,
-    /// Where charts (SVG) and tables (CSV) go [default: palpate-experiments; with --json nowhere]
+    /// Where figures (JSON), charts (SVG) and tables (CSV) go [default: palpate-experiments; with --json nowhere]
     #[arg(short, long = "out", value_name = "DIR")]
     out: Option<PathBuf>,
-}
-
-/// Arguments of `all`.
-#[derive(Debug, Args)]
-pub struct AllArguments {
-    /// Where the page (index.html), charts and tables go
-    #[arg(short, long = "out", value_name = "DIR", default_value = DIR)]
-    out: PathBuf,
-    /// Print one line of JSON per experiment
-    #[arg(long)]
-    json: bool,
 }
 
 /// What is asked for.
@@ -94,23 +102,48 @@ fn which(word: &str) -> Result<Which, String> {
     experiment(word).map(Which::Named)
 }
 
-fn experiment(name: &str) -> Result<Experiment, String> {
+/// The experiment of that name.
+pub(super) fn experiment(name: &str) -> Result<Experiment, String> {
     named(name).ok_or_else(|| {
-        let names: Vec<_> = ALL.iter().map(|e| e.name).collect();
-        let names = names.join(", ");
-        format!("there is no experiment \"{name}\"; there are {names}")
+        let names: Vec<&str> = ALL.iter().map(|e| e.name).collect();
+        let (meant, names) = (did_you_mean(name, &names), names.join(", "));
+        format!("there is no experiment \"{name}\"{meant}; there are {names}")
     })
 }
 
 /// What an experiment is given.
 #[derive(Debug, Default)]
-struct Given {
+pub(super) struct Given {
     model: Option<std::sync::Arc<palpate_tissue::Model>>,
     seed: Option<u64>,
     seeds: Option<u64>,
     real: Option<u64>,
     profile: Option<Profile>,
     motion: Option<std::sync::Arc<Recorded>>,
+}
+
+impl Given {
+    /// Reads the files of a recipe; what is built of a model goes into `dir`.
+    pub(super) fn load(recipe: &Recipe, dir: &Path) -> Result<Self, String> {
+        let mut given = Self {
+            seed: recipe.seed,
+            seeds: recipe.seeds,
+            real: recipe.real,
+            ..Self::default()
+        };
+        if let Some(name) = &recipe.profile {
+            given.profile = Some(Profile::parse(name).map_err(|e| e.to_string())?);
+        }
+        if let Some(file) = &recipe.motion {
+            let hand = Recorded::load(Path::new(file)).map_err(|e| format!("{file}: {e}"))?;
+            given.motion = Some(std::sync::Arc::new(hand));
+        }
+        if let Some(name) = &recipe.model {
+            let subject = Subject::prepare(name, dir).map_err(|e| e.to_string())?;
+            given.model = Some(subject.model);
+        }
+        Ok(given)
+    }
 }
 
 impl RunArguments {
@@ -195,32 +228,22 @@ pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
     refuse_idle(experiment, &recipe)?;
     let kept = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
     let mut progress = Progress::new();
-    let mut given = Given {
-        seed: recipe.seed,
-        seeds: recipe.seeds,
-        real: recipe.real,
-        ..Given::default()
-    };
-    if let Some(name) = &recipe.profile {
-        given.profile = Some(Profile::parse(name).map_err(|e| e.to_string())?);
-    }
-    if let Some(file) = &recipe.motion {
-        let hand = Recorded::load(Path::new(file)).map_err(|e| format!("{file}: {e}"))?;
-        given.motion = Some(std::sync::Arc::new(hand));
-    }
     if let Some(name) = &recipe.model {
         progress.stage(&format!("preparing the model \"{name}\""));
-        let subject = Subject::prepare(name, kept.path()).map_err(|e| e.to_string())?;
-        given.model = Some(subject.model);
     }
-    let outcome = made(experiment, given, kept.path(), &mut progress)?;
+    let given = Given::load(&recipe, kept.path())?;
+    progress.stage(&format!("{}: {}", experiment.name, experiment.about));
+    let mut told = |what: &str, share: f64| {
+        progress.tick(&format!("{what}: {:3.0} %", share * 100.0));
+    };
+    let outcome = made(experiment, given, kept.path(), &mut told)?;
     let out = match (&arguments.out, arguments.json) {
         (Some(dir), _) => Some(dir.clone()),
         (None, true) => None,
         (None, false) => Some(PathBuf::from(DIR)),
     };
     if let Some(dir) = &out {
-        outcome.write(dir)?;
+        outcome.write_all(dir, experiment.name)?;
     }
     drop(progress);
     if arguments.json {
@@ -230,47 +253,18 @@ pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
         say(&format!("{}\n\n{figures}", outcome.caption))?;
     }
     if let Some(dir) = out {
-        eprintln!("charts and tables are in {}", dir.display());
+        eprintln!("figures, charts and tables are in {}", dir.display());
     }
-    Ok(ExitCode::SUCCESS)
-}
-
-/// Runs all of them and makes a page of it.
-pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
-    let kept = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
-    let mut progress = Progress::new();
-    let mut done = Vec::new();
-    for &experiment in ALL {
-        let outcome = made(experiment, Given::default(), kept.path(), &mut progress)?;
-        outcome.write(&arguments.out)?;
-        if arguments.json {
-            say(&outcome.figures.to_string())?;
-        }
-        done.push((experiment, outcome));
-        // After each, so that what is done can be looked at.
-        let page = arguments.out.join("index.html");
-        std::fs::write(&page, gallery::page(&done))
-            .map_err(|e| format!("{}: {e}; check that the disk has room", page.display()))?;
-    }
-    drop(progress);
-    if !arguments.json {
-        say(&json!({ "experiments": done.len() }).to_string())?;
-    }
-    eprintln!("the page is {}", arguments.out.join("index.html").display());
     Ok(ExitCode::SUCCESS)
 }
 
 /// One experiment on one thread, as the haptic path is measured.
-fn made(
+pub(super) fn made(
     experiment: Experiment,
     given: Given,
     dir: &Path,
-    progress: &mut Progress,
+    told: &mut (dyn FnMut(&str, f64) + Send),
 ) -> Result<Outcome, String> {
-    progress.stage(&format!("{}: {}", experiment.name, experiment.about));
-    let mut told = |what: &str, share: f64| {
-        progress.tick(&format!("{what}: {:3.0} %", share * 100.0));
-    };
     on_threads(1, || {
         experiment.run(&mut Bench {
             model: given.model,
@@ -280,7 +274,7 @@ fn made(
             profile: given.profile,
             motion: given.motion,
             dir,
-            progress: &mut told,
+            progress: told,
         })
     })?
 }

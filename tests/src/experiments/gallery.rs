@@ -1,48 +1,434 @@
-//! One page with every chart and every figure, readable without a network.
+//! One page with every chart and every table, readable without a network.
 
 use std::fmt::Write as _;
 
-use super::{Experiment, Outcome};
+use serde_json::{Map, Value};
+
+use super::Outcome;
 use crate::chart::escape;
 
+/// Rows of a table that are shown at once; of a longer one, when it is unfolded.
+const ROWS_OPEN: usize = 48;
+
+/// Rows of the longest table on the page. What is longer is a course over time, which is drawn, and stands in its file.
+const ROWS_MAX: usize = 400;
+
+/// Numbers of a list that are written out.
+const LIST_MAX: usize = 16;
+
+const STYLE: &str = "body{font-family:sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222;line-height:1.4}\
+figure{margin:1em 0}svg{max-width:100%;height:auto}\
+pre,code{background:#f4f4f4}pre{padding:.8em;overflow-x:auto}code{padding:.1em .3em}\
+h2{margin-top:2em;border-top:1px solid #ccc;padding-top:1em}\
+.scroll{overflow-x:auto}table{border-collapse:collapse;margin:.8em 0;font-size:.85em;font-variant-numeric:tabular-nums}\
+th,td{padding:.2em .7em;border-bottom:1px solid #e2e2e2;text-align:right}th{background:#f4f4f4}\
+th:first-child,td:first-child,td.word,th.word{text-align:left}\
+.failed{border-left:4px solid #d55e00;padding:.4em .8em;background:#fdf1ea}\
+.aside{color:#666;font-size:.9em}@media print{details{display:none}}";
+
+/// What is known of an experiment that was run, or of a bench.
+#[derive(Debug, Clone)]
+pub struct Part {
+    /// Its name.
+    pub name: String,
+    /// What it shows, in a line, and which figure of the dissertation that stands for.
+    pub about: String,
+    /// What repeats it.
+    pub command: String,
+    /// How long it took, s.
+    pub took_s: f64,
+    /// What came of it, or why nothing did.
+    pub result: Result<Outcome, String>,
+}
+
+/// What the page says of itself.
+#[derive(Debug, Clone)]
+pub struct Origin {
+    /// Programs and formats, with their versions.
+    pub versions: String,
+    /// What it was made on.
+    pub machine: String,
+    /// How many parts there will be.
+    pub planned: usize,
+}
+
 /// The page.
-pub fn page(done: &[(Experiment, Outcome)]) -> String {
-    let mut html = String::from(
-        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Palpate: experiments</title>\n\
-         <style>body{font-family:sans-serif;max-width:980px;margin:2em auto;padding:0 1em;color:#222}\
-         figure{margin:1em 0}svg{max-width:100%;height:auto}pre{background:#f4f4f4;padding:.8em;overflow-x:auto}\
-         h2{margin-top:2em;border-top:1px solid #ccc;padding-top:1em}</style></head><body>\n\
-         <h1>Experiments</h1>\n<p>What a hand feels of a tool on tissue, against converged solutions that know nothing of \
-         the haptic path.</p>\n<ul>\n",
+pub fn page(parts: &[Part], origin: &Origin) -> String {
+    let mut html = format!(
+        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
+         <meta name=\"viewport\" content=\"width=device-width\"><title>Palpate: experiments</title>\n\
+         <style>{STYLE}</style></head><body>\n<h1>Experiments</h1>\n\
+         <p>What people feel and see of one tissue that they share over a network. The experiments on the network \
+         compare what two sites show at the same instant, over emulated networks in virtual time: with a seed every \
+         packet has the same fate again. Those on tissue compare what a hand feels at 1 kHz with converged solutions \
+         that know nothing of the haptic path; they depend a little on how fast the machine is. Figures and tables \
+         named in brackets are those of the dissertation (Lin 2007) that an experiment stands for.</p>\n"
     );
-    for (experiment, _) in done {
-        // Writing to a string can not fail.
+    // Writing to a string can not fail.
+    let _ = writeln!(
+        html,
+        "<p class=\"aside\">{}. {}. {} of {} parts in {}.</p>",
+        escape(&origin.versions),
+        escape(&origin.machine),
+        parts.len(),
+        origin.planned,
+        time(parts.iter().map(|p| p.took_s).sum())
+    );
+    let failed: Vec<&Part> = parts.iter().filter(|p| p.result.is_err()).collect();
+    if !failed.is_empty() {
+        let names: Vec<String> = (failed.iter())
+            .map(|p| format!("<a href=\"#{}\">{}</a>", p.name, escape(&p.name)))
+            .collect();
         let _ = writeln!(
             html,
-            "<li><a href=\"#{0}\">{0}</a>: {1}</li>",
-            experiment.name,
-            escape(experiment.about)
+            "<p class=\"failed\">Failed: {}.</p>",
+            names.join(", ")
         );
     }
+    html.push_str("<ul>\n");
+    for p in parts {
+        let (name, about) = (escape(&p.name), escape(&p.about));
+        let _ = writeln!(html, "<li><a href=\"#{}\">{name}</a>: {about}</li>", p.name);
+    }
     html.push_str("</ul>\n");
-    for (experiment, outcome) in done {
-        let _ = writeln!(
-            html,
-            "<h2 id=\"{0}\">{0}</h2>\n<p>{1}</p>",
-            experiment.name,
-            escape(&outcome.caption)
-        );
-        for (_, chart) in &outcome.charts {
-            let _ = writeln!(html, "<figure>{}</figure>", chart.to_svg());
-        }
-        let figures =
-            serde_json::to_string_pretty(&outcome.figures).expect("figures are plain data");
-        let _ = writeln!(
-            html,
-            "<details><summary>Figures</summary><pre>{}</pre></details>",
-            escape(&figures)
-        );
+    for part in parts {
+        section(&mut html, part);
     }
     html.push_str("</body></html>\n");
     html
+}
+
+fn time(s: f64) -> String {
+    if s < 90.0 {
+        format!("{s:.1} s")
+    } else {
+        format!("{:.1} min", s / 60.0)
+    }
+}
+
+fn section(html: &mut String, part: &Part) {
+    let _ = writeln!(
+        html,
+        "<h2 id=\"{}\">{}</h2>\n<p><b>{}</b></p>\n<p class=\"aside\">Repeat it: <code>{}</code> (took {})</p>",
+        part.name,
+        escape(&part.name),
+        escape(&part.about),
+        escape(&part.command),
+        time(part.took_s)
+    );
+    let outcome = match &part.result {
+        Ok(outcome) => outcome,
+        Err(why) => {
+            let _ = writeln!(html, "<p class=\"failed\">It failed: {}</p>", escape(why));
+            return;
+        }
+    };
+    let _ = writeln!(html, "<p>{}</p>", escape(&outcome.caption));
+    for (_, chart) in &outcome.charts {
+        let _ = writeln!(html, "<figure>{}</figure>", chart.to_svg());
+    }
+    let mut lists = Vec::new();
+    let mut scalars = Map::new();
+    flatten("", &outcome.figures, &mut scalars, &mut lists);
+    scalars.remove("experiment");
+    if !scalars.is_empty() {
+        let rows: Vec<Vec<String>> = (scalars.iter())
+            .map(|(name, value)| vec![name.clone(), cell(value)])
+            .collect();
+        table(html, &["figure".to_owned(), "value".to_owned()], &rows);
+    }
+    let mut has_table = false;
+    for (name, text) in &outcome.tables {
+        let rows: Vec<Vec<String>> = (text.lines())
+            .map(|line| line.split(',').map(plain).collect())
+            .collect();
+        if let Some((head, rows)) = rows
+            .split_first()
+            .filter(|(_, rows)| rows.len() <= ROWS_MAX)
+        {
+            folded(html, &format!("{name}: {} rows", rows.len()), head, rows);
+            has_table = true;
+        }
+    }
+    // Tables are the same figures for people.
+    for (name, objects) in lists.iter().filter(|_| !has_table) {
+        let (head, rows) = of_objects(objects);
+        folded(html, &format!("{name}: {} rows", rows.len()), &head, &rows);
+    }
+    files(html, part, outcome);
+}
+
+/// What stands beside the page.
+fn files(html: &mut String, part: &Part, outcome: &Outcome) {
+    let charts = outcome.charts.iter().map(|(n, _)| format!("{n}.svg"));
+    let tables = outcome.tables.iter().map(|(n, _)| format!("{n}.csv"));
+    let json = std::iter::once(format!("{}.json", part.name));
+    let links: Vec<String> = charts
+        .chain(tables)
+        .chain(json)
+        .map(|f| format!("<a href=\"{0}\">{0}</a>", escape(&f)))
+        .collect();
+    let _ = writeln!(html, "<p class=\"aside\">Files: {}</p>", links.join(", "));
+}
+
+/// Single figures by their path, and lists of objects.
+fn flatten(
+    path: &str,
+    value: &Value,
+    scalars: &mut Map<String, Value>,
+    lists: &mut Vec<(String, Vec<Value>)>,
+) {
+    let below = |key: &str| match path {
+        "" => key.to_owned(),
+        _ => format!("{path}.{key}"),
+    };
+    match value {
+        // Things of one kind by their names are a list.
+        Value::Object(object) if !path.is_empty() && is_list(object) => {
+            let named = object.iter().map(|(name, value)| {
+                let mut row = value.clone();
+                row["name"] = Value::from(name.clone());
+                row
+            });
+            lists.push((path.to_owned(), named.collect()));
+        }
+        Value::Object(object) => {
+            for (key, value) in object {
+                flatten(&below(key), value, scalars, lists);
+            }
+        }
+        Value::Array(values) if values.iter().any(Value::is_object) => {
+            lists.push((path.to_owned(), values.clone()));
+        }
+        _ => {
+            scalars.insert(path.to_owned(), value.clone());
+        }
+    }
+}
+
+/// Whether all that is in it has the same keys, more than one.
+fn is_list(object: &Map<String, Value>) -> bool {
+    let mut keys = (object.values()).map(|v| v.as_object().map(|o| o.keys().collect::<Vec<_>>()));
+    let Some(Some(first)) = keys.next() else {
+        return false;
+    };
+    object.len() > 2 && first.len() > 1 && keys.all(|k| k.as_ref() == Some(&first))
+}
+
+/// Objects as rows, with a column for every path that any of them has.
+fn of_objects(objects: &[Value]) -> (Vec<String>, Vec<Vec<String>>) {
+    let flat: Vec<Map<String, Value>> = (objects.iter())
+        .map(|object| {
+            let (mut scalars, mut lists) = (Map::new(), Vec::new());
+            flatten("", object, &mut scalars, &mut lists);
+            for (name, list) in lists {
+                scalars.insert(name, Value::String(format!("{} rows", list.len())));
+            }
+            scalars
+        })
+        .collect();
+    let mut head: Vec<String> = Vec::new();
+    for key in flat.iter().flat_map(Map::keys) {
+        if !head.contains(key) {
+            head.push(key.clone());
+        }
+    }
+    // What a row is called comes before its numbers.
+    let is_word = |key: &String| {
+        let values = flat.iter().filter_map(|row| row.get(key));
+        values.clone().next().is_some() && values.into_iter().all(Value::is_string)
+    };
+    head.sort_by_key(|key| !is_word(key));
+    let rows = (flat.iter())
+        .map(|row| {
+            let cells = head.iter().map(|k| row.get(k).map_or(String::new(), cell));
+            cells.collect()
+        })
+        .collect();
+    (head, rows)
+}
+
+/// A figure for a person: four digits that count.
+fn cell(value: &Value) -> String {
+    match value {
+        Value::Null => "–".to_owned(),
+        Value::String(word) => word.clone(),
+        Value::Number(n) if n.is_f64() => n.as_f64().map_or(String::new(), number),
+        Value::Array(values) => {
+            let mut cells: Vec<String> = values.iter().take(LIST_MAX).map(cell).collect();
+            if values.len() > LIST_MAX {
+                cells.push(format!("… {} in all", values.len()));
+            }
+            cells.join(", ")
+        }
+        other => other.to_string(),
+    }
+}
+
+/// A cell of a table as text, to four digits where it is a number with a fraction.
+fn plain(cell: &str) -> String {
+    match cell.parse::<f64>() {
+        Ok(x) if cell.contains('.') => number(x),
+        _ => cell.to_owned(),
+    }
+}
+
+fn number(x: f64) -> String {
+    if x == 0.0 {
+        return "0".to_owned();
+    }
+    if !(1e-4..1e7).contains(&x.abs()) {
+        return format!("{x:.2e}");
+    }
+    let digits = (3 - x.abs().log10().floor() as i32).clamp(0, 7) as usize;
+    format!("{x:.digits$}")
+}
+
+/// A table, folded away when it is long.
+fn folded(html: &mut String, name: &str, head: &[String], rows: &[Vec<String>]) {
+    let open = if rows.len() <= ROWS_OPEN { " open" } else { "" };
+    let _ = writeln!(html, "<details{open}><summary>{}</summary>", escape(name));
+    table(html, head, rows);
+    html.push_str("</details>\n");
+}
+
+fn table(html: &mut String, head: &[String], rows: &[Vec<String>]) {
+    // Columns of words begin on the left, as their heads do.
+    let is_word = |k: usize| {
+        let mut cells = rows.iter().filter_map(|row| row.get(k));
+        cells.any(|c| c.parse::<f64>().is_err() && c.chars().any(char::is_alphabetic))
+    };
+    let words: Vec<&str> = (0..head.len())
+        .map(|k| if is_word(k) { " class=\"word\"" } else { "" })
+        .collect();
+    html.push_str("<div class=\"scroll\"><table>\n<tr>");
+    for (name, word) in head.iter().zip(&words) {
+        let _ = write!(html, "<th{word}>{}</th>", escape(name));
+    }
+    html.push_str("</tr>\n");
+    for row in rows.iter().take(ROWS_MAX) {
+        html.push_str("<tr>");
+        for (cell, word) in row.iter().zip(&words) {
+            let _ = write!(html, "<td{word}>{}</td>", escape(cell));
+        }
+        html.push_str("</tr>\n");
+    }
+    html.push_str("</table></div>\n");
+    if rows.len() > ROWS_MAX {
+        let _ = writeln!(
+            html,
+            "<p class=\"aside\">The first {ROWS_MAX} of {} rows.</p>",
+            rows.len()
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn part(name: &str, result: Result<Outcome, String>) -> Part {
+        Part {
+            name: name.to_owned(),
+            about: "a < b (fig 7.26)".to_owned(),
+            command: format!("palpate-lab run {name} --seed 1"),
+            took_s: 1.5,
+            result,
+        }
+    }
+
+    fn outcome() -> Outcome {
+        Outcome {
+            caption: "what it shows".to_owned(),
+            figures: json!({ "apart_mm": { "p95": 0.012_345_6 }, "rows": [{ "a": 1, "b": { "c": "word" } }] }),
+            charts: Vec::new(),
+            tables: Vec::new(),
+        }
+    }
+
+    fn origin() -> Origin {
+        Origin {
+            versions: "palpate-lab 1".to_owned(),
+            machine: "two cores".to_owned(),
+            planned: 3,
+        }
+    }
+
+    #[test]
+    fn a_failed_part_stands_on_the_page_beside_the_others() {
+        let parts = [
+            part("good", Ok(outcome())),
+            part("bad", Err("no <room>".to_owned())),
+        ];
+        let html = page(&parts, &origin());
+        for expected in [
+            "Failed: <a href=\"#bad\">bad</a>",
+            "It failed: no &lt;room&gt;",
+            "<h2 id=\"good\">good</h2>",
+            "what it shows",
+            "a &lt; b (fig 7.26)",
+            "palpate-lab run good --seed 1",
+            "2 of 3 parts",
+        ] {
+            assert!(html.contains(expected), "{expected} is not in {html}");
+        }
+    }
+
+    #[test]
+    fn the_page_loads_nothing_from_anywhere() {
+        let html = page(&[part("good", Ok(outcome()))], &origin());
+        for loading in ["<script", "src=", "<link", "@import", "url("] {
+            assert!(!html.contains(loading), "{loading}");
+        }
+    }
+
+    #[test]
+    fn figures_are_tables_whatever_their_shape() {
+        let html = page(&[part("good", Ok(outcome()))], &origin());
+        for expected in [
+            "apart_mm.p95",
+            ">0.01235<",
+            "<th class=\"word\">b.c</th>",
+            ">word<",
+        ] {
+            assert!(html.contains(expected), "{expected} is not in {html}");
+        }
+    }
+
+    #[test]
+    fn things_of_one_kind_by_name_are_rows() {
+        let figures = json!({ "classes": { "x": { "a": 1, "b": 2 }, "y": { "a": 3, "b": 4 }, "z": { "a": 5, "b": 6 } } });
+        let outcome = Outcome {
+            figures,
+            ..outcome()
+        };
+        let html = page(&[part("good", Ok(outcome))], &origin());
+        assert!(
+            html.contains("classes: 3 rows")
+                && html.contains(">name<")
+                && !html.contains("classes.x")
+        );
+    }
+
+    #[test]
+    fn a_table_of_a_thousand_rows_stands_in_its_file_only() {
+        let rows = "1,2\n".repeat(1000);
+        let long = Outcome {
+            tables: vec![("course".to_owned(), format!("t_s,x\n{rows}"))],
+            ..outcome()
+        };
+        let html = page(&[part("good", Ok(long))], &origin());
+        assert!(html.contains("href=\"course.csv\"") && !html.contains("t_s"));
+    }
+
+    #[test]
+    fn numbers_have_four_digits_that_count() {
+        let shown = [1234.56, 0.012_345_6, -2.0, 0.0, 1e-9, 3e8].map(number);
+        assert_eq!(
+            shown,
+            ["1235", "0.01235", "-2.000", "0", "1.00e-9", "3.00e8"]
+        );
+    }
 }

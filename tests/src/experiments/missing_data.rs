@@ -6,7 +6,7 @@ use palpate_protocol::timeline::{Method, Timeline};
 use palpate_protocol::{ServerTime, Span};
 use serde_json::{Value, json};
 
-use super::samples::{Sampled, distance};
+use super::samples::{HISTORY_US, Sampled, angle_deg, distance};
 use super::{Bench, Outcome, line};
 use crate::chart::{BLUE, Chart, GREEN, GREY, Mark, ORANGE, Panel};
 
@@ -16,8 +16,8 @@ const RATE_HZ: u32 = 1000;
 /// The length of the gap, ms.
 const GAP_MS: i64 = 50;
 
-/// What is drawn before and after the gap, ms.
-const AROUND_MS: i64 = 60;
+/// What is drawn before and after the gap, ms: more of it would leave the gap itself too narrow to see.
+const AROUND_MS: i64 = 20;
 
 /// From one moment drawn to the next, µs.
 const STEP_US: i64 = 250;
@@ -45,64 +45,63 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let (from, until) = (began - AROUND_MS * 1000, ended + AROUND_MS * 1000);
     let axis = liveliest(&sampled, began, ended);
     let ms = |t_us: i64| (t_us - began) as f64 * 1e-3;
-    let place = |p: [f64; 3]| 1e3 * (p[axis] - sampled.truth(began)[axis]);
+    let place = |p: [f64; 3]| 1e3 * (p[axis] - sampled.truth(began).position_m[axis]);
     let moments = || (from..=until).step_by(STEP_US as usize);
-    let truth: Vec<(f64, f64)> = (moments().map(|t| (ms(t), place(sampled.truth(t))))).collect();
+    let truth: Vec<(f64, f64)> =
+        (moments().map(|t| (ms(t), place(sampled.truth(t).position_m)))).collect();
     let mut panels = Vec::new();
     let mut figures = Vec::new();
-    let mut table = String::from("kind,method,time_ms,place_mm,error_mm\n");
+    let mut table = String::from("kind,method,time_ms,place_mm,error_mm,turn_error_deg\n");
     for kind in ["extrapolation", "interpolation"] {
         let mut places = vec![line("the hand", "#000000", truth.clone())];
-        let mut errors = Vec::new();
+        let (mut errors, mut turns) = (Vec::new(), Vec::new());
         for method in Method::ALL {
-            let mut timeline = Timeline::new(method, Span::from_millis(GAP_MS));
-            sampled.fill(&mut timeline, from - 60_000, began);
-            if kind == "interpolation" {
-                sampled.fill(&mut timeline, ended, until + 60_000);
-            }
-            let mut course = (Vec::new(), Vec::new());
-            let last = if kind == "interpolation" {
-                until
-            } else {
-                ended
-            };
-            for t in (from..=last).step_by(STEP_US as usize) {
-                let shown = timeline.at(ServerTime::from_micros(t));
-                let at = shown
-                    .ok_or("the motion begins too late for its gap")?
-                    .pose
-                    .position_m;
-                let error = 1e3 * distance(at, sampled.truth(t));
+            let course = course(&sampled, method, began, kind == "interpolation")?;
+            for p in &course {
                 // Writing to a string can not fail.
                 let _ = writeln!(
                     table,
-                    "{kind},{},{},{},{error}",
+                    "{kind},{},{},{},{},{}",
                     method.name(),
-                    ms(t),
-                    place(at)
+                    ms(p.t_us),
+                    place(p.position_m),
+                    p.error_mm,
+                    p.turn_error_deg
                 );
-                course.0.push((ms(t), place(at)));
-                course.1.push((ms(t), error));
             }
-            let inside = |e: &&(f64, f64)| e.0 > 0.0 && e.0 <= GAP_MS as f64;
-            let worst = course
-                .1
-                .iter()
-                .filter(inside)
-                .map(|e| e.1)
-                .fold(0.0, f64::max);
-            figures.push(json!({ "kind": kind, "method": method.name(), "max_mm": worst }));
+            let inside: Vec<&Point> = (course.iter())
+                .filter(|p| p.t_us > began && p.t_us <= ended)
+                .collect();
+            let rms = |of: fn(&Point) -> f64| {
+                let squares: f64 = inside.iter().map(|p| of(p).powi(2)).sum();
+                (squares / inside.len().max(1) as f64).sqrt()
+            };
+            let worst = inside.iter().map(|p| p.error_mm).fold(0.0, f64::max);
+            figures.push(json!({
+                "kind": kind, "method": method.name(), "rms_mm": rms(|p| p.error_mm), "max_mm": worst,
+                "rms_deg": rms(|p| p.turn_error_deg),
+            }));
             let (colour, dashed) = colour(method);
-            let of = |points| super::Line {
+            let of = |y: &dyn Fn(&Point) -> f64| super::Line {
                 dashed,
-                ..line(method.name(), colour, points)
+                ..line(
+                    method.name(),
+                    colour,
+                    course.iter().map(|p| (ms(p.t_us), y(p))).collect(),
+                )
             };
             // The raw second difference leaves every picture in which the others can be told apart.
             if method != Method::VerletRaw || worst < 3.0 {
-                places.push(of(course.0));
+                places.push(of(&|p| place(p.position_m)));
             }
             if method != Method::Hold && (method != Method::VerletRaw || worst < 1.0) {
-                errors.push(of(course.1));
+                errors.push(of(&|p| p.error_mm));
+            }
+            // All others turn as the straight line does.
+            if method == Method::Linear {
+                let all = of(&|p| p.turn_error_deg);
+                let name = "all but hold".to_owned();
+                turns.push(super::Line { name, ..all });
             }
         }
         let panel = |what: &str, y: &str, lines| Panel {
@@ -120,8 +119,50 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             "error (mm)",
             errors,
         ));
+        panels.push(panel(
+            "angle between what is shown and how the hand is turned",
+            "error (°)",
+            turns,
+        ));
     }
     Ok(outcome(panels, &figures, table))
+}
+
+/// What a method shows at a moment, and how far off it is.
+struct Point {
+    t_us: i64,
+    position_m: [f64; 3],
+    error_mm: f64,
+    turn_error_deg: f64,
+}
+
+/// What a method shows around a gap; beyond its end only where the next samples are known.
+fn course(
+    sampled: &Sampled<'_>,
+    method: Method,
+    began: i64,
+    is_closed: bool,
+) -> Result<Vec<Point>, String> {
+    let ended = began + GAP_MS * 1000;
+    let (from, until) = (began - AROUND_MS * 1000, ended + AROUND_MS * 1000);
+    let mut timeline = Timeline::new(method, Span::from_millis(GAP_MS));
+    sampled.fill(&mut timeline, from - HISTORY_US, began)?;
+    if is_closed {
+        sampled.fill(&mut timeline, ended, until + HISTORY_US)?;
+    }
+    let last = if is_closed { until } else { ended };
+    let points = (from..=last).step_by(STEP_US as usize).map(|t_us| {
+        let shown = timeline.at(ServerTime::from_micros(t_us));
+        let shown = shown.ok_or("the motion begins too late for its gap")?.pose;
+        let truth = sampled.truth(t_us);
+        Ok(Point {
+            t_us,
+            position_m: shown.position_m,
+            error_mm: 1e3 * distance(shown.position_m, truth.position_m),
+            turn_error_deg: angle_deg(shown.orientation, truth.orientation),
+        })
+    });
+    points.collect()
 }
 
 fn outcome(panels: Vec<Panel>, figures: &[Value], table: String) -> Outcome {
@@ -137,7 +178,7 @@ fn outcome(panels: Vec<Panel>, figures: &[Value], table: String) -> Outcome {
     };
     Outcome {
         caption: "One gap in a hand's motion, at the place in ten seconds where a straight line is farthest off, and what is shown of it by \
-                  each method: beyond the last sample, and between samples once the next ones are there. A method whose line would \
+                  each method: beyond the last sample, and between samples once the next ones are there. Places and turns. A method whose line would \
                   hide all others is left out of the picture and stands in the figures."
             .to_owned(),
         figures: json!({ "experiment": "missing-data", "rate_hz": RATE_HZ, "gap_ms": GAP_MS, "methods": figures }),
@@ -152,10 +193,10 @@ fn worst_gap(sampled: &Sampled<'_>) -> Result<i64, String> {
     let mut worst = (first, -1.0);
     for t in (first..=last.min(first + 10_000_000)).step_by(SEARCH_MS as usize * 1000) {
         let mut timeline = Timeline::new(Method::Linear, Span::from_millis(GAP_MS));
-        sampled.fill(&mut timeline, t - 60_000, t);
+        sampled.fill(&mut timeline, t - HISTORY_US, t)?;
         let end = t + GAP_MS * 1000;
         if let Some(shown) = timeline.at(ServerTime::from_micros(end)) {
-            let error = distance(shown.pose.position_m, sampled.truth(end));
+            let error = distance(shown.pose.position_m, sampled.truth(end).position_m);
             if error > worst.1 {
                 worst = (t, error);
             }
@@ -170,7 +211,7 @@ fn liveliest(sampled: &Sampled<'_>, began: i64, ended: i64) -> usize {
         let along = || {
             (began..=ended)
                 .step_by(1000)
-                .map(|t| sampled.truth(t)[axis])
+                .map(|t| sampled.truth(t).position_m[axis])
         };
         along().fold(f64::MIN, f64::max) - along().fold(f64::MAX, f64::min)
     };

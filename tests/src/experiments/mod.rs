@@ -4,6 +4,7 @@
 //! dissertation that they stand for are named at each. All together make one page, [`gallery`](mod@gallery).
 
 mod atc;
+mod benches;
 pub mod command;
 mod friction;
 pub mod gallery;
@@ -14,9 +15,11 @@ mod press;
 pub mod recipe;
 mod replicas;
 mod samples;
+pub mod schedule;
 mod soft_hard;
 mod table_7_1;
 mod tool_paths;
+pub mod tour;
 
 use std::path::Path;
 
@@ -276,6 +279,17 @@ impl Outcome {
             std::fs::write(&path, table).map_err(|e| io(&path, e))?;
         }
         Ok(())
+    }
+}
+
+impl Outcome {
+    /// Writes charts, tables, and the figures as `name.json` into `dir`.
+    pub fn write_all(&self, dir: &Path, name: &str) -> Result<(), String> {
+        self.write(dir)?;
+        let path = dir.join(format!("{name}.json"));
+        let figures = serde_json::to_string_pretty(&self.figures).expect("figures are plain data");
+        std::fs::write(&path, figures + "\n")
+            .map_err(|e| format!("{}: {e}; check that the disk has room", path.display()))
     }
 }
 

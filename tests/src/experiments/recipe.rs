@@ -14,6 +14,8 @@ use std::path::Path;
 
 use serde::Deserialize;
 
+use crate::nearest::with_nearest;
+
 /// The largest file that is read, bytes: it names an experiment and its options.
 const BYTES_MAX: u64 = 64 << 10;
 
@@ -42,7 +44,11 @@ impl Recipe {
     pub fn load(path: &Path) -> Result<Self, String> {
         let shown = path.display();
         let read = |e: std::io::Error| format!("{shown} can not be read: {e}; check its name");
-        let bytes = std::fs::metadata(path).map_err(read)?.len();
+        let metadata = std::fs::metadata(path).map_err(read)?;
+        if metadata.is_dir() {
+            return Err(format!("{shown} is a folder; name a file in it"));
+        }
+        let bytes = metadata.len();
         if bytes > BYTES_MAX {
             return Err(format!(
                 "{shown} has {bytes} bytes; a file that names an experiment has at most {BYTES_MAX}"
@@ -66,7 +72,7 @@ impl Recipe {
 
     /// From the text of one.
     pub fn parse(text: &str) -> Result<Self, String> {
-        toml::from_str(text).map_err(|e| e.to_string())
+        toml::from_str(text).map_err(|e| with_nearest(&e.to_string()))
     }
 }
 
@@ -91,7 +97,10 @@ mod tests {
     #[test]
     fn what_is_not_known_or_can_not_be_is_refused_with_its_line() {
         for (text, expected) in [
-            ("experiment = \"press\"\nsede = 7\n", "sede"),
+            (
+                "experiment = \"press\"\nsede = 7\n",
+                "did you mean \"seed\"?",
+            ),
             ("seed = 7\n", "experiment"),
             ("experiment = \"press\"\nseed = -1\n", "line 2"),
             ("experiment = press\n", "line 1"),

@@ -1,6 +1,7 @@
 //! A hand's motion as a stream of samples brings it, beside what it truly is.
 
-use palpate_protocol::datagram::POSITION_STEP_M;
+use nalgebra::{Quaternion, UnitQuaternion};
+use palpate_protocol::datagram::as_sent;
 use palpate_protocol::timeline::Timeline;
 use palpate_protocol::{Pose, ServerTime, ToolSample};
 
@@ -42,31 +43,59 @@ impl<'a> Sampled<'a> {
         Ok((2 * HISTORY_US, last))
     }
 
-    /// Where the hand truly is, m.
-    pub(super) fn truth(&self, t_us: i64) -> [f64; 3] {
-        self.hand.at(t_us as f64 * 1e-6).position_m
+    /// Where the hand truly is and how it is turned.
+    pub(super) fn truth(&self, t_us: i64) -> Pose {
+        self.hand.at(t_us as f64 * 1e-6)
     }
 
-    /// Puts the samples from one moment to another, both included, into a timeline, as the wire rounds them.
-    pub(super) fn fill(&self, timeline: &mut Timeline, from_us: i64, until_us: i64) {
+    /// Puts the samples from one moment to another, both included, into a timeline, as the wire rounds them; an error
+    /// when the hand goes where no sample may be.
+    pub(super) fn fill(
+        &self,
+        timeline: &mut Timeline,
+        from_us: i64,
+        until_us: i64,
+    ) -> Result<(), String> {
         // Counted back from the end, so that the last one is known to the moment.
         let n = (until_us - from_us) / self.period_us;
         for k in (0..=n).rev() {
             let t_us = until_us - k * self.period_us;
-            let pose = self.hand.at(t_us as f64 * 1e-6);
-            let position_m = pose
-                .position_m
-                .map(|x| (x / POSITION_STEP_M).round() * POSITION_STEP_M);
-            timeline.insert(ToolSample {
+            let sample = ToolSample {
                 time: ServerTime::from_micros(t_us),
-                pose: Pose { position_m, ..pose },
+                pose: self.truth(t_us),
                 ..ToolSample::default()
-            });
+            };
+            let sent = as_sent(&sample).map_err(|e| {
+                format!(
+                    "the motion at {:.3} s can not be sent: {e}",
+                    t_us as f64 * 1e-6
+                )
+            })?;
+            timeline.insert(sent);
         }
+        Ok(())
     }
 }
 
 /// Between two places, m.
 pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>()).sqrt()
+}
+
+/// Between two turns as the wire knows them (x, y, z, w), the shortest way on SO(3), degrees.
+pub(super) fn angle_deg(a: [f64; 4], b: [f64; 4]) -> f64 {
+    let unit = |[x, y, z, w]: [f64; 4]| UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
+    unit(a).angle_to(&unit(b)).to_degrees()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::angle_deg;
+
+    #[test]
+    fn a_quaternion_and_its_negative_are_one_turn() {
+        let quarter = [0.0, 0.0, 0.5_f64.sqrt(), 0.5_f64.sqrt()];
+        assert!(angle_deg(quarter, quarter.map(|c| -c)) < 1e-6);
+        assert!((angle_deg([0.0, 0.0, 0.0, 1.0], quarter) - 90.0).abs() < 1e-9);
+    }
 }

@@ -6,19 +6,23 @@
 //! the first whole period at or beyond the gap's end. What the timeline answers is compared with the motion itself,
 //! every half millisecond of the gap.
 //!
+//! Turns are compared on SO(3): the angle of the one rotation that is between what is shown and what is true. All methods
+//! but hold turn alike, by slerp between samples and at the latest angular velocity beyond them.
+//!
 //! Force is what a tool would feel that is pressed into tissue of one stiffness k, whose surface is a plane through the
 //! motion's mean, across the axis along which it moves most: F = k max(0, depth). The percentage is the root mean
 //! square of the error of F over that of F where the hand truly is; k cancels out of it.
 
 use std::fmt::Write as _;
 
+use palpate_protocol::datagram::POSITION_STEP_M;
 use palpate_protocol::timeline::{Method, Timeline};
-use palpate_protocol::{ServerTime, Span};
+use palpate_protocol::{Pose, ServerTime, Span};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serde_json::{Value, json};
 
-use super::samples::{HISTORY_US, Sampled, distance};
+use super::samples::{HISTORY_US, Sampled, angle_deg, distance};
 use super::{Bench, Outcome, line};
 use crate::chart::{BLUE, Chart, GREEN, GREY, ORANGE, Panel};
 use crate::hand::Hand;
@@ -51,6 +55,7 @@ struct Row {
     gap_ms: i64,
     rms_mm: f64,
     max_mm: f64,
+    rms_deg: f64,
     force_percent: f64,
     n: usize,
 }
@@ -67,7 +72,8 @@ impl Row {
     fn json(&self) -> Value {
         json!({
             "kind": self.kind(), "method": self.method.name(), "rate_hz": self.rate_hz, "gap_ms": self.gap_ms,
-            "rms_mm": self.rms_mm, "max_mm": self.max_mm, "force_percent": self.force_percent, "n": self.n,
+            "rms_mm": self.rms_mm, "max_mm": self.max_mm, "rms_deg": self.rms_deg,
+            "force_percent": self.force_percent, "n": self.n,
         })
     }
 }
@@ -77,14 +83,18 @@ impl Row {
 struct Sum {
     squares: f64,
     max: f64,
+    /// Squares of angles, degrees.
+    turn_squares: f64,
     force_squares: f64,
     true_force_squares: f64,
     n: usize,
 }
 
 impl Sum {
-    /// `shown` and `truth` in m; `wall` says how deep a place is.
-    fn add(&mut self, shown: [f64; 3], truth: [f64; 3], wall: impl Fn([f64; 3]) -> f64) {
+    /// `wall` says how deep a place is, m.
+    fn add(&mut self, shown: &Pose, truth: &Pose, wall: impl Fn([f64; 3]) -> f64) {
+        self.turn_squares += angle_deg(shown.orientation, truth.orientation).powi(2);
+        let (shown, truth) = (shown.position_m, truth.position_m);
         let error = distance(shown, truth);
         self.squares += error * error;
         self.max = self.max.max(error);
@@ -102,6 +112,7 @@ impl Sum {
             gap_ms,
             rms_mm: 1e3 * (self.squares / self.n.max(1) as f64).sqrt(),
             max_mm: 1e3 * self.max,
+            rms_deg: (self.turn_squares / self.n.max(1) as f64).sqrt(),
             force_percent: 100.0 * share.sqrt(),
             n: self.n,
         }
@@ -122,7 +133,7 @@ impl Overall {
         let (first, last) = sampled.room(0)?;
         let places: Vec<[f64; 3]> = (first..=last.min(LONGEST_US))
             .step_by(AT_US as usize)
-            .map(|t| sampled.truth(t))
+            .map(|t| sampled.truth(t).position_m)
             .collect();
         let n = places.len() as f64;
         let mean = |axis: usize| places.iter().map(|p| p[axis]).sum::<f64>() / n;
@@ -152,34 +163,91 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let seed = bench.seed;
     let mut said = |share| (bench.progress)("gaps", share);
     let (rows, overall) = rows(&*hand, seed, GAPS, &mut said)?;
-    let mut table = String::from("kind,method,rate_hz,gap_ms,rms_mm,max_mm,force_percent,n\n");
+    let mut table =
+        String::from("kind,method,rate_hz,gap_ms,rms_mm,max_mm,rms_deg,force_percent,n\n");
     for r in &rows {
         // Writing to a string can not fail.
         let _ = writeln!(
             table,
-            "{},{},{},{},{:.6},{:.6},{:.4},{}",
+            "{},{},{},{},{:.6},{:.6},{:.6},{:.4},{}",
             r.kind(),
             r.method.name(),
             r.rate_hz,
             r.gap_ms,
             r.rms_mm,
             r.max_mm,
+            r.rms_deg,
             r.force_percent,
             r.n
         );
     }
     let listed: Vec<Value> = rows.iter().map(Row::json).collect();
     Ok(Outcome {
-        caption: "Errors of what is made up for missing samples, against the motion itself. The stream is rounded to 0.0125 mm as on the wire. Each \
-                  method is shown as far as the gap goes; in a session what is beyond 50 ms is held. Force is that of a spring behind \
-                  a plane through the motion's mean, in percent of its own root mean square. Lines end where they leave the picture."
-            .to_owned(),
+        caption: format!(
+            "Errors of what is made up for missing samples, against the motion itself. The stream is rounded as on the \
+             wire, places to {} mm. Each method is shown as far as the gap goes; in a session what is beyond 50 ms is \
+             held. rms_deg is the angle between the turn that is shown and the true one. Force is that of a spring \
+             behind a plane through the motion's mean, in percent of its own root mean square. Lines end where they \
+             leave the picture.",
+            1e3 * POSITION_STEP_M
+        ),
         figures: json!({
             "experiment": "table-7-1", "seed": seed, "speed_rms_mm_s": 1e3 * overall.speed_rms_m_s, "rows": listed,
         }),
         charts: vec![("table-7-1".to_owned(), chart(&rows))],
-        tables: vec![("table-7-1".to_owned(), table)],
+        tables: vec![
+            ("table-7-1-by-gap".to_owned(), by_gap(&rows)),
+            ("table-7-1".to_owned(), table),
+        ],
     })
+}
+
+/// The same for a reader: root mean squares in mm, a column for each length of a gap.
+fn by_gap(rows: &[Row]) -> String {
+    let mut table = String::from("rms_mm,rate_hz,method");
+    for gap_ms in GAPS_MS {
+        let _ = write!(table, ",{gap_ms} ms");
+    }
+    table.push('\n');
+    // Gaps are the innermost but one of the loops that made the rows.
+    let mut of_gaps: Vec<(&Row, Vec<f64>)> = Vec::new();
+    for row in rows {
+        let key = |r: &Row| (r.interpolation, r.rate_hz, r.method);
+        match of_gaps.iter_mut().find(|(first, _)| key(first) == key(row)) {
+            Some((_, cells)) => cells.push(row.rms_mm),
+            None => of_gaps.push((row, vec![row.rms_mm])),
+        }
+    }
+    for (row, cells) in of_gaps {
+        let _ = write!(
+            table,
+            "{},{},{}",
+            row.kind(),
+            row.rate_hz,
+            row.method.name()
+        );
+        for mm in cells {
+            let _ = write!(table, ",{mm:.4}");
+        }
+        table.push('\n');
+    }
+    table
+}
+
+/// The points up to `top`; a line that leaves the picture is drawn to where it does.
+fn below(points: impl Iterator<Item = (f64, f64)>, top: f64) -> Vec<(f64, f64)> {
+    let mut drawn: Vec<(f64, f64)> = Vec::new();
+    for (x, y) in points {
+        if y <= top {
+            drawn.push((x, y));
+            continue;
+        }
+        if let Some(&(x0, y0)) = drawn.last() {
+            drawn.push((x0 + (x - x0) * (top - y0) / (y - y0), top));
+        }
+        break;
+    }
+    drawn
 }
 
 /// The whole table.
@@ -225,24 +293,24 @@ fn sums(
     let mut sums = [[Sum::default(); 5]; 2];
     for k in 0..gaps {
         let began = first + ((k as f64 + rng.random_range(0.0..1.0)) * share) as i64;
-        let truth: Vec<[f64; 3]> = (STEP_US..=missing_us)
+        let truth: Vec<Pose> = (STEP_US..=missing_us)
             .step_by(STEP_US as usize)
             .map(|t| sampled.truth(began + t))
             .collect();
         for (m, method) in Method::ALL.into_iter().enumerate() {
             let mut timeline = Timeline::new(method, Span::from_micros(missing_us));
-            sampled.fill(&mut timeline, began - HISTORY_US, began);
+            sampled.fill(&mut timeline, began - HISTORY_US, began)?;
             let mut beyond = timeline.clone();
             sampled.fill(
                 &mut timeline,
                 began + missing_us,
                 began + missing_us + HISTORY_US,
-            );
+            )?;
             for (truth, t) in truth.iter().zip((STEP_US..).step_by(STEP_US as usize)) {
                 let at = ServerTime::from_micros(began + t);
                 let mut add = |kind: usize, timeline: &mut Timeline| {
                     if let Some(shown) = timeline.at(at) {
-                        sums[kind][m].add(shown.pose.position_m, *truth, |p| overall.depth(p));
+                        sums[kind][m].add(&shown.pose, truth, |p| overall.depth(p));
                     }
                 };
                 if t <= gap_us {
@@ -271,9 +339,8 @@ fn chart(rows: &[Row]) -> Chart {
             let points = (rows.iter())
                 .filter(|r| r.interpolation == interpolation && r.rate_hz == rate_hz)
                 .filter(|r| r.method == method)
-                .map(|r| (r.gap_ms as f64, r.rms_mm))
-                .take_while(|p| p.1 <= DRAWN_MAX_MM[usize::from(interpolation)])
-                .collect();
+                .map(|r| (r.gap_ms as f64, r.rms_mm));
+            let points = below(points, DRAWN_MAX_MM[usize::from(interpolation)]);
             super::Line {
                 dashed,
                 ..line(method.name(), colour, points)
@@ -347,6 +414,41 @@ mod tests {
             let found = rows.iter().find(row).unwrap();
             assert!(found.rms_mm <= 0.02, "{found:?}");
         }
+    }
+
+    #[test]
+    fn turns_carried_on_are_nearer_than_turns_held() {
+        let rows = table(&Random::new(Temper::default(), 1), 1, 50);
+        for row in rows.iter().filter(|r| r.method == Method::Verlet) {
+            let held = (rows.iter())
+                .find(|r| {
+                    r.method == Method::Hold
+                        && (r.interpolation, r.rate_hz, r.gap_ms)
+                            == (row.interpolation, row.rate_hz, row.gap_ms)
+                })
+                .unwrap();
+            assert!(row.rms_deg < 0.5 * held.rms_deg, "{row:?} {held:?}");
+        }
+    }
+
+    #[test]
+    fn the_table_by_gaps_has_a_line_per_method_and_a_cell_per_gap() {
+        let rows = table(&Random::new(Temper::default(), 1), 1, 5);
+        let text = by_gap(&rows);
+        assert_eq!(
+            text.lines().count(),
+            1 + 2 * RATES_HZ.len() * Method::ALL.len()
+        );
+        assert!(
+            text.lines()
+                .all(|l| l.split(',').count() == 3 + GAPS_MS.len())
+        );
+    }
+
+    #[test]
+    fn a_line_that_leaves_the_picture_ends_at_its_edge() {
+        let drawn = below([(0.0, 0.0), (1.0, 0.5), (2.0, 1.5)].into_iter(), 1.0);
+        assert_eq!(drawn, [(0.0, 0.0), (1.0, 0.5), (1.5, 1.0)]);
     }
 
     #[test]

@@ -6,6 +6,7 @@
 //! | [`Random`] | band-limited, with tremor, from a seed |
 //! | [`Script`] | way points, as the demo and the experiments use them |
 
+pub(crate) mod command;
 mod random;
 mod recorded;
 

@@ -4,9 +4,13 @@
 //! motion; tracking ends at 2 Hz) whose amplitudes fall as 1/f, so that every octave has its share of the speed; the
 //! tremor is a sum of sines between 8 and 12 Hz. Sums of sines are known with all their derivatives at every moment,
 //! and reach what was asked for to the rounding, not only in the mean of many seeds.
+//!
+//! It turns in the same way: the three parts of its rotation vector are such sums, of an angular speed and a tremor in
+//! radians. The turn stays below half a radian, where the vector's rate is the angular speed within some per cent.
 
 use std::f64::consts::TAU;
 
+use nalgebra::{UnitQuaternion, Vector3};
 use palpate_protocol::Pose;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -32,21 +36,29 @@ pub struct Temper {
     pub speed_rms_m_s: f64,
     /// Amplitude of the tremor along each axis, m: √2 times its rms, as of one sine.
     pub tremor_m: f64,
+    /// Root mean square of the rate of the rotation vector's slow part, rad/s.
+    pub turn_rms_rad_s: f64,
+    /// Amplitude of the tremor about each axis, rad, as [`tremor_m`](Self::tremor_m).
+    pub tremor_rad: f64,
 }
 
 impl Default for Temper {
-    /// The hand of the stand-in for table 7.1: 87 mm/s and 0.1 mm.
+    /// The hand of the stand-in for table 7.1: 87 mm/s and 0.1 mm. It turns as if that were the motion about a wrist
+    /// 0.1 m away (reconstructed: nothing is known of turns there): 0.87 rad/s and 1 mrad.
     fn default() -> Self {
         Self {
             speed_rms_m_s: 0.087,
             tremor_m: 1e-4,
+            turn_rms_rad_s: 0.87,
+            tremor_rad: 1e-3,
         }
     }
 }
 
 #[derive(Debug, Clone, Copy)]
 struct Sine {
-    amplitude_m: f64,
+    /// In m along an axis, in rad about one.
+    amplitude: f64,
     omega: f64,
     phase: f64,
 }
@@ -54,37 +66,45 @@ struct Sine {
 /// A wandering hand. It has no end.
 #[derive(Debug, Clone)]
 pub struct Random {
-    axes: [Vec<Sine>; 3],
+    along: [Vec<Sine>; 3],
+    about: [Vec<Sine>; 3],
 }
 
 impl Random {
     /// The hand of that temper and seed.
     pub fn new(temper: Temper, seed: u64) -> Self {
         let mut rng = Pcg64::seed_from_u64(seed);
-        let axes = std::array::from_fn(|_| {
-            let mut sines = Vec::with_capacity(SLOW + TREMOR);
-            // A sine of amplitude A has the mean square speed (Aω)²/2; with A ~ 1/ω all share alike.
-            let speed = temper.speed_rms_m_s * (2.0 / (3.0 * SLOW as f64)).sqrt();
-            for k in 0..SLOW {
-                let omega = TAU * strewn(&mut rng, SLOW_HZ, k, SLOW);
-                sines.push(Sine {
-                    amplitude_m: speed / omega,
-                    omega,
-                    phase: rng.random_range(0.0..TAU),
-                });
-            }
-            let tremor = temper.tremor_m / (TREMOR as f64).sqrt();
-            for k in 0..TREMOR {
-                sines.push(Sine {
-                    amplitude_m: tremor,
-                    omega: TAU * strewn(&mut rng, TREMOR_HZ, k, TREMOR),
-                    phase: rng.random_range(0.0..TAU),
-                });
-            }
-            sines
-        });
-        Self { axes }
+        // Places first, so that a seed's places are the same whether or not it turns.
+        let along = sines(&mut rng, temper.speed_rms_m_s, temper.tremor_m);
+        let about = sines(&mut rng, temper.turn_rms_rad_s, temper.tremor_rad);
+        Self { along, about }
     }
+}
+
+/// Slow part and tremor along three axes: root mean square of the rate of all three together, and amplitude along each.
+fn sines(rng: &mut Pcg64, rate_rms: f64, tremor: f64) -> [Vec<Sine>; 3] {
+    std::array::from_fn(|_| {
+        let mut sines = Vec::with_capacity(SLOW + TREMOR);
+        // A sine of amplitude A has the mean square speed (Aω)²/2; with A ~ 1/ω all share alike.
+        let speed = rate_rms * (2.0 / (3.0 * SLOW as f64)).sqrt();
+        for k in 0..SLOW {
+            let omega = TAU * strewn(rng, SLOW_HZ, k, SLOW);
+            sines.push(Sine {
+                amplitude: speed / omega,
+                omega,
+                phase: rng.random_range(0.0..TAU),
+            });
+        }
+        let tremor = tremor / (TREMOR as f64).sqrt();
+        for k in 0..TREMOR {
+            sines.push(Sine {
+                amplitude: tremor,
+                omega: TAU * strewn(rng, TREMOR_HZ, k, TREMOR),
+                phase: rng.random_range(0.0..TAU),
+            });
+        }
+        sines
+    })
 }
 
 /// A frequency in part `k` of `n` equal parts of the logarithm of a band: a band is filled whatever the seed.
@@ -95,14 +115,16 @@ fn strewn(rng: &mut Pcg64, (low, high): (f64, f64), k: usize, n: usize) -> f64 {
 
 impl Hand for Random {
     fn at(&self, t_s: f64) -> Pose {
-        let along = |sines: &Vec<Sine>| {
+        let sum = |sines: &Vec<Sine>| -> f64 {
             (sines.iter())
-                .map(|s| s.amplitude_m * (s.omega * t_s + s.phase).sin())
+                .map(|s| s.amplitude * (s.omega * t_s + s.phase).sin())
                 .sum()
         };
+        let turn = Vector3::from_fn(|axis, _| sum(&self.about[axis]));
+        let q = UnitQuaternion::from_scaled_axis(turn);
         Pose {
-            position_m: std::array::from_fn(|axis| along(&self.axes[axis])),
-            ..Pose::IDENTITY
+            position_m: std::array::from_fn(|axis| sum(&self.along[axis])),
+            orientation: [q.i, q.j, q.k, q.w],
         }
     }
 
@@ -142,12 +164,32 @@ mod tests {
             let still = Temper {
                 speed_rms_m_s: 0.0,
                 tremor_m: 2e-4,
+                ..Temper::default()
             };
             let hand = Random::new(still, seed);
             for axis in 0..3 {
                 let amplitude = rms(|t| hand.at(t).position_m[axis]) * 2f64.sqrt();
                 assert!((amplitude / 2e-4 - 1.0).abs() < 0.02, "{amplitude} m");
             }
+        }
+    }
+
+    #[test]
+    fn it_turns_as_fast_as_was_asked_for() {
+        let turned = |hand: &Random, t_s: f64| {
+            let q = |t_s: f64| {
+                let [i, j, k, w] = hand.at(t_s).orientation;
+                UnitQuaternion::new_normalize(nalgebra::Quaternion::new(w, i, j, k))
+            };
+            q(t_s).angle_to(&q(t_s + 1e-4)) / 1e-4
+        };
+        for seed in 0..4 {
+            let calm = Temper {
+                tremor_rad: 0.0,
+                ..Temper::default()
+            };
+            let rate = rms(|t| turned(&Random::new(calm, seed), t));
+            assert!((rate / 0.87 - 1.0).abs() < 0.05, "{rate} rad/s");
         }
     }
 

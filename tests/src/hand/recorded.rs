@@ -51,6 +51,12 @@ pub enum MotionFileError {
         /// Its size.
         bytes: u64,
     },
+    /// A folder.
+    #[error("it is a folder; name the file in it")]
+    Folder,
+    /// Nothing in it.
+    #[error("it is empty; its first line names the columns: time_s,x_m,y_m,z_m[,qw,qx,qy,qz]")]
+    Empty,
     /// The first line names other columns.
     #[error(
         "line 1: the columns should be time_s,x_m,y_m,z_m, and where turns are known also qw,qx,qy,qz; {0}"
@@ -76,7 +82,11 @@ impl Recorded {
     /// Reads a table.
     pub fn load(path: &Path) -> Result<Self, MotionFileError> {
         let read = |source| MotionFileError::Read { source };
-        let bytes = std::fs::metadata(path).map_err(read)?.len();
+        let metadata = std::fs::metadata(path).map_err(read)?;
+        if metadata.is_dir() {
+            return Err(MotionFileError::Folder);
+        }
+        let bytes = metadata.len();
         if bytes > BYTES_MAX {
             return Err(MotionFileError::TooLarge { bytes });
         }
@@ -86,6 +96,9 @@ impl Recorded {
     /// From the text of a table.
     pub fn parse(text: &str) -> Result<Self, MotionFileError> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        if text.trim().is_empty() {
+            return Err(MotionFileError::Empty);
+        }
         let mut lines = text.lines().enumerate();
         let columns = columns(lines.next().map_or("", |(_, line)| line))?;
         let mut moments: Vec<Moment> = Vec::new();
@@ -238,7 +251,7 @@ mod tests {
             ),
             (GOOD.replace(",z_m", ""), "z_m is missing"),
             (GOOD[..GOOD.len() - 26].to_owned(), "there are 2 rows"),
-            (String::new(), "line 1"),
+            (String::new(), "it is empty"),
             (
                 "time_s,x_m,y_m,z_m,qw,qx,qy,qz\n0,0,0,0,0,0,0,0\n".to_owned(),
                 "line 2: the quaternion has the length 0",

@@ -88,6 +88,13 @@ fn sentence(link: &Link) -> String {
             bursts.loss * 100.0
         ));
     }
+    if let Some(outages) = &link.outages {
+        let down_s: f64 = outages.times.iter().map(|o| o.to_s - o.from_s).sum();
+        words.push(match outages.repeat_s {
+            Some(period) => format!("down for {down_s} s in every {period} s"),
+            None => format!("down for {down_s} s"),
+        });
+    }
     if link.duplicate > 0.0 {
         words.push(format!("{} % doubled", link.duplicate * 100.0));
     }

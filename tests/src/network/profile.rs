@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::checked;
-use super::link::{Bursts, Jitter, Link, Outages, Rate, Step, Steps};
+use super::link::{Bursts, Jitter, Link, Outage, Outages, Rate, Step, Steps};
 use super::path::Direction;
 use super::trace::{Trace, TraceError};
+use crate::nearest::{did_you_mean, with_nearest};
 
 /// The largest file of a profile, bytes. A long list of steps fits; a trace has a file of its own.
 const FILE_BYTES_MAX: u64 = 1_000_000;
@@ -27,7 +28,7 @@ pub struct Profile {
 #[derive(Debug, thiserror::Error)]
 pub enum ProfileError {
     /// A name that no profile has.
-    #[error("there is no network profile \"{name}\"{}. Known profiles: {}; or give a TOML file's path, which ends in .toml", nearest(name), NAMES.join(", "))]
+    #[error("there is no network profile \"{name}\"{}. Known profiles: {}; or give a TOML file's path, which ends in .toml", did_you_mean(name, &NAMES), NAMES.join(", "))]
     Unknown {
         /// The name.
         name: String,
@@ -67,7 +68,7 @@ pub enum ProfileError {
 }
 
 /// The named profiles.
-const NAMES: [&str; 10] = [
+const NAMES: [&str; 13] = [
     "none",
     "lan",
     "metro",
@@ -78,6 +79,9 @@ const NAMES: [&str; 10] = [
     "lte",
     "lossy",
     "steps",
+    "gamma",
+    "bursts",
+    "outages",
 ];
 
 /// A profile as it stands in a file.
@@ -246,7 +250,7 @@ impl Profile {
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, ProfileError> {
         let document: Document = toml::from_str(text).map_err(|why| ProfileError::Content {
             path: path.to_owned(),
-            why: why.to_string().trim_end().to_owned(),
+            why: with_nearest(why.to_string().trim_end()),
         })?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let both = document.both.unwrap_or_default();
@@ -336,6 +340,39 @@ impl Profile {
                 }),
                 ..plain(30.0, uniform(2.0), 0.0)
             },
+            // A queue or two on the way: most packets hardly wait, few wait long.
+            "gamma" => Link {
+                reorder: true,
+                ..plain(
+                    50.0,
+                    Jitter::Gamma {
+                        mean_ms: 5.0,
+                        deviation_ms: 5.0,
+                    },
+                    0.0,
+                )
+            },
+            // 50 ms, and 120 ms for a fifth of a second in every two at 250 packets a second.
+            "bursts" => Link {
+                bursts: Some(Bursts {
+                    good_packets: 450.0,
+                    bad_packets: 50.0,
+                    loss: 0.0,
+                    delay_ms: 70.0,
+                }),
+                ..plain(50.0, uniform(2.0), 0.0)
+            },
+            // Half a second without a link in every twenty: a radio that changes its cell.
+            "outages" => Link {
+                outages: Some(Outages {
+                    repeat_s: Some(20.0),
+                    times: vec![Outage {
+                        from_s: 15.0,
+                        to_s: 15.5,
+                    }],
+                }),
+                ..plain(25.0, uniform(3.0), 0.002)
+            },
             _ => {
                 return Err(ProfileError::Unknown {
                     name: name.to_owned(),
@@ -344,31 +381,6 @@ impl Profile {
         };
         Ok(Self::both(name, link))
     }
-}
-
-/// A question after the name that is meant, when one is near.
-fn nearest(name: &str) -> String {
-    let nearest = NAMES.iter().min_by_key(|n| edits(name, n));
-    nearest
-        .filter(|n| edits(name, n) <= n.len() / 2)
-        .map(|n| format!("; did you mean \"{n}\"?"))
-        .unwrap_or_default()
-}
-
-/// How many letters must be changed, added or taken away to make one word of the other.
-fn edits(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, ca) in a.chars().take(64).enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, cb) in b.iter().enumerate() {
-            let change = diagonal + usize::from(ca != *cb);
-            diagonal = row[j + 1];
-            row[j + 1] = change.min(diagonal + 1).min(row[j] + 1);
-        }
-    }
-    row[b.len()]
 }
 
 #[cfg(test)]
@@ -421,8 +433,8 @@ mod tests {
             ("loss = 1.5", "from 0 to 1"),
             ("duplicate = -0.1", "from 0 to 1"),
             ("corrupt = nan", "from 0 to 1"),
-            ("deley_ms = 3", "unknown field `deley_ms`"),
-            ("jitter = { kind = \"gama\" }", "`gamma`"),
+            ("deley_ms = 3", "did you mean \"delay_ms\"?"),
+            ("jitter = { kind = \"gama\" }", "did you mean \"gamma\"?"),
             (
                 "jitter = { kind = \"uniform\", reach_ms = -1 }",
                 "from 0 to 60000",

@@ -101,6 +101,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
             s.rebinds,
             s.overflowed
         ))?;
+        for (name, way) in [("up", &s.up), ("down", &s.down)] {
+            say(&format!("  {name:<5}{way}"))?;
+        }
     }
     Ok(ExitCode::SUCCESS)
 }

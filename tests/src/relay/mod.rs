@@ -14,8 +14,10 @@ mod socket;
 mod stats;
 
 #[cfg(test)]
+mod delay_laws;
+#[cfg(test)]
 mod laws;
 
 pub use crate::network::{Direction, Profile};
 pub use socket::{CLIENTS_MAX, QUEUE_MAX_PACKETS, RebindError, Relay};
-pub use stats::RelayStats;
+pub use stats::{RelayStats, WayStats};

@@ -78,7 +78,6 @@ struct Queue {
     next_order: u64,
     overflowed: u64,
     delivered: u64,
-    reordered: u64,
     delays: Histogram,
     lateness: Histogram,
 }
@@ -119,6 +118,8 @@ struct Way {
     path: Mutex<Path>,
     /// One more than the highest number that went out.
     newest_out: AtomicU64,
+    /// Packets that went out after one with a higher number.
+    reordered: AtomicU64,
 }
 
 impl PartialEq for Parcel {
@@ -218,26 +219,28 @@ impl Relay {
         for flow in lock(&self.shared.flows).iter() {
             stats.clients += 1;
             stats.rebinds += flow.rebinds.load(Ordering::Relaxed);
-            for way in [&flow.up, &flow.down] {
-                let counts = lock(&way.path).counts();
-                stats.sent += counts.sent;
-                stats.dropped += counts.dropped();
-                stats.in_outage += counts.in_outage;
-                stats.queue_full += counts.queue_full;
-                stats.duplicated += counts.duplicated;
-                stats.corrupted += counts.corrupted;
+            for (way, sum) in [(&flow.up, &mut stats.up), (&flow.down, &mut stats.down)] {
+                let reordered = way.reordered.load(Ordering::Relaxed);
+                sum.add(lock(&way.path).counts(), reordered);
             }
         }
+        let (up, down) = (stats.up, stats.down);
         let queue = lock(&self.shared.queue);
         RelayStats {
+            sent: up.sent + down.sent,
+            dropped: up.dropped + down.dropped,
+            in_outage: up.in_outage + down.in_outage,
+            queue_full: up.queue_full + down.queue_full,
+            duplicated: up.duplicated + down.duplicated,
+            corrupted: up.corrupted + down.corrupted,
+            reordered: up.reordered + down.reordered,
             overflowed: queue.overflowed,
             delivered: queue.delivered,
-            reordered: queue.reordered,
             delay_mean_ms: queue.delays.mean_ms(),
             delay_p50_ms: queue.delays.quantile_ms(0.5),
             delay_p99_ms: queue.delays.quantile_ms(0.99),
             lateness_p99_ms: queue.lateness.quantile_ms(0.99),
-            loss: stats.dropped as f64 / stats.sent.max(1) as f64,
+            loss: (up.dropped + down.dropped) as f64 / (up.sent + down.sent).max(1) as f64,
             ..stats
         }
     }
@@ -341,6 +344,7 @@ fn open_flow(
             to,
             path: Mutex::new(path),
             newest_out: AtomicU64::new(0),
+            reordered: AtomicU64::new(0),
         })
     };
     let down = way(listening, Some(client), Direction::Down);
@@ -458,6 +462,7 @@ impl Queue {
             .way
             .newest_out
             .fetch_max(parcel.n + 1, Ordering::Relaxed);
-        self.reordered += u64::from(parcel.n + 1 < newest);
+        let is_late = u64::from(parcel.n + 1 < newest);
+        parcel.way.reordered.fetch_add(is_late, Ordering::Relaxed);
     }
 }

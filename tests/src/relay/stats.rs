@@ -1,6 +1,59 @@
 //! What a relay did.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
+
+use crate::network::PathCounts;
+
+/// What a relay did to the packets of one direction, all clients together.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct WayStats {
+    /// Packets that came in.
+    pub sent: u64,
+    /// Packets that were lost on purpose.
+    pub dropped: u64,
+    /// Those of them that were lost because the link was down.
+    pub in_outage: u64,
+    /// Those of them that were lost because the bottleneck's queue was full.
+    pub queue_full: u64,
+    /// Packets that went out twice.
+    pub duplicated: u64,
+    /// Packets that went out with flipped bits.
+    pub corrupted: u64,
+    /// Packets that went out after one that came in later.
+    pub reordered: u64,
+}
+
+impl WayStats {
+    /// Adds what became of one flow's packets.
+    pub(super) fn add(&mut self, counts: PathCounts, reordered: u64) {
+        self.sent += counts.sent;
+        self.dropped += counts.dropped();
+        self.in_outage += counts.in_outage;
+        self.queue_full += counts.queue_full;
+        self.duplicated += counts.duplicated;
+        self.corrupted += counts.corrupted;
+        self.reordered += reordered;
+    }
+}
+
+impl fmt::Display for WayStats {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{} packets, {} dropped ({} in outages, {} at a full queue), {} doubled, {} corrupted, {} overtaken",
+            self.sent,
+            self.dropped,
+            self.in_outage,
+            self.queue_full,
+            self.duplicated,
+            self.corrupted,
+            self.reordered
+        )
+    }
+}
 
 /// What a relay did, both directions together.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -45,6 +98,12 @@ pub struct RelayStats {
     pub lateness_p99_ms: f64,
     /// Measured share of packets that were lost, 0 to 1.
     pub loss: f64,
+    /// Packets to the server.
+    #[serde(default)]
+    pub up: WayStats,
+    /// Packets to clients.
+    #[serde(default)]
+    pub down: WayStats,
 }
 
 /// Width of a bucket in microseconds.

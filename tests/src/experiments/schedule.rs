@@ -1,0 +1,130 @@
+//! How far a list of experiments is, and how long the rest of it takes.
+
+/// What experiments take, s: rough, from a machine of two cores that others used as well. Only their proportions matter,
+/// as what has been done says how fast this machine is.
+const TOOK_S: &[(&str, f64)] = &[
+    ("soft-hard", 2.0),
+    ("friction", 15.0),
+    ("handle", 15.0),
+    ("tool-paths", 120.0),
+    ("leg-press", 30.0),
+    ("press", 80.0),
+    ("atc-none", 4.0),
+    ("atc-fixed", 4.0),
+    ("atc-adaptive", 4.0),
+    ("transmission", 1.0),
+    ("jitter", 1.0),
+    ("replicas", 150.0),
+    ("table-7-1", 5.0),
+    ("missing-data", 0.5),
+    ("haptic-tick", 5.0),
+    ("press-cube", 5.0),
+    ("haptic-faults", 10.0),
+];
+
+/// Of one that is not listed, s.
+const OTHER_S: f64 = 20.0;
+
+/// How far a machine may be from the one of the list; more is a disturbance at the beginning.
+const FACTOR: (f64, f64) = (0.2, 20.0);
+
+/// A running one that takes longer than expected has at least this share of its time left.
+const LEFT_MIN: f64 = 0.05;
+
+/// Characters of the bar.
+const BAR: usize = 20;
+
+/// A list of experiments, done one after the other.
+#[derive(Debug, Clone)]
+pub struct Schedule {
+    expected_s: Vec<f64>,
+    done: usize,
+    took_s: f64,
+}
+
+impl Schedule {
+    /// Of these, in their order.
+    pub fn new<'a>(names: impl IntoIterator<Item = &'a str>) -> Self {
+        let expected = |name: &str| {
+            let listed = TOOK_S.iter().find(|(n, _)| *n == name);
+            listed.map_or(OTHER_S, |(_, s)| *s)
+        };
+        Self {
+            expected_s: names.into_iter().map(expected).collect(),
+            done: 0,
+            took_s: 0.0,
+        }
+    }
+
+    /// The next one is done; it took so long.
+    pub fn done(&mut self, took_s: f64) {
+        self.done = (self.done + 1).min(self.expected_s.len());
+        self.took_s += took_s;
+    }
+
+    /// What is left when the present one has been running so long, s.
+    pub fn left_s(&self, running_s: f64) -> f64 {
+        let (done, rest) = self.expected_s.split_at(self.done);
+        let expected: f64 = done.iter().sum();
+        let factor = if expected > 0.0 {
+            (self.took_s / expected).clamp(FACTOR.0, FACTOR.1)
+        } else {
+            1.0
+        };
+        let Some((present, later)) = rest.split_first() else {
+            return 0.0;
+        };
+        let present = factor * present;
+        (present - running_s).max(LEFT_MIN * present) + factor * later.iter().sum::<f64>()
+    }
+
+    /// A bar, how many are done, and the time left, for a person.
+    pub fn line(&self, running_s: f64) -> String {
+        let left_s = self.left_s(running_s);
+        let spent_s = self.took_s + running_s;
+        let share = spent_s / (spent_s + left_s).max(f64::MIN_POSITIVE);
+        let full = ((share * BAR as f64) as usize).min(BAR);
+        let left = if left_s < 90.0 {
+            format!("{left_s:.0} s")
+        } else {
+            format!("{:.0} min", left_s / 60.0)
+        };
+        format!(
+            "[{}{}] {} of {} done, about {left} left",
+            "#".repeat(full),
+            "-".repeat(BAR - full),
+            self.done,
+            self.expected_s.len()
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{OTHER_S, Schedule};
+
+    #[test]
+    fn a_machine_twice_as_slow_takes_twice_as_long_for_the_rest() {
+        let mut schedule = Schedule::new(["friction", "handle", "unheard-of"]);
+        assert!((schedule.left_s(0.0) - (30.0 + OTHER_S)).abs() < 1e-9);
+        schedule.done(30.0);
+        assert!((schedule.left_s(0.0) - 2.0 * (15.0 + OTHER_S)).abs() < 1e-9);
+    }
+
+    #[test]
+    fn there_is_some_time_left_until_all_is_done() {
+        let mut schedule = Schedule::new(["friction", "handle"]);
+        assert!(schedule.left_s(1e6) > 0.0 && schedule.line(1e6).contains("0 of 2 done"));
+        schedule.done(1.0);
+        schedule.done(1.0);
+        schedule.done(1.0);
+        assert!(
+            schedule.left_s(0.0) == 0.0 && schedule.line(0.0).starts_with("[####################]")
+        );
+    }
+
+    #[test]
+    fn a_list_of_nothing_is_done() {
+        assert!(Schedule::new([]).line(0.0).contains("0 of 0"));
+    }
+}

@@ -1,0 +1,238 @@
+//! `palpate-lab all`: every experiment and the benches beside them, one after the other, and a page of it.
+//!
+//! What fails is said on the page and by the exit code; the others are run all the same.
+
+use std::fmt::Write as _;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+use clap::Args;
+use palpate_protocol::PROTOCOL_VERSION;
+use serde_json::{Value, json};
+
+use super::benches::{self, Measured};
+use super::command::{DIR, Given, SEED, experiment, made};
+use super::gallery::{self, Origin, Part};
+use super::recipe::Recipe;
+use super::schedule::Schedule;
+use super::{ALL, Experiment, Outcome};
+use crate::bench::on_threads;
+use crate::cli::say;
+use crate::progress::Progress;
+
+/// Arguments of `all`.
+#[derive(Debug, Args)]
+pub struct AllArguments {
+    /// Where the page (index.html), charts and tables go
+    #[arg(short, long = "out", value_name = "DIR", default_value = DIR)]
+    out: PathBuf,
+    /// Only these, parted by commas
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = item)]
+    only: Vec<Item>,
+    /// Seed of what is left to chance, for those that leave something to it [default: 1]
+    #[arg(long)]
+    seed: Option<u64>,
+    /// A network for those that have one, instead of their own: a name, or a file (.toml)
+    #[arg(long)]
+    profile: Option<String>,
+    /// A recorded motion of a hand (CSV) for those that follow one
+    #[arg(long, value_name = "FILE.csv")]
+    motion: Option<String>,
+    /// Print one line of JSON for each: its name, whether it is ok, its time, and its figures or what is wrong
+    #[arg(long)]
+    json: bool,
+}
+
+/// What can stand on the page.
+#[derive(Debug, Clone, Copy)]
+enum Item {
+    Experiment(Experiment),
+    Bench(Measured),
+}
+
+fn item(name: &str) -> Result<Item, String> {
+    match benches::named(name) {
+        Some(bench) => Ok(Item::Bench(bench)),
+        None => experiment(name).map(Item::Experiment),
+    }
+}
+
+impl Item {
+    fn name(&self) -> &'static str {
+        match self {
+            Self::Experiment(e) => e.name,
+            Self::Bench(b) => b.name,
+        }
+    }
+
+    fn about(&self) -> &'static str {
+        match self {
+            Self::Experiment(e) => e.about,
+            Self::Bench(b) => b.about,
+        }
+    }
+}
+
+impl AllArguments {
+    fn items(&self) -> Vec<Item> {
+        if !self.only.is_empty() {
+            return self.only.clone();
+        }
+        let experiments = ALL.iter().copied().map(Item::Experiment);
+        experiments
+            .chain(benches::ALL.iter().copied().map(Item::Bench))
+            .collect()
+    }
+
+    /// What one of them is given of what was said for all.
+    fn recipe(&self, experiment: Experiment) -> Recipe {
+        let takes = experiment.takes;
+        Recipe {
+            experiment: experiment.name.to_owned(),
+            seed: self.seed.filter(|_| takes.seed),
+            profile: self.profile.clone().filter(|_| takes.profile),
+            motion: self.motion.clone().filter(|_| takes.motion),
+            ..Recipe::default()
+        }
+    }
+
+    /// What repeats one of them.
+    fn command(&self, item: Item) -> String {
+        let experiment = match item {
+            Item::Bench(bench) => return bench.command.to_owned(),
+            Item::Experiment(experiment) => experiment,
+        };
+        let recipe = self.recipe(experiment);
+        let mut command = format!("palpate-lab run {}", experiment.name);
+        if experiment.takes.seed {
+            // Writing to a string can not fail.
+            let _ = write!(command, " --seed {}", recipe.seed.unwrap_or(SEED));
+        }
+        for (option, value) in [("profile", recipe.profile), ("motion", recipe.motion)] {
+            if let Some(value) = value {
+                let _ = write!(command, " --{option} {value}");
+            }
+        }
+        command
+    }
+
+    fn run(
+        &self,
+        item: Item,
+        dir: &Path,
+        told: &mut (dyn FnMut(&str, f64) + Send),
+    ) -> Result<Outcome, String> {
+        match item {
+            Item::Bench(bench) => on_threads(1, || (bench.run)(told))?,
+            Item::Experiment(experiment) => {
+                let given = Given::load(&self.recipe(experiment), dir)?;
+                made(experiment, given, dir, told)
+            }
+        }
+    }
+}
+
+/// Runs all of them and makes a page of it.
+pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
+    let kept = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
+    let items = arguments.items();
+    let page = arguments.out.join("index.html");
+    let origin = Origin {
+        versions: format!(
+            "palpate-lab {}, protocol version {PROTOCOL_VERSION}",
+            env!("CARGO_PKG_VERSION")
+        ),
+        machine: machine(),
+        planned: items.len(),
+    };
+    let mut progress = Progress::new();
+    let mut schedule = Schedule::new(items.iter().map(Item::name));
+    let mut parts: Vec<Part> = Vec::new();
+    for item in items {
+        progress.stage(&format!(
+            "{}: {}  {}",
+            item.name(),
+            item.about(),
+            schedule.line(0.0)
+        ));
+        let began = Instant::now();
+        let mut told = |what: &str, share: f64| {
+            let line = schedule.line(began.elapsed().as_secs_f64());
+            progress.tick(&format!("{line}; {what}: {:3.0} %", share * 100.0));
+        };
+        let run = AssertUnwindSafe(|| arguments.run(item, kept.path(), &mut told));
+        // What a fault in one of them leaves behind is thrown away with it.
+        let result = catch_unwind(run).unwrap_or_else(|fault| Err(panicked(fault.as_ref())));
+        let took_s = began.elapsed().as_secs_f64();
+        schedule.done(took_s);
+        let part = Part {
+            name: item.name().to_owned(),
+            about: item.about().to_owned(),
+            command: arguments.command(item),
+            took_s,
+            result,
+        };
+        match &part.result {
+            Ok(outcome) => outcome.write_all(&arguments.out, &part.name)?,
+            Err(why) => progress.stage(&format!("{} failed: {why}", part.name)),
+        }
+        if arguments.json {
+            say(&line(&part).to_string())?;
+        }
+        parts.push(part);
+        // After each, so that what is done can be looked at.
+        std::fs::create_dir_all(&arguments.out)
+            .and_then(|()| std::fs::write(&page, gallery::page(&parts, &origin)))
+            .map_err(|e| {
+                format!(
+                    "{}: {e}; check that the folder can be written and has room",
+                    page.display()
+                )
+            })?;
+    }
+    drop(progress);
+    let failed = parts.iter().filter(|p| p.result.is_err()).count();
+    if !arguments.json {
+        say(&format!(
+            "{} of {} are done",
+            parts.len() - failed,
+            parts.len()
+        ))?;
+    }
+    eprintln!("the page is {}", page.display());
+    if failed == 0 {
+        return Ok(ExitCode::SUCCESS);
+    }
+    eprintln!("palpate-lab: {failed} failed; the page says why");
+    Ok(ExitCode::FAILURE)
+}
+
+/// A part for programs.
+fn line(part: &Part) -> Value {
+    let (key, value) = match &part.result {
+        Ok(outcome) => ("figures", outcome.figures.clone()),
+        Err(why) => ("error", Value::from(why.clone())),
+    };
+    json!({ "experiment": part.name, "ok": part.result.is_ok(), "took_s": part.took_s, key: value })
+}
+
+fn machine() -> String {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    format!(
+        "{} on {}, {threads} hardware threads",
+        std::env::consts::OS,
+        std::env::consts::ARCH
+    )
+}
+
+/// What a fault in the program says.
+fn panicked(fault: &(dyn std::any::Any + Send)) -> String {
+    let words = (fault.downcast_ref::<String>().map(String::as_str))
+        .or_else(|| fault.downcast_ref::<&str>().copied());
+    format!(
+        "a fault in the program: {}; please report it with the command above",
+        words.unwrap_or("it said nothing")
+    )
+}
