@@ -70,6 +70,26 @@ pub enum ProtocolError {
         /// The number of the other one.
         sequence: u32,
     },
+    /// A datagram of another life of the session.
+    #[error(
+        "a datagram of another epoch: its low bits are {low_bits}, the session is in epoch {expected}"
+    )]
+    OtherEpoch {
+        /// The epoch of the session.
+        expected: u32,
+        /// The low bits of the epoch in the datagram.
+        low_bits: u8,
+    },
+    /// A datagram of somebody else's connection.
+    #[error(
+        "a datagram of another participant: its low bits are {low_bits}, the connection is that of #{expected}"
+    )]
+    OtherStream {
+        /// The participant whose connection it is.
+        expected: u16,
+        /// The low bits of the participant in the datagram.
+        low_bits: u8,
+    },
     /// A datagram of a kind that this version does not know.
     #[error("a datagram of the unknown kind {kind}")]
     DatagramKind {

@@ -21,7 +21,7 @@ use crate::{
 };
 
 /// The version that this crate speaks. It grows with every change of any message.
-pub const PROTOCOL_VERSION: u16 = 3;
+pub const PROTOCOL_VERSION: u16 = 4;
 
 /// What every palpate stream begins with.
 pub const MAGIC: [u8; 4] = *b"PALP";
@@ -230,6 +230,7 @@ pub struct Welcome {
     /// The model to hold.
     pub model: ModelInfo,
     /// Who is here, the newcomer included, at most [`ROSTER_MAX`].
+    #[serde(deserialize_with = "crate::bounded_list::at_most::<ROSTER_MAX, _, _>")]
     pub roster: Vec<RosterEntry>,
     /// How often the topology has changed after `operations_so_far` operations.
     pub topology_version: u32,

@@ -16,11 +16,13 @@
 //! state machines, [`clock`], [`compensation`] and [`timeline`] for the one moment everybody shares.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+mod bounded_list;
 pub mod clock;
 pub mod codec;
 pub mod compensation;
 pub mod datagram;
 mod error;
+pub mod examples;
 pub mod handshake;
 mod ids;
 pub mod link;

@@ -88,6 +88,7 @@ pub enum OperationKind {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CutStroke {
     /// Where the blade was, in order, at most [`STROKE_MAX_POINTS`].
+    #[serde(deserialize_with = "crate::bounded_list::at_most::<STROKE_MAX_POINTS, _, _>")]
     pub points: Vec<BladePoint>,
     /// Width of the blade in metres.
     pub width_m: f64,

@@ -78,6 +78,7 @@ impl RequestKind {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CutRequest {
     /// The blade over time, oldest first, at most [`STROKE_MAX_POINTS`].
+    #[serde(deserialize_with = "crate::bounded_list::at_most::<STROKE_MAX_POINTS, _, _>")]
     pub points: Vec<TimedBladePoint>,
     /// Width of the blade in metres.
     pub width_m: f64,

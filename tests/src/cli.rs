@@ -7,6 +7,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::bench::coding::Coding;
 use crate::bench::haptic_tick::HapticTick;
 use crate::bench::on_threads;
 use crate::bench::press_cube::PressCube;
@@ -51,6 +52,7 @@ const BENCHES: &str = "\
 Examples:
   palpate-lab bench press-cube --nodes 40 --moving
   palpate-lab bench press-scene thigh.toml --json
+  palpate-lab bench coding --round-trip-ms 200
 
 Compare figures of one run on one machine only: other work on it changes them.";
 
@@ -119,6 +121,18 @@ enum Bench {
     PressCube(PressCubeArguments),
     /// A sphere of 8 mm pressed into a model at the speed of a hand: force error and time per tick
     PressScene(PressSceneArguments),
+    /// Bits per pose and per node on the wire: ours, zstd, raw
+    Coding {
+        /// Round trip after which both ends know what was sent, in ms
+        #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(i64).range(0..=400))]
+        round_trip_ms: i64,
+        /// Seed of the hand
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+        /// Print one JSON object
+        #[arg(long)]
+        json: bool,
+    },
     /// Time one tick of the force loop: read, compute, write
     HapticTick {
         /// Ticks of each device
@@ -264,6 +278,16 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::HapticFaults(arguments) => run_haptic_faults(&arguments),
         Command::Bench(Bench::PressCube(arguments)) => run_press_cube(&arguments),
         Command::Bench(Bench::PressScene(arguments)) => run_press_scene(&arguments),
+        Command::Bench(Bench::Coding {
+            round_trip_ms,
+            seed,
+            json,
+        }) => (Coding {
+            round_trip_ms,
+            seed,
+        })
+        .run()
+        .and_then(|report| give(&report, json)),
         Command::Bench(Bench::HapticTick { ticks, json }) => (HapticTick {
             ticks: ticks as usize,
         })

@@ -1,34 +1,46 @@
 //! What every datagram begins with, as short as both ends can complete it.
 
 use super::bytes::{Reader, Writer};
-use super::{Moment, quantise};
+use super::{KIND_MOTION, Moment, quantise};
 use crate::{Epoch, ParticipantId, ProtocolError, ServerTime, Span};
 
-const KIND_MASK: u8 = 0x0f;
-const HAS_ACKNOWLEDGEMENT: u8 = 0x10;
-const HAS_WHOLE_TIME: u8 = 0x20;
+const KIND_MASK: u8 = 0x07;
+const HAS_ACKNOWLEDGEMENT: u8 = 0x08;
+const IS_WHOLE: u8 = 0x10;
+const EPOCH_SHIFT: u32 = 5;
+const STREAM_MASK: u8 = 0x0f;
 
-/// A time that is not whole may be so far from the newest that arrived: somewhat less than half of what 16
-/// bits span at steps of 20 µs, 1.3 s.
+/// Bits of a number that is not whole: at 264 datagrams a second they come again after 16 s. Whoever
+/// listens does not take anything that is more than [`crate::WINDOW_BITS`] behind the newest, and
+/// QUIC nothing that is more than some hundred packets behind.
+const SEQUENCE_BITS: u32 = 12;
+
+/// A number that is not whole may be so far from the newest that arrived: somewhat less than half of
+/// what its bits span.
+pub const SHORT_SEQUENCE: u32 = 1500;
+
+/// A time that is not whole may be so far from the newest that arrived: well below half of what 16
+/// bits span at steps of 50 µs, 3.3 s.
 pub const SHORT_TIME: Span = Span::from_millis(500);
 
-/// The low bytes of an epoch and of a participant. QUIC keeps connections apart; this finds mistakes:
-/// the next epoch differs from the one before, and so do neighbours.
+/// Which connection of which life of the session. Three bits of the epoch and four of the participant
+/// travel: QUIC keeps connections apart; this finds mistakes, as the next epoch differs from the one
+/// before, and so do neighbours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Tag {
     /// The life of the session; an earlier one is refused.
-    pub epoch: u8,
+    pub epoch: Epoch,
     /// The participant whose connection this is.
-    pub stream: u8,
+    pub stream: ParticipantId,
 }
 
 impl Tag {
-    /// The tag of a connection.
-    pub const fn new(epoch: Epoch, stream: ParticipantId) -> Self {
-        Self {
-            epoch: epoch.0 as u8,
-            stream: stream.0 as u8,
-        }
+    fn epoch_bits(self) -> u8 {
+        (self.epoch.0 as u8) << EPOCH_SHIFT
+    }
+
+    fn stream_bits(self) -> u8 {
+        self.stream.0 as u8 & STREAM_MASK
     }
 }
 
@@ -50,11 +62,11 @@ pub struct Header {
     pub sequence: u32,
     /// When the datagram was made, in server time as the sender knows it, to steps of
     /// [`TIME_STEP_US`](super::TIME_STEP_US). Of motion: when the newest sample of its first tool
-    /// was taken.
+    /// was taken, whatever is said here.
     pub generated: ServerTime,
-    /// Whether the time is sent whole: wherever it is more than [`SHORT_TIME`] from the newest that the
-    /// other side has acknowledged.
-    pub whole_time: bool,
+    /// Whether number and time are sent whole: wherever they are more than [`SHORT_SEQUENCE`] or
+    /// [`SHORT_TIME`] from the newest that the other side has acknowledged.
+    pub is_whole: bool,
     /// What arrived from the other side, in some of the datagrams.
     pub acknowledged: Option<Acknowledgement>,
 }
@@ -62,6 +74,8 @@ pub struct Header {
 /// What a receiver knows that completes a header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Expected {
+    /// Its own connection.
+    pub tag: Tag,
     /// The newest number that arrived.
     pub sequence: u32,
     /// The time in the newest that arrived.
@@ -70,17 +84,16 @@ pub struct Expected {
     pub sent: u32,
 }
 
-impl Expected {
-    /// The time of which these are the low bits and which is nearest to what is expected.
-    fn time(&self, low: u16) -> i64 {
-        let near = quantise::time(self.generated);
-        near.saturating_add(i64::from(low.wrapping_sub(near as u16) as i16))
-    }
+/// The time in steps of which these are the low bits and which is nearest.
+pub(super) fn nearest_time(low: u16, near: i64) -> i64 {
+    near.saturating_add(i64::from(low.wrapping_sub(near as u16) as i16))
 }
 
-/// The number of which these are the low bits and which is nearest.
-fn nearest(low: u16, near: u32) -> u32 {
-    near.wrapping_add(i32::from(low.wrapping_sub(near as u16) as i16) as u32)
+/// The number of which these are the low `bits` and which is nearest.
+fn nearest(low: u16, bits: u32, near: u32) -> u32 {
+    let unused = u16::BITS - bits;
+    let ahead = (low.wrapping_sub(near as u16) << unused) as i16 >> unused;
+    near.wrapping_add(i32::from(ahead) as u32)
 }
 
 impl Header {
@@ -89,20 +102,22 @@ impl Header {
             sequence: self.sequence,
             stream: self.tag.stream,
             generated: self.generated,
+            is_whole: self.is_whole,
         }
     }
 
     pub(super) fn write(&self, kind: u8, w: &mut Writer) {
         let acknowledgement = self.acknowledged.map_or(0, |_| HAS_ACKNOWLEDGEMENT);
-        let whole = if self.whole_time { HAS_WHOLE_TIME } else { 0 };
-        w.u8(kind | acknowledgement | whole);
-        w.u8(self.tag.epoch);
-        w.u8(self.tag.stream);
-        w.u16(self.sequence as u16);
+        let whole = if self.is_whole { IS_WHOLE } else { 0 };
+        w.u8(kind | acknowledgement | whole | self.tag.epoch_bits());
+        let high = (self.sequence >> 8) as u8;
+        w.u8(self.tag.stream_bits() | high << 4);
+        w.u8(self.sequence as u8);
         let time = quantise::time(self.generated);
-        if self.whole_time {
+        if self.is_whole {
+            w.u32(self.sequence);
             w.i64(time);
-        } else {
+        } else if kind != KIND_MOTION {
             w.u16(time as u16);
         }
         if let Some(a) = self.acknowledged {
@@ -111,31 +126,55 @@ impl Header {
         }
     }
 
-    /// The header and the kind.
+    /// The header and the kind. Of motion that is not whole the time is in the body.
     pub(super) fn read(
         r: &mut Reader<'_>,
         expected: &Expected,
     ) -> Result<(Self, u8), ProtocolError> {
-        let kind = r.u8()?;
-        if kind & !(KIND_MASK | HAS_ACKNOWLEDGEMENT | HAS_WHOLE_TIME) != 0 {
-            return Err(ProtocolError::DatagramKind { kind });
+        let first = r.u8()?;
+        let kind = first & KIND_MASK;
+        let tag = expected.tag;
+        let epoch = first >> EPOCH_SHIFT << EPOCH_SHIFT;
+        if epoch != tag.epoch_bits() {
+            return Err(ProtocolError::OtherEpoch {
+                expected: tag.epoch.0,
+                low_bits: epoch >> EPOCH_SHIFT,
+            });
         }
-        let tag = Tag {
-            epoch: r.u8()?,
-            stream: r.u8()?,
-        };
-        let sequence = nearest(r.u16()?, expected.sequence);
-        let whole_time = kind & HAS_WHOLE_TIME != 0;
-        let time = if whole_time {
-            r.i64()?
+        let second = r.u8()?;
+        let stream = second & STREAM_MASK;
+        if stream != tag.stream_bits() {
+            return Err(ProtocolError::OtherStream {
+                expected: tag.stream.0,
+                low_bits: stream,
+            });
+        }
+        let low = u16::from(second >> 4) << 8 | u16::from(r.u8()?);
+        let is_whole = first & IS_WHOLE != 0;
+        let (sequence, time) = if is_whole {
+            let sequence = r.u32()?;
+            if nearest(low, SEQUENCE_BITS, sequence) != sequence {
+                return Err(ProtocolError::OutOfRange {
+                    what: "a whole number",
+                    detail: format!("{sequence}, whose low bits are told as {low}"),
+                });
+            }
+            (sequence, r.i64()?)
         } else {
-            expected.time(r.u16()?)
+            let sequence = nearest(low, SEQUENCE_BITS, expected.sequence);
+            let near = quantise::time(expected.generated);
+            let time = if kind == KIND_MOTION {
+                near
+            } else {
+                nearest_time(r.u16()?, near)
+            };
+            (sequence, time)
         };
-        let acknowledged = if kind & HAS_ACKNOWLEDGEMENT == 0 {
+        let acknowledged = if first & HAS_ACKNOWLEDGEMENT == 0 {
             None
         } else {
             Some(Acknowledgement {
-                newest: nearest(r.u16()?, expected.sent),
+                newest: nearest(r.u16()?, u16::BITS, expected.sent),
                 bits: r.u32()?,
             })
         };
@@ -143,9 +182,9 @@ impl Header {
             tag,
             sequence,
             generated: quantise::time_back(time),
-            whole_time,
+            is_whole,
             acknowledged,
         };
-        Ok((header, kind & KIND_MASK))
+        Ok((header, kind))
     }
 }

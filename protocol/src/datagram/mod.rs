@@ -3,15 +3,17 @@
 //! All integers are little endian. Every datagram begins with the header
 //!
 //! ```text
-//! kind and flags u8 | epoch u8 | stream u8 | sequence u16 | generated u16 or i64 | newest u16, bits u32
+//! first u8 | second u8 | sequence, low 8 bits | time | newest u16, bits u32
 //! ```
 //!
-//! The low four bits of the first byte are the kind; 0x10 says that an acknowledgement is there, 0x20
-//! that the time has 64 bits. `epoch` and `stream` are the low bytes of the session's epoch and of
-//! the participant whose connection it is, in both directions; `sequence` counts the datagrams of one
-//! direction, its low 16 bits; `generated` is in steps of 20 µs, its low 16 bits or all; `newest`
-//! (low 16 bits) and `bits` acknowledge the other direction: bit i says that number `newest` - 1 - i
-//! arrived. What is cut off is what is nearest to the newest that arrived. The body follows:
+//! First: bits 0 to 2 are the kind, 3 says that an acknowledgement is there, 4 that number and time
+//! are whole, 5 to 7 are the low bits of the session's epoch. Second: bits 0 to 3 are those of the
+//! participant whose connection it is, in both directions, 4 to 7 are bits 8 to 11 of the sequence,
+//! which counts the datagrams of one direction. Time: sequence u32 and time i64 if they are whole;
+//! otherwise nothing for motion, whose body tells it, and the low 16 bits of the time for the rest; in
+//! steps of 50 µs. `newest` (low 16 bits) and `bits` acknowledge the other direction: bit i says
+//! that number `newest` - 1 - i arrived. What is cut off is what is nearest to the newest that
+//! arrived. The body follows:
 //!
 //! | kind | body |
 //! | --- | --- |
@@ -40,7 +42,7 @@ use range_coder::{RangeDecoder, RangeEncoder};
 use shape::{Frame, Nodes};
 
 pub use corrections::{Corrections, Displacements};
-pub use header::{Acknowledgement, Expected, Header, SHORT_TIME, Tag};
+pub use header::{Acknowledgement, Expected, Header, SHORT_SEQUENCE, SHORT_TIME, Tag};
 pub use memory::Memory;
 pub use quantise::{POSITION_MAX_M, POSITION_STEP_M, TIME_STEP_US, as_sent};
 
@@ -111,8 +113,9 @@ const KIND_DISPLACEMENTS: u8 = 6;
 #[derive(Debug, Clone, Copy)]
 struct Moment {
     sequence: u32,
-    stream: u8,
+    stream: ParticipantId,
     generated: ServerTime,
+    is_whole: bool,
 }
 
 /// A header and what it heads.
@@ -277,13 +280,15 @@ impl<'a> Opened<'a> {
         datagram
     }
 
-    fn read_body(self, memory: &mut Memory) -> Result<Datagram, ProtocolError> {
+    fn read_body(mut self, memory: &mut Memory) -> Result<Datagram, ProtocolError> {
         let at = self.header.moment();
         let body = match self.kind {
             KIND_MOTION => {
                 let mut c = RangeDecoder::new(self.rest, "motion");
                 let tracks = motion::read(&mut c, at, memory)?;
                 c.finish()?;
+                let newest = tracks.first().and_then(|t| t.samples.last());
+                self.header.generated = newest.map_or(self.header.generated, |s| s.time);
                 Body::Motion(tracks)
             }
             KIND_CORRECTIONS => {

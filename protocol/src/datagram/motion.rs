@@ -5,18 +5,25 @@
 //! minus one, then per tool
 //!
 //! ```text
-//! participant minus the header's `stream` | 6 minus the number of samples
+//! participant minus the connection's | 5 minus the number of samples
 //! whether from a baseline; if so: how many datagrams ago it was
-//! times: the newest before `generated`, then the steps back, less 1 ms each, 2 ms from the fifth on
+//! times: of the newest, see below; then the steps back, less 1 ms each
 //! the newest sample: position, orientation, buttons, force
 //! the oldest sample and then always the middle one of what is left, against what is known by then
 //! ```
 //!
 //! A baseline is a datagram that the other side has acknowledged. The newest sample is expected where
-//! the baseline's samples lead to, slowed down within [`LEAD_UNITS`]; the oldest one on the line from
-//! the newest with the baseline's velocity; one between two others on the line between them. Without
+//! the baseline's samples lead to, slowed down within [`LEAD_UNITS`]; the oldest one on the parabola
+//! that goes through the newest of the baseline with its velocity and through the newest (beyond
+//! [`PARABOLA_UNITS`] on the line through both); one between two others on the line between them. Without
 //! a baseline the newest sample is told as it is.
+//!
+//! The newest sample of the first tool of a whole datagram has the time in the header. Any other with a
+//! baseline is so many usual batches of [`BATCH`] ms after it (told as datagrams less batches) and
+//! some rest. Without a baseline the first tool tells the low 16 bits of its time, another one how
+//! much it is before the first.
 
+use super::header::nearest_time;
 use super::memory::Memory;
 use super::quantise::{self, COMPONENT_MAX, POSITION_MAX, Point, TIME_STEP_US, Turn};
 use super::range_coder::{Chance, Coder, Number};
@@ -29,21 +36,49 @@ const PERIOD: i64 = 1000 / TIME_STEP_US;
 /// A hand goes on for about 60 ms as it went; in steps of time.
 const LEAD_UNITS: i64 = 60_000 / TIME_STEP_US;
 
-/// New samples in a usual datagram. Of the batch before, every second one is repeated: what is lost with
-/// a datagram is then between two that are 2 ms apart, where interpolation errs by less than a step.
+/// New samples in a usual datagram.
 pub(crate) const BATCH: usize = 4;
 
-/// Samples in a usual datagram.
-pub(crate) const USUAL_SAMPLES: usize = BATCH + BATCH / 2;
+/// Samples in a usual datagram: the last one of the batch before is repeated. What is lost with one
+/// datagram is then between two samples that are 4 ms apart, where a straight line is within
+/// a h²/8 = 2.4 µm of a hand that is accelerated by 1.2 m/s².
+pub(crate) const USUAL_SAMPLES: usize = BATCH + 1;
 
-/// The usual step of time before the sample that is `rank` from the newest.
-fn usual_step(rank: usize) -> i64 {
-    if rank <= BATCH { PERIOD } else { 2 * PERIOD }
-}
+/// A sample between two others that is so many steps from where it is expected is told as expected:
+/// most of such differences are what rounding made. It is then at most 0.02 mm from where it was; the
+/// newest and the oldest sample are as near as their step.
+const TOLERANCE: i32 = 1;
+
+/// The time of a usual batch, in steps.
+const BATCH_UNITS: i64 = BATCH as i64 * PERIOD;
 
 /// What is farther apart than this (in steps of time, about an hour) tells nothing about each other;
 /// products with it stay within 64 bits.
 const FAR_UNITS: i64 = 1 << 28;
+
+impl Point {
+    /// Becomes what is expected, wherever it is within [`TOLERANCE`] of it.
+    fn settle(&mut self, near: &Self) {
+        let settle = |parts: &mut [i32; 3], near: [i32; 3]| {
+            for (x, near) in parts.iter_mut().zip(near) {
+                if x.abs_diff(near) <= TOLERANCE as u32 {
+                    *x = near;
+                }
+            }
+        };
+        settle(&mut self.position, near.position);
+        if self.turn.omitted == near.turn.omitted {
+            settle(&mut self.turn.parts, near.turn.parts);
+        }
+    }
+}
+
+/// A baseline whose velocity is older than this, in steps of time, tells nothing of the bend since then;
+/// and products with it stay within 64 bits.
+const PARABOLA_UNITS: i64 = 200_000 / TIME_STEP_US;
+
+/// The samples of a baseline that tell a velocity are at most so far apart, in steps of time.
+const VELOCITY_UNITS: i64 = 50_000 / TIME_STEP_US;
 
 /// What a datagram leaves behind for differences: its newest and its oldest sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -64,6 +99,35 @@ impl Anchor {
         let span = (self.newest.time - self.oldest.time).max(1);
         on_line(&self.oldest, &self.newest, span + by, span)
     }
+}
+
+/// The point at `at`, in steps of time from the baseline's newest sample, on the parabola that leaves it
+/// with its velocity and is at `b` after `span`.
+fn on_parabola(base: &Anchor, b: &Point, at: i64, span: i64) -> Point {
+    let a = &base.newest;
+    let before = (a.time - base.oldest.time).max(1);
+    let straight = on_line(a, b, at, span);
+    let is_near = span <= PARABOLA_UNITS && before <= VELOCITY_UNITS;
+    if !is_near || base.oldest.turn.omitted != b.turn.omitted {
+        return straight;
+    }
+    // x0 + v t + (x1 - x0 - v T) t²/T² with v = (x0 - x_before) / before.
+    let bend = |x: i32, y: i32, z: i32, most: i32| {
+        let (y, z) = (i64::from(y), i64::from(z));
+        let v = y - i64::from(x);
+        let over = before * span * span;
+        let way = v * at * span * span + ((z - y) * before - v * span) * at * at;
+        let rounded = (2 * way + over).div_euclid(2 * over);
+        (y + rounded).clamp(-i64::from(most), i64::from(most)) as i32
+    };
+    let bend3 = |x: [i32; 3], y: [i32; 3], z: [i32; 3], most| {
+        std::array::from_fn(|i| bend(x[i], y[i], z[i], most))
+    };
+    let mut point = straight;
+    let o = &base.oldest;
+    point.position = bend3(o.position, a.position, b.position, POSITION_MAX);
+    point.turn.parts = bend3(o.turn.parts, a.turn.parts, b.turn.parts, COMPONENT_MAX);
+    point
 }
 
 /// The point at `at` of `span` on the line from `a` to `b`, rounded to the nearest. Where both leave
@@ -90,36 +154,40 @@ struct Model {
     participant: Number,
     samples: Number,
     ago: Number,
+    batches: Number,
+    rest: Number,
     age: Number,
     step: Number,
     /// Position and rotation: of the newest, of the oldest, and of one between.
     position: [Number; 3],
     turn: [Number; 3],
     force: Number,
-    same_rotation: Chance,
+    other_part: Chance,
     other_buttons: Chance,
-    has_force: Chance,
+    /// Of the newest, and of all others.
+    has_force: [Chance; 2],
     has_baseline: Chance,
 }
 
 impl Model {
     fn new() -> Self {
-        let far = [254, 253, 251, 248, 240, 225, 200, 165, 125, 85, 50, 30];
         let near = [215, 190, 150, 100, 60, 40, 30];
-        let between = [70, 30, 30];
+        let between = [4, 80, 60];
         Self {
             tracks: Number::new(&[40]),
-            participant: Number::new(&[128, 128, 160, 128]),
+            participant: Number::new(&[90, 160, 160, 128]),
             samples: Number::new(&[20]),
-            ago: Number::new(&[254, 252, 245, 220, 130, 60, 20]),
+            ago: Number::mostly_positive(&[255, 254, 248, 225, 150, 140, 60, 40]),
+            batches: Number::mostly_positive(&[130, 130, 60, 90, 120]),
+            rest: Number::new(&[120, 40, 60, 100, 150, 200]),
             age: Number::new(&[128, 240, 240, 235, 230, 225, 215, 200, 170, 130, 100]),
-            step: Number::new(&[110, 40, 60, 100]),
-            position: [Number::new(&far), Number::new(&near), Number::new(&between)],
-            turn: [Number::new(&far), Number::new(&near), Number::new(&between)],
+            step: Number::new(&[80, 25, 50, 100]),
+            position: [Number::around(6), Number::new(&near), Number::new(&between)],
+            turn: [Number::around(5), Number::new(&near), Number::new(&between)],
             force: Number::new(&[190, 210, 190, 170, 150, 130, 100]),
-            same_rotation: Chance::RARE,
+            other_part: Chance::RARE,
             other_buttons: Chance::RARE,
-            has_force: Chance::of_one(30),
+            has_force: [Chance::of_one(9), Chance::RARE],
             has_baseline: Chance::of_one(240),
         }
     }
@@ -142,7 +210,7 @@ fn code_point(
         ..Point::default()
     };
     out.position = m.difference(c, true, class, p.position, near.position)?;
-    out.turn = if c.bit(&mut m.same_rotation, p.turn.omitted != near.turn.omitted)? {
+    out.turn = if c.bit(&mut m.other_part, p.turn.omitted != near.turn.omitted)? {
         code_turn(c, p.turn)?
     } else {
         Turn {
@@ -155,7 +223,7 @@ fn code_point(
     } else {
         near.buttons
     };
-    if c.bit(&mut m.has_force, p.force.is_some())? {
+    if c.bit(&mut m.has_force[class.min(1)], p.force.is_some())? {
         let expected = near.force.unwrap_or_default();
         let force = p.force.unwrap_or_default();
         let difference = std::array::from_fn(|i| force[i].wrapping_sub(expected[i]));
@@ -167,6 +235,15 @@ fn code_point(
 }
 
 impl Model {
+    /// Chances for a newest sample so many steps of time after its baseline: of a quick hand it is
+    /// some 64 steps of position from where it is expected after 50 ms, and 256 after 200 ms.
+    fn expect(&mut self, after: i64) {
+        let sixteenths = after.clamp(0, FAR_UNITS) as u32 / 16;
+        let bits = (u32::BITS - sixteenths.leading_zeros()).clamp(2, 12);
+        self.position[0] = Number::around(bits);
+        self.turn[0] = Number::around(bits - 1);
+    }
+
     fn difference(
         &mut self,
         c: &mut impl Coder,
@@ -191,7 +268,7 @@ fn code_turn(c: &mut impl Coder, turn: Turn) -> Result<Turn, ProtocolError> {
     let omitted = c.raw(2, u32::from(turn.omitted))? as u8;
     let mut parts = [0; 3];
     for (out, part) in parts.iter_mut().zip(turn.parts) {
-        *out = c.raw(15, (part + COMPONENT_MAX) as u32)? as i32 - COMPONENT_MAX;
+        *out = c.raw(14, (part + COMPONENT_MAX) as u32)? as i32 - COMPONENT_MAX;
     }
     Ok(Turn { omitted, parts })
 }
@@ -203,7 +280,7 @@ fn code_whole(c: &mut impl Coder, p: Point) -> Result<Point, ProtocolError> {
         ..Point::default()
     };
     for (out, x) in out.position.iter_mut().zip(p.position) {
-        *out = c.raw(21, (x + POSITION_MAX) as u32)? as i32 - POSITION_MAX;
+        *out = c.raw(22, (x + POSITION_MAX) as u32)? as i32 - POSITION_MAX;
     }
     out.turn = code_turn(c, p.turn)?;
     out.buttons = c.raw(8, u32::from(p.buttons))? as u8;
@@ -218,24 +295,64 @@ fn code_whole(c: &mut impl Coder, p: Point) -> Result<Point, ProtocolError> {
     Ok(out)
 }
 
-/// Codes the samples of one tool, oldest first; a decoder gives as many as it wants to read.
+/// What is known of the time of a tool's newest sample, in steps, before it is told.
+#[derive(Debug, Clone, Copy)]
+enum Told {
+    /// The header has it.
+    Whole(i64),
+    /// This is near to it.
+    Near(i64),
+    /// The first tool of the datagram has this one.
+    First(i64),
+}
+
+/// Codes the time of the newest sample.
+fn code_time(
+    c: &mut impl Coder,
+    m: &mut Model,
+    told: Told,
+    baseline: Option<(i32, i64)>,
+    time: i64,
+) -> Result<i64, ProtocolError> {
+    let narrow = |t: i64| t.clamp(-i64::from(i32::MAX), i64::from(i32::MAX)) as i32;
+    match (told, baseline) {
+        (Told::Whole(time), _) => Ok(time),
+        (_, Some((ago, before))) => {
+            let since = time.saturating_sub(before);
+            let batches = (since + BATCH_UNITS / 2).div_euclid(BATCH_UNITS);
+            let skipped = m.batches.code(c, ago.wrapping_sub(narrow(batches)))?;
+            let start = i64::from(ago.wrapping_sub(skipped)) * BATCH_UNITS;
+            let rest = m.rest.code(c, narrow(since - start))?;
+            Ok(before.saturating_add(start + i64::from(rest)))
+        }
+        (Told::Near(near), None) => {
+            let low = c.raw(16, u32::from(time as u16))?;
+            Ok(nearest_time(low as u16, near))
+        }
+        (Told::First(first), None) => {
+            let age = m.age.code(c, narrow(first.saturating_sub(time)))?;
+            Ok(first.saturating_sub(i64::from(age)))
+        }
+    }
+}
+
+/// Codes the samples of one tool, oldest first; a decoder gives as many as it wants to read. The
+/// baseline comes with how many datagrams ago it was.
 fn code_points(
     c: &mut impl Coder,
     m: &mut Model,
-    generated: i64,
-    baseline: Option<Anchor>,
+    told: Told,
+    baseline: Option<(i32, Anchor)>,
     points: &mut [Point],
 ) -> Result<Anchor, ProtocolError> {
     let last = points.len() - 1;
     let narrow = |t: i64| t.clamp(-i64::from(i32::MAX), i64::from(i32::MAX)) as i32;
-    let age = m
-        .age
-        .code(c, narrow(generated.saturating_sub(points[last].time)))?;
-    points[last].time = generated.saturating_sub(i64::from(age));
+    let before = baseline.map(|(ago, anchor)| (ago, anchor.newest.time));
+    points[last].time = code_time(c, m, told, before, points[last].time)?;
+    let baseline = baseline.map(|(_, anchor)| anchor);
     for i in (0..last).rev() {
-        let usual = usual_step(last - i);
         let step = points[i + 1].time.saturating_sub(points[i].time);
-        let step = i64::from(m.step.code(c, narrow(step - usual))?) + usual;
+        let step = i64::from(m.step.code(c, narrow(step - PERIOD))?) + PERIOD;
         if step < 0 {
             return Err(refuse("the step between samples", format!("{step} steps")));
         }
@@ -244,6 +361,7 @@ fn code_points(
     points[last] = match &baseline {
         Some(anchor) => {
             let after = points[last].time.saturating_sub(anchor.newest.time);
+            m.expect(after);
             code_point(c, m, 0, &anchor.ahead(after), points[last])?
         }
         None => code_whole(c, points[last])?,
@@ -256,7 +374,7 @@ fn code_points(
                 // The newest motion that is known: from the baseline to here.
                 let span = newest.time.saturating_sub(a.newest.time);
                 if (1..FAR_UNITS).contains(&span) {
-                    on_line(&a.newest, &newest, span + back, span)
+                    on_parabola(a, &newest, span + back, span)
                 } else {
                     newest
                 }
@@ -292,6 +410,7 @@ fn code_between(
     let (a, b) = (points[from], points[to]);
     let span = (b.time - a.time).max(1);
     let near = on_line(&a, &b, points[middle].time - a.time, span);
+    points[middle].settle(&near);
     points[middle] = code_point(c, m, 2, &near, points[middle])?;
     code_between(c, m, points, from, middle)?;
     code_between(c, m, points, middle, to)
@@ -301,6 +420,7 @@ fn write_track(
     c: &mut impl Coder,
     m: &mut Model,
     at: Moment,
+    told: Told,
     memory: &Memory,
     track: &ToolTrack,
 ) -> Result<Anchor, ProtocolError> {
@@ -308,32 +428,40 @@ fn write_track(
     let Some(newest) = track.samples.last().filter(|_| count <= TRACK_MAX_SAMPLES) else {
         return Err(refuse("the number of samples", count.to_string()));
     };
-    let stream = i32::from(at.stream);
+    let stream = i32::from(at.stream.0);
     m.participant
         .code(c, i32::from(track.participant.0) - stream)?;
     m.samples.code(c, USUAL_SAMPLES as i32 - count as i32)?;
-    let known = memory.known_point(track.participant);
+    let time = quantise::time(newest.time);
+    let known = memory.known_point(track.participant).filter(|(_, anchor)| {
+        let since = time.saturating_sub(anchor.newest.time);
+        (-FAR_UNITS..FAR_UNITS).contains(&since)
+    });
     c.bit(&mut m.has_baseline, known.is_some())?;
-    if let Some((sequence, _)) = known {
-        m.ago.code(c, at.sequence.wrapping_sub(sequence) as i32)?;
+    let mut baseline = None;
+    if let Some((sequence, anchor)) = known {
+        let ago = at.sequence.wrapping_sub(sequence) as i32;
+        m.ago.code(c, ago)?;
+        baseline = Some((ago, anchor));
     }
-    let baseline = known.map(|(_, anchor)| anchor);
-    let newest = Point::of(newest, baseline.map(|a| a.newest.turn))?;
+    let turn = baseline.map(|(_, anchor)| anchor.newest.turn);
+    let newest = Point::of(newest, turn)?;
     let mut points = Vec::with_capacity(count);
     for sample in &track.samples {
         points.push(Point::of(sample, Some(newest.turn))?);
     }
     points[count - 1] = newest;
-    code_points(c, m, quantise::time(at.generated), baseline, &mut points)
+    code_points(c, m, told, baseline, &mut points)
 }
 
 fn read_track(
     c: &mut impl Coder,
     m: &mut Model,
     at: Moment,
+    told: Told,
     memory: &Memory,
 ) -> Result<(ToolTrack, Anchor), ProtocolError> {
-    let participant = i32::from(at.stream) + m.participant.code(c, 0)?;
+    let participant = i32::from(at.stream.0) + m.participant.code(c, 0)?;
     let participant = u16::try_from(participant)
         .map(ParticipantId)
         .map_err(|_| refuse("a participant", participant.to_string()))?;
@@ -343,21 +471,38 @@ fn read_track(
         return Err(refuse("the number of samples", count.to_string()));
     }
     let baseline = if c.bit(&mut m.has_baseline, false)? {
-        let sequence = at.sequence.wrapping_sub(m.ago.code(c, 0)? as u32);
+        let ago = m.ago.code(c, 0)?;
+        let sequence = at.sequence.wrapping_sub(ago as u32);
         let known = memory.point_at(participant, sequence);
-        Some(known.ok_or(ProtocolError::NoBaseline { sequence })?)
+        let anchor = known.ok_or(ProtocolError::NoBaseline { sequence })?;
+        Some((ago, anchor))
     } else {
         None
     };
     let mut points = [Point::default(); TRACK_MAX_SAMPLES];
     let points = &mut points[..count];
-    let anchor = code_points(c, m, quantise::time(at.generated), baseline, points)?;
+    let anchor = code_points(c, m, told, baseline, points)?;
     let samples = points.iter().map(Point::sample).collect();
     let track = ToolTrack {
         participant,
         samples,
     };
     Ok((track, anchor))
+}
+
+/// What is known of the time of the next tool.
+fn told(at: Moment, first: Option<i64>) -> Told {
+    let near = quantise::time(at.generated);
+    match first {
+        Some(first) => Told::First(first),
+        None if at.is_whole => Told::Whole(near),
+        None => Told::Near(near),
+    }
+}
+
+fn refuse_count(count: i64) -> ProtocolError {
+    let detail = format!("{count}, where 1 to {TRACKS_MAX} are allowed");
+    refuse("the number of tools", detail)
 }
 
 /// Writes the body, and remembers what it says.
@@ -367,13 +512,15 @@ pub(super) fn write(
     memory: &mut Memory,
     tracks: &[ToolTrack],
 ) -> Result<(), ProtocolError> {
-    if tracks.len() > TRACKS_MAX {
-        return Err(refuse("the number of tools", tracks.len().to_string()));
+    if !(1..=TRACKS_MAX).contains(&tracks.len()) {
+        return Err(refuse_count(tracks.len() as i64));
     }
     let mut m = Model::new();
+    let mut first = None;
     m.tracks.code(c, tracks.len() as i32 - 1)?;
     for track in tracks {
-        let anchor = write_track(c, &mut m, at, memory, track)?;
+        let anchor = write_track(c, &mut m, at, told(at, first), memory, track)?;
+        first = first.or(Some(anchor.newest.time));
         memory.remember_point(track.participant, at.sequence, anchor);
     }
     Ok(())
@@ -386,14 +533,15 @@ pub(super) fn read(
     memory: &mut Memory,
 ) -> Result<Vec<ToolTrack>, ProtocolError> {
     let mut m = Model::new();
-    let count = m.tracks.code(c, 0)? + 1;
-    let fits = usize::try_from(count).is_ok_and(|n| n <= TRACKS_MAX);
-    if !fits {
-        return Err(refuse("the number of tools", count.to_string()));
+    let count = i64::from(m.tracks.code(c, 0)?) + 1;
+    if !(1..=TRACKS_MAX as i64).contains(&count) {
+        return Err(refuse_count(count));
     }
     let mut tracks = Vec::new();
+    let mut first = None;
     for _ in 0..count {
-        let (track, anchor) = read_track(c, &mut m, at, memory)?;
+        let (track, anchor) = read_track(c, &mut m, at, told(at, first), memory)?;
+        first = first.or(Some(anchor.newest.time));
         memory.remember_point(track.participant, at.sequence, anchor);
         tracks.push(track);
     }

@@ -32,8 +32,8 @@ impl Chance {
     /// Nothing is known.
     pub(super) const EVEN: Self = Self(1 << (CHANCE_BITS - 1));
 
-    /// A one is rare.
-    pub(super) const RARE: Self = Self(3900);
+    /// A one is rare: one of 128.
+    pub(super) const RARE: Self = Self(4064);
 
     /// A one is expected in `ones` of 256 cases.
     pub(super) const fn of_one(ones: u8) -> Self {
@@ -216,18 +216,47 @@ impl Coder for RangeDecoder<'_> {
 }
 
 /// A signed number that is small as a rule: the number of bits of its magnitude in ones, each with a
-/// chance of its own, then its sign and the bits below the highest as they are.
+/// chance of its own, then its sign with another, and the bits below the highest as they are.
 #[derive(Debug, Clone)]
-pub(super) struct Number([Chance; MAGNITUDE_BITS]);
+pub(super) struct Number {
+    more: [Chance; MAGNITUDE_BITS],
+    negative: Chance,
+}
 
 impl Number {
     /// Begins with the chances, in parts of 256, that the magnitude has more than 0, 1, 2... bits;
     /// the last one holds for all that follow.
     pub(super) fn new(more: &[u8]) -> Self {
         let last = more.last().copied().unwrap_or(128);
-        Self(std::array::from_fn(|i| {
-            Chance::of_one(more.get(i).copied().unwrap_or(last))
-        }))
+        let more = |i| Chance::of_one(more.get(i).copied().unwrap_or(last));
+        Self {
+            more: std::array::from_fn(more),
+            negative: Chance::EVEN,
+        }
+    }
+
+    /// One that is hardly ever negative.
+    pub(super) fn mostly_positive(more: &[u8]) -> Self {
+        Self {
+            negative: Chance::RARE,
+            ..Self::new(more)
+        }
+    }
+
+    /// One like a normal distribution whose deviation has this many bits: a number of `i` bits has
+    /// more of them with the chance P(|x| >= 2^i) / P(|x| >= 2^(i-1)), and what is below or above what
+    /// was expected comes a little more often.
+    pub(super) fn around(bits: u32) -> Self {
+        let more: [u8; MAGNITUDE_BITS] = std::array::from_fn(|i| match i as i32 - bits as i32 {
+            ..=-4 => 249,
+            -3 => 243,
+            -2 => 230,
+            -1 => 200,
+            0 => 140,
+            1 => 60,
+            _ => 30,
+        });
+        Self::new(&more)
     }
 
     /// Codes one. What is too large to be sent is refused.
@@ -240,13 +269,13 @@ impl Number {
             });
         }
         let mut bits = 0;
-        while bits < MAGNITUDE_BITS && coder.bit(&mut self.0[bits], wanted > bits)? {
+        while bits < MAGNITUDE_BITS && coder.bit(&mut self.more[bits], wanted > bits)? {
             bits += 1;
         }
         if bits == 0 {
             return Ok(0);
         }
-        let negative = coder.raw(1, u32::from(v < 0))? == 1;
+        let negative = coder.bit(&mut self.negative, v < 0)?;
         let below = bits as u32 - 1;
         let magnitude = (1 << below | coder.raw(below, v.unsigned_abs())?) as i32;
         Ok(if negative { -magnitude } else { magnitude })

@@ -3,17 +3,19 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::{Pose, Span, ToolSample};
+use crate::{Epoch, Pose, Span, ToolSample};
+
+const TAG: Tag = Tag {
+    epoch: Epoch(3),
+    stream: ParticipantId(2),
+};
 
 fn header() -> Header {
     Header {
-        tag: Tag {
-            epoch: 3,
-            stream: 2,
-        },
+        tag: TAG,
         sequence: 77,
         generated: ServerTime::from_micros(9_000_000),
-        whole_time: false,
+        is_whole: false,
         acknowledged: Some(Acknowledgement {
             newest: 12,
             bits: 0b1011,
@@ -28,6 +30,7 @@ fn encode(datagram: &Datagram) -> Result<Vec<u8>, ProtocolError> {
 
 fn decode(bytes: &[u8]) -> Result<Datagram, ProtocolError> {
     let expected = Expected {
+        tag: TAG,
         sequence: 70,
         generated: ServerTime::from_micros(8_900_000),
         sent: 13,
@@ -77,7 +80,6 @@ fn every_kind() -> Vec<Datagram> {
     };
     [
         Body::Motion(vec![track(1, 8, true), track(4, 1, false)]),
-        Body::Motion(Vec::new()),
         Body::Corrections(Corrections {
             topology_version: 2,
             view_time,
@@ -108,7 +110,11 @@ fn every_kind_reads_back_as_written_up_to_its_quantum() {
     for datagram in every_kind() {
         let bytes = encode(&datagram).unwrap();
         let back = decode(&bytes).unwrap();
-        assert_eq!(back.header, datagram.header);
+        let mut header = datagram.header;
+        if let Body::Motion(tracks) = &datagram.body {
+            header.generated = tracks[0].samples.last().unwrap().time;
+        }
+        assert_eq!(back.header, header);
         // Written again, it is the same to the bit.
         assert_eq!(encode(&back).unwrap(), bytes);
     }
@@ -120,8 +126,8 @@ fn every_truncation_is_an_error_or_a_valid_message() {
         let bytes = encode(&datagram).unwrap();
         for len in 0..bytes.len() {
             check(&bytes[..len]);
-            // The header is 13 bytes here; of a range code that ends early the rest is zeros.
-            if len < 13 {
+            // The header is 9 bytes or more here; of a range code that ends early the rest is zeros.
+            if len < 9 {
                 assert!(decode(&bytes[..len]).is_err(), "{len} of {}", bytes.len());
             }
         }
@@ -191,8 +197,20 @@ fn what_can_not_be_sent_is_refused_and_not_sent_wrong() {
     assert!(send(|s| s.pose.position_m[1] = 20.1).is_err());
     assert!(send(|s| s.pose.orientation = [0.0; 4]).is_err());
     assert!(send(|s| s.pose.orientation = [f64::INFINITY; 4]).is_err());
-    assert!(send(|s| s.time = s.time - Span::from_millis(3_000_000)).is_err());
     assert!(send(|_| {}).is_ok());
+    // Two tools whose samples are an hour apart, without a baseline.
+    let mut tracks = vec![track(1, 1, false), track(4, 1, false)];
+    tracks[1].samples[0].time = tracks[1].samples[0].time - Span::from_millis(4_000_000);
+    let both = Datagram {
+        header: header(),
+        body: Body::Motion(tracks),
+    };
+    assert!(encode(&both).is_err());
+    let nobody = Datagram {
+        header: header(),
+        body: Body::Motion(Vec::new()),
+    };
+    assert!(encode(&nobody).is_err());
 }
 
 #[test]
@@ -253,6 +271,6 @@ proptest! {
         prop_assert!((back.position_m[0] - x).abs() <= 0.51 * POSITION_STEP_M);
         let [i, j, k, w] = back.orientation;
         let p = nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::new(w, i, j, k));
-        prop_assert!(p.angle_to(&q) < 0.02_f64.to_radians());
+        prop_assert!(p.angle_to(&q) < 0.05_f64.to_radians());
     }
 }

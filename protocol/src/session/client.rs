@@ -15,7 +15,8 @@ use crate::session::motion_batch::MotionBatch;
 use crate::session::outbox::Outbox;
 use crate::session::preamble::PreambleReader;
 use crate::session::{
-    ClientEvent, CloseReason, EVENTS_MAX, HANDSHAKE_TIMEOUT, Link, LinkStats, SERVER_SILENCE,
+    ClientEvent, CloseReason, Deadband, EVENTS_MAX, HANDSHAKE_TIMEOUT, Link, LinkStats,
+    SERVER_SILENCE,
 };
 use crate::{
     ClientTime, LocalSample, OperationId, ParticipantId, ProtocolError, RequestId, ServerTime,
@@ -375,6 +376,12 @@ impl ClientSession {
         if !self.motion.push(sample) {
             self.link.count_refused_samples(1);
         }
+    }
+
+    /// Leaves out motion that others would guess to within a deadband; `None`, as in the beginning, sends
+    /// all of it.
+    pub fn set_deadband(&mut self, deadband: Option<Deadband>) {
+        self.motion.set_deadband(deadband);
     }
 
     /// Asks for something; the answer is an operation, or [`ClientEvent::RequestRefused`].

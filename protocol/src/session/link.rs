@@ -4,7 +4,8 @@
 use std::collections::VecDeque;
 
 use crate::datagram::{
-    Acknowledgement, Body, Datagram, Expected, Header, Memory, Opened, SHORT_TIME, Tag,
+    Acknowledgement, Body, Datagram, Expected, Header, Memory, Opened, SHORT_SEQUENCE, SHORT_TIME,
+    Tag,
 };
 use crate::session::DATAGRAM_BACKLOG_MAX;
 use crate::{Arrival, Epoch, ParticipantId, ProtocolError, SequenceWindow, ServerTime, Span};
@@ -121,7 +122,10 @@ pub(super) struct Link {
 
 impl Link {
     pub(super) fn open(&mut self, epoch: Epoch, participant: ParticipantId) {
-        self.tag = Some(Tag::new(epoch, participant));
+        self.tag = Some(Tag {
+            epoch,
+            stream: participant,
+        });
     }
 
     /// The content of a datagram that is to be read; everything else is counted.
@@ -131,23 +135,23 @@ impl Link {
             return None;
         };
         let expected = Expected {
+            tag,
             sequence: self.arrived.acknowledgement().map_or(0, |(n, _)| n),
             generated: self.received_at,
             sent: self.last_sequence,
         };
         let noise = &mut self.stats.noise;
-        let Ok(opened) = Opened::read(bytes, &expected) else {
-            noise.malformed += 1;
-            return None;
+        let opened = match Opened::read(bytes, &expected) {
+            Ok(opened) => opened,
+            Err(error) => {
+                match error {
+                    ProtocolError::OtherEpoch { .. } => noise.other_epoch += 1,
+                    ProtocolError::OtherStream { .. } => noise.misdirected += 1,
+                    _ => noise.malformed += 1,
+                }
+                return None;
+            }
         };
-        if opened.header.tag.epoch != tag.epoch {
-            noise.other_epoch += 1;
-            return None;
-        }
-        if opened.header.tag.stream != tag.stream {
-            noise.misdirected += 1;
-            return None;
-        }
         // Whether it is new is asked before the body is read, whether it counts as arrived is said after:
         // what can not be read must not be acknowledged, or it would become a baseline.
         let mut arrived = self.arrived.clone();
@@ -248,13 +252,17 @@ impl Link {
             _ => generated,
         };
         let sequence = self.last_sequence.wrapping_add(1).max(1);
-        let near = |t: ServerTime| (generated - t).abs() <= SHORT_TIME;
+        let is_near = self
+            .known_at
+            .is_some_and(|t| (generated - t).abs() <= SHORT_TIME);
+        let known = self.acknowledged.acknowledgement().map_or(0, |(n, _)| n);
+        let is_next = sequence.wrapping_sub(known) <= SHORT_SEQUENCE;
         let datagram = Datagram {
             header: Header {
                 tag,
                 sequence,
                 generated,
-                whole_time: !self.known_at.is_some_and(near),
+                is_whole: !(is_near && is_next),
                 acknowledged: self.acknowledgement_due(generated),
             },
             body,

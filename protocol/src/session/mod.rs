@@ -13,6 +13,7 @@
 //! is only counted, because anybody can make one arrive late, twice or cut off.
 
 mod client;
+mod deadband;
 mod link;
 mod motion_batch;
 mod outbox;
@@ -31,6 +32,7 @@ use crate::{ParticipantId, ProtocolError, Span, ToolSample, ToolTrack};
 use link::Link;
 
 pub use client::{ClientSession, DELAY_REPORT_PERIOD, PROBE_PERIOD, PROBE_PERIOD_FIRST};
+pub use deadband::{DEADBAND_HEARTBEAT, Deadband};
 pub use link::{LinkStats, NoiseCounters};
 pub use server::{FUTURE_MAX, REQUESTS_PER_SECOND_MAX, ServerPeer};
 

@@ -1,16 +1,17 @@
 //! One's own samples on their way into datagrams: four new ones at 250 datagrams a second of a 1 kHz
-//! device, and every second one of the four before repeated.
+//! device, and the last one of the four before repeated.
 
 use std::collections::VecDeque;
 
 use crate::clock::ClockMap;
 use crate::datagram::POSITION_MAX_M;
 use crate::datagram::motion::{BATCH, USUAL_SAMPLES};
+use crate::session::deadband::{Deadband, Told};
 use crate::{ClientTime, LocalSample, Span, ToolSample};
 
-/// The force goes along with the newest sample of every so many batches, 31 times a second: it is shown and
+/// The force goes along with the newest sample of every so many batches, ten times a second: it is shown and
 /// not felt by others, and would take as many bytes as the poses.
-const FORCE_EVERY: u32 = 8;
+const FORCE_EVERY: u32 = 25;
 
 /// What waited longer than this is not sent any more: others show something newer by then.
 const STALE: Span = Span::from_millis(50);
@@ -28,6 +29,8 @@ pub(super) struct MotionBatch {
     unsent: usize,
     stale: usize,
     batches: u32,
+    /// With a deadband: what the other side was told.
+    told: Option<Told>,
 }
 
 impl MotionBatch {
@@ -56,8 +59,28 @@ impl MotionBatch {
         true
     }
 
+    /// Leaves out what the other side would guess, or sends everything.
+    pub(super) fn set_deadband(&mut self, deadband: Option<Deadband>) {
+        self.told = deadband.map(Told::nothing);
+    }
+
     /// The samples for the next datagram, oldest first, if one is due.
     pub(super) fn poll(&mut self, now: ClientTime, map: &ClockMap) -> Option<Vec<ToolSample>> {
+        loop {
+            let samples = self.next_batch(now, map)?;
+            match &mut self.told {
+                Some(told) if told.foresees(&samples) => {}
+                Some(told) => {
+                    told.note(&samples);
+                    return Some(samples);
+                }
+                None => return Some(samples),
+            }
+        }
+    }
+
+    /// The samples of the next batch, if one is due.
+    fn next_batch(&mut self, now: ClientTime, map: &ClockMap) -> Option<Vec<ToolSample>> {
         while self.unsent > 0 && now - self.kept[self.kept.len() - self.unsent].time > STALE {
             self.unsent -= 1;
             self.stale += 1;
@@ -71,13 +94,10 @@ impl MotionBatch {
         }
         let end = self.kept.len().min(first_new + BATCH);
         let newest = self.kept[end - 1].time;
-        let repeated = (1..=USUAL_SAMPLES - BATCH).rev();
-        let repeated = repeated.filter_map(|back| (end - BATCH.min(end) + 1).checked_sub(2 * back));
         let with_force = self.batches.is_multiple_of(FORCE_EVERY);
         self.unsent = self.kept.len() - end;
         self.batches = self.batches.wrapping_add(1);
-        let samples = repeated
-            .chain(end.saturating_sub(BATCH)..end)
+        let samples = (end.saturating_sub(USUAL_SAMPLES)..end)
             .map(|i| &self.kept[i])
             .filter(|s| newest - s.time <= STALE)
             .map(|s| ToolSample {

@@ -195,6 +195,12 @@ impl Timeline {
         Some(shown)
     }
 
+    /// Where the tool would be shown by who has these samples and had no others before; `None` before
+    /// the first one.
+    pub(crate) fn foresee(&self, t: ServerTime) -> Option<Pose> {
+        self.raw(t).map(|shown| shown.pose)
+    }
+
     /// What the samples say, without corrections.
     fn raw(&self, t: ServerTime) -> Option<Shown> {
         let newest = self.curve.newest()?;

@@ -1,0 +1,346 @@
+//! One message of every kind and more, with fixed numbers: the table that the byte document, the laws
+//! about damaged bytes and a fuzzer's corpus share.
+//!
+//! Datagrams tell differences from each other, so they stand in the order in which they are sent, and
+//! every one counts as acknowledged before the next is written: see [`datagram_bytes`].
+
+use crate::codec::encode_frame;
+use crate::datagram::{
+    Acknowledgement, Body, Corrections, Datagram, Displacements, Expected, Header, Memory, Probe,
+    Reply, Tag,
+};
+use crate::handshake::{
+    Hello, ModelInfo, RefusalReason, Refused, Resume, Role, RosterEntry, Welcome,
+};
+use crate::operation::{
+    BladePoint, CompensationMode, CompensationSettings, CutStroke, LeaveReason, Operation,
+    OperationKind,
+};
+use crate::request::{
+    ClientMessage, CutRequest, DelayReport, Request, RequestKind, RequestRefusal, RequestRefused,
+    ServerMessage, TimedBladePoint,
+};
+use crate::tool::{ToolDescription, ToolKind};
+use crate::{
+    ClientTime, Epoch, Grant, ModelHash, OperationId, ParticipantId, Pose, ProtocolError,
+    RequestId, ResumeToken, ServerTime, ToolSample, ToolTrack, TopologyHash,
+};
+
+/// A message with a name that no other one here has.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Example<M> {
+    /// Its name.
+    pub name: &'static str,
+    /// What it says.
+    pub message: M,
+}
+
+const fn example<M>(name: &'static str, message: M) -> Example<M> {
+    Example { name, message }
+}
+
+/// The connection of the examples.
+pub const TAG: Tag = Tag {
+    epoch: Epoch(3),
+    stream: ParticipantId(2),
+};
+
+const NEIGHBOUR: ParticipantId = ParticipantId(3);
+
+const BLADE: BladePoint = BladePoint {
+    tip_m: [0.25, 0.5, -0.125],
+    axis: [0.0, 0.0, 1.0],
+    depth_m: 0.0625,
+};
+
+const SCALPEL: ToolDescription = ToolDescription::scalpel(0.0005, 0.02);
+
+const PLATE: ToolDescription = ToolDescription {
+    kind: ToolKind::Plate,
+    radius_m: 0.002,
+    length_m: 0.05,
+    width_m: 0.03,
+};
+
+/// Server time in milliseconds.
+const fn ms(t: i64) -> ServerTime {
+    ServerTime::from_micros(1000 * t)
+}
+
+/// Everything a client writes after its preamble.
+pub fn client_messages() -> Vec<Example<ClientMessage>> {
+    let hello = |resume| Hello {
+        name: "Ann".to_owned(),
+        role: Role::Trainee,
+        grant: Grant([0x11; 16]),
+        tool: Some(SCALPEL),
+        resume,
+    };
+    let resume = Resume {
+        participant: TAG.stream,
+        token: ResumeToken([0x22; 16]),
+        next_operation: OperationId(7),
+        topology_version: 1,
+        topology_hash: TopologyHash(0x0123_4567_89ab_cdef),
+    };
+    let request = |id, kind| {
+        ClientMessage::Request(Request {
+            id: RequestId(id),
+            kind,
+        })
+    };
+    let cut = CutRequest {
+        points: [8990, 9000]
+            .map(|t| TimedBladePoint {
+                time: ms(t),
+                blade: BLADE,
+            })
+            .to_vec(),
+        width_m: 0.0005,
+    };
+    let topology = RequestKind::TopologyReport {
+        version: 1,
+        hash: TopologyHash(0x0123_4567_89ab_cdef),
+    };
+    vec![
+        example("Hello", ClientMessage::Hello(hello(None))),
+        example("Hello again", ClientMessage::Hello(hello(Some(resume)))),
+        example("Cut", request(1, RequestKind::Cut(cut))),
+        example("SetTool", request(2, RequestKind::SetTool(PLATE))),
+        example("Leave", request(3, RequestKind::Leave)),
+        example("ReportDelay", request(4, RequestKind::ReportDelay(DELAY))),
+        example("TopologyReport", request(5, topology)),
+    ]
+}
+
+const DELAY: DelayReport = DelayReport {
+    mean_us: 26_000,
+    deviation_us: 900,
+    wanted_us: 33_600,
+};
+
+fn welcome() -> Welcome {
+    Welcome {
+        participant: TAG.stream,
+        epoch: TAG.epoch,
+        role: Role::Trainee,
+        server_time: ms(9000),
+        model: ModelInfo {
+            hash: ModelHash(0xfedc_ba98_7654_3210),
+            bytes: 40_000_000,
+        },
+        roster: vec![RosterEntry {
+            participant: NEIGHBOUR,
+            name: "Bo".to_owned(),
+            role: Role::Instructor,
+            tool: Some(ToolDescription::probe(0.004)),
+        }],
+        topology_version: 1,
+        topology_hash: TopologyHash(0x0123_4567_89ab_cdef),
+        first_operation: OperationId(0),
+        operations_so_far: 7,
+        compensation: CompensationSettings {
+            mode: CompensationMode::Adaptive { cap_us: 200_000 },
+            initial_delay_us: 50_000,
+        },
+        tick_hz: 250,
+        session_started_at: None,
+        resume_token: ResumeToken([0x22; 16]),
+    }
+}
+
+fn operations() -> Vec<Example<OperationKind>> {
+    let who = NEIGHBOUR;
+    let stroke = CutStroke {
+        points: vec![BLADE],
+        width_m: 0.0005,
+    };
+    let joined = OperationKind::Joined {
+        participant: who,
+        name: "Bo".to_owned(),
+        role: Role::Instructor,
+        tool: Some(ToolDescription::probe(0.004)),
+    };
+    let left = OperationKind::Left {
+        participant: who,
+        reason: LeaveReason::Silent,
+    };
+    let changed = OperationKind::ToolChanged {
+        participant: who,
+        tool: PLATE,
+    };
+    let compensation = OperationKind::Compensation {
+        delay_us: 60_000,
+        effective_at: ms(9500),
+    };
+    vec![
+        example("operation Cut", OperationKind::Cut(stroke)),
+        example("operation Joined", joined),
+        example("operation Left", left),
+        example("operation Away", OperationKind::Away { participant: who }),
+        example("operation Back", OperationKind::Back { participant: who }),
+        example("operation ToolChanged", changed),
+        example("operation Started", OperationKind::Started { at: ms(9000) }),
+        example("operation Compensation", compensation),
+    ]
+}
+
+/// Everything a server writes after its preamble.
+pub fn server_messages() -> Vec<Example<ServerMessage>> {
+    let full = Refused::because(RefusalReason::Full { seats: 8 });
+    let refused = |reason| {
+        ServerMessage::RequestRefused(RequestRefused {
+            id: RequestId(1),
+            reason,
+        })
+    };
+    let goodbye = ServerMessage::Goodbye {
+        sentence: "the host went home".to_owned(),
+    };
+    let mut all = vec![
+        example("Welcome", ServerMessage::Welcome(Box::new(welcome()))),
+        example("Refused", ServerMessage::Refused(full)),
+    ];
+    for (i, operation) in operations().into_iter().enumerate() {
+        let cuts = u32::from(matches!(operation.message, OperationKind::Cut(_)));
+        let message = ServerMessage::Operation(Operation {
+            id: OperationId(7 + i as u64),
+            at: ms(9000),
+            author: NEIGHBOUR,
+            topology_version_before: 1,
+            topology_version_after: 1 + cuts,
+            hash_after: TopologyHash(0x0123_4567_89ab_cdef),
+            kind: operation.message,
+        });
+        all.push(example(operation.name, message));
+    }
+    let torn = RequestRefusal::CanNotCut("too deep".to_owned());
+    all.extend([
+        example("RequestRefused", refused(RequestRefusal::NothingCut)),
+        example("RequestRefused with words", refused(torn)),
+        example("Goodbye", goodbye),
+    ]);
+    all
+}
+
+/// Five samples of a tool that goes along x and turns, the newest at `t_ms`.
+fn track(participant: ParticipantId, t_ms: i64, buttons: u8, force: bool) -> ToolTrack {
+    let sample = |i: i64| {
+        let t = t_ms - 4 + i;
+        let s = (t - 9000) as f64 * 1e-3;
+        let turned = 0.25 + 0.5 * s;
+        ToolSample {
+            time: ms(t),
+            pose: Pose {
+                position_m: [0.1 + 0.08 * s, -0.02, 0.3 - s * s],
+                orientation: [0.0, 0.0, turned, (1.0 - turned * turned).sqrt()],
+            },
+            buttons,
+            force_n: (force && i == 4).then_some([0.5, 0.0, -1.25]),
+        }
+    };
+    ToolTrack {
+        participant,
+        samples: (0..5).map(sample).collect(),
+    }
+}
+
+fn nodes(by: f32) -> Vec<(u32, [f32; 3])> {
+    let node = |i: u32| (40 + 2 * i, [1e-4 * i as f32, 0.0, -by - 2e-4 * i as f32]);
+    (0..6).map(node).collect()
+}
+
+/// Datagrams of one direction in the order in which they are sent: kinds of both directions, so that
+/// one list has all.
+pub fn datagrams() -> Vec<Example<Datagram>> {
+    let corrections = |by| {
+        Body::Corrections(Corrections {
+            topology_version: 1,
+            view_time: ms(9010),
+            nodes: nodes(by),
+        })
+    };
+    let displacements = Body::Displacements(Displacements {
+        step_um: 50,
+        topology_version: 1,
+        view_time: ms(9010),
+        nodes: nodes(0.003),
+    });
+    let probe = Probe {
+        id: 5,
+        client_sent: ClientTime::from_micros(1_234_567),
+    };
+    let reply = Reply {
+        id: 5,
+        client_sent: probe.client_sent,
+        server_received: ms(9018),
+        server_sent: ms(9018),
+    };
+    let own = |t, buttons, force| track(TAG.stream, t, buttons, force);
+    let both = vec![own(9008, 1, false), track(NEIGHBOUR, 9007, 0, true)];
+    let reports = vec![(TAG.stream, DELAY), (NEIGHBOUR, DelayReport::default())];
+    let bodies = [
+        ("motion, whole", Body::Motion(vec![own(9000, 0, false)])),
+        ("motion", Body::Motion(vec![own(9004, 0, false)])),
+        ("motion of two tools", Body::Motion(both)),
+        ("corrections", corrections(0.003)),
+        ("corrections that moved on", corrections(0.0031)),
+        ("displacements", displacements),
+        ("probe", Body::Probe(probe)),
+        ("reply", Body::Reply(reply)),
+        ("delays", Body::Delays(reports)),
+        ("heartbeat", Body::Delays(Vec::new())),
+    ];
+    let acknowledgement = Acknowledgement {
+        newest: 77,
+        bits: 0b1110_1111,
+    };
+    let datagram = |(i, (name, body)): (usize, (&'static str, Body))| {
+        let generated = match &body {
+            Body::Motion(tracks) => tracks[0].samples[4].time,
+            _ => ms(9012 + i as i64),
+        };
+        let header = Header {
+            tag: TAG,
+            sequence: 501 + i as u32,
+            generated,
+            is_whole: i == 0,
+            acknowledged: (i == 2).then_some(acknowledgement),
+        };
+        example(name, Datagram { header, body })
+    };
+    bodies.into_iter().enumerate().map(datagram).collect()
+}
+
+/// What the receiver of [`datagrams`] knows before each of them.
+pub fn expected() -> Expected {
+    Expected {
+        tag: TAG,
+        sequence: 500,
+        generated: ms(8996),
+        sent: 80,
+    }
+}
+
+/// The datagrams as bytes. A receiver reads them in this order with one [`Memory`].
+pub fn datagram_bytes() -> Result<Vec<Example<Vec<u8>>>, ProtocolError> {
+    let mut memory = Memory::default();
+    let bytes = |d: Example<Datagram>| {
+        let bytes = d.message.encode(&mut memory)?;
+        memory.acknowledge(d.message.header.sequence);
+        Ok(example(d.name, bytes))
+    };
+    datagrams().into_iter().map(bytes).collect()
+}
+
+/// The frames of [`client_messages`], then those of [`server_messages`].
+pub fn frames() -> Result<[Vec<Example<Vec<u8>>>; 2], ProtocolError> {
+    let client = client_messages().into_iter();
+    let client = client.map(|m| Ok(example(m.name, encode_frame(&m.message)?)));
+    let server = server_messages().into_iter();
+    let server = server.map(|m| Ok(example(m.name, encode_frame(&m.message)?)));
+    Ok([
+        client.collect::<Result<_, ProtocolError>>()?,
+        server.collect::<Result<_, ProtocolError>>()?,
+    ])
+}

@@ -1,0 +1,168 @@
+//! Whatever arrives in place of a message, what reads it gives an error or a valid message, and takes
+//! no more memory than its limit.
+
+#![allow(clippy::unwrap_used)]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use palpate_protocol::codec::{self, Message};
+use palpate_protocol::datagram::{Datagram, Memory};
+use palpate_protocol::examples;
+use palpate_protocol::request::{ClientMessage, ServerMessage};
+
+/// The most bytes that reading one frame may hold at a time: the frame's own limit for what it says, as
+/// much again for a list that grows, and the words of an error.
+const FRAME_HELD_MAX: usize = 3 * codec::FRAME_MAX_BYTES;
+
+/// The most bytes that reading one datagram may hold: twice 1024 nodes of 20 B, once for memory, and 64
+/// tools of eight samples of 96 B.
+const DATAGRAM_HELD_MAX: usize = 100_000;
+
+thread_local! {
+    /// Bytes that this thread holds now, and the most since the last look.
+    static HELD: Cell<(isize, isize)> = const { Cell::new((0, 0)) };
+}
+
+fn note(bytes: isize) {
+    // A thread that is being torn down has no counter any more, and none is needed.
+    let _ = HELD.try_with(|held| {
+        let (now, most) = held.get();
+        held.set((now + bytes, most.max(now + bytes)));
+    });
+}
+
+struct Counting;
+
+// SAFETY: every call is handed to the system's allocator with the caller's own arguments, so its
+// contract holds unchanged; `note` allocates nothing (a const thread-local without a destructor).
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        note(layout.size() as isize);
+        // SAFETY: the caller's layout, unchanged.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        note(-(layout.size() as isize));
+        // SAFETY: the caller's block and layout, unchanged.
+        unsafe { System.dealloc(at, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// The most bytes that `run` holds at a time, and what it gives.
+fn held<T>(run: impl FnOnce() -> T) -> (usize, T) {
+    let before = HELD.with(|held| {
+        let (now, _) = held.get();
+        held.set((now, now));
+        now
+    });
+    let out = run();
+    let most = HELD.with(Cell::get).1 - before;
+    (most.max(0) as usize, out)
+}
+
+/// All that a few lost or turned bits make of some bytes: each beginning, each single bit turned, and
+/// each byte at its two ends.
+fn damages(good: &[u8]) -> impl Iterator<Item = Vec<u8>> {
+    let begun = (0..good.len()).map(|len| good[..len].to_vec());
+    let turned = (0..good.len() * 8).map(|bit| {
+        let mut bytes = good.to_vec();
+        bytes[bit / 8] ^= 1 << (bit % 8);
+        bytes
+    });
+    let ends = (0..good.len() * 2).map(|i| {
+        let mut bytes = good.to_vec();
+        bytes[i / 2] = if i % 2 == 0 { 0 } else { 0xff };
+        bytes
+    });
+    begun.chain(turned).chain(ends)
+}
+
+/// A message that is read is written again, and read from there as the same.
+fn check_frame<M: Message + PartialEq + std::fmt::Debug>(name: &str, body: &[u8]) -> bool {
+    let (most, read) = held(|| codec::decode_body::<M>(body));
+    assert!(most <= FRAME_HELD_MAX, "{name}: {most} bytes held");
+    let Ok(message) = read else {
+        return false;
+    };
+    let again = codec::encode_frame(&message).unwrap();
+    let back = codec::decode_body::<M>(&again[codec::PREFIX_BYTES..]).unwrap();
+    // Not-a-number is not equal to itself, but is written alike.
+    assert_eq!(codec::encode_frame(&back).unwrap(), again, "{name}");
+    true
+}
+
+#[test]
+fn a_damaged_frame_is_an_error_or_a_message_and_takes_no_more_than_its_limit() {
+    let [client, server] = examples::frames().unwrap();
+    for example in client {
+        let body = &example.message[codec::PREFIX_BYTES..];
+        assert!(check_frame::<ClientMessage>(example.name, body));
+        for damaged in damages(body) {
+            check_frame::<ClientMessage>(example.name, &damaged);
+        }
+    }
+    for example in server {
+        let body = &example.message[codec::PREFIX_BYTES..];
+        assert!(check_frame::<ServerMessage>(example.name, body));
+        for damaged in damages(body) {
+            check_frame::<ServerMessage>(example.name, &damaged);
+        }
+    }
+}
+
+#[test]
+fn a_frame_that_ends_early_is_no_message() {
+    let [client, server] = examples::frames().unwrap();
+    for example in client.iter().chain(&server) {
+        let body = &example.message[codec::PREFIX_BYTES..];
+        for len in 0..body.len() {
+            let both = (
+                codec::decode_body::<ClientMessage>(&body[..len]).is_ok(),
+                codec::decode_body::<ServerMessage>(&body[..len]).is_ok(),
+            );
+            // What is cut off must not be taken for the message that it was.
+            let was_client = client.iter().any(|c| c.name == example.name);
+            assert!(
+                !if was_client { both.0 } else { both.1 },
+                "{}",
+                example.name
+            );
+        }
+    }
+}
+
+/// The memory of a receiver that has the first `count` examples.
+fn memory_after(all: &[examples::Example<Vec<u8>>], count: usize) -> Memory {
+    let mut memory = Memory::default();
+    for example in &all[..count] {
+        Datagram::decode(&example.message, &examples::expected(), &mut memory).unwrap();
+    }
+    memory
+}
+
+#[test]
+fn a_damaged_datagram_is_an_error_or_a_message_and_takes_no_more_than_its_limit() {
+    let all = examples::datagram_bytes().unwrap();
+    for (i, example) in all.iter().enumerate() {
+        for damaged in damages(&example.message) {
+            let mut memory = memory_after(&all, i);
+            let (most, read) =
+                held(|| Datagram::decode(&damaged, &examples::expected(), &mut memory));
+            assert!(
+                most <= DATAGRAM_HELD_MAX,
+                "{}: {most} bytes held",
+                example.name
+            );
+            if let Ok(datagram) = read {
+                // It can be said again: nothing is out of the range of what may be sent.
+                let again = datagram.encode(&mut Memory::default());
+                assert!(again.is_ok(), "{}: {again:?}", example.name);
+            }
+        }
+    }
+}

@@ -1,0 +1,196 @@
+//! The byte document is true: every example in it is what the code writes and reads, every message has
+//! one, and every kind is in its tables.
+
+#![allow(clippy::unwrap_used)]
+
+use std::collections::BTreeMap;
+
+use palpate_protocol::codec::{self, Message};
+use palpate_protocol::datagram::{Body, Datagram, Memory};
+use palpate_protocol::examples::{self, Example};
+use palpate_protocol::handshake::{PROTOCOL_VERSION, Preamble};
+use palpate_protocol::operation::OperationKind;
+use palpate_protocol::request::{ClientMessage, RequestKind, ServerMessage};
+
+const DOCUMENT: &str = include_str!("../WIRE.md");
+
+/// Lines of examples begin so.
+const MARK: &str = "example ";
+
+fn hex(bytes: &[u8]) -> String {
+    let bytes: Vec<String> = bytes.iter().map(|b| format!("{b:02x}")).collect();
+    bytes.join(" ")
+}
+
+/// The examples in the document by their name.
+fn documented() -> BTreeMap<&'static str, Vec<u8>> {
+    let lines = DOCUMENT.lines().filter_map(|l| l.strip_prefix(MARK));
+    let read = |line: &'static str| {
+        let (name, bytes) = line.split_once(": ").unwrap();
+        let bytes = bytes.split(' ').map(|b| u8::from_str_radix(b, 16).unwrap());
+        (name, bytes.collect())
+    };
+    lines.map(read).collect()
+}
+
+/// All examples as the code writes them.
+fn written() -> Vec<Example<Vec<u8>>> {
+    let preamble = Example {
+        name: "preamble",
+        message: Preamble::OURS.to_bytes().to_vec(),
+    };
+    let [client, server] = examples::frames().unwrap();
+    let datagrams = examples::datagram_bytes().unwrap();
+    let all = [vec![preamble], client, server, datagrams];
+    all.into_iter().flatten().collect()
+}
+
+#[test]
+fn every_message_has_its_bytes_in_the_document() {
+    let documented = documented();
+    let all = written();
+    let wrong: Vec<String> = all
+        .iter()
+        .filter(|e| documented.get(e.name) != Some(&e.message))
+        .map(|e| format!("{MARK}{}: {}", e.name, hex(&e.message)))
+        .collect();
+    assert!(
+        wrong.is_empty(),
+        "the document should say:\n{}",
+        wrong.join("\n")
+    );
+    assert_eq!(
+        documented.len(),
+        all.len(),
+        "the document has examples of messages that do not exist"
+    );
+}
+
+fn check_frames<M: Message + PartialEq + std::fmt::Debug>(messages: Vec<Example<M>>) {
+    let documented = documented();
+    for Example { name, message } in messages {
+        let frame = &documented[name];
+        let (prefix, body) = frame.split_first_chunk::<4>().unwrap();
+        assert_eq!(u32::from_le_bytes(*prefix) as usize, body.len(), "{name}");
+        let read: M = codec::decode_body(body).unwrap();
+        assert_eq!(read, message, "{name}");
+        assert_eq!(&codec::encode_frame(&read).unwrap(), frame, "{name}");
+    }
+}
+
+#[test]
+fn the_documents_frames_read_as_their_messages_and_are_written_alike() {
+    check_frames(examples::client_messages());
+    check_frames(examples::server_messages());
+}
+
+#[test]
+fn the_documents_datagrams_read_in_their_order_and_are_written_alike() {
+    let documented = documented();
+    let (mut theirs, mut ours) = (Memory::default(), Memory::default());
+    for Example { name, message } in examples::datagrams() {
+        let bytes = &documented[name];
+        let read = Datagram::decode(bytes, &examples::expected(), &mut theirs).unwrap();
+        assert_eq!(read.header, message.header, "{name}");
+        assert_eq!(&read.encode(&mut ours).unwrap(), bytes, "{name}");
+        ours.acknowledge(read.header.sequence);
+    }
+}
+
+/// A row of a table of the document: a number and a name.
+fn assert_row(number: usize, name: &str) {
+    let row = format!("| {number} | {name} |");
+    assert!(DOCUMENT.contains(&row), "the document has no row {row}");
+}
+
+/// Rows for the variants, which the examples have in their order; `count` of them.
+fn assert_rows(variants: impl Iterator<Item = (usize, &'static str)>, count: usize) {
+    let mut seen = vec![false; count];
+    for (number, name) in variants {
+        assert_row(number, name);
+        seen[number] = true;
+    }
+    assert!(seen.iter().all(|s| *s), "no example: {seen:?}");
+}
+
+// The matches below do not compile when a message is added: it needs a number here, which is that on
+// the wire, and a name in the document.
+
+#[test]
+fn every_kind_of_datagram_is_in_the_document() {
+    let kind = |d: Example<Datagram>| match d.message.body {
+        Body::Motion(_) => (0, "motion"),
+        Body::Corrections(_) => (1, "corrections"),
+        Body::Probe(_) => (2, "probe"),
+        Body::Reply(_) => (3, "reply"),
+        Body::Delays(_) => (4, "delays"),
+        Body::Displacements(_) => (5, "displacements"),
+    };
+    let mut seen = [false; 6];
+    for (index, name) in examples::datagrams().into_iter().map(kind) {
+        assert_row(index + 1, name);
+        seen[index] = true;
+    }
+    assert_eq!(seen, [true; 6]);
+    for (example, bytes) in examples::datagrams()
+        .into_iter()
+        .zip(examples::datagram_bytes().unwrap())
+    {
+        let (index, _) = kind(example);
+        assert_eq!(usize::from(bytes.message[0] & 7), index + 1);
+    }
+}
+
+#[test]
+fn every_client_message_and_request_is_in_the_document() {
+    let messages = examples::client_messages();
+    let message = |m: &Example<ClientMessage>| match m.message {
+        ClientMessage::Hello(_) => (0, "Hello"),
+        ClientMessage::Request(_) => (1, "Request"),
+    };
+    assert_rows(messages.iter().map(message), 2);
+    let request = |m: &Example<ClientMessage>| match &m.message {
+        ClientMessage::Hello(_) => None,
+        ClientMessage::Request(r) => Some(match r.kind {
+            RequestKind::Cut(_) => (0, "Cut"),
+            RequestKind::SetTool(_) => (1, "SetTool"),
+            RequestKind::Leave => (2, "Leave"),
+            RequestKind::ReportDelay(_) => (3, "ReportDelay"),
+            RequestKind::TopologyReport { .. } => (4, "TopologyReport"),
+        }),
+    };
+    assert_rows(messages.iter().filter_map(request), 5);
+}
+
+#[test]
+fn every_server_message_and_operation_is_in_the_document() {
+    let messages = examples::server_messages();
+    let message = |m: &Example<ServerMessage>| match m.message {
+        ServerMessage::Welcome(_) => (0, "Welcome"),
+        ServerMessage::Refused(_) => (1, "Refused"),
+        ServerMessage::Operation(_) => (2, "Operation"),
+        ServerMessage::RequestRefused(_) => (3, "RequestRefused"),
+        ServerMessage::Goodbye { .. } => (4, "Goodbye"),
+    };
+    assert_rows(messages.iter().map(message), 5);
+    let operation = |m: &Example<ServerMessage>| match &m.message {
+        ServerMessage::Operation(o) => Some(match o.kind {
+            OperationKind::Cut(_) => (0, "Cut"),
+            OperationKind::Joined { .. } => (1, "Joined"),
+            OperationKind::Left { .. } => (2, "Left"),
+            OperationKind::Away { .. } => (3, "Away"),
+            OperationKind::Back { .. } => (4, "Back"),
+            OperationKind::ToolChanged { .. } => (5, "ToolChanged"),
+            OperationKind::Started { .. } => (6, "Started"),
+            OperationKind::Compensation { .. } => (7, "Compensation"),
+        }),
+        _ => None,
+    };
+    assert_rows(messages.iter().filter_map(operation), 8);
+}
+
+#[test]
+fn the_document_is_of_this_version() {
+    let title = format!("# Wire format of version {PROTOCOL_VERSION}");
+    assert!(DOCUMENT.starts_with(&title), "it should begin with {title}");
+}

@@ -1,0 +1,353 @@
+//! `bench coding`: what a pose and a node cost on the wire, ours against zstd and against raw numbers.
+//!
+//! A hand of 87 mm/s rms with a tremor of 0.1 mm, turning at some 40 degrees a second, in batches of four
+//! new 1 kHz samples and the last one before; and a block of 4,096 nodes that is pressed and released by
+//! the solver, 60 frames a second. Both ends know what is older than a round trip. zstd is given the
+//! same integers as differences from the same older ones, each datagram or frame by itself as loss
+//! demands; raw are four-byte numbers.
+
+use std::fmt;
+use std::sync::Arc;
+
+use nalgebra::{UnitQuaternion, Vector3};
+use palpate_protocol::datagram::{
+    Body, Datagram, Displacements, Header, Memory, POSITION_STEP_M, TIME_STEP_US, Tag,
+};
+use palpate_protocol::{Epoch, ParticipantId, Pose, ServerTime, Span, ToolSample, ToolTrack};
+use palpate_tissue::{Budget, Material, Shape, Solver, Topology, Vec3, block};
+use serde::Serialize;
+
+use crate::hand::{Hand, Random, Temper};
+
+/// New samples in a batch; the last one before goes along.
+const BATCH: usize = 4;
+
+/// Batches that are sent: 20 s.
+const BATCHES: usize = 5000;
+
+/// Nodes per edge of the block, and its side in m.
+const NODES: usize = 16;
+const SIDE_M: f64 = 0.1;
+
+/// Radius of the disc that presses, and how deep, m.
+const DISC_M: f64 = 0.02;
+const DEPTH_M: f64 = 6e-3;
+
+/// Frames per second, and of the whole press and release.
+const FRAME_HZ: i64 = 60;
+const FRAMES: usize = 120;
+
+/// Step of the displacements, µm: what looks smooth.
+const STEP_UM: u16 = 50;
+
+/// Levels of zstd.
+const LEVELS: [i32; 2] = [1, 3];
+
+/// How fast the hand turns for how fast it moves, rad/m.
+const TURN_RAD_PER_M: f64 = 8.0;
+
+/// What is to be measured.
+#[derive(Debug, Clone, Copy)]
+pub struct Coding {
+    /// Round trip in ms.
+    pub round_trip_ms: i64,
+    /// Of the hand.
+    pub seed: u64,
+}
+
+/// Bits for one pose or one node, headers included.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Bits {
+    /// Ours.
+    pub ours: f64,
+    /// zstd level 1 of the same differences.
+    pub zstd_1: f64,
+    /// zstd level 3.
+    pub zstd_3: f64,
+    /// As four-byte numbers.
+    pub raw: f64,
+}
+
+/// Figures of a run.
+#[derive(Debug, Clone, Serialize)]
+pub struct CodingReport {
+    /// Round trip in ms.
+    pub round_trip_ms: i64,
+    /// Seed of the hand.
+    pub seed: u64,
+    /// Poses that were sent.
+    pub poses: usize,
+    /// Bits per new pose: place, rotation, time, buttons.
+    pub pose: Bits,
+    /// Bytes of a datagram of ours with poses.
+    pub motion_datagram_bytes: f64,
+    /// Nodes of the block.
+    pub nodes: usize,
+    /// Frames that were sent.
+    pub frames: usize,
+    /// Bits per node and frame.
+    pub node: Bits,
+    /// kbit/s of ours at 60 frames a second, without what QUIC adds.
+    pub node_kbit_per_s: f64,
+}
+
+/// Bytes of each way, added up.
+#[derive(Debug, Default)]
+struct Sums {
+    ours: usize,
+    zstd: [usize; LEVELS.len()],
+    raw: usize,
+}
+
+impl Sums {
+    fn add_zstd(&mut self, bytes: &[u8]) -> Result<(), String> {
+        for (sum, level) in self.zstd.iter_mut().zip(LEVELS) {
+            let packed = zstd::bulk::compress(bytes, level)
+                .map_err(|e| format!("zstd level {level} refused {} bytes: {e}", bytes.len()))?;
+            *sum += packed.len();
+        }
+        Ok(())
+    }
+
+    fn per(&self, items: usize) -> Bits {
+        let bits = |bytes: usize| 8.0 * bytes as f64 / items as f64;
+        let [zstd_1, zstd_3] = self.zstd.map(bits);
+        Bits {
+            ours: bits(self.ours),
+            zstd_1,
+            zstd_3,
+            raw: bits(self.raw),
+        }
+    }
+}
+
+/// One direction of a connection: numbers its datagrams, and learns of their arrival a round trip later.
+struct Direction {
+    memory: Memory,
+    sequence: u32,
+    on_the_way: Vec<(ServerTime, u32)>,
+    round_trip: Span,
+}
+
+impl Direction {
+    fn new(round_trip_ms: i64) -> Self {
+        Self {
+            memory: Memory::default(),
+            sequence: 0,
+            on_the_way: Vec::new(),
+            round_trip: Span::from_millis(round_trip_ms),
+        }
+    }
+
+    /// The bytes of a datagram at `now`.
+    fn send(&mut self, body: Body, now: ServerTime) -> Result<usize, String> {
+        let (memory, round_trip) = (&mut self.memory, self.round_trip);
+        self.on_the_way.retain(|(sent, sequence)| {
+            let arrived = now - *sent >= round_trip;
+            if arrived {
+                memory.acknowledge(*sequence);
+            }
+            !arrived
+        });
+        self.sequence += 1;
+        let header = Header {
+            tag: Tag {
+                epoch: Epoch(1),
+                stream: ParticipantId(1),
+            },
+            sequence: self.sequence,
+            generated: now,
+            is_whole: false,
+            acknowledged: None,
+        };
+        let bytes = Datagram { header, body }
+            .encode(&mut self.memory)
+            .map_err(|e| e.to_string())?;
+        self.on_the_way.push((now, self.sequence));
+        Ok(bytes.len())
+    }
+}
+
+/// A sample as seven integers: time, place, and rotation as a vector.
+fn integers(sample: &ToolSample) -> [i32; 7] {
+    let mut out = [0; 7];
+    out[0] = (sample.time.as_micros() / TIME_STEP_US) as i32;
+    let [i, j, k, w] = sample.pose.orientation;
+    let turn = UnitQuaternion::new_normalize(nalgebra::Quaternion::new(w, i, j, k)).scaled_axis();
+    for axis in 0..3 {
+        out[1 + axis] = (sample.pose.position_m[axis] / POSITION_STEP_M).round() as i32;
+        // Half an angle is what a part of a quaternion is, in the steps that those have.
+        out[4 + axis] = (0.5 * turn[axis] / 2e-4).round() as i32;
+    }
+    out
+}
+
+impl Coding {
+    /// Runs it.
+    ///
+    /// # Errors
+    ///
+    /// When something can not be coded: a sentence with what.
+    pub fn run(&self) -> Result<CodingReport, String> {
+        let poses = BATCH * BATCHES;
+        let motion = self.motion()?;
+        let (nodes, press) = self.press()?;
+        let node = press.per(nodes * FRAMES);
+        Ok(CodingReport {
+            round_trip_ms: self.round_trip_ms,
+            seed: self.seed,
+            poses,
+            pose: motion.per(poses),
+            motion_datagram_bytes: motion.ours as f64 / BATCHES as f64,
+            nodes,
+            frames: FRAMES,
+            node,
+            node_kbit_per_s: node.ours * nodes as f64 * FRAME_HZ as f64 / 1e3,
+        })
+    }
+
+    fn motion(&self) -> Result<Sums, String> {
+        let place = Random::new(Temper::default(), self.seed);
+        let turn = Random::new(Temper::default(), self.seed.wrapping_add(1));
+        let sample = |ms: i64| {
+            let t_s = ms as f64 * 1e-3;
+            let axis = Vector3::from(turn.at(t_s).position_m) * TURN_RAD_PER_M;
+            let q = UnitQuaternion::from_scaled_axis(axis);
+            ToolSample {
+                time: ServerTime::from_micros(1000 * ms),
+                pose: Pose {
+                    orientation: [q.i, q.j, q.k, q.w],
+                    ..place.at(t_s)
+                },
+                ..ToolSample::default()
+            }
+        };
+        let mut direction = Direction::new(self.round_trip_ms);
+        let mut sums = Sums::default();
+        let behind = (self.round_trip_ms / BATCH as i64 + 1) * BATCH as i64;
+        for batch in 0..BATCHES as i64 {
+            let newest = 1000 + batch * BATCH as i64;
+            let samples: Vec<ToolSample> = (newest - BATCH as i64..=newest).map(sample).collect();
+            let known = integers(&sample(newest - behind));
+            let differences = samples.iter().flat_map(|s| {
+                let now = integers(s);
+                (0..7).flat_map(move |i| (now[i] - known[i]).to_le_bytes())
+            });
+            sums.add_zstd(&differences.collect::<Vec<u8>>())?;
+            // Time, place, quaternion; buttons in one byte.
+            sums.raw += samples.len() * (4 * 8 + 1);
+            let track = ToolTrack {
+                participant: ParticipantId(1),
+                samples,
+            };
+            let now = ServerTime::from_micros(1000 * newest);
+            sums.ours += direction.send(Body::Motion(vec![track]), now)?;
+        }
+        Ok(sums)
+    }
+
+    /// The nodes, and the bytes of all frames.
+    fn press(&self) -> Result<(usize, Sums), String> {
+        let spacing = SIDE_M / (NODES as f64 - 1.0);
+        let material = Material {
+            young_pa: 10e3,
+            ..Material::default()
+        };
+        let model = block([NODES - 1; 3], spacing, &material, 1);
+        let topology = Topology::new(Arc::new(model));
+        let top = Vec3::new(0.5 * SIDE_M, 0.5 * SIDE_M, SIDE_M);
+        let under = |&node: &u32| {
+            let d = topology.rest(node) - top;
+            d.z.abs() < 0.1 * spacing && d.norm() <= DISC_M
+        };
+        let nodes = topology.node_count();
+        let disc: Vec<u32> = (0..nodes as u32).filter(under).collect();
+        let mut solver = Solver::new(&topology);
+        let mut shape = Shape::rest(&topology);
+        let mut direction = Direction::new(self.round_trip_ms);
+        let mut sums = Sums::default();
+        let mut sent: Vec<Vec<i32>> = Vec::new();
+        for frame in 0..FRAMES {
+            let phase = frame as f64 / (FRAMES - 1) as f64;
+            let depth = DEPTH_M * (std::f64::consts::PI * phase).sin();
+            for &node in &disc {
+                solver.hold(&topology, &mut shape, node, Vec3::z() * -depth);
+            }
+            solver.step(&topology, &mut shape, &[], Budget::new(30, 1e-3));
+            let now = ServerTime::from_micros(1_000_000 * (FRAME_HZ + frame as i64) / FRAME_HZ);
+            let whole = Displacements {
+                step_um: STEP_UM,
+                topology_version: 0,
+                view_time: now,
+                nodes: displacements(&shape),
+            };
+            for piece in whole.pieces() {
+                sums.ours += direction.send(Body::Displacements(piece), now)?;
+            }
+            let step = f64::from(STEP_UM) * 1e-6;
+            let round = |x: &f64| (x / step).round() as i32;
+            let steps: Vec<i32> = (shape.displacement.iter())
+                .flat_map(|d| [round(&d.x), round(&d.y), round(&d.z)])
+                .collect();
+            let frames_behind = (self.round_trip_ms * FRAME_HZ / 1000 + 1) as usize;
+            let known = frame.checked_sub(frames_behind).map(|i| &sent[i]);
+            let difference = |(i, x): (usize, &i32)| {
+                let before = known.map_or(0, |known| known[i]);
+                ((x - before) as i16).to_le_bytes()
+            };
+            let bytes: Vec<u8> = steps.iter().enumerate().flat_map(difference).collect();
+            sums.add_zstd(&bytes)?;
+            sums.raw += nodes * 3 * 4;
+            sent.push(steps);
+        }
+        Ok((nodes, sums))
+    }
+}
+
+fn displacements(shape: &Shape) -> Vec<(u32, [f32; 3])> {
+    let nodes = shape.displacement.iter().enumerate();
+    nodes
+        .map(|(n, d)| (n as u32, [d.x as f32, d.y as f32, d.z as f32]))
+        .collect()
+}
+
+impl fmt::Display for CodingReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "round trip {} ms; {} poses of a hand (seed {}), {} frames of {} nodes at {STEP_UM} µm",
+            self.round_trip_ms, self.poses, self.seed, self.frames, self.nodes
+        )?;
+        writeln!(f, "bits          ours   zstd-1   zstd-3      raw")?;
+        for (name, b) in [("per pose", self.pose), ("per node", self.node)] {
+            writeln!(
+                f,
+                "{name:<9} {:>8.2} {:>8.2} {:>8.2} {:>8.2}",
+                b.ours, b.zstd_1, b.zstd_3, b.raw
+            )?;
+        }
+        write!(
+            f,
+            "a datagram of motion has {:.1} B; a view of all nodes at {FRAME_HZ} Hz takes {:.0} kbit/s",
+            self.motion_datagram_bytes, self.node_kbit_per_s
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_way_is_counted_and_ours_takes_less_than_half_of_raw() {
+        let run = Coding {
+            round_trip_ms: 50,
+            seed: 1,
+        };
+        let report = run.run().unwrap();
+        for bits in [report.pose, report.node] {
+            assert!(bits.zstd_1 > 0.0 && bits.zstd_3 > 0.0, "{report}");
+            assert!((0.0..0.5 * bits.raw).contains(&bits.ours), "{report}");
+        }
+    }
+}
