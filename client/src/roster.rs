@@ -65,11 +65,20 @@ struct Seat {
     name: String,
     role: Role,
     tool: Option<ToolDescription>,
+    /// Whether the tool is lifted for everybody, because its owner's network is too slow.
+    lifted: bool,
     /// Asked on the common grid, for the view.
     seen: Timeline,
     /// Asked between its points too, for the hand. Corrections are blended along the moments asked
     /// for, so each has its own.
     felt: Timeline,
+}
+
+impl Seat {
+    /// The tool, unless it is lifted.
+    fn tool_down(&self) -> Option<ToolDescription> {
+        self.tool.filter(|_| !self.lifted)
+    }
 }
 
 /// Everybody in the session, in the order of their numbers: the same order at every site, because
@@ -99,6 +108,7 @@ impl Roster {
                 name: entry.name,
                 role: entry.role,
                 tool: entry.tool,
+                lifted: false,
                 seen: Timeline::default(),
                 felt: Timeline::default(),
             };
@@ -116,6 +126,18 @@ impl Roster {
         if let Some(seat) = self.seats.get_mut(&who) {
             (seat.seen, seat.felt) = (Timeline::default(), Timeline::default());
         }
+    }
+
+    /// The tool of somebody is lifted for everybody, or set down again.
+    pub fn lift(&mut self, who: ParticipantId, lifted: bool) {
+        if let Some(seat) = self.seats.get_mut(&who) {
+            seat.lifted = lifted;
+        }
+    }
+
+    /// Whether somebody's tool is lifted.
+    pub fn is_lifted(&self, who: ParticipantId) -> bool {
+        self.seats.get(&who).is_some_and(|seat| seat.lifted)
     }
 
     /// Somebody took another tool.
@@ -138,7 +160,7 @@ impl Roster {
     pub fn tools_seen_at(&mut self, s: ServerTime) -> Vec<ToolAt> {
         let at = |(who, seat): (&ParticipantId, &mut Seat)| {
             let shown = seat.seen.at(s)?;
-            Some(placed(*who, seat.tool?, &shown))
+            Some(placed(*who, seat.tool_down()?, &shown))
         };
         self.seats.iter_mut().filter_map(at).collect()
     }
@@ -147,15 +169,15 @@ impl Roster {
     pub fn tools_felt_at(&mut self, s: ServerTime, me: ParticipantId) -> Vec<ToolAt> {
         let at = |(who, seat): (&ParticipantId, &mut Seat)| {
             let shown = seat.felt.at(s)?;
-            Some(placed(*who, seat.tool?, &shown))
+            Some(placed(*who, seat.tool_down()?, &shown))
         };
         let others = self.seats.iter_mut().filter(|(who, _)| **who != me);
         others.filter_map(at).collect()
     }
 
-    /// The tool that somebody holds.
+    /// The tool that somebody holds; `None` while it is lifted.
     pub fn tool_of(&self, who: ParticipantId) -> Option<ToolDescription> {
-        self.seats.get(&who)?.tool
+        self.seats.get(&who)?.tool_down()
     }
 
     /// The name of somebody, for people.
@@ -227,6 +249,20 @@ mod tests {
         let tools = roster.tools_seen_at(ServerTime::from_micros(500));
         assert!(tools[0].is_cutting() && tools[0].contacts().next().is_none());
         assert!(tools[1].contacts().next().is_some());
+    }
+
+    #[test]
+    fn a_lifted_tool_is_nowhere_and_back_when_it_is_set_down() {
+        let (me, at) = (ParticipantId(1), ServerTime::from_micros(500));
+        let mut roster = Roster::new(&[entry(1, ToolKind::Probe)]);
+        for us in [0, 1000] {
+            roster.insert(me, sample(us, 0));
+        }
+        roster.lift(me, true);
+        assert!(roster.tools_seen_at(at).is_empty() && roster.tool_of(me).is_none());
+        assert!(roster.tools_felt_at(at, ParticipantId(2)).is_empty());
+        roster.lift(me, false);
+        assert_eq!(roster.tools_seen_at(at).len(), 1);
     }
 
     #[test]

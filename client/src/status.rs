@@ -30,6 +30,8 @@ pub(crate) struct Figures {
     pub(crate) topology_version: u32,
     pub(crate) link_lost: bool,
     pub(crate) is_catching_up: bool,
+    pub(crate) is_resyncing: bool,
+    pub(crate) is_watching: bool,
 }
 
 /// The figures of the force loop.
@@ -51,18 +53,19 @@ impl Figures {
         let rtt = self
             .rtt_ms
             .map_or("   ?".to_owned(), |rtt| format!("{rtt:5.1} ms"));
-        let link_lost = if self.link_lost {
-            " | LINK LOST, no force"
-        } else {
-            ""
-        };
-        let catching_up = if self.is_catching_up {
-            " | catching up"
-        } else {
-            ""
-        };
+        let mut said = String::new();
+        for (is_so, words) in [
+            (self.link_lost, "LINK LOST, no force"),
+            (self.is_resyncing, "RESYNC, no force"),
+            (self.is_watching, "WATCHING, the network is too slow"),
+            (self.is_catching_up, "catching up"),
+        ] {
+            if is_so {
+                said = format!("{said} | {words}");
+            }
+        }
         format!(
-            "{:6.1} s | {hand}rtt {rtt}, loss {:4.1} %, D {:5.1} ms | {} here, {} cuts{link_lost}{catching_up}",
+            "{:6.1} s | {hand}rtt {rtt}, loss {:4.1} %, D {:5.1} ms | {} here, {} cuts{said}",
             self.seconds,
             self.loss * 100.0,
             self.delay_ms,
@@ -193,8 +196,11 @@ mod tests {
             assert!(line.contains(part), "{line}");
         }
         figures.hand = None;
-        figures.link_lost = true;
+        (figures.link_lost, figures.is_resyncing, figures.is_watching) = (true, true, true);
         let line = figures.line();
-        assert!(!line.contains("Hz") && line.contains("LINK LOST"), "{line}");
+        assert!(!line.contains("Hz"), "{line}");
+        for part in ["LINK LOST", "RESYNC", "WATCHING"] {
+            assert!(line.contains(part), "{line}");
+        }
     }
 }

@@ -19,6 +19,7 @@ use palpate_tissue::{Material, Model, block};
 
 use crate::{Output, PeerKey, Room, RoomConfig};
 
+mod demotion;
 mod motion;
 mod seats;
 mod states;
@@ -36,6 +37,10 @@ fn room(start_when_tools: u16) -> Room {
 }
 
 fn room_of(seats: u16, start_when_tools: u16) -> Room {
+    room_with(seats, start_when_tools, CompensationMode::Fixed)
+}
+
+fn room_with(seats: u16, start_when_tools: u16, mode: CompensationMode) -> Room {
     let config = RoomConfig {
         epoch: Epoch(1),
         model: ModelInfo {
@@ -46,7 +51,7 @@ fn room_of(seats: u16, start_when_tools: u16) -> Room {
         seats,
         tick_hz: 50,
         compensation: CompensationSettings {
-            mode: CompensationMode::Fixed,
+            mode,
             initial_delay_us: 20_000,
         },
         fresh_token: |who| ResumeToken([who.0 as u8; 16]),

@@ -85,7 +85,8 @@ impl Room {
         let tool = hello.tool.filter(|_| hello.role.has_tool());
         let token = (self.config.fresh_token)(id);
         let name = hello.name.clone();
-        let participant = Participant::new(peer, token, id, name, hello.role, tool);
+        let cap = self.config.cap();
+        let participant = Participant::new(peer, token, id, name, hello.role, tool, cap);
         let first = OperationId(0);
         let welcome = self.welcome(&participant, self.config.compensation, first, now);
         self.greet(peer, welcome);
@@ -110,6 +111,7 @@ impl Room {
             return;
         };
         seat.resumed += 1;
+        seat.asked.next_connection();
         let before = std::mem::replace(&mut seat.place, Place::Here(peer));
         // What the dead connection may still have told of the tool does not go on with the new one.
         seat.forget_motion();
