@@ -158,6 +158,8 @@ pub enum PeerDatagram {
 }
 
 #[cfg(test)]
+mod bad_peer_tests;
+#[cfg(test)]
 mod states;
 #[cfg(test)]
 mod tests;

@@ -68,6 +68,7 @@ pub struct Room {
     cuts: u64,
     demotions: u64,
     repetitions: u64,
+    refused: u64,
     fan_out: FanOut,
     outputs: VecDeque<Output>,
 }
@@ -91,6 +92,7 @@ impl Room {
             cuts: 0,
             demotions: 0,
             repetitions: 0,
+            refused: 0,
             fan_out: FanOut::default(),
             outputs: VecDeque::new(),
             config,
@@ -371,6 +373,11 @@ impl Room {
     /// Number of requests that came a second time and were not done again.
     pub fn repetition_count(&self) -> u64 {
         self.repetitions
+    }
+
+    /// Number of hellos that were not let in.
+    pub fn refused_count(&self) -> u64 {
+        self.refused
     }
 
     /// Version and hash of the topology.

@@ -165,7 +165,7 @@ fn who_has_no_grant_no_name_of_their_own_or_no_seat_is_refused_politely() {
         refusal(&drain(&mut room)),
         Some(RefusalReason::Full { seats: 3 })
     ));
-    assert_eq!(room.participant_count(), 3);
+    assert_eq!((room.participant_count(), room.refused_count()), (3, 3));
 }
 
 #[test]

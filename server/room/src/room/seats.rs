@@ -24,6 +24,7 @@ impl Room {
             None => self.admit(&hello).map(|()| self.seat(peer, hello, now)),
         };
         if let Err(reason) = result {
+            self.refused += 1;
             self.send(peer, PeerMessage::Refused(Refused::because(reason)));
         }
     }
