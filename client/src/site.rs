@@ -470,4 +470,6 @@ impl Site {
 }
 
 #[cfg(test)]
+mod states;
+#[cfg(test)]
 mod tests;

@@ -1,15 +1,14 @@
 use palpate_protocol::operation::{
     BladePoint, CompensationMode, CompensationSettings, CutStroke, LeaveReason,
 };
-use palpate_protocol::request::RequestRefused;
+pub(super) use palpate_protocol::request::RequestRefused;
 use palpate_protocol::tool::ToolKind;
-use palpate_protocol::{
-    Epoch, ModelHash, ModelInfo, OperationId, Pose, RequestId, ResumeToken, Role, ToolTrack,
-};
+use palpate_protocol::{Epoch, ModelHash, ModelInfo, Pose, ResumeToken, Role, ToolTrack};
+pub(super) use palpate_protocol::{OperationId, RequestId};
 use palpate_tissue::{Material, block};
 
 use super::*;
-use crate::view::Drift;
+pub(super) use crate::view::Drift;
 
 const ME: ParticipantId = ParticipantId(1);
 const OTHER: ParticipantId = ParticipantId(2);
@@ -43,7 +42,7 @@ fn entry(participant: ParticipantId, kind: ToolKind) -> RosterEntry {
     }
 }
 
-fn welcome(delay_us: u32) -> Welcome {
+pub(super) fn welcome(delay_us: u32) -> Welcome {
     let topology = palpate_tissue::Topology::new(model());
     Welcome {
         participant: ME,
@@ -70,7 +69,7 @@ fn welcome(delay_us: u32) -> Welcome {
 }
 
 /// A site with a clock that is 5 s behind the server's.
-fn site(delay_us: u32) -> Site {
+pub(super) fn site(delay_us: u32) -> Site {
     let mut site = Site::new(&welcome(delay_us), model(), Some(0.02));
     let map = ClockMap::exact(Span::from_millis(5000));
     tell(&mut site, ClientEvent::CaughtUp, 0);
@@ -78,15 +77,15 @@ fn site(delay_us: u32) -> Site {
     site
 }
 
-fn ms(t: i64) -> ClientTime {
+pub(super) fn ms(t: i64) -> ClientTime {
     ClientTime::from_micros(t * 1000)
 }
 
-fn tell(site: &mut Site, event: ClientEvent, t: i64) {
+pub(super) fn tell(site: &mut Site, event: ClientEvent, t: i64) {
     site.handle_event(event, ms(t)).unwrap();
 }
 
-fn budget() -> Budget<'static> {
+pub(super) fn budget() -> Budget<'static> {
     Budget::new(3, 1e-2)
 }
 
@@ -246,7 +245,7 @@ fn another_beginning_than_the_servers_is_made_anew_once_and_then_is_an_error() {
     assert!(sentence.contains("0000000000000001"), "{sentence}");
 }
 
-fn cut_of(hash_after: TopologyHash) -> ClientEvent {
+pub(super) fn cut_of(hash_after: TopologyHash) -> ClientEvent {
     let point = |i: u32| BladePoint {
         tip_m: [4e-3 * f64::from(i), 0.0105, 6e-3],
         axis: [0.0, 0.0, 1.0],
@@ -267,7 +266,7 @@ fn cut_of(hash_after: TopologyHash) -> ClientEvent {
 }
 
 /// The hash after [`cut_of`], as an untouched copy finds it.
-fn hash_of_the_cut() -> TopologyHash {
+pub(super) fn hash_of_the_cut() -> TopologyHash {
     let ClientEvent::Operation(operation) = cut_of(TopologyHash(0)) else {
         unreachable!()
     };
