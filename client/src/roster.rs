@@ -3,13 +3,21 @@
 use std::collections::BTreeMap;
 
 use nalgebra::UnitQuaternion;
+use palpate_protocol::compensation::BRIDGE;
 use palpate_protocol::handshake::{ROSTER_MAX, RosterEntry};
 use palpate_protocol::timeline::{Shown, Timeline};
 use palpate_protocol::tool::{ToolDescription, ToolKind, part_id};
-use palpate_protocol::{ParticipantId, Role, ServerTime, ToolSample};
+use palpate_protocol::{ParticipantId, Role, ServerTime, Span, ToolSample};
 use palpate_tissue::{Form, Tool, Vec3};
 
 use crate::convert::orientation;
+
+/// What is made up from samples older than this is no longer what the server has: twice what the
+/// artificial delay leaves to be bridged.
+const BRIDGED_MAX: Span = Span::from_micros(2 * BRIDGE.as_micros());
+
+/// Whose newest sample is older than this is silent, and not slow.
+const SILENT: Span = Span::from_millis(2000);
 
 /// A tool at a moment, with all that the tissue has to know of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -163,6 +171,14 @@ impl Roster {
             Some(placed(*who, seat.tool_down()?, &shown))
         };
         self.seats.iter_mut().filter_map(at).collect()
+    }
+
+    /// Whether somebody's tool at a moment is made up from samples that are too old: then the view differs
+    /// from the server's because of the network. Who is silent for longer presses nowhere.
+    pub fn is_made_up(&self, s: ServerTime) -> bool {
+        let others = self.seats.values().filter(|seat| !seat.lifted);
+        let mut newest = others.filter_map(|seat| seat.seen.newest());
+        newest.any(|newest| (BRIDGED_MAX..SILENT).contains(&(s - newest)))
     }
 
     /// The tools of all but `me` at any moment, for what the hand feels. Ask with ascending times.

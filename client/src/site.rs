@@ -126,6 +126,8 @@ pub struct Site {
     /// The newest view's place on the grid.
     last_k: Option<i64>,
     first_view: Option<ServerTime>,
+    /// The newest view in which tools were made up, because the network was too slow.
+    made_up: Option<ServerTime>,
     deferred: VecDeque<Operation>,
     /// Whether cuts are made elsewhere, ahead of their moment.
     is_detached: bool,
@@ -163,6 +165,7 @@ impl Site {
             tick_hz: i64::from(welcome.tick_hz.max(1)),
             last_k: None,
             first_view: None,
+            made_up: None,
             deferred: VecDeque::new(),
             is_detached: false,
             to_make: VecDeque::new(),
@@ -372,6 +375,9 @@ impl Site {
         self.last_k = Some(k);
         let s = grid_moment(k, self.tick_hz);
         self.first_view.get_or_insert(s);
+        if self.roster.is_made_up(s) {
+            self.made_up = Some(s);
+        }
         Some(ViewFrame {
             s,
             k,

@@ -13,7 +13,7 @@ use palpate_protocol::handshake::Welcome;
 use palpate_protocol::session::ClientEvent;
 use palpate_protocol::{ClientTime, ServerTime};
 
-use super::resync::{DRIFT_MAX_M, RESYNCS_MAX, Verdict, WINDOW};
+use super::resync::{DRIFT_MAX_M, DRIFT_PATIENCE, RESYNCS_MAX, Verdict, WINDOW};
 use super::{Site, SiteError};
 use crate::ahead::ReplicaError;
 use crate::replica::Replica;
@@ -103,8 +103,11 @@ impl Site {
         }
         let max = &mut self.counters.drift_max_m;
         *max = max.max(drift.max_m);
-        if self.roster.is_lifted(self.me) {
-            // A network that is too slow shows the others' tools elsewhere; a new copy would not help.
+        let is_made_up = self
+            .made_up
+            .is_some_and(|made_up| view_time - made_up < DRIFT_PATIENCE);
+        if is_made_up || self.roster.is_lifted(self.me) {
+            // A network that is too slow shows tools elsewhere; a new copy would not help.
             return self.resync.restart();
         }
         match self.resync.handle_drift(view_time, drift.max_m, now) {
@@ -151,7 +154,7 @@ impl Site {
         self.schedule = DelaySchedule::new(&welcome.compensation);
         self.expected = Some((welcome.topology_version, welcome.topology_hash));
         self.started = welcome.session_started_at;
-        self.first_view = None;
+        (self.first_view, self.made_up) = (None, None);
         self.deferred = VecDeque::new();
         self.is_detached = false;
         self.to_make = VecDeque::new();

@@ -65,6 +65,8 @@ pub struct Room {
     next_tick: ServerTime,
     next_correction: ServerTime,
     next_judgement: ServerTime,
+    /// Before this moment reports do not count for the group.
+    heard_from: ServerTime,
     cuts: u64,
     demotions: u64,
     repetitions: u64,
@@ -89,6 +91,7 @@ impl Room {
             next_tick: now,
             next_correction: now,
             next_judgement: now,
+            heard_from: now,
             cuts: 0,
             demotions: 0,
             repetitions: 0,

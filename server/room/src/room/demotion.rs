@@ -24,6 +24,10 @@ use crate::participant::Participant;
 /// Between two judgements: as often as reports come.
 const JUDGE_PERIOD: Span = Span::from_millis(250);
 
+/// After somebody is lifted the others' reports are passed over for so long: until they know of it, have
+/// forgotten what they measured, and say so.
+const STILL_SPOKEN_OF: Span = Span::from_millis(1000);
+
 /// What is known of somebody's way to the server and back, µs.
 #[derive(Debug, Clone, Copy)]
 struct Way {
@@ -57,7 +61,7 @@ impl Room {
             return;
         };
         participant.report = Some((now, report));
-        if !participant.demotion.is_demoted() {
+        if !participant.demotion.is_demoted() && now >= self.heard_from {
             self.group.handle_report(who, report);
         }
     }
@@ -133,7 +137,8 @@ impl Room {
         participant.lift(now);
         self.fan_out.remove(who);
         self.demotions += 1;
-        // The reports of the others still speak of this one; new ones come within a quarter of a second.
+        // What the others say for a while still speaks of this one.
+        self.heard_from = now + STILL_SPOKEN_OF;
         let ids: Vec<ParticipantId> = self.participants.keys().copied().collect();
         for id in ids {
             self.group.remove(id);

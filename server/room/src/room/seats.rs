@@ -3,6 +3,7 @@
 use palpate_protocol::handshake::{Hello, RefusalReason, Refused, Resume, SEAT_KEPT, Welcome};
 use palpate_protocol::operation::{CompensationSettings, LeaveReason, OperationKind};
 use palpate_protocol::session::{CloseReason, PeerMessage};
+use palpate_protocol::timeline::Timeline;
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{OperationId, ParticipantId, ServerTime};
 
@@ -115,7 +116,8 @@ impl Room {
         seat.asked.next_connection();
         let before = std::mem::replace(&mut seat.place, Place::Here(peer));
         // What the dead connection may still have told of the tool does not go on with the new one.
-        seat.forget_motion();
+        // How late its samples come is still known: who is slow does not begin anew with every return.
+        seat.timeline = Timeline::default();
         self.fan_out.remove(id);
         if let Place::Here(old) = before {
             // A dead connection that nobody noticed yet. Its end, when it comes, is nobody's.
