@@ -63,10 +63,12 @@ impl Requests {
             return;
         }
         self.unseen = operation.id.next();
-        let answers = |kind: &RequestKind| match (&operation.kind, kind) {
-            (OperationKind::Cut(_), RequestKind::Cut(_))
-            | (OperationKind::ToolChanged { .. }, RequestKind::SetTool(_)) => true,
-            _ => false,
+        let answers = |kind: &RequestKind| {
+            matches!(
+                (&operation.kind, kind),
+                (OperationKind::Cut(_), RequestKind::Cut(_))
+                    | (OperationKind::ToolChanged { .. }, RequestKind::SetTool(_))
+            )
         };
         if operation.author != self.me {
             return;

@@ -15,7 +15,7 @@ use crate::realtime::{
     HapticHandle, LoopSummary, Priority, TracePoint, monotonic_now, sleep_until,
 };
 use crate::recording::{HapticPoint, Recording};
-use crate::solve::{End, Progress, Solved};
+use crate::solve::{End, Part, Progress, Solved};
 use crate::status::{Figures, HandFigures, Status};
 use crate::{ClientError, JoinOptions, Summary};
 
@@ -59,7 +59,7 @@ impl Session<'_> {
             let progress = self.parts.replica.progress();
             if let Some(haptics) = &self.parts.haptics {
                 // Of a copy that differs no force is believed.
-                haptics.set_link_lost(progress.link_lost || progress.is_resyncing);
+                haptics.set_link_lost(progress.link_lost || progress.part == Part::Resyncs);
                 if !haptics.is_running() {
                     return Ending::Panicked("force loop");
                 }
@@ -139,9 +139,7 @@ impl Session<'_> {
             here: progress.here,
             topology_version: progress.topology_version,
             link_lost: progress.link_lost,
-            is_catching_up: progress.is_catching_up,
-            is_resyncing: progress.is_resyncing,
-            is_watching: progress.is_watching,
+            part: progress.part,
         }
     }
 

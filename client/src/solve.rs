@@ -58,6 +58,34 @@ pub(crate) struct Hand {
     pub(crate) own: rtrb::Consumer<LocalSample>,
 }
 
+/// What part one has in the session.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) enum Part {
+    /// One takes part.
+    #[default]
+    Takes,
+    /// The log of the beginning is being applied.
+    CatchesUp,
+    /// The copy is being made anew: no force of it is believed.
+    Resyncs,
+    /// The tool is lifted, because the network is too slow.
+    Watches,
+}
+
+impl Part {
+    fn of(site: &Site) -> Self {
+        if site.is_resyncing() {
+            Self::Resyncs
+        } else if site.is_catching_up() {
+            Self::CatchesUp
+        } else if site.is_watching() {
+            Self::Watches
+        } else {
+            Self::Takes
+        }
+    }
+}
+
 /// What the rest of the program sees of the thread while it runs.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Progress {
@@ -67,9 +95,7 @@ pub(crate) struct Progress {
     pub(crate) topology_version: u32,
     pub(crate) here: usize,
     pub(crate) link_lost: bool,
-    pub(crate) is_catching_up: bool,
-    pub(crate) is_resyncing: bool,
-    pub(crate) is_watching: bool,
+    pub(crate) part: Part,
     pub(crate) notice: Option<String>,
     /// The end of the session, once it has come.
     pub(crate) end: Option<End>,
@@ -386,9 +412,7 @@ impl Turns {
         progress.topology_version = site.replica().topology().version();
         progress.here = site.roster().len();
         progress.link_lost = self.link_lost;
-        progress.is_resyncing = site.is_resyncing();
-        progress.is_watching = site.is_watching();
-        progress.is_catching_up = site.is_catching_up();
+        progress.part = Part::of(site);
         progress.notice = notice.or(progress.notice.take());
         progress.end.clone_from(&self.end);
     }

@@ -35,6 +35,8 @@ struct Way {
     up: i64,
     down: i64,
     is_demoted: bool,
+    /// Whether anything was measured; who is not known is as near as can be to the others, and not judged.
+    is_known: bool,
 }
 
 impl Way {
@@ -82,7 +84,7 @@ impl Room {
             return;
         }
         let ways = self.ways();
-        for way in &ways {
+        for way in ways.iter().filter(|w| w.is_known) {
             let Some(participant) = self.participants.get_mut(&way.who) else {
                 continue;
             };
@@ -108,16 +110,13 @@ impl Room {
         }
     }
 
-    /// The ways of those that are connected and of whom something is known.
+    /// The ways of those that are connected.
     fn ways(&self) -> Vec<Way> {
         let here = || self.participants.values().filter(|p| p.peer().is_some());
         let up = |p: &Participant| p.delay.report().map(|r| i64::from(r.wanted_us));
         let mut ways = Vec::new();
         for p in here() {
             let wanted = p.report.map(|(_, r)| i64::from(r.wanted_us));
-            if up(p).is_none() && wanted.is_none() {
-                continue;
-            }
             let heard = here().filter(|y| y.id != p.id && !y.demotion.is_demoted());
             let longest = heard.filter_map(up).max().unwrap_or(0);
             ways.push(Way {
@@ -125,6 +124,7 @@ impl Room {
                 up: up(p).unwrap_or(0),
                 down: (wanted.unwrap_or(0) - longest).max(0),
                 is_demoted: p.demotion.is_demoted(),
+                is_known: up(p).is_some() || wanted.is_some(),
             });
         }
         ways
