@@ -14,7 +14,7 @@ pub enum Mishap {
         /// Whose.
         seat: usize,
         /// What it is like.
-        profile: Profile,
+        profile: Box<Profile>,
     },
     /// It makes the next cut elsewhere, and so has another topology than everybody.
     OtherCut {

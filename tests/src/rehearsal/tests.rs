@@ -112,7 +112,7 @@ fn who_is_at_500_ms_for_ten_seconds_watches_and_nobody_waits_and_then_takes_part
     );
     let slow = Mishap::Network {
         seat: 1,
-        profile: worsens,
+        profile: Box::new(worsens),
     };
     let r = rehearse_with(&model, &scripts, &near, 3, 400, &[slow]);
     assert_eq!(r.troubles, Vec::<String>::new());
