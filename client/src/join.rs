@@ -143,6 +143,7 @@ impl Parts {
             site,
             inbox: Arc::clone(&network.inbox),
             commands: network.commands.clone(),
+            rejoin: network.rejoin.clone(),
             script: hand.is_some().then_some(start),
             hand,
             record_every: options

@@ -33,6 +33,7 @@ mod options;
 pub mod realtime;
 pub mod recording;
 pub mod replica;
+pub mod requests;
 pub mod roster;
 mod session;
 pub mod site;

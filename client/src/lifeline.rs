@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use palpate_protocol::JoinLink;
 use palpate_protocol::handshake::{Hello, Resume, Welcome};
 use palpate_protocol::session::{ClientEvent, CloseReason};
+use palpate_protocol::{JoinLink, OperationId, TopologyHash};
 use palpate_transport::{ClientCommand, ClientHandle, DriverStats};
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
@@ -12,6 +12,7 @@ use tokio::time::Instant;
 use crate::ClientError;
 use crate::inbox::Inbox;
 use crate::network::join;
+use crate::requests::{Requests, is_felt};
 
 /// A session that says its link is lost is given up so much later: the server then has given up the
 /// connection too, and waits for a new one.
@@ -27,6 +28,10 @@ const WAIT_MAX: Duration = Duration::from_secs(8);
 /// handshake is sooner heard than an old one.
 const ATTEMPT_MAX: Duration = Duration::from_secs(4);
 
+/// What was asked for so long ago is not asked again: the hand has gone on, and the tissue may lie
+/// elsewhere.
+const REPEAT_WITHIN: Duration = Duration::from_secs(10);
+
 /// How the connection does, for the status line.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Condition {
@@ -34,7 +39,7 @@ pub(crate) struct Condition {
     pub(crate) lost: Option<String>,
     /// How often it was made anew.
     pub(crate) returns: u64,
-    /// Requests that were made while there was no connection: they are not sent.
+    /// Requests that were not sent, because there was no connection, or that were not answered in time.
     pub(crate) requests_lost: u64,
 }
 
@@ -47,6 +52,9 @@ pub(crate) struct Lifeline<'a> {
     pub(crate) patience: Duration,
     pub(crate) inbox: &'a Inbox,
     pub(crate) commands: mpsc::Receiver<ClientCommand>,
+    /// Says why the log is wanted from its beginning.
+    pub(crate) rejoin: mpsc::Receiver<String>,
+    pub(crate) requests: Requests,
     pub(crate) stats: watch::Sender<DriverStats>,
     pub(crate) condition: watch::Sender<Condition>,
     pub(crate) is_lost: bool,
@@ -60,19 +68,22 @@ enum Over {
     Leaving,
     /// Only the connection is lost.
     Lost(String),
+    /// The copy of the tissue is to be made anew.
+    Anew(String),
 }
 
 impl Lifeline<'_> {
     /// Keeps the session standing until it is over.
     pub(crate) async fn run(mut self, mut handle: ClientHandle) {
         loop {
-            let why = match self.pump(&mut handle).await {
+            let (why, is_lost) = match self.pump(&mut handle).await {
                 Over::Ended | Over::Leaving => return end(handle).await,
-                Over::Lost(why) => why,
+                Over::Lost(why) => (why, true),
+                Over::Anew(why) => (why, false),
             };
             // Leaving politely would give up the seat.
             handle.task.abort();
-            match self.come_back(why).await {
+            match self.come_back(why, is_lost).await {
                 Some(again) => handle = again,
                 None => return,
             }
@@ -103,6 +114,10 @@ impl Lifeline<'_> {
                     Some(command) => self.pass_on(handle, command),
                     None => return Over::Leaving,
                 },
+                Some(why) = self.rejoin.recv() => {
+                    self.want_everything();
+                    return Over::Anew(why);
+                }
                 Ok(()) = handle.stats.changed() => {
                     self.stats.send_replace(*handle.stats.borrow_and_update());
                 }
@@ -134,6 +149,7 @@ impl Lifeline<'_> {
             ClientEvent::Operation(operation) => self.seat.note(operation),
             _ => {}
         }
+        self.requests.handle_event(&event);
         let is_last = matches!(event, ClientEvent::Closed(_));
         if !self.inbox.push(event) {
             self.close("the operations came faster than this machine applies them".to_owned());
@@ -143,21 +159,35 @@ impl Lifeline<'_> {
     }
 
     fn pass_on(&mut self, handle: &ClientHandle, command: ClientCommand) {
-        let is_request = matches!(command, ClientCommand::Request(_));
-        if handle.commands.try_send(command).is_err() && is_request {
-            self.condition.send_modify(|c| c.requests_lost += 1);
+        // One that finds no room now is asked again with the next connection, if there is one.
+        let command = match command {
+            ClientCommand::Request(kind) => ClientCommand::Numbered(self.requests.number(kind)),
+            other => other,
+        };
+        let is_felt = matches!(&command, ClientCommand::Numbered(r) if is_felt(&r.kind));
+        if handle.commands.try_send(command).is_err() && is_felt {
+            tracing::warn!("the session does not take requests");
         }
     }
 
+    /// Takes the seat with nothing in hand, so that the whole log comes again.
+    fn want_everything(&mut self) {
+        self.seat.next_operation = OperationId(0);
+        self.seat.topology_version = 0;
+        self.seat.topology_hash = TopologyHash(0);
+    }
+
     /// Takes the seat again; `None` when that failed for good, and the inbox knows, or nobody wants it.
-    async fn come_back(&mut self, why: String) -> Option<ClientHandle> {
-        if !std::mem::replace(&mut self.is_lost, true) {
-            self.inbox.push(ClientEvent::LinkLost);
-        }
-        tracing::info!(why, "the connection is lost");
-        self.condition.send_modify(|c| c.lost = Some(why.clone()));
-        let give_up = Instant::now() + self.patience;
+    async fn come_back(&mut self, why: String, is_lost: bool) -> Option<ClientHandle> {
+        tracing::info!(why, is_lost, "the connection is made anew");
+        let began = Instant::now();
+        let give_up = began + self.patience;
         let (mut wait, mut last) = (WAIT_FIRST, None);
+        if is_lost {
+            self.lose(&why);
+        } else {
+            wait = Duration::ZERO;
+        }
         loop {
             let next = (Instant::now() + wait).min(give_up);
             if while_away(
@@ -171,7 +201,7 @@ impl Lifeline<'_> {
                 self.inbox.push(ClientEvent::Closed(CloseReason::Left));
                 return None;
             }
-            if Instant::now() >= give_up {
+            if wait > Duration::ZERO && Instant::now() >= give_up {
                 let tried = self.patience.as_secs_f64();
                 let last = last.map_or(String::new(), |l| format!(": {l}"));
                 self.close(format!(
@@ -191,6 +221,7 @@ impl Lifeline<'_> {
                 }
                 Some(Ok(Ok((handle, welcome)))) => {
                     self.welcome_back(welcome);
+                    self.ask_again(&handle, began.elapsed());
                     return Some(handle);
                 }
                 Some(Ok(Err(ClientError::Refused(sentence)))) => {
@@ -200,18 +231,41 @@ impl Lifeline<'_> {
                 Some(Ok(Err(error))) => last = Some(error.to_string()),
                 Some(Err(_)) => last = Some("no answer".to_owned()),
             }
-            wait = (2 * wait).min(WAIT_MAX);
+            // What was to be made anew now is lost.
+            self.lose(&why);
+            wait = (2 * wait).clamp(WAIT_FIRST, WAIT_MAX);
+        }
+    }
+
+    fn lose(&mut self, why: &str) {
+        if !std::mem::replace(&mut self.is_lost, true) {
+            self.inbox.push(ClientEvent::LinkLost);
+        }
+        self.condition
+            .send_modify(|c| c.lost = Some(why.to_owned()));
+    }
+
+    /// Asks again for what was not answered, or says that it is lost.
+    fn ask_again(&mut self, handle: &ClientHandle, away: Duration) {
+        if away > REPEAT_WITHIN {
+            let lost = self.requests.give_up();
+            self.condition.send_modify(|c| c.requests_lost += lost);
+            return;
+        }
+        for request in self.requests.unanswered() {
+            // The commands of a new session have room for more than are kept.
+            let _ = handle.commands.try_send(ClientCommand::Numbered(request));
         }
     }
 
     fn welcome_back(&mut self, welcome: Box<Welcome>) {
         self.seat = Resume::after_welcome(&welcome, Some(self.seat));
-        self.is_lost = false;
         self.inbox.push(ClientEvent::Welcomed(welcome));
-        self.inbox.push(ClientEvent::LinkRestored);
+        if std::mem::take(&mut self.is_lost) {
+            self.inbox.push(ClientEvent::LinkRestored);
+        }
         self.condition.send_modify(|c| {
-            c.lost = None;
-            c.returns += 1;
+            c.returns += u64::from(c.lost.take().is_some());
         });
     }
 
@@ -222,7 +276,7 @@ impl Lifeline<'_> {
     }
 }
 
-/// Does something while there is no connection: motion is dropped, requests are counted. `None` when the
+/// Does something while there is no connection: motion is dropped, requests that a person made are counted. `None` when the
 /// participant leaves meanwhile.
 async fn while_away<T>(
     commands: &mut mpsc::Receiver<ClientCommand>,
@@ -235,15 +289,17 @@ async fn while_away<T>(
             done = &mut work => return Some(done),
             command = commands.recv() => match command {
                 None | Some(ClientCommand::Leave) => return None,
-                Some(ClientCommand::Request(_)) => condition.send_modify(|c| c.requests_lost += 1),
-                Some(ClientCommand::Motion(_)) => {}
+                Some(ClientCommand::Request(kind)) if is_felt(&kind) => {
+                    condition.send_modify(|c| c.requests_lost += 1);
+                }
+                Some(_) => {}
             },
         }
     }
 }
 
 /// Dropping the commands leaves the session, if it still stands.
-pub(crate) async fn end(mut handle: ClientHandle) {
+async fn end(mut handle: ClientHandle) {
     drop(handle.commands);
     handle.events.close();
     if handle.task.await.is_err() {

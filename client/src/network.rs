@@ -9,14 +9,15 @@ use palpate_protocol::handshake::{Hello, Resume, Welcome};
 use palpate_protocol::session::{ClientEvent, ClientSession, CloseReason};
 use palpate_protocol::{JoinLink, ModelHash, Span};
 use palpate_transport::{
-    ClientCommand, ClientHandle, DriverStats, connect, fetch_model, spawn_client,
+    ClientCommand, ClientHandle, DriverStats, TransportError, connect, fetch_model, spawn_client,
 };
 use tokio::sync::{mpsc as async_mpsc, watch};
 
 use crate::ClientError;
 use crate::inbox::Inbox;
-use crate::lifeline::{Condition, Lifeline, end};
+use crate::lifeline::{Condition, Lifeline};
 use crate::realtime::{monotonic_now, sleep_until};
+use crate::requests::Requests;
 
 /// Commands that may wait for the network thread: a second of motion.
 const COMMANDS_MAX: usize = 256;
@@ -30,6 +31,9 @@ const LEAVE_PATIENCE: Span = Span::from_millis(500);
 /// Between two attempts to leave.
 const LEAVE_RETRY: Span = Span::from_millis(5);
 
+/// Before a model is fetched again whose connection was lost.
+const FETCH_AGAIN: Duration = Duration::from_millis(500);
+
 /// Told how much of the model has arrived: bytes, of bytes.
 pub(crate) type Progress = Box<dyn FnMut(u64, u64) + Send>;
 
@@ -41,6 +45,8 @@ pub(crate) struct Network {
     pub(crate) model: Vec<u8>,
     /// To the session.
     pub(crate) commands: async_mpsc::Sender<ClientCommand>,
+    /// Takes why the log is wanted from its beginning.
+    pub(crate) rejoin: async_mpsc::Sender<String>,
     /// What the session told.
     pub(crate) inbox: Arc<Inbox>,
     /// Newest figures.
@@ -65,6 +71,7 @@ struct Opened {
     welcome: Box<Welcome>,
     model: Vec<u8>,
     commands: async_mpsc::Sender<ClientCommand>,
+    rejoin: async_mpsc::Sender<String>,
     inbox: Arc<Inbox>,
     stats: watch::Receiver<DriverStats>,
     condition: watch::Receiver<Condition>,
@@ -95,6 +102,7 @@ impl Network {
             welcome: opened.welcome,
             model: opened.model,
             commands: opened.commands,
+            rejoin: opened.rejoin,
             inbox: opened.inbox,
             stats: opened.stats,
             condition: opened.condition,
@@ -134,55 +142,65 @@ async fn live(
         joined = join(link, joining.hello.clone()) => joined,
         () = until(stop) => Err(stopped()),
     };
-    let (mut handle, welcome) = match joined {
+    let (handle, welcome) = match joined {
         Ok(joined) => joined,
         // Main has gone when this fails; then nobody is left to be told.
         Err(error) => return drop(tell.send(Err(error))),
     };
     let inbox = Arc::new(Inbox::default());
-    let mut seat = Resume::after_welcome(&welcome, None);
-    let fetched = {
-        let fetching = fetch(link, welcome.model.hash, progress);
-        tokio::select! {
-            fetched = fetching => fetched,
-            why = pump(&mut handle, &inbox, &mut seat) => Err(ClientError::EndedWhileJoining(why)),
-            () = until(stop) => Err(stopped()),
+    let (commands, command_receiver) = async_mpsc::channel(COMMANDS_MAX);
+    let (rejoin, rejoin_receiver) = async_mpsc::channel(1);
+    let (stats_sender, stats) = watch::channel(DriverStats::default());
+    let (condition_sender, condition) = watch::channel(Condition::default());
+    let lifeline = Lifeline {
+        link,
+        hello: joining.hello.clone(),
+        seat: Resume::after_welcome(&welcome, None),
+        patience: joining.reconnect,
+        inbox: &inbox,
+        commands: command_receiver,
+        rejoin: rejoin_receiver,
+        requests: Requests::new(welcome.participant),
+        stats: stats_sender,
+        condition: condition_sender,
+        is_lost: false,
+    };
+    // The session is kept standing from now on: one that is lost while the model comes is made anew too.
+    let session = lifeline.run(handle);
+    tokio::pin!(session);
+    let fetched = tokio::select! {
+        fetched = fetch(link, welcome.model.hash, progress, joining.reconnect) => fetched,
+        () = &mut session => return drop(tell.send(Err(ended(&inbox)))),
+        () = until(stop) => Err(stopped()),
+    };
+    let told = match fetched {
+        Ok(model) => Ok(Opened {
+            welcome,
+            model,
+            commands,
+            rejoin,
+            inbox: Arc::clone(&inbox),
+            stats,
+            condition,
+        }),
+        // Without an end for commands the session is left.
+        Err(error) => {
+            drop(commands);
+            Err(error)
         }
     };
-    match fetched {
-        Ok(model) => {
-            let (commands, command_receiver) = async_mpsc::channel(COMMANDS_MAX);
-            let (stats_sender, stats) = watch::channel(DriverStats::default());
-            let (condition_sender, condition) = watch::channel(Condition::default());
-            let opened = Opened {
-                welcome,
-                model,
-                commands,
-                inbox: Arc::clone(&inbox),
-                stats,
-                condition,
-            };
-            if tell.send(Ok(opened)).is_err() {
-                return end(handle).await;
-            }
-            let lifeline = Lifeline {
-                link,
-                hello: joining.hello.clone(),
-                seat,
-                patience: joining.reconnect,
-                inbox: &inbox,
-                commands: command_receiver,
-                stats: stats_sender,
-                condition: condition_sender,
-                is_lost: false,
-            };
-            lifeline.run(handle).await;
-        }
-        Err(error) => {
-            drop(tell.send(Err(error)));
-            end(handle).await;
-        }
-    }
+    // When nobody is left to be told, what was to be told is dropped, and the session left as well.
+    drop(tell.send(told));
+    session.await;
+}
+
+/// Why a session ended while the model came.
+fn ended(inbox: &Inbox) -> ClientError {
+    let why = match inbox.take().pop_back() {
+        Some(ClientEvent::Closed(reason)) => reason.to_string(),
+        _ => "the session ended".to_owned(),
+    };
+    ClientError::EndedWhileJoining(why)
 }
 
 /// Connects and is let in.
@@ -215,44 +233,32 @@ fn not_joined(reason: CloseReason) -> ClientError {
     }
 }
 
+/// Fetches the model, again and again while connections are lost and `patience` lasts.
 async fn fetch(
     link: &JoinLink,
     expected: ModelHash,
-    progress: Progress,
+    mut progress: Progress,
+    patience: Duration,
 ) -> Result<Vec<u8>, ClientError> {
-    let bytes = fetch_model(link, expected, progress).await?;
+    let give_up = tokio::time::Instant::now() + patience;
+    let bytes = loop {
+        match fetch_model(link, expected, &mut progress).await {
+            Ok(bytes) => break bytes,
+            Err(error @ (TransportError::Lost { .. } | TransportError::NoAnswer { .. }))
+                if tokio::time::Instant::now() < give_up =>
+            {
+                tracing::info!(%error, "the model is fetched again");
+                tokio::time::sleep(FETCH_AGAIN).await;
+            }
+            Err(error) => return Err(error.into()),
+        }
+    };
     let found = ModelHash(xxhash_rust::xxh3::xxh3_64(&bytes));
     if found == expected {
         Ok(bytes)
     } else {
         Err(ClientError::ModelDamaged { expected, found })
     }
-}
-
-/// Moves events into the inbox while the model comes, until the session is over; says why it was.
-async fn pump(handle: &mut ClientHandle, inbox: &Inbox, seat: &mut Resume) -> String {
-    while let Some(event) = handle.events.recv().await {
-        let ended = match &event {
-            ClientEvent::Operation(operation) => {
-                seat.note(operation);
-                None
-            }
-            ClientEvent::Closed(reason) => Some(reason.to_string()),
-            _ => None,
-        };
-        if !inbox.push(event) {
-            let why = "the operations came faster than this machine applies them".to_owned();
-            // The last event always finds room.
-            inbox.push(ClientEvent::Closed(CloseReason::ConnectionLost(
-                why.clone(),
-            )));
-            return why;
-        }
-        if let Some(why) = ended {
-            return why;
-        }
-    }
-    "the session ended".to_owned()
 }
 
 async fn until(stop: &AtomicBool) {

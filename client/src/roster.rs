@@ -3,13 +3,21 @@
 use std::collections::BTreeMap;
 
 use nalgebra::UnitQuaternion;
+use palpate_protocol::compensation::BRIDGE;
 use palpate_protocol::handshake::{ROSTER_MAX, RosterEntry};
 use palpate_protocol::timeline::{Shown, Timeline};
 use palpate_protocol::tool::{ToolDescription, ToolKind, part_id};
-use palpate_protocol::{ParticipantId, Role, ServerTime, ToolSample};
+use palpate_protocol::{ParticipantId, Role, ServerTime, Span, ToolSample};
 use palpate_tissue::{Form, Tool, Vec3};
 
 use crate::convert::orientation;
+
+/// What is made up from samples older than this is no longer what the server has: twice what the
+/// artificial delay leaves to be bridged.
+const BRIDGED_MAX: Span = Span::from_micros(2 * BRIDGE.as_micros());
+
+/// Whose newest sample is older than this is silent, and not slow.
+const SILENT: Span = Span::from_millis(2000);
 
 /// A tool at a moment, with all that the tissue has to know of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -65,11 +73,20 @@ struct Seat {
     name: String,
     role: Role,
     tool: Option<ToolDescription>,
+    /// Whether the tool is lifted for everybody, because its owner's network is too slow.
+    lifted: bool,
     /// Asked on the common grid, for the view.
     seen: Timeline,
     /// Asked between its points too, for the hand. Corrections are blended along the moments asked
     /// for, so each has its own.
     felt: Timeline,
+}
+
+impl Seat {
+    /// The tool, unless it is lifted.
+    fn tool_down(&self) -> Option<ToolDescription> {
+        self.tool.filter(|_| !self.lifted)
+    }
 }
 
 /// Everybody in the session, in the order of their numbers: the same order at every site, because
@@ -99,6 +116,7 @@ impl Roster {
                 name: entry.name,
                 role: entry.role,
                 tool: entry.tool,
+                lifted: false,
                 seen: Timeline::default(),
                 felt: Timeline::default(),
             };
@@ -116,6 +134,18 @@ impl Roster {
         if let Some(seat) = self.seats.get_mut(&who) {
             (seat.seen, seat.felt) = (Timeline::default(), Timeline::default());
         }
+    }
+
+    /// The tool of somebody is lifted for everybody, or set down again.
+    pub fn lift(&mut self, who: ParticipantId, lifted: bool) {
+        if let Some(seat) = self.seats.get_mut(&who) {
+            seat.lifted = lifted;
+        }
+    }
+
+    /// Whether somebody's tool is lifted.
+    pub fn is_lifted(&self, who: ParticipantId) -> bool {
+        self.seats.get(&who).is_some_and(|seat| seat.lifted)
     }
 
     /// Somebody took another tool.
@@ -138,24 +168,32 @@ impl Roster {
     pub fn tools_seen_at(&mut self, s: ServerTime) -> Vec<ToolAt> {
         let at = |(who, seat): (&ParticipantId, &mut Seat)| {
             let shown = seat.seen.at(s)?;
-            Some(placed(*who, seat.tool?, &shown))
+            Some(placed(*who, seat.tool_down()?, &shown))
         };
         self.seats.iter_mut().filter_map(at).collect()
+    }
+
+    /// Whether somebody's tool at a moment is made up from samples that are too old: then the view differs
+    /// from the server's because of the network. Who is silent for longer presses nowhere.
+    pub fn is_made_up(&self, s: ServerTime) -> bool {
+        let others = self.seats.values().filter(|seat| !seat.lifted);
+        let mut newest = others.filter_map(|seat| seat.seen.newest());
+        newest.any(|newest| (BRIDGED_MAX..SILENT).contains(&(s - newest)))
     }
 
     /// The tools of all but `me` at any moment, for what the hand feels. Ask with ascending times.
     pub fn tools_felt_at(&mut self, s: ServerTime, me: ParticipantId) -> Vec<ToolAt> {
         let at = |(who, seat): (&ParticipantId, &mut Seat)| {
             let shown = seat.felt.at(s)?;
-            Some(placed(*who, seat.tool?, &shown))
+            Some(placed(*who, seat.tool_down()?, &shown))
         };
         let others = self.seats.iter_mut().filter(|(who, _)| **who != me);
         others.filter_map(at).collect()
     }
 
-    /// The tool that somebody holds.
+    /// The tool that somebody holds; `None` while it is lifted.
     pub fn tool_of(&self, who: ParticipantId) -> Option<ToolDescription> {
-        self.seats.get(&who)?.tool
+        self.seats.get(&who)?.tool_down()
     }
 
     /// The name of somebody, for people.
@@ -227,6 +265,20 @@ mod tests {
         let tools = roster.tools_seen_at(ServerTime::from_micros(500));
         assert!(tools[0].is_cutting() && tools[0].contacts().next().is_none());
         assert!(tools[1].contacts().next().is_some());
+    }
+
+    #[test]
+    fn a_lifted_tool_is_nowhere_and_back_when_it_is_set_down() {
+        let (me, at) = (ParticipantId(1), ServerTime::from_micros(500));
+        let mut roster = Roster::new(&[entry(1, ToolKind::Probe)]);
+        for us in [0, 1000] {
+            roster.insert(me, sample(us, 0));
+        }
+        roster.lift(me, true);
+        assert!(roster.tools_seen_at(at).is_empty() && roster.tool_of(me).is_none());
+        assert!(roster.tools_felt_at(at, ParticipantId(2)).is_empty());
+        roster.lift(me, false);
+        assert_eq!(roster.tools_seen_at(at).len(), 1);
     }
 
     #[test]

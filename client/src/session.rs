@@ -15,7 +15,7 @@ use crate::realtime::{
     HapticHandle, LoopSummary, Priority, TracePoint, monotonic_now, sleep_until,
 };
 use crate::recording::{HapticPoint, Recording};
-use crate::solve::{End, Progress, Solved};
+use crate::solve::{End, Part, Progress, Solved};
 use crate::status::{Figures, HandFigures, Status};
 use crate::{ClientError, JoinOptions, Summary};
 
@@ -58,7 +58,8 @@ impl Session<'_> {
             let now = monotonic_now();
             let progress = self.parts.replica.progress();
             if let Some(haptics) = &self.parts.haptics {
-                haptics.set_link_lost(progress.link_lost);
+                // Of a copy that differs no force is believed.
+                haptics.set_link_lost(progress.link_lost || progress.part == Part::Resyncs);
                 if !haptics.is_running() {
                     return Ending::Panicked("force loop");
                 }
@@ -112,8 +113,9 @@ impl Session<'_> {
             ));
         }
         if now.requests_lost > self.seen.requests_lost {
-            self.status
-                .say("a cut was not sent, because there is no connection");
+            self.status.say(
+                "what you asked for (a cut, another tool) was lost with the connection; do it again",
+            );
         }
         self.seen = now;
     }
@@ -137,7 +139,7 @@ impl Session<'_> {
             here: progress.here,
             topology_version: progress.topology_version,
             link_lost: progress.link_lost,
-            is_catching_up: progress.is_catching_up,
+            part: progress.part,
         }
     }
 
@@ -151,6 +153,7 @@ impl Session<'_> {
             participant: self.network.welcome.participant.0,
             device: self.parts.device,
             reconnects: self.network.condition.borrow().returns,
+            requests_lost: self.network.condition.borrow().requests_lost,
             compensation_ms: progress.delay.as_millis_f64(),
             clock_error_bound_ms: progress.clock_error.map(Span::as_millis_f64),
             realtime: "no force loop".to_owned(),
@@ -202,6 +205,8 @@ impl Summary {
         self.views_skipped = solved.counters.views_skipped;
         self.corrected_nodes = solved.counters.corrected_nodes;
         self.drift_mm_max = solved.counters.drift_max_m * 1e3;
+        self.resyncs = solved.counters.resyncs;
+        self.demotions = solved.counters.demotions;
         self.haptic_solves = solved.haptic_solves;
         self.haptic_solve_ms = solved.haptic_solve_ms;
         self.view_solves = solved.view_solves;

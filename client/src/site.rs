@@ -9,6 +9,11 @@
 //!
 //! It reads no clock: every call is given the time.
 
+mod anew;
+mod applying;
+mod grid;
+mod resync;
+
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -26,12 +31,18 @@ use palpate_protocol::{
 };
 use palpate_tissue::{Budget, Model, Shape};
 
+use anew::Anew;
+use grid::{grid_index, grid_moment};
+use resync::Resync;
+
+pub use resync::{DRIFT_MAX_M, RESYNCS_MAX};
+
 use crate::ahead::{Ahead, ReadyCut, ReplicaError};
 use crate::recording::OperationRecord;
 use crate::replica::Replica;
 use crate::roster::{Roster, ToolAt};
 use crate::stroke::StrokeCollector;
-use crate::view::{Drift, View, ViewCut};
+use crate::view::{View, ViewCut};
 
 /// Operations that wait for their moment. They wait for D, 0.2 s, so this is never reached; beyond
 /// it the oldest is applied early.
@@ -50,6 +61,9 @@ pub enum SiteError {
     /// It was not from the beginning, or the server says so.
     #[error("{0}")]
     Differs(String),
+    /// It differs again, after it was made anew.
+    #[error("it was made anew from the server's log, and differs again: {0}")]
+    Again(String),
     /// Cuts can not be made, or views not be solved.
     #[error("a thread for cuts or views could not be used: {0}")]
     Thread(String),
@@ -91,6 +105,10 @@ pub struct SiteCounters {
     pub corrected_nodes: u64,
     /// Farthest that a node was from where the server had it, m.
     pub drift_max_m: f64,
+    /// How often the copy was made anew from the server's log.
+    pub resyncs: u64,
+    /// How often one's own tool was lifted because of the network.
+    pub demotions: u64,
 }
 
 /// One participant's site.
@@ -108,6 +126,8 @@ pub struct Site {
     /// The newest view's place on the grid.
     last_k: Option<i64>,
     first_view: Option<ServerTime>,
+    /// The newest view in which tools were made up, because the network was too slow.
+    made_up: Option<ServerTime>,
     deferred: VecDeque<Operation>,
     /// Whether cuts are made elsewhere, ahead of their moment.
     is_detached: bool,
@@ -124,6 +144,11 @@ pub struct Site {
     notices: VecDeque<String>,
     applied: VecDeque<OperationRecord>,
     closed: Option<CloseReason>,
+    resync: Resync,
+    anew: Anew,
+    rejoin: Option<String>,
+    /// The first operation that was not given to the recording.
+    unrecorded: u64,
     counters: SiteCounters,
 }
 
@@ -140,6 +165,7 @@ impl Site {
             tick_hz: i64::from(welcome.tick_hz.max(1)),
             last_k: None,
             first_view: None,
+            made_up: None,
             deferred: VecDeque::new(),
             is_detached: false,
             to_make: VecDeque::new(),
@@ -152,17 +178,30 @@ impl Site {
             notices: VecDeque::new(),
             applied: VecDeque::new(),
             closed: None,
+            resync: Resync::default(),
+            anew: Anew::No,
+            rejoin: None,
+            unrecorded: 0,
             counters: SiteCounters::default(),
         }
     }
 
     /// Something from the session.
     pub fn handle_event(&mut self, event: ClientEvent, now: ClientTime) -> Result<(), SiteError> {
+        if self.is_of_the_old(&event) {
+            return Ok(());
+        }
+        let result = self.take_event(event, now);
+        self.or_anew(result, now)
+    }
+
+    fn take_event(&mut self, event: ClientEvent, now: ClientTime) -> Result<(), SiteError> {
         match event {
             ClientEvent::Operation(operation) => self.handle_operation(operation, now)?,
             ClientEvent::CaughtUp => {
                 if let Some((version, hash)) = self.expected.take() {
                     self.compare(version, hash)?;
+                    self.end_anew();
                     self.report_topology(version, hash);
                 }
             }
@@ -186,7 +225,7 @@ impl Site {
             ClientEvent::Corrections(corrections) => {
                 if let Some(view) = self.replica.view_mut() {
                     if let Some(drift) = view.correct(&corrections) {
-                        self.handle_drift(corrections.view_time, drift);
+                        self.handle_drift(corrections.view_time, drift, now);
                     }
                 } else {
                     let news = ViewNews::Corrections(corrections);
@@ -197,24 +236,9 @@ impl Site {
             ClientEvent::LinkLost => self.notice("nothing comes from the server".to_owned()),
             ClientEvent::LinkRestored => self.notice("the server is back".to_owned()),
             ClientEvent::Closed(reason) => self.closed = Some(reason),
-            ClientEvent::Welcomed(welcome) => self.handle_return(&welcome)?,
+            ClientEvent::Welcomed(welcome) => self.handle_return(&welcome, now)?,
             // Displacements are for those that have no tissue of their own; this one has.
             ClientEvent::Motion(_) | ClientEvent::Delays(_) | ClientEvent::Displacements(_) => {}
-        }
-        Ok(())
-    }
-
-    /// The connection was made anew: the log goes on where it stopped, or this copy is not of this log.
-    fn handle_return(&mut self, welcome: &Welcome) -> Result<(), SiteError> {
-        let had = self.counters.operations + self.deferred.len() as u64;
-        if welcome.first_operation.0 != had {
-            return Err(SiteError::Differs(format!(
-                "it has {had} operations of the log, and the server begins again with {}",
-                welcome.first_operation
-            )));
-        }
-        if self.expected.is_some() {
-            self.expected = Some((welcome.topology_version, welcome.topology_hash));
         }
         Ok(())
     }
@@ -258,7 +282,8 @@ impl Site {
     /// [`poll_view_news`](Self::poll_view_news) and [`next_view`](Self::next_view) give.
     pub fn detach(&mut self) -> Option<(Ahead, View)> {
         let is_cut = |o: &Operation| matches!(o.kind, OperationKind::Cut(_));
-        if self.expected.is_some() || self.deferred.iter().any(is_cut) {
+        let is_under_way = self.expected.is_some() || self.is_resyncing();
+        if is_under_way || self.is_detached || self.deferred.iter().any(is_cut) {
             return None;
         }
         let ahead = self.replica.ahead()?;
@@ -277,126 +302,9 @@ impl Site {
         self.view_news.pop_front()
     }
 
-    /// The view of a moment was so far from what the server says.
-    pub fn handle_drift(&mut self, view_time: ServerTime, drift: Drift) {
-        self.counters.corrected_nodes += drift.nodes as u64;
-        if self
-            .first_view
-            .is_some_and(|first| view_time - first > SETTLING)
-        {
-            let max = &mut self.counters.drift_max_m;
-            *max = max.max(drift.max_m);
-        }
-    }
-
     /// A cut was made; it waits for its moment.
     pub fn handle_cut(&mut self, ready: ReadyCut) {
         self.ready.push_back(ready);
-    }
-
-    /// Applies what has become due.
-    pub fn advance(&mut self, now: ClientTime) -> Result<(), SiteError> {
-        match self.moment(now) {
-            Some((s, _)) => self.apply_until(Some(s), now),
-            None => Ok(()),
-        }
-    }
-
-    fn apply_until(&mut self, s: Option<ServerTime>, now: ClientTime) -> Result<(), SiteError> {
-        while let Some(first) = self.deferred.front() {
-            if s.is_some_and(|s| first.at > s) || !self.apply_first(now)? {
-                break;
-            }
-        }
-        Ok(())
-    }
-
-    /// Applies the first operation that waits. Returns whether it could: a cut that is still being
-    /// made holds up what follows it.
-    fn apply_first(&mut self, now: ClientTime) -> Result<bool, SiteError> {
-        let Some(operation) = self.deferred.front() else {
-            return Ok(false);
-        };
-        if self.is_detached && matches!(operation.kind, OperationKind::Cut(_)) {
-            let Some(ready) = self.ready.pop_front() else {
-                return Ok(false);
-            };
-            let cut = self.replica.take(ready);
-            let news = cut.map(|cut| ViewNews::Cut(Box::new(cut)));
-            self.view_news.extend(news);
-        } else {
-            self.replica.apply(operation)?;
-        }
-        let Some(operation) = self.deferred.pop_front() else {
-            return Ok(false);
-        };
-        self.counters.operations += 1;
-        let word = match &operation.kind {
-            OperationKind::Cut(_) => {
-                self.counters.cuts += 1;
-                if self.expected.is_none() {
-                    // That they are one's own was compared just now.
-                    self.report_topology(operation.topology_version_after, operation.hash_after);
-                }
-                "cut"
-            }
-            OperationKind::Joined { name, .. } => {
-                self.notice(format!("{name} joined"));
-                "joined"
-            }
-            OperationKind::Left { participant, .. } => {
-                self.notice_of(*participant, "left");
-                self.roster.leave(*participant);
-                "left"
-            }
-            OperationKind::Away { participant } => {
-                if *participant != self.me {
-                    self.roster.lose(*participant);
-                    self.notice_of(*participant, "lost the connection; the seat is kept");
-                }
-                "away"
-            }
-            OperationKind::Back { participant } => {
-                if *participant != self.me {
-                    self.notice_of(*participant, "is back");
-                }
-                "back"
-            }
-            OperationKind::ToolChanged { participant, tool } => {
-                self.roster.change_tool(*participant, *tool);
-                "tool-changed"
-            }
-            OperationKind::Started { .. } => "started",
-            OperationKind::Compensation { .. } => "compensation",
-        };
-        let topology = self.replica.topology();
-        self.applied.push_back(OperationRecord {
-            id: operation.id.0,
-            kind: word.to_owned(),
-            at_us: operation.at.as_micros(),
-            applied_us: now.as_micros(),
-            version: topology.version(),
-            // Only a cut changes it, and what it changed it to was compared.
-            hash: operation.hash_after.to_string(),
-        });
-        Ok(true)
-    }
-
-    fn compare(&self, version: u32, hash: TopologyHash) -> Result<(), SiteError> {
-        let topology = self.replica.topology();
-        if topology.version() == version && topology.hash().0 == hash.0 {
-            return Ok(());
-        }
-        Err(SiteError::Differs(format!(
-            "after the log of the beginning it has version {} and hash {}, the server's has version {version} and hash {hash}",
-            topology.version(),
-            topology.hash()
-        )))
-    }
-
-    fn report_topology(&mut self, version: u32, hash: TopologyHash) {
-        self.requests
-            .push_back(RequestKind::TopologyReport { version, hash });
     }
 
     /// A sample of one's own tool.
@@ -455,7 +363,10 @@ impl Site {
     pub fn next_view(&mut self, now: ClientTime) -> Option<ViewFrame> {
         let (s, delay) = self.moment(now)?;
         let k = grid_index(s, self.tick_hz);
-        if self.expected.is_some() || self.last_k.is_some_and(|last| k <= last) {
+        if self.expected.is_some()
+            || self.is_resyncing()
+            || self.last_k.is_some_and(|last| k <= last)
+        {
             return None;
         }
         if let Some(last) = self.last_k {
@@ -464,6 +375,9 @@ impl Site {
         self.last_k = Some(k);
         let s = grid_moment(k, self.tick_hz);
         self.first_view.get_or_insert(s);
+        if self.roster.is_made_up(s) {
+            self.made_up = Some(s);
+        }
         Some(ViewFrame {
             s,
             k,
@@ -536,6 +450,11 @@ impl Site {
         self.counters
     }
 
+    /// Whether one's own tool is lifted because of the network.
+    pub fn is_watching(&self) -> bool {
+        self.roster.is_lifted(self.me)
+    }
+
     fn own_tool(&self) -> Option<ToolDescription> {
         self.roster.tool_of(self.me)
     }
@@ -556,23 +475,7 @@ impl Site {
     }
 }
 
-/// The newest point of the grid that is not after `s`.
-pub fn grid_index(s: ServerTime, tick_hz: i64) -> i64 {
-    let scaled = i128::from(s.as_micros()) * i128::from(tick_hz);
-    // k is so chosen that grid_moment(k) <= s, in spite of its rounding down.
-    let k = scaled.div_euclid(1_000_000) as i64;
-    if grid_moment(k + 1, tick_hz) <= s {
-        k + 1
-    } else {
-        k
-    }
-}
-
-/// The moment of a point of the grid, rounded down to the microsecond.
-pub fn grid_moment(k: i64, tick_hz: i64) -> ServerTime {
-    let us = i128::from(k) * 1_000_000;
-    ServerTime::from_micros(us.div_euclid(i128::from(tick_hz)) as i64)
-}
-
+#[cfg(test)]
+mod states;
 #[cfg(test)]
 mod tests;

@@ -40,6 +40,8 @@ pub(crate) struct Work {
     pub(crate) site: Site,
     pub(crate) inbox: Arc<Inbox>,
     pub(crate) commands: mpsc::Sender<ClientCommand>,
+    /// Told why the log is wanted from its beginning.
+    pub(crate) rejoin: mpsc::Sender<String>,
     /// `None` for who only looks.
     pub(crate) hand: Option<Hand>,
     /// When the simulated hand's script begins.
@@ -56,6 +58,34 @@ pub(crate) struct Hand {
     pub(crate) own: rtrb::Consumer<LocalSample>,
 }
 
+/// What part one has in the session.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) enum Part {
+    /// One takes part.
+    #[default]
+    Takes,
+    /// The log of the beginning is being applied.
+    CatchesUp,
+    /// The copy is being made anew: no force of it is believed.
+    Resyncs,
+    /// The tool is lifted, because the network is too slow.
+    Watches,
+}
+
+impl Part {
+    fn of(site: &Site) -> Self {
+        if site.is_resyncing() {
+            Self::Resyncs
+        } else if site.is_catching_up() {
+            Self::CatchesUp
+        } else if site.is_watching() {
+            Self::Watches
+        } else {
+            Self::Takes
+        }
+    }
+}
+
 /// What the rest of the program sees of the thread while it runs.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Progress {
@@ -65,7 +95,7 @@ pub(crate) struct Progress {
     pub(crate) topology_version: u32,
     pub(crate) here: usize,
     pub(crate) link_lost: bool,
-    pub(crate) is_catching_up: bool,
+    pub(crate) part: Part,
     pub(crate) notice: Option<String>,
     /// The end of the session, once it has come.
     pub(crate) end: Option<End>,
@@ -105,6 +135,7 @@ impl ReplicaThread {
         let mut turns = Turns {
             work,
             helpers: None,
+            resyncs: 0,
             progress: Arc::clone(&progress),
             haptic_us: histogram(),
             view_us: histogram(),
@@ -168,6 +199,8 @@ struct Turns {
     work: Work,
     /// Who work for this thread, once the log of the beginning is applied.
     helpers: Option<Helpers>,
+    /// The copies that were made anew before the one that the helpers work for.
+    resyncs: u64,
     progress: Arc<Mutex<Progress>>,
     haptic_us: Histogram<u32>,
     view_us: Histogram<u32>,
@@ -200,6 +233,7 @@ impl Turns {
         self.start_script();
         self.haptic();
         self.view();
+        self.rejoin();
         self.hand_over();
     }
 
@@ -212,9 +246,22 @@ impl Turns {
                 _ => {}
             }
             self.work.site.handle_event(event, monotonic_now())?;
+            if self.work.site.resyncs() != self.resyncs {
+                // They know the old copy; what they still make of it is nobody's.
+                self.resyncs = self.work.site.resyncs();
+                self.helpers = None;
+            }
         }
         self.consult()?;
         self.work.site.advance(monotonic_now())
+    }
+
+    /// Has a copy that differs made anew: asks who keeps the connection for the log.
+    fn rejoin(&mut self) {
+        if let Some(why) = self.work.site.poll_rejoin() {
+            // There is room for the one that is open; when nobody listens, the end is on its way.
+            let _ = self.work.rejoin.try_send(why);
+        }
     }
 
     /// Tells the helpers what there is to do, and the site what they did.
@@ -231,15 +278,26 @@ impl Turns {
             return Ok(());
         };
         while let Some(operation) = site.poll_cut() {
-            helpers.cuts.make(operation)?;
+            if let Err(error) = helpers.cuts.make(operation) {
+                self.helpers = None;
+                return site.handle_broken(error, monotonic_now());
+            }
         }
-        while let Some(ready) = helpers.cuts.poll()? {
-            site.handle_cut(ready);
+        loop {
+            match helpers.cuts.poll() {
+                Ok(Some(ready)) => site.handle_cut(ready),
+                Ok(None) => break,
+                Err(error) => {
+                    // It has nothing more to say.
+                    self.helpers = None;
+                    return site.handle_broken(error, monotonic_now());
+                }
+            }
         }
         let ended = |_| SiteError::Thread("it has ended".to_owned());
         while let Some(report) = helpers.view.poll().map_err(ended)? {
             match report {
-                ViewReport::Compared(s, drift) => site.handle_drift(s, drift),
+                ViewReport::Compared(s, drift) => site.handle_drift(s, drift, monotonic_now()),
                 ViewReport::Shown {
                     began,
                     took,
@@ -354,7 +412,7 @@ impl Turns {
         progress.topology_version = site.replica().topology().version();
         progress.here = site.roster().len();
         progress.link_lost = self.link_lost;
-        progress.is_catching_up = site.is_catching_up();
+        progress.part = Part::of(site);
         progress.notice = notice.or(progress.notice.take());
         progress.end.clone_from(&self.end);
     }

@@ -7,6 +7,7 @@ use palpate_protocol::{ClientTime, Span};
 
 use crate::StatusKind;
 use crate::network::Progress as FetchProgress;
+use crate::solve::Part;
 
 /// How often the line is rewritten on a terminal: often enough to see a force change.
 const ON_TERMINAL: Span = Span::from_millis(250);
@@ -29,7 +30,7 @@ pub(crate) struct Figures {
     pub(crate) here: usize,
     pub(crate) topology_version: u32,
     pub(crate) link_lost: bool,
-    pub(crate) is_catching_up: bool,
+    pub(crate) part: Part,
 }
 
 /// The figures of the force loop.
@@ -56,13 +57,14 @@ impl Figures {
         } else {
             ""
         };
-        let catching_up = if self.is_catching_up {
-            " | catching up"
-        } else {
-            ""
+        let part = match self.part {
+            Part::Takes => "",
+            Part::CatchesUp => " | catching up",
+            Part::Resyncs => " | RESYNC, no force",
+            Part::Watches => " | WATCHING, the network is too slow",
         };
         format!(
-            "{:6.1} s | {hand}rtt {rtt}, loss {:4.1} %, D {:5.1} ms | {} here, {} cuts{link_lost}{catching_up}",
+            "{:6.1} s | {hand}rtt {rtt}, loss {:4.1} %, D {:5.1} ms | {} here, {} cuts{link_lost}{part}",
             self.seconds,
             self.loss * 100.0,
             self.delay_ms,
@@ -196,5 +198,9 @@ mod tests {
         figures.link_lost = true;
         let line = figures.line();
         assert!(!line.contains("Hz") && line.contains("LINK LOST"), "{line}");
+        for (part, word) in [(Part::Resyncs, "RESYNC"), (Part::Watches, "WATCHING")] {
+            figures.part = part;
+            assert!(figures.line().contains(word), "{}", figures.line());
+        }
     }
 }

@@ -66,6 +66,15 @@ pub struct Summary {
     pub realtime: String,
     /// How often the connection was lost and made anew.
     pub reconnects: u64,
+    /// How often the copy of the tissue was made anew from the server's log, because it differed.
+    #[serde(default)]
+    pub resyncs: u64,
+    /// How often the tool was lifted because the network needed more delay than the session allows.
+    #[serde(default)]
+    pub demotions: u64,
+    /// Requests that were lost with a connection; each was said.
+    #[serde(default)]
+    pub requests_lost: u64,
     /// Length of the run, from the first view on.
     pub seconds: f64,
     /// How it ended, in a sentence.

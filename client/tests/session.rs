@@ -40,6 +40,8 @@ enum Manner {
     Plays,
     /// As `Plays`, with a hash that no cut has.
     Lies,
+    /// As `Lies` at first, and as `Plays` to who comes back for the log.
+    Errs,
     /// Says goodbye after a while.
     SaysGoodbye,
     /// Dies after a while.
@@ -154,6 +156,9 @@ async fn serve(server: Server, manner: Manner, info: ModelInfo) {
     if manner == Manner::LosesIt {
         lose(&server, info, clock).await;
     }
+    if matches!(manner, Manner::Lies | Manner::Errs) {
+        lie(&server, info, clock).await;
+    }
     let connection = server.accept().await.unwrap();
     let (sender, mut inbox) = mpsc::channel(4096);
     let peer = spawn_peer(connection, PeerId(1), clock, sender);
@@ -190,6 +195,11 @@ async fn serve(server: Server, manner: Manner, info: ModelInfo) {
             }
             PeerEvent::Hello(hello) => {
                 assert_eq!(hello.tool.is_some(), hello.role.has_tool());
+                if matches!(manner, Manner::Lies | Manner::Errs) {
+                    let seat = hello.resume.unwrap();
+                    assert!(seat.participant == ME && seat.token.matches(&TOKEN));
+                    assert_eq!(seat.next_operation, OperationId(0), "nothing in hand");
+                }
                 peer.send(welcome(info, clock(), &hello));
                 play(&peer, manner, clock());
             }
@@ -239,6 +249,27 @@ async fn lose(
         }
     }
     breakable.shutdown_background();
+}
+
+/// Tells the first client of a cut that makes another topology, until it goes.
+async fn lie(
+    server: &Server,
+    info: ModelInfo,
+    clock: impl Fn() -> ServerTime + Copy + Send + 'static,
+) {
+    let connection = server.accept().await.unwrap();
+    let (sender, mut inbox) = mpsc::channel(4096);
+    let peer = spawn_peer(connection, PeerId(0), clock, sender);
+    while let Some(PeerInput { event, .. }) = inbox.recv().await {
+        match event {
+            PeerEvent::Hello(hello) => {
+                peer.send(welcome(info, clock(), &hello));
+                play(&peer, Manner::Lies, clock());
+            }
+            PeerEvent::Closed(_) => break,
+            _ => {}
+        }
+    }
 }
 
 fn welcome(info: ModelInfo, now: ServerTime, hello: &Hello) -> PeerMessage {
@@ -380,7 +411,21 @@ fn another_certificate_and_a_missing_script_are_refused_here() {
 }
 
 #[test]
-fn a_copy_that_differs_ends_the_session() {
+fn a_copy_that_differs_is_made_anew_in_the_same_seat_and_the_run_goes_on() {
+    let fake = Fake::start(Manner::Errs, false);
+    let options = JoinOptions {
+        duration: Some(Duration::from_secs(5)),
+        ..fake.options()
+    };
+    let summary = palpate_client::run(&options).unwrap();
+    assert_eq!((summary.resyncs, summary.reconnects), (1, 0));
+    assert_eq!((summary.topology_version, summary.cuts), (1, 1));
+    assert!(summary.events.link_lost > 0, "no force meanwhile");
+    fake.stop();
+}
+
+#[test]
+fn a_copy_that_differs_again_ends_the_session() {
     let fake = Fake::start(Manner::Lies, false);
     let error = palpate_client::run(&fake.options()).unwrap_err();
     assert!(matches!(error, ClientError::Diverged { .. }), "{error}");
@@ -390,6 +435,8 @@ fn a_copy_that_differs_ends_the_session() {
             .contains("your copy of the tissue differs"),
         "{error}"
     );
+    assert!(error.to_string().contains("differs again"), "{error}");
+    assert_eq!(error.summary().unwrap().resyncs, 1);
     fake.stop();
 }
 

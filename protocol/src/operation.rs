@@ -82,6 +82,21 @@ pub enum OperationKind {
         /// [`DelaySchedule`](crate::compensation::DelaySchedule).
         effective_at: ServerTime,
     },
+    /// The network of somebody needs more delay than the session allows: their tool presses no more,
+    /// their seat is kept, and the others no longer wait for them.
+    Demoted {
+        /// Their number.
+        participant: ParticipantId,
+        /// The delay that they need, microseconds.
+        wanted_us: u32,
+        /// The largest that is waited for, microseconds.
+        cap_us: u32,
+    },
+    /// The network of somebody has recovered: they have their tool again.
+    Restored {
+        /// Their number.
+        participant: ParticipantId,
+    },
 }
 
 /// A stroke of the blade through the tissue, in the rest frame of the model.

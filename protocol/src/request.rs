@@ -37,7 +37,8 @@ pub enum ServerMessage {
 /// One request of a client.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Request {
-    /// Counts up from 1 within a session.
+    /// Counts up from 1 for a seat, over all its connections. A number that the seat used over an earlier
+    /// connection is a repetition: what was done is not done again.
     pub id: RequestId,
     /// What is asked for.
     pub kind: RequestKind,
@@ -142,4 +143,9 @@ pub enum RequestRefusal {
     /// The topology differs from the server's: the client must rejoin.
     #[error("your copy of the tissue differs from the server's; rejoin the session")]
     TopologyDiffers,
+    /// Who asks only watches, because of their network.
+    #[error(
+        "your tool is lifted, because your network needs more delay than the session allows; it comes back by itself when the network has recovered"
+    )]
+    Demoted,
 }

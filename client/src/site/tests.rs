@@ -1,12 +1,14 @@
-use palpate_protocol::operation::{CompensationMode, CompensationSettings, LeaveReason};
-use palpate_protocol::request::RequestRefused;
-use palpate_protocol::tool::ToolKind;
-use palpate_protocol::{
-    Epoch, ModelHash, ModelInfo, OperationId, Pose, RequestId, ResumeToken, Role, ToolTrack,
+use palpate_protocol::operation::{
+    BladePoint, CompensationMode, CompensationSettings, CutStroke, LeaveReason,
 };
+pub(super) use palpate_protocol::request::RequestRefused;
+use palpate_protocol::tool::ToolKind;
+use palpate_protocol::{Epoch, ModelHash, ModelInfo, Pose, ResumeToken, Role, ToolTrack};
+pub(super) use palpate_protocol::{OperationId, RequestId};
 use palpate_tissue::{Material, block};
 
 use super::*;
+pub(super) use crate::view::Drift;
 
 const ME: ParticipantId = ParticipantId(1);
 const OTHER: ParticipantId = ParticipantId(2);
@@ -40,7 +42,7 @@ fn entry(participant: ParticipantId, kind: ToolKind) -> RosterEntry {
     }
 }
 
-fn welcome(delay_us: u32) -> Welcome {
+pub(super) fn welcome(delay_us: u32) -> Welcome {
     let topology = palpate_tissue::Topology::new(model());
     Welcome {
         participant: ME,
@@ -67,7 +69,7 @@ fn welcome(delay_us: u32) -> Welcome {
 }
 
 /// A site with a clock that is 5 s behind the server's.
-fn site(delay_us: u32) -> Site {
+pub(super) fn site(delay_us: u32) -> Site {
     let mut site = Site::new(&welcome(delay_us), model(), Some(0.02));
     let map = ClockMap::exact(Span::from_millis(5000));
     tell(&mut site, ClientEvent::CaughtUp, 0);
@@ -75,15 +77,15 @@ fn site(delay_us: u32) -> Site {
     site
 }
 
-fn ms(t: i64) -> ClientTime {
+pub(super) fn ms(t: i64) -> ClientTime {
     ClientTime::from_micros(t * 1000)
 }
 
-fn tell(site: &mut Site, event: ClientEvent, t: i64) {
+pub(super) fn tell(site: &mut Site, event: ClientEvent, t: i64) {
     site.handle_event(event, ms(t)).unwrap();
 }
 
-fn budget() -> Budget<'static> {
+pub(super) fn budget() -> Budget<'static> {
     Budget::new(3, 1e-2)
 }
 
@@ -225,15 +227,169 @@ fn a_released_blade_asks_for_a_cut_and_a_refusal_is_said() {
 }
 
 #[test]
-fn another_beginning_than_the_servers_is_an_error() {
+fn another_beginning_than_the_servers_is_made_anew_once_and_then_is_an_error() {
     let other = Welcome {
         topology_hash: TopologyHash(1),
         ..welcome(0)
     };
     let mut site = Site::new(&other, model(), None);
     assert!(site.view_step(ms(10), budget()).is_none());
-    let error = site.handle_event(ClientEvent::CaughtUp, ms(0)).unwrap_err();
-    assert!(error.to_string().contains("0000000000000001"), "{error}");
+    tell(&mut site, ClientEvent::CaughtUp, 0);
+    assert!(site.is_resyncing() && site.poll_rejoin().is_some());
+    tell(&mut site, ClientEvent::Welcomed(Box::new(other)), 100);
+    let error = site
+        .handle_event(ClientEvent::CaughtUp, ms(200))
+        .unwrap_err();
+    let sentence = error.to_string();
+    assert!(matches!(error, SiteError::Again(_)), "{error}");
+    assert!(sentence.contains("0000000000000001"), "{sentence}");
+}
+
+pub(super) fn cut_of(hash_after: TopologyHash) -> ClientEvent {
+    let point = |i: u32| BladePoint {
+        tip_m: [4e-3 * f64::from(i), 0.0105, 6e-3],
+        axis: [0.0, 0.0, 1.0],
+        depth_m: 0.02,
+    };
+    ClientEvent::Operation(Operation {
+        id: OperationId(0),
+        at: ServerTime::from_micros(5_100_000),
+        author: OTHER,
+        topology_version_before: 0,
+        topology_version_after: 1,
+        hash_after,
+        kind: OperationKind::Cut(CutStroke {
+            points: (0..7).map(point).collect(),
+            width_m: 0.0,
+        }),
+    })
+}
+
+/// The hash after [`cut_of`], as an untouched copy finds it.
+pub(super) fn hash_of_the_cut() -> TopologyHash {
+    let ClientEvent::Operation(operation) = cut_of(TopologyHash(0)) else {
+        unreachable!()
+    };
+    let OperationKind::Cut(stroke) = &operation.kind else {
+        unreachable!()
+    };
+    let mut topology = palpate_tissue::Topology::new(model());
+    palpate_tissue::cut(&mut topology, &crate::convert::tissue_stroke(stroke)).unwrap();
+    TopologyHash(topology.hash().0)
+}
+
+#[test]
+fn a_copy_that_differs_after_a_cut_comes_back_equal_from_the_log() {
+    let truth = hash_of_the_cut();
+    let mut site = site(0);
+    tell(&mut site, cut_of(TopologyHash(1)), 110);
+    site.advance(ms(120)).unwrap();
+    assert!(site.is_resyncing(), "no force is believed");
+    let why = site.poll_rejoin().unwrap();
+    assert!(why.contains("the server's is 0000000000000001"), "{why}");
+    assert_eq!(site.poll_rejoin(), None, "asked for once");
+    // What still comes of the old connection is nothing to the new copy.
+    tell(
+        &mut site,
+        operation(1, 5130, OperationKind::Back { participant: OTHER }),
+        130,
+    );
+    assert!(site.view_step(ms(140), budget()).is_none());
+    let again = Welcome {
+        operations_so_far: 1,
+        topology_version: 1,
+        topology_hash: truth,
+        ..welcome(0)
+    };
+    tell(&mut site, ClientEvent::Welcomed(Box::new(again)), 150);
+    tell(&mut site, cut_of(truth), 151);
+    tell(&mut site, ClientEvent::CaughtUp, 152);
+    assert!(!site.is_resyncing());
+    assert_eq!(site.replica().topology().hash().0, truth.0);
+    assert_eq!((site.counters().resyncs, site.counters().cuts), (1, 1));
+    assert!(site.view_step(ms(160), budget()).is_some());
+    assert!(site.detach().is_some(), "cuts are made ahead again");
+}
+
+#[test]
+fn a_view_that_stays_beyond_the_limit_is_made_anew_and_one_that_watches_is_not() {
+    let mut site = site(0);
+    let drift = Drift {
+        max_m: 2.0 * DRIFT_MAX_M,
+        nodes: 1,
+    };
+    let mut asked = Vec::new();
+    for t in (0..6000).step_by(100) {
+        let view = site.view_step(ms(t), budget()).unwrap().s;
+        if t == 1500 {
+            let kind = OperationKind::Demoted {
+                participant: ME,
+                wanted_us: 500_000,
+                cap_us: 400_000,
+            };
+            tell(&mut site, operation(0, 5000 + t, kind), t);
+        } else if t == 4000 {
+            let kind = OperationKind::Restored { participant: ME };
+            tell(&mut site, operation(1, 5000 + t, kind), t);
+        }
+        site.advance(ms(t)).unwrap();
+        site.handle_drift(view, drift, ms(t));
+        if site.poll_rejoin().is_some() {
+            asked.push(t);
+            break;
+        }
+    }
+    assert_eq!(asked, [5000], "a second after it takes part again");
+    assert_eq!(site.counters().demotions, 1);
+}
+
+#[test]
+fn a_log_that_does_not_go_on_after_a_return_is_asked_for_from_its_beginning() {
+    let mut site = site(0);
+    tell(
+        &mut site,
+        operation(0, 5010, OperationKind::Back { participant: OTHER }),
+        20,
+    );
+    let further = Welcome {
+        first_operation: OperationId(7),
+        operations_so_far: 9,
+        ..welcome(0)
+    };
+    tell(&mut site, ClientEvent::Welcomed(Box::new(further)), 30);
+    assert!(site.poll_rejoin().unwrap().contains("begins again with"));
+    // A server that sends the whole log by itself is taken at its word.
+    tell(&mut site, ClientEvent::Welcomed(Box::new(welcome(0))), 40);
+    tell(&mut site, ClientEvent::CaughtUp, 41);
+    assert!(!site.is_resyncing() && site.counters().resyncs == 1);
+}
+
+#[test]
+fn a_lifted_hand_feels_nothing_and_asks_as_before() {
+    let mut site = site(0);
+    let at = palpate_device::Pose {
+        position: nalgebra::Vector3::new(0.0121, 0.0119, 0.013),
+        ..palpate_device::Pose::default()
+    };
+    let felt = |site: &mut Site, t: i64| {
+        let model = site.haptic_step(ms(t), at, 0, budget()).unwrap();
+        model != ContactModel::free_at(ms(t), 0)
+    };
+    assert!(felt(&mut site, 10));
+    let kind = OperationKind::Demoted {
+        participant: ME,
+        wanted_us: 530_000,
+        cap_us: 400_000,
+    };
+    tell(&mut site, operation(0, 5020, kind), 20);
+    site.advance(ms(30)).unwrap();
+    assert!(site.is_watching() && !felt(&mut site, 40));
+    let said = site.poll_notice().unwrap();
+    assert!(said.contains("530 ms") && said.contains("400"), "{said}");
+    let kind = OperationKind::Restored { participant: ME };
+    tell(&mut site, operation(1, 5050, kind), 50);
+    site.advance(ms(60)).unwrap();
+    assert!(!site.is_watching() && felt(&mut site, 70));
 }
 
 #[test]

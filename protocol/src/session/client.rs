@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use crate::clock::{ClockEstimate, ClockMap};
 use crate::codec::{self, FrameDecoder};
-use crate::compensation::{DelayEstimator, DelayRule, DelaySchedule};
+use crate::compensation::{DelayEstimator, DelayRule, DelaySchedule, REPORT_OLD};
 use crate::datagram::{Body, Header};
 use crate::handshake::{
     Hello, PROTOCOL_VERSION, Preamble, ROSTER_MAX, RefusalReason, Refused, Welcome,
@@ -63,6 +63,8 @@ struct Joined {
     catch_up: u64,
     schedule: DelaySchedule,
     newest_shown: Vec<(ParticipantId, ServerTime)>,
+    /// When somebody's tool was last heard of.
+    news_at: ClientTime,
 }
 
 /// The client's end of a session: see [`crate::session`] for the calling order.
@@ -214,6 +216,7 @@ impl ClientSession {
             catch_up: welcome.operations_so_far,
             schedule: DelaySchedule::new(&welcome.compensation),
             newest_shown: Vec::new(),
+            news_at: now,
         }));
         self.probe_due = now;
         self.report_due = now + DELAY_REPORT_PERIOD;
@@ -249,8 +252,14 @@ impl ClientSession {
             } => {
                 joined.schedule.handle_change(*delay_us, *effective_at);
             }
-            OperationKind::Left { participant, .. } => {
+            OperationKind::Left { participant, .. }
+            | OperationKind::Away { participant }
+            | OperationKind::Demoted { participant, .. } => {
                 joined.newest_shown.retain(|(p, _)| p != participant);
+                // What the last one needed who could be heard is needed by nobody now.
+                if joined.newest_shown.is_empty() {
+                    self.delay = DelayEstimator::new(DelayRule::default());
+                }
             }
             _ => {}
         }
@@ -314,6 +323,9 @@ impl ClientSession {
                 oldest_news = Some(oldest_news.map_or(newest, |o| o.min(newest)));
             }
         }
+        if oldest_news.is_some() {
+            joined.news_at = now;
+        }
         if let (Some(oldest), Some(map)) = (oldest_news, self.clock.map()) {
             let arrival = map.to_server(now);
             // Nothing is younger than the datagram that carries it.
@@ -353,7 +365,9 @@ impl ClientSession {
                 }
                 if now >= self.report_due {
                     self.report_due = now + DELAY_REPORT_PERIOD;
-                    if let Some(report) = self.delay.report() {
+                    // Who hears nobody needs nothing.
+                    let is_fresh = now - joined.news_at <= REPORT_OLD;
+                    if let Some(report) = self.delay.report().filter(|_| is_fresh) {
                         self.link.enqueue(Body::Delays(vec![(participant, report)]));
                     }
                 }
@@ -386,27 +400,34 @@ impl ClientSession {
 
     /// Asks for something; the answer is an operation, or [`ClientEvent::RequestRefused`].
     pub fn request(&mut self, kind: RequestKind) -> Result<RequestId, ProtocolError> {
+        let id = RequestId(self.last_request.wrapping_add(1));
+        self.send_request(Request { id, kind })?;
+        Ok(id)
+    }
+
+    /// The same under a number that is the caller's: who takes a seat again goes on counting, and asks
+    /// again under its old number what was not answered.
+    pub fn send_request(&mut self, request: Request) -> Result<(), ProtocolError> {
         if !matches!(self.state, State::Joined(_)) {
             return Err(ProtocolError::OutOfOrder {
                 what: "request",
                 state: "the session does not stand",
             });
         }
-        if !kind.is_valid() {
+        if !request.kind.is_valid() {
             return Err(ProtocolError::OutOfRange {
                 what: "a request",
                 detail: "its numbers are not finite, not ordered or too large".to_owned(),
             });
         }
-        let id = RequestId(self.last_request + 1);
-        let leaving = kind == RequestKind::Leave;
-        self.outbox
-            .push(&ClientMessage::Request(Request { id, kind }))?;
-        self.last_request = id.0;
+        let leaving = request.kind == RequestKind::Leave;
+        let id = request.id.0;
+        self.outbox.push(&ClientMessage::Request(request))?;
+        self.last_request = self.last_request.max(id);
         if leaving {
             self.close(CloseReason::Left);
         }
-        Ok(id)
+        Ok(())
     }
 
     /// Bytes for the operations stream, in order.

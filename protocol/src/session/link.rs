@@ -37,6 +37,8 @@ pub struct NoiseCounters {
     pub early: u64,
     /// Differences from something that did not arrive here.
     pub no_baseline: u64,
+    /// Acknowledgements of what was never sent; the rest of such a datagram is read.
+    pub false_acknowledgement: u64,
 }
 
 impl NoiseCounters {
@@ -49,6 +51,7 @@ impl NoiseCounters {
             + self.old
             + self.early
             + self.no_baseline
+            + self.false_acknowledgement
     }
 }
 
@@ -192,6 +195,7 @@ impl Link {
     fn note_acknowledgement(&mut self, newest: u32, bits: u32) {
         // A peer can claim what it likes, but not about datagrams that do not exist.
         if newest == 0 || newest > self.last_sequence {
+            self.stats.noise.false_acknowledgement += 1;
             return;
         }
         for i in (0..32_u32).rev().filter(|i| bits >> i & 1 == 1) {

@@ -160,6 +160,8 @@ pub enum PeerDatagram {
 }
 
 #[cfg(test)]
+mod bad_peer_tests;
+#[cfg(test)]
 mod states;
 #[cfg(test)]
 mod tests;

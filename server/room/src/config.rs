@@ -1,6 +1,7 @@
 //! What the host decides before anybody joins.
 
-use palpate_protocol::operation::CompensationSettings;
+use palpate_protocol::compensation::CAP_DEFAULT;
+use palpate_protocol::operation::{CompensationMode, CompensationSettings};
 use palpate_protocol::{Epoch, Grant, ModelInfo, ParticipantId, ResumeToken, Role, Span};
 
 /// Most participants at once. A roster must fit one frame, and every tool costs a contact search per
@@ -33,5 +34,13 @@ impl RoomConfig {
     /// Length of a tick.
     pub fn tick_period(&self) -> Span {
         Span::from_micros(1_000_000 / i64::from(self.tick_hz.max(1)))
+    }
+
+    /// The largest delay that is waited for.
+    pub(crate) fn cap(&self) -> Span {
+        match self.compensation.mode {
+            CompensationMode::Adaptive { cap_us } => Span::from_micros(i64::from(cap_us)),
+            CompensationMode::None | CompensationMode::Fixed => CAP_DEFAULT,
+        }
     }
 }

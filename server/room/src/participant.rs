@@ -1,14 +1,16 @@
 //! One seat of the session.
 
 use nalgebra::{Quaternion, UnitQuaternion};
-use palpate_protocol::compensation::{DelayEstimator, DelayRule};
+use palpate_protocol::compensation::{DelayEstimator, DelayRule, Demotion};
 use palpate_protocol::handshake::RosterEntry;
+use palpate_protocol::request::DelayReport;
 use palpate_protocol::timeline::Timeline;
 use palpate_protocol::tool::{ToolDescription, ToolKind, ToolPart, part_id};
-use palpate_protocol::{ParticipantId, ResumeToken, Role, ServerTime};
+use palpate_protocol::{ParticipantId, ResumeToken, Role, ServerTime, Span};
 use palpate_tissue::{Form, Tool, Vec3};
 
 use crate::PeerKey;
+use crate::asked::Asked;
 
 /// Bit of the primary button in a sample.
 const PRIMARY_BUTTON: u8 = 1;
@@ -39,8 +41,18 @@ pub(crate) struct Participant {
     pub(crate) tool: Option<ToolDescription>,
     /// Where the tool was, for the server's own view.
     pub(crate) timeline: Timeline,
+    /// What it asked for.
+    pub(crate) asked: Asked,
     /// How late its samples come.
     pub(crate) delay: DelayEstimator,
+    /// What its site said last that it needs, and when.
+    pub(crate) report: Option<(ServerTime, DelayReport)>,
+    /// Whether it takes part or, because of its network, only watches.
+    pub(crate) demotion: Demotion,
+    /// Before this moment the tool does not press, nor from `lifted` on: the moments are those of the
+    /// log, so that it is lifted here in the view in which everybody lifts it.
+    presses_from: ServerTime,
+    lifted: Option<ServerTime>,
 }
 
 impl Participant {
@@ -51,6 +63,7 @@ impl Participant {
         name: String,
         role: Role,
         tool: Option<ToolDescription>,
+        cap: Span,
     ) -> Self {
         Self {
             place: Place::Here(peer),
@@ -61,8 +74,24 @@ impl Participant {
             role,
             tool,
             timeline: Timeline::default(),
+            asked: Asked::default(),
             delay: DelayEstimator::new(DelayRule::default()),
+            report: None,
+            demotion: Demotion::new(cap),
+            presses_from: ServerTime::ZERO,
+            lifted: None,
         }
+    }
+
+    /// The tool presses no more from a moment on.
+    pub(crate) fn lift(&mut self, at: ServerTime) {
+        self.lifted = Some(at);
+    }
+
+    /// The tool presses again from a moment on.
+    pub(crate) fn set_down(&mut self, at: ServerTime) {
+        (self.lifted, self.presses_from) = (None, at);
+        self.timeline = Timeline::default();
     }
 
     /// The connection, while there is one.
@@ -82,6 +111,7 @@ impl Participant {
     pub(crate) fn forget_motion(&mut self) {
         self.timeline = Timeline::default();
         self.delay = DelayEstimator::new(DelayRule::default());
+        self.report = None;
     }
 
     pub(crate) fn roster_entry(&self) -> RosterEntry {
@@ -94,8 +124,11 @@ impl Participant {
     }
 
     /// The parts of the tool as they press at a moment; none when it has none, nothing is known of it, it has
-    /// been silent for too long, or it is a blade that is cutting and so goes through.
+    /// been silent for too long, it is a blade that is cutting and so goes through, or it is lifted.
     pub(crate) fn pressing_at(&mut self, t: ServerTime) -> Vec<Tool> {
+        if t < self.presses_from || self.lifted.is_some_and(|lifted| t >= lifted) {
+            return Vec::new();
+        }
         let known = self.tool.zip(self.timeline.at(t));
         let Some((description, shown)) = known.filter(|(_, shown)| !shown.stale) else {
             return Vec::new();

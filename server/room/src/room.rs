@@ -1,5 +1,6 @@
 //! The session machine.
 
+mod demotion;
 mod seats;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -12,11 +13,10 @@ use palpate_protocol::request::{
 };
 use palpate_protocol::session::{PeerDatagram, PeerEvent, PeerMessage};
 use palpate_protocol::tool::ToolDescription;
-use palpate_protocol::{
-    OperationId, ParticipantId, RequestId, ServerTime, Span, ToolSample, TopologyHash,
-};
+use palpate_protocol::{OperationId, ParticipantId, ServerTime, Span, ToolSample, TopologyHash};
 use palpate_tissue::{Model, Tool};
 
+use crate::asked::Repetition;
 use crate::authority::{Authority, TickReport};
 use crate::config::RoomConfig;
 use crate::fan_out::FanOut;
@@ -64,7 +64,13 @@ pub struct Room {
     settled: Option<i64>,
     next_tick: ServerTime,
     next_correction: ServerTime,
+    next_judgement: ServerTime,
+    /// Before this moment reports do not count for the group.
+    heard_from: ServerTime,
     cuts: u64,
+    demotions: u64,
+    repetitions: u64,
+    refused: u64,
     fan_out: FanOut,
     outputs: VecDeque<Output>,
 }
@@ -84,7 +90,12 @@ impl Room {
             settled: None,
             next_tick: now,
             next_correction: now,
+            next_judgement: now,
+            heard_from: now,
             cuts: 0,
+            demotions: 0,
+            repetitions: 0,
+            refused: 0,
             fan_out: FanOut::default(),
             outputs: VecDeque::new(),
             config,
@@ -97,7 +108,7 @@ impl Room {
             (PeerEvent::Hello(hello), None) => self.handle_hello(peer, hello, now),
             (PeerEvent::Request(request), Some(who)) => self.handle_request(who, request, now),
             (PeerEvent::Motion(samples), Some(who)) => self.handle_motion(who, &samples, now),
-            (PeerEvent::Delay(report), Some(who)) => self.group.handle_report(who, report),
+            (PeerEvent::Delay(report), Some(who)) => self.note_report(who, report, now),
             (PeerEvent::Closed(reason), Some(who)) => self.handle_leave(who, &reason, now),
             // A second hello is the session's business; the rest comes from nobody we know.
             _ => {}
@@ -120,11 +131,25 @@ impl Room {
     }
 
     fn handle_request(&mut self, who: ParticipantId, request: Request, now: ServerTime) {
+        let Some(participant) = self.participants.get_mut(&who) else {
+            return;
+        };
+        match participant.asked.take(request.id) {
+            Repetition::New => {}
+            Repetition::Done => {
+                self.repetitions += 1;
+                return;
+            }
+            Repetition::Refused(refused) => {
+                self.repetitions += 1;
+                return self.refuse(who, refused);
+            }
+        }
         let result = match request.kind {
             RequestKind::Cut(cut) => self.handle_cut(who, &cut, now),
             RequestKind::SetTool(tool) => self.handle_tool(who, tool, now),
             RequestKind::ReportDelay(report) => {
-                self.group.handle_report(who, report);
+                self.note_report(who, report, now);
                 Ok(())
             }
             RequestKind::TopologyReport { version, hash } => self.check_topology(version, hash),
@@ -132,7 +157,12 @@ impl Room {
             RequestKind::Leave => Ok(()),
         };
         if let Err(reason) = result {
-            self.refuse(who, request.id, reason);
+            let id = request.id;
+            let refused = RequestRefused { id, reason };
+            if let Some(participant) = self.participants.get_mut(&who) {
+                participant.asked.note_refusal(refused.clone());
+            }
+            self.refuse(who, refused);
         }
     }
 
@@ -146,6 +176,9 @@ impl Room {
         let author = &self.participants[&who];
         if author.tool.is_none_or(|t| t.kind != ToolKind::Scalpel) {
             return Err(RequestRefusal::NotAllowed);
+        }
+        if author.demotion.is_demoted() {
+            return Err(RequestRefusal::Demoted);
         }
         if self.log.len() >= OPERATIONS_MAX {
             return Err(RequestRefusal::CanNotCut(format!(
@@ -170,6 +203,9 @@ impl Room {
             .ok_or(RequestRefusal::NotAllowed)?;
         if !participant.role.has_tool() || !tool.is_valid() {
             return Err(RequestRefusal::NotAllowed);
+        }
+        if participant.demotion.is_demoted() {
+            return Err(RequestRefusal::Demoted);
         }
         participant.tool = Some(tool);
         self.append(
@@ -198,11 +234,15 @@ impl Room {
         if participant.tool.is_none() || samples.is_empty() {
             return;
         }
-        for sample in samples {
-            participant.timeline.insert(*sample);
-        }
         if let Some(newest) = samples.last() {
             participant.delay.handle_arrival(newest.time, now, in_force);
+        }
+        // The samples of who only watches are measured, so that it is seen when they come in time again.
+        if participant.demotion.is_demoted() {
+            return;
+        }
+        for sample in samples {
+            participant.timeline.insert(*sample);
         }
         self.start_if_due(now);
         self.fan_out.push(who, samples);
@@ -240,6 +280,7 @@ impl Room {
             self.next_tick = self.next_tick + period;
         }
         self.give_up_kept(now);
+        self.judge(now);
         self.change_delay(now);
         let hz = i64::from(self.config.tick_hz.max(1));
         let grid = (self.schedule.shown_at(now).as_micros() * hz).div_euclid(1_000_000);
@@ -259,9 +300,15 @@ impl Room {
     }
 
     fn change_delay(&mut self, now: ServerTime) {
-        let own = self.participants.values().filter_map(|p| p.delay.report());
-        if let Some(worst) = own.max_by_key(|r: &DelayReport| r.wanted_us) {
-            self.group.handle_report(ParticipantId::SERVER, worst);
+        let playing = self
+            .participants
+            .values()
+            .filter(|p| !p.demotion.is_demoted());
+        let own = playing.filter_map(|p| p.delay.report());
+        match own.max_by_key(|r: &DelayReport| r.wanted_us) {
+            Some(worst) => self.group.handle_report(ParticipantId::SERVER, worst),
+            // What somebody needed who is gone binds nobody.
+            None => self.group.remove(ParticipantId::SERVER),
         }
         if self.log.len() >= OPERATIONS_MAX {
             return;
@@ -326,6 +373,16 @@ impl Room {
         self.cuts
     }
 
+    /// Number of requests that came a second time and were not done again.
+    pub fn repetition_count(&self) -> u64 {
+        self.repetitions
+    }
+
+    /// Number of hellos that were not let in.
+    pub fn refused_count(&self) -> u64 {
+        self.refused
+    }
+
     /// Version and hash of the topology.
     pub fn topology(&self) -> (u32, TopologyHash) {
         (self.authority.version(), wire_hash(self.authority.hash()))
@@ -346,12 +403,9 @@ impl Room {
         self.schedule.delay_at(now)
     }
 
-    fn refuse(&mut self, who: ParticipantId, id: RequestId, reason: RequestRefusal) {
+    fn refuse(&mut self, who: ParticipantId, refused: RequestRefused) {
         if let Some(peer) = self.participants.get(&who).and_then(Participant::peer) {
-            self.send(
-                peer,
-                PeerMessage::RequestRefused(RequestRefused { id, reason }),
-            );
+            self.send(peer, PeerMessage::RequestRefused(refused));
         }
     }
 

@@ -19,6 +19,7 @@ use palpate_tissue::{Material, Model, block};
 
 use crate::{Output, PeerKey, Room, RoomConfig};
 
+mod demotion;
 mod motion;
 mod seats;
 mod states;
@@ -36,6 +37,10 @@ fn room(start_when_tools: u16) -> Room {
 }
 
 fn room_of(seats: u16, start_when_tools: u16) -> Room {
+    room_with(seats, start_when_tools, CompensationMode::Fixed)
+}
+
+fn room_with(seats: u16, start_when_tools: u16, mode: CompensationMode) -> Room {
     let config = RoomConfig {
         epoch: Epoch(1),
         model: ModelInfo {
@@ -46,7 +51,7 @@ fn room_of(seats: u16, start_when_tools: u16) -> Room {
         seats,
         tick_hz: 50,
         compensation: CompensationSettings {
-            mode: CompensationMode::Fixed,
+            mode,
             initial_delay_us: 20_000,
         },
         fresh_token: |who| ResumeToken([who.0 as u8; 16]),
@@ -160,7 +165,7 @@ fn who_has_no_grant_no_name_of_their_own_or_no_seat_is_refused_politely() {
         refusal(&drain(&mut room)),
         Some(RefusalReason::Full { seats: 3 })
     ));
-    assert_eq!(room.participant_count(), 3);
+    assert_eq!((room.participant_count(), room.refused_count()), (3, 3));
 }
 
 #[test]

@@ -16,7 +16,7 @@ use palpate_room::RoomConfig;
 use palpate_transport::{ModelSource, ServerIdentity};
 
 pub use options::{HostOptions, parse_compensation};
-pub use summary::{HostSummary, Listening, ListeningModel, TickTimes};
+pub use summary::{HostSummary, Listening, ListeningModel, Refused, TickTimes};
 
 use crate::{ServerError, load};
 

@@ -17,7 +17,7 @@ use tokio::runtime::Runtime;
 use tokio::sync::mpsc;
 
 use super::options::HostOptions;
-use super::summary::{HostSummary, TickTimes};
+use super::summary::{HostSummary, Refused, TickTimes};
 use crate::ServerError;
 
 /// Messages from all peers that may wait for the room. Four samples every 4 ms from 64 participants
@@ -55,6 +55,8 @@ struct Session {
     ticks_us: Histogram<u64>,
     participants: u64,
     skipped: u64,
+    /// Of those who are gone.
+    refused: Refused,
 }
 
 /// Serves one session. `announce` is told the address once it listens.
@@ -91,6 +93,7 @@ pub(super) fn serve(
             .map_err(|e| ServerError::Option(e.to_string()))?,
         participants: 0,
         skipped: 0,
+        refused: Refused::default(),
     };
     let server = Arc::new(server);
     let (joined, inbox) = accept(&network, Arc::clone(&server), began);
@@ -201,7 +204,9 @@ impl Session {
         self.room.handle_event(peer, input.event, input.at);
         self.participants += u64::from(self.room.participant_count() > before);
         if closed && let Some(handle) = self.peers.remove(&peer) {
-            self.skipped += handle.stats().path.skipped_datagrams;
+            let stats = handle.stats();
+            self.skipped += stats.path.skipped_datagrams;
+            self.refused.add(&stats);
         }
     }
 
@@ -237,6 +242,14 @@ impl Session {
     fn summary(&self, tick: Duration, ended: String) -> HostSummary {
         let ms = |us: u64| us as f64 / 1e3;
         let (version, hash) = self.room.topology();
+        let mut refused = Refused {
+            joins: self.room.refused_count(),
+            repetitions: self.room.repetition_count(),
+            ..self.refused
+        };
+        for peer in self.peers.values() {
+            refused.add(&peer.stats());
+        }
         let alive = self
             .peers
             .values()
@@ -259,6 +272,8 @@ impl Session {
             participants: self.participants,
             compensation_ms: self.room.delay_at(server_time(self.began)).as_millis_f64(),
             datagrams_skipped: self.skipped + alive,
+            demotions: self.room.demotion_count(),
+            refused,
             seconds: self.began.elapsed().as_secs_f64(),
             ended,
         }

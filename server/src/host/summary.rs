@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::net::SocketAddr;
 
+use palpate_transport::DriverStats;
 use serde::{Deserialize, Serialize};
 
 /// The first object of `host --json`.
@@ -55,10 +56,57 @@ pub struct HostSummary {
     pub compensation_ms: f64,
     /// Datagrams that found their queue full.
     pub datagrams_skipped: u64,
+    /// How often somebody became a spectator because of their network.
+    pub demotions: u64,
+    /// What came and was not taken.
+    pub refused: Refused,
     /// Length of the session in s.
     pub seconds: f64,
     /// Why it ended.
     pub ended: String,
+}
+
+/// What came from all peers and was not taken, by reason; their sessions went on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Refused {
+    /// Who was not let in: without a grant, a seat, or a name of their own.
+    pub joins: u64,
+    /// Requests that came a second time over a new connection.
+    pub repetitions: u64,
+    /// Datagrams beyond the most that one peer may send.
+    pub over_rate: u64,
+    /// Datagrams that are none.
+    pub malformed: u64,
+    /// Datagrams of an earlier or unknown life of the session.
+    pub other_epoch: u64,
+    /// Datagrams of somebody else's connection, or of a kind that a server does not take.
+    pub misdirected: u64,
+    /// Datagrams that were seen before.
+    pub duplicate: u64,
+    /// Datagrams that came too late.
+    pub old: u64,
+    /// Datagrams before their sender was let in.
+    pub early: u64,
+    /// Datagrams that tell differences from what did not arrive.
+    pub no_baseline: u64,
+    /// Acknowledgements of what was never sent.
+    pub false_acknowledgement: u64,
+}
+
+impl Refused {
+    /// Adds what one peer's connection counted.
+    pub(super) fn add(&mut self, stats: &DriverStats) {
+        let noise = stats.link.noise;
+        self.over_rate += stats.path.refused_datagrams;
+        self.malformed += noise.malformed;
+        self.other_epoch += noise.other_epoch;
+        self.misdirected += noise.misdirected;
+        self.duplicate += noise.duplicate;
+        self.old += noise.old;
+        self.early += noise.early;
+        self.no_baseline += noise.no_baseline;
+        self.false_acknowledgement += noise.false_acknowledgement;
+    }
 }
 
 /// Computing time of a tick in ms.

@@ -6,17 +6,19 @@ use palpate_client::convert::{local_sample, tool_description};
 use palpate_client::realtime::{HandLoop, Wishes, device_time};
 use palpate_client::recording::{HapticPoint, Recording, ToolRecord, ViewRecord, choose_nodes};
 use palpate_client::replica::hand_budget;
-use palpate_client::site::{Site, ViewFrame};
+use palpate_client::requests::Requests;
+use palpate_client::site::{Site, SiteCounters, ViewFrame};
 use palpate_client::view::VIEW_TOLERANCE;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::{HapticDevice, Script};
 use palpate_haptics::{Chain, ChainConfig, ContactModel};
-use palpate_protocol::handshake::Hello;
+use palpate_protocol::handshake::{Hello, Resume};
 use palpate_protocol::session::{ClientEvent, ClientSession};
-use palpate_protocol::{ClientTime, Grant, Role, Span};
+use palpate_protocol::{ClientTime, Grant, OperationId, ParticipantId, Role, Span, TopologyHash};
 use palpate_tissue::{Budget, Model};
 
 use super::clock::SiteClock;
+use super::mishap::Mishap;
 use super::wires::Wires;
 use crate::network::Direction;
 
@@ -41,8 +43,15 @@ pub(super) struct Guest {
     blade_length_m: Option<f64>,
     hand: HandLoop,
     contact: ContactModel,
+    hello: Hello,
     session: ClientSession,
+    requests: Requests,
+    /// The seat and what of the log is here.
+    resume: Option<Resume>,
+    wants_connection: bool,
     site: Option<Site>,
+    pub(super) mishaps: Vec<Mishap>,
+    first_view: Option<ClientTime>,
     ticks: u64,
     link_lost: bool,
     /// What it saw and felt, in true time.
@@ -81,8 +90,14 @@ impl Guest {
             script: start,
             hand,
             contact: ContactModel::free_at(now, 0),
-            session: ClientSession::new(hello, now).map_err(|e| e.to_string())?,
+            session: ClientSession::new(hello.clone(), now).map_err(|e| e.to_string())?,
+            hello,
+            requests: Requests::new(ParticipantId::SERVER),
+            resume: None,
+            wants_connection: false,
             site: None,
+            mishaps: Vec::new(),
+            first_view: None,
             ticks: 0,
             link_lost: false,
             recording: Recording {
@@ -129,7 +144,8 @@ impl Guest {
 
     fn feel(&mut self, now: ClientTime, at_us: i64) {
         let wishes = Wishes {
-            link_lost: self.link_lost,
+            // Of a copy that differs no force is believed.
+            link_lost: self.link_lost || self.site.as_ref().is_some_and(Site::is_resyncing),
             stop: false,
         };
         let turned = self.hand.turn(now, wishes, &self.contact);
@@ -161,12 +177,28 @@ impl Guest {
 
     fn take_events(&mut self, at_us: i64) {
         let now = self.clock.at(at_us);
-        while let Some(event) = self.session.poll_event() {
+        while let Some(mut event) = self.session.poll_event() {
+            self.requests.handle_event(&event);
             match &event {
                 ClientEvent::Welcomed(welcome) => {
                     self.recording.participant = welcome.participant.0;
-                    let model = Arc::clone(&self.model);
-                    self.site = Some(Site::new(welcome, model, self.blade_length_m));
+                    self.resume = Some(Resume::after_welcome(welcome, self.resume));
+                    if self.site.is_none() {
+                        let model = Arc::clone(&self.model);
+                        self.requests = Requests::new(welcome.participant);
+                        self.site = Some(Site::new(welcome, model, self.blade_length_m));
+                        continue;
+                    }
+                    for request in self.requests.unanswered() {
+                        if let Err(error) = self.session.send_request(request) {
+                            self.trouble.get_or_insert(error.to_string());
+                        }
+                    }
+                }
+                ClientEvent::Operation(operation) => {
+                    if let Some(resume) = &mut self.resume {
+                        resume.note(operation);
+                    }
                 }
                 ClientEvent::LinkLost => self.link_lost = true,
                 ClientEvent::LinkRestored => self.link_lost = false,
@@ -174,6 +206,10 @@ impl Guest {
                     self.trouble.get_or_insert(reason.to_string());
                 }
                 _ => {}
+            }
+            let since = self.first_view.map(|first| now - first);
+            for mishap in &mut self.mishaps {
+                mishap.spoil(&mut event, since);
             }
             if let Some(site) = &mut self.site
                 && let Err(error) = site.handle_event(event, now)
@@ -202,11 +238,15 @@ impl Guest {
             stop: None,
         };
         if let Some(frame) = site.view_step(now, budget) {
+            self.first_view.get_or_insert(now);
             let view = record(site, &frame, at_us);
             self.recording.views.extend(view);
         }
-        while let Some(request) = site.poll_request() {
-            if let Err(error) = self.session.request(request) {
+        self.wants_connection |= site.poll_rejoin().is_some();
+        let stands = self.session.participant().is_some();
+        while let Some(request) = site.poll_request().filter(|_| stands) {
+            let request = self.requests.number(request);
+            if let Err(error) = self.session.send_request(request) {
                 self.trouble.get_or_insert(error.to_string());
             }
         }
@@ -215,6 +255,36 @@ impl Guest {
             self.recording.operations.push(operation);
         }
         while site.poll_notice().is_some() {}
+    }
+
+    /// Whether it is to get a new connection.
+    pub(super) fn wants_connection(&self) -> bool {
+        self.wants_connection
+    }
+
+    /// Takes the seat again over a new connection, with nothing of the log in hand.
+    pub(super) fn come_back(&mut self, at_us: i64) {
+        self.wants_connection = false;
+        let hello = Hello {
+            resume: self.resume.map(|resume| Resume {
+                next_operation: OperationId(0),
+                topology_version: 0,
+                topology_hash: TopologyHash(0),
+                ..resume
+            }),
+            ..self.hello.clone()
+        };
+        match ClientSession::new(hello, self.clock.at(at_us)) {
+            Ok(session) => self.session = session,
+            Err(error) => {
+                self.trouble.get_or_insert(error.to_string());
+            }
+        }
+    }
+
+    /// What its site counted.
+    pub(super) fn counters(&self) -> SiteCounters {
+        self.site.as_ref().map(Site::counters).unwrap_or_default()
     }
 
     /// Version and hash of its own topology; `None` before it was let in.

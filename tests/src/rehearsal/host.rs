@@ -11,10 +11,15 @@ use palpate_tissue::Model;
 use super::wires::Wires;
 use crate::network::Direction;
 
+/// Connections of one seat are so far apart in their numbers.
+const SEATS_MAX: u64 = 1000;
+
 /// The server.
 pub(super) struct Host {
     room: Room,
     peers: BTreeMap<PeerKey, ServerPeer>,
+    /// The connection of every seat.
+    current: Vec<PeerKey>,
 }
 
 impl Host {
@@ -25,19 +30,28 @@ impl Host {
         Self {
             room: Room::new(model, config, now),
             peers: peers.collect(),
+            current: (0..seats).map(key).collect(),
         }
+    }
+
+    /// A new connection of a guest takes the place of the old one, whose end the server does not hear of.
+    pub(super) fn renew(&mut self, seat: usize, now: ServerTime) {
+        self.peers.remove(&self.current[seat]);
+        let next = PeerKey(self.current[seat].0 + SEATS_MAX);
+        self.current[seat] = next;
+        self.peers.insert(next, ServerPeer::new(now));
     }
 
     /// Bytes of a guest's operations stream.
     pub(super) fn handle_stream(&mut self, seat: usize, bytes: &[u8], now: ServerTime) {
-        if let Some(peer) = self.peers.get_mut(&key(seat)) {
+        if let Some(peer) = self.peers.get_mut(&self.current[seat]) {
             peer.handle_stream(bytes, now);
         }
     }
 
     /// A guest's datagram.
     pub(super) fn handle_datagram(&mut self, seat: usize, bytes: &[u8], now: ServerTime) {
-        if let Some(peer) = self.peers.get_mut(&key(seat)) {
+        if let Some(peer) = self.peers.get_mut(&self.current[seat]) {
             peer.handle_datagram(bytes, now);
         }
     }
@@ -57,7 +71,7 @@ impl Host {
         self.give_outputs(now);
         let at_us = now.as_micros().unsigned_abs();
         for (key, peer) in &mut self.peers {
-            let seat = key.0 as usize;
+            let seat = (key.0 % SEATS_MAX) as usize;
             while let Some(bytes) = peer.poll_stream() {
                 wires.send_stream(seat, Direction::Down, &bytes, at_us);
             }
@@ -91,6 +105,11 @@ impl Host {
                 }
             }
         }
+    }
+
+    /// How often somebody became a spectator because of their network.
+    pub(super) fn demotions(&self) -> u64 {
+        self.room.demotion_count()
     }
 
     /// Version and hash of the authoritative topology.

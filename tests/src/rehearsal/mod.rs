@@ -14,11 +14,13 @@
 mod clock;
 mod guest;
 mod host;
+mod mishap;
 mod wires;
 
 use std::sync::Arc;
 
 use palpate_client::Recording;
+use palpate_client::site::SiteCounters;
 use palpate_device::Script;
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::{Epoch, Grant, ModelHash, ModelInfo, ResumeToken, Role, ServerTime};
@@ -31,6 +33,8 @@ use clock::SiteClock;
 use guest::Guest;
 use host::Host;
 use wires::{Arrived, Wires};
+
+pub use mishap::Mishap;
 
 /// From one turn to the next, µs.
 const TURN_US: i64 = 1000;
@@ -74,6 +78,10 @@ pub struct Rehearsed {
     pub recordings: Vec<Recording>,
     /// Version and hash of the topology: the server's, then each participant's.
     pub topologies: Vec<(u32, u64)>,
+    /// What each participant's site counted.
+    pub counters: Vec<SiteCounters>,
+    /// How often the server made somebody a spectator.
+    pub demotions: u64,
     /// The mean over the participants, from the beginning of the scripts.
     pub bytes_per_s: BytesPerSecond,
     /// What went wrong; nothing, when all is well.
@@ -90,9 +98,18 @@ impl Rehearsed {
 impl Rehearsal<'_> {
     /// Runs it to the end of the longest script. `progress` is told the share that is done, and gives
     /// whether to go on.
-    pub fn run(&self, mut progress: impl FnMut(f64) -> bool) -> Result<Rehearsed, String> {
+    pub fn run(&self, progress: impl FnMut(f64) -> bool) -> Result<Rehearsed, String> {
+        self.run_with(&[], progress)
+    }
+
+    /// The same, with what goes wrong besides.
+    pub fn run_with(
+        &self,
+        mishaps: &[Mishap],
+        mut progress: impl FnMut(f64) -> bool,
+    ) -> Result<Rehearsed, String> {
         let grant = Grant(*b"a rehearsal only");
-        let mut wires = Wires::new(self.profile, self.seed, self.scripts.len());
+        let mut wires = Wires::new(&self.profiles(mishaps), self.seed);
         let mut host = Host::new(
             Arc::clone(self.model),
             self.config(grant),
@@ -103,14 +120,22 @@ impl Rehearsal<'_> {
             let name = format!("trainee-{}", seat + 1);
             let clock = SiteClock::of(self.seed, seat);
             let model = Arc::clone(self.model);
-            guests.push(Guest::new(seat, &name, grant, model, script, clock)?);
+            let mut guest = Guest::new(seat, &name, grant, model, script, clock)?;
+            let of_seat = mishaps.iter().filter(|m| m.seat() == seat);
+            guest.mishaps = of_seat.cloned().collect();
+            guests.push(guest);
         }
         let script_us = self.scripts.iter().map(|s| s.end_s()).fold(0.0, f64::max) * 1e6;
         let (mut at_us, mut began_us) = (0_i64, None::<i64>);
         loop {
             deliver(&mut host, &mut guests, &mut wires, at_us);
             host.turn(ServerTime::from_micros(at_us), &mut wires);
-            for guest in &mut guests {
+            for (seat, guest) in guests.iter_mut().enumerate() {
+                if guest.wants_connection() {
+                    wires.renew(seat);
+                    host.renew(seat, ServerTime::from_micros(at_us));
+                    guest.come_back(at_us);
+                }
                 guest.turn(at_us, &mut wires);
             }
             if began_us.is_none() {
@@ -141,6 +166,8 @@ impl Rehearsal<'_> {
         let own = guests.iter().filter_map(Guest::topology);
         Ok(Rehearsed {
             topologies: std::iter::once((version, hash.0)).chain(own).collect(),
+            counters: guests.iter().map(Guest::counters).collect(),
+            demotions: host.demotions(),
             recordings: guests.into_iter().map(|g| g.recording).collect(),
             bytes_per_s: BytesPerSecond {
                 up: wires.counted(Direction::Up) as f64 * share,
@@ -148,6 +175,17 @@ impl Rehearsal<'_> {
             },
             troubles,
         })
+    }
+
+    /// The network of every seat.
+    fn profiles<'a>(&'a self, mishaps: &'a [Mishap]) -> Vec<&'a Profile> {
+        let mut profiles = vec![self.profile; self.scripts.len()];
+        for mishap in mishaps {
+            if let Mishap::Network { seat, profile } = mishap {
+                profiles[*seat] = profile;
+            }
+        }
+        profiles
     }
 
     fn config(&self, grant: Grant) -> RoomConfig {

@@ -1,9 +1,11 @@
+use palpate_client::site::RESYNCS_MAX;
 use palpate_protocol::operation::CompensationMode;
 use palpate_tissue::{Material, Topology, block};
 
 use super::*;
 use crate::disagreement::Disagreement;
 use crate::force_error::{ForceError, over_script};
+use crate::network::{Link, Step, Steps};
 use crate::place::Place;
 use crate::reference;
 use crate::scripts::Scripts;
@@ -22,6 +24,17 @@ fn model() -> Arc<Model> {
 }
 
 fn rehearse(model: &Arc<Model>, scripts: &Scripts, profile: &Profile, seed: u64) -> Rehearsed {
+    rehearse_with(model, scripts, profile, seed, 500, &[])
+}
+
+fn rehearse_with(
+    model: &Arc<Model>,
+    scripts: &Scripts,
+    profile: &Profile,
+    seed: u64,
+    cap_ms: u32,
+    mishaps: &[Mishap],
+) -> Rehearsed {
     let scripts = [&scripts.holder, &scripts.cutter];
     let rehearsal = Rehearsal {
         model,
@@ -29,12 +42,14 @@ fn rehearse(model: &Arc<Model>, scripts: &Scripts, profile: &Profile, seed: u64)
         profile,
         seed,
         compensation: CompensationSettings {
-            mode: CompensationMode::Adaptive { cap_us: 500_000 },
+            mode: CompensationMode::Adaptive {
+                cap_us: cap_ms * 1000,
+            },
             initial_delay_us: 100_000,
         },
         tick_hz: 60,
     };
-    rehearsal.run(|_| true).unwrap()
+    rehearsal.run_with(mishaps, |_| true).unwrap()
 }
 
 #[test]
@@ -62,4 +77,143 @@ fn one_seed_is_one_session_and_everybody_has_the_same_topology_in_the_end() {
     }
     let b = rehearse(&model, &scripts, &profile, 5);
     assert_eq!(a.recordings, b.recordings);
+}
+
+fn scripts_of(model: &Arc<Model>, seconds: f64) -> Scripts {
+    let place = Place::find(&Topology::new(Arc::clone(model))).unwrap();
+    Scripts::for_place(&place, seconds).unwrap()
+}
+
+fn delay_ms_at(recording: &Recording, second: f64) -> f64 {
+    let view = recording
+        .views
+        .iter()
+        .find(|v| v.shown_us as f64 >= second * 1e6)
+        .unwrap();
+    view.delay_us as f64 * 1e-3
+}
+
+#[test]
+fn who_is_at_500_ms_for_ten_seconds_watches_and_nobody_waits_and_then_takes_part_again() {
+    let model = model();
+    let scripts = scripts_of(&model, 30.0);
+    let near = Profile::named("metro").unwrap();
+    let steps = [(0.0, 20.0), (9.0, 500.0), (19.0, 20.0)];
+    let worsens = Profile::both(
+        "worsens",
+        Link {
+            delay_ms: 20.0,
+            steps: Some(Steps {
+                repeat_s: None,
+                delays: steps.map(|(at_s, delay_ms)| Step { at_s, delay_ms }).into(),
+            }),
+            ..Link::default()
+        },
+    );
+    let slow = Mishap::Network {
+        seat: 1,
+        profile: Box::new(worsens),
+    };
+    let r = rehearse_with(&model, &scripts, &near, 3, 400, &[slow]);
+    assert_eq!(r.troubles, Vec::<String>::new());
+    assert!(r.hashes_equal(), "{:?}", r.topologies);
+    let words = |who: usize| -> Vec<(&str, i64)> {
+        let all = r.recordings[who].operations.iter();
+        let of_roles = all.filter(|o| ["demoted", "restored"].contains(&o.kind.as_str()));
+        of_roles.map(|o| (o.kind.as_str(), o.at_us)).collect()
+    };
+    let [("demoted", lifted_us), ("restored", back_us)] = words(0)[..] else {
+        panic!("{:?}", words(0));
+    };
+    assert_eq!(words(0), words(1), "the log says it to both");
+    assert!(
+        (12.0..14.5).contains(&(lifted_us as f64 * 1e-6)),
+        "{lifted_us}"
+    );
+    assert!((29.0..32.0).contains(&(back_us as f64 * 1e-6)), "{back_us}");
+    assert_eq!(r.demotions, 1);
+    assert_eq!((r.counters[0].demotions, r.counters[1].demotions), (0, 1));
+    assert_eq!(
+        r.counters[1].cuts_refused, 1,
+        "a stroke while the tool is lifted"
+    );
+    assert_eq!(r.topologies[0].0, 0);
+    assert_eq!(
+        r.counters[1].resyncs, 0,
+        "a network that is slow is no copy that differs"
+    );
+    // D shrinks by 20 ms per second at most.
+    let lifted_s = lifted_us as f64 * 1e-6;
+    let (then, later) = (
+        delay_ms_at(&r.recordings[0], lifted_s),
+        delay_ms_at(&r.recordings[0], lifted_s + 5.0),
+    );
+    assert!(
+        then > 350.0 && later < then - 80.0,
+        "{then} ms, then {later}"
+    );
+}
+
+#[test]
+fn a_guest_who_cut_elsewhere_comes_back_equal_and_one_who_does_so_again_is_told() {
+    let model = model();
+    let scripts = scripts_of(&model, 4.0);
+    let profile = Profile::named("transatlantic").unwrap();
+    let elsewhere = |times| Mishap::OtherCut {
+        seat: 0,
+        by_m: [0.007, 0.006, 0.0],
+        times,
+    };
+    let r = rehearse_with(&model, &scripts, &profile, 5, 500, &[elsewhere(1)]);
+    assert_eq!(r.troubles, Vec::<String>::new());
+    assert!(
+        r.hashes_equal() && r.topologies[0].0 == 1,
+        "{:?}",
+        r.topologies
+    );
+    assert_eq!((r.counters[0].resyncs, r.counters[1].resyncs), (1, 0));
+    assert_eq!(
+        r.recordings[0]
+            .operations
+            .iter()
+            .filter(|o| o.kind == "cut")
+            .count(),
+        1
+    );
+    let again = rehearse_with(&model, &scripts, &profile, 5, 500, &[elsewhere(2)]);
+    assert!(
+        again.troubles[..]
+            .iter()
+            .any(|t| t.contains("differs again")),
+        "{:?}",
+        again.troubles
+    );
+}
+
+#[test]
+fn a_guest_who_saw_the_others_elsewhere_is_made_anew_and_not_without_end() {
+    let model = model();
+    let scripts = scripts_of(&model, 12.0);
+    let profile = Profile::named("metro").unwrap();
+    let spoilt = |until_s| Mishap::OtherTools {
+        seat: 1,
+        by_m: [0.012, 0.0, 0.0],
+        from_s: 3.0,
+        until_s,
+    };
+    let r = rehearse_with(&model, &scripts, &profile, 5, 500, &[spoilt(5.5)]);
+    assert_eq!(r.troubles, Vec::<String>::new());
+    assert!(r.hashes_equal(), "{:?}", r.topologies);
+    assert_eq!((r.counters[0].resyncs, r.counters[1].resyncs), (0, 1));
+    // The force is taken away meanwhile, in steps that a hand can bear.
+    let felt = &r.recordings[1].haptic;
+    let steps = felt.windows(2).map(|w| {
+        let step = [0, 1, 2].map(|k| w[1].force_n[k] - w[0].force_n[k]);
+        step.iter().map(|f| f * f).sum::<f64>().sqrt()
+    });
+    assert!(steps.fold(0.0, f64::max) < 0.5);
+    let for_ever = rehearse_with(&model, &scripts, &profile, 5, 500, &[spoilt(1e3)]);
+    assert_eq!(for_ever.troubles, Vec::<String>::new());
+    let resyncs = for_ever.counters[1].resyncs as usize;
+    assert!((1..=RESYNCS_MAX).contains(&resyncs), "{resyncs}");
 }

@@ -62,10 +62,10 @@ pub(super) struct Wires {
 }
 
 impl Wires {
-    /// Wires for `seats` participants, each with a network of its own.
-    pub(super) fn new(profile: &Profile, seed: u64, seats: usize) -> Self {
+    /// Wires for participants, one network each.
+    pub(super) fn new(profiles: &[&Profile], seed: u64) -> Self {
         let way = |seat: usize, direction| Way {
-            path: Path::new(profile, seed, seat as u64, direction),
+            path: Path::new(profiles[seat], seed, seat as u64, direction),
             next_out: 0,
             next_in: 0,
             early: BTreeMap::new(),
@@ -73,9 +73,19 @@ impl Wires {
         };
         let both = |seat| [way(seat, Direction::Up), way(seat, Direction::Down)];
         Self {
-            ways: (0..seats).map(both).collect(),
+            ways: (0..profiles.len()).map(both).collect(),
             queue: BinaryHeap::new(),
             order: 0,
+        }
+    }
+
+    /// A new connection takes the place of a seat's old one: what is on its way arrives nowhere, and streams
+    /// begin anew. That setting it up takes a round trip is left out.
+    pub(super) fn renew(&mut self, seat: usize) {
+        self.queue.retain(|Reverse(p)| p.seat != seat);
+        for way in &mut self.ways[seat] {
+            (way.next_out, way.next_in) = (0, 0);
+            way.early.clear();
         }
     }
 
@@ -206,7 +216,8 @@ mod tests {
 
     #[test]
     fn a_stream_arrives_whole_and_in_order_over_a_network_that_loses_and_reorders() {
-        let mut wires = Wires::new(&Profile::named("lossy").unwrap(), 3, 2);
+        let lossy = Profile::named("lossy").unwrap();
+        let mut wires = Wires::new(&[&lossy; 2], 3);
         let sent: Vec<u8> = (0..40_000_u32).map(|i| (i % 251) as u8).collect();
         for (i, piece) in sent.chunks(97).enumerate() {
             let at_us = i as u64 * 1000;

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use palpate_protocol::request::RequestKind;
+use palpate_protocol::request::{Request, RequestKind};
 use palpate_protocol::session::{ClientEvent, ClientSession, LinkStats};
 use palpate_protocol::{ClientTime, LocalSample};
 use tokio::sync::{mpsc, watch};
@@ -25,6 +25,8 @@ pub enum ClientCommand {
     Motion(Vec<LocalSample>),
     /// Ask for something.
     Request(RequestKind),
+    /// Ask for something under a number that the seat's owner gives.
+    Numbered(Request),
     /// Leave politely.
     Leave,
 }
@@ -108,6 +110,11 @@ impl<C: Fn() -> ClientTime + Send> Machine for Client<C> {
                 }
             }
             Some(ClientCommand::Request(kind)) => self.request(kind),
+            Some(ClientCommand::Numbered(request)) => {
+                if let Err(error) = self.session.send_request(request) {
+                    tracing::warn!(%error, "a request was not sent");
+                }
+            }
             Some(ClientCommand::Leave) | None => {
                 if self.session.participant().is_some() {
                     self.request(RequestKind::Leave);

@@ -3,6 +3,7 @@
 use palpate_protocol::handshake::{Hello, RefusalReason, Refused, Resume, SEAT_KEPT, Welcome};
 use palpate_protocol::operation::{CompensationSettings, LeaveReason, OperationKind};
 use palpate_protocol::session::{CloseReason, PeerMessage};
+use palpate_protocol::timeline::Timeline;
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{OperationId, ParticipantId, ServerTime};
 
@@ -24,6 +25,7 @@ impl Room {
             None => self.admit(&hello).map(|()| self.seat(peer, hello, now)),
         };
         if let Err(reason) = result {
+            self.refused += 1;
             self.send(peer, PeerMessage::Refused(Refused::because(reason)));
         }
     }
@@ -85,7 +87,8 @@ impl Room {
         let tool = hello.tool.filter(|_| hello.role.has_tool());
         let token = (self.config.fresh_token)(id);
         let name = hello.name.clone();
-        let participant = Participant::new(peer, token, id, name, hello.role, tool);
+        let cap = self.config.cap();
+        let participant = Participant::new(peer, token, id, name, hello.role, tool, cap);
         let first = OperationId(0);
         let welcome = self.welcome(&participant, self.config.compensation, first, now);
         self.greet(peer, welcome);
@@ -110,9 +113,11 @@ impl Room {
             return;
         };
         seat.resumed += 1;
+        seat.asked.next_connection();
         let before = std::mem::replace(&mut seat.place, Place::Here(peer));
         // What the dead connection may still have told of the tool does not go on with the new one.
-        seat.forget_motion();
+        // How late its samples come is still known: who is slow does not begin anew with every return.
+        seat.timeline = Timeline::default();
         self.fan_out.remove(id);
         if let Place::Here(old) = before {
             // A dead connection that nobody noticed yet. Its end, when it comes, is nobody's.

@@ -49,8 +49,12 @@ fn two() -> (Room, Resume) {
 }
 
 fn cut(room: &mut Room, peer: PeerKey, now: ServerTime) {
+    cut_as(room, peer, 1, now);
+}
+
+fn cut_as(room: &mut Room, peer: PeerKey, id: u32, now: ServerTime) {
     let request = Request {
-        id: RequestId(1),
+        id: RequestId(id),
         kind: stroke(),
     };
     room.handle_event(peer, PeerEvent::Request(request), now);
@@ -87,7 +91,7 @@ fn who_lost_the_connection_finds_number_role_tool_and_the_rest_of_the_log() {
     assert!(
         matches!(to_bob[..], [ref o] if o.kind == OperationKind::Back { participant: ParticipantId(1) })
     );
-    cut(&mut room, PeerKey(3), ms(31_100));
+    cut_as(&mut room, PeerKey(3), 2, ms(31_100));
     assert!(room.topology().0 >= 1, "her blade is hers again");
 }
 
@@ -247,4 +251,29 @@ fn a_seat_can_not_be_taken_again_without_end() {
     });
     assert_eq!(refused, Some(RefusalReason::NoSuchSeat));
     assert!(room.operation_count() < 300);
+}
+
+#[test]
+fn what_was_asked_before_the_connection_broke_is_done_once_and_answered_again() {
+    let (mut room, mut seat) = two();
+    cut_as(&mut room, PeerKey(1), 1, ms(200));
+    let before = room.operation_count();
+    // A stroke through where nothing is left to cut.
+    cut_as(&mut room, PeerKey(1), 2, ms(210));
+    for operation in operations(&drain(&mut room), PeerKey(1)) {
+        seat.note(&operation);
+    }
+    room.handle_event(PeerKey(1), lost(), ms(1000));
+    room.handle_event(PeerKey(3), back("ann", seat), ms(1500));
+    drain(&mut room);
+    let gone_and_back = 2;
+    cut_as(&mut room, PeerKey(3), 1, ms(1600));
+    cut_as(&mut room, PeerKey(3), 2, ms(1600));
+    let outputs = drain(&mut room);
+    assert_eq!(room.operation_count(), before + gone_and_back);
+    assert_eq!(room.repetition_count(), 2);
+    let refused = outputs.iter().filter(|o| {
+        matches!(o, Output::Message(PeerKey(3), PeerMessage::RequestRefused(r)) if r.id == RequestId(2))
+    });
+    assert_eq!(refused.count(), 1, "what was refused is refused again");
 }

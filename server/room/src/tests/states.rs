@@ -1,13 +1,14 @@
 //! The document of the states, held against a seat.
 
 use palpate_protocol::handshake::{Resume, SEAT_KEPT};
+use palpate_protocol::request::DelayReport;
 use palpate_protocol::{OperationId, ParticipantId, ProtocolError};
 
 use super::*;
 
 const DOCUMENT: &str = include_str!("../../../../protocol/STATES.md");
 
-const STATES: [&str; 3] = ["Here", "Away", "Gone"];
+const STATES: [&str; 4] = ["Here", "Watching", "Away", "Gone"];
 
 const ANN: ParticipantId = ParticipantId(1);
 
@@ -42,17 +43,43 @@ fn state_of(room: &mut Room, log: &mut Vec<Arc<Operation>>) -> &'static str {
         OperationKind::Left { participant, .. } => (*participant == ANN).then_some("Gone"),
         _ => None,
     };
-    log.iter().rev().find_map(of_ann).unwrap()
+    let is_lifted = |o: &Arc<Operation>| match o.kind {
+        OperationKind::Demoted { participant, .. } => (participant == ANN).then_some(true),
+        OperationKind::Restored { participant } => (participant == ANN).then_some(false),
+        _ => None,
+    };
+    match log.iter().rev().find_map(of_ann).unwrap() {
+        "Here" if log.iter().rev().find_map(is_lifted) == Some(true) => "Watching",
+        other => other,
+    }
+}
+
+/// Ann needs so much of the artificial delay for some seconds, and says so. Gives the time after it.
+fn need(room: &mut Room, peer: PeerKey, wanted_ms: u32, from: i64, seconds: i64) -> i64 {
+    let until = from + seconds * 1000;
+    for t in (from..=until).step_by(250) {
+        let report = DelayReport {
+            wanted_us: wanted_ms * 1000,
+            ..DelayReport::default()
+        };
+        room.handle_event(peer, PeerEvent::Delay(report), ms(t));
+        room.handle_tick(ms(t), &mut || true);
+    }
+    until
 }
 
 fn run(from: &str, what: &str) -> &'static str {
-    let (mut room, mut log) = (room(1), Vec::new());
+    let cap_us = 400_000;
+    let mode = CompensationMode::Adaptive { cap_us };
+    let (mut room, mut log) = (room_with(3, 1, mode), Vec::new());
+    let mut now = 0;
     let ann = hello("ann", Role::Trainee, ToolKind::Probe);
     let lost = || PeerEvent::Closed(CloseReason::ConnectionLost("a test".into()));
     room.handle_event(PeerKey(1), ann.clone(), ms(0));
     let bob = hello("bob", Role::Spectator, ToolKind::Probe);
     room.handle_event(PeerKey(2), bob, ms(0));
     match from {
+        "Watching" => now = need(&mut room, PeerKey(1), 600, 0, 4),
         "Away" => room.handle_event(PeerKey(1), lost(), ms(0)),
         "Gone" => room.handle_event(PeerKey(1), PeerEvent::Closed(CloseReason::Left), ms(0)),
         _ => {}
@@ -73,6 +100,21 @@ fn run(from: &str, what: &str) -> &'static str {
             (PeerKey(3), back(Resume { token, ..seat() }))
         }
         "somebody new with its name" => (PeerKey(3), ann),
+        "its network needs too much for 2 s" | "its network needs too much for 4 s" => {
+            let seconds = if what.ends_with("2 s") { 2 } else { 4 };
+            need(&mut room, PeerKey(1), 600, now, seconds);
+            return state_of(&mut room, &mut log);
+        }
+        "its network is well again for 8 s" | "its network is well again for 11 s" => {
+            let seconds = if what.ends_with(" 8 s") { 8 } else { 11 };
+            need(&mut room, PeerKey(1), 50, now, seconds);
+            return state_of(&mut room, &mut log);
+        }
+        "it asks for a cut" => {
+            let id = RequestId(1);
+            let kind = stroke();
+            (PeerKey(1), PeerEvent::Request(Request { id, kind }))
+        }
         "59 s pass" | "60 s pass" => {
             let short = Span::from_millis(if what == "59 s pass" { 1000 } else { 0 });
             room.handle_tick(ms(0) + SEAT_KEPT - short, &mut || true);
@@ -80,13 +122,14 @@ fn run(from: &str, what: &str) -> &'static str {
         }
         other => panic!("no test for \"{other}\" of a seat"),
     };
-    room.handle_event(peer, event, ms(0));
+    room.handle_event(peer, event, ms(now));
     state_of(&mut room, &mut log)
 }
 
 #[test]
 fn a_seat_moves_as_the_document_says() {
     let section = DOCUMENT.split("## Seat\n").nth(1).unwrap();
+    let section = section.split("\n## ").next().unwrap();
     let lines = section.lines().filter(|l| l.starts_with('|')).skip(2);
     let rows: Vec<Vec<&str>> = lines
         .map(|l| l.split('|').map(str::trim).collect())

@@ -1,0 +1,90 @@
+//! What a peer sends that it must not: each thing is counted under a name of its own, changes nothing, and the
+//! session goes on.
+
+use super::tests::Pair;
+use crate::datagram::{Acknowledgement, Body, Datagram, Header, Memory, Tag};
+use crate::{Epoch, ParticipantId, ServerTime};
+
+/// A session that stands.
+fn standing() -> Pair {
+    let mut pair = Pair::new(3, 20_000, 0, 0.0);
+    pair.join(0);
+    pair.steps(500);
+    pair
+}
+
+/// A heartbeat of a client with a header that somebody wrote by hand.
+fn heartbeat(epoch: Epoch, sequence: u32, acknowledged: Option<Acknowledgement>) -> Vec<u8> {
+    let datagram = Datagram {
+        header: Header {
+            tag: Tag::new(epoch, ParticipantId(5)),
+            sequence,
+            generated: ServerTime::ZERO,
+            whole_time: true,
+            acknowledged,
+        },
+        body: Body::Delays(Vec::new()),
+    };
+    datagram.encode(&mut Memory::default()).unwrap()
+}
+
+#[test]
+fn an_acknowledgement_of_what_was_never_sent_is_counted_and_acknowledges_nothing() {
+    let mut pair = standing();
+    let before = pair.server.stats();
+    let next = pair.client.stats(pair.client_now()).sent as u32 + 1;
+    for (i, newest) in [20_000, 30_000, 0].into_iter().enumerate() {
+        let claim = Acknowledgement {
+            newest,
+            bits: u32::MAX,
+        };
+        let bytes = heartbeat(Epoch(2), next + i as u32, Some(claim));
+        let now = pair.server_now();
+        pair.server.handle_datagram(&bytes, now);
+    }
+    let after = pair.server.stats();
+    assert_eq!(after.noise.false_acknowledgement, 3);
+    assert_eq!(after.acknowledged, before.acknowledged);
+    assert_eq!(after.acknowledgeable, before.acknowledgeable);
+    pair.steps(500);
+    assert!(!pair.server.is_closed() && !pair.client.is_closed());
+    assert!(
+        pair.server.stats().acknowledged > before.acknowledged,
+        "true ones still count"
+    );
+}
+
+#[test]
+fn datagrams_of_an_earlier_life_of_the_session_are_counted_and_not_read() {
+    let mut pair = standing();
+    let events = pair.server_events.len();
+    let received = pair.server.stats().received;
+    for sequence in 1..=40 {
+        let bytes = heartbeat(Epoch(1), sequence, None);
+        let now = pair.server_now();
+        pair.server.handle_datagram(&bytes, now);
+    }
+    let stats = pair.server.stats();
+    assert_eq!((stats.noise.other_epoch, stats.received), (40, received));
+    assert_eq!(pair.server_events.len(), events);
+    pair.steps(3000);
+    assert!(!pair.server.is_closed() && !pair.client.is_closed());
+}
+
+#[test]
+fn what_was_recorded_and_is_played_again_is_counted_as_seen_or_old() {
+    let mut pair = standing();
+    let now = pair.server_now();
+    let first = heartbeat(Epoch(2), 100, None);
+    let before = pair.server.stats().noise;
+    for _ in 0..5 {
+        pair.server.handle_datagram(&first, now);
+    }
+    let later = heartbeat(Epoch(2), 20_000, None);
+    pair.server.handle_datagram(&later, now);
+    pair.server.handle_datagram(&first, now);
+    let noise = pair.server.stats().noise;
+    assert_eq!(noise.duplicate - before.duplicate, 4);
+    assert_eq!(noise.old - before.old, 1);
+    assert!(!pair.server.is_closed());
+}

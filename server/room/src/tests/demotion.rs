@@ -1,0 +1,214 @@
+//! Who watches because of their network, and comes back.
+
+use palpate_protocol::ParticipantId;
+use palpate_protocol::compensation::{DEMOTE_AFTER, RESTORE_AFTER};
+use palpate_protocol::request::DelayReport;
+
+use super::*;
+
+const CAP_MS: i64 = 400;
+
+/// One who moves a tool, and what the ways to the server and back take, ms.
+struct Mover {
+    peer: PeerKey,
+    up_ms: i64,
+    down_ms: i64,
+}
+
+/// A session in which everybody presses and reports what they need.
+struct Session {
+    room: Room,
+    movers: Vec<Mover>,
+    now_ms: i64,
+    operations: Vec<Arc<Operation>>,
+    refusals: Vec<RequestRefusal>,
+    /// The newest tick's tools.
+    tools: usize,
+}
+
+impl Session {
+    fn of(ways: &[(i64, i64)]) -> Self {
+        let mut room = room_with(
+            8,
+            0,
+            CompensationMode::Adaptive {
+                cap_us: CAP_MS as u32 * 1000,
+            },
+        );
+        let mut movers = Vec::new();
+        for (i, &(up_ms, down_ms)) in ways.iter().enumerate() {
+            let peer = PeerKey(i as u64 + 1);
+            let name = format!("p{}", i + 1);
+            room.handle_event(peer, hello(&name, Role::Trainee, ToolKind::Scalpel), ms(0));
+            movers.push(Mover {
+                peer,
+                up_ms,
+                down_ms,
+            });
+        }
+        Self {
+            room,
+            movers,
+            now_ms: 0,
+            operations: Vec::new(),
+            refusals: Vec::new(),
+            tools: 0,
+        }
+    }
+
+    /// What the others' samples are old when they come to `i`; those who are lifted are not heard of.
+    fn needed_by(&self, i: usize) -> Option<i64> {
+        let lifted = self.lifted();
+        let others = self.movers.iter().enumerate().filter(|(j, m)| {
+            let who = ParticipantId(m.peer.0 as u16);
+            *j != i && !lifted.contains(&who)
+        });
+        let up = others.map(|(_, m)| m.up_ms).max()?;
+        Some(up + self.movers[i].down_ms)
+    }
+
+    fn lifted(&self) -> Vec<ParticipantId> {
+        let mut lifted = Vec::new();
+        for operation in &self.operations {
+            match operation.kind {
+                OperationKind::Demoted { participant, .. } => lifted.push(participant),
+                OperationKind::Restored { participant } => lifted.retain(|p| *p != participant),
+                _ => {}
+            }
+        }
+        lifted
+    }
+
+    fn run_until(&mut self, until_ms: i64) {
+        while self.now_ms < until_ms {
+            self.now_ms += 4;
+            let now = self.now_ms;
+            for i in 0..self.movers.len() {
+                let Mover { peer, up_ms, .. } = self.movers[i];
+                self.room
+                    .handle_event(peer, pressing(now - up_ms - 4, now - up_ms), ms(now));
+                if now % 252 == 0
+                    && let Some(needed_ms) = self.needed_by(i)
+                {
+                    let report = DelayReport {
+                        wanted_us: needed_ms as u32 * 1000,
+                        ..DelayReport::default()
+                    };
+                    self.room
+                        .handle_event(peer, PeerEvent::Delay(report), ms(now));
+                }
+            }
+            if let Some(report) = self.room.handle_tick(ms(now), &mut || true) {
+                self.tools = report.tools;
+            }
+            let outputs = drain(&mut self.room);
+            self.operations.extend(operations(&outputs, PeerKey(1)));
+            self.refusals.extend(outputs.iter().filter_map(|o| match o {
+                Output::Message(_, PeerMessage::RequestRefused(r)) => Some(r.reason.clone()),
+                _ => None,
+            }));
+        }
+    }
+
+    fn target_ms(&self) -> Option<u32> {
+        self.operations.iter().rev().find_map(|o| match o.kind {
+            OperationKind::Compensation { delay_us, .. } => Some(delay_us / 1000),
+            _ => None,
+        })
+    }
+}
+
+#[test]
+fn who_needs_more_than_the_cap_watches_and_the_others_wait_for_them_no_more() {
+    let mut s = Session::of(&[(30, 30), (30, 30), (30, 30)]);
+    s.run_until(2000);
+    assert_eq!(s.tools, 3);
+    (s.movers[2].up_ms, s.movers[2].down_ms) = (500, 500);
+    s.run_until(2000 + DEMOTE_AFTER.as_micros() / 1000 - 300);
+    assert_eq!(s.lifted(), [], "a burst may be over by then");
+    assert!(s.target_ms().unwrap() > 300, "and is waited for");
+    s.run_until(7000);
+    assert_eq!(
+        s.lifted(),
+        [ParticipantId(3)],
+        "the slow one and nobody else"
+    );
+    assert!(s.target_ms().unwrap() < 100, "{:?} ms", s.target_ms());
+    s.run_until(9000);
+    assert_eq!(s.tools, 2, "the tool presses nowhere");
+    let motion = |room: &mut Room| {
+        let outputs = drain(room);
+        outputs.iter().any(|o| {
+            matches!(o, Output::Datagram(_, PeerDatagram::Motion(tracks))
+            if tracks.iter().any(|t| t.participant == ParticipantId(3)))
+        })
+    };
+    s.room
+        .handle_event(PeerKey(3), pressing(8000, 8004), ms(9001));
+    s.room.handle_tick(ms(9020), &mut || true);
+    assert!(!motion(&mut s.room), "and is not passed on");
+    for kind in [
+        stroke(),
+        RequestKind::SetTool(ToolDescription::probe(0.003)),
+    ] {
+        let id = RequestId(1);
+        let request = PeerEvent::Request(Request { id, kind });
+        s.room.handle_event(PeerKey(3), request, ms(9021));
+    }
+    s.run_until(9100);
+    assert_eq!(
+        s.refusals,
+        [RequestRefusal::Demoted, RequestRefusal::Demoted]
+    );
+    (s.movers[2].up_ms, s.movers[2].down_ms) = (30, 30);
+    let recovered = s.now_ms;
+    s.run_until(recovered + RESTORE_AFTER.as_micros() / 1000 - 500);
+    assert_eq!(s.lifted(), [ParticipantId(3)]);
+    s.run_until(recovered + RESTORE_AFTER.as_micros() / 1000 + 6000);
+    assert_eq!(s.lifted(), []);
+    assert_eq!((s.tools, s.room.demotion_count()), (3, 1));
+    assert_eq!(s.room.participant_count(), 3, "in the same seat");
+}
+
+#[test]
+fn everybody_who_is_slow_watches_and_who_is_quick_does_not() {
+    let mut s = Session::of(&[(20, 20), (450, 450), (20, 20), (300, 300)]);
+    s.run_until(15_000);
+    let mut lifted = s.lifted();
+    lifted.sort_unstable();
+    assert_eq!(
+        lifted,
+        [ParticipantId(2)],
+        "300 ms and 20 ms are below the cap together"
+    );
+    s.movers[3].up_ms = 600;
+    s.run_until(30_000);
+    lifted = s.lifted();
+    lifted.sort_unstable();
+    assert_eq!(lifted, [ParticipantId(2), ParticipantId(4)]);
+}
+
+#[test]
+fn two_who_are_too_far_apart_give_way_by_the_one_that_came_later() {
+    let mut s = Session::of(&[(240, 240), (240, 240), (20, 20)]);
+    s.run_until(10_000);
+    assert_eq!(s.lifted(), [ParticipantId(2)]);
+}
+
+#[test]
+fn a_delay_that_is_fixed_sends_nobody_away() {
+    let mut room = room_with(3, 0, CompensationMode::Fixed);
+    for (peer, name) in [(1, "ann"), (2, "bob")] {
+        let hello = hello(name, Role::Trainee, ToolKind::Probe);
+        room.handle_event(PeerKey(peer), hello, ms(0));
+    }
+    for t in (0..10_000).step_by(250) {
+        let report = DelayReport {
+            wanted_us: 2_000_000,
+            ..DelayReport::default()
+        };
+        room.handle_event(PeerKey(1), PeerEvent::Delay(report), ms(t));
+        room.handle_tick(ms(t), &mut || true);
+    }
+    assert_eq!(room.demotion_count(), 0);
+}
