@@ -44,6 +44,7 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
         role: link.role,
         grant: link.grant,
         tool: guide.as_ref().map(|g| tool_description(&g.tool)),
+        subscription: Subscription::Full,
         resume: None,
     };
     let mut status = Status::new(options.status, monotonic_now());

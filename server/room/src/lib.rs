@@ -11,6 +11,7 @@ mod config;
 mod convert;
 mod fan_out;
 mod participant;
+mod pictures;
 mod room;
 #[cfg(test)]
 mod tests;

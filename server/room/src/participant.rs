@@ -2,7 +2,7 @@
 
 use nalgebra::{Quaternion, UnitQuaternion};
 use palpate_protocol::compensation::{DelayEstimator, DelayRule};
-use palpate_protocol::handshake::RosterEntry;
+use palpate_protocol::handshake::{RosterEntry, Subscription};
 use palpate_protocol::timeline::Timeline;
 use palpate_protocol::tool::{ToolDescription, ToolKind, ToolPart, part_id};
 use palpate_protocol::{ParticipantId, ResumeToken, Role, ServerTime};
@@ -37,6 +37,8 @@ pub(crate) struct Participant {
     pub(crate) name: String,
     pub(crate) role: Role,
     pub(crate) tool: Option<ToolDescription>,
+    /// What of the tissue they are sent.
+    pub(crate) subscription: Subscription,
     /// Where the tool was, for the server's own view.
     pub(crate) timeline: Timeline,
     /// How late its samples come.
@@ -60,6 +62,7 @@ impl Participant {
             name,
             role,
             tool,
+            subscription: Subscription::Full,
             timeline: Timeline::default(),
             delay: DelayEstimator::new(DelayRule::default()),
         }

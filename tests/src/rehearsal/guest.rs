@@ -11,7 +11,7 @@ use palpate_client::view::VIEW_TOLERANCE;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::{HapticDevice, Script};
 use palpate_haptics::{Chain, ChainConfig, ContactModel};
-use palpate_protocol::handshake::Hello;
+use palpate_protocol::handshake::{Hello, Subscription};
 use palpate_protocol::session::{ClientEvent, ClientSession};
 use palpate_protocol::{ClientTime, Grant, Role, Span};
 use palpate_tissue::{Budget, Model};
@@ -66,6 +66,7 @@ impl Guest {
             role: Role::Trainee,
             grant,
             tool: Some(tool),
+            subscription: Subscription::Full,
             resume: None,
         };
         let start = ScriptStart::not_yet();
