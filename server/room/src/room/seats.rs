@@ -1,6 +1,8 @@
 //! Who gets a seat, who keeps it without a connection, and who takes it again.
 
-use palpate_protocol::handshake::{Hello, RefusalReason, Refused, Resume, SEAT_KEPT, Subscription, Welcome};
+use palpate_protocol::handshake::{
+    Hello, RefusalReason, Refused, Resume, SEAT_KEPT, Subscription, Welcome,
+};
 use palpate_protocol::operation::{CompensationSettings, LeaveReason, OperationKind};
 use palpate_protocol::session::{CloseReason, PeerMessage};
 use palpate_protocol::tool::ToolDescription;

@@ -1,3 +1,5 @@
+use palpate_protocol::session::Picture;
+
 use super::*;
 
 fn joins(room: &mut Room, key: u64, role: Role, subscription: Subscription) -> Vec<Output> {
@@ -12,10 +14,7 @@ fn joins(room: &mut Room, key: u64, role: Role, subscription: Subscription) -> V
     drain(room)
 }
 
-fn pictures(
-    outputs: &[Output],
-    to: u64,
-) -> Vec<std::sync::Arc<palpate_protocol::session::Picture>> {
+fn pictures(outputs: &[Output], to: u64) -> Vec<Arc<Picture>> {
     let to = PeerKey(to);
     let of = outputs.iter().filter_map(|o| match o {
         Output::Datagram(peer, PeerDatagram::Picture(p)) if *peer == to => Some(Arc::clone(p)),
@@ -84,5 +83,10 @@ fn a_cut_brings_what_it_lays_open_into_view() {
     let (first, last) = (seen.first().unwrap(), seen.last().unwrap());
     assert_eq!((first.topology_version, last.topology_version), (0, 1));
     assert!(last.nodes.len() > first.nodes.len() + 20);
-    assert!(first.nodes.iter().all(|n| last.nodes.binary_search(n).is_ok()));
+    assert!(
+        first
+            .nodes
+            .iter()
+            .all(|n| last.nodes.binary_search(n).is_ok())
+    );
 }
