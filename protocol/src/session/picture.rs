@@ -294,6 +294,7 @@ impl PictureStream {
                 step_um: PICTURE_STEP_UM,
                 topology_version: picture.topology_version,
                 view_time: picture.view_time,
+                waiting: u32::try_from(self.stats.waiting).unwrap_or(u32::MAX),
                 nodes: chunk.iter().map(|(_, node, d)| (*node, *d)).collect(),
             })
             .collect();
