@@ -9,6 +9,9 @@
 //!
 //! It reads no clock: every call is given the time.
 
+mod grid;
+mod thin;
+
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -32,6 +35,8 @@ use crate::replica::Replica;
 use crate::roster::{Roster, ToolAt};
 use crate::stroke::StrokeCollector;
 use crate::view::{Drift, View, ViewCut};
+
+pub use grid::{grid_index, grid_moment};
 
 /// Operations that wait for their moment. They wait for D, 0.2 s, so this is never reached; beyond
 /// it the oldest is applied early.
@@ -131,9 +136,14 @@ impl Site {
     /// A site after its welcome, with the uncut model. `blade_length_m` is that of one's own blade,
     /// if one holds a blade.
     pub fn new(welcome: &Welcome, model: Arc<Model>, blade_length_m: Option<f64>) -> Self {
+        let replica = Replica::new(model, welcome.role.has_tool());
+        Self::with(welcome, replica, blade_length_m)
+    }
+
+    fn with(welcome: &Welcome, replica: Replica, blade_length_m: Option<f64>) -> Self {
         Self {
             me: welcome.participant,
-            replica: Replica::new(model, welcome.role.has_tool()),
+            replica,
             roster: Roster::new(&welcome.roster),
             schedule: DelaySchedule::new(&welcome.compensation),
             clock: None,
@@ -183,6 +193,9 @@ impl Site {
                     self.roster.insert(track.participant, sample);
                 }
             }
+            ClientEvent::Displacements(news) => self.handle_picture(&news, now),
+            // Who is thin has nothing to correct.
+            ClientEvent::Corrections(_) if self.is_thin() => {}
             ClientEvent::Corrections(corrections) => {
                 if let Some(view) = self.replica.view_mut() {
                     if let Some(drift) = view.correct(&corrections) {
@@ -198,8 +211,7 @@ impl Site {
             ClientEvent::LinkRestored => self.notice("the server is back".to_owned()),
             ClientEvent::Closed(reason) => self.closed = Some(reason),
             ClientEvent::Welcomed(welcome) => self.handle_return(&welcome)?,
-            // Displacements are for those that have no tissue of their own; this one has.
-            ClientEvent::Motion(_) | ClientEvent::Delays(_) | ClientEvent::Displacements(_) => {}
+            ClientEvent::Motion(_) | ClientEvent::Delays(_) => {}
         }
         Ok(())
     }
@@ -245,7 +257,7 @@ impl Site {
             self.to_make.push_back(operation.clone());
         }
         self.deferred.push_back(operation);
-        if self.expected.is_some() {
+        if self.expected.is_some() || self.is_thin() {
             self.apply_until(None, now)?;
         }
         while self.deferred.len() > DEFERRED_MAX && self.apply_first(now)? {}
@@ -453,7 +465,7 @@ impl Site {
     /// The newest moment of the common grid that is to be seen now; `None` when it was given already.
     /// Moments that were missed are counted.
     pub fn next_view(&mut self, now: ClientTime) -> Option<ViewFrame> {
-        let (s, delay) = self.moment(now)?;
+        let (s, delay) = self.moment_shown(now)?;
         let k = grid_index(s, self.tick_hz);
         if self.expected.is_some() || self.last_k.is_some_and(|last| k <= last) {
             return None;
@@ -475,6 +487,9 @@ impl Site {
     /// Solves [`next_view`](Self::next_view), where the view is here.
     pub fn view_step(&mut self, now: ClientTime, budget: Budget<'_>) -> Option<ViewFrame> {
         let frame = self.next_view(now)?;
+        if self.is_thin() {
+            return Some(frame);
+        }
         let view = self.replica.view_mut()?;
         view.step(frame.s, &frame.tools, budget);
         Some(frame)
@@ -482,6 +497,9 @@ impl Site {
 
     /// What was seen last and the version of its topology; `None` where the view is elsewhere.
     pub fn seen(&self) -> Option<(&Shape, u32)> {
+        if let Some(thin) = self.replica.thin_view() {
+            return Some((thin.shape(), self.replica.topology().version()));
+        }
         let view = self.replica.view()?;
         Some((view.shape(), view.topology().version()))
     }
@@ -554,24 +572,6 @@ impl Site {
         }
         self.notices.push_back(sentence);
     }
-}
-
-/// The newest point of the grid that is not after `s`.
-pub fn grid_index(s: ServerTime, tick_hz: i64) -> i64 {
-    let scaled = i128::from(s.as_micros()) * i128::from(tick_hz);
-    // k is so chosen that grid_moment(k) <= s, in spite of its rounding down.
-    let k = scaled.div_euclid(1_000_000) as i64;
-    if grid_moment(k + 1, tick_hz) <= s {
-        k + 1
-    } else {
-        k
-    }
-}
-
-/// The moment of a point of the grid, rounded down to the microsecond.
-pub fn grid_moment(k: i64, tick_hz: i64) -> ServerTime {
-    let us = i128::from(k) * 1_000_000;
-    ServerTime::from_micros(us.div_euclid(i128::from(tick_hz)) as i64)
 }
 
 #[cfg(test)]
