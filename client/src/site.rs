@@ -193,7 +193,7 @@ impl Site {
                     self.roster.insert(track.participant, sample);
                 }
             }
-            ClientEvent::Displacements(news) => self.handle_picture(&news, now),
+            ClientEvent::Displacements(news) => self.handle_picture(news, now),
             // Who is thin has nothing to correct.
             ClientEvent::Corrections(_) if self.is_thin() => {}
             ClientEvent::Corrections(corrections) => {
@@ -476,6 +476,9 @@ impl Site {
         self.last_k = Some(k);
         let s = grid_moment(k, self.tick_hz);
         self.first_view.get_or_insert(s);
+        if let Some(thin) = self.replica.thin_view_mut() {
+            thin.advance(s);
+        }
         Some(ViewFrame {
             s,
             k,

@@ -1,14 +1,18 @@
 //! The tissue as a thin subscriber shows it: nothing is computed here, the server says where its surface is.
 //!
 //! ```text
-//! told     by node: the newest that arrived, its moment and its topology
+//! waiting  what arrived, until its moment is shown: so pictures that came early or late follow each other as
+//!          they were, and what is not lost is shown at the moment that it is of
+//! told     by node: the newest of it, its moment and its topology
 //! shown    what was told, of nodes that the own topology has; a node that a cut has doubled is shown where
 //!          the one is that it came from, until it is told of itself
-//! lag      how far the newest picture is behind the common moment s: the way from the server to here
+//! lag      how far the pictures are behind the common moment s: the way from the server to here
 //! ```
 //!
 //! Tools are shown `lag` before s, so that they touch the tissue that is shown with them. A cut is applied
 //! when it arrives: the pictures that follow it are of the cut tissue. Pure: no thread, no clock.
+
+use std::collections::VecDeque;
 
 use palpate_protocol::datagram::Displacements;
 use palpate_protocol::{ServerTime, Span};
@@ -20,6 +24,10 @@ const LAG_FORGETS: i64 = 256;
 
 /// A lag beyond this is not waited for: the tools would be shown as if they stood still.
 const LAG_MAX: Span = Span::from_millis(1000);
+
+/// Pieces of pictures that wait for their moment: the longest lag of them, two a frame at 60 Hz, and as
+/// many again. Beyond, the oldest is shown early.
+const WAITING_MAX: usize = 256;
 
 /// A node has at most as many doubles as cells around it.
 const CORNERS: usize = 8;
@@ -49,11 +57,13 @@ struct Told {
 /// What is shown.
 ///
 /// Calling order: [`tell`](Self::tell) as displacements come, [`follow`](Self::follow) every cut in the
-/// order of the log.
+/// order of the log, [`advance`](Self::advance) to each moment that is shown.
 #[derive(Debug)]
 pub struct ThinView {
     topology_version: u32,
     shape: Shape,
+    /// What arrived and is not shown yet, by its moment, oldest first.
+    waiting: VecDeque<Displacements>,
     /// By node number, as far as anything was told.
     told: Vec<Option<Told>>,
     /// Nodes that the model can have at most, however it is cut.
@@ -69,6 +79,7 @@ impl ThinView {
         Self {
             topology_version: topology.version(),
             shape: Shape::rest(topology),
+            waiting: VecDeque::new(),
             told: Vec::new(),
             nodes_max: CORNERS * topology.cell_count(),
             newest: None,
@@ -78,7 +89,7 @@ impl ThinView {
     }
 
     /// What the server says; `s` is the common moment when it arrived, if that is known.
-    pub fn tell(&mut self, news: &Displacements, s: Option<ServerTime>) {
+    pub fn tell(&mut self, news: Displacements, s: Option<ServerTime>) {
         if self.newest.is_none_or(|newest| news.view_time >= newest) {
             self.newest = Some(news.view_time);
             self.counters.waiting = news.waiting;
@@ -87,6 +98,26 @@ impl ThinView {
         if let Some(s) = s {
             self.note_lag(s - news.view_time);
         }
+        let at = self
+            .waiting
+            .partition_point(|w| w.view_time <= news.view_time);
+        self.waiting.insert(at, news);
+        if self.waiting.len() > WAITING_MAX {
+            self.take_first();
+        }
+    }
+
+    /// Comes to the moment that is shown next.
+    pub fn advance(&mut self, shown: ServerTime) {
+        while self.waiting.front().is_some_and(|w| w.view_time <= shown) {
+            self.take_first();
+        }
+    }
+
+    fn take_first(&mut self) {
+        let Some(news) = self.waiting.pop_front() else {
+            return;
+        };
         for (node, displacement) in &news.nodes {
             let told = Told {
                 at: news.view_time,

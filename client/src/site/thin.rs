@@ -23,7 +23,7 @@ impl Site {
     }
 
     /// Where the server has the surface. For who computes the tissue it is no news.
-    pub(super) fn handle_picture(&mut self, news: &Displacements, now: ClientTime) {
+    pub(super) fn handle_picture(&mut self, news: Displacements, now: ClientTime) {
         let s = self.moment(now).map(|(s, _)| s);
         if let Some(thin) = self.replica.thin_view_mut() {
             thin.tell(news, s);

@@ -48,10 +48,30 @@ fn z(view: &ThinView, node: u32) -> f64 {
 fn the_newest_that_was_told_of_a_node_is_shown_in_whatever_order_it_comes() {
     let topology = topology();
     let mut view = ThinView::new(&topology);
-    view.tell(&news(0, 2000, &[(3, 2.0), (4, 2.0)]), None);
-    view.tell(&news(0, 1000, &[(3, 1.0), (5, 1.0)]), None);
+    view.tell(news(0, 2000, &[(3, 2.0), (4, 2.0)]), None);
+    view.advance(ServerTime::from_micros(2000));
+    view.tell(news(0, 1000, &[(3, 1.0), (5, 1.0)]), None);
+    view.advance(ServerTime::from_micros(2000));
     assert_eq!([3, 4, 5].map(|n| z(&view, n)), [2.0, 2.0, 1.0]);
     assert_eq!((view.counters().late, view.counters().waiting), (1, 7));
+}
+
+#[test]
+fn what_arrives_is_shown_at_its_own_moment_and_too_much_of_it_early() {
+    let topology = topology();
+    let mut view = ThinView::new(&topology);
+    view.tell(news(0, 3000, &[(3, 3.0)]), None);
+    view.tell(news(0, 2000, &[(3, 2.0)]), None);
+    let mut at = |us: i64| {
+        view.advance(ServerTime::from_micros(us));
+        z(&view, 3)
+    };
+    assert_eq!([1999, 2000, 2999, 3000].map(&mut at), [0.0, 2.0, 2.0, 3.0]);
+    for i in 0..1000 {
+        view.tell(news(0, 1_000_000 + i, &[(3, i as f32)]), None);
+    }
+    assert_eq!(view.waiting.len(), WAITING_MAX);
+    assert_eq!(z(&view, 3), (999 - WAITING_MAX) as f64);
 }
 
 #[test]
@@ -59,11 +79,12 @@ fn what_comes_before_its_cut_waits_for_it_and_a_doubled_node_begins_where_it_cam
     let mut topology = topology();
     let mut view = ThinView::new(&topology);
     let before = topology.node_count() as u32;
-    view.tell(&news(0, 1000, &[(0, 0.5)]), None);
+    view.tell(news(0, 1000, &[(0, 0.5)]), None);
     let outcome = through(&mut topology);
     let (new, from) = outcome.doubled[0];
-    view.tell(&news(0, 1000, &[(from, 1.0)]), None);
-    view.tell(&news(1, 2000, &[(0, 3.0), (new + 1, 4.0)]), None);
+    view.tell(news(0, 1000, &[(from, 1.0)]), None);
+    view.tell(news(1, 2000, &[(0, 3.0), (new + 1, 4.0)]), None);
+    view.advance(ServerTime::from_micros(2000));
     assert_eq!(view.shape().displacement.len(), before as usize);
     assert!((z(&view, 0) - 0.5).abs() < 1e-9, "of a topology to come");
     view.follow(&topology, &outcome);
@@ -75,7 +96,8 @@ fn what_comes_before_its_cut_waits_for_it_and_a_doubled_node_begins_where_it_cam
 fn a_node_that_no_topology_of_the_model_can_have_is_counted_and_takes_no_memory() {
     let topology = topology();
     let mut view = ThinView::new(&topology);
-    view.tell(&news(0, 0, &[(1, 1.0), (33_000_000, 1.0)]), None);
+    view.tell(news(0, 0, &[(1, 1.0), (33_000_000, 1.0)]), None);
+    view.advance(ServerTime::ZERO);
     assert_eq!((view.counters().told, view.counters().unknown), (1, 1));
     assert!(view.told.len() < 10);
 }
@@ -86,7 +108,7 @@ fn tools_are_shown_as_far_back_as_the_latest_picture_and_catch_up_slowly() {
     let mut view = ThinView::new(&topology);
     let mut at = |s_us: i64, behind_us: i64| {
         let s = ServerTime::from_micros(s_us);
-        view.tell(&news(0, s_us - behind_us, &[]), Some(s));
+        view.tell(news(0, s_us - behind_us, &[]), Some(s));
         view.lag().as_micros()
     };
     assert_eq!(at(0, 50_000), 50_000);
