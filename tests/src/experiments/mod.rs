@@ -16,6 +16,7 @@ mod replicas;
 mod samples;
 mod soft_hard;
 mod table_7_1;
+mod thin;
 mod tool_paths;
 
 use std::path::Path;
@@ -168,6 +169,15 @@ pub const ALL: &[Experiment] = &[
             motion: false,
         },
         run: replicas::run,
+    },
+    Experiment {
+        name: "thin",
+        about: "a spectator who computes no tissue: how far what is shown is from the server's shape, and what it costs",
+        takes: Takes {
+            model: true,
+            ..Takes::NETWORKS
+        },
+        run: thin::run,
     },
     Experiment {
         name: "table-7-1",
