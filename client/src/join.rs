@@ -126,7 +126,7 @@ impl Parts {
         }
         let site = beneath(|| match options.subscription {
             Subscription::Full => Site::new(welcome, model, blade),
-            Subscription::Thin => Site::thin(welcome, model),
+            Subscription::Thin => Site::thin(welcome, model, None),
         });
         let start = ScriptStart::not_yet();
         let (mut haptics, mut motion, mut hand) = (None, None, None);

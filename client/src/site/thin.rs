@@ -12,9 +12,10 @@ use crate::replica::Replica;
 use crate::thin::ThinView;
 
 impl Site {
-    /// A site that computes no tissue, for a thin subscription.
-    pub fn thin(welcome: &Welcome, model: Arc<Model>) -> Self {
-        Self::with(welcome, Replica::thin(model), None)
+    /// A site that computes no tissue, for a thin subscription. Only a laboratory gives it a blade, for a
+    /// hand that moves and feels nothing.
+    pub fn thin(welcome: &Welcome, model: Arc<Model>, blade_length_m: Option<f64>) -> Self {
+        Self::with(welcome, Replica::thin(model), blade_length_m)
     }
 
     /// Whether it computes no tissue.

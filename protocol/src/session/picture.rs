@@ -226,7 +226,10 @@ impl PictureStream {
         let overdue = self.overdue();
         while let Some(first) = self.flights.front() {
             let is_lost = now - first.sent > overdue || self.flights.len() > ON_THE_WAY_MAX;
-            let Some(flight) = self.flights.pop_front_if(|_| is_lost) else {
+            if !is_lost {
+                return;
+            }
+            let Some(flight) = self.flights.pop_front() else {
                 return;
             };
             for node in flight.nodes {

@@ -289,6 +289,7 @@ fn session(
     let rehearsal = Rehearsal {
         model,
         scripts,
+        motion_only: false,
         onlookers: 0,
         profile,
         seed: base.wrapping_mul(1_000_003).wrapping_add(seed),

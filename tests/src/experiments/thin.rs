@@ -54,6 +54,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         let rehearsal = Rehearsal {
             model: &model,
             scripts: &scripts,
+            motion_only: true,
             onlookers: 1,
             profile,
             seed: bench.seed,

@@ -39,6 +39,8 @@ pub(super) struct Guest {
     model: Arc<Model>,
     script: ScriptStart,
     blade_length_m: Option<f64>,
+    /// Whether it has a tissue of its own.
+    solves: bool,
     hand: HandLoop,
     contact: ContactModel,
     session: ClientSession,
@@ -80,6 +82,7 @@ impl Guest {
             model,
             blade_length_m: (script.tool().length_m > 0.0).then_some(script.tool().length_m),
             script: start,
+            solves: true,
             hand,
             contact: ContactModel::free_at(now, 0),
             session: ClientSession::new(hello, now).map_err(|e| e.to_string())?,
@@ -94,6 +97,14 @@ impl Guest {
             trouble: None,
             clock,
         })
+    }
+
+    /// Lets it only move: it computes no tissue, feels nothing and sees what nobody looks at.
+    pub(super) fn only_moving(self) -> Self {
+        Self {
+            solves: false,
+            ..self
+        }
     }
 
     /// Bytes of the operations stream, at a moment of true time.
@@ -169,7 +180,8 @@ impl Guest {
                 ClientEvent::Welcomed(welcome) => {
                     self.recording.participant = welcome.participant.0;
                     let model = Arc::clone(&self.model);
-                    self.site = Some(Site::new(welcome, model, self.blade_length_m));
+                    let new = if self.solves { Site::new } else { Site::thin };
+                    self.site = Some(new(welcome, model, self.blade_length_m));
                 }
                 ClientEvent::LinkLost => self.link_lost = true,
                 ClientEvent::LinkRestored => self.link_lost = false,

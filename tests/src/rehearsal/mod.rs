@@ -52,6 +52,9 @@ pub struct Rehearsal<'a> {
     pub model: &'a Arc<Model>,
     /// One trainee per script, named by its place.
     pub scripts: &'a [&'a Script],
+    /// Whether they only move, and neither feel nor compute the tissue: where only the server's shape
+    /// is looked at, for a fraction of the time.
+    pub motion_only: bool,
     /// Thin spectators beside them.
     pub onlookers: usize,
     /// The network between the server and each of them.
@@ -109,7 +112,12 @@ impl Rehearsal<'_> {
             let name = format!("trainee-{}", seat + 1);
             let clock = SiteClock::of(self.seed, seat);
             let model = Arc::clone(self.model);
-            guests.push(Guest::new(seat, &name, grant, model, script, clock)?);
+            let guest = Guest::new(seat, &name, grant, model, script, clock)?;
+            guests.push(if self.motion_only {
+                guest.only_moving()
+            } else {
+                guest
+            });
         }
         let onlooker = |seat| {
             let clock = SiteClock::of(self.seed, seat);

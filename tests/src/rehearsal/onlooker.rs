@@ -123,7 +123,7 @@ impl Onlooker {
         while let Some(event) = self.session.poll_event() {
             match &event {
                 ClientEvent::Welcomed(welcome) => {
-                    self.site = Some(Site::thin(welcome, Arc::clone(&self.model)));
+                    self.site = Some(Site::thin(welcome, Arc::clone(&self.model), None));
                 }
                 ClientEvent::Closed(reason) => {
                     self.trouble.get_or_insert(reason.to_string());

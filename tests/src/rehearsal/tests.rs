@@ -26,6 +26,7 @@ fn rehearse(model: &Arc<Model>, scripts: &Scripts, profile: &Profile, seed: u64)
     let rehearsal = Rehearsal {
         model,
         scripts: &scripts,
+        motion_only: false,
         onlookers: 1,
         profile,
         seed,
