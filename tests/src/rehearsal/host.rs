@@ -112,7 +112,10 @@ impl Host {
 
     /// Bytes to a thin subscriber so far, with what is around them.
     pub(super) fn bytes_to(&self, seat: usize) -> u64 {
-        let stats = self.peers.get(&key(seat)).and_then(|p| p.picture_stats());
+        let stats = self
+            .peers
+            .get(&key(seat))
+            .and_then(ServerPeer::picture_stats);
         stats.map_or(0, |s| s.bytes)
     }
 

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use palpate_client::site::Site;
+use palpate_client::thin::ThinView;
 use palpate_protocol::handshake::{Hello, Subscription};
 use palpate_protocol::session::{ClientEvent, ClientSession, Picture};
 use palpate_protocol::{Grant, Role, ServerTime};
@@ -218,7 +219,7 @@ impl Onlooker {
             compare(picture, shape, &self.at_first, &mut rest);
         }
         let thin = self.site.as_ref().and_then(|s| s.replica().thin_view());
-        let counters = thin.map(|t| t.counters()).unwrap_or_default();
+        let counters = thin.map(ThinView::counters).unwrap_or_default();
         let nodes = (counters.told - told) as f64 / seconds;
         Onlooked {
             apart_mm: DistancesMm::of(&mut self.apart_mm),
