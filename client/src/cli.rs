@@ -7,6 +7,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::{Parser, Subcommand};
+use palpate_protocol::handshake::Subscription;
 use tracing_subscriber::EnvFilter;
 
 use crate::devices::{self, DeviceChoice, DevicesArguments, Sources};
@@ -23,6 +24,9 @@ Examples:
 
   Only look, for ten seconds:
     palpate-client join \"palpate://192.168.1.20:4433/spectator?cert=...&grant=...\" --duration 10
+
+  Only look, on a machine that is too slow for the tissue:
+    palpate-client join \"palpate://192.168.1.20:4433/spectator?cert=...&grant=...\" --subscription thin
 
   Figures for a program on standard output, everything else on standard error:
     palpate-client join LINK --script press.toml --duration 20 --json > run.json
@@ -75,6 +79,10 @@ struct JoinArguments {
     /// tool is that of --script then, or a ball of 8 mm radius
     #[arg(long, value_name = "FILE")]
     motion: Option<PathBuf>,
+    /// What of the tissue to be sent: full (tools and cuts; this machine computes the tissue) or thin (where its surface is,
+    /// 60 times a second, within 0.05 mm and 1 Mbit/s; this machine computes nothing). Thin is for spectators
+    #[arg(long, value_name = "full|thin", default_value = "full")]
+    subscription: Subscription,
     /// Leave after so many seconds; without it, stay until the session ends or Ctrl-C
     #[arg(long, value_name = "S", value_parser = seconds)]
     duration: Option<Duration>,
@@ -100,6 +108,7 @@ impl JoinArguments {
             StatusKind::Stdout
         };
         JoinOptions {
+            subscription: self.subscription,
             device: self.device.kind,
             device_id: self.device.which,
             sources: Sources::from_environment(),
@@ -198,8 +207,7 @@ mod tests {
 
     #[test]
     fn options_reach_the_run() {
-        let line =
-            "palpate-client join L --name Ada --script s.toml --duration 2.5 --json --no-realtime";
+        let line = "palpate-client join L --name Ada --script s.toml --duration 2.5 --json --no-realtime --subscription thin";
         let Command::Join(arguments) = Arguments::parse_from(line.split(' ')).command else {
             panic!("join was asked for");
         };
@@ -207,6 +215,7 @@ mod tests {
         assert_eq!((options.link.as_str(), options.name.as_str()), ("L", "Ada"));
         assert_eq!(options.duration, Some(Duration::from_millis(2500)));
         assert_eq!(options.status, StatusKind::Stderr);
+        assert_eq!(options.subscription, Subscription::Thin);
         assert!(!options.realtime && options.catch_signals);
     }
 

@@ -40,6 +40,12 @@ pub enum ClientError {
          simulated hand needs a script to follow: add --script FILE, or --motion FILE to replay a recorded motion"
     )]
     NoScript(Role),
+    /// A thin subscription for a role with a tool.
+    #[error(
+        "--subscription thin has no tissue of its own to feel, and the role {0} holds a tool: what it felt would be a round \
+         trip old; leave the option out, or join with a spectator's link"
+    )]
+    ThinTool(Role),
     /// The device can not be opened.
     #[error(transparent)]
     Device(#[from] DeviceError),
@@ -129,6 +135,7 @@ impl ClientError {
             | Self::Script { .. }
             | Self::Motion { .. }
             | Self::NoScript(_)
+            | Self::ThinTool(_)
             | Self::Device(_) => 2,
             _ => 1,
         }

@@ -7,7 +7,7 @@ use palpate_device::backend::sim::ScriptStart;
 use palpate_device::script::ToolKind;
 use palpate_haptics::{Chain, ChainConfig};
 use palpate_protocol::JoinLink;
-use palpate_protocol::handshake::{Hello, Welcome};
+use palpate_protocol::handshake::{Hello, Subscription, Welcome};
 use palpate_tissue::decode_model;
 
 use crate::convert::tool_description;
@@ -28,6 +28,10 @@ use crate::{ClientError, JoinOptions, Summary};
 /// Joins a session and stays until it ends, the duration is over or `stop` is set.
 pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
     let link: JoinLink = options.link.parse()?;
+    let is_thin = options.subscription == Subscription::Thin;
+    if is_thin && link.role.has_tool() {
+        return Err(ClientError::ThinTool(link.role));
+    }
     let guide = Guide::load(options, link.role)?;
     let mut held = None;
     if let Some(guide) = &guide {
@@ -44,6 +48,7 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
         role: link.role,
         grant: link.grant,
         tool: guide.as_ref().map(|g| tool_description(&g.tool)),
+        subscription: options.subscription,
         resume: None,
     };
     let mut status = Status::new(options.status, monotonic_now());
@@ -73,6 +78,7 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
         status,
         seen: Condition::default(),
         began: monotonic_now(),
+        came: (0, monotonic_now()),
     };
     session.greet();
     let ending = session.supervise();
@@ -118,7 +124,10 @@ impl Parts {
         if let Some(guide) = &mut guide {
             guide.find_place(&model);
         }
-        let site = beneath(|| Site::new(welcome, model, blade));
+        let site = beneath(|| match options.subscription {
+            Subscription::Full => Site::new(welcome, model, blade),
+            Subscription::Thin => Site::thin(welcome, model, None),
+        });
         let start = ScriptStart::not_yet();
         let (mut haptics, mut motion, mut hand) = (None, None, None);
         let mut name = "none".to_owned();

@@ -41,6 +41,7 @@ mod solve;
 mod status;
 pub mod stroke;
 mod summary;
+pub mod thin;
 pub mod view;
 
 pub use devices::{DeviceError, DeviceKind, OwnedError, Sources};

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use palpate_protocol::handshake::SEAT_KEPT;
+use palpate_protocol::handshake::{SEAT_KEPT, Subscription};
 
 use crate::{DeviceKind, Sources};
 
@@ -28,6 +28,8 @@ pub struct JoinOptions {
     pub link: String,
     /// The name that others see.
     pub name: String,
+    /// Whether this machine computes the tissue, or is sent where its surface is.
+    pub subscription: Subscription,
     /// The device to hold, for roles with a tool.
     pub device: DeviceKind,
     /// Which of several devices of a kind, as `devices` lists it.
@@ -61,6 +63,7 @@ impl JoinOptions {
         Self {
             link: link.into(),
             name: name.into(),
+            subscription: Subscription::Full,
             device: DeviceKind::Auto,
             device_id: None,
             sources: Sources::default(),

@@ -19,9 +19,10 @@ use palpate_tissue::{
     Budget, CutOutcome, Model, Reaction, Shape, Solver, Successor, Tool, Topology,
 };
 
-use crate::ahead::{Ahead, ReadyCut, ReplicaError};
+use crate::ahead::{Ahead, ReadyCut, ReplicaError, cut_as_told};
 use crate::felt::{contact_model, unusable};
 use crate::roster::{ToolAt, gather};
+use crate::thin::ThinView;
 use crate::view::{View, ViewCut};
 
 /// From one solve of what the hand feels to the next.
@@ -94,8 +95,10 @@ pub struct Replica {
     topology: Arc<Topology>,
     /// `None` for who only looks.
     haptic: Option<Side>,
-    /// `None` when it is elsewhere.
+    /// `None` when it is elsewhere, or for who is thin.
     view: Option<View>,
+    /// What is shown to who has no tissue that is computed; then nothing of the above is there.
+    thin: Option<ThinView>,
     tools: Vec<Tool>,
     others: Others,
 }
@@ -108,10 +111,34 @@ impl Replica {
         Self {
             haptic: with_hand.then(|| view.another_side()),
             view: Some(view),
+            thin: None,
             topology,
             tools: Vec::new(),
             others: Others::default(),
         }
+    }
+
+    /// The uncut tissue for a thin subscriber: cuts are made, nothing is solved.
+    pub fn thin(model: Arc<Model>) -> Self {
+        let topology = Arc::new(Topology::new(model));
+        Self {
+            haptic: None,
+            view: None,
+            thin: Some(ThinView::new(&topology)),
+            topology,
+            tools: Vec::new(),
+            others: Others::default(),
+        }
+    }
+
+    /// What a thin subscriber shows; `None` for who computes the tissue.
+    pub fn thin_view(&self) -> Option<&ThinView> {
+        self.thin.as_ref()
+    }
+
+    /// The same, to tell it news.
+    pub fn thin_view_mut(&mut self) -> Option<&mut ThinView> {
+        self.thin.as_mut()
     }
 
     /// The topology of both shapes.
@@ -153,6 +180,13 @@ impl Replica {
     pub fn apply(&mut self, operation: &Operation) -> Result<Option<ViewCut>, ReplicaError> {
         // What makes cuts costs milliseconds to set up: not for who joins or leaves.
         if !matches!(operation.kind, OperationKind::Cut(_)) {
+            return Ok(None);
+        }
+        if let Some(thin) = &mut self.thin {
+            let outcome = cut_as_told(&mut self.topology, operation)?;
+            if let Some(outcome) = outcome {
+                thin.follow(&self.topology, &outcome);
+            }
             return Ok(None);
         }
         let mut ahead = self.ahead().ok_or_else(|| ReplicaError::Ended {

@@ -31,6 +31,8 @@ pub(crate) struct Session<'a> {
     /// How the connection did when it was last looked at.
     pub(crate) seen: Condition,
     pub(crate) began: ClientTime,
+    /// Bytes that had come from the server when the status line was last written, and when that was.
+    pub(crate) came: (u64, ClientTime),
 }
 
 impl Session<'_> {
@@ -129,8 +131,16 @@ impl Session<'_> {
                 force_n: stats.force_n,
             }
         });
-        let link = self.network.stats.borrow().link;
+        let stats = *self.network.stats.borrow();
+        let link = stats.link;
+        let now = monotonic_now();
+        let (bytes, since) = std::mem::replace(&mut self.came, (stats.path.received_bytes, now));
+        // Fewer than before are those of another connection.
+        let came = stats.path.received_bytes.saturating_sub(bytes);
+        let seconds = (now - since).as_secs_f64().max(1e-3);
         Figures {
+            down_kbit_s: came as f64 * 8e-3 / seconds,
+            thin_waiting: progress.thin.map(|t| t.waiting),
             seconds: stayed.as_secs_f64(),
             hand,
             rtt_ms: link.rtt.map(Span::as_millis_f64),
@@ -150,6 +160,7 @@ impl Session<'_> {
         let mut summary = Summary {
             name: self.options.name.clone(),
             role: self.network.welcome.role.word().to_owned(),
+            subscription: self.options.subscription.word().to_owned(),
             participant: self.network.welcome.participant.0,
             device: self.parts.device,
             reconnects: self.network.condition.borrow().returns,
@@ -165,6 +176,8 @@ impl Session<'_> {
         }
         let solved = self.parts.replica.stop();
         let stats = self.network.leave();
+        let stayed = (monotonic_now() - self.began).as_secs_f64().max(1e-3);
+        summary.down_kbit_s = stats.path.received_bytes as f64 * 8e-3 / stayed;
         summary.rtt_ms = stats.link.rtt.map(Span::as_millis_f64);
         summary.loss = stats.link.loss_in();
         if let Some(haptics) = &haptics {
@@ -209,6 +222,7 @@ impl Summary {
         self.demotions = solved.counters.demotions;
         self.haptic_solves = solved.haptic_solves;
         self.haptic_solve_ms = solved.haptic_solve_ms;
+        self.nodes_waiting_max = solved.thin.map(|t| t.waiting_max);
         self.view_solves = solved.view_solves;
         self.view_ms = solved.view_ms;
         self.seconds = solved.seconds;

@@ -13,6 +13,7 @@ mod anew;
 mod applying;
 mod grid;
 mod resync;
+mod thin;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -32,7 +33,6 @@ use palpate_protocol::{
 use palpate_tissue::{Budget, Model, Shape};
 
 use anew::Anew;
-use grid::{grid_index, grid_moment};
 use resync::Resync;
 
 pub use resync::{DRIFT_MAX_M, RESYNCS_MAX};
@@ -43,6 +43,8 @@ use crate::replica::Replica;
 use crate::roster::{Roster, ToolAt};
 use crate::stroke::StrokeCollector;
 use crate::view::{View, ViewCut};
+
+pub use grid::{grid_index, grid_moment};
 
 /// Operations that wait for their moment. They wait for D, 0.2 s, so this is never reached; beyond
 /// it the oldest is applied early.
@@ -156,9 +158,14 @@ impl Site {
     /// A site after its welcome, with the uncut model. `blade_length_m` is that of one's own blade,
     /// if one holds a blade.
     pub fn new(welcome: &Welcome, model: Arc<Model>, blade_length_m: Option<f64>) -> Self {
+        let replica = Replica::new(model, welcome.role.has_tool());
+        Self::with(welcome, replica, blade_length_m)
+    }
+
+    fn with(welcome: &Welcome, replica: Replica, blade_length_m: Option<f64>) -> Self {
         Self {
             me: welcome.participant,
-            replica: Replica::new(model, welcome.role.has_tool()),
+            replica,
             roster: Roster::new(&welcome.roster),
             schedule: DelaySchedule::new(&welcome.compensation),
             clock: None,
@@ -222,6 +229,9 @@ impl Site {
                     self.roster.insert(track.participant, sample);
                 }
             }
+            ClientEvent::Displacements(news) => self.handle_picture(news, now),
+            // Who is thin has nothing to correct.
+            ClientEvent::Corrections(_) if self.is_thin() => {}
             ClientEvent::Corrections(corrections) => {
                 if let Some(view) = self.replica.view_mut() {
                     if let Some(drift) = view.correct(&corrections) {
@@ -237,8 +247,7 @@ impl Site {
             ClientEvent::LinkRestored => self.notice("the server is back".to_owned()),
             ClientEvent::Closed(reason) => self.closed = Some(reason),
             ClientEvent::Welcomed(welcome) => self.handle_return(&welcome, now)?,
-            // Displacements are for those that have no tissue of their own; this one has.
-            ClientEvent::Motion(_) | ClientEvent::Delays(_) | ClientEvent::Displacements(_) => {}
+            ClientEvent::Motion(_) | ClientEvent::Delays(_) => {}
         }
         Ok(())
     }
@@ -269,7 +278,7 @@ impl Site {
             self.to_make.push_back(operation.clone());
         }
         self.deferred.push_back(operation);
-        if self.expected.is_some() {
+        if self.expected.is_some() || self.is_thin() {
             self.apply_until(None, now)?;
         }
         while self.deferred.len() > DEFERRED_MAX && self.apply_first(now)? {}
@@ -361,7 +370,7 @@ impl Site {
     /// The newest moment of the common grid that is to be seen now; `None` when it was given already.
     /// Moments that were missed are counted.
     pub fn next_view(&mut self, now: ClientTime) -> Option<ViewFrame> {
-        let (s, delay) = self.moment(now)?;
+        let (s, delay) = self.moment_shown(now)?;
         let k = grid_index(s, self.tick_hz);
         if self.expected.is_some()
             || self.is_resyncing()
@@ -378,6 +387,9 @@ impl Site {
         if self.roster.is_made_up(s) {
             self.made_up = Some(s);
         }
+        if let Some(thin) = self.replica.thin_view_mut() {
+            thin.advance(s);
+        }
         Some(ViewFrame {
             s,
             k,
@@ -389,6 +401,9 @@ impl Site {
     /// Solves [`next_view`](Self::next_view), where the view is here.
     pub fn view_step(&mut self, now: ClientTime, budget: Budget<'_>) -> Option<ViewFrame> {
         let frame = self.next_view(now)?;
+        if self.is_thin() {
+            return Some(frame);
+        }
         let view = self.replica.view_mut()?;
         view.step(frame.s, &frame.tools, budget);
         Some(frame)
@@ -396,6 +411,9 @@ impl Site {
 
     /// What was seen last and the version of its topology; `None` where the view is elsewhere.
     pub fn seen(&self) -> Option<(&Shape, u32)> {
+        if let Some(thin) = self.replica.thin_view() {
+            return Some((thin.shape(), self.replica.topology().version()));
+        }
         let view = self.replica.view()?;
         Some((view.shape(), view.topology().version()))
     }

@@ -27,7 +27,8 @@ use crate::realtime::{
 use crate::recording::{Recording, VIEW_HZ};
 use crate::replica::{HAPTIC_PERIOD, HAPTIC_WORK, hand_budget};
 use crate::site::{Site, SiteCounters, SiteError, ViewNews};
-use crate::view::{Order, ViewReport, ViewThread};
+use crate::thin::{ThinCounters, ThinView};
+use crate::view::{Order, ViewReport, ViewThread, record};
 
 /// How much the thread gives way to the network and the screen.
 const NICE: i32 = 2;
@@ -97,6 +98,8 @@ pub(crate) struct Progress {
     pub(crate) link_lost: bool,
     pub(crate) part: Part,
     pub(crate) notice: Option<String>,
+    /// What a thin view counted; `None` where the tissue is computed.
+    pub(crate) thin: Option<ThinCounters>,
     /// The end of the session, once it has come.
     pub(crate) end: Option<End>,
 }
@@ -111,6 +114,7 @@ pub(crate) enum End {
 /// What the thread leaves behind.
 pub(crate) struct Solved {
     pub(crate) counters: SiteCounters,
+    pub(crate) thin: Option<ThinCounters>,
     pub(crate) topology_version: u32,
     pub(crate) topology_hash: String,
     pub(crate) haptic_solves: u64,
@@ -359,6 +363,9 @@ impl Turns {
 
     /// Has the newest view solved, unless the last one is not done yet.
     fn view(&mut self) {
+        if self.work.site.is_thin() {
+            return self.thin_view();
+        }
         let Some(helpers) = &mut self.helpers else {
             return;
         };
@@ -375,6 +382,22 @@ impl Turns {
             let every = self.work.record_every;
             let is_recorded = every.is_some_and(|n| frame.k % n == 0);
             helpers.view.order(Order::Show(frame, is_recorded));
+        }
+    }
+
+    /// Shows what the server said: there is nothing to solve.
+    fn thin_view(&mut self) {
+        let Some(frame) = self.work.site.next_view(monotonic_now()) else {
+            return;
+        };
+        self.first_view.get_or_insert_with(monotonic_now);
+        let every = self.work.record_every;
+        if every.is_some_and(|n| frame.k % n == 0)
+            && let Some((shape, version)) = self.work.site.seen()
+        {
+            let record = record(&frame, shape, version);
+            let nodes = &mut self.recorded_nodes;
+            self.work.recording.push_view(record, nodes);
         }
     }
 
@@ -413,6 +436,7 @@ impl Turns {
         progress.here = site.roster().len();
         progress.link_lost = self.link_lost;
         progress.part = Part::of(site);
+        progress.thin = site.replica().thin_view().map(ThinView::counters);
         progress.notice = notice.or(progress.notice.take());
         progress.end.clone_from(&self.end);
     }
@@ -422,6 +446,7 @@ impl Turns {
         let since = |first: ClientTime| (monotonic_now() - first).as_secs_f64();
         Solved {
             counters: self.work.site.counters(),
+            thin: self.work.site.replica().thin_view().map(ThinView::counters),
             topology_version: topology.version(),
             topology_hash: topology.hash().to_string(),
             haptic_solves: self.haptic_us.len(),

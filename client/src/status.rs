@@ -31,6 +31,10 @@ pub(crate) struct Figures {
     pub(crate) topology_version: u32,
     pub(crate) link_lost: bool,
     pub(crate) part: Part,
+    /// Everything that comes from the server, kbit/s of UDP payload.
+    pub(crate) down_kbit_s: f64,
+    /// Nodes that wait for room at the server; `None` where the tissue is computed here.
+    pub(crate) thin_waiting: Option<u32>,
 }
 
 /// The figures of the force loop.
@@ -63,8 +67,12 @@ impl Figures {
             Part::Resyncs => " | RESYNC, no force",
             Part::Watches => " | WATCHING, the network is too slow",
         };
+        let subscription = match self.thin_waiting {
+            None => format!("full {:.0} kbit/s", self.down_kbit_s),
+            Some(n) => format!("thin {:.0} kbit/s, {n} nodes wait", self.down_kbit_s),
+        };
         format!(
-            "{:6.1} s | {hand}rtt {rtt}, loss {:4.1} %, D {:5.1} ms | {} here, {} cuts{link_lost}{part}",
+            "{:6.1} s | {hand}rtt {rtt}, loss {:4.1} %, D {:5.1} ms | {subscription} | {} here, {} cuts{link_lost}{part}",
             self.seconds,
             self.loss * 100.0,
             self.delay_ms,
@@ -194,9 +202,12 @@ mod tests {
         ] {
             assert!(line.contains(part), "{line}");
         }
+        assert!(line.contains("full") && !line.contains("wait"), "{line}");
         figures.hand = None;
         figures.link_lost = true;
+        (figures.thin_waiting, figures.down_kbit_s) = (Some(31), 812.4);
         let line = figures.line();
+        assert!(line.contains("thin 812 kbit/s, 31 nodes wait"), "{line}");
         assert!(!line.contains("Hz") && line.contains("LINK LOST"), "{line}");
         for (part, word) in [(Part::Resyncs, "RESYNC"), (Part::Watches, "WATCHING")] {
             figures.part = part;

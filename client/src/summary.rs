@@ -14,6 +14,15 @@ pub struct Summary {
     pub name: String,
     /// The word for the role.
     pub role: String,
+    /// The word for what of the tissue was sent: full or thin.
+    #[serde(default)]
+    pub subscription: String,
+    /// Everything that came from the server over the last connection, without the model, kbit/s of UDP payload.
+    #[serde(default)]
+    pub down_kbit_s: f64,
+    /// The most nodes that waited at the server for room; `None` where the tissue was computed here.
+    #[serde(default)]
+    pub nodes_waiting_max: Option<u32>,
     /// The participant's number.
     pub participant: u16,
     /// Ticks of the force loop.
@@ -249,6 +258,14 @@ impl fmt::Display for Summary {
             self.loss * 100.0,
             self.compensation_ms,
             ms(self.clock_error_bound_ms)
+        )?;
+        let waiting = self
+            .nodes_waiting_max
+            .map_or(String::new(), |n| format!(", at most {n} nodes waited"));
+        writeln!(
+            f,
+            "  subscribed   {}, {:.0} kbit/s from the server{waiting}",
+            self.subscription, self.down_kbit_s
         )?;
         writeln!(
             f,

@@ -10,7 +10,7 @@ use crate::datagram::{
     Reply, Tag,
 };
 use crate::handshake::{
-    Hello, ModelInfo, RefusalReason, Refused, Resume, Role, RosterEntry, Welcome,
+    Hello, ModelInfo, RefusalReason, Refused, Resume, Role, RosterEntry, Subscription, Welcome,
 };
 use crate::operation::{
     BladePoint, CompensationMode, CompensationSettings, CutStroke, LeaveReason, Operation,
@@ -75,6 +75,7 @@ pub fn client_messages() -> Vec<Example<ClientMessage>> {
         grant: Grant([0x11; 16]),
         tool: Some(SCALPEL),
         resume,
+        subscription: Subscription::Full,
     };
     let resume = Resume {
         participant: TAG.stream,
@@ -261,6 +262,7 @@ pub fn datagrams() -> Vec<Example<Datagram>> {
         })
     };
     let displacements = Body::Displacements(Displacements {
+        waiting: 12,
         step_um: 50,
         topology_version: 1,
         view_time: ms(9010),

@@ -141,6 +141,56 @@ impl FromStr for Role {
     }
 }
 
+/// What of the tissue a participant is sent.
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize,
+)]
+pub enum Subscription {
+    /// Tools, operations and corrections, from which it computes the tissue itself.
+    #[default]
+    Full,
+    /// Where the nodes in view are; it computes nothing. For roles without a tool.
+    Thin,
+}
+
+impl Subscription {
+    /// Both, in the order in which they are listed to people.
+    pub const ALL: [Self; 2] = [Self::Full, Self::Thin];
+
+    /// The word for it on command lines and screens.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Full => "full",
+            Self::Thin => "thin",
+        }
+    }
+}
+
+impl fmt::Display for Subscription {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.word())
+    }
+}
+
+/// A word that names no subscription.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "\"{0}\" is no subscription; there are full (this machine computes the tissue) and thin (the server \
+     sends where its surface is, for who only looks)"
+)]
+pub struct UnknownSubscription(pub String);
+
+impl FromStr for Subscription {
+    type Err = UnknownSubscription;
+
+    fn from_str(s: &str) -> Result<Self, UnknownSubscription> {
+        Self::ALL
+            .into_iter()
+            .find(|x| x.word() == s)
+            .ok_or_else(|| UnknownSubscription(s.to_owned()))
+    }
+}
+
 /// A client's first message: who wants in, as what.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Hello {
@@ -152,6 +202,8 @@ pub struct Hello {
     pub grant: Grant,
     /// The tool the participant will hold, for roles that have one.
     pub tool: Option<ToolDescription>,
+    /// What of the tissue it wants to be sent.
+    pub subscription: Subscription,
     /// To take a lost seat again.
     pub resume: Option<Resume>,
 }
@@ -308,6 +360,15 @@ pub enum RefusalReason {
         "the role {role} needs a tool with a radius between 0.1 mm and 100 mm, and with the length and width of its kind (at most 500 mm)"
     )]
     BadTool {
+        /// The role asked for.
+        role: Role,
+    },
+    /// A thin subscription for somebody with a tool.
+    #[error(
+        "a thin subscription has no tissue of its own to feel, and the role {role} holds a tool: what it felt would be \
+         a round trip old; join with the subscription full, or as a spectator"
+    )]
+    ThinTool {
         /// The role asked for.
         role: Role,
     },

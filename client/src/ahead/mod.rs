@@ -83,32 +83,9 @@ impl Ahead {
     /// Makes the cut of an operation, in the order of the log. `None` when it is none: nothing else
     /// changes the tissue. Version and hash are then the operation's, or it is an error.
     pub fn make(&mut self, operation: &Operation) -> Result<Option<ReadyCut>, ReplicaError> {
-        let OperationKind::Cut(stroke) = &operation.kind else {
+        let Some(outcome) = cut_as_told(&mut self.topology, operation)? else {
             return Ok(None);
         };
-        let name = || operation.id.to_string();
-        if self.topology.version() != operation.topology_version_before {
-            return Err(ReplicaError::Version {
-                operation: name(),
-                expected: operation.topology_version_before,
-                found: self.topology.version(),
-            });
-        }
-        let topology = Arc::make_mut(&mut self.topology);
-        let outcome = cut(topology, &tissue_stroke(stroke)).map_err(|e| ReplicaError::Cut {
-            operation: name(),
-            why: e.to_string(),
-        })?;
-        let found = topology.hash();
-        if found.0 != operation.hash_after.0
-            || topology.version() != operation.topology_version_after
-        {
-            return Err(ReplicaError::Hash {
-                operation: name(),
-                expected: operation.hash_after,
-                found,
-            });
-        }
         self.follower.follow(&self.topology, &outcome.touched);
         let successor = || self.follower.successor(&self.topology);
         Ok(Some(ReadyCut {
@@ -118,4 +95,37 @@ impl Ahead {
             outcome,
         }))
     }
+}
+
+/// Makes the cut of an operation in a topology. `None` when it is none; version and hash are then the
+/// operation's, or it is an error.
+pub(crate) fn cut_as_told(
+    topology: &mut Arc<Topology>,
+    operation: &Operation,
+) -> Result<Option<CutOutcome>, ReplicaError> {
+    let OperationKind::Cut(stroke) = &operation.kind else {
+        return Ok(None);
+    };
+    let name = || operation.id.to_string();
+    if topology.version() != operation.topology_version_before {
+        return Err(ReplicaError::Version {
+            operation: name(),
+            expected: operation.topology_version_before,
+            found: topology.version(),
+        });
+    }
+    let topology = Arc::make_mut(topology);
+    let outcome = cut(topology, &tissue_stroke(stroke)).map_err(|e| ReplicaError::Cut {
+        operation: name(),
+        why: e.to_string(),
+    })?;
+    let found = topology.hash();
+    if found.0 != operation.hash_after.0 || topology.version() != operation.topology_version_after {
+        return Err(ReplicaError::Hash {
+            operation: name(),
+            expected: operation.hash_after,
+            found,
+        });
+    }
+    Ok(Some(outcome))
 }

@@ -13,7 +13,7 @@ use palpate_tissue::{
     Budget, CutOutcome, Follower, Shape, StepReport, Successor, Tool, Topology, Vec3,
 };
 
-pub(crate) use thread::{Order, ViewReport, ViewThread};
+pub(crate) use thread::{Order, ViewReport, ViewThread, record};
 
 use crate::history::History;
 use crate::replica::Side;

@@ -5,7 +5,7 @@ use std::thread::JoinHandle;
 
 use palpate_protocol::datagram::Corrections;
 use palpate_protocol::{ClientTime, ServerTime, Span};
-use palpate_tissue::Budget;
+use palpate_tissue::{Budget, Shape};
 
 use super::{Drift, VIEW_TOLERANCE, View, ViewCut};
 use crate::realtime::{lower_priority_of_this_thread, monotonic_now, worked};
@@ -152,12 +152,16 @@ fn show(view: &mut View, frame: &ViewFrame, is_recorded: bool) -> ViewReport {
     ViewReport::Shown {
         began,
         took,
-        record: is_recorded.then(|| Box::new(record(view, frame))),
+        record: is_recorded.then(|| {
+            let version = view.topology().version();
+            Box::new(record(frame, view.shape(), version))
+        }),
     }
 }
 
-fn record(view: &View, frame: &ViewFrame) -> ViewRecord {
-    let moved = view.shape().displacement.iter().enumerate();
+/// What is shown of a moment, for a recording.
+pub(crate) fn record(frame: &ViewFrame, shape: &Shape, topology_version: u32) -> ViewRecord {
+    let moved = shape.displacement.iter().enumerate();
     ViewRecord {
         s_us: frame.s.as_micros(),
         shown_us: monotonic_now().as_micros(),
@@ -172,6 +176,6 @@ fn record(view: &View, frame: &ViewFrame) -> ViewRecord {
             })
             .collect(),
         nodes: choose_nodes(moved.map(|(n, u)| (n as u32, (*u).into()))),
-        topology_version: view.topology().version(),
+        topology_version,
     }
 }

@@ -196,6 +196,7 @@ impl Datagram {
                 let frame = Frame {
                     topology_version: x.topology_version,
                     view_time: x.view_time,
+                    waiting: 0,
                 };
                 let nodes = Nodes::of(shape::FINE_STEP_UM, &x.nodes);
                 let mut c = RangeEncoder::after(w.into_vec());
@@ -206,6 +207,7 @@ impl Datagram {
                 let frame = Frame {
                     topology_version: x.topology_version,
                     view_time: x.view_time,
+                    waiting: x.waiting,
                 };
                 let nodes = Nodes::of(x.step_um, &x.nodes);
                 let mut c = RangeEncoder::after(w.into_vec());
@@ -313,6 +315,7 @@ impl<'a> Opened<'a> {
                 c.finish()?;
                 Body::Displacements(Displacements {
                     step_um: nodes.step_um,
+                    waiting: frame.waiting,
                     topology_version: frame.topology_version,
                     view_time: frame.view_time,
                     nodes: nodes.metres(),

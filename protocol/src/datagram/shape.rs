@@ -5,6 +5,7 @@
 //! ```text
 //! topology version (32 raw bits) | age µs before `generated` (32 raw bits, signed)
 //! step µm (10 raw bits) | count (11 raw bits) | whether from a baseline; if so: datagrams ago
+//! nodes that wait
 //! per node, ascending: difference to the node before, minus one; displacement in steps
 //! ```
 //!
@@ -72,11 +73,17 @@ impl Nodes {
 pub(super) struct Frame {
     pub(super) topology_version: u32,
     pub(super) view_time: ServerTime,
+    /// Nodes in view that are off and found no room; none for corrections.
+    pub(super) waiting: u32,
 }
+
+/// The most nodes that are said to wait; of more it is said that there are so many.
+const WAITING_MAX: u32 = (1 << 25) - 1;
 
 /// The chances of everything in a body.
 struct Model {
     ago: Number,
+    waiting: Number,
     gap: Number,
     has_baseline: Chance,
     /// By whether the baseline has the node, by axis and by class.
@@ -99,6 +106,7 @@ impl Model {
         let axes = || std::array::from_fn(|_| axis());
         Self {
             ago,
+            waiting: Number::new(&[20, 230]),
             gap: Number::new(&[90, 120, 128]),
             has_baseline: Chance::EVEN,
             parts: std::array::from_fn(|_| axes()),
@@ -206,6 +214,8 @@ pub(super) fn write(
     if let Some((sequence, _)) = known {
         m.ago.code(c, at.sequence.wrapping_sub(sequence) as i32)?;
     }
+    let waiting = frame.waiting.min(WAITING_MAX) as i32;
+    m.waiting.code(c, waiting)?;
     let baseline = known.map_or(&[][..], |(_, n)| &n.list);
     code_list(c, &mut m, baseline, &mut nodes.list)?;
     memory.remember_shape(at.sequence, nodes);
@@ -242,6 +252,9 @@ pub(super) fn read(
     } else {
         &empty
     };
+    let waiting = m.waiting.code(c, 0)?;
+    let waiting = u32::try_from(waiting)
+        .map_err(|_| refuse("the number of nodes that wait", waiting.to_string()))?;
     let mut list = vec![(0, [0; 3]); count];
     code_list(c, &mut m, &baseline.list, &mut list)?;
     let nodes = Nodes { step_um, list };
@@ -249,6 +262,7 @@ pub(super) fn read(
     let frame = Frame {
         topology_version,
         view_time: at.generated - Span::from_micros(i64::from(age)),
+        waiting,
     };
     Ok((frame, nodes))
 }

@@ -89,6 +89,7 @@ fn every_kind() -> Vec<Datagram> {
             step_um: 50,
             topology_version: 2,
             view_time,
+            waiting: 1234,
             nodes: nodes(20),
         }),
         Body::Probe(probe),

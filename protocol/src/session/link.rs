@@ -120,6 +120,8 @@ pub(super) struct Link {
     /// Datagrams that arrived since the last acknowledgement, and when that left.
     unacknowledged: u32,
     acknowledged_at: ServerTime,
+    /// Of our datagrams, those that the newest of theirs was the first to acknowledge: at most 33.
+    fresh: Vec<u32>,
     stats: LinkStats,
 }
 
@@ -133,6 +135,7 @@ impl Link {
 
     /// The content of a datagram that is to be read; everything else is counted.
     pub(super) fn accept(&mut self, bytes: &[u8]) -> Option<Datagram> {
+        self.fresh.clear();
         let Some(tag) = self.tag else {
             self.stats.noise.early += 1;
             return None;
@@ -209,11 +212,17 @@ impl Link {
     fn acknowledge(&mut self, sequence: u32) {
         if self.acknowledged.insert(sequence).is_fresh() {
             self.sent.acknowledge(sequence);
+            self.fresh.push(sequence);
             let sent = self.sent_at.iter().find(|(n, _)| *n == sequence);
             if let Some((_, time)) = sent {
                 self.known_at = self.known_at.max(Some(*time));
             }
         }
+    }
+
+    /// Our datagrams that the last one which was [accepted](Self::accept) was the first to acknowledge.
+    pub(super) fn fresh(&self) -> &[u32] {
+        &self.fresh
     }
 
     pub(super) fn count_misdirected(&mut self) {
@@ -246,7 +255,20 @@ impl Link {
     /// A datagram of this side. `None`, and counted, where it can not be encoded or the link is
     /// not open.
     pub(super) fn encode(&mut self, body: Body, generated: ServerTime) -> Option<Vec<u8>> {
-        let tag = self.tag?;
+        match self.encode_whole(body, generated) {
+            Ok((_, bytes, _)) => Some(bytes),
+            Err(too_large) => self.encode_halves(too_large?, generated),
+        }
+    }
+
+    /// A datagram of this side with its number and what it says; what is too large comes back. `None`, and
+    /// counted, where it can not be encoded or the link is not open.
+    pub(super) fn encode_whole(
+        &mut self,
+        body: Body,
+        generated: ServerTime,
+    ) -> Result<(u32, Vec<u8>, Body), Option<Body>> {
+        let tag = self.tag.ok_or(None)?;
         let generated = match &body {
             // Its newest sample then needs no time of its own.
             Body::Motion(tracks) => tracks
@@ -273,12 +295,10 @@ impl Link {
         };
         let bytes = match datagram.encode(&mut self.sent) {
             Ok(bytes) => bytes,
-            Err(ProtocolError::TooLarge { .. }) => {
-                return self.encode_halves(datagram.body, generated);
-            }
+            Err(ProtocolError::TooLarge { .. }) => return Err(Some(datagram.body)),
             Err(_) => {
                 self.stats.skipped += 1;
-                return None;
+                return Err(None);
             }
         };
         self.last_sequence = sequence;
@@ -291,7 +311,7 @@ impl Link {
             self.acknowledged_at = generated;
         }
         self.stats.sent += 1;
-        Some(bytes)
+        Ok((sequence, bytes, datagram.body))
     }
 
     /// Sends the first half now and lets the other wait; what has no halves is counted.

@@ -17,6 +17,7 @@ mod deadband;
 mod link;
 mod motion_batch;
 mod outbox;
+mod picture;
 mod preamble;
 mod server;
 
@@ -34,6 +35,7 @@ use link::Link;
 pub use client::{ClientSession, DELAY_REPORT_PERIOD, PROBE_PERIOD, PROBE_PERIOD_FIRST};
 pub use deadband::{DEADBAND_HEARTBEAT, Deadband};
 pub use link::{LinkStats, NoiseCounters};
+pub use picture::{PICTURE_RATE_BITS_PER_S, PICTURE_STEP_UM, Picture, PictureStats};
 pub use server::{FUTURE_MAX, REQUESTS_PER_SECOND_MAX, ServerPeer};
 
 /// A participant from whom nothing came for so long is gone, and its tool with it.
@@ -155,6 +157,8 @@ pub enum PeerDatagram {
     Corrections(Arc<Corrections>),
     /// Where the nodes in view are, one piece of [`Displacements::pieces`].
     Displacements(Arc<Displacements>),
+    /// Where all nodes in view are, for a thin subscriber: what of it is told, and when, its session chooses.
+    Picture(Arc<Picture>),
     /// What each participant needs of the artificial delay.
     Delays(Arc<[(ParticipantId, DelayReport)]>),
 }

@@ -10,6 +10,7 @@ use crate::request::{
     ClientMessage, Request, RequestKind, RequestRefusal, RequestRefused, ServerMessage,
 };
 use crate::session::outbox::Outbox;
+use crate::session::picture::{PictureStats, PictureStream};
 use crate::session::preamble::{self, PreambleReader};
 use crate::session::{
     CloseReason, EVENTS_MAX, HANDSHAKE_TIMEOUT, HEARTBEAT, Link, LinkStats, PEER_SILENCE,
@@ -60,6 +61,8 @@ pub struct ServerPeer {
     decoder: FrameDecoder<ClientMessage>,
     outbox: Outbox,
     link: Link,
+    /// What a thin subscriber is told of the tissue, from its first picture on.
+    picture: Option<Box<PictureStream>>,
     events: VecDeque<PeerEvent>,
     started: ServerTime,
     heard: ServerTime,
@@ -76,6 +79,7 @@ impl ServerPeer {
             decoder: FrameDecoder::new(codec::HELLO_MAX_BYTES),
             outbox: Outbox::default(),
             link: Link::default(),
+            picture: None,
             events: VecDeque::new(),
             started: now,
             heard: now,
@@ -189,6 +193,9 @@ impl ServerPeer {
             return;
         };
         self.heard = now;
+        if let Some(picture) = &mut self.picture {
+            picture.acknowledge(self.link.fresh(), now);
+        }
         match datagram.body {
             Body::Motion(tracks) => self.handle_motion(tracks, participant, now),
             Body::Probe(probe) => self.handle_probe(probe, now),
@@ -339,6 +346,11 @@ impl ServerPeer {
             PeerDatagram::Displacements(d) => {
                 self.link.enqueue(Body::Displacements(d.as_ref().clone()));
             }
+            PeerDatagram::Picture(picture) => {
+                self.picture.get_or_insert_default().show(picture);
+                // The heartbeat is due all the same: of a picture that rests nothing is sent.
+                return;
+            }
             PeerDatagram::Delays(list) => {
                 for piece in list.chunks(crate::datagram::DELAYS_MAX) {
                     self.link.enqueue(Body::Delays(piece.to_vec()));
@@ -368,13 +380,25 @@ impl ServerPeer {
 
     /// Bytes for the operations stream, in order.
     pub fn poll_stream(&mut self) -> Option<Vec<u8>> {
-        self.outbox.pop()
+        let bytes = self.outbox.pop()?;
+        if let Some(picture) = &mut self.picture {
+            picture.charge(bytes.len());
+        }
+        Some(bytes)
     }
 
     /// The next datagram.
     pub fn poll_datagram(&mut self, now: ServerTime) -> Option<Vec<u8>> {
         match self.state {
-            State::Joined { .. } => self.link.pop(now),
+            State::Joined { .. } => {
+                let Some(picture) = &mut self.picture else {
+                    return self.link.pop(now);
+                };
+                let other = self.link.pop(now);
+                let bytes = other.or_else(|| picture.next(&mut self.link, now))?;
+                picture.charge(bytes.len());
+                Some(bytes)
+            }
             _ => None,
         }
     }
@@ -404,6 +428,11 @@ impl ServerPeer {
     /// How the connection does.
     pub fn stats(&self) -> LinkStats {
         self.link.stats()
+    }
+
+    /// How the picture of a thin subscriber does; `None` for any other.
+    pub fn picture_stats(&self) -> Option<PictureStats> {
+        self.picture.as_ref().map(|p| p.stats())
     }
 
     fn emit(&mut self, event: PeerEvent) {

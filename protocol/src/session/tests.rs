@@ -9,7 +9,7 @@ use rand_pcg::Pcg64;
 
 use super::*;
 use crate::codec;
-use crate::handshake::{ModelInfo, Preamble, Resume};
+use crate::handshake::{ModelInfo, Preamble, Resume, Subscription};
 use crate::operation::{CompensationMode, CompensationSettings, OperationKind};
 use crate::request::{RequestKind, ServerMessage};
 use crate::timeline::Timeline;
@@ -97,6 +97,7 @@ pub(super) fn hello() -> Hello {
         role: Role::Trainee,
         grant: Grant([1; 16]),
         tool: Some(ToolDescription::scalpel(0.001, 0.02)),
+        subscription: Subscription::Full,
         resume: None,
     }
 }

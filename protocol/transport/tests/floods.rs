@@ -5,7 +5,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use palpate_protocol::handshake::Hello;
+use palpate_protocol::handshake::{Hello, Subscription};
 use palpate_protocol::session::{ClientSession, PeerEvent};
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{ClientTime, Grant, JoinLink, Role, ServerTime};
@@ -34,6 +34,7 @@ fn hello(name: &str) -> Hello {
         role: Role::Trainee,
         grant: GRANT,
         tool: Some(ToolDescription::probe(0.004)),
+        subscription: Subscription::Full,
         resume: None,
     }
 }

@@ -8,7 +8,9 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use palpate_protocol::handshake::{Hello, PROTOCOL_VERSION, Preamble, RefusalReason, Welcome};
+use palpate_protocol::handshake::{
+    Hello, PROTOCOL_VERSION, Preamble, RefusalReason, Subscription, Welcome,
+};
 use palpate_protocol::operation::{
     CompensationMode, CompensationSettings, Operation, OperationKind,
 };
@@ -55,6 +57,7 @@ fn hello(name: &str) -> Hello {
         role: Role::Trainee,
         grant: GRANT,
         tool: Some(ToolDescription::probe(0.004)),
+        subscription: Subscription::Full,
         resume: None,
     }
 }

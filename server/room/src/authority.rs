@@ -6,6 +6,7 @@ use palpate_protocol::ServerTime;
 use palpate_protocol::datagram::Corrections;
 use palpate_protocol::operation::CutStroke;
 use palpate_protocol::request::{CutRequest, RequestRefusal};
+use palpate_protocol::session::Picture;
 use palpate_tissue::{
     Budget, CutError, Model, Shape, Solver, Tool, Topology, TopologyHash, cut, report_surface,
 };
@@ -120,6 +121,29 @@ impl Authority {
         self.solver.follow(&self.topology, &outcome.touched);
         self.hashes.push(self.topology.hash());
         Ok(stroke)
+    }
+
+    /// The nodes that can be seen, ascending: those of the outer surface, cuts included.
+    pub(crate) fn nodes_in_view(&self) -> Arc<[u32]> {
+        let triangles = &self.topology.boundary().triangles;
+        let mut nodes: Vec<u32> = triangles.iter().flatten().copied().collect();
+        nodes.sort_unstable();
+        nodes.dedup();
+        nodes.into()
+    }
+
+    /// Where nodes are, and for which moment.
+    pub(crate) fn picture(&self, nodes: &Arc<[u32]>) -> Picture {
+        let of = |n: &u32| {
+            let d = self.shape.displacement[*n as usize];
+            [d.x as f32, d.y as f32, d.z as f32]
+        };
+        Picture {
+            topology_version: self.topology.version(),
+            view_time: self.view_time,
+            nodes: Arc::clone(nodes),
+            displacements: nodes.iter().map(of).collect(),
+        }
     }
 
     /// Displacements for others to compare with: an even choice of the nodes that have moved.

@@ -12,6 +12,7 @@ mod config;
 mod convert;
 mod fan_out;
 mod participant;
+mod pictures;
 mod room;
 #[cfg(test)]
 mod tests;

@@ -2,7 +2,7 @@
 
 use nalgebra::{Quaternion, UnitQuaternion};
 use palpate_protocol::compensation::{DelayEstimator, DelayRule, Demotion};
-use palpate_protocol::handshake::RosterEntry;
+use palpate_protocol::handshake::{RosterEntry, Subscription};
 use palpate_protocol::request::DelayReport;
 use palpate_protocol::timeline::Timeline;
 use palpate_protocol::tool::{ToolDescription, ToolKind, ToolPart, part_id};
@@ -39,6 +39,8 @@ pub(crate) struct Participant {
     pub(crate) name: String,
     pub(crate) role: Role,
     pub(crate) tool: Option<ToolDescription>,
+    /// What of the tissue they are sent.
+    pub(crate) subscription: Subscription,
     /// Where the tool was, for the server's own view.
     pub(crate) timeline: Timeline,
     /// What it asked for.
@@ -73,6 +75,7 @@ impl Participant {
             name,
             role,
             tool,
+            subscription: Subscription::Full,
             timeline: Timeline::default(),
             asked: Asked::default(),
             delay: DelayEstimator::new(DelayRule::default()),

@@ -7,6 +7,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use palpate_protocol::compensation::{DelaySchedule, GroupDelay};
+use palpate_protocol::handshake::Subscription;
 use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::request::{
     DelayReport, Request, RequestKind, RequestRefusal, RequestRefused,
@@ -21,6 +22,7 @@ use crate::authority::{Authority, TickReport};
 use crate::config::RoomConfig;
 use crate::fan_out::FanOut;
 use crate::participant::Participant;
+use crate::pictures::Pictures;
 
 /// Scripts begin so much after the last tool has come.
 const START_LEAD: Span = Span::from_millis(1000);
@@ -72,6 +74,7 @@ pub struct Room {
     repetitions: u64,
     refused: u64,
     fan_out: FanOut,
+    pictures: Pictures,
     outputs: VecDeque<Output>,
 }
 
@@ -97,6 +100,7 @@ impl Room {
             repetitions: 0,
             refused: 0,
             fan_out: FanOut::default(),
+            pictures: Pictures::default(),
             outputs: VecDeque::new(),
             config,
         }
@@ -296,7 +300,30 @@ impl Room {
             .collect();
         let report = self.authority.settle(view_time, &tools, stop);
         self.send_corrections(now);
+        self.send_picture(now);
         Some(report)
+    }
+
+    /// Sends who has no tissue of their own where its surface is.
+    fn send_picture(&mut self, now: ServerTime) {
+        let thin: Vec<PeerKey> = self.peers_with(Subscription::Thin).collect();
+        if thin.is_empty() {
+            return;
+        }
+        let Some(picture) = self.pictures.poll(&self.authority, now) else {
+            return;
+        };
+        for peer in thin {
+            let datagram = PeerDatagram::Picture(Arc::clone(&picture));
+            self.outputs.push_back(Output::Datagram(peer, datagram));
+        }
+    }
+
+    /// The connections of those who have this subscription.
+    fn peers_with(&self, subscription: Subscription) -> impl Iterator<Item = PeerKey> + '_ {
+        let here = self.participants.values();
+        let of = here.filter(move |p| p.subscription == subscription);
+        of.filter_map(Participant::peer)
     }
 
     fn change_delay(&mut self, now: ServerTime) {
@@ -333,9 +360,10 @@ impl Room {
             return;
         };
         let corrections = Arc::new(corrections);
-        for peer in self.by_peer.keys() {
+        let full: Vec<PeerKey> = self.peers_with(Subscription::Full).collect();
+        for peer in full {
             let datagram = PeerDatagram::Corrections(Arc::clone(&corrections));
-            self.outputs.push_back(Output::Datagram(*peer, datagram));
+            self.outputs.push_back(Output::Datagram(peer, datagram));
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use palpate_protocol::handshake::{Hello, ModelInfo, RefusalReason};
+use palpate_protocol::handshake::{Hello, ModelInfo, RefusalReason, Subscription};
 use palpate_protocol::operation::{
     BladePoint, CompensationMode, CompensationSettings, LeaveReason, Operation, OperationKind,
 };
@@ -23,6 +23,7 @@ mod demotion;
 mod motion;
 mod seats;
 mod states;
+mod thin;
 
 const TRAINEE: Grant = Grant([7; 16]);
 const SPECTATOR: Grant = Grant([9; 16]);
@@ -75,6 +76,7 @@ fn hello(name: &str, role: Role, kind: ToolKind) -> PeerEvent {
         role,
         grant,
         tool,
+        subscription: Subscription::Full,
         resume: None,
     })
 }
@@ -125,6 +127,7 @@ fn who_has_no_grant_no_name_of_their_own_or_no_seat_is_refused_politely() {
         role: Role::Trainee,
         grant: SPECTATOR,
         tool: None,
+        subscription: Subscription::Full,
         resume: None,
     });
     room.handle_event(PeerKey(1), bad, ms(0));

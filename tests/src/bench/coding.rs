@@ -276,6 +276,7 @@ impl Coding {
             solver.step(&topology, &mut shape, &[], Budget::new(30, 1e-3));
             let now = ServerTime::from_micros(1_000_000 * (FRAME_HZ + frame as i64) / FRAME_HZ);
             let whole = Displacements {
+                waiting: 0,
                 step_um: STEP_UM,
                 topology_version: 0,
                 view_time: now,

@@ -18,6 +18,7 @@ mod samples;
 pub mod schedule;
 mod soft_hard;
 mod table_7_1;
+mod thin;
 mod tool_paths;
 pub mod tour;
 
@@ -175,6 +176,15 @@ pub const ALL: &[Experiment] = &[
             motion: false,
         },
         run: replicas::run,
+    },
+    Experiment {
+        name: "thin",
+        about: "a spectator who computes no tissue: how far what is shown is from the server's shape, and what it costs",
+        takes: Takes {
+            model: true,
+            ..Takes::NETWORKS
+        },
+        run: thin::run,
     },
     Experiment {
         name: "table-7-1",

@@ -12,7 +12,7 @@ use palpate_client::view::VIEW_TOLERANCE;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::{HapticDevice, Script};
 use palpate_haptics::{Chain, ChainConfig, ContactModel};
-use palpate_protocol::handshake::{Hello, Resume};
+use palpate_protocol::handshake::{Hello, Resume, Subscription};
 use palpate_protocol::session::{ClientEvent, ClientSession};
 use palpate_protocol::{ClientTime, Grant, OperationId, ParticipantId, Role, Span, TopologyHash};
 use palpate_tissue::{Budget, Model};
@@ -41,6 +41,8 @@ pub(super) struct Guest {
     model: Arc<Model>,
     script: ScriptStart,
     blade_length_m: Option<f64>,
+    /// Whether it has a tissue of its own.
+    solves: bool,
     hand: HandLoop,
     contact: ContactModel,
     hello: Hello,
@@ -75,6 +77,7 @@ impl Guest {
             role: Role::Trainee,
             grant,
             tool: Some(tool),
+            subscription: Subscription::Full,
             resume: None,
         };
         let start = ScriptStart::not_yet();
@@ -88,6 +91,7 @@ impl Guest {
             model,
             blade_length_m: (script.tool().length_m > 0.0).then_some(script.tool().length_m),
             script: start,
+            solves: true,
             hand,
             contact: ContactModel::free_at(now, 0),
             session: ClientSession::new(hello.clone(), now).map_err(|e| e.to_string())?,
@@ -108,6 +112,14 @@ impl Guest {
             trouble: None,
             clock,
         })
+    }
+
+    /// Lets it only move: it computes no tissue, feels nothing and sees what nobody looks at.
+    pub(super) fn only_moving(self) -> Self {
+        Self {
+            solves: false,
+            ..self
+        }
     }
 
     /// Bytes of the operations stream, at a moment of true time.
@@ -186,7 +198,8 @@ impl Guest {
                     if self.site.is_none() {
                         let model = Arc::clone(&self.model);
                         self.requests = Requests::new(welcome.participant);
-                        self.site = Some(Site::new(welcome, model, self.blade_length_m));
+                        let new = if self.solves { Site::new } else { Site::thin };
+                        self.site = Some(new(welcome, model, self.blade_length_m));
                         continue;
                     }
                     for request in self.requests.unanswered() {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use palpate_protocol::session::ServerPeer;
+use palpate_protocol::session::{PeerDatagram, Picture, ServerPeer};
 use palpate_protocol::{ServerTime, TopologyHash};
 use palpate_room::{Output, PeerKey, Room, RoomConfig};
 use palpate_tissue::Model;
@@ -20,7 +20,12 @@ pub(super) struct Host {
     peers: BTreeMap<PeerKey, ServerPeer>,
     /// The connection of every seat.
     current: Vec<PeerKey>,
+    /// The shapes of its last [`PICTURES_MAX`] ticks, where anybody is told them.
+    pictures: BTreeMap<ServerTime, Arc<Picture>>,
 }
+
+/// Shapes that are kept to compare with what is shown of the past: four seconds at 60 Hz.
+const PICTURES_MAX: usize = 240;
 
 impl Host {
     /// A server for `seats` guests, numbered from 0 as flows of the network.
@@ -31,6 +36,7 @@ impl Host {
             room: Room::new(model, config, now),
             peers: peers.collect(),
             current: (0..seats).map(key).collect(),
+            pictures: BTreeMap::new(),
         }
     }
 
@@ -99,6 +105,12 @@ impl Host {
                     }
                 }
                 Output::Datagram(key, datagram) => {
+                    if let PeerDatagram::Picture(picture) = &datagram {
+                        self.pictures.insert(picture.view_time, Arc::clone(picture));
+                        if self.pictures.len() > PICTURES_MAX {
+                            self.pictures.pop_first();
+                        }
+                    }
                     if let Some(peer) = self.peers.get_mut(&key) {
                         peer.send_datagram(&datagram, now);
                     }
@@ -110,6 +122,20 @@ impl Host {
     /// How often somebody became a spectator because of their network.
     pub(super) fn demotions(&self) -> u64 {
         self.room.demotion_count()
+    }
+
+    /// The server's own shapes of the last ticks.
+    pub(super) fn pictures(&self) -> &BTreeMap<ServerTime, Arc<Picture>> {
+        &self.pictures
+    }
+
+    /// Bytes to a thin subscriber so far, with what is around them.
+    pub(super) fn bytes_to(&self, seat: usize) -> u64 {
+        let stats = self
+            .peers
+            .get(&self.current[seat])
+            .and_then(ServerPeer::picture_stats);
+        stats.map_or(0, |s| s.bytes)
     }
 
     /// Version and hash of the authoritative topology.

@@ -5,6 +5,7 @@
 //! hand -> force loop -> session -> wires -> peer -> room        1 ms per turn
 //!          ^ model      |                    operations, motion, corrections
 //!         site <--------+<------ wires <-----+
+//!    thin site <--------+<------ wires <-----+  displacements
 //! ```
 //!
 //! There are no threads and no clocks, and solves end by iterations and residual and not by time, so
@@ -15,6 +16,7 @@ mod clock;
 mod guest;
 mod host;
 mod mishap;
+mod onlooker;
 mod wires;
 
 use std::sync::Arc;
@@ -32,6 +34,8 @@ use crate::network::{Direction, Profile};
 use clock::SiteClock;
 use guest::Guest;
 use host::Host;
+pub use onlooker::Onlooked;
+use onlooker::Onlooker;
 use wires::{Arrived, Wires};
 
 pub use mishap::Mishap;
@@ -52,6 +56,11 @@ pub struct Rehearsal<'a> {
     pub model: &'a Arc<Model>,
     /// One trainee per script, named by its place.
     pub scripts: &'a [&'a Script],
+    /// Whether they only move, and neither feel nor compute the tissue: where only the server's shape
+    /// is looked at, for a fraction of the time.
+    pub motion_only: bool,
+    /// Thin spectators beside them.
+    pub onlookers: usize,
     /// The network between the server and each of them.
     pub profile: &'a Profile,
     /// The seed of packets' fates and of clocks.
@@ -76,13 +85,15 @@ pub struct BytesPerSecond {
 pub struct Rehearsed {
     /// What each participant saw and felt; times are true ones.
     pub recordings: Vec<Recording>,
+    /// What each thin spectator was shown.
+    pub onlooked: Vec<Onlooked>,
     /// Version and hash of the topology: the server's, then each participant's.
     pub topologies: Vec<(u32, u64)>,
     /// What each participant's site counted.
     pub counters: Vec<SiteCounters>,
     /// How often the server made somebody a spectator.
     pub demotions: u64,
-    /// The mean over the participants, from the beginning of the scripts.
+    /// The mean over those with a script, from the beginning of the scripts.
     pub bytes_per_s: BytesPerSecond,
     /// What went wrong; nothing, when all is well.
     pub troubles: Vec<String>,
@@ -109,12 +120,10 @@ impl Rehearsal<'_> {
         mut progress: impl FnMut(f64) -> bool,
     ) -> Result<Rehearsed, String> {
         let grant = Grant(*b"a rehearsal only");
+        let trainees = self.scripts.len();
+        let seats = trainees + self.onlookers;
         let mut wires = Wires::new(&self.profiles(mishaps), self.seed);
-        let mut host = Host::new(
-            Arc::clone(self.model),
-            self.config(grant),
-            self.scripts.len(),
-        );
+        let mut host = Host::new(Arc::clone(self.model), self.config(grant), seats);
         let mut guests = Vec::new();
         for (seat, script) in self.scripts.iter().enumerate() {
             let name = format!("trainee-{}", seat + 1);
@@ -123,12 +132,22 @@ impl Rehearsal<'_> {
             let mut guest = Guest::new(seat, &name, grant, model, script, clock)?;
             let of_seat = mishaps.iter().filter(|m| m.seat() == seat);
             guest.mishaps = of_seat.cloned().collect();
-            guests.push(guest);
+            guests.push(if self.motion_only {
+                guest.only_moving()
+            } else {
+                guest
+            });
         }
+        let onlooker = |seat| {
+            let clock = SiteClock::of(self.seed, seat);
+            Onlooker::new(seat, grant, Arc::clone(self.model), clock)
+        };
+        let mut onlookers: Vec<Onlooker> =
+            (trainees..seats).map(onlooker).collect::<Result<_, _>>()?;
         let script_us = self.scripts.iter().map(|s| s.end_s()).fold(0.0, f64::max) * 1e6;
         let (mut at_us, mut began_us) = (0_i64, None::<i64>);
         loop {
-            deliver(&mut host, &mut guests, &mut wires, at_us);
+            deliver(&mut host, &mut guests, &mut onlookers, &mut wires, at_us);
             host.turn(ServerTime::from_micros(at_us), &mut wires);
             for (seat, guest) in guests.iter_mut().enumerate() {
                 if guest.wants_connection() {
@@ -137,6 +156,10 @@ impl Rehearsal<'_> {
                     guest.come_back(at_us);
                 }
                 guest.turn(at_us, &mut wires);
+            }
+            for (onlooker, seat) in onlookers.iter_mut().zip(trainees..) {
+                let bytes = host.bytes_to(seat);
+                onlooker.turn(at_us, &mut wires, bytes, host.pictures());
             }
             if began_us.is_none() {
                 began_us = guests.iter().find_map(|g| g.recording.script_started_us);
@@ -156,7 +179,9 @@ impl Rehearsal<'_> {
             }
             at_us += TURN_US;
         }
+        let of_onlookers = onlookers.iter().filter_map(|o| o.trouble.clone());
         let mut troubles: Vec<String> = guests.iter().filter_map(|g| g.trouble.clone()).collect();
+        troubles.extend(of_onlookers);
         if began_us.is_none() {
             troubles.push("the scripts did not begin".to_owned());
         }
@@ -164,14 +189,21 @@ impl Rehearsal<'_> {
         let share = 1.0 / (seconds.max(1e-3) * guests.len().max(1) as f64);
         let (version, hash) = host.topology();
         let own = guests.iter().filter_map(Guest::topology);
+        let own = own.chain(onlookers.iter().filter_map(Onlooker::topology));
+        let topologies = std::iter::once((version, hash.0)).chain(own).collect();
+        let last = host.pictures().last_key_value().map(|(_, p)| p.as_ref());
         Ok(Rehearsed {
-            topologies: std::iter::once((version, hash.0)).chain(own).collect(),
+            onlooked: onlookers
+                .iter_mut()
+                .map(|o| o.onlooked(at_us, last))
+                .collect(),
+            topologies,
             counters: guests.iter().map(Guest::counters).collect(),
             demotions: host.demotions(),
             recordings: guests.into_iter().map(|g| g.recording).collect(),
             bytes_per_s: BytesPerSecond {
-                up: wires.counted(Direction::Up) as f64 * share,
-                down: wires.counted(Direction::Down) as f64 * share,
+                up: wires.counted(Direction::Up, trainees) as f64 * share,
+                down: wires.counted(Direction::Down, trainees) as f64 * share,
             },
             troubles,
         })
@@ -179,7 +211,7 @@ impl Rehearsal<'_> {
 
     /// The network of every seat.
     fn profiles<'a>(&'a self, mishaps: &'a [Mishap]) -> Vec<&'a Profile> {
-        let mut profiles = vec![self.profile; self.scripts.len()];
+        let mut profiles = vec![self.profile; self.scripts.len() + self.onlookers];
         for mishap in mishaps {
             if let Mishap::Network { seat, profile } = mishap {
                 profiles[*seat] = profile;
@@ -195,8 +227,8 @@ impl Rehearsal<'_> {
                 hash: ModelHash(0),
                 bytes: 0,
             },
-            grants: vec![(Role::Trainee, grant)],
-            seats: self.scripts.len() as u16,
+            grants: vec![(Role::Trainee, grant), (Role::Spectator, grant)],
+            seats: (self.scripts.len() + self.onlookers) as u16,
             tick_hz: self.tick_hz,
             compensation: self.compensation,
             start_when_tools: self.scripts.len() as u16,
@@ -208,7 +240,14 @@ impl Rehearsal<'_> {
 
 /// Hands over what has arrived until `at_us`, each at its own moment. What the server passes on
 /// leaves at once, as from its event loop.
-fn deliver(host: &mut Host, guests: &mut [Guest], wires: &mut Wires, at_us: i64) {
+fn deliver(
+    host: &mut Host,
+    guests: &mut [Guest],
+    onlookers: &mut [Onlooker],
+    wires: &mut Wires,
+    at_us: i64,
+) {
+    let trainees = guests.len();
     while let Some((when_us, seat, direction, arrived)) = wires.pop_due(at_us.unsigned_abs()) {
         let when_us = when_us as i64;
         match (direction, arrived) {
@@ -219,6 +258,13 @@ fn deliver(host: &mut Host, guests: &mut [Guest], wires: &mut Wires, at_us: i64)
                     Arrived::Datagram(bytes) => host.handle_datagram(seat, &bytes, then),
                 }
                 host.turn(then, wires);
+            }
+            (Direction::Down, arrived) if seat >= trainees => {
+                let onlooker = &mut onlookers[seat - trainees];
+                match arrived {
+                    Arrived::Stream(bytes) => onlooker.handle_stream(&bytes, when_us),
+                    Arrived::Datagram(bytes) => onlooker.handle_datagram(&bytes, when_us),
+                }
             }
             (Direction::Down, Arrived::Stream(bytes)) => {
                 guests[seat].handle_stream(&bytes, when_us);

@@ -39,6 +39,8 @@ fn rehearse_with(
     let rehearsal = Rehearsal {
         model,
         scripts: &scripts,
+        motion_only: false,
+        onlookers: 1,
         profile,
         seed,
         compensation: CompensationSettings {
@@ -65,6 +67,14 @@ fn one_seed_is_one_session_and_everybody_has_the_same_topology_in_the_end() {
         "{:?}",
         a.topologies
     );
+    // Who computes nothing shows what the server has, within a step when all rests, and within its rate.
+    assert_eq!(a.topologies.len(), 4);
+    let thin = a.onlooked[0];
+    assert!(
+        thin.rest_mm.count > 0 && thin.rest_mm.max <= 0.0501,
+        "{thin:?}"
+    );
+    assert!(thin.bits_per_s_max <= 1.05e6, "{thin:?}");
     let views: Vec<&Recording> = a.recordings.iter().collect();
     let d = Disagreement::between(&views);
     assert!(d.nodes.p95 < 0.05, "{:?}", d.nodes);
@@ -77,6 +87,7 @@ fn one_seed_is_one_session_and_everybody_has_the_same_topology_in_the_end() {
     }
     let b = rehearse(&model, &scripts, &profile, 5);
     assert_eq!(a.recordings, b.recordings);
+    assert_eq!(a.onlooked, b.onlooked);
 }
 
 fn scripts_of(model: &Arc<Model>, seconds: f64) -> Scripts {

@@ -188,10 +188,10 @@ impl Wires {
         }
     }
 
-    /// Bytes of all participants in a direction; what was sent again counts again.
-    pub(super) fn counted(&self, direction: Direction) -> u64 {
+    /// Bytes of the first `seats` participants in a direction; what was sent again counts again.
+    pub(super) fn counted(&self, direction: Direction, seats: usize) -> u64 {
         let of = |ways: &[Way; 2]| ways[usize::from(direction == Direction::Down)].bytes;
-        self.ways.iter().map(of).sum()
+        self.ways.iter().take(seats).map(of).sum()
     }
 }
 

@@ -1,6 +1,8 @@
 //! Who gets a seat, who keeps it without a connection, and who takes it again.
 
-use palpate_protocol::handshake::{Hello, RefusalReason, Refused, Resume, SEAT_KEPT, Welcome};
+use palpate_protocol::handshake::{
+    Hello, RefusalReason, Refused, Resume, SEAT_KEPT, Subscription, Welcome,
+};
 use palpate_protocol::operation::{CompensationSettings, LeaveReason, OperationKind};
 use palpate_protocol::session::{CloseReason, PeerMessage};
 use palpate_protocol::timeline::Timeline;
@@ -45,6 +47,8 @@ impl Room {
             })
         } else if role.has_tool() && !hello.tool.as_ref().is_some_and(ToolDescription::is_valid) {
             Err(RefusalReason::BadTool { role })
+        } else if role.has_tool() && hello.subscription == Subscription::Thin {
+            Err(RefusalReason::ThinTool { role })
         } else {
             Ok(())
         }
@@ -66,6 +70,7 @@ impl Room {
             seat.token.matches(&resume.token)
                 && seat.name == hello.name
                 && seat.role == hello.role
+                && seat.subscription == hello.subscription
                 && seat.resumed < RESUMES_MAX
                 && !seat.is_given_up(now)
         });
@@ -88,7 +93,8 @@ impl Room {
         let token = (self.config.fresh_token)(id);
         let name = hello.name.clone();
         let cap = self.config.cap();
-        let participant = Participant::new(peer, token, id, name, hello.role, tool, cap);
+        let mut participant = Participant::new(peer, token, id, name, hello.role, tool, cap);
+        participant.subscription = hello.subscription;
         let first = OperationId(0);
         let welcome = self.welcome(&participant, self.config.compensation, first, now);
         self.greet(peer, welcome);

@@ -1,6 +1,6 @@
 //! Seats that are kept without a connection, and taken again.
 
-use palpate_protocol::handshake::{Resume, SEAT_KEPT, Welcome};
+use palpate_protocol::handshake::{Resume, SEAT_KEPT, Subscription, Welcome};
 use palpate_protocol::{OperationId, ParticipantId};
 
 use super::*;
@@ -32,6 +32,7 @@ fn back(name: &str, resume: Resume) -> PeerEvent {
         unreachable!()
     };
     PeerEvent::Hello(Hello {
+        subscription: Subscription::Full,
         resume: Some(resume),
         ..hello
     })

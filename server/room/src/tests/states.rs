@@ -1,6 +1,6 @@
 //! The document of the states, held against a seat.
 
-use palpate_protocol::handshake::{Resume, SEAT_KEPT};
+use palpate_protocol::handshake::{Resume, SEAT_KEPT, Subscription};
 use palpate_protocol::request::DelayReport;
 use palpate_protocol::{OperationId, ParticipantId, ProtocolError};
 
@@ -27,6 +27,7 @@ fn back(resume: Resume) -> PeerEvent {
         unreachable!()
     };
     PeerEvent::Hello(Hello {
+        subscription: Subscription::Full,
         resume: Some(resume),
         ..hello
     })

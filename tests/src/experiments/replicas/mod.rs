@@ -61,7 +61,7 @@ fn networks() -> Vec<Profile> {
     [200.0, 0.0, 50.0, 100.0, 300.0, 400.0].map(far).into()
 }
 
-fn soft_block() -> Model {
+pub(super) fn soft_block() -> Model {
     let material = Material {
         name: "soft".into(),
         young_pa: 1e4,
@@ -149,6 +149,8 @@ fn session(
     let rehearsal = Rehearsal {
         model,
         scripts,
+        motion_only: false,
+        onlookers: 0,
         profile,
         seed: base.wrapping_mul(1_000_003).wrapping_add(seed),
         compensation: CompensationSettings {

@@ -1,0 +1,333 @@
+//! What a thin subscriber is told of the tissue: as much of the picture as fits into its rate.
+//!
+//! ```text
+//! at every picture, of each node in view
+//!   off = |where it is - what it was last told|    known or on its way: none of it counts below a step
+//!   the nodes that are farthest off go first, as many as the rate has room for; the others wait
+//! rate   a bucket that fills with 1 Mbit/s; everything to this subscriber is taken out of it
+//! ```
+//!
+//! A node counts as known only when its datagram was acknowledged; one that is not within
+//! [twice the usual time](PictureStream::overdue) is told again. So no loss leaves anything behind: when
+//! the tissue rests, every node is within a step of where the server has it.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use super::Link;
+use crate::datagram::shape::NODES_MAX;
+use crate::datagram::{Body, DATAGRAM_MAX_BYTES, Displacements};
+use crate::{ServerTime, Span};
+
+/// Step of a thin subscriber's displacements, µm: rounding to it moves a node by at most 0.043 mm.
+pub const PICTURE_STEP_UM: u16 = 50;
+
+/// All that a thin subscriber may cost, bits per second, with what UDP, IP and QUIC add.
+pub const PICTURE_RATE_BITS_PER_S: u32 = 1_000_000;
+
+/// Bytes per second of the same.
+const RATE: f64 = PICTURE_RATE_BITS_PER_S as f64 / 8.0;
+
+/// What a datagram costs beyond its own bytes: 40 for IPv6, 8 for UDP, 30 for QUIC's header, its seal and
+/// the frame around it.
+const AROUND_BYTES: usize = 78;
+
+/// The most that is saved up, s: two frames at 60 Hz, so that a late tick loses nothing.
+const SAVED_S: f64 = 1.0 / 30.0;
+
+/// The longest that something large (the log at the beginning, a burst of motion) may keep the picture
+/// waiting, s.
+const DEBT_S: f64 = 0.5;
+
+/// Room below which no datagram is begun, bytes: what is around it would cost more than it says.
+const WORTH_BYTES: f64 = 200.0;
+
+/// Of a datagram with displacements: header, topology, time and step, bytes.
+const HEAD_BYTES: f64 = 26.0;
+
+/// What a node is guessed to cost before anything was sent, bytes: measured on a press.
+const NODE_BYTES_FIRST: f64 = 1.3;
+
+/// How fast the guess follows.
+const FOLLOW: f64 = 0.1;
+
+/// Datagrams whose arrival is waited for: a second at twice the rate that full ones can have. Beyond,
+/// the oldest counts as lost.
+const ON_THE_WAY_MAX: usize = 256;
+
+/// What is not acknowledged within this counts as lost, at the least and at the most.
+const OVERDUE_MIN: Span = Span::from_millis(100);
+const OVERDUE_MAX: Span = Span::from_millis(1500);
+
+/// Where the nodes in view are: all of them, whatever has been told before.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Picture {
+    /// The topology that the node numbers belong to.
+    pub topology_version: u32,
+    /// The moment that it is for.
+    pub view_time: ServerTime,
+    /// The nodes in view, ascending.
+    pub nodes: Arc<[u32]>,
+    /// The displacement of each of them from its rest position, m.
+    pub displacements: Vec<[f32; 3]>,
+}
+
+/// How a picture stream does.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct PictureStats {
+    /// Nodes that are off by more than a step and found no room in the newest picture.
+    pub waiting: u64,
+    /// Nodes told, each time counted.
+    pub told: u64,
+    /// Nodes that were told again because nothing was heard of the datagram.
+    pub again: u64,
+    /// Bytes to this subscriber, with what is around them.
+    pub bytes: u64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+enum Fate {
+    /// Never told, or lost: what the other side shows is `known`.
+    #[default]
+    Untold,
+    /// Told by the datagram of this number.
+    OnItsWay(u32),
+    Known,
+}
+
+/// What is known of one node at the other side.
+#[derive(Debug, Clone, Copy, Default)]
+struct Told {
+    /// What was told last, steps.
+    last: [i16; 3],
+    /// What was acknowledged last, steps.
+    known: [i16; 3],
+    /// Whether anything ever was.
+    is_known: bool,
+    fate: Fate,
+}
+
+/// A datagram of which nothing has been heard yet.
+#[derive(Debug)]
+struct Flight {
+    sequence: u32,
+    sent: ServerTime,
+    nodes: Vec<u32>,
+}
+
+/// The pictures of one thin subscriber.
+#[derive(Debug, Default)]
+pub(super) struct PictureStream {
+    newest: Option<Arc<Picture>>,
+    /// Whether the newest still has to be divided.
+    is_fresh: bool,
+    /// By node number; as long as the largest that was in view.
+    told: Vec<Told>,
+    /// Pieces of the newest picture that are chosen and not sent yet.
+    pieces: VecDeque<Displacements>,
+    flights: VecDeque<Flight>,
+    /// What may still be sent, bytes; below zero where more was.
+    saved: f64,
+    filled: Option<ServerTime>,
+    node_bytes: Option<f64>,
+    /// The usual time from sending to hearing of it.
+    usual: Option<Span>,
+    stats: PictureStats,
+}
+
+impl PictureStream {
+    /// A newer picture; what was not sent of the one before is chosen anew.
+    pub(super) fn show(&mut self, picture: &Arc<Picture>) {
+        self.newest = Some(Arc::clone(picture));
+        self.is_fresh = true;
+        self.pieces.clear();
+    }
+
+    /// Something is sent to this subscriber: `bytes` of a datagram or of the stream.
+    pub(super) fn charge(&mut self, bytes: usize) {
+        let cost = bytes + AROUND_BYTES;
+        self.stats.bytes += cost as u64;
+        self.saved = (self.saved - cost as f64).max(-DEBT_S * RATE);
+    }
+
+    /// The other side has these datagrams.
+    pub(super) fn acknowledge(&mut self, sequences: &[u32], now: ServerTime) {
+        for sequence in sequences {
+            let Some(at) = self.flights.iter().position(|f| f.sequence == *sequence) else {
+                continue;
+            };
+            let Some(flight) = self.flights.remove(at) else {
+                continue;
+            };
+            let took = now - flight.sent;
+            let usual = self.usual.get_or_insert(took);
+            // Slowly down, at once half way up: too late costs a moment, too early the same bytes twice.
+            let part = if took > *usual { 2 } else { 16 };
+            *usual = *usual + Span::from_micros((took - *usual).as_micros() / part);
+            for node in flight.nodes {
+                let told = &mut self.told[node as usize];
+                if told.fate == Fate::OnItsWay(flight.sequence) {
+                    told.fate = Fate::Known;
+                    told.known = told.last;
+                    told.is_known = true;
+                }
+            }
+        }
+    }
+
+    /// What is not heard of for so long counts as lost: twice the usual time.
+    pub(super) fn overdue(&self) -> Span {
+        let twice = self.usual.map_or(OVERDUE_MAX, |u| u + u);
+        twice.clamp(OVERDUE_MIN, OVERDUE_MAX)
+    }
+
+    /// The next datagram, if there is room for one and something to tell.
+    pub(super) fn next(&mut self, link: &mut Link, now: ServerTime) -> Option<Vec<u8>> {
+        self.fill(now);
+        if self.is_fresh {
+            self.is_fresh = false;
+            self.give_up_overdue(now);
+            self.choose();
+        }
+        while self.saved >= WORTH_BYTES {
+            let piece = self.pieces.pop_front()?;
+            match link.encode_whole(Body::Displacements(piece), now) {
+                Ok((sequence, bytes, Body::Displacements(piece))) => {
+                    self.note_sent(sequence, bytes.len(), &piece, now);
+                    return Some(bytes);
+                }
+                // Nothing else goes in, so nothing else comes out.
+                Ok(_) => return None,
+                Err(Some(body)) => self.halve(body),
+                Err(None) => {}
+            }
+        }
+        None
+    }
+
+    pub(super) fn stats(&self) -> PictureStats {
+        self.stats
+    }
+
+    fn fill(&mut self, now: ServerTime) {
+        let since = self.filled.map_or(0.0, |t| (now - t).as_secs_f64());
+        self.filled = Some(now);
+        self.saved = (self.saved + since.max(0.0) * RATE).min(SAVED_S * RATE);
+    }
+
+    fn halve(&mut self, body: Body) {
+        if let Some((Body::Displacements(a), Body::Displacements(b))) = body.halves() {
+            self.pieces.push_front(b);
+            self.pieces.push_front(a);
+        }
+    }
+
+    fn give_up_overdue(&mut self, now: ServerTime) {
+        let overdue = self.overdue();
+        while let Some(first) = self.flights.front() {
+            let is_lost = now - first.sent > overdue || self.flights.len() > ON_THE_WAY_MAX;
+            if !is_lost {
+                return;
+            }
+            let Some(flight) = self.flights.pop_front() else {
+                return;
+            };
+            for node in flight.nodes {
+                let told = &mut self.told[node as usize];
+                if told.fate == Fate::OnItsWay(flight.sequence) {
+                    told.fate = Fate::Untold;
+                    self.stats.again += 1;
+                }
+            }
+        }
+    }
+
+    fn note_sent(&mut self, sequence: u32, bytes: usize, piece: &Displacements, now: ServerTime) {
+        let each = (bytes as f64 - HEAD_BYTES).max(1.0) / piece.nodes.len().max(1) as f64;
+        let guess = self.node_bytes.get_or_insert(each);
+        *guess += FOLLOW * (each - *guess);
+        for (node, displacement) in &piece.nodes {
+            let told = &mut self.told[*node as usize];
+            told.last = steps(*displacement);
+            told.fate = Fate::OnItsWay(sequence);
+        }
+        self.stats.told += piece.nodes.len() as u64;
+        self.flights.push_back(Flight {
+            sequence,
+            sent: now,
+            nodes: piece.nodes.iter().map(|n| n.0).collect(),
+        });
+    }
+
+    /// Chooses what of the newest picture is to be sent, and divides it into pieces for a datagram each.
+    fn choose(&mut self) {
+        let Some(picture) = self.newest.clone() else {
+            return;
+        };
+        let longest = picture.nodes.last().map_or(0, |n| *n as usize + 1);
+        if self.told.len() < longest {
+            self.told.resize(longest, Told::default());
+        }
+        let all = picture.nodes.iter().zip(&picture.displacements);
+        let mut off: Vec<(f32, u32, [f32; 3])> = all
+            .filter_map(|(node, d)| Some((self.told[*node as usize].off(*d)?, *node, *d)))
+            .collect();
+        let node_bytes = self.node_bytes.unwrap_or(NODE_BYTES_FIRST);
+        let fit = |bytes: f64| ((bytes - HEAD_BYTES).max(0.0) / node_bytes) as usize;
+        let whole = (fit(0.95 * DATAGRAM_MAX_BYTES as f64)).clamp(1, NODES_MAX);
+        let full = (DATAGRAM_MAX_BYTES + AROUND_BYTES) as f64;
+        let datagrams = (self.saved / full).max(0.0).floor();
+        let rest = self.saved - datagrams * full - AROUND_BYTES as f64;
+        let room = datagrams as usize * whole + fit(rest).min(whole);
+        self.stats.waiting = off.len().saturating_sub(room) as u64;
+        if off.len() > room {
+            if room == 0 {
+                return;
+            }
+            off.select_nth_unstable_by(room - 1, |a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+            off.truncate(room);
+        }
+        off.sort_unstable_by_key(|(_, node, _)| *node);
+        // Pieces of one length: a short one at the end would cost as much around it as a long one.
+        let pieces = off.len().div_ceil(whole).max(1);
+        let length = off.len().div_ceil(pieces).max(1);
+        self.pieces = off
+            .chunks(length)
+            .map(|chunk| Displacements {
+                step_um: PICTURE_STEP_UM,
+                topology_version: picture.topology_version,
+                view_time: picture.view_time,
+                waiting: u32::try_from(self.stats.waiting).unwrap_or(u32::MAX),
+                nodes: chunk.iter().map(|(_, node, d)| (*node, *d)).collect(),
+            })
+            .collect();
+    }
+}
+
+impl Told {
+    /// How far off a node is from what was told, in steps; `None` where it is not worth telling.
+    fn off(&self, displacement: [f32; 3]) -> Option<f32> {
+        let (at, is_told) = match self.fate {
+            Fate::Untold => (self.known, false),
+            Fate::OnItsWay(_) | Fate::Known => (self.last, true),
+        };
+        let step = f32::from(PICTURE_STEP_UM) * 1e-6;
+        let parts = (0..3).map(|i| displacement[i] / step - f32::from(at[i]));
+        let off = parts.map(|x| x * x).sum::<f32>().sqrt();
+        // Of what is not known it is not known how far off it is: it comes before what is hardly off.
+        if is_told {
+            (off > 1.0).then_some(off)
+        } else {
+            Some(off + 1.0)
+        }
+    }
+}
+
+/// A displacement in metres, in steps, as the datagram says it.
+fn steps(displacement: [f32; 3]) -> [i16; 3] {
+    let step = f64::from(PICTURE_STEP_UM) * 1e-6;
+    displacement.map(|x| (f64::from(x) / step).round() as i16)
+}
+
+#[cfg(test)]
+mod tests;

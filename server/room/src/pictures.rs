@@ -1,0 +1,43 @@
+//! The pictures that thin subscribers are sent: where the surface is, made once for all of them.
+//!
+//! What of a picture is told to whom, and when, is each [session's](palpate_protocol::session::Picture)
+//! business: only that knows what has arrived and what there is room for.
+
+use std::sync::Arc;
+
+use palpate_protocol::session::Picture;
+use palpate_protocol::{ServerTime, Span};
+
+use crate::authority::Authority;
+
+/// Between two pictures at least: 60 a second look smooth, and more would share the same rate.
+const PERIOD: Span = Span::from_micros(1_000_000 / 60);
+
+/// How much earlier than that a picture may leave, so that ticks of 60 Hz, which are rounded to
+/// microseconds and come a little early or late, are each worth one.
+const EARLY: Span = Span::from_millis(4);
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(crate) struct Pictures {
+    /// The nodes in view, and the topology version that they are of.
+    nodes: Option<(u32, Arc<[u32]>)>,
+    next: ServerTime,
+}
+
+impl Pictures {
+    /// The picture of the newest tick, if one is due.
+    pub(crate) fn poll(&mut self, authority: &Authority, now: ServerTime) -> Option<Arc<Picture>> {
+        if now + EARLY < self.next {
+            return None;
+        }
+        // On a raster of its own, unless it was missed: early ones do not add up to more of them.
+        self.next = (self.next + PERIOD).max(now + PERIOD - EARLY);
+        let version = authority.version();
+        if self.nodes.as_ref().is_none_or(|(v, _)| *v != version) {
+            self.nodes = Some((version, authority.nodes_in_view()));
+        }
+        let (_, nodes) = self.nodes.as_ref()?;
+        Some(Arc::new(authority.picture(nodes)))
+    }
+}

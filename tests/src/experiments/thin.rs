@@ -1,0 +1,117 @@
+//! Somebody looks on while two people press and cut, and computes no tissue: how far is what is shown from
+//! the server's own shape, and what does it cost?
+//!
+//! A whole session is [rehearsed](crate::rehearsal) in virtual time per network. Distances are of every
+//! displaced node of the surface, at every view, from where the server had it at the moment that is shown.
+
+use std::sync::Arc;
+
+use palpate_protocol::operation::{CompensationMode, CompensationSettings};
+use palpate_tissue::Topology;
+use serde_json::{Value, json};
+
+use super::replicas::soft_block;
+use super::{Bench, Outcome};
+use crate::network::Profile;
+use crate::place::Place;
+use crate::rehearsal::Rehearsal;
+use crate::scripts::Scripts;
+
+/// Length of a session's scripts, s.
+const SECONDS: f64 = 6.0;
+
+/// Views per second, as a server's that is told nothing else.
+const TICK_HZ: u32 = 60;
+
+/// The most that the artificial delay may be, µs.
+const CAP_US: u32 = 500_000;
+
+/// What is asked: the rate in any second, bits/s, with a twentieth for what is saved up ...
+const RATE_MAX: f64 = 1.05e6;
+/// ... and distances when all rests, mm, with what single precision adds.
+const REST_MM: f64 = 0.0501;
+
+/// The networks when nothing is said.
+const NETWORKS: [&str; 4] = ["lan", "transatlantic", "intercontinental", "wifi-bursts"];
+
+pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    let model = bench
+        .model
+        .clone()
+        .unwrap_or_else(|| Arc::new(soft_block()));
+    let place = Place::find(&Topology::new(Arc::clone(&model))).map_err(|e| e.to_string())?;
+    let scripts = Scripts::for_place(&place, SECONDS).map_err(|e| e.to_string())?;
+    let scripts = [&scripts.holder, &scripts.cutter];
+    let networks: Vec<Profile> = match &bench.profile {
+        Some(profile) => vec![profile.clone()],
+        None => NETWORKS
+            .iter()
+            .filter_map(|n| Profile::named(n).ok())
+            .collect(),
+    };
+    let (mut rows, mut table) = (Vec::new(), String::from(HEADER));
+    for (k, profile) in networks.iter().enumerate() {
+        let rehearsal = Rehearsal {
+            model: &model,
+            scripts: &scripts,
+            motion_only: true,
+            onlookers: 1,
+            profile,
+            seed: bench.seed,
+            compensation: CompensationSettings {
+                mode: CompensationMode::Adaptive { cap_us: CAP_US },
+                initial_delay_us: 100_000,
+            },
+            tick_hz: TICK_HZ,
+        };
+        let all = networks.len() as f64;
+        let done = rehearsal.run(|share| {
+            (bench.progress)(&profile.name, (k as f64 + share) / all);
+            true
+        })?;
+        let thin = done.onlooked.first().copied().unwrap_or_default();
+        let row = json!({
+            "profile": profile.name,
+            "thin": thin,
+            "hashes_equal": done.hashes_equal(),
+            "troubles": done.troubles,
+            "ok": thin.bits_per_s_max <= RATE_MAX && thin.rest_mm.max <= REST_MM
+                && done.hashes_equal() && done.troubles.is_empty(),
+        });
+        table.push_str(&csv(&row));
+        rows.push(row);
+    }
+    let mut figures = rows.first().cloned().unwrap_or_default();
+    figures["experiment"] = json!("thin");
+    figures["nodes"] = json!(model.nodes.len());
+    figures["networks"] = json!(rows);
+    Ok(Outcome {
+        caption: "Two trainees press, cut and press again, and a spectator looks on who computes no tissue, in virtual time \
+                  over emulated networks: how far what is shown is from the server's own shape, and what it costs."
+            .to_owned(),
+        figures,
+        charts: Vec::new(),
+        tables: vec![("thin".to_owned(), table)],
+    })
+}
+
+const HEADER: &str = "network,apart_p50_mm,apart_p95_mm,apart_max_mm,rest_max_mm,bits_per_s,bits_per_s_max,bits_per_node,nodes_waiting_max,lag_ms,hashes_equal\n";
+
+fn csv(row: &Value) -> String {
+    let thin = &row["thin"];
+    let cells = [
+        &row["profile"],
+        &thin["apart_mm"]["p50"],
+        &thin["apart_mm"]["p95"],
+        &thin["apart_mm"]["max"],
+        &thin["rest_mm"]["max"],
+        &thin["bits_per_s"],
+        &thin["bits_per_s_max"],
+        &thin["bits_per_node"],
+        &thin["waiting_max"],
+        &thin["lag_ms"],
+        &row["hashes_equal"],
+    ];
+    let cells: Vec<String> = cells.iter().map(ToString::to_string).collect();
+    cells.join(",") + "\n"
+}

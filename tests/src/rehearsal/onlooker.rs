@@ -1,0 +1,265 @@
+//! A thin spectator of a rehearsal: session and site, on a clock of its own, and how far what it shows is
+//! from the server's own shape.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use palpate_client::site::Site;
+use palpate_client::thin::ThinView;
+use palpate_protocol::handshake::{Hello, Subscription};
+use palpate_protocol::session::{ClientEvent, ClientSession, Picture};
+use palpate_protocol::{Grant, Role, ServerTime};
+use palpate_tissue::{Model, Shape};
+use serde::Serialize;
+
+use super::clock::SiteClock;
+use super::wires::Wires;
+use crate::disagreement::DistancesMm;
+use crate::network::Direction;
+
+/// What is displaced by less than this, from where it was at first, does not count: the rest of the
+/// tissue agrees by resting, and would only flatter the percentiles, m.
+const MOVED_M: f32 = 5e-5;
+
+/// Turns from one look at the site to the next, as in the client.
+const LIVE_EVERY: u64 = 4;
+
+/// Turns from one look at the bytes to the next, and looks in a second.
+const COUNT_EVERY: u64 = 50;
+const COUNTS_PER_S: usize = 20;
+
+/// What a thin spectator was shown, and what it cost.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Onlooked {
+    /// Distance of every displaced node that is shown from where the server had it at the moment that is
+    /// shown.
+    pub apart_mm: DistancesMm,
+    /// The same at the end, when all rests.
+    pub rest_mm: DistancesMm,
+    /// Bits per second of the session from the server, with what UDP, IP and QUIC add: the mean, and the
+    /// most in any second.
+    pub bits_per_s: f64,
+    /// See above.
+    pub bits_per_s_max: f64,
+    /// Nodes told per second, and bits for each of them.
+    pub nodes_per_s: f64,
+    /// See above.
+    pub bits_per_node: f64,
+    /// The most nodes that waited for room.
+    pub waiting_max: u32,
+    /// How far it was behind the common moment at the end, ms.
+    pub lag_ms: f64,
+    /// Views of which the server's own shape was not known any more, or was of another topology.
+    pub not_compared: u64,
+}
+
+/// A spectator.
+pub(super) struct Onlooker {
+    seat: usize,
+    clock: SiteClock,
+    model: Arc<Model>,
+    session: ClientSession,
+    site: Option<Site>,
+    turns: u64,
+    at_first: BTreeMap<u32, [f32; 3]>,
+    apart_mm: Vec<f32>,
+    not_compared: u64,
+    /// Bytes and nodes told when the scripts began.
+    began: Option<(i64, u64, u64)>,
+    /// Bytes at the last looks, oldest first.
+    looks: VecDeque<u64>,
+    most: u64,
+    bytes: u64,
+    pub(super) trouble: Option<String>,
+}
+
+impl Onlooker {
+    /// A spectator who asks to be let in.
+    pub(super) fn new(
+        seat: usize,
+        grant: Grant,
+        model: Arc<Model>,
+        clock: SiteClock,
+    ) -> Result<Self, String> {
+        let hello = Hello {
+            name: format!("spectator-{}", seat + 1),
+            role: Role::Spectator,
+            grant,
+            tool: None,
+            subscription: Subscription::Thin,
+            resume: None,
+        };
+        Ok(Self {
+            seat,
+            model,
+            session: ClientSession::new(hello, clock.at(0)).map_err(|e| e.to_string())?,
+            clock,
+            site: None,
+            turns: 0,
+            at_first: BTreeMap::new(),
+            apart_mm: Vec::new(),
+            not_compared: 0,
+            began: None,
+            looks: VecDeque::new(),
+            most: 0,
+            bytes: 0,
+            trouble: None,
+        })
+    }
+
+    /// Bytes of the operations stream, at a moment of true time.
+    pub(super) fn handle_stream(&mut self, bytes: &[u8], at_us: i64) {
+        self.session.handle_stream(bytes, self.clock.at(at_us));
+        self.take_events(at_us);
+    }
+
+    /// A datagram.
+    pub(super) fn handle_datagram(&mut self, bytes: &[u8], at_us: i64) {
+        self.session.handle_datagram(bytes, self.clock.at(at_us));
+        self.take_events(at_us);
+    }
+
+    fn take_events(&mut self, at_us: i64) {
+        let now = self.clock.at(at_us);
+        while let Some(event) = self.session.poll_event() {
+            match &event {
+                ClientEvent::Welcomed(welcome) => {
+                    self.site = Some(Site::thin(welcome, Arc::clone(&self.model), None));
+                }
+                ClientEvent::Closed(reason) => {
+                    self.trouble.get_or_insert(reason.to_string());
+                }
+                _ => {}
+            }
+            if let Some(site) = &mut self.site
+                && let Err(error) = site.handle_event(event, now)
+            {
+                self.trouble.get_or_insert(error.to_string());
+            }
+        }
+    }
+
+    /// One millisecond of its life. `bytes` is what the server has sent to it so far, `pictures` are the
+    /// server's own shapes; they are compared from the moment on when the scripts have begun.
+    pub(super) fn turn(
+        &mut self,
+        at_us: i64,
+        wires: &mut Wires,
+        bytes: u64,
+        pictures: &BTreeMap<ServerTime, Arc<Picture>>,
+    ) {
+        let now = self.clock.at(at_us);
+        if self.session.poll_timeout().is_some_and(|due| due <= now) {
+            self.session.handle_timeout(now);
+        }
+        self.take_events(at_us);
+        if self.turns.is_multiple_of(LIVE_EVERY) {
+            self.live(at_us, pictures);
+        }
+        self.turns += 1;
+        self.bytes = bytes;
+        if self.began.is_some() && self.turns.is_multiple_of(COUNT_EVERY) {
+            self.looks.push_back(bytes);
+            if self.looks.len() > COUNTS_PER_S {
+                let before = self.looks.pop_front().unwrap_or(bytes);
+                self.most = self.most.max(bytes - before);
+            }
+        }
+        while let Some(bytes) = self.session.poll_stream() {
+            wires.send_stream(self.seat, Direction::Up, &bytes, at_us.unsigned_abs());
+        }
+        while let Some(bytes) = self.session.poll_datagram(now) {
+            wires.send_datagram(self.seat, Direction::Up, bytes, at_us.unsigned_abs());
+        }
+    }
+
+    fn live(&mut self, at_us: i64, pictures: &BTreeMap<ServerTime, Arc<Picture>>) {
+        let now = self.clock.at(at_us);
+        let Some(site) = &mut self.site else { return };
+        if let Err(error) = site.advance(now) {
+            self.trouble.get_or_insert(error.to_string());
+        }
+        let begins = site.script_start().map(|at| self.clock.true_us(at));
+        if self.began.is_none() && begins.is_some_and(|b| b <= at_us) {
+            let told = site.replica().thin_view().map_or(0, |t| t.counters().told);
+            self.began = Some((at_us, self.bytes, told));
+        }
+        if let Some(frame) = site.next_view(now)
+            && let Some((shape, version)) = site.seen()
+        {
+            let was = pictures.get(&frame.s);
+            match was.filter(|p| p.topology_version == version) {
+                Some(picture) if self.began.is_some() => {
+                    compare(picture, shape, &self.at_first, &mut self.apart_mm);
+                }
+                Some(picture) => {
+                    let all = picture.nodes.iter().copied();
+                    self.at_first = all.zip(picture.displacements.iter().copied()).collect();
+                }
+                None => self.not_compared += u64::from(self.began.is_some()),
+            }
+        }
+        while let Some(request) = site.poll_request() {
+            if let Err(error) = self.session.request(request) {
+                self.trouble.get_or_insert(error.to_string());
+            }
+        }
+        while site.poll_applied().is_some() {}
+        while site.poll_notice().is_some() {}
+    }
+
+    /// What it was shown until `at_us`; `last` is the server's own shape then.
+    pub(super) fn onlooked(&mut self, at_us: i64, last: Option<&Picture>) -> Onlooked {
+        let (began_us, bytes, told) = self.began.unwrap_or((at_us, self.bytes, 0));
+        let seconds = ((at_us - began_us) as f64 * 1e-6).max(1e-3);
+        let bits_per_s = (self.bytes - bytes) as f64 * 8.0 / seconds;
+        let mut rest = Vec::new();
+        let seen = self.site.as_ref().and_then(Site::seen);
+        if let Some((picture, (shape, _))) = last.zip(seen) {
+            compare(picture, shape, &self.at_first, &mut rest);
+        }
+        let thin = self.site.as_ref().and_then(|s| s.replica().thin_view());
+        let counters = thin.map(ThinView::counters).unwrap_or_default();
+        let nodes = (counters.told - told) as f64 / seconds;
+        Onlooked {
+            apart_mm: DistancesMm::of(&mut self.apart_mm),
+            rest_mm: DistancesMm::of(&mut rest),
+            bits_per_s,
+            bits_per_s_max: self.most as f64 * 8.0,
+            nodes_per_s: nodes,
+            bits_per_node: bits_per_s / nodes.max(1.0),
+            waiting_max: counters.waiting_max,
+            lag_ms: thin.map_or(0.0, |t| t.lag().as_millis_f64()),
+            not_compared: self.not_compared,
+        }
+    }
+
+    /// Version and hash of its own topology; `None` before it was let in.
+    pub(super) fn topology(&self) -> Option<(u32, u64)> {
+        let topology = self.site.as_ref()?.replica().topology();
+        Some((topology.version(), topology.hash().0))
+    }
+}
+
+fn compare(
+    picture: &Picture,
+    shape: &Shape,
+    at_first: &BTreeMap<u32, [f32; 3]>,
+    into: &mut Vec<f32>,
+) {
+    for (node, at) in picture.nodes.iter().zip(&picture.displacements) {
+        let Some(shown) = shape.displacement.get(*node as usize) else {
+            continue;
+        };
+        let shown = [shown.x as f32, shown.y as f32, shown.z as f32];
+        let first = at_first.get(node).copied().unwrap_or([f32::INFINITY; 3]);
+        if distance(shown, first).max(distance(*at, first)) > MOVED_M {
+            into.push(distance(shown, *at) * 1e3);
+        }
+    }
+}
+
+fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
+    let square = |i: usize| (a[i] - b[i]) * (a[i] - b[i]);
+    (0..3).map(square).sum::<f32>().sqrt()
+}
