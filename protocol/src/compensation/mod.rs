@@ -27,7 +27,7 @@ pub use demotion::{DEMOTE_AFTER, Demotion, REPORT_OLD, RESTORE_AFTER, RESTORE_SH
 pub use estimator::{DelayEstimator, DelayRule};
 pub use group::{CHANGE_MIN, CHANGE_PERIOD, DelayChange, GroupDelay, RAISE_PERIOD};
 pub use need::BRIDGE;
-pub use schedule::DelaySchedule;
+pub use schedule::{CATCH_UP, DelaySchedule};
 
 /// Weight of the newest measurement in μ and ν: a memory of 50 packets, 0.2 s at 250 Hz.
 pub const ALPHA: f64 = 0.02;

@@ -2,6 +2,7 @@ use super::*;
 use crate::operation::{CompensationMode, CompensationSettings};
 use crate::request::DelayReport;
 use crate::{ParticipantId, ServerTime};
+use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -80,6 +81,37 @@ fn the_schedule_is_one_function_of_the_log_and_never_runs_backwards() {
             "{rate}"
         );
         last = shown;
+    }
+}
+
+proptest! {
+    #[test]
+    fn changes_that_come_late_are_made_up_for_and_nothing_shown_jumps(
+        changes in prop::collection::vec((0_u32..300, 0_i64..400, 0_i64..400), 1..12),
+    ) {
+        let settings = adaptive(50_000, 400_000);
+        let (mut here, mut there) = (DelaySchedule::new(&settings), DelaySchedule::new(&settings));
+        let mut now = 1_000_000;
+        let mut last = here.shown_at(at(now));
+        let mut go = |here: &DelaySchedule, now: &mut i64, ms: i64| {
+            for _ in 0..ms {
+                *now += 1000;
+                let shown = here.shown_at(at(*now));
+                let rate = (shown - last).as_micros() as f64 / 1000.0;
+                let (least, most) = (1.0 - SLEW_UP - CATCH_UP, 1.0 + SLEW_DOWN + CATCH_UP);
+                assert!((least - 0.002..=most + 0.002).contains(&rate), "{rate}");
+                last = shown;
+            }
+        };
+        for (ms, after, late) in changes {
+            go(&here, &mut now, after);
+            let effective_at = at(now);
+            there.handle_change(ms * 1000, effective_at);
+            go(&here, &mut now, late);
+            here.handle_late_change(ms * 1000, effective_at, at(now));
+        }
+        go(&here, &mut now, 2000);
+        prop_assert!((here.delay_at(at(now)) - there.delay_at(at(now))).as_micros().abs() <= 1);
     }
 }
 

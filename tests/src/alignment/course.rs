@@ -240,7 +240,7 @@ impl Course {
                     .handle_report(ParticipantId(k as u16 + 1), report);
             }
             Parcel::ChangeDown(delay_us, effective_at) => {
-                self.sites[k].schedule.handle_change(delay_us, effective_at);
+                self.sites[k].handle_change(delay_us, effective_at, at);
             }
         }
     }

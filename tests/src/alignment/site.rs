@@ -82,6 +82,19 @@ impl Site {
         }
     }
 
+    /// A change of D has come.
+    pub(super) fn handle_change(
+        &mut self,
+        delay_us: u32,
+        effective_at: ServerTime,
+        true_us: i64,
+    ) {
+        match self.server_time(true_us) {
+            Some(now) => (self.schedule).handle_late_change(delay_us, effective_at, now),
+            None => self.schedule.handle_change(delay_us, effective_at),
+        }
+    }
+
     /// Both tools as they are shown now.
     pub(super) fn shown(&mut self, true_us: i64) -> Option<[Shown; 2]> {
         let moment = self.schedule.shown_at(self.server_time(true_us)?);
