@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 
-use palpate_protocol::compensation::{DelayRule, GroupDelay};
+use palpate_protocol::compensation::{DelayEstimator, DelayRule, DelaySchedule, GroupDelay};
 use palpate_protocol::datagram::{Probe, Reply};
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::request::DelayReport;
@@ -73,6 +73,9 @@ pub struct Course {
     /// Up and down of the first site, up and down of the second.
     ways: [[Box<dyn Way>; 2]; 2],
     group: GroupDelay,
+    /// What the server measures of each site's samples, and what it makes of its own decisions.
+    measured: [DelayEstimator; 2],
+    schedule: DelaySchedule,
     parcels: VecDeque<(usize, Parcel)>,
     first_parcel: usize,
     due: BinaryHeap<Reverse<(i64, usize)>>,
@@ -99,6 +102,8 @@ impl Course {
             sites: [site(), site()],
             ways,
             group: GroupDelay::new(settings),
+            measured: [DelayEstimator::new(rule), DelayEstimator::new(rule)],
+            schedule: DelaySchedule::new(settings),
             parcels: VecDeque::new(),
             first_parcel: 0,
             due: BinaryHeap::new(),
@@ -170,9 +175,14 @@ impl Course {
     }
 
     fn decide(&mut self, now: i64) {
+        let own = self.measured.iter().filter_map(DelayEstimator::report);
+        if let Some(worst) = own.max_by_key(|r| r.wanted_us) {
+            self.group.handle_report(ParticipantId::SERVER, worst);
+        }
         let lead = self.group.lead();
         let at = ServerTime::from_micros(now);
         if let Some(change) = self.group.poll_change(at, lead) {
+            (self.schedule).handle_change(change.delay_us, change.effective_at);
             for k in 0..2 {
                 let parcel = Parcel::ChangeDown(change.delay_us, change.effective_at);
                 self.send_reliably(k, 1, now, parcel);
@@ -220,7 +230,13 @@ impl Course {
         }
         let server_now = ServerTime::from_micros(at);
         match parcel {
-            Parcel::SamplesUp(samples) => self.send(1 - k, 1, at, Parcel::SamplesDown(samples)),
+            Parcel::SamplesUp(samples) => {
+                if let Some(newest) = samples.last() {
+                    let in_force = self.schedule.delay_at(server_now);
+                    self.measured[k].handle_arrival(newest.time, server_now, in_force);
+                }
+                self.send(1 - k, 1, at, Parcel::SamplesDown(samples));
+            }
             Parcel::SamplesDown(samples) => self.sites[k].handle_samples(&samples, at),
             Parcel::ProbeUp(probe) => {
                 let reply = Reply {
