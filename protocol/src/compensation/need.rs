@@ -32,8 +32,8 @@ use crate::{ServerTime, Span};
 pub const BRIDGE: Span = Span::from_millis(12);
 
 /// The least bridge. On a short steady path that is all of what a packet's interval needs: nothing
-/// to be seen, and a third of the delay there.
-const BRIDGE_LEAST: Span = Span::from_micros(7000);
+/// to be seen, and half of the delay there.
+const BRIDGE_LEAST: Span = Span::from_millis(9);
 
 /// The bridge in spreads (from the median to the [`SHARE`]) of the need. A wide need is bridged now
 /// and then, a narrow one would be all the time, and would leave nothing for when the path changes.
@@ -60,11 +60,12 @@ const STEP_US: i64 = 6000;
 /// A rise that lasts longer is no burst but how the path now is.
 const BURST_MAX: Span = Span::from_millis(1200);
 
-/// How long a burst's need is remembered: radio links have one every few seconds.
-const BURST_MEMORY: Span = Span::from_millis(10_000);
+/// How long a burst's need is remembered: radio links have one every few seconds, and one on both
+/// ways at once every few of those.
+const BURST_MEMORY: Span = Span::from_millis(30_000);
 
 /// A burst's need and so much more: the next one is a little worse as often as not.
-const BURST_MARGIN_US: i64 = 2500;
+const BURST_MARGIN_US: i64 = 5000;
 
 /// How long it is remembered that the path had a step up: routes that change do so again within
 /// minutes, and a path that changes has no use for a delay that is just enough.
@@ -72,7 +73,7 @@ const STEP_MEMORY: Span = Span::from_millis(30_000);
 
 /// While that is remembered nothing is bridged and so much is added: what is left of the next step
 /// is what has to be made up until D has grown.
-const STEP_MARGIN_US: i64 = 5000;
+const STEP_MARGIN_US: i64 = 2000;
 
 /// Intervals remembered; at 250 Hz the long memory needs 1000, and a stream that is faster is
 /// remembered for a shorter time.

@@ -63,6 +63,55 @@ fn a_spike_is_followed_at_once_and_forgotten_when_it_is_over() {
 }
 
 #[test]
+fn a_clock_that_is_set_by_hours_is_no_delay_and_is_counted() {
+    for rule in [
+        DelayRule::MeanDeviation,
+        DelayRule::Percentile,
+        DelayRule::Bridged,
+    ] {
+        for hours_us in [7_200_000_000_i64, -7_200_000_000] {
+            let mut estimator = DelayEstimator::new(rule);
+            for i in 0..2000_i64 {
+                let wrong_us = if (1000..1075).contains(&i) {
+                    hours_us
+                } else {
+                    0
+                };
+                let (sent, arrival) = (i * 4000, i * 4000 + 60_000 + wrong_us);
+                estimator.handle_arrival(at(sent), at(arrival), Span::from_millis(70));
+            }
+            assert_eq!(estimator.ignored(), 75);
+            let wanted = estimator.wanted().unwrap();
+            assert!(wanted < Span::from_millis(80), "{rule:?}: {wanted:?}");
+        }
+    }
+}
+
+#[test]
+fn what_the_way_to_the_server_gains_is_foreseen_for_everybody() {
+    let mut group = GroupDelay::new(&adaptive(50_000, 400_000));
+    let report = |wanted_us| DelayReport {
+        wanted_us,
+        ..DelayReport::default()
+    };
+    let lead = Span::from_millis(50);
+    group.handle_report(ParticipantId(1), report(50_000));
+    group.handle_report(ParticipantId::SERVER, report(20_000));
+    assert_eq!(group.poll_change(at(0), lead), None);
+    group.handle_report(ParticipantId::SERVER, report(45_000));
+    let change = group.poll_change(at(300_000), lead).unwrap();
+    assert_eq!(change.delay_us, 75_000, "25 ms more before anybody said so");
+    group.handle_report(ParticipantId(1), report(100_000));
+    let change = group.poll_change(at(400_000), lead).unwrap();
+    assert_eq!(change.delay_us, 100_000, "what they say counts, not twice");
+    group.handle_report(ParticipantId(1), report(50_000));
+    assert_eq!(
+        group.poll_change(at(1_000_000), lead).unwrap().delay_us,
+        50_000
+    );
+}
+
+#[test]
 fn the_schedule_is_one_function_of_the_log_and_never_runs_backwards() {
     let mut schedule = DelaySchedule::new(&adaptive(50_000, 200_000));
     schedule.handle_change(150_000, at(1_000_000));
