@@ -33,7 +33,7 @@ pub const BRIDGE: Span = Span::from_millis(12);
 
 /// The least bridge. On a short steady path that is all of what a packet's interval needs: nothing
 /// to be seen, and half of the delay there.
-const BRIDGE_LEAST: Span = Span::from_millis(9);
+const BRIDGE_LEAST: Span = Span::from_millis(8);
 
 /// The bridge in spreads (from the median to the [`SHARE`]) of the need. A wide need is bridged now
 /// and then, a narrow one would be all the time, and would leave nothing for when the path changes.
