@@ -8,6 +8,7 @@
 //! D* = μ + 4ν + packet interval, or the 98th percentile of the last 200 d + interval
 //! spike mode: while d > D + 8ν, D* follows d at once; it ends when d falls below D again
 //! bridged: what the timeline can not bridge of the time since the newest sample (the default, `need`)
+//! foresight: what the way to the server gained within 600 ms is added to what the others said before it
 //! group: D = max over participants, slewed by dD/dt in [-0.02, +0.25], D <= cap
 //! ```
 //!

@@ -22,6 +22,9 @@
 //! - a **burst** is a step up that is taken back within [`BURST_MAX`]. Where one was, another comes:
 //!   its need is kept for [`BURST_MEMORY`], without counting on the bridge, because within a burst
 //!   packets are missing too.
+//!
+//! A step that lasted is remembered for [`STEP_MEMORY`]: until then nothing is bridged, because what is
+//! bridged already leaves less for the next one.
 
 use std::collections::VecDeque;
 
