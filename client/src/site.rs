@@ -257,7 +257,12 @@ impl Site {
             OperationKind::Compensation {
                 delay_us,
                 effective_at,
-            } => self.schedule.handle_change(*delay_us, *effective_at),
+            } => match self.clock.map(|c| c.to_server(now)) {
+                Some(here) => {
+                    (self.schedule).handle_late_change(*delay_us, *effective_at, here);
+                }
+                None => self.schedule.handle_change(*delay_us, *effective_at),
+            },
             OperationKind::Started { at } => self.started = Some(*at),
             // A seat first, so that the samples that follow find it; its tool shows from its first
             // sample on.

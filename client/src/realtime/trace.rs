@@ -74,6 +74,7 @@ impl Trace {
 #[cfg(test)]
 mod tests {
     use nalgebra::Vector3;
+    use palpate_device::{Buttons, Pose};
     use palpate_haptics::Events;
     use palpate_protocol::ClientTime;
 

@@ -7,6 +7,10 @@ use super::{ALPHA, PERCENTILE_WINDOW};
 use crate::request::DelayReport;
 use crate::{ServerTime, Span};
 
+/// What is older or, by half a second, of the future was stamped or received by a clock that was
+/// set: it says nothing of the network. A path of ten seconds would end the session.
+const AGES: std::ops::RangeInclusive<i64> = -500_000..=10_000_000;
+
 /// Which rule gives D* from the measured ages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum DelayRule {
@@ -34,6 +38,7 @@ pub struct DelayEstimator {
     need: Need,
     urgent: bool,
     measured: u64,
+    ignored: u64,
 }
 
 impl DelayEstimator {
@@ -50,6 +55,7 @@ impl DelayEstimator {
             need: Need::default(),
             urgent: false,
             measured: 0,
+            ignored: 0,
         }
     }
 
@@ -57,6 +63,10 @@ impl DelayEstimator {
     /// held.
     pub fn handle_arrival(&mut self, generated: ServerTime, arrival: ServerTime, in_force: Span) {
         let d = (arrival - generated).as_micros();
+        if !AGES.contains(&d) {
+            self.ignored += 1;
+            return;
+        }
         let d_us = d as f64;
         self.urgent |= self.need.handle_arrival(generated, arrival);
         if self.ages_us.len() == PERCENTILE_WINDOW {
@@ -126,6 +136,11 @@ impl DelayEstimator {
     /// period, because until D has grown everybody extrapolates.
     pub fn take_urgent(&mut self) -> bool {
         std::mem::take(&mut self.urgent) && self.rule == DelayRule::Bridged
+    }
+
+    /// How many arrivals had an age that no network gives: a clock was set.
+    pub fn ignored(&self) -> u64 {
+        self.ignored
     }
 
     /// For the server; `None` before the first arrival.

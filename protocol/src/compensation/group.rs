@@ -15,6 +15,48 @@ pub struct GroupDelay {
     target_us: u32,
     last_change: Option<ServerTime>,
     wanted: Vec<(ParticipantId, u32)>,
+    floor: Floor,
+}
+
+/// What the server's own measurement and the participants' worst report have been at the least of
+/// late: in the half of [`FORESIGHT`] that runs and in the one before it.
+///
+/// When the way to the server becomes slower, the server sees it first: the slow samples still have
+/// to go down, and the report up. Everybody will need as much more as the server's need has grown.
+#[derive(Debug, Clone, Copy, Default)]
+struct Floor {
+    since: Option<ServerTime>,
+    halves: [Option<Needs>; 2],
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Needs {
+    server_us: u32,
+    others_us: u32,
+}
+
+impl Needs {
+    fn least(self, other: Self) -> Self {
+        Self {
+            server_us: self.server_us.min(other.server_us),
+            others_us: self.others_us.min(other.others_us),
+        }
+    }
+}
+
+impl Floor {
+    /// What everybody will soon need, microseconds: at least what they say.
+    fn foresee(&mut self, needs: Needs, now: ServerTime) -> u32 {
+        let half = Span::from_micros(FORESIGHT.as_micros() / 2);
+        if self.since.is_none_or(|since| now - since >= half) {
+            self.since = Some(now);
+            self.halves = [None, self.halves[0]];
+        }
+        self.halves[0] = Some(self.halves[0].map_or(needs, |n| n.least(needs)));
+        let least = self.halves.into_iter().flatten().fold(needs, Needs::least);
+        let rise_us = needs.server_us - least.server_us;
+        needs.others_us.max(least.others_us.saturating_add(rise_us))
+    }
 }
 
 /// A decision of the server, to be written into the log.
@@ -32,6 +74,10 @@ pub const CHANGE_PERIOD: Span = Span::from_millis(250);
 /// Not more often than this is D raised: sooner, because everybody extrapolates until it is.
 pub const RAISE_PERIOD: Span = Span::from_millis(50);
 
+/// For so long a rise of the server's own need is added to what the others said before it: the
+/// slow samples have come to them by then, and their reports back.
+const FORESIGHT: Span = Span::from_millis(600);
+
 /// What an operation needs beyond its way, to be sent again once on a short path.
 const LEAD_MARGIN: Span = Span::from_millis(20);
 
@@ -47,6 +93,7 @@ impl GroupDelay {
             target_us: settings.initial_delay_us,
             last_change: None,
             wanted: Vec::new(),
+            floor: Floor::default(),
         }
     }
 
@@ -83,7 +130,20 @@ impl GroupDelay {
         let CompensationMode::Adaptive { cap_us } = self.mode else {
             return None;
         };
-        let wanted = self.wanted.iter().map(|(_, w)| *w).max()?.min(cap_us);
+        let (server, others): (Vec<_>, Vec<_>) =
+            (self.wanted.iter()).partition(|(p, _)| *p == ParticipantId::SERVER);
+        let most = |needs: Vec<&(ParticipantId, u32)>| needs.into_iter().map(|(_, w)| *w).max();
+        let wanted = match (most(server), most(others)) {
+            (Some(server_us), Some(others_us)) => {
+                let needs = Needs {
+                    server_us,
+                    others_us,
+                };
+                self.floor.foresee(needs, now).max(server_us)
+            }
+            (server, others) => server.max(others)?,
+        }
+        .min(cap_us);
         let change = i64::from(wanted) - i64::from(self.target_us);
         let min = CHANGE_MIN.as_micros();
         if !(change >= min || change <= -2 * min) {

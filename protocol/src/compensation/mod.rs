@@ -8,6 +8,7 @@
 //! D* = μ + 4ν + packet interval, or the 98th percentile of the last 200 d + interval
 //! spike mode: while d > D + 8ν, D* follows d at once; it ends when d falls below D again
 //! bridged: what the timeline can not bridge of the time since the newest sample (the default, `need`)
+//! foresight: what the way to the server gained within 600 ms is added to what the others said before it
 //! group: D = max over participants, slewed by dD/dt in [-0.02, +0.25], D <= cap
 //! ```
 //!
@@ -27,7 +28,7 @@ pub use demotion::{DEMOTE_AFTER, Demotion, REPORT_OLD, RESTORE_AFTER, RESTORE_SH
 pub use estimator::{DelayEstimator, DelayRule};
 pub use group::{CHANGE_MIN, CHANGE_PERIOD, DelayChange, GroupDelay, RAISE_PERIOD};
 pub use need::BRIDGE;
-pub use schedule::DelaySchedule;
+pub use schedule::{CATCH_UP, DelaySchedule};
 
 /// Weight of the newest measurement in μ and ν: a memory of 50 packets, 0.2 s at 250 Hz.
 pub const ALPHA: f64 = 0.02;

@@ -22,6 +22,9 @@
 //! - a **burst** is a step up that is taken back within [`BURST_MAX`]. Where one was, another comes:
 //!   its need is kept for [`BURST_MEMORY`], without counting on the bridge, because within a burst
 //!   packets are missing too.
+//!
+//! A step that lasted is remembered for [`STEP_MEMORY`]: until then nothing is bridged, because what is
+//! bridged already leaves less for the next one.
 
 use std::collections::VecDeque;
 
@@ -30,6 +33,10 @@ use crate::{ServerTime, Span};
 /// The farthest beyond the newest sample that the rule lets the timeline go at the edge of its
 /// [`SHARE`].
 pub const BRIDGE: Span = Span::from_millis(12);
+
+/// The least bridge. On a short steady path that is all of what a packet's interval needs: nothing
+/// to be seen, and half of the delay there.
+const BRIDGE_LEAST: Span = Span::from_millis(8);
 
 /// The bridge in spreads (from the median to the [`SHARE`]) of the need. A wide need is bridged now
 /// and then, a narrow one would be all the time, and would leave nothing for when the path changes.
@@ -56,8 +63,20 @@ const STEP_US: i64 = 6000;
 /// A rise that lasts longer is no burst but how the path now is.
 const BURST_MAX: Span = Span::from_millis(1200);
 
-/// How long a burst's need is remembered: radio links have one every few seconds.
-const BURST_MEMORY: Span = Span::from_millis(10_000);
+/// How long a burst's need is remembered: radio links have one every few seconds, and one on both
+/// ways at once every few of those.
+const BURST_MEMORY: Span = Span::from_millis(30_000);
+
+/// A burst's need and so much more: the next one is a little worse as often as not.
+const BURST_MARGIN_US: i64 = 5000;
+
+/// How long it is remembered that the path had a step up: routes that change do so again within
+/// minutes, and a path that changes has no use for a delay that is just enough.
+const STEP_MEMORY: Span = Span::from_millis(30_000);
+
+/// While that is remembered nothing is bridged and so much is added: what is left of the next step
+/// is what has to be made up until D has grown.
+const STEP_MARGIN_US: i64 = 2000;
 
 /// Intervals remembered; at 250 Hz the long memory needs 1000, and a stream that is faster is
 /// remembered for a shorter time.
@@ -93,6 +112,7 @@ pub(super) struct Need {
     bridge_us: i64,
     rise: Option<Rise>,
     burst: Option<(ServerTime, i64)>,
+    stepped: Option<ServerTime>,
     since_sorted: u32,
 }
 
@@ -184,6 +204,7 @@ impl Need {
             self.burst = Some((now, known_us.max(rise.peak_us)));
             self.rise = None;
         } else if now - rise.began > BURST_MAX {
+            self.stepped = Some(now);
             self.rise = None;
         } else {
             rise.peak_us = rise.peak_us.max(last.to_us);
@@ -199,7 +220,13 @@ impl Need {
         let long = self.quantile(now, LONG, SHARE);
         let short = self.quantile(now, SHORT, SHARE);
         let spread = long - self.quantile(now, LONG, 0.5);
-        self.bridge_us = (BRIDGE_SPREADS * spread).clamp(0, BRIDGE.as_micros());
+        if self.stepped.is_some_and(|at| now - at > STEP_MEMORY) {
+            self.stepped = None;
+        }
+        self.bridge_us = match self.stepped {
+            Some(_) => -STEP_MARGIN_US,
+            None => (BRIDGE_SPREADS * spread).clamp(BRIDGE_LEAST.as_micros(), BRIDGE.as_micros()),
+        };
         long.min(short.saturating_add(MARGIN_US))
     }
 
@@ -235,7 +262,7 @@ impl Need {
     /// D*, microseconds; `None` before two packets.
     pub(super) fn wanted_us(&self) -> Option<i64> {
         let settled = self.settled_us? - self.bridge_us;
-        let burst = self.burst.map_or(0, |(_, us)| us);
+        let burst = self.burst.map_or(0, |(_, us)| us + BURST_MARGIN_US);
         Some(settled.max(burst).max(0))
     }
 }

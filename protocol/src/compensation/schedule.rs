@@ -11,10 +11,36 @@ use crate::{ServerTime, Span};
 /// From `effective_at` on, D moves from where it then is towards the new value, by at most
 /// [`SLEW_UP`] and [`SLEW_DOWN`] per second. Give it every `Compensation` operation in the order of
 /// the log; ask it for any time from then on.
+///
+/// An operation that was long on its way comes when its change has taken effect. Whoever shows a
+/// picture gives it to [`handle_late_change`](Self::handle_late_change): the picture then goes from
+/// where it is to where the others are, and neither jumps nor runs backwards.
 #[derive(Debug, Clone)]
 pub struct DelaySchedule {
     changes: VecDeque<Change>,
+    behind: Option<Behind>,
 }
+
+/// What a late change left between D as it was here and D as the log says it.
+#[derive(Debug, Clone, Copy)]
+struct Behind {
+    at: ServerTime,
+    by_us: f64,
+}
+
+impl Behind {
+    fn at(&self, t: ServerTime) -> f64 {
+        if t < self.at {
+            return 0.0;
+        }
+        let made_up = CATCH_UP * (t - self.at).as_micros() as f64;
+        (self.by_us.abs() - made_up).max(0.0).copysign(self.by_us)
+    }
+}
+
+/// How fast a site whose change came late makes up for it, seconds per second, beside [`SLEW_UP`]:
+/// what is shown then still goes forward, at a quarter of its speed for some milliseconds.
+pub const CATCH_UP: f64 = 0.5;
 
 #[derive(Debug, Clone, Copy)]
 struct Change {
@@ -46,6 +72,7 @@ impl DelaySchedule {
         };
         Self {
             changes: VecDeque::from([first]),
+            behind: None,
         }
     }
 
@@ -66,15 +93,29 @@ impl DelaySchedule {
         });
     }
 
+    /// A `Compensation` operation that arrives at a site whose time is `now`, where something is
+    /// shown: D goes on from where it is, and reaches the others' by [`CATCH_UP`].
+    pub fn handle_late_change(&mut self, delay_us: u32, effective_at: ServerTime, now: ServerTime) {
+        let before_us = self.delay_us(now);
+        self.behind = None;
+        self.handle_change(delay_us, effective_at);
+        let by_us = before_us - self.delay_us(now);
+        self.behind = (by_us != 0.0).then_some(Behind { at: now, by_us });
+    }
+
     /// D at a moment.
     pub fn delay_at(&self, t: ServerTime) -> Span {
+        Span::from_micros(self.delay_us(t).round() as i64)
+    }
+
+    fn delay_us(&self, t: ServerTime) -> f64 {
         let change = self
             .changes
             .iter()
             .rev()
             .find(|c| c.from <= t)
             .or(self.changes.front());
-        Span::from_micros(change.map_or(0.0, |c| c.at(t)).round() as i64)
+        change.map_or(0.0, |c| c.at(t)) + self.behind.map_or(0.0, |b| b.at(t))
     }
 
     /// The moment τ = t - D(t) that is shown at server time t. It never runs backwards, because D

@@ -2,6 +2,7 @@ use super::*;
 use crate::operation::{CompensationMode, CompensationSettings};
 use crate::request::DelayReport;
 use crate::{ParticipantId, ServerTime};
+use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -62,6 +63,55 @@ fn a_spike_is_followed_at_once_and_forgotten_when_it_is_over() {
 }
 
 #[test]
+fn a_clock_that_is_set_by_hours_is_no_delay_and_is_counted() {
+    for rule in [
+        DelayRule::MeanDeviation,
+        DelayRule::Percentile,
+        DelayRule::Bridged,
+    ] {
+        for hours_us in [7_200_000_000_i64, -7_200_000_000] {
+            let mut estimator = DelayEstimator::new(rule);
+            for i in 0..2000_i64 {
+                let wrong_us = if (1000..1075).contains(&i) {
+                    hours_us
+                } else {
+                    0
+                };
+                let (sent, arrival) = (i * 4000, i * 4000 + 60_000 + wrong_us);
+                estimator.handle_arrival(at(sent), at(arrival), Span::from_millis(70));
+            }
+            assert_eq!(estimator.ignored(), 75);
+            let wanted = estimator.wanted().unwrap();
+            assert!(wanted < Span::from_millis(80), "{rule:?}: {wanted:?}");
+        }
+    }
+}
+
+#[test]
+fn what_the_way_to_the_server_gains_is_foreseen_for_everybody() {
+    let mut group = GroupDelay::new(&adaptive(50_000, 400_000));
+    let report = |wanted_us| DelayReport {
+        wanted_us,
+        ..DelayReport::default()
+    };
+    let lead = Span::from_millis(50);
+    group.handle_report(ParticipantId(1), report(50_000));
+    group.handle_report(ParticipantId::SERVER, report(20_000));
+    assert_eq!(group.poll_change(at(0), lead), None);
+    group.handle_report(ParticipantId::SERVER, report(45_000));
+    let change = group.poll_change(at(300_000), lead).unwrap();
+    assert_eq!(change.delay_us, 75_000, "25 ms more before anybody said so");
+    group.handle_report(ParticipantId(1), report(100_000));
+    let change = group.poll_change(at(400_000), lead).unwrap();
+    assert_eq!(change.delay_us, 100_000, "what they say counts, not twice");
+    group.handle_report(ParticipantId(1), report(50_000));
+    assert_eq!(
+        group.poll_change(at(1_000_000), lead).unwrap().delay_us,
+        50_000
+    );
+}
+
+#[test]
 fn the_schedule_is_one_function_of_the_log_and_never_runs_backwards() {
     let mut schedule = DelaySchedule::new(&adaptive(50_000, 200_000));
     schedule.handle_change(150_000, at(1_000_000));
@@ -80,6 +130,37 @@ fn the_schedule_is_one_function_of_the_log_and_never_runs_backwards() {
             "{rate}"
         );
         last = shown;
+    }
+}
+
+proptest! {
+    #[test]
+    fn changes_that_come_late_are_made_up_for_and_nothing_shown_jumps(
+        changes in prop::collection::vec((0_u32..300, 0_i64..400, 0_i64..400), 1..12),
+    ) {
+        let settings = adaptive(50_000, 400_000);
+        let (mut here, mut there) = (DelaySchedule::new(&settings), DelaySchedule::new(&settings));
+        let mut now = 1_000_000;
+        let mut last = here.shown_at(at(now));
+        let mut go = |here: &DelaySchedule, now: &mut i64, ms: i64| {
+            for _ in 0..ms {
+                *now += 1000;
+                let shown = here.shown_at(at(*now));
+                let rate = (shown - last).as_micros() as f64 / 1000.0;
+                let (least, most) = (1.0 - SLEW_UP - CATCH_UP, 1.0 + SLEW_DOWN + CATCH_UP);
+                assert!((least - 0.002..=most + 0.002).contains(&rate), "{rate}");
+                last = shown;
+            }
+        };
+        for (ms, after, late) in changes {
+            go(&here, &mut now, after);
+            let effective_at = at(now);
+            there.handle_change(ms * 1000, effective_at);
+            go(&here, &mut now, late);
+            here.handle_late_change(ms * 1000, effective_at, at(now));
+        }
+        go(&here, &mut now, 2000);
+        prop_assert!((here.delay_at(at(now)) - there.delay_at(at(now))).as_micros().abs() <= 1);
     }
 }
 

@@ -2,18 +2,20 @@
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
+use std::sync::Arc;
 
-use palpate_protocol::compensation::{DelayRule, GroupDelay};
+use palpate_protocol::compensation::{DelayEstimator, DelayRule, DelaySchedule, GroupDelay};
 use palpate_protocol::datagram::{Probe, Reply};
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::request::DelayReport;
+use palpate_protocol::session::FUTURE_MAX;
 use palpate_protocol::{ParticipantId, ServerTime, ToolSample};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::hand::Hand;
 use super::site::Site;
 use super::way::Way;
+use crate::hand::Hand;
 
 /// One tick of a hand and of a picture, microseconds.
 const TICK_US: i64 = 1000;
@@ -73,44 +75,54 @@ pub struct Course {
     /// Up and down of the first site, up and down of the second.
     ways: [[Box<dyn Way>; 2]; 2],
     group: GroupDelay,
+    /// What the server measures of each site's samples, and what it makes of its own decisions.
+    measured: [DelayEstimator; 2],
+    schedule: DelaySchedule,
     parcels: VecDeque<(usize, Parcel)>,
     first_parcel: usize,
     due: BinaryHeap<Reverse<(i64, usize)>>,
     stream_us: [[i64; 2]; 2],
     probe_due_us: [i64; 2],
     report_due_us: [i64; 2],
+    now_us: i64,
 }
 
 impl Course {
-    /// A session over these paths.
+    /// A session of these hands over these paths.
     pub fn new(
         settings: &CompensationSettings,
         rule: DelayRule,
         ways: [[Box<dyn Way>; 2]; 2],
+        hands: [Arc<dyn Hand>; 2],
         seed: u64,
     ) -> Self {
         let mut rng = Pcg64::seed_from_u64(seed);
-        let mut site = || {
+        let sites = hands.map(|hand| {
             let offset_us = rng.random_range(-3_600_000_000..3_600_000_000);
             let drift = rng.random_range(-DRIFT_MAX..DRIFT_MAX);
-            Site::new(Hand::new(&mut rng), settings, rule, (offset_us, drift))
-        };
+            Site::new(hand, settings, rule, (offset_us, drift))
+        });
         Self {
-            sites: [site(), site()],
+            sites,
             ways,
             group: GroupDelay::new(settings),
+            measured: [DelayEstimator::new(rule), DelayEstimator::new(rule)],
+            schedule: DelaySchedule::new(settings),
             parcels: VecDeque::new(),
             first_parcel: 0,
             due: BinaryHeap::new(),
             stream_us: [[0; 2]; 2],
             probe_due_us: [0; 2],
             report_due_us: [REPORT_US; 2],
+            now_us: 0,
         }
     }
 
     /// Goes on until `until_us`, and gives every moment from `from_us` on.
     pub fn run(&mut self, from_us: i64, until_us: i64, moment: &mut dyn FnMut(Moment)) {
-        for now in (0..until_us).step_by(TICK_US as usize) {
+        while self.now_us < until_us {
+            let now = self.now_us;
+            self.now_us += TICK_US;
             while let Some(&Reverse((at, number))) = self.due.peek() {
                 if at > now {
                     break;
@@ -128,6 +140,16 @@ impl Course {
                 moment(shown);
             }
         }
+    }
+
+    /// Somebody sets the clock of a site.
+    pub fn set_clock(&mut self, site: usize, by_us: i64) {
+        self.sites[site].set_clock(by_us);
+    }
+
+    /// How often each site has noticed that a clock was set.
+    pub fn clock_steps(&self) -> [u64; 2] {
+        [0, 1].map(|k| self.sites[k].clock.steps())
     }
 
     fn shown(&mut self, now: i64) -> Option<Moment> {
@@ -170,9 +192,14 @@ impl Course {
     }
 
     fn decide(&mut self, now: i64) {
+        let own = self.measured.iter().filter_map(DelayEstimator::report);
+        if let Some(worst) = own.max_by_key(|r| r.wanted_us) {
+            self.group.handle_report(ParticipantId::SERVER, worst);
+        }
         let lead = self.group.lead();
         let at = ServerTime::from_micros(now);
         if let Some(change) = self.group.poll_change(at, lead) {
+            (self.schedule).handle_change(change.delay_us, change.effective_at);
             for k in 0..2 {
                 let parcel = Parcel::ChangeDown(change.delay_us, change.effective_at);
                 self.send_reliably(k, 1, now, parcel);
@@ -220,7 +247,17 @@ impl Course {
         }
         let server_now = ServerTime::from_micros(at);
         match parcel {
-            Parcel::SamplesUp(samples) => self.send(1 - k, 1, at, Parcel::SamplesDown(samples)),
+            Parcel::SamplesUp(samples) => {
+                // As the session does it: a clock that was set is noise.
+                if samples.iter().any(|s| s.time > server_now + FUTURE_MAX) {
+                    return;
+                }
+                if let Some(newest) = samples.last() {
+                    let in_force = self.schedule.delay_at(server_now);
+                    self.measured[k].handle_arrival(newest.time, server_now, in_force);
+                }
+                self.send(1 - k, 1, at, Parcel::SamplesDown(samples));
+            }
             Parcel::SamplesDown(samples) => self.sites[k].handle_samples(&samples, at),
             Parcel::ProbeUp(probe) => {
                 let reply = Reply {
@@ -240,7 +277,7 @@ impl Course {
                     .handle_report(ParticipantId(k as u16 + 1), report);
             }
             Parcel::ChangeDown(delay_us, effective_at) => {
-                self.sites[k].schedule.handle_change(delay_us, effective_at);
+                self.sites[k].handle_change(delay_us, effective_at, at);
             }
         }
     }

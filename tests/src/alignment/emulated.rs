@@ -27,12 +27,16 @@ impl Way for Emulated {
 pub fn emulated(
     profile: &Profile,
     seed: u64,
-) -> Alignment<impl Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> {
+) -> Alignment<impl Fn(usize, Pcg64, Pcg64) -> Box<dyn Way> + use<>> {
     let profile = profile.clone();
     let ways = move |number: usize, _: Pcg64, mut air: Pcg64| -> Box<dyn Way> {
         let direction = [Direction::Up, Direction::Down][number % 2];
         let path = Path::new(&profile, air.random(), (number / 2) as u64, direction);
         Box::new(Emulated(path))
     };
-    Alignment { ways, seed }
+    Alignment {
+        ways,
+        seed,
+        motion: None,
+    }
 }

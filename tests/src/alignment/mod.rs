@@ -10,9 +10,11 @@
 
 pub mod course;
 pub mod emulated;
-pub mod hand;
+mod motion;
 mod site;
 pub mod way;
+
+use std::sync::Arc;
 
 use palpate_protocol::compensation::{CAP_DEFAULT, DelayRule};
 use palpate_protocol::operation::{CompensationMode, CompensationSettings};
@@ -20,7 +22,9 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serde::Serialize;
 
+use crate::hand::Hand;
 use course::{Course, Moment};
+use motion::hands;
 use way::{Law, LawfulWay, Way};
 
 /// What is not counted at the beginning, microseconds: clocks and delays settle.
@@ -160,12 +164,14 @@ fn percentile(values: &mut [f64], p: f64) -> f64 {
 
 /// An alignment over paths made by `ways`, which gets the number of a path (up and down of the first
 /// site, up and down of the second), a generator of its own and one of the whole network.
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone)]
 pub struct Alignment<W> {
     /// Makes a path.
     pub ways: W,
     /// What replays it.
     pub seed: u64,
+    /// A recorded motion for both hands, each at another place of it, instead of random ones.
+    pub motion: Option<Arc<dyn Hand>>,
 }
 
 /// An alignment over paths that follow a law.
@@ -173,23 +179,33 @@ pub fn over(law: Law, seed: u64) -> Alignment<impl Fn(usize, Pcg64, Pcg64) -> Bo
     let ways = move |_: usize, own: Pcg64, air: Pcg64| -> Box<dyn Way> {
         Box::new(LawfulWay::new(law, own, air, WARM_UP_US + COUNTED_US))
     };
-    Alignment { ways, seed }
+    Alignment {
+        ways,
+        seed,
+        motion: None,
+    }
 }
 
 impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
     /// Every moment that counts.
     pub fn moments(&self, mode: Mode) -> Vec<Moment> {
+        let mut moments = Vec::with_capacity((COUNTED_US / 1000) as usize);
+        self.course(mode)
+            .run(WARM_UP_US, WARM_UP_US + COUNTED_US, &mut |m| {
+                moments.push(m);
+            });
+        moments
+    }
+
+    /// The session, not begun.
+    pub fn course(&self, mode: Mode) -> Course {
         let mut rng = Pcg64::seed_from_u64(self.seed ^ 0x70_61_74_68);
         let air = Pcg64::seed_from_u64(rng.random());
         let mut way = |number| (self.ways)(number, Pcg64::seed_from_u64(rng.random()), air.clone());
         let ways = [[way(0), way(1)], [way(2), way(3)]];
         let (settings, rule) = mode.settings();
-        let mut course = Course::new(&settings, rule, ways, self.seed);
-        let mut moments = Vec::with_capacity((COUNTED_US / 1000) as usize);
-        course.run(WARM_UP_US, WARM_UP_US + COUNTED_US, &mut |m| {
-            moments.push(m);
-        });
-        moments
+        let hands = hands(self.motion.as_ref(), self.seed);
+        Course::new(&settings, rule, ways, hands, self.seed)
     }
 
     /// The figures of a mode.
@@ -219,3 +235,6 @@ impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
         Some(high)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,17 +1,18 @@
 //! One of the two people: a clock of their own, a hand, and what they are shown.
 
+use std::sync::Arc;
+
 use palpate_protocol::clock::{ClockEstimate, ClockMap};
 use palpate_protocol::compensation::{DelayEstimator, DelayRule, DelaySchedule};
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::timeline::{Shown, Timeline};
-use palpate_protocol::{ClientTime, Pose, ServerTime, ToolSample};
+use palpate_protocol::{ClientTime, ServerTime, ToolSample};
 
-use super::hand::Hand;
+use crate::hand::Hand;
 
 /// A site of the alignment.
-#[derive(Debug)]
 pub(super) struct Site {
-    pub hand: Hand,
+    pub hand: Arc<dyn Hand>,
     pub clock: ClockEstimate,
     pub estimator: DelayEstimator,
     pub schedule: DelaySchedule,
@@ -24,7 +25,7 @@ pub(super) struct Site {
 
 impl Site {
     pub(super) fn new(
-        hand: Hand,
+        hand: Arc<dyn Hand>,
         settings: &CompensationSettings,
         rule: DelayRule,
         (offset_us, drift): (i64, f64),
@@ -47,6 +48,11 @@ impl Site {
         ClientTime::from_micros(true_us + drifted + self.offset_us)
     }
 
+    /// Somebody sets it.
+    pub(super) fn set_clock(&mut self, by_us: i64) {
+        self.offset_us += by_us;
+    }
+
     /// The server's time as it is known here.
     pub(super) fn server_time(&self, true_us: i64) -> Option<ServerTime> {
         let map: ClockMap = self.clock.map()?;
@@ -56,10 +62,7 @@ impl Site {
     /// Takes a sample of the hand; `None` until the clock is known.
     pub(super) fn sample(&mut self, true_us: i64) -> Option<()> {
         let time = self.server_time(true_us)?;
-        let pose = Pose {
-            position_m: self.hand.at(true_us as f64 * 1e-6),
-            ..Pose::IDENTITY
-        };
+        let pose = self.hand.at(true_us as f64 * 1e-6);
         let sample = ToolSample {
             time,
             pose,
@@ -79,6 +82,14 @@ impl Site {
         self.estimator.handle_arrival(newest.time, now, in_force);
         for sample in samples {
             self.views[1].insert(*sample);
+        }
+    }
+
+    /// A change of D has come.
+    pub(super) fn handle_change(&mut self, delay_us: u32, effective_at: ServerTime, true_us: i64) {
+        match self.server_time(true_us) {
+            Some(now) => (self.schedule).handle_late_change(delay_us, effective_at, now),
+            None => self.schedule.handle_change(delay_us, effective_at),
         }
     }
 

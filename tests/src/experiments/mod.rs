@@ -88,6 +88,13 @@ impl Takes {
         ..Self::NOTHING
     };
 
+    /// Two sites over a network, what their hands do, and several seeds.
+    pub const ALIGNMENTS: Self = Self {
+        seeds: true,
+        motion: true,
+        ..Self::NETWORKS
+    };
+
     /// A hand: a recorded one, or the seed of a random one.
     pub const HANDS: Self = Self {
         seed: true,
@@ -137,31 +144,37 @@ pub const ALL: &[Experiment] = &[
     Experiment {
         name: "atc-none",
         about: "two sites align a part without artificial time compensation (fig 7.26)",
-        takes: Takes::NETWORKS,
+        takes: Takes::ALIGNMENTS,
         run: atc::none,
     },
     Experiment {
         name: "atc-fixed",
         about: "two sites align a part, everything shown at the smallest fixed delay that is safe (fig 7.27)",
-        takes: Takes::NETWORKS,
+        takes: Takes::ALIGNMENTS,
         run: atc::fixed,
     },
     Experiment {
         name: "atc-adaptive",
         about: "two sites align a part, the delay follows what the network needs (fig 7.28)",
-        takes: Takes::NETWORKS,
+        takes: Takes::ALIGNMENTS,
         run: atc::adaptive,
     },
     Experiment {
         name: "transmission",
         about: "what a motion takes from site to site, with the delay and without (fig 7.24)",
-        takes: Takes::NETWORKS,
+        takes: Takes {
+            motion: true,
+            ..Takes::NETWORKS
+        },
         run: atc::transmission,
     },
     Experiment {
         name: "jitter",
         about: "how a tool shakes that jitter has come over, with compensation and without (fig 7.25)",
-        takes: Takes::NETWORKS,
+        takes: Takes {
+            motion: true,
+            ..Takes::NETWORKS
+        },
         run: atc::jitter,
     },
     Experiment {

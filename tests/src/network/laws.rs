@@ -290,7 +290,7 @@ fn an_outage_loses_everything_and_nothing_else_does() {
 
 #[test]
 fn steps_come_at_their_times_and_again() {
-    let mut path = Path::new(&Profile::named("steps").unwrap(), 1, 0, Direction::Up);
+    let mut path = Path::new(&Profile::named("far-steps").unwrap(), 1, 0, Direction::Up);
     for n in 0..6000 {
         let at = n * 10_000;
         let asked_ms = [30.0, 80.0, 120.0][(n / 1000 % 3) as usize];

@@ -68,7 +68,7 @@ pub enum ProfileError {
 }
 
 /// The named profiles.
-const NAMES: [&str; 13] = [
+const NAMES: [&str; 14] = [
     "none",
     "lan",
     "metro",
@@ -78,10 +78,11 @@ const NAMES: [&str; 13] = [
     "wifi-bursts",
     "lte",
     "lossy",
-    "steps",
     "gamma",
+    "steps",
     "bursts",
     "outages",
+    "far-steps",
 ];
 
 /// A profile as it stands in a file.
@@ -289,11 +290,27 @@ impl Profile {
     pub fn named(name: &str) -> Result<Self, ProfileError> {
         let uniform = |reach_ms| Jitter::Uniform { reach_ms };
         let normal = |deviation_ms| Jitter::Normal { deviation_ms };
+        // Of shape 1, so that two ways add up to shape 2.
+        let gamma = |mean_ms| Jitter::Gamma {
+            mean_ms,
+            deviation_ms: mean_ms,
+        };
         let plain = |delay_ms, jitter, loss| Link {
             delay_ms,
             jitter,
             loss,
             ..Link::default()
+        };
+        let stepping = |delays_ms: [f64; 3], jitter| Link {
+            steps: Some(Steps {
+                repeat_s: Some(30.0),
+                delays: [0.0, 10.0, 20.0]
+                    .into_iter()
+                    .zip(delays_ms)
+                    .map(|(at_s, delay_ms)| Step { at_s, delay_ms })
+                    .collect(),
+            }),
+            ..plain(delays_ms[0], jitter, 0.0)
         };
         let link = match name {
             "none" => Link::default(),
@@ -331,26 +348,9 @@ impl Profile {
                 duplicate: 0.01,
                 ..plain(40.0, uniform(10.0), 0.2)
             },
-            "steps" => Link {
-                steps: Some(Steps {
-                    repeat_s: Some(30.0),
-                    delays: [(0.0, 30.0), (10.0, 80.0), (20.0, 120.0)]
-                        .map(|(at_s, delay_ms)| Step { at_s, delay_ms })
-                        .into(),
-                }),
-                ..plain(30.0, uniform(2.0), 0.0)
-            },
-            // A queue or two on the way: most packets hardly wait, few wait long.
             "gamma" => Link {
                 reorder: true,
-                ..plain(
-                    50.0,
-                    Jitter::Gamma {
-                        mean_ms: 5.0,
-                        deviation_ms: 5.0,
-                    },
-                    0.0,
-                )
+                ..plain(25.0, gamma(5.0), 0.0)
             },
             // 50 ms, and 120 ms for a fifth of a second in every two at 250 packets a second.
             "bursts" => Link {
@@ -373,6 +373,10 @@ impl Profile {
                 }),
                 ..plain(25.0, uniform(3.0), 0.002)
             },
+            // 30, 80 and 120 ms from one participant to another, half of it on each way to the server.
+            "steps" => stepping([15.0, 40.0, 60.0], gamma(0.25)),
+            // The same on every way, so that it is 60, 160 and 240 ms from one to another.
+            "far-steps" => stepping([30.0, 80.0, 120.0], uniform(2.0)),
             _ => {
                 return Err(ProfileError::Unknown {
                     name: name.to_owned(),

@@ -1,0 +1,97 @@
+//! What artificial time compensation has to hold, over seeds, in virtual time.
+
+use super::emulated::emulated;
+use super::way::Law;
+use super::{Alignment, Disagreement, Figures, Mode, SAFE_MM, WARM_UP_US, over};
+use crate::alignment::way::Way;
+use crate::network::Profile;
+use palpate_protocol::compensation::DelayRule;
+use rand_pcg::Pcg64;
+
+/// Half the step to which a position is rounded on the wire, mm: what nobody can see.
+const NOTHING_MM: f64 = 0.005;
+
+const ADAPTIVE: Mode = Mode::Adaptive(DelayRule::Bridged);
+
+/// No fixed delay that is shorter than the mean of the adaptive one by this factor is safe.
+fn lag_is_within<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
+    factor: f64,
+    figures: &Figures,
+    alignment: &Alignment<W>,
+) {
+    let shorter_ms = (figures.compensation_ms.mean / factor).ceil() as u32 - 1;
+    let fixed = alignment.figures(Mode::Fixed(shorter_ms));
+    assert!(!fixed.is_safe(), "{shorter_ms} ms would do: {fixed:?}");
+}
+
+fn times_nearer<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
+    figures: &Figures,
+    alignment: &Alignment<W>,
+) -> f64 {
+    alignment.figures(Mode::None).disagreement_mm.rms / figures.disagreement_mm.rms
+}
+
+#[test]
+fn on_steady_jitter_two_sites_agree_at_a_tenth_more_than_the_least_lag_at_most() {
+    for seed in 1..=2 {
+        let alignment = over(Law::Gamma, seed);
+        let figures = alignment.figures(ADAPTIVE);
+        assert!(figures.is_safe(), "{seed}: {figures:?}");
+        assert!(times_nearer(&figures, &alignment) >= 50.0);
+        lag_is_within(1.10, &figures, &alignment);
+    }
+}
+
+#[test]
+fn on_steps_two_sites_agree_at_less_lag_than_any_fixed_one_that_is_safe() {
+    for seed in 1..=2 {
+        let alignment = over(Law::Steps, seed);
+        let figures = alignment.figures(ADAPTIVE);
+        assert!(figures.is_safe(), "{seed}: {figures:?}");
+        assert!(times_nearer(&figures, &alignment) >= 50.0);
+        lag_is_within(0.85, &figures, &alignment);
+    }
+}
+
+#[test]
+fn on_bursts_nothing_more_is_seen_than_at_a_fixed_delay_of_the_same_mean() {
+    for seed in 1..=3 {
+        let alignment = over(Law::Bursts, seed);
+        let figures = alignment.figures(ADAPTIVE);
+        let same_ms = figures.compensation_ms.mean.round() as u32;
+        let Disagreement { max, .. } = alignment.figures(Mode::Fixed(same_ms)).disagreement_mm;
+        let adaptive = figures.disagreement_mm.max;
+        assert!(
+            adaptive <= max + NOTHING_MM,
+            "{seed}: {adaptive}, fixed {max}"
+        );
+        assert!(adaptive <= SAFE_MM);
+    }
+}
+
+#[test]
+fn no_step_of_the_network_makes_a_shown_one() {
+    let profile = Profile::named("far-steps").unwrap();
+    for seed in 1..=2 {
+        let figures = emulated(&profile, seed).figures(ADAPTIVE);
+        assert_eq!(figures.corrections_over_1mm, 0, "{seed}: {figures:?}");
+    }
+}
+
+#[test]
+fn a_session_goes_on_when_somebody_sets_a_clock_by_hours() {
+    for by_us in [7_200_000_000, -7_200_000_000] {
+        let alignment = over(Law::Gamma, 3);
+        let mut course = alignment.course(ADAPTIVE);
+        course.run(WARM_UP_US, WARM_UP_US + 10_000_000, &mut |_| {});
+        course.set_clock(1, by_us);
+        let mut moments = Vec::new();
+        course.run(WARM_UP_US + 30_000_000, WARM_UP_US + 40_000_000, &mut |m| {
+            moments.push(m);
+        });
+        assert_eq!(course.clock_steps(), [0, 1]);
+        let figures = Figures::of(&moments);
+        assert!(figures.is_safe(), "set by {by_us} us: {figures:?}");
+        assert!(figures.compensation_ms.mean < 70.0, "{figures:?}");
+    }
+}
