@@ -306,6 +306,11 @@ impl Room {
         motion.map_or(self.next_tick, |due| due.min(self.next_tick))
     }
 
+    /// The moment of the next tick.
+    pub fn next_tick(&self) -> ServerTime {
+        self.next_tick
+    }
+
     /// The next thing to send.
     pub fn poll_output(&mut self) -> Option<Output> {
         self.outputs.pop_front()

@@ -16,6 +16,7 @@ use palpate_room::RoomConfig;
 use palpate_transport::{ModelSource, ServerIdentity};
 
 pub use options::{HostOptions, parse_compensation};
+pub use serve::solver_limit;
 pub use summary::{HostSummary, Listening, ListeningModel, TickTimes};
 
 use crate::{ServerError, load};

@@ -14,6 +14,7 @@ mod press;
 pub mod recipe;
 mod replicas;
 mod samples;
+mod scale;
 mod soft_hard;
 mod table_7_1;
 mod tool_paths;
@@ -168,6 +169,18 @@ pub const ALL: &[Experiment] = &[
             motion: false,
         },
         run: replicas::run,
+    },
+    Experiment {
+        name: "scale",
+        about: "1 to 64 participants who only move, a quarter of them touching: what their server has to do",
+        takes: Takes {
+            model: true,
+            seed: true,
+            seeds: false,
+            profile: true,
+            motion: false,
+        },
+        run: scale::run,
     },
     Experiment {
         name: "table-7-1",

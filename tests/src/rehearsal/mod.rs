@@ -11,10 +11,10 @@
 //! that one seed always is the same session. What is left out is what a machine that is too slow
 //! does; for that there is the [real session](crate::session).
 
-mod clock;
+pub(crate) mod clock;
 mod guest;
 mod host;
-mod wires;
+pub(crate) mod wires;
 
 use std::sync::Arc;
 
@@ -31,6 +31,8 @@ use clock::SiteClock;
 use guest::Guest;
 use host::Host;
 use wires::{Arrived, Wires};
+
+pub use wires::{Part, Sent};
 
 /// From one turn to the next, µs.
 const TURN_US: i64 = 1000;
@@ -76,6 +78,10 @@ pub struct Rehearsed {
     pub topologies: Vec<(u32, u64)>,
     /// The mean over the participants, from the beginning of the scripts.
     pub bytes_per_s: BytesPerSecond,
+    /// Every packet from the beginning of the scripts.
+    pub sent: Vec<Sent>,
+    /// The same length of time, s.
+    pub seconds: f64,
     /// What went wrong; nothing, when all is well.
     pub troubles: Vec<String>,
 }
@@ -146,6 +152,8 @@ impl Rehearsal<'_> {
                 up: wires.counted(Direction::Up) as f64 * share,
                 down: wires.counted(Direction::Down) as f64 * share,
             },
+            sent: wires.take_sent(),
+            seconds,
             troubles,
         })
     }
