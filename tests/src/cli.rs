@@ -7,6 +7,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::bench::bytes as bench_bytes;
 use crate::bench::haptic_tick::HapticTick;
 use crate::bench::on_threads;
 use crate::bench::press_cube::PressCube;
@@ -49,6 +50,7 @@ const BENCHES: &str = "\
 Examples:
   palpate-lab bench press-cube --nodes 40 --moving
   palpate-lab bench press-scene thigh.toml --json
+  palpate-lab bench bytes --model thigh.palp
 
 Compare figures of one run on one machine only: other work on it changes them.";
 
@@ -114,6 +116,8 @@ enum Bench {
     PressCube(PressCubeArguments),
     /// A sphere of 8 mm pressed into a model at the speed of a hand: force error and time per tick
     PressScene(PressSceneArguments),
+    /// What a session takes of a network during press and cut: kbit/s per direction and part, with what QUIC adds
+    Bytes(bench_bytes::Arguments),
     /// Time one tick of the force loop: read, compute, write
     HapticTick {
         /// Ticks of each device
@@ -258,6 +262,9 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::HapticFaults(arguments) => run_haptic_faults(&arguments),
         Command::Bench(Bench::PressCube(arguments)) => run_press_cube(&arguments),
         Command::Bench(Bench::PressScene(arguments)) => run_press_scene(&arguments),
+        Command::Bench(Bench::Bytes(arguments)) => {
+            bench_bytes::run(&arguments).and_then(|report| give(&report, arguments.json))
+        }
         Command::Bench(Bench::HapticTick { ticks, json }) => (HapticTick {
             ticks: ticks as usize,
         })

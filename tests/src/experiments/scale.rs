@@ -6,6 +6,7 @@
 
 use std::sync::Arc;
 
+use palpate_server::host::TICK_HZ;
 use palpate_tissue::{Material, Model, block};
 use serde_json::{Value, json};
 
@@ -27,11 +28,8 @@ const ASKED: usize = 32;
 /// How long is counted, s.
 const SECONDS: f64 = 5.0;
 
-/// Ticks per second, as a server's that is told nothing else.
-const TICK_HZ: u32 = 60;
-
 /// A tick that begins this long after its moment is late, ms: the step of the virtual time, and a
-/// sixteenth of the period.
+/// thirtieth of the period.
 const LATE_MS: f64 = 1.0;
 
 fn soft_block() -> Model {
