@@ -117,7 +117,7 @@ enum Bench {
     /// A sphere of 8 mm pressed into a model at the speed of a hand: force error and time per tick
     PressScene(PressSceneArguments),
     /// What a session takes of a network during press and cut: kbit/s per direction and part, with what QUIC adds
-    Bytes(bench_bytes::Arguments),
+    Bytes(Box<bench_bytes::Arguments>),
     /// Time one tick of the force loop: read, compute, write
     HapticTick {
         /// Ticks of each device

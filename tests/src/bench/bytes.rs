@@ -215,7 +215,7 @@ impl Flow {
         let this: Vec<&Sent> = sent.iter().filter(|s| s.direction == direction).collect();
         let part = |part: Part| {
             let of = this.iter().filter(|s| s.part == part);
-            kbit(of.map(|s| f64::from(s.bytes)).sum())
+            kbit(of.map(|s| f64::from(s.bytes)).fold(0.0, |a, b| a + b))
         };
         let acknowledgements = this.iter().map(|s| f64::from(s.acknowledgement)).sum();
         let mut by_second = std::collections::BTreeMap::<u64, f64>::new();
@@ -264,6 +264,7 @@ impl fmt::Display for BytesReport {
             "QUIC",
             "UDP",
             "limit",
+            "packets/s",
         ] {
             write!(f, "{head:>12}")?;
         }
@@ -280,6 +281,7 @@ impl fmt::Display for BytesReport {
                     flow.quic,
                     flow.udp,
                     flow.limit,
+                    flow.packets_per_s,
                 ];
                 for kbit in all {
                     write!(f, "{kbit:>12.2}")?;

@@ -134,9 +134,8 @@ impl Real<'_> {
         for (seat, motion) in motions.into_iter().enumerate() {
             members.push((come_in(link, seat).await?, motion));
         }
-        let one_more = match come_in(link, self.participants).await {
-            Err(sentence) => sentence,
-            Ok(_) => return Err("a server with all seats taken let one more in".to_owned()),
+        let Err(one_more) = come_in(link, self.participants).await else {
+            return Err("a server with all seats taken let one more in".to_owned());
         };
         let began = Instant::now();
         let mut counting: Option<(Instant, Cpu, [u64; 2])> = None;
@@ -185,9 +184,9 @@ impl Real<'_> {
             period_ms: summary.tick_period_ms,
             tick_ms: summary.tick_ms,
             late_ms: summary.late_ms,
-            room_cores: counted.cpu.room_s / counted.seconds,
-            network_cores: counted.cpu.other_s / counted.seconds,
-            member_cores: counted.cpu.own_s / counted.seconds,
+            room_cores: counted.cpu.room / counted.seconds,
+            network_cores: counted.cpu.other / counted.seconds,
+            member_cores: counted.cpu.own / counted.seconds,
             up_kbit_s: counted.bytes[0] as f64 * each,
             down_kbit_s: counted.bytes[1] as f64 * each,
             datagrams_skipped: summary.datagrams_skipped,
@@ -241,27 +240,27 @@ async fn come_in(link: &JoinLink, seat: usize) -> Result<ClientHandle, String> {
 /// Time of processors, s. Linux tells it per thread; elsewhere it is not known and zero.
 #[derive(Debug, Clone, Copy, Default)]
 struct Cpu {
-    room_s: f64,
-    other_s: f64,
-    own_s: f64,
+    room: f64,
+    other: f64,
+    own: f64,
 }
 
 impl Cpu {
     fn now(server: u32) -> Self {
         let threads = threads_s(server);
-        let room_s = threads.get(&server).copied().unwrap_or(0.0);
+        let room = threads.get(&server).copied().unwrap_or(0.0);
         Self {
-            room_s,
-            other_s: threads.values().sum::<f64>() - room_s,
-            own_s: threads_s(std::process::id()).values().sum(),
+            room,
+            other: threads.values().sum::<f64>() - room,
+            own: threads_s(std::process::id()).values().sum(),
         }
     }
 
     fn since(&self, before: &Self) -> Self {
         Self {
-            room_s: self.room_s - before.room_s,
-            other_s: self.other_s - before.other_s,
-            own_s: self.own_s - before.own_s,
+            room: self.room - before.room,
+            other: self.other - before.other,
+            own: self.own - before.own,
         }
     }
 }
