@@ -170,6 +170,11 @@ fn operations() -> Vec<Example<OperationKind>> {
         participant: who,
         tool: PLATE,
     };
+    let demoted = OperationKind::Demoted {
+        participant: who,
+        wanted_us: 500_000,
+        cap_us: 400_000,
+    };
     let compensation = OperationKind::Compensation {
         delay_us: 60_000,
         effective_at: ms(9500),
@@ -183,6 +188,11 @@ fn operations() -> Vec<Example<OperationKind>> {
         example("operation ToolChanged", changed),
         example("operation Started", OperationKind::Started { at: ms(9000) }),
         example("operation Compensation", compensation),
+        example("operation Demoted", demoted),
+        example(
+            "operation Restored",
+            OperationKind::Restored { participant: who },
+        ),
     ]
 }
 

@@ -332,7 +332,7 @@ pub enum RefusalReason {
     },
     /// No seat is left.
     #[error(
-        "the session is full: all {seats} seats are taken; ask the host for a seat or join as a spectator"
+        "the session is full: all {seats} seats are taken; come back when somebody has left, or ask the host to offer more (--seats, {ROSTER_MAX} at most)"
     )]
     Full {
         /// How many there are.

@@ -183,10 +183,12 @@ fn every_server_message_and_operation_is_in_the_document() {
             OperationKind::ToolChanged { .. } => (5, "ToolChanged"),
             OperationKind::Started { .. } => (6, "Started"),
             OperationKind::Compensation { .. } => (7, "Compensation"),
+            OperationKind::Demoted { .. } => (8, "Demoted"),
+            OperationKind::Restored { .. } => (9, "Restored"),
         }),
         _ => None,
     };
-    assert_rows(messages.iter().filter_map(operation), 8);
+    assert_rows(messages.iter().filter_map(operation), 10);
 }
 
 #[test]

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
+use palpate_room::SEATS_MAX;
 
 use crate::export::Exports;
 use crate::host::{self, HostOptions};
@@ -85,7 +86,7 @@ struct HostArgs {
     #[arg(long, value_name = "HOST")]
     public: Option<String>,
     /// Ticks per second of the authoritative tissue and of everybody's view
-    #[arg(long, default_value_t = 30, value_name = "HZ")]
+    #[arg(long, default_value_t = host::TICK_HZ, value_name = "HZ")]
     tick_hz: u32,
     /// Artificial time compensation: adaptive, fixed:MS or none
     #[arg(long, default_value = "adaptive", value_name = "MODE")]
@@ -94,8 +95,8 @@ struct HostArgs {
     /// ways together
     #[arg(long, default_value_t = 400, value_name = "MS")]
     delay_cap: u32,
-    /// Seats in the session
-    #[arg(long, default_value_t = 16)]
+    /// Seats in the session, spectators' among them: 1 to 64
+    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u16).range(1..=i64::from(SEATS_MAX)))]
     seats: u16,
     /// Scripts of simulated devices begin when so many tools are in the session
     #[arg(long, default_value_t = 1, value_name = "N")]

@@ -7,6 +7,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::bench::bytes as bench_bytes;
 use crate::bench::coding::Coding;
 use crate::bench::haptic_tick::HapticTick;
 use crate::bench::on_threads;
@@ -54,6 +55,7 @@ Examples:
   palpate-lab bench press-cube --nodes 40 --moving
   palpate-lab bench press-scene thigh.toml --json
   palpate-lab bench coding --round-trip-ms 200
+  palpate-lab bench bytes --model thigh.palp
 
 Compare figures of one run on one machine only: other work on it changes them.";
 
@@ -134,6 +136,8 @@ enum Bench {
         #[arg(long)]
         json: bool,
     },
+    /// What a session takes of a network during press and cut: kbit/s per direction and part, with what QUIC adds
+    Bytes(Box<bench_bytes::Arguments>),
     /// Time one tick of the force loop: read, compute, write
     HapticTick {
         /// Ticks of each device
@@ -289,6 +293,9 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         })
         .run()
         .and_then(|report| give(&report, json)),
+        Command::Bench(Bench::Bytes(arguments)) => {
+            bench_bytes::run(&arguments).and_then(|report| give(&report, arguments.json))
+        }
         Command::Bench(Bench::HapticTick { ticks, json }) => (HapticTick {
             ticks: ticks as usize,
         })

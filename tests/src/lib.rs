@@ -12,6 +12,7 @@
 //! | run a server and clients as processes | [`program`], [`session`] |
 //! | know what would be felt without a network | [`mod@reference`] |
 //! | run a whole session in virtual time | [`rehearsal`] |
+//! | fill all seats of a server and see what it costs | [`crowd`] |
 //! | compare | [`disagreement`], [`force_error`] |
 //! | measure the equilibrium | [`mod@bench`] |
 //! | know what a hand feels of a tool, and what is true | [`trial`], [`experiments`] |
@@ -24,6 +25,7 @@ pub mod alignment;
 pub mod bench;
 pub mod chart;
 pub mod cli;
+pub mod crowd;
 pub mod demo;
 pub mod disagreement;
 pub mod experiments;

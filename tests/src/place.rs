@@ -230,6 +230,44 @@ impl Place {
         Self::around(topology, &skin, found)
     }
 
+    /// Points of the surface with room for a tool each, as far from each other as can be: one, and then
+    /// always the point that is farthest from those before. Fewer than `n` where the
+    /// surface has no more.
+    pub fn spread(topology: &Topology, n: usize) -> Result<Vec<SurfacePoint>, PlaceError> {
+        let skin = Skin::new(topology);
+        let at = |node: u32| topology.rest(node);
+        let is_good = |node: &&u32| !skin.nodes[*node].is_bad;
+        let (good, bad): (Vec<u32>, Vec<u32>) = skin.nodes.keys().partition(|n| is_good(n));
+        let step = good.len().div_ceil(CANDIDATES_MAX.max(4 * n)).max(1);
+        let has_room = |node: &u32| {
+            let near = |b: &u32| (at(*b) - at(*node)).norm() < ROOM_FOR_A_TOOL_M;
+            !bad.iter().any(near)
+        };
+        let some: Vec<u32> = good.iter().copied().step_by(step).collect();
+        let roomy: Vec<u32> = some.iter().copied().filter(has_room).collect();
+        let candidates = if roomy.is_empty() { some } else { roomy };
+        let first = *candidates.first().ok_or(PlaceError::Nowhere)?;
+        let apart = |a: u32, b: u32| (at(a) - at(b)).norm();
+        let mut chosen = vec![first];
+        let mut distance: Vec<f64> = candidates.iter().map(|c| apart(*c, first)).collect();
+        while chosen.len() < n {
+            let farthest =
+                (0..candidates.len()).max_by(|a, b| distance[*a].total_cmp(&distance[*b]));
+            let Some(next) = farthest.filter(|i| distance[*i] > 0.0) else {
+                break;
+            };
+            chosen.push(candidates[next]);
+            for (d, c) in distance.iter_mut().zip(&candidates) {
+                *d = d.min(apart(*c, candidates[next]));
+            }
+        }
+        let point = |node: u32| SurfacePoint {
+            at: at(node),
+            normal: skin.nodes[&node].normal,
+        };
+        Ok(chosen.into_iter().map(point).collect())
+    }
+
     fn around(
         topology: &Topology,
         skin: &Skin<'_>,

@@ -17,10 +17,13 @@ fn standing() -> Pair {
 fn heartbeat(epoch: Epoch, sequence: u32, acknowledged: Option<Acknowledgement>) -> Vec<u8> {
     let datagram = Datagram {
         header: Header {
-            tag: Tag::new(epoch, ParticipantId(5)),
+            tag: Tag {
+                epoch,
+                stream: ParticipantId(5),
+            },
             sequence,
             generated: ServerTime::ZERO,
-            whole_time: true,
+            is_whole: true,
             acknowledged,
         },
         body: Body::Delays(Vec::new()),

@@ -122,12 +122,16 @@ impl Room {
     /// Scripts begin when enough tools have been heard of: a site that still builds its copy of the
     /// tissue has joined, but would miss the beginning.
     fn start_if_due(&mut self, now: ServerTime) {
+        // Everybody's motion comes through here, thousands of times a second.
+        if self.started_at.is_some() {
+            return;
+        }
         let tools = self
             .participants
             .values()
             .filter(|p| p.tool.is_some() && p.timeline.newest().is_some())
             .count();
-        if self.started_at.is_none() && tools >= usize::from(self.config.start_when_tools) {
+        if tools >= usize::from(self.config.start_when_tools) {
             let at = now + START_LEAD;
             self.started_at = Some(at);
             self.append(ParticipantId::SERVER, OperationKind::Started { at }, now);
@@ -379,6 +383,11 @@ impl Room {
     pub fn poll_timeout(&self) -> ServerTime {
         let motion = self.fan_out.due();
         motion.map_or(self.next_tick, |due| due.min(self.next_tick))
+    }
+
+    /// The moment of the next tick.
+    pub fn next_tick(&self) -> ServerTime {
+        self.next_tick
     }
 
     /// The next thing to send.

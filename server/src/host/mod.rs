@@ -15,7 +15,8 @@ use palpate_protocol::{Epoch, Grant, JoinLink, ModelHash, ModelInfo, ResumeToken
 use palpate_room::RoomConfig;
 use palpate_transport::{ModelSource, ServerIdentity};
 
-pub use options::{HostOptions, parse_compensation};
+pub use options::{HostOptions, TICK_HZ, parse_compensation};
+pub use serve::solver_limit;
 pub use summary::{HostSummary, Listening, ListeningModel, Refused, TickTimes};
 
 use crate::{ServerError, load};

@@ -13,6 +13,10 @@ const INITIAL_DELAY_US: u32 = 60_000;
 /// Most that any compensation may delay, in ms: beyond a second nobody works together.
 const DELAY_MAX_MS: u32 = 1000;
 
+/// Ticks per second when nothing is said: as fast as an eye follows, and twice the time of a screen's
+/// period for a solver with many tools.
+pub const TICK_HZ: u32 = 30;
+
 /// The options of `palpate-server host`.
 #[derive(Debug, Clone)]
 pub struct HostOptions {

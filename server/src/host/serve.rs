@@ -37,6 +37,11 @@ const TICK_US_MAX: u64 = 10_000_000;
 /// Threads that move bytes for all peers: more than two find nothing to do.
 const NETWORK_THREADS: usize = 2;
 
+/// How long the solver may work on a tick of that period before its last iteration begins.
+pub fn solver_limit(period: Duration) -> Duration {
+    period.mul_f64(SOLVER_SHARE).min(SOLVER_LIMIT)
+}
+
 /// What moves the loop.
 enum Moved {
     Peer(PeerInput),
@@ -53,6 +58,7 @@ struct Session {
     began: Instant,
     solver_limit: Duration,
     ticks_us: Histogram<u64>,
+    late_us: Histogram<u64>,
     participants: u64,
     skipped: u64,
     /// Of those who are gone.
@@ -88,9 +94,9 @@ pub(super) fn serve(
         peers: BTreeMap::new(),
         newest_peer: 0,
         began,
-        solver_limit: tick.mul_f64(SOLVER_SHARE).min(SOLVER_LIMIT),
-        ticks_us: Histogram::new_with_bounds(1, TICK_US_MAX, 3)
-            .map_err(|e| ServerError::Option(e.to_string()))?,
+        solver_limit: solver_limit(tick),
+        ticks_us: histogram()?,
+        late_us: histogram()?,
         participants: 0,
         skipped: 0,
         refused: Refused::default(),
@@ -134,6 +140,20 @@ fn accept(
         }
     });
     (joined_receiver, inbox_receiver)
+}
+
+fn histogram() -> Result<Histogram<u64>, ServerError> {
+    let made = Histogram::new_with_bounds(1, TICK_US_MAX, 3);
+    made.map_err(|e| ServerError::Option(e.to_string()))
+}
+
+fn times(us: &Histogram<u64>) -> TickTimes {
+    let ms = |us: u64| us as f64 / 1e3;
+    TickTimes {
+        p50: ms(us.value_at_quantile(0.5)),
+        p99: ms(us.value_at_quantile(0.99)),
+        max: ms(us.max()),
+    }
 }
 
 fn server_time(began: Instant) -> ServerTime {
@@ -212,11 +232,14 @@ impl Session {
 
     fn tick(&mut self) {
         let now = Instant::now();
+        let late = server_time(self.began) - self.room.next_tick();
         let limit = self.solver_limit;
         let mut stop = || now.elapsed() >= limit;
         if let Some(report) = self.room.handle_tick(server_time(self.began), &mut stop) {
             let us = u64::try_from(now.elapsed().as_micros()).unwrap_or(TICK_US_MAX);
             self.ticks_us.saturating_record(us.max(1));
+            let late_us = u64::try_from(late.as_micros()).unwrap_or(0);
+            self.late_us.saturating_record(late_us.max(1));
             tracing::trace!(?report, us, "tick");
         }
     }
@@ -240,7 +263,6 @@ impl Session {
     }
 
     fn summary(&self, tick: Duration, ended: String) -> HostSummary {
-        let ms = |us: u64| us as f64 / 1e3;
         let (version, hash) = self.room.topology();
         let mut refused = Refused {
             joins: self.room.refused_count(),
@@ -257,11 +279,8 @@ impl Session {
             .sum::<u64>();
         HostSummary {
             ticks: self.ticks_us.len(),
-            tick_ms: TickTimes {
-                p50: ms(self.ticks_us.value_at_quantile(0.5)),
-                p99: ms(self.ticks_us.value_at_quantile(0.99)),
-                max: ms(self.ticks_us.max()),
-            },
+            tick_ms: times(&self.ticks_us),
+            late_ms: times(&self.late_us),
             tick_period_ms: tick.as_secs_f64() * 1e3,
             operations: self.room.operation_count(),
             cuts: self.room.cut_count(),

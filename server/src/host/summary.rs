@@ -36,6 +36,8 @@ pub struct HostSummary {
     pub ticks: u64,
     /// How long they took.
     pub tick_ms: TickTimes,
+    /// How long after their moments they began.
+    pub late_ms: TickTimes,
     /// Time between two ticks in ms.
     pub tick_period_ms: f64,
     /// Operations in the log.
@@ -109,7 +111,7 @@ impl Refused {
     }
 }
 
-/// Computing time of a tick in ms.
+/// Percentiles over the ticks of a session, ms.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub struct TickTimes {
     /// Median.

@@ -15,6 +15,7 @@ mod press;
 pub mod recipe;
 mod replicas;
 mod samples;
+mod scale;
 pub mod schedule;
 mod soft_hard;
 mod table_7_1;
@@ -198,6 +199,19 @@ pub const ALL: &[Experiment] = &[
             ..Takes::NETWORKS
         },
         run: thin::run,
+    },
+    Experiment {
+        name: "scale",
+        about: "1 to 64 participants who only move, a quarter of them touching: what their server has to do",
+        takes: Takes {
+            model: true,
+            seed: true,
+            seeds: false,
+            real: false,
+            profile: true,
+            motion: false,
+        },
+        run: scale::run,
     },
     Experiment {
         name: "table-7-1",

@@ -12,14 +12,14 @@ const OFFSET_S: f64 = 1e6;
 
 /// A clock that began at some time and is a little too fast or too slow.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct SiteClock {
+pub(crate) struct SiteClock {
     offset_us: i64,
     rate: f64,
 }
 
 impl SiteClock {
     /// The clock of a seat under a seed.
-    pub(super) fn of(seed: u64, seat: usize) -> Self {
+    pub(crate) fn of(seed: u64, seat: usize) -> Self {
         let mut rng = Pcg64::seed_from_u64(seed ^ (seat as u64 + 1).wrapping_mul(0x9e37_79b9));
         Self {
             offset_us: (rng.random_range(0.0..OFFSET_S) * 1e6) as i64,
@@ -28,13 +28,13 @@ impl SiteClock {
     }
 
     /// What it shows at a moment of true time, µs.
-    pub(super) fn at(&self, true_us: i64) -> ClientTime {
+    pub(crate) fn at(&self, true_us: i64) -> ClientTime {
         let ran = (true_us as f64 * self.rate).round() as i64;
         ClientTime::from_micros(self.offset_us + ran)
     }
 
     /// The moment of true time at which it shows `t`, µs.
-    pub(super) fn true_us(&self, t: ClientTime) -> i64 {
+    pub(crate) fn true_us(&self, t: ClientTime) -> i64 {
         ((t.as_micros() - self.offset_us) as f64 / self.rate).round() as i64
     }
 }

@@ -12,12 +12,12 @@
 //! that one seed always is the same session. What is left out is what a machine that is too slow
 //! does; for that there is the [real session](crate::session).
 
-mod clock;
+pub(crate) mod clock;
 mod guest;
 mod host;
 mod mishap;
 mod onlooker;
-mod wires;
+pub(crate) mod wires;
 
 use std::sync::Arc;
 
@@ -39,6 +39,7 @@ use onlooker::Onlooker;
 use wires::{Arrived, Wires};
 
 pub use mishap::Mishap;
+pub use wires::{Part, Sent};
 
 /// From one turn to the next, µs.
 const TURN_US: i64 = 1000;
@@ -95,6 +96,10 @@ pub struct Rehearsed {
     pub demotions: u64,
     /// The mean over those with a script, from the beginning of the scripts.
     pub bytes_per_s: BytesPerSecond,
+    /// Every packet from the beginning of the scripts.
+    pub sent: Vec<Sent>,
+    /// The same length of time, s.
+    pub seconds: f64,
     /// What went wrong; nothing, when all is well.
     pub troubles: Vec<String>,
 }
@@ -205,6 +210,8 @@ impl Rehearsal<'_> {
                 up: wires.counted(Direction::Up, trainees) as f64 * share,
                 down: wires.counted(Direction::Down, trainees) as f64 * share,
             },
+            sent: wires.take_sent(),
+            seconds,
             troubles,
         })
     }

@@ -4,7 +4,13 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 
+use serde::Serialize;
+
 use crate::network::{Direction, Path, Profile};
+
+/// The bit in a datagram's first byte that says that it acknowledges, and the bytes that does in it.
+const ACKNOWLEDGES: u8 = 0x10;
+const ACKNOWLEDGEMENT_BYTES: u16 = 6;
 
 /// Bytes of a stream that go as one packet.
 const SEGMENT_BYTES: usize = 1100;
@@ -13,9 +19,66 @@ const SEGMENT_BYTES: usize = 1100;
 /// quarter of a second. It is waited for; what came after it is kept.
 const AGAIN_US: u64 = 300_000;
 
+/// Packets that are remembered: an hour of one participant. Beyond it no more are.
+const SENT_MAX: usize = 4_000_000;
+
+/// What a packet was for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Part {
+    /// The operations stream.
+    Operations,
+    /// Where tools are.
+    Motion,
+    /// Where nodes are.
+    Corrections,
+    /// Questions for the clock and their answers.
+    Clock,
+    /// What participants need of the artificial delay, and heartbeats.
+    Delays,
+}
+
+impl Part {
+    /// All of them.
+    pub const ALL: [Self; 5] = [
+        Self::Operations,
+        Self::Motion,
+        Self::Corrections,
+        Self::Clock,
+        Self::Delays,
+    ];
+
+    /// What a datagram is for, from the kind in its first byte.
+    fn of_datagram(bytes: &[u8]) -> Self {
+        match bytes.first().map_or(0, |b| b & 0x0f) {
+            1 => Self::Motion,
+            3 | 4 => Self::Clock,
+            5 => Self::Delays,
+            _ => Self::Corrections,
+        }
+    }
+}
+
+/// A packet that was sent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sent {
+    /// When, µs of true time.
+    pub at_us: u64,
+    /// Whose session.
+    pub seat: usize,
+    /// Which way.
+    pub direction: Direction,
+    /// What for.
+    pub part: Part,
+    /// Bytes of it that are an acknowledgement.
+    pub acknowledgement: u16,
+    /// All its bytes, without those of QUIC.
+    pub bytes: u16,
+}
+
 /// What arrives.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Arrived {
+pub(crate) enum Arrived {
     /// Bytes of the operations stream, in order.
     Stream(Vec<u8>),
     /// A datagram.
@@ -54,16 +117,17 @@ struct Way {
 
 /// All sessions' wires.
 #[derive(Debug)]
-pub(super) struct Wires {
+pub(crate) struct Wires {
     /// Of every seat, up and down.
     ways: Vec<[Way; 2]>,
     queue: BinaryHeap<Reverse<OnTheWay>>,
     order: u64,
+    sent: Vec<Sent>,
 }
 
 impl Wires {
     /// Wires for participants, one network each.
-    pub(super) fn new(profiles: &[&Profile], seed: u64) -> Self {
+    pub(crate) fn new(profiles: &[&Profile], seed: u64) -> Self {
         let way = |seat: usize, direction| Way {
             path: Path::new(profiles[seat], seed, seat as u64, direction),
             next_out: 0,
@@ -76,6 +140,7 @@ impl Wires {
             ways: (0..profiles.len()).map(both).collect(),
             queue: BinaryHeap::new(),
             order: 0,
+            sent: Vec::new(),
         }
     }
 
@@ -94,7 +159,7 @@ impl Wires {
     }
 
     /// Sends a datagram, which may get lost.
-    pub(super) fn send_datagram(
+    pub(crate) fn send_datagram(
         &mut self,
         seat: usize,
         direction: Direction,
@@ -105,7 +170,7 @@ impl Wires {
     }
 
     /// Sends bytes of the operations stream.
-    pub(super) fn send_stream(
+    pub(crate) fn send_stream(
         &mut self,
         seat: usize,
         direction: Direction,
@@ -126,6 +191,7 @@ impl Wires {
                 bytes.len()
             }
         };
+        self.remember(seat, direction, &packet, len, at_us);
         let way = self.way(seat, direction);
         way.bytes += len as u64;
         let mut arrived = false;
@@ -146,6 +212,34 @@ impl Wires {
         }
     }
 
+    fn remember(
+        &mut self,
+        seat: usize,
+        direction: Direction,
+        packet: &Packet,
+        len: usize,
+        at_us: u64,
+    ) {
+        let (part, acknowledgement) = match packet {
+            Packet::Datagram(bytes) => {
+                let has_one = bytes.first().is_some_and(|b| b & ACKNOWLEDGES != 0);
+                let bytes_of_it = if has_one { ACKNOWLEDGEMENT_BYTES } else { 0 };
+                (Part::of_datagram(bytes), bytes_of_it)
+            }
+            Packet::Segment(..) | Packet::Again(..) => (Part::Operations, 0),
+        };
+        if self.sent.len() < SENT_MAX {
+            self.sent.push(Sent {
+                at_us,
+                seat,
+                direction,
+                part,
+                acknowledgement,
+                bytes: u16::try_from(len).unwrap_or(u16::MAX),
+            });
+        }
+    }
+
     fn put(&mut self, at_us: u64, seat: usize, direction: Direction, packet: Packet) {
         self.order += 1;
         self.queue.push(Reverse(OnTheWay {
@@ -158,7 +252,7 @@ impl Wires {
     }
 
     /// The next that has arrived by `until_us`: when, at which end of whose session, and what.
-    pub(super) fn pop_due(&mut self, until_us: u64) -> Option<(u64, usize, Direction, Arrived)> {
+    pub(crate) fn pop_due(&mut self, until_us: u64) -> Option<(u64, usize, Direction, Arrived)> {
         while self
             .queue
             .peek()
@@ -182,14 +276,20 @@ impl Wires {
     }
 
     /// Counts bytes from now on.
-    pub(super) fn count_from_here(&mut self) {
+    pub(crate) fn count_from_here(&mut self) {
         for way in self.ways.iter_mut().flatten() {
             way.bytes = 0;
         }
+        self.sent.clear();
+    }
+
+    /// What was sent since, in order.
+    pub(crate) fn take_sent(&mut self) -> Vec<Sent> {
+        std::mem::take(&mut self.sent)
     }
 
     /// Bytes of the first `seats` participants in a direction; what was sent again counts again.
-    pub(super) fn counted(&self, direction: Direction, seats: usize) -> u64 {
+    pub(crate) fn counted(&self, direction: Direction, seats: usize) -> u64 {
         let of = |ways: &[Way; 2]| ways[usize::from(direction == Direction::Down)].bytes;
         self.ways.iter().take(seats).map(of).sum()
     }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use palpate_protocol::ParticipantId;
 
 use super::*;
+use crate::SEATS_MAX;
 
 /// Everybody moves at 1 kHz in batches of 4 ms, for one second. The datagrams to each peer, and the newest
 /// sample of each tool that each was sent.
@@ -71,4 +72,31 @@ fn two_get_every_batch_of_each_other_within_four_milliseconds() {
     for (peer, count) in &sent {
         assert!((240..=260).contains(count), "{count} rounds to {peer:?}");
     }
+}
+
+#[test]
+fn with_all_seats_taken_one_more_is_told_so_and_everybody_goes_on() {
+    let mut room = room_of(1000, 0);
+    let come = |room: &mut Room, who: u16, role: Role| {
+        let hello = hello(&format!("p{who}"), role, ToolKind::Probe);
+        room.handle_event(PeerKey(u64::from(who)), hello, ms(0));
+        drain(room)
+    };
+    for who in 1..=SEATS_MAX {
+        assert_eq!(refusal(&come(&mut room, who, Role::Trainee)), None, "{who}");
+    }
+    // Who only looks on takes a seat, too.
+    for role in [Role::Trainee, Role::Spectator] {
+        let reason = refusal(&come(&mut room, SEATS_MAX + 1, role)).unwrap();
+        assert_eq!(reason, RefusalReason::Full { seats: SEATS_MAX });
+        let sentence = reason.to_string();
+        assert!(sentence.contains("all 64 seats are taken"), "{sentence}");
+        assert!(sentence.contains("come back"), "{sentence}");
+    }
+    assert_eq!(room.participant_count(), usize::from(SEATS_MAX));
+    let (sent, newest) = second_of(SEATS_MAX);
+    for (peer, count) in &sent {
+        assert!((50..=75).contains(count), "{count} rounds to {peer:?}");
+    }
+    assert_eq!(newest.len(), 64 * 64);
 }

@@ -1,0 +1,329 @@
+//! What a full subscriber's session takes of a network while people press and cut: bytes per direction
+//! and part.
+//!
+//! Two trainees press, cut and press again in a [rehearsal](crate::rehearsal), which gives every packet of
+//! the sessions with its moment. The packets of each are then sent once more with the same lengths at the
+//! same moments over a real connection through a relay, which gives what QUIC adds to them. The model's
+//! own download is not part of it.
+
+use std::fmt;
+use std::sync::Arc;
+
+use clap::Args;
+use palpate_protocol::operation::{CompensationMode, CompensationSettings};
+use palpate_server::host::TICK_HZ;
+use palpate_tissue::{Model, Topology};
+use serde::Serialize;
+
+use super::quic;
+use crate::network::{Direction, Profile};
+use crate::place::Place;
+use crate::progress::Progress;
+use crate::rehearsal::{Part, Rehearsal, Rehearsed, Sent};
+use crate::scripts::{SECONDS_MIN, Scripts};
+use crate::subject::Subject;
+
+/// The most that a full subscriber may take, kbit/s of UDP payload, up and down.
+pub const LIMIT_KBIT_S: [f64; 2] = [100.0, 150.0];
+
+/// The delay that compensation begins with, and the most it may be, µs: a host's that is told nothing
+/// else.
+const DELAY_US: u32 = 60_000;
+const DELAY_CAP_US: u32 = 400_000;
+
+/// Arguments of `bench bytes`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
+    #[arg(long, default_value = "thigh")]
+    model: String,
+    /// Length of the scripts, s: presses, a cut, presses
+    #[arg(long, default_value_t = 8.0, value_name = "S")]
+    seconds: f64,
+    /// The network between the server and each of them
+    #[arg(long, default_value = "metro", value_parser = Profile::parse)]
+    profile: Profile,
+    /// Seed of packets' fates and of clocks
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Print one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs `bench bytes`.
+pub fn run(arguments: &Arguments) -> Result<BytesReport, String> {
+    if !(SECONDS_MIN..=60.0).contains(&arguments.seconds) {
+        return Err(format!(
+            "--seconds {} must be from {SECONDS_MIN} to 60",
+            arguments.seconds
+        ));
+    }
+    let dir = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
+    let mut progress = Progress::new();
+    progress.stage(&format!("preparing the model \"{}\"", arguments.model));
+    let subject = Subject::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
+    let bench = Bytes {
+        seconds: arguments.seconds,
+        profile: arguments.profile.clone(),
+        seed: arguments.seed,
+    };
+    bench.run(&subject.model, &mut |what| progress.tick(what))
+}
+
+/// The bench.
+#[derive(Debug, Clone)]
+pub struct Bytes {
+    /// Length of the scripts, s.
+    pub seconds: f64,
+    /// The network between the server and each of them.
+    pub profile: Profile,
+    /// The seed of packets' fates and of clocks.
+    pub seed: u64,
+}
+
+/// One direction of one session, kbit/s.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Flow {
+    /// Up or down.
+    pub direction: &'static str,
+    /// Where tools are.
+    pub motion: f64,
+    /// The operations stream.
+    pub operations: f64,
+    /// Where nodes are.
+    pub corrections: f64,
+    /// Questions for the clock and their answers.
+    pub clock: f64,
+    /// What participants need of the artificial delay, and heartbeats.
+    pub delays: f64,
+    /// What of all these is acknowledgements.
+    pub acknowledgements: f64,
+    /// What QUIC adds: headers, seals, its own acknowledgements.
+    pub quic: f64,
+    /// All of it: UDP payload.
+    pub udp: f64,
+    /// UDP packets per second.
+    pub packets_per_s: f64,
+    /// The second with most, without what QUIC adds.
+    pub worst_second: f64,
+    /// The most that is allowed.
+    pub limit: f64,
+    /// Whether all of it is within.
+    pub ok: bool,
+}
+
+/// One session.
+#[derive(Debug, Clone, Serialize)]
+pub struct Subscriber {
+    /// What they did.
+    pub does: &'static str,
+    /// Up, then down.
+    pub flows: [Flow; 2],
+}
+
+/// What was found.
+#[derive(Debug, Clone, Serialize)]
+pub struct BytesReport {
+    /// Nodes of the model.
+    pub nodes: usize,
+    /// The network.
+    pub network: String,
+    /// Length of the scripts with what follows them, s.
+    pub seconds: f64,
+    /// Where the figures are from.
+    pub method: &'static str,
+    /// Who pressed and held, then who pressed, cut and pressed.
+    pub subscribers: Vec<Subscriber>,
+    /// Whether everybody was within the limits.
+    pub ok: bool,
+}
+
+impl Bytes {
+    /// Measures.
+    pub fn run(
+        &self,
+        model: &Arc<Model>,
+        progress: &mut dyn FnMut(&str),
+    ) -> Result<BytesReport, String> {
+        let place = Place::find(&Topology::new(Arc::clone(model))).map_err(|e| e.to_string())?;
+        let scripts = Scripts::for_place(&place, self.seconds).map_err(|e| e.to_string())?;
+        let rehearsal = Rehearsal {
+            model,
+            scripts: &[&scripts.holder, &scripts.cutter],
+            profile: &self.profile,
+            seed: self.seed,
+            compensation: CompensationSettings {
+                mode: CompensationMode::Adaptive {
+                    cap_us: DELAY_CAP_US,
+                },
+                initial_delay_us: DELAY_US,
+            },
+            tick_hz: TICK_HZ,
+            onlookers: 0,
+            motion_only: false,
+        };
+        let rehearsed = rehearsal.run(|done| {
+            progress(&format!("rehearsing: {:3.0} %", done * 100.0));
+            true
+        })?;
+        if let Some(trouble) = rehearsed.troubles.first() {
+            return Err(format!("the rehearsal went wrong: {trouble}"));
+        }
+        let mut subscribers = Vec::new();
+        for (seat, does) in ["presses and holds", "presses, cuts and presses"]
+            .into_iter()
+            .enumerate()
+        {
+            progress(&format!("sending once more over QUIC: who {does}"));
+            subscribers.push(self.subscriber(&rehearsed, seat, does)?);
+        }
+        let ok = subscribers.iter().flat_map(|s| &s.flows).all(|f| f.ok);
+        Ok(BytesReport {
+            nodes: model.nodes.len(),
+            network: self.profile.name.clone(),
+            seconds: rehearsed.seconds,
+            method: "packets of a rehearsal in virtual time; what QUIC adds, from sending the same lengths at the same \
+                     moments over quinn through a relay",
+            subscribers,
+            ok,
+        })
+    }
+
+    fn subscriber(
+        &self,
+        rehearsed: &Rehearsed,
+        seat: usize,
+        does: &'static str,
+    ) -> Result<Subscriber, String> {
+        let own = rehearsed.sent.iter().filter(|s| s.seat == seat);
+        let own: Vec<Sent> = own.copied().collect();
+        let udp = quic::send_again(&own, &self.profile, self.seed)?;
+        let seconds = rehearsed.seconds;
+        let flow = |k: usize| {
+            let direction = [Direction::Up, Direction::Down][k];
+            Flow::of(&own, direction, seconds, udp[k], LIMIT_KBIT_S[k])
+        };
+        Ok(Subscriber {
+            does,
+            flows: [flow(0), flow(1)],
+        })
+    }
+}
+
+impl Flow {
+    fn of(sent: &[Sent], direction: Direction, seconds: f64, udp: quic::Added, limit: f64) -> Self {
+        let kbit = |bytes: f64| bytes * 8e-3 / seconds;
+        let this: Vec<&Sent> = sent.iter().filter(|s| s.direction == direction).collect();
+        let part = |part: Part| {
+            let of = this.iter().filter(|s| s.part == part);
+            kbit(of.map(|s| f64::from(s.bytes)).fold(0.0, |a, b| a + b))
+        };
+        let acknowledgements = this.iter().map(|s| f64::from(s.acknowledgement)).sum();
+        let mut by_second = std::collections::BTreeMap::<u64, f64>::new();
+        for packet in &this {
+            *by_second.entry(packet.at_us / 1_000_000).or_default() += f64::from(packet.bytes);
+        }
+        let worst = by_second.values().copied().fold(0.0, f64::max) * 8e-3;
+        let own: f64 = Part::ALL.into_iter().map(part).sum();
+        let quic = kbit(udp.bytes);
+        Self {
+            direction: match direction {
+                Direction::Up => "up",
+                Direction::Down => "down",
+            },
+            motion: part(Part::Motion),
+            operations: part(Part::Operations),
+            corrections: part(Part::Corrections),
+            clock: part(Part::Clock),
+            delays: part(Part::Delays),
+            acknowledgements: kbit(acknowledgements),
+            quic,
+            udp: own + quic,
+            packets_per_s: udp.packets / seconds,
+            worst_second: worst,
+            limit,
+            ok: own + quic <= limit,
+        }
+    }
+}
+
+impl fmt::Display for BytesReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "{} nodes, network {}, {:.1} s; kbit/s\n{}\n",
+            self.nodes, self.network, self.seconds, self.method
+        )?;
+        write!(f, "{:<28}{:<6}", "", "")?;
+        for head in [
+            "motion",
+            "operations",
+            "corrections",
+            "clock",
+            "delays",
+            "(acks)",
+            "QUIC",
+            "UDP",
+            "limit",
+            "packets/s",
+        ] {
+            write!(f, "{head:>12}")?;
+        }
+        for subscriber in &self.subscribers {
+            for flow in &subscriber.flows {
+                write!(f, "\n{:<28}{:<6}", subscriber.does, flow.direction)?;
+                let all = [
+                    flow.motion,
+                    flow.operations,
+                    flow.corrections,
+                    flow.clock,
+                    flow.delays,
+                    flow.acknowledgements,
+                    flow.quic,
+                    flow.udp,
+                    flow.limit,
+                    flow.packets_per_s,
+                ];
+                for kbit in all {
+                    write!(f, "{kbit:>12.2}")?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sent(direction: Direction, part: Part, at_us: u64, bytes: u16) -> Sent {
+        Sent {
+            at_us,
+            seat: 0,
+            direction,
+            part,
+            acknowledgement: 6,
+            bytes,
+        }
+    }
+
+    #[test]
+    fn parts_and_what_quic_adds_make_the_whole() {
+        let packets = [
+            sent(Direction::Up, Part::Motion, 0, 400),
+            sent(Direction::Up, Part::Clock, 1_500_000, 100),
+            sent(Direction::Down, Part::Motion, 0, 9000),
+        ];
+        let added = quic::Added {
+            bytes: 500.0,
+            packets: 4.0,
+        };
+        let flow = Flow::of(&packets, Direction::Up, 2.0, added, 4.0);
+        assert!((flow.motion - 1.6).abs() < 1e-9 && (flow.clock - 0.4).abs() < 1e-9);
+        assert!((flow.udp - 4.0).abs() < 1e-9 && flow.ok);
+        assert!((flow.worst_second - 3.2).abs() < 1e-9);
+        assert!((flow.packets_per_s - 2.0).abs() < 1e-9);
+    }
+}

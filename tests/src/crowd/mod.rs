@@ -1,0 +1,198 @@
+//! A crowd: many participants of one session who move their tools and solve nothing, against the room
+//! and the solver that users run. What does the server take for them?
+//!
+//! [`Crowd::run`] is in virtual time over an emulated network, on one thread, whose work is counted in
+//! time of the processor: the figures are those of the machine, but not of who else uses it. The
+//! [real one](real) has a server's process, and a socket for everybody.
+
+mod member;
+pub mod real;
+mod server;
+
+use std::sync::Arc;
+
+use palpate_protocol::operation::{CompensationMode, CompensationSettings};
+use palpate_protocol::{Epoch, Grant, ModelHash, ModelInfo, ResumeToken, Role, ServerTime};
+use palpate_room::{Room, RoomConfig};
+use palpate_tissue::{Model, Topology};
+
+use crate::network::{Direction, Profile};
+use crate::place::{Place, SurfacePoint};
+use crate::rehearsal::clock::SiteClock;
+use crate::rehearsal::wires::{Arrived, Wires};
+use member::{Member, Motion};
+use server::Server;
+
+pub use server::Round;
+
+/// From one turn to the next, µs.
+const TURN_US: i64 = 1000;
+
+/// A crowd that is not in after this time never will be, µs.
+const IN_WITHIN_US: i64 = 10_000_000;
+
+/// Before counting begins, µs: clocks are locked, delays found, baselines acknowledged.
+const SETTLE_US: i64 = 1_000_000;
+
+/// Of so many participants one touches the tissue, and the first always does.
+const ONE_TOUCHES_OF: usize = 4;
+
+/// The delay that adaptive compensation begins with, and the most it may be, µs: a host's that is told
+/// nothing else.
+const DELAY_US: u32 = 60_000;
+const DELAY_CAP_US: u32 = 400_000;
+
+/// How many of a crowd touch.
+pub fn touching(participants: usize) -> usize {
+    (participants / ONE_TOUCHES_OF).max(1).min(participants)
+}
+
+/// The motions of a crowd over a surface.
+pub(crate) fn motions(model: &Arc<Model>, n: usize, seed: u64) -> Result<Vec<Motion>, String> {
+    let topology = Topology::new(Arc::clone(model));
+    let spots = Place::spread(&topology, n).map_err(|e| e.to_string())?;
+    // Who touches is spread over the surface as well: the first points are the farthest apart.
+    let of = |k: usize| -> SurfacePoint { spots[k % spots.len()] };
+    let motion = |k: usize| Motion::new(of(k), k < touching(n), seed.wrapping_add(k as u64));
+    Ok((0..n).map(motion).collect())
+}
+
+/// What is tried.
+#[derive(Debug, Clone)]
+pub struct Crowd<'a> {
+    /// The tissue.
+    pub model: &'a Arc<Model>,
+    /// How many come.
+    pub participants: usize,
+    /// The network between the server and each of them.
+    pub profile: &'a Profile,
+    /// The seed of motions, clocks and packets' fates.
+    pub seed: u64,
+    /// How long is counted, s.
+    pub seconds: f64,
+    /// Ticks per second of the server.
+    pub tick_hz: u32,
+}
+
+/// What came of it.
+#[derive(Debug, Clone)]
+pub struct Crowded {
+    /// What every period took.
+    pub rounds: Vec<Round>,
+    /// How long was counted, s.
+    pub seconds: f64,
+    /// Bytes to the server and from it of all, without those of QUIC.
+    pub bytes: [u64; 2],
+    /// What went wrong; nothing, when all is well.
+    pub troubles: Vec<String>,
+}
+
+impl Crowd<'_> {
+    /// Runs it. `progress` is told the share that is done.
+    pub fn run(&self, mut progress: impl FnMut(f64)) -> Result<Crowded, String> {
+        let n = self.participants;
+        let grant = Grant(*b"a rehearsal only");
+        let config = self.config(grant);
+        let room = Room::new(Arc::clone(self.model), config.clone(), ServerTime::ZERO);
+        let mut server = Server::new(room, &config, n);
+        let mut wires = Wires::new(&vec![self.profile; n], self.seed);
+        let clocks: Vec<SiteClock> = (0..n).map(|k| SiteClock::of(self.seed, k)).collect();
+        let mut members = Vec::new();
+        for (k, motion) in motions(self.model, n, self.seed)?.into_iter().enumerate() {
+            members.push(Member::new(k, grant, motion, clocks[k].at(0))?);
+        }
+        let (mut at_us, mut counted_from) = (0_i64, None::<i64>);
+        loop {
+            let end = counted_from.map(|from| from + (self.seconds * 1e6) as i64);
+            if end.map_or(at_us > IN_WITHIN_US, |end| at_us >= end) {
+                break;
+            }
+            deliver(&mut server, &mut members, &clocks, &mut wires, at_us);
+            server.turn(ServerTime::from_micros(at_us), &mut wires);
+            for (seat, member) in members.iter_mut().enumerate() {
+                let now = clocks[seat].at(at_us);
+                member.turn(now, at_us as f64 * 1e-6);
+                while let Some(bytes) = member.session.poll_stream() {
+                    wires.send_stream(seat, Direction::Up, &bytes, at_us.unsigned_abs());
+                }
+                while let Some(bytes) = member.session.poll_datagram(now) {
+                    wires.send_datagram(seat, Direction::Up, bytes, at_us.unsigned_abs());
+                }
+            }
+            if counted_from.is_none_or(|from| at_us == from) {
+                server.count_from_here();
+                wires.count_from_here();
+                if counted_from.is_none() && members.iter().all(Member::is_settled) {
+                    counted_from = Some(at_us + SETTLE_US);
+                }
+            }
+            if at_us % 100_000 == 0 {
+                progress(end.map_or(0.0, |end| at_us as f64 / end as f64));
+            }
+            at_us += TURN_US;
+        }
+        let mut troubles: Vec<String> = members.into_iter().filter_map(|m| m.trouble).collect();
+        if counted_from.is_none() {
+            troubles.push("not everybody came in".to_owned());
+        }
+        Ok(Crowded {
+            rounds: server.rounds,
+            seconds: self.seconds,
+            bytes: [Direction::Up, Direction::Down].map(|d| wires.counted(d, n)),
+            troubles,
+        })
+    }
+
+    fn config(&self, grant: Grant) -> RoomConfig {
+        RoomConfig {
+            epoch: Epoch(1),
+            model: ModelInfo {
+                hash: ModelHash(0),
+                bytes: 0,
+            },
+            grants: vec![(Role::Trainee, grant)],
+            seats: u16::try_from(self.participants).unwrap_or(u16::MAX),
+            tick_hz: self.tick_hz,
+            compensation: CompensationSettings {
+                mode: CompensationMode::Adaptive {
+                    cap_us: DELAY_CAP_US,
+                },
+                initial_delay_us: DELAY_US,
+            },
+            start_when_tools: 0,
+            // Nobody else is here who could guess.
+            fresh_token: |who| ResumeToken([who.0 as u8; 16]),
+        }
+    }
+}
+
+/// Hands over what has arrived.
+fn deliver(
+    server: &mut Server,
+    members: &mut [Member],
+    clocks: &[SiteClock],
+    wires: &mut Wires,
+    at_us: i64,
+) {
+    while let Some((when_us, seat, direction, arrived)) = wires.pop_due(at_us.unsigned_abs()) {
+        let when_us = when_us as i64;
+        match (direction, arrived) {
+            (Direction::Up, arrived) => {
+                server.handle(seat, &arrived, ServerTime::from_micros(when_us));
+            }
+            (Direction::Down, Arrived::Stream(bytes)) => {
+                members[seat]
+                    .session
+                    .handle_stream(&bytes, clocks[seat].at(when_us));
+            }
+            (Direction::Down, Arrived::Datagram(bytes)) => {
+                members[seat]
+                    .session
+                    .handle_datagram(&bytes, clocks[seat].at(when_us));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

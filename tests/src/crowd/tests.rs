@@ -1,0 +1,50 @@
+use palpate_tissue::{Material, block};
+
+use super::*;
+
+fn crowd_of(participants: usize) -> Crowded {
+    let soft = Material {
+        name: "soft".into(),
+        young_pa: 1e4,
+        density_kg_m3: 1000.0,
+        source: "test".into(),
+        ..Material::default()
+    };
+    let model = Arc::new(block([24, 24, 6], 5e-3, &soft, 1));
+    let profile = Profile::named("lan").unwrap();
+    let crowd = Crowd {
+        model: &model,
+        participants,
+        profile: &profile,
+        seed: 3,
+        seconds: 1.0,
+        tick_hz: 60,
+    };
+    crowd.run(|_| ()).unwrap()
+}
+
+#[test]
+fn a_crowd_comes_in_and_who_touches_is_solved_for() {
+    let crowded = crowd_of(8);
+    assert!(crowded.troubles.is_empty(), "{:?}", crowded.troubles);
+    assert!(crowded.rounds.len() > 20, "{}", crowded.rounds.len());
+    assert!(crowded.rounds.iter().any(|r| r.iterations > 0));
+    assert!(
+        crowded
+            .rounds
+            .iter()
+            .all(|r| r.decode_us >= 0 && r.tick_us > 0)
+    );
+}
+
+#[test]
+fn what_somebody_sends_does_not_grow_with_the_crowd() {
+    let up = |n: usize| crowd_of(n).bytes[0] as f64 / n as f64;
+    let (few, many) = (up(2), up(8));
+    assert!(many < 1.3 * few, "{few} B, then {many} B");
+}
+
+#[test]
+fn a_quarter_touches_and_one_at_least() {
+    assert_eq!([1, 2, 4, 8, 32, 64].map(touching), [1, 1, 1, 2, 8, 16]);
+}

@@ -1,0 +1,203 @@
+//! How many people a server bears: 1 to 64 participants of one session, a quarter of them touching.
+//!
+//! Everybody moves a tool and solves nothing; room and solver are those of users. Every row is a
+//! [crowd](crate::crowd) in virtual time on one thread, and then, with [`REAL`] participants, a server's
+//! process with a QUIC connection for everybody.
+
+use std::sync::Arc;
+
+use palpate_server::host::TICK_HZ;
+use palpate_tissue::{Material, Model, block};
+use serde_json::{Value, json};
+
+use super::{Bench, Outcome, line, panel};
+use crate::bench::quantile;
+use crate::chart::{BLUE, Chart, GREEN, GREY, ORANGE};
+use crate::crowd::{Crowd, Crowded, Round, real, touching};
+use crate::network::Profile;
+
+/// How many come.
+const PARTICIPANTS: [usize; 7] = [1, 2, 4, 8, 16, 32, 64];
+
+/// How many come to a server's process: what is asked of a server, and all of its seats.
+const REAL: [usize; 2] = [32, 64];
+
+/// The row that has to keep its period.
+const ASKED: usize = 32;
+
+/// How long is counted, s.
+const SECONDS: f64 = 5.0;
+
+/// A tick that begins this long after its moment is late, ms: the step of the virtual time, and a
+/// thirtieth of the period.
+const LATE_MS: f64 = 1.0;
+
+fn soft_block() -> Model {
+    let material = Material {
+        name: "soft".into(),
+        young_pa: 1e4,
+        density_kg_m3: 1000.0,
+        friction_static: 0.4,
+        friction_dynamic: 0.3,
+        source: "a block for experiments".into(),
+        ..Material::default()
+    };
+    block([40, 40, 10], 5e-3, &material, 1)
+}
+
+fn shares(values: &[f64]) -> Value {
+    json!({
+        "p50": quantile(values, 0.5),
+        "p99": quantile(values, 0.99),
+        "max": quantile(values, 1.0),
+    })
+}
+
+fn row(n: usize, crowded: &Crowded) -> Value {
+    let period_ms = 1e3 / f64::from(TICK_HZ);
+    let rounds = &crowded.rounds;
+    let ms = |of: fn(&Round) -> i64| -> Vec<f64> {
+        rounds.iter().map(|r| of(r) as f64 * 1e-3).collect()
+    };
+    let tick = ms(|r| r.tick_us);
+    let room = ms(|r| r.room_us);
+    let late = ms(|r| r.late_us);
+    let all = ms(|r| r.decode_us + r.tick_us + r.fan_out_us);
+    let residual: Vec<f64> = rounds.iter().map(|r| r.residual).collect();
+    let kbit = |bytes: u64| bytes as f64 * 8e-3 / crowded.seconds / n as f64;
+    let late_ticks = late.iter().filter(|ms| **ms > LATE_MS).count();
+    let p99 = quantile(&tick, 0.99);
+    json!({
+        "participants": n,
+        "touching": touching(n),
+        "period_ms": period_ms,
+        "ticks": rounds.len(),
+        "tick_ms": shares(&tick),
+        "room_ms": shares(&room),
+        "decode_ms": shares(&ms(|r| r.decode_us)),
+        "fan_out_ms": shares(&ms(|r| r.fan_out_us)),
+        "all_ms": shares(&all),
+        "late_ms": shares(&late),
+        "late_ticks": late_ticks,
+        "iterations_p50": quantile(&rounds.iter().map(|r| r.iterations as f64).collect::<Vec<_>>(), 0.5),
+        "residual": shares(&residual),
+        "kbit_s": { "up": kbit(crowded.bytes[0]), "down": kbit(crowded.bytes[1]) },
+        "troubles": crowded.troubles,
+        "ok": p99 < period_ms && crowded.troubles.is_empty() && !rounds.is_empty(),
+    })
+}
+
+pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    let model = bench
+        .model
+        .clone()
+        .unwrap_or_else(|| Arc::new(soft_block()));
+    let profile = match &bench.profile {
+        Some(profile) => profile.clone(),
+        None => Profile::named("metro").map_err(|e| e.to_string())?,
+    };
+    let mut rows = Vec::new();
+    for n in PARTICIPANTS {
+        let crowd = Crowd {
+            model: &model,
+            participants: n,
+            profile: &profile,
+            seed: bench.seed,
+            seconds: SECONDS,
+            tick_hz: TICK_HZ,
+        };
+        let crowded = crowd.run(|done| (bench.progress)(&format!("{n} participants"), done))?;
+        rows.push(row(n, &crowded));
+    }
+    let mut processes = Vec::new();
+    for n in REAL {
+        (bench.progress)(&format!("{n} participants of a server's process"), 0.0);
+        let real = real::Real {
+            model: &model,
+            participants: n,
+            seed: bench.seed,
+            seconds: SECONDS,
+            dir: bench.dir,
+        };
+        processes.push(json!(real.run()?));
+    }
+    let asked = rows.iter().find(|r| r["participants"] == json!(ASKED));
+    let ok = asked.is_some_and(|r| r["ok"] == json!(true));
+    Ok(Outcome {
+        caption: "A quarter of the participants palpates, the others move their tools through the air; nobody but the \
+                  server solves. Work is counted in time of one thread's processor. The processes' participants run \
+                  on the same machine as their server and take processors from it."
+            .to_owned(),
+        charts: vec![("scale".to_owned(), chart(&rows))],
+        tables: vec![("scale".to_owned(), table(&rows))],
+        figures: json!({
+            "experiment": "scale",
+            "nodes": model.nodes.len(),
+            "network": profile.name,
+            "rows": rows,
+            "processes": processes,
+            "ok": ok,
+        }),
+    })
+}
+
+fn number(row: &Value, path: &[&str]) -> f64 {
+    let found = path.iter().fold(row, |v, key| &v[*key]);
+    found.as_f64().unwrap_or(f64::NAN)
+}
+
+fn chart(rows: &[Value]) -> Chart {
+    let over = |path: &[&str]| -> Vec<(f64, f64)> {
+        let point = |r: &Value| (number(r, &["participants"]), number(r, path));
+        rows.iter().map(point).collect()
+    };
+    Chart {
+        title: "What a server does per tick for so many participants".to_owned(),
+        x_label: "participants".to_owned(),
+        panels: vec![
+            panel(
+                "99th percentile of the work of one thread",
+                "time (ms)",
+                vec![
+                    line("tick", BLUE, over(&["tick_ms", "p99"])),
+                    line("what comes", GREEN, over(&["decode_ms", "p99"])),
+                    line("what goes", ORANGE, over(&["fan_out_ms", "p99"])),
+                    line("period", GREY, over(&["period_ms"])),
+                ],
+            ),
+            panel(
+                "bytes of one participant, without those of QUIC",
+                "kbit/s",
+                vec![
+                    line("up", BLUE, over(&["kbit_s", "up"])),
+                    line("down", ORANGE, over(&["kbit_s", "down"])),
+                ],
+            ),
+        ],
+        marks: Vec::new(),
+    }
+}
+
+fn table(rows: &[Value]) -> String {
+    const COLUMNS: [(&str, &[&str]); 12] = [
+        ("participants", &["participants"]),
+        ("touching", &["touching"]),
+        ("period_ms", &["period_ms"]),
+        ("tick_p50_ms", &["tick_ms", "p50"]),
+        ("tick_p99_ms", &["tick_ms", "p99"]),
+        ("tick_max_ms", &["tick_ms", "max"]),
+        ("decode_p99_ms", &["decode_ms", "p99"]),
+        ("fan_out_p99_ms", &["fan_out_ms", "p99"]),
+        ("late_p99_ms", &["late_ms", "p99"]),
+        ("late_ticks", &["late_ticks"]),
+        ("up_kbit_s", &["kbit_s", "up"]),
+        ("down_kbit_s", &["kbit_s", "down"]),
+    ];
+    let head: Vec<&str> = COLUMNS.iter().map(|c| c.0).collect();
+    let mut text = head.join(",") + "\n";
+    for row in rows {
+        let cells = COLUMNS.iter().map(|c| format!("{:.4}", number(row, c.1)));
+        text += &(cells.collect::<Vec<_>>().join(",") + "\n");
+    }
+    text
+}
