@@ -17,6 +17,7 @@
 //! | measure the equilibrium | [`mod@bench`] |
 //! | know what a hand feels of a tool, and what is true | [`trial`], [`experiments`] |
 //! | break what a hand depends on, and see that it is not jerked | [`haptic_faults`] |
+//! | know that no bytes of others break a reader | [`decoders`] |
 //! | see all of it at once | [`demo`], [`report`], [`plots`] |
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
@@ -26,6 +27,7 @@ pub mod bench;
 pub mod chart;
 pub mod cli;
 pub mod crowd;
+pub mod decoders;
 pub mod demo;
 pub mod disagreement;
 pub mod experiments;

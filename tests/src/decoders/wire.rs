@@ -1,0 +1,260 @@
+//! What comes over the network, and the link that names a session.
+
+use palpate_protocol::codec::{FRAME_MAX_BYTES, FrameDecoder, Message, PREFIX_BYTES, encode_frame};
+use palpate_protocol::datagram::{DATAGRAM_MAX_BYTES, Datagram, Memory};
+use palpate_protocol::examples;
+use palpate_protocol::handshake::{Hello, Preamble, Subscription, Welcome};
+use palpate_protocol::operation::Operation;
+use palpate_protocol::request::{ClientMessage, ServerMessage};
+use palpate_protocol::session::{ClientSession, PeerEvent, PeerMessage, ServerPeer};
+use palpate_protocol::{
+    CertificateHash, ClientTime, Grant, JoinLink, OperationId, Role, ServerTime,
+};
+
+use super::{Decoder, text};
+
+/// The most that a receiver of datagrams holds: of one that is being read, and of what it remembers.
+const DATAGRAMS_HOLD_MAX: usize = 4 << 20;
+
+/// The most that an end of a session holds at a time: a frame, the events that came of what was
+/// pushed, and what it remembers of datagrams.
+const SESSION_HOLDS_MAX: usize = 16 << 20;
+
+pub(super) const DATAGRAMS: Decoder = Decoder {
+    name: "datagrams",
+    read: read_datagrams,
+    examples: || {
+        // Each is told apart from what came before it.
+        let all = datagrams();
+        let all: Vec<_> = all.iter().map(|d| (true, &d[..])).collect();
+        (1..=all.len()).map(|n| pieces(&all[..n])).collect()
+    },
+    holds_max: |len| DATAGRAMS_HOLD_MAX + 2 * len,
+};
+
+pub(super) const CLIENT_STREAM: Decoder = Decoder {
+    name: "client-stream",
+    read: read_frames::<ClientMessage>,
+    examples: || frames(0),
+    holds_max: |len| 4 * FRAME_MAX_BYTES + 2 * len,
+};
+
+pub(super) const SERVER_STREAM: Decoder = Decoder {
+    name: "server-stream",
+    read: read_frames::<ServerMessage>,
+    examples: || frames(1),
+    holds_max: |len| 4 * FRAME_MAX_BYTES + 2 * len,
+};
+
+pub(super) const SERVER_SESSION: Decoder = Decoder {
+    name: "server-session",
+    read: read_as_server,
+    examples: as_a_client,
+    holds_max: |len| SESSION_HOLDS_MAX + 4 * len,
+};
+
+pub(super) const CLIENT_SESSION: Decoder = Decoder {
+    name: "client-session",
+    read: read_as_client,
+    examples: as_a_server,
+    holds_max: |len| SESSION_HOLDS_MAX + 4 * len,
+};
+
+pub(super) const JOIN_LINK: Decoder = Decoder {
+    name: "join-link",
+    read: |bytes| {
+        text(bytes, |link| {
+            let Ok(link) = link.parse::<JoinLink>() else {
+                return false;
+            };
+            let again: JoinLink = link.to_string().parse().expect("a link that was written");
+            assert_eq!(again, link);
+            true
+        })
+    },
+    examples: || {
+        let link = JoinLink {
+            host: "example.org".to_owned(),
+            port: 4433,
+            role: Role::Trainee,
+            certificate: CertificateHash([7; 32]),
+            grant: Grant([9; 16]),
+        };
+        let near = JoinLink {
+            host: "::1".to_owned(),
+            ..link.clone()
+        };
+        [link, near].map(|l| l.to_string().into_bytes()).into()
+    },
+    holds_max: |len| (64 << 10) + 8 * len,
+};
+
+/// What arrives piece by piece: two bytes that say how long a piece is and, in the highest bit, whether
+/// it is a datagram, and the piece.
+fn pieces(all: &[(bool, &[u8])]) -> Vec<u8> {
+    let mut out = Vec::new();
+    for (is_datagram, piece) in all {
+        let head = (piece.len() as u16 & 0x7fff) | (u16::from(*is_datagram) << 15);
+        out.extend(head.to_le_bytes());
+        out.extend(*piece);
+    }
+    out
+}
+
+/// The pieces of any bytes; the last one is what is left.
+fn each_piece(mut bytes: &[u8], mut take: impl FnMut(bool, &[u8])) {
+    while let [low, high, rest @ ..] = bytes {
+        let head = u16::from_le_bytes([*low, *high]);
+        let len = usize::from(head & 0x7fff).min(rest.len());
+        let (piece, after) = rest.split_at(len);
+        take(head >> 15 == 1, piece);
+        bytes = after;
+    }
+}
+
+fn datagrams() -> Vec<Vec<u8>> {
+    let all = examples::datagram_bytes().expect("examples can be written");
+    all.into_iter().map(|d| d.message).collect()
+}
+
+/// Of the client (0) or of the server (1).
+fn frames(side: usize) -> Vec<Vec<u8>> {
+    let all = examples::frames().expect("examples can be written");
+    all[side].iter().map(|f| f.message.clone()).collect()
+}
+
+fn read_datagrams(bytes: &[u8]) -> bool {
+    let mut all_good = true;
+    let (mut memory, expected) = (Memory::default(), examples::expected());
+    each_piece(bytes, |_, piece| {
+        if piece.len() > DATAGRAM_MAX_BYTES {
+            all_good = false;
+        } else if let Ok(datagram) = Datagram::decode(piece, &expected, &mut memory) {
+            let again = datagram.encode(&mut Memory::default());
+            let again = again.expect("what was read can be sent");
+            assert!(!again.is_empty());
+        } else {
+            all_good = false;
+        }
+    });
+    all_good
+}
+
+fn read_frames<M: Message + PartialEq + std::fmt::Debug>(bytes: &[u8]) -> bool {
+    let mut decoder = FrameDecoder::<M>::new(FRAME_MAX_BYTES);
+    // In uneven pieces, as a stream brings them.
+    for piece in bytes.chunks(977) {
+        decoder.push(piece);
+        loop {
+            match decoder.next() {
+                Ok(Some(message)) => {
+                    let again = encode_frame(&message).expect("what was read can be written");
+                    assert!(again.len() > PREFIX_BYTES);
+                }
+                Ok(None) => break,
+                Err(_) => return false,
+            }
+        }
+    }
+    true
+}
+
+/// What a client writes in a session that goes well, then what it sends as datagrams.
+fn as_a_client() -> Vec<Vec<u8>> {
+    let all = examples::client_messages().into_iter();
+    let stays = |name: &str| !matches!(name, "Hello again" | "Leave");
+    let messages = all.filter(|m| stays(m.name)).map(|m| m.message);
+    session(messages)
+}
+
+/// What a server writes in a session that goes well, then what it sends as datagrams.
+fn as_a_server() -> Vec<Vec<u8>> {
+    let mut next = 0;
+    let mut messages = Vec::new();
+    for example in examples::server_messages() {
+        match example.message {
+            ServerMessage::Refused(_) | ServerMessage::Goodbye { .. } => {}
+            ServerMessage::Operation(operation) => {
+                let id = OperationId(next);
+                next += 1;
+                messages.push(ServerMessage::Operation(Operation { id, ..operation }));
+            }
+            other => messages.push(other),
+        }
+    }
+    session(messages.into_iter())
+}
+
+/// The preamble with the first message; and all of them, with every datagram there is.
+fn session<M: Message>(messages: impl Iterator<Item = M>) -> Vec<Vec<u8>> {
+    let frames: Vec<_> = messages
+        .map(|m| encode_frame(&m).expect("examples can be written"))
+        .collect();
+    let mut stream = Preamble::OURS.to_bytes().to_vec();
+    let (first, rest) = frames.split_first().expect("there are examples");
+    stream.extend(first);
+    let datagrams = datagrams();
+    let mut whole: Vec<(bool, &[u8])> = vec![(false, &stream)];
+    whole.extend(rest.iter().map(|f| (false, &f[..])));
+    whole.extend(datagrams.iter().map(|d| (true, &d[..])));
+    vec![pieces(&[(false, &stream)]), pieces(&whole)]
+}
+
+/// Every piece arrives a millisecond after the one before; now and then somebody looks at the clock.
+fn read_as_server(bytes: &[u8]) -> bool {
+    let mut now = ServerTime::ZERO;
+    let mut peer = ServerPeer::new(now);
+    each_piece(bytes, |is_datagram, piece| {
+        now = ServerTime::from_micros(now.as_micros() + 1000);
+        if is_datagram {
+            peer.handle_datagram(piece, now);
+        } else {
+            peer.handle_stream(piece, now);
+        }
+        peer.handle_timeout(now);
+        while let Some(event) = peer.poll_event() {
+            if let PeerEvent::Hello(_) = event {
+                // It is let in, as by a room that has a seat.
+                let _ = peer.send(&PeerMessage::Welcome(Box::new(welcome())), now);
+            }
+        }
+        while peer.poll_stream().is_some() {}
+        while peer.poll_datagram(now).is_some() {}
+    });
+    !peer.is_closed()
+}
+
+fn welcome() -> Welcome {
+    let all = examples::server_messages().into_iter();
+    let mut welcomes = all.filter_map(|m| match m.message {
+        ServerMessage::Welcome(welcome) => Some(*welcome),
+        _ => None,
+    });
+    welcomes.next().expect("there is an example of a welcome")
+}
+
+fn read_as_client(bytes: &[u8]) -> bool {
+    let mut now = ClientTime::from_micros(0);
+    let hello = Hello {
+        name: "Ann".to_owned(),
+        role: Role::Spectator,
+        grant: Grant([0x11; 16]),
+        tool: None,
+        resume: None,
+        subscription: Subscription::Thin,
+    };
+    let mut session = ClientSession::new(hello, now).expect("a plain hello");
+    each_piece(bytes, |is_datagram, piece| {
+        now = ClientTime::from_micros(now.as_micros() + 1000);
+        if is_datagram {
+            session.handle_datagram(piece, now);
+        } else {
+            session.handle_stream(piece, now);
+        }
+        session.handle_timeout(now);
+        while session.poll_event().is_some() {}
+        while session.poll_stream().is_some() {}
+        while session.poll_datagram(now).is_some() {}
+    });
+    !session.is_closed()
+}
