@@ -87,6 +87,8 @@ pub struct ClientSession {
     heard: ClientTime,
     link_lost: bool,
     probe_due: ClientTime,
+    /// A question for the clock is to go with the next packet; it says when that leaves.
+    wants_probe: bool,
     report_due: ClientTime,
 }
 
@@ -120,6 +122,7 @@ impl ClientSession {
             heard: now,
             link_lost: false,
             probe_due: now,
+            wants_probe: false,
             report_due: now,
         })
     }
@@ -353,8 +356,7 @@ impl ClientSession {
             State::Joined(joined) => {
                 let participant = joined.participant;
                 if now >= self.probe_due {
-                    let probe = self.clock.probe(now);
-                    self.link.enqueue(Body::Probe(probe));
+                    self.wants_probe = true;
                     let locked = self.clock.map().is_some();
                     self.probe_due = now
                         + if locked {
@@ -442,7 +444,7 @@ impl ClientSession {
         };
         let participant = joined.participant;
         let Some(map) = self.clock.map() else {
-            return self.link.pop(ServerTime::ZERO);
+            return self.next_of_rest(now, ServerTime::ZERO);
         };
         let generated = map.to_server(now);
         while let Some(samples) = self.motion.poll(now, &map) {
@@ -455,6 +457,21 @@ impl ClientSession {
             }
         }
         self.link.count_refused_samples(self.motion.take_stale());
+        // The batch that collects goes within milliseconds, and what leaves with it shares its packet.
+        if self.motion.collects() {
+            return None;
+        }
+        self.next_of_rest(now, generated)
+    }
+
+    /// What is not motion.
+    fn next_of_rest(&mut self, now: ClientTime, generated: ServerTime) -> Option<Vec<u8>> {
+        if std::mem::take(&mut self.wants_probe) {
+            let probe = self.clock.probe(now);
+            if let Some(bytes) = self.link.encode(Body::Probe(probe), generated) {
+                return Some(bytes);
+            }
+        }
         self.link.pop(generated)
     }
 

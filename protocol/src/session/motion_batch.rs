@@ -111,6 +111,11 @@ impl MotionBatch {
         Some(samples.collect())
     }
 
+    /// Whether samples wait for their batch to be full, or for its time.
+    pub(super) fn collects(&self) -> bool {
+        self.unsent > 0
+    }
+
     /// How many were lost by waiting, since the last call.
     pub(super) fn take_stale(&mut self) -> usize {
         std::mem::take(&mut self.stale)

@@ -4,7 +4,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use quinn::crypto::rustls::{QuicClientConfig, QuicServerConfig};
-use quinn::{ClientConfig, EndpointConfig, IdleTimeout, ServerConfig, TransportConfig, VarInt};
+use quinn::{
+    AckFrequencyConfig, ClientConfig, EndpointConfig, IdleTimeout, ServerConfig, TransportConfig,
+    VarInt,
+};
 use quinn_proto::RandomConnectionIdGenerator;
 use rustls::crypto::CryptoProvider;
 
@@ -41,6 +44,9 @@ const PACKET_THRESHOLD: u32 = 64;
 /// ... or when so many round trips passed. The default is 1.125.
 const TIME_THRESHOLD: f32 = 1.5;
 
+/// Packets that may arrive before an acknowledgement goes out alone; the time for it, 25 ms, is not changed.
+const ACKNOWLEDGED_BEYOND: u32 = 12;
+
 /// Bytes of one stream that may arrive unread: the largest frame many times over.
 const STREAM_WINDOW: u32 = 2 * 1024 * 1024;
 
@@ -62,6 +68,12 @@ fn certificate_error(e: impl std::fmt::Display) -> TransportError {
 
 fn session_transport() -> TransportConfig {
     let mut t = TransportConfig::default();
+    // Acknowledgements go with the data that is sent every few milliseconds anyway. A packet for each
+    // second one that arrives, and for each that overtook another, was a fifth of all packets.
+    let mut acknowledge = AckFrequencyConfig::default();
+    acknowledge
+        .ack_eliciting_threshold(VarInt::from_u32(ACKNOWLEDGED_BEYOND))
+        .reordering_threshold(VarInt::from_u32(PACKET_THRESHOLD - 1));
     t.max_concurrent_bidi_streams(VarInt::from_u32(1))
         .max_concurrent_uni_streams(VarInt::from_u32(0))
         .stream_receive_window(VarInt::from_u32(STREAM_WINDOW))
@@ -70,6 +82,7 @@ fn session_transport() -> TransportConfig {
         .max_idle_timeout(Some(idle(IDLE)))
         .keep_alive_interval(Some(KEEP_ALIVE))
         .packet_threshold(PACKET_THRESHOLD)
+        .ack_frequency_config(Some(acknowledge))
         .time_threshold(TIME_THRESHOLD)
         // Half of what it is across an ocean: a lost first packet is sent again after 0.3 s.
         .initial_rtt(Duration::from_millis(100))

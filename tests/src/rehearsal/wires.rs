@@ -9,7 +9,7 @@ use serde::Serialize;
 use crate::network::{Direction, Path, Profile};
 
 /// The bit in a datagram's first byte that says that it acknowledges, and the bytes that does in it.
-const ACKNOWLEDGES: u8 = 0x10;
+const ACKNOWLEDGES: u8 = 0x08;
 const ACKNOWLEDGEMENT_BYTES: u16 = 6;
 
 /// Bytes of a stream that go as one packet.
@@ -50,7 +50,7 @@ impl Part {
 
     /// What a datagram is for, from the kind in its first byte.
     fn of_datagram(bytes: &[u8]) -> Self {
-        match bytes.first().map_or(0, |b| b & 0x0f) {
+        match bytes.first().map_or(0, |b| b & 0x07) {
             1 => Self::Motion,
             3 | 4 => Self::Clock,
             5 => Self::Delays,
@@ -312,7 +312,27 @@ impl Way {
 
 #[cfg(test)]
 mod tests {
+    use palpate_protocol::datagram::Body;
+    use palpate_protocol::examples;
+
     use super::*;
+
+    #[test]
+    fn what_a_datagram_is_for_is_told_as_the_protocol_writes_it() {
+        let bytes = examples::datagram_bytes().unwrap();
+        for (example, bytes) in examples::datagrams().into_iter().zip(bytes) {
+            let (header, body) = (example.message.header, example.message.body);
+            let part = match body {
+                Body::Motion(_) => Part::Motion,
+                Body::Corrections(_) | Body::Displacements(_) => Part::Corrections,
+                Body::Probe(_) | Body::Reply(_) => Part::Clock,
+                Body::Delays(_) => Part::Delays,
+            };
+            assert_eq!(Part::of_datagram(&bytes.message), part, "{}", example.name);
+            let acknowledges = bytes.message[0] & ACKNOWLEDGES != 0;
+            assert_eq!(acknowledges, header.acknowledged.is_some());
+        }
+    }
 
     #[test]
     fn a_stream_arrives_whole_and_in_order_over_a_network_that_loses_and_reorders() {
