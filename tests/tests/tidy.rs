@@ -456,7 +456,7 @@ fn no_file_names_a_thing_outside_the_project() {
 fn no_file_is_longer_than_one_noun_needs() {
     let offenders: Vec<String> = files()
         .iter()
-        .filter(|f| !LONG_BY_NATURE.contains(&f.path.as_str()))
+        .filter(|f| !LONG_BY_NATURE.iter().any(|name| f.path.ends_with(name)))
         .map(|f| (f.text.lines().count(), &f.path))
         .filter(|(lines, _)| *lines > LINES_MAX)
         .map(|(lines, path)| format!("{path}: {lines} lines"))
