@@ -32,6 +32,12 @@ use tally::{Sat, Tally};
 /// Sessions per network when nothing is said: each takes one to two seconds.
 const SEEDS: u64 = 20;
 
+/// Of how many sessions per network forces are compared: the same hands at one table take as long as the session.
+const FELT: u64 = 100;
+
+/// Sessions between two words about the progress.
+const CHUNK: u64 = 16;
+
 /// Length of a session's scripts, s.
 const SECONDS: f64 = 6.0;
 
@@ -91,16 +97,21 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let seeds = bench.seeds.unwrap_or(SEEDS);
     let (mut rows, mut lines, mut table) = (Vec::new(), Vec::new(), String::from(HEADER));
     for (k, profile) in networks.iter().enumerate() {
-        (bench.progress)(&profile.name, k as f64 / networks.len() as f64);
         let all = std::thread::available_parallelism().map_or(1, usize::from);
-        let one = |seed: u64| session(&model, &scripts, profile, bench.seed, seed, &truth.courses);
-        let tally = on_threads(all, || {
-            (0..seeds)
-                .into_par_iter()
-                .map(one)
-                .try_reduce(Tally::default, |a, b| Ok(a.join(b)))
-        })?;
-        let mut tally: Tally = tally?;
+        let base = bench.seed;
+        let one = |seed: u64| session(&model, &scripts, profile, base, seed, &truth.courses);
+        let mut tally = Tally::default();
+        for first in (0..seeds).step_by(CHUNK as usize) {
+            let share = (k as f64 + first as f64 / seeds as f64) / networks.len() as f64;
+            (bench.progress)(&profile.name, share);
+            let some: Result<Tally, String> = on_threads(all, || {
+                (first..seeds.min(first + CHUNK))
+                    .into_par_iter()
+                    .map(one)
+                    .try_reduce(Tally::default, |a, b| Ok(a.join(b)))
+            })?;
+            tally = tally.join(some?);
+        }
         let row = tally.row(profile);
         table.push_str(&csv(&row));
         if let Some(colour) = [BLUE, ORANGE, GREEN, GREY].get(k) {
@@ -123,8 +134,8 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     figures["nodes"] = json!(model.nodes.len());
     figures["networks"] = json!(rows);
     if let Some(n) = bench.real {
-        let mut tally = real::sessions(bench, &model, &files, &networks[0], n, |sat, is_first| {
-            compared(&model, &scripts, sat, &truth.courses, is_first)
+        let mut tally = real::sessions(bench, &model, &files, &networks[0], n, |sat, number| {
+            compared(&model, &scripts, sat, &truth.courses, number)
         })?;
         figures["real"] = tally.row(&networks[0]);
     }
@@ -164,7 +175,7 @@ fn session(
         scripts,
         rehearsal.run(|_| true)?.try_into()?,
         scripted,
-        seed == 0,
+        seed,
     )
 }
 
@@ -174,15 +185,18 @@ fn compared(
     scripts: &[&Script; 2],
     session: Sat,
     scripted: &[Vec<ForcePoint>; 2],
-    is_first: bool,
+    number: u64,
 ) -> Result<Tally, String> {
+    if number >= FELT {
+        return Ok(Tally::of(session, None, false));
+    }
     let recordings = session.recordings.each_ref();
     let same_hands = reference::replay(model, *scripts, recordings, |_| true);
     let same_hands = same_hands.map_err(|e| e.to_string())?;
     Ok(Tally::of(
         session,
-        [&same_hands.courses, scripted],
-        is_first,
+        Some([&same_hands.courses, scripted]),
+        number == 0,
     ))
 }
 

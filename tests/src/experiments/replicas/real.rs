@@ -23,7 +23,7 @@ pub(super) fn sessions(
     scripts: &[String; 2],
     profile: &Profile,
     n: u64,
-    compared: impl Fn(Sat, bool) -> Result<Tally, String>,
+    compared: impl Fn(Sat, u64) -> Result<Tally, String>,
 ) -> Result<Tally, String> {
     let executable = std::env::current_exe()
         .map_err(|e| format!("the program to start as server and clients is not known: {e}"))?;
@@ -46,7 +46,7 @@ pub(super) fn sessions(
             start_when: 2,
         };
         let sat = session(&hosting, &files, bench).map_err(|e| e.to_string())?;
-        tally = tally.join(compared(sat, k == 0)?);
+        tally = tally.join(compared(sat, k)?);
     }
     Ok(tally)
 }

@@ -150,8 +150,12 @@ pub(super) struct Tally {
 
 impl Tally {
     /// One session, whose forces at two tables are `tables`: the same hands', and those of hands that follow
-    /// the scripts.
-    pub(super) fn of(session: Sat, tables: [&[Vec<ForcePoint>; 2]; 2], is_first: bool) -> Self {
+    /// the scripts; without them forces are not compared.
+    pub(super) fn of(
+        session: Sat,
+        tables: Option<[&[Vec<ForcePoint>; 2]; 2]>,
+        is_first: bool,
+    ) -> Self {
         let mut tally = Self {
             sessions: 1,
             equal: u64::from(session.hashes_equal),
@@ -164,7 +168,9 @@ impl Tally {
         if is_first {
             tally.course = Disagreement::between(&[a, b]).course;
         }
-        let [same_hands, scripted] = tables;
+        let Some([same_hands, scripted]) = tables else {
+            return tally;
+        };
         for (k, recording) in session.recordings.iter().enumerate() {
             tally.felt.add(recording, &same_hands[k]);
             tally.scripted.add(recording, &scripted[k]);
