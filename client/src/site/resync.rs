@@ -23,7 +23,7 @@ pub(super) const DRIFT_PATIENCE: Span = Span::from_millis(1000);
 /// Two comparisons that lie farther apart are not one after the other: five of the server's rounds.
 const COMPARED_WITHIN: Span = Span::from_millis(500);
 
-/// Copies made anew in [`WINDOW`] at most. Each costs the whole log and a second without force; what three
+/// Copies made anew in `WINDOW` at most. Each costs the whole log and a second without force; what three
 /// did not cure, a fourth does not either.
 pub const RESYNCS_MAX: usize = 3;
 

@@ -8,7 +8,7 @@ use crate::{ParticipantId, ServerTime, Span};
 ///
 /// Calling order: [`handle_report`](Self::handle_report) and [`remove`](Self::remove) as they
 /// come, [`poll_change`](Self::poll_change) at least every 100 ms; what it gives becomes an
-/// operation in the log, and is also given to the server's own [`DelaySchedule`].
+/// operation in the log, and is also given to the server's own [`DelaySchedule`](super::DelaySchedule).
 #[derive(Debug, Clone)]
 pub struct GroupDelay {
     mode: CompensationMode,

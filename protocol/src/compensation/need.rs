@@ -31,7 +31,7 @@ use std::collections::VecDeque;
 use crate::{ServerTime, Span};
 
 /// The farthest beyond the newest sample that the rule lets the timeline go at the edge of its
-/// [`SHARE`].
+/// `SHARE`.
 pub const BRIDGE: Span = Span::from_millis(12);
 
 /// The least bridge. On a short steady path that is all of what a packet's interval needs: nothing

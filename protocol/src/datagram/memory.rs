@@ -2,7 +2,7 @@
 //!
 //! A sender tells differences only from what the other side has acknowledged, so that no loss makes
 //! a later datagram unreadable; a receiver that does not have what a datagram names drops it, and
-//! does not acknowledge it: the sender finds something else within [`KEPT_POINTS`] datagrams.
+//! does not acknowledge it: the sender finds something else within `KEPT_POINTS` datagrams.
 
 use std::collections::VecDeque;
 

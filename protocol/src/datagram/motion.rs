@@ -1,7 +1,7 @@
 //! Tool samples in a datagram.
 //!
-//! The samples are rounded ([`super::quantise`]) and the whole body is range-coded
-//! ([`super::range_coder`]): count of tools
+//! The samples are rounded (`quantise.rs`) and the whole body is range-coded
+//! (`range_coder.rs`): count of tools
 //! minus one, then per tool
 //!
 //! ```text
@@ -13,13 +13,13 @@
 //! ```
 //!
 //! A baseline is a datagram that the other side has acknowledged. The newest sample is expected where
-//! the baseline's samples lead to, slowed down within [`LEAD_UNITS`]; the oldest one on the parabola
+//! the baseline's samples lead to, slowed down within `LEAD_UNITS`; the oldest one on the parabola
 //! that goes through the newest of the baseline with its velocity and through the newest (beyond
-//! [`PARABOLA_UNITS`] on the line through both); one between two others on the line between them. Without
+//! `PARABOLA_UNITS` on the line through both); one between two others on the line between them. Without
 //! a baseline the newest sample is told as it is.
 //!
 //! The newest sample of the first tool of a whole datagram has the time in the header. Any other with a
-//! baseline is so many usual batches of [`BATCH`] ms after it (told as datagrams less batches) and
+//! baseline is so many usual batches of `BATCH` ms after it (told as datagrams less batches) and
 //! some rest. Without a baseline the first tool tells the low 16 bits of its time, another one how
 //! much it is before the first.
 

@@ -1,6 +1,6 @@
 //! Displacements of nodes in a datagram.
 //!
-//! Range-coded ([`super::range_coder`]):
+//! Range-coded (`range_coder.rs`):
 //!
 //! ```text
 //! topology version (32 raw bits) | age µs before `generated` (32 raw bits, signed)
