@@ -258,10 +258,11 @@ impl Site {
                 delay_us,
                 effective_at,
             } => match self.clock.map(|c| c.to_server(now)) {
-                Some(here) => {
+                // What the log tells of before is not late.
+                Some(here) if self.expected.is_none() => {
                     (self.schedule).handle_late_change(*delay_us, *effective_at, here);
                 }
-                None => self.schedule.handle_change(*delay_us, *effective_at),
+                _ => self.schedule.handle_change(*delay_us, *effective_at),
             },
             OperationKind::Started { at } => self.started = Some(*at),
             // A seat first, so that the samples that follow find it; its tool shows from its first

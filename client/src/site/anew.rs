@@ -149,7 +149,11 @@ impl Site {
 
     fn begin_anew(&mut self, welcome: &Welcome, now: ClientTime) {
         let model = Arc::clone(self.replica.topology().model());
-        self.replica = Replica::new(model, welcome.role.has_tool());
+        self.replica = if self.is_thin() {
+            Replica::thin(model)
+        } else {
+            Replica::new(model, welcome.role.has_tool())
+        };
         self.roster = Roster::new(&welcome.roster);
         self.schedule = DelaySchedule::new(&welcome.compensation);
         self.expected = Some((welcome.topology_version, welcome.topology_hash));

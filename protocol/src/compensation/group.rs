@@ -1,5 +1,6 @@
 //! The server's choice of D.
 
+use super::CAP_DEFAULT;
 use crate::operation::{CompensationMode, CompensationSettings};
 use crate::request::DelayReport;
 use crate::{ParticipantId, ServerTime, Span};
@@ -168,8 +169,14 @@ impl GroupDelay {
     /// A lead for [`poll_change`](Self::poll_change) that lets an operation reach everybody: what they
     /// need covers two ways, and an operation goes one.
     pub fn lead(&self) -> Span {
+        // One report must not put off every later change: no change takes effect before an earlier one.
+        let most = match self.mode {
+            CompensationMode::Adaptive { cap_us } => cap_us,
+            CompensationMode::None | CompensationMode::Fixed => CAP_DEFAULT.as_micros() as u32,
+        };
         let wanted = self.wanted.iter().map(|(_, w)| *w).max().unwrap_or(0);
-        LEAD_MARGIN + Span::from_micros(i64::from(wanted.max(self.target_us)) / 2)
+        let longest = wanted.min(most).max(self.target_us);
+        LEAD_MARGIN + Span::from_micros(i64::from(longest) / 2)
     }
 
     /// The delay last decided.

@@ -107,7 +107,7 @@ fn on_parabola(base: &Anchor, b: &Point, at: i64, span: i64) -> Point {
     let a = &base.newest;
     let before = (a.time - base.oldest.time).max(1);
     let straight = on_line(a, b, at, span);
-    let is_near = span <= PARABOLA_UNITS && before <= VELOCITY_UNITS;
+    let is_near = span <= PARABOLA_UNITS && at.abs() <= PARABOLA_UNITS && before <= VELOCITY_UNITS;
     if !is_near || base.oldest.turn.omitted != b.turn.omitted {
         return straight;
     }

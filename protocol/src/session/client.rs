@@ -1,5 +1,7 @@
 //! The client's end of a session.
 
+mod outgoing;
+
 use std::collections::VecDeque;
 
 use crate::clock::{ClockEstimate, ClockMap};
@@ -22,6 +24,7 @@ use crate::{
     ClientTime, LocalSample, OperationId, ParticipantId, ProtocolError, RequestId, ServerTime,
     Span, ToolTrack,
 };
+use outgoing::Wants;
 
 /// Between clock probes until the clock is locked.
 pub const PROBE_PERIOD_FIRST: Span = Span::from_millis(20);
@@ -87,8 +90,8 @@ pub struct ClientSession {
     heard: ClientTime,
     link_lost: bool,
     probe_due: ClientTime,
-    /// A question for the clock is to go with the next packet; it says when that leaves.
-    wants_probe: bool,
+    /// What is to go with the next packet.
+    wants: Wants,
     report_due: ClientTime,
 }
 
@@ -122,7 +125,7 @@ impl ClientSession {
             heard: now,
             link_lost: false,
             probe_due: now,
-            wants_probe: false,
+            wants: Wants::default(),
             report_due: now,
         })
     }
@@ -292,6 +295,9 @@ impl ClientSession {
             Body::Delays(list) => self.emit(ClientEvent::Delays(list)),
             Body::Probe(_) => self.link.count_misdirected(),
         }
+        // Who sends no motion would acknowledge with the next question for the clock only, too late to
+        // cover everything.
+        self.wants.acknowledgement |= self.link.owes_acknowledgement();
     }
 
     fn handle_motion(&mut self, header: &Header, tracks: Vec<ToolTrack>, now: ClientTime) {
@@ -356,7 +362,7 @@ impl ClientSession {
             State::Joined(joined) => {
                 let participant = joined.participant;
                 if now >= self.probe_due {
-                    self.wants_probe = true;
+                    self.wants.probe = true;
                     let locked = self.clock.map().is_some();
                     self.probe_due = now
                         + if locked {
@@ -435,44 +441,6 @@ impl ClientSession {
     /// Bytes for the operations stream, in order.
     pub fn poll_stream(&mut self) -> Option<Vec<u8>> {
         self.outbox.pop()
-    }
-
-    /// The next datagram, made from what is newest now.
-    pub fn poll_datagram(&mut self, now: ClientTime) -> Option<Vec<u8>> {
-        let State::Joined(joined) = &self.state else {
-            return None;
-        };
-        let participant = joined.participant;
-        let Some(map) = self.clock.map() else {
-            return self.next_of_rest(now, ServerTime::ZERO);
-        };
-        let generated = map.to_server(now);
-        while let Some(samples) = self.motion.poll(now, &map) {
-            let track = ToolTrack {
-                participant,
-                samples,
-            };
-            if let Some(bytes) = self.link.encode(Body::Motion(vec![track]), generated) {
-                return Some(bytes);
-            }
-        }
-        self.link.count_refused_samples(self.motion.take_stale());
-        // The batch that collects goes within milliseconds, and what leaves with it shares its packet.
-        if self.motion.collects() {
-            return None;
-        }
-        self.next_of_rest(now, generated)
-    }
-
-    /// What is not motion.
-    fn next_of_rest(&mut self, now: ClientTime, generated: ServerTime) -> Option<Vec<u8>> {
-        if std::mem::take(&mut self.wants_probe) {
-            let probe = self.clock.probe(now);
-            if let Some(bytes) = self.link.encode(Body::Probe(probe), generated) {
-                return Some(bytes);
-            }
-        }
-        self.link.pop(generated)
     }
 
     /// The next event.

@@ -115,7 +115,7 @@ pub(super) struct Link {
     /// The times in our newest datagrams by number, and in the newest one that is acknowledged.
     sent_at: VecDeque<(u32, ServerTime)>,
     known_at: Option<ServerTime>,
-    /// The time in their newest datagram.
+    /// The latest time in their datagrams.
     received_at: ServerTime,
     /// Datagrams that arrived since the last acknowledgement, and when that left.
     unacknowledged: u32,
@@ -187,7 +187,9 @@ impl Link {
         self.arrived = arrived;
         self.unacknowledged += 1;
         if arrival == Arrival::New {
-            self.received_at = datagram.header.generated;
+            // Of motion it is the time of a sample, which may be older than what came before. The
+            // other side completes its times against the latest, too.
+            self.received_at = self.received_at.max(datagram.header.generated);
         }
         if let Some(a) = datagram.header.acknowledged {
             self.note_acknowledgement(a.newest, a.bits);
@@ -227,6 +229,10 @@ impl Link {
 
     pub(super) fn count_misdirected(&mut self) {
         self.stats.noise.misdirected += 1;
+    }
+
+    pub(super) fn count_old(&mut self) {
+        self.stats.noise.old += 1;
     }
 
     pub(super) fn count_refused_samples(&mut self, n: usize) {
@@ -322,6 +328,11 @@ impl Link {
         };
         self.waiting.push_front(second);
         self.encode(first, generated)
+    }
+
+    /// Whether more has arrived than what is sent now and then would acknowledge in time.
+    pub(super) fn owes_acknowledgement(&self) -> bool {
+        self.unacknowledged >= 2 * ACKNOWLEDGE_EVERY
     }
 
     fn acknowledgement_due(&self, generated: ServerTime) -> Option<Acknowledgement> {

@@ -24,6 +24,9 @@ pub const REQUESTS_PER_SECOND_MAX: u32 = 50;
 /// A sample may not claim to be from farther in the future than this; such a datagram is noise.
 pub const FUTURE_MAX: Span = Span::from_millis(500);
 
+/// Samples that are older are noise, too: nobody shows them, and others must be able to tell them apart from new ones.
+const PAST_MAX: Span = Span::from_millis(2000);
+
 enum State {
     Preamble(PreambleReader),
     Hello,
@@ -200,6 +203,8 @@ impl ServerPeer {
             Body::Motion(tracks) => self.handle_motion(tracks, participant, now),
             Body::Probe(probe) => self.handle_probe(probe, now),
             Body::Delays(list) => match list.as_slice() {
+                // A sign of life, which acknowledges.
+                [] => {}
                 [(who, report)] if *who == participant => self.emit(PeerEvent::Delay(*report)),
                 _ => self.link.count_misdirected(),
             },
@@ -216,11 +221,14 @@ impl ServerPeer {
         now: ServerTime,
     ) {
         for track in tracks {
+            let oldest = track.samples.first().map_or(now, |s| s.time);
             let newest = track.samples.last().map_or(now, |s| s.time);
-            if track.participant == participant && newest <= now + FUTURE_MAX {
-                self.emit(PeerEvent::Motion(track.samples));
-            } else {
+            if track.participant != participant || newest > now + FUTURE_MAX {
                 self.link.count_misdirected();
+            } else if oldest < now - PAST_MAX {
+                self.link.count_old();
+            } else {
+                self.emit(PeerEvent::Motion(track.samples));
             }
         }
     }

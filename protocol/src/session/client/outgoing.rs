@@ -1,0 +1,64 @@
+//! The datagrams of a client: motion first, and the rest so that it shares motion's packets.
+
+use super::{ClientSession, State};
+use crate::datagram::Body;
+use crate::{ClientTime, ServerTime, ToolTrack};
+
+/// What is to go out besides motion.
+#[derive(Debug, Default)]
+pub(super) struct Wants {
+    /// A question for the clock, which says when it leaves and so is made then.
+    pub(super) probe: bool,
+    /// A sign of life: much has arrived that was not acknowledged.
+    pub(super) acknowledgement: bool,
+    /// Motion has been given since the last time that there was nothing more to give.
+    goes_on: bool,
+}
+
+impl ClientSession {
+    /// The next datagram, made from what is newest now.
+    pub fn poll_datagram(&mut self, now: ClientTime) -> Option<Vec<u8>> {
+        let State::Joined(joined) = &self.state else {
+            return None;
+        };
+        let participant = joined.participant;
+        let Some(map) = self.clock.map() else {
+            return self.next_of_rest(now, ServerTime::ZERO);
+        };
+        let generated = map.to_server(now);
+        while let Some(samples) = self.motion.poll(now, &map) {
+            let track = ToolTrack {
+                participant,
+                samples,
+            };
+            if let Some(bytes) = self.link.encode(Body::Motion(vec![track]), generated) {
+                self.wants.goes_on = true;
+                return Some(bytes);
+            }
+        }
+        self.link.count_refused_samples(self.motion.take_stale());
+        // The batch that collects goes within milliseconds, and what leaves with it shares its packet. Where a
+        // few samples stay behind in every batch, the rest goes after what has just been sent.
+        let with_motion = std::mem::take(&mut self.wants.goes_on);
+        if self.motion.collects() && !with_motion {
+            return None;
+        }
+        let rest = self.next_of_rest(now, generated);
+        self.wants.goes_on = with_motion && rest.is_some();
+        rest
+    }
+
+    /// What is not motion.
+    fn next_of_rest(&mut self, now: ClientTime, generated: ServerTime) -> Option<Vec<u8>> {
+        if std::mem::take(&mut self.wants.probe) {
+            let probe = self.clock.probe(now);
+            if let Some(bytes) = self.link.encode(Body::Probe(probe), generated) {
+                return Some(bytes);
+            }
+        }
+        if std::mem::take(&mut self.wants.acknowledgement) && self.link.owes_acknowledgement() {
+            return self.link.encode(Body::Delays(Vec::new()), generated);
+        }
+        self.link.pop(generated)
+    }
+}
