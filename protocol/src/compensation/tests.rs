@@ -223,3 +223,18 @@ fn a_fixed_delay_stays() {
         Span::from_millis(80)
     );
 }
+
+#[test]
+fn no_report_puts_a_change_off_by_more_than_half_the_cap() {
+    let cap_us = 400_000;
+    let mut group = GroupDelay::new(&CompensationSettings {
+        mode: CompensationMode::Adaptive { cap_us },
+        initial_delay_us: 50_000,
+    });
+    let report = DelayReport {
+        wanted_us: u32::MAX,
+        ..DelayReport::default()
+    };
+    group.handle_report(ParticipantId(3), report);
+    assert!(group.lead() <= Span::from_micros(i64::from(cap_us) / 2) + Span::from_millis(20));
+}

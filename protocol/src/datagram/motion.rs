@@ -547,3 +547,25 @@ pub(super) fn read(
     }
     Ok(tracks)
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn whatever_steps_stand_on_the_wire_an_expectation_is_a_place(
+            ends in [-POSITION_MAX..=POSITION_MAX, -POSITION_MAX..=POSITION_MAX, -POSITION_MAX..=POSITION_MAX],
+            before in 1_i64..=VELOCITY_UNITS,
+            span in 1_i64..FAR_UNITS,
+            at in -8 * FAR_UNITS..8 * FAR_UNITS,
+        ) {
+            let point = |x, time| Point { time, position: [x; 3], ..Point::default() };
+            let base = Anchor { oldest: point(ends[0], -before), newest: point(ends[1], 0) };
+            let found = on_parabola(&base, &point(ends[2], span), at, span);
+            prop_assert!(found.position.iter().all(|x| x.abs() <= POSITION_MAX));
+        }
+    }
+}

@@ -3,7 +3,8 @@
 
 use super::tests::Pair;
 use crate::datagram::{Acknowledgement, Body, Datagram, Header, Memory, Tag};
-use crate::{Epoch, ParticipantId, ServerTime};
+use crate::session::PeerEvent;
+use crate::{Epoch, ParticipantId, ServerTime, Span, ToolSample, ToolTrack};
 
 /// A session that stands.
 fn standing() -> Pair {
@@ -89,5 +90,43 @@ fn what_was_recorded_and_is_played_again_is_counted_as_seen_or_old() {
     let noise = pair.server.stats().noise;
     assert_eq!(noise.duplicate - before.duplicate, 4);
     assert_eq!(noise.old - before.old, 1);
+    assert!(!pair.server.is_closed());
+}
+
+#[test]
+fn samples_that_are_seconds_old_are_counted_and_not_passed_on() {
+    let mut pair = standing();
+    let now = pair.server_now();
+    let next = pair.client.stats(pair.client_now()).sent as u32 + 1;
+    let before = pair.server.stats().noise.old;
+    for (i, age_s) in [0, 3, 7200].into_iter().enumerate() {
+        let sample = ToolSample {
+            time: now - Span::from_millis(1000 * age_s),
+            ..ToolSample::default()
+        };
+        let datagram = Datagram {
+            header: Header {
+                tag: Tag {
+                    epoch: Epoch(2),
+                    stream: ParticipantId(5),
+                },
+                sequence: next + i as u32,
+                generated: sample.time,
+                is_whole: true,
+                acknowledged: None,
+            },
+            body: Body::Motion(vec![ToolTrack {
+                participant: ParticipantId(5),
+                samples: vec![sample],
+            }]),
+        };
+        let bytes = datagram.encode(&mut Memory::default()).unwrap();
+        pair.server.handle_datagram(&bytes, now);
+    }
+    let mut motion = 0;
+    while let Some(event) = pair.server.poll_event() {
+        motion += usize::from(matches!(event, PeerEvent::Motion(_)));
+    }
+    assert_eq!((motion, pair.server.stats().noise.old - before), (1, 2));
     assert!(!pair.server.is_closed());
 }
