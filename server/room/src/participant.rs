@@ -49,6 +49,8 @@ pub(crate) struct Participant {
     pub(crate) delay: DelayEstimator,
     /// What its site said last that it needs, and when.
     pub(crate) report: Option<(ServerTime, DelayReport)>,
+    /// Its way down when it last said what it needs, µs.
+    pub(crate) down_us: i64,
     /// Whether it takes part or, because of its network, only watches.
     pub(crate) demotion: Demotion,
     /// Before this moment the tool does not press, nor from `lifted` on: the moments are those of the
@@ -80,6 +82,7 @@ impl Participant {
             asked: Asked::default(),
             delay: DelayEstimator::new(DelayRule::default()),
             report: None,
+            down_us: 0,
             demotion: Demotion::new(cap),
             presses_from: ServerTime::ZERO,
             lifted: None,

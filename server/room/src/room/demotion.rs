@@ -11,6 +11,10 @@
 //! need(x)    max( up(x), pair(x,y) for every y whose up + down is shorter than x's )
 //! ```
 //!
+//! What is wanted remembers bursts for half a minute; whoever watches is judged by what is late now, mean and
+//! four deviations. Who watches may hear nobody, and reports nothing then: the way down is as long as it was,
+//! or as the way up is by now, if that is shorter.
+//!
 //! An error of a clock makes up longer by what it makes down shorter, and so changes no sum.
 
 use palpate_protocol::compensation::{REPORT_OLD, Verdict};
@@ -53,6 +57,17 @@ impl Way {
             .filter(|y| y.who != self.who && !y.is_demoted && self.answers_for(y));
         let pairs = others.map(|y| (self.up + y.down).max(y.up + self.down));
         pairs.max().unwrap_or(0).max(self.up)
+    }
+}
+
+/// What somebody needs, µs; of those who watch, what they would need now.
+fn wanted_now(report: &DelayReport, of: &Participant) -> i64 {
+    let wanted = i64::from(report.wanted_us);
+    let late = i64::from(report.mean_us) + 4 * i64::from(report.deviation_us);
+    if of.demotion.is_demoted() {
+        wanted.min(late)
+    } else {
+        wanted
     }
 }
 
@@ -111,21 +126,34 @@ impl Room {
     }
 
     /// The ways of those that are connected.
-    fn ways(&self) -> Vec<Way> {
+    fn ways(&mut self) -> Vec<Way> {
         let here = || self.participants.values().filter(|p| p.peer().is_some());
-        let up = |p: &Participant| p.delay.report().map(|r| i64::from(r.wanted_us));
+        let up = |p: &Participant| p.delay.report().map(|r| wanted_now(&r, p));
         let mut ways = Vec::new();
         for p in here() {
-            let wanted = p.report.map(|(_, r)| i64::from(r.wanted_us));
+            let wanted = p.report.map(|(_, r)| wanted_now(&r, p));
             let heard = here().filter(|y| y.id != p.id && !y.demotion.is_demoted());
             let longest = heard.filter_map(up).max().unwrap_or(0);
+            let own_up = up(p).unwrap_or(0);
+            let down = match wanted {
+                Some(wanted) => (wanted - longest).max(0),
+                None if p.demotion.is_demoted() => p.down_us.min(own_up),
+                None => 0,
+            };
             ways.push(Way {
                 who: p.id,
-                up: up(p).unwrap_or(0),
-                down: (wanted.unwrap_or(0) - longest).max(0),
+                up: own_up,
+                down,
                 is_demoted: p.demotion.is_demoted(),
                 is_known: up(p).is_some() || wanted.is_some(),
             });
+        }
+        for way in &ways {
+            if let Some(p) = self.participants.get_mut(&way.who)
+                && p.report.is_some()
+            {
+                p.down_us = way.down;
+            }
         }
         ways
     }
