@@ -108,8 +108,7 @@ pub(super) fn aligned(rows: &mut [Vec<String>]) {
                 ("true", _) => truth(true).clone_into(cell),
                 ("false", _) => truth(false).clone_into(cell),
                 (_, Ok(x)) if x.is_finite() => *cell = format!("{x:.digits$}"),
-                (_, Ok(_)) => "–".clone_into(cell),
-                ("", Err(_)) => "–".clone_into(cell),
+                (_, Ok(_)) | ("", Err(_)) => "–".clone_into(cell),
                 _ => {}
             }
         }
