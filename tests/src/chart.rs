@@ -1,7 +1,7 @@
 //! Charts of courses over time, as SVG text.
 //!
 //! One chart is a stack of panels that share the x axis. Every panel has its title, its axis with
-//! a unit, a legend line above the plot, where it can hide nothing, and vertical marks with labels
+//! a unit, a legend above the plot, where it can hide nothing, and vertical marks with labels
 //! at their tops. Lines with more points than the plot is wide are drawn as their range per column.
 
 use std::fmt::Write as _;
@@ -12,6 +12,8 @@ const WIDTH: f64 = 960.0;
 const PLOT_HEIGHT: f64 = 190.0;
 /// Room above a plot for its title and legend, px.
 const HEAD: f64 = 46.0;
+/// Height of a row of the legend, px; [`HEAD`] has room for one.
+const LEGEND_ROW: f64 = 16.0;
 /// Room below a plot for the numbers of the x axis, px.
 const FOOT: f64 = 24.0;
 /// Room left of the plots, px.
@@ -24,6 +26,12 @@ const TOP: f64 = 36.0;
 const BOTTOM: f64 = 30.0;
 /// Columns of the plot in which a line is thinned out.
 const COLUMNS: usize = 800;
+/// Room at an end of the y axis where lines go, as a share of its length.
+const MARGIN: f64 = 0.08;
+/// A panel whose values are all smaller than this shows nothing but zeros.
+const NOTHING: f64 = 1e-9;
+/// Decades of a logarithmic axis that still have numbers at 2 and 5.
+const DECADES_CLOSE: f64 = 4.0;
 /// Width of a character of the legend, px, as good as it can be known without the font.
 const CHARACTER: f64 = 6.6;
 
@@ -35,6 +43,12 @@ pub const ORANGE: &str = "#d55e00";
 pub const GREY: &str = "#808080";
 /// Green of the same set.
 pub const GREEN: &str = "#009e73";
+/// Reddish purple of the same set.
+pub const PURPLE: &str = "#cc79a7";
+/// Sky blue of the same set.
+pub const SKY: &str = "#56b4e9";
+/// Black of the same set.
+pub const BLACK: &str = "#000000";
 
 /// One line.
 #[derive(Debug, Clone)]
@@ -58,6 +72,18 @@ pub struct Panel {
     pub y_label: String,
     /// The lines, later ones on top.
     pub lines: Vec<Line>,
+    /// How y is drawn.
+    pub scale: Scale,
+}
+
+/// How values become heights.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Scale {
+    /// From zero on, in proportion.
+    #[default]
+    Linear,
+    /// By their logarithms: for values of which some are a hundred times the others, all above zero. Others are left out.
+    Logarithmic,
 }
 
 /// A moment worth a vertical line.
@@ -87,7 +113,9 @@ pub struct Chart {
 struct Axis {
     from: f64,
     until: f64,
+    /// Between two numbers; of a logarithmic one it has no meaning.
     step: f64,
+    scale: Scale,
 }
 
 impl Axis {
@@ -108,23 +136,70 @@ impl Axis {
             from,
             until: from + length,
             step: factor * power,
+            scale: Scale::Linear,
         }
     }
 
-    fn share(&self, v: f64) -> f64 {
-        (v - self.from) / (self.until - self.from)
+    /// An axis on which these heights, and zero, lie with some room where they end.
+    fn of_heights(values: impl Iterator<Item = f64>, scale: Scale) -> Self {
+        if scale == Scale::Logarithmic {
+            let (low, high) = range(values.filter(|v| *v > 0.0));
+            let low = if low > 0.0 { low } else { 0.1 };
+            let room = (high / low).max(2.0).powf(MARGIN);
+            return Self {
+                from: low / room,
+                until: high * room,
+                step: 1.0,
+                scale,
+            };
+        }
+        let (low, high) = range(values);
+        let (low, high) = (low.min(0.0), high.max(0.0));
+        if high - low < NOTHING {
+            return Self::over(0.0, 1.0, 5.0);
+        }
+        let room = MARGIN * (high - low);
+        let below = if low < 0.0 { low - room } else { 0.0 };
+        let above = if high > 0.0 { high + room } else { 0.0 };
+        Self::over(below, above, 5.0)
     }
 
-    fn ticks(&self) -> impl Iterator<Item = f64> + use<> {
-        let (step, from, until) = (self.step, self.from, self.until);
-        let first = (from / step).ceil() as i64;
-        (first..)
-            .map(move |i| i as f64 * step)
-            .take_while(move |v| *v <= until + 1e-9 * step)
+    fn share(&self, v: f64) -> f64 {
+        match self.scale {
+            Scale::Linear => (v - self.from) / (self.until - self.from),
+            Scale::Logarithmic => (v / self.from).ln() / (self.until / self.from).ln(),
+        }
+    }
+
+    fn ticks(&self) -> Vec<f64> {
+        let (from, until) = (self.from, self.until);
+        match self.scale {
+            Scale::Linear => {
+                let first = (from / self.step).ceil() as i64;
+                let last = (until / self.step + 1e-9).floor() as i64;
+                (first..=last).map(|i| i as f64 * self.step).collect()
+            }
+            Scale::Logarithmic => {
+                let factors: &[f64] = if (until / from).log10() <= DECADES_CLOSE {
+                    &[1.0, 2.0, 5.0]
+                } else {
+                    &[1.0]
+                };
+                let decades = from.log10().floor() as i32..=until.log10().ceil() as i32;
+                decades
+                    .flat_map(|d| factors.iter().map(move |f| f * 10f64.powi(d)))
+                    .filter(|v| (from..=until).contains(v))
+                    .collect()
+            }
+        }
     }
 
     fn number(&self, v: f64) -> String {
-        let digits = (-self.step.log10().floor()).max(0.0) as usize;
+        let step = match self.scale {
+            Scale::Linear => self.step,
+            Scale::Logarithmic => v * (1.0 + 1e-9),
+        };
+        let digits = (-step.log10().floor()).max(0.0) as usize;
         format!("{v:.digits$}")
     }
 }
@@ -132,8 +207,8 @@ impl Axis {
 impl Chart {
     /// The chart as the text of an SVG file.
     pub fn to_svg(&self) -> String {
-        let panel_height = HEAD + PLOT_HEIGHT + FOOT;
-        let height = TOP + self.panels.len() as f64 * panel_height + BOTTOM;
+        let panels: f64 = self.panels.iter().map(Panel::height).sum();
+        let height = TOP + panels + BOTTOM;
         let mut svg = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\" \
              width=\"{WIDTH}\" height=\"{height}\" font-family=\"sans-serif\" font-size=\"12\">\n\
@@ -147,8 +222,10 @@ impl Chart {
             .flat_map(|l| &l.points);
         let (low, high) = range(xs.map(|p| p.0));
         let x = Axis::over(low, high, 10.0);
-        for (i, panel) in self.panels.iter().enumerate() {
-            panel.draw(&mut svg, TOP + i as f64 * panel_height, x, &self.marks);
+        let mut top = TOP;
+        for panel in &self.panels {
+            panel.draw(&mut svg, top, x, &self.marks);
+            top += panel.height();
         }
         let middle = LEFT + plot_width() / 2.0;
         text(&mut svg, middle, height - 10.0, "middle", 13, &self.x_label);
@@ -173,9 +250,9 @@ fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
 
 impl Panel {
     fn draw(&self, svg: &mut String, top: f64, x: Axis, marks: &[Mark]) {
-        let plot = top + HEAD;
-        let (low, high) = range(self.lines.iter().flat_map(|l| &l.points).map(|p| p.1));
-        let y = Axis::over(low.min(0.0), high.max(low + 1e-3) * 1.08, 5.0);
+        let plot = top + self.head();
+        let heights = self.lines.iter().flat_map(|l| &l.points).map(|p| p.1);
+        let y = Axis::of_heights(heights, self.scale);
         text(svg, LEFT, top + 16.0, "start", 13, &self.title);
         self.legend(svg, top + 36.0);
         grid(svg, plot, x, y);
@@ -192,9 +269,34 @@ impl Panel {
         draw_marks(svg, plot, x, marks);
     }
 
-    fn legend(&self, svg: &mut String, y: f64) {
-        let mut at = LEFT;
-        for line in self.lines.iter().filter(|l| !l.name.is_empty()) {
+    /// Room above the plot, px.
+    fn head(&self) -> f64 {
+        let rows = self.entries().last().map_or(0, |(row, ..)| *row);
+        HEAD + LEGEND_ROW * rows as f64
+    }
+
+    fn height(&self) -> f64 {
+        self.head() + PLOT_HEIGHT + FOOT
+    }
+
+    /// Lines that the legend names, each with its row and its place in it, px: as many in a row as fit.
+    fn entries(&self) -> Vec<(usize, f64, &Line)> {
+        let (mut row, mut at) = (0, LEFT);
+        let mut entries = Vec::new();
+        for line in self.lines.iter().filter(|l| l.is_named()) {
+            let width = 28.0 + CHARACTER * line.name.chars().count() as f64;
+            if at > LEFT && at + width > WIDTH - RIGHT {
+                (row, at) = (row + 1, LEFT);
+            }
+            entries.push((row, at, line));
+            at += width + 22.0;
+        }
+        entries
+    }
+
+    fn legend(&self, svg: &mut String, first: f64) {
+        for (row, at, line) in self.entries() {
+            let y = first + LEGEND_ROW * row as f64;
             let dash = dash(line.dashed);
             let (colour, end, middle) = (line.colour, at + 22.0, y - 4.0);
             let _ = writeln!(
@@ -203,15 +305,22 @@ impl Panel {
                  stroke=\"{colour}\" stroke-width=\"2\"{dash}/>"
             );
             text(svg, at + 28.0, y, "start", 12, &line.name);
-            at += 28.0 + CHARACTER * line.name.chars().count() as f64 + 22.0;
         }
     }
 }
 
 impl Line {
+    /// Whether the legend names it: it has a name, and something is drawn of it.
+    fn is_named(&self) -> bool {
+        !self.name.is_empty() && !self.points.is_empty()
+    }
+
     fn draw(&self, svg: &mut String, plot: f64, x: Axis, y: Axis) {
         let mut path = String::new();
         for (px, py) in thinned(&self.points, x) {
+            if !y.share(py).is_finite() {
+                continue;
+            }
             let letter = if path.is_empty() { 'M' } else { 'L' };
             let (px, py) = (
                 LEFT + x.share(px) * plot_width(),
@@ -345,7 +454,7 @@ pub fn escape(words: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{Axis, BLUE, Chart, Line, Mark, Panel, thinned};
+    use super::{Axis, BLUE, Chart, HEAD, LEGEND_ROW, Line, Mark, Panel, Scale, thinned};
 
     #[test]
     fn steps_are_round_numbers() {
@@ -358,7 +467,7 @@ mod tests {
             );
         }
         let axis = Axis::over(0.0, 0.3, 10.0);
-        assert_eq!(axis.ticks().map(|v| axis.number(v)).last().unwrap(), "0.30");
+        assert_eq!(axis.number(*axis.ticks().last().unwrap()), "0.30");
     }
 
     #[test]
@@ -371,28 +480,92 @@ mod tests {
         assert!(few.contains(&(51_234.0, 9.0)) && few.contains(&(51_240.0, -9.0)));
     }
 
-    #[test]
-    fn nothing_to_show_and_bad_numbers_still_make_a_picture() {
-        let line = Line {
-            name: "a < b & c".into(),
+    fn line(name: &str, points: Vec<(f64, f64)>) -> Line {
+        Line {
+            name: name.into(),
             colour: BLUE,
             dashed: true,
-            points: vec![(0.0, f64::NAN), (f64::INFINITY, 1.0)],
-        };
-        let chart = Chart {
+            points,
+        }
+    }
+
+    fn chart(lines: Vec<Line>, scale: Scale) -> Chart {
+        Chart {
             title: "t".into(),
             x_label: "x".into(),
             panels: vec![Panel {
                 title: "p".into(),
                 y_label: "y".into(),
-                lines: vec![line],
+                lines,
+                scale,
             }],
             marks: vec![Mark {
                 x: 0.5,
                 label: "m".into(),
             }],
-        };
-        let svg = chart.to_svg();
-        assert!(svg.contains("a &lt; b &amp; c") && !svg.contains("NaN") && !svg.contains("inf"));
+        }
+    }
+
+    #[test]
+    fn nothing_to_show_and_bad_numbers_still_make_a_picture() {
+        for scale in [Scale::Linear, Scale::Logarithmic] {
+            for points in [
+                vec![(0.0, f64::NAN), (f64::INFINITY, 1.0)],
+                vec![(0.0, 0.0), (1.0, 0.0)],
+                vec![(0.0, -1.0), (1.0, -2.0)],
+                vec![(0.0, 1.0)],
+                vec![],
+            ] {
+                let lines = vec![line("a < b & c", points), line("", vec![(0.0, 0.0)])];
+                let svg = chart(lines, scale).to_svg();
+                assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+            }
+        }
+        let svg = chart(vec![line("a < b & c", vec![(0.0, 1.0)])], Scale::Linear).to_svg();
+        assert!(svg.contains("a &lt; b &amp; c"));
+    }
+
+    #[test]
+    fn every_line_lies_within_its_axis_with_room_at_its_ends() {
+        for heights in [[-5.0, -1.0], [-1.0, 3.0], [2.0, 2.0], [0.0, 4e-4]] {
+            let y = Axis::of_heights(heights.into_iter(), Scale::Linear);
+            let shares = heights.map(|v| y.share(v));
+            assert!(
+                shares.iter().all(|s| (0.0..0.95).contains(s)),
+                "{heights:?}: {shares:?}"
+            );
+            assert!(y.share(0.0) >= 0.0 && y.share(0.0) <= 1.0);
+        }
+    }
+
+    #[test]
+    fn a_logarithmic_axis_gives_each_decade_the_same_room_and_has_round_numbers() {
+        let y = Axis::of_heights([0.003, 5.0].into_iter(), Scale::Logarithmic);
+        let decade = y.share(1.0) - y.share(0.1);
+        assert!((decade - (y.share(0.1) - y.share(0.01))).abs() < 1e-9);
+        let numbers: Vec<String> = y.ticks().into_iter().map(|v| y.number(v)).collect();
+        assert_eq!(
+            numbers,
+            [
+                "0.002", "0.005", "0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1", "2", "5"
+            ]
+        );
+    }
+
+    #[test]
+    fn a_legend_that_is_too_long_goes_on_in_a_row_of_its_own() {
+        let lines =
+            (0..6).map(|k| line(&format!("{k} and a long name of a line"), vec![(0.0, 1.0)]));
+        let panel = chart(lines.collect(), Scale::Linear).panels.remove(0);
+        let rows: Vec<usize> = panel.entries().iter().map(|e| e.0).collect();
+        assert_eq!(rows, [0, 0, 0, 1, 1, 1]);
+        assert!((panel.head() - HEAD - LEGEND_ROW).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_legend_leaves_out_what_is_not_drawn() {
+        let lines = vec![line("drawn", vec![(0.0, 1.0)]), line("absent", vec![])];
+        let svg = chart(lines, Scale::Linear).to_svg();
+        assert!(svg.contains("drawn") && !svg.contains("absent"));
     }
 }

@@ -1,6 +1,6 @@
 //! The pictures of a report.
 
-use crate::chart::{BLUE, Chart, GREEN, GREY, Line, Mark, ORANGE, Panel};
+use crate::chart::{BLUE, Chart, GREEN, GREY, Line, Mark, ORANGE, Panel, Scale};
 use crate::disagreement::CoursePoint;
 use crate::force_error::{ForcePoint, norm};
 
@@ -27,7 +27,7 @@ pub fn forces(felt: &[Felt<'_>], marks: Vec<Mark>) -> Chart {
         };
         Panel {
             title: format!("Force on the tool of the {}", f.name),
-            y_label: "force / N".to_owned(),
+            y_label: "force (N)".to_owned(),
             lines: vec![
                 line("in the session", colours[i % 3], false, f.session),
                 // On top and with dashes: where the two agree, both are to be seen.
@@ -36,11 +36,12 @@ pub fn forces(felt: &[Felt<'_>], marks: Vec<Mark>) -> Chart {
             .into_iter()
             .filter(|l| !l.points.is_empty())
             .collect(),
+            scale: Scale::Linear,
         }
     };
     Chart {
         title: "Contact force".to_owned(),
-        x_label: "time of the script / s".to_owned(),
+        x_label: "time of the script (s)".to_owned(),
         panels: felt.iter().enumerate().map(panel).collect(),
         marks,
     }
@@ -59,14 +60,15 @@ pub fn views(course: &[CoursePoint], zero_us: i64, marks: Vec<Mark>) -> Chart {
     };
     Chart {
         title: "Disagreement of views".to_owned(),
-        x_label: "time of the script / s".to_owned(),
+        x_label: "time of the script (s)".to_owned(),
         panels: vec![Panel {
             title: "All pairs of participants, in pieces of 0.1 s".to_owned(),
-            y_label: "distance / mm".to_owned(),
+            y_label: "distance (mm)".to_owned(),
             lines: vec![
                 line("largest", GREY, |p| p.max_mm),
                 line("95th percentile", BLUE, |p| p.p95_mm),
             ],
+            scale: Scale::Linear,
         }],
         marks,
     }

@@ -340,7 +340,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_way_is_counted_and_ours_takes_less_than_half_of_raw() {
+    fn every_way_is_counted_and_ours_takes_less_than_zstd_and_half_of_raw() {
         let run = Coding {
             round_trip_ms: 50,
             seed: 1,
@@ -348,6 +348,7 @@ mod tests {
         let report = run.run().unwrap();
         for bits in [report.pose, report.node] {
             assert!(bits.zstd_1 > 0.0 && bits.zstd_3 > 0.0, "{report}");
+            assert!(bits.ours < bits.zstd_3.min(bits.zstd_1), "{report}");
             assert!((0.0..0.5 * bits.raw).contains(&bits.ours), "{report}");
         }
     }

@@ -228,6 +228,7 @@ pub(super) fn transmission(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             line("without compensation", ORANGE, age),
             line("with", BLUE, delay),
         ],
+        scale: crate::chart::Scale::Linear,
     }];
     Ok(Outcome {
         caption: format!(
@@ -313,6 +314,7 @@ fn panel(title: &str, y_label: &str, line: Line) -> Panel {
         title: title.to_owned(),
         y_label: y_label.to_owned(),
         lines: vec![line],
+        scale: crate::chart::Scale::Linear,
     }
 }
 

@@ -249,8 +249,7 @@ pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
     if arguments.json {
         say(&outcome.figures.to_string())?;
     } else {
-        let figures = serde_json::to_string_pretty(&outcome.figures).expect("plain data");
-        say(&format!("{}\n\n{figures}", outcome.caption))?;
+        say(&outcome.for_people())?;
     }
     if let Some(dir) = out {
         eprintln!("figures, charts and tables are in {}", dir.display());

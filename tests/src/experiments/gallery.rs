@@ -4,17 +4,14 @@ use std::fmt::Write as _;
 
 use serde_json::{Map, Value};
 
-use super::Outcome;
+use super::{Outcome, cells};
 use crate::chart::escape;
 
 /// Rows of a table that are shown at once; of a longer one, when it is unfolded.
-const ROWS_OPEN: usize = 48;
+pub(super) const ROWS_OPEN: usize = 48;
 
 /// Rows of the longest table on the page. What is longer is a course over time, which is drawn, and stands in its file.
 const ROWS_MAX: usize = 400;
-
-/// Numbers of a list that are written out.
-const LIST_MAX: usize = 16;
 
 const STYLE: &str = "body{font-family:sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222;line-height:1.4}\
 figure{margin:1em 0}svg{max-width:100%;height:auto}\
@@ -39,6 +36,14 @@ pub struct Part {
     pub took_s: f64,
     /// What came of it, or why nothing did.
     pub result: Result<Outcome, String>,
+}
+
+impl Part {
+    /// Whether it was run and its figures say themselves that they are not what they have to be.
+    fn is_short(&self) -> bool {
+        let outcome = self.result.as_ref().ok();
+        outcome.is_some_and(|o| o.figures["ok"] == Value::Bool(false))
+    }
 }
 
 /// What the page says of itself.
@@ -74,17 +79,24 @@ pub fn page(parts: &[Part], origin: &Origin) -> String {
         origin.planned,
         time(parts.iter().map(|p| p.took_s).sum())
     );
-    let failed: Vec<&Part> = parts.iter().filter(|p| p.result.is_err()).collect();
-    if !failed.is_empty() {
-        let names: Vec<String> = (failed.iter())
+    let named = |html: &mut String, what: &str, which: &dyn Fn(&Part) -> bool| {
+        let names: Vec<String> = (parts.iter().filter(|p| which(p)))
             .map(|p| format!("<a href=\"#{}\">{}</a>", p.name, escape(&p.name)))
             .collect();
-        let _ = writeln!(
-            html,
-            "<p class=\"failed\">Failed: {}.</p>",
-            names.join(", ")
-        );
-    }
+        if !names.is_empty() {
+            let _ = writeln!(
+                html,
+                "<p class=\"failed\">{what}: {}.</p>",
+                names.join(", ")
+            );
+        }
+    };
+    named(&mut html, "Failed", &|p| p.result.is_err());
+    named(
+        &mut html,
+        "Something in these is not as it is asked to be",
+        &Part::is_short,
+    );
     html.push_str("<ul>\n");
     for p in parts {
         let (name, about) = (escape(&p.name), escape(&p.about));
@@ -133,19 +145,18 @@ fn section(html: &mut String, part: &Part) {
     scalars.remove("experiment");
     if !scalars.is_empty() {
         let rows: Vec<Vec<String>> = (scalars.iter())
-            .map(|(name, value)| vec![name.clone(), cell(value)])
+            .map(|(name, value)| vec![name.clone(), cells::alone(value)])
             .collect();
         table(html, &["figure".to_owned(), "value".to_owned()], &rows);
     }
     let mut has_table = false;
     for (name, text) in &outcome.tables {
-        let rows: Vec<Vec<String>> = (text.lines())
-            .map(|line| line.split(',').map(plain).collect())
-            .collect();
+        let mut rows: Vec<Vec<String>> = text.lines().map(cells::split).collect();
         if let Some((head, rows)) = rows
-            .split_first()
+            .split_first_mut()
             .filter(|(_, rows)| rows.len() <= ROWS_MAX)
         {
+            cells::aligned(rows);
             folded(html, &format!("{name}: {} rows", rows.len()), head, rows);
             has_table = true;
         }
@@ -239,49 +250,13 @@ fn of_objects(objects: &[Value]) -> (Vec<String>, Vec<Vec<String>>) {
         values.clone().next().is_some() && values.into_iter().all(Value::is_string)
     };
     head.sort_by_key(|key| !is_word(key));
-    let rows = (flat.iter())
-        .map(|row| {
-            let cells = head.iter().map(|k| row.get(k).map_or(String::new(), cell));
-            cells.collect()
-        })
-        .collect();
+    let cells = |row: &Map<String, Value>| -> Vec<String> {
+        let cell = |key| row.get(key).map_or(String::new(), cells::whole);
+        head.iter().map(cell).collect()
+    };
+    let mut rows: Vec<Vec<String>> = flat.iter().map(cells).collect();
+    cells::aligned(&mut rows);
     (head, rows)
-}
-
-/// A figure for a person: four digits that count.
-fn cell(value: &Value) -> String {
-    match value {
-        Value::Null => "–".to_owned(),
-        Value::String(word) => word.clone(),
-        Value::Number(n) if n.is_f64() => n.as_f64().map_or(String::new(), number),
-        Value::Array(values) => {
-            let mut cells: Vec<String> = values.iter().take(LIST_MAX).map(cell).collect();
-            if values.len() > LIST_MAX {
-                cells.push(format!("… {} in all", values.len()));
-            }
-            cells.join(", ")
-        }
-        other => other.to_string(),
-    }
-}
-
-/// A cell of a table as text, to four digits where it is a number with a fraction.
-fn plain(cell: &str) -> String {
-    match cell.parse::<f64>() {
-        Ok(x) if cell.contains('.') => number(x),
-        _ => cell.to_owned(),
-    }
-}
-
-fn number(x: f64) -> String {
-    if x == 0.0 {
-        return "0".to_owned();
-    }
-    if !(1e-4..1e7).contains(&x.abs()) {
-        return format!("{x:.2e}");
-    }
-    let digits = (3 - x.abs().log10().floor() as i32).clamp(0, 7) as usize;
-    format!("{x:.digits$}")
 }
 
 /// A table, folded away when it is long.
@@ -295,8 +270,8 @@ fn folded(html: &mut String, name: &str, head: &[String], rows: &[Vec<String>]) 
 fn table(html: &mut String, head: &[String], rows: &[Vec<String>]) {
     // Columns of words begin on the left, as their heads do.
     let is_word = |k: usize| {
-        let mut cells = rows.iter().filter_map(|row| row.get(k));
-        cells.any(|c| c.parse::<f64>().is_err() && c.chars().any(char::is_alphabetic))
+        let mut column = rows.iter().filter_map(|row| row.get(k));
+        column.any(|cell| cells::is_word(cell))
     };
     let words: Vec<&str> = (0..head.len())
         .map(|k| if is_word(k) { " class=\"word\"" } else { "" })
@@ -377,6 +352,20 @@ mod tests {
     }
 
     #[test]
+    fn what_falls_short_is_named_above_the_contents() {
+        let short = Outcome {
+            figures: json!({ "ok": false }),
+            ..outcome()
+        };
+        let html = page(
+            &[part("good", Ok(outcome())), part("short", Ok(short))],
+            &origin(),
+        );
+        assert!(html.contains("not as it is asked to be: <a href=\"#short\">short</a>.<"));
+        assert!(!html.contains("Failed"));
+    }
+
+    #[test]
     fn the_page_loads_nothing_from_anywhere() {
         let html = page(&[part("good", Ok(outcome()))], &origin());
         for loading in ["<script", "src=", "<link", "@import", "url("] {
@@ -421,14 +410,5 @@ mod tests {
         };
         let html = page(&[part("good", Ok(long))], &origin());
         assert!(html.contains("href=\"course.csv\"") && !html.contains("t_s"));
-    }
-
-    #[test]
-    fn numbers_have_four_digits_that_count() {
-        let shown = [1234.56, 0.012_345_6, -2.0, 0.0, 1e-9, 3e8].map(number);
-        assert_eq!(
-            shown,
-            ["1235", "0.01235", "-2.000", "0", "1.00e-9", "3.00e8"]
-        );
     }
 }

@@ -6,9 +6,9 @@ use palpate_protocol::timeline::{Method, Timeline};
 use palpate_protocol::{ServerTime, Span};
 use serde_json::{Value, json};
 
-use super::samples::{HISTORY_US, Sampled, angle_deg, distance};
+use super::samples::{HISTORY_US, Sampled, angle_deg, distance, look};
 use super::{Bench, Outcome, line};
-use crate::chart::{BLUE, Chart, GREEN, GREY, Mark, ORANGE, Panel};
+use crate::chart::{BLACK, Chart, Mark, Panel, Scale};
 
 /// Samples per second of the stream.
 const RATE_HZ: u32 = 1000;
@@ -26,17 +26,6 @@ const STEP_US: i64 = 250;
 /// to see.
 const SEARCH_MS: i64 = 10;
 
-/// A line of each method.
-fn colour(method: Method) -> (&'static str, bool) {
-    match method {
-        Method::Hold => (GREY, true),
-        Method::Linear => (GREEN, false),
-        Method::VerletRaw => (ORANGE, true),
-        Method::Verlet => (BLUE, false),
-        Method::Hermite => (ORANGE, false),
-    }
-}
-
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let hand = bench.hand();
     let sampled = Sampled::new(&*hand, RATE_HZ)?;
@@ -52,8 +41,11 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let mut panels = Vec::new();
     let mut figures = Vec::new();
     let mut table = String::from("kind,method,time_ms,place_mm,error_mm,turn_error_deg\n");
-    for kind in ["extrapolation", "interpolation"] {
-        let mut places = vec![line("the hand", "#000000", truth.clone())];
+    for (kind, titled) in [
+        ("extrapolation", "Extrapolation"),
+        ("interpolation", "Interpolation"),
+    ] {
+        let mut places = vec![line("the hand", BLACK, truth.clone())];
         let (mut errors, mut turns) = (Vec::new(), Vec::new());
         for method in Method::ALL {
             let course = course(&sampled, method, began, kind == "interpolation")?;
@@ -81,7 +73,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
                 "kind": kind, "method": method.name(), "rms_mm": rms(|p| p.error_mm), "max_mm": worst,
                 "rms_deg": rms(|p| p.turn_error_deg),
             }));
-            let (colour, dashed) = colour(method);
+            let (colour, dashed) = look(method);
             let of = |y: &dyn Fn(&Point) -> f64| super::Line {
                 dashed,
                 ..line(
@@ -105,9 +97,10 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             }
         }
         let panel = |what: &str, y: &str, lines| Panel {
-            title: format!("{kind}: {what}"),
+            title: format!("{titled}: {what}"),
             y_label: y.to_owned(),
             lines,
+            scale: Scale::Linear,
         };
         panels.push(panel(
             "along the axis that moves most",
@@ -120,7 +113,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             errors,
         ));
         panels.push(panel(
-            "angle between what is shown and how the hand is turned",
+            "angle between the turn that is shown and the hand's",
             "error (°)",
             turns,
         ));
@@ -179,7 +172,8 @@ fn outcome(panels: Vec<Panel>, figures: &[Value], table: String) -> Outcome {
     Outcome {
         caption: "One gap in a hand's motion, at the place in ten seconds where a straight line is farthest off, and what is shown of it by \
                   each method: beyond the last sample, and between samples once the next ones are there. Places and turns. A method whose line would \
-                  hide all others is left out of the picture and stands in the figures."
+                  flatten all others (hold where errors are drawn, the raw second difference where it is far off) is left out of that picture and \
+                  stands in the figures."
             .to_owned(),
         figures: json!({ "experiment": "missing-data", "rate_hz": RATE_HZ, "gap_ms": GAP_MS, "methods": figures }),
         charts: vec![("missing-data".to_owned(), chart)],

@@ -5,6 +5,7 @@
 
 mod atc;
 mod benches;
+mod cells;
 pub mod command;
 mod friction;
 pub mod gallery;
@@ -28,7 +29,7 @@ use std::path::Path;
 use palpate_tissue::{Model, Topology};
 use serde_json::Value;
 
-use crate::chart::{Chart, Line, Panel};
+use crate::chart::{Chart, Line, Panel, Scale};
 use crate::hand::{Hand, Random, Recorded, Temper};
 use crate::network::Profile;
 use crate::place::Place;
@@ -320,6 +321,20 @@ impl Outcome {
 }
 
 impl Outcome {
+    /// What it shows, and its tables or, where none is short, its figures.
+    pub fn for_people(&self) -> String {
+        let short = |table: &&(String, String)| table.1.lines().count() <= 1 + gallery::ROWS_OPEN;
+        let tables: Vec<String> = (self.tables.iter().filter(short))
+            .map(|(name, text)| format!("{name}\n{}", cells::in_columns(text)))
+            .collect();
+        let below = if tables.is_empty() {
+            format!("{:#}", self.figures)
+        } else {
+            tables.join("\n")
+        };
+        format!("{}\n\n{}", self.caption, below.trim_end())
+    }
+
     /// Writes charts, tables, and the figures as `name.json` into `dir`.
     pub fn write_all(&self, dir: &Path, name: &str) -> Result<(), String> {
         self.write(dir)?;
@@ -395,5 +410,6 @@ fn panel(title: &str, y_label: &str, mut lines: Vec<Line>) -> Panel {
         title: title.to_owned(),
         y_label: y_label.to_owned(),
         lines,
+        scale: Scale::Linear,
     }
 }

@@ -2,9 +2,10 @@
 
 use nalgebra::{Quaternion, UnitQuaternion};
 use palpate_protocol::datagram::as_sent;
-use palpate_protocol::timeline::Timeline;
+use palpate_protocol::timeline::{Method, Timeline};
 use palpate_protocol::{Pose, ServerTime, ToolSample};
 
+use crate::chart::{BLUE, GREEN, GREY, ORANGE, PURPLE};
 use crate::hand::Hand;
 
 /// Samples before a gap that any method may look at, µs.
@@ -74,6 +75,18 @@ impl<'a> Sampled<'a> {
             timeline.insert(sent);
         }
         Ok(())
+    }
+}
+
+/// The colour of a method's line in every picture, and whether it is dashed: what is there for comparison is, and lies on
+/// top where it is one with another.
+pub(super) fn look(method: Method) -> (&'static str, bool) {
+    match method {
+        Method::Hold => (GREY, true),
+        Method::Linear => (GREEN, false),
+        Method::VerletRaw => (ORANGE, true),
+        Method::Verlet => (BLUE, false),
+        Method::Hermite => (PURPLE, false),
     }
 }
 

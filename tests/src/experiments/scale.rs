@@ -10,9 +10,10 @@ use palpate_server::host::TICK_HZ;
 use palpate_tissue::{Material, Model, block};
 use serde_json::{Value, json};
 
+use super::cells::of_file;
 use super::{Bench, Outcome, line, panel};
 use crate::bench::quantile;
-use crate::chart::{BLUE, Chart, GREEN, GREY, ORANGE};
+use crate::chart::{BLACK, BLUE, Chart, GREEN, GREY, ORANGE};
 use crate::crowd::{Crowd, Crowded, Round, real, touching};
 use crate::network::Profile;
 
@@ -124,12 +125,22 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let asked = rows.iter().find(|r| r["participants"] == json!(ASKED));
     let ok = asked.is_some_and(|r| r["ok"] == json!(true));
     Ok(Outcome {
-        caption: "A quarter of the participants palpates, the others move their tools through the air; nobody but the \
-                  server solves. Work is counted in time of one thread's processor. The processes' participants run \
-                  on the same machine as their server and take processors from it."
-            .to_owned(),
+        caption: format!(
+            "A quarter of the participants palpates {} nodes, the others move their tools through the air; nobody but the \
+             server solves. Work per tick is counted in time of one thread's processor: solving (tick), reading what comes \
+             (decode), sending what goes (fan_out), and all three, as if one thread did everything. Bytes are those of one \
+             participant. The first table is in virtual time; in the second everybody has a QUIC connection to a server's \
+             process. The processes' participants run on the same machine as their server and take processors from it.",
+            model.nodes.len()
+        ),
         charts: vec![("scale".to_owned(), chart(&rows))],
-        tables: vec![("scale".to_owned(), table(&rows))],
+        tables: vec![
+            ("scale".to_owned(), table(&rows, &COLUMNS)),
+            (
+                "scale-processes".to_owned(),
+                table(&processes, &PROCESS_COLUMNS),
+            ),
+        ],
         figures: json!({
             "experiment": "scale",
             "nodes": model.nodes.len(),
@@ -156,18 +167,19 @@ fn chart(rows: &[Value]) -> Chart {
         x_label: "participants".to_owned(),
         panels: vec![
             panel(
-                "99th percentile of the work of one thread",
-                "time (ms)",
+                "Work of one thread, 99 of 100 ticks below",
+                "time per tick (ms)",
                 vec![
                     line("tick", BLUE, over(&["tick_ms", "p99"])),
                     line("what comes", GREEN, over(&["decode_ms", "p99"])),
                     line("what goes", ORANGE, over(&["fan_out_ms", "p99"])),
+                    line("all three", BLACK, over(&["all_ms", "p99"])),
                     line("period", GREY, over(&["period_ms"])),
                 ],
             ),
             panel(
-                "bytes of one participant, without those of QUIC",
-                "kbit/s",
+                "What one participant takes of the network, without what QUIC adds",
+                "rate (kbit/s)",
                 vec![
                     line("up", BLUE, over(&["kbit_s", "up"])),
                     line("down", ORANGE, over(&["kbit_s", "down"])),
@@ -178,26 +190,50 @@ fn chart(rows: &[Value]) -> Chart {
     }
 }
 
-fn table(rows: &[Value]) -> String {
-    const COLUMNS: [(&str, &[&str]); 12] = [
-        ("participants", &["participants"]),
-        ("touching", &["touching"]),
-        ("period_ms", &["period_ms"]),
-        ("tick_p50_ms", &["tick_ms", "p50"]),
-        ("tick_p99_ms", &["tick_ms", "p99"]),
-        ("tick_max_ms", &["tick_ms", "max"]),
-        ("decode_p99_ms", &["decode_ms", "p99"]),
-        ("fan_out_p99_ms", &["fan_out_ms", "p99"]),
-        ("late_p99_ms", &["late_ms", "p99"]),
-        ("late_ticks", &["late_ticks"]),
-        ("up_kbit_s", &["kbit_s", "up"]),
-        ("down_kbit_s", &["kbit_s", "down"]),
-    ];
-    let head: Vec<&str> = COLUMNS.iter().map(|c| c.0).collect();
+/// The heads of a table's columns, and where in a row their figures are.
+type Columns<'a> = [(&'a str, &'a [&'a str])];
+
+const COLUMNS: [(&str, &[&str]); 14] = [
+    ("participants", &["participants"]),
+    ("touching", &["touching"]),
+    ("period_ms", &["period_ms"]),
+    ("tick_p50_ms", &["tick_ms", "p50"]),
+    ("tick_p99_ms", &["tick_ms", "p99"]),
+    ("tick_max_ms", &["tick_ms", "max"]),
+    ("decode_p99_ms", &["decode_ms", "p99"]),
+    ("fan_out_p99_ms", &["fan_out_ms", "p99"]),
+    ("all_p99_ms", &["all_ms", "p99"]),
+    ("late_p99_ms", &["late_ms", "p99"]),
+    ("late_ticks", &["late_ticks"]),
+    ("up_kbit_s", &["kbit_s", "up"]),
+    ("down_kbit_s", &["kbit_s", "down"]),
+    ("ok", &["ok"]),
+];
+
+const PROCESS_COLUMNS: [(&str, &[&str]); 14] = [
+    ("participants", &["participants"]),
+    ("touching", &["touching"]),
+    ("period_ms", &["period_ms"]),
+    ("tick_p50_ms", &["tick_ms", "p50"]),
+    ("tick_p99_ms", &["tick_ms", "p99"]),
+    ("late_p99_ms", &["late_ms", "p99"]),
+    ("room_cores", &["room_cores"]),
+    ("network_cores", &["network_cores"]),
+    ("member_cores", &["member_cores"]),
+    ("memory_mb", &["memory_mb"]),
+    ("datagrams_skipped", &["datagrams_skipped"]),
+    ("up_kbit_s", &["up_kbit_s"]),
+    ("down_kbit_s", &["down_kbit_s"]),
+    ("ok", &["ok"]),
+];
+
+fn table(rows: &[Value], columns: &Columns<'_>) -> String {
+    let head: Vec<&str> = columns.iter().map(|c| c.0).collect();
     let mut text = head.join(",") + "\n";
     for row in rows {
-        let cells = COLUMNS.iter().map(|c| format!("{:.4}", number(row, c.1)));
-        text += &(cells.collect::<Vec<_>>().join(",") + "\n");
+        let cell = |path: &[&str]| of_file(path.iter().fold(row, |v, key| &v[*key]));
+        let cells: Vec<String> = columns.iter().map(|c| cell(c.1)).collect();
+        text += &(cells.join(",") + "\n");
     }
     text
 }

@@ -22,9 +22,9 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serde_json::{Value, json};
 
-use super::samples::{HISTORY_US, Sampled, angle_deg, distance};
+use super::samples::{HISTORY_US, Sampled, angle_deg, distance, look};
 use super::{Bench, Outcome, line};
-use crate::chart::{BLUE, Chart, GREEN, GREY, ORANGE, Panel};
+use crate::chart::{Chart, Panel, Scale};
 use crate::hand::Hand;
 
 /// Lengths of gaps, ms.
@@ -41,10 +41,6 @@ const STEP_US: i64 = 500;
 
 /// Of how much of an endless motion, µs.
 const LONGEST_US: i64 = 300_000_000;
-
-/// Lines of extrapolation and of interpolation above this are cut off in the pictures, mm: hold's would flatten all
-/// others.
-const DRAWN_MAX_MM: [f64; 2] = [1.2, 0.25];
 
 /// A line of the table.
 #[derive(Debug, Clone, Copy)]
@@ -187,8 +183,8 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             "Errors of what is made up for missing samples, against the motion itself. The stream is rounded as on the \
              wire, places to {} mm. Each method is shown as far as the gap goes; in a session what is beyond 50 ms is \
              held. rms_deg is the angle between the turn that is shown and the true one. Force is that of a spring \
-             behind a plane through the motion's mean, in percent of its own root mean square. Lines end where they \
-             leave the picture.",
+             behind a plane through the motion's mean, in percent of its own root mean square. The scales of the \
+             pictures are logarithmic.",
             1e3 * POSITION_STEP_M
         ),
         figures: json!({
@@ -232,22 +228,6 @@ fn by_gap(rows: &[Row]) -> String {
         table.push('\n');
     }
     table
-}
-
-/// The points up to `top`; a line that leaves the picture is drawn to where it does.
-fn below(points: impl Iterator<Item = (f64, f64)>, top: f64) -> Vec<(f64, f64)> {
-    let mut drawn: Vec<(f64, f64)> = Vec::new();
-    for (x, y) in points {
-        if y <= top {
-            drawn.push((x, y));
-            continue;
-        }
-        if let Some(&(x0, y0)) = drawn.last() {
-            drawn.push((x0 + (x - x0) * (top - y0) / (y - y0), top));
-        }
-        break;
-    }
-    drawn
 }
 
 /// The whole table.
@@ -329,23 +309,18 @@ fn sums(
 fn chart(rows: &[Row]) -> Chart {
     let panel = |interpolation: bool, rate_hz: u32| {
         let lines = Method::ALL.into_iter().map(|method| {
-            let (colour, dashed) = match method {
-                Method::Hold => (GREY, true),
-                Method::Linear => (GREEN, false),
-                Method::VerletRaw => (ORANGE, true),
-                Method::Verlet => (BLUE, false),
-                Method::Hermite => (ORANGE, false),
-            };
+            let (colour, dashed) = look(method);
             let points = (rows.iter())
                 .filter(|r| r.interpolation == interpolation && r.rate_hz == rate_hz)
                 .filter(|r| r.method == method)
                 .map(|r| (r.gap_ms as f64, r.rms_mm));
-            let points = below(points, DRAWN_MAX_MM[usize::from(interpolation)]);
             super::Line {
                 dashed,
-                ..line(method.name(), colour, points)
+                ..line(method.name(), colour, points.collect())
             }
         });
+        let mut lines: Vec<super::Line> = lines.collect();
+        lines.sort_by_key(|l| l.dashed);
         Panel {
             title: format!(
                 "{} at {rate_hz} Hz",
@@ -355,8 +330,10 @@ fn chart(rows: &[Row]) -> Chart {
                     "Extrapolation"
                 }
             ),
-            y_label: "rms (mm)".to_owned(),
-            lines: lines.collect(),
+            y_label: "rms distance (mm)".to_owned(),
+            // From microns to millimetres: in proportion, hold's errors would flatten all others.
+            scale: Scale::Logarithmic,
+            lines,
         }
     };
     Chart {
@@ -443,12 +420,6 @@ mod tests {
             text.lines()
                 .all(|l| l.split(',').count() == 3 + GAPS_MS.len())
         );
-    }
-
-    #[test]
-    fn a_line_that_leaves_the_picture_ends_at_its_edge() {
-        let drawn = below([(0.0, 0.0), (1.0, 0.5), (2.0, 1.5)].into_iter(), 1.0);
-        assert_eq!(drawn, [(0.0, 0.0), (1.0, 0.5), (1.5, 1.0)]);
     }
 
     #[test]

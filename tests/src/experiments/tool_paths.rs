@@ -9,7 +9,7 @@ use palpate_tissue::Vec3;
 use serde_json::json;
 
 use super::{Bench, Outcome, felt_and_true, panel, place, without_friction};
-use crate::chart::{BLUE, Chart, GREEN, GREY, ORANGE};
+use crate::chart::{BLUE, Chart, GREEN, ORANGE, PURPLE};
 use crate::place::Place;
 use crate::trial::{Trial, path};
 
@@ -42,7 +42,7 @@ const CURVES: [(&str, Curve, &str); 4] = [
             let u = (2.0 * s - 1.0).max(0.0);
             [(2.0 * s).min(1.0), u - 1.0]
         },
-        GREY,
+        PURPLE,
     ),
 ];
 

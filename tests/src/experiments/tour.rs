@@ -125,7 +125,7 @@ impl AllArguments {
         told: &mut (dyn FnMut(&str, f64) + Send),
     ) -> Result<Outcome, String> {
         match item {
-            Item::Bench(bench) => on_threads(1, || (bench.run)(told))?,
+            Item::Bench(bench) => on_threads(1, || (bench.run)(dir, told))?,
             Item::Experiment(experiment) => {
                 let given = Given::load(&self.recipe(experiment), dir)?;
                 made(experiment, given, dir, told)

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use crate::chart::{BLUE, Chart, GREEN, GREY, Line, Mark, ORANGE, Panel};
+use crate::chart::{BLUE, Chart, GREEN, GREY, Line, Mark, ORANGE, Panel, Scale};
 
 use super::Trial;
 use super::course::Point;
@@ -46,7 +46,7 @@ pub fn chart(trial: &Trial) -> Chart {
     let panels = vec![
         Panel {
             title: "Force that the device renders".to_owned(),
-            y_label: "force / N".to_owned(),
+            y_label: "force (N)".to_owned(),
             lines: vec![
                 line("without faults", GREY, false, &without.points, |p| {
                     p.rendered_n
@@ -54,19 +54,22 @@ pub fn chart(trial: &Trial) -> Chart {
                 line("asked for", ORANGE, true, &run.points, |p| p.asked_n),
                 line("rendered", BLUE, false, &run.points, |p| p.rendered_n),
             ],
+            scale: Scale::Linear,
         },
         Panel {
             title: "What of its change per tick was not the device's own doing".to_owned(),
-            y_label: "force / N".to_owned(),
+            y_label: "force (N)".to_owned(),
             lines: vec![
                 limit,
                 line("change", BLUE, false, &run.points, |p| p.changed_n),
             ],
+            scale: Scale::Linear,
         },
         Panel {
             title: "The tool above the surface".to_owned(),
-            y_label: "distance / mm".to_owned(),
+            y_label: "distance (mm)".to_owned(),
             lines: vec![line("tool", GREEN, false, &run.points, |p| p.above_mm)],
+            scale: Scale::Linear,
         },
     ];
     let marks = trial.plan.faults.iter().flat_map(|fault| {
@@ -82,7 +85,7 @@ pub fn chart(trial: &Trial) -> Chart {
     });
     Chart {
         title: format!("{}, seed {}", trial.plan.class, trial.plan.seed),
-        x_label: "time of the run / s".to_owned(),
+        x_label: "time of the run (s)".to_owned(),
         panels,
         marks: marks.collect(),
     }
