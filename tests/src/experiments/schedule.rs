@@ -12,6 +12,7 @@ const TOOK_S: &[(&str, f64)] = &[
     ("atc-none", 4.0),
     ("atc-fixed", 4.0),
     ("atc-adaptive", 4.0),
+    ("atc-predicted", 4.0),
     ("transmission", 1.0),
     ("jitter", 1.0),
     ("replicas", 150.0),
