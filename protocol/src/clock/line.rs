@@ -10,9 +10,9 @@
 //! mean the scatter over n, for the strip the distances between the fastest packets. A queue on one way draws the
 //! mean aside, but scatters it too, so that the strip counts there.
 //!
-//! Over a short history any jitter looks like drift. So both slopes have a price: for exponential waits of mean λ the
-//! likelihood of a strip of width w goes as exp(n w / λ), where λ/n is the distance between the fastest, and a crystal's
-//! drift ρ as exp(-ρ² / 2σ²). These weights are a reconstruction of our own.
+//! Over a short history any scatter looks like drift. So the slope of the mean has a price: the ratio of the scatter to
+//! what crystals drift as a rule is added to its normal equation. A burst delays several answers alike, which then count
+//! as fewer. These weights are a reconstruction of our own.
 
 use std::collections::VecDeque;
 
@@ -87,7 +87,7 @@ impl Answers<'_> {
     pub(super) fn line(&self, origin: ClientTime) -> Strip {
         let mean = self.mean_line(origin);
         let unsure_us = self.unsure_of_fastest(origin, mean.slope);
-        let strip = self.widest_strip(origin, unsure_us);
+        let strip = self.widest_strip(origin);
         let by_strip = 0.5 * unsure_us * unsure_us;
         let by_mean = mean.variance_us2;
         // Of two that know nothing against each other the strip is believed: it can not be drawn aside.
@@ -130,9 +130,15 @@ impl Answers<'_> {
             0.0
         };
         let slope = slope.clamp(-DRIFT_MAX, DRIFT_MAX);
+        // A burst delays several answers alike: they tell as much as one, and n counts for less.
+        let off = |p: &(f64, f64)| p.1 - x0 - free * (p.0 - t0);
+        let squares: f64 = points.iter().map(|p| off(p).powi(2)).sum();
+        let alike: f64 = points.windows(2).map(|w| off(&w[0]) * off(&w[1])).sum();
+        let likeness = if squares > 0.0 { alike / squares } else { 0.0 };
+        let likeness = likeness.clamp(0.0, 0.99);
         Mean {
             middle_us: reference as f64 + x0 - slope * t0,
-            variance_us2: scatter_us2 / n,
+            variance_us2: scatter_us2 / n * (1.0 + likeness) / (1.0 - likeness),
             slope,
         }
     }
@@ -162,23 +168,19 @@ impl Answers<'_> {
         (0.5 * (up * up + down * down)).sqrt()
     }
 
-    /// The widest strip whose slope is a drift that crystals have. Its width is concave in the slope (a least of
-    /// straight lines less a greatest), and so is it less the price of a drift, so that thirds find it.
-    fn widest_strip(&self, origin: ClientTime, unsure_us: f64) -> Strip {
+    /// The widest strip. Its width is concave in the slope (a least of straight lines less a greatest), so that thirds
+    /// find it. Its slope has no price: a burst spreads the fastest, and the price of that kept true drifts out.
+    fn widest_strip(&self, origin: ClientTime) -> Strip {
         const THIRDS: u32 = 18;
         let history = self.answers.back().zip(self.answers.front());
         if history.is_none_or(|(last, first)| last.at - first.at < DRIFT_MIN) {
             return self.strip(origin, 0.0);
         }
-        let worth = |slope: f64| {
-            let price = 0.5 * unsure_us * (slope / DRIFT_USUAL).powi(2);
-            self.strip(origin, slope).width_us - price
-        };
         let (mut low, mut high) = (-DRIFT_MAX, DRIFT_MAX);
         for _ in 0..THIRDS {
             let third = (high - low) / 3.0;
             let (a, b) = (low + third, high - third);
-            if worth(a) < worth(b) {
+            if self.strip(origin, a).width_us < self.strip(origin, b).width_us {
                 low = a;
             } else {
                 high = b;
