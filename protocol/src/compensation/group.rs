@@ -83,8 +83,14 @@ const FORESIGHT: Span = Span::from_millis(600);
 const LEAD_MARGIN: Span = Span::from_millis(20);
 
 /// A smaller change than this is not worth an operation when growing; when shrinking it must be
-/// twice as much.
+/// twice as much. Where D is short, [`CHANGE_PART`] of it is less and counts.
 pub const CHANGE_MIN: Span = Span::from_millis(2);
+
+/// The part of D, one in so many, that is worth an operation where D is short: 2 ms of 5 are not nothing.
+pub const CHANGE_PART: i64 = 16;
+
+/// However short D is, less is noise of the measurement.
+const CHANGE_LEAST: Span = Span::from_micros(500);
 
 impl GroupDelay {
     /// The group at the beginning of a session.
@@ -146,7 +152,8 @@ impl GroupDelay {
         }
         .min(cap_us);
         let change = i64::from(wanted) - i64::from(self.target_us);
-        let min = CHANGE_MIN.as_micros();
+        let part = i64::from(self.target_us) / CHANGE_PART;
+        let min = part.clamp(CHANGE_LEAST.as_micros(), CHANGE_MIN.as_micros());
         if !(change >= min || change <= -2 * min) {
             return None;
         }

@@ -12,6 +12,14 @@
 //! group: D = max over participants, slewed by dD/dt in [-0.02, +0.25], D <= cap
 //! ```
 //!
+//! μ + 4ν is the playout delay of Ramjee, Kurose, Towsley and Schulzrinne (INFOCOM 1994, algorithm 1), with ten times
+//! their α, as packets come five times as often and a hand may not wait; their spike mode (algorithm 4) begins with a
+//! jump from one packet to the next and follows its slope, ours begins and ends at D. A percentile of past delays is
+//! Moon, Kurose and Towsley's (Multimedia Systems 6(1), 1998), over 10,000 packets there. Neither has a group, a slewed D
+//! or a timeline that bridges: those are the rules of here.
+//!
+//! [`Prediction`] is the other reading of the source: the server predicts, and nobody waits.
+//!
 //! [`Demotion`] says who needs too much for too long. [`DelayEstimator`] is one site's measurement, [`GroupDelay`] the server's decision,
 //! [`DelaySchedule`] what everybody makes of the decisions: the same D at the same server time on
 //! every site, because it is a function of the operations log alone.
@@ -20,14 +28,16 @@ mod demotion;
 mod estimator;
 mod group;
 mod need;
+mod prediction;
 mod schedule;
 
 use crate::Span;
 
 pub use demotion::{DEMOTE_AFTER, Demotion, REPORT_OLD, RESTORE_AFTER, RESTORE_SHARE, Verdict};
 pub use estimator::{DelayEstimator, DelayRule};
-pub use group::{CHANGE_MIN, CHANGE_PERIOD, DelayChange, GroupDelay, RAISE_PERIOD};
+pub use group::{CHANGE_MIN, CHANGE_PART, CHANGE_PERIOD, DelayChange, GroupDelay, RAISE_PERIOD};
 pub use need::BRIDGE;
+pub use prediction::{PREDICTION_MAX, Prediction};
 pub use schedule::{CATCH_UP, DelaySchedule};
 
 /// Weight of the newest measurement in μ and ν: a memory of 50 packets, 0.2 s at 250 Hz.

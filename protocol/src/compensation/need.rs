@@ -34,9 +34,14 @@ use crate::{ServerTime, Span};
 /// `SHARE`.
 pub const BRIDGE: Span = Span::from_millis(12);
 
-/// The least bridge. On a short steady path that is all of what a packet's interval needs: nothing
-/// to be seen, and half of the delay there.
+/// The least bridge: all of what a packet's interval needs, and nothing to be seen.
 const BRIDGE_LEAST: Span = Span::from_millis(8);
+
+/// The least bridge of a short path: there it is most of the delay, and what such a path gains at once is short too.
+const BRIDGE_SHORT: Span = Span::from_micros(11_300);
+
+/// A path counts as short up to the first need, and not at all from the second on; in between by parts.
+const SHORT_PATH: [Span; 2] = [Span::from_millis(15), Span::from_millis(30)];
 
 /// The bridge in spreads (from the median to the [`SHARE`]) of the need. A wide need is bridged now
 /// and then, a narrow one would be all the time, and would leave nothing for when the path changes.
@@ -84,6 +89,13 @@ const INTERVALS_MAX: usize = 2048;
 
 /// The least time that an interval counts for: packets that come together show nothing in between.
 const INTERVAL_MIN_US: i64 = 1;
+
+/// The least bridge of a path with this need, microseconds.
+fn bridge_least(need_us: i64) -> i64 {
+    let [short, long] = SHORT_PATH.map(Span::as_micros);
+    let extra = (BRIDGE_SHORT - BRIDGE_LEAST).as_micros();
+    BRIDGE_LEAST.as_micros() + extra * (long - need_us).clamp(0, long - short) / (long - short)
+}
 
 /// What was needed from one packet to the next: from the age of the first on its arrival up to
 /// that age and the time between them.
@@ -223,11 +235,12 @@ impl Need {
         if self.stepped.is_some_and(|at| now - at > STEP_MEMORY) {
             self.stepped = None;
         }
+        let settled_us = long.min(short.saturating_add(MARGIN_US));
         self.bridge_us = match self.stepped {
             Some(_) => -STEP_MARGIN_US,
-            None => (BRIDGE_SPREADS * spread).clamp(BRIDGE_LEAST.as_micros(), BRIDGE.as_micros()),
+            None => (BRIDGE_SPREADS * spread).clamp(bridge_least(settled_us), BRIDGE.as_micros()),
         };
-        long.min(short.saturating_add(MARGIN_US))
+        settled_us
     }
 
     /// The need that is not exceeded for a share of the time within a memory.

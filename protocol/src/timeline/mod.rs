@@ -197,7 +197,7 @@ impl Timeline {
 
     /// Where the tool would be shown by who has these samples and had no others before; `None` before
     /// the first one.
-    pub(crate) fn foresee(&self, t: ServerTime) -> Option<Pose> {
+    pub fn foresee(&self, t: ServerTime) -> Option<Pose> {
         self.raw(t).map(|shown| shown.pose)
     }
 

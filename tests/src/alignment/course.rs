@@ -9,10 +9,11 @@ use palpate_protocol::datagram::{Probe, Reply};
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::request::DelayReport;
 use palpate_protocol::session::FUTURE_MAX;
-use palpate_protocol::{ParticipantId, ServerTime, ToolSample};
+use palpate_protocol::{ParticipantId, ServerTime, Span, ToolSample};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use super::foresight::Foresight;
 use super::site::Site;
 use super::way::Way;
 use crate::hand::Hand;
@@ -35,6 +36,8 @@ const DRIFT_MAX: f64 = 50e-6;
 enum Parcel {
     SamplesUp(Vec<ToolSample>),
     SamplesDown(Vec<ToolSample>),
+    /// A tool as it will be, and the moment of the sample that this rests on.
+    PredictedDown(ToolSample, ServerTime),
     ProbeUp(Probe),
     ReplyDown(Reply),
     ReportUp(DelayReport),
@@ -56,6 +59,8 @@ pub struct Moment {
     pub delay_ms: f64,
     /// How old the newest sample of the second tool is at the first site, milliseconds.
     pub age_ms: f64,
+    /// How far beyond what it knows of the second tool the server predicts it for the first site, milliseconds.
+    pub ahead_ms: f64,
 }
 
 impl Moment {
@@ -78,6 +83,8 @@ pub struct Course {
     /// What the server measures of each site's samples, and what it makes of its own decisions.
     measured: [DelayEstimator; 2],
     schedule: DelaySchedule,
+    /// What predicts, when the server does.
+    foresight: Option<Foresight>,
     parcels: VecDeque<(usize, Parcel)>,
     first_parcel: usize,
     due: BinaryHeap<Reverse<(i64, usize)>>,
@@ -108,6 +115,7 @@ impl Course {
             group: GroupDelay::new(settings),
             measured: [DelayEstimator::new(rule), DelayEstimator::new(rule)],
             schedule: DelaySchedule::new(settings),
+            foresight: None,
             parcels: VecDeque::new(),
             first_parcel: 0,
             due: BinaryHeap::new(),
@@ -116,6 +124,13 @@ impl Course {
             report_due_us: [REPORT_US; 2],
             now_us: 0,
         }
+    }
+
+    /// Nobody waits; the server predicts each tool ahead by what it takes to whoever is to see it.
+    #[must_use]
+    pub fn predicted(mut self) -> Self {
+        self.foresight = Some(Foresight::default());
+        self
     }
 
     /// Goes on until `until_us`, and gives every moment from `from_us` on.
@@ -157,7 +172,11 @@ impl Course {
         let ([a_own, a_other], [b_own, b_other]) = (a.shown(now)?, b.shown(now)?);
         let here = a.server_time(now)?;
         let delay = a.schedule.delay_at(here);
-        let age = here - a.views[1].newest()?;
+        let known = match &self.foresight {
+            None => a.views[1].newest()?,
+            Some(_) => a.predicted_from?,
+        };
+        let age = here - known;
         Some(Moment {
             time_s: now as f64 * 1e-6,
             first: [a_own.pose.position_m, b_other.pose.position_m],
@@ -165,6 +184,7 @@ impl Course {
             stale: a_other.stale || b_other.stale,
             delay_ms: delay.as_millis_f64(),
             age_ms: age.as_millis_f64(),
+            ahead_ms: (a.predicted_ahead).map_or(0.0, Span::as_millis_f64),
         })
     }
 
@@ -256,7 +276,18 @@ impl Course {
                     let in_force = self.schedule.delay_at(server_now);
                     self.measured[k].handle_arrival(newest.time, server_now, in_force);
                 }
-                self.send(1 - k, 1, at, Parcel::SamplesDown(samples));
+                let parcel = match &mut self.foresight {
+                    None => Some(Parcel::SamplesDown(samples)),
+                    Some(foresight) => foresight
+                        .handle_samples(k, &samples, server_now)
+                        .map(|(sample, newest)| Parcel::PredictedDown(sample, newest)),
+                };
+                if let Some(parcel) = parcel {
+                    self.send(1 - k, 1, at, parcel);
+                }
+            }
+            Parcel::PredictedDown(sample, newest) => {
+                self.sites[k].handle_predicted(sample, newest, at);
             }
             Parcel::SamplesDown(samples) => self.sites[k].handle_samples(&samples, at),
             Parcel::ProbeUp(probe) => {
@@ -273,6 +304,9 @@ impl Course {
                 self.sites[k].clock.handle_reply(reply, here);
             }
             Parcel::ReportUp(report) => {
+                if let Some(foresight) = &mut self.foresight {
+                    foresight.handle_report(k, report, server_now);
+                }
                 self.group
                     .handle_report(ParticipantId(k as u16 + 1), report);
             }

@@ -10,6 +10,7 @@
 
 pub mod course;
 pub mod emulated;
+mod foresight;
 mod motion;
 mod site;
 pub mod way;
@@ -51,12 +52,14 @@ pub enum Mode {
     Fixed(u32),
     /// The delay that a rule gives.
     Adaptive(DelayRule),
+    /// The server's prediction instead of a delay: the other reading of the source.
+    Predicted,
 }
 
 impl Mode {
     fn settings(self) -> (CompensationSettings, DelayRule) {
         let (mode, initial_delay_us, rule) = match self {
-            Self::None => (CompensationMode::None, 0, DelayRule::default()),
+            Self::None | Self::Predicted => (CompensationMode::None, 0, DelayRule::default()),
             Self::Fixed(ms) => (CompensationMode::Fixed, ms * 1000, DelayRule::default()),
             Self::Adaptive(rule) => {
                 let cap_us = u32::try_from(CAP_DEFAULT.as_micros()).unwrap_or(u32::MAX);
@@ -205,7 +208,11 @@ impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
         let ways = [[way(0), way(1)], [way(2), way(3)]];
         let (settings, rule) = mode.settings();
         let hands = hands(self.motion.as_ref(), self.seed);
-        Course::new(&settings, rule, ways, hands, self.seed)
+        let course = Course::new(&settings, rule, ways, hands, self.seed);
+        match mode {
+            Mode::Predicted => course.predicted(),
+            Mode::None | Mode::Fixed(_) | Mode::Adaptive(_) => course,
+        }
     }
 
     /// The figures of a mode.

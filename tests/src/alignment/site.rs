@@ -6,7 +6,7 @@ use palpate_protocol::clock::{ClockEstimate, ClockMap};
 use palpate_protocol::compensation::{DelayEstimator, DelayRule, DelaySchedule};
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::timeline::{Shown, Timeline};
-use palpate_protocol::{ClientTime, ServerTime, ToolSample};
+use palpate_protocol::{ClientTime, ServerTime, Span, ToolSample};
 
 use crate::hand::Hand;
 
@@ -19,6 +19,10 @@ pub(super) struct Site {
     /// One's own tool and the other's, as seen here.
     pub views: [Timeline; 2],
     pub batch: Vec<ToolSample>,
+    /// The moment of the sample that the newest prediction rests on.
+    pub predicted_from: Option<ServerTime>,
+    /// How far that goes beyond it.
+    pub predicted_ahead: Option<Span>,
     offset_us: i64,
     drift: f64,
 }
@@ -37,6 +41,8 @@ impl Site {
             schedule: DelaySchedule::new(settings),
             views: [Timeline::default(), Timeline::default()],
             batch: Vec::new(),
+            predicted_from: None,
+            predicted_ahead: None,
             offset_us,
             drift,
         }
@@ -83,6 +89,21 @@ impl Site {
         for sample in samples {
             self.views[1].insert(*sample);
         }
+    }
+
+    /// The other's tool has come as the server predicts it from a sample of the moment `from`. Its age is that sample's:
+    /// what was predicted is to have none.
+    pub(super) fn handle_predicted(&mut self, sample: ToolSample, from: ServerTime, true_us: i64) {
+        let Some(now) = self.server_time(true_us) else {
+            return;
+        };
+        let in_force = self.schedule.delay_at(now);
+        self.estimator.handle_arrival(from, now, in_force);
+        if self.predicted_from <= Some(from) {
+            self.predicted_from = Some(from);
+            self.predicted_ahead = Some(sample.time - from);
+        }
+        self.views[1].insert(sample);
     }
 
     /// A change of D has come.

@@ -70,6 +70,35 @@ fn on_bursts_nothing_more_is_seen_than_at_a_fixed_delay_of_the_same_mean() {
 }
 
 #[test]
+fn a_prediction_is_nearer_than_nothing_and_no_match_for_a_delay_where_a_hand_can_not_be_foreseen() {
+    let profile = Profile::named("transatlantic").unwrap();
+    let alignment = emulated(&profile, 1);
+    let [predicted, delayed] = [Mode::Predicted, ADAPTIVE].map(|m| alignment.figures(m));
+    assert!(times_nearer(&predicted, &alignment) >= 2.0, "{predicted:?}");
+    assert!(predicted.disagreement_mm.rms >= 10.0 * delayed.disagreement_mm.rms);
+    assert_eq!(predicted.compensation_ms.mean, 0.0, "nobody waits");
+    let near = emulated(&Profile::named("lan").unwrap(), 1).figures(Mode::Predicted);
+    assert!(near.is_safe(), "{near:?}");
+}
+
+#[test]
+fn on_short_steady_paths_two_sites_agree_at_a_tenth_more_than_the_least_lag() {
+    let profile = Profile::named("metro").unwrap();
+    let (mut mean_ms, mut safe_ms) = (0.0, 0);
+    for seed in 1..=3 {
+        let alignment = emulated(&profile, seed);
+        let figures = alignment.figures(ADAPTIVE);
+        assert!(figures.is_safe(), "{seed}: {figures:?}");
+        mean_ms += figures.compensation_ms.mean;
+        safe_ms += alignment.smallest_safe_fixed_ms().unwrap();
+    }
+    assert!(
+        mean_ms <= 1.10 * f64::from(safe_ms),
+        "{mean_ms} of {safe_ms}"
+    );
+}
+
+#[test]
 fn no_step_of_the_network_makes_a_shown_one() {
     let profile = Profile::named("far-steps").unwrap();
     for seed in 1..=2 {

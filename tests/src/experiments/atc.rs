@@ -18,8 +18,8 @@ use rand_pcg::Pcg64;
 /// The network when none is asked for.
 const PROFILE: &str = "transatlantic";
 
-/// Seconds drawn of shaking tools: more would be a black bar.
-const DRAWN_S: f64 = 2.0;
+/// Seconds drawn of what changes from packet to packet: more would be a solid bar.
+const DRAWN_S: f64 = 1.0;
 
 fn profile(bench: &Bench<'_>) -> Result<Profile, String> {
     match &bench.profile {
@@ -41,6 +41,11 @@ pub(super) fn fixed(bench: &mut Bench<'_>) -> Result<Outcome, String> {
 /// The delay of the default rule.
 pub(super) fn adaptive(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     aligned(bench, "adaptive")
+}
+
+/// The server's prediction, the other reading of the source.
+pub(super) fn predicted(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    aligned(bench, "predicted")
 }
 
 /// An alignment over the network asked for, with the hands asked for.
@@ -66,6 +71,10 @@ struct Seen {
     none_rms_mm: f64,
     /// With a fixed delay that is as long as this one's mean.
     equal_lag: Figures,
+    /// Beside a prediction: with the delay of the default rule.
+    delayed: Option<Figures>,
+    /// How far ahead the server predicted on the mean, ms.
+    ahead_ms: f64,
 }
 
 impl Seen {
@@ -83,24 +92,30 @@ impl Seen {
                      time; choose one that loses less, or atc-adaptive",
                 )
             })?),
+            "predicted" => Mode::Predicted,
             _ => Mode::Adaptive(DelayRule::default()),
         };
         let moments = alignment.moments(mode);
         let figures = Figures::of(&moments);
         let mean_ms = figures.compensation_ms.mean.round() as u32;
+        let ahead_ms =
+            moments.iter().map(|m| m.ahead_ms).sum::<f64>() / moments.len().max(1) as f64;
         Ok(Self {
             safe_ms,
             moments,
+            ahead_ms,
             figures,
             none_rms_mm: alignment.figures(Mode::None).disagreement_mm.rms,
             equal_lag: alignment.figures(Mode::Fixed(mean_ms)),
+            delayed: (mode == Mode::Predicted)
+                .then(|| alignment.figures(Mode::Adaptive(DelayRule::default()))),
         })
     }
 
     fn json(&self, name: &str, network: &str, seed: u64) -> Value {
         let figures = &self.figures;
         let mean_ms = figures.compensation_ms.mean;
-        json!({
+        let mut value = json!({
             "mode": name,
             "profile": network,
             "seed": seed,
@@ -112,7 +127,15 @@ impl Seen {
             "lag_over_smallest_safe": (self.safe_ms).filter(|&ms| ms > 0).map(|ms| mean_ms / f64::from(ms)),
             "times_nearer_than_none": self.none_rms_mm / figures.disagreement_mm.rms.max(f64::MIN_POSITIVE),
             "fixed_at_equal_lag_mm": self.equal_lag.disagreement_mm,
-        })
+        });
+        if let Some(delayed) = &self.delayed {
+            value["ahead_ms"] = json!(self.ahead_ms);
+            value["adaptive"] = json!({
+                "disagreement_mm": delayed.disagreement_mm,
+                "compensation_ms": delayed.compensation_ms,
+            });
+        }
+        value
     }
 }
 
@@ -172,21 +195,17 @@ fn aligned(bench: &mut Bench<'_>, name: &str) -> Result<Outcome, String> {
         all => all_seeds(all, name, &profile.name, bench.seed),
     };
     let moments = &seen[0].moments;
-    let apart = (moments.iter()).map(|m| (m.time_s, m.apart_mm())).collect();
-    let delay = moments.iter().map(|m| (m.time_s, m.delay_ms)).collect();
-    let panels = vec![
-        panel(
-            "what two sites show of one tool is apart by",
-            "mm",
-            line("disagreement", ORANGE, apart),
-        ),
-        panel("artificial delay", "ms", line("D", BLUE, delay)),
-    ];
+    let panels = alignment_panels(moments, name);
     Ok(Outcome {
         caption: format!(
             "Two sites align a part over the network {}, compensation {name}: the distance between what they show \
-             of the same tool at the same time, and the delay.",
-            profile.name
+             of the same tool at the same time{}.",
+            profile.name,
+            match name {
+                "none" => "",
+                "predicted" => ", and how far ahead the server predicts so that nobody waits",
+                _ => ", and the delay",
+            },
         ),
         figures: value,
         charts: vec![(
@@ -223,17 +242,17 @@ pub(super) fn transmission(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     });
     let panels = vec![Panel {
         title: "from a motion to its picture at the other site".to_owned(),
-        y_label: "ms".to_owned(),
+        y_label: "age of what is shown / ms".to_owned(),
         lines: vec![
-            line("without compensation", ORANGE, age),
-            line("with", BLUE, delay),
+            line("without compensation", ORANGE, first_seconds(&age)),
+            line("with", BLUE, first_seconds(&delay)),
         ],
         scale: crate::chart::Scale::Linear,
     }];
     Ok(Outcome {
         caption: format!(
             "The age of the newest sample at the other site over the network {}, and of what is shown under adaptive \
-             compensation.",
+             compensation; the first {DRAWN_S} s of them.",
             profile.name
         ),
         figures,
@@ -261,20 +280,16 @@ pub(super) fn jitter(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         "without_um": rms(&without),
         "with_um": rms(&with),
     });
-    let drawn = |v: Vec<(f64, f64)>| -> Vec<(f64, f64)> {
-        let until = v.first().map_or(0.0, |p| p.0) + DRAWN_S;
-        v.into_iter().take_while(|p| p.0 < until).collect()
-    };
     let panels = vec![
         panel(
             "without compensation",
-            "µm",
-            line("shaking", ORANGE, drawn(without)),
+            "change of its step / µm",
+            line("shaking", ORANGE, first_seconds(&without)),
         ),
         panel(
             "with adaptive compensation",
-            "µm",
-            line("shaking", BLUE, drawn(with)),
+            "change of its step / µm",
+            line("shaking", BLUE, first_seconds(&with)),
         ),
     ];
     Ok(Outcome {
@@ -297,6 +312,14 @@ fn both<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
     (alignment.moments(Mode::None), alignment.moments(adaptive))
 }
 
+/// What is drawn of a course.
+fn first_seconds(course: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let until = course.first().map_or(0.0, |p| p.0) + DRAWN_S;
+    (course.iter().copied())
+        .take_while(|p| p.0 < until)
+        .collect()
+}
+
 /// Second differences of the first tool at the other site, micrometres.
 fn shaking(moments: &[Moment]) -> Vec<(f64, f64)> {
     let jerked = moments.windows(3).map(|w| {
@@ -307,6 +330,30 @@ fn shaking(moments: &[Moment]) -> Vec<(f64, f64)> {
         (w[1].time_s, square.sqrt() * 1e6)
     });
     jerked.collect()
+}
+
+/// The distance, and beside it what is done about it: nothing is no panel.
+fn alignment_panels(moments: &[Moment], name: &str) -> Vec<Panel> {
+    let course = |of: fn(&Moment) -> f64| moments.iter().map(|m| (m.time_s, of(m))).collect();
+    let mut panels = vec![panel(
+        "what two sites show of one tool is apart by",
+        "distance / mm",
+        line("disagreement", ORANGE, course(Moment::apart_mm)),
+    )];
+    match name {
+        "none" => {}
+        "predicted" => panels.push(panel(
+            "how far the server's prediction goes beyond what it knows",
+            "ahead / ms",
+            line("A", BLUE, course(|m| m.ahead_ms)),
+        )),
+        _ => panels.push(panel(
+            "artificial delay: how much later than it was everything is shown",
+            "delay / ms",
+            line("D", BLUE, course(|m| m.delay_ms)),
+        )),
+    }
+    panels
 }
 
 fn panel(title: &str, y_label: &str, line: Line) -> Panel {
@@ -321,7 +368,7 @@ fn panel(title: &str, y_label: &str, line: Line) -> Panel {
 fn chart(title: &str, panels: Vec<Panel>) -> Chart {
     Chart {
         title: title.to_owned(),
-        x_label: "time, s".to_owned(),
+        x_label: "time since the session began / s".to_owned(),
         panels,
         marks: Vec::new(),
     }

@@ -40,7 +40,8 @@ One JSON object comes with --json, and stands in NAME.json where --out says:
                 rms_mm, max_mm, rms_deg, force_percent, n}]}
   missing-data  {experiment, rate_hz, gap_ms, methods [{kind, method, rms_mm, max_mm, rms_deg}]}
   atc-*         {mode, profile, seed, disagreement_mm {rms, p95, max}, compensation_ms {mean, p95},
-                smallest_safe_fixed_ms, corrections_over_1mm, stale_ticks}
+                smallest_safe_fixed_ms, corrections_over_1mm, stale_ticks}; atc-predicted also ahead_ms and, beside it,
+                adaptive {disagreement_mm, compensation_ms}
   transmission  {profile, seed, without_ms {mean, deviation}, with_ms {mean, deviation}}
   jitter        {profile, seed, without_um, with_um}
   replicas      {profile, seeds, shape_disagreement_mm {p50, p95, max}, force_error_rms, force_error_p95, hashes_equal,

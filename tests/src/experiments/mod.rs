@@ -162,6 +162,12 @@ pub const ALL: &[Experiment] = &[
         run: atc::adaptive,
     },
     Experiment {
+        name: "atc-predicted",
+        about: "two sites align a part, nobody waits and the server predicts: the other reading of the source",
+        takes: Takes::ALIGNMENTS,
+        run: atc::predicted,
+    },
+    Experiment {
         name: "transmission",
         about: "what a motion takes from site to site, with the delay and without (fig 7.24)",
         takes: Takes {

@@ -12,6 +12,7 @@ const TOOK_S: &[(&str, f64)] = &[
     ("atc-none", 6.5),
     ("atc-fixed", 6.5),
     ("atc-adaptive", 6.5),
+    ("atc-predicted", 6.5),
     ("transmission", 1.1),
     ("jitter", 1.1),
     ("replicas", 200.0),
