@@ -140,14 +140,10 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     figures["nodes"] = json!(model.nodes.len());
     figures["networks"] = json!(rows);
     if let Some(n) = bench.real {
-        let mut tally = real::sessions(
-            bench,
-            &model,
-            &files,
-            &networks[asked],
-            n,
-            |sat, number| compared(&model, &scripts, sat, &truth.courses, number),
-        )?;
+        let mut tally =
+            real::sessions(bench, &model, &files, &networks[asked], n, |sat, number| {
+                compared(&model, &scripts, sat, &truth.courses, number)
+            })?;
         let row = tally.row(&networks[asked]);
         table.push_str(&csv(&row, " (processes, QUIC)"));
         figures["real"] = row;
