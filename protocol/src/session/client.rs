@@ -1,5 +1,7 @@
 //! The client's end of a session.
 
+mod step;
+
 use std::collections::VecDeque;
 
 use crate::clock::{ClockEstimate, ClockMap};
@@ -129,6 +131,7 @@ impl ClientSession {
 
     /// Bytes of the operations stream, in any pieces.
     pub fn handle_stream(&mut self, bytes: &[u8], now: ClientTime) {
+        self.follow_clock(now);
         if let Err(error) = self.read_stream(bytes, now) {
             self.close(CloseReason::Violation(error));
         }
@@ -276,6 +279,7 @@ impl ClientSession {
 
     /// One datagram. Noise is counted and otherwise ignored.
     pub fn handle_datagram(&mut self, bytes: &[u8], now: ClientTime) {
+        self.follow_clock(now);
         let Some(datagram) = self.link.accept(bytes) else {
             return;
         };
@@ -284,11 +288,7 @@ impl ClientSession {
             Body::Motion(tracks) => self.handle_motion(&datagram.header, tracks, now),
             Body::Corrections(c) => self.emit(ClientEvent::Corrections(c)),
             Body::Displacements(d) => self.emit(ClientEvent::Displacements(d)),
-            Body::Reply(reply) => {
-                if let Some(map) = self.clock.handle_reply(reply, now) {
-                    self.emit(ClientEvent::Clock(map));
-                }
-            }
+            Body::Reply(reply) => self.handle_reply(reply, now),
             Body::Delays(list) => self.emit(ClientEvent::Delays(list)),
             Body::Probe(_) => self.link.count_misdirected(),
         }
@@ -346,6 +346,7 @@ impl ClientSession {
 
     /// Call when the time of [`poll_timeout`](Self::poll_timeout) has come; earlier does no harm.
     pub fn handle_timeout(&mut self, now: ClientTime) {
+        self.follow_clock(now);
         match &self.state {
             State::Closed => {}
             State::Preamble(_) | State::Hello => {
@@ -439,6 +440,7 @@ impl ClientSession {
 
     /// The next datagram, made from what is newest now.
     pub fn poll_datagram(&mut self, now: ClientTime) -> Option<Vec<u8>> {
+        self.follow_clock(now);
         let State::Joined(joined) = &self.state else {
             return None;
         };

@@ -166,6 +166,8 @@ pub enum PeerDatagram {
 #[cfg(test)]
 mod bad_peer_tests;
 #[cfg(test)]
+mod set_clock_tests;
+#[cfg(test)]
 mod states;
 #[cfg(test)]
 mod tests;
