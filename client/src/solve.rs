@@ -355,8 +355,9 @@ impl Turns {
         let budget = hand_budget(&mut stop);
         let buttons = (sample.buttons.bits() & 0xff) as u8;
         let pose = sample.pose;
+        let is_believed = !self.link_lost && !self.work.site.is_resyncing();
         if let Some(model) = self.work.site.haptic_step(began, pose, buttons, budget) {
-            hand.models.write(model);
+            hand.models.write(believed(model, is_believed));
             record_time(&mut self.haptic_us, began);
         }
     }
@@ -459,6 +460,16 @@ impl Turns {
     }
 }
 
+/// What the hand is to feel: nothing of a copy that is being made anew, or of which the server has not been
+/// heard. The main thread tells the force loop so too, but it may wait for whoever reads its sentences.
+fn believed(model: ContactModel, is_believed: bool) -> ContactModel {
+    if is_believed {
+        model
+    } else {
+        ContactModel::free_at(model.solved_at, model.topology_version)
+    }
+}
+
 /// Of how many points of a grid of `tick_hz` one is recorded.
 pub(crate) fn record_every(tick_hz: u32) -> i64 {
     i64::from(tick_hz.div_ceil(VIEW_HZ).max(1))
@@ -474,5 +485,29 @@ fn percentiles(us: &Histogram<u32>) -> SolveTimes {
     SolveTimes {
         p50: ms(0.5),
         p99: ms(0.99),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use palpate_haptics::Touch;
+
+    use super::*;
+
+    #[test]
+    fn of_a_copy_that_is_not_believed_the_hand_feels_nothing() {
+        let mut touches = ContactModel::single(Touch {
+            touches: true,
+            ..Touch::NONE
+        });
+        touches.solved_at = ClientTime::from_micros(7);
+        touches.topology_version = 3;
+        assert!(believed(touches, true).in_contact());
+        let free = believed(touches, false);
+        assert!(!free.in_contact());
+        assert_eq!(
+            (free.solved_at, free.topology_version),
+            (touches.solved_at, 3)
+        );
     }
 }
