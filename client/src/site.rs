@@ -242,7 +242,7 @@ impl Site {
                     self.view_news.push_back(news);
                 }
             }
-            ClientEvent::Clock(map) => self.clock = Some(map),
+            ClientEvent::Clock(map) => self.take_clock(map, now),
             ClientEvent::LinkLost => self.notice("nothing comes from the server".to_owned()),
             ClientEvent::LinkRestored => self.notice("the server is back".to_owned()),
             ClientEvent::Closed(reason) => self.closed = Some(reason),

@@ -435,3 +435,24 @@ fn the_hand_feels_others_between_the_points_of_the_grid() {
     assert!((at(&mut site, 70) - 70e-4).abs() < 1e-9);
     assert!(site.view_step(ms(70), budget()).is_none());
 }
+
+#[test]
+fn a_view_goes_on_at_once_when_a_clock_that_was_set_ahead_is_known_again() {
+    const HOURS_MS: i64 = 3 * 3_600_000;
+    let mut site = site(0);
+    site.handle_own(&own(1000, 0.01, false));
+    assert!(site.next_view(ms(1000)).is_some());
+    // Set ahead: until the session has found out, the old map leads hours ahead.
+    let ahead = |t: i64| t + HOURS_MS;
+    site.handle_own(&own(ahead(1004), 0.01, false));
+    let wrong = site.next_view(ms(ahead(1004))).expect("a view");
+    assert!(wrong.s > ServerTime::from_micros(HOURS_MS * 1000));
+    let map = ClockMap::exact(Span::from_millis(5000 - HOURS_MS));
+    tell(&mut site, ClientEvent::Clock(map), ahead(1400));
+    site.handle_own(&own(ahead(1400), 0.02, false));
+    let right = site.next_view(ms(ahead(1404))).expect("a view at once");
+    assert_eq!(right.s, ServerTime::from_micros(6_404_000));
+    let tool = right.tools.iter().find(|t| t.participant == ME);
+    assert!(tool.is_some_and(|t| !t.stale), "one's own tool goes on too");
+    assert!(site.next_view(ms(ahead(1408))).is_some());
+}
