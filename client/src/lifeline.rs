@@ -149,7 +149,12 @@ impl Lifeline<'_> {
             ClientEvent::Operation(operation) => self.seat.note(operation),
             _ => {}
         }
+        let is_nobodys =
+            matches!(&event, ClientEvent::RequestRefused(r) if !self.requests.is_felt(r));
         self.requests.handle_event(&event);
+        if is_nobodys {
+            return None;
+        }
         let is_last = matches!(event, ClientEvent::Closed(_));
         if !self.inbox.push(event) {
             self.close("the operations came faster than this machine applies them".to_owned());

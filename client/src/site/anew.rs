@@ -157,6 +157,7 @@ impl Site {
         (self.first_view, self.made_up) = (None, None);
         self.deferred = VecDeque::new();
         self.is_detached = false;
+        self.unreported = None;
         self.to_make = VecDeque::new();
         self.ready = VecDeque::new();
         self.view_news = VecDeque::new();

@@ -456,3 +456,32 @@ fn a_view_goes_on_at_once_when_a_clock_that_was_set_ahead_is_known_again() {
     assert!(tool.is_some_and(|t| !t.stale), "one's own tool goes on too");
     assert!(site.next_view(ms(ahead(1408))).is_some());
 }
+
+#[test]
+fn many_cuts_at_once_are_one_report_of_the_last() {
+    let mut topology = palpate_tissue::Topology::new(model());
+    let mut site = site(0);
+    for (id, y) in [0.0045, 0.0105, 0.0165].into_iter().enumerate() {
+        let ClientEvent::Operation(mut operation) = cut_of(TopologyHash(0)) else {
+            unreachable!()
+        };
+        let OperationKind::Cut(stroke) = &mut operation.kind else {
+            unreachable!()
+        };
+        for point in &mut stroke.points {
+            point.tip_m[1] = y;
+        }
+        palpate_tissue::cut(&mut topology, &crate::convert::tissue_stroke(stroke)).unwrap();
+        operation.id = OperationId(id as u64);
+        operation.topology_version_before = id as u32;
+        operation.topology_version_after = topology.version();
+        operation.hash_after = TopologyHash(topology.hash().0);
+        tell(&mut site, ClientEvent::Operation(operation), 110);
+    }
+    while site.poll_request().is_some() {}
+    site.advance(ms(120)).unwrap();
+    assert_eq!(site.counters().cuts, 3);
+    let requests: Vec<RequestKind> = std::iter::from_fn(|| site.poll_request()).collect();
+    let hash = TopologyHash(topology.hash().0);
+    assert_eq!(requests, [RequestKind::TopologyReport { version: 3, hash }]);
+}
