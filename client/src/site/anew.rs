@@ -73,6 +73,10 @@ impl Site {
         now: ClientTime,
     ) -> Result<(), SiteError> {
         let Err(error) = result else { return Ok(()) };
+        if self.anew == Anew::Asked && !matches!(error, SiteError::Thread(_)) {
+            // The copy that this is about is given up already, and a new one asked for.
+            return Ok(());
+        }
         if matches!(error, SiteError::Thread(_) | SiteError::Again(_)) {
             return Err(error);
         }

@@ -458,6 +458,21 @@ fn a_view_goes_on_at_once_when_a_clock_that_was_set_ahead_is_known_again() {
 }
 
 #[test]
+fn a_copy_that_is_asked_for_anew_is_not_asked_for_twice() {
+    let mut site = site(0);
+    tell(&mut site, cut_of(TopologyHash(1)), 110);
+    site.advance(ms(120)).unwrap();
+    assert!(site.poll_rejoin().is_some());
+    let late = ReplicaError::Version {
+        operation: "operation 0".into(),
+        expected: 1,
+        found: 0,
+    };
+    assert_eq!(site.handle_broken(late, ms(130)), Ok(()));
+    assert_eq!(site.poll_rejoin(), None);
+}
+
+#[test]
 fn many_cuts_at_once_are_one_report_of_the_last() {
     let mut topology = palpate_tissue::Topology::new(model());
     let mut site = site(0);
