@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
+use palpate_protocol::compensation::DelaySchedule;
 use palpate_protocol::handshake::{Hello, Resume, Welcome};
+use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::session::{ClientEvent, CloseReason};
 use palpate_protocol::{JoinLink, OperationId, TopologyHash};
 use palpate_transport::{ClientCommand, ClientHandle, DriverStats};
@@ -55,6 +57,8 @@ pub(crate) struct Lifeline<'a> {
     /// Says why the log is wanted from its beginning.
     pub(crate) rejoin: mpsc::Receiver<String>,
     pub(crate) requests: Requests,
+    /// The artificial delay as the log says it.
+    pub(crate) delay: DelaySchedule,
     pub(crate) stats: watch::Sender<DriverStats>,
     pub(crate) condition: watch::Sender<Condition>,
     pub(crate) is_lost: bool,
@@ -151,7 +155,7 @@ impl Lifeline<'_> {
         match &event {
             ClientEvent::LinkLost => self.is_lost = true,
             ClientEvent::LinkRestored => self.is_lost = false,
-            ClientEvent::Operation(operation) => self.seat.note(operation),
+            ClientEvent::Operation(operation) => self.note(operation),
             _ => {}
         }
         let is_nobodys =
@@ -166,6 +170,18 @@ impl Lifeline<'_> {
             return Some(Over::Ended);
         }
         is_last.then_some(Over::Ended)
+    }
+
+    /// Notes what the next connection goes on with.
+    fn note(&mut self, operation: &Operation) {
+        self.seat.note(operation);
+        if let OperationKind::Compensation {
+            delay_us,
+            effective_at,
+        } = operation.kind
+        {
+            self.delay.handle_change(delay_us, effective_at);
+        }
     }
 
     fn pass_on(&mut self, handle: &ClientHandle, command: ClientCommand) {
@@ -234,7 +250,10 @@ impl Lifeline<'_> {
                 resume: Some(self.seat),
                 ..self.hello.clone()
             };
-            let attempt = tokio::time::timeout(ATTEMPT_MAX, join(self.link, hello));
+            let attempt = tokio::time::timeout(
+                ATTEMPT_MAX,
+                join(self.link, hello, Some(self.delay.clone())),
+            );
             match while_away(&mut self.commands, &self.condition, attempt).await {
                 None => {
                     self.inbox.push(ClientEvent::Closed(CloseReason::Left));
@@ -282,6 +301,7 @@ impl Lifeline<'_> {
     fn welcome_back(&mut self, welcome: Box<Welcome>) {
         if welcome.first_operation == OperationId(0) {
             self.forget_wishes();
+            self.delay = DelaySchedule::new(&welcome.compensation);
         }
         self.seat = Resume::after_welcome(&welcome, Some(self.seat));
         self.inbox.push(ClientEvent::Welcomed(welcome));
@@ -334,6 +354,7 @@ async fn end(mut handle: ClientHandle) {
 #[cfg(test)]
 mod tests {
     use palpate_protocol::handshake::Subscription;
+    use palpate_protocol::operation::{CompensationMode, CompensationSettings};
     use palpate_protocol::request::{CutRequest, RequestKind};
     use palpate_protocol::{CertificateHash, Grant, ParticipantId, ResumeToken, Role};
 
@@ -373,6 +394,10 @@ mod tests {
             commands: mpsc::channel(1).1,
             rejoin: reasons,
             requests: Requests::new(ParticipantId(1)),
+            delay: DelaySchedule::new(&CompensationSettings {
+                mode: CompensationMode::Fixed,
+                initial_delay_us: 0,
+            }),
             stats: watch::channel(DriverStats::default()).0,
             condition: watch::channel(Condition::default()).0,
             is_lost: false,

@@ -5,6 +5,7 @@ use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use palpate_protocol::compensation::DelaySchedule;
 use palpate_protocol::handshake::{Hello, Resume, Welcome};
 use palpate_protocol::session::{ClientEvent, ClientSession, CloseReason};
 use palpate_protocol::{JoinLink, ModelHash, Span};
@@ -150,7 +151,7 @@ async fn live(
     let (link, stop) = (&joining.link, &*joining.stop);
     let stopped = || ClientError::EndedWhileJoining("you stopped it".to_owned());
     let joined = tokio::select! {
-        joined = join(link, joining.hello.clone()) => joined,
+        joined = join(link, joining.hello.clone(), None) => joined,
         () = until(stop) => Err(stopped()),
     };
     let (handle, welcome) = match joined {
@@ -173,6 +174,7 @@ async fn live(
         commands: command_receiver,
         rejoin: rejoin_receiver,
         requests: Requests::new(welcome.participant),
+        delay: DelaySchedule::new(&welcome.compensation),
         stats: stats_sender,
         condition: condition_sender,
         is_lost: false,
@@ -229,13 +231,17 @@ fn ended(inbox: &Inbox) -> ClientError {
     ClientError::EndedWhileJoining(why)
 }
 
-/// Connects and is let in.
+/// Connects and is let in; who comes back with the artificial delay as it was known.
 pub(crate) async fn join(
     link: &JoinLink,
     hello: Hello,
+    delay: Option<DelaySchedule>,
 ) -> Result<(ClientHandle, Box<Welcome>), ClientError> {
     let connection = connect(link).await?;
-    let session = ClientSession::new(hello, monotonic_now())?;
+    let mut session = ClientSession::new(hello, monotonic_now())?;
+    if let Some(delay) = delay {
+        session.go_on_with(delay);
+    }
     let mut handle = spawn_client(connection, session, monotonic_now);
     loop {
         match handle.events.recv().await {

@@ -1,5 +1,6 @@
 //! The client's end of a session.
 
+mod returns;
 mod step;
 
 use std::collections::VecDeque;
@@ -85,6 +86,7 @@ pub struct ClientSession {
     last_request: u32,
     /// Where the log may go on for who takes a seat again.
     resumes_at: Option<OperationId>,
+    known_delay: Option<DelaySchedule>,
     started: ClientTime,
     heard: ClientTime,
     link_lost: bool,
@@ -120,6 +122,7 @@ impl ClientSession {
             events: VecDeque::new(),
             last_request: 0,
             resumes_at,
+            known_delay: None,
             started: now,
             heard: now,
             link_lost: false,
@@ -216,11 +219,12 @@ impl ClientSession {
             });
         }
         self.link.open(welcome.epoch, welcome.participant);
+        let schedule = self.schedule_after(&welcome);
         self.state = State::Joined(Box::new(Joined {
             participant: welcome.participant,
             next_operation: first,
             catch_up: welcome.operations_so_far,
-            schedule: DelaySchedule::new(&welcome.compensation),
+            schedule,
             newest_shown: Vec::new(),
             news_at: now,
         }));

@@ -457,7 +457,7 @@ fn a_hello_without_a_name_is_refused_with_a_sentence() {
     );
 }
 
-fn returning(next: u64) -> ClientSession {
+pub(super) fn returning(next: u64) -> ClientSession {
     let seat = Resume {
         participant: ParticipantId(5),
         token: ResumeToken([0; 16]),
