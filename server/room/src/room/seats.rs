@@ -37,6 +37,8 @@ impl Room {
         let seats = self.config.seats.min(SEATS_MAX);
         if !self.is_granted(hello) {
             Err(RefusalReason::BadGrant { role })
+        } else if !self.log.takes_seat() {
+            Err(RefusalReason::LogFull)
         } else if self.participants.len() >= usize::from(seats) || self.next_participant == u16::MAX
         {
             Err(RefusalReason::Full { seats })
@@ -74,7 +76,9 @@ impl Room {
                 && seat.resumed < RESUMES_MAX
                 && !seat.is_given_up(now)
         });
-        if is_theirs {
+        if is_theirs && !self.log.takes_seat() {
+            Err(RefusalReason::LogFull)
+        } else if is_theirs {
             Ok(())
         } else {
             Err(RefusalReason::NoSuchSeat)
@@ -197,7 +201,7 @@ impl Room {
     fn greet(&mut self, peer: PeerKey, welcome: Welcome) {
         let first = usize::try_from(welcome.first_operation.0).unwrap_or(usize::MAX);
         self.send(peer, PeerMessage::Welcome(Box::new(welcome)));
-        let missing = self.log.get(first..).unwrap_or_default().to_vec();
+        let missing = self.log.since(first).to_vec();
         for operation in missing {
             self.send(peer, PeerMessage::Operation(operation));
         }
