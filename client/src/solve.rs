@@ -356,8 +356,11 @@ impl Turns {
         let buttons = (sample.buttons.bits() & 0xff) as u8;
         let pose = sample.pose;
         let is_believed = !self.link_lost && !self.work.site.is_resyncing();
-        if let Some(model) = self.work.site.haptic_step(began, pose, buttons, budget) {
-            hand.models.write(believed(model, is_believed));
+        if let Some(mut model) = self.work.site.haptic_step(began, pose, buttons, budget) {
+            if !is_believed {
+                take_away(&mut model);
+            }
+            hand.models.write(model);
             record_time(&mut self.haptic_us, began);
         }
     }
@@ -460,14 +463,10 @@ impl Turns {
     }
 }
 
-/// What the hand is to feel: nothing of a copy that is being made anew, or of which the server has not been
+/// Takes away what the hand would feel of a copy that is being made anew, or of which the server has not been
 /// heard. The main thread tells the force loop so too, but it may wait for whoever reads its sentences.
-fn believed(model: ContactModel, is_believed: bool) -> ContactModel {
-    if is_believed {
-        model
-    } else {
-        ContactModel::free_at(model.solved_at, model.topology_version)
-    }
+fn take_away(model: &mut ContactModel) {
+    *model = ContactModel::free_at(model.solved_at, model.topology_version);
 }
 
 /// Of how many points of a grid of `tick_hz` one is recorded.
@@ -496,18 +495,16 @@ mod tests {
 
     #[test]
     fn of_a_copy_that_is_not_believed_the_hand_feels_nothing() {
-        let mut touches = ContactModel::single(Touch {
+        let mut model = ContactModel::single(Touch {
             touches: true,
             ..Touch::NONE
         });
-        touches.solved_at = ClientTime::from_micros(7);
-        touches.topology_version = 3;
-        assert!(believed(touches, true).in_contact());
-        let free = believed(touches, false);
-        assert!(!free.in_contact());
-        assert_eq!(
-            (free.solved_at, free.topology_version),
-            (touches.solved_at, 3)
-        );
+        model.solved_at = ClientTime::from_micros(7);
+        model.topology_version = 3;
+        assert!(model.in_contact());
+        take_away(&mut model);
+        assert!(!model.in_contact());
+        assert_eq!(model.solved_at, ClientTime::from_micros(7));
+        assert_eq!(model.topology_version, 3);
     }
 }
