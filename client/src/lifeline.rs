@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
+use palpate_protocol::compensation::DelaySchedule;
 use palpate_protocol::handshake::{Hello, Resume, Welcome};
+use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::session::{ClientEvent, CloseReason};
 use palpate_protocol::{JoinLink, OperationId, TopologyHash};
 use palpate_transport::{ClientCommand, ClientHandle, DriverStats};
@@ -55,6 +57,8 @@ pub(crate) struct Lifeline<'a> {
     /// Says why the log is wanted from its beginning.
     pub(crate) rejoin: mpsc::Receiver<String>,
     pub(crate) requests: Requests,
+    /// The artificial delay as the log says it.
+    pub(crate) delay: DelaySchedule,
     pub(crate) stats: watch::Sender<DriverStats>,
     pub(crate) condition: watch::Sender<Condition>,
     pub(crate) is_lost: bool,
@@ -88,6 +92,11 @@ impl Lifeline<'_> {
                 None => return,
             }
         }
+    }
+
+    /// Reasons for a copy made anew that still wait, when it is about to be: a second one helps nobody.
+    fn forget_wishes(&mut self) {
+        while self.rejoin.try_recv().is_ok() {}
     }
 
     async fn pump(&mut self, handle: &mut ClientHandle) -> Over {
@@ -146,10 +155,15 @@ impl Lifeline<'_> {
         match &event {
             ClientEvent::LinkLost => self.is_lost = true,
             ClientEvent::LinkRestored => self.is_lost = false,
-            ClientEvent::Operation(operation) => self.seat.note(operation),
+            ClientEvent::Operation(operation) => self.note(operation),
             _ => {}
         }
+        let is_nobodys =
+            matches!(&event, ClientEvent::RequestRefused(r) if !self.requests.is_felt(r));
         self.requests.handle_event(&event);
+        if is_nobodys {
+            return None;
+        }
         let is_last = matches!(event, ClientEvent::Closed(_));
         if !self.inbox.push(event) {
             self.close("the operations came faster than this machine applies them".to_owned());
@@ -158,20 +172,43 @@ impl Lifeline<'_> {
         is_last.then_some(Over::Ended)
     }
 
+    /// Notes what the next connection goes on with.
+    fn note(&mut self, operation: &Operation) {
+        self.seat.note(operation);
+        if let OperationKind::Compensation {
+            delay_us,
+            effective_at,
+        } = operation.kind
+        {
+            self.delay.handle_change(delay_us, effective_at);
+        }
+    }
+
     fn pass_on(&mut self, handle: &ClientHandle, command: ClientCommand) {
-        // One that finds no room now is asked again with the next connection, if there is one.
-        let command = match command {
-            ClientCommand::Request(kind) => ClientCommand::Numbered(self.requests.number(kind)),
-            other => other,
-        };
-        let is_felt = matches!(&command, ClientCommand::Numbered(r) if is_felt(&r.kind));
-        if handle.commands.try_send(command).is_err() && is_felt {
-            tracing::warn!("the session does not take requests");
+        match (command, handle.commands.try_reserve()) {
+            (ClientCommand::Request(kind), Ok(room)) => {
+                room.send(ClientCommand::Numbered(self.requests.number(kind)));
+            }
+            (ClientCommand::Request(kind), Err(mpsc::error::TrySendError::Closed(()))) => {
+                // Nothing goes over this connection any more; it is asked again with the next one.
+                self.requests.number(kind);
+            }
+            (ClientCommand::Request(kind), Err(mpsc::error::TrySendError::Full(()))) => {
+                // A number that is jumped over would count as done, when a later one has come.
+                if is_felt(&kind) {
+                    tracing::warn!("the session does not take requests");
+                    self.condition.send_modify(|c| c.requests_lost += 1);
+                }
+            }
+            (command, Ok(room)) => room.send(command),
+            // Motion is worth nothing later.
+            (_, Err(_)) => {}
         }
     }
 
     /// Takes the seat with nothing in hand, so that the whole log comes again.
     fn want_everything(&mut self) {
+        self.forget_wishes();
         self.seat.next_operation = OperationId(0);
         self.seat.topology_version = 0;
         self.seat.topology_hash = TopologyHash(0);
@@ -213,7 +250,10 @@ impl Lifeline<'_> {
                 resume: Some(self.seat),
                 ..self.hello.clone()
             };
-            let attempt = tokio::time::timeout(ATTEMPT_MAX, join(self.link, hello));
+            let attempt = tokio::time::timeout(
+                ATTEMPT_MAX,
+                join(self.link, hello, Some(self.delay.clone())),
+            );
             match while_away(&mut self.commands, &self.condition, attempt).await {
                 None => {
                     self.inbox.push(ClientEvent::Closed(CloseReason::Left));
@@ -259,6 +299,10 @@ impl Lifeline<'_> {
     }
 
     fn welcome_back(&mut self, welcome: Box<Welcome>) {
+        if welcome.first_operation == OperationId(0) {
+            self.forget_wishes();
+            self.delay = DelaySchedule::new(&welcome.compensation);
+        }
         self.seat = Resume::after_welcome(&welcome, Some(self.seat));
         self.inbox.push(ClientEvent::Welcomed(welcome));
         if std::mem::take(&mut self.is_lost) {
@@ -304,5 +348,112 @@ async fn end(mut handle: ClientHandle) {
     handle.events.close();
     if handle.task.await.is_err() {
         tracing::error!("the task of the session ended by a panic");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use palpate_protocol::handshake::Subscription;
+    use palpate_protocol::operation::{CompensationMode, CompensationSettings};
+    use palpate_protocol::request::{CutRequest, RequestKind};
+    use palpate_protocol::{CertificateHash, Grant, ParticipantId, ResumeToken, Role};
+
+    use super::*;
+
+    fn cut() -> ClientCommand {
+        ClientCommand::Request(RequestKind::Cut(CutRequest {
+            points: Vec::new(),
+            width_m: 0.0,
+        }))
+    }
+
+    /// A lifeline, told nothing yet, and the end for reasons.
+    fn lifeline<'a>(link: &'a JoinLink, inbox: &'a Inbox) -> (Lifeline<'a>, mpsc::Sender<String>) {
+        let (rejoin, reasons) = mpsc::channel(1);
+        let hello = Hello {
+            name: "ann".to_owned(),
+            role: Role::Trainee,
+            grant: link.grant,
+            tool: None,
+            subscription: Subscription::Full,
+            resume: None,
+        };
+        let seat = Resume {
+            participant: ParticipantId(1),
+            token: ResumeToken([0; 16]),
+            next_operation: OperationId(5),
+            topology_version: 1,
+            topology_hash: TopologyHash(1),
+        };
+        let lifeline = Lifeline {
+            link,
+            hello,
+            seat,
+            patience: Duration::ZERO,
+            inbox,
+            commands: mpsc::channel(1).1,
+            rejoin: reasons,
+            requests: Requests::new(ParticipantId(1)),
+            delay: DelaySchedule::new(&CompensationSettings {
+                mode: CompensationMode::Fixed,
+                initial_delay_us: 0,
+            }),
+            stats: watch::channel(DriverStats::default()).0,
+            condition: watch::channel(Condition::default()).0,
+            is_lost: false,
+        };
+        (lifeline, rejoin)
+    }
+
+    fn link() -> JoinLink {
+        JoinLink {
+            host: "127.0.0.1".to_owned(),
+            port: 1,
+            role: Role::Trainee,
+            certificate: CertificateHash([0; 32]),
+            grant: Grant([0; 16]),
+        }
+    }
+
+    #[tokio::test]
+    async fn a_request_that_finds_no_room_is_said_to_be_lost_and_takes_no_number() {
+        let (link, inbox) = (link(), Inbox::default());
+        let (mut lifeline, _) = lifeline(&link, &inbox);
+        let (commands, mut taken) = mpsc::channel(1);
+        let handle = ClientHandle {
+            commands,
+            events: mpsc::channel(1).1,
+            stats: watch::channel(DriverStats::default()).1,
+            task: tokio::spawn(async {}),
+        };
+        let mut number = || match taken.try_recv() {
+            Ok(ClientCommand::Numbered(request)) => Some(request.id.0),
+            _ => None,
+        };
+        lifeline.pass_on(&handle, cut());
+        lifeline.pass_on(&handle, cut());
+        assert_eq!(lifeline.condition.borrow().requests_lost, 1);
+        assert_eq!(number(), Some(1));
+        lifeline.pass_on(&handle, cut());
+        assert_eq!(number(), Some(2), "no number is jumped over");
+        drop(taken);
+        lifeline.pass_on(&handle, cut());
+        let open: Vec<u32> = lifeline
+            .requests
+            .unanswered()
+            .iter()
+            .map(|r| r.id.0)
+            .collect();
+        assert_eq!(open, [1, 2, 3], "a connection that is over is waited out");
+    }
+
+    #[test]
+    fn a_reason_that_waits_while_everything_comes_anyway_is_forgotten() {
+        let (link, inbox) = (link(), Inbox::default());
+        let (mut lifeline, rejoin) = lifeline(&link, &inbox);
+        rejoin.try_send("it drifts".to_owned()).unwrap();
+        lifeline.want_everything();
+        assert!(lifeline.rejoin.try_recv().is_err());
+        assert_eq!(lifeline.seat.next_operation, OperationId(0));
     }
 }

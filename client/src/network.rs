@@ -5,6 +5,7 @@ use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use palpate_protocol::compensation::DelaySchedule;
 use palpate_protocol::handshake::{Hello, Resume, Welcome};
 use palpate_protocol::session::{ClientEvent, ClientSession, CloseReason};
 use palpate_protocol::{JoinLink, ModelHash, Span};
@@ -54,6 +55,8 @@ pub(crate) struct Network {
     /// Whether there is a connection.
     pub(crate) condition: watch::Receiver<Condition>,
     thread: JoinHandle<()>,
+    /// Set when the thread ended as it should, after its last event.
+    ended: Arc<AtomicBool>,
 }
 
 /// Where and how to join.
@@ -84,6 +87,8 @@ impl Network {
             .enable_all()
             .build()?;
         let (tell, told) = mpsc::sync_channel(1);
+        let ended = Arc::new(AtomicBool::new(false));
+        let ends = Arc::clone(&ended);
         let thread = std::thread::Builder::new()
             .name("network".to_owned())
             .spawn(move || {
@@ -93,6 +98,7 @@ impl Network {
                     }
                     live(joining, progress, &tell).await;
                 });
+                ends.store(true, Ordering::Release);
             })?;
         let opened = told.recv().unwrap_or_else(|_| {
             let sentence = "the network thread ended before its time".to_owned();
@@ -107,7 +113,13 @@ impl Network {
             stats: opened.stats,
             condition: opened.condition,
             thread,
+            ended,
         })
+    }
+
+    /// Whether the thread ended before its time, by a panic.
+    pub(crate) fn is_broken(&self) -> bool {
+        self.thread.is_finished() && !self.ended.load(Ordering::Acquire)
     }
 
     /// Leaves politely, if the session still stands, and waits for the thread.
@@ -139,7 +151,7 @@ async fn live(
     let (link, stop) = (&joining.link, &*joining.stop);
     let stopped = || ClientError::EndedWhileJoining("you stopped it".to_owned());
     let joined = tokio::select! {
-        joined = join(link, joining.hello.clone()) => joined,
+        joined = join(link, joining.hello.clone(), None) => joined,
         () = until(stop) => Err(stopped()),
     };
     let (handle, welcome) = match joined {
@@ -148,6 +160,7 @@ async fn live(
         Err(error) => return drop(tell.send(Err(error))),
     };
     let inbox = Arc::new(Inbox::default());
+    let _last_word = LastWord(Arc::clone(&inbox));
     let (commands, command_receiver) = async_mpsc::channel(COMMANDS_MAX);
     let (rejoin, rejoin_receiver) = async_mpsc::channel(1);
     let (stats_sender, stats) = watch::channel(DriverStats::default());
@@ -161,6 +174,7 @@ async fn live(
         commands: command_receiver,
         rejoin: rejoin_receiver,
         requests: Requests::new(welcome.participant),
+        delay: DelaySchedule::new(&welcome.compensation),
         stats: stats_sender,
         condition: condition_sender,
         is_lost: false,
@@ -194,6 +208,20 @@ async fn live(
     session.await;
 }
 
+/// Ends the session for the replica when the thread ends by a panic, so that no force is felt of a copy
+/// that nobody keeps true any more.
+struct LastWord(Arc<Inbox>);
+
+impl Drop for LastWord {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            let sentence = "the network thread failed; this is a fault of the program";
+            let reason = CloseReason::ConnectionLost(sentence.to_owned());
+            self.0.push(ClientEvent::Closed(reason));
+        }
+    }
+}
+
 /// Why a session ended while the model came.
 fn ended(inbox: &Inbox) -> ClientError {
     let why = match inbox.take().pop_back() {
@@ -203,13 +231,17 @@ fn ended(inbox: &Inbox) -> ClientError {
     ClientError::EndedWhileJoining(why)
 }
 
-/// Connects and is let in.
+/// Connects and is let in; who comes back with the artificial delay as it was known.
 pub(crate) async fn join(
     link: &JoinLink,
     hello: Hello,
+    delay: Option<DelaySchedule>,
 ) -> Result<(ClientHandle, Box<Welcome>), ClientError> {
     let connection = connect(link).await?;
-    let session = ClientSession::new(hello, monotonic_now())?;
+    let mut session = ClientSession::new(hello, monotonic_now())?;
+    if let Some(delay) = delay {
+        session.go_on_with(delay);
+    }
     let mut handle = spawn_client(connection, session, monotonic_now);
     loop {
         match handle.events.recv().await {
@@ -289,5 +321,27 @@ async fn watch_signals(stop: Arc<AtomicBool>) {
 async fn watch_signals(stop: Arc<AtomicBool>) {
     if tokio::signal::ctrl_c().await.is_ok() {
         stop.store(true, Ordering::Release);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_network_that_fails_ends_the_session_and_one_that_ends_says_nothing() {
+        let inbox = Arc::new(Inbox::default());
+        drop(LastWord(Arc::clone(&inbox)));
+        assert!(inbox.take().is_empty());
+        let word = LastWord(Arc::clone(&inbox));
+        let failed = std::thread::spawn(move || {
+            let _word = word;
+            panic!("a test");
+        });
+        assert!(failed.join().is_err());
+        assert!(matches!(
+            inbox.take().pop_back(),
+            Some(ClientEvent::Closed(CloseReason::ConnectionLost(_)))
+        ));
     }
 }

@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 
 use palpate_protocol::operation::{Operation, OperationKind};
-use palpate_protocol::request::{Request, RequestKind};
+use palpate_protocol::request::{Request, RequestKind, RequestRefusal, RequestRefused};
 use palpate_protocol::session::ClientEvent;
 use palpate_protocol::{OperationId, ParticipantId, RequestId};
 
@@ -47,6 +47,13 @@ impl Requests {
             self.open.push_back(request.clone());
         }
         request
+    }
+
+    /// Whether a refusal is of something whose loss a person would feel. That a report was refused because of
+    /// too many requests is nobody's concern: the next one tells more.
+    pub fn is_felt(&self, refused: &RequestRefused) -> bool {
+        refused.reason == RequestRefusal::TopologyDiffers
+            || self.open.iter().any(|r| r.id == refused.id)
     }
 
     /// Notes what is an answer.
@@ -99,7 +106,7 @@ pub(crate) fn is_felt(kind: &RequestKind) -> bool {
 #[cfg(test)]
 mod tests {
     use palpate_protocol::operation::CutStroke;
-    use palpate_protocol::request::{CutRequest, RequestRefusal, RequestRefused};
+    use palpate_protocol::request::CutRequest;
     use palpate_protocol::{ServerTime, TopologyHash};
     use proptest::prelude::*;
 
@@ -157,6 +164,18 @@ mod tests {
         assert_eq!(requests.number(cut()).id, RequestId(2));
         assert_eq!(requests.unanswered().len(), 1);
         assert_eq!(requests.give_up(), 1);
+    }
+
+    #[test]
+    fn a_refused_report_is_told_only_where_it_says_that_the_copy_differs() {
+        let mut requests = Requests::new(ME);
+        let hash = TopologyHash(0);
+        let report = requests.number(RequestKind::TopologyReport { version: 0, hash });
+        let cut = requests.number(cut());
+        let refusal = |id, reason| RequestRefused { id, reason };
+        assert!(!requests.is_felt(&refusal(report.id, RequestRefusal::TooMany)));
+        assert!(requests.is_felt(&refusal(report.id, RequestRefusal::TopologyDiffers)));
+        assert!(requests.is_felt(&refusal(cut.id, RequestRefusal::TooMany)));
     }
 
     proptest! {

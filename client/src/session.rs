@@ -69,6 +69,9 @@ impl Session<'_> {
             if let Some(sentence) = &progress.notice {
                 self.status.say(sentence);
             }
+            if self.network.is_broken() {
+                return Ending::Panicked("network");
+            }
             match progress.end {
                 Some(End::Closed(reason)) => return Ending::Closed(reason),
                 Some(End::Diverged(detail)) => return Ending::Diverged(detail),

@@ -140,6 +140,8 @@ pub struct Site {
     view_news: VecDeque<ViewNews>,
     /// What the topology must be when the log of the beginning is applied.
     expected: Option<(u32, TopologyHash)>,
+    /// The newest topology of which the server was not told.
+    unreported: Option<(u32, TopologyHash)>,
     strokes: Option<StrokeCollector>,
     started: Option<ServerTime>,
     requests: VecDeque<RequestKind>,
@@ -179,6 +181,7 @@ impl Site {
             ready: VecDeque::new(),
             view_news: VecDeque::new(),
             expected: Some((welcome.topology_version, welcome.topology_hash)),
+            unreported: None,
             strokes: blade_length_m.map(StrokeCollector::new),
             started: welcome.session_started_at,
             requests: VecDeque::new(),
@@ -242,7 +245,7 @@ impl Site {
                     self.view_news.push_back(news);
                 }
             }
-            ClientEvent::Clock(map) => self.clock = Some(map),
+            ClientEvent::Clock(map) => self.take_clock(map, now),
             ClientEvent::LinkLost => self.notice("nothing comes from the server".to_owned()),
             ClientEvent::LinkRestored => self.notice("the server is back".to_owned()),
             ClientEvent::Closed(reason) => self.closed = Some(reason),

@@ -355,7 +355,11 @@ impl Turns {
         let budget = hand_budget(&mut stop);
         let buttons = (sample.buttons.bits() & 0xff) as u8;
         let pose = sample.pose;
-        if let Some(model) = self.work.site.haptic_step(began, pose, buttons, budget) {
+        let is_believed = !self.link_lost && !self.work.site.is_resyncing();
+        if let Some(mut model) = self.work.site.haptic_step(began, pose, buttons, budget) {
+            if !is_believed {
+                take_away(&mut model);
+            }
             hand.models.write(model);
             record_time(&mut self.haptic_us, began);
         }
@@ -459,6 +463,12 @@ impl Turns {
     }
 }
 
+/// Takes away what the hand would feel of a copy that is being made anew, or of which the server has not been
+/// heard. The main thread tells the force loop so too, but it may wait for whoever reads its sentences.
+fn take_away(model: &mut ContactModel) {
+    *model = ContactModel::free_at(model.solved_at, model.topology_version);
+}
+
 /// Of how many points of a grid of `tick_hz` one is recorded.
 pub(crate) fn record_every(tick_hz: u32) -> i64 {
     i64::from(tick_hz.div_ceil(VIEW_HZ).max(1))
@@ -474,5 +484,27 @@ fn percentiles(us: &Histogram<u32>) -> SolveTimes {
     SolveTimes {
         p50: ms(0.5),
         p99: ms(0.99),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use palpate_haptics::Touch;
+
+    use super::*;
+
+    #[test]
+    fn of_a_copy_that_is_not_believed_the_hand_feels_nothing() {
+        let mut model = ContactModel::single(Touch {
+            touches: true,
+            ..Touch::NONE
+        });
+        model.solved_at = ClientTime::from_micros(7);
+        model.topology_version = 3;
+        assert!(model.in_contact());
+        take_away(&mut model);
+        assert!(!model.in_contact());
+        assert_eq!(model.solved_at, ClientTime::from_micros(7));
+        assert_eq!(model.topology_version, 3);
     }
 }

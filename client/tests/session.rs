@@ -153,8 +153,10 @@ impl Fake {
 async fn serve(server: Server, manner: Manner, info: ModelInfo) {
     let since = Instant::now();
     let clock = move || ServerTime::from_micros(since.elapsed().as_micros() as i64 + 9_000_000);
+    // Dropped while its task still runs it would say goodbye.
+    let mut _lost = None;
     if manner == Manner::LosesIt {
-        lose(&server, info, clock).await;
+        _lost = Some(lose(&server, info, clock).await);
     }
     if matches!(manner, Manner::Lies | Manner::Errs) {
         lie(&server, info, clock).await;
@@ -225,7 +227,7 @@ async fn lose(
     server: &Server,
     info: ModelInfo,
     clock: impl Fn() -> ServerTime + Copy + Send + 'static,
-) {
+) -> PeerHandle {
     let connection = server.accept().await.unwrap();
     let (sender, mut inbox) = mpsc::channel(4096);
     // What runs here ends in the middle of whatever it does.
@@ -249,6 +251,7 @@ async fn lose(
         }
     }
     breakable.shutdown_background();
+    peer
 }
 
 /// Tells the first client of a cut that makes another topology, until it goes.

@@ -380,6 +380,11 @@ pub enum RefusalReason {
     /// The session ends or the server stops.
     #[error("the server is closing the session; try again later")]
     Closing,
+    /// So much has been done in the session that nobody can be told it all any more.
+    #[error(
+        "the session's log is full, and nobody can join or come back any more; ask the host to save the tissue as a model and to begin a new session with it"
+    )]
+    LogFull,
 }
 
 /// Whether a name can be shown: 1 to [`NAME_MAX_BYTES`] bytes, no control characters, not only

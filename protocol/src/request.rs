@@ -148,4 +148,9 @@ pub enum RequestRefusal {
         "your tool is lifted, because your network needs more delay than the session allows; it comes back by itself when the network has recovered"
     )]
     Demoted,
+    /// So much has been done in the session that newcomers could not be told more.
+    #[error(
+        "the session's log is full; ask the host to save the tissue as a model and to begin a new session with it"
+    )]
+    LogFull,
 }

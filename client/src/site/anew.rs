@@ -73,6 +73,10 @@ impl Site {
         now: ClientTime,
     ) -> Result<(), SiteError> {
         let Err(error) = result else { return Ok(()) };
+        if self.anew == Anew::Asked && !matches!(error, SiteError::Thread(_)) {
+            // The copy that this is about is given up already, and a new one asked for.
+            return Ok(());
+        }
         if matches!(error, SiteError::Thread(_) | SiteError::Again(_)) {
             return Err(error);
         }
@@ -161,6 +165,7 @@ impl Site {
         (self.first_view, self.made_up) = (None, None);
         self.deferred = VecDeque::new();
         self.is_detached = false;
+        self.unreported = None;
         self.to_make = VecDeque::new();
         self.ready = VecDeque::new();
         self.view_news = VecDeque::new();

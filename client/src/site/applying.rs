@@ -13,6 +13,12 @@ impl Site {
         match self.moment(now).filter(|_| !self.is_resyncing()) {
             Some((s, _)) => {
                 let result = self.apply_until(Some(s), now);
+                let is_all = result.is_ok() && self.deferred.front().is_none_or(|o| o.at > s);
+                // One report for all that was due: the server takes fifty requests in a second, and who comes
+                // back to a hundred cuts is to have some left for what the hand asks.
+                if let Some((version, hash)) = self.unreported.take_if(|_| is_all) {
+                    self.report_topology(version, hash);
+                }
                 self.or_anew(result, now)
             }
             None => Ok(()),
@@ -57,7 +63,8 @@ impl Site {
                 self.counters.cuts += 1;
                 if self.expected.is_none() {
                     // That they are one's own was compared just now.
-                    self.report_topology(operation.topology_version_after, operation.hash_after);
+                    self.unreported =
+                        Some((operation.topology_version_after, operation.hash_after));
                 }
                 "cut"
             }

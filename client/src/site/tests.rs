@@ -435,3 +435,68 @@ fn the_hand_feels_others_between_the_points_of_the_grid() {
     assert!((at(&mut site, 70) - 70e-4).abs() < 1e-9);
     assert!(site.view_step(ms(70), budget()).is_none());
 }
+
+#[test]
+fn a_view_goes_on_at_once_when_a_clock_that_was_set_ahead_is_known_again() {
+    const HOURS_MS: i64 = 3 * 3_600_000;
+    let mut site = site(0);
+    site.handle_own(&own(1000, 0.01, false));
+    assert!(site.next_view(ms(1000)).is_some());
+    // Set ahead: until the session has found out, the old map leads hours ahead.
+    let ahead = |t: i64| t + HOURS_MS;
+    site.handle_own(&own(ahead(1004), 0.01, false));
+    let wrong = site.next_view(ms(ahead(1004))).expect("a view");
+    assert!(wrong.s > ServerTime::from_micros(HOURS_MS * 1000));
+    let map = ClockMap::exact(Span::from_millis(5000 - HOURS_MS));
+    tell(&mut site, ClientEvent::Clock(map), ahead(1400));
+    site.handle_own(&own(ahead(1400), 0.02, false));
+    let right = site.next_view(ms(ahead(1404))).expect("a view at once");
+    assert_eq!(right.s, ServerTime::from_micros(6_404_000));
+    let tool = right.tools.iter().find(|t| t.participant == ME);
+    assert!(tool.is_some_and(|t| !t.stale), "one's own tool goes on too");
+    assert!(site.next_view(ms(ahead(1408))).is_some());
+}
+
+#[test]
+fn a_copy_that_is_asked_for_anew_is_not_asked_for_twice() {
+    let mut site = site(0);
+    tell(&mut site, cut_of(TopologyHash(1)), 110);
+    site.advance(ms(120)).unwrap();
+    assert!(site.poll_rejoin().is_some());
+    let late = ReplicaError::Version {
+        operation: "operation 0".into(),
+        expected: 1,
+        found: 0,
+    };
+    assert_eq!(site.handle_broken(late, ms(130)), Ok(()));
+    assert_eq!(site.poll_rejoin(), None);
+}
+
+#[test]
+fn many_cuts_at_once_are_one_report_of_the_last() {
+    let mut topology = palpate_tissue::Topology::new(model());
+    let mut site = site(0);
+    for (id, y) in [0.0045, 0.0105, 0.0165].into_iter().enumerate() {
+        let ClientEvent::Operation(mut operation) = cut_of(TopologyHash(0)) else {
+            unreachable!()
+        };
+        let OperationKind::Cut(stroke) = &mut operation.kind else {
+            unreachable!()
+        };
+        for point in &mut stroke.points {
+            point.tip_m[1] = y;
+        }
+        palpate_tissue::cut(&mut topology, &crate::convert::tissue_stroke(stroke)).unwrap();
+        operation.id = OperationId(id as u64);
+        operation.topology_version_before = id as u32;
+        operation.topology_version_after = topology.version();
+        operation.hash_after = TopologyHash(topology.hash().0);
+        tell(&mut site, ClientEvent::Operation(operation), 110);
+    }
+    while site.poll_request().is_some() {}
+    site.advance(ms(120)).unwrap();
+    assert_eq!(site.counters().cuts, 3);
+    let requests: Vec<RequestKind> = std::iter::from_fn(|| site.poll_request()).collect();
+    let hash = TopologyHash(topology.hash().0);
+    assert_eq!(requests, [RequestKind::TopologyReport { version: 3, hash }]);
+}

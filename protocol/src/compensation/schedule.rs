@@ -58,7 +58,8 @@ impl Change {
 }
 
 /// Changes remembered, so that past moments can still be asked for. At the server's shortest
-/// period of 250 ms this is 16 s; older moments get the delay of the oldest remembered change.
+/// period, [`RAISE_PERIOD`](super::RAISE_PERIOD), this is 3.2 s; older moments get the delay of the
+/// oldest remembered change.
 const CHANGES_MAX: usize = 64;
 
 impl DelaySchedule {

@@ -3,8 +3,11 @@
 
 use super::tests::Pair;
 use crate::datagram::{Acknowledgement, Body, Datagram, Header, Memory, Tag};
-use crate::session::PeerEvent;
-use crate::{Epoch, ParticipantId, ServerTime, Span, ToolSample, ToolTrack};
+use crate::request::RequestKind;
+use crate::session::{EVENTS_MAX, PeerEvent};
+use crate::{
+    Epoch, LocalSample, ParticipantId, Pose, ServerTime, Span, ToolSample, ToolTrack, TopologyHash,
+};
 
 /// A session that stands.
 fn standing() -> Pair {
@@ -129,4 +132,33 @@ fn samples_that_are_seconds_old_are_counted_and_not_passed_on() {
     }
     assert_eq!((motion, pair.server.stats().noise.old - before), (1, 2));
     assert!(!pair.server.is_closed());
+}
+
+#[test]
+fn a_room_that_stands_still_loses_motion_and_no_request_and_throws_nobody_out() {
+    let mut pair = standing();
+    let hash = TopologyHash(0);
+    let report = RequestKind::TopologyReport { version: 0, hash };
+    pair.client.request(report.clone()).unwrap();
+    for _ in 0..EVENTS_MAX + 500 {
+        pair.now_us += 4000;
+        let (client, server) = (pair.client_now(), pair.server_now());
+        for i in 0..4 {
+            pair.client.send_motion(LocalSample {
+                time: client - Span::from_millis(3 - i),
+                pose: Pose::IDENTITY,
+                ..LocalSample::default()
+            });
+        }
+        while let Some(bytes) = pair.client.poll_datagram(client) {
+            pair.server.handle_datagram(&bytes, server);
+        }
+        while let Some(bytes) = pair.client.poll_stream() {
+            pair.server.handle_stream(&bytes, server);
+        }
+    }
+    assert!(!pair.server.is_closed());
+    let events: Vec<PeerEvent> = std::iter::from_fn(|| pair.server.poll_event()).collect();
+    assert_eq!(events.len(), EVENTS_MAX);
+    assert!(matches!(&events[0], PeerEvent::Request(r) if r.kind == report));
 }

@@ -1,6 +1,8 @@
 //! The client's end of a session.
 
 mod outgoing;
+mod returns;
+mod step;
 
 use std::collections::VecDeque;
 
@@ -86,6 +88,7 @@ pub struct ClientSession {
     last_request: u32,
     /// Where the log may go on for who takes a seat again.
     resumes_at: Option<OperationId>,
+    known_delay: Option<DelaySchedule>,
     started: ClientTime,
     heard: ClientTime,
     link_lost: bool,
@@ -121,6 +124,7 @@ impl ClientSession {
             events: VecDeque::new(),
             last_request: 0,
             resumes_at,
+            known_delay: None,
             started: now,
             heard: now,
             link_lost: false,
@@ -132,6 +136,7 @@ impl ClientSession {
 
     /// Bytes of the operations stream, in any pieces.
     pub fn handle_stream(&mut self, bytes: &[u8], now: ClientTime) {
+        self.follow_clock(now);
         if let Err(error) = self.read_stream(bytes, now) {
             self.close(CloseReason::Violation(error));
         }
@@ -216,11 +221,12 @@ impl ClientSession {
             });
         }
         self.link.open(welcome.epoch, welcome.participant);
+        let schedule = self.schedule_after(&welcome);
         self.state = State::Joined(Box::new(Joined {
             participant: welcome.participant,
             next_operation: first,
             catch_up: welcome.operations_so_far,
-            schedule: DelaySchedule::new(&welcome.compensation),
+            schedule,
             newest_shown: Vec::new(),
             news_at: now,
         }));
@@ -279,6 +285,7 @@ impl ClientSession {
 
     /// One datagram. Noise is counted and otherwise ignored.
     pub fn handle_datagram(&mut self, bytes: &[u8], now: ClientTime) {
+        self.follow_clock(now);
         let Some(datagram) = self.link.accept(bytes) else {
             return;
         };
@@ -287,11 +294,7 @@ impl ClientSession {
             Body::Motion(tracks) => self.handle_motion(&datagram.header, tracks, now),
             Body::Corrections(c) => self.emit(ClientEvent::Corrections(c)),
             Body::Displacements(d) => self.emit(ClientEvent::Displacements(d)),
-            Body::Reply(reply) => {
-                if let Some(map) = self.clock.handle_reply(reply, now) {
-                    self.emit(ClientEvent::Clock(map));
-                }
-            }
+            Body::Reply(reply) => self.handle_reply(reply, now),
             Body::Delays(list) => self.emit(ClientEvent::Delays(list)),
             Body::Probe(_) => self.link.count_misdirected(),
         }
@@ -352,6 +355,7 @@ impl ClientSession {
 
     /// Call when the time of [`poll_timeout`](Self::poll_timeout) has come; earlier does no harm.
     pub fn handle_timeout(&mut self, now: ClientTime) {
+        self.follow_clock(now);
         match &self.state {
             State::Closed => {}
             State::Preamble(_) | State::Hello => {

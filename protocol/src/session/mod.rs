@@ -57,8 +57,8 @@ pub const STREAM_BACKLOG_MAX_BYTES: usize = 32 * 1024 * 1024;
 /// The most datagrams that may wait in one session; beyond, the oldest is dropped and counted.
 pub const DATAGRAM_BACKLOG_MAX: usize = 64;
 
-/// The most events that may wait in one session between two drains; a peer that causes more is
-/// closed.
+/// The most events that may wait in one session between two drains. Beyond it motion makes room; a peer
+/// that causes more of what must not get lost is closed.
 pub const EVENTS_MAX: usize = 4096;
 
 /// Why a session is over.
@@ -165,6 +165,8 @@ pub enum PeerDatagram {
 
 #[cfg(test)]
 mod bad_peer_tests;
+#[cfg(test)]
+mod set_clock_tests;
 #[cfg(test)]
 mod states;
 #[cfg(test)]

@@ -43,6 +43,11 @@ impl MotionBatch {
             .iter()
             .all(|x| x.abs() <= POSITION_MAX_M)
             && (0.9..1.1).contains(&norm);
+        if (self.kept.back()).is_some_and(|last| last.time - sample.time > STALE) {
+            // The clock was set back. What it stamped before would hold up all that comes.
+            self.stale += std::mem::take(&mut self.unsent);
+            self.kept.clear();
+        }
         let ordered = self.kept.back().is_none_or(|last| last.time < sample.time);
         if !in_range || !ordered {
             return false;

@@ -448,6 +448,13 @@ impl ServerPeer {
             return;
         }
         if self.events.len() == EVENTS_MAX {
+            // Motion makes room, the oldest first: a room that stands still is not its peers' fault.
+            let lossy = |e: &PeerEvent| matches!(e, PeerEvent::Motion(_) | PeerEvent::Delay(_));
+            if let Some(i) = self.events.iter().position(lossy) {
+                self.events.remove(i);
+                self.events.push_back(event);
+                return;
+            }
             let limit = EVENTS_MAX;
             let error = ProtocolError::TooLarge {
                 what: "event queue",

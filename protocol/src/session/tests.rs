@@ -32,7 +32,7 @@ pub(super) struct Path {
     rng: Pcg64,
     delay_us: i64,
     jitter_us: i64,
-    loss: f64,
+    pub(super) loss: f64,
     stream_due: i64,
     order: u64,
     /// Datagrams and their bytes, for counting.
@@ -83,6 +83,8 @@ impl Path {
 /// A client, a server's peer and the link between them. The server's clock is 42 s ahead.
 pub(super) struct Pair {
     pub(super) now_us: i64,
+    /// By how much the client's clock was set.
+    pub(super) set_us: i64,
     pub(super) client: ClientSession,
     pub(super) server: ServerPeer,
     pub(super) up: Path,
@@ -116,6 +118,7 @@ impl Pair {
         };
         Self {
             now_us: 0,
+            set_us: 0,
             client: ClientSession::new(hello(), ClientTime::ZERO).unwrap(),
             server: ServerPeer::new(ServerTime::from_micros(OFFSET_US)),
             up: path(1),
@@ -126,7 +129,7 @@ impl Pair {
     }
 
     pub(super) fn client_now(&self) -> ClientTime {
-        ClientTime::from_micros(self.now_us)
+        ClientTime::from_micros(self.now_us + self.set_us)
     }
 
     pub(super) fn server_now(&self) -> ServerTime {
@@ -454,7 +457,7 @@ fn a_hello_without_a_name_is_refused_with_a_sentence() {
     );
 }
 
-fn returning(next: u64) -> ClientSession {
+pub(super) fn returning(next: u64) -> ClientSession {
     let seat = Resume {
         participant: ParticipantId(5),
         token: ResumeToken([0; 16]),

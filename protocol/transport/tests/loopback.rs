@@ -496,3 +496,58 @@ async fn a_session_goes_on_when_the_gateway_between_changes_its_port() {
     }
     panic!("no motion passes");
 }
+
+/// What a client of ours says first: enough to be let in, and then nothing is read.
+fn opening(name: &str) -> Vec<u8> {
+    let mut session = ClientSession::new(hello(name), ClientTime::ZERO).unwrap();
+    std::iter::from_fn(|| session.poll_stream())
+        .flatten()
+        .collect()
+}
+
+#[tokio::test]
+async fn who_is_refused_and_reads_nothing_does_not_keep_the_task() {
+    /// More than the windows of both ends take: 8 MB of names.
+    const OPERATIONS: u64 = 4000;
+    let (server, link) = serve();
+    let since = Instant::now();
+    let (sender, mut inbox) = mpsc::channel(64);
+    let mut deaf = connect(&link).await.unwrap();
+    deaf.write(&opening("deaf")).await.unwrap();
+    let connection = server.accept().await.unwrap();
+    let peer = spawn_peer(connection, PeerId(1), server_clock(since), sender.clone());
+    assert!(matches!(
+        next_input(&mut inbox).await.event,
+        PeerEvent::Hello(_)
+    ));
+    assert!(peer.send(welcome(1, OPERATIONS)));
+    for id in 0..OPERATIONS {
+        let PeerMessage::Operation(usual) = operation(id) else {
+            unreachable!()
+        };
+        let long = Operation {
+            kind: OperationKind::Joined {
+                participant: ParticipantId(2),
+                name: "n".repeat(2000),
+                role: Role::Spectator,
+                tool: None,
+            },
+            ..usual.as_ref().clone()
+        };
+        assert!(peer.send(PeerMessage::Operation(Arc::new(long))));
+    }
+    // No request begins like this.
+    deaf.write(&[0xff; 64]).await.unwrap();
+    assert!(matches!(
+        next_input(&mut inbox).await.event,
+        PeerEvent::Closed(CloseReason::Violation(_))
+    ));
+    // The connection stands, and nothing of it was read; the task ends nevertheless.
+    let ended = async {
+        while peer.send(operation(OPERATIONS)) {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    tokio::time::timeout(PATIENCE, ended).await.unwrap();
+    drop(deaf);
+}

@@ -11,6 +11,7 @@ mod authority;
 mod config;
 mod convert;
 mod fan_out;
+mod log;
 mod participant;
 mod pictures;
 mod room;

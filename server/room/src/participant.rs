@@ -57,6 +57,8 @@ pub(crate) struct Participant {
     /// log, so that it is lifted here in the view in which everybody lifts it.
     presses_from: ServerTime,
     lifted: Option<ServerTime>,
+    /// Until when it pressed before it was lifted last, and where it was: the view is D behind.
+    before: Option<(ServerTime, Timeline)>,
 }
 
 impl Participant {
@@ -86,18 +88,27 @@ impl Participant {
             demotion: Demotion::new(cap),
             presses_from: ServerTime::ZERO,
             lifted: None,
+            before: None,
         }
     }
 
-    /// The tool presses no more from a moment on.
+    /// The tool presses no more from a moment on. One that is lifted already stays so.
     pub(crate) fn lift(&mut self, at: ServerTime) {
-        self.lifted = Some(at);
+        if self.lifted.is_none() {
+            self.lifted = Some(at);
+            self.before = Some((at, std::mem::take(&mut self.timeline)));
+        }
     }
 
     /// The tool presses again from a moment on.
     pub(crate) fn set_down(&mut self, at: ServerTime) {
         (self.lifted, self.presses_from) = (None, at);
         self.timeline = Timeline::default();
+    }
+
+    /// Whether the tool presses nowhere, because its owner watches or is away.
+    pub(crate) fn is_lifted(&self) -> bool {
+        self.lifted.is_some()
     }
 
     /// The connection, while there is one.
@@ -113,9 +124,10 @@ impl Participant {
         matches!(self.place, Place::Away { until } if now >= until)
     }
 
-    /// Forgets where the tool was and how late its samples came: it presses no more until it is heard of.
-    pub(crate) fn forget_motion(&mut self) {
-        self.timeline = Timeline::default();
+    /// The connection is lost: the tool is lifted, and how late its samples came says nothing of the next
+    /// connection.
+    pub(crate) fn lose(&mut self, at: ServerTime) {
+        self.lift(at);
         self.delay = DelayEstimator::new(DelayRule::default());
         self.report = None;
     }
@@ -132,10 +144,13 @@ impl Participant {
     /// The parts of the tool as they press at a moment; none when it has none, nothing is known of it, it has
     /// been silent for too long, it is a blade that is cutting and so goes through, or it is lifted.
     pub(crate) fn pressing_at(&mut self, t: ServerTime) -> Vec<Tool> {
-        if t < self.presses_from || self.lifted.is_some_and(|lifted| t >= lifted) {
-            return Vec::new();
-        }
-        let known = self.tool.zip(self.timeline.at(t));
+        self.before.take_if(|(until, _)| t >= *until);
+        let shown = match &mut self.before {
+            Some((_, before)) => before.at(t),
+            None if self.lifted.is_some() || t < self.presses_from => None,
+            None => self.timeline.at(t),
+        };
+        let known = self.tool.zip(shown);
         let Some((description, shown)) = known.filter(|(_, shown)| !shown.stale) else {
             return Vec::new();
         };

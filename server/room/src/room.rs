@@ -21,6 +21,7 @@ use crate::asked::Repetition;
 use crate::authority::{Authority, TickReport};
 use crate::config::RoomConfig;
 use crate::fan_out::FanOut;
+use crate::log::Log;
 use crate::participant::Participant;
 use crate::pictures::Pictures;
 
@@ -29,10 +30,6 @@ const START_LEAD: Span = Span::from_millis(1000);
 
 /// Displacements are sent so often.
 const CORRECTION_PERIOD: Span = Span::from_millis(100);
-
-/// Most operations of one session; every newcomer is sent them all. Beyond it cuts are refused: the
-/// session is to be saved as a model of its own, and the artificial delay stays as it is.
-const OPERATIONS_MAX: usize = 16_000;
 
 /// One connection, as the shell numbers them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -58,7 +55,7 @@ pub struct Room {
     participants: BTreeMap<ParticipantId, Participant>,
     by_peer: BTreeMap<PeerKey, ParticipantId>,
     next_participant: u16,
-    log: Vec<Arc<Operation>>,
+    log: Log,
     schedule: DelaySchedule,
     group: GroupDelay,
     started_at: Option<ServerTime>,
@@ -86,7 +83,7 @@ impl Room {
             participants: BTreeMap::new(),
             by_peer: BTreeMap::new(),
             next_participant: 1,
-            log: Vec::new(),
+            log: Log::default(),
             schedule: DelaySchedule::new(&config.compensation),
             group: GroupDelay::new(&config.compensation),
             started_at: None,
@@ -188,10 +185,8 @@ impl Room {
         if author.demotion.is_demoted() {
             return Err(RequestRefusal::Demoted);
         }
-        if self.log.len() >= OPERATIONS_MAX {
-            return Err(RequestRefusal::CanNotCut(format!(
-                "the session has reached its limit of {OPERATIONS_MAX} operations"
-            )));
+        if !self.log.takes_work() {
+            return Err(RequestRefusal::LogFull);
         }
         let stroke = self.authority.cut(cut)?;
         self.cuts += 1;
@@ -214,6 +209,9 @@ impl Room {
         }
         if participant.demotion.is_demoted() {
             return Err(RequestRefusal::Demoted);
+        }
+        if !self.log.takes_work() {
+            return Err(RequestRefusal::LogFull);
         }
         participant.tool = Some(tool);
         self.append(
@@ -341,7 +339,7 @@ impl Room {
             // What somebody needed who is gone binds nobody.
             None => self.group.remove(ParticipantId::SERVER),
         }
-        if self.log.len() >= OPERATIONS_MAX {
+        if !self.log.takes_delay() {
             return;
         }
         if let Some(change) = self.group.poll_change(now, self.group.lead()) {

@@ -18,6 +18,7 @@ pub(super) struct Wants {
 impl ClientSession {
     /// The next datagram, made from what is newest now.
     pub fn poll_datagram(&mut self, now: ClientTime) -> Option<Vec<u8>> {
+        self.follow_clock(now);
         let State::Joined(joined) = &self.state else {
             return None;
         };

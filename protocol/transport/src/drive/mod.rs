@@ -36,6 +36,10 @@ const DATAGRAMS_PER_TURN: usize = 64;
 /// The figures are renewed this often.
 const STATS_PERIOD: Duration = Duration::from_millis(100);
 
+/// What a session that is over still has to say is sent for so long: a farewell over a bad network. Who
+/// reads nothing would otherwise keep the task, and as many bytes as a session may hold, for good.
+const FAREWELL_MAX: Duration = Duration::from_secs(2);
+
 /// A session state machine together with its clock.
 pub(crate) trait Machine: Send {
     type Event: Send;
@@ -83,7 +87,8 @@ enum Moved<C> {
     Time,
 }
 
-/// Runs until the session is over and its last event and bytes are delivered.
+/// Runs until the session is over, its last event delivered and its last bytes sent, as far as
+/// [`FAREWELL_MAX`] lasts for them.
 pub(crate) async fn drive<M: Machine>(
     mut machine: M,
     mut connection: Connection,
@@ -98,6 +103,7 @@ pub(crate) async fn drive<M: Machine>(
     let mut shell_is_there = true;
     let mut stream_is_open = true;
     let mut stats_at = tokio::time::Instant::now();
+    let mut closed_at = None;
     loop {
         while let Some(bytes) = machine.poll_datagram() {
             connection.send_datagram(bytes);
@@ -112,6 +118,10 @@ pub(crate) async fn drive<M: Machine>(
                 link: machine.stats(),
                 path: connection.stats(),
             });
+        }
+        if machine.is_closed() {
+            let since = closed_at.get_or_insert_with(tokio::time::Instant::now);
+            stream_is_open &= since.elapsed() < FAREWELL_MAX;
         }
         let unsent = !outgoing.is_empty() && stream_is_open;
         let untold = !pending.is_empty() && !events.is_closed();

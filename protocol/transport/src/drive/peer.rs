@@ -15,9 +15,9 @@ use tokio::sync::{mpsc, watch};
 use crate::connection::Connection;
 use crate::drive::{Commands, DriverStats, Machine, drive};
 
-/// Reliable messages that may wait for a peer's task: a log of that length at a late join. Beyond
-/// it the peer is closed.
-pub const RELIABLE_QUEUE_MAX: usize = 16_384;
+/// Reliable messages that may wait for a peer's task: the longest log that a room greets anybody with,
+/// 18,000 operations, and what else it says meanwhile. Beyond it the peer is closed.
+pub const RELIABLE_QUEUE_MAX: usize = 20_000;
 
 /// Datagrams that may wait for a peer's task; beyond it they are dropped and counted.
 pub const DATAGRAM_QUEUE_MAX: usize = 256;

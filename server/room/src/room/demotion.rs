@@ -22,7 +22,7 @@ use palpate_protocol::operation::{CompensationMode, OperationKind};
 use palpate_protocol::request::DelayReport;
 use palpate_protocol::{ParticipantId, ServerTime, Span};
 
-use super::{OPERATIONS_MAX, Room};
+use super::Room;
 use crate::participant::Participant;
 
 /// Between two judgements: as often as reports come.
@@ -94,8 +94,8 @@ impl Room {
             self.config.compensation.mode,
             CompensationMode::Adaptive { .. }
         );
-        // Without a cap nobody is beyond it. A full log stays as it is.
-        if !is_adaptive || self.log.len() >= OPERATIONS_MAX {
+        // Without a cap nobody is beyond it.
+        if !is_adaptive {
             return;
         }
         let ways = self.ways();
@@ -103,6 +103,10 @@ impl Room {
             let Some(participant) = self.participants.get_mut(&way.who) else {
                 continue;
             };
+            // A log that is full lifts no tool any more; who was lifted before still gets it back.
+            if !participant.demotion.is_demoted() && !self.log.takes_work() {
+                continue;
+            }
             let need = Span::from_micros(way.need(&ways));
             match participant.demotion.handle_wanted(need, now) {
                 Some(Verdict::Demote { wanted, cap }) => self.demote(way.who, wanted, cap, now),

@@ -5,9 +5,8 @@ use palpate_protocol::handshake::{
 };
 use palpate_protocol::operation::{CompensationSettings, LeaveReason, OperationKind};
 use palpate_protocol::session::{CloseReason, PeerMessage};
-use palpate_protocol::timeline::Timeline;
 use palpate_protocol::tool::ToolDescription;
-use palpate_protocol::{OperationId, ParticipantId, ServerTime};
+use palpate_protocol::{OperationId, ParticipantId, ProtocolError, ServerTime};
 
 use super::{Room, wire_hash};
 use crate::PeerKey;
@@ -37,6 +36,8 @@ impl Room {
         let seats = self.config.seats.min(SEATS_MAX);
         if !self.is_granted(hello) {
             Err(RefusalReason::BadGrant { role })
+        } else if !self.log.takes_seat() {
+            Err(RefusalReason::LogFull)
         } else if self.participants.len() >= usize::from(seats) || self.next_participant == u16::MAX
         {
             Err(RefusalReason::Full { seats })
@@ -74,7 +75,9 @@ impl Room {
                 && seat.resumed < RESUMES_MAX
                 && !seat.is_given_up(now)
         });
-        if is_theirs {
+        if is_theirs && !self.log.takes_seat() {
+            Err(RefusalReason::LogFull)
+        } else if is_theirs {
             Ok(())
         } else {
             Err(RefusalReason::NoSuchSeat)
@@ -121,18 +124,20 @@ impl Room {
         seat.resumed += 1;
         seat.asked.next_connection();
         let before = std::mem::replace(&mut seat.place, Place::Here(peer));
-        // What the dead connection may still have told of the tool does not go on with the new one.
-        // How late its samples come is still known: who is slow does not begin anew with every return.
-        seat.timeline = Timeline::default();
-        self.fan_out.remove(id);
+        if !seat.demotion.is_demoted() && seat.is_lifted() {
+            seat.set_down(now);
+        }
         if let Place::Here(old) = before {
+            // Nobody was told that the old connection is dead, so the tool goes on here as at every site,
+            // from what was heard last to what is heard next. How late its samples come is still known too.
             // A dead connection that nobody noticed yet. Its end, when it comes, is nobody's.
             self.by_peer.remove(&old);
             self.group.remove(id);
             let sentence = "you came back over another connection".to_owned();
             self.send(old, PeerMessage::Goodbye(sentence));
         }
-        // Who goes on does not read the changes of the delay again: it begins with the one in force.
+        // Who goes on does not read the changes of the delay again. It knows them, and where it does not it
+        // begins with the one in force.
         let mut compensation = self.config.compensation;
         if first > OperationId(0) {
             let in_force = self.schedule.delay_at(now).as_micros();
@@ -197,7 +202,7 @@ impl Room {
     fn greet(&mut self, peer: PeerKey, welcome: Welcome) {
         let first = usize::try_from(welcome.first_operation.0).unwrap_or(usize::MAX);
         self.send(peer, PeerMessage::Welcome(Box::new(welcome)));
-        let missing = self.log.get(first..).unwrap_or_default().to_vec();
+        let missing = self.log.since(first).to_vec();
         for operation in missing {
             self.send(peer, PeerMessage::Operation(operation));
         }
@@ -212,6 +217,10 @@ impl Room {
     ) {
         match reason {
             CloseReason::Left => self.give_up(who, LeaveReason::Left, now),
+            // What it was sent it did not take; that is no fault of what it sent.
+            CloseReason::Violation(ProtocolError::Backlog { .. }) => {
+                self.give_up(who, LeaveReason::TooSlow, now);
+            }
             CloseReason::Violation(_) => self.give_up(who, LeaveReason::Violation, now),
             CloseReason::Refused(_) | CloseReason::Goodbye(_) => {
                 self.give_up(who, LeaveReason::Removed, now);
@@ -230,7 +239,7 @@ impl Room {
         if let Place::Here(peer) = std::mem::replace(&mut seat.place, Place::Away { until }) {
             self.by_peer.remove(&peer);
         }
-        seat.forget_motion();
+        seat.lose(now);
         self.fan_out.remove(who);
         self.group.remove(who);
         self.append(who, OperationKind::Away { participant: who }, now);

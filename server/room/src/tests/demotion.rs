@@ -212,3 +212,35 @@ fn a_delay_that_is_fixed_sends_nobody_away() {
     }
     assert_eq!(room.demotion_count(), 0);
 }
+
+#[test]
+fn a_full_log_lifts_nobody_any_more_and_gives_back_what_was_lifted() {
+    let mut s = Session::of(&[(30, 30), (30, 30), (500, 500)]);
+    s.run_until(6000);
+    assert_eq!(s.lifted(), [ParticipantId(3)]);
+    // Requests come at any rate here; the session machine limits it.
+    for id in 1..=16_100 {
+        let request = Request {
+            id: RequestId(id),
+            kind: RequestKind::SetTool(ToolDescription::scalpel(0.008, 0.02)),
+        };
+        s.room
+            .handle_event(PeerKey(1), PeerEvent::Request(request), ms(6000));
+    }
+    s.run_until(6100);
+    assert_eq!(s.refusals.last(), Some(&RequestRefusal::LogFull));
+    assert_eq!(s.room.operation_count(), 16_000);
+    (s.movers[2].up_ms, s.movers[2].down_ms) = (30, 30);
+    let recovered = s.now_ms;
+    s.run_until(recovered + RESTORE_AFTER.as_micros() / 1000 + 6000);
+    assert_eq!(s.lifted(), [], "what is lifted comes back");
+    s.movers[1].up_ms = 900;
+    s.run_until(s.now_ms + 2 * DEMOTE_AFTER.as_micros() / 1000);
+    assert_eq!(s.lifted(), []);
+    let newcomer = hello("eve", Role::Trainee, ToolKind::Probe);
+    s.room.handle_event(PeerKey(9), newcomer, ms(s.now_ms));
+    let outputs = drain(&mut s.room);
+    assert_eq!(refusal(&outputs), None, "and newcomers are greeted");
+    let log = operations(&outputs, PeerKey(9));
+    assert_eq!(log.len(), s.room.operation_count());
+}

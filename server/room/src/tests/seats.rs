@@ -38,6 +38,16 @@ fn back(name: &str, resume: Resume) -> PeerEvent {
     })
 }
 
+fn probe_back(resume: Resume) -> PeerEvent {
+    let PeerEvent::Hello(hello) = hello("ann", Role::Trainee, ToolKind::Probe) else {
+        unreachable!()
+    };
+    PeerEvent::Hello(Hello {
+        resume: Some(resume),
+        ..hello
+    })
+}
+
 /// A session with Ann and her blade at peer 1 and Bob at peer 2; Ann's seat.
 fn two() -> (Room, Resume) {
     let mut room = room(1);
@@ -96,17 +106,51 @@ fn who_lost_the_connection_finds_number_role_tool_and_the_rest_of_the_log() {
     assert!(room.topology().0 >= 1, "her blade is hers again");
 }
 
-#[test]
-fn a_tool_stops_pressing_at_once_when_its_connection_is_lost() {
+/// Ann with a probe that has pressed for 200 ms; her seat. Sites remove a tool in the view of the moment
+/// of the log, and D is 20 ms.
+fn one_who_presses() -> (Room, Resume) {
     let mut room = room(1);
     let ann = hello("ann", Role::Trainee, ToolKind::Probe);
     room.handle_event(PeerKey(1), ann, ms(0));
-    room.handle_event(PeerKey(1), pressing(0, 100), ms(100));
-    let pressed = room.handle_tick(ms(101), &mut || false).unwrap();
+    let seat = seat_of(&drain(&mut room), PeerKey(1), None);
+    room.handle_event(PeerKey(1), pressing(0, 200), ms(200));
+    let pressed = room.handle_tick(ms(200), &mut || false).unwrap();
     assert_eq!(pressed.tools, 1);
-    room.handle_event(PeerKey(1), lost(), ms(102));
-    let after = room.handle_tick(ms(121), &mut || false).unwrap();
-    assert_eq!(after.tools, 0);
+    (room, seat)
+}
+
+#[test]
+fn a_tool_whose_connection_is_lost_presses_until_the_moment_of_the_log_is_seen() {
+    let (mut room, _) = one_who_presses();
+    room.handle_event(PeerKey(1), lost(), ms(210));
+    let before = room.handle_tick(ms(220), &mut || false).unwrap();
+    assert_eq!(before.tools, 1, "the view of 200 ms");
+    let after = room.handle_tick(ms(240), &mut || false).unwrap();
+    assert_eq!(after.tools, 0, "the view of 220 ms");
+}
+
+#[test]
+fn a_tool_that_comes_back_within_the_delay_takes_nothing_from_the_view_before() {
+    let (mut room, seat) = one_who_presses();
+    room.handle_event(PeerKey(1), lost(), ms(210));
+    room.handle_event(PeerKey(3), probe_back(seat), ms(212));
+    let before = room.handle_tick(ms(220), &mut || false).unwrap();
+    assert_eq!(before.tools, 1, "the view of 200 ms");
+    let away = room.handle_tick(ms(240), &mut || false).unwrap();
+    assert_eq!(away.tools, 0, "nothing was heard since");
+    room.handle_event(PeerKey(3), pressing(230, 250), ms(250));
+    let again = room.handle_tick(ms(260), &mut || false).unwrap();
+    assert_eq!(again.tools, 1);
+}
+
+#[test]
+fn a_tool_goes_on_pressing_when_its_owner_comes_over_another_connection() {
+    let (mut room, seat) = one_who_presses();
+    room.handle_event(PeerKey(3), probe_back(seat), ms(210));
+    for t in [220, 240] {
+        let report = room.handle_tick(ms(t), &mut || false).unwrap();
+        assert_eq!(report.tools, 1, "as at every site, who heard of no loss");
+    }
 }
 
 #[test]
@@ -211,6 +255,22 @@ fn who_left_or_broke_the_protocol_has_no_seat_to_come_back_to() {
         room.handle_event(PeerKey(3), back("ann", seat), ms(1100));
         assert_eq!(refusal(&drain(&mut room)), Some(RefusalReason::NoSuchSeat));
     }
+}
+
+#[test]
+fn who_does_not_take_what_is_sent_is_said_to_be_too_slow() {
+    let (mut room, _) = two();
+    let backlog = palpate_protocol::ProtocolError::Backlog { bytes: 2, limit: 1 };
+    let closed = PeerEvent::Closed(CloseReason::Violation(backlog));
+    room.handle_event(PeerKey(1), closed, ms(1000));
+    let to_bob = operations(&drain(&mut room), PeerKey(2));
+    assert_eq!(
+        to_bob.last().map(|o| o.kind.clone()),
+        Some(OperationKind::Left {
+            participant: ParticipantId(1),
+            reason: LeaveReason::TooSlow,
+        })
+    );
 }
 
 #[test]

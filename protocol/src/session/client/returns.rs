@@ -1,0 +1,51 @@
+//! What a session goes on with that takes a seat again.
+
+use super::ClientSession;
+use crate::compensation::DelaySchedule;
+use crate::handshake::Welcome;
+
+impl ClientSession {
+    /// Goes on with D as it was known before, if the log goes on too. A welcome only says where D is: a change
+    /// that was on its way when the connection broke is not in the log a second time, and D would stay
+    /// halfway until the next one.
+    pub fn go_on_with(&mut self, schedule: DelaySchedule) {
+        self.known_delay = Some(schedule);
+    }
+
+    /// D over time from a welcome on.
+    pub(super) fn schedule_after(&mut self, welcome: &Welcome) -> DelaySchedule {
+        let known = self.known_delay.take();
+        known
+            .filter(|_| welcome.first_operation.0 > 0)
+            .unwrap_or_else(|| DelaySchedule::new(&welcome.compensation))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::codec;
+    use crate::handshake::Preamble;
+    use crate::request::ServerMessage;
+    use crate::session::tests::{returning, welcome};
+    use crate::{ClientTime, ServerTime, Span};
+
+    #[test]
+    fn who_returns_goes_on_towards_the_delay_that_was_on_its_way() {
+        let at = |ms: i64| ServerTime::from_micros(ms * 1000);
+        let mut known = DelaySchedule::new(&welcome(0, 0).compensation);
+        known.handle_change(300_000, at(1000));
+        for (first, in_the_end_ms) in [(3, 300), (0, 150)] {
+            let mut client = returning(3);
+            client.go_on_with(known.clone());
+            let frame = ServerMessage::Welcome(Box::new(welcome(first, 3)));
+            client.handle_stream(&Preamble::OURS.to_bytes(), ClientTime::ZERO);
+            client.handle_stream(&codec::encode_frame(&frame).unwrap(), ClientTime::ZERO);
+            assert_eq!(
+                client.delay_at(at(60_000)),
+                Span::from_millis(in_the_end_ms),
+                "the log from {first}"
+            );
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! A client whose clock is set by hours in the middle of a session.
+
+use super::tests::Pair;
+use super::*;
+use crate::{LocalSample, Pose};
+
+const HOURS_US: i64 = 3 * 3_600_000_000;
+
+/// A session that has stood for two seconds, and whose clock is then set.
+fn set_by(us: i64) -> Pair {
+    let mut pair = Pair::new(1, 30_000, 5_000, 0.0);
+    pair.join(0);
+    moved(&mut pair, 2000);
+    pair.set_us = us;
+    pair.client_events.clear();
+    pair.server_events.clear();
+    pair
+}
+
+/// So many milliseconds with a hand that rests.
+fn moved(pair: &mut Pair, ms: i64) {
+    for _ in 0..ms {
+        let time = pair.client_now();
+        pair.client.send_motion(LocalSample {
+            time,
+            pose: Pose::IDENTITY,
+            ..LocalSample::default()
+        });
+        pair.step();
+    }
+}
+
+#[test]
+fn a_clock_that_is_set_by_hours_is_known_again_within_two_seconds() {
+    for us in [-HOURS_US, HOURS_US] {
+        let mut pair = set_by(us);
+        moved(&mut pair, 2000);
+        let map = pair.client.clock().expect("locked again");
+        let error = (map.to_server(pair.client_now()) - pair.server_now()).abs();
+        assert!(error <= map.error_bound(), "set by {us} µs: {error:?}");
+        assert!(error <= Span::from_millis(50), "set by {us} µs: {error:?}");
+    }
+}
+
+#[test]
+fn motion_of_a_hand_whose_clock_is_set_comes_with_the_right_time_again() {
+    for us in [-HOURS_US, HOURS_US] {
+        let mut pair = set_by(us);
+        moved(&mut pair, 2000);
+        pair.server_events.clear();
+        moved(&mut pair, 1000);
+        let mut batches = 0;
+        for event in std::mem::take(&mut pair.server_events) {
+            if let PeerEvent::Motion(samples) = event {
+                let age = pair.server_now() - samples.last().expect("no batch is empty").time;
+                assert!(
+                    (Span::ZERO..=Span::from_millis(1100)).contains(&age),
+                    "set by {us} µs: {age:?}"
+                );
+                batches += 1;
+            }
+        }
+        assert!(batches > 200, "set by {us} µs: {batches} batches");
+    }
+}
+
+#[test]
+fn a_server_that_falls_silent_after_the_clock_was_set_back_is_missed() {
+    let mut pair = set_by(-HOURS_US);
+    pair.steps(500);
+    pair.down.loss = 1.0;
+    pair.steps(1500);
+    assert!(pair.client_events.contains(&ClientEvent::LinkLost));
+}
