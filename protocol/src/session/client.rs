@@ -396,6 +396,11 @@ impl ClientSession {
         self.close(CloseReason::ConnectionLost(why));
     }
 
+    /// The server ended the session; only the end of the connection says so.
+    pub fn handle_goodbye(&mut self, sentence: String) {
+        self.close(CloseReason::Goodbye(sentence));
+    }
+
     /// Takes one sample of one's own tool, oldest first; they leave in batches of four. A sample
     /// that is not finite or out of range is refused and counted.
     pub fn send_motion(&mut self, sample: LocalSample) {

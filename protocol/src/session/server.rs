@@ -267,6 +267,11 @@ impl ServerPeer {
         self.close(CloseReason::ConnectionLost(why));
     }
 
+    /// The participant is gone for good; only the end of the connection says so.
+    pub fn handle_goodbye(&mut self) {
+        self.close(CloseReason::Left);
+    }
+
     /// The room produced more for this peer than its queue holds.
     pub fn handle_overflow(&mut self) {
         let limit = STREAM_BACKLOG_MAX_BYTES;

@@ -7,7 +7,7 @@ use quinn::{RecvStream, SendStream, VarInt};
 
 use crate::TransportError;
 use crate::client::socket_towards;
-use crate::error::in_words;
+use crate::error::{GOODBYE, in_words};
 use crate::rate_cap::RateCap;
 
 /// The longest reason that is sent when closing, bytes.
@@ -142,7 +142,16 @@ impl Connection {
 
     /// Closes with a reason for people, after what was written has arrived (or half a second has
     /// passed).
-    pub async fn close(mut self, reason: &str) {
+    pub async fn close(self, reason: &str) {
+        self.end(reason, 0).await;
+    }
+
+    /// The same, and the other side need not wait for this one to come back.
+    pub(crate) async fn close_for_good(self, reason: &str) {
+        self.end(reason, GOODBYE).await;
+    }
+
+    async fn end(mut self, reason: &str, code: u32) {
         if self.send.finish().is_ok() {
             let arrived = self.send.stopped();
             // The peer may be gone; then there is nobody to wait for.
@@ -153,7 +162,7 @@ impl Connection {
             end -= 1;
         }
         self.quic
-            .close(VarInt::from_u32(0), &reason.as_bytes()[..end]);
+            .close(VarInt::from_u32(code), &reason.as_bytes()[..end]);
         if let Some(endpoint) = self.endpoint.take() {
             let _ = tokio::time::timeout(Duration::from_millis(500), endpoint.wait_idle()).await;
         }

@@ -96,6 +96,18 @@ pub enum TransportError {
     Protocol(#[from] palpate_protocol::ProtocolError),
 }
 
+/// How an end of a connection says that it does not come back: the farewell on the stream may be lost with
+/// the stream. Any other end may be made good by a new connection.
+pub(crate) const GOODBYE: u32 = 1;
+
+/// Whether the other side ended a connection for good.
+pub(crate) fn is_goodbye(error: &quinn::ConnectionError) -> bool {
+    match error {
+        quinn::ConnectionError::ApplicationClosed(close) => close.error_code == GOODBYE.into(),
+        _ => false,
+    }
+}
+
 /// A connection's end in words for people.
 pub(crate) fn in_words(error: &quinn::ConnectionError) -> String {
     use quinn::ConnectionError as E;

@@ -13,6 +13,7 @@ use tokio::task::JoinHandle;
 
 use crate::config::{self, ALPN_BULK};
 use crate::connection::Connection;
+use crate::error::GOODBYE;
 use crate::identity::ServerIdentity;
 use crate::{TransportError, bulk};
 
@@ -85,7 +86,7 @@ impl Server {
     pub async fn close(&self, sentence: &str) {
         self.listener.abort();
         self.endpoint
-            .close(VarInt::from_u32(0), sentence.as_bytes());
+            .close(VarInt::from_u32(GOODBYE), sentence.as_bytes());
         let idle = self.endpoint.wait_idle();
         let _ = tokio::time::timeout(Duration::from_secs(2), idle).await;
     }

@@ -53,7 +53,11 @@ pub fn spawn_client(
     let (commands, command_receiver) = mpsc::channel(COMMANDS_MAX);
     let (event_sender, events) = mpsc::channel(EVENTS_MAX);
     let (stats_sender, stats) = watch::channel(DriverStats::default());
-    let machine = Client { session, clock };
+    let machine = Client {
+        session,
+        clock,
+        leaves: false,
+    };
     let task = tokio::spawn(drive(
         machine,
         connection,
@@ -72,6 +76,7 @@ pub fn spawn_client(
 struct Client<C> {
     session: ClientSession,
     clock: C,
+    leaves: bool,
 }
 
 impl<C: Fn() -> ClientTime + Send> Client<C> {
@@ -102,7 +107,12 @@ impl<C: Fn() -> ClientTime + Send> Machine for Client<C> {
         self.session.handle_disconnect(why);
     }
 
+    fn handle_goodbye(&mut self, sentence: String) {
+        self.session.handle_goodbye(sentence);
+    }
+
     fn handle_command(&mut self, command: Option<ClientCommand>) {
+        self.leaves |= matches!(command, Some(ClientCommand::Leave));
         match command {
             Some(ClientCommand::Motion(samples)) => {
                 for sample in samples {
@@ -124,6 +134,10 @@ impl<C: Fn() -> ClientTime + Send> Machine for Client<C> {
                 }
             }
         }
+    }
+
+    fn leaves(&self) -> bool {
+        self.leaves
     }
 
     fn poll_stream(&mut self) -> Option<Vec<u8>> {

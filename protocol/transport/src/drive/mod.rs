@@ -14,6 +14,7 @@ use palpate_protocol::session::LinkStats;
 use tokio::sync::{mpsc, watch};
 
 use crate::connection::{Connection, PathStats};
+use crate::error::is_goodbye;
 
 /// How a session does, as both layers see it.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -48,6 +49,8 @@ pub(crate) trait Machine: Send {
     fn handle_datagram(&mut self, bytes: &[u8]);
     fn handle_timeout(&mut self);
     fn handle_disconnect(&mut self, why: String);
+    /// The other side is done for good, and says so with the end of the connection.
+    fn handle_goodbye(&mut self, sentence: String);
     /// `None`: the shell has dropped its end.
     fn handle_command(&mut self, command: Option<Self::Command>);
     fn poll_stream(&mut self) -> Option<Vec<u8>>;
@@ -56,6 +59,8 @@ pub(crate) trait Machine: Send {
     /// Until the next timeout; `None` once closed.
     fn until_timeout(&self) -> Option<Duration>;
     fn is_closed(&self) -> bool;
+    /// Whether this side is done for good: it does not come back.
+    fn leaves(&self) -> bool;
     fn stats(&self) -> LinkStats;
 }
 
@@ -157,10 +162,13 @@ pub(crate) async fn drive<M: Machine>(
             Moved::Datagram(Err(why)) | Moved::Read(Err(why)) | Moved::Written(Err(why)) => {
                 stream_is_open = false;
                 // The connection knows better than its stream why it ended.
-                let why = datagrams
-                    .close_reason()
-                    .map_or(why, |e| crate::error::in_words(&e));
-                machine.handle_disconnect(why);
+                let reason = datagrams.close_reason();
+                let why = reason.as_ref().map_or(why, crate::error::in_words);
+                if reason.as_ref().is_some_and(is_goodbye) {
+                    machine.handle_goodbye(why);
+                } else {
+                    machine.handle_disconnect(why);
+                }
             }
             Moved::Command(command) => {
                 shell_is_there = command.is_some();
@@ -177,7 +185,12 @@ pub(crate) async fn drive<M: Machine>(
         link: machine.stats(),
         path: connection.stats(),
     });
-    connection.close("the session is over").await;
+    let sentence = "the session is over";
+    if machine.leaves() {
+        connection.close_for_good(sentence).await;
+    } else {
+        connection.close(sentence).await;
+    }
 }
 
 /// Moves events towards the shell as far as there is room.

@@ -170,6 +170,14 @@ impl<C: Fn() -> ServerTime + Send> Machine for Peer<C> {
         self.session.handle_disconnect(why);
     }
 
+    fn handle_goodbye(&mut self, _: String) {
+        self.session.handle_goodbye();
+    }
+
+    fn leaves(&self) -> bool {
+        false
+    }
+
     fn handle_command(&mut self, command: Option<PeerCommand>) {
         let now = (self.clock)();
         let result = match command {
