@@ -1,7 +1,7 @@
 //! The command line: `palpate-client join LINK` and `palpate-client devices`.
 
 use std::ffi::OsString;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -75,7 +75,8 @@ struct JoinArguments {
     /// What the simulated hand does, with or without a simulated device in it (a TOML file)
     #[arg(long, value_name = "FILE")]
     script: Option<PathBuf>,
-    /// A recorded motion for the device replay: what --record wrote, or a table of moments (.csv). The
+    /// A recorded motion for the device replay: what --record wrote (.json), or a table of moments (.csv) whose first line
+    /// names its columns, t_s (or time_s),x_m,y_m,z_m[,qw,qx,qy,qz][,buttons]: seconds, metres, a unit quaternion. The
     /// tool is that of --script then, or a ball of 8 mm radius
     #[arg(long, value_name = "FILE")]
     motion: Option<PathBuf>,
@@ -178,18 +179,28 @@ fn report(outcome: &Result<Summary, ClientError>, json: bool) -> ExitCode {
         } else {
             summary.to_string()
         };
-        if writeln!(std::io::stdout(), "{text}").is_err() {
-            return ExitCode::FAILURE;
+        let mut out = std::io::stdout().lock();
+        match writeln!(out, "{text}").and_then(|()| out.flush()) {
+            // A reader that has seen enough and closed its end is no mistake.
+            Err(e) if e.kind() != ErrorKind::BrokenPipe => {
+                complain(&format!("the summary can not be printed: {e}"));
+                return ExitCode::FAILURE;
+            }
+            _ => {}
         }
     }
     match outcome {
         Ok(_) => ExitCode::SUCCESS,
         Err(error) => {
-            // Nothing is left to be told if standard error is gone.
-            let _ = writeln!(std::io::stderr(), "palpate-client: {error}");
+            complain(&error.to_string());
             ExitCode::from(error.exit_code())
         }
     }
+}
+
+fn complain(sentence: &str) {
+    // Nothing is left to be told if standard error is gone.
+    let _ = writeln!(std::io::stderr(), "palpate-client: {sentence}");
 }
 
 #[cfg(test)]
