@@ -319,7 +319,19 @@ impl Outcome {
     }
 }
 
+/// What rows of figures say that was missed.
+fn missed_by<'a>(rows: impl IntoIterator<Item = &'a Value>) -> Vec<String> {
+    let missed = rows.into_iter().filter_map(|row| row["missed"].as_array());
+    let sentence = |what: &Value| what.as_str().map(str::to_owned);
+    missed.flatten().filter_map(sentence).collect()
+}
+
 impl Outcome {
+    /// Which limits were not kept, a sentence each; experiments without limits miss none.
+    pub fn missed(&self) -> Vec<String> {
+        missed_by([&self.figures])
+    }
+
     /// Writes charts, tables, and the figures as `name.json` into `dir`.
     pub fn write_all(&self, dir: &Path, name: &str) -> Result<(), String> {
         self.write(dir)?;

@@ -17,7 +17,7 @@ use palpate_tissue::{Material, Model, Topology, block};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use super::{Bench, Outcome, panel};
+use super::{Bench, Outcome, missed_by, panel};
 use crate::bench::on_threads;
 use crate::chart::{BLUE, Chart, GREEN, GREY, Line, ORANGE};
 use crate::disagreement::CoursePoint;
@@ -132,13 +132,19 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let mut figures = rows.first().cloned().unwrap_or_default();
     figures["experiment"] = json!("replicas");
     figures["nodes"] = json!(model.nodes.len());
+    let mut missed = missed_by(&rows);
     figures["networks"] = json!(rows);
     if let Some(n) = bench.real {
         let mut tally = real::sessions(bench, &model, &files, &networks[0], n, |sat, number| {
             compared(&model, &scripts, sat, &truth.courses, number)
         })?;
-        figures["real"] = tally.row(&networks[0]);
+        let row = tally.row(&networks[0]);
+        let in_real_time = missed_by([&row]).into_iter();
+        missed.extend(in_real_time.map(|what| format!("in real time: {what}")));
+        figures["real"] = row;
     }
+    figures["ok"] = json!(missed.is_empty());
+    figures["missed"] = json!(missed);
     Ok(Outcome {
         caption: "Two trainees press, cut and press again, in virtual time over emulated networks: distance of the \
                   shapes that they see at the same instant, and of what they feel from the same on one table."
