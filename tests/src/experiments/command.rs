@@ -232,13 +232,14 @@ pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
         (None, true) => None,
         (None, false) => Some(PathBuf::from(DIR)),
     };
-    out.as_deref().map_or(Ok(()), make_folder)?;
     let kept = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
     let mut progress = Progress::new();
     if let Some(name) = &recipe.model {
         progress.stage(&format!("preparing the model \"{name}\""));
     }
     let given = Given::load(&recipe, kept.path())?;
+    // After what is given, which may be refused, and before the work.
+    out.as_deref().map_or(Ok(()), make_folder)?;
     progress.stage(&format!("{}: {}", experiment.name, experiment.about));
     let mut told = |what: &str, share: f64| {
         progress.tick(&format!("{what}: {:3.0} %", share * 100.0));
