@@ -31,6 +31,10 @@ Examples:
   Figures for a program on standard output, everything else on standard error:
     palpate-client join LINK --script press.toml --duration 20 --json > run.json
 
+  With a recorded motion. The first line of a table names its columns: t_s,x_m,y_m,z_m[,qw,qx,qy,qz][,buttons], where t_s
+  may also be called time_s; seconds, metres, a unit quaternion:
+    palpate-client join LINK --motion hand.csv
+
   With the Touch, Inverse3, omega or Falcon that is plugged in:
     palpate-client join \"palpate://192.168.1.20:4433/trainee?cert=...&grant=...\"
 
@@ -75,9 +79,8 @@ struct JoinArguments {
     /// What the simulated hand does, with or without a simulated device in it (a TOML file)
     #[arg(long, value_name = "FILE")]
     script: Option<PathBuf>,
-    /// A recorded motion for the device replay: what --record wrote (.json), or a table of moments (.csv) whose first line
-    /// names its columns, t_s (or time_s),x_m,y_m,z_m[,qw,qx,qy,qz][,buttons]: seconds, metres, a unit quaternion. The
-    /// tool is that of --script then, or a ball of 8 mm radius
+    /// A recorded motion for the device replay: what --record wrote (.json), or a table of moments (.csv), whose columns
+    /// stand below. The tool is that of --script then, or a ball of 8 mm radius
     #[arg(long, value_name = "FILE")]
     motion: Option<PathBuf>,
     /// What of the tissue to be sent: full (tools and cuts; this machine computes the tissue) or thin (where its surface is,

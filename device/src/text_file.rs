@@ -47,7 +47,7 @@ pub fn read(path: &Path, bytes_max: u64) -> Result<String, TextFileError> {
     }
     String::from_utf8(text).map_err(|e| {
         let valid = &e.as_bytes()[..e.utf8_error().valid_up_to()];
-        let line = 1 + valid.iter().filter(|b| **b == b'\n').count();
+        let line = valid.split(|b| *b == b'\n').count();
         no_file(&format!("line {line} is no text in UTF-8"))
     })
 }

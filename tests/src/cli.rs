@@ -48,7 +48,7 @@ Network profiles: none, lan (0.3 ms), metro (5 ms), transatlantic (60 ms one way
   or a TOML file of your own, for which `palpate-lab profiles NAME` prints a beginning
 
 The exit code is 0 when all is well, 2 when the command line is wrong, 1 otherwise; for the demo, 1
-also when topology hashes differ, a process died, or the cut did not arrive.";
+also when topology hashes differ, a process died, the cut did not arrive, or a hand touched nothing.";
 
 const BENCHES: &str = "\
 Examples:
