@@ -1,7 +1,7 @@
 //! The command line: `palpate-client join LINK` and `palpate-client devices`.
 
 use std::ffi::OsString;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -30,6 +30,10 @@ Examples:
 
   Figures for a program on standard output, everything else on standard error:
     palpate-client join LINK --script press.toml --duration 20 --json > run.json
+
+  With a recorded motion. The first line of a table names its columns: t_s,x_m,y_m,z_m[,qw,qx,qy,qz][,buttons], where t_s
+  may also be called time_s; seconds, metres, a unit quaternion:
+    palpate-client join LINK --motion hand.csv
 
   With the Touch, Inverse3, omega or Falcon that is plugged in:
     palpate-client join \"palpate://192.168.1.20:4433/trainee?cert=...&grant=...\"
@@ -75,8 +79,8 @@ struct JoinArguments {
     /// What the simulated hand does, with or without a simulated device in it (a TOML file)
     #[arg(long, value_name = "FILE")]
     script: Option<PathBuf>,
-    /// A recorded motion for the device replay: what --record wrote, or a table of moments (.csv). The
-    /// tool is that of --script then, or a ball of 8 mm radius
+    /// A recorded motion for the device replay: what --record wrote (.json), or a table of moments (.csv), whose columns
+    /// stand below. The tool is that of --script then, or a ball of 8 mm radius
     #[arg(long, value_name = "FILE")]
     motion: Option<PathBuf>,
     /// What of the tissue to be sent: full (tools and cuts; this machine computes the tissue) or thin (where its surface is,
@@ -178,18 +182,28 @@ fn report(outcome: &Result<Summary, ClientError>, json: bool) -> ExitCode {
         } else {
             summary.to_string()
         };
-        if writeln!(std::io::stdout(), "{text}").is_err() {
-            return ExitCode::FAILURE;
+        let mut out = std::io::stdout().lock();
+        match writeln!(out, "{text}").and_then(|()| out.flush()) {
+            // A reader that has seen enough and closed its end is no mistake.
+            Err(e) if e.kind() != ErrorKind::BrokenPipe => {
+                complain(&format!("the summary can not be printed: {e}"));
+                return ExitCode::FAILURE;
+            }
+            _ => {}
         }
     }
     match outcome {
         Ok(_) => ExitCode::SUCCESS,
         Err(error) => {
-            // Nothing is left to be told if standard error is gone.
-            let _ = writeln!(std::io::stderr(), "palpate-client: {error}");
+            complain(&error.to_string());
             ExitCode::from(error.exit_code())
         }
     }
+}
+
+fn complain(sentence: &str) {
+    // Nothing is left to be told if standard error is gone.
+    let _ = writeln!(std::io::stderr(), "palpate-client: {sentence}");
 }
 
 #[cfg(test)]

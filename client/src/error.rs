@@ -80,6 +80,17 @@ pub enum ClientError {
     /// The system gave no thread, or no runtime for the network.
     #[error("the system did not start a thread: {0}")]
     System(#[from] std::io::Error),
+    /// There is no recording to be written there; told before anybody is bothered.
+    #[error(
+        "--record {} can not be written: {source}; name a file in a folder that is there and may be written to",
+        path.display()
+    )]
+    RecordPlace {
+        /// Where to.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
     /// The recording can not be written.
     #[error("the recording {} can not be written: {source}", path.display())]
     Record {
@@ -136,6 +147,7 @@ impl ClientError {
             | Self::Motion { .. }
             | Self::NoScript(_)
             | Self::ThinTool(_)
+            | Self::RecordPlace { .. }
             | Self::Device(_) => 2,
             _ => 1,
         }

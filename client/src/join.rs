@@ -1,5 +1,7 @@
 //! A run from the join link to the summary.
 
+use std::fs::OpenOptions;
+use std::path::Path;
 use std::sync::Arc;
 
 use palpate_device::HapticDevice;
@@ -31,6 +33,12 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
     let is_thin = options.subscription == Subscription::Thin;
     if is_thin && link.role.has_tool() {
         return Err(ClientError::ThinTool(link.role));
+    }
+    if let Some(path) = &options.record {
+        can_be_written(path).map_err(|source| ClientError::RecordPlace {
+            path: path.clone(),
+            source,
+        })?;
     }
     let guide = Guide::load(options, link.role)?;
     let mut held = None;
@@ -83,6 +91,25 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
     session.greet();
     let ending = session.supervise();
     session.finish(ending)
+}
+
+/// Whether a file can be written there, found by opening it. What is there stays as it is, and what is not is not
+/// left behind: a session that does not begin records nothing.
+fn can_be_written(path: &Path) -> std::io::Result<()> {
+    // A link to nothing is there too.
+    let was_there = path.symlink_metadata().is_ok();
+    let is_stream = path.metadata().is_ok_and(|m| !m.is_file() && !m.is_dir());
+    if is_stream {
+        // To open a pipe and close it again would end who reads it.
+        return Ok(());
+    }
+    let mut options = OpenOptions::new();
+    options.write(true).create(true).truncate(false);
+    options.open(path)?;
+    if was_there {
+        return Ok(());
+    }
+    std::fs::remove_file(path)
 }
 
 /// Opens the device that was asked for.
@@ -203,5 +230,46 @@ fn new_recording(options: &JoinOptions, welcome: &Welcome) -> Recording {
         participant: welcome.participant.0,
         role: welcome.role.word().to_owned(),
         ..Recording::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use palpate_protocol::Grant;
+    use palpate_protocol::handshake::Role;
+    use palpate_protocol::link::CertificateHash;
+
+    use super::*;
+
+    #[test]
+    fn a_recording_that_can_not_be_is_said_before_anybody_is_bothered() {
+        let dir = tempfile::tempdir().unwrap();
+        let link = JoinLink {
+            host: "127.0.0.1".into(),
+            // Nobody answers there.
+            port: 9,
+            role: Role::Spectator,
+            certificate: CertificateHash([0; 32]),
+            grant: Grant([0; 16]),
+        };
+        for place in [dir.path().to_owned(), dir.path().join("absent/run.json")] {
+            let mut options = JoinOptions::new(link.to_string(), "Ada".to_owned());
+            options.record = Some(place.clone());
+            let error = run(&options).unwrap_err();
+            assert_eq!(error.exit_code(), 2);
+            let said = error.to_string();
+            assert!(said.contains(&place.display().to_string()), "{said}");
+        }
+    }
+
+    #[test]
+    fn looking_whether_a_file_can_be_written_changes_none() {
+        let dir = tempfile::tempdir().unwrap();
+        let (old, new) = (dir.path().join("old"), dir.path().join("new"));
+        std::fs::write(&old, "kept").unwrap();
+        can_be_written(&old).unwrap();
+        can_be_written(&new).unwrap();
+        assert_eq!(std::fs::read_to_string(&old).unwrap(), "kept");
+        assert!(!new.exists());
     }
 }

@@ -26,6 +26,7 @@ mod motors;
 mod placed;
 mod sample;
 pub mod script;
+pub mod text_file;
 mod time;
 
 pub use device::{

@@ -1,6 +1,7 @@
 //! The command line of `palpate-server`.
 
 use std::ffi::OsString;
+use std::io::Write as _;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -11,6 +12,7 @@ use palpate_room::SEATS_MAX;
 use crate::export::Exports;
 use crate::host::{self, HostOptions};
 use crate::inspect::Picture;
+use crate::say::say;
 use crate::{ServerError, build, inspect, sample};
 
 /// Hosts shared haptic sessions: build a model, host it, send the join links.
@@ -123,7 +125,8 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     match execute(cli.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("palpate-server: {error}");
+            // Nobody is left to be told when standard error is gone.
+            let _ = writeln!(std::io::stderr(), "palpate-server: {error}");
             ExitCode::FAILURE
         }
     }
@@ -175,20 +178,6 @@ fn execute(command: Command) -> Result<(), ServerError> {
         Command::Host(args) => host::host(&options(args)?)?,
     }
     Ok(())
-}
-
-/// Prints a result. A reader that has seen enough and closed its end is no mistake.
-fn say(text: &str) -> Result<(), ServerError> {
-    use std::io::Write as _;
-    let mut out = std::io::stdout().lock();
-    let said = writeln!(out, "{text}").and_then(|()| out.flush());
-    match said {
-        Err(source) if source.kind() != std::io::ErrorKind::BrokenPipe => Err(ServerError::Io {
-            doing: "the result can not be printed".into(),
-            source,
-        }),
-        _ => Ok(()),
-    }
 }
 
 fn options(args: HostArgs) -> Result<HostOptions, ServerError> {

@@ -15,5 +15,6 @@ mod load;
 mod memory;
 mod picture;
 mod sample;
+mod say;
 
 pub use error::ServerError;

@@ -48,7 +48,7 @@ Network profiles: none, lan (0.3 ms), metro (5 ms), transatlantic (60 ms one way
   or a TOML file of your own, for which `palpate-lab profiles NAME` prints a beginning
 
 The exit code is 0 when all is well, 2 when the command line is wrong, 1 otherwise; for the demo, 1
-also when topology hashes differ, a process died, or the cut did not arrive.";
+also when topology hashes differ, a process died, the cut did not arrive, or a hand touched nothing.";
 
 const BENCHES: &str = "\
 Examples:
@@ -303,7 +303,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         .and_then(|report| give(&report, json)),
     };
     done.unwrap_or_else(|sentence| {
-        eprintln!("palpate-lab: {sentence}");
+        note(&format!("palpate-lab: {sentence}"));
         ExitCode::FAILURE
     })
 }
@@ -314,12 +314,22 @@ fn role_line(name: &str, args: &[OsString]) -> Vec<OsString> {
     std::iter::once(OsString::from(name)).chain(rest).collect()
 }
 
-/// Writes a line for whoever reads our standard output.
+/// Writes a line for whoever reads our standard output. A reader that has seen enough and closed its end is no
+/// mistake: what else there is to do is done.
 pub(crate) fn say(line: &str) -> Result<(), String> {
     let mut out = std::io::stdout().lock();
-    writeln!(out, "{line}")
-        .and_then(|()| out.flush())
-        .map_err(|e| format!("standard output can not be written: {e}"))
+    match writeln!(out, "{line}").and_then(|()| out.flush()) {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(format!("standard output can not be written: {e}"))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Writes a line for a person, beside the results.
+pub(crate) fn note(line: &str) {
+    // Nobody is left to be told when standard error is gone.
+    let _ = writeln!(std::io::stderr(), "{line}");
 }
 
 fn run_demo(arguments: DemoArguments) -> Result<ExitCode, String> {
@@ -352,7 +362,7 @@ fn run_demo(arguments: DemoArguments) -> Result<ExitCode, String> {
         say(&format!("\n{report}\n\n{DEFINITIONS}"))?;
     }
     if let Some(dir) = &options.report {
-        eprintln!("report and plots are in {}", dir.display());
+        note(&format!("report and plots are in {}", dir.display()));
     }
     Ok(if report.ok {
         ExitCode::SUCCESS
@@ -396,7 +406,7 @@ fn run_haptic_faults(arguments: &HapticFaultsArguments) -> Result<ExitCode, Stri
             let trial = kept(seed)?;
             let name = picture::write(&trial, dir)
                 .map_err(|e| format!("{} can not be written: {e}", dir.display()))?;
-            eprintln!("{}", dir.join(name).display());
+            note(&dir.join(name).display().to_string());
         }
     }
     Ok(if outcome.ok {

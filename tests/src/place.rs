@@ -36,6 +36,13 @@ const DEPTH_ENOUGH_M: f64 = 0.040;
 /// Distance of the two places where there is room for it.
 const SEPARATION_M: f64 = 0.055;
 
+/// A place is one to press along the middle's normal while the surface leans less than this there (cosine), and is no
+/// farther below the middle than it is beside it.
+const LEANS_COS: f64 = 0.6;
+
+/// How many distances of the two places are tried, from the one that is wished for down.
+const SEPARATIONS: usize = 16;
+
 /// Why there is no place to work.
 #[derive(Debug, thiserror::Error)]
 pub enum PlaceError {
@@ -64,6 +71,8 @@ pub struct Place {
     pub depth_m: f64,
     /// Lattice spacing of the model, m.
     pub spacing_m: f64,
+    /// How far the places are from the middle, m.
+    beside_m: f64,
     triangles: Vec<[Vec3; 3]>,
 }
 
@@ -287,7 +296,7 @@ impl Place {
             .map(|t| t.map(|n| topology.rest(n)))
             .filter(|t| (t[0] - middle).norm() < near)
             .collect();
-        Ok(Self {
+        let mut place = Self {
             middle,
             normal,
             u,
@@ -295,8 +304,28 @@ impl Place {
             clearance_m,
             depth_m,
             spacing_m: topology.model().spacing_m,
+            beside_m: 0.0,
             triangles,
-        })
+        };
+        place.beside_m = place.farthest_beside();
+        Ok(place)
+    }
+
+    /// The farthest from the middle, up to half of [`SEPARATION_M`], at which there is a surface on both sides that
+    /// faces the way the middle does. Around a handle, whose surface has no edge, it ends where its side falls away: a
+    /// hand that went on along the tangent pressed the air.
+    fn farthest_beside(&self) -> f64 {
+        let wished = SEPARATION_M * self.scale() / 2.0;
+        let step = wished / SEPARATIONS as f64;
+        let faces = |a: f64| {
+            self.hit(a, 0.0).is_some_and(|point| {
+                let below = (self.middle - point.at).dot(&self.normal);
+                point.normal.dot(&self.normal) >= LEANS_COS && below.abs() <= a.abs()
+            })
+        };
+        let tried = (1..=SEPARATIONS).rev().map(|k| step * k as f64);
+        let mut fits = tried.filter(|a| faces(*a) && faces(-a));
+        fits.next().unwrap_or(step)
     }
 
     /// How much room there is, 1 where a hand finds all it wants.
@@ -306,28 +335,30 @@ impl Place {
 
     /// Distance of the two places, m.
     pub fn separation_m(&self) -> f64 {
-        SEPARATION_M * self.scale()
+        2.0 * self.beside_m
     }
 
     /// The surface at `a` metres along u and `b` along v from the middle, seen along the normal;
     /// the tangent plane where there is none.
     pub fn surface(&self, a: f64, b: f64) -> SurfacePoint {
+        self.hit(a, b).unwrap_or(SurfacePoint {
+            at: self.middle + self.u * a + self.v * b,
+            normal: self.normal,
+        })
+    }
+
+    /// The surface there, where there is one.
+    fn hit(&self, a: f64, b: f64) -> Option<SurfacePoint> {
         let base = self.middle + self.u * a + self.v * b;
         let hit = self
             .triangles
             .iter()
             .filter_map(|t| height(t, &base, &self.normal).map(|h| (h, t)))
             .max_by(|x, y| x.0.total_cmp(&y.0));
-        match hit {
-            Some((h, [a, b, c])) => SurfacePoint {
-                at: base + self.normal * h,
-                normal: (b - a).cross(&(c - a)).normalize(),
-            },
-            None => SurfacePoint {
-                at: base,
-                normal: self.normal,
-            },
-        }
+        hit.map(|(h, [a, b, c])| SurfacePoint {
+            at: base + self.normal * h,
+            normal: (b - a).cross(&(c - a)).normalize(),
+        })
     }
 
     /// The surface there, with its normal averaged over a tool's radius.

@@ -3,7 +3,10 @@
 use std::io::{IsTerminal, Write, stderr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
+
+/// Where nothing can be rewritten in place, a line comes this often: a log says that all goes on, and stays short.
+const LINE_EVERY: Duration = Duration::from_secs(10);
 
 /// Shows stages and how far they are.
 #[derive(Debug)]
@@ -11,6 +14,8 @@ pub struct Progress {
     began: Instant,
     is_terminal: bool,
     shown: String,
+    /// When the last line was written.
+    said: Instant,
 }
 
 impl Progress {
@@ -20,21 +25,27 @@ impl Progress {
             began: Instant::now(),
             is_terminal: stderr().is_terminal(),
             shown: String::new(),
+            said: Instant::now(),
         }
     }
 
     /// A new stage begins.
     pub fn stage(&mut self, what: &str) {
         self.clear();
+        self.said = Instant::now();
         Self::write(&format!(
             "[{:5.1} s] {what}\n",
             self.began.elapsed().as_secs_f64()
         ));
     }
 
-    /// How far the stage is; rewritten in place, and only on a terminal.
+    /// How far the stage is; rewritten in place on a terminal, and a line now and then elsewhere.
     pub fn tick(&mut self, how_far: &str) {
-        if self.is_terminal && how_far != self.shown {
+        if !self.is_terminal {
+            if self.said.elapsed() >= LINE_EVERY {
+                self.stage(how_far);
+            }
+        } else if how_far != self.shown {
             self.clear();
             Self::write(&format!("          {how_far}"));
             how_far.clone_into(&mut self.shown);

@@ -39,7 +39,7 @@ pub struct Report {
     pub problems: Vec<String>,
     /// What a reader should know, one sentence each.
     pub notes: Vec<String>,
-    /// Whether all hashes are equal, nobody died and the cut arrived everywhere.
+    /// Whether all hashes are equal, nobody died, the cut arrived everywhere and every hand touched the tissue.
     pub ok: bool,
 }
 
@@ -201,7 +201,7 @@ impl ParticipantReport {
 }
 
 impl Report {
-    /// Looks for what must not be: hashes that differ, a cut that did not arrive.
+    /// Looks for what must not be: hashes that differ, a cut that did not arrive, a hand that touched nothing.
     pub fn judge(&mut self) {
         let server = &self.server;
         if self.cut.operations == 0 || server.topology_version == 0 {
@@ -217,6 +217,16 @@ impl Report {
                     p.topology_version,
                     server.topology_hash,
                     server.topology_version
+                ));
+            }
+        }
+        // Forces of air are right whatever the network does: without a contact nothing has been shown.
+        for p in self.participants.iter().filter(|p| p.ticks > 0) {
+            if p.summary.force_max_n == 0.0 {
+                self.problems.push(format!(
+                    "{} touched nothing: the largest force is 0 N; choose a model with more room around the middle of \
+                     its surface",
+                    p.name
                 ));
             }
         }

@@ -98,7 +98,9 @@ impl Sizes {
             blade_length: stroke_depth * BLADE_LENGTH_M / STROKE_DEPTH_M,
             hover: HOVER_M * scale.max(0.3),
             sway: 0.005 * scale,
-            beside: (BESIDE_M * scale).max(2.0 * place.spacing_m),
+            beside: (BESIDE_M * scale)
+                .min(place.separation_m() / 2.0)
+                .max(2.0 * place.spacing_m),
         }
     }
 }
@@ -237,6 +239,7 @@ fn upright(normal: &Vec3, along: &Vec3) -> UnitQuaternion<f64> {
 mod tests {
     use std::sync::Arc;
 
+    use palpate_device::Script;
     use palpate_device::script::WayPoint;
     use palpate_tissue::{Material, Model, Topology, Vec3, block, sample};
 
@@ -287,6 +290,33 @@ mod tests {
                 }
             }
             stroke_passes_through(&place, &scripts);
+            for script in [&scripts.holder, &scripts.cutter] {
+                presses_into_it(&topology, script);
+            }
+        }
+    }
+
+    /// Before and after the stroke the ball of the tool is at times nearer to the tissue than its radius.
+    fn presses_into_it(topology: &Topology, script: &Script) {
+        let radius = script.tool().radius_m;
+        let skin = topology.boundary().triangles.iter().flat_map(|triangle| {
+            let [a, b, c] = triangle.map(|n| topology.rest(n));
+            let shares = (0..=6).flat_map(|i| (0..=6 - i).map(move |j| (i, j)));
+            shares.map(move |(i, j)| {
+                a + (b - a) * (f64::from(i) / 6.0) + (c - a) * (f64::from(j) / 6.0)
+            })
+        });
+        let skin: Vec<Vec3> = skin.collect();
+        let ways = script.ways().iter().filter(|w| !w.button);
+        let end_s = script.end_s();
+        let (first, last): (Vec<&WayPoint>, _) = ways.partition(|w| w.t_s < 0.3 * end_s);
+        for presses in [first, last] {
+            let nearest = |w: &&WayPoint| {
+                let apart = skin.iter().map(|p| (p - w.position).norm());
+                apart.fold(f64::INFINITY, f64::min)
+            };
+            let nearest = presses.iter().map(nearest).fold(f64::INFINITY, f64::min);
+            assert!(nearest < radius, "{nearest} m is no contact at {radius} m");
         }
     }
 

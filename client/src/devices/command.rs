@@ -1,6 +1,6 @@
 //! `palpate-client devices`: list, test, calibrate, plot.
 
-use std::io::Write;
+use std::io::{ErrorKind, Write as _};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -85,16 +85,13 @@ enum Plotted {
 /// The command. Errors are said on standard error.
 pub(crate) fn run(arguments: DevicesArguments) -> ExitCode {
     let done = match arguments.command.unwrap_or(Command::List { json: false }) {
-        Command::List { json } => {
-            list(json);
-            Ok(())
-        }
+        Command::List { json } => list(json),
         Command::Test { device, json } => test(&device, json),
         Command::Calibrate { device } => calibrate(&device),
         Command::Plot {
             device: Plotted::FiveDof,
             output,
-        } => plot::five_dof(&output).map(|file| say(&format!("{}\n", file.display()))),
+        } => plot::five_dof(&output).and_then(|file| say(&format!("{}\n", file.display()))),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -110,8 +107,14 @@ pub(crate) fn run(arguments: DevicesArguments) -> ExitCode {
 type Done = Result<(), String>;
 
 /// Writes to standard output; a reader that went away wants no more.
-fn say(text: &str) {
-    let _ = std::io::stdout().write_all(text.as_bytes());
+fn say(text: &str) -> Done {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != ErrorKind::BrokenPipe => {
+            Err(format!("the result can not be printed: {e}"))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// A device that rests, or lies there.
@@ -125,7 +128,7 @@ fn at_rest(choice: &DeviceChoice) -> Result<Box<dyn HapticDevice>, String> {
     open(choice, &guide, ScriptStart::not_yet(), &sources).map_err(|e| e.to_string())
 }
 
-fn list(json: bool) {
+fn list(json: bool) -> Done {
     let sources = Sources::from_environment();
     let mut rows = Vec::new();
     for (kind, sentence) in DeviceKind::ALL {
@@ -163,9 +166,9 @@ fn list(json: bool) {
         });
     }
     if json {
-        say(&format!("{}\n", json!({ "devices": rows })));
+        say(&format!("{}\n", json!({ "devices": rows })))
     } else {
-        say(&rows.iter().filter_map(|r| r.as_str()).collect::<String>());
+        say(&rows.iter().filter_map(|r| r.as_str()).collect::<String>())
     }
 }
 
@@ -280,9 +283,9 @@ fn test(choice: &DeviceChoice, json: bool) -> Done {
     };
     let report = conformance::run(device.as_mut(), &mut clock, options);
     if json {
-        say(&format!("{}\n", as_json(kind, &report)));
+        say(&format!("{}\n", as_json(kind, &report)))?;
     } else {
-        say(&report.to_string());
+        say(&report.to_string())?;
     }
     if report.passed() {
         Ok(())
@@ -312,8 +315,7 @@ fn calibrate(choice: &DeviceChoice) -> Done {
     device.close();
     match state {
         Calibration::NotNeeded | Calibration::Done => {
-            say(&format!("{}: {}\n", kind.word(), calibration_word(state)));
-            Ok(())
+            say(&format!("{}: {}\n", kind.word(), calibration_word(state)))
         }
         Calibration::NeedsUser | Calibration::InProgress => Err(format!(
             "{} is {}; follow its maker's procedure, then try again",

@@ -43,6 +43,7 @@ use std::path::Path;
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
 
+use crate::text_file::{self, TextFileError};
 use crate::{Placement, Pose};
 
 pub use motion::ScriptPose;
@@ -268,18 +269,17 @@ impl Script {
     /// Reads a script file.
     pub fn load(path: &Path) -> Result<Self, ScriptError> {
         let name = || path.display().to_string();
-        let read = |source| ScriptError::Read {
-            path: name(),
-            source,
-        };
-        let bytes = std::fs::metadata(path).map_err(read)?.len();
-        if bytes > SCRIPT_BYTES_MAX {
-            return Err(ScriptError::TooLarge {
+        let text = text_file::read(path, SCRIPT_BYTES_MAX).map_err(|e| match e {
+            TextFileError::Read(source) => ScriptError::Read {
+                path: name(),
+                source,
+            },
+            TextFileError::TooLarge { bytes } => ScriptError::TooLarge {
                 path: name(),
                 bytes,
-            });
-        }
-        Self::from_toml(&std::fs::read_to_string(path).map_err(read)?)
+            },
+        })?;
+        Self::from_toml(&text)
     }
 
     /// What the hand holds.

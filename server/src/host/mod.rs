@@ -78,11 +78,10 @@ pub fn host(options: &HostOptions) -> Result<(), ServerError> {
                     .map(|&r| (r.word().to_owned(), link(r)))
                     .collect(),
             },
-        );
+        )
     };
     let summary = serve::serve(options, &identity, models, loaded.model, config, &announce)?;
-    summary::finish(options.json, &summary);
-    Ok(())
+    summary::finish(options.json, &summary)
 }
 
 /// What clients should call this machine: what the host said, the address it listens on, or the one

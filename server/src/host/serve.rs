@@ -65,14 +65,14 @@ struct Session {
     refused: Refused,
 }
 
-/// Serves one session. `announce` is told the address once it listens.
+/// Serves one session. `announce` is told the address once it listens; where it can not tell anybody, nothing is served.
 pub(super) fn serve(
     options: &HostOptions,
     identity: &ServerIdentity,
     models: ModelSource,
     model: Model,
     config: RoomConfig,
-    announce: &dyn Fn(SocketAddr),
+    announce: &dyn Fn(SocketAddr) -> Result<(), ServerError>,
 ) -> Result<HostSummary, ServerError> {
     let io = |doing: &str| {
         let doing = doing.to_owned();
@@ -103,7 +103,7 @@ pub(super) fn serve(
     };
     let server = Arc::new(server);
     let (joined, inbox) = accept(&network, Arc::clone(&server), began);
-    announce(server.local_addr());
+    announce(server.local_addr())?;
     // The room has a thread of its own, this one: the solver may use all of it.
     let here = tokio::runtime::Builder::new_current_thread()
         .enable_all()

@@ -1,11 +1,14 @@
 //! What a host prints: first where it listens, last how it went.
 
 use std::collections::BTreeMap;
-use std::io::Write as _;
+use std::fmt::Write as _;
 use std::net::SocketAddr;
 
 use palpate_transport::DriverStats;
 use serde::{Deserialize, Serialize};
+
+use crate::ServerError;
+use crate::say::say;
 
 /// The first object of `host --json`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -123,47 +126,42 @@ pub struct TickTimes {
 }
 
 /// Says where the session can be joined.
-#[allow(clippy::print_stdout)]
-pub(super) fn announce(json: bool, listening: &Listening) {
+pub(super) fn announce(json: bool, listening: &Listening) -> Result<(), ServerError> {
     if json {
-        println!("{}", serde_json::json!(listening));
-    } else {
-        println!(
-            "listening on {} with a model of {} nodes ({:.1} MB); end with Ctrl-C",
-            listening.listening,
-            listening.model.nodes,
-            listening.model.bytes as f64 / 1e6
-        );
-        for (role, link) in &listening.links {
-            println!("{role:>11}  {link}");
-        }
+        return say(&serde_json::json!(listening).to_string());
     }
-    // Who started us waits for this line.
-    let _ = std::io::stdout().flush();
+    let mut text = format!(
+        "listening on {} with a model of {} nodes ({:.1} MB); end with Ctrl-C",
+        listening.listening,
+        listening.model.nodes,
+        listening.model.bytes as f64 / 1e6
+    );
+    for (role, link) in &listening.links {
+        // Writing to a string can not fail.
+        let _ = write!(text, "\n{role:>11}  {link}");
+    }
+    say(&text)
 }
 
 /// Says how it went.
-#[allow(clippy::print_stdout)]
-pub(super) fn finish(json: bool, s: &HostSummary) {
+pub(super) fn finish(json: bool, s: &HostSummary) -> Result<(), ServerError> {
     if json {
-        println!("{}", serde_json::json!(s));
-    } else {
-        println!(
-            "{} after {:.1} s: {} participants, {} operations with {} cuts; {} ticks of \
-             {:.1} ms (p99 {:.1}, period {:.1}); topology {} (version {}), {} piece(s)",
-            s.ended,
-            s.seconds,
-            s.participants,
-            s.operations,
-            s.cuts,
-            s.ticks,
-            s.tick_ms.p50,
-            s.tick_ms.p99,
-            s.tick_period_ms,
-            s.topology_hash,
-            s.topology_version,
-            s.components
-        );
+        return say(&serde_json::json!(s).to_string());
     }
-    let _ = std::io::stdout().flush();
+    say(&format!(
+        "{} after {:.1} s: {} participants, {} operations with {} cuts; {} ticks of \
+         {:.1} ms (p99 {:.1}, period {:.1}); topology {} (version {}), {} piece(s)",
+        s.ended,
+        s.seconds,
+        s.participants,
+        s.operations,
+        s.cuts,
+        s.ticks,
+        s.tick_ms.p50,
+        s.tick_ms.p99,
+        s.tick_period_ms,
+        s.topology_hash,
+        s.topology_version,
+        s.components
+    ))
 }

@@ -91,6 +91,7 @@ pub struct Course {
     stream_us: [[i64; 2]; 2],
     probe_due_us: [i64; 2],
     report_due_us: [i64; 2],
+    arrived: u64,
     now_us: i64,
 }
 
@@ -122,6 +123,7 @@ impl Course {
             stream_us: [[0; 2]; 2],
             probe_due_us: [0; 2],
             report_due_us: [REPORT_US; 2],
+            arrived: 0,
             now_us: 0,
         }
     }
@@ -165,6 +167,11 @@ impl Course {
     /// How often each site has noticed that a clock was set.
     pub fn clock_steps(&self) -> [u64; 2] {
         [0, 1].map(|k| self.sites[k].clock.steps())
+    }
+
+    /// How many samples of a hand have come to the other site so far, both sites together.
+    pub fn arrived(&self) -> u64 {
+        self.arrived
     }
 
     fn shown(&mut self, now: i64) -> Option<Moment> {
@@ -289,7 +296,10 @@ impl Course {
             Parcel::PredictedDown(sample, newest) => {
                 self.sites[k].handle_predicted(sample, newest, at);
             }
-            Parcel::SamplesDown(samples) => self.sites[k].handle_samples(&samples, at),
+            Parcel::SamplesDown(samples) => {
+                self.arrived += samples.len() as u64;
+                self.sites[k].handle_samples(&samples, at);
+            }
             Parcel::ProbeUp(probe) => {
                 let reply = Reply {
                     id: probe.id,

@@ -149,6 +149,26 @@ impl Figures {
     }
 }
 
+/// Samples that arrived, of those that both hands make.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Arrivals {
+    /// At the other site, each once.
+    pub arrived: u64,
+    /// What the hands make in a session, a thousand per second.
+    pub of: u64,
+}
+
+impl Arrivals {
+    /// The share that has to arrive, 0 to 1: over the worst network with a name it is more than half, and with one of a
+    /// hundred what is shown is mostly what stands still.
+    const SHARE_MIN: f64 = 0.01;
+
+    /// Whether what the sites show can be compared.
+    pub fn are_enough(self) -> bool {
+        self.arrived as f64 >= Self::SHARE_MIN * self.of as f64
+    }
+}
+
 fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|k| a[k] - b[k])
 }
@@ -215,6 +235,23 @@ impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
         }
     }
 
+    /// How many samples of the two hands arrived at the other site. Counting ends with the first second in which
+    /// there are enough to be compared.
+    pub fn arrivals(&self) -> Arrivals {
+        let lasts_us = WARM_UP_US + COUNTED_US;
+        let of = 2 * (lasts_us / 1000) as u64;
+        let mut course = self.course(Mode::None);
+        let mut arrivals = Arrivals { arrived: 0, of };
+        for second in 1..=lasts_us / 1_000_000 {
+            course.run(i64::MAX, second * 1_000_000, &mut |_| {});
+            arrivals.arrived = course.arrived();
+            if arrivals.are_enough() {
+                break;
+            }
+        }
+        arrivals
+    }
+
     /// The figures of a mode.
     pub fn figures(&self, mode: Mode) -> Figures {
         Figures::of(&self.moments(mode))
@@ -222,7 +259,15 @@ impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
 
     /// The smallest fixed delay, whole milliseconds, that is safe; `None` when none is.
     pub fn smallest_safe_fixed_ms(&self) -> Option<u32> {
-        let safe = |ms| self.figures(Mode::Fixed(ms)).is_safe();
+        self.smallest_safe_fixed_ms_told(&mut |_| {})
+    }
+
+    /// The same; `told` is given each delay that is tried, milliseconds.
+    pub fn smallest_safe_fixed_ms_told(&self, told: &mut dyn FnMut(u32)) -> Option<u32> {
+        let mut safe = |ms| {
+            told(ms);
+            self.figures(Mode::Fixed(ms)).is_safe()
+        };
         let (mut low, mut high) = (0, 64);
         while !safe(high) {
             low = high + 1;

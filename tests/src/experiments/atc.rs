@@ -18,6 +18,9 @@ use rand_pcg::Pcg64;
 /// The network when none is asked for.
 const PROFILE: &str = "transatlantic";
 
+/// Sessions that one seed takes, about: those in search of a safe delay, and those that are compared.
+const SESSIONS: f64 = 12.0;
+
 /// Seconds drawn of what changes from packet to packet: more would be a solid bar.
 const DRAWN_S: f64 = 1.0;
 
@@ -62,6 +65,21 @@ fn alignment(
     alignment
 }
 
+/// Refuses a network over which nothing can be compared: figures of views that were never filled say that all is well.
+fn refuse_silence<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
+    alignment: &Alignment<W>,
+    network: &str,
+) -> Result<(), String> {
+    let arrivals = alignment.arrivals();
+    if arrivals.are_enough() {
+        return Ok(());
+    }
+    Err(format!(
+        "{} of {} samples arrived on {network}: nothing can be compared; choose a network with less delay and less loss",
+        arrivals.arrived, arrivals.of
+    ))
+}
+
 /// What came of one seed.
 struct Seen {
     safe_ms: Option<u32>,
@@ -82,8 +100,18 @@ impl Seen {
         alignment: &Alignment<W>,
         name: &str,
         network: &str,
+        told: &mut dyn FnMut(&str, f64),
     ) -> Result<Self, String> {
-        let safe_ms = alignment.smallest_safe_fixed_ms();
+        refuse_silence(alignment, network)?;
+        let mut tried = 0.0;
+        let safe_ms = alignment.smallest_safe_fixed_ms_told(&mut |ms| {
+            told(
+                &format!("trying a fixed delay of {ms} ms"),
+                tried / SESSIONS,
+            );
+            tried = f64::min(tried + 1.0, SESSIONS - 1.0);
+        });
+        told("aligning", tried / SESSIONS);
         let mode = match name {
             "none" => Mode::None,
             "fixed" => Mode::Fixed(safe_ms.ok_or_else(|| {
@@ -181,9 +209,12 @@ fn aligned(bench: &mut Bench<'_>, name: &str) -> Result<Outcome, String> {
     let seeds = bench.seeds.unwrap_or(1);
     let mut seen = Vec::new();
     for k in 0..seeds {
-        (bench.progress)("aligning", k as f64 / seeds as f64);
         let alignment = alignment(bench, &profile, bench.seed.wrapping_add(k));
-        let mut one = Seen::of(&alignment, name, &profile.name)?;
+        let mut told = |what: &str, share: f64| {
+            let what = format!("seed {} of {seeds}, {what}", k + 1);
+            (bench.progress)(&what, (k as f64 + share) / seeds as f64);
+        };
+        let mut one = Seen::of(&alignment, name, &profile.name, &mut told)?;
         if k > 0 {
             // Drawn is the first; a thousand times a minute of moments would be gigabytes.
             one.moments = Vec::new();
@@ -222,6 +253,7 @@ pub(super) fn transmission(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let profile = profile(bench)?;
     let alignment = alignment(bench, &profile, bench.seed);
     (bench.progress)("aligning", 0.0);
+    refuse_silence(&alignment, &profile.name)?;
     let (without, with) = both(&alignment);
     let age = |moments: &[Moment]| -> Vec<(f64, f64)> {
         moments.iter().map(|m| (m.time_s, m.age_ms)).collect()
@@ -269,6 +301,7 @@ pub(super) fn jitter(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let profile = profile(bench)?;
     let alignment = alignment(bench, &profile, bench.seed);
     (bench.progress)("aligning", 0.0);
+    refuse_silence(&alignment, &profile.name)?;
     let (without, with) = both(&alignment);
     let (without, with) = (shaking(&without), shaking(&with));
     let rms = |v: &[(f64, f64)]| {

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use super::recipe::Recipe;
+use super::recipe::{REAL_MAX, Recipe, SEEDS_MAX};
 use super::{ALL, Bench, Experiment, Outcome, named};
 use crate::bench::on_threads;
-use crate::cli::say;
+use crate::cli::{note, say};
 use crate::hand::Recorded;
 use crate::nearest::did_you_mean;
 use crate::network::Profile;
@@ -45,7 +45,8 @@ One JSON object comes with --json, and stands in NAME.json where --out says:
   transmission  {profile, seed, without_ms {mean, deviation}, with_ms {mean, deviation}}
   jitter        {profile, seed, without_um, with_um}
   replicas      {profile, seeds, shape_disagreement_mm {p50, p95, max}, force_error_rms, force_error_p95, hashes_equal,
-                bytes_per_s {up, down}, ok, networks [the same for each network]}
+                bytes_per_s {up, down}, ok, missed [a sentence for each limit that was not kept], networks [the same for
+                each network]}; thin and scale have ok and missed too, and the exit code is 1 where ok is false
   on tissue     {experiment, spots | cases | materials | paths [{..., deviation {largest, n, rms, worst}}]}: largest force
                 (N) or torque (N m), rms and worst deviation from the converged answer as shares of it
 Lengths end in _mm or _um, times in _ms, angles in _deg; shares are 0 to 1 unless they end in _percent.
@@ -70,10 +71,10 @@ pub struct RunArguments {
     #[arg(long)]
     seed: Option<u64>,
     /// How many sessions with seeds of their own, where the experiment tries several
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=SEEDS_MAX))]
     seeds: Option<u64>,
     /// Run so many sessions in real time as well, with processes and QUIC, where the experiment can
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=REAL_MAX))]
     real: Option<u64>,
     /// A network instead of the experiment's own ones: a name, or a file (.toml)
     #[arg(long)]
@@ -227,35 +228,54 @@ pub fn list() -> Result<ExitCode, String> {
 pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
     let (experiment, recipe) = arguments.recipe()?;
     refuse_idle(experiment, &recipe)?;
+    let out = match (&arguments.out, arguments.json) {
+        (Some(dir), _) => Some(dir.clone()),
+        (None, true) => None,
+        (None, false) => Some(PathBuf::from(DIR)),
+    };
     let kept = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
     let mut progress = Progress::new();
     if let Some(name) = &recipe.model {
         progress.stage(&format!("preparing the model \"{name}\""));
     }
     let given = Given::load(&recipe, kept.path())?;
+    // After what is given, which may be refused, and before the work.
+    out.as_deref().map_or(Ok(()), make_folder)?;
     progress.stage(&format!("{}: {}", experiment.name, experiment.about));
     let mut told = |what: &str, share: f64| {
         progress.tick(&format!("{what}: {:3.0} %", share * 100.0));
     };
     let outcome = made(experiment, given, kept.path(), &mut told)?;
-    let out = match (&arguments.out, arguments.json) {
-        (Some(dir), _) => Some(dir.clone()),
-        (None, true) => None,
-        (None, false) => Some(PathBuf::from(DIR)),
-    };
-    if let Some(dir) = &out {
-        outcome.write_all(dir, experiment.name)?;
-    }
     drop(progress);
+    // Figures first: a disk that is full takes nothing from who reads them here.
     if arguments.json {
         say(&outcome.figures.to_string())?;
     } else {
         say(&outcome.for_people())?;
     }
     if let Some(dir) = out {
-        eprintln!("figures, charts and tables are in {}", dir.display());
+        outcome.write_all(&dir, experiment.name)?;
+        note(&format!(
+            "figures, charts and tables are in {}",
+            dir.display()
+        ));
     }
-    Ok(ExitCode::SUCCESS)
+    let missed = outcome.missed();
+    if missed.is_empty() {
+        return Ok(ExitCode::SUCCESS);
+    }
+    Err(format!("not ok: {}", missed.join("; ")))
+}
+
+/// Makes the folder for what comes out, and looks whether files can be written there: after hours of work it is too late.
+pub(super) fn make_folder(dir: &Path) -> Result<(), String> {
+    let shown = dir.display();
+    if dir.is_file() {
+        return Err(format!("--out {shown} is a file, name a folder"));
+    }
+    std::fs::create_dir_all(dir)
+        .and_then(|()| tempfile::tempfile_in(dir).map(drop))
+        .map_err(|e| format!("--out {shown}: {e}; name a folder that can be written"))
 }
 
 /// One experiment on one thread, as the haptic path is measured.

@@ -326,6 +326,13 @@ impl Outcome {
     }
 }
 
+/// What rows of figures say that was missed.
+fn missed_by<'a>(rows: impl IntoIterator<Item = &'a Value>) -> Vec<String> {
+    let missed = rows.into_iter().filter_map(|row| row["missed"].as_array());
+    let sentence = |what: &Value| what.as_str().map(str::to_owned);
+    missed.flatten().filter_map(sentence).collect()
+}
+
 impl Outcome {
     /// What it shows, and its tables or, where none is short, its figures.
     pub fn for_people(&self) -> String {
@@ -339,6 +346,11 @@ impl Outcome {
             tables.join("\n")
         };
         format!("{}\n\n{}", self.caption, below.trim_end())
+    }
+
+    /// Which limits were not kept, a sentence each; experiments without limits miss none.
+    pub fn missed(&self) -> Vec<String> {
+        missed_by([&self.figures])
     }
 
     /// Writes charts, tables, and the figures as `name.json` into `dir`.

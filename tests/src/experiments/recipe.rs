@@ -12,12 +12,38 @@
 
 use std::path::Path;
 
-use serde::Deserialize;
+use palpate_device::text_file::{self, TextFileError};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer};
 
 use crate::nearest::with_nearest;
 
 /// The largest file that is read, bytes: it names an experiment and its options.
 const BYTES_MAX: u64 = 64 << 10;
+
+/// The most seeds that are tried, days of work; the command line has the same bounds.
+pub const SEEDS_MAX: u64 = 1_000_000;
+
+/// The most sessions in real time, a day of them.
+pub const REAL_MAX: u64 = 10_000;
+
+fn seeds<'de, D: Deserializer<'de>>(value: D) -> Result<Option<u64>, D::Error> {
+    between_one_and(SEEDS_MAX, value)
+}
+
+fn real<'de, D: Deserializer<'de>>(value: D) -> Result<Option<u64>, D::Error> {
+    between_one_and(REAL_MAX, value)
+}
+
+fn between_one_and<'de, D: Deserializer<'de>>(max: u64, value: D) -> Result<Option<u64>, D::Error> {
+    let n = u64::deserialize(value)?;
+    if (1..=max).contains(&n) {
+        return Ok(Some(n));
+    }
+    Err(D::Error::custom(format!(
+        "{n} is not a number from 1 to {max}"
+    )))
+}
 
 /// What is to be run, and with what.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
@@ -27,9 +53,11 @@ pub struct Recipe {
     pub experiment: String,
     /// Of everything that is left to chance.
     pub seed: Option<u64>,
-    /// How many seeds to try.
+    /// How many seeds to try, 1 to [`SEEDS_MAX`].
+    #[serde(default, deserialize_with = "seeds")]
     pub seeds: Option<u64>,
-    /// How many sessions in real time.
+    /// How many sessions in real time, 1 to [`REAL_MAX`].
+    #[serde(default, deserialize_with = "real")]
     pub real: Option<u64>,
     /// The network.
     pub profile: Option<String>,
@@ -43,18 +71,12 @@ impl Recipe {
     /// Reads one. Files that it names are looked for in its folder.
     pub fn load(path: &Path) -> Result<Self, String> {
         let shown = path.display();
-        let read = |e: std::io::Error| format!("{shown} can not be read: {e}; check its name");
-        let metadata = std::fs::metadata(path).map_err(read)?;
-        if metadata.is_dir() {
-            return Err(format!("{shown} is a folder; name a file in it"));
-        }
-        let bytes = metadata.len();
-        if bytes > BYTES_MAX {
-            return Err(format!(
-                "{shown} has {bytes} bytes; a file that names an experiment has at most {BYTES_MAX}"
-            ));
-        }
-        let text = std::fs::read_to_string(path).map_err(read)?;
+        let text = text_file::read(path, BYTES_MAX).map_err(|e| match e {
+            TextFileError::Read(why) => format!("{shown} can not be read: {why}"),
+            TextFileError::TooLarge { bytes } => {
+                format!("{shown} has {bytes} bytes; a file that names an experiment has at most {BYTES_MAX}")
+            }
+        })?;
         let mut recipe = Self::parse(&text).map_err(|e| format!("{shown}: {e}"))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let beside = |name: &mut String| {
@@ -104,6 +126,15 @@ mod tests {
             ("seed = 7\n", "experiment"),
             ("experiment = \"press\"\nseed = -1\n", "line 2"),
             ("experiment = press\n", "line 1"),
+            (
+                "experiment = \"replicas\"\nseeds = 0\n",
+                "0 is not a number from 1 to 1000000",
+            ),
+            (
+                "experiment = \"replicas\"\nseeds = 99999999999999\n",
+                "line 2",
+            ),
+            ("experiment = \"replicas\"\n\nreal = 0\n", "line 3"),
         ] {
             let said = Recipe::parse(text).unwrap_err();
             assert!(said.contains(expected), "{said:?} should say {expected:?}");

@@ -13,13 +13,13 @@ use palpate_protocol::PROTOCOL_VERSION;
 use serde_json::{Value, json};
 
 use super::benches::{self, Measured};
-use super::command::{DIR, Given, SEED, experiment, made};
+use super::command::{DIR, Given, SEED, experiment, made, make_folder};
 use super::gallery::{self, Origin, Part};
 use super::recipe::Recipe;
 use super::schedule::Schedule;
 use super::{ALL, Experiment, Outcome};
 use crate::bench::on_threads;
-use crate::cli::say;
+use crate::cli::{note, say};
 use crate::progress::Progress;
 
 /// Arguments of `all`.
@@ -137,6 +137,7 @@ impl AllArguments {
 /// Runs all of them and makes a page of it.
 pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
     let kept = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
+    make_folder(&arguments.out)?;
     let items = arguments.items();
     let page = arguments.out.join("index.html");
     let origin = Origin {
@@ -174,12 +175,13 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
             took_s,
             result,
         };
+        // Figures first: a disk that is full takes nothing from who reads them here.
+        if arguments.json {
+            say(&line(&part).to_string())?;
+        }
         match &part.result {
             Ok(outcome) => outcome.write_all(&arguments.out, &part.name)?,
             Err(why) => progress.stage(&format!("{} failed: {why}", part.name)),
-        }
-        if arguments.json {
-            say(&line(&part).to_string())?;
         }
         parts.push(part);
         // After each, so that what is done can be looked at.
@@ -201,11 +203,11 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
             parts.len()
         ))?;
     }
-    eprintln!("the page is {}", page.display());
+    note(&format!("the page is {}", page.display()));
     if failed == 0 {
         return Ok(ExitCode::SUCCESS);
     }
-    eprintln!("palpate-lab: {failed} failed; the page says why");
+    note(&format!("palpate-lab: {failed} failed; the page says why"));
     Ok(ExitCode::FAILURE)
 }
 

@@ -14,6 +14,7 @@ use std::path::Path;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use palpate_device::Buttons;
 use palpate_device::backend::replay::{Moment, Motion, MotionError};
+use palpate_device::text_file::{self, TextFileError};
 use palpate_protocol::Pose;
 use thiserror::Error;
 
@@ -28,6 +29,12 @@ const ROWS_MIN: usize = 3;
 /// Columns: time and place, which every table has, and how the tool is turned.
 const COLUMNS: [&str; 8] = ["time_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"];
 
+/// What the column of time may also be called: so the tables of a replayed device do.
+const TIME_ALSO: &str = "t_s";
+
+/// A column that those tables may end with.
+const BUTTONS: &str = "buttons";
+
 /// A recorded motion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recorded {
@@ -38,7 +45,7 @@ pub struct Recorded {
 #[derive(Debug, Error)]
 pub enum MotionFileError {
     /// It can not be read.
-    #[error("it can not be read: {source}; check its name, and that it is text")]
+    #[error("it can not be read: {source}")]
     Read {
         /// What the system said.
         source: std::io::Error,
@@ -51,15 +58,13 @@ pub enum MotionFileError {
         /// Its size.
         bytes: u64,
     },
-    /// A folder.
-    #[error("it is a folder; name the file in it")]
-    Folder,
     /// Nothing in it.
     #[error("it is empty; its first line names the columns: time_s,x_m,y_m,z_m[,qw,qx,qy,qz]")]
     Empty,
     /// The first line names other columns.
     #[error(
-        "line 1: the columns should be time_s,x_m,y_m,z_m, and where turns are known also qw,qx,qy,qz; {0}"
+        "line 1: the columns should be time_s,x_m,y_m,z_m (time_s may be called t_s), and where turns are known also \
+         qw,qx,qy,qz; {0}"
     )]
     Columns(String),
     /// A row is wrong.
@@ -81,16 +86,11 @@ pub enum MotionFileError {
 impl Recorded {
     /// Reads a table.
     pub fn load(path: &Path) -> Result<Self, MotionFileError> {
-        let read = |source| MotionFileError::Read { source };
-        let metadata = std::fs::metadata(path).map_err(read)?;
-        if metadata.is_dir() {
-            return Err(MotionFileError::Folder);
-        }
-        let bytes = metadata.len();
-        if bytes > BYTES_MAX {
-            return Err(MotionFileError::TooLarge { bytes });
-        }
-        Self::parse(&std::fs::read_to_string(path).map_err(read)?)
+        let text = text_file::read(path, BYTES_MAX).map_err(|e| match e {
+            TextFileError::Read(source) => MotionFileError::Read { source },
+            TextFileError::TooLarge { bytes } => MotionFileError::TooLarge { bytes },
+        })?;
+        Self::parse(&text)
     }
 
     /// From the text of a table.
@@ -140,14 +140,26 @@ impl Hand for Recorded {
     }
 }
 
-/// How many columns there are, when they are the known ones in their order.
-fn columns(line: &str) -> Result<usize, MotionFileError> {
-    let names: Vec<&str> = line.trim().split(',').map(str::trim).collect();
+/// What a row holds.
+#[derive(Debug, Clone, Copy)]
+struct Columns {
+    /// How many there are.
+    all: usize,
+    /// How many of them say when and where, the first ones.
+    of_pose: usize,
+}
+
+/// The columns, when they are the known ones in their order.
+fn columns(line: &str) -> Result<Columns, MotionFileError> {
+    let mut names: Vec<&str> = line.trim().split(',').map(str::trim).collect();
     let wrong = |what: String| MotionFileError::Columns(what);
+    let all = names.len();
+    // A motion to be replayed may say what is held; nothing here is moved by it.
+    names.pop_if(|name| *name == BUTTONS && all > 1);
     for (k, name) in names.iter().enumerate() {
         let name: String = name.chars().take(40).collect();
         match COLUMNS.get(k) {
-            Some(known) if **known == name => {}
+            Some(known) if **known == name || k == 0 && name == TIME_ALSO => {}
             Some(known) => {
                 return Err(wrong(format!(
                     "number {} is \"{name}\" in place of {known}",
@@ -158,18 +170,21 @@ fn columns(line: &str) -> Result<usize, MotionFileError> {
         }
     }
     if names.len() == 4 || names.len() == 8 {
-        return Ok(names.len());
+        let of_pose = names.len();
+        return Ok(Columns { all, of_pose });
     }
     let missing = COLUMNS[names.len()];
     Err(wrong(format!("{missing} is missing")))
 }
 
-fn moment(line: &str, columns: usize) -> Result<Moment, String> {
+fn moment(line: &str, columns: Columns) -> Result<Moment, String> {
     let mut row = [0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0];
     let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-    if cells.len() != columns {
-        return Err(format!("{} numbers in {columns} columns", cells.len()));
+    if cells.len() != columns.all {
+        let (has, asked) = (cells.len(), columns.all);
+        return Err(format!("{has} numbers in {asked} columns"));
     }
+    let cells = &cells[..columns.of_pose];
     for ((cell, value), name) in cells.iter().zip(&mut row).zip(COLUMNS) {
         let short: String = cell.chars().take(40).collect();
         *value = match cell.parse::<f64>() {
@@ -206,6 +221,17 @@ mod tests {
 
     const GOOD: &str =
         "time_s,x_m,y_m,z_m\n5.0,0.0,0,0\n5.1,0.01,0,0\n5.2,0.02,0,0\n5.3,0.03,0,0\n";
+
+    #[test]
+    fn a_table_for_a_replayed_device_is_the_same_motion() {
+        let hand = Recorded::parse(GOOD).unwrap();
+        let theirs = GOOD.replace("time_s", "t_s");
+        assert_eq!(Recorded::parse(&theirs).unwrap(), hand);
+        let held: Vec<String> = (theirs.lines().enumerate())
+            .map(|(k, line)| format!("{line},{}", if k == 0 { "buttons" } else { "1" }))
+            .collect();
+        assert_eq!(Recorded::parse(&held.join("\n")).unwrap(), hand);
+    }
 
     #[test]
     fn a_table_is_followed_from_its_first_row_on() {

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use palpate_device::text_file::{self, TextFileError};
 use serde::{Deserialize, Serialize};
 
 use super::checked;
@@ -234,16 +235,14 @@ impl Profile {
 
     /// A profile from a TOML file. The files of traces are looked for beside it.
     pub fn read(path: &Path) -> Result<Self, ProfileError> {
-        let read = |why| ProfileError::Read {
-            path: path.to_owned(),
-            why,
-        };
-        let bytes = std::fs::metadata(path).map_err(read)?.len();
-        if bytes > FILE_BYTES_MAX {
+        let text = text_file::read(path, FILE_BYTES_MAX).map_err(|e| {
             let path = path.to_owned();
-            return Err(ProfileError::TooLarge { path, bytes });
-        }
-        Self::from_toml(&std::fs::read_to_string(path).map_err(read)?, path)
+            match e {
+                TextFileError::Read(why) => ProfileError::Read { path, why },
+                TextFileError::TooLarge { bytes } => ProfileError::TooLarge { path, bytes },
+            }
+        })?;
+        Self::from_toml(&text, path)
     }
 
     /// A profile from the text of the file `path`, which is only named in errors and says where

@@ -4,6 +4,8 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use palpate_device::text_file::{self, TextFileError};
+
 /// Rows of a trace: 17 minutes at 1 kHz, and 24 MB.
 pub const TRACE_ROWS_MAX: usize = 1_000_000;
 
@@ -75,15 +77,13 @@ impl Trace {
     /// a whole path. A delay may be left empty where a packet was lost.
     pub fn read(file: &Path, folder: &Path) -> Result<Self, TraceError> {
         let path = folder.join(file);
-        let read = |why| TraceError::Read {
-            path: path.clone(),
-            why,
-        };
-        let bytes = std::fs::metadata(&path).map_err(read)?.len();
-        if bytes > TRACE_BYTES_MAX {
-            return Err(TraceError::TooLarge { path, bytes });
-        }
-        let text = std::fs::read_to_string(&path).map_err(read)?;
+        let text = text_file::read(&path, TRACE_BYTES_MAX).map_err(|e| {
+            let path = path.clone();
+            match e {
+                TextFileError::Read(why) => TraceError::Read { path, why },
+                TextFileError::TooLarge { bytes } => TraceError::TooLarge { path, bytes },
+            }
+        })?;
         let rows = rows_of(&text).map_err(|(line, why)| TraceError::Row {
             path: path.clone(),
             line,

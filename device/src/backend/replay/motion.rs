@@ -7,6 +7,7 @@ use serde::Deserialize;
 use thiserror::Error;
 
 use crate::script::POSITION_MAX_M;
+use crate::text_file::{self, TextFileError};
 use crate::{Buttons, Pose};
 
 /// The largest file that is read: hours at a kilohertz.
@@ -15,6 +16,8 @@ const BYTES_MAX: u64 = 1 << 30;
 const LONGEST_S: f64 = 86_400.0;
 /// Faster than any hand, m/s.
 const FASTEST_M_S: f64 = 100.0;
+/// What the column of time may also be called: so the laboratory's tables of hands do.
+const TIME_ALSO: &str = "time_s";
 /// Columns of a table: time and place, which every row has; how the tool is turned, and the buttons.
 const COLUMNS: [&str; 9] = [
     "t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "buttons",
@@ -61,7 +64,7 @@ pub enum MotionError {
     Json(#[from] serde_json::Error),
     /// The first line of a table is not what it should be.
     #[error(
-        "line 1 should name the columns: t_s,x_m,y_m,z_m, and if they are known qw,qx,qy,qz and buttons; it is \
+        "line 1 should name the columns: t_s (or time_s),x_m,y_m,z_m, and if they are known qw,qx,qy,qz and buttons; it is \
          \"{0}\""
     )]
     Header(String),
@@ -151,18 +154,16 @@ impl Motion {
     /// Reads a recording of a session (`.json`), or a table (`.csv`) with a line of column names.
     pub fn load(path: &Path) -> Result<Self, MotionError> {
         let name = || path.display().to_string();
-        let read = |source| MotionError::Read {
-            path: name(),
-            source,
-        };
-        let bytes = std::fs::metadata(path).map_err(read)?.len();
-        if bytes > BYTES_MAX {
-            return Err(MotionError::TooLarge {
+        let text = text_file::read(path, BYTES_MAX).map_err(|e| match e {
+            TextFileError::Read(source) => MotionError::Read {
+                path: name(),
+                source,
+            },
+            TextFileError::TooLarge { bytes } => MotionError::TooLarge {
                 path: name(),
                 bytes,
-            });
-        }
-        let text = std::fs::read_to_string(path).map_err(read)?;
+            },
+        })?;
         if path
             .extension()
             .is_some_and(|e| e.eq_ignore_ascii_case("json"))
@@ -202,7 +203,10 @@ impl Motion {
     pub fn from_table(text: &str) -> Result<Self, MotionError> {
         let mut lines = without_mark(text).lines().enumerate();
         let first = lines.next().map_or("", |(_, line)| line.trim());
-        let names: Vec<&str> = first.split(',').map(str::trim).collect();
+        let mut names: Vec<&str> = first.split(',').map(str::trim).collect();
+        if names[0] == TIME_ALSO {
+            names[0] = COLUMNS[0];
+        }
         let known = [&COLUMNS[..4], &COLUMNS[..8], &COLUMNS[..]];
         let short = [&COLUMNS[..4], &COLUMNS[8..]].concat();
         if !known.contains(&&names[..]) && names != short {

@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::cells::of_file;
-use super::{Bench, Outcome, panel};
+use super::{Bench, Outcome, missed_by, panel};
 use crate::bench::on_threads;
 use crate::chart::{BLACK, BLUE, Chart, GREEN, Line, ORANGE, PURPLE, SKY};
 use crate::disagreement::CoursePoint;
@@ -138,6 +138,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let mut figures = rows[asked].clone();
     figures["experiment"] = json!("replicas");
     figures["nodes"] = json!(model.nodes.len());
+    let mut missed = missed_by(&rows);
     figures["networks"] = json!(rows);
     if let Some(n) = bench.real {
         let mut tally =
@@ -146,8 +147,12 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             })?;
         let row = tally.row(&networks[asked]);
         table.push_str(&csv(&row, " (processes, QUIC)"));
+        let in_real_time = missed_by([&row]).into_iter();
+        missed.extend(in_real_time.map(|what| format!("in real time: {what}")));
         figures["real"] = row;
     }
+    figures["ok"] = json!(missed.is_empty());
+    figures["missed"] = json!(missed);
     Ok(Outcome {
         caption: format!(
             "Two trainees press, cut and press again on {} nodes, in virtual time over emulated networks: distance of the \

@@ -208,6 +208,7 @@ impl Tally {
         let (p50, p95) = (self.apart.quantile(0.5), self.apart.quantile(0.95));
         let equal = self.equal == self.sessions;
         let (rms, force_p95) = (self.felt.rms(), self.felt.p95());
+        let missed = self.missed(profile, p95, rms);
         json!({
             "profile": profile.name,
             "seeds": self.sessions,
@@ -218,7 +219,38 @@ impl Tally {
             "hashes_equal": equal,
             "bytes_per_s": self.bytes.map(|b| json!({ "up": b.up / n, "down": b.down / n })),
             "troubles": self.troubles,
-            "ok": p95 <= SHAPE_P95_MM && rms <= FORCE_RMS && equal && self.troubles.is_empty(),
+            "missed": missed,
+            "ok": missed.is_empty(),
         })
+    }
+
+    /// Which of the limits are not kept, a sentence each.
+    fn missed(&self, profile: &Profile, shape_p95_mm: f64, force_rms: f64) -> Vec<String> {
+        let mut missed = Vec::new();
+        let mut say = |what: String| missed.push(format!("{}: {what}", profile.name));
+        if shape_p95_mm > SHAPE_P95_MM {
+            say(format!(
+                "shapes are {shape_p95_mm:.3} mm apart (p95), more than {SHAPE_P95_MM}"
+            ));
+        }
+        let (percent, most) = (force_rms * 100.0, FORCE_RMS * 100.0);
+        if force_rms.is_nan() {
+            say("nobody felt anything that could be compared".to_owned());
+        } else if force_rms > FORCE_RMS {
+            say(format!(
+                "forces are off by {percent:.1} % (rms), more than {most:.0}"
+            ));
+        }
+        if self.equal < self.sessions {
+            let (others, all) = (self.sessions - self.equal, self.sessions);
+            say(format!(
+                "topologies differ in the end in {others} of {all} sessions"
+            ));
+        }
+        if let [first, ..] = &self.troubles[..] {
+            let n = self.troubles.len();
+            say(format!("{n} troubles; the first: {first}"));
+        }
+        missed
     }
 }
