@@ -17,6 +17,9 @@ use palpate_protocol::{ClientTime, ParticipantId, Pose, ServerTime};
 use super::{LEAD_US, ReferenceError};
 use crate::force_error::ForcePoint;
 
+/// Far below a tick, far above what rounding makes of the seconds of a session.
+const EARLY_S: f64 = 1e-7;
+
 /// A hand with all that is its own.
 pub(super) struct Seat {
     hand: Box<dyn HapticDevice>,
@@ -53,10 +56,13 @@ impl Seat {
         let began = recording
             .script_started_us
             .ok_or_else(|| unusable("its script did not begin".to_owned()))?;
+        let first = recording.haptic.first().map_or(0, |p| p.t_us);
         let moments = recording.haptic.iter().map(|p| {
             let [x, y, z, w] = p.orientation;
             Moment {
-                t_s: (p.t_us - zero_us) as f64 * 1e-6,
+                // All but the first a hair early, so that a tick that falls on a point finds it, however both are
+                // rounded: a button that is pressed a solve later is another force.
+                t_s: ((p.t_us - first) as f64 * 1e-6 - EARLY_S).max(0.0),
                 pose: DevicePose {
                     position: p.position_m.into(),
                     orientation: Unit::new_normalize(Quaternion::new(w, x, y, z)),
