@@ -91,6 +91,7 @@ impl Session {
                     && let Some(needed_ms) = self.needed_by(i)
                 {
                     let report = DelayReport {
+                        mean_us: needed_ms as u32 * 1000,
                         wanted_us: needed_ms as u32 * 1000,
                         ..DelayReport::default()
                     };
@@ -243,4 +244,34 @@ fn a_full_log_lifts_nobody_any_more_and_gives_back_what_was_lifted() {
     assert_eq!(refusal(&outputs), None, "and newcomers are greeted");
     let log = operations(&outputs, PeerKey(9));
     assert_eq!(log.len(), s.room.operation_count());
+}
+
+#[test]
+fn on_ways_that_stay_as_slow_as_they_are_nobody_is_lifted_and_let_back_in_turns() {
+    // Each way alone is below the cap, and both together are not; who is lifted hears of nobody that takes part
+    // when both are.
+    for ways in [
+        &[(304, 304), (304, 304)][..],
+        &[(350, 250), (340, 260)],
+        &[(20, 500), (15, 20)],
+    ] {
+        let mut session = Session::of(ways);
+        session.run_until(60_000);
+        assert_eq!(session.lifted().len(), 1, "{ways:?}");
+        assert_eq!(session.room.demotion_count(), 1, "{ways:?}");
+    }
+}
+
+#[test]
+fn two_who_watch_at_once_and_hear_nobody_are_not_let_back_together() {
+    let mut session = Session::of(&[(304, 304), (304, 304)]);
+    session.run_until(8000);
+    assert_eq!(session.lifted(), [ParticipantId(2)]);
+    (session.movers[0].up_ms, session.movers[0].down_ms) = (450, 450);
+    session.run_until(14_000);
+    assert_eq!(session.lifted().len(), 2, "nobody hears of anybody now");
+    (session.movers[0].up_ms, session.movers[0].down_ms) = (304, 304);
+    session.run_until(80_000);
+    assert_eq!(session.lifted().len(), 1, "which of the two is the same");
+    assert_eq!(session.room.demotion_count(), 2);
 }
