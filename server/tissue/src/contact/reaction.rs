@@ -210,6 +210,10 @@ impl Contacts {
     }
 }
 
+/// A move teaches where the force changes along it: below this cosine of the two, what changed is mostly
+/// something else (another hand, tissue that settles), and the update divides by the cosine.
+const ALIGNED: f64 = 0.3;
+
 /// Stiffness learned from pairs of poses and forces: the BFGS update of K so that K s = -ΔF for
 /// the latest move s, which keeps K symmetric and positive.
 #[derive(Debug, Clone, Copy, Default)]
@@ -250,7 +254,7 @@ impl Secant {
         };
         let ks = k * s;
         let (curve, power) = (s.dot(&ks), s.dot(&y));
-        if power > 1e-3 * y.norm() * s.norm() && curve > 0.0 {
+        if power > ALIGNED * y.norm() * s.norm() && curve > 0.0 {
             let next = k + y * y.transpose() / power - ks * ks.transpose() / curve;
             if next.iter().all(|v| v.is_finite()) {
                 self.stiffness = Some((next + next.transpose()) * 0.5);
@@ -280,5 +284,19 @@ mod tests {
         let k = secant.stiffness();
         assert!((k - law).norm() < 0.1 * law.norm(), "{k}");
         assert!((k - k.transpose()).norm() < 1e-9);
+    }
+
+    #[test]
+    fn a_force_that_changes_across_a_move_teaches_nothing() {
+        let mut secant = Secant::default();
+        secant.start(&Vec3::z(), 50.0, 0.3);
+        secant.learn(Vec3::zeros(), Vec3::zeros(), 1e-5);
+        // Somebody else presses nearby while the tool goes a tenth of a millimetre along the surface.
+        let x = Vec3::new(1e-4, 0.0, 0.0);
+        secant.learn(x, Vec3::new(-1e-3, 0.0, 2e-2), 1e-5);
+        assert_eq!(secant.stiffness()[(2, 2)], 50.0);
+        // From there it learns again.
+        secant.learn(x - Vec3::z() * 1e-4, Vec3::new(-1e-3, 0.0, 2.8e-2), 1e-5);
+        assert!((secant.stiffness()[(2, 2)] - 80.0).abs() < 1e-9);
     }
 }
