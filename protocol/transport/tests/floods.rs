@@ -1,26 +1,19 @@
 //! A peer that sends more than it may is heard no more than others, and harms nobody.
 #![allow(clippy::unwrap_used)]
 
-use std::net::{Ipv4Addr, SocketAddr};
-use std::sync::Arc;
+#[path = "support/session.rs"]
+mod session;
+
 use std::time::{Duration, Instant};
 
-use palpate_protocol::handshake::{Hello, Subscription};
 use palpate_protocol::session::{ClientSession, PeerEvent};
-use palpate_protocol::tool::ToolDescription;
-use palpate_protocol::{ClientTime, Grant, JoinLink, Role, ServerTime};
+use palpate_protocol::{ClientTime, JoinLink, ServerTime};
 use palpate_transport::{
-    ModelSource, PeerHandle, PeerId, PeerInput, Server, ServerIdentity, connect, spawn_client,
-    spawn_peer,
+    PeerHandle, PeerId, PeerInput, Server, ServerIdentity, connect, spawn_client, spawn_peer,
 };
-use quinn::crypto::rustls::QuicClientConfig;
-use quinn::{Connection, Endpoint, RecvStream, SendStream};
-use rustls::pki_types::CertificateDer;
+use quinn::Connection;
+use session::{PATIENCE, hello, serve_as, unbound};
 use tokio::sync::mpsc;
-
-const ANY_PORT: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
-const PATIENCE: Duration = Duration::from_secs(20);
-const GRANT: Grant = Grant([9; 16]);
 
 /// What one connection may send, bytes per second; twice as much is sent here.
 const MAY: f64 = 1_250_000.0;
@@ -28,22 +21,11 @@ const MAY: f64 = 1_250_000.0;
 /// How long it floods.
 const FLOOD: Duration = Duration::from_secs(2);
 
-fn hello(name: &str) -> Hello {
-    Hello {
-        name: name.to_owned(),
-        role: Role::Trainee,
-        grant: GRANT,
-        tool: Some(ToolDescription::probe(0.004)),
-        subscription: Subscription::Full,
-        resume: None,
-    }
-}
-
 /// The inbox of a room, and what its peers put into it.
 struct Room {
     server: Server,
     link: JoinLink,
-    certificate: CertificateDer<'static>,
+    identity: ServerIdentity,
     sender: mpsc::Sender<PeerInput>,
     inbox: mpsc::Receiver<PeerInput>,
     since: Instant,
@@ -51,21 +33,12 @@ struct Room {
 
 impl Room {
     fn open() -> Self {
-        let identity = ServerIdentity::generate().unwrap();
-        let models: ModelSource = Arc::new(|_, _| None);
-        let server = Server::bind(ANY_PORT, &identity, models).unwrap();
-        let link = JoinLink {
-            host: "127.0.0.1".to_owned(),
-            port: server.local_addr().port(),
-            role: Role::Trainee,
-            certificate: identity.certificate_hash(),
-            grant: GRANT,
-        };
+        let (server, link, identity) = serve_as();
         let (sender, inbox) = mpsc::channel(1024);
         Self {
             server,
             link,
-            certificate: identity.to_der().0.into(),
+            identity,
             sender,
             inbox,
             since: Instant::now(),
@@ -93,28 +66,6 @@ impl Room {
     }
 }
 
-/// A connection like a client's, without the cap of our own on what it sends.
-async fn unbound(room: &Room) -> (Endpoint, Connection, SendStream, RecvStream) {
-    let mut roots = rustls::RootCertStore::empty();
-    roots.add(room.certificate.clone()).unwrap();
-    let provider = Arc::new(rustls::crypto::ring::default_provider());
-    let mut tls = rustls::ClientConfig::builder_with_provider(provider)
-        .with_protocol_versions(&[&rustls::version::TLS13])
-        .unwrap()
-        .with_root_certificates(roots)
-        .with_no_client_auth();
-    tls.alpn_protocols = vec![b"palpate/1".to_vec()];
-    let config = quinn::ClientConfig::new(Arc::new(QuicClientConfig::try_from(tls).unwrap()));
-    let endpoint = Endpoint::client(ANY_PORT).unwrap();
-    let connection = endpoint
-        .connect_with(config, room.server.local_addr(), "palpate")
-        .unwrap()
-        .await
-        .unwrap();
-    let (send, recv) = connection.open_bi().await.unwrap();
-    (endpoint, connection, send, recv)
-}
-
 /// Sends datagrams of `len` bytes, so many a second, for [`FLOOD`]; how many.
 async fn flood(connection: &Connection, len: usize, per_second: f64) -> u64 {
     let start = Instant::now();
@@ -133,7 +84,8 @@ async fn flood(connection: &Connection, len: usize, per_second: f64) -> u64 {
 /// One peer floods while another comes; then the first goes on as if nothing had been.
 async fn a_flood_is_capped_and_harms_nobody(len: usize, per_second: f64) {
     let mut room = Room::open();
-    let (_endpoint, bad, mut send, mut recv) = unbound(&room).await;
+    let (_endpoint, bad) = unbound(&room.server, &room.identity).await;
+    let (mut send, mut recv) = bad.open_bi().await.unwrap();
     let mut session = ClientSession::new(hello("loud"), ClientTime::ZERO).unwrap();
     let preamble = session.poll_stream().unwrap();
     send.write_all(&preamble).await.unwrap();

@@ -3,157 +3,30 @@
 
 #[path = "support/relay.rs"]
 mod relay;
+#[path = "support/session.rs"]
+mod session;
 
-use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use palpate_protocol::handshake::{
-    Hello, PROTOCOL_VERSION, Preamble, RefusalReason, Subscription, Welcome,
-};
-use palpate_protocol::operation::{
-    CompensationMode, CompensationSettings, Operation, OperationKind,
-};
+use palpate_protocol::handshake::{PROTOCOL_VERSION, Preamble, RefusalReason};
+use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::request::RequestKind;
-use palpate_protocol::session::{
-    ClientEvent, ClientSession, CloseReason, PeerDatagram, PeerEvent, PeerMessage,
-};
-use palpate_protocol::tool::ToolDescription;
+use palpate_protocol::session::{ClientEvent, CloseReason, PeerDatagram, PeerEvent, PeerMessage};
 use palpate_protocol::{
-    CertificateHash, ClientTime, Epoch, Grant, JoinLink, LocalSample, ModelHash, ModelInfo,
-    OperationId, ParticipantId, Pose, ResumeToken, Role, ServerTime, ToolTrack, TopologyHash,
+    CertificateHash, ClientTime, Grant, JoinLink, LocalSample, OperationId, ParticipantId, Pose,
+    Role, ToolTrack,
 };
 use palpate_transport::{
-    ClientCommand, ClientHandle, ModelSource, PeerHandle, PeerId, PeerInput, Server,
-    ServerIdentity, TransportError, connect, fetch_model, spawn_client, spawn_peer,
+    ClientCommand, ModelSource, PeerId, Server, ServerIdentity, TransportError, connect,
+    fetch_model, spawn_peer,
 };
 use relay::{Relay, Way};
+use session::{
+    ANY_PORT, MODEL, PATIENCE, admit, client_clock, join, next_event, next_input, opening,
+    operation, serve, server_clock, welcome,
+};
 use tokio::sync::mpsc;
-
-const ANY_PORT: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
-const GRANT: Grant = Grant([9; 16]);
-const MODEL: ModelHash = ModelHash(77);
-const PATIENCE: Duration = Duration::from_secs(20);
-
-fn serve() -> (Server, JoinLink) {
-    let identity = ServerIdentity::generate().unwrap();
-    let models: ModelSource = Arc::new(|grant, hash| {
-        (grant == GRANT && hash == MODEL).then(|| vec![0xab; 3_000_000].into())
-    });
-    let server = Server::bind(ANY_PORT, &identity, models).unwrap();
-    let link = JoinLink {
-        host: "127.0.0.1".to_owned(),
-        port: server.local_addr().port(),
-        role: Role::Trainee,
-        certificate: identity.certificate_hash(),
-        grant: GRANT,
-    };
-    (server, link)
-}
-
-fn hello(name: &str) -> Hello {
-    Hello {
-        name: name.to_owned(),
-        role: Role::Trainee,
-        grant: GRANT,
-        tool: Some(ToolDescription::probe(0.004)),
-        subscription: Subscription::Full,
-        resume: None,
-    }
-}
-
-fn welcome(participant: u16, operations_so_far: u64) -> PeerMessage {
-    PeerMessage::Welcome(Box::new(Welcome {
-        participant: ParticipantId(participant),
-        epoch: Epoch(1),
-        role: Role::Trainee,
-        server_time: ServerTime::ZERO,
-        model: ModelInfo {
-            hash: MODEL,
-            bytes: 3_000_000,
-        },
-        roster: Vec::new(),
-        topology_version: 0,
-        topology_hash: TopologyHash(1),
-        first_operation: OperationId(0),
-        operations_so_far,
-        compensation: CompensationSettings {
-            mode: CompensationMode::None,
-            initial_delay_us: 0,
-        },
-        tick_hz: 250,
-        session_started_at: None,
-        resume_token: ResumeToken([0; 16]),
-    }))
-}
-
-fn operation(id: u64) -> PeerMessage {
-    PeerMessage::Operation(Arc::new(Operation {
-        id: OperationId(id),
-        at: ServerTime::ZERO,
-        author: ParticipantId::SERVER,
-        topology_version_before: 0,
-        topology_version_after: 0,
-        hash_after: TopologyHash(1),
-        kind: OperationKind::Started {
-            at: ServerTime::ZERO,
-        },
-    }))
-}
-
-fn client_clock(since: Instant) -> impl Fn() -> ClientTime + Send + Clone + 'static {
-    move || ClientTime::from_micros(since.elapsed().as_micros() as i64)
-}
-
-fn server_clock(since: Instant) -> impl Fn() -> ServerTime + Send + Clone + 'static {
-    move || ServerTime::from_micros(since.elapsed().as_micros() as i64 + 5_000_000)
-}
-
-async fn join(link: &JoinLink, name: &str, since: Instant) -> ClientHandle {
-    let clock = client_clock(since);
-    let session = ClientSession::new(hello(name), clock()).unwrap();
-    spawn_client(connect(link).await.unwrap(), session, clock)
-}
-
-async fn next_event(client: &mut ClientHandle) -> ClientEvent {
-    tokio::time::timeout(PATIENCE, client.events.recv())
-        .await
-        .unwrap()
-        .unwrap()
-}
-
-async fn next_input(inbox: &mut mpsc::Receiver<PeerInput>) -> PeerInput {
-    tokio::time::timeout(PATIENCE, inbox.recv())
-        .await
-        .unwrap()
-        .unwrap()
-}
-
-/// One client in, with a hello answered.
-async fn admit(
-    server: &Server,
-    link: &JoinLink,
-    n: u16,
-    inbox: &(mpsc::Sender<PeerInput>, Instant),
-    receiver: &mut mpsc::Receiver<PeerInput>,
-) -> (PeerHandle, ClientHandle) {
-    let client = join(link, &format!("client {n}"), inbox.1).await;
-    let connection = server.accept().await.unwrap();
-    let peer = spawn_peer(
-        connection,
-        PeerId(n.into()),
-        server_clock(inbox.1),
-        inbox.0.clone(),
-    );
-    loop {
-        let input = next_input(receiver).await;
-        if input.peer == PeerId(n.into()) && matches!(input.event, PeerEvent::Hello(_)) {
-            break;
-        }
-    }
-    assert!(peer.send(welcome(n, 3)));
-    (peer, client)
-}
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_session_goes_from_hello_to_leave() {
@@ -495,14 +368,6 @@ async fn a_session_goes_on_when_the_gateway_between_changes_its_port() {
         }
     }
     panic!("no motion passes");
-}
-
-/// What a client of ours says first: enough to be let in, and then nothing is read.
-fn opening(name: &str) -> Vec<u8> {
-    let mut session = ClientSession::new(hello(name), ClientTime::ZERO).unwrap();
-    std::iter::from_fn(|| session.poll_stream())
-        .flatten()
-        .collect()
 }
 
 #[tokio::test]
