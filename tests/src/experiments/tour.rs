@@ -1,6 +1,6 @@
 //! `palpate-lab all`: every experiment and the benches beside them, one after the other, and a page of it.
 //!
-//! What fails is said on the page and by the exit code; the others are run all the same.
+//! What fails, or misses what is asked of it, is said on the page and by the exit code; the others are run all the same.
 
 use std::fmt::Write as _;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -195,29 +195,42 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
             })?;
     }
     drop(progress);
+    let short = |p: &&Part| p.result.as_ref().is_ok_and(|o| !o.missed().is_empty());
+    let missed = parts.iter().filter(short).count();
     let failed = parts.iter().filter(|p| p.result.is_err()).count();
     if !arguments.json {
-        say(&format!(
-            "{} of {} are done",
-            parts.len() - failed,
-            parts.len()
-        ))?;
+        let done = parts.len() - failed;
+        say(&format!("{done} of {} are done", parts.len()))?;
     }
     note(&format!("the page is {}", page.display()));
-    if failed == 0 {
+    let sentences = [
+        (failed, "failed"),
+        (missed, "missed what was asked of them"),
+    ];
+    let said: Vec<String> = (sentences.iter().filter(|(n, _)| *n > 0))
+        .map(|(n, what)| format!("{n} {what}"))
+        .collect();
+    if said.is_empty() {
         return Ok(ExitCode::SUCCESS);
     }
-    note(&format!("palpate-lab: {failed} failed; the page says why"));
+    note(&format!(
+        "palpate-lab: {}; the page says why",
+        said.join(", ")
+    ));
     Ok(ExitCode::FAILURE)
 }
 
 /// A part for programs.
 fn line(part: &Part) -> Value {
-    let (key, value) = match &part.result {
-        Ok(outcome) => ("figures", outcome.figures.clone()),
-        Err(why) => ("error", Value::from(why.clone())),
+    let (key, value, ok) = match &part.result {
+        Ok(outcome) => (
+            "figures",
+            outcome.figures.clone(),
+            outcome.missed().is_empty(),
+        ),
+        Err(why) => ("error", Value::from(why.clone()), false),
     };
-    json!({ "experiment": part.name, "ok": part.result.is_ok(), "took_s": part.took_s, key: value })
+    json!({ "experiment": part.name, "ok": ok, "took_s": part.took_s, key: value })
 }
 
 fn machine() -> String {
