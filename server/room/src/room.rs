@@ -398,6 +398,11 @@ impl Room {
         self.participants.len()
     }
 
+    /// The operations of the log from that number on, the first being 0.
+    pub fn operations_since(&self, first: usize) -> &[Arc<Operation>] {
+        self.log.since(first)
+    }
+
     /// Number of operations in the log.
     pub fn operation_count(&self) -> usize {
         self.log.len()

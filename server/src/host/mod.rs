@@ -4,6 +4,7 @@
 //! [`host`] owns the room. What peers send reaches it through one bounded inbox; what it decides
 //! leaves through bounded queues that never block it.
 
+mod news;
 mod options;
 mod serve;
 mod summary;

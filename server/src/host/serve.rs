@@ -16,6 +16,7 @@ use palpate_transport::{
 use tokio::runtime::Runtime;
 use tokio::sync::mpsc;
 
+use super::news::News;
 use super::options::HostOptions;
 use super::summary::{HostSummary, Refused, TickTimes};
 use crate::ServerError;
@@ -63,6 +64,7 @@ struct Session {
     skipped: u64,
     /// Of those who are gone.
     refused: Refused,
+    news: News,
 }
 
 /// Serves one session. `announce` is told the address once it listens; where it can not tell anybody, nothing is served.
@@ -100,6 +102,7 @@ pub(super) fn serve(
         participants: 0,
         skipped: 0,
         refused: Refused::default(),
+        news: News::new(),
     };
     let server = Arc::new(server);
     let (joined, inbox) = accept(&network, Arc::clone(&server), began);
@@ -206,6 +209,8 @@ impl Session {
                 self.tick();
             }
             self.deliver();
+            let news = self.room.operations_since(self.news.told());
+            self.news.tell(news);
         }
     }
 
