@@ -133,7 +133,8 @@ fn default_name() -> String {
     std::env::var("USER")
         .ok()
         .filter(|name| palpate_protocol::handshake::name_is_valid(name))
-        .unwrap_or_else(|| "guest".to_owned())
+        // A name is one participant's, and two on one machine are not to be in each other's way.
+        .unwrap_or_else(|| format!("guest-{}", std::process::id()))
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {

@@ -127,7 +127,10 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Err(error) => {
             // Nobody is left to be told when standard error is gone.
             let _ = writeln!(std::io::stderr(), "palpate-server: {error}");
-            ExitCode::FAILURE
+            match error {
+                ServerError::Option(_) => ExitCode::from(2),
+                _ => ExitCode::FAILURE,
+            }
         }
     }
 }
@@ -190,6 +193,12 @@ fn options(args: HostArgs) -> Result<HostOptions, ServerError> {
     }
     if args.duration.is_some_and(|s| !(s.is_finite() && s > 0.0)) {
         return bad("--duration must be a number of seconds above 0".into());
+    }
+    if args.start_when > args.seats {
+        return bad(format!(
+            "--start-when {} waits for more tools than there are seats ({})",
+            args.start_when, args.seats
+        ));
     }
     let compensation = host::parse_compensation(&args.compensation, args.delay_cap)?;
     Ok(HostOptions {

@@ -193,6 +193,22 @@ fn links_and_scripts_that_are_none_are_refused() {
 }
 
 #[test]
+fn options_of_a_host_that_can_not_be_are_a_wrong_command_line() {
+    for (options, words) in [
+        (&["--tick-hz", "0"][..], "between 1 and 500"),
+        (&["--compensation", "magic"], "fixed:MS"),
+        (&["--delay-cap", "0"], "--compensation none"),
+        (&["--delay-cap", "2000"], "1000 ms"),
+        (&["--seats", "2", "--start-when", "3"], "seats (2)"),
+        (&["--duration", "-1"], "above 0"),
+        (&["--seats", "0"], "--seats"),
+    ] {
+        let arguments = [&["server", "host", "thigh"][..], options].concat();
+        refused(&arguments, 2, &[words]);
+    }
+}
+
+#[test]
 fn a_relay_counts_what_it_passed_on() {
     let out = run(&[
         "relay",

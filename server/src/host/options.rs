@@ -53,6 +53,9 @@ pub fn parse_compensation(text: &str, cap_ms: u32) -> Result<CompensationSetting
             mode: CompensationMode::None,
             initial_delay_us: 0,
         }),
+        None if text == "adaptive" && cap_ms == 0 => bad(
+            "--delay-cap 0 leaves adaptive compensation no delay: give at least 1 ms, or --compensation none".into(),
+        ),
         None if text == "adaptive" => {
             let cap_us = cap_ms * 1000;
             let mode = CompensationMode::Adaptive { cap_us };
@@ -100,5 +103,7 @@ mod tests {
             assert!(parse_compensation(text, 200).is_err(), "{text}");
         }
         assert!(parse_compensation("adaptive", 100_000).is_err());
+        assert!(parse_compensation("adaptive", 0).is_err());
+        assert!(parse_compensation("none", 0).is_ok());
     }
 }
