@@ -66,7 +66,7 @@ impl Session<'_> {
                     return Ending::Panicked("force loop");
                 }
             }
-            if let Some(sentence) = &progress.notice {
+            for sentence in &progress.notices {
                 self.status.say(sentence);
             }
             if self.network.is_broken() {

@@ -486,7 +486,12 @@ impl Site {
         self.roster.tool_of(self.me)
     }
 
+    /// What somebody does. The log of the beginning tells no news: who is here is said otherwise, and a copy that is
+    /// made anew repeats what was said.
     fn notice_of(&mut self, who: ParticipantId, what: &str) {
+        if self.expected.is_some() {
+            return;
+        }
         if let Some(name) = self.roster.name_of(who) {
             self.notice(format!("{name} {what}"));
         }
@@ -494,7 +499,7 @@ impl Site {
 
     fn notice(&mut self, sentence: String) {
         /// Sentences that wait for the status line; older ones are of no interest any more.
-        const NOTICES_MAX: usize = 8;
+        const NOTICES_MAX: usize = 64;
         if self.notices.len() == NOTICES_MAX {
             self.notices.pop_front();
         }

@@ -4,6 +4,7 @@
 //! hand feels, hand over. Two threads work for it: one makes cuts ahead of their moment, one solves what
 //! is to be seen.
 
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -35,6 +36,9 @@ const NICE: i32 = 2;
 
 /// Longest solve that is told apart, µs.
 const SOLVE_MAX_US: u64 = 1_000_000;
+
+/// Sentences that wait to be said: everybody of a full session joins within a moment.
+const NOTICES_MAX: usize = 64;
 
 /// What the thread works with.
 pub(crate) struct Work {
@@ -97,11 +101,21 @@ pub(crate) struct Progress {
     pub(crate) here: usize,
     pub(crate) link_lost: bool,
     pub(crate) part: Part,
-    pub(crate) notice: Option<String>,
+    /// Not yet said to a person, oldest first.
+    pub(crate) notices: VecDeque<String>,
     /// What a thin view counted; `None` where the tissue is computed.
     pub(crate) thin: Option<ThinCounters>,
     /// The end of the session, once it has come.
     pub(crate) end: Option<End>,
+}
+
+impl Progress {
+    fn note(&mut self, sentence: String) {
+        if self.notices.len() == NOTICES_MAX {
+            self.notices.pop_front();
+        }
+        self.notices.push_back(sentence);
+    }
 }
 
 /// How the session ended at this site.
@@ -169,7 +183,7 @@ impl ReplicaThread {
     pub(crate) fn progress(&self) -> Progress {
         let mut progress = lock(&self.progress);
         let now = progress.clone();
-        progress.notice = None;
+        progress.notices.clear();
         now
     }
 
@@ -415,7 +429,7 @@ impl Turns {
                 .try_send(ClientCommand::Request(request))
                 .is_ok();
             if is_cut && !sent {
-                lock(&self.progress).notice = Some("a cut could not be sent".to_owned());
+                lock(&self.progress).note("a cut could not be sent".to_owned());
             }
         }
         while let Some(operation) = self.work.site.poll_applied() {
@@ -427,10 +441,6 @@ impl Turns {
 
     fn publish(&mut self) {
         let site = &mut self.work.site;
-        let mut notice = None;
-        while let Some(sentence) = site.poll_notice() {
-            notice = Some(sentence);
-        }
         let delay = site.moment(monotonic_now()).map_or(Span::ZERO, |(_, d)| d);
         let mut progress = lock(&self.progress);
         progress.counters = site.counters();
@@ -441,7 +451,9 @@ impl Turns {
         progress.link_lost = self.link_lost;
         progress.part = Part::of(site);
         progress.thin = site.replica().thin_view().map(ThinView::counters);
-        progress.notice = notice.or(progress.notice.take());
+        while let Some(sentence) = site.poll_notice() {
+            progress.note(sentence);
+        }
         progress.end.clone_from(&self.end);
     }
 

@@ -68,8 +68,10 @@ impl Site {
                 }
                 "cut"
             }
-            OperationKind::Joined { name, .. } => {
-                self.notice(format!("{name} joined"));
+            OperationKind::Joined { participant, .. } => {
+                if *participant != self.me {
+                    self.notice_of(*participant, "joined");
+                }
                 "joined"
             }
             OperationKind::Left { participant, .. } => {

@@ -500,3 +500,43 @@ fn many_cuts_at_once_are_one_report_of_the_last() {
     let hash = TopologyHash(topology.hash().0);
     assert_eq!(requests, [RequestKind::TopologyReport { version: 3, hash }]);
 }
+
+#[test]
+fn who_computes_no_tissue_computes_none_after_beginning_anew() {
+    let mut site = Site::thin(&welcome(0), model(), None);
+    tell(&mut site, ClientEvent::CaughtUp, 0);
+    let further = Welcome {
+        first_operation: OperationId(7),
+        operations_so_far: 9,
+        ..welcome(0)
+    };
+    tell(&mut site, ClientEvent::Welcomed(Box::new(further)), 10);
+    assert!(site.poll_rejoin().is_some());
+    tell(&mut site, ClientEvent::Welcomed(Box::new(welcome(0))), 20);
+    tell(&mut site, ClientEvent::CaughtUp, 21);
+    assert!(site.is_thin() && !site.is_resyncing());
+    assert_eq!(site.counters().resyncs, 1);
+}
+
+#[test]
+fn who_came_before_is_no_news_and_who_comes_is() {
+    let joined = |id: u64| {
+        let kind = OperationKind::Joined {
+            participant: ParticipantId(id as u16 + 3),
+            name: format!("guest {id}"),
+            role: Role::Trainee,
+            tool: None,
+        };
+        operation(id, 5010 + id as i64, kind)
+    };
+    let mut site = Site::new(&welcome(0), model(), None);
+    tell(&mut site, joined(0), 0);
+    tell(&mut site, ClientEvent::CaughtUp, 0);
+    let map = ClockMap::exact(Span::from_millis(5000));
+    tell(&mut site, ClientEvent::Clock(map), 0);
+    tell(&mut site, joined(1), 20);
+    tell(&mut site, joined(2), 20);
+    site.advance(ms(40)).unwrap();
+    let said: Vec<String> = std::iter::from_fn(|| site.poll_notice()).collect();
+    assert_eq!(said, ["guest 1 joined", "guest 2 joined"]);
+}
