@@ -44,6 +44,9 @@ const TOP_LEVEL: [&str; 14] = [
 /// What programs leave there and `.gitignore` names.
 const LEFT_BY_PROGRAMS: [&str; 2] = ["palpate-report", "target"];
 
+/// What a fuzzer made, which nobody writes and nobody reads.
+const MADE_BY_FUZZERS: &str = "tests/fuzz/corpus";
+
 /// External crates that only some packages may name.
 const CONFINED: [(&str, &[&str]); 5] = [
     ("bincode", &["palpate-protocol"]),
@@ -126,6 +129,9 @@ fn files() -> Vec<File> {
             let name = entry.file_name().unwrap().to_string_lossy().into_owned();
             let is_top = dir == root;
             if name == ".git" || (is_top && LEFT_BY_PROGRAMS.contains(&name.as_str())) {
+                continue;
+            }
+            if entry == root.join(MADE_BY_FUZZERS) {
                 continue;
             }
             if entry.is_dir() {

@@ -26,6 +26,13 @@ const fn of_text(len: usize) -> usize {
     BESIDES + TEXT_SHARE * len
 }
 
+/// What a byte of a model may hold: a cell is some forty bytes of the file, and a hundred or two with what it is joined to.
+const CONTENT_SHARE: usize = 64;
+
+const fn of_content(len: usize) -> usize {
+    BESIDES + CONTENT_SHARE * len
+}
+
 const fn of_packed(len: usize) -> usize {
     BESIDES + UNPACKED_SHARE * len
 }
@@ -40,22 +47,38 @@ pub(super) const MODEL: Decoder = Decoder {
         assert_eq!(again.expect("what was written can be read"), file);
         true
     },
-    examples: || {
-        let soft = Material {
-            name: "soft".into(),
-            young_pa: 1e4,
-            density_kg_m3: 1000.0,
-            source: "an example".into(),
-            ..Material::default()
-        };
-        let file = ModelFile {
-            model: block([3, 2, 2], 0.01, &soft, 1),
-            report_json: "{}".to_owned(),
-        };
-        vec![file.encode()]
-    },
+    examples: || vec![small_model().encode()],
     holds_max: of_packed,
 };
+
+/// What stands within a model file's envelope: no checksum keeps a fuzzer from it.
+pub(super) const MODEL_CONTENT: Decoder = Decoder {
+    name: "model-content",
+    read: |bytes| {
+        let Ok(file) = ModelFile::from_content(bytes) else {
+            return false;
+        };
+        let again = ModelFile::from_content(&file.content());
+        assert_eq!(again.expect("what was written can be read"), file);
+        true
+    },
+    examples: || vec![small_model().content()],
+    holds_max: of_content,
+};
+
+fn small_model() -> ModelFile {
+    let soft = Material {
+        name: "soft".into(),
+        young_pa: 1e4,
+        density_kg_m3: 1000.0,
+        source: "an example".into(),
+        ..Material::default()
+    };
+    ModelFile {
+        model: block([3, 2, 2], 0.01, &soft, 1),
+        report_json: "{}".to_owned(),
+    }
+}
 
 const TETRAHEDRON: [[u8; 3]; 4] = [[1, 3, 2], [1, 2, 4], [2, 3, 4], [3, 1, 4]];
 

@@ -30,6 +30,7 @@ pub const ALL: &[Decoder] = &[
     wire::CLIENT_SESSION,
     wire::JOIN_LINK,
     files::MODEL,
+    files::MODEL_CONTENT,
     files::SURFACE_STL,
     files::SURFACE_OBJ,
     files::SURFACE_PLY,

@@ -86,8 +86,18 @@ impl ModelFile {
 
     /// A file from its bytes, every number in it checked.
     pub fn decode(bytes: &[u8]) -> Result<Self, FileError> {
-        let content = open(MAGIC, MODEL_FORMAT, bytes)?;
-        let mut reader = Reader(&content);
+        Self::from_content(&open(MAGIC, MODEL_FORMAT, bytes)?)
+    }
+
+    /// What stands in the file's envelope, unpacked.
+    pub fn content(&self) -> Vec<u8> {
+        content_of(&self.model, &self.report_json)
+    }
+
+    /// The file of that content, every number in it checked. A checksum keeps damage from [`decode`](Self::decode); this
+    /// is where crafted bytes arrive.
+    pub fn from_content(content: &[u8]) -> Result<Self, FileError> {
+        let mut reader = Reader(content);
         let model = read_model(&mut reader)?;
         let report_json = reader.text()?;
         if !reader.0.is_empty() {
@@ -142,6 +152,10 @@ pub fn decode_model(bytes: &[u8]) -> Result<Model, FileError> {
 }
 
 fn encode_with(model: &Model, report_json: &str) -> Vec<u8> {
+    seal(MAGIC, MODEL_FORMAT, &content_of(model, report_json))
+}
+
+fn content_of(model: &Model, report_json: &str) -> Vec<u8> {
     let mut out = Content::default();
     out.u32(model.nodes.len() as u32);
     out.u32(model.cells.len() as u32);
@@ -174,7 +188,7 @@ fn encode_with(model: &Model, report_json: &str) -> Vec<u8> {
     }
     let fits = report_json.len() <= REPORT_BYTES_MAX;
     out.text(if fits { report_json } else { "" });
-    seal(MAGIC, MODEL_FORMAT, &out.0)
+    out.0
 }
 
 /// The median over the nodes of what lies between a node and its lattice point.
