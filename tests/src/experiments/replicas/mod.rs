@@ -30,8 +30,9 @@ use crate::rehearsal::Rehearsal;
 use crate::scripts::Scripts;
 use tally::{Sat, Tally};
 
-/// Sessions per network when nothing is said: each takes one to two seconds.
-const SEEDS: u64 = 20;
+/// Sessions per network when nothing is said: each takes five seconds of a processor, half of them for the same hands at
+/// one table.
+const SEEDS: u64 = 12;
 
 /// Of how many sessions per network forces are compared: the same hands at one table take as long as the session.
 const FELT: u64 = 100;
