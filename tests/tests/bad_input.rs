@@ -200,7 +200,7 @@ fn options_of_a_host_that_can_not_be_are_a_wrong_command_line() {
         (&["--delay-cap", "0"], "--compensation none"),
         (&["--delay-cap", "2000"], "1000 ms"),
         (&["--seats", "2", "--start-when", "3"], "seats (2)"),
-        (&["--duration", "-1"], "above 0"),
+        (&["--duration", "0"], "above 0"),
         (&["--seats", "0"], "--seats"),
     ] {
         let arguments = [&["server", "host", "thigh"][..], options].concat();
