@@ -128,7 +128,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
             // Nobody is left to be told when standard error is gone.
             let _ = writeln!(std::io::stderr(), "palpate-server: {error}");
             match error {
-                ServerError::Option(_) => ExitCode::from(2),
+                ServerError::CommandLine(_) => ExitCode::from(2),
                 _ => ExitCode::FAILURE,
             }
         }
@@ -184,7 +184,7 @@ fn execute(command: Command) -> Result<(), ServerError> {
 }
 
 fn options(args: HostArgs) -> Result<HostOptions, ServerError> {
-    let bad = |sentence: String| Err(ServerError::Option(sentence));
+    let bad = |sentence: String| Err(ServerError::CommandLine(sentence));
     if !(1..=500).contains(&args.tick_hz) {
         return bad(format!(
             "--tick-hz {} is not between 1 and 500",

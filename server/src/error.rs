@@ -31,7 +31,10 @@ pub enum ServerError {
     /// What was named is neither a file nor a sample.
     #[error("{0}")]
     NoModel(String),
-    /// An option does not make sense.
+    /// An option does not make sense, whatever the files hold.
+    #[error("{0}")]
+    CommandLine(String),
+    /// An option does not fit what a file holds.
     #[error("{0}")]
     Option(String),
     /// The operating system refused.

@@ -42,7 +42,7 @@ pub struct HostOptions {
 
 /// Reads `adaptive`, `fixed:MS` or `none`.
 pub fn parse_compensation(text: &str, cap_ms: u32) -> Result<CompensationSettings, ServerError> {
-    let bad = |why: String| Err(ServerError::Option(why));
+    let bad = |why: String| Err(ServerError::CommandLine(why));
     if cap_ms > DELAY_MAX_MS {
         return bad(format!(
             "--delay-cap {cap_ms} is above the limit of {DELAY_MAX_MS} ms"
