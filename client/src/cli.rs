@@ -8,10 +8,10 @@ use std::time::Duration;
 
 use clap::{Parser, Subcommand};
 use palpate_protocol::handshake::Subscription;
-use tracing_subscriber::EnvFilter;
+use palpate_transport::state::state_folder;
 
 use crate::devices::{self, DeviceChoice, DevicesArguments, Sources};
-use crate::{ClientError, JoinOptions, StatusKind, Summary, run as join};
+use crate::{ClientError, JoinOptions, StartAt, StatusKind, Summary, run as join};
 
 /// The longest run that can be asked for, s: a day. A larger number is more likely milliseconds.
 const DURATION_MAX_S: f64 = 86_400.0;
@@ -41,8 +41,35 @@ Examples:
   Which devices this program drives:
     palpate-client devices
 
+Roles are part of the link: instructor and trainee hold a tool; spectator and recorder (a program with --record) only look.
+
+A script moves the simulated hand:
+  format = \"palpate-script/1\"
+  repeat = false              # true: begins again at the first way point; the last must be there
+  [tool]
+  kind = \"probe\"              # a ball; blade (cuts while its button is held), needle, plate or forceps
+  radius_mm = 8.0             # of the ball, or half the thickness of any other tool
+  # length_mm = 20.0          # of blade and needle from the tip upwards, of a plate along x, of the jaws
+  # width_mm = 10.0           # of a plate or of the jaws, along y
+  [hand]                      # optional, as is each line of it
+  mass_kg = 0.3
+  stiffness_n_per_m = 400.0   # of the spring that pulls the hand to the script
+  damping_ns_per_m = 12.0
+  tremor_mm = 0.0             # root mean square along each axis
+  seed = 1                    # of the tremor
+  [[way]]
+  t_s = 0.0
+  at_mm = [0.0, 100.0, 100.0]
+  [[way]]
+  t_s = 1.5
+  at_mm = [0.0, 68.0, 100.0]
+  button = true               # held from this way point on
+  ease = \"minimum-jerk\"       # or \"linear\"
+  quat = [1.0, 0.0, 0.0, 0.0] # w, x, y, z; without it the tool keeps its orientation
+It starts at joining, or with --at session at the same moment for all participants. Begin outside the tissue.
+
 The exit code is 0 when the session ended as it should, 2 when the command line, the link or the
-script is wrong, and 1 for everything else. RUST_LOG=debug says more on standard error.";
+script is wrong, and 1 for everything else. PALPATE_LOG=debug (or RUST_LOG) logs more to standard error.";
 
 #[derive(Parser)]
 #[command(
@@ -83,6 +110,9 @@ struct JoinArguments {
     /// stand below. The tool is that of --script then, or a ball of 8 mm radius
     #[arg(long, value_name = "FILE")]
     motion: Option<PathBuf>,
+    /// When the script or the motion starts: at joining, or with the session (see `palpate-server host --start-when`)
+    #[arg(long, value_name = "MOMENT", value_enum, default_value = "joining")]
+    at: StartAt,
     /// What of the tissue to be sent: full (tools and cuts; this machine computes the tissue) or thin (where its surface is,
     /// 60 times a second, within 0.05 mm and 1 Mbit/s; this machine computes nothing). Thin is for spectators
     #[arg(long, value_name = "full|thin", default_value = "full")]
@@ -93,6 +123,10 @@ struct JoinArguments {
     /// Try for so many seconds to come back when the connection is lost; the server keeps the seat for 60
     #[arg(long, value_name = "S", value_parser = seconds, default_value = "60")]
     reconnect: Duration,
+    /// Keep no seat on this disk: after a crash the server then refuses this name for 60 s. Without this option the seat is
+    /// kept in `$XDG_STATE_HOME/palpate` or `~/.local/state/palpate` until this program leaves
+    #[arg(long)]
+    forget_seat: bool,
     /// Write the summary as one JSON object to standard output
     #[arg(long)]
     json: bool,
@@ -118,8 +152,10 @@ impl JoinArguments {
             sources: Sources::from_environment(),
             script: self.script,
             motion: self.motion,
+            start_at: self.at,
             duration: self.duration,
             reconnect: self.reconnect,
+            state: state_folder().filter(|_| !self.forget_seat),
             record: self.record,
             realtime: !self.no_realtime,
             catch_signals: true,
@@ -156,12 +192,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
             return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
         }
     };
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("error"));
-    // A program that links this library may have set up its own.
-    let _ = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .try_init();
+    palpate_transport::start_log(palpate_transport::LevelFilter::ERROR);
     match arguments.command {
         Command::Devices(arguments) => devices::run(arguments),
         Command::Join(arguments) => {
@@ -217,7 +248,9 @@ mod tests {
     fn the_command_line_is_consistent_and_teaches() {
         Arguments::command().debug_assert();
         let help = Arguments::command().render_help().to_string();
-        assert!(help.contains("Examples:"), "{help}");
+        for word in ["Examples:", "palpate-script/1", "recorder", "PALPATE_LOG"] {
+            assert!(help.contains(word), "{word}: {help}");
+        }
     }
 
     #[test]

@@ -6,7 +6,7 @@ use palpate_device::ScriptError;
 use palpate_device::backend::replay::MotionError;
 use palpate_protocol::link::LinkError;
 use palpate_protocol::{ModelHash, ProtocolError, Role};
-use palpate_tissue::FileError;
+use palpate_tissue::{FileError, WriteError};
 use palpate_transport::TransportError;
 
 use crate::realtime::SpawnError;
@@ -81,23 +81,13 @@ pub enum ClientError {
     #[error("the system did not start a thread: {0}")]
     System(#[from] std::io::Error),
     /// There is no recording to be written there; told before anybody is bothered.
-    #[error(
-        "--record {} can not be written: {source}; name a file in a folder that is there and may be written to",
-        path.display()
-    )]
-    RecordPlace {
-        /// Where to.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    #[error("--record {0}")]
+    RecordPlace(WriteError),
     /// The recording can not be written.
-    #[error("the recording {} can not be written: {source}", path.display())]
+    #[error("the recording {source}")]
     Record {
-        /// Where to.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
+        /// Its file, and what the system said.
+        source: WriteError,
         /// The run up to its end.
         summary: Box<Summary>,
     },
@@ -147,7 +137,7 @@ impl ClientError {
             | Self::Motion { .. }
             | Self::NoScript(_)
             | Self::ThinTool(_)
-            | Self::RecordPlace { .. }
+            | Self::RecordPlace(_)
             | Self::Device(_) => 2,
             _ => 1,
         }

@@ -1,7 +1,5 @@
 //! A run from the join link to the summary.
 
-use std::fs::OpenOptions;
-use std::path::Path;
 use std::sync::Arc;
 
 use palpate_device::HapticDevice;
@@ -10,17 +8,18 @@ use palpate_device::script::ToolKind;
 use palpate_haptics::{Chain, ChainConfig};
 use palpate_protocol::JoinLink;
 use palpate_protocol::handshake::{Hello, Subscription, Welcome};
-use palpate_tissue::decode_model;
+use palpate_tissue::{Staged, decode_model};
+use palpate_transport::threads::{self, ThreadClass};
 
 use crate::convert::tool_description;
 use crate::devices::{self, DeviceChoice, Guide};
 use crate::lifeline::Condition;
 use crate::motion::MotionThread;
 use crate::network::{Joining, Network};
-use crate::realtime::{
-    HapticHandle, RealtimeConfig, lower_priority_of_this_thread, monotonic_now, spawn,
-};
+use crate::reach::Reach;
+use crate::realtime::{HapticHandle, RealtimeConfig, monotonic_now, spawn};
 use crate::recording::{HAPTIC_POINTS_MAX, Recording};
+use crate::seat::KeptSeat;
 use crate::session::Session;
 use crate::site::Site;
 use crate::solve::{Hand, ReplicaThread, Work, record_every};
@@ -35,10 +34,7 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
         return Err(ClientError::ThinTool(link.role));
     }
     if let Some(path) = &options.record {
-        can_be_written(path).map_err(|source| ClientError::RecordPlace {
-            path: path.clone(),
-            source,
-        })?;
+        Staged::check(path).map_err(ClientError::RecordPlace)?;
     }
     let guide = Guide::load(options, link.role)?;
     let mut held = None;
@@ -64,13 +60,21 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
         "joining {}:{} as {}",
         link.host, link.port, link.role
     ));
+    let kept = options
+        .state
+        .as_deref()
+        .and_then(|folder| KeptSeat::open(folder, &link, &hello));
     let joining = Joining {
         link,
         hello,
+        kept,
         reconnect: options.reconnect,
         stop: Arc::clone(&options.stop),
         catch_signals: options.catch_signals,
     };
+    if !options.realtime {
+        threads::without_real_time();
+    }
     let network = Network::open(joining, fetch_progress(options.status))?;
     let parts = match Parts::start(options, &network, guide, held) {
         Ok(parts) => parts,
@@ -86,30 +90,12 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
         status,
         seen: Condition::default(),
         began: monotonic_now(),
+        cpu_began: threads::cpu_time(),
         came: (0, monotonic_now()),
     };
     session.greet();
     let ending = session.supervise();
     session.finish(ending)
-}
-
-/// Whether a file can be written there, found by opening it. What is there stays as it is, and what is not is not
-/// left behind: a session that does not begin records nothing.
-fn can_be_written(path: &Path) -> std::io::Result<()> {
-    // A link to nothing is there too.
-    let was_there = path.symlink_metadata().is_ok();
-    let is_stream = path.metadata().is_ok_and(|m| !m.is_file() && !m.is_dir());
-    if is_stream {
-        // To open a pipe and close it again would end who reads it.
-        return Ok(());
-    }
-    let mut options = OpenOptions::new();
-    options.write(true).create(true).truncate(false);
-    options.open(path)?;
-    if was_there {
-        return Ok(());
-    }
-    std::fs::remove_file(path)
 }
 
 /// Opens the device that was asked for.
@@ -151,7 +137,10 @@ impl Parts {
         if let Some(guide) = &mut guide {
             guide.find_place(&model);
         }
-        let site = beneath(|| match options.subscription {
+        let reach = guide
+            .as_ref()
+            .map(|guide| Reach::new(tool_description(&guide.tool)));
+        let site = in_background(|| match options.subscription {
             Subscription::Full => Site::new(welcome, model, blade),
             Subscription::Thin => Site::thin(welcome, model, None),
         });
@@ -180,7 +169,8 @@ impl Parts {
             inbox: Arc::clone(&network.inbox),
             commands: network.commands.clone(),
             rejoin: network.rejoin.clone(),
-            script: hand.is_some().then_some(start),
+            script: hand.is_some().then_some((start, options.start_at)),
+            reach: hand.is_some().then_some(reach).flatten(),
             hand,
             record_every: options
                 .record
@@ -197,17 +187,12 @@ impl Parts {
     }
 }
 
-/// Does what takes seconds on all processors without disturbing those who already work on this
-/// machine: a server, or other participants.
-fn beneath<T: Send>(work: impl FnOnce() -> T + Send) -> T {
-    /// How much it gives way.
-    const NICE: i32 = 5;
-    let lower = |_| {
-        if !lower_priority_of_this_thread(NICE) {
-            tracing::debug!("what builds the tissue keeps its priority");
-        }
-    };
-    match rayon::ThreadPoolBuilder::new().start_handler(lower).build() {
+/// Builds on all processors as a background thread, without delaying sessions that run on this machine.
+fn in_background<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    let pool = rayon::ThreadPoolBuilder::new()
+        .start_handler(|_| threads::join(ThreadClass::Background))
+        .exit_handler(|_| threads::leave());
+    match pool.build() {
         Ok(pool) => pool.install(work),
         Err(_) => work(),
     }
@@ -217,7 +202,7 @@ fn loop_config(options: &JoinOptions) -> RealtimeConfig {
     let default = RealtimeConfig::default();
     let recorded = options.record.is_some();
     RealtimeConfig {
-        priority: default.priority.filter(|_| options.realtime),
+        real_time: options.realtime,
         trace_every: if recorded { default.trace_every } else { 0 },
         trace_points_max: HAPTIC_POINTS_MAX,
         ..default
@@ -260,16 +245,5 @@ mod tests {
             let said = error.to_string();
             assert!(said.contains(&place.display().to_string()), "{said}");
         }
-    }
-
-    #[test]
-    fn looking_whether_a_file_can_be_written_changes_none() {
-        let dir = tempfile::tempdir().unwrap();
-        let (old, new) = (dir.path().join("old"), dir.path().join("new"));
-        std::fs::write(&old, "kept").unwrap();
-        can_be_written(&old).unwrap();
-        can_be_written(&new).unwrap();
-        assert_eq!(std::fs::read_to_string(&old).unwrap(), "kept");
-        assert!(!new.exists());
     }
 }

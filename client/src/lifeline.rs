@@ -7,7 +7,7 @@ use palpate_protocol::handshake::{Hello, Resume, Welcome};
 use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::session::{ClientEvent, CloseReason};
 use palpate_protocol::{JoinLink, OperationId, TopologyHash};
-use palpate_transport::{ClientCommand, ClientHandle, DriverStats};
+use palpate_transport::{ClientCommand, ClientHandle, DriverStats, TransportError};
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 
@@ -64,6 +64,15 @@ pub(crate) struct Lifeline<'a> {
     pub(crate) is_lost: bool,
 }
 
+/// Whether the seat of a session that is over can be taken again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Farewell {
+    /// The server has given up the seat.
+    Final,
+    /// The server may keep the seat: it was not reached again.
+    Open,
+}
+
 /// Why a connection is pumped no more.
 enum Over {
     /// The session is over, and the inbox knows.
@@ -78,10 +87,13 @@ enum Over {
 
 impl Lifeline<'_> {
     /// Keeps the session standing until it is over.
-    pub(crate) async fn run(mut self, mut handle: ClientHandle) {
+    pub(crate) async fn run(mut self, mut handle: ClientHandle) -> Farewell {
         loop {
             let (why, is_lost) = match self.pump(&mut handle).await {
-                Over::Ended | Over::Leaving => return end(handle).await,
+                Over::Ended | Over::Leaving => {
+                    end(handle).await;
+                    return Farewell::Final;
+                }
                 Over::Lost(why) => (why, true),
                 Over::Anew(why) => (why, false),
             };
@@ -89,7 +101,7 @@ impl Lifeline<'_> {
             handle.task.abort();
             match self.come_back(why, is_lost).await {
                 Some(again) => handle = again,
-                None => return,
+                None => return Farewell::Open,
             }
         }
     }
@@ -175,6 +187,11 @@ impl Lifeline<'_> {
     /// Notes what the next connection goes on with.
     fn note(&mut self, operation: &Operation) {
         self.seat.note(operation);
+        if let OperationKind::ToolChanged { participant, tool } = operation.kind
+            && participant == self.seat.participant
+        {
+            self.hello.tool = Some(tool);
+        }
         if let OperationKind::Compensation {
             delay_us,
             effective_at,
@@ -266,6 +283,13 @@ impl Lifeline<'_> {
                 }
                 Some(Ok(Err(ClientError::Refused(sentence)))) => {
                     self.close(sentence);
+                    return None;
+                }
+                Some(Ok(Err(ClientError::Transport(
+                    error @ TransportError::WrongCertificate { .. },
+                )))) => {
+                    // No repetition makes another host the one of the link.
+                    self.close(error.to_string());
                     return None;
                 }
                 Some(Ok(Err(error))) => last = Some(error.to_string()),

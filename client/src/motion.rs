@@ -9,6 +9,7 @@ use std::thread::JoinHandle;
 
 use palpate_protocol::{LocalSample, Span};
 use palpate_transport::ClientCommand;
+use palpate_transport::threads::{self, ThreadClass};
 use tokio::sync::mpsc;
 
 use crate::convert::local_sample;
@@ -44,17 +45,15 @@ impl MotionThread {
             dropped: Arc::clone(&dropped),
         };
         let stopped = Arc::clone(&stop);
-        let thread = std::thread::Builder::new()
-            .name("motion".to_owned())
-            .spawn(move || {
-                let mut deadline = monotonic_now();
-                while !stopped.load(Ordering::Acquire) {
-                    pump.turn();
-                    // After a pause the missed turns are one.
-                    deadline = (deadline + PERIOD).max(monotonic_now());
-                    sleep_until(deadline);
-                }
-            })?;
+        let thread = threads::spawn(ThreadClass::Network, "motion", move || {
+            let mut deadline = monotonic_now();
+            while !stopped.load(Ordering::Acquire) {
+                pump.turn();
+                // After a pause the missed turns are one.
+                deadline = (deadline + PERIOD).max(monotonic_now());
+                sleep_until(deadline);
+            }
+        })?;
         let running = Self {
             stop,
             dropped,

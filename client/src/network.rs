@@ -9,6 +9,7 @@ use palpate_protocol::compensation::DelaySchedule;
 use palpate_protocol::handshake::{Hello, Resume, Welcome};
 use palpate_protocol::session::{ClientEvent, ClientSession, CloseReason};
 use palpate_protocol::{JoinLink, ModelHash, Span};
+use palpate_transport::threads::{self, ThreadClass};
 use palpate_transport::{
     ClientCommand, ClientHandle, DriverStats, TransportError, connect, fetch_model, spawn_client,
 };
@@ -16,9 +17,10 @@ use tokio::sync::{mpsc as async_mpsc, watch};
 
 use crate::ClientError;
 use crate::inbox::Inbox;
-use crate::lifeline::{Condition, Lifeline};
+use crate::lifeline::{Condition, Farewell, Lifeline};
 use crate::realtime::{monotonic_now, sleep_until};
 use crate::requests::Requests;
+use crate::seat::KeptSeat;
 
 /// Commands that may wait for the network thread: a second of motion.
 const COMMANDS_MAX: usize = 256;
@@ -63,6 +65,8 @@ pub(crate) struct Network {
 pub(crate) struct Joining {
     pub(crate) link: JoinLink,
     pub(crate) hello: Hello,
+    /// Where the seat is kept beyond this run.
+    pub(crate) kept: Option<KeptSeat>,
     /// How long to try to come back when the connection is lost.
     pub(crate) reconnect: Duration,
     pub(crate) stop: Arc<AtomicBool>,
@@ -89,17 +93,15 @@ impl Network {
         let (tell, told) = mpsc::sync_channel(1);
         let ended = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&ended);
-        let thread = std::thread::Builder::new()
-            .name("network".to_owned())
-            .spawn(move || {
-                runtime.block_on(async {
-                    if joining.catch_signals {
-                        tokio::spawn(watch_signals(Arc::clone(&joining.stop)));
-                    }
-                    live(joining, progress, &tell).await;
-                });
-                ends.store(true, Ordering::Release);
-            })?;
+        let thread = threads::spawn(ThreadClass::Network, "network", move || {
+            runtime.block_on(async {
+                if joining.catch_signals {
+                    tokio::spawn(watch_signals(Arc::clone(&joining.stop)));
+                }
+                live(joining, progress, &tell).await;
+            });
+            ends.store(true, Ordering::Release);
+        })?;
         let opened = told.recv().unwrap_or_else(|_| {
             let sentence = "the network thread ended before its time".to_owned();
             Err(ClientError::EndedWhileJoining(sentence))
@@ -150,14 +152,20 @@ async fn live(
 ) {
     let (link, stop) = (&joining.link, &*joining.stop);
     let stopped = || ClientError::EndedWhileJoining("you stopped it".to_owned());
+    let (hello, mut kept) = (joining.hello, joining.kept);
     let joined = tokio::select! {
-        joined = join(link, joining.hello.clone(), None) => joined,
+        joined = take_seat(link, &hello, kept.as_mut()) => joined,
         () = until(stop) => Err(stopped()),
     };
     let (handle, welcome) = match joined {
         Ok(joined) => joined,
         // Main has gone when this fails; then nobody is left to be told.
-        Err(error) => return drop(tell.send(Err(error))),
+        Err(error) => {
+            if let Some(kept) = kept.filter(KeptSeat::is_empty) {
+                kept.forget();
+            }
+            return drop(tell.send(Err(error)));
+        }
     };
     let inbox = Arc::new(Inbox::default());
     let _last_word = LastWord(Arc::clone(&inbox));
@@ -167,13 +175,13 @@ async fn live(
     let (condition_sender, condition) = watch::channel(Condition::default());
     let lifeline = Lifeline {
         link,
-        hello: joining.hello.clone(),
+        hello,
         seat: Resume::after_welcome(&welcome, None),
         patience: joining.reconnect,
         inbox: &inbox,
         commands: command_receiver,
         rejoin: rejoin_receiver,
-        requests: Requests::new(welcome.participant),
+        requests: Requests::new(welcome.participant).of_run(kept.as_ref().map_or(0, KeptSeat::run)),
         delay: DelaySchedule::new(&welcome.compensation),
         stats: stats_sender,
         condition: condition_sender,
@@ -184,7 +192,7 @@ async fn live(
     tokio::pin!(session);
     let fetched = tokio::select! {
         fetched = fetch(link, welcome.model.hash, progress, joining.reconnect) => fetched,
-        () = &mut session => return drop(tell.send(Err(ended(&inbox)))),
+        _ = &mut session => return drop(tell.send(Err(ended(&inbox)))),
         () = until(stop) => Err(stopped()),
     };
     let told = match fetched {
@@ -205,7 +213,39 @@ async fn live(
     };
     // When nobody is left to be told, what was to be told is dropped, and the session left as well.
     drop(tell.send(told));
-    session.await;
+    if session.await == Farewell::Final
+        && let Some(kept) = kept
+    {
+        kept.forget();
+    }
+}
+
+/// Takes the seat of an earlier run that did not end as it should, or else a new one.
+async fn take_seat(
+    link: &JoinLink,
+    hello: &Hello,
+    kept: Option<&mut KeptSeat>,
+) -> Result<(ClientHandle, Box<Welcome>), ClientError> {
+    let Some(kept) = kept else {
+        return join(link, hello.clone(), None).await;
+    };
+    if let Some(resume) = kept.begin_run() {
+        let hello = Hello {
+            resume: Some(resume),
+            ..hello.clone()
+        };
+        match join(link, hello, None).await {
+            // The seat is gone, or belonged to an earlier session of this host.
+            Err(ClientError::Refused(sentence)) => {
+                tracing::info!(sentence, "the kept seat is gone");
+                kept.clear();
+            }
+            other => return other,
+        }
+    }
+    let joined = join(link, hello.clone(), None).await?;
+    kept.keep(&joined.1);
+    Ok(joined)
 }
 
 /// Ends the session for the replica when the thread ends by a panic, so that no force is felt of a copy

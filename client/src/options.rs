@@ -21,6 +21,16 @@ pub enum StatusKind {
     Stderr,
 }
 
+/// The moment at which a script, or a replayed motion, starts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+pub enum StartAt {
+    /// As soon as this participant has joined and has the tissue.
+    #[default]
+    Joining,
+    /// With the session: at the same moment for every participant, once the tools that the host waits for are there.
+    Session,
+}
+
 /// All that [`run`](crate::run) has to know.
 #[derive(Debug, Clone)]
 pub struct JoinOptions {
@@ -40,11 +50,16 @@ pub struct JoinOptions {
     pub script: Option<PathBuf>,
     /// A recorded motion for a device that replays it; the tool is the script's then, or a ball of 8 mm.
     pub motion: Option<PathBuf>,
+    /// When the script or the motion starts.
+    pub start_at: StartAt,
     /// Leave after this time; without it stay until the session ends.
     pub duration: Option<Duration>,
     /// For how long to try to come back when the connection is lost; the server keeps the seat for
     /// [`SEAT_KEPT`].
     pub reconnect: Duration,
+    /// The folder where the seat is kept while the run lasts, so that a run that follows a crash takes it again at once.
+    /// `None` keeps nothing.
+    pub state: Option<PathBuf>,
     /// Where to write the [`Recording`](crate::Recording) at the end.
     pub record: Option<PathBuf>,
     /// Whether to ask for real-time priority.
@@ -69,8 +84,10 @@ impl JoinOptions {
             sources: Sources::default(),
             script: None,
             motion: None,
+            start_at: StartAt::default(),
             duration: None,
             reconnect: Duration::from_micros(SEAT_KEPT.as_micros().unsigned_abs()),
+            state: None,
             record: None,
             realtime: true,
             catch_signals: false,

@@ -16,10 +16,10 @@ use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::tool::part_owner;
 use palpate_protocol::{ClientTime, Span};
 use palpate_tissue::{
-    Budget, CutOutcome, Model, Reaction, Shape, Solver, Successor, Tool, Topology,
+    Budget, CutOutcome, Model, Reaction, Shape, Solver, SolverState, Successor, Tool, Topology,
 };
 
-use crate::ahead::{Ahead, ReadyCut, ReplicaError, cut_as_told};
+use crate::ahead::{Ahead, MadeCut, ReadyCut, ReplicaError, Retired, cut_as_told};
 use crate::felt::{contact_model, unusable};
 use crate::roster::{ToolAt, gather};
 use crate::thin::ThinView;
@@ -35,12 +35,12 @@ pub const HAPTIC_PERIOD: Span = Span::from_millis(4);
 pub const HAPTIC_WORK: Span = Span::from_micros(1000);
 
 /// Iterations at most; time ends most solves.
-const ITERATIONS: usize = 4;
+pub(crate) const ITERATIONS: usize = 4;
 
 /// Residual at which the hand's solve ends: the force is then within a percent or two. Less is not asked for of what is
 /// near a tool alone. With 3e-2 a line that was dragged at 50 mm/s over a thigh felt a force that was 6 % off instead
 /// of 4 %.
-const HAPTIC_TOLERANCE: f64 = 2e-2;
+pub(crate) const HAPTIC_TOLERANCE: f64 = 2e-2;
 
 /// The budget of a solve of what a hand feels; `stop` says when its [work](HAPTIC_WORK) is done.
 pub fn hand_budget(stop: &mut dyn FnMut() -> bool) -> Budget<'_> {
@@ -74,6 +74,17 @@ impl Side {
         }
     }
 
+    /// Continues the state of another side on the topology as a cut left it.
+    pub(crate) fn resume(
+        state: SolverState,
+        topology: &Topology,
+        outcome: &CutOutcome,
+        successor: Successor,
+    ) -> Self {
+        let (solver, shape) = state.resume(topology, outcome, successor);
+        Self { shape, solver }
+    }
+
     /// Takes a cut over; the shape must be whole.
     pub(crate) fn succeed(
         &mut self,
@@ -94,7 +105,7 @@ impl Side {
 pub struct Replica {
     topology: Arc<Topology>,
     /// `None` for who only looks.
-    haptic: Option<Side>,
+    haptic: Option<Box<Side>>,
     /// `None` when it is elsewhere, or for who is thin.
     view: Option<View>,
     /// What is shown to who has no tissue that is computed; then nothing of the above is there.
@@ -109,7 +120,7 @@ impl Replica {
         let topology = Arc::new(Topology::new(model));
         let view = View::new(&topology);
         Self {
-            haptic: with_hand.then(|| view.another_side()),
+            haptic: with_hand.then(|| Box::new(view.another_side())),
             view: Some(view),
             thin: None,
             topology,
@@ -151,6 +162,17 @@ impl Replica {
         self.haptic.as_ref().map(|h| &h.shape)
     }
 
+    /// Bricks that the hand's last step visited: what it cost, whatever the machine.
+    pub fn haptic_bricks(&self) -> Option<usize> {
+        self.haptic.as_ref().map(|h| h.solver.report().visits[0])
+    }
+
+    /// Relative residual of the latest solve of what the hand feels; `None` for who only looks.
+    pub fn haptic_residual(&self) -> Option<f64> {
+        let side = self.haptic.as_ref()?;
+        Some(side.solver.report().residual)
+    }
+
     /// What is seen; `None` when it is elsewhere.
     pub fn view(&self) -> Option<&View> {
         self.view.as_ref()
@@ -161,7 +183,7 @@ impl Replica {
         self.view.as_mut()
     }
 
-    /// Takes the view out. It has to be given what [`take`](Self::take) gives from now on.
+    /// Takes the view out. Whoever holds it must give it every cut from now on.
     pub fn detach_view(&mut self) -> Option<View> {
         self.view.take()
     }
@@ -192,21 +214,20 @@ impl Replica {
         let mut ahead = self.ahead().ok_or_else(|| ReplicaError::Ended {
             operation: operation.id.to_string(),
         })?;
-        Ok(ahead.make(operation)?.and_then(|ready| self.take(ready)))
+        Ok(ahead.make(operation)?.and_then(|made| self.follow(made)))
     }
 
-    /// Takes over a cut that [`ahead`](Self::ahead) has made, the next one of the log. What a view
-    /// elsewhere has to take over is given back.
-    pub fn take(&mut self, ready: ReadyCut) -> Option<ViewCut> {
-        self.topology = ready.topology;
-        if let Some((side, successor)) = self.haptic.as_mut().zip(ready.haptic) {
+    /// Follows a cut here and now.
+    fn follow(&mut self, made: MadeCut) -> Option<ViewCut> {
+        self.topology = made.topology;
+        if let Some((side, successor)) = self.haptic.as_mut().zip(made.hand) {
             side.solver.pour(&mut side.shape);
-            side.succeed(&self.topology, &ready.outcome, successor);
+            side.succeed(&self.topology, &made.outcome, successor);
         }
         let cut = ViewCut {
             topology: Arc::clone(&self.topology),
-            outcome: ready.outcome,
-            successor: ready.view,
+            outcome: made.outcome,
+            successor: made.view,
         };
         match &mut self.view {
             Some(view) => {
@@ -215,6 +236,27 @@ impl Replica {
             }
             None => Some(cut),
         }
+    }
+
+    /// Copies the state of the hand's side, to be continued on the topology of the next cut. Returns the tools of its
+    /// last step; `None` without a hand.
+    pub fn capture(&mut self, state: &mut SolverState) -> Option<Vec<Tool>> {
+        let side = self.haptic.as_mut()?;
+        side.solver.capture(&side.shape, state);
+        Some(self.tools.clone())
+    }
+
+    /// The tools of the hand's last step.
+    pub fn tools(&self) -> &[Tool] {
+        &self.tools
+    }
+
+    /// Exchanges topology and hand's side for those of the next cut of the log, as [`ahead`](Self::ahead) has prepared
+    /// them. It computes and frees nothing.
+    pub fn exchange(&mut self, ready: ReadyCut) -> (Box<ViewCut>, Retired) {
+        let topology = std::mem::replace(&mut self.topology, ready.topology);
+        let hand = ready.hand.and_then(|side| self.haptic.replace(side));
+        (ready.view, Retired { topology, hand })
     }
 
     /// Solves what the hand feels: one's `own` tool where it is `now`, the others where everybody

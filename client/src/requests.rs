@@ -14,6 +14,9 @@ use palpate_protocol::{OperationId, ParticipantId, RequestId};
 /// Requests kept at most: as many as a server takes in a second, and some. Beyond, the oldest is given up.
 const KEPT_MAX: usize = 64;
 
+/// Bits of a number that count the requests of one run: at 60 a second these are three days.
+const RUN_BITS: u32 = 24;
+
 /// What one seat asked for.
 #[derive(Debug, Clone)]
 pub struct Requests {
@@ -32,6 +35,16 @@ impl Requests {
             last: RequestId(0),
             open: VecDeque::new(),
             unseen: OperationId(0),
+        }
+    }
+
+    /// Numbers requests above those that an earlier run in the same seat may have used: the server takes a number that it
+    /// knows from an earlier connection for a repetition.
+    #[must_use]
+    pub fn of_run(self, run: u8) -> Self {
+        Self {
+            last: RequestId(u32::from(run) << RUN_BITS),
+            ..self
         }
     }
 
@@ -141,6 +154,16 @@ mod tests {
             id: RequestId(id),
             reason: RequestRefusal::NothingCut,
         })
+    }
+
+    #[test]
+    fn two_runs_in_one_seat_use_no_number_twice() {
+        let numbers = |run: u8| {
+            let mut requests = Requests::new(ME).of_run(run);
+            (0..1000).map(move |_| requests.number(cut()).id)
+        };
+        assert!(numbers(0).max() < numbers(1).min());
+        assert!(numbers(254).max() < numbers(255).min());
     }
 
     #[test]

@@ -5,15 +5,15 @@ use std::sync::atomic::Ordering;
 
 use palpate_protocol::session::CloseReason;
 use palpate_protocol::{ClientTime, Span};
+use palpate_tissue::Staged;
+use palpate_transport::threads::{self, CpuTime, Scheduling};
 
 use crate::ending::{Ending, conclude};
 use crate::join::Parts;
 use crate::lifeline::Condition;
 use crate::motion::MotionThread;
 use crate::network::Network;
-use crate::realtime::{
-    HapticHandle, LoopSummary, Priority, TracePoint, monotonic_now, sleep_until,
-};
+use crate::realtime::{HapticHandle, LoopSummary, TracePoint, monotonic_now, sleep_until};
 use crate::recording::{HapticPoint, Recording};
 use crate::solve::{End, Part, Progress, Solved};
 use crate::status::{Figures, HandFigures, Status};
@@ -31,6 +31,8 @@ pub(crate) struct Session<'a> {
     /// How the connection did when it was last looked at.
     pub(crate) seen: Condition,
     pub(crate) began: ClientTime,
+    /// CPU time of the program when the session began.
+    pub(crate) cpu_began: CpuTime,
     /// Bytes that had come from the server when the status line was last written, and when that was.
     pub(crate) came: (u64, ClientTime),
 }
@@ -48,7 +50,7 @@ impl Session<'_> {
             .parts
             .haptics
             .as_ref()
-            .and_then(|h| h.priority().explanation().map(str::to_owned));
+            .and_then(|h| h.scheduling().explanation());
         if let Some(explanation) = explanation {
             self.status.say(&explanation);
         }
@@ -173,6 +175,8 @@ impl Session<'_> {
             realtime: "no force loop".to_owned(),
             ..Summary::default()
         };
+        // Before the threads end, so that what follows does not count.
+        summary.cpu = threads::cpu_time().usage_since(&self.cpu_began);
         let haptics = self.parts.haptics.map(HapticHandle::stop);
         if let Some(dropped) = self.parts.motion.map(MotionThread::stop) {
             summary.events.frames_dropped = dropped;
@@ -206,9 +210,12 @@ impl Summary {
         let on_the_way = self.events.frames_dropped;
         self.take_loop(&haptics.stats);
         self.events.frames_dropped += on_the_way;
-        self.realtime = match &haptics.priority {
-            Priority::RealTime { priority } => format!("real-time priority {priority}"),
-            Priority::Normal { explanation } => explanation.clone(),
+        self.realtime = match &haptics.scheduling {
+            Scheduling::RealTime { priority } => format!("real-time priority {priority}"),
+            Scheduling::Ordinary { .. } => {
+                let explanation = haptics.scheduling.explanation();
+                explanation.unwrap_or_else(|| "ordinary priority, as configured".to_owned())
+            }
         };
     }
 
@@ -229,6 +236,7 @@ impl Summary {
         self.view_solves = solved.view_solves;
         self.view_ms = solved.view_ms;
         self.seconds = solved.seconds;
+        self.nearest_mm = solved.nearest_mm;
     }
 }
 
@@ -245,14 +253,10 @@ fn write_recording(
         recording.haptic = haptics.trace.points().iter().map(point).collect();
         recording.dropped.haptic = haptics.trace.lost();
     }
-    let written = std::fs::File::create(path).and_then(|file| {
-        let mut file = std::io::BufWriter::new(file);
-        serde_json::to_writer(&mut file, &recording)?;
-        std::io::Write::flush(&mut file)
-    });
+    let written = Staged::write(path, |out| Ok(serde_json::to_writer(out, &recording)?))
+        .and_then(Staged::put_in_place);
     match (outcome, written) {
         (Ok(summary), Err(source)) => Err(ClientError::Record {
-            path: path.to_owned(),
             source,
             summary: Box::new(summary),
         }),

@@ -11,6 +11,7 @@
 
 mod anew;
 mod applying;
+mod cutting;
 mod grid;
 mod resync;
 mod thin;
@@ -33,11 +34,12 @@ use palpate_protocol::{
 use palpate_tissue::{Budget, Model, Shape};
 
 use anew::Anew;
+use cutting::Cuts;
 use resync::Resync;
 
 pub use resync::{DRIFT_MAX_M, RESYNCS_MAX};
 
-use crate::ahead::{Ahead, ReadyCut, ReplicaError};
+use crate::ahead::{Ahead, ReplicaError};
 use crate::recording::OperationRecord;
 use crate::replica::Replica;
 use crate::roster::{Roster, ToolAt};
@@ -133,9 +135,7 @@ pub struct Site {
     deferred: VecDeque<Operation>,
     /// Whether cuts are made elsewhere, ahead of their moment.
     is_detached: bool,
-    /// Cuts that are to be made there, and those that were.
-    to_make: VecDeque<Operation>,
-    ready: VecDeque<ReadyCut>,
+    cuts: Cuts,
     /// What the view has to be told, where it is elsewhere.
     view_news: VecDeque<ViewNews>,
     /// What the topology must be when the log of the beginning is applied.
@@ -177,8 +177,7 @@ impl Site {
             made_up: None,
             deferred: VecDeque::new(),
             is_detached: false,
-            to_make: VecDeque::new(),
-            ready: VecDeque::new(),
+            cuts: Cuts::default(),
             view_news: VecDeque::new(),
             expected: Some((welcome.topology_version, welcome.topology_hash)),
             unreported: None,
@@ -283,8 +282,8 @@ impl Site {
             }),
             _ => {}
         }
-        if self.is_detached && matches!(operation.kind, OperationKind::Cut(_)) {
-            self.to_make.push_back(operation.clone());
+        if self.is_detached && cutting::is_cut(&operation) {
+            self.cuts.make(&operation);
         }
         self.deferred.push_back(operation);
         if self.expected.is_some() || self.is_thin() {
@@ -295,13 +294,12 @@ impl Site {
     }
 
     /// Lets cuts be made and views be solved elsewhere from now on: gives what does it, once, when the
-    /// log of the beginning is applied. Give the first what [`poll_cut`](Self::poll_cut) gives, and tell
+    /// log of the beginning is applied. Give the first what [`poll_cut_order`](Self::poll_cut_order) gives, and tell
     /// [`handle_cut`](Self::handle_cut) what comes of it; give the second what
     /// [`poll_view_news`](Self::poll_view_news) and [`next_view`](Self::next_view) give.
     pub fn detach(&mut self) -> Option<(Ahead, View)> {
-        let is_cut = |o: &Operation| matches!(o.kind, OperationKind::Cut(_));
         let is_under_way = self.expected.is_some() || self.is_resyncing();
-        if is_under_way || self.is_detached || self.deferred.iter().any(is_cut) {
+        if is_under_way || self.is_detached || self.deferred.iter().any(cutting::is_cut) {
             return None;
         }
         let ahead = self.replica.ahead()?;
@@ -310,19 +308,9 @@ impl Site {
         Some((ahead, view))
     }
 
-    /// The next cut that is to be made.
-    pub fn poll_cut(&mut self) -> Option<Operation> {
-        self.to_make.pop_front()
-    }
-
     /// The next that the view has to be told.
     pub fn poll_view_news(&mut self) -> Option<ViewNews> {
         self.view_news.pop_front()
-    }
-
-    /// A cut was made; it waits for its moment.
-    pub fn handle_cut(&mut self, ready: ReadyCut) {
-        self.ready.push_back(ready);
     }
 
     /// A sample of one's own tool.
@@ -373,7 +361,9 @@ impl Site {
             None => Vec::new(),
         };
         let replica = &mut self.replica;
-        Some(replica.haptic_step(now, own.as_ref(), &others, budget))
+        let model = replica.haptic_step(now, own.as_ref(), &others, budget);
+        self.lead_cut();
+        Some(model)
     }
 
     /// The newest moment of the common grid that is to be seen now; `None` when it was given already.

@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::thread::JoinHandle;
 
 use hdrhistogram::Histogram;
@@ -16,23 +16,21 @@ use palpate_protocol::request::RequestKind;
 use palpate_protocol::session::{ClientEvent, CloseReason};
 use palpate_protocol::{ClientTime, LocalSample, Span};
 use palpate_transport::ClientCommand;
+use palpate_transport::threads::{self, CpuBudget, ThreadClass};
 use tokio::sync::mpsc;
 use triple_buffer::{Input, Output};
 
 use crate::SolveTimes;
+use crate::StartAt;
 use crate::ahead::AheadThread;
 use crate::inbox::Inbox;
-use crate::realtime::{
-    Frame, device_time, lower_priority_of_this_thread, monotonic_now, sleep_until, worked,
-};
+use crate::reach::Reach;
+use crate::realtime::{Frame, compute_alone, device_time, monotonic_now, sleep_until, worked};
 use crate::recording::{Recording, VIEW_HZ};
 use crate::replica::{HAPTIC_PERIOD, HAPTIC_WORK, hand_budget};
 use crate::site::{Site, SiteCounters, SiteError, ViewNews};
 use crate::thin::{ThinCounters, ThinView};
 use crate::view::{Order, ViewReport, ViewThread, record};
-
-/// How much the thread gives way to the network and the screen.
-const NICE: i32 = 2;
 
 /// Longest solve that is told apart, µs.
 const SOLVE_MAX_US: u64 = 1_000_000;
@@ -49,8 +47,10 @@ pub(crate) struct Work {
     pub(crate) rejoin: mpsc::Sender<String>,
     /// `None` for who only looks.
     pub(crate) hand: Option<Hand>,
-    /// When the simulated hand's script begins.
-    pub(crate) script: Option<ScriptStart>,
+    /// Starts the script of the simulated hand, and the moment for it.
+    pub(crate) script: Option<(ScriptStart, StartAt)>,
+    /// Until the tool touches something.
+    pub(crate) reach: Option<Reach>,
     /// Of how many points of the grid one is recorded; `None` records nothing.
     pub(crate) record_every: Option<i64>,
     pub(crate) recording: Recording,
@@ -136,6 +136,8 @@ pub(crate) struct Solved {
     pub(crate) view_solves: u64,
     pub(crate) view_ms: SolveTimes,
     pub(crate) seconds: f64,
+    /// Of a tool that touched nothing; below zero inside the tissue.
+    pub(crate) nearest_mm: Option<f64>,
     pub(crate) recording: Recording,
 }
 
@@ -163,15 +165,17 @@ impl ReplicaThread {
             end: None,
         };
         let stopped = Arc::clone(&stop);
-        let thread = std::thread::Builder::new()
-            .name("replica".to_owned())
-            .spawn(move || {
-                if !lower_priority_of_this_thread(NICE) {
-                    tracing::debug!("the replica thread keeps its priority");
-                }
-                turns.run(&stopped);
-                turns.finish()
-            })?;
+        // A spectator has no force that a late solve could take away.
+        let class = if turns.work.hand.is_some() {
+            ThreadClass::HandSolver
+        } else {
+            ThreadClass::Background
+        };
+        let thread = threads::spawn(class, "replica", move || {
+            let _pool = compute_alone();
+            turns.run(&stopped, class.budget());
+            turns.finish()
+        })?;
         Ok(Self {
             stop,
             progress,
@@ -204,6 +208,14 @@ fn lock(progress: &Mutex<Progress>) -> MutexGuard<'_, Progress> {
     progress.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+fn try_lock(progress: &Mutex<Progress>) -> Option<MutexGuard<'_, Progress>> {
+    match progress.try_lock() {
+        Ok(progress) => Some(progress),
+        Err(TryLockError::Poisoned(progress)) => Some(progress.into_inner()),
+        Err(TryLockError::WouldBlock) => None,
+    }
+}
+
 fn histogram() -> Histogram<u32> {
     Histogram::new_with_bounds(1, SOLVE_MAX_US, 3).expect("1 to 10^6 in 3 digits is a valid range")
 }
@@ -229,15 +241,19 @@ struct Turns {
 }
 
 impl Turns {
-    fn run(&mut self, stop: &AtomicBool) {
+    fn run(&mut self, stop: &AtomicBool, mut budget: CpuBudget) {
         let mut deadline = monotonic_now();
+        let mut charged = worked();
         while !stop.load(Ordering::Acquire) {
             if self.end.is_none() {
                 self.turn();
             }
             self.publish();
+            let (now, cpu) = (monotonic_now(), worked());
+            let rest = budget.charge(now.as_micros(), cpu - charged);
+            charged = cpu;
             // After a long solve the missed turns are one.
-            deadline = (deadline + HAPTIC_PERIOD).max(monotonic_now());
+            deadline = (deadline + HAPTIC_PERIOD).max(now + rest);
             sleep_until(deadline);
         }
     }
@@ -250,6 +266,10 @@ impl Turns {
         self.take_own();
         self.start_script();
         self.haptic();
+        if let Err(error) = self.order_cuts() {
+            self.end = Some(End::Diverged(error.to_string()));
+            return;
+        }
         self.view();
         self.rejoin();
         self.hand_over();
@@ -271,7 +291,22 @@ impl Turns {
             }
         }
         self.consult()?;
-        self.work.site.advance(monotonic_now())
+        self.work.site.advance(monotonic_now())?;
+        self.order_cuts()
+    }
+
+    /// Passes the site's orders on to the thread that makes cuts.
+    fn order_cuts(&mut self) -> Result<(), SiteError> {
+        let (site, Some(helpers)) = (&mut self.work.site, &self.helpers) else {
+            return Ok(());
+        };
+        while let Some(order) = site.poll_cut_order() {
+            if let Err(error) = helpers.cuts.order(order) {
+                self.helpers = None;
+                return site.handle_broken(error, monotonic_now());
+            }
+        }
+        Ok(())
     }
 
     /// Has a copy that differs made anew: asks who keeps the connection for the log.
@@ -295,15 +330,9 @@ impl Turns {
         let Some(helpers) = &mut self.helpers else {
             return Ok(());
         };
-        while let Some(operation) = site.poll_cut() {
-            if let Err(error) = helpers.cuts.make(operation) {
-                self.helpers = None;
-                return site.handle_broken(error, monotonic_now());
-            }
-        }
         loop {
             match helpers.cuts.poll() {
-                Ok(Some(ready)) => site.handle_cut(ready),
+                Ok(Some(news)) => site.handle_cut(news),
                 Ok(None) => break,
                 Err(error) => {
                     // It has nothing more to say.
@@ -340,19 +369,29 @@ impl Turns {
         };
         while let Ok(sample) = hand.own.pop() {
             self.work.site.handle_own(&sample);
+            if let Some(reach) = &mut self.work.reach {
+                reach.note(&sample);
+            }
         }
     }
 
-    /// Until the script has begun, its beginning follows the estimate of the clock; then it stands.
+    /// Starts the script. Until the start of a session is over it follows the estimate of the clock; then it stands.
     fn start_script(&mut self) {
-        let Some((script, at)) = self.work.script.as_ref().zip(self.work.site.script_start())
-        else {
+        let Some((script, start)) = &self.work.script else {
             return;
         };
-        let has_begun = script
-            .get()
-            .is_some_and(|t| t <= device_time(monotonic_now()));
-        if !has_begun {
+        let now = monotonic_now();
+        if script.get().is_some_and(|t| t <= device_time(now)) {
+            return;
+        }
+        let at = match start {
+            StartAt::Session => self.work.site.script_start(),
+            // The log of the beginning is applied, and the clock says when a sample was taken.
+            StartAt::Joining => {
+                (self.helpers.is_some() && self.work.site.clock().is_some()).then_some(now)
+            }
+        };
+        if let Some(at) = at {
             script.set(device_time(at));
             self.work.recording.script_started_us = Some(at.as_micros());
         }
@@ -371,6 +410,9 @@ impl Turns {
         let pose = sample.pose;
         let is_believed = !self.link_lost && !self.work.site.is_resyncing();
         if let Some(mut model) = self.work.site.haptic_step(began, pose, buttons, budget) {
+            if model.touching().next().is_some() {
+                self.work.reach = None;
+            }
             if !is_believed {
                 take_away(&mut model);
             }
@@ -423,6 +465,9 @@ impl Turns {
     fn hand_over(&mut self) {
         while let Some(request) = self.work.site.poll_request() {
             let is_cut = matches!(request, RequestKind::Cut(_));
+            if is_cut {
+                self.work.reach = None;
+            }
             let sent = self
                 .work
                 .commands
@@ -440,9 +485,12 @@ impl Turns {
     }
 
     fn publish(&mut self) {
+        // The main thread has ordinary priority and may be off the processor with the lock: the next turn publishes.
+        let Some(mut progress) = try_lock(&self.progress) else {
+            return;
+        };
         let site = &mut self.work.site;
         let delay = site.moment(monotonic_now()).map_or(Span::ZERO, |(_, d)| d);
-        let mut progress = lock(&self.progress);
         progress.counters = site.counters();
         progress.delay = delay;
         progress.clock_error = site.clock().map(|c| c.error_bound());
@@ -470,6 +518,7 @@ impl Turns {
             view_solves: self.view_us.len(),
             view_ms: percentiles(&self.view_us),
             seconds: self.first_view.map_or(0.0, since),
+            nearest_mm: self.work.reach.and_then(|r| r.nearest_mm(topology)),
             recording: self.work.recording,
         }
     }

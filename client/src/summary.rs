@@ -3,6 +3,7 @@
 use std::fmt;
 
 use palpate_haptics::Counters;
+use palpate_transport::threads::CpuUsage;
 use serde::{Deserialize, Serialize};
 
 use crate::realtime::{DeviceCounts, LoopStats, Percentiles};
@@ -65,6 +66,10 @@ pub struct Summary {
     pub drift_mm_max: f64,
     /// The largest force.
     pub force_max_n: f64,
+    /// Smallest distance in mm between the tool and the tissue at rest, for a tool that touched nothing; below zero where
+    /// the tool stayed inside the tissue.
+    #[serde(default)]
+    pub nearest_mm: Option<f64>,
     /// What the force loop met.
     pub events: EventCounts,
     /// Cuts that the server refused.
@@ -73,6 +78,9 @@ pub struct Summary {
     pub device: String,
     /// How the force loop was scheduled, in a sentence.
     pub realtime: String,
+    /// Mean use of the processor over the session, by thread class.
+    #[serde(default)]
+    pub cpu: CpuUsage,
     /// How often the connection was lost and made anew.
     pub reconnects: u64,
     /// How often the copy of the tissue was made anew from the server's log, because it differed.
@@ -211,6 +219,22 @@ impl Summary {
     }
 }
 
+/// The sentence for a tool that touched nothing.
+fn untouched(nearest_mm: f64) -> String {
+    if nearest_mm < 0.0 {
+        format!(
+            "the tool touched nothing: it stayed inside the tissue, at least {:.1} mm beneath the surface; begin outside, \
+             because a tool is felt from outside",
+            -nearest_mm
+        )
+    } else {
+        format!(
+            "the tool touched nothing: its smallest distance to the tissue surface was {nearest_mm:.1} mm; move the way \
+             points into the tissue (`palpate-server inspect` prints where it is)"
+        )
+    }
+}
+
 impl fmt::Display for Summary {
     /// What a person wants to know at the end, one thing per line.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -239,6 +263,9 @@ impl fmt::Display for Summary {
                 self.events.stale,
                 self.events.faulted
             )?;
+            if let Some(mm) = self.nearest_mm {
+                writeln!(f, "  touch        {}", untouched(mm))?;
+            }
             if self.events.torque_max_nm > 0.0 {
                 writeln!(
                     f,
@@ -287,6 +314,7 @@ impl fmt::Display for Summary {
             self.view_ms.p99,
             self.views_skipped,
             self.drift_mm_max
-        )
+        )?;
+        write!(f, "\n  processor    {}", self.cpu)
     }
 }

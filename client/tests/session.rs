@@ -514,6 +514,7 @@ fn a_signal_ends_the_program_politely_with_its_summary_as_json() {
             "join",
             &fake.link.to_string(),
             "--json",
+            "--forget-seat",
             "--name",
             "Ada",
             "--script",

@@ -12,6 +12,7 @@ use crate::datagram::{
 use crate::handshake::{
     Hello, ModelInfo, RefusalReason, Refused, Resume, Role, RosterEntry, Subscription, Welcome,
 };
+use crate::lateness::Lateness;
 use crate::operation::{
     BladePoint, CompensationMode, CompensationSettings, CutStroke, LeaveReason, Operation,
     OperationKind,
@@ -23,7 +24,7 @@ use crate::request::{
 use crate::tool::{ToolDescription, ToolKind};
 use crate::{
     ClientTime, Epoch, Grant, ModelHash, OperationId, ParticipantId, Pose, ProtocolError,
-    RequestId, ResumeToken, ServerTime, ToolSample, ToolTrack, TopologyHash,
+    RequestId, ResumeToken, ServerTime, Span, ToolSample, ToolTrack, TopologyHash,
 };
 
 /// A message with a name that no other one here has.
@@ -253,6 +254,7 @@ fn track(participant: ParticipantId, t_ms: i64, buttons: u8, force: bool) -> Too
     ToolTrack {
         participant,
         samples: (0..5).map(sample).collect(),
+        late: Lateness::NONE,
     }
 }
 
@@ -289,7 +291,14 @@ pub fn datagrams() -> Vec<Example<Datagram>> {
         server_sent: ms(9018),
     };
     let own = |t, buttons, force| track(TAG.stream, t, buttons, force);
-    let both = vec![own(9008, 1, false), track(NEIGHBOUR, 9007, 0, true)];
+    let neighbour = ToolTrack {
+        late: Lateness {
+            newest: Span::from_millis(3),
+            oldest: Span::from_millis(40),
+        },
+        ..track(NEIGHBOUR, 9007, 0, true)
+    };
+    let both = vec![own(9008, 1, false), neighbour];
     let reports = vec![(TAG.stream, DELAY), (NEIGHBOUR, DelayReport::default())];
     let bodies = [
         ("motion, whole", Body::Motion(vec![own(9000, 0, false)])),

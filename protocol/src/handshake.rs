@@ -21,7 +21,7 @@ use crate::{
 };
 
 /// The version that this crate speaks. It grows with every change of any message.
-pub const PROTOCOL_VERSION: u16 = 4;
+pub const PROTOCOL_VERSION: u16 = 5;
 
 /// What every palpate stream begins with.
 pub const MAGIC: [u8; 4] = *b"PALP";

@@ -25,6 +25,7 @@ mod error;
 pub mod examples;
 pub mod handshake;
 mod ids;
+pub mod lateness;
 pub mod link;
 pub mod operation;
 pub mod request;

@@ -1,5 +1,6 @@
 //! Where a tool was, and when.
 
+use crate::lateness::Lateness;
 use crate::{ClientTime, ParticipantId, ServerTime};
 
 /// A rigid pose in the world frame.
@@ -49,4 +50,6 @@ pub struct ToolTrack {
     pub participant: ParticipantId,
     /// The samples, oldest first, at most [`crate::datagram::TRACK_MAX_SAMPLES`].
     pub samples: Vec<ToolSample>,
+    /// How late machines made it, apart from the network.
+    pub late: Lateness,
 }

@@ -10,10 +10,56 @@ use clap::{Args, Parser, Subcommand};
 use palpate_room::SEATS_MAX;
 
 use crate::export::Exports;
-use crate::host::{self, HostOptions};
+use crate::host::{self, HostOptions, IdentityPlace};
 use crate::inspect::Picture;
 use crate::say::say;
 use crate::{ServerError, build, inspect, sample};
+
+/// The end of `build --help`.
+const SCENE: &str = "\
+A scene names closed surfaces, or the labels of a segmentation. Surfaces are looked for beside it:
+  format = \"palpate-scene/1\"
+  spacing_mm = 4.0                    # or \"auto\": as fine as the thinnest layers
+  pinned = [\"femur\"]                  # regions that do not move
+  gravity_m_s2 = [0.0, 0.0, -9.81]    # optional: the surfaces are the shape without it
+  labels = \"segmentation.nii.gz\"      # for regions with a label
+
+  [[region]]                          # a later region overrides earlier ones where they overlap
+  name = \"fat\"
+  surface = \"skin.stl\"                # millimetres unless unit = \"m\"; or label = 2, or label = [2, 5]
+  material = \"fat\"
+
+  [material.fat]                      # optional: changes a built-in material or adds one
+  young_kpa = 10.0
+  poisson = 0.25                      # 0.25 (springs alone) to 0.49
+  stiffening = 0.0                    # b of F = k l0 (exp(b e) - 1)/b over the strain e; 0: linear
+  fibre_ratio = 1.0                   # stiffness along the fibres over that across
+  fibres = \"long\"                     # along the region's long axis, or [x, y, z]
+  compress_limit = 0.3                # shares of the rest length at which a spring hardens
+  stretch_limit = 3.0
+  bottoms_out = true                  # hardens when pressed flat; false: a fifth faster under a hand
+  density_kg_m3 = 950.0
+  friction_static = 0.4
+  friction_dynamic = 0.3
+
+A [[region]] takes the keys of a material too, for itself alone.";
+
+/// The end of `host --help`.
+const HOST: &str = "\
+Roles, each with a join link of its own:
+  instructor, trainee   hold a tool, feel and cut
+  spectator             only looks
+  recorder              a program that records the session: a spectator with `--record FILE`
+
+The certificate, its key and the secrets in the links are kept in one file that only its owner may read. So links stay
+valid when the host is restarted. The tissue starts anew with the host.
+
+Examples:
+  palpate-server host thigh                          on port 4433 of all addresses
+  palpate-server host thigh.palp --listen 5000       on another port
+  palpate-server host thigh --public host.example.org
+  palpate-server host thigh --new-links              yesterday's links admit nobody any more
+  palpate-server host thigh --identity new           nothing is kept";
 
 /// Hosts shared haptic sessions: build a model, host it, send the join links.
 #[derive(Debug, Parser)]
@@ -24,10 +70,11 @@ use crate::{ServerError, build, inspect, sample};
         palpate-server host thigh                      serve a built-in model on port 4433\n  \
         palpate-server sample thigh -o thigh           write its surfaces and scene, to change them\n  \
         palpate-server build thigh/thigh.toml -o thigh.palp\n  \
-        palpate-server inspect thigh.palp --png thigh.png --slice z=580\n  \
+        palpate-server inspect thigh.palp --png thigh.png --slice z=100\n  \
         palpate-server inspect segmentation.nii.gz     its labels, to write a scene for it\n  \
         palpate-server host thigh.palp --listen 0.0.0.0:4433 --public operating.example.org\n\n\
-        A trainee joins with `palpate-client join LINK`, where LINK is what `host` prints."
+        A trainee joins with `palpate-client join LINK`, where LINK is what `host` prints.\n\n\
+        PALPATE_LOG=debug (or RUST_LOG) logs more to standard error; the levels are error, warn, info, debug and trace."
 )]
 struct Cli {
     #[command(subcommand)]
@@ -48,6 +95,7 @@ enum Command {
         force: bool,
     },
     /// Build a model file from a scene
+    #[command(after_help = SCENE)]
     Build {
         /// The scene (palpate-scene/1, TOML): regions from surfaces (STL, OBJ, PLY) or from the
         /// labels of a segmentation (NIfTI, NRRD, DICOM)
@@ -74,6 +122,7 @@ enum Command {
         json: bool,
     },
     /// Serve a session and print a join link per role
+    #[command(after_help = HOST)]
     Host(HostArgs),
 }
 
@@ -81,9 +130,16 @@ enum Command {
 struct HostArgs {
     /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
     model: String,
-    /// Address and UDP port to listen on; port 0 takes any free one
-    #[arg(long, default_value = "0.0.0.0:4433")]
+    /// Address and UDP port to listen on, or a port alone for all addresses; port 0 takes any free one
+    #[arg(long, value_name = "[ADDRESS:]PORT", default_value = "0.0.0.0:4433", value_parser = host::parse_listen)]
     listen: SocketAddr,
+    /// Folder of the host's certificate, its key and the secrets of the links, or new for ones that end with this host
+    /// [default: `$XDG_STATE_HOME/palpate/host` or `~/.local/state/palpate/host`]
+    #[arg(long, value_name = "DIR|new")]
+    identity: Option<IdentityPlace>,
+    /// Make new join links: the old ones admit nobody any more
+    #[arg(long)]
+    new_links: bool,
     /// Host name or address to put into the join links [default: this machine's]
     #[arg(long, value_name = "HOST")]
     public: Option<String>,
@@ -100,7 +156,7 @@ struct HostArgs {
     /// Seats in the session, spectators' among them: 1 to 64
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u16).range(1..=i64::from(SEATS_MAX)))]
     seats: u16,
-    /// Scripts of simulated devices begin when so many tools are in the session
+    /// Scripts of clients with `--at session` begin when so many tools are in the session
     #[arg(long, default_value_t = 1, value_name = "N")]
     start_when: u16,
     /// End by itself after so many seconds
@@ -121,7 +177,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
             return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
         }
     };
-    start_log();
+    palpate_transport::start_log(palpate_transport::LevelFilter::WARN);
     match execute(cli.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
@@ -133,16 +189,6 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
             }
         }
     }
-}
-
-fn start_log() {
-    use tracing_subscriber::EnvFilter;
-    let filter = EnvFilter::try_from_env("PALPATE_LOG").unwrap_or_else(|_| EnvFilter::new("warn"));
-    // Fails when a log has been started already, as in a test that runs two programs.
-    let _ = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .try_init();
 }
 
 fn execute(command: Command) -> Result<(), ServerError> {
@@ -204,6 +250,8 @@ fn options(args: HostArgs) -> Result<HostOptions, ServerError> {
     Ok(HostOptions {
         model: args.model,
         listen: args.listen,
+        identity: args.identity.unwrap_or_default(),
+        new_links: args.new_links,
         public: args.public,
         tick_hz: args.tick_hz,
         compensation,

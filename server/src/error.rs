@@ -28,6 +28,14 @@ pub enum ServerError {
     /// The network can not be used.
     #[error(transparent)]
     Transport(#[from] TransportError),
+    /// The identity of the host can not be used or kept.
+    #[error("the host's identity {} can not be used: {why}", path.display())]
+    Identity {
+        /// Its file.
+        path: std::path::PathBuf,
+        /// What is wrong and what to do, without any secret.
+        why: String,
+    },
     /// What was named is neither a file nor a sample.
     #[error("{0}")]
     NoModel(String),

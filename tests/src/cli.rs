@@ -1,5 +1,6 @@
 //! The command line of `palpate-lab`.
 
+use palpate_transport::LevelFilter;
 use std::ffi::{OsStr, OsString};
 use std::io::Write as _;
 use std::path::PathBuf;
@@ -9,46 +10,59 @@ use clap::{Args, Parser, Subcommand};
 
 use crate::bench::bytes as bench_bytes;
 use crate::bench::coding::Coding;
+use crate::bench::cuts as bench_cuts;
 use crate::bench::haptic_tick::HapticTick;
 use crate::bench::on_threads;
 use crate::bench::press_cube::PressCube;
 use crate::bench::press_scene::{Comparison, PressScene};
-use crate::demo::{self, DemoOptions};
+use crate::bench::reference as bench_reference;
+use crate::demo;
 use crate::experiments::{command, tour};
 use crate::hand;
 use crate::haptic_faults::course::Setup;
 use crate::haptic_faults::fault::Class;
 use crate::haptic_faults::outcome::Outcome;
 use crate::haptic_faults::{self, Trial, picture};
-use crate::network::{self, Profile};
+use crate::network;
 use crate::program::die_with_parent;
 use crate::progress::{Interrupt, Progress};
 use crate::relay;
-use crate::report::DEFINITIONS;
+use crate::stress;
 use crate::subject::Subject;
 
-/// Where the report goes when nothing is said.
-const REPORT_DIR: &str = "palpate-report";
+/// The networks that have names, for `--help`.
+macro_rules! networks {
+    () => {
+        "\
+Network profiles: none, lan (0.3 ms), metro (5 ms), transatlantic (60 ms one way, 2 % loss),
+  intercontinental (120 ms, 2 %), satellite (300 ms, 1 %), wifi-bursts (8 ms with bad moments),
+  lte (35 ms with bad moments), lossy (40 ms, 20 % loss), gamma (25 ms and a tail of 5 ms),
+  bursts (50 and 120 ms), outages (25 ms, at times no link),
+  steps (15, 40, 60 ms, 10 s each: 30, 80, 120 ms from one participant to another), far-steps (30, 80, 120 ms),
+  or a TOML file of your own, for which `palpate-lab profiles NAME` prints a beginning"
+    };
+}
+pub(crate) use networks;
 
-/// What `--help` shows at its end.
-const EXAMPLES: &str = "\
+/// The end of `--help`.
+const EXAMPLES: &str = concat!(
+    "\
 Examples:
-  The whole thing on this machine: a server, two trainees, a late spectator, a bad network:
+  A session on this machine: a server, two trainees, a late spectator, a bad network:
     palpate-lab demo
     palpate-lab demo --model scene.toml --seconds 30 --profile satellite --report out
 
   A bad network in front of a server of your own; clients join the relay's address:
     palpate-lab relay --listen 127.0.0.1:5533 --to 127.0.0.1:4433 --profile transatlantic --seed 7
 
-Network profiles: none, lan (0.3 ms), metro (5 ms), transatlantic (60 ms one way, 2 % loss),
-  intercontinental (120 ms, 2 %), satellite (300 ms, 1 %), wifi-bursts (8 ms with bad moments),
-  lte (35 ms with bad moments), lossy (40 ms, 20 % loss), gamma (25 ms and a tail of 5 ms),
-  bursts (50 and 120 ms), outages (25 ms, at times no link),
-  steps (15, 40, 60 ms, 10 s each: 30, 80, 120 ms from one participant to another), far-steps (30, 80, 120 ms),
-  or a TOML file of your own, for which `palpate-lab profiles NAME` prints a beginning
+",
+    networks!(),
+    "
 
-The exit code is 0 when all is well, 2 when the command line is wrong, 1 otherwise; for the demo, 1
-also when topology hashes differ, a process died, the cut did not arrive, or a hand touched nothing.";
+PALPATE_LOG=debug (or RUST_LOG) logs more to standard error, also of the programs that the demo starts.
+
+The exit code is 0 when all is well, 2 when the command line is wrong, 1 otherwise."
+);
 
 const BENCHES: &str = "\
 Examples:
@@ -90,9 +104,9 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Two people feel and cut one model over a bad network; a report says how well
-    #[command(after_help = EXAMPLES)]
-    Demo(DemoArguments),
+    /// Run a session of two trainees and a spectator over a bad network, and report how well it went
+    #[command(after_help = demo::command::HELP)]
+    Demo(demo::command::Arguments),
     /// Pass UDP packets on, late and not all of them
     #[command(after_help = EXAMPLES)]
     Relay(relay::command::Arguments),
@@ -124,7 +138,7 @@ enum Bench {
     PressCube(PressCubeArguments),
     /// A sphere of 8 mm pressed into a model at the speed of a hand: force error and time per tick
     PressScene(PressSceneArguments),
-    /// Bits per pose and per node on the wire: ours, zstd, raw
+    /// Bits per pose and per node on the wire: ours, deflate, raw
     Coding {
         /// Round trip after which both ends know what was sent, in ms
         #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(i64).range(0..=400))]
@@ -138,6 +152,10 @@ enum Bench {
     },
     /// What a session takes of a network during press and cut: kbit/s per direction and part, with what QUIC adds
     Bytes(Box<bench_bytes::Arguments>),
+    /// Work of a trainee's threads while others cut beside the press
+    Cuts(bench_cuts::Arguments),
+    /// Compute the reference of a demo, and how far it is from a finer one
+    Reference(bench_reference::Arguments),
     /// Time one tick of the force loop: read, compute, write
     HapticTick {
         /// Ticks of each device
@@ -205,35 +223,6 @@ struct PressSceneArguments {
 }
 
 #[derive(Debug, Args)]
-struct DemoArguments {
-    /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
-    #[arg(long, default_value = "thigh")]
-    model: String,
-    /// Length of the scripts, 4 to 600 s
-    #[arg(long, default_value_t = 20.0, value_name = "S")]
-    seconds: f64,
-    /// The network between server and clients
-    #[arg(long, default_value = "transatlantic", value_parser = Profile::parse)]
-    profile: Profile,
-    /// Seed of what happens to which packet
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// Artificial time compensation: adaptive, fixed:MS or none
-    #[arg(long, default_value = "adaptive", value_name = "MODE")]
-    compensation: String,
-    /// Print the report as one JSON object
-    #[arg(long)]
-    json: bool,
-    /// Where report.txt, report.json, report.html and the plots go [default: palpate-report; with
-    /// --json nowhere]
-    #[arg(long, value_name = "DIR")]
-    report: Option<PathBuf>,
-    /// The share of the scripts after which the spectator comes
-    #[arg(long, default_value_t = 0.4, hide = true)]
-    late_join: f64,
-}
-
-#[derive(Debug, Args)]
 struct HapticFaultsArguments {
     /// How many runs; their seeds are 0, 1, 2, ...
     #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
@@ -262,6 +251,11 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
             die_with_parent();
             return palpate_client::cli::run(role_line("palpate-client", &args));
         }
+        Some(role) if role == OsStr::new(stress::ROLE) => {
+            let parent = args.get(2).and_then(|p| p.to_str()?.parse().ok());
+            stress::be_busy(parent);
+            return ExitCode::SUCCESS;
+        }
         _ => {}
     }
     let cli = match Cli::try_parse_from(args) {
@@ -272,8 +266,9 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
             return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
         }
     };
+    palpate_transport::start_log(LevelFilter::ERROR);
     let done = match cli.command {
-        Command::Demo(arguments) => run_demo(arguments),
+        Command::Demo(arguments) => demo::command::run(arguments),
         Command::Relay(arguments) => relay::command::run(&arguments),
         Command::Profiles(arguments) => network::command::run(&arguments),
         Command::Hand(arguments) => hand::command::run(&arguments),
@@ -295,6 +290,12 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         .and_then(|report| give(&report, json)),
         Command::Bench(Bench::Bytes(arguments)) => {
             bench_bytes::run(&arguments).and_then(|report| give(&report, arguments.json))
+        }
+        Command::Bench(Bench::Cuts(arguments)) => {
+            bench_cuts::run(&arguments).and_then(|report| give(&report, arguments.json))
+        }
+        Command::Bench(Bench::Reference(arguments)) => {
+            bench_reference::run(&arguments).and_then(|report| give(&report, arguments.json))
         }
         Command::Bench(Bench::HapticTick { ticks, json }) => (HapticTick {
             ticks: ticks as usize,
@@ -330,45 +331,6 @@ pub(crate) fn say(line: &str) -> Result<(), String> {
 pub(crate) fn note(line: &str) {
     // Nobody is left to be told when standard error is gone.
     let _ = writeln!(std::io::stderr(), "{line}");
-}
-
-fn run_demo(arguments: DemoArguments) -> Result<ExitCode, String> {
-    let interrupt = Interrupt::listen().map_err(|e| format!("no signals can be caught: {e}"))?;
-    let executable = std::env::current_exe()
-        .map_err(|e| format!("this program does not know where it is: {e}"))?;
-    let wants_files = arguments.report.is_some() || !arguments.json;
-    let report_dir = wants_files.then(|| {
-        arguments
-            .report
-            .unwrap_or_else(|| PathBuf::from(REPORT_DIR))
-    });
-    let options = DemoOptions {
-        executable,
-        model: arguments.model,
-        seconds: arguments.seconds,
-        profile: arguments.profile,
-        seed: arguments.seed,
-        compensation: arguments.compensation,
-        late_join: arguments.late_join,
-        report: report_dir,
-    };
-    let mut progress = Progress::new();
-    let report = demo::run(&options, &mut progress, &interrupt).map_err(|e| e.to_string())?;
-    drop(progress);
-    if arguments.json {
-        let json = serde_json::to_string(&report).expect("a report is plain data");
-        say(&json)?;
-    } else {
-        say(&format!("\n{report}\n\n{DEFINITIONS}"))?;
-    }
-    if let Some(dir) = &options.report {
-        note(&format!("report and plots are in {}", dir.display()));
-    }
-    Ok(if report.ok {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::FAILURE
-    })
 }
 
 fn run_haptic_faults(arguments: &HapticFaultsArguments) -> Result<ExitCode, String> {
@@ -539,6 +501,10 @@ mod tests {
         Cli::command().debug_assert();
         for name in Profile::names() {
             assert!(EXAMPLES.contains(name), "{name} is not in the help");
+            assert!(
+                crate::demo::command::HELP.contains(name),
+                "{name} is not in the help of demo"
+            );
         }
     }
 }

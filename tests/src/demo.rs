@@ -1,5 +1,7 @@
 //! The main job from end to end: two trainees feel and cut one model over a bad network, a third
-//! participant comes late and looks, and a report says how well it went.
+//! participant joins late as a spectator, and a report judges the session.
+
+pub(crate) mod command;
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -7,10 +9,14 @@ use std::time::{Duration, Instant};
 use palpate_client::Recording;
 use palpate_device::{Script, ScriptError};
 use palpate_server::host::HostSummary;
-use palpate_tissue::{Solver, Topology};
+use palpate_tissue::{Solver, Topology, write_file};
 
 use crate::chart::Mark;
-use crate::disagreement::{CoursePoint, Disagreement, DistancesMm};
+use crate::cpu::cpu_of;
+use crate::criteria::{self, Expected};
+use crate::delay_figures::{self, DelayFigures};
+use crate::disagreement::{CoursePoint, Disagreement};
+use crate::dropout::{Dropouts, longest_gap_ms};
 use crate::force_error::{ForceError, over_script};
 use crate::place::{Place, PlaceError};
 use crate::plots::{self, Felt};
@@ -22,6 +28,7 @@ use crate::report::{
 };
 use crate::scripts::{SECONDS_MAX, SECONDS_MIN, Scripts};
 use crate::session::{Hosting, Left, Participant, Session, SessionError};
+use crate::stress::Stress;
 use crate::subject::{Subject, SubjectError};
 
 /// From the last tool's coming to the start of the scripts, as the room does it.
@@ -30,14 +37,10 @@ const START_LEAD: Duration = Duration::from_secs(1);
 /// After the scripts, until everybody leaves: what is on its way arrives, and is shown.
 const SETTLE: Duration = Duration::from_millis(1500);
 
-/// Longest time for the run without a network. Beyond it the report comes without force errors: on a
-/// model that is too large, waiting longer helps nobody.
-const REFERENCE_WITHIN: Duration = Duration::from_secs(120);
-
-/// The tool that is named first, and the other.
+/// The trainees, in the order of the scripts.
 const NAMES: [&str; 2] = ["holder", "cutter"];
 
-/// Who comes late.
+/// The participant that joins late.
 const LATE_NAME: &str = "spectator";
 
 /// What to do.
@@ -57,6 +60,8 @@ pub struct DemoOptions {
     pub compensation: String,
     /// The share of the scripts after which the spectator comes.
     pub late_join: f64,
+    /// Busy processes beside the session.
+    pub stress: u16,
     /// Where the report goes; files in between go there too. Without, they are thrown away.
     pub report: Option<PathBuf>,
 }
@@ -128,18 +133,20 @@ pub fn run(
     // Both sides follow what the file says, which is rounded.
     let scripts = [Script::from_toml(&files[0])?, Script::from_toml(&files[1])?];
     let run = session(options, dir, &subject, progress, interrupt)?;
-    progress.stage("computing the same without a network");
+    progress.stage("computing the reference: the same hands without a network");
     let began = Instant::now();
     let reference = reference::run(&subject.model, [&scripts[0], &scripts[1]], |share| {
         progress.tick(&format!("{:.0} %", share * 100.0));
-        !interrupt.is_set() && began.elapsed() < REFERENCE_WITHIN
+        !interrupt.is_set()
     });
     if interrupt.is_set() {
         return Err(SessionError::Interrupted.into());
     }
     let took_s = began.elapsed().as_secs_f64();
-    progress.stage("comparing");
-    let (report, pictures) = conclude(options, &subject, run, reference, took_s);
+    progress.stage("comparing the recordings");
+    let strokes = scripts.iter().map(strokes).sum();
+    let reference = reference.map(|r| (r, took_s));
+    let (report, pictures) = conclude(options, &subject, run, reference, strokes);
     if let Some(dir) = &options.report {
         pictures.write(dir, &report)?;
     }
@@ -154,7 +161,7 @@ fn file_error(path: &Path, source: std::io::Error) -> DemoError {
 }
 
 fn write(path: &Path, text: &str) -> Result<(), DemoError> {
-    std::fs::write(path, text).map_err(|source| file_error(path, source))
+    write_file(path, text).map_err(|e| file_error(path, e.source))
 }
 
 fn script_file(dir: &Path, name: &str) -> PathBuf {
@@ -168,6 +175,17 @@ fn make_scripts(subject: &Subject, seconds: f64) -> Result<Scripts, DemoError> {
         place.sag(&topology, &Solver::new(&topology));
     }
     Ok(Scripts::for_place(&place, seconds)?)
+}
+
+/// Strokes of the blade in a script: the times that its button is pressed.
+fn strokes(script: &Script) -> u64 {
+    let mut was_held = false;
+    let begins = script.ways().iter().filter(|way| {
+        let begins = way.button && !was_held;
+        was_held = way.button;
+        begins
+    });
+    begins.count() as u64
 }
 
 /// The session itself, from the server's start to its end.
@@ -191,6 +209,8 @@ fn session(
         compensation: &options.compensation,
         start_when: 2,
     })?;
+    let mut stress =
+        Stress::start(&options.executable, options.stress).map_err(SessionError::from)?;
     let mut people = Vec::new();
     for name in NAMES {
         let script = script_file(dir, name);
@@ -205,7 +225,14 @@ fn session(
             }
         })?;
     }
-    progress.stage(&format!("the scripts run for {:.0} s", options.seconds));
+    let beside = match options.stress {
+        0 => String::new(),
+        n => format!(" beside {n} busy process(es)"),
+    };
+    progress.stage(&format!(
+        "the scripts run for {:.0} s{beside}",
+        options.seconds
+    ));
     let began = Instant::now();
     let late = START_LEAD + Duration::from_secs_f64(options.seconds * options.late_join);
     let end = START_LEAD + Duration::from_secs_f64(options.seconds) + SETTLE;
@@ -220,6 +247,7 @@ fn session(
             is_late_one_here = true;
         }
         session.server.check_alive().map_err(SessionError::from)?;
+        stress.check_alive().map_err(SessionError::from)?;
         bury(&mut people, &mut problems);
         let s = began.elapsed().saturating_sub(START_LEAD).as_secs();
         progress.tick(&format!("{s} of {:.0} s", options.seconds));
@@ -232,15 +260,16 @@ fn session(
     {
         match last.wait_until_in(&|| interrupt.is_set()) {
             Err(SessionError::Interrupted) => return Err(SessionError::Interrupted.into()),
-            // Who died is found and reported when everybody leaves.
+            // A dead one is found and reported when all leave.
             Ok(()) | Err(_) => std::thread::sleep(SETTLE),
         }
     }
-    progress.stage("everybody leaves");
+    progress.stage("the participants leave and write their recordings");
+    drop(stress);
     finish(session, people, problems)
 }
 
-/// Takes away who has died; the others go on.
+/// Takes away participants that died; the others go on.
 fn bury(people: &mut Vec<Participant>, problems: &mut Vec<String>) {
     people.retain_mut(|p| match p.program.check_alive() {
         Ok(()) => true,
@@ -275,74 +304,113 @@ fn finish(
     })
 }
 
-/// What is written beside the report.
+/// The plots of a report.
 struct Pictures {
     forces: String,
     views: String,
 }
 
-/// From what was recorded to figures.
+/// From what was recorded to figures; the reference comes with the seconds that it took.
 fn conclude(
     options: &DemoOptions,
     subject: &Subject,
     run: Run,
-    reference: Result<Reference, reference::ReferenceError>,
-    reference_s: f64,
+    reference: Result<(Reference, f64), reference::ReferenceError>,
+    strokes: u64,
 ) -> (Report, Pictures) {
-    let mut notes = Vec::new();
-    let reference = match reference {
-        Ok(reference) => Some(reference),
-        Err(error) => {
-            notes.push(format!("there is no force error: {error}"));
-            None
-        }
-    };
-    let recordings: Vec<&Recording> = run.left.iter().map(|l| &l.recording).collect();
-    for recording in &recordings {
-        let d = recording.dropped;
-        if d.haptic + d.views + d.view_nodes + d.operations > 0 {
-            notes.push(format!(
-                "the recording of {} was full: {d:?}",
-                recording.name
-            ));
-        }
-    }
-    let disagreement = Disagreement::between(&recordings);
-    let pictures = draw(&recordings, reference.as_ref(), &disagreement.course);
     let mut report = Report {
         nodes: subject.model.nodes.len(),
         seconds: options.seconds,
-        participants: run
-            .left
-            .iter()
-            .map(|l| {
-                let error = force_error(&l.recording, reference.as_ref());
-                ParticipantReport::of(l.summary.clone(), error)
-            })
-            .collect(),
-        server: ServerReport::of(&run.host),
-        view_disagreement_mm: DistancesMm::default(),
-        tool_disagreement_mm: DistancesMm::default(),
-        node_disagreement_mm: DistancesMm::default(),
-        content_disagreement_mm: DistancesMm::default(),
+        stress: options.stress,
         network: NetworkReport::from(run.network),
-        cut: CutReport {
-            operations: run.host.cuts,
-            components: run.host.components,
-            boundary_closed: run.host.boundary_closed,
-            applied_after_ms: applied_after(&recordings),
-        },
-        reference: reference.map(|r| ReferenceReport {
-            seconds: reference_s,
-            cuts_s: r.cuts_s,
-        }),
         problems: run.problems,
-        notes,
-        ok: false,
+        ..Report::new(ServerReport::of(&run.host))
     };
+    let reference = match reference {
+        Ok((reference, seconds)) => {
+            report.reference = Some(ReferenceReport::of(&reference, seconds));
+            Some(reference)
+        }
+        Err(error) => {
+            report.notes.push(format!("there is no reference: {error}"));
+            None
+        }
+    };
+    report.participants = run
+        .left
+        .iter()
+        .map(|l| participant(l, reference.as_ref(), options.seconds))
+        .collect();
+    let recordings: Vec<&Recording> = run.left.iter().map(|l| &l.recording).collect();
+    report.delay = DelayFigures::of(&recordings, options.seconds);
+    let cpu = run.left.iter().map(|l| cpu_of(&l.summary.name, &l.summary));
+    let cpu = cpu.chain([cpu_of(criteria::SERVER, &run.host)]);
+    report.cpu = cpu.flatten().collect();
+    report.cut = CutReport {
+        strokes,
+        operations: run.host.cuts,
+        components: run.host.components,
+        boundary_closed: run.host.boundary_closed,
+        applied_after_ms: applied_after(&recordings),
+    };
+    let disagreement = Disagreement::between(&recordings);
+    let pictures = draw(
+        &recordings,
+        &report,
+        reference.as_ref(),
+        &disagreement.course,
+    );
     report.take_disagreement(&disagreement);
-    report.judge();
+    judge(&mut report, options);
     (report, pictures)
+}
+
+/// Judges a report; a note names what is not judged.
+fn judge(report: &mut Report, options: &DemoOptions) {
+    let strokes = report.cut.strokes;
+    let is_adaptive = options.compensation == "adaptive";
+    let delay_limit_ms = delay_figures::limit_ms(&options.profile).filter(|_| is_adaptive);
+    let is_covered = delay_figures::is_covered(&options.profile);
+    if !is_adaptive {
+        let note = "the playout delay D is not judged: it was given on the command line";
+        report.notes.push(note.to_owned());
+    } else if delay_limit_ms.is_none() {
+        report.notes.push(format!(
+            "the playout delay D is not judged: mean and deviation do not describe the network {}",
+            options.profile.name
+        ));
+    }
+    if !is_covered {
+        report.notes.push(format!(
+            "demotions are not judged: the network {} can need more delay than the cap allows",
+            options.profile.name
+        ));
+    }
+    report.judge(&Expected {
+        trainees: &NAMES,
+        others: &[LATE_NAME],
+        strokes,
+        delay_limit_ms,
+        is_covered,
+    });
+}
+
+/// The figures of a participant: its summary, and those of its recording.
+fn participant(left: &Left, reference: Option<&Reference>, seconds: f64) -> ParticipantReport {
+    let recording = &left.recording;
+    let expected = reference_of(&recording.name, reference);
+    let course = recording
+        .script_started_us
+        .map(|began| over_script(&recording.haptic, began));
+    let both = course.as_ref().zip(expected);
+    let d = recording.dropped;
+    let force_error = both.and_then(|(c, r)| ForceError::between(c, r));
+    ParticipantReport {
+        dropouts: both.and_then(|(c, r)| Dropouts::between(c, r)),
+        recording_gap_ms: course.map(|c| longest_gap_ms(&c, seconds)),
+        records_dropped: d.haptic + d.views + d.view_nodes + d.operations,
+        ..ParticipantReport::of(left.summary.clone(), force_error)
+    }
 }
 
 /// The course of the reference for a participant by its name.
@@ -354,13 +422,8 @@ fn reference_of<'a>(
     Some(&reference?.courses[seat])
 }
 
-fn force_error(recording: &Recording, reference: Option<&Reference>) -> Option<ForceError> {
-    let course = over_script(&recording.haptic, recording.script_started_us?);
-    ForceError::between(&course, reference_of(&recording.name, reference)?)
-}
-
-/// When everybody had applied the first cut, after the first of them had. Who came later had it
-/// with the log, and is left out.
+/// When each participant had applied the first cut, after the first of them had. Late joiners had it
+/// with the log, and are left out.
 fn applied_after(recordings: &[&Recording]) -> Vec<(String, f64)> {
     let cut = |r: &Recording| {
         let cut = r.operations.iter().find(|o| o.version == 1)?;
@@ -376,6 +439,7 @@ fn applied_after(recordings: &[&Recording]) -> Vec<(String, f64)> {
 
 fn draw(
     recordings: &[&Recording],
+    report: &Report,
     reference: Option<&Reference>,
     course: &[CoursePoint],
 ) -> Pictures {
@@ -413,12 +477,18 @@ fn draw(
             ))
         })
         .collect();
+    let dropouts_of = |name: &str| {
+        let of = report.participants.iter().find(|p| p.name == name);
+        of.and_then(|p| p.dropouts.as_ref())
+            .map_or(&[][..], |d| &d.spans_s)
+    };
     let felt: Vec<Felt<'_>> = courses
         .iter()
         .map(|(name, session)| Felt {
             name,
             session,
             reference: reference_of(name, reference).unwrap_or_default(),
+            dropouts: dropouts_of(name),
         })
         .collect();
     Pictures {

@@ -9,11 +9,12 @@
 //! | make a network bad, for pure machines or for programs | [`network`], [`relay`] |
 //! | find where to press and cut on any model, and make scripts of it | [`place`], [`scripts`] |
 //! | have a hand whose motion is known at every moment | [`hand`] |
-//! | run a server and clients as processes | [`program`], [`session`] |
+//! | run a server and clients as processes | [`program`], [`session`], [`stress`] |
 //! | know what would be felt without a network | [`mod@reference`] |
 //! | run a whole session in virtual time | [`rehearsal`] |
 //! | fill all seats of a server and see what it costs | [`crowd`] |
-//! | compare | [`disagreement`], [`force_error`] |
+//! | compare | [`disagreement`], [`force_error`], [`dropout`], [`delay_figures`], [`cpu`] |
+//! | judge a session | [`criteria`] |
 //! | measure the equilibrium | [`mod@bench`] |
 //! | know what a hand feels of a tool, and what is true | [`trial`], [`experiments`] |
 //! | break what a hand depends on, and see that it is not jerked | [`haptic_faults`] |
@@ -26,10 +27,14 @@ pub mod alignment;
 pub mod bench;
 pub mod chart;
 pub mod cli;
+pub mod cpu;
+pub mod criteria;
 pub mod crowd;
 pub mod decoders;
+pub mod delay_figures;
 pub mod demo;
 pub mod disagreement;
+pub mod dropout;
 pub mod experiments;
 pub mod force_error;
 pub mod hand;
@@ -46,5 +51,6 @@ pub mod relay;
 pub mod report;
 pub mod scripts;
 pub mod session;
+pub mod stress;
 pub mod subject;
 pub mod trial;

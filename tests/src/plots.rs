@@ -1,6 +1,6 @@
 //! The pictures of a report.
 
-use crate::chart::{BLUE, Chart, GREEN, GREY, Line, Mark, ORANGE, Panel, Scale};
+use crate::chart::{BLUE, Chart, GREEN, GREY, Line, Mark, ORANGE, PURPLE, Panel, Scale};
 use crate::disagreement::CoursePoint;
 use crate::force_error::{ForcePoint, norm};
 
@@ -13,6 +13,8 @@ pub struct Felt<'a> {
     pub session: &'a [ForcePoint],
     /// Without a network; empty when there is none.
     pub reference: &'a [ForcePoint],
+    /// Beginnings and ends of dropouts, seconds of script.
+    pub dropouts: &'a [(f64, f64)],
 }
 
 /// Force over time of every trainee, with the reference. `marks` in seconds of script.
@@ -30,8 +32,9 @@ pub fn forces(felt: &[Felt<'_>], marks: Vec<Mark>) -> Chart {
             y_label: "force (N)".to_owned(),
             lines: vec![
                 line("in the session", colours[i % 3], false, f.session),
-                // On top and with dashes: where the two agree, both are to be seen.
+                // On top and with dashes: where the two agree, both can be seen.
                 line("without a network", GREY, true, f.reference),
+                dropouts(f),
             ]
             .into_iter()
             .filter(|l| !l.points.is_empty())
@@ -44,6 +47,19 @@ pub fn forces(felt: &[Felt<'_>], marks: Vec<Mark>) -> Chart {
         x_label: "time of the script (s)".to_owned(),
         panels: felt.iter().enumerate().map(panel).collect(),
         marks,
+    }
+}
+
+/// Dropouts as pulses from zero to the largest force of the reference.
+fn dropouts(felt: &Felt<'_>) -> Line {
+    let force = felt.reference.iter().map(|p| norm(p.force_n));
+    let top = force.fold(0.0, f64::max);
+    let pulse = |&(from, to): &(f64, f64)| [(from, 0.0), (from, top), (to, top), (to, 0.0)];
+    Line {
+        name: format!("dropouts: {}", felt.dropouts.len()),
+        colour: PURPLE,
+        dashed: false,
+        points: felt.dropouts.iter().flat_map(pulse).collect(),
     }
 }
 
@@ -71,5 +87,33 @@ pub fn views(course: &[CoursePoint], zero_us: i64, marks: Vec<Mark>) -> Chart {
             scale: Scale::Linear,
         }],
         marks,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Felt, forces};
+    use crate::force_error::ForcePoint;
+
+    #[test]
+    fn dropouts_are_drawn_and_named_where_there_are_any() {
+        let course: Vec<ForcePoint> = (0..100)
+            .map(|i| ForcePoint {
+                t_s: f64::from(i) * 0.01,
+                force_n: [0.0, 0.0, 1.0],
+                ..ForcePoint::default()
+            })
+            .collect();
+        let svg = |dropouts: &[(f64, f64)]| {
+            let felt = Felt {
+                name: "holder",
+                session: &course,
+                reference: &course,
+                dropouts,
+            };
+            forces(&[felt], Vec::new()).to_svg()
+        };
+        assert!(svg(&[(0.2, 0.3), (0.5, 0.6)]).contains("dropouts: 2"));
+        assert!(!svg(&[]).contains("dropouts"));
     }
 }

@@ -1,4 +1,4 @@
-//! What an experiment gives in the end: one JSON object, and the same for people.
+//! The report of a demo: one JSON object, and the same for people.
 
 use std::fmt;
 
@@ -6,8 +6,13 @@ use palpate_client::{Lateness, Summary};
 use palpate_server::host::{HostSummary, TickTimes};
 use serde::{Deserialize, Serialize};
 
+use crate::cpu::{CpuRow, CpuTable};
+use crate::criteria::{self, Criterion, Expected};
+use crate::delay_figures::DelayFigures;
 use crate::disagreement::{CoursePoint, Disagreement, DistancesMm};
+use crate::dropout::Dropouts;
 use crate::force_error::ForceError;
+use crate::reference::Reference;
 use crate::relay::{RelayStats, WayStats};
 
 /// The figures of a demo.
@@ -17,7 +22,9 @@ pub struct Report {
     pub nodes: usize,
     /// Length of the scripts, s.
     pub seconds: f64,
-    /// Who took part and left figures.
+    /// Busy processes that ran beside the session.
+    pub stress: u16,
+    /// Participants that left figures.
     pub participants: Vec<ParticipantReport>,
     /// The server.
     pub server: ServerReport,
@@ -33,13 +40,19 @@ pub struct Report {
     pub network: NetworkReport,
     /// What was cut.
     pub cut: CutReport,
+    /// The playout delay D over the scripts; `None` when no view was recorded.
+    pub delay: Option<DelayFigures>,
+    /// CPU time of the processes that gave it.
+    pub cpu: Vec<CpuRow>,
     /// The run without a network; `None` when it failed.
     pub reference: Option<ReferenceReport>,
-    /// What is wrong, one sentence each.
+    /// Processes that died, a sentence each.
     pub problems: Vec<String>,
     /// What a reader should know, one sentence each.
     pub notes: Vec<String>,
-    /// Whether all hashes are equal, nobody died, the cut arrived everywhere and every hand touched the tissue.
+    /// Every figure that has a limit.
+    pub criteria: Vec<Criterion>,
+    /// Whether all criteria are met.
     pub ok: bool,
 }
 
@@ -73,6 +86,12 @@ pub struct ParticipantReport {
     pub force_error_rms: Option<f64>,
     /// The same in more detail.
     pub force_error: Option<ForceError>,
+    /// Moments in which the hand lost its force; `None` without a reference or a script.
+    pub dropouts: Option<Dropouts>,
+    /// The longest time of the script without a recorded force, ms; `None` without a script.
+    pub recording_gap_ms: Option<f64>,
+    /// Points, views and operations that found no room in the recording.
+    pub records_dropped: u64,
     /// All figures that the client gave.
     pub summary: Summary,
 }
@@ -88,6 +107,8 @@ pub struct ServerReport {
     pub tick_period_ms: f64,
     /// Operations in the log.
     pub operations: usize,
+    /// How often a participant was made a spectator because of the network.
+    pub demotions: u64,
     /// Hash of its topology in the end.
     pub topology_hash: String,
     /// Version of its topology in the end.
@@ -95,7 +116,7 @@ pub struct ServerReport {
 }
 
 /// The network: what the relay was told to do and what it did.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct NetworkReport {
     /// The profile's name.
     pub profile: String,
@@ -124,8 +145,10 @@ pub struct NetworkReport {
 }
 
 /// What was cut.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct CutReport {
+    /// Strokes of the blade in the scripts.
+    pub strokes: u64,
     /// Cuts in the log.
     pub operations: u64,
     /// Connected pieces of the tissue.
@@ -137,12 +160,38 @@ pub struct CutReport {
 }
 
 /// The run without a network.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct ReferenceReport {
     /// How long computing it took, s.
     pub seconds: f64,
     /// Moments of its cuts, seconds of script.
     pub cuts_s: Vec<f64>,
+    /// Solves around the tools.
+    pub solves: usize,
+    /// Solves that were checked by converged ones.
+    pub checks: usize,
+    /// The largest relative residual of a check.
+    pub residual_max: f64,
+    /// What the checks changed, percent rms of the force; holder and cutter.
+    pub corrected_percent: [f64; 2],
+    /// Its own estimate of its error, percent rms of the force; holder and cutter.
+    pub error_percent: [f64; 2],
+}
+
+impl ReferenceReport {
+    /// The figures of a reference that was computed in so many seconds.
+    pub fn of(reference: &Reference, seconds: f64) -> Self {
+        let q = reference.quality;
+        Self {
+            seconds,
+            cuts_s: reference.cuts_s.clone(),
+            solves: q.solves,
+            checks: q.checks,
+            residual_max: q.residual_max,
+            corrected_percent: q.corrected_percent,
+            error_percent: q.error_percent,
+        }
+    }
 }
 
 impl From<RelayStats> for NetworkReport {
@@ -171,6 +220,7 @@ impl ServerReport {
             tick_ms: s.tick_ms,
             tick_period_ms: s.tick_period_ms,
             operations: s.operations,
+            demotions: s.demotions,
             topology_hash: s.topology_hash.clone(),
             topology_version: s.topology_version,
         }
@@ -178,7 +228,7 @@ impl ServerReport {
 }
 
 impl ParticipantReport {
-    /// A participant's figures, with the error of its force where there is one.
+    /// A participant's summary, with the error of its force where there is one; nothing of its recording.
     pub fn of(summary: Summary, force_error: Option<ForceError>) -> Self {
         let s = summary.clone();
         Self {
@@ -195,42 +245,44 @@ impl ParticipantReport {
             topology_version: s.topology_version,
             force_error_rms: force_error.map(|e| e.rms_percent),
             force_error,
+            dropouts: None,
+            recording_gap_ms: None,
+            records_dropped: 0,
             summary,
         }
     }
 }
 
 impl Report {
-    /// Looks for what must not be: hashes that differ, a cut that did not arrive, a hand that touched nothing.
-    pub fn judge(&mut self) {
-        let server = &self.server;
-        if self.cut.operations == 0 || server.topology_version == 0 {
-            self.problems
-                .push("the cut did not arrive: the server made none".to_owned());
+    /// A report of nothing but the server's figures.
+    pub fn new(server: ServerReport) -> Self {
+        Self {
+            nodes: 0,
+            seconds: 0.0,
+            stress: 0,
+            participants: Vec::new(),
+            server,
+            view_disagreement_mm: DistancesMm::default(),
+            tool_disagreement_mm: DistancesMm::default(),
+            node_disagreement_mm: DistancesMm::default(),
+            content_disagreement_mm: DistancesMm::default(),
+            network: NetworkReport::default(),
+            cut: CutReport::default(),
+            delay: None,
+            cpu: Vec::new(),
+            reference: None,
+            problems: Vec::new(),
+            notes: Vec::new(),
+            criteria: Vec::new(),
+            ok: false,
         }
-        for p in &self.participants {
-            if p.topology_hash != server.topology_hash {
-                self.problems.push(format!(
-                    "{} has topology {} (version {}), the server {} (version {})",
-                    p.name,
-                    p.topology_hash,
-                    p.topology_version,
-                    server.topology_hash,
-                    server.topology_version
-                ));
-            }
-        }
-        // Forces of air are right whatever the network does: without a contact nothing has been shown.
-        for p in self.participants.iter().filter(|p| p.ticks > 0) {
-            if p.summary.force_max_n == 0.0 {
-                self.problems.push(format!(
-                    "{} touched nothing: the largest force is 0 N; choose a model with more room around the middle of \
-                     its surface",
-                    p.name
-                ));
-            }
-        }
-        self.ok = self.problems.is_empty();
+    }
+
+    /// Judges all figures by the [criteria].
+    pub fn judge(&mut self, expected: &Expected<'_>) {
+        self.cut.strokes = expected.strokes;
+        self.criteria = criteria::judge(self, expected);
+        self.ok = self.criteria.iter().all(|c| c.ok);
     }
 
     /// Takes the figures of views.
@@ -245,12 +297,7 @@ impl Report {
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let n = &self.network;
-        writeln!(
-            f,
-            "Session of {:.0} s over a model of {} nodes, network {} (seed {})\n",
-            self.seconds, self.nodes, n.profile, n.seed
-        )?;
+        writeln!(f, "{}\n\nDetails\n", self.summary())?;
         self.write_participants(f)?;
         let s = &self.server;
         writeln!(
@@ -259,6 +306,32 @@ impl fmt::Display for Report {
             s.ticks, s.tick_ms.p50, s.tick_ms.p99, s.tick_ms.max, s.tick_period_ms, s.operations
         )?;
         self.write_network(f)?;
+        writeln!(f, "\n{}", CpuTable(&self.cpu))?;
+        self.write_disagreement(f)?;
+        self.write_topologies(f)?;
+        writeln!(f, "\n{} criteria", self.criteria.len())?;
+        // Those that failed stand in the summary.
+        for criterion in self.criteria.iter().filter(|c| c.ok) {
+            let line = criterion.to_string();
+            writeln!(f, "  {}", line.trim_start_matches("passed: "))?;
+        }
+        for note in &self.notes {
+            writeln!(f, "note: {note}")?;
+        }
+        Ok(())
+    }
+}
+
+/// The first lines of a report: the result, and the figures that it is about.
+pub struct Brief<'a>(&'a Report);
+
+impl Report {
+    /// The result in ten lines, and a line for each criterion that is not met.
+    pub fn summary(&self) -> Brief<'_> {
+        Brief(self)
+    }
+
+    fn write_disagreement(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
             "\ndisagreement in mm           p50      p95      max    compared"
@@ -275,6 +348,10 @@ impl fmt::Display for Report {
                 d.p50, d.p95, d.max, d.count
             )?;
         }
+        Ok(())
+    }
+
+    fn write_topologies(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let c = &self.cut;
         writeln!(
             f,
@@ -286,10 +363,16 @@ impl fmt::Display for Report {
         if let Some(r) = &self.reference {
             writeln!(
                 f,
-                "reference      without a network, computed in {:.1} s",
-                r.seconds
+                "reference      {:.1} s for {} solves; {} checks to a residual of {:.3} changed forces by {:.1} and {:.1} %",
+                r.seconds,
+                r.solves,
+                r.checks,
+                r.residual_max,
+                r.corrected_percent[0],
+                r.corrected_percent[1]
             )?;
         }
+        let s = &self.server;
         writeln!(f, "topology       server {}", s.topology_hash)?;
         for p in &self.participants {
             let verdict = if p.topology_hash == s.topology_hash {
@@ -299,13 +382,99 @@ impl fmt::Display for Report {
             };
             writeln!(f, "               {} {} {verdict}", p.name, p.topology_hash)?;
         }
-        for note in &self.notes {
-            writeln!(f, "note: {note}")?;
+        Ok(())
+    }
+}
+
+impl fmt::Display for Brief<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let r = self.0;
+        let n = &r.network;
+        write!(
+            f,
+            "Session of {:.0} s on a model of {} nodes, network {} (seed {})",
+            r.seconds, r.nodes, n.profile, n.seed
+        )?;
+        if r.stress > 0 {
+            write!(f, ", beside {} busy process(es)", r.stress)?;
         }
-        for problem in &self.problems {
+        let failed = r.criteria.iter().filter(|c| !c.ok);
+        let (bad, all) = (failed.clone().count(), r.criteria.len());
+        if r.ok {
+            writeln!(f, "\nok: all {all} criteria passed")?;
+        } else {
+            writeln!(f, "\nNOT ok: {bad} of {all} criteria failed")?;
+        }
+        for criterion in failed {
+            writeln!(f, "{criterion}")?;
+        }
+        for problem in &r.problems {
             writeln!(f, "PROBLEM: {problem}")?;
         }
-        write!(f, "\n{}", if self.ok { "ok" } else { "NOT ok" })
+        writeln!(f)?;
+        for p in r.participants.iter().filter(|p| p.ticks > 0) {
+            writeln!(f, "force of the {:<11} {}", p.name, Felt(p))?;
+        }
+        if let Some(d) = &r.delay {
+            let (median, max) = (d.median_ms, d.max_ms);
+            writeln!(
+                f,
+                "playout delay D          {median:.0} ms (median), {max:.0} ms (largest); round trip {:.0} ms",
+                2.0 * n.delay_mean_ms
+            )?;
+        }
+        let has = |p: &&ParticipantReport| p.summary.cuts >= r.cut.strokes;
+        writeln!(
+            f,
+            "cuts                     {} of {} at the server, at {} of {} participants",
+            r.cut.operations,
+            r.cut.strokes,
+            r.participants.iter().filter(has).count(),
+            r.participants.len()
+        )?;
+        writeln!(
+            f,
+            "views                    {:.2} mm apart at the same instant (95 %), {:.2} mm for the same moment",
+            r.view_disagreement_mm.p95, r.content_disagreement_mm.p95
+        )?;
+        let cores = r
+            .cpu
+            .iter()
+            .map(|c| format!("{} {:.2}", c.process, c.cores));
+        let cores: Vec<String> = cores.collect();
+        writeln!(f, "mean CPU cores           {}", cores.join(", "))?;
+        match &r.reference {
+            Some(q) => {
+                let error = q.error_percent.into_iter().fold(0.0, f64::max);
+                write!(
+                    f,
+                    "reference                the same hands without a network, computed in {:.1} s, error about {error:.1} %",
+                    q.seconds
+                )
+            }
+            None => write!(f, "reference                missing"),
+        }
+    }
+}
+
+/// Error and dropouts of a hand's force, in a line.
+struct Felt<'a>(&'a ParticipantReport);
+
+impl fmt::Display for Felt<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0.force_error_rms {
+            Some(percent) => write!(f, "{percent:.1} % from the reference, ")?,
+            None => write!(f, "error unknown, ")?,
+        }
+        match &self.0.dropouts {
+            None => write!(f, "dropouts unknown"),
+            Some(d) if d.count == 0 => write!(f, "no dropout"),
+            Some(d) => write!(
+                f,
+                "{} dropout(s): longest {:.0} ms, {:.0} ms of {:.1} s of contact",
+                d.count, d.longest_ms, d.total_ms, d.contact_s
+            ),
+        }
     }
 }
 
@@ -379,4 +548,9 @@ disagreement of contents  the same for the same moment s of the session, wheneve
 force error               rms of |F - F_ref| over rms of |F_ref| in contact, aligned on the time of
                           the script; F_ref is felt by the same hands with the same scripts at one
                           table, without a network
+dropout                   more than 20 ms in which F_ref is in contact (above 0.05 N and above 20 % of
+                          its largest value) and |F| is below 80 % of |F_ref|; F_ref is the smallest
+                          within 8 ms to both sides
+playout delay D           by how much views are delayed so that all participants see the same; from
+                          one second after the scripts' start to their end, over all views
 measured round trip       by the client's clock probes; it includes the time in both programs";

@@ -116,6 +116,8 @@ impl Session {
         let listen = HERE.to_string();
         let options = [
             "--json",
+            "--identity",
+            "new",
             "--listen",
             &listen,
             "--start-when",
@@ -158,13 +160,22 @@ impl Session {
         let record = dir.join(format!("{name}.recording.json"));
         let link = self.link(role)?.to_string();
         let words = [
-            "client", "join", &link, "--name", name, "--json", "--record",
+            "client",
+            "join",
+            &link,
+            "--name",
+            name,
+            "--json",
+            "--forget-seat",
+            "--record",
         ];
         let mut arguments: Vec<OsString> = words.map(OsString::from).into();
         arguments.push(record.clone().into());
         if let Some(script) = script {
             arguments.push("--script".into());
             arguments.push(script.into());
+            // The scripts of a session belong together.
+            arguments.extend(["--at", "session"].map(OsString::from));
         }
         let program = Program::start(format!("client {name}"), &self.executable, arguments)?;
         Ok(Participant { program, record })

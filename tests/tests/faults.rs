@@ -138,7 +138,11 @@ fn when_the_server_is_killed_clients_take_the_force_away_and_say_so() {
     let trainees = [("holder", holder), ("cutter", cutter)].map(|(name, script)| {
         let (link, script) = (&link, script.to_str().unwrap());
         let words = ["client", "join", link, "--name", name, "--reconnect", "3"];
-        let arguments = words.into_iter().chain(["--json", "--script", script]);
+        let together = ["--forget-seat", "--at", "session"];
+        let arguments = words
+            .into_iter()
+            .chain(together)
+            .chain(["--json", "--script", script]);
         Program::start(name, executable(), arguments).unwrap()
     });
     sleep(4.5);
@@ -163,7 +167,7 @@ fn a_server_with_another_certificate_is_not_trusted() {
     let mut link = session.link("spectator").unwrap();
     link.certificate.0[0] ^= 1;
     let link = link.to_string();
-    let arguments = ["client", "join", &link, "--json"];
+    let arguments = ["client", "join", &link, "--json", "--forget-seat"];
     let mut client = Program::start("client", executable(), arguments).unwrap();
     let status = client.wait(SOON).unwrap();
     sleep(0.1);
@@ -214,7 +218,7 @@ fn a_port_that_is_taken_is_a_sentence() {
     let host = Command::new(executable())
         .args(["server", "host"])
         .arg(&table.subject.file)
-        .args(["--json", "--listen", &there])
+        .args(["--json", "--identity", "new", "--listen", &there])
         .output()
         .unwrap();
     let relay = Command::new(executable())

@@ -56,10 +56,10 @@ fn every_example_runs_and_every_profile_among_them_is_one() {
             continue;
         }
         let name = path.display().to_string();
-        if std::fs::read_to_string(&path)
-            .unwrap()
-            .contains("\nexperiment =")
-        {
+        let text = std::fs::read_to_string(&path).unwrap();
+        if text.starts_with("format = \"palpate-script/") {
+            palpate_device::Script::from_toml(&text).unwrap();
+        } else if text.contains("\nexperiment =") {
             let figures: Value = serde_json::from_str(&done(&["run", &name, "--json"])).unwrap();
             assert!(figures.is_object(), "{name}");
             runs += 1;

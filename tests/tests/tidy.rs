@@ -380,7 +380,7 @@ fn unsafe_code_stands_where_the_system_is_met() {
         let is_stand_in = file.path.starts_with("device/tests/mock/");
         is_driver
             || is_stand_in
-            || file.path.starts_with("client/src/realtime/")
+            || file.path == "protocol/transport/src/threads/sys.rs"
             || is_test_allocator
     };
     let mut offenders = Vec::new();
@@ -393,7 +393,7 @@ fn unsafe_code_stands_where_the_system_is_met() {
     }
     refuse(
         &offenders,
-        "unsafe is for device/src/backend/*/sys.rs, client/src/realtime/, and in tests for counting \
+        "unsafe is for device/src/backend/*/sys.rs, protocol/transport/src/threads/sys.rs, and in tests for counting \
          allocators and device/tests/mock/:",
     );
 }

@@ -89,7 +89,7 @@ fn a_picture_is_drawn_and_a_slice_that_misses_is_answered() {
     assert!(said.contains("z = 0.0 to 40.0 mm"), "{said}");
     let (code, said) = inspect("w=3");
     assert_eq!(code, Some(2), "{said}");
-    assert!(said.contains("z=580"), "{said}");
+    assert!(said.contains("z=100"), "{said}");
     assert!(!png.exists());
     for slice in ["x=20", "y", "z=17.5"] {
         assert_eq!(inspect(slice), (Some(0), String::new()));

@@ -2,61 +2,68 @@
 
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 
-use palpate_protocol::operation::Operation;
+use palpate_transport::threads::{self, ThreadClass};
 
-use super::{Ahead, ReadyCut, ReplicaError};
-use crate::realtime::lower_priority_of_this_thread;
+use super::{Ahead, CutNews, CutOrder, ReplicaError};
 
-/// How much it gives way to the replica, which serves the hand.
-const NICE: i32 = 4;
-
-/// A thread that makes cuts in the order in which it is told of them. It ends with this.
+/// A thread that makes cuts in the order of the log. It ends with this.
 pub(crate) struct AheadThread {
-    operations: Sender<Operation>,
-    made: Receiver<Result<ReadyCut, ReplicaError>>,
+    orders: Sender<CutOrder>,
+    news: Receiver<Result<CutNews, ReplicaError>>,
 }
 
 impl AheadThread {
-    pub(crate) fn spawn(mut ahead: Ahead) -> std::io::Result<Self> {
-        let (operations, told) = channel::<Operation>();
-        let (tell, made) = channel();
-        std::thread::Builder::new()
-            .name("cuts".to_owned())
-            .spawn(move || {
-                if !lower_priority_of_this_thread(NICE) {
-                    tracing::debug!("the thread of the cuts keeps its priority");
-                }
-                for operation in told {
-                    let Some(made) = ahead.make(&operation).transpose() else {
-                        continue;
-                    };
-                    // After an error the copy is not the session's any more.
-                    let last = made.is_err();
-                    if tell.send(made).is_err() || last {
-                        break;
-                    }
-                }
-            })?;
-        Ok(Self { operations, made })
+    pub(crate) fn spawn(ahead: Ahead) -> std::io::Result<Self> {
+        let (orders, ordered) = channel();
+        let (tell, news) = channel();
+        threads::spawn(ThreadClass::Background, "cuts", move || {
+            serve(ahead, &ordered, &tell);
+        })?;
+        Ok(Self { orders, news })
     }
 
-    /// Has a cut made.
-    pub(crate) fn make(&self, operation: Operation) -> Result<(), ReplicaError> {
-        let ended = |e: std::sync::mpsc::SendError<Operation>| ReplicaError::Ended {
-            operation: e.0.id.to_string(),
-        };
-        self.operations.send(operation).map_err(ended)
+    /// Has something done.
+    pub(crate) fn order(&self, order: CutOrder) -> Result<(), ReplicaError> {
+        self.orders.send(order).map_err(|_| ended())
     }
 
-    /// The next cut that is made, if there is one; an error when the thread has ended by itself, so that
-    /// no operation waits for ever.
-    pub(crate) fn poll(&self) -> Result<Option<ReadyCut>, ReplicaError> {
-        match self.made.try_recv() {
-            Ok(made) => made.map(Some),
+    /// The next result, if there is one; an error when the thread has ended by itself, so that no operation waits for
+    /// ever.
+    pub(crate) fn poll(&self) -> Result<Option<CutNews>, ReplicaError> {
+        match self.news.try_recv() {
+            Ok(news) => news.map(Some),
             Err(TryRecvError::Empty) => Ok(None),
-            Err(TryRecvError::Disconnected) => Err(ReplicaError::Ended {
-                operation: "a cut".to_owned(),
-            }),
+            Err(TryRecvError::Disconnected) => Err(ended()),
+        }
+    }
+}
+
+fn ended() -> ReplicaError {
+    ReplicaError::Ended {
+        operation: "a cut".to_owned(),
+    }
+}
+
+fn serve(
+    mut ahead: Ahead,
+    ordered: &Receiver<CutOrder>,
+    tell: &Sender<Result<CutNews, ReplicaError>>,
+) {
+    loop {
+        if !ahead.can_work() {
+            let Ok(order) = ordered.recv() else { return };
+            ahead.order(order);
+        }
+        for order in ordered.try_iter() {
+            ahead.order(order);
+        }
+        let Some(news) = ahead.work().transpose() else {
+            continue;
+        };
+        // After an error the copy is not the session's any more.
+        let is_last = news.is_err();
+        if tell.send(news).is_err() || is_last {
+            return;
         }
     }
 }

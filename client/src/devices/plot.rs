@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use palpate_device::backend::five_dof::{Linkage, Middle, SINGULAR, TILT_RAD, manipulability};
+use palpate_tissue::write_file;
 
 /// Side of a cell of a map, m.
 const CELL_M: f64 = 2.5e-3;
@@ -66,7 +67,7 @@ pub(super) fn five_dof(folder: &Path) -> Result<PathBuf, String> {
     let text = picture(&linkage, &middle, &sections);
     let path = folder.join("five-dof-workspace.svg");
     std::fs::create_dir_all(folder)
-        .and_then(|()| std::fs::write(&path, text))
+        .and_then(|()| write_file(&path, text).map_err(|e| e.source))
         .map_err(|e| format!("{} can not be written: {e}", path.display()))?;
     Ok(path)
 }

@@ -2,24 +2,23 @@
 
 use palpate_device::DeviceTime;
 use palpate_protocol::{ClientTime, Span};
-
-use super::sys;
+use palpate_transport::threads;
 
 /// Now on the machine's monotonic clock. On Linux it counts from the boot and not from the start
 /// of this process, so that times of several clients on one machine can be compared.
 pub fn monotonic_now() -> ClientTime {
-    ClientTime::from_micros(sys::monotonic_ns() / 1000)
+    ClientTime::from_micros(threads::monotonic_ns() / 1000)
 }
 
 /// Time that this thread has worked: unlike the time that has passed, it does not run while others
 /// have the processor. Only differences mean anything.
 pub fn worked() -> Span {
-    Span::from_micros(sys::thread_ns() / 1000)
+    Span::from_micros(threads::worked_ns() / 1000)
 }
 
 /// Sleeps until `deadline` on the clock of [`monotonic_now`]; not at all when it has passed.
 pub fn sleep_until(deadline: ClientTime) {
-    sys::sleep_until_ns(deadline.as_micros().saturating_mul(1000));
+    threads::sleep_until_ns(deadline.as_micros().saturating_mul(1000));
 }
 
 /// A moment of this clock as the device is given it: a device whose clock is ours runs on it.

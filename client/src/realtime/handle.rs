@@ -7,17 +7,17 @@ use std::thread::JoinHandle;
 use hdrhistogram::Histogram;
 use triple_buffer::Output;
 
-use super::priority::Priority;
 use super::stats::LoopStats;
 use super::thread::Control;
 use super::trace::Trace;
+use palpate_transport::threads::Scheduling;
 
 /// The whole run.
 pub struct LoopSummary {
     /// The figures at the end.
     pub stats: LoopStats,
     /// How the thread was scheduled.
-    pub priority: Priority,
+    pub scheduling: Scheduling,
     /// How long after their deadlines ticks began, µs.
     pub lateness_us: Histogram<u32>,
     /// How long ticks took, µs.
@@ -34,7 +34,7 @@ pub struct HapticHandle {
     control: Arc<Control>,
     stats: Output<LoopStats>,
     thread: Option<JoinHandle<LoopSummary>>,
-    priority: Priority,
+    scheduling: Scheduling,
 }
 
 impl HapticHandle {
@@ -42,19 +42,19 @@ impl HapticHandle {
         control: Arc<Control>,
         stats: Output<LoopStats>,
         thread: JoinHandle<LoopSummary>,
-        priority: Priority,
+        scheduling: Scheduling,
     ) -> Self {
         Self {
             control,
             stats,
             thread: Some(thread),
-            priority,
+            scheduling,
         }
     }
 
     /// How the thread is scheduled, with a sentence for the user where that is not as wanted.
-    pub fn priority(&self) -> &Priority {
-        &self.priority
+    pub fn scheduling(&self) -> &Scheduling {
+        &self.scheduling
     }
 
     /// The newest figures; the thread publishes them four times a second.

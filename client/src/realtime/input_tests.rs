@@ -58,7 +58,7 @@ fn a_pointer_moves_and_cuts_in_the_loop_and_the_force_is_only_told() {
         palpate_device::HapticDevice::caps(&pointer),
     );
     let config = RealtimeConfig {
-        priority: None,
+        real_time: false,
         ..RealtimeConfig::default()
     };
     let (hand, mut ports) = spawn(Box::new(pointer), chain, config).unwrap();

@@ -11,27 +11,26 @@
 //!
 //! [`spawn`] starts it, [`HapticHandle`] steers it, [`HapticHandle::stop`] ramps the force down,
 //! closes the device and hands out the [`LoopSummary`]. What a turn does is [`HandLoop`], which
-//! knows neither thread nor clock, on the grid of [`Pace`]. All `unsafe` of the client is in `sys`.
+//! knows neither thread nor clock, on the grid of [`Pace`].
 
+mod alone;
 mod clock;
 mod hand_loop;
 mod handle;
 #[cfg(test)]
 mod input_tests;
 mod pace;
-mod priority;
 mod stats;
-mod sys;
 #[cfg(test)]
 mod tests;
 mod thread;
 mod trace;
 
+pub(crate) use alone::compute_alone;
 pub use clock::{device_time, monotonic_now, sleep_until, worked};
 pub use hand_loop::{DeviceCounts, ENABLE_EVERY, Frame, HandLoop, Turned, Wishes};
 pub use handle::{HapticHandle, LoopSummary};
 pub use pace::Pace;
-pub use priority::{Priority, lower_priority_of_this_thread};
 pub use stats::{LoopStats, Percentiles};
 pub use thread::{HapticPorts, RealtimeConfig, SpawnError, spawn};
 pub use trace::{Trace, TracePoint};

@@ -113,7 +113,7 @@ fn start(device: impl HapticDevice + 'static) -> (HapticHandle, HapticPorts) {
     let chain = Chain::new(ChainConfig::default(), device.caps());
     // Without real-time priority: the tests of one run share the machine.
     let config = RealtimeConfig {
-        priority: None,
+        real_time: false,
         ..RealtimeConfig::default()
     };
     spawn(Box::new(device), chain, config).unwrap()

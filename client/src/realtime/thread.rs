@@ -8,13 +8,13 @@ use std::sync::mpsc;
 use palpate_device::HapticDevice;
 use palpate_haptics::{Chain, ContactModel};
 use palpate_protocol::Span;
+use palpate_transport::threads::{self, Scheduling, ThreadClass};
 use triple_buffer::{Input, Output, triple_buffer};
 
 use super::clock;
 use super::hand_loop::{Frame, HandLoop, Turned, Wishes};
 use super::handle::{HapticHandle, LoopSummary};
 use super::pace::Pace;
-use super::priority::{Priority, raise_this_thread};
 use super::stats::{LoopStats, Meter};
 use super::trace::{Trace, TracePoint};
 
@@ -26,9 +26,8 @@ const STATS_EVERY: Span = Span::from_millis(250);
 pub struct RealtimeConfig {
     /// From tick to tick; the same as the chain's.
     pub period: Span,
-    /// Priority under `SCHED_FIFO`, 1 to 99; `None` does not ask for it. 80 is above every
-    /// ordinary thread and below the kernel's own timers.
-    pub priority: Option<i32>,
+    /// Whether the thread asks for the real-time priority of its class.
+    pub real_time: bool,
     /// Frames in the ring to the network: 256 is a quarter of a second, and a network task that
     /// is away for longer loses the newest (counted) rather than holding up the loop.
     pub ring_frames: usize,
@@ -45,7 +44,7 @@ impl Default for RealtimeConfig {
     fn default() -> Self {
         Self {
             period: Span::from_millis(1),
-            priority: Some(80),
+            real_time: true,
             ring_frames: 256,
             trace_every: 4,
             trace_points_max: 30_000,
@@ -114,14 +113,19 @@ pub fn spawn(
     let thread = std::thread::Builder::new()
         .name("haptics".to_owned())
         .spawn(move || {
-            let priority = raise_this_thread(config.priority);
-            let _ = tell.send(priority.clone());
-            haptic_loop.run(config.period, priority)
+            let class = if config.real_time {
+                ThreadClass::Force
+            } else {
+                ThreadClass::Background
+            };
+            let membership = threads::enter(class);
+            let _ = tell.send(membership.scheduling().clone());
+            haptic_loop.run(config.period, membership.scheduling().clone())
         })?;
-    let priority = told.recv().unwrap_or_else(|_| Priority::Normal {
-        explanation: "The haptic thread ended before it began.".to_owned(),
+    let scheduling = told.recv().unwrap_or(Scheduling::Ordinary {
+        refused: Some("the haptic thread ended before it began".to_owned()),
     });
-    let handle = HapticHandle::new(control, stats_out, thread, priority);
+    let handle = HapticHandle::new(control, stats_out, thread, scheduling);
     let ports = HapticPorts {
         models: models_in,
         newest: newest_out,
@@ -144,7 +148,7 @@ struct HapticLoop {
 }
 
 impl HapticLoop {
-    fn run(mut self, period: Span, priority: Priority) -> LoopSummary {
+    fn run(mut self, period: Span, scheduling: Scheduling) -> LoopSummary {
         let began = clock::monotonic_now();
         self.meter = Meter::new(began);
         let mut pace = Pace::new(began, period);
@@ -157,7 +161,7 @@ impl HapticLoop {
         let (lateness_us, work_us) = self.meter.into_histograms();
         LoopSummary {
             stats,
-            priority,
+            scheduling,
             lateness_us,
             work_us,
             trace: self.trace,

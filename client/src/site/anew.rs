@@ -13,6 +13,7 @@ use palpate_protocol::handshake::Welcome;
 use palpate_protocol::session::ClientEvent;
 use palpate_protocol::{ClientTime, ServerTime};
 
+use super::cutting::Cuts;
 use super::resync::{DRIFT_MAX_M, DRIFT_PATIENCE, RESYNCS_MAX, Verdict, WINDOW};
 use super::{Site, SiteError};
 use crate::ahead::ReplicaError;
@@ -166,8 +167,7 @@ impl Site {
         self.deferred = VecDeque::new();
         self.is_detached = false;
         self.unreported = None;
-        self.to_make = VecDeque::new();
-        self.ready = VecDeque::new();
+        self.cuts = Cuts::default();
         self.view_news = VecDeque::new();
         (self.counters.operations, self.counters.cuts) = (0, 0);
         self.counters.resyncs += 1;

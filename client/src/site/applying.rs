@@ -4,7 +4,8 @@ use palpate_protocol::operation::OperationKind;
 use palpate_protocol::request::RequestKind;
 use palpate_protocol::{ClientTime, ParticipantId, ServerTime, TopologyHash};
 
-use super::{Site, SiteError, ViewNews};
+use super::cutting::is_cut;
+use super::{Site, SiteError};
 use crate::recording::OperationRecord;
 
 impl Site {
@@ -12,6 +13,7 @@ impl Site {
     pub fn advance(&mut self, now: ClientTime) -> Result<(), SiteError> {
         match self.moment(now).filter(|_| !self.is_resyncing()) {
             Some((s, _)) => {
+                self.prepare_cut(s);
                 let result = self.apply_until(Some(s), now);
                 let is_all = result.is_ok() && self.deferred.front().is_none_or(|o| o.at > s);
                 // One report for all that was due: the server takes fifty requests in a second, and who comes
@@ -44,13 +46,10 @@ impl Site {
         let Some(operation) = self.deferred.front() else {
             return Ok(false);
         };
-        if self.is_detached && matches!(operation.kind, OperationKind::Cut(_)) {
-            let Some(ready) = self.ready.pop_front() else {
+        if self.is_detached && is_cut(operation) {
+            if !self.exchange() {
                 return Ok(false);
-            };
-            let cut = self.replica.take(ready);
-            let news = cut.map(|cut| ViewNews::Cut(Box::new(cut)));
-            self.view_news.extend(news);
+            }
         } else {
             self.replica.apply(operation)?;
         }

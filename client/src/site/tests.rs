@@ -155,6 +155,7 @@ fn both_tools_are_seen_where_they_were_at_the_same_moment() {
         let track = ToolTrack {
             participant: OTHER,
             samples: vec![sample],
+            ..ToolTrack::default()
         };
         tell(&mut site, ClientEvent::Motion(track), t);
     }

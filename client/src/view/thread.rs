@@ -6,14 +6,12 @@ use std::thread::JoinHandle;
 use palpate_protocol::datagram::Corrections;
 use palpate_protocol::{ClientTime, ServerTime, Span};
 use palpate_tissue::{Budget, Shape};
+use palpate_transport::threads::{self, ThreadClass};
 
 use super::{Drift, VIEW_TOLERANCE, View, ViewCut};
-use crate::realtime::{lower_priority_of_this_thread, monotonic_now, worked};
+use crate::realtime::{compute_alone, monotonic_now, worked};
 use crate::recording::{ToolRecord, ViewRecord, choose_nodes};
 use crate::site::ViewFrame;
-
-/// How much it gives way to the replica, which serves the hand.
-const NICE: i32 = 4;
 
 /// Iterations of one view: as many as the server makes of the same moment.
 const ITERATIONS: usize = 2;
@@ -58,14 +56,10 @@ impl ViewThread {
     pub(crate) fn spawn(view: View) -> std::io::Result<Self> {
         let (orders, told) = channel();
         let (tell, reports) = channel();
-        let thread = std::thread::Builder::new()
-            .name("view".to_owned())
-            .spawn(move || {
-                if !lower_priority_of_this_thread(NICE) {
-                    tracing::debug!("the thread of the view keeps its priority");
-                }
-                serve(view, &told, &tell);
-            })?;
+        let thread = threads::spawn(ThreadClass::Background, "view", move || {
+            let _pool = compute_alone();
+            serve(view, &told, &tell);
+        })?;
         Ok(Self {
             orders: Some(orders),
             reports,

@@ -4,12 +4,75 @@ use std::collections::VecDeque;
 
 use super::need::Need;
 use super::{ALPHA, PERCENTILE_WINDOW};
+use crate::lateness::Lateness;
 use crate::request::DelayReport;
 use crate::{ServerTime, Span};
 
 /// What is older or, by half a second, of the future was stamped or received by a clock that was
 /// set: it says nothing of the network. A path of ten seconds would end the session.
 const AGES: std::ops::RangeInclusive<i64> = -500_000..=10_000_000;
+
+/// The smallest age is remembered for this long, in halves.
+const LEAST_MEMORY: Span = Span::from_millis(4000);
+
+/// Arrivals that machines delayed do not begin a measurement for this long.
+const BEGIN_WITHIN: Span = Span::from_millis(1000);
+
+/// Motion that arrived, with the lateness that machines caused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MotionArrival {
+    /// When the newest sample was taken.
+    pub generated: ServerTime,
+    /// When it was handled here.
+    pub arrived: ServerTime,
+    /// Lateness that its sender and the server report.
+    pub late: Lateness,
+    /// How long it may have waited here for a receiver that did not run.
+    pub stall: Span,
+}
+
+impl MotionArrival {
+    /// Motion that no machine delayed.
+    pub fn on_time(generated: ServerTime, arrived: ServerTime) -> Self {
+        Self {
+            generated,
+            arrived,
+            late: Lateness::NONE,
+            stall: Span::ZERO,
+        }
+    }
+
+    /// Whether a machine delayed it.
+    fn is_delayed(&self) -> bool {
+        self.stall > Span::ZERO || self.late != Lateness::NONE
+    }
+
+    /// Its age less the lateness that is reported.
+    pub(crate) fn age(&self) -> Span {
+        self.arrived - self.generated - self.late.newest
+    }
+}
+
+/// The smallest age of the last [`LEAST_MEMORY`].
+#[derive(Debug, Clone, Copy, Default)]
+struct LeastAge {
+    since: Option<ServerTime>,
+    halves_us: [Option<i64>; 2],
+}
+
+impl LeastAge {
+    /// Notes an age as it was measured; returns the smallest one.
+    fn note(&mut self, age_us: i64, now: ServerTime) -> i64 {
+        let half = Span::from_micros(LEAST_MEMORY.as_micros() / 2);
+        if self.since.is_none_or(|since| (now - since).abs() >= half) {
+            self.since = Some(now);
+            self.halves_us = [None, self.halves_us[0]];
+        }
+        let current = self.halves_us[0].map_or(age_us, |least| least.min(age_us));
+        self.halves_us[0] = Some(current);
+        self.halves_us[1].map_or(current, |before| before.min(current))
+    }
+}
 
 /// Which rule gives D* from the measured ages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -32,7 +95,9 @@ pub struct DelayEstimator {
     mean_us: f64,
     deviation_us: f64,
     interval_us: f64,
+    first_arrival: Option<ServerTime>,
     last_arrival: Option<ServerTime>,
+    least: LeastAge,
     spike_us: Option<f64>,
     ages_us: VecDeque<i64>,
     need: Need,
@@ -49,7 +114,9 @@ impl DelayEstimator {
             mean_us: 0.0,
             deviation_us: 0.0,
             interval_us: 4000.0,
+            first_arrival: None,
             last_arrival: None,
+            least: LeastAge::default(),
             spike_us: None,
             ages_us: VecDeque::with_capacity(PERCENTILE_WINDOW),
             need: Need::default(),
@@ -59,16 +126,30 @@ impl DelayEstimator {
         }
     }
 
-    /// Notes that something generated at one moment arrived at another, while the delay `in_force`
-    /// held.
-    pub fn handle_arrival(&mut self, generated: ServerTime, arrival: ServerTime, in_force: Span) {
-        let d = (arrival - generated).as_micros();
-        if !AGES.contains(&d) {
+    /// Notes motion that arrived while the delay `in_force` held. The lateness that machines caused is taken off
+    /// its age, but never below the smallest age that was measured in the last seconds: a peer that claims
+    /// too much does not make its network shorter than it is. Returns the age that is left.
+    pub fn handle_arrival(&mut self, motion: MotionArrival, in_force: Span) -> Span {
+        let measured = (motion.arrived - motion.generated).as_micros();
+        if !AGES.contains(&measured) {
             self.ignored += 1;
-            return;
+            return motion.age();
         }
+        let arrival = motion.arrived;
+        let first = *self.first_arrival.get_or_insert(arrival);
+        // Nothing is known yet that a delayed arrival could be compared with.
+        if self.measured == 0 && motion.is_delayed() && (arrival - first).abs() < BEGIN_WITHIN {
+            return (motion.age() - motion.stall).max(Span::ZERO);
+        }
+        let least = self.least.note(measured, arrival);
+        let taken_off = motion.late.newest.as_micros().min(measured - least);
+        let latest = measured - taken_off;
+        let earliest = (latest - motion.stall.as_micros().max(0)).max(least);
+        // Within what a stall leaves open the age is the usual one.
+        let d = (self.mean_us as i64).clamp(earliest, latest);
         let d_us = d as f64;
-        self.urgent |= self.need.handle_arrival(generated, arrival);
+        let age = Span::from_micros(d);
+        self.urgent |= (self.need).handle_arrival(&motion, Span::from_micros(taken_off), age);
         if self.ages_us.len() == PERCENTILE_WINDOW {
             self.ages_us.pop_front();
         }
@@ -92,9 +173,10 @@ impl DelayEstimator {
         }
         self.mean_us += ALPHA * (d_us - self.mean_us);
         self.deviation_us += ALPHA * ((d_us - self.mean_us).abs() - self.deviation_us);
+        age
     }
 
-    /// The delay D* that this site needs; `None` before the first arrival.
+    /// The delay D* that this site needs; `None` before the first measurement.
     pub fn wanted(&self) -> Option<Span> {
         if self.measured == 0 {
             return None;
@@ -103,8 +185,8 @@ impl DelayEstimator {
             DelayRule::MeanDeviation => self.mean_us + 4.0 * self.deviation_us,
             DelayRule::Percentile => self.percentile_us(0.98),
             DelayRule::Bridged => {
-                let us = self.need.wanted_us().unwrap_or(self.mean_us as i64);
-                return Some(Span::from_micros(us));
+                // One arrival says nothing: after a demotion the last motion of that participant may still come.
+                return self.need.wanted_us().map(Span::from_micros);
             }
         } + self.interval_us;
         let wanted = self.spike_us.map_or(settled, |spike| settled.max(spike));
@@ -143,7 +225,7 @@ impl DelayEstimator {
         self.ignored
     }
 
-    /// For the server; `None` before the first arrival.
+    /// For the server; `None` before the first measurement.
     pub fn report(&self) -> Option<DelayReport> {
         let us = |s: Span| u32::try_from(s.as_micros().max(0)).unwrap_or(u32::MAX);
         self.wanted().map(|wanted| DelayReport {

@@ -82,8 +82,7 @@ const FORESIGHT: Span = Span::from_millis(600);
 /// What an operation needs beyond its way, to be sent again once on a short path.
 const LEAD_MARGIN: Span = Span::from_millis(20);
 
-/// A smaller change than this is not worth an operation when growing; when shrinking it must be
-/// twice as much. Where D is short, [`CHANGE_PART`] of it is less and counts.
+/// A smaller change than this is not worth an operation. Where D is short, [`CHANGE_PART`] of it is less and counts.
 pub const CHANGE_MIN: Span = Span::from_millis(2);
 
 /// The part of D, one in so many, that is worth an operation where D is short: 2 ms of 5 are not nothing.
@@ -154,7 +153,7 @@ impl GroupDelay {
         let change = i64::from(wanted) - i64::from(self.target_us);
         let part = i64::from(self.target_us) / CHANGE_PART;
         let min = part.clamp(CHANGE_LEAST.as_micros(), CHANGE_MIN.as_micros());
-        if !(change >= min || change <= -2 * min) {
+        if !(change >= min || change <= -min) {
             return None;
         }
         let period = if change > 0 {

@@ -34,7 +34,7 @@ mod schedule;
 use crate::Span;
 
 pub use demotion::{DEMOTE_AFTER, Demotion, REPORT_OLD, RESTORE_AFTER, RESTORE_SHARE, Verdict};
-pub use estimator::{DelayEstimator, DelayRule};
+pub use estimator::{DelayEstimator, DelayRule, MotionArrival};
 pub use group::{CHANGE_MIN, CHANGE_PART, CHANGE_PERIOD, DelayChange, GroupDelay, RAISE_PERIOD};
 pub use need::BRIDGE;
 pub use prediction::{PREDICTION_MAX, Prediction};

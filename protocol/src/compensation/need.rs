@@ -12,40 +12,39 @@
 //! cover everything: it is aimed [`BRIDGE`] or less below the [`SHARE`] of n.
 //!
 //! ```text
-//! D* = max( q(n over LONG or SHORT + MARGIN, the lesser) - BRIDGE,  what a burst needed )
+//! D* = max( q(n over LONG or SHORT, the lesser) - BRIDGE,  what a burst needed )
 //! ```
 //!
 //! Three memories, because paths change in three ways (the rule is of our own making):
-//! - a **step up** shows in a few packets, that all are beyond what D can bridge: what was before
-//!   them says nothing any more and is forgotten;
+//! - a **step up** shows in a few packets that are all beyond what D can bridge: the memory of what was before
+//!   them is cleared;
 //! - a **step down** shows when the short memory lies below the long one;
-//! - a **burst** is a step up that is taken back within [`BURST_MAX`]. Where one was, another comes:
-//!   its need is kept for [`BURST_MEMORY`], without counting on the bridge, because within a burst
-//!   packets are missing too.
+//! - a **burst** is a step up that is taken back within [`BURST_MAX`]. One alone is forgotten after
+//!   [`BURST_MEMORY_LEAST`]. Where bursts recur, their need is kept from one to the next, without
+//!   counting on the bridge, because packets are missing within a burst too.
 //!
-//! A step that lasted is remembered for [`STEP_MEMORY`]: until then nothing is bridged, because what is
-//! bridged already leaves less for the next one.
+//! The bridge is spent on jitter: a path without jitter gets none, so that it has the whole bridge left when it changes.
 
 use std::collections::VecDeque;
 
+use super::estimator::MotionArrival;
 use crate::{ServerTime, Span};
 
 /// The farthest beyond the newest sample that the rule lets the timeline go at the edge of its
 /// `SHARE`.
 pub const BRIDGE: Span = Span::from_millis(12);
 
-/// The least bridge: all of what a packet's interval needs, and nothing to be seen.
-const BRIDGE_LEAST: Span = Span::from_millis(8);
-
-/// The least bridge of a short path: there it is most of the delay, and what such a path gains at once is short too.
+/// The bridge of a short path: there it is most of the delay, and such a path gains little at once.
 const BRIDGE_SHORT: Span = Span::from_micros(11_300);
 
 /// A path counts as short up to the first need, and not at all from the second on; in between by parts.
 const SHORT_PATH: [Span; 2] = [Span::from_millis(15), Span::from_millis(30)];
 
-/// The bridge in spreads (from the median to the [`SHARE`]) of the need. A wide need is bridged now
-/// and then, a narrow one would be all the time, and would leave nothing for when the path changes.
-const BRIDGE_SPREADS: i64 = 2;
+/// The bridge in spreads of jitter (from the median to the [`SHARE`]).
+const BRIDGE_SPREADS: i64 = 3;
+
+/// The spread of the need on a path without jitter: from the median to the [`SHARE`] of a packet interval of 4 ms.
+const PACKET_SPREAD_US: i64 = 1840;
 
 /// The share of the time in which D and the bridge together are to be enough.
 const SHARE: f64 = 0.96;
@@ -56,9 +55,6 @@ const LONG: Span = Span::from_millis(4000);
 /// The short memory: what it lies below the long one is a step down.
 const SHORT: Span = Span::from_millis(700);
 
-/// The short memory's quantile is less steady: so much is added before it is believed.
-const MARGIN_US: i64 = 5000;
-
 /// Packets in a row, all later than anything bridged, that make a step up.
 const STEP_PACKETS: usize = 3;
 
@@ -68,20 +64,17 @@ const STEP_US: i64 = 6000;
 /// A rise that lasts longer is no burst but how the path now is.
 const BURST_MAX: Span = Span::from_millis(1200);
 
-/// How long a burst's need is remembered: radio links have one every few seconds, and one on both
-/// ways at once every few of those.
-const BURST_MEMORY: Span = Span::from_millis(30_000);
+/// A burst alone is remembered for so long.
+const BURST_MEMORY_LEAST: Span = Span::from_millis(2000);
+
+/// Bursts that recur are remembered for so many times the longest time between two of them.
+const BURST_MEMORY_GAPS: i64 = 3;
+
+/// Bursts that are farther apart do not recur.
+const BURST_MEMORY_MOST: Span = Span::from_millis(30_000);
 
 /// A burst's need and so much more: the next one is a little worse as often as not.
 const BURST_MARGIN_US: i64 = 5000;
-
-/// How long it is remembered that the path had a step up: routes that change do so again within
-/// minutes, and a path that changes has no use for a delay that is just enough.
-const STEP_MEMORY: Span = Span::from_millis(30_000);
-
-/// While that is remembered nothing is bridged and so much is added: what is left of the next step
-/// is what has to be made up until D has grown.
-const STEP_MARGIN_US: i64 = 2000;
 
 /// Intervals remembered; at 250 Hz the long memory needs 1000, and a stream that is faster is
 /// remembered for a shorter time.
@@ -90,11 +83,12 @@ const INTERVALS_MAX: usize = 2048;
 /// The least time that an interval counts for: packets that come together show nothing in between.
 const INTERVAL_MIN_US: i64 = 1;
 
-/// The least bridge of a path with this need, microseconds.
-fn bridge_least(need_us: i64) -> i64 {
+/// The bridge of a path with this need and this spread of it, microseconds.
+fn bridge(need_us: i64, spread_us: i64) -> i64 {
     let [short, long] = SHORT_PATH.map(Span::as_micros);
-    let extra = (BRIDGE_SHORT - BRIDGE_LEAST).as_micros();
-    BRIDGE_LEAST.as_micros() + extra * (long - need_us).clamp(0, long - short) / (long - short)
+    let part = (long - need_us).clamp(0, long - short);
+    let least = BRIDGE_SHORT.as_micros() * part / (long - short);
+    (BRIDGE_SPREADS * (spread_us - PACKET_SPREAD_US)).clamp(least, BRIDGE.as_micros())
 }
 
 /// What was needed from one packet to the next: from the age of the first on its arrival up to
@@ -114,40 +108,87 @@ struct Rise {
     peak_us: i64,
 }
 
+/// The bursts of a path.
+#[derive(Debug, Clone, Copy)]
+struct Bursts {
+    /// When the last one ended.
+    ended: ServerTime,
+    /// How long they are remembered.
+    memory: Span,
+    /// The most that one of them needed, while it is remembered.
+    need_us: Option<i64>,
+}
+
+impl Bursts {
+    /// A burst ended, with this need.
+    fn note(before: Option<Self>, need_us: i64, now: ServerTime) -> Self {
+        let recurring = before.filter(|b| now - b.ended <= BURST_MEMORY_MOST);
+        let Some(before) = recurring else {
+            return Self {
+                ended: now,
+                memory: BURST_MEMORY_LEAST,
+                need_us: Some(need_us),
+            };
+        };
+        let gap = Span::from_micros(BURST_MEMORY_GAPS * (now - before.ended).as_micros());
+        Self {
+            ended: now,
+            memory: before.memory.max(gap).min(BURST_MEMORY_MOST),
+            need_us: before.need_us.max(Some(need_us)),
+        }
+    }
+
+    /// What is no longer remembered is forgotten.
+    fn forget(&mut self, now: ServerTime) {
+        if now - self.ended > self.memory {
+            self.need_us = None;
+        }
+    }
+}
+
 /// What a site needs of D so that the timeline can bridge the rest.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Need {
-    newest: Option<ServerTime>,
+    /// The newest sample and its age on arrival.
+    newest: Option<(ServerTime, Span)>,
     last_arrival: ServerTime,
     intervals: VecDeque<Interval>,
     settled_us: Option<i64>,
     bridge_us: i64,
     rise: Option<Rise>,
-    burst: Option<(ServerTime, i64)>,
-    stepped: Option<ServerTime>,
+    bursts: Option<Bursts>,
     since_sorted: u32,
 }
 
 impl Need {
-    /// Notes a packet whose newest sample is of the moment `generated`. `true` when the path has
-    /// just become slower: worth a report at once.
-    pub(super) fn handle_arrival(&mut self, generated: ServerTime, arrival: ServerTime) -> bool {
-        let Some(newest) = self.newest else {
-            self.newest = Some(generated);
+    /// Notes motion of which the newest sample had this age when it arrived, without what machines made of it:
+    /// so much was `taken_off` for its sender and the server.
+    /// `true` when the path has just become slower: worth a report at once.
+    pub(super) fn handle_arrival(
+        &mut self,
+        motion: &MotionArrival,
+        taken_off: Span,
+        age: Span,
+    ) -> bool {
+        let (generated, arrival) = (motion.generated, motion.arrived);
+        let Some((newest, age_before)) = self.newest else {
+            self.newest = Some((generated, age));
             self.last_arrival = arrival;
             return false;
         };
         if generated <= newest {
             return false;
         }
+        // Just before its arrival, had its oldest news left in time.
+        let oldest = generated - newest + taken_off - motion.late.oldest + age;
         let interval = Interval {
             until: arrival,
-            from_us: (self.last_arrival - newest).as_micros(),
-            to_us: (arrival - newest).as_micros(),
+            from_us: age_before.as_micros(),
+            to_us: oldest.max(age).max(age_before).as_micros(),
         };
         // A tool that was silent needed nothing.
         let silent = arrival - self.last_arrival > LONG || generated - newest > LONG;
-        self.newest = Some(generated);
+        self.newest = Some((generated, age));
         self.last_arrival = self.last_arrival.max(arrival);
         if silent {
             return false;
@@ -212,11 +253,9 @@ impl Need {
             return;
         };
         if last.from_us <= rise.before_us {
-            let known_us = self.burst.map_or(0, |(_, us)| us);
-            self.burst = Some((now, known_us.max(rise.peak_us)));
+            self.bursts = Some(Bursts::note(self.bursts, rise.peak_us, now));
             self.rise = None;
         } else if now - rise.began > BURST_MAX {
-            self.stepped = Some(now);
             self.rise = None;
         } else {
             rise.peak_us = rise.peak_us.max(last.to_us);
@@ -226,20 +265,14 @@ impl Need {
 
     /// What the memories say, the bridge not yet taken off.
     fn settle(&mut self, now: ServerTime) -> i64 {
-        if self.burst.is_some_and(|(at, _)| now - at > BURST_MEMORY) {
-            self.burst = None;
+        if let Some(bursts) = &mut self.bursts {
+            bursts.forget(now);
         }
         let long = self.quantile(now, LONG, SHARE);
         let short = self.quantile(now, SHORT, SHARE);
         let spread = long - self.quantile(now, LONG, 0.5);
-        if self.stepped.is_some_and(|at| now - at > STEP_MEMORY) {
-            self.stepped = None;
-        }
-        let settled_us = long.min(short.saturating_add(MARGIN_US));
-        self.bridge_us = match self.stepped {
-            Some(_) => -STEP_MARGIN_US,
-            None => (BRIDGE_SPREADS * spread).clamp(bridge_least(settled_us), BRIDGE.as_micros()),
-        };
+        let settled_us = long.min(short);
+        self.bridge_us = bridge(settled_us, spread);
         settled_us
     }
 
@@ -275,7 +308,8 @@ impl Need {
     /// D*, microseconds; `None` before two packets.
     pub(super) fn wanted_us(&self) -> Option<i64> {
         let settled = self.settled_us? - self.bridge_us;
-        let burst = self.burst.map_or(0, |(_, us)| us + BURST_MARGIN_US);
+        let burst = self.bursts.and_then(|b| b.need_us);
+        let burst = burst.map_or(0, |us| us + BURST_MARGIN_US);
         Some(settled.max(burst).max(0))
     }
 }

@@ -1,4 +1,5 @@
 use super::*;
+use crate::lateness::Lateness;
 use crate::operation::{CompensationMode, CompensationSettings};
 use crate::request::DelayReport;
 use crate::{ParticipantId, ServerTime};
@@ -32,7 +33,10 @@ fn what_a_site_wants_covers_nearly_all_that_arrives() {
                 late += i32::from(d > wanted);
             }
             let wanted = estimator.wanted().unwrap_or(Span::from_millis(80));
-            estimator.handle_arrival(at(i * 4000), at(i * 4000 + d), wanted);
+            estimator.handle_arrival(
+                MotionArrival::on_time(at(i * 4000), at(i * 4000 + d)),
+                wanted,
+            );
         }
         assert!(
             late * 50 < count,
@@ -48,7 +52,7 @@ fn a_spike_is_followed_at_once_and_forgotten_when_it_is_over() {
     let mut t = 0;
     let mut feed = |estimator: &mut DelayEstimator, d: i64| {
         t += 4000;
-        estimator.handle_arrival(at(t), at(t + d), in_force);
+        estimator.handle_arrival(MotionArrival::on_time(at(t), at(t + d)), in_force);
     };
     for i in 0..500 {
         feed(&mut estimator, 60_000 + i % 3 * 1000);
@@ -78,7 +82,10 @@ fn a_clock_that_is_set_by_hours_is_no_delay_and_is_counted() {
                     0
                 };
                 let (sent, arrival) = (i * 4000, i * 4000 + 60_000 + wrong_us);
-                estimator.handle_arrival(at(sent), at(arrival), Span::from_millis(70));
+                estimator.handle_arrival(
+                    MotionArrival::on_time(at(sent), at(arrival)),
+                    Span::from_millis(70),
+                );
             }
             assert_eq!(estimator.ignored(), 75);
             let wanted = estimator.wanted().unwrap();
@@ -237,4 +244,67 @@ fn no_report_puts_a_change_off_by_more_than_half_the_cap() {
     };
     group.handle_report(ParticipantId(3), report);
     assert!(group.lead() <= Span::from_micros(i64::from(cap_us) / 2) + Span::from_millis(20));
+}
+
+proptest! {
+    #[test]
+    fn no_claim_of_lateness_makes_a_network_shorter_or_longer_than_it_is(
+        claims in prop::collection::vec((0_i64..3000, 0_i64..3000, 0_i64..400), 1..50),
+        base_ms in 5_i64..200,
+        seed in any::<u64>(),
+    ) {
+        let mut rng = Pcg64::seed_from_u64(seed);
+        let mut estimator = DelayEstimator::new(DelayRule::default());
+        let (mut least, mut most) = (i64::MAX, 0);
+        for i in 0..2000_i64 {
+            let age_us = base_ms * 1000 + rng.random_range(0..10_000);
+            let (newest, more, stall) = claims[i as usize % claims.len()];
+            let late = Lateness {
+                newest: Span::from_millis(newest),
+                oldest: Span::from_millis(newest + more),
+            };
+            let motion = MotionArrival {
+                late: late.limited(),
+                stall: Span::from_millis(stall),
+                ..MotionArrival::on_time(at(i * 4000), at(i * 4000 + age_us))
+            };
+            let left = estimator.handle_arrival(motion, Span::from_millis(50)).as_micros();
+            // Where every arrival is delayed, the measurement begins after a second.
+            if i >= 260 {
+                prop_assert!((base_ms * 1000..=age_us).contains(&left), "{left} of {age_us} us");
+            }
+            (least, most) = (least.min(age_us), most.max(age_us));
+        }
+        let wanted = estimator.wanted().unwrap().as_micros();
+        let bridge = BRIDGE.as_micros();
+        prop_assert!((least - bridge..=most + 9000).contains(&wanted), "{wanted} us of {least} to {most}");
+    }
+}
+
+#[test]
+fn lateness_of_the_sender_is_not_taken_for_the_network_s() {
+    let mut estimator = DelayEstimator::new(DelayRule::default());
+    let mut t = 0;
+    for i in 0..4000_i64 {
+        // One batch of 50 leaves 200 ms late, and nothing between it and the batch before.
+        let (interval_us, newest_ms, oldest_ms) = match i % 50 {
+            48 => (204_000, 40, 200),
+            // It catches up with what was taken meanwhile.
+            49 => (4000, 0, 40),
+            _ => (4000, 0, 0),
+        };
+        t += interval_us;
+        let late = Lateness {
+            newest: Span::from_millis(newest_ms),
+            oldest: Span::from_millis(oldest_ms),
+        };
+        let age_us = 60_000 + i % 7 * 500;
+        let motion = MotionArrival {
+            late,
+            ..MotionArrival::on_time(at(t - late.newest.as_micros()), at(t + age_us))
+        };
+        estimator.handle_arrival(motion, Span::from_millis(70));
+    }
+    let wanted = estimator.wanted().unwrap();
+    assert!(wanted <= Span::from_millis(68), "{wanted:?}");
 }

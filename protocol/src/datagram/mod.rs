@@ -30,6 +30,7 @@
 mod bytes;
 mod corrections;
 mod header;
+mod late;
 pub mod memory;
 pub mod motion;
 mod quantise;

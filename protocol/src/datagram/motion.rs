@@ -6,6 +6,7 @@
 //!
 //! ```text
 //! participant minus the connection's | 5 minus the number of samples
+//! how late machines made the newest sample, ms | how much later the oldest news, ms
 //! whether from a baseline; if so: how many datagrams ago it was
 //! times: of the newest, see below; then the steps back, less 1 ms each
 //! the newest sample: position, orientation, buttons, force
@@ -24,10 +25,12 @@
 //! much it is before the first.
 
 use super::header::nearest_time;
+use super::late::code_lateness;
 use super::memory::Memory;
 use super::quantise::{self, COMPONENT_MAX, POSITION_MAX, Point, TIME_STEP_US, Turn};
 use super::range_coder::{Chance, Coder, Number};
 use super::{Moment, TRACK_MAX_SAMPLES, TRACKS_MAX};
+use crate::lateness::Lateness;
 use crate::{ParticipantId, ProtocolError, ToolTrack};
 
 /// Between two samples of the usual 1 kHz, in steps of time.
@@ -153,6 +156,7 @@ struct Model {
     tracks: Number,
     participant: Number,
     samples: Number,
+    late: Number,
     ago: Number,
     batches: Number,
     rest: Number,
@@ -177,6 +181,7 @@ impl Model {
             tracks: Number::new(&[40]),
             participant: Number::new(&[90, 160, 160, 128]),
             samples: Number::new(&[20]),
+            late: Number::mostly_positive(&[2, 200, 200, 200, 128]),
             ago: Number::mostly_positive(&[255, 254, 248, 225, 150, 140, 60, 40]),
             batches: Number::mostly_positive(&[130, 130, 60, 90, 120]),
             rest: Number::new(&[120, 40, 60, 100, 150, 200]),
@@ -432,6 +437,7 @@ fn write_track(
     m.participant
         .code(c, i32::from(track.participant.0) - stream)?;
     m.samples.code(c, USUAL_SAMPLES as i32 - count as i32)?;
+    code_lateness(c, &mut m.late, track.late)?;
     let time = quantise::time(newest.time);
     let known = memory.known_point(track.participant).filter(|(_, anchor)| {
         let since = time.saturating_sub(anchor.newest.time);
@@ -470,6 +476,7 @@ fn read_track(
     if !(1..=TRACK_MAX_SAMPLES).contains(&count) {
         return Err(refuse("the number of samples", count.to_string()));
     }
+    let late = code_lateness(c, &mut m.late, Lateness::NONE)?;
     let baseline = if c.bit(&mut m.has_baseline, false)? {
         let ago = m.ago.code(c, 0)?;
         let sequence = at.sequence.wrapping_sub(ago as u32);
@@ -486,6 +493,7 @@ fn read_track(
     let track = ToolTrack {
         participant,
         samples,
+        late,
     };
     Ok((track, anchor))
 }

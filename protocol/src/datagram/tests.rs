@@ -3,6 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::lateness::Lateness;
 use crate::{Epoch, Pose, Span, ToolSample};
 
 const TAG: Tag = Tag {
@@ -51,6 +52,10 @@ fn track(participant: u16, samples: i64, force: bool) -> ToolTrack {
     ToolTrack {
         participant: ParticipantId(participant),
         samples: (0..samples).map(sample).collect(),
+        late: Lateness {
+            newest: Span::from_millis(samples - 1),
+            oldest: Span::from_millis(40 * samples),
+        },
     }
 }
 
@@ -263,7 +268,7 @@ proptest! {
             pose: Pose { position_m: [x, -x, 0.0], orientation },
             ..ToolSample::default()
         };
-        let track = ToolTrack { participant: ParticipantId(1), samples: vec![sample] };
+        let track = ToolTrack { participant: ParticipantId(1), samples: vec![sample], late: Lateness::NONE };
         let bytes = encode(&Datagram { header: header(), body: Body::Motion(vec![track]) }).unwrap();
         let Body::Motion(tracks) = decode(&bytes).unwrap().body else {
             panic!("another kind");

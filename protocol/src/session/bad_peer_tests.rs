@@ -3,6 +3,7 @@
 
 use super::tests::Pair;
 use crate::datagram::{Acknowledgement, Body, Datagram, Header, Memory, Tag};
+use crate::lateness::Lateness;
 use crate::request::RequestKind;
 use crate::session::{EVENTS_MAX, PeerEvent};
 use crate::{
@@ -121,6 +122,7 @@ fn samples_that_are_seconds_old_are_counted_and_not_passed_on() {
             body: Body::Motion(vec![ToolTrack {
                 participant: ParticipantId(5),
                 samples: vec![sample],
+                late: Lateness::NONE,
             }]),
         };
         let bytes = datagram.encode(&mut Memory::default()).unwrap();

@@ -8,11 +8,12 @@ use std::collections::VecDeque;
 
 use crate::clock::{ClockEstimate, ClockMap};
 use crate::codec::{self, FrameDecoder};
-use crate::compensation::{DelayEstimator, DelayRule, DelaySchedule, REPORT_OLD};
+use crate::compensation::{DelayEstimator, DelayRule, DelaySchedule, MotionArrival, REPORT_OLD};
 use crate::datagram::{Body, Header};
 use crate::handshake::{
     Hello, PROTOCOL_VERSION, Preamble, ROSTER_MAX, RefusalReason, Refused, Welcome,
 };
+use crate::lateness::LONG_STALL;
 use crate::operation::{Operation, OperationKind};
 use crate::request::{ClientMessage, Request, RequestKind, ServerMessage};
 use crate::session::motion_batch::MotionBatch;
@@ -285,15 +286,24 @@ impl ClientSession {
 
     /// One datagram. Noise is counted and otherwise ignored.
     pub fn handle_datagram(&mut self, bytes: &[u8], now: ClientTime) {
+        self.handle_waiting_datagram(bytes, Span::ZERO, now);
+    }
+
+    /// The same of one that may have waited for `stall`, because this machine did not run
+    /// ([`StallWatch`](crate::lateness::StallWatch)).
+    pub fn handle_waiting_datagram(&mut self, bytes: &[u8], stall: Span, now: ClientTime) {
         self.follow_clock(now);
         let Some(datagram) = self.link.accept(bytes) else {
             return;
         };
+        self.link.count_stall(stall);
         self.hear(now);
         match datagram.body {
-            Body::Motion(tracks) => self.handle_motion(&datagram.header, tracks, now),
+            Body::Motion(tracks) => self.handle_motion(&datagram.header, tracks, stall, now),
             Body::Corrections(c) => self.emit(ClientEvent::Corrections(c)),
             Body::Displacements(d) => self.emit(ClientEvent::Displacements(d)),
+            // Its round trip would be that of this machine.
+            Body::Reply(_) if stall > LONG_STALL => {}
             Body::Reply(reply) => self.handle_reply(reply, now),
             Body::Delays(list) => self.emit(ClientEvent::Delays(list)),
             Body::Probe(_) => self.link.count_misdirected(),
@@ -303,12 +313,20 @@ impl ClientSession {
         self.wants.acknowledgement |= self.link.owes_acknowledgement();
     }
 
-    fn handle_motion(&mut self, header: &Header, tracks: Vec<ToolTrack>, now: ClientTime) {
+    fn handle_motion(
+        &mut self,
+        header: &Header,
+        tracks: Vec<ToolTrack>,
+        stall: Span,
+        now: ClientTime,
+    ) {
         let State::Joined(joined) = &mut self.state else {
             return;
         };
+        let arrived = self.clock.map().map(|map| map.to_server(now));
         // The age of a datagram is that of its oldest news.
-        let mut oldest_news: Option<ServerTime> = None;
+        let mut oldest: Option<MotionArrival> = None;
+        let mut is_heard = false;
         for track in &tracks {
             let Some(newest) = track.samples.last().map(|s| s.time) else {
                 continue;
@@ -331,19 +349,27 @@ impl ClientSession {
                     true
                 }
             };
-            if is_news {
-                oldest_news = Some(oldest_news.map_or(newest, |o| o.min(newest)));
+            is_heard |= is_news;
+            let Some(arrived) = arrived.filter(|_| is_news) else {
+                continue;
+            };
+            let motion = MotionArrival {
+                // Nothing is younger than the datagram that carries it.
+                generated: newest.min(header.generated),
+                arrived,
+                late: track.late,
+                stall,
+            };
+            if oldest.is_none_or(|o| o.age() < motion.age()) {
+                oldest = Some(motion);
             }
         }
-        if oldest_news.is_some() {
+        if is_heard {
             joined.news_at = now;
         }
-        if let (Some(oldest), Some(map)) = (oldest_news, self.clock.map()) {
-            let arrival = map.to_server(now);
-            // Nothing is younger than the datagram that carries it.
-            let generated = oldest.min(header.generated);
-            self.delay
-                .handle_arrival(generated, arrival, joined.schedule.delay_at(arrival));
+        if let Some(motion) = oldest {
+            let in_force = joined.schedule.delay_at(motion.arrived);
+            self.delay.handle_arrival(motion, in_force);
             if self.delay.take_urgent() {
                 self.report_due = now;
             }
@@ -380,7 +406,12 @@ impl ClientSession {
                     // Who hears nobody needs nothing.
                     let is_fresh = now - joined.news_at <= REPORT_OLD;
                     if let Some(report) = self.delay.report().filter(|_| is_fresh) {
-                        self.link.enqueue(Body::Delays(vec![(participant, report)]));
+                        let since = self
+                            .clock
+                            .map()
+                            .map_or(ServerTime::ZERO, |m| m.to_server(now));
+                        self.link
+                            .enqueue(Body::Delays(vec![(participant, report)]), since);
                     }
                 }
                 if !self.link_lost && now - self.heard >= SERVER_SILENCE {

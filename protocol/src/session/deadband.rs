@@ -141,7 +141,7 @@ mod tests {
             pair.step();
         }
         let batches = pair.server_events.iter().filter_map(|e| match e {
-            PeerEvent::Motion(samples) => Some(samples.clone()),
+            PeerEvent::Motion(motion) => Some(motion.samples.clone()),
             _ => None,
         });
         (batches.collect(), truth)

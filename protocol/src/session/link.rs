@@ -5,10 +5,13 @@ use std::collections::VecDeque;
 
 use crate::datagram::{
     Acknowledgement, Body, Datagram, Expected, Header, Memory, Opened, SHORT_SEQUENCE, SHORT_TIME,
-    Tag,
+    TRACKS_MAX, Tag,
 };
+use crate::lateness::{LocalStalls, Repeated, StallCounter};
 use crate::session::DATAGRAM_BACKLOG_MAX;
-use crate::{Arrival, Epoch, ParticipantId, ProtocolError, SequenceWindow, ServerTime, Span};
+use crate::{
+    Arrival, Epoch, ParticipantId, ProtocolError, SequenceWindow, ServerTime, Span, ToolTrack,
+};
 
 /// An acknowledgement goes along when so many datagrams have arrived since the last one: its bits
 /// cover 33, so that each number is told four times and a loss of three in a row costs nothing.
@@ -72,6 +75,8 @@ pub struct LinkStats {
     pub acknowledgeable: u64,
     /// Samples that were refused when sending: stale, not finite or out of range.
     pub samples_refused: u64,
+    /// Lateness that this machine caused: of datagrams received, and of motion sent.
+    pub local_stalls: LocalStalls,
     /// What was thrown away.
     pub noise: NoiseCounters,
     /// Round trip time, the newest measured; client only.
@@ -108,7 +113,8 @@ pub(super) struct Link {
     last_sequence: u32,
     arrived: SequenceWindow,
     acknowledged: SequenceWindow,
-    waiting: VecDeque<Body>,
+    /// With the moments since which it waits.
+    waiting: VecDeque<(Body, ServerTime)>,
     /// What our datagrams said, and theirs.
     sent: Memory,
     received: Memory,
@@ -122,6 +128,9 @@ pub(super) struct Link {
     acknowledged_at: ServerTime,
     /// Of our datagrams, those that the newest of theirs was the first to acknowledge: at most 33.
     fresh: Vec<u32>,
+    /// What is claimed about the oldest news of every tool.
+    claims: Vec<(ParticipantId, Repeated)>,
+    stalls: StallCounter,
     stats: LinkStats,
 }
 
@@ -239,18 +248,55 @@ impl Link {
         self.stats.samples_refused += n as u64;
     }
 
-    /// Adds to what waits; when full, the oldest goes: newer motion is worth more.
-    pub(super) fn enqueue(&mut self, body: Body) {
-        if self.waiting.len() == DATAGRAM_BACKLOG_MAX {
-            self.waiting.pop_front();
+    /// Counts lateness that this machine caused.
+    pub(super) fn count_stall(&mut self, stall: Span) {
+        self.stalls.add(stall);
+    }
+
+    /// Adds to what waits; when full, the oldest goes: newer motion is worth more. What motion waits after
+    /// `since` is lateness that this machine causes.
+    pub(super) fn enqueue(&mut self, body: Body, since: ServerTime) {
+        self.waiting.push_back((body, since));
+        if self.waiting.len() > DATAGRAM_BACKLOG_MAX {
             self.stats.skipped += 1;
+            if let Some((Body::Motion(tracks), since)) = self.waiting.pop_front() {
+                self.pass_lateness_on(&tracks, since);
+            }
         }
-        self.waiting.push_back(body);
+    }
+
+    /// The next motion of a tool says how late the oldest news is that is skipped here.
+    fn pass_lateness_on(&mut self, skipped: &[ToolTrack], since: ServerTime) {
+        for track in skipped {
+            let next = self
+                .waiting
+                .iter_mut()
+                .find_map(|(body, since)| match body {
+                    Body::Motion(tracks) => {
+                        let next = tracks
+                            .iter_mut()
+                            .find(|t| t.participant == track.participant);
+                        next.map(|t| (t, *since))
+                    }
+                    _ => None,
+                });
+            if let Some((next, next_since)) = next {
+                let oldest = track.late.and(next_since - since).oldest;
+                next.late.oldest = next.late.oldest.max(oldest);
+            }
+        }
     }
 
     /// The next of what waits, encoded now.
     pub(super) fn pop(&mut self, generated: ServerTime) -> Option<Vec<u8>> {
-        while let Some(body) = self.waiting.pop_front() {
+        while let Some((mut body, since)) = self.waiting.pop_front() {
+            if let Body::Motion(tracks) = &mut body {
+                let wait = generated - since;
+                self.stalls.add(wait.max(Span::ZERO));
+                for track in tracks.iter_mut() {
+                    track.late = track.late.and(wait);
+                }
+            }
             if let Some(bytes) = self.encode(body, generated) {
                 return Some(bytes);
             }
@@ -271,16 +317,19 @@ impl Link {
     /// counted, where it can not be encoded or the link is not open.
     pub(super) fn encode_whole(
         &mut self,
-        body: Body,
+        mut body: Body,
         generated: ServerTime,
     ) -> Result<(u32, Vec<u8>, Body), Option<Body>> {
         let tag = self.tag.ok_or(None)?;
-        let generated = match &body {
+        let generated = match &mut body {
             // Its newest sample then needs no time of its own.
-            Body::Motion(tracks) => tracks
-                .first()
-                .and_then(|t| t.samples.last())
-                .map_or(generated, |s| s.time),
+            Body::Motion(tracks) => {
+                for track in tracks.iter_mut() {
+                    track.late = self.claim(track.participant).claim(track.late, generated);
+                }
+                let newest = tracks.first().and_then(|t| t.samples.last());
+                newest.map_or(generated, |s| s.time)
+            }
             _ => generated,
         };
         let sequence = self.last_sequence.wrapping_add(1).max(1);
@@ -326,7 +375,8 @@ impl Link {
             self.stats.skipped += 1;
             return None;
         };
-        self.waiting.push_front(second);
+        // Its lateness is known already.
+        self.waiting.push_front((second, generated));
         self.encode(first, generated)
     }
 
@@ -342,8 +392,24 @@ impl Link {
         (due && self.unacknowledged > 0).then_some(Acknowledgement { newest, bits })
     }
 
+    /// What is claimed about a tool.
+    fn claim(&mut self, who: ParticipantId) -> &mut Repeated {
+        let at = if let Some(at) = self.claims.iter().position(|(id, _)| *id == who) {
+            at
+        } else {
+            // Bounded, like the tools in a datagram.
+            if self.claims.len() == TRACKS_MAX {
+                self.claims.remove(0);
+            }
+            self.claims.push((who, Repeated::default()));
+            self.claims.len() - 1
+        };
+        &mut self.claims[at].1
+    }
+
     pub(super) fn stats(&self) -> LinkStats {
         LinkStats {
+            local_stalls: self.stalls.stalls(),
             received: self.arrived.received(),
             expected: self.arrived.expected(),
             acknowledged: self.acknowledged.received(),

@@ -24,11 +24,13 @@ mod server;
 use std::sync::Arc;
 
 use crate::clock::ClockMap;
+use crate::compensation::MotionArrival;
 use crate::datagram::{Corrections, Displacements};
 use crate::handshake::{Hello, Refused, Welcome};
+use crate::lateness::Lateness;
 use crate::operation::Operation;
 use crate::request::{DelayReport, Request, RequestRefused};
-use crate::{ParticipantId, ProtocolError, Span, ToolSample, ToolTrack};
+use crate::{ParticipantId, ProtocolError, ServerTime, Span, ToolSample, ToolTrack};
 
 use link::Link;
 
@@ -124,13 +126,58 @@ pub enum PeerEvent {
     Hello(Hello),
     /// A request; its numbers are within their ranges.
     Request(Request),
-    /// Samples of this participant's tool, oldest first; some may have been given before.
-    Motion(Vec<ToolSample>),
+    /// Samples of this participant's tool.
+    Motion(PeerMotion),
     /// The delay that this participant needs, from a datagram. The same value may also come as a
     /// request.
     Delay(DelayReport),
     /// The session is over. It is the last event; the tool goes away.
     Closed(CloseReason),
+}
+
+/// Motion of one participant as it reached the server.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PeerMotion {
+    /// The samples, oldest first; some may have been given before.
+    pub samples: Vec<ToolSample>,
+    /// When the datagram was handled.
+    pub arrived: ServerTime,
+    /// How late the sender made it.
+    pub late: Lateness,
+    /// How long it may have waited for a receiver that did not run.
+    pub stall: Span,
+}
+
+impl PeerMotion {
+    /// Samples that no machine delayed.
+    pub fn on_time(samples: Vec<ToolSample>, arrived: ServerTime) -> Self {
+        Self {
+            samples,
+            arrived,
+            late: Lateness::NONE,
+            stall: Span::ZERO,
+        }
+    }
+
+    /// Its arrival, for a [`DelayEstimator`](crate::compensation::DelayEstimator); `None` without samples.
+    pub fn arrival(&self) -> Option<MotionArrival> {
+        Some(MotionArrival {
+            generated: self.samples.last()?.time,
+            arrived: self.arrived,
+            late: self.late,
+            stall: self.stall,
+        })
+    }
+}
+
+/// Motion that the server relays in one round.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MotionRound {
+    /// When the round was released. What it waits from then on, until a session sends it, is lateness of
+    /// the server.
+    pub released: ServerTime,
+    /// The tools; the lateness of each is that at the release.
+    pub tracks: Vec<ToolTrack>,
 }
 
 /// What a server tells one client reliably and in order.
@@ -152,7 +199,7 @@ pub enum PeerMessage {
 #[derive(Debug, Clone, PartialEq)]
 pub enum PeerDatagram {
     /// The tools of everybody; the client's own is left out when sending.
-    Motion(Arc<[ToolTrack]>),
+    Motion(Arc<MotionRound>),
     /// Where nodes are, one piece of [`Corrections::pieces`].
     Corrections(Arc<Corrections>),
     /// Where the nodes in view are, one piece of [`Displacements::pieces`].

@@ -6,6 +6,7 @@ use std::collections::VecDeque;
 use crate::clock::ClockMap;
 use crate::datagram::POSITION_MAX_M;
 use crate::datagram::motion::{BATCH, USUAL_SAMPLES};
+use crate::lateness::Lateness;
 use crate::session::deadband::{Deadband, Told};
 use crate::{ClientTime, LocalSample, Span, ToolSample};
 
@@ -15,6 +16,9 @@ const FORCE_EVERY: u32 = 25;
 
 /// What waited longer than this is not sent any more: others show something newer by then.
 const STALE: Span = Span::from_millis(50);
+
+/// A batch of a 1 kHz device lasts for so long.
+const BATCH_LENGTH: Span = Span::from_millis(BATCH as i64);
 
 /// An incomplete batch goes out after this, so that a slow device is not kept waiting.
 const BATCH_WAIT: Span = Span::from_millis(4);
@@ -29,6 +33,8 @@ pub(super) struct MotionBatch {
     unsent: usize,
     stale: usize,
     batches: u32,
+    /// Newest samples of the last two batches.
+    before: [Option<ClientTime>; 2],
     /// With a deadband: what the other side was told.
     told: Option<Told>,
 }
@@ -47,6 +53,7 @@ impl MotionBatch {
             // The clock was set back. What it stamped before would hold up all that comes.
             self.stale += std::mem::take(&mut self.unsent);
             self.kept.clear();
+            self.before = [None; 2];
         }
         let ordered = self.kept.back().is_none_or(|last| last.time < sample.time);
         if !in_range || !ordered {
@@ -69,23 +76,31 @@ impl MotionBatch {
         self.told = deadband.map(Told::nothing);
     }
 
-    /// The samples for the next datagram, oldest first, if one is due.
-    pub(super) fn poll(&mut self, now: ClientTime, map: &ClockMap) -> Option<Vec<ToolSample>> {
+    /// The samples for the next datagram, oldest first, if one is due, and how late they leave.
+    pub(super) fn poll(
+        &mut self,
+        now: ClientTime,
+        map: &ClockMap,
+    ) -> Option<(Vec<ToolSample>, Lateness)> {
         loop {
-            let samples = self.next_batch(now, map)?;
+            let (samples, late) = self.next_batch(now, map)?;
             match &mut self.told {
                 Some(told) if told.foresees(&samples) => {}
                 Some(told) => {
                     told.note(&samples);
-                    return Some(samples);
+                    return Some((samples, late));
                 }
-                None => return Some(samples),
+                None => return Some((samples, late)),
             }
         }
     }
 
     /// The samples of the next batch, if one is due.
-    fn next_batch(&mut self, now: ClientTime, map: &ClockMap) -> Option<Vec<ToolSample>> {
+    fn next_batch(
+        &mut self,
+        now: ClientTime,
+        map: &ClockMap,
+    ) -> Option<(Vec<ToolSample>, Lateness)> {
         while self.unsent > 0 && now - self.kept[self.kept.len() - self.unsent].time > STALE {
             self.unsent -= 1;
             self.stale += 1;
@@ -99,6 +114,7 @@ impl MotionBatch {
         }
         let end = self.kept.len().min(first_new + BATCH);
         let newest = self.kept[end - 1].time;
+        let late = self.lateness(newest, now);
         let with_force = self.batches.is_multiple_of(FORCE_EVERY);
         self.unsent = self.kept.len() - end;
         self.batches = self.batches.wrapping_add(1);
@@ -113,7 +129,21 @@ impl MotionBatch {
                     .force_n
                     .filter(|f| with_force && s.time == newest && f.iter().all(|x| x.is_finite())),
             });
-        Some(samples.collect())
+        Some((samples.collect(), late))
+    }
+
+    /// How much later than regular a batch with this newest sample leaves, and the oldest news in it.
+    fn lateness(&mut self, newest: ClientTime, now: ClientTime) -> Lateness {
+        let oldest_due = match self.before {
+            [_, None] => newest,
+            [earlier, Some(last)] => {
+                // A slow device has longer intervals than a batch.
+                let interval = earlier.map_or(BATCH_LENGTH, |earlier| last - earlier);
+                last + interval.clamp(BATCH_LENGTH, STALE)
+            }
+        };
+        self.before = [self.before[1], Some(newest)];
+        Lateness::after(now, newest + BATCH_WAIT, oldest_due + BATCH_WAIT)
     }
 
     /// Whether samples wait for their batch to be full, or for its time.

@@ -2,6 +2,7 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+use std::sync::Arc;
 
 use super::tests::Pair;
 use super::*;
@@ -96,9 +97,14 @@ fn rates(seed: u64, delay_us: i64, jitter_us: i64, loss: f64) -> ([f64; 2], [f64
             let track = ToolTrack {
                 participant: ParticipantId(9),
                 samples: batch.clone(),
+                late: Lateness::NONE,
             };
             let now = pair.server_now();
-            let motion = PeerDatagram::Motion([track].into());
+            let round = MotionRound {
+                released: now,
+                tracks: vec![track],
+            };
+            let motion = PeerDatagram::Motion(Arc::new(round));
             pair.server.send_datagram(&motion, now);
         }
         pair.step();

@@ -6,6 +6,7 @@ use crate::codec::{self, FrameDecoder};
 use crate::datagram::TRACKS_MAX;
 use crate::datagram::{Body, Probe, Reply};
 use crate::handshake::{PROTOCOL_VERSION, Preamble, RefusalReason, Refused, name_is_valid};
+use crate::lateness::LONG_STALL;
 use crate::request::{
     ClientMessage, Request, RequestKind, RequestRefusal, RequestRefused, ServerMessage,
 };
@@ -13,8 +14,8 @@ use crate::session::outbox::Outbox;
 use crate::session::picture::{PictureStats, PictureStream};
 use crate::session::preamble::{self, PreambleReader};
 use crate::session::{
-    CloseReason, EVENTS_MAX, HANDSHAKE_TIMEOUT, HEARTBEAT, Link, LinkStats, PEER_SILENCE,
-    PeerDatagram, PeerEvent, PeerMessage, STREAM_BACKLOG_MAX_BYTES,
+    CloseReason, EVENTS_MAX, HANDSHAKE_TIMEOUT, HEARTBEAT, Link, LinkStats, MotionRound,
+    PEER_SILENCE, PeerDatagram, PeerEvent, PeerMessage, PeerMotion, STREAM_BACKLOG_MAX_BYTES,
 };
 use crate::{OperationId, ParticipantId, ProtocolError, ServerTime, Span, ToolTrack};
 
@@ -189,9 +190,16 @@ impl ServerPeer {
 
     /// One datagram. Noise is counted and otherwise ignored.
     pub fn handle_datagram(&mut self, bytes: &[u8], now: ServerTime) {
+        self.handle_waiting_datagram(bytes, Span::ZERO, now);
+    }
+
+    /// The same of one that may have waited for `stall`, because this machine did not run
+    /// ([`StallWatch`](crate::lateness::StallWatch)).
+    pub fn handle_waiting_datagram(&mut self, bytes: &[u8], stall: Span, now: ServerTime) {
         let Some(datagram) = self.link.accept(bytes) else {
             return;
         };
+        self.link.count_stall(stall);
         let State::Joined { participant, .. } = self.state else {
             return;
         };
@@ -200,7 +208,9 @@ impl ServerPeer {
             picture.acknowledge(self.link.fresh(), now);
         }
         match datagram.body {
-            Body::Motion(tracks) => self.handle_motion(tracks, participant, now),
+            Body::Motion(tracks) => self.handle_motion(tracks, participant, stall, now),
+            // The round trip would be that of this machine; the next probe follows soon.
+            Body::Probe(_) if stall > LONG_STALL => {}
             Body::Probe(probe) => self.handle_probe(probe, now),
             Body::Delays(list) => match list.as_slice() {
                 // A sign of life, which acknowledges.
@@ -218,6 +228,7 @@ impl ServerPeer {
         &mut self,
         tracks: Vec<ToolTrack>,
         participant: ParticipantId,
+        stall: Span,
         now: ServerTime,
     ) {
         for track in tracks {
@@ -228,18 +239,24 @@ impl ServerPeer {
             } else if oldest < now - PAST_MAX {
                 self.link.count_old();
             } else {
-                self.emit(PeerEvent::Motion(track.samples));
+                self.emit(PeerEvent::Motion(PeerMotion {
+                    samples: track.samples,
+                    arrived: now,
+                    late: track.late,
+                    stall,
+                }));
             }
         }
     }
 
     fn handle_probe(&mut self, probe: Probe, now: ServerTime) {
-        self.link.enqueue(Body::Reply(Reply {
+        let reply = Reply {
             id: probe.id,
             client_sent: probe.client_sent,
             server_received: now,
             server_sent: now,
-        }));
+        };
+        self.link.enqueue(Body::Reply(reply), now);
     }
 
     /// Call when the time of [`poll_timeout`](Self::poll_timeout) has come; earlier does no harm.
@@ -256,7 +273,7 @@ impl ServerPeer {
                     self.close(CloseReason::Silent(PEER_SILENCE));
                 } else if now >= self.heartbeat_due {
                     self.heartbeat_due = now + HEARTBEAT;
-                    self.link.enqueue(Body::Delays(Vec::new()));
+                    self.link.enqueue(Body::Delays(Vec::new()), now);
                 }
             }
         }
@@ -352,12 +369,14 @@ impl ServerPeer {
             return;
         };
         match datagram {
-            PeerDatagram::Motion(tracks) => self.enqueue_motion(tracks, participant),
+            PeerDatagram::Motion(round) => self.enqueue_motion(round, participant),
             PeerDatagram::Corrections(c) => {
-                self.link.enqueue(Body::Corrections(c.as_ref().clone()));
+                let body = Body::Corrections(c.as_ref().clone());
+                self.link.enqueue(body, now);
             }
             PeerDatagram::Displacements(d) => {
-                self.link.enqueue(Body::Displacements(d.as_ref().clone()));
+                let body = Body::Displacements(d.as_ref().clone());
+                self.link.enqueue(body, now);
             }
             PeerDatagram::Picture(picture) => {
                 self.picture.get_or_insert_default().show(picture);
@@ -366,7 +385,7 @@ impl ServerPeer {
             }
             PeerDatagram::Delays(list) => {
                 for piece in list.chunks(crate::datagram::DELAYS_MAX) {
-                    self.link.enqueue(Body::Delays(piece.to_vec()));
+                    self.link.enqueue(Body::Delays(piece.to_vec()), now);
                 }
             }
         }
@@ -375,19 +394,22 @@ impl ServerPeer {
 
     /// Puts the tools of the others into datagrams; one that gets too long is halved when it is
     /// encoded.
-    fn enqueue_motion(&mut self, tracks: &[ToolTrack], own: ParticipantId) {
-        let others = tracks
+    fn enqueue_motion(&mut self, round: &MotionRound, own: ParticipantId) {
+        let since = round.released;
+        let others = round
+            .tracks
             .iter()
             .filter(|t| t.participant != own && !t.samples.is_empty());
         let mut batch = Vec::new();
         for track in others {
             if batch.len() == TRACKS_MAX {
-                self.link.enqueue(Body::Motion(std::mem::take(&mut batch)));
+                let full = std::mem::take(&mut batch);
+                self.link.enqueue(Body::Motion(full), since);
             }
             batch.push(track.clone());
         }
         if !batch.is_empty() {
-            self.link.enqueue(Body::Motion(batch));
+            self.link.enqueue(Body::Motion(batch), since);
         }
     }
 

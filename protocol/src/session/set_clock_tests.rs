@@ -51,8 +51,9 @@ fn motion_of_a_hand_whose_clock_is_set_comes_with_the_right_time_again() {
         moved(&mut pair, 1000);
         let mut batches = 0;
         for event in std::mem::take(&mut pair.server_events) {
-            if let PeerEvent::Motion(samples) = event {
-                let age = pair.server_now() - samples.last().expect("no batch is empty").time;
+            if let PeerEvent::Motion(motion) = event {
+                let age =
+                    pair.server_now() - motion.samples.last().expect("no batch is empty").time;
                 assert!(
                     (Span::ZERO..=Span::from_millis(1100)).contains(&age),
                     "set by {us} µs: {age:?}"

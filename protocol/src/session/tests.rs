@@ -312,8 +312,8 @@ fn motion_arrives_whole_enough_to_be_shown_within_a_tenth_of_a_millimetre() {
             });
             pair.step();
             for event in std::mem::take(&mut pair.server_events) {
-                if let PeerEvent::Motion(samples) = event {
-                    for sample in samples {
+                if let PeerEvent::Motion(motion) = event {
+                    for sample in motion.samples {
                         timeline.insert(sample);
                     }
                 }

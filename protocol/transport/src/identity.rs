@@ -9,7 +9,7 @@ use rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer, Serve
 use rustls::{CertificateError, DigitallySignedStruct, Error, SignatureScheme};
 use sha2::{Digest, Sha256};
 
-use crate::TransportError;
+use crate::{TransportError, config};
 
 /// The name in the certificate. Nobody relies on it: the hash is what counts.
 pub(crate) const SERVER_NAME: &str = "palpate";
@@ -31,12 +31,15 @@ impl ServerIdentity {
         })
     }
 
-    /// One that was kept: certificate and PKCS #8 key, both DER. Links stay valid over a restart.
-    pub fn from_der(certificate: Vec<u8>, key: Vec<u8>) -> Self {
-        Self {
+    /// One that was kept: certificate and PKCS #8 key, both DER. Links stay valid over a restart. Refuses a certificate
+    /// and a key that do not belong together.
+    pub fn from_der(certificate: Vec<u8>, key: Vec<u8>) -> Result<Self, TransportError> {
+        let identity = Self {
             certificate: CertificateDer::from(certificate),
             key,
-        }
+        };
+        config::server(&identity)?;
+        Ok(identity)
     }
 
     /// Certificate and key in DER, to be kept in a safe place.
@@ -126,5 +129,22 @@ impl ServerCertVerifier for Pinned {
 
     fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
         self.algorithms.supported_schemes()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_kept_identity_is_the_same_host_and_a_mixed_one_is_refused() {
+        let identity = ServerIdentity::generate().unwrap();
+        let (certificate, key) = identity.to_der();
+        let kept = ServerIdentity::from_der(certificate.clone(), key.clone()).unwrap();
+        assert_eq!(kept.certificate_hash(), identity.certificate_hash());
+        let (_, other) = ServerIdentity::generate().unwrap().to_der();
+        assert!(ServerIdentity::from_der(certificate.clone(), other).is_err());
+        assert!(ServerIdentity::from_der(certificate, key[1..].to_vec()).is_err());
+        assert!(ServerIdentity::from_der(Vec::new(), key).is_err());
     }
 }

@@ -9,6 +9,8 @@
 //! model    fetch_model(&link, hash, progress), on a connection of its own
 //! ```
 //!
+//! [`threads`] schedules the threads of every program that has a session.
+//!
 //! TLS 1.3 always. A client knows its server by the hash of the certificate in the join link.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -20,8 +22,11 @@ mod controller;
 mod drive;
 mod error;
 mod identity;
+mod log;
 mod rate_cap;
 mod server;
+pub mod state;
+pub mod threads;
 
 pub use bulk::{MODEL_MAX_BYTES, fetch_model};
 pub use client::connect;
@@ -33,4 +38,6 @@ pub use drive::peer::{
 };
 pub use error::TransportError;
 pub use identity::ServerIdentity;
+pub use log::start_log;
 pub use server::{ModelSource, Server};
+pub use tracing_subscriber::filter::LevelFilter;

@@ -12,7 +12,9 @@ use std::time::{Duration, Instant};
 use palpate_protocol::handshake::{PROTOCOL_VERSION, Preamble, RefusalReason};
 use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::request::RequestKind;
-use palpate_protocol::session::{ClientEvent, CloseReason, PeerDatagram, PeerEvent, PeerMessage};
+use palpate_protocol::session::{
+    ClientEvent, CloseReason, MotionRound, PeerDatagram, PeerEvent, PeerMessage,
+};
 use palpate_protocol::{
     CertificateHash, ClientTime, Grant, JoinLink, LocalSample, OperationId, ParticipantId, Pose,
     Role, ToolTrack,
@@ -75,16 +77,21 @@ async fn a_session_goes_from_hello_to_leave() {
         .await
         .unwrap();
     let back = loop {
-        if let PeerEvent::Motion(samples) = next_input(&mut receiver).await.event {
-            break samples;
+        if let PeerEvent::Motion(motion) = next_input(&mut receiver).await.event {
+            break motion;
         }
     };
-    assert_eq!(back.len(), 4);
+    assert_eq!(back.samples.len(), 4);
     let track = |n| ToolTrack {
         participant: ParticipantId(n),
-        samples: back.clone(),
+        samples: back.samples.clone(),
+        late: back.late,
     };
-    assert!(peer.send_datagram(PeerDatagram::Motion([track(1), track(2)].into())));
+    let round = MotionRound {
+        released: back.arrived,
+        tracks: vec![track(1), track(2)],
+    };
+    assert!(peer.send_datagram(PeerDatagram::Motion(Arc::new(round))));
     loop {
         if let ClientEvent::Motion(track) = next_event(&mut client).await {
             assert_eq!(

@@ -1,17 +1,30 @@
-//! The authoritative tissue: the one shape and the one topology that count.
+//! The authoritative tissue as two machines: the shape in equilibrium, and the cuts ahead of it.
+//!
+//! ```text
+//! Room --TissueOrder::Settle--> Authority --TissueReport::Settled--> Room
+//! Room --TissueOrder::Cut-----> Authority --CutJob--> Cutter --TissueReport::Cut--> Room (log, at = now)
+//!                                          <--PreparedCut--
+//! Room --TissueOrder::Apply---> Authority: the prepared cut enters the first view whose moment has reached `at`
+//! ```
+//!
+//! A cut takes a hundred milliseconds to make, an equilibrium up to ten. A server therefore runs each of the two on a
+//! thread of its own, and the room, which relays motion, waits for neither.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 
-use palpate_protocol::ServerTime;
 use palpate_protocol::datagram::Corrections;
 use palpate_protocol::operation::CutStroke;
 use palpate_protocol::request::{CutRequest, RequestRefusal};
 use palpate_protocol::session::Picture;
+use palpate_protocol::{ParticipantId, RequestId, ServerTime, TopologyHash};
 use palpate_tissue::{
-    Budget, CutError, Model, Shape, Solver, Tool, Topology, TopologyHash, cut, report_surface,
+    Budget, CutError, CutOutcome, Follower, Model, Shape, Solver, Successor, Tool, Topology, cut,
+    report_surface,
 };
 
 use crate::convert;
+use crate::pictures::Pictures;
 
 /// Relative residual at which a tick's equilibrium is good enough: forces are then within a few
 /// percent, and shapes within a tenth of a millimetre of each other from site to site.
@@ -25,6 +38,80 @@ const DISPLACED_M: f64 = 5e-5;
 
 /// Nodes of one round of corrections: they fit into one datagram.
 const CORRECTIONS_MAX: usize = 120;
+
+/// Work for the tissue, in this order.
+#[derive(Debug, Clone)]
+pub enum TissueOrder {
+    /// Bring the tissue into equilibrium under the tools of a moment.
+    Settle(Settling),
+    /// Make a cut.
+    Cut(CutOrder),
+    /// Let the prepared cut that leads to a topology version take effect.
+    Apply {
+        /// The version after the cut.
+        version: u32,
+        /// Views of this moment and later show it.
+        at: ServerTime,
+    },
+}
+
+/// One tick of the tissue.
+#[derive(Debug, Clone)]
+pub struct Settling {
+    /// The moment that the tissue is brought to.
+    pub view_time: ServerTime,
+    /// The tools that press at that moment.
+    pub tools: Vec<Tool>,
+    /// Whether corrections are due.
+    pub wants_corrections: bool,
+    /// When the tick was due, if somebody is sent the surface.
+    pub wants_picture: Option<ServerTime>,
+}
+
+/// A request to cut, as the room passes it on.
+#[derive(Debug, Clone)]
+pub struct CutOrder {
+    /// Whose.
+    pub author: ParticipantId,
+    /// The number of the request.
+    pub request: RequestId,
+    /// The stroke in the deformed frame.
+    pub cut: CutRequest,
+}
+
+/// An answer to an order. An [`Apply`](TissueOrder::Apply) has none.
+#[derive(Debug, Clone)]
+pub enum TissueReport {
+    /// A tick is done.
+    Settled {
+        /// Its figures.
+        tick: TickReport,
+        /// Displacements to compare with, if they were due.
+        corrections: Option<Arc<Corrections>>,
+        /// The surface, if it was due.
+        picture: Option<Arc<Picture>>,
+    },
+    /// A cut is prepared, or refused.
+    Cut {
+        /// Whose.
+        author: ParticipantId,
+        /// The number of the request.
+        request: RequestId,
+        /// The stroke in the rest frame and the topology after it.
+        result: Result<LoggedCut, RequestRefusal>,
+    },
+}
+
+/// A prepared cut as the log describes it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LoggedCut {
+    /// The stroke in the rest frame, for every replica to repeat.
+    pub stroke: CutStroke,
+    /// Topology version after it.
+    pub version: u32,
+    /// Topology hash after it.
+    pub hash: TopologyHash,
+}
 
 /// What a tick did.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,113 +128,143 @@ pub struct TickReport {
     pub active_nodes: usize,
 }
 
-/// Tissue with its solver.
-pub(crate) struct Authority {
-    topology: Topology,
+/// The one shape that counts.
+///
+/// Calling order: [`settle`](Self::settle) with ascending moments; [`take_cut`](Self::take_cut) every cut that the
+/// [`Cutter`] prepared, in its order, and [`apply`](Self::apply) once the log has it.
+pub struct Authority {
+    topology: Arc<Topology>,
     shape: Shape,
     solver: Solver,
-    /// Topology hash after each operation, by version.
-    hashes: Vec<TopologyHash>,
     view_time: ServerTime,
+    prepared: VecDeque<PreparedCut>,
+    /// From when on cuts take effect, by topology version; the cut itself may still be on its way.
+    due: VecDeque<(u32, ServerTime)>,
+    pictures: Pictures,
+}
+
+/// A cut that the cutter has to make.
+#[derive(Debug, Clone)]
+pub struct CutJob {
+    author: ParticipantId,
+    request: RequestId,
+    stroke: CutStroke,
+}
+
+/// A cut that waits for the view in which it takes effect.
+pub struct PreparedCut {
+    topology: Arc<Topology>,
+    outcome: CutOutcome,
+    successor: Successor,
+}
+
+/// The newest topology of the log, ahead of the shape by the cuts that wait.
+pub struct Cutter {
+    topology: Arc<Topology>,
+    follower: Follower,
 }
 
 impl Authority {
-    pub(crate) fn new(model: Arc<Model>) -> Self {
-        let topology = Topology::new(model);
+    /// The uncut tissue, and what makes its cuts.
+    pub fn new(model: Arc<Model>) -> (Self, Cutter) {
+        let topology = Arc::new(Topology::new(model));
         let shape = Shape::rest(&topology);
         let solver = Solver::new(&topology);
-        let hashes = vec![topology.hash()];
-        Self {
+        let cutter = Cutter {
+            topology: Arc::clone(&topology),
+            follower: solver.follower(),
+        };
+        let authority = Self {
             topology,
             shape,
             solver,
-            hashes,
             view_time: ServerTime::ZERO,
-        }
+            prepared: VecDeque::new(),
+            due: VecDeque::new(),
+            pictures: Pictures::default(),
+        };
+        (authority, cutter)
     }
 
-    pub(crate) fn version(&self) -> u32 {
-        self.topology.version()
-    }
-
-    /// Hash of the topology at a version, if it has been reached.
-    pub(crate) fn hash_at(&self, version: u32) -> Option<TopologyHash> {
-        self.hashes.get(version as usize).copied()
-    }
-
-    pub(crate) fn hash(&self) -> TopologyHash {
-        self.hashes[self.hashes.len() - 1]
-    }
-
-    pub(crate) fn components(&self) -> usize {
-        self.topology.components()
-    }
-
-    pub(crate) fn boundary_closed(&self) -> bool {
-        report_surface(self.topology.boundary()).closed
-    }
-
-    /// Brings the tissue into equilibrium under the tools of a moment.
-    pub(crate) fn settle(
-        &mut self,
-        view_time: ServerTime,
-        tools: &[Tool],
-        stop: &mut dyn FnMut() -> bool,
-    ) -> TickReport {
+    /// Brings the tissue into equilibrium under the tools of a moment; `stop` ends it early. Cuts that are due by then
+    /// take effect first.
+    pub fn settle(&mut self, order: &Settling, stop: &mut dyn FnMut() -> bool) -> TissueReport {
+        self.take_effect(order.view_time);
         let mut budget = Budget::new(ITERATIONS_MAX, TOLERANCE);
         budget.stop = Some(stop);
         let report = self
             .solver
-            .step(&self.topology, &mut self.shape, tools, budget);
-        self.view_time = view_time;
-        TickReport {
-            view_time,
-            tools: tools.len(),
+            .step(&self.topology, &mut self.shape, &order.tools, budget);
+        let tick = TickReport {
+            view_time: order.view_time,
+            tools: order.tools.len(),
             iterations: report.iterations,
             residual: report.residual,
             active_nodes: report.active_nodes,
+        };
+        self.view_time = order.view_time;
+        let corrections = order.wants_corrections.then(|| self.corrections());
+        let picture = (order.wants_picture).and_then(|due| self.picture(due));
+        TissueReport::Settled {
+            tick,
+            corrections: corrections.flatten().map(Arc::new),
+            picture,
         }
     }
 
-    /// Cuts where a blade has gone; gives the stroke in the rest frame, for everybody to repeat.
-    pub(crate) fn cut(&mut self, request: &CutRequest) -> Result<CutStroke, RequestRefusal> {
-        let stroke = convert::stroke_at_rest(request, &self.topology, &self.shape);
-        let outcome = cut(&mut self.topology, &convert::stroke_to_tissue(&stroke));
-        let outcome = outcome.map_err(|error| match error {
-            CutError::NothingNew => RequestRefusal::NothingCut,
-            other => RequestRefusal::CanNotCut(other.to_string()),
-        })?;
-        self.shape.follow(&self.topology, &outcome);
-        self.solver.follow(&self.topology, &outcome.touched);
-        self.hashes.push(self.topology.hash());
-        Ok(stroke)
+    /// A request to cut, with its stroke in the rest frame.
+    pub fn job(&self, order: &CutOrder) -> CutJob {
+        CutJob {
+            author: order.author,
+            request: order.request,
+            stroke: convert::stroke_at_rest(&order.cut, &self.topology, &self.shape),
+        }
     }
 
-    /// The nodes that can be seen, ascending: those of the outer surface, cuts included.
-    pub(crate) fn nodes_in_view(&self) -> Arc<[u32]> {
-        let triangles = &self.topology.boundary().triangles;
-        let mut nodes: Vec<u32> = triangles.iter().flatten().copied().collect();
-        nodes.sort_unstable();
-        nodes.dedup();
-        nodes.into()
+    /// A cut is prepared; it waits for [`apply`](Self::apply).
+    pub fn take_cut(&mut self, cut: PreparedCut) {
+        self.prepared.push_back(cut);
     }
 
-    /// Where nodes are, and for which moment.
-    pub(crate) fn picture(&self, nodes: &Arc<[u32]>) -> Picture {
+    /// The cut that leads to `version` takes effect for views of the moment `at` and later.
+    pub fn apply(&mut self, version: u32, at: ServerTime) {
+        self.due.push_back((version, at));
+    }
+
+    fn take_effect(&mut self, view_time: ServerTime) {
+        while let Some(&(version, at)) = self.due.front()
+            && at <= view_time
+            && let Some(cut) = self.prepared.front()
+            && cut.topology.version() == version
+        {
+            self.due.pop_front();
+            if let Some(cut) = self.prepared.pop_front() {
+                self.solver.pour(&mut self.shape);
+                self.topology = cut.topology;
+                self.shape.follow(&self.topology, &cut.outcome);
+                self.solver.succeed(&self.topology, cut.successor);
+            }
+        }
+    }
+
+    /// The surface of the newest tick, if it is time for one.
+    fn picture(&mut self, due: ServerTime) -> Option<Arc<Picture>> {
+        let topology = &self.topology;
+        let nodes = self.pictures.poll(topology, due)?;
         let of = |n: &u32| {
             let d = self.shape.displacement[*n as usize];
             [d.x as f32, d.y as f32, d.z as f32]
         };
-        Picture {
-            topology_version: self.topology.version(),
+        Some(Arc::new(Picture {
+            topology_version: topology.version(),
             view_time: self.view_time,
-            nodes: Arc::clone(nodes),
             displacements: nodes.iter().map(of).collect(),
-        }
+            nodes,
+        }))
     }
 
     /// Displacements for others to compare with: an even choice of the nodes that have moved.
-    pub(crate) fn corrections(&self) -> Option<Corrections> {
+    fn corrections(&self) -> Option<Corrections> {
         let moved: Vec<u32> = (0..self.shape.displacement.len() as u32)
             .filter(|&n| {
                 let by = self.shape.displacement[n as usize] - self.solver.sag_of(n);
@@ -168,5 +285,52 @@ impl Authority {
             view_time: self.view_time,
             nodes,
         })
+    }
+}
+
+impl Cutter {
+    /// Makes a cut. The report is for the room; the prepared cut, if there is one, for the [`Authority`].
+    pub fn make(&mut self, job: &CutJob) -> (TissueReport, Option<PreparedCut>) {
+        let report = |result| TissueReport::Cut {
+            author: job.author,
+            request: job.request,
+            result,
+        };
+        let topology = Arc::make_mut(&mut self.topology);
+        let outcome = match cut(topology, &convert::stroke_to_tissue(&job.stroke)) {
+            Ok(outcome) => outcome,
+            Err(CutError::NothingNew) => return (report(Err(RequestRefusal::NothingCut)), None),
+            Err(other) => {
+                let refusal = RequestRefusal::CanNotCut(other.to_string());
+                return (report(Err(refusal)), None);
+            }
+        };
+        self.follower.follow(&self.topology, &outcome.touched);
+        let prepared = PreparedCut {
+            topology: Arc::clone(&self.topology),
+            successor: self.follower.successor(&self.topology),
+            outcome,
+        };
+        let logged = LoggedCut {
+            stroke: job.stroke.clone(),
+            version: self.topology.version(),
+            hash: self.hash(),
+        };
+        (report(Ok(logged)), Some(prepared))
+    }
+
+    /// Hash of the newest topology.
+    pub fn hash(&self) -> TopologyHash {
+        TopologyHash(self.topology.hash().0)
+    }
+
+    /// Connected components of the cells. Visits the whole model.
+    pub fn components(&self) -> usize {
+        self.topology.components()
+    }
+
+    /// Whether every edge of the boundary belongs to exactly two triangles. Visits the whole surface.
+    pub fn boundary_closed(&self) -> bool {
+        report_surface(self.topology.boundary()).closed
     }
 }

@@ -9,9 +9,10 @@
 //! The first sample after a pause leaves at once: waiting costs latency only where it saves datagrams.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 use palpate_protocol::datagram::TRACK_MAX_SAMPLES;
+use palpate_protocol::lateness::Lateness;
+use palpate_protocol::session::{MotionRound, PeerMotion};
 use palpate_protocol::{ParticipantId, ServerTime, Span, ToolSample, ToolTrack};
 
 /// Between two rounds while few tools move: the length of a client's own batch.
@@ -30,19 +31,43 @@ const MANY_TOOLS: i64 = 64;
 /// Samples of one tool that may wait for a round: four of the longest at 1 kHz. Beyond, the oldest goes.
 const WAITING_MAX: usize = 64;
 
+/// Motion of one tool that waits for the next round.
+#[derive(Debug, Default)]
+struct Waiting {
+    samples: Vec<ToolSample>,
+    /// When the newest sample and the oldest news would have come, had no machine delayed them.
+    came: Option<[ServerTime; 2]>,
+}
+
+impl Waiting {
+    /// Notes motion of which the newest sample has this age, without what machines made of it.
+    fn note(&mut self, motion: &PeerMotion, age: Span) {
+        let Some(newest) = motion.samples.last().map(|s| s.time + age) else {
+            return;
+        };
+        let oldest = newest - (motion.late.oldest - motion.late.newest);
+        self.came = Some(match self.came {
+            None => [newest, oldest],
+            Some([latest, before]) => [latest.max(newest), oldest.min(before)],
+        });
+    }
+}
+
 /// What waits for the next round.
 #[derive(Debug, Default)]
 pub(crate) struct FanOut {
-    waiting: BTreeMap<ParticipantId, Vec<ToolSample>>,
+    waiting: BTreeMap<ParticipantId, Waiting>,
     /// The earliest moment of the next round.
     next: ServerTime,
 }
 
 impl FanOut {
-    /// Takes samples of one tool, oldest first.
-    pub(crate) fn push(&mut self, who: ParticipantId, samples: &[ToolSample]) {
-        let waiting = self.waiting.entry(who).or_default();
-        for sample in samples {
+    /// Takes motion of one tool, of which the newest sample has this age without what machines made of it.
+    pub(crate) fn push(&mut self, who: ParticipantId, motion: &PeerMotion, age: Span) {
+        let tool = self.waiting.entry(who).or_default();
+        tool.note(motion, age);
+        let waiting = &mut tool.samples;
+        for sample in &motion.samples {
             // Late news go where they belong; what is known already is not sent twice.
             let at = waiting.partition_point(|s| s.time < sample.time);
             if waiting.get(at).is_none_or(|s| s.time != sample.time) {
@@ -64,17 +89,24 @@ impl FanOut {
     }
 
     /// Everything that waits, when its round has come.
-    pub(crate) fn poll(&mut self, now: ServerTime) -> Option<Arc<[ToolTrack]>> {
+    pub(crate) fn poll(&mut self, now: ServerTime) -> Option<MotionRound> {
         if self.due().is_none_or(|due| now < due) {
             return None;
         }
-        self.next = now + period(self.waiting.len());
+        let period = period(self.waiting.len());
+        self.next = now + period;
         let tracks = std::mem::take(&mut self.waiting).into_iter();
-        let track = |(participant, samples): (ParticipantId, Vec<ToolSample>)| ToolTrack {
+        let track = |(participant, tool): (ParticipantId, Waiting)| ToolTrack {
             participant,
-            samples: thinned(&samples),
+            samples: thinned(&tool.samples),
+            late: tool.came.map_or(Lateness::NONE, |[newest, oldest]| {
+                Lateness::after(now, newest + period, oldest + period)
+            }),
         };
-        Some(tracks.map(track).collect())
+        Some(MotionRound {
+            released: now,
+            tracks: tracks.map(track).collect(),
+        })
     }
 }
 
@@ -114,6 +146,45 @@ mod tests {
         }
     }
 
+    /// Motion with samples of these moments that no machine delayed.
+    fn motion(times: &[i64], arrived: i64) -> PeerMotion {
+        PeerMotion::on_time(times.iter().map(|t| sample(*t)).collect(), us(arrived))
+    }
+
+    #[test]
+    fn the_lateness_of_a_track_is_that_of_sender_socket_and_room_beyond_the_round() {
+        let (who, ms) = (ParticipantId(1), Span::from_millis);
+        let mut fan = FanOut::default();
+        let late = |fan: &mut FanOut, now| fan.poll(us(now)).unwrap().tracks[0].late;
+        fan.push(who, &motion(&[996_000], 1_000_000), ms(4));
+        assert_eq!(late(&mut fan, 1_000_000), Lateness::NONE);
+        fan.push(who, &motion(&[1_000_000], 1_004_000), ms(4));
+        assert_eq!(late(&mut fan, 1_008_000), Lateness::NONE, "its round");
+        // The room stalls; meanwhile more arrives.
+        fan.push(who, &motion(&[1_005_000], 1_010_000), ms(5));
+        fan.push(who, &motion(&[1_206_000], 1_210_000), ms(4));
+        let expected = Lateness {
+            newest: ms(6),
+            oldest: ms(206),
+        };
+        assert_eq!(late(&mut fan, 1_220_000), expected);
+        // The sender was late by 30 ms, its socket was read 5 ms late, and 4 ms are the network's.
+        let claimed = PeerMotion {
+            late: Lateness {
+                newest: ms(30),
+                oldest: ms(70),
+            },
+            stall: ms(5),
+            ..motion(&[1_230_000], 1_269_000)
+        };
+        fan.push(who, &claimed, ms(4));
+        let expected = Lateness {
+            newest: ms(32),
+            oldest: ms(72),
+        };
+        assert_eq!(late(&mut fan, 1_270_000), expected);
+    }
+
     #[test]
     fn the_period_grows_from_four_to_sixteen_milliseconds() {
         let ms = |n| period(n).as_millis_f64();
@@ -126,9 +197,13 @@ mod tests {
     fn the_first_sample_after_a_pause_leaves_at_once_and_the_next_waits_for_its_round() {
         let mut fan = FanOut::default();
         assert_eq!(fan.due(), None);
-        fan.push(ParticipantId(1), &[sample(900_000)]);
+        fan.push(ParticipantId(1), &motion(&[900_000], 1_000_000), Span::ZERO);
         assert!(fan.poll(us(1_000_000)).is_some());
-        fan.push(ParticipantId(1), &[sample(1_000_500)]);
+        fan.push(
+            ParticipantId(1),
+            &motion(&[1_000_500], 1_000_800),
+            Span::ZERO,
+        );
         assert!(fan.poll(us(1_001_000)).is_none());
         assert_eq!(fan.due(), Some(us(1_004_000)));
         assert!(fan.poll(us(1_004_000)).is_some());
@@ -143,14 +218,13 @@ mod tests {
             let mut fan = FanOut::default();
             let mut newest = BTreeMap::new();
             for (who, times) in &pushes {
-                let samples: Vec<ToolSample> = times.iter().map(|t| sample(*t)).collect();
-                fan.push(ParticipantId(*who), &samples);
+                fan.push(ParticipantId(*who), &motion(times, 200_000), Span::ZERO);
                 let max = newest.entry(*who).or_insert(0);
                 *max = times.iter().copied().chain([*max]).max().unwrap_or(0);
             }
             let round = fan.poll(us(1_000_000)).unwrap();
-            prop_assert_eq!(round.len(), newest.len());
-            for track in round.iter() {
+            prop_assert_eq!(round.tracks.len(), newest.len());
+            for track in &round.tracks {
                 prop_assert!((1..=TRACK_MAX_SAMPLES).contains(&track.samples.len()));
                 prop_assert!(track.samples.windows(2).all(|w| w[0].time < w[1].time));
                 let last = track.samples[track.samples.len() - 1].time;

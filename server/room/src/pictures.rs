@@ -5,10 +5,8 @@
 
 use std::sync::Arc;
 
-use palpate_protocol::session::Picture;
 use palpate_protocol::{ServerTime, Span};
-
-use crate::authority::Authority;
+use palpate_tissue::Topology;
 
 /// Between two pictures at least: 60 a second look smooth, and more would share the same rate.
 const PERIOD: Span = Span::from_micros(1_000_000 / 60);
@@ -26,18 +24,26 @@ pub(crate) struct Pictures {
 }
 
 impl Pictures {
-    /// The picture of the newest tick, if one is due.
-    pub(crate) fn poll(&mut self, authority: &Authority, now: ServerTime) -> Option<Arc<Picture>> {
+    /// The nodes of the next picture, ascending, if one is due: those of the outer surface, cuts included.
+    pub(crate) fn poll(&mut self, topology: &Topology, now: ServerTime) -> Option<Arc<[u32]>> {
         if now + EARLY < self.next {
             return None;
         }
         // On a raster of its own, unless it was missed: early ones do not add up to more of them.
         self.next = (self.next + PERIOD).max(now + PERIOD - EARLY);
-        let version = authority.version();
+        let version = topology.version();
         if self.nodes.as_ref().is_none_or(|(v, _)| *v != version) {
-            self.nodes = Some((version, authority.nodes_in_view()));
+            self.nodes = Some((version, nodes_in_view(topology)));
         }
         let (_, nodes) = self.nodes.as_ref()?;
-        Some(Arc::new(authority.picture(nodes)))
+        Some(Arc::clone(nodes))
     }
+}
+
+fn nodes_in_view(topology: &Topology) -> Arc<[u32]> {
+    let triangles = &topology.boundary().triangles;
+    let mut nodes: Vec<u32> = triangles.iter().flatten().copied().collect();
+    nodes.sort_unstable();
+    nodes.dedup();
+    nodes.into()
 }

@@ -10,26 +10,28 @@ use palpate_protocol::compensation::{DelaySchedule, GroupDelay};
 use palpate_protocol::handshake::Subscription;
 use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::request::{
-    DelayReport, Request, RequestKind, RequestRefusal, RequestRefused,
+    CutRequest, DelayReport, Request, RequestKind, RequestRefusal, RequestRefused,
 };
-use palpate_protocol::session::{PeerDatagram, PeerEvent, PeerMessage};
+use palpate_protocol::session::{PeerDatagram, PeerEvent, PeerMessage, PeerMotion};
 use palpate_protocol::tool::ToolDescription;
-use palpate_protocol::{OperationId, ParticipantId, ServerTime, Span, ToolSample, TopologyHash};
-use palpate_tissue::{Model, Tool};
+use palpate_protocol::{OperationId, ParticipantId, RequestId, ServerTime, Span, TopologyHash};
+use palpate_tissue::Tool;
 
 use crate::asked::Repetition;
-use crate::authority::{Authority, TickReport};
+use crate::authority::{CutOrder, Settling, TissueOrder, TissueReport};
 use crate::config::RoomConfig;
 use crate::fan_out::FanOut;
 use crate::log::Log;
 use crate::participant::Participant;
-use crate::pictures::Pictures;
 
 /// Scripts begin so much after the last tool has come.
 const START_LEAD: Span = Span::from_millis(1000);
 
 /// Displacements are sent so often.
 const CORRECTION_PERIOD: Span = Span::from_millis(100);
+
+/// Cuts of one session that may be in preparation; further ones are refused. Each takes a tenth of a second or more.
+const CUTS_IN_PREPARATION_MAX: usize = 16;
 
 /// One connection, as the shell numbers them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -48,10 +50,13 @@ pub enum Output {
 ///
 /// Calling order: [`handle_event`](Self::handle_event) for everything that peers send, in the order
 /// of arrival; [`handle_tick`](Self::handle_tick) when [`poll_timeout`](Self::poll_timeout) has come;
-/// after each of them [`poll_output`](Self::poll_output) until `None`.
+/// [`handle_report`](Self::handle_report) for every answer of the tissue; after each of them
+/// [`poll_order`](Self::poll_order) and [`poll_output`](Self::poll_output) until `None`. Nothing in it computes
+/// tissue, so that it relays motion at once.
 pub struct Room {
     config: RoomConfig,
-    authority: Authority,
+    /// Topology hash by version; the last is that of the newest cut in the log.
+    hashes: Vec<TopologyHash>,
     participants: BTreeMap<ParticipantId, Participant>,
     by_peer: BTreeMap<PeerKey, ParticipantId>,
     next_participant: u16,
@@ -71,15 +76,19 @@ pub struct Room {
     repetitions: u64,
     refused: u64,
     fan_out: FanOut,
-    pictures: Pictures,
+    /// Whether a tick of the tissue is under way.
+    is_settling: bool,
+    ticks_skipped: u64,
+    cuts_in_preparation: usize,
+    orders: VecDeque<TissueOrder>,
     outputs: VecDeque<Output>,
 }
 
 impl Room {
-    /// An empty session over a model.
-    pub fn new(model: Arc<Model>, config: RoomConfig, now: ServerTime) -> Self {
+    /// An empty session over tissue whose uncut topology has this hash.
+    pub fn new(uncut: TopologyHash, config: RoomConfig, now: ServerTime) -> Self {
         Self {
-            authority: Authority::new(model),
+            hashes: vec![uncut],
             participants: BTreeMap::new(),
             by_peer: BTreeMap::new(),
             next_participant: 1,
@@ -97,7 +106,10 @@ impl Room {
             repetitions: 0,
             refused: 0,
             fan_out: FanOut::default(),
-            pictures: Pictures::default(),
+            is_settling: false,
+            ticks_skipped: 0,
+            cuts_in_preparation: 0,
+            orders: VecDeque::new(),
             outputs: VecDeque::new(),
             config,
         }
@@ -108,7 +120,7 @@ impl Room {
         match (event, self.by_peer.get(&peer).copied()) {
             (PeerEvent::Hello(hello), None) => self.handle_hello(peer, hello, now),
             (PeerEvent::Request(request), Some(who)) => self.handle_request(who, request, now),
-            (PeerEvent::Motion(samples), Some(who)) => self.handle_motion(who, &samples, now),
+            (PeerEvent::Motion(motion), Some(who)) => self.handle_motion(who, &motion, now),
             (PeerEvent::Delay(report), Some(who)) => self.note_report(who, report, now),
             (PeerEvent::Closed(reason), Some(who)) => self.handle_leave(who, &reason, now),
             // A second hello is the session's business; the rest comes from nobody we know.
@@ -151,7 +163,7 @@ impl Room {
             }
         }
         let result = match request.kind {
-            RequestKind::Cut(cut) => self.handle_cut(who, &cut, now),
+            RequestKind::Cut(cut) => self.order_cut(who, request.id, cut),
             RequestKind::SetTool(tool) => self.handle_tool(who, tool, now),
             RequestKind::ReportDelay(report) => {
                 self.note_report(who, report, now);
@@ -162,20 +174,23 @@ impl Room {
             RequestKind::Leave => Ok(()),
         };
         if let Err(reason) = result {
-            let id = request.id;
-            let refused = RequestRefused { id, reason };
-            if let Some(participant) = self.participants.get_mut(&who) {
-                participant.asked.note_refusal(refused.clone());
-            }
-            self.refuse(who, refused);
+            self.note_refusal(who, request.id, reason);
         }
     }
 
-    fn handle_cut(
+    fn note_refusal(&mut self, who: ParticipantId, id: RequestId, reason: RequestRefusal) {
+        let refused = RequestRefused { id, reason };
+        if let Some(participant) = self.participants.get_mut(&who) {
+            participant.asked.note_refusal(refused.clone());
+        }
+        self.refuse(who, refused);
+    }
+
+    fn order_cut(
         &mut self,
         who: ParticipantId,
-        cut: &palpate_protocol::request::CutRequest,
-        now: ServerTime,
+        request: RequestId,
+        cut: CutRequest,
     ) -> Result<(), RequestRefusal> {
         use palpate_protocol::tool::ToolKind;
         let author = &self.participants[&who];
@@ -188,10 +203,70 @@ impl Room {
         if !self.log.takes_work() {
             return Err(RequestRefusal::LogFull);
         }
-        let stroke = self.authority.cut(cut)?;
-        self.cuts += 1;
-        self.append_cut(who, OperationKind::Cut(stroke), now);
+        if self.cuts_in_preparation >= CUTS_IN_PREPARATION_MAX {
+            return Err(RequestRefusal::TooMany);
+        }
+        self.cuts_in_preparation += 1;
+        self.orders.push_back(TissueOrder::Cut(CutOrder {
+            author: who,
+            request,
+            cut,
+        }));
         Ok(())
+    }
+
+    /// An answer of the tissue.
+    pub fn handle_report(&mut self, report: TissueReport, now: ServerTime) {
+        match report {
+            TissueReport::Settled {
+                corrections,
+                picture,
+                ..
+            } => {
+                self.is_settling = false;
+                if let Some(corrections) = corrections {
+                    self.send_to(Subscription::Full, &PeerDatagram::Corrections(corrections));
+                }
+                if let Some(picture) = picture {
+                    self.send_to(Subscription::Thin, &PeerDatagram::Picture(picture));
+                }
+            }
+            TissueReport::Cut {
+                author,
+                request,
+                result,
+            } => {
+                self.cuts_in_preparation = self.cuts_in_preparation.saturating_sub(1);
+                match result {
+                    Ok(cut) => {
+                        let before = self.version();
+                        self.cuts += 1;
+                        self.hashes.push(cut.hash);
+                        let apply = TissueOrder::Apply {
+                            version: cut.version,
+                            at: now,
+                        };
+                        self.orders.push_back(apply);
+                        let kind = OperationKind::Cut(cut.stroke);
+                        self.append_between(author, kind, now, before);
+                    }
+                    Err(reason) => self.note_refusal(author, request, reason),
+                }
+            }
+        }
+    }
+
+    /// The next work for the tissue.
+    pub fn poll_order(&mut self) -> Option<TissueOrder> {
+        self.orders.pop_front()
+    }
+
+    fn send_to(&mut self, subscription: Subscription, datagram: &PeerDatagram) {
+        let peers: Vec<PeerKey> = self.peers_with(subscription).collect();
+        for peer in peers {
+            self.outputs
+                .push_back(Output::Datagram(peer, datagram.clone()));
+        }
     }
 
     fn handle_tool(
@@ -226,60 +301,53 @@ impl Room {
     }
 
     fn check_topology(&self, version: u32, hash: TopologyHash) -> Result<(), RequestRefusal> {
-        match self.authority.hash_at(version) {
-            Some(ours) if wire_hash(ours) == hash => Ok(()),
+        match self.hashes.get(version as usize) {
+            Some(ours) if *ours == hash => Ok(()),
             _ => Err(RequestRefusal::TopologyDiffers),
         }
     }
 
-    fn handle_motion(&mut self, who: ParticipantId, samples: &[ToolSample], now: ServerTime) {
+    fn handle_motion(&mut self, who: ParticipantId, motion: &PeerMotion, now: ServerTime) {
         let in_force = self.schedule.delay_at(now);
         let Some(participant) = self.participants.get_mut(&who) else {
             return;
         };
-        if participant.tool.is_none() || samples.is_empty() {
+        let Some(arrival) = motion.arrival().filter(|_| participant.tool.is_some()) else {
             return;
-        }
-        if let Some(newest) = samples.last() {
-            participant.delay.handle_arrival(newest.time, now, in_force);
-        }
+        };
+        let age = participant.delay.handle_arrival(arrival, in_force);
         // The samples of who only watches are measured, so that it is seen when they come in time again.
         if participant.demotion.is_demoted() {
             return;
         }
-        for sample in samples {
+        for sample in &motion.samples {
             participant.timeline.insert(*sample);
         }
         self.start_if_due(now);
-        self.fan_out.push(who, samples);
+        self.fan_out.push(who, motion, age);
         self.send_motion(now);
     }
 
     /// Passes motion on, when its round has come, to all but its author.
     fn send_motion(&mut self, now: ServerTime) {
-        let Some(tracks) = self.fan_out.poll(now) else {
+        let Some(round) = self.fan_out.poll(now).map(Arc::new) else {
             return;
         };
         for (peer, id) in &self.by_peer {
-            if tracks.iter().any(|track| track.participant != *id) {
+            if round.tracks.iter().any(|t| t.participant != *id) {
                 // The session leaves out its own participant's tool.
-                let datagram = PeerDatagram::Motion(Arc::clone(&tracks));
+                let datagram = PeerDatagram::Motion(Arc::clone(&round));
                 self.outputs.push_back(Output::Datagram(*peer, datagram));
             }
         }
     }
 
-    /// Brings the tissue to the newest moment of the common grid that is due, within what `stop`
-    /// allows, and passes on what motion waits. `None` when no tick is due, or its moment has been settled
-    /// already.
-    pub fn handle_tick(
-        &mut self,
-        now: ServerTime,
-        stop: &mut dyn FnMut() -> bool,
-    ) -> Option<TickReport> {
+    /// Relays waiting motion and, when a tick is due, orders the tissue to settle at the newest moment of the common
+    /// grid. A tick that finds the tissue still at the last one is skipped and counted.
+    pub fn handle_tick(&mut self, now: ServerTime) {
         self.send_motion(now);
         if now < self.next_tick {
-            return None;
+            return;
         }
         let period = self.config.tick_period();
         while self.next_tick <= now {
@@ -291,7 +359,11 @@ impl Room {
         let hz = i64::from(self.config.tick_hz.max(1));
         let grid = (self.schedule.shown_at(now).as_micros() * hz).div_euclid(1_000_000);
         if self.settled.is_some_and(|k| k >= grid) {
-            return None;
+            return;
+        }
+        if self.is_settling {
+            self.ticks_skipped += 1;
+            return;
         }
         self.settled = Some(grid);
         let view_time = ServerTime::from_micros((grid * 1_000_000).div_euclid(hz));
@@ -300,25 +372,18 @@ impl Room {
             .values_mut()
             .flat_map(|p| p.pressing_at(view_time))
             .collect();
-        let report = self.authority.settle(view_time, &tools, stop);
-        self.send_corrections(now);
-        self.send_picture(now);
-        Some(report)
-    }
-
-    /// Sends who has no tissue of their own where its surface is.
-    fn send_picture(&mut self, now: ServerTime) {
-        let thin: Vec<PeerKey> = self.peers_with(Subscription::Thin).collect();
-        if thin.is_empty() {
-            return;
+        let wants_corrections = now >= self.next_correction;
+        if wants_corrections {
+            self.next_correction = now + CORRECTION_PERIOD;
         }
-        let Some(picture) = self.pictures.poll(&self.authority, now) else {
-            return;
-        };
-        for peer in thin {
-            let datagram = PeerDatagram::Picture(Arc::clone(&picture));
-            self.outputs.push_back(Output::Datagram(peer, datagram));
-        }
+        let is_anybody_thin = self.peers_with(Subscription::Thin).next().is_some();
+        self.is_settling = true;
+        self.orders.push_back(TissueOrder::Settle(Settling {
+            view_time,
+            tools,
+            wants_corrections,
+            wants_picture: is_anybody_thin.then_some(now),
+        }));
     }
 
     /// The connections of those who have this subscription.
@@ -350,22 +415,6 @@ impl Room {
                 effective_at: change.effective_at,
             };
             self.append(ParticipantId::SERVER, kind, now);
-        }
-    }
-
-    fn send_corrections(&mut self, now: ServerTime) {
-        if now < self.next_correction {
-            return;
-        }
-        self.next_correction = now + CORRECTION_PERIOD;
-        let Some(corrections) = self.authority.corrections() else {
-            return;
-        };
-        let corrections = Arc::new(corrections);
-        let full: Vec<PeerKey> = self.peers_with(Subscription::Full).collect();
-        for peer in full {
-            let datagram = PeerDatagram::Corrections(Arc::clone(&corrections));
-            self.outputs.push_back(Output::Datagram(peer, datagram));
         }
     }
 
@@ -425,17 +474,20 @@ impl Room {
 
     /// Version and hash of the topology.
     pub fn topology(&self) -> (u32, TopologyHash) {
-        (self.authority.version(), wire_hash(self.authority.hash()))
+        (self.version(), self.hash())
     }
 
-    /// Connected components of the cells. Visits the whole model.
-    pub fn components(&self) -> usize {
-        self.authority.components()
+    fn version(&self) -> u32 {
+        self.hashes.len() as u32 - 1
     }
 
-    /// Whether every edge of the boundary belongs to exactly two triangles. Visits the whole surface.
-    pub fn boundary_closed(&self) -> bool {
-        self.authority.boundary_closed()
+    fn hash(&self) -> TopologyHash {
+        self.hashes[self.hashes.len() - 1]
+    }
+
+    /// Number of ticks that found the tissue still at the last one.
+    pub fn skipped_tick_count(&self) -> u64 {
+        self.ticks_skipped
     }
 
     /// The artificial delay at a moment.
@@ -450,13 +502,8 @@ impl Room {
     }
 
     fn append(&mut self, author: ParticipantId, kind: OperationKind, now: ServerTime) {
-        let version = self.authority.version();
+        let version = self.version();
         self.append_between(author, kind, now, version);
-    }
-
-    fn append_cut(&mut self, author: ParticipantId, kind: OperationKind, now: ServerTime) {
-        let before = self.authority.version() - 1;
-        self.append_between(author, kind, now, before);
     }
 
     fn append_between(
@@ -471,8 +518,8 @@ impl Room {
             at: now,
             author,
             topology_version_before: version_before,
-            topology_version_after: self.authority.version(),
-            hash_after: wire_hash(self.authority.hash()),
+            topology_version_after: self.version(),
+            hash_after: self.hash(),
             kind,
         });
         self.log.push(Arc::clone(&operation));
@@ -485,8 +532,4 @@ impl Room {
     fn send(&mut self, peer: PeerKey, message: PeerMessage) {
         self.outputs.push_back(Output::Message(peer, message));
     }
-}
-
-fn wire_hash(hash: palpate_tissue::TopologyHash) -> TopologyHash {
-    TopologyHash(hash.0)
 }

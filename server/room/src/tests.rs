@@ -9,7 +9,7 @@ use palpate_protocol::operation::{
 use palpate_protocol::request::{
     CutRequest, Request, RequestKind, RequestRefusal, TimedBladePoint,
 };
-use palpate_protocol::session::{CloseReason, PeerDatagram, PeerEvent, PeerMessage};
+use palpate_protocol::session::{CloseReason, PeerDatagram, PeerEvent, PeerMessage, PeerMotion};
 use palpate_protocol::tool::{ToolDescription, ToolKind};
 use palpate_protocol::{
     Epoch, Grant, ModelHash, Pose, RequestId, ResumeToken, Role, ServerTime, Span, ToolSample,
@@ -17,13 +17,15 @@ use palpate_protocol::{
 };
 use palpate_tissue::{Material, Model, block};
 
-use crate::{Output, PeerKey, Room, RoomConfig};
+use crate::{Output, PeerKey, RoomConfig, SimulatedRoom};
 
 mod demotion;
 mod motion;
 mod seats;
+mod stalls;
 mod states;
 mod thin;
+mod tissue;
 
 const TRAINEE: Grant = Grant([7; 16]);
 const SPECTATOR: Grant = Grant([9; 16]);
@@ -33,16 +35,21 @@ fn model() -> Arc<Model> {
     Arc::new(block([12, 12, 8], 0.004, &fat, 1))
 }
 
-fn room(start_when_tools: u16) -> Room {
+fn room(start_when_tools: u16) -> SimulatedRoom {
     room_of(3, start_when_tools)
 }
 
-fn room_of(seats: u16, start_when_tools: u16) -> Room {
+fn room_of(seats: u16, start_when_tools: u16) -> SimulatedRoom {
     room_with(seats, start_when_tools, CompensationMode::Fixed)
 }
 
-fn room_with(seats: u16, start_when_tools: u16, mode: CompensationMode) -> Room {
-    let config = RoomConfig {
+fn room_with(seats: u16, start_when_tools: u16, mode: CompensationMode) -> SimulatedRoom {
+    let config = config(seats, start_when_tools, mode);
+    SimulatedRoom::new(model(), config, ServerTime::ZERO)
+}
+
+fn config(seats: u16, start_when_tools: u16, mode: CompensationMode) -> RoomConfig {
+    RoomConfig {
         epoch: Epoch(1),
         model: ModelInfo {
             hash: ModelHash(1),
@@ -57,8 +64,7 @@ fn room_with(seats: u16, start_when_tools: u16, mode: CompensationMode) -> Room 
         },
         fresh_token: |who| ResumeToken([who.0 as u8; 16]),
         start_when_tools,
-    };
-    Room::new(model(), config, ServerTime::ZERO)
+    }
 }
 
 fn hello(name: &str, role: Role, kind: ToolKind) -> PeerEvent {
@@ -85,7 +91,7 @@ fn ms(t: i64) -> ServerTime {
     ServerTime::from_micros(t * 1000)
 }
 
-fn drain(room: &mut Room) -> Vec<Output> {
+fn drain(room: &mut SimulatedRoom) -> Vec<Output> {
     std::iter::from_fn(|| room.poll_output()).collect()
 }
 
@@ -303,6 +309,11 @@ fn a_probe_may_not_cut_and_a_stroke_through_air_cuts_nothing() {
 
 /// Samples of a tool that stands pressed 4 mm into the middle of the top, up to `until`.
 fn pressing(from: i64, until: i64) -> PeerEvent {
+    pressing_at(from, until, ms(until))
+}
+
+/// The same, arriving at a moment.
+fn pressing_at(from: i64, until: i64, arrived: ServerTime) -> PeerEvent {
     let sample = |t: i64| ToolSample {
         time: ms(t),
         pose: Pose {
@@ -312,7 +323,10 @@ fn pressing(from: i64, until: i64) -> PeerEvent {
         buttons: 0,
         force_n: None,
     };
-    PeerEvent::Motion((from..until).map(sample).collect())
+    PeerEvent::Motion(PeerMotion::on_time(
+        (from..until).map(sample).collect(),
+        arrived,
+    ))
 }
 
 #[test]

@@ -1,39 +1,42 @@
 //! `palpate-server host`: one session, served until somebody ends it.
 //!
-//! Two kinds of threads: a small tokio runtime moves bytes for all peers, and the thread that called
-//! [`host`] owns the room. What peers send reaches it through one bounded inbox; what it decides
-//! leaves through bounded queues that never block it.
+//! Three kinds of threads: a small tokio runtime moves bytes for all peers, the thread that called [`host`] owns the
+//! room, and two threads own the tissue. Messages of peers reach the room through one bounded inbox; its decisions
+//! leave through bounded queues that never block it.
 
+mod identity;
 mod news;
 mod options;
 mod serve;
 mod summary;
+mod tissue;
 
+use std::io::Write as _;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::Arc;
 
 use palpate_protocol::{Epoch, Grant, JoinLink, ModelHash, ModelInfo, ResumeToken, Role};
 use palpate_room::RoomConfig;
-use palpate_transport::{ModelSource, ServerIdentity};
+use palpate_transport::ModelSource;
 
-pub use options::{HostOptions, TICK_HZ, parse_compensation};
+pub use identity::IdentityPlace;
+pub use options::{HostOptions, TICK_HZ, parse_compensation, parse_listen};
 pub use serve::solver_limit;
 pub use summary::{HostSummary, Listening, ListeningModel, Refused, TickTimes};
 
 use crate::{ServerError, load};
+use identity::Identity;
 
 /// Hosts a session until it is interrupted, or its duration is over.
 pub fn host(options: &HostOptions) -> Result<(), ServerError> {
+    progress(&format!("preparing the model {}", options.model));
     let loaded = load::load(&options.model)?;
+    let Identity { server, grants } = Identity::obtain(&options.identity, options.new_links)?;
+    progress("opening the session");
     let info = ModelInfo {
         hash: ModelHash(xxhash_rust::xxh3::xxh3_64(&loaded.bytes)),
         bytes: loaded.bytes.len() as u64,
     };
-    let identity = ServerIdentity::generate()?;
-    let grants: Vec<(Role, Grant)> = Role::ALL
-        .iter()
-        .map(|&r| (r, Grant(rand::random())))
-        .collect();
     let bytes: Arc<[u8]> = loaded.bytes.into();
     let models: ModelSource = {
         let grants = grants.clone();
@@ -60,7 +63,7 @@ pub fn host(options: &HostOptions) -> Result<(), ServerError> {
                 host: public_host(options, address),
                 port: address.port(),
                 role,
-                certificate: identity.certificate_hash(),
+                certificate: server.certificate_hash(),
                 grant: grant.unwrap_or(Grant([0; 16])),
             }
             .to_string()
@@ -81,8 +84,14 @@ pub fn host(options: &HostOptions) -> Result<(), ServerError> {
             },
         )
     };
-    let summary = serve::serve(options, &identity, models, loaded.model, config, &announce)?;
+    let summary = serve::serve(options, &server, models, loaded.model, config, &announce)?;
     summary::finish(options.json, &summary)
+}
+
+/// Writes a stage of the preparation to standard error, where it mixes with no result.
+fn progress(stage: &str) {
+    // Nobody is left to be told when standard error is gone.
+    let _ = writeln!(std::io::stderr(), "{stage} ...");
 }
 
 /// What clients should call this machine: what the host said, the address it listens on, or the one

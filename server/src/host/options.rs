@@ -1,14 +1,16 @@
 //! What a host may choose.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use palpate_protocol::operation::{CompensationMode, CompensationSettings};
 
+use super::IdentityPlace;
 use crate::ServerError;
 
-/// Delay that adaptive compensation begins with, before anything is measured: what a good
-/// connection within a country needs.
-const INITIAL_DELAY_US: u32 = 60_000;
+/// Delay that adaptive compensation begins with, before anything is measured: a local network needs no more.
+/// D grows by a quarter of a second per second and shrinks by a fiftieth, so a low start reaches 150 ms within
+/// a second, and a high one would stay for seconds.
+const INITIAL_DELAY_US: u32 = 10_000;
 
 /// Most that any compensation may delay, in ms: beyond a second nobody works together.
 const DELAY_MAX_MS: u32 = 1000;
@@ -24,6 +26,10 @@ pub struct HostOptions {
     pub model: String,
     /// Where to listen.
     pub listen: SocketAddr,
+    /// The certificate and the secrets of the links.
+    pub identity: IdentityPlace,
+    /// Whether to replace the secrets of the links.
+    pub new_links: bool,
     /// What join links call this machine.
     pub public: Option<String>,
     /// Ticks per second.
@@ -38,6 +44,26 @@ pub struct HostOptions {
     pub duration_s: Option<f64>,
     /// JSON instead of text.
     pub json: bool,
+}
+
+/// The port when none is given.
+const PORT: u16 = 4433;
+
+/// Reads an address and a port, a port alone (`4433` or `:4433`: all addresses of this machine), or an address alone.
+pub fn parse_listen(text: &str) -> Result<SocketAddr, String> {
+    let everywhere = IpAddr::V4(Ipv4Addr::UNSPECIFIED);
+    let bare = text
+        .strip_prefix('[')
+        .and_then(|rest| rest.strip_suffix(']'));
+    if let Ok(port) = text.strip_prefix(':').unwrap_or(text).parse() {
+        Ok(SocketAddr::new(everywhere, port))
+    } else if let Ok(ip) = bare.unwrap_or(text).parse() {
+        Ok(SocketAddr::new(ip, PORT))
+    } else {
+        text.parse().map_err(|_| {
+            "give ADDRESS:PORT with an address of this machine (0.0.0.0:4433, [::]:4433), or a port alone (4433)".to_owned()
+        })
+    }
 }
 
 /// Reads `adaptive`, `fixed:MS` or `none`.
@@ -82,6 +108,28 @@ pub fn parse_compensation(text: &str, cap_ms: u32) -> Result<CompensationSetting
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_port_or_an_address_alone_is_enough() {
+        for (text, address) in [
+            ("4433", "0.0.0.0:4433"),
+            (":5000", "0.0.0.0:5000"),
+            ("0", "0.0.0.0:0"),
+            ("127.0.0.1", "127.0.0.1:4433"),
+            ("127.0.0.1:1", "127.0.0.1:1"),
+            ("::1", "[::1]:4433"),
+            ("[::]", "[::]:4433"),
+            ("[::]:9", "[::]:9"),
+        ] {
+            assert_eq!(parse_listen(text), Ok(address.parse().unwrap()), "{text}");
+        }
+        for text in ["", ":", "70000", "localhost", "1.2.3.4:", "-1", "[::"] {
+            assert!(
+                parse_listen(text).unwrap_err().contains("0.0.0.0:4433"),
+                "{text}"
+            );
+        }
+    }
 
     #[test]
     fn every_mode_is_read_and_nonsense_is_refused_with_the_choices() {

@@ -6,10 +6,11 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
-use palpate_protocol::ServerTime;
 use palpate_protocol::session::PeerEvent;
-use palpate_room::{Output, PeerKey, Room, RoomConfig};
+use palpate_protocol::{ServerTime, Span};
+use palpate_room::{Cutter, Output, PeerKey, Room, RoomConfig, TissueReport};
 use palpate_tissue::Model;
+use palpate_transport::threads::{self, CpuTime, ThreadClass};
 use palpate_transport::{
     ModelSource, PeerHandle, PeerId, PeerInput, Server, ServerIdentity, spawn_peer,
 };
@@ -19,6 +20,7 @@ use tokio::sync::mpsc;
 use super::news::News;
 use super::options::HostOptions;
 use super::summary::{HostSummary, Refused, TickTimes};
+use super::tissue::{Answer, TissueThreads};
 use crate::ServerError;
 
 /// Messages from all peers that may wait for the room. Four samples every 4 ms from 64 participants
@@ -26,10 +28,10 @@ use crate::ServerError;
 /// their sessions drop motion first.
 const INBOX_MAX: usize = 4096;
 
-/// Part of the tick's period that the solver may use; the rest is for what peers send.
+/// Part of the tick's period that the solver may use.
 const SOLVER_SHARE: f64 = 0.5;
 
-/// Longest that the solver may keep the room from relaying motion.
+/// CPU time of a tick after which no further iteration begins, so that sessions on one machine share it.
 const SOLVER_LIMIT: Duration = Duration::from_millis(10);
 
 /// Longest tick that is told apart from longer ones, in µs.
@@ -38,7 +40,7 @@ const TICK_US_MAX: u64 = 10_000_000;
 /// Threads that move bytes for all peers: more than two find nothing to do.
 const NETWORK_THREADS: usize = 2;
 
-/// How long the solver may work on a tick of that period before its last iteration begins.
+/// CPU time that the solver may use for a tick of that period before its last iteration begins.
 pub fn solver_limit(period: Duration) -> Duration {
     period.mul_f64(SOLVER_SHARE).min(SOLVER_LIMIT)
 }
@@ -47,19 +49,22 @@ pub fn solver_limit(period: Duration) -> Duration {
 enum Moved {
     Peer(PeerInput),
     Joined(Box<PeerHandle>),
+    Tissue(Box<Answer>),
     Time,
     Over(String),
 }
 
 struct Session {
     room: Room,
+    tissue: TissueThreads,
     peers: BTreeMap<PeerKey, PeerHandle>,
     /// Peers are numbered in the order in which their handles come.
     newest_peer: u64,
     began: Instant,
-    solver_limit: Duration,
+    cpu_began: CpuTime,
     ticks_us: Histogram<u64>,
     late_us: Histogram<u64>,
+    cuts_us: Histogram<u64>,
     participants: u64,
     skipped: u64,
     /// Of those who are gone.
@@ -80,7 +85,9 @@ pub(super) fn serve(
         let doing = doing.to_owned();
         move |source| ServerError::Io { doing, source }
     };
-    let network = tokio::runtime::Builder::new_multi_thread()
+    let mut network = tokio::runtime::Builder::new_multi_thread();
+    threads::enter_workers(&mut network, ThreadClass::Network);
+    let network = network
         .worker_threads(NETWORK_THREADS)
         .enable_all()
         .build()
@@ -89,16 +96,19 @@ pub(super) fn serve(
         let _inside = network.enter();
         Server::bind(options.listen, identity, models)?
     };
-    let began = Instant::now();
     let tick = Duration::from_micros(config.tick_period().as_micros().unsigned_abs());
+    let (tissue, uncut) = TissueThreads::start(Arc::new(model), solver_limit(tick))?;
+    let began = Instant::now();
     let mut session = Session {
-        room: Room::new(Arc::new(model), config, ServerTime::ZERO),
+        room: Room::new(uncut, config, ServerTime::ZERO),
+        tissue,
         peers: BTreeMap::new(),
         newest_peer: 0,
         began,
-        solver_limit: solver_limit(tick),
+        cpu_began: threads::cpu_time(),
         ticks_us: histogram()?,
         late_us: histogram()?,
+        cuts_us: histogram()?,
         participants: 0,
         skipped: 0,
         refused: Refused::default(),
@@ -107,7 +117,8 @@ pub(super) fn serve(
     let server = Arc::new(server);
     let (joined, inbox) = accept(&network, Arc::clone(&server), began);
     announce(server.local_addr())?;
-    // The room has a thread of its own, this one: the solver may use all of it.
+    // The room has a thread of its own, this one: it relays motion and never computes tissue.
+    let _membership = threads::enter(ThreadClass::Network);
     let here = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
@@ -180,6 +191,7 @@ impl Session {
                 biased;
                 why = &mut over => Moved::Over(why),
                 Some(handle) = joined.recv() => Moved::Joined(Box::new(handle)),
+                Some(answer) = self.tissue.answers.recv() => Moved::Tissue(Box::new(answer)),
                 Some(input) = inbox.recv() => Moved::Peer(input),
                 () = tokio::time::sleep(wait) => Moved::Time,
             };
@@ -202,11 +214,18 @@ impl Session {
                     }
                     self.handle_input(input);
                 }
+                Moved::Tissue(answer) => self.handle_answer(*answer),
                 Moved::Time => {}
             }
             // Motion that keeps coming must not put the tick off.
             if server_time(self.began) >= self.room.poll_timeout() {
                 self.tick();
+            }
+            while let Some(order) = self.room.poll_order() {
+                if !self.tissue.order(order) {
+                    return "the threads of the tissue failed; this is a fault of the program"
+                        .to_owned();
+                }
             }
             self.deliver();
             let news = self.room.operations_since(self.news.told());
@@ -236,17 +255,30 @@ impl Session {
     }
 
     fn tick(&mut self) {
-        let now = Instant::now();
-        let late = server_time(self.began) - self.room.next_tick();
-        let limit = self.solver_limit;
-        let mut stop = || now.elapsed() >= limit;
-        if let Some(report) = self.room.handle_tick(server_time(self.began), &mut stop) {
-            let us = u64::try_from(now.elapsed().as_micros()).unwrap_or(TICK_US_MAX);
-            self.ticks_us.saturating_record(us.max(1));
+        let now = server_time(self.began);
+        let late = now - self.room.next_tick();
+        // Waiting motion moves the loop, too.
+        if late >= Span::ZERO {
             let late_us = u64::try_from(late.as_micros()).unwrap_or(0);
             self.late_us.saturating_record(late_us.max(1));
-            tracing::trace!(?report, us, "tick");
         }
+        self.room.handle_tick(now);
+    }
+
+    fn handle_answer(&mut self, answer: Answer) {
+        let us = u64::try_from(answer.took.as_micros()).unwrap_or(TICK_US_MAX);
+        match &answer.report {
+            TissueReport::Settled { tick, .. } => {
+                self.ticks_us.saturating_record(us.max(1));
+                tracing::trace!(?tick, us, "tick");
+            }
+            TissueReport::Cut { result, .. } => {
+                self.cuts_us.saturating_record(us.max(1));
+                tracing::debug!(us, prepared = result.is_ok(), "cut");
+            }
+        }
+        self.room
+            .handle_report(answer.report, server_time(self.began));
     }
 
     fn deliver(&mut self) {
@@ -267,7 +299,8 @@ impl Session {
         }
     }
 
-    fn summary(&self, tick: Duration, ended: String) -> HostSummary {
+    fn summary(self, tick: Duration, ended: String) -> HostSummary {
+        let cpu = threads::cpu_time().usage_since(&self.cpu_began);
         let (version, hash) = self.room.topology();
         let mut refused = Refused {
             joins: self.room.refused_count(),
@@ -282,17 +315,23 @@ impl Session {
             .values()
             .map(|p| p.stats().path.skipped_datagrams)
             .sum::<u64>();
+        let late_ms = times(&self.late_us);
+        let ticks_skipped = self.room.skipped_tick_count();
+        let tissue = self.tissue.finish();
         HostSummary {
             ticks: self.ticks_us.len(),
             tick_ms: times(&self.ticks_us),
-            late_ms: times(&self.late_us),
+            late_ms,
+            ticks_skipped,
+            cut_ms: times(&self.cuts_us),
+            cpu,
             tick_period_ms: tick.as_secs_f64() * 1e3,
             operations: self.room.operation_count(),
             cuts: self.room.cut_count(),
             topology_version: version,
             topology_hash: hash.to_string(),
-            components: self.room.components(),
-            boundary_closed: self.room.boundary_closed(),
+            components: tissue.as_ref().map_or(0, Cutter::components),
+            boundary_closed: tissue.as_ref().is_some_and(Cutter::boundary_closed),
             participants: self.participants,
             compensation_ms: self.room.delay_at(server_time(self.began)).as_millis_f64(),
             datagrams_skipped: self.skipped + alive,

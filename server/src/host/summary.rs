@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use std::net::SocketAddr;
 
 use palpate_transport::DriverStats;
+use palpate_transport::threads::CpuUsage;
 use serde::{Deserialize, Serialize};
 
 use crate::ServerError;
@@ -41,6 +42,15 @@ pub struct HostSummary {
     pub tick_ms: TickTimes,
     /// How long after their moments they began.
     pub late_ms: TickTimes,
+    /// Ticks that found the tissue still at the last one.
+    #[serde(default)]
+    pub ticks_skipped: u64,
+    /// How long cuts took to prepare, beside the ticks.
+    #[serde(default)]
+    pub cut_ms: TickTimes,
+    /// Mean use of the processor over the session, by thread class.
+    #[serde(default)]
+    pub cpu: CpuUsage,
     /// Time between two ticks in ms.
     pub tick_period_ms: f64,
     /// Operations in the log.
@@ -150,7 +160,7 @@ pub(super) fn finish(json: bool, s: &HostSummary) -> Result<(), ServerError> {
     }
     say(&format!(
         "{} after {:.1} s: {} participants, {} operations with {} cuts; {} ticks of \
-         {:.1} ms (p99 {:.1}, period {:.1}); topology {} (version {}), {} piece(s)",
+         {:.1} ms (p99 {:.1}, period {:.1}); topology {} (version {}), {} piece(s); {}",
         s.ended,
         s.seconds,
         s.participants,
@@ -162,6 +172,7 @@ pub(super) fn finish(json: bool, s: &HostSummary) -> Result<(), ServerError> {
         s.tick_period_ms,
         s.topology_hash,
         s.topology_version,
-        s.components
+        s.components,
+        s.cpu
     ))
 }

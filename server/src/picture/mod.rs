@@ -40,7 +40,7 @@ impl FromStr for Slice {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let wrong = || {
-            format!("\"{text}\" is no slice; write x, y or z, or with a place in mm as in z=580")
+            format!("\"{text}\" is no slice; write x, y or z, or with a place in mm as in z=100")
         };
         let (axis, at) = match text.split_once('=') {
             Some((axis, at)) => (axis, Some(at)),

@@ -38,12 +38,14 @@ pub use build::{
     ThinKind, ThinPart, ThinParts, build, region_surface, report_surface,
 };
 pub use cell::{Cell, DIAGONALS, EDGES, FACES, NO_CELL, cell_volume, scaled_jacobian};
-pub use contact::{Form, PLACES_MAX, Place, Reaction, TOOL_REACH_MAX_M, TOOLS_MAX, Tool};
+pub use contact::{
+    Clearance, Form, PLACES_MAX, Place, Reaction, TOOL_REACH_MAX_M, TOOLS_MAX, Tool,
+};
 pub use cut::{
     BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, BladePoint, CutError, CutOutcome, CutStroke, Moved,
     RestPoint, STROKE_LENGTH_MAX_M, WOUND_WIDTH_MAX_M, cut, to_rest,
 };
-pub use equilibrium::{Budget, Follower, Sag, Solver, StepReport, Successor};
+pub use equilibrium::{Budget, Follower, Sag, Solver, SolverState, StepReport, Successor};
 pub use file::{
     CELLS_MAX, EnvelopeError, FileError, MODEL_FORMAT, ModelFile, NODES_MAX, REGIONS_MAX,
     decode_model, encode_model,
@@ -55,7 +57,7 @@ pub use scene::{RegionSource, Scene, SceneError, SceneInput, SceneRegion};
 pub use shape::Shape;
 pub use snapshot::{SNAPSHOT_FORMAT, SnapshotError, model_hash, restore, snapshot};
 pub use springs::{SPRINGS_PER_NODE_MAX, Spring, Springs};
-pub use staged::{Staged, WriteError};
+pub use staged::{Staged, WriteError, write_file};
 pub use surface::{Aabb, CheckReport, Surface, SurfaceError, Unit};
 pub use topology::{Boundary, FaceId, Topology, TopologyHash};
 

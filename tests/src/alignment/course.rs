@@ -4,7 +4,9 @@ use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 use std::sync::Arc;
 
-use palpate_protocol::compensation::{DelayEstimator, DelayRule, DelaySchedule, GroupDelay};
+use palpate_protocol::compensation::{
+    DelayEstimator, DelayRule, DelaySchedule, GroupDelay, MotionArrival,
+};
 use palpate_protocol::datagram::{Probe, Reply};
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::request::DelayReport;
@@ -26,7 +28,7 @@ const BATCH: usize = 4;
 const REPORT_US: i64 = 250_000;
 /// Between clock probes, microseconds: until the clock is known, and then.
 const PROBE_US: [i64; 2] = [20_000, 100_000];
-/// What is lost on the stream of operations comes so much later, microseconds.
+/// A packet of the ordered stream that is lost is sent again after this, microseconds.
 const RESEND_US: i64 = 100_000;
 /// Clocks of the sites run faster or slower by at most this (50 ppm).
 const DRIFT_MAX: f64 = 50e-6;
@@ -42,6 +44,33 @@ enum Parcel {
     ReplyDown(Reply),
     ReportUp(DelayReport),
     ChangeDown(u32, ServerTime),
+    /// A packet of the ordered stream in a direction is sent again: the one of this number.
+    Resend(usize, usize),
+}
+
+/// One direction of the ordered stream of a site: nothing overtakes, and what is lost is sent again.
+#[derive(Debug, Default)]
+struct Stream {
+    /// Packets that have not been delivered, in order: their content, and when they arrive, if they do.
+    waiting: VecDeque<(Parcel, Option<i64>)>,
+    /// The number of the first of them.
+    first: usize,
+    /// When the last one was delivered, microseconds.
+    delivered_us: i64,
+}
+
+impl Stream {
+    /// Takes the packets that can be delivered in order, each with its moment.
+    fn deliver(&mut self) -> Vec<(i64, Parcel)> {
+        let mut out = Vec::new();
+        while let Some((_, Some(arrives_us))) = self.waiting.front() {
+            let at = (*arrives_us).max(self.delivered_us + 1);
+            self.delivered_us = at;
+            self.first += 1;
+            out.extend(self.waiting.pop_front().map(|(parcel, _)| (at, parcel)));
+        }
+        out
+    }
 }
 
 /// What is shown of both tools by both sites at one moment.
@@ -88,7 +117,7 @@ pub struct Course {
     parcels: VecDeque<(usize, Parcel)>,
     first_parcel: usize,
     due: BinaryHeap<Reverse<(i64, usize)>>,
-    stream_us: [[i64; 2]; 2],
+    streams: [[Stream; 2]; 2],
     probe_due_us: [i64; 2],
     report_due_us: [i64; 2],
     arrived: u64,
@@ -120,7 +149,7 @@ impl Course {
             parcels: VecDeque::new(),
             first_parcel: 0,
             due: BinaryHeap::new(),
-            stream_us: [[0; 2]; 2],
+            streams: Default::default(),
             probe_due_us: [0; 2],
             report_due_us: [REPORT_US; 2],
             arrived: 0,
@@ -242,17 +271,23 @@ impl Course {
 
     /// On the ordered stream: what is lost is sent again, and nothing overtakes.
     fn send_reliably(&mut self, k: usize, direction: usize, now: i64, parcel: Parcel) {
-        // A path is asked in the order of time: what is sent again must not run ahead of the samples.
-        let mut again_us = 0;
-        let at = loop {
-            match self.ways[k][direction].delay_us(now) {
-                Some(delay_us) => break now + again_us + delay_us,
-                None => again_us += RESEND_US,
-            }
+        let stream = &mut self.streams[k][direction];
+        let number = stream.first + stream.waiting.len();
+        stream.waiting.push_back((parcel, None));
+        self.transmit(k, direction, now, number);
+    }
+
+    /// Sends a packet of the ordered stream. A lost one is sent again later and not in this moment: a path is asked in
+    /// the order of time, and at the time of an outage it loses whatever is sent.
+    fn transmit(&mut self, k: usize, direction: usize, now: i64, number: usize) {
+        let Some(delay_us) = self.ways[k][direction].delay_us(now) else {
+            return self.post(k, now + RESEND_US, Parcel::Resend(direction, number));
         };
-        let at = at.max(self.stream_us[k][direction] + 1);
-        self.stream_us[k][direction] = at;
-        self.post(k, at, parcel);
+        let stream = &mut self.streams[k][direction];
+        stream.waiting[number - stream.first].1 = Some(now + delay_us);
+        for (at, parcel) in stream.deliver() {
+            self.post(k, at, parcel);
+        }
     }
 
     fn post(&mut self, k: usize, at: i64, parcel: Parcel) {
@@ -281,7 +316,8 @@ impl Course {
                 }
                 if let Some(newest) = samples.last() {
                     let in_force = self.schedule.delay_at(server_now);
-                    self.measured[k].handle_arrival(newest.time, server_now, in_force);
+                    let arrival = MotionArrival::on_time(newest.time, server_now);
+                    self.measured[k].handle_arrival(arrival, in_force);
                 }
                 let parcel = match &mut self.foresight {
                     None => Some(Parcel::SamplesDown(samples)),
@@ -323,6 +359,7 @@ impl Course {
             Parcel::ChangeDown(delay_us, effective_at) => {
                 self.sites[k].handle_change(delay_us, effective_at, at);
             }
+            Parcel::Resend(direction, number) => self.transmit(k, direction, at, number),
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use palpate_protocol::clock::{ClockEstimate, ClockMap};
-use palpate_protocol::compensation::{DelayEstimator, DelayRule, DelaySchedule};
+use palpate_protocol::compensation::{DelayEstimator, DelayRule, DelaySchedule, MotionArrival};
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::timeline::{Shown, Timeline};
 use palpate_protocol::{ClientTime, ServerTime, Span, ToolSample};
@@ -85,7 +85,8 @@ impl Site {
             return;
         };
         let in_force = self.schedule.delay_at(now);
-        self.estimator.handle_arrival(newest.time, now, in_force);
+        let arrival = MotionArrival::on_time(newest.time, now);
+        self.estimator.handle_arrival(arrival, in_force);
         for sample in samples {
             self.views[1].insert(*sample);
         }
@@ -98,7 +99,8 @@ impl Site {
             return;
         };
         let in_force = self.schedule.delay_at(now);
-        self.estimator.handle_arrival(from, now, in_force);
+        let arrival = MotionArrival::on_time(from, now);
+        self.estimator.handle_arrival(arrival, in_force);
         if self.predicted_from <= Some(from) {
             self.predicted_from = Some(from);
             self.predicted_ahead = Some(sample.time - from);

@@ -124,3 +124,41 @@ fn a_session_goes_on_when_somebody_sets_a_clock_by_hours() {
         assert!(figures.compensation_ms.mean < 70.0, "{figures:?}");
     }
 }
+
+#[test]
+fn a_session_goes_on_through_outages_and_recorded_losses() {
+    let lost = "time_ms,delay_ms,lost\n0,20,0\n9000,,1\n9500,20,0\n20000,20,0\n";
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("lost.csv"), lost).unwrap();
+    let text = "name = \"recorded\"\n[both]\ntrace = \"lost.csv\"\n";
+    let recorded = Profile::from_toml(text, &dir.path().join("recorded.toml")).unwrap();
+    for profile in [Profile::named("outages").unwrap(), recorded] {
+        let figures = emulated(&profile, 1).figures(ADAPTIVE);
+        // Outside of the outages, which are 2.5 % and 5 % of the time, the sites agree.
+        assert!(figures.disagreement_mm.p95 <= 1.0, "{figures:?}");
+        let delay_ms = figures.compensation_ms;
+        assert!((40.0..400.0).contains(&delay_ms.mean), "{figures:?}");
+    }
+}
+
+/// Loses everything.
+struct Dead;
+
+impl Way for Dead {
+    fn delay_us(&mut self, _: i64) -> Option<i64> {
+        None
+    }
+}
+
+#[test]
+fn a_session_ends_in_time_over_a_network_that_loses_everything() {
+    let alignment = Alignment {
+        ways: |_, _, _| -> Box<dyn Way> { Box::new(Dead) },
+        seed: 1,
+        motion: None,
+    };
+    let mut shown = 0;
+    let mut course = alignment.course(ADAPTIVE);
+    course.run(0, 5_000_000, &mut |_| shown += 1);
+    assert_eq!((course.arrived(), shown), (0, 0));
+}

@@ -1,15 +1,18 @@
 //! Benches: of the equilibrium, what it costs and how far it is from the converged answer; of the force loop, what a
-//! tick costs; of a session, what it takes of a network, and what a pose and a node take.
+//! tick costs; of a session, what it takes of a network, and what a pose and a node take; of a demo's reference, what
+//! it takes and how exact it is.
 //!
 //! They are no tests: nothing here fails because a machine is slow. Figures that are to be compared
 //! (two models, two commits) belong into one run on one machine.
 
 pub mod bytes;
 pub mod coding;
+pub mod cuts;
 pub mod haptic_tick;
 pub mod press_cube;
 pub mod press_scene;
 mod quic;
+pub mod reference;
 pub mod wound;
 
 /// Middle of some times in ms.

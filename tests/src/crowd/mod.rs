@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use palpate_protocol::operation::{CompensationMode, CompensationSettings};
 use palpate_protocol::{Epoch, Grant, ModelHash, ModelInfo, ResumeToken, Role, ServerTime};
-use palpate_room::{Room, RoomConfig};
+use palpate_room::{RoomConfig, SimulatedRoom};
 use palpate_tissue::{Model, Topology};
 
 use crate::network::{Direction, Profile};
@@ -39,7 +39,7 @@ const ONE_TOUCHES_OF: usize = 4;
 
 /// The delay that adaptive compensation begins with, and the most it may be, µs: a host's that is told
 /// nothing else.
-const DELAY_US: u32 = 60_000;
+const DELAY_US: u32 = 10_000;
 const DELAY_CAP_US: u32 = 400_000;
 
 /// How many of a crowd touch.
@@ -93,7 +93,7 @@ impl Crowd<'_> {
         let n = self.participants;
         let grant = Grant(*b"a rehearsal only");
         let config = self.config(grant);
-        let room = Room::new(Arc::clone(self.model), config.clone(), ServerTime::ZERO);
+        let room = SimulatedRoom::new(Arc::clone(self.model), config.clone(), ServerTime::ZERO);
         let mut server = Server::new(room, &config, n);
         let mut wires = Wires::new(&vec![self.profile; n], self.seed);
         let clocks: Vec<SiteClock> = (0..n).map(|k| SiteClock::of(self.seed, k)).collect();

@@ -94,7 +94,15 @@ impl Real<'_> {
             .map_err(|e| format!("this program does not know where it is: {e}"))?;
         let seats = self.participants.to_string();
         let mut arguments: Vec<OsString> = vec!["server".into(), "host".into(), file.into()];
-        let options = ["--json", "--listen", "127.0.0.1:0", "--seats", &seats];
+        let options = [
+            "--json",
+            "--identity",
+            "new",
+            "--listen",
+            "127.0.0.1:0",
+            "--seats",
+            &seats,
+        ];
         arguments.extend(options.map(OsString::from));
         let mut server =
             Program::start("server", &executable, arguments).map_err(|e| e.to_string())?;

@@ -11,7 +11,7 @@ use std::time::Duration;
 use palpate_client::realtime::worked;
 use palpate_protocol::session::{PeerDatagram, PeerEvent, ServerPeer};
 use palpate_protocol::{ServerTime, Span};
-use palpate_room::{Output, PeerKey, Room, RoomConfig};
+use palpate_room::{Output, PeerKey, RoomConfig, SimulatedRoom};
 
 use crate::network::Direction;
 use crate::rehearsal::wires::{Arrived, Wires};
@@ -37,7 +37,7 @@ pub struct Round {
 
 /// The server.
 pub(super) struct Server {
-    room: Room,
+    room: SimulatedRoom,
     peers: Vec<ServerPeer>,
     heard: Vec<(PeerKey, PeerEvent, ServerTime)>,
     solver_limit: Duration,
@@ -48,7 +48,7 @@ pub(super) struct Server {
 }
 
 impl Server {
-    pub(super) fn new(room: Room, config: &RoomConfig, seats: usize) -> Self {
+    pub(super) fn new(room: SimulatedRoom, config: &RoomConfig, seats: usize) -> Self {
         let now = ServerTime::ZERO;
         let period = config.tick_period();
         let tick = Duration::from_micros(period.as_micros().unsigned_abs());

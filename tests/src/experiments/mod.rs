@@ -26,7 +26,7 @@ pub mod tour;
 
 use std::path::Path;
 
-use palpate_tissue::{Model, Topology};
+use palpate_tissue::{Model, Topology, write_file};
 use serde_json::Value;
 
 use crate::chart::{Chart, Line, Panel, Scale};
@@ -307,20 +307,19 @@ impl Experiment {
 impl Outcome {
     /// Writes charts and tables into `dir`, which is made when it is not there.
     pub fn write(&self, dir: &Path) -> Result<(), String> {
-        let io = |path: &Path, e: std::io::Error| {
+        std::fs::create_dir_all(dir).map_err(|e| {
             format!(
                 "{}: {e}; check that the folder can be written and has room",
-                path.display()
+                dir.display()
             )
-        };
-        std::fs::create_dir_all(dir).map_err(|e| io(dir, e))?;
+        })?;
         for (name, chart) in &self.charts {
             let path = dir.join(format!("{name}.svg"));
-            std::fs::write(&path, chart.to_svg()).map_err(|e| io(&path, e))?;
+            write_file(&path, chart.to_svg()).map_err(|e| e.to_string())?;
         }
         for (name, table) in &self.tables {
             let path = dir.join(format!("{name}.csv"));
-            std::fs::write(&path, table).map_err(|e| io(&path, e))?;
+            write_file(&path, table).map_err(|e| e.to_string())?;
         }
         Ok(())
     }
@@ -358,8 +357,7 @@ impl Outcome {
         self.write(dir)?;
         let path = dir.join(format!("{name}.json"));
         let figures = serde_json::to_string_pretty(&self.figures).expect("figures are plain data");
-        std::fs::write(&path, figures + "\n")
-            .map_err(|e| format!("{}: {e}; check that the disk has room", path.display()))
+        write_file(&path, figures + "\n").map_err(|e| e.to_string())
     }
 }
 

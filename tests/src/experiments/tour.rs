@@ -10,6 +10,7 @@ use std::time::Instant;
 
 use clap::Args;
 use palpate_protocol::PROTOCOL_VERSION;
+use palpate_tissue::write_file;
 use serde_json::{Value, json};
 
 use super::benches::{self, Measured};
@@ -186,7 +187,10 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
         parts.push(part);
         // After each, so that what is done can be looked at.
         std::fs::create_dir_all(&arguments.out)
-            .and_then(|()| std::fs::write(&page, gallery::page(&parts, &origin)))
+            .and_then(|()| {
+                let written = write_file(&page, gallery::page(&parts, &origin));
+                written.map_err(|e| e.source)
+            })
             .map_err(|e| {
                 format!(
                     "{}: {e}; check that the folder can be written and has room",

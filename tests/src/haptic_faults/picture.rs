@@ -3,6 +3,8 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use palpate_tissue::write_file;
+
 use crate::chart::{BLUE, Chart, GREEN, GREY, Line, Mark, ORANGE, Panel, Scale};
 
 use super::Trial;
@@ -95,8 +97,9 @@ pub fn chart(trial: &Trial) -> Chart {
 pub fn write(trial: &Trial, dir: &Path) -> std::io::Result<String> {
     let name = format!("{}-{}", trial.plan.class, trial.plan.seed);
     std::fs::create_dir_all(dir)?;
-    std::fs::write(dir.join(format!("{name}.csv")), table(&trial.run.points))?;
+    let write = |name: &str, text: String| write_file(&dir.join(name), text).map_err(|e| e.source);
+    write(&format!("{name}.csv"), table(&trial.run.points))?;
     let picture = format!("{name}.svg");
-    std::fs::write(dir.join(&picture), chart(trial).to_svg())?;
+    write(&picture, chart(trial).to_svg())?;
     Ok(picture)
 }

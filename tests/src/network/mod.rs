@@ -23,6 +23,7 @@ mod draw;
 mod link;
 mod path;
 mod profile;
+mod spread;
 mod trace;
 mod virtual_clock;
 mod virtual_network;
@@ -35,6 +36,7 @@ pub use path::{
     Arrival, Arrivals, Corruption, DELAY_MAX_MS, Direction, HEADER_BYTES, Path, PathCounts,
 };
 pub use profile::{Profile, ProfileError};
+pub use spread::Spread;
 pub use trace::{TRACE_ROWS_MAX, Trace, TraceError, TraceRow};
 pub use virtual_clock::VirtualClock;
 pub use virtual_network::{Delivery, FLOWS_MAX, PACKETS_MAX, VirtualNetwork};

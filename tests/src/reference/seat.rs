@@ -130,6 +130,12 @@ impl Seat {
         Ok(sample)
     }
 
+    /// Makes the contact model as young as a solve of `us`: nothing has moved since it was solved, and a model that ages
+    /// fades.
+    pub(super) fn renew(&mut self, us: i64) {
+        self.contact.solved_at = ClientTime::from_micros(us);
+    }
+
     /// Takes over where the tool is; gives the stroke that has just ended.
     pub(super) fn take(&mut self, us: i64, sample: &Sample) -> Option<CutRequest> {
         self.tool.position = sample.pose.position;

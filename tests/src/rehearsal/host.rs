@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use palpate_protocol::session::{PeerDatagram, Picture, ServerPeer};
 use palpate_protocol::{ServerTime, TopologyHash};
-use palpate_room::{Output, PeerKey, Room, RoomConfig};
+use palpate_room::{Output, PeerKey, RoomConfig, SimulatedRoom};
 use palpate_tissue::Model;
 
 use super::wires::Wires;
@@ -16,7 +16,7 @@ const SEATS_MAX: u64 = 1000;
 
 /// The server.
 pub(super) struct Host {
-    room: Room,
+    room: SimulatedRoom,
     peers: BTreeMap<PeerKey, ServerPeer>,
     /// The connection of every seat.
     current: Vec<PeerKey>,
@@ -33,7 +33,7 @@ impl Host {
         let now = ServerTime::ZERO;
         let peers = (0..seats).map(|seat| (key(seat), ServerPeer::new(now)));
         Self {
-            room: Room::new(model, config, now),
+            room: SimulatedRoom::new(model, config, now),
             peers: peers.collect(),
             current: (0..seats).map(key).collect(),
             pictures: BTreeMap::new(),

@@ -14,6 +14,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use palpate_transport::threads::{self, ThreadClass};
+
 use super::stats::{Histogram, RelayStats};
 use crate::network::{Arrivals, Direction, Path, Profile};
 
@@ -275,9 +277,8 @@ impl Answers {
 }
 
 fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> io::Result<JoinHandle<()>> {
-    std::thread::Builder::new()
-        .name(name.to_owned())
-        .spawn(work)
+    // A network is not delayed by the load of the machines that it joins.
+    threads::spawn(ThreadClass::Network, name, work)
 }
 
 /// Receives until it is time to stop, whatever errors the system reports about single packets.

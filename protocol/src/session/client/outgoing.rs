@@ -27,10 +27,12 @@ impl ClientSession {
             return self.next_of_rest(now, ServerTime::ZERO);
         };
         let generated = map.to_server(now);
-        while let Some(samples) = self.motion.poll(now, &map) {
+        while let Some((samples, late)) = self.motion.poll(now, &map) {
+            self.link.count_stall(late.newest);
             let track = ToolTrack {
                 participant,
                 samples,
+                late,
             };
             if let Some(bytes) = self.link.encode(Body::Motion(vec![track]), generated) {
                 self.wants.goes_on = true;

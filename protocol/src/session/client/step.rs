@@ -33,7 +33,7 @@ impl ClientSession {
         let steps = self.clock.steps();
         let map = self.clock.handle_reply(reply, now);
         if self.clock.steps() != steps {
-            // Ages that were measured by the map that was wrong would be remembered for half a minute.
+            // Ages that were measured by the map that was wrong would be remembered for seconds.
             self.delay = DelayEstimator::new(DelayRule::default());
         }
         if let Some(map) = map {

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use palpate_protocol::request::{Request, RequestKind};
 use palpate_protocol::session::{ClientEvent, ClientSession, LinkStats};
-use palpate_protocol::{ClientTime, LocalSample};
+use palpate_protocol::{ClientTime, LocalSample, Span};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
@@ -95,8 +95,9 @@ impl<C: Fn() -> ClientTime + Send> Machine for Client<C> {
         self.session.handle_stream(bytes, (self.clock)());
     }
 
-    fn handle_datagram(&mut self, bytes: &[u8]) {
-        self.session.handle_datagram(bytes, (self.clock)());
+    fn handle_datagram(&mut self, bytes: &[u8], stall: Span) {
+        let now = (self.clock)();
+        self.session.handle_waiting_datagram(bytes, stall, now);
     }
 
     fn handle_timeout(&mut self) {

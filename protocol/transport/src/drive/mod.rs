@@ -3,6 +3,8 @@
 //! Per turn: everything that the machine has to say is sent (datagrams first, made just in time),
 //! then the loop sleeps until the first of: stream bytes, a datagram, room in the stream, room in
 //! the events channel, a command, the machine's deadline. Nothing in it blocks the datagrams.
+//!
+//! Every turn empties the queue of datagrams, so that a [`StallWatch`] knows how long they may have waited for it.
 
 pub(crate) mod client;
 pub(crate) mod peer;
@@ -10,6 +12,8 @@ pub(crate) mod peer;
 use std::collections::VecDeque;
 use std::time::Duration;
 
+use palpate_protocol::Span;
+use palpate_protocol::lateness::StallWatch;
 use palpate_protocol::session::LinkStats;
 use tokio::sync::{mpsc, watch};
 
@@ -46,7 +50,8 @@ pub(crate) trait Machine: Send {
     type Event: Send;
     type Command: Send;
     fn handle_stream(&mut self, bytes: &[u8]);
-    fn handle_datagram(&mut self, bytes: &[u8]);
+    /// A datagram that may have waited for `stall`, because this loop did not run.
+    fn handle_datagram(&mut self, bytes: &[u8], stall: Span);
     fn handle_timeout(&mut self);
     fn handle_disconnect(&mut self, why: String);
     /// The other side is done for good, and says so with the end of the connection.
@@ -109,6 +114,8 @@ pub(crate) async fn drive<M: Machine>(
     let mut stream_is_open = true;
     let mut stats_at = tokio::time::Instant::now();
     let mut closed_at = None;
+    let began = tokio::time::Instant::now();
+    let mut watch = StallWatch::default();
     loop {
         while let Some(bytes) = machine.poll_datagram() {
             connection.send_datagram(bytes);
@@ -134,6 +141,8 @@ pub(crate) async fn drive<M: Machine>(
             break;
         }
         let wait = machine.until_timeout().unwrap_or(STATS_PERIOD);
+        let wait = watch.waits(since(began), span(wait));
+        let wait = Duration::from_micros(wait.as_micros().unsigned_abs());
         let (send, recv) = (&mut connection.send, &mut connection.recv);
         let moved = tokio::select! {
             r = datagrams.read_datagram(), if !machine.is_closed() => {
@@ -147,13 +156,20 @@ pub(crate) async fn drive<M: Machine>(
             _ = events.reserve(), if untold => Moved::Room,
             () = tokio::time::sleep(wait) => Moved::Time,
         };
+        watch.wake(since(began));
+        // Datagrams first: a timeout must not find a peer silent that was heard.
+        let first = match &moved {
+            Moved::Datagram(Ok(bytes)) => Some(bytes),
+            _ => None,
+        };
+        if let Some(bytes) = first.filter(|bytes| connection.takes(bytes.len())) {
+            machine.handle_datagram(bytes, watch.handle_datagram(since(began)));
+        }
+        if !machine.is_closed() {
+            let clock = || since(began);
+            drain_datagrams(&mut machine, &mut connection, &datagrams, &mut watch, clock).await;
+        }
         match moved {
-            Moved::Datagram(Ok(bytes)) => {
-                if connection.takes(bytes.len()) {
-                    machine.handle_datagram(&bytes);
-                }
-                drain_datagrams(&mut machine, &mut connection, &datagrams).await;
-            }
             Moved::Read(Ok(Some(n))) => machine.handle_stream(&buffer[..n]),
             Moved::Read(Ok(None)) => {
                 machine.handle_disconnect("the other side ended the stream".to_owned());
@@ -177,10 +193,15 @@ pub(crate) async fn drive<M: Machine>(
                     machine.handle_command(Some(command));
                 }
             }
-            Moved::Room => {}
+            Moved::Datagram(Ok(_)) | Moved::Room => {}
             Moved::Time => machine.handle_timeout(),
         }
     }
+    end(machine, connection, &stats).await;
+}
+
+/// Publishes the last figures and closes the connection.
+async fn end<M: Machine>(machine: M, connection: Connection, stats: &watch::Sender<DriverStats>) {
     stats.send_replace(DriverStats {
         link: machine.stats(),
         path: connection.stats(),
@@ -221,16 +242,29 @@ async fn drain_datagrams<M: Machine>(
     machine: &mut M,
     connection: &mut Connection,
     datagrams: &quinn::Connection,
+    watch: &mut StallWatch,
+    clock: impl Fn() -> Span,
 ) {
-    for _ in 1..DATAGRAMS_PER_TURN {
+    for _ in 0..DATAGRAMS_PER_TURN {
         let next = tokio::select! {
             biased;
             r = datagrams.read_datagram() => r.ok(),
             () = std::future::ready(()) => None,
         };
-        let Some(bytes) = next else { return };
+        let Some(bytes) = next else {
+            return watch.handle_empty(clock());
+        };
         if connection.takes(bytes.len()) {
-            machine.handle_datagram(&bytes);
+            machine.handle_datagram(&bytes, watch.handle_datagram(clock()));
         }
     }
+}
+
+/// Time since the loop began, for its [`StallWatch`].
+fn since(began: tokio::time::Instant) -> Span {
+    span(began.elapsed())
+}
+
+fn span(time: Duration) -> Span {
+    Span::from_micros(i64::try_from(time.as_micros()).unwrap_or(i64::MAX))
 }

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use palpate_protocol::ServerTime;
 use palpate_protocol::session::{LinkStats, PeerDatagram, PeerEvent, PeerMessage, ServerPeer};
+use palpate_protocol::{ServerTime, Span};
 use tokio::sync::{mpsc, watch};
 
 use crate::connection::Connection;
@@ -158,8 +158,9 @@ impl<C: Fn() -> ServerTime + Send> Machine for Peer<C> {
         self.session.handle_stream(bytes, (self.clock)());
     }
 
-    fn handle_datagram(&mut self, bytes: &[u8]) {
-        self.session.handle_datagram(bytes, (self.clock)());
+    fn handle_datagram(&mut self, bytes: &[u8], stall: Span) {
+        let now = (self.clock)();
+        self.session.handle_waiting_datagram(bytes, stall, now);
     }
 
     fn handle_timeout(&mut self) {

@@ -11,8 +11,9 @@
 //! need(x)    max( up(x), pair(x,y) for every y whose up + down is shorter than x's )
 //! ```
 //!
-//! What is wanted remembers bursts for half a minute; whoever watches is judged by what is late now, mean and
-//! four deviations. Who watches may hear nobody, and reports nothing then: the way down is as long as it was,
+//! All of them are ages without what machines made of them ([`palpate_protocol::lateness`]): a machine that stalls
+//! is no reason to demote. The wanted delay remembers bursts; demoted participants are judged on current lateness, mean
+//! and four deviations. Who watches may hear nobody, and reports nothing then: the way down is as long as it was,
 //! or as the way up is by now, if that is shorter.
 //!
 //! An error of a clock makes up longer by what it makes down shorter, and so changes no sum.

@@ -8,7 +8,7 @@ use palpate_protocol::session::{CloseReason, PeerMessage};
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{OperationId, ParticipantId, ProtocolError, ServerTime};
 
-use super::{Room, wire_hash};
+use super::Room;
 use crate::PeerKey;
 use crate::config::SEATS_MAX;
 use crate::participant::{Participant, Place};
@@ -22,13 +22,36 @@ impl Room {
         let result = match hello.resume {
             Some(resume) => self
                 .admit_again(&hello, &resume, now)
-                .map(|()| self.take_again(peer, &resume, now)),
+                .map(|()| self.take_again(peer, &hello, &resume, now)),
             None => self.admit(&hello).map(|()| self.seat(peer, hello, now)),
         };
         if let Err(reason) = result {
             self.refused += 1;
-            self.send(peer, PeerMessage::Refused(Refused::because(reason)));
+            let sentence = self.sentence(&reason, now);
+            self.send(peer, PeerMessage::Refused(Refused { reason, sentence }));
         }
+    }
+
+    /// The sentence for a refusal. That of a name whose seat is kept says until when.
+    fn sentence(&self, reason: &RefusalReason, now: ServerTime) -> String {
+        let RefusalReason::NameTaken { name } = reason else {
+            return reason.to_string();
+        };
+        let mut seats = self.participants.values();
+        let until = seats.find(|p| p.name == *name).and_then(|p| match p.place {
+            Place::Away { until } => Some(until),
+            Place::Here(_) => None,
+        });
+        until.map_or_else(
+            || reason.to_string(),
+            |until| {
+                let seconds = (until - now).as_secs_f64().max(0.0).ceil();
+                format!(
+                    "the name \"{name}\" is kept for another {seconds:.0} s for a participant who lost the connection; \
+                     choose another name, or join again after that"
+                )
+            },
+        )
     }
 
     fn admit(&self, hello: &Hello) -> Result<(), RefusalReason> {
@@ -115,7 +138,7 @@ impl Room {
 
     /// Gives somebody their seat back: number, role and tool as they were, and of the log what they do
     /// not have.
-    fn take_again(&mut self, peer: PeerKey, resume: &Resume, now: ServerTime) {
+    fn take_again(&mut self, peer: PeerKey, hello: &Hello, resume: &Resume, now: ServerTime) {
         let id = resume.participant;
         let first = self.continues_at(resume);
         let Some(seat) = self.participants.get_mut(&id) else {
@@ -149,6 +172,29 @@ impl Room {
         }
         self.by_peer.insert(peer, id);
         self.append(id, OperationKind::Back { participant: id }, now);
+        if first == OperationId(0) {
+            self.take_tool_of(id, hello, now);
+        }
+    }
+
+    /// A program that was started again may hold another tool than the one before it.
+    fn take_tool_of(&mut self, id: ParticipantId, hello: &Hello, now: ServerTime) {
+        let Some(seat) = self.participants.get_mut(&id) else {
+            return;
+        };
+        let offered = hello
+            .tool
+            .filter(|tool| seat.role.has_tool() && tool.is_valid());
+        if let Some(tool) = offered
+            && seat.tool != Some(tool)
+        {
+            seat.tool = Some(tool);
+            let kind = OperationKind::ToolChanged {
+                participant: id,
+                tool,
+            };
+            self.append(id, kind, now);
+        }
     }
 
     /// The first operation that somebody who returns does not have; 0 when what they have is not our log.
@@ -187,8 +233,8 @@ impl Room {
                 .values()
                 .map(Participant::roster_entry)
                 .collect(),
-            topology_version: self.authority.version(),
-            topology_hash: wire_hash(self.authority.hash()),
+            topology_version: self.version(),
+            topology_hash: self.hash(),
             first_operation,
             operations_so_far: self.log.len() as u64,
             compensation,

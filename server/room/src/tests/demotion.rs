@@ -17,7 +17,7 @@ struct Mover {
 
 /// A session in which everybody presses and reports what they need.
 struct Session {
-    room: Room,
+    room: SimulatedRoom,
     movers: Vec<Mover>,
     now_ms: i64,
     operations: Vec<Arc<Operation>>,
@@ -85,8 +85,11 @@ impl Session {
             let now = self.now_ms;
             for i in 0..self.movers.len() {
                 let Mover { peer, up_ms, .. } = self.movers[i];
-                self.room
-                    .handle_event(peer, pressing(now - up_ms - 4, now - up_ms), ms(now));
+                self.room.handle_event(
+                    peer,
+                    pressing_at(now - up_ms - 4, now - up_ms, ms(now)),
+                    ms(now),
+                );
                 if now % 252 == 0
                     && let Some(needed_ms) = self.needed_by(i)
                 {
@@ -137,15 +140,15 @@ fn who_needs_more_than_the_cap_watches_and_the_others_wait_for_them_no_more() {
     assert!(s.target_ms().unwrap() < 100, "{:?} ms", s.target_ms());
     s.run_until(9000);
     assert_eq!(s.tools, 2, "the tool presses nowhere");
-    let motion = |room: &mut Room| {
+    let motion = |room: &mut SimulatedRoom| {
         let outputs = drain(room);
         outputs.iter().any(|o| {
-            matches!(o, Output::Datagram(_, PeerDatagram::Motion(tracks))
-            if tracks.iter().any(|t| t.participant == ParticipantId(3)))
+            matches!(o, Output::Datagram(_, PeerDatagram::Motion(round))
+            if round.tracks.iter().any(|t| t.participant == ParticipantId(3)))
         })
     };
     s.room
-        .handle_event(PeerKey(3), pressing(8000, 8004), ms(9001));
+        .handle_event(PeerKey(3), pressing_at(8000, 8004, ms(9001)), ms(9001));
     s.room.handle_tick(ms(9020), &mut || true);
     assert!(!motion(&mut s.room), "and is not passed on");
     for kind in [

@@ -30,7 +30,8 @@ fn second_of(
                     time: ms(t),
                     ..ToolSample::default()
                 };
-                let batch = PeerEvent::Motion((now - 4..now).map(above).collect());
+                let samples = (now - 4..now).map(above).collect();
+                let batch = PeerEvent::Motion(PeerMotion::on_time(samples, ms(now)));
                 room.handle_event(PeerKey(who), batch, ms(now));
             }
         }
@@ -38,11 +39,11 @@ fn second_of(
             room.handle_tick(ms(now), &mut || true);
         }
         for output in drain(&mut room) {
-            let Output::Datagram(peer, PeerDatagram::Motion(tracks)) = output else {
+            let Output::Datagram(peer, PeerDatagram::Motion(round)) = output else {
                 continue;
             };
             *sent.entry(peer).or_insert(0) += 1;
-            for track in tracks.iter() {
+            for track in &round.tracks {
                 let last = track.samples[track.samples.len() - 1].time;
                 newest.insert((peer, track.participant), last);
             }
@@ -77,7 +78,7 @@ fn two_get_every_batch_of_each_other_within_four_milliseconds() {
 #[test]
 fn with_all_seats_taken_one_more_is_told_so_and_everybody_goes_on() {
     let mut room = room_of(1000, 0);
-    let come = |room: &mut Room, who: u16, role: Role| {
+    let come = |room: &mut SimulatedRoom, who: u16, role: Role| {
         let hello = hello(&format!("p{who}"), role, ToolKind::Probe);
         room.handle_event(PeerKey(u64::from(who)), hello, ms(0));
         drain(room)

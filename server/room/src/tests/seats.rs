@@ -1,7 +1,7 @@
 //! Seats that are kept without a connection, and taken again.
 
 use palpate_protocol::handshake::{Resume, SEAT_KEPT, Subscription, Welcome};
-use palpate_protocol::{OperationId, ParticipantId};
+use palpate_protocol::{OperationId, ParticipantId, TopologyHash};
 
 use super::*;
 
@@ -49,7 +49,7 @@ fn probe_back(resume: Resume) -> PeerEvent {
 }
 
 /// A session with Ann and her blade at peer 1 and Bob at peer 2; Ann's seat.
-fn two() -> (Room, Resume) {
+fn two() -> (SimulatedRoom, Resume) {
     let mut room = room(1);
     let ann = hello("ann", Role::Trainee, ToolKind::Scalpel);
     room.handle_event(PeerKey(1), ann, ms(0));
@@ -59,11 +59,11 @@ fn two() -> (Room, Resume) {
     (room, seat)
 }
 
-fn cut(room: &mut Room, peer: PeerKey, now: ServerTime) {
+fn cut(room: &mut SimulatedRoom, peer: PeerKey, now: ServerTime) {
     cut_as(room, peer, 1, now);
 }
 
-fn cut_as(room: &mut Room, peer: PeerKey, id: u32, now: ServerTime) {
+fn cut_as(room: &mut SimulatedRoom, peer: PeerKey, id: u32, now: ServerTime) {
     let request = Request {
         id: RequestId(id),
         kind: stroke(),
@@ -108,7 +108,7 @@ fn who_lost_the_connection_finds_number_role_tool_and_the_rest_of_the_log() {
 
 /// Ann with a probe that has pressed for 200 ms; her seat. Sites remove a tool in the view of the moment
 /// of the log, and D is 20 ms.
-fn one_who_presses() -> (Room, Resume) {
+fn one_who_presses() -> (SimulatedRoom, Resume) {
     let mut room = room(1);
     let ann = hello("ann", Role::Trainee, ToolKind::Probe);
     room.handle_event(PeerKey(1), ann, ms(0));
@@ -178,6 +178,58 @@ fn a_kept_seat_keeps_its_name_and_counts_until_it_is_given_up() {
     );
     room.handle_event(PeerKey(5), other, end);
     assert_eq!(refusal(&drain(&mut room)), None, "the name is free");
+}
+
+#[test]
+fn a_refusal_of_a_kept_name_says_until_when() {
+    let (mut room, _) = two();
+    let sentence = |room: &mut SimulatedRoom, at| {
+        let eve = hello("ann", Role::Spectator, ToolKind::Probe);
+        room.handle_event(PeerKey(3), eve, at);
+        let outputs = drain(room);
+        let said = outputs.iter().find_map(|o| match o {
+            Output::Message(_, PeerMessage::Refused(r)) => Some(r.sentence.clone()),
+            _ => None,
+        });
+        said.expect("a refusal")
+    };
+    let here = sentence(&mut room, ms(500));
+    assert!(here.contains("already in the session"), "{here}");
+    room.handle_event(PeerKey(1), lost(), ms(1000));
+    let away = sentence(&mut room, ms(21_000));
+    assert!(away.contains("\"ann\" is kept for another 40 s"), "{away}");
+}
+
+#[test]
+fn a_program_that_is_started_again_takes_the_seat_with_the_tool_that_it_holds_now() {
+    let (mut room, seat) = two();
+    let fresh = Resume {
+        next_operation: OperationId(0),
+        topology_version: 0,
+        topology_hash: TopologyHash(0),
+        ..seat
+    };
+    // The server has not noticed yet that the program before it is gone.
+    room.handle_event(PeerKey(3), probe_back(fresh), ms(500));
+    let outputs = drain(&mut room);
+    let again = welcome(&outputs, PeerKey(3));
+    assert_eq!(
+        (again.participant, again.first_operation),
+        (ParticipantId(1), OperationId(0))
+    );
+    let goodbye = |o: &Output| matches!(o, Output::Message(PeerKey(1), PeerMessage::Goodbye(_)));
+    assert!(outputs.iter().any(goodbye));
+    let last = operations(&outputs, PeerKey(2)).pop().unwrap();
+    assert!(matches!(
+        last.kind,
+        OperationKind::ToolChanged { participant: ParticipantId(1), tool } if tool.kind == ToolKind::Probe
+    ));
+    room.handle_event(PeerKey(1), lost(), ms(600));
+    assert_eq!(
+        room.participant_count(),
+        2,
+        "the end of the old connection is nobody's"
+    );
 }
 
 #[test]

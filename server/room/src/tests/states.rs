@@ -34,7 +34,7 @@ fn back(resume: Resume) -> PeerEvent {
 }
 
 /// Where Ann's seat is, as the log tells it to everybody.
-fn state_of(room: &mut Room, log: &mut Vec<Arc<Operation>>) -> &'static str {
+fn state_of(room: &mut SimulatedRoom, log: &mut Vec<Arc<Operation>>) -> &'static str {
     log.extend(operations(&drain(room), PeerKey(2)));
     let of_ann = |o: &Arc<Operation>| match &o.kind {
         OperationKind::Joined { participant, .. } | OperationKind::Back { participant } => {
@@ -56,7 +56,7 @@ fn state_of(room: &mut Room, log: &mut Vec<Arc<Operation>>) -> &'static str {
 }
 
 /// Ann needs so much of the artificial delay for some seconds, and says so. Gives the time after it.
-fn need(room: &mut Room, peer: PeerKey, wanted_ms: u32, from: i64, seconds: i64) -> i64 {
+fn need(room: &mut SimulatedRoom, peer: PeerKey, wanted_ms: u32, from: i64, seconds: i64) -> i64 {
     let until = from + seconds * 1000;
     for t in (from..=until).step_by(250) {
         let report = DelayReport {

@@ -2,7 +2,12 @@ use palpate_protocol::session::Picture;
 
 use super::*;
 
-fn joins(room: &mut Room, key: u64, role: Role, subscription: Subscription) -> Vec<Output> {
+fn joins(
+    room: &mut SimulatedRoom,
+    key: u64,
+    role: Role,
+    subscription: Subscription,
+) -> Vec<Output> {
     let PeerEvent::Hello(hello) = hello(&format!("p{key}"), role, ToolKind::Scalpel) else {
         unreachable!()
     };

@@ -25,9 +25,15 @@ pub(crate) struct Contacts {
 
 impl Contacts {
     pub(crate) fn new(topology: &Topology) -> Self {
+        let proxies = Vec::with_capacity(TOOLS_MAX);
+        Self::with(topology, SurfaceIndex::new(topology), proxies)
+    }
+
+    /// Contacts of tools that are known already, on a surface of which none has been looked at.
+    pub(crate) fn with(topology: &Topology, index: SurfaceIndex, proxies: Vec<Proxy>) -> Self {
         Self {
-            index: SurfaceIndex::new(topology),
-            proxies: Vec::with_capacity(TOOLS_MAX),
+            index,
+            proxies,
             samples: Vec::new(),
             nodes: Vec::new(),
             place: vec![NONE; topology.node_count()],

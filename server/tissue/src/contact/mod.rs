@@ -32,6 +32,7 @@
 
 mod along;
 mod ball;
+mod clearance;
 mod contacts;
 mod core;
 mod fans;
@@ -46,11 +47,13 @@ mod tests;
 mod tool;
 mod watched;
 
+pub use clearance::Clearance;
 pub use reaction::{Place, Reaction};
 pub use tool::{Form, TOOL_REACH_MAX_M, Tool};
 
 pub(crate) use contacts::Contacts;
 pub(crate) use index::SurfaceIndex;
+pub(crate) use proxy::Proxy;
 
 /// Stiffness of the foundation between tool and tissue, in parts of the nodes' own.
 pub(crate) const FOUNDATION: f64 = 20.0;

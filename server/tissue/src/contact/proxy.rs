@@ -22,6 +22,7 @@ const LOST: f64 = 0.5;
 const WAIT: f64 = 0.5;
 
 /// What is remembered of a tool between steps.
+#[derive(Clone)]
 pub(crate) struct Proxy {
     pub(crate) id: u32,
     /// Radius that it presses with, in m; see `inset`.

@@ -58,6 +58,10 @@ impl Follower {
         self.index.follow(topology);
     }
 
+    pub(super) fn structure(&self) -> &Structure {
+        &self.structure
+    }
+
     /// What one solver of the topology that was followed last needs.
     pub fn successor(&self, topology: &Topology) -> Successor {
         let mut field = Field::new(topology, &self.structure, self.own.clone());
@@ -119,13 +123,19 @@ impl Solver {
         let (displaced, at_home) = (self.field.displaced, self.field.at_home);
         (self.field, self.coarse) = (field, coarse);
         self.near = Near::new(&self.structure);
+        self.foresight = Foresight::default();
+        self.start_over(displaced, at_home);
+    }
+
+    /// Takes over how far nodes are displaced, and what is held, where every force is still to be computed.
+    pub(super) fn start_over(&mut self, displaced: f64, at_home: bool) {
         self.field.displaced = displaced;
+        self.settling = Some(0);
         // A cut moves what hangs.
         self.field.at_home = at_home && self.home.is_none();
         for &node in &self.held {
             self.field.fixed[node as usize] = true;
         }
-        self.foresight = Foresight::default();
         self.dirty = true;
     }
 }

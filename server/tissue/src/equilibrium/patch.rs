@@ -325,18 +325,30 @@ pub(super) fn take_over(structure: &Structure, patches: &mut [Patch], l: usize, 
     let Some(above) = coarser.first() else { return };
     let patch = &mut finer[l];
     let mut update = |point: u32| {
-        let v = interpolate(&level.ties[point as usize], &above.total);
         let p = point as usize;
-        for a in 0..3 {
-            patch.total[p][a] += v[a] - patch.applied[p][a];
-        }
-        patch.applied[p] = v;
+        let (total, applied) = (&mut patch.total[p], &mut patch.applied[p]);
+        bring_point(&level.ties[p], &above.total, total, applied);
     };
     if all {
         (0..level.points() as u32).for_each(&mut update);
     } else {
         patch.points.items.iter().copied().for_each(&mut update);
     }
+}
+
+/// Brings the total of a point up to date with those of the coarser level.
+#[inline]
+pub(super) fn bring_point(
+    ties: &super::coarsen::Ties,
+    above: &[[f64; 3]],
+    total: &mut [f64; 3],
+    applied: &mut [f64; 3],
+) {
+    let v = interpolate(ties, above);
+    for a in 0..3 {
+        total[a] += v[a] - applied[a];
+    }
+    *applied = v;
 }
 
 /// A quantity of the coarser level where a point hangs.

@@ -15,6 +15,7 @@ const ROOMY: f64 = 0.8;
 const WIDEST: f64 = 8.0;
 
 /// How many times more may wait than where there is time for all of it.
+#[derive(Clone, Copy)]
 pub(super) struct Relief(f64);
 
 impl Relief {

@@ -57,7 +57,7 @@ const LAST_STEPS: usize = 3;
 const SHARES: [f64; 2] = [0.01, 2.0];
 /// Part of the allowed residual that a single node may keep at first. When what is active has
 /// become calm the part is lowered, down to where all stirred nodes together can not exceed it.
-const FIRST_SHARE: f64 = 0.25;
+pub(super) const FIRST_SHARE: f64 = 0.25;
 /// What tools bring in counts at least as this many spacings times the stiffness of a node: after a
 /// release there is nothing to be relative to, and no eye can tell less; no hand can tell a fifth of that.
 const LEAST: [f64; 2] = [0.1, 0.02];
@@ -65,7 +65,7 @@ const LEAST: [f64; 2] = [0.1, 0.02];
 /// far nodes with a thousandth of it each, and visiting them all costs more than the press.
 const PROVEN: f64 = 1e-3;
 /// From this tolerance on it is not lowered: what a hand needs in a millisecond.
-const QUICK: f64 = 0.02;
+pub(super) const QUICK: f64 = 0.02;
 /// Factor by which the part is lowered.
 const DEEPEN: f64 = 0.25;
 /// Iterations that are due when a tool has jumped or has just touched the tissue: there is no last change to
@@ -91,7 +91,7 @@ pub struct Solver {
     /// Whether the shape is known to have begun there.
     pub(super) moved_in: bool,
     /// Force in N that moves a typical node by a spacing; see [`LEAST`].
-    least: f64,
+    pub(super) least: f64,
     pub(super) report: StepReport,
     pub(super) dirty: bool,
     /// Whether this step began with the last one's change everywhere.
@@ -100,7 +100,9 @@ pub struct Solver {
     pub(super) led: BTreeMap<u32, Vec3>,
     /// What they were led by, while the levels have not followed.
     pub(super) drawn: Vec<(u32, Vec3)>,
-    last_forces: Vec<Vec3>,
+    pub(super) last_forces: Vec<Vec3>,
+    /// Quick steps since the topology changed; `None` when they are enough.
+    pub(super) settling: Option<usize>,
 }
 
 impl Solver {
@@ -129,33 +131,9 @@ impl Solver {
         field: Field,
         home: Option<Arc<Home>>,
     ) -> Self {
-        let mut own: Vec<f64> = field.own.iter().copied().filter(|&k| k > 0.0).collect();
-        let middle = own.len() / 2;
-        let typical = match own.get(middle) {
-            Some(_) => *own.select_nth_unstable_by(middle, f64::total_cmp).1,
-            None => 0.0,
-        };
-        Self {
-            least: typical * topology.model().spacing_m,
-            field,
-            coarse: Multigrid::new(&structure),
-            near: Near::new(&structure),
-            structure,
-            contacts: Contacts::new(topology),
-            held: Vec::new(),
-            foresight: Foresight::default(),
-            relief: Relief::NONE,
-            moved: Vec::new(),
-            reference: 0.0,
-            home,
-            moved_in: false,
-            report: StepReport::default(),
-            dirty: false,
-            carried: false,
-            led: BTreeMap::new(),
-            drawn: Vec::new(),
-            last_forces: Vec::new(),
-        }
+        let coarse = Multigrid::new(&structure);
+        let contacts = Contacts::new(topology);
+        Self::assemble(topology, structure, (field, coarse), contacts, home)
     }
 
     /// Moves every node by what the coarse levels hold for it. A step with [`Budget::near`] leaves
@@ -256,6 +234,7 @@ impl Solver {
         self.report.visits = [0; 2];
         self.report.fell_back = false;
         if !changed && self.report.lag_m == 0.0 && self.report.residual <= budget.tolerance {
+            self.settle(budget.tolerance);
             return &self.report;
         }
         self.dirty = false;
@@ -373,8 +352,11 @@ impl Solver {
                 break;
             }
         }
-        if quick && self.report.iterations > 0 {
-            self.finish(u);
+        if quick {
+            if self.report.iterations > 0 {
+                self.finish(u);
+            }
+            self.settle(budget.tolerance);
         }
         if !self.held.is_empty() {
             // One step more by the forces that told the residual, on the nodes that were smoothed: nearly free, as it is

@@ -18,9 +18,9 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
-use crate::MaterialOverride;
 use crate::scene::{RegionSource, Scene, SceneError, SceneInput, SceneRegion, nearest};
 use crate::surface::{Surface, SurfaceError, Unit};
+use crate::{MaterialOverride, WriteError, write_file};
 
 /// A built-in sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -64,6 +64,9 @@ pub enum SampleError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// The scene could not be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
     /// A surface could not be written.
     #[error(transparent)]
     Surface(#[from] SurfaceError),
@@ -178,7 +181,7 @@ impl SampleFiles {
             let names = self.surfaces.iter().map(|(name, _)| dir.join(name));
             if let Some(path) = std::iter::once(scene.clone())
                 .chain(names)
-                .find(|p| p.exists())
+                .find(|p| p.symlink_metadata().is_ok())
             {
                 return Err(SampleError::Exists(path));
             }
@@ -187,7 +190,7 @@ impl SampleFiles {
             surface.write_stl(&dir.join(name))?;
         }
         // Last, so that a scene that is there is complete.
-        std::fs::write(&scene, self.scene.to_toml()).map_err(io(&scene))?;
+        write_file(&scene, self.scene.to_toml())?;
         Ok(scene)
     }
 }

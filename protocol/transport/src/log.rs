@@ -1,0 +1,17 @@
+//! The log of every program, on standard error.
+
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::prelude::*;
+
+/// Starts the log: `PALPATE_LOG` says how much, else `RUST_LOG`, else `default`. Directives are those of
+/// [`Targets`], such as `debug` or `warn,palpate_room=trace`; without effect where a log has been started already.
+pub fn start_log(default: LevelFilter) {
+    let wish = |name: &str| std::env::var(name).ok()?.parse::<Targets>().ok();
+    let filter = wish("PALPATE_LOG")
+        .or_else(|| wish("RUST_LOG"))
+        .unwrap_or_else(|| Targets::new().with_default(default));
+    let _ = tracing_subscriber::registry()
+        .with(tracing_subscriber::fmt::layer().with_writer(std::io::stderr))
+        .with(filter)
+        .try_init();
+}

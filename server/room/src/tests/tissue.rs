@@ -1,0 +1,175 @@
+//! The room and its tissue on different threads: orders that are not answered yet.
+
+use super::*;
+use crate::room::Room;
+use crate::{Authority, LoggedCut, Settling, TissueOrder, TissueReport};
+
+fn table() -> Room {
+    let mut room = Room::new(
+        TopologyHash(7),
+        config(3, 0, CompensationMode::Fixed),
+        ms(0),
+    );
+    room.handle_event(
+        PeerKey(1),
+        hello("ann", Role::Trainee, ToolKind::Scalpel),
+        ms(0),
+    );
+    room.handle_event(
+        PeerKey(2),
+        hello("bob", Role::Spectator, ToolKind::Probe),
+        ms(0),
+    );
+    drained(&mut room);
+    room
+}
+
+fn drained(room: &mut Room) -> Vec<Output> {
+    std::iter::from_fn(|| room.poll_output()).collect()
+}
+
+fn orders(room: &mut Room) -> Vec<TissueOrder> {
+    std::iter::from_fn(|| room.poll_order()).collect()
+}
+
+fn asks_to_cut(room: &mut Room, id: u32, at: ServerTime) {
+    let request = Request {
+        id: RequestId(id),
+        kind: stroke(),
+    };
+    room.handle_event(PeerKey(1), PeerEvent::Request(request), at);
+}
+
+fn refusals(outputs: &[Output]) -> Vec<RequestRefusal> {
+    let of = outputs.iter().filter_map(|o| match o {
+        Output::Message(_, PeerMessage::RequestRefused(r)) => Some(r.reason.clone()),
+        _ => None,
+    });
+    of.collect()
+}
+
+#[test]
+fn motion_is_relayed_while_the_tissue_is_busy() {
+    let mut room = table();
+    room.handle_tick(ms(0));
+    asks_to_cut(&mut room, 1, ms(1));
+    let waiting = orders(&mut room);
+    assert!(matches!(
+        waiting[..],
+        [TissueOrder::Settle(_), TissueOrder::Cut(_)]
+    ));
+    // Neither is answered for two seconds: every 4 ms of motion still leaves by the next round.
+    let mut relayed = 0;
+    for t in (4..2000).step_by(4) {
+        room.handle_event(PeerKey(1), pressing(t - 4, t), ms(t));
+        room.handle_tick(ms(t));
+        let motion = |o: &Output| matches!(o, Output::Datagram(_, PeerDatagram::Motion(_)));
+        relayed += drained(&mut room).iter().filter(|o| motion(o)).count();
+    }
+    assert!(relayed >= 490, "{relayed} datagrams in 2 s");
+    assert!(orders(&mut room).is_empty(), "one tick at a time");
+    // 50 ticks in a second, but the grid does not move before D is over.
+    assert!(room.skipped_tick_count() >= 97);
+}
+
+#[test]
+fn a_cut_enters_the_log_when_it_is_prepared_and_its_order_names_that_moment() {
+    let mut room = table();
+    asks_to_cut(&mut room, 1, ms(100));
+    let logged = LoggedCut {
+        stroke: palpate_protocol::operation::CutStroke {
+            points: Vec::new(),
+            width_m: 0.0,
+        },
+        version: 1,
+        hash: TopologyHash(9),
+    };
+    assert_eq!(room.topology(), (0, TopologyHash(7)));
+    orders(&mut room);
+    let report = TissueReport::Cut {
+        author: palpate_protocol::ParticipantId(1),
+        request: RequestId(1),
+        result: Ok(logged),
+    };
+    room.handle_report(report, ms(250));
+    assert_eq!(room.topology(), (1, TopologyHash(9)));
+    let log = operations(&drained(&mut room), PeerKey(2));
+    assert!(matches!(log[..], [ref o] if o.at == ms(250) && o.hash_after == TopologyHash(9)));
+    let apply = orders(&mut room);
+    assert!(
+        matches!(apply[..], [TissueOrder::Apply { version: 1, at }] if at == ms(250)),
+        "{apply:?}"
+    );
+}
+
+#[test]
+fn cuts_in_preparation_are_bounded_and_a_refusal_makes_room() {
+    let mut room = table();
+    for id in 0..20 {
+        asks_to_cut(&mut room, id, ms(100));
+    }
+    assert_eq!(orders(&mut room).len(), 16);
+    let refused = refusals(&drained(&mut room));
+    assert_eq!(refused, vec![RequestRefusal::TooMany; 4]);
+    let report = TissueReport::Cut {
+        author: palpate_protocol::ParticipantId(1),
+        request: RequestId(0),
+        result: Err(RequestRefusal::NothingCut),
+    };
+    room.handle_report(report, ms(110));
+    assert_eq!(refusals(&drained(&mut room)), [RequestRefusal::NothingCut]);
+    asks_to_cut(&mut room, 20, ms(120));
+    assert_eq!(orders(&mut room).len(), 1);
+}
+
+#[test]
+fn an_answer_for_an_author_who_has_left_is_nobodys() {
+    let mut room = table();
+    asks_to_cut(&mut room, 1, ms(100));
+    room.handle_event(PeerKey(1), PeerEvent::Closed(CloseReason::Left), ms(110));
+    drained(&mut room);
+    let report = TissueReport::Cut {
+        author: palpate_protocol::ParticipantId(1),
+        request: RequestId(1),
+        result: Err(RequestRefusal::NothingCut),
+    };
+    room.handle_report(report, ms(120));
+    assert!(refusals(&drained(&mut room)).is_empty());
+}
+
+/// Topology version of the surface that a tick of this moment gives.
+fn version_seen(authority: &mut Authority, at: ServerTime) -> u32 {
+    let order = Settling {
+        view_time: at,
+        tools: Vec::new(),
+        wants_corrections: false,
+        wants_picture: Some(at),
+    };
+    let TissueReport::Settled { picture, .. } = authority.settle(&order, &mut || false) else {
+        unreachable!()
+    };
+    picture.unwrap().topology_version
+}
+
+#[test]
+fn a_prepared_cut_takes_effect_in_the_first_view_of_its_moment_and_not_before() {
+    let (mut authority, mut cutter) = Authority::new(model());
+    let RequestKind::Cut(cut) = stroke() else {
+        unreachable!()
+    };
+    let job = authority.job(&crate::CutOrder {
+        author: palpate_protocol::ParticipantId(1),
+        request: RequestId(1),
+        cut,
+    });
+    let (_, prepared) = cutter.make(&job);
+    authority.take_cut(prepared.unwrap());
+    assert_eq!(
+        version_seen(&mut authority, ms(100)),
+        0,
+        "not in the log yet"
+    );
+    authority.apply(1, ms(200));
+    assert_eq!(version_seen(&mut authority, ms(180)), 0);
+    assert_eq!(version_seen(&mut authority, ms(200)), 1);
+}

@@ -1,0 +1,168 @@
+//! The threads of the authoritative tissue: one settles it tick by tick, one makes cuts ahead of it.
+//!
+//! The room's thread relays motion and waits for neither.
+
+use std::num::NonZeroUsize;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use palpate_protocol::{Span, TopologyHash};
+use palpate_room::{Authority, CutJob, Cutter, PreparedCut, TissueOrder, TissueReport};
+use palpate_tissue::Model;
+use palpate_transport::threads::{self, ThreadClass};
+use tokio::sync::mpsc as async_mpsc;
+
+use crate::ServerError;
+
+/// An answer of the tissue, with what it cost.
+pub(super) struct Answer {
+    pub(super) report: TissueReport,
+    /// Wall time from the order to the answer, without waiting in line.
+    pub(super) took: Duration,
+}
+
+/// Work of the thread that settles.
+enum Work {
+    Order(TissueOrder),
+    Prepared(Box<PreparedCut>),
+    End,
+}
+
+/// The two threads.
+pub(super) struct TissueThreads {
+    work: Sender<Work>,
+    /// Bounded by the room: one tick and a few cuts are under way at most.
+    pub(super) answers: async_mpsc::UnboundedReceiver<Answer>,
+    cuts: JoinHandle<Cutter>,
+}
+
+impl TissueThreads {
+    /// Builds the solver, which takes half a second for 60,000 nodes. `limit` is the CPU time of a tick after which no
+    /// further iteration begins.
+    pub(super) fn start(
+        model: Arc<Model>,
+        limit: Duration,
+    ) -> Result<(Self, TopologyHash), ServerError> {
+        let io = |source| ServerError::Io {
+            doing: "the threads of the tissue could not be started".to_owned(),
+            source,
+        };
+        let (authority, cutter) = Authority::new(model);
+        let uncut = cutter.hash();
+        let (work, todo) = channel();
+        let (jobs, jobs_todo) = channel();
+        let (answer, answers) = async_mpsc::unbounded_channel();
+        let settler = Settler {
+            authority,
+            limit_ns: i64::try_from(limit.as_nanos()).unwrap_or(i64::MAX),
+            jobs,
+            answer: answer.clone(),
+        };
+        let pool = solver_pool()?;
+        threads::spawn(ThreadClass::Background, "tissue", move || {
+            pool.install(move || settler.run(&todo));
+        })
+        .map_err(io)?;
+        let prepared = work.clone();
+        let cuts = threads::spawn(ThreadClass::Background, "cuts", move || {
+            cut_all(cutter, &jobs_todo, &prepared, &answer)
+        })
+        .map_err(io)?;
+        let threads = Self {
+            work,
+            answers,
+            cuts,
+        };
+        Ok((threads, uncut))
+    }
+
+    /// Passes an order on. Whether a thread was there to take it; it is missing only after a panic.
+    pub(super) fn order(&self, order: TissueOrder) -> bool {
+        self.work.send(Work::Order(order)).is_ok()
+    }
+
+    /// Ends both threads. The newest topology, with every cut of the log; `None` after a panic.
+    pub(super) fn finish(self) -> Option<Cutter> {
+        // Each thread has a queue of the other, so none ends by a queue that closes.
+        let _ = self.work.send(Work::End);
+        self.cuts.join().ok()
+    }
+}
+
+/// Solver threads: half the processors, because views and networks of other sessions share the machine.
+fn solver_pool() -> Result<rayon::ThreadPool, ServerError> {
+    let cores = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
+    rayon::ThreadPoolBuilder::new()
+        .num_threads((cores / 2).max(1))
+        .thread_name(|i| format!("solver-{i}"))
+        .start_handler(|_| threads::join(ThreadClass::ServerTick))
+        .exit_handler(|_| threads::leave())
+        .build()
+        .map_err(|e| ServerError::Io {
+            doing: "the solver threads could not be started".to_owned(),
+            source: std::io::Error::other(e),
+        })
+}
+
+struct Settler {
+    authority: Authority,
+    limit_ns: i64,
+    jobs: Sender<CutJob>,
+    answer: async_mpsc::UnboundedSender<Answer>,
+}
+
+impl Settler {
+    fn run(mut self, todo: &Receiver<Work>) {
+        let mut budget = ThreadClass::ServerTick.budget();
+        while let Ok(work) = todo.recv() {
+            match work {
+                Work::End => return,
+                Work::Prepared(cut) => self.authority.take_cut(*cut),
+                Work::Order(TissueOrder::Apply { version, at }) => {
+                    self.authority.apply(version, at);
+                }
+                Work::Order(TissueOrder::Cut(order)) => {
+                    // The cut thread lives for as long as this one holds its queue.
+                    let _ = self.jobs.send(self.authority.job(&order));
+                }
+                Work::Order(TissueOrder::Settle(order)) => {
+                    let (began_ns, worked_ns) = (threads::monotonic_ns(), threads::worked_ns());
+                    let mut stop = || threads::worked_ns() - worked_ns >= self.limit_ns;
+                    let report = self.authority.settle(&order, &mut stop);
+                    let now_ns = threads::monotonic_ns();
+                    let took = Duration::from_nanos((now_ns - began_ns).unsigned_abs());
+                    if self.answer.send(Answer { report, took }).is_err() {
+                        return;
+                    }
+                    let used = Span::from_micros((threads::worked_ns() - worked_ns) / 1000);
+                    let rest = budget.charge(now_ns / 1000, used);
+                    threads::sleep_until_ns(now_ns + rest.as_micros() * 1000);
+                }
+            }
+        }
+    }
+}
+
+/// Makes cuts until the queue closes; the newest topology is left over.
+fn cut_all(
+    mut cutter: Cutter,
+    jobs: &Receiver<CutJob>,
+    prepared: &Sender<Work>,
+    answer: &async_mpsc::UnboundedSender<Answer>,
+) -> Cutter {
+    for job in jobs {
+        let began_ns = threads::monotonic_ns();
+        let (report, cut) = cutter.make(&job);
+        // Before the room hears of it, so that the cut is there when it takes effect.
+        if let Some(cut) = cut {
+            let _ = prepared.send(Work::Prepared(Box::new(cut)));
+        }
+        let took = Duration::from_nanos((threads::monotonic_ns() - began_ns).unsigned_abs());
+        if answer.send(Answer { report, took }).is_err() {
+            break;
+        }
+    }
+    cutter
+}

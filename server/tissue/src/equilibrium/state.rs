@@ -1,0 +1,366 @@
+//! The state of a solver and its shape, copied out so that another thread can continue it on a changed topology.
+//!
+//! A cut changes the bricks and levels of a solver, and every force has to be computed afresh: some 30 ms on
+//! 57,000 nodes. The thread of a hand has 2 ms. So it only [captures](Solver::capture) its state, a copy of
+//! 60 bytes per node. Another thread [resumes](SolverState::resume) from that on the new topology, solves, and hands
+//! the finished solver back.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::block::laid_out;
+use super::cycle::Multigrid;
+use super::field::{Field, square};
+use super::follower::{Follower, Successor};
+use super::foresight::Foresight;
+use super::home::Home;
+use super::near::Near;
+use super::patch::{bring_point, interpolate};
+use super::relief::Relief;
+use super::solver::{FIRST_SHARE, QUICK, Solver};
+use super::structure::Structure;
+use crate::contact::{Contacts, Proxy};
+use crate::{CutOutcome, Shape, StepReport, Topology, Vec3};
+
+/// Steps in which a solver settles on a changed topology, at least and at most. The forces of a press are back within
+/// its tolerance after two or three.
+const SETTLING: [usize; 2] = [3, 8];
+
+/// Displacements of one coarse level: in all, and how much of the coarser level's is in them.
+#[derive(Default)]
+struct Totals {
+    total: Vec<[f64; 3]>,
+    applied: Vec<[f64; 3]>,
+}
+
+/// What a solver on a changed topology needs to continue where another one is.
+pub struct SolverState {
+    /// That of the captured solver; `None` before there is one.
+    structure: Option<Arc<Structure>>,
+    displacement: Vec<Vec3>,
+    applied: Vec<[f64; 3]>,
+    levels: Vec<Totals>,
+    held: Vec<u32>,
+    proxies: Vec<Proxy>,
+    displaced: f64,
+    is_at_home: bool,
+    has_moved_in: bool,
+    reference: f64,
+    relief: Relief,
+    report: StepReport,
+}
+
+impl Follower {
+    /// An empty state with memory for a capture of this topology, so that [`Solver::capture`] only copies.
+    pub fn room(&self) -> SolverState {
+        fn room<T: Clone>(value: T, len: usize) -> Vec<T> {
+            let mut values = laid_out(value, len);
+            values.clear();
+            values
+        }
+        let structure = self.structure();
+        let nodes = structure.ties.len();
+        let totals = |points: usize| Totals {
+            total: room([0.0; 3], points),
+            applied: room([0.0; 3], points),
+        };
+        SolverState {
+            structure: None,
+            displacement: room(Vec3::zeros(), nodes),
+            applied: room([0.0; 3], nodes),
+            levels: structure
+                .levels
+                .iter()
+                .map(|l| totals(l.points()))
+                .collect(),
+            held: Vec::new(),
+            proxies: Vec::new(),
+            displaced: 0.0,
+            is_at_home: true,
+            has_moved_in: false,
+            reference: 0.0,
+            relief: Relief::NONE,
+            report: StepReport::default(),
+        }
+    }
+}
+
+impl Solver {
+    /// Copies the state of this solver and its shape. The solver goes on as if nothing had happened.
+    pub fn capture(&mut self, shape: &Shape, to: &mut SolverState) {
+        fn copy<T: Clone>(from: &[T], to: &mut Vec<T>) {
+            to.clear();
+            to.extend_from_slice(from);
+        }
+        self.field.note(&self.structure, &self.coarse);
+        copy(&shape.displacement, &mut to.displacement);
+        copy(&self.field.applied, &mut to.applied);
+        to.levels
+            .resize_with(self.coarse.patches.len(), Totals::default);
+        for (patch, level) in self.coarse.patches.iter().zip(&mut to.levels) {
+            copy(&patch.total, &mut level.total);
+            copy(&patch.applied, &mut level.applied);
+        }
+        copy(&self.held, &mut to.held);
+        copy(&self.contacts.proxies, &mut to.proxies);
+        to.displaced = self.field.displaced;
+        to.is_at_home = self.field.at_home;
+        to.has_moved_in = self.moved_in;
+        to.reference = self.reference;
+        to.relief = self.relief;
+        to.report.clone_from(&self.report);
+        to.structure = Some(Arc::clone(&self.structure));
+    }
+
+    /// Ends the settling that follows a change of the topology: leaves the small forces far from the tools alone that
+    /// computing every brick has shown. They are those that a hand's steps leave where nothing is computed. After a few
+    /// steps the coarse levels have answered the smooth part, and no node has more than the threshold of such a step.
+    /// Handed down in every step, what is left of 57,000 nodes takes longer than a press.
+    pub(super) fn settle(&mut self, tolerance: f64) {
+        let Some(steps) = &mut self.settling else {
+            return;
+        };
+        *steps += 1;
+        let [least, most] = SETTLING;
+        if *steps < least || *steps < most && self.report.residual > tolerance {
+            return;
+        }
+        self.settling = None;
+        let threshold = (FIRST_SHARE * QUICK * self.reference) as f32;
+        let Field {
+            loud,
+            quiet,
+            nodes,
+            r,
+            ..
+        } = &mut self.field;
+        loud.retain(|node| {
+            let stays = nodes.contains(node) || square(&r[node as usize]) > threshold * threshold;
+            if !stays {
+                quiet.insert(node);
+            }
+            stays
+        });
+    }
+
+    /// Whether the steps that follow a change of the topology are still to be made.
+    pub fn is_settling(&self) -> bool {
+        self.settling.is_some()
+    }
+
+    /// A solver made of its parts.
+    pub(super) fn assemble(
+        topology: &Topology,
+        structure: Arc<Structure>,
+        (field, coarse): (Field, Multigrid),
+        contacts: Contacts,
+        home: Option<Arc<Home>>,
+    ) -> Self {
+        let mut own: Vec<f64> = field.own.iter().copied().filter(|&k| k > 0.0).collect();
+        let middle = own.len() / 2;
+        let typical = match own.get(middle) {
+            Some(_) => *own.select_nth_unstable_by(middle, f64::total_cmp).1,
+            None => 0.0,
+        };
+        Self {
+            least: typical * topology.model().spacing_m,
+            near: Near::new(&structure),
+            field,
+            coarse,
+            structure,
+            contacts,
+            held: Vec::new(),
+            foresight: Foresight::default(),
+            relief: Relief::NONE,
+            moved: Vec::new(),
+            reference: 0.0,
+            home,
+            moved_in: false,
+            report: StepReport::default(),
+            dirty: false,
+            carried: false,
+            led: BTreeMap::new(),
+            drawn: Vec::new(),
+            last_forces: Vec::new(),
+            settling: None,
+        }
+    }
+}
+
+impl SolverState {
+    /// A solver and a shape that continue this state on the topology as a cut left it. `successor` is what a
+    /// [`Follower`] of that topology gives. Without a capture the shape is at rest.
+    pub fn resume(
+        mut self,
+        topology: &Topology,
+        outcome: &CutOutcome,
+        successor: Successor,
+    ) -> (Solver, Shape) {
+        self.pour();
+        let mut shape = Shape {
+            displacement: self.displacement,
+        };
+        shape.follow(topology, outcome);
+        let Successor {
+            structure,
+            field,
+            coarse,
+            index,
+            home,
+        } = successor;
+        let contacts = Contacts::with(topology, index, self.proxies);
+        let mut solver = Solver::assemble(topology, structure, (field, coarse), contacts, home);
+        solver.held = self.held;
+        solver.moved_in = self.has_moved_in;
+        solver.reference = self.reference;
+        solver.relief = self.relief;
+        solver.report = self.report;
+        solver.start_over(self.displaced, self.is_at_home);
+        (solver, shape)
+    }
+
+    /// Moves every node by what the coarse levels hold for it, as [`Solver::pour`] does.
+    fn pour(&mut self) {
+        let Some(structure) = self.structure.take() else {
+            return;
+        };
+        for l in (0..self.levels.len()).rev() {
+            let (finer, coarser) = self.levels.split_at_mut(l + 1);
+            let (Some(level), Some(above)) = (finer.last_mut(), coarser.first()) else {
+                continue;
+            };
+            let points = level.total.iter_mut().zip(&mut level.applied);
+            for ((total, applied), ties) in points.zip(&structure.levels[l].ties) {
+                bring_point(ties, &above.total, total, applied);
+            }
+        }
+        let Some(first) = self.levels.first() else {
+            return;
+        };
+        let held: Vec<_> = self
+            .held
+            .iter()
+            .map(|&n| (n, self.displacement[n as usize]))
+            .collect();
+        let nodes = self.displacement.iter_mut().zip(&self.applied);
+        for ((u, applied), ties) in nodes.zip(&structure.ties) {
+            let v = interpolate(ties, &first.total);
+            *u += Vec3::from(v) - Vec3::from(*applied);
+        }
+        for (node, at) in held {
+            self.displacement[node as usize] = at;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{BladePoint, Budget, CutStroke, Material, Tool, block, cut};
+
+    const CELL: f64 = 4e-3;
+
+    fn topology() -> Topology {
+        let material = Material {
+            young_pa: 10e3,
+            density_kg_m3: 1000.0,
+            ..Material::default()
+        };
+        Topology::new(Arc::new(block([32, 16, 8], CELL, &material, 1)))
+    }
+
+    /// A press that slides along the block, at step `k`.
+    fn tool(k: usize) -> Tool {
+        let depth = (0.3e-3 * k as f64).min(6e-3);
+        let x = 7.0 * CELL + 0.05e-3 * k as f64;
+        Tool::ball(1, Vec3::new(x, 8.0 * CELL, 8.0 * CELL + 8e-3 - depth), 8e-3)
+    }
+
+    fn slit(topology: &mut Topology) -> CutOutcome {
+        let point = |i: u32| BladePoint {
+            tip: Vec3::new(22.4 * CELL, CELL * (4.0 + f64::from(i)), 4.1 * CELL),
+            axis: Vec3::z(),
+            depth_m: 0.03,
+        };
+        let stroke = CutStroke {
+            points: (0..9).map(point).collect(),
+            width_m: 0.0,
+        };
+        cut(topology, &stroke).unwrap()
+    }
+
+    fn hand() -> Budget<'static> {
+        Budget {
+            near: true,
+            ..Budget::new(2, QUICK)
+        }
+    }
+
+    /// A press, then a cut beside it that another solver resumes.
+    fn resumed() -> (Topology, Solver, Shape) {
+        let mut topology = topology();
+        let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+        let mut follower = solver.follower();
+        for k in 0..40 {
+            solver.step(&topology, &mut shape, &[tool(k)], hand());
+        }
+        let mut state = follower.room();
+        solver.capture(&shape, &mut state);
+        let outcome = slit(&mut topology);
+        follower.follow(&topology, &outcome.touched);
+        let (solver, shape) = state.resume(&topology, &outcome, follower.successor(&topology));
+        (topology, solver, shape)
+    }
+
+    #[test]
+    fn a_capture_changes_no_bit_of_what_follows() {
+        let topology = topology();
+        let run = |captures: bool| {
+            let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+            let mut state = solver.follower().room();
+            for k in 0..40 {
+                solver.step(&topology, &mut shape, &[tool(k)], hand());
+                if captures {
+                    solver.capture(&shape, &mut state);
+                }
+            }
+            shape.hash()
+        };
+        assert_eq!(run(true), run(false));
+    }
+
+    #[test]
+    fn a_captured_shape_is_the_one_that_pouring_makes() {
+        let topology = topology();
+        let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+        for k in 0..40 {
+            solver.step(&topology, &mut shape, &[tool(k)], hand());
+        }
+        let mut state = solver.follower().room();
+        solver.capture(&shape, &mut state);
+        state.pour();
+        solver.pour(&mut shape);
+        let apart = state.displacement.iter().zip(&shape.displacement);
+        let most = apart.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+        assert!(most < 1e-12, "{most} m");
+    }
+
+    #[test]
+    fn a_settled_solver_hands_no_small_far_forces_down() {
+        let (topology, mut solver, mut shape) = resumed();
+        let mut steps = 0;
+        while solver.is_settling() {
+            solver.step(&topology, &mut shape, &[tool(40)], hand());
+            steps += 1;
+            assert!(steps <= SETTLING[1], "{steps} steps");
+        }
+        for k in 40..60 {
+            solver.step(&topology, &mut shape, &[tool(k)], hand());
+            let (far, near) = (
+                solver.field.loud_beyond().count(),
+                solver.field.nodes.items.len(),
+            );
+            assert!(far <= near, "{far} far nodes, {near} near ones");
+        }
+    }
+}

@@ -1,0 +1,530 @@
+//! `bench cuts`: the work of the threads of a trainee while others cut beside the press.
+//!
+//! A probe presses a model, slides slowly and trembles, while short cuts arrive from the log every half second,
+//! 14 mm and more beside it: 250 steps of the hand and 30 views per second of virtual time. Site, cut worker and view
+//! take turns on one thread, so that another program on the machine counts only by the caches that it empties; the cut
+//! worker is busy in virtual time for as long as its work took. All times are processor time.
+
+use std::fmt;
+use std::sync::Arc;
+
+use clap::Args;
+use nalgebra::Vector3;
+use palpate_client::ahead::{Ahead, CutNews, CutOrder};
+use palpate_client::realtime::worked;
+use palpate_client::replica::{HAPTIC_PERIOD, HAPTIC_WORK, hand_budget};
+use palpate_client::site::{SiteError, ViewNews};
+use palpate_client::view::{VIEW_TOLERANCE, View};
+use palpate_client::{Site, convert};
+use palpate_device::Pose;
+use palpate_protocol::clock::ClockMap;
+use palpate_protocol::handshake::{RosterEntry, Welcome};
+use palpate_protocol::operation::{
+    BladePoint, CompensationMode, CompensationSettings, CutStroke, Operation, OperationKind,
+};
+use palpate_protocol::session::ClientEvent;
+use palpate_protocol::tool::ToolDescription;
+use palpate_protocol::{
+    ClientTime, Epoch, LocalSample, ModelHash, ModelInfo, OperationId, ParticipantId, ResumeToken,
+    Role, ServerTime, Span, TopologyHash,
+};
+use palpate_tissue::{Budget, Model, Topology, cut};
+use serde::Serialize;
+
+use super::quantile;
+use crate::place::Place;
+use crate::progress::Progress;
+use crate::subject::Subject;
+
+/// Arguments of `bench cuts`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
+    #[arg(default_value = "thigh")]
+    model: String,
+    /// Number of cuts
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..=100))]
+    cuts: u16,
+    /// Time from the arrival of a cut to its due time, ms: the artificial delay
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u16).range(0..=400))]
+    delay_ms: u16,
+    /// Depth of the press, mm
+    #[arg(long, default_value_t = 8.0)]
+    depth_mm: f64,
+    /// Print one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Radius of the probe, m.
+const RADIUS_M: f64 = 8e-3;
+/// Time of the press before the first cut, between two cuts and after the last one, ms.
+const APART_MS: i64 = 500;
+/// Steps of the hand after which the press counts as begun.
+const BEGINNING: usize = 50;
+/// Steps around the exchange that belong to a cut, half of them before it.
+const AROUND: usize = 10;
+/// Slow slide along the surface: half its way in m, and its frequency in Hz.
+const SLIDE: (f64, f64) = (3e-3, 0.4);
+/// Tremor along the normal: amplitude in m, and frequency in Hz.
+const TREMOR: (f64, f64) = (0.05e-3, 9.0);
+/// Views per second, and the limits of one.
+const VIEW_HZ: u32 = 30;
+const VIEW_ITERATIONS: usize = 2;
+const VIEW_WORK: Span = Span::from_millis(5);
+/// Length and depth of a cut, m, and its distance from the press.
+const CUT_LENGTH_M: f64 = 0.02;
+const CUT_DEPTH_M: f64 = 0.012;
+const BESIDE_M: f64 = 0.014;
+/// How far the blade stands out of the tissue, m.
+const OUTSIDE_M: f64 = 0.006;
+/// Points of a stroke.
+const POINTS: usize = 20;
+
+const ME: ParticipantId = ParticipantId(1);
+const SURGEON: ParticipantId = ParticipantId(2);
+
+/// Runs `bench cuts`.
+///
+/// # Errors
+///
+/// When there is no such model, no place to press and cut on it, or no thread.
+pub fn run(arguments: &Arguments) -> Result<CutsReport, String> {
+    if !(0.5..=30.0).contains(&arguments.depth_mm) {
+        let depth = arguments.depth_mm;
+        return Err(format!("--depth-mm {depth} must be from 0.5 to 30"));
+    }
+    let dir = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
+    let mut progress = Progress::new();
+    progress.stage(&format!("preparing the model \"{}\"", arguments.model));
+    let subject = Subject::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
+    let bench = Cuts {
+        cuts: usize::from(arguments.cuts),
+        delay: Span::from_millis(i64::from(arguments.delay_ms)),
+        depth_m: arguments.depth_mm * 1e-3,
+    };
+    bench.run(&subject.model, &mut |what| progress.stage(what))
+}
+
+/// The bench.
+#[derive(Debug, Clone)]
+pub struct Cuts {
+    /// Number of cuts.
+    pub cuts: usize,
+    /// Time from the arrival of a cut to its due time.
+    pub delay: Span,
+    /// Depth of the press, m.
+    pub depth_m: f64,
+}
+
+/// Processor time of some pieces of work, ms.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Work {
+    /// Pieces.
+    pub count: usize,
+    /// Mean.
+    pub mean_ms: f64,
+    /// Half take less.
+    pub p50_ms: f64,
+    /// 99 of 100 take less.
+    pub p99_ms: f64,
+    /// Longest.
+    pub max_ms: f64,
+}
+
+impl Work {
+    fn of(times: &[f64]) -> Self {
+        Self {
+            count: times.len(),
+            mean_ms: times.iter().sum::<f64>() / times.len().max(1) as f64,
+            p50_ms: quantile(times, 0.5),
+            p99_ms: quantile(times, 0.99),
+            max_ms: quantile(times, 1.0),
+        }
+    }
+}
+
+/// One cut, as the hand met it.
+#[derive(Debug, Clone, Serialize)]
+pub struct AtCut {
+    /// Time from its due time to the step that applied it, ms.
+    pub late_ms: f64,
+    /// Longest step of the ten around it, processor time in ms.
+    pub worst_ms: f64,
+    /// Step in which the state was copied for the cut worker, ms.
+    pub copied_ms: f64,
+    /// Change of the force in the step that applied it, N.
+    pub jump_n: f64,
+    /// Force before it, N.
+    pub force_n: f64,
+}
+
+/// Figures of a run.
+#[derive(Debug, Clone, Serialize)]
+pub struct CutsReport {
+    /// Nodes of the model.
+    pub nodes: usize,
+    /// Steps of the hand without a cut.
+    pub steps: Work,
+    /// Processor time of the hand's thread per second, in cores.
+    pub hand_cores: f64,
+    /// Views.
+    pub views: Work,
+    /// Processor time of the view's thread per second, in cores.
+    pub view_cores: f64,
+    /// Processor time of the cut worker per cut, ms.
+    pub worker_ms: f64,
+    /// Steps of the hand in contact that gave no usable model.
+    pub unusable: usize,
+    /// Worst step of all cuts, ms.
+    pub worst_ms: f64,
+    /// Cuts.
+    pub cuts: Vec<AtCut>,
+}
+
+/// One step of the hand.
+struct Step {
+    ms: f64,
+    force: Vector3<f64>,
+    is_usable: bool,
+    version: u32,
+    /// Whether the state was copied in it.
+    copies: bool,
+    at: ServerTime,
+}
+
+impl Cuts {
+    /// Runs it.
+    ///
+    /// # Errors
+    ///
+    /// When there is no place to press and cut, or a copy differs.
+    pub fn run(
+        &self,
+        model: &Arc<Model>,
+        progress: &mut dyn FnMut(&str),
+    ) -> Result<CutsReport, String> {
+        let topology = Topology::new(Arc::clone(model));
+        let place = Place::find(&topology).map_err(|e| e.to_string())?;
+        progress("making the cuts");
+        let mut operations = self.operations(topology.clone(), &place)?;
+        let mut site = Site::new(&welcome(&topology, self.delay), Arc::clone(model), None);
+        let mut now = ClientTime::ZERO;
+        for event in [
+            ClientEvent::CaughtUp,
+            ClientEvent::Clock(ClockMap::exact(Span::ZERO)),
+        ] {
+            site.handle_event(event, now).map_err(|e| e.to_string())?;
+        }
+        let (ahead, mut view) = site.detach().ok_or("the site gives no cut worker")?;
+        let mut worker = Worker::new(ahead);
+        progress("pressing");
+        let steps_apart = APART_MS * 1000 / HAPTIC_PERIOD.as_micros();
+        let (mut due, mut steps, mut views) = (Vec::new(), Vec::new(), Vec::new());
+        for k in 1..steps_apart * (self.cuts as i64 + 1) {
+            now = now + HAPTIC_PERIOD;
+            if k % steps_apart == 0 {
+                let operation = &mut operations[due.len()];
+                operation.at = ServerTime::from_micros(now.as_micros());
+                due.push(operation.at + self.delay);
+                let event = ClientEvent::Operation(operation.clone());
+                site.handle_event(event, now).map_err(|e| e.to_string())?;
+            }
+            let news = worker.work(now)?;
+            let pose = self.pose(&place, now.as_micros() as f64 * 1e-6);
+            let step =
+                Step::make(&mut site, &mut worker, news, pose, now).map_err(|e| e.to_string())?;
+            steps.push(step);
+            site.handle_own(&LocalSample {
+                time: now,
+                pose: palpate_protocol::Pose {
+                    position_m: pose.position.into(),
+                    ..palpate_protocol::Pose::IDENTITY
+                },
+                buttons: 0,
+                force_n: None,
+            });
+            if let Some(ms) = show(&mut site, &mut view, now) {
+                views.push(ms);
+            }
+        }
+        let seconds = now.as_micros() as f64 * 1e-6;
+        Ok(summary(
+            &topology,
+            &steps,
+            &due,
+            &views,
+            worker.worked,
+            seconds,
+        ))
+    }
+
+    /// Cuts of the log beside the place of the press, with the hashes that they lead to.
+    fn operations(&self, mut topology: Topology, place: &Place) -> Result<Vec<Operation>, String> {
+        let mut operations = Vec::new();
+        let spacing = place.spacing_m;
+        // Candidates on both sides of the press, farther and farther away and along.
+        for i in 0.. {
+            if operations.len() == self.cuts {
+                break;
+            }
+            if i == 20 * self.cuts {
+                let (made, wanted) = (operations.len(), self.cuts);
+                return Err(format!(
+                    "the model has room for {made} cuts, not for {wanted}"
+                ));
+            }
+            let side = if i % 2 == 0 { 1.0 } else { -1.0 };
+            let (row, along) = (i / 2 % 4, i / 8);
+            let across = side * (BESIDE_M + 1.5 * spacing * row as f64);
+            let start = (along as f64 - 2.0) * (CUT_LENGTH_M / 2.0);
+            let points = (0..=POINTS).map(|k| {
+                let s = start + CUT_LENGTH_M * (k as f64 / POINTS as f64 - 0.5);
+                let tip = place.surface(across, s).at - place.normal * CUT_DEPTH_M;
+                BladePoint {
+                    tip_m: tip.into(),
+                    axis: place.normal.into(),
+                    depth_m: CUT_DEPTH_M + OUTSIDE_M,
+                }
+            });
+            let stroke = CutStroke {
+                points: points.collect(),
+                width_m: 0.0,
+            };
+            let before = topology.version();
+            if cut(&mut topology, &convert::tissue_stroke(&stroke)).is_err() {
+                continue;
+            }
+            operations.push(Operation {
+                id: OperationId(operations.len() as u64),
+                at: ServerTime::ZERO,
+                author: SURGEON,
+                topology_version_before: before,
+                topology_version_after: topology.version(),
+                hash_after: TopologyHash(topology.hash().0),
+                kind: OperationKind::Cut(stroke),
+            });
+        }
+        Ok(operations)
+    }
+
+    /// Where the hand holds its probe, t s after the beginning.
+    fn pose(&self, place: &Place, t: f64) -> Pose {
+        let wave = |(amplitude, hz): (f64, f64)| amplitude * (std::f64::consts::TAU * hz * t).sin();
+        let reached = (t / 0.15).min(1.0);
+        let depth = self.depth_m * (2.0 * reached - 1.0) + wave(TREMOR);
+        let along = place.v * wave(SLIDE);
+        Pose {
+            position: place.middle + along + place.normal * (RADIUS_M - depth),
+            ..Pose::default()
+        }
+    }
+}
+
+fn welcome(topology: &Topology, delay: Span) -> Welcome {
+    Welcome {
+        participant: ME,
+        epoch: Epoch(1),
+        role: Role::Trainee,
+        server_time: ServerTime::ZERO,
+        model: ModelInfo {
+            hash: ModelHash(0),
+            bytes: 0,
+        },
+        roster: vec![RosterEntry {
+            participant: ME,
+            name: "hand".to_owned(),
+            role: Role::Trainee,
+            tool: Some(ToolDescription::probe(RADIUS_M)),
+        }],
+        topology_version: topology.version(),
+        topology_hash: TopologyHash(topology.hash().0),
+        first_operation: OperationId(0),
+        operations_so_far: 0,
+        compensation: CompensationSettings {
+            mode: CompensationMode::Fixed,
+            initial_delay_us: delay.as_micros() as u32,
+        },
+        tick_hz: VIEW_HZ,
+        session_started_at: None,
+        resume_token: ResumeToken([0; 16]),
+    }
+}
+
+/// The cut worker, as if on a thread of its own.
+struct Worker {
+    ahead: Ahead,
+    /// Result of the latest piece of work, and when it is there.
+    news: Option<CutNews>,
+    busy_until: ClientTime,
+    worked: Span,
+}
+
+impl Worker {
+    fn new(ahead: Ahead) -> Self {
+        Self {
+            ahead,
+            news: None,
+            busy_until: ClientTime::ZERO,
+            worked: Span::ZERO,
+        }
+    }
+
+    /// Works until `now`; gives what is done by then.
+    fn work(&mut self, now: ClientTime) -> Result<Vec<CutNews>, String> {
+        let mut done = Vec::new();
+        while self.busy_until <= now {
+            done.extend(self.news.take());
+            if !self.ahead.can_work() {
+                self.busy_until = now;
+                break;
+            }
+            let from = worked();
+            self.news = self.ahead.work().map_err(|e| e.to_string())?;
+            let took = worked() - from;
+            self.worked += took;
+            self.busy_until = self.busy_until + took;
+        }
+        Ok(done)
+    }
+}
+
+impl Step {
+    /// One turn of the hand's thread.
+    fn make(
+        site: &mut Site,
+        worker: &mut Worker,
+        news: Vec<CutNews>,
+        pose: Pose,
+        now: ClientTime,
+    ) -> Result<Self, SiteError> {
+        let from = worked();
+        let mut orders = Vec::new();
+        for news in news {
+            site.handle_cut(news);
+        }
+        site.advance(now)?;
+        let at_first = worked();
+        let mut stop = || worked() - at_first > HAPTIC_WORK;
+        let model = site.haptic_step(now, pose, 0, hand_budget(&mut stop));
+        orders.extend(std::iter::from_fn(|| site.poll_cut_order()));
+        let took = worked() - from;
+        let copies = orders.iter().any(|o| matches!(o, CutOrder::Prepare(..)));
+        for order in orders {
+            worker.ahead.order(order);
+        }
+        Ok(Self {
+            ms: took.as_secs_f64() * 1e3,
+            force: model.map_or_else(Vector3::zeros, |m| m.force()),
+            is_usable: model.is_some_and(|m| m.is_usable() && m.in_contact()),
+            version: site.replica().topology().version(),
+            copies,
+            at: ServerTime::from_micros(now.as_micros()),
+        })
+    }
+}
+
+/// Solves the newest view, if it is due; gives what it took in ms.
+fn show(site: &mut Site, view: &mut View, now: ClientTime) -> Option<f64> {
+    let from = worked();
+    while let Some(news) = site.poll_view_news() {
+        if let ViewNews::Cut(cut) = news {
+            view.take(*cut);
+        }
+    }
+    let frame = site.next_view(now)?;
+    let mut stop = || worked() - from > VIEW_WORK;
+    let budget = Budget {
+        near: false,
+        iterations: VIEW_ITERATIONS,
+        tolerance: VIEW_TOLERANCE,
+        stop: Some(&mut stop),
+    };
+    view.step(frame.s, &frame.tools, budget);
+    Some((worked() - from).as_secs_f64() * 1e3)
+}
+
+fn summary(
+    topology: &Topology,
+    steps: &[Step],
+    due: &[ServerTime],
+    views: &[f64],
+    worker: Span,
+    seconds: f64,
+) -> CutsReport {
+    let mut quiet = vec![true; steps.len()];
+    quiet[..BEGINNING.min(steps.len())].fill(false);
+    let mut cuts = Vec::new();
+    let exchanges = (1..steps.len()).filter(|&i| steps[i].version != steps[i - 1].version);
+    for (i, due) in exchanges.zip(due) {
+        let around = i.saturating_sub(AROUND / 2)..(i + AROUND / 2).min(steps.len());
+        let copied = (0..i).rev().find(|&k| steps[k].copies);
+        let ms = |k: usize| steps[k].ms;
+        let copied_ms = copied.map_or(0.0, ms);
+        quiet[around.clone()].fill(false);
+        if let Some(k) = copied {
+            quiet[k] = false;
+        }
+        cuts.push(AtCut {
+            late_ms: (steps[i].at - *due).as_secs_f64() * 1e3,
+            worst_ms: around.map(ms).fold(copied_ms, f64::max),
+            copied_ms,
+            jump_n: (steps[i].force - steps[i - 1].force).norm(),
+            force_n: steps[i - 1].force.norm(),
+        });
+    }
+    let times = |keep: &dyn Fn(usize) -> bool| -> Vec<f64> {
+        let kept = (0..steps.len()).filter(|&i| keep(i));
+        kept.map(|i| steps[i].ms).collect()
+    };
+    let all: f64 = steps.iter().map(|s| s.ms).sum();
+    CutsReport {
+        nodes: topology.node_count(),
+        steps: Work::of(&times(&|i| quiet[i])),
+        hand_cores: all * 1e-3 / seconds,
+        views: Work::of(views),
+        view_cores: views.iter().sum::<f64>() * 1e-3 / seconds,
+        worker_ms: worker.as_secs_f64() * 1e3 / cuts.len().max(1) as f64,
+        unusable: steps[BEGINNING.min(steps.len())..]
+            .iter()
+            .filter(|s| !s.is_usable)
+            .count(),
+        worst_ms: cuts.iter().map(|c| c.worst_ms).fold(0.0, f64::max),
+        cuts,
+    }
+}
+
+impl fmt::Display for CutsReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "{} nodes; processor time in ms", self.nodes)?;
+        let all = [
+            ("step", self.steps, self.hand_cores),
+            ("view", self.views, self.view_cores),
+        ];
+        for (name, w, cores) in all {
+            writeln!(
+                f,
+                "{name}: mean {:.2}, p50 {:.2}, p99 {:.2}, max {:.2} of {}; {cores:.3} cores",
+                w.mean_ms, w.p50_ms, w.p99_ms, w.max_ms, w.count
+            )?;
+        }
+        writeln!(
+            f,
+            "cut worker: {:.0} per cut; steps without a usable model: {}",
+            self.worker_ms, self.unusable
+        )?;
+        writeln!(
+            f,
+            "{:>8} {:>8} {:>8} {:>10} {:>10}",
+            "late", "worst", "copied", "jump (N)", "force (N)"
+        )?;
+        for c in &self.cuts {
+            writeln!(
+                f,
+                "{:>8.1} {:>8.2} {:>8.2} {:>10.3} {:>10.3}",
+                c.late_ms, c.worst_ms, c.copied_ms, c.jump_n, c.force_n
+            )?;
+        }
+        write!(f, "worst step around a cut: {:.2}", self.worst_ms)
+    }
+}

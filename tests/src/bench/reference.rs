@@ -1,0 +1,158 @@
+//! The reference of a demo: what it takes, and how far it is from one of more work.
+//!
+//! The comparison takes twice as many solves and four times as many checks, and so about four times as long.
+
+use std::fmt;
+use std::sync::Arc;
+use std::time::Instant;
+
+use clap::Args;
+use palpate_tissue::{Model, Solver, Topology};
+use serde::Serialize;
+
+use crate::force_error::ForceError;
+use crate::place::Place;
+use crate::progress::Progress;
+use crate::reference::{self, CHECKS, Effort, MOVED_M, Reference};
+use crate::scripts::{SECONDS_MAX, SECONDS_MIN, Scripts};
+use crate::subject::Subject;
+
+/// Arguments of `bench reference`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
+    #[arg(default_value = "thigh")]
+    model: String,
+    /// Length of the scripts, s
+    #[arg(long, default_value_t = 20.0, value_name = "S")]
+    seconds: f64,
+    /// Also compute it with twice as many solves and four times as many checks, and compare
+    #[arg(long)]
+    finer: bool,
+    /// Print one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// The figures.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReferenceBench {
+    /// Nodes of the model.
+    pub nodes: usize,
+    /// Length of the scripts, s.
+    pub script_s: f64,
+    /// How long it took, s.
+    pub seconds: f64,
+    /// Solves around the tools.
+    pub solves: usize,
+    /// Solves that were checked.
+    pub checks: usize,
+    /// The largest residual of a check.
+    pub residual_max: f64,
+    /// What checks changed, percent of the force; per hand.
+    pub corrected_percent: [f64; 2],
+    /// Its own estimate of its error, percent; per hand.
+    pub error_percent: [f64; 2],
+    /// How long the finer one took, s.
+    pub finer_seconds: Option<f64>,
+    /// The difference of the two, percent rms; per hand.
+    pub finer_error_percent: Option<[f64; 2]>,
+}
+
+/// Runs `bench reference`.
+pub fn run(arguments: &Arguments) -> Result<ReferenceBench, String> {
+    let seconds = arguments.seconds;
+    if !(SECONDS_MIN..=SECONDS_MAX).contains(&seconds) {
+        return Err(format!(
+            "--seconds {seconds} must be from {SECONDS_MIN} to {SECONDS_MAX}"
+        ));
+    }
+    let dir = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
+    let mut progress = Progress::new();
+    progress.stage(&format!("preparing the model \"{}\"", arguments.model));
+    let model = Subject::prepare(&arguments.model, dir.path())
+        .map_err(|e| e.to_string())?
+        .model;
+    let topology = Topology::new(Arc::clone(&model));
+    let mut place = Place::find(&topology).map_err(|e| e.to_string())?;
+    if model.gravity != [0.0; 3] {
+        place.sag(&topology, &Solver::new(&topology));
+    }
+    let scripts = Scripts::for_place(&place, seconds).map_err(|e| e.to_string())?;
+    let mut timed = |name: &str, effort: Effort| {
+        progress.stage(name);
+        time(&model, &scripts, &effort, &mut progress)
+    };
+    let (reference, took_s) = timed("computing the reference", Effort::default())?;
+    let finer = if arguments.finer {
+        Some(timed(
+            "computing a finer reference",
+            Effort {
+                moved_m: MOVED_M / 2.0,
+                checks: CHECKS * 4,
+            },
+        )?)
+    } else {
+        None
+    };
+    let q = reference.quality;
+    let between = |k: usize, finer: &Reference| {
+        ForceError::between(&reference.courses[k], &finer.courses[k])
+            .map_or(f64::NAN, |e| e.rms_percent)
+    };
+    Ok(ReferenceBench {
+        nodes: model.nodes.len(),
+        script_s: seconds,
+        seconds: took_s,
+        solves: q.solves,
+        checks: q.checks,
+        residual_max: q.residual_max,
+        corrected_percent: q.corrected_percent,
+        error_percent: q.error_percent,
+        finer_error_percent: finer.as_ref().map(|(f, _)| [0, 1].map(|k| between(k, f))),
+        finer_seconds: finer.map(|(_, s)| s),
+    })
+}
+
+fn time(
+    model: &Arc<Model>,
+    scripts: &Scripts,
+    effort: &Effort,
+    progress: &mut Progress,
+) -> Result<(Reference, f64), String> {
+    let began = Instant::now();
+    let both = [&scripts.holder, &scripts.cutter];
+    let reference = reference::run_with(model, both, effort, |share| {
+        progress.tick(&format!("{:.0} %", share * 100.0));
+        true
+    });
+    let took_s = began.elapsed().as_secs_f64();
+    reference.map(|r| (r, took_s)).map_err(|e| e.to_string())
+}
+
+impl fmt::Display for ReferenceBench {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{} nodes, scripts of {:.0} s: {:.1} s for {} solves and {} checks to a residual of {:.4}\n\
+             checks changed forces by {:.2} and {:.2} %; estimated error {:.2} and {:.2} %",
+            self.nodes,
+            self.script_s,
+            self.seconds,
+            self.solves,
+            self.checks,
+            self.residual_max,
+            self.corrected_percent[0],
+            self.corrected_percent[1],
+            self.error_percent[0],
+            self.error_percent[1]
+        )?;
+        if let Some(([a, b], s)) = self.finer_error_percent.zip(self.finer_seconds) {
+            write!(
+                f,
+                "\na finer one took {s:.1} s; the two differ by {a:.2} and {b:.2} % rms"
+            )?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,268 @@
+use palpate_client::Summary;
+use serde_json::json;
+
+use super::Expected;
+use crate::cpu::CpuRow;
+use crate::delay_figures::DelayFigures;
+use crate::dropout::Dropouts;
+use crate::force_error::ForceError;
+use crate::report::{ParticipantReport, ReferenceReport, Report, ServerReport};
+
+const EXPECTED: Expected<'_> = Expected {
+    trainees: &["holder", "cutter"],
+    others: &["spectator"],
+    strokes: 1,
+    delay_limit_ms: Some(20.0),
+    is_covered: true,
+};
+
+fn participant(name: &str) -> ParticipantReport {
+    let summary = Summary {
+        name: name.to_owned(),
+        topology_hash: "00000000000000aa".to_owned(),
+        topology_version: 1,
+        cuts: 1,
+        force_max_n: 1.0,
+        ticks: 20_000,
+        ..Summary::default()
+    };
+    let error = ForceError {
+        rms_percent: 2.0,
+        ..ForceError::default()
+    };
+    ParticipantReport {
+        dropouts: Some(Dropouts::default()),
+        recording_gap_ms: Some(4.0),
+        ..ParticipantReport::of(summary, Some(error))
+    }
+}
+
+fn server() -> ServerReport {
+    let times = json!({"p50": 1.0, "p99": 2.0, "max": 3.0});
+    ServerReport {
+        ticks: 600,
+        tick_ms: serde_json::from_value(times).unwrap(),
+        tick_period_ms: 33.3,
+        operations: 5,
+        demotions: 0,
+        topology_hash: "00000000000000aa".to_owned(),
+        topology_version: 1,
+    }
+}
+
+/// A report in which all is in order.
+fn good() -> Report {
+    let names = ["holder", "cutter", "spectator"];
+    let cpu = names.iter().chain(&["server"]).map(|name| CpuRow {
+        process: (*name).to_owned(),
+        ..CpuRow::default()
+    });
+    let mut report = Report {
+        participants: names.map(participant).into(),
+        cpu: cpu.collect(),
+        delay: Some(DelayFigures {
+            median_ms: 5.0,
+            max_ms: 12.0,
+        }),
+        reference: Some(ReferenceReport {
+            residual_max: 0.01,
+            error_percent: [1.0, 1.5],
+            ..ReferenceReport::default()
+        }),
+        ..Report::new(server())
+    };
+    report.cut.operations = 1;
+    report.cut.boundary_closed = true;
+    report
+}
+
+/// The criteria that fail.
+fn failed(report: &mut Report) -> Vec<String> {
+    report.judge(&EXPECTED);
+    let failed: Vec<String> = report
+        .criteria
+        .iter()
+        .filter(|c| !c.ok)
+        .map(|c| c.criterion.clone())
+        .collect();
+    assert_eq!(report.ok, failed.is_empty());
+    let text = report.to_string();
+    for criterion in &report.criteria {
+        assert_eq!(
+            text.contains(&criterion.to_string()),
+            !criterion.ok,
+            "{criterion}\n{text}"
+        );
+    }
+    failed
+}
+
+#[track_caller]
+fn fails(spoil: impl FnOnce(&mut Report), criteria: &[&str]) {
+    let mut report = good();
+    spoil(&mut report);
+    assert_eq!(failed(&mut report), criteria);
+}
+
+#[test]
+fn a_good_report_passes_every_criterion_and_lists_all_of_them_in_json() {
+    let mut report = good();
+    assert_eq!(failed(&mut report), [""; 0]);
+    let json = serde_json::to_value(&report).unwrap();
+    let all = json["criteria"].as_array().unwrap();
+    assert_eq!(all.len(), 19);
+    for criterion in all {
+        assert_eq!(criterion["ok"], true);
+        assert!(criterion["value"].is_number() && criterion["limit"].is_number());
+        assert!(criterion["criterion"].is_string());
+    }
+}
+
+#[test]
+fn a_hand_that_loses_its_force_fails() {
+    fails(
+        |r| r.participants[1].force_error_rms = Some(10.2),
+        &["force error of the cutter"],
+    );
+    fails(
+        |r| r.participants[0].dropouts.as_mut().unwrap().longest_ms = 41.0,
+        &["longest dropout of the holder"],
+    );
+    fails(
+        |r| r.participants[0].summary.force_max_n = 0.0,
+        &["largest force on the holder"],
+    );
+    fails(
+        |r| r.participants[1].recording_gap_ms = Some(100.0),
+        &["longest gap in the recorded force of the cutter"],
+    );
+}
+
+#[test]
+fn under_stress_a_dropout_may_last_60_ms() {
+    for (stress, longest_ms, ok) in [(0, 50.0, false), (2, 50.0, true), (2, 61.0, false)] {
+        let mut report = good();
+        report.stress = stress;
+        report.participants[0].dropouts.as_mut().unwrap().longest_ms = longest_ms;
+        assert_eq!(failed(&mut report).is_empty(), ok, "{stress} {longest_ms}");
+    }
+}
+
+#[test]
+fn a_delay_above_its_band_and_a_demotion_fail_where_they_are_judged() {
+    let late = |r: &mut Report| r.delay.as_mut().unwrap().max_ms = 326.0;
+    fails(late, &["largest playout delay D"]);
+    fails(|r| r.server.demotions = 1, &["demotions to spectator"]);
+    fails(
+        |r| r.participants[1].summary.demotions = 1,
+        &["demotions to spectator"],
+    );
+    let mut report = good();
+    late(&mut report);
+    report.server.demotions = 1;
+    report.judge(&Expected {
+        delay_limit_ms: None,
+        is_covered: false,
+        ..EXPECTED
+    });
+    assert!(report.ok, "{report}");
+}
+
+#[test]
+fn a_cut_that_is_missing_anywhere_fails() {
+    fails(|r| r.cut.operations = 0, &["lost cuts"]);
+    fails(|r| r.participants[2].summary.cuts = 0, &["lost cuts"]);
+    fails(
+        |r| r.participants[0].topology_hash = "other".to_owned(),
+        &["topologies that differ from the server's"],
+    );
+    fails(|r| r.cut.boundary_closed = false, &["open outer surfaces"]);
+}
+
+#[test]
+fn a_process_that_died_fails_with_all_figures_that_it_leaves_missing() {
+    fails(
+        |r| {
+            r.problems.push("the client cutter ended early".to_owned());
+            r.participants.remove(1);
+            r.cpu.remove(1);
+        },
+        &[
+            "force error of the cutter",
+            "longest dropout of the cutter",
+            "largest force on the cutter",
+            "longest gap in the recorded force of the cutter",
+            "processes that died",
+            "participants without figures",
+            "processes without CPU figures",
+        ],
+    );
+}
+
+#[test]
+fn every_missing_figure_fails() {
+    fails(
+        |r| r.participants[0].force_error_rms = None,
+        &["force error of the holder"],
+    );
+    fails(
+        |r| r.participants[0].force_error_rms = Some(f64::NAN),
+        &["force error of the holder"],
+    );
+    fails(
+        |r| r.participants[1].dropouts = None,
+        &["longest dropout of the cutter"],
+    );
+    fails(
+        |r| r.participants[1].recording_gap_ms = None,
+        &["longest gap in the recorded force of the cutter"],
+    );
+    fails(|r| r.delay = None, &["largest playout delay D"]);
+    fails(
+        |r| r.participants[2].records_dropped = 7,
+        &["records that found no room in a recording"],
+    );
+    for process in 0..4 {
+        fails(
+            |r| drop(r.cpu.remove(process)),
+            &["processes without CPU figures"],
+        );
+    }
+    fails(
+        |r| r.reference = None,
+        &[
+            "largest residual of the reference",
+            "estimated error of the reference",
+        ],
+    );
+    fails(
+        |r| r.reference.as_mut().unwrap().residual_max = 0.2,
+        &["largest residual of the reference"],
+    );
+    fails(
+        |r| r.reference.as_mut().unwrap().error_percent[1] = 7.0,
+        &["estimated error of the reference"],
+    );
+}
+
+#[test]
+fn a_session_that_leaves_nothing_fails_nearly_everything() {
+    let mut report = Report::new(server());
+    let failed = failed(&mut report);
+    assert!(failed.len() >= 15, "{failed:?}");
+}
+
+#[test]
+fn a_failed_criterion_is_one_line_with_value_and_limit() {
+    let mut report = good();
+    report.participants[0].force_error_rms = Some(47.25);
+    report.participants[1].force_error_rms = None;
+    report.judge(&EXPECTED);
+    let text = report.to_string();
+    for line in [
+        "FAILED: force error of the holder, 47.2 %, limit at most 10 %",
+        "FAILED: force error of the cutter, missing, limit at most 10 %",
+    ] {
+        assert!(text.lines().any(|l| l == line), "{text}");
+    }
+}

@@ -1,0 +1,192 @@
+//! The first minutes of a newcomer: scripts that start at joining, hosts that are restarted, programs that crash.
+
+#![allow(clippy::unwrap_used)]
+#![cfg(unix)]
+
+mod table;
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use palpate_client::Summary;
+use palpate_lab::program::Program;
+use palpate_server::host::Listening;
+
+use table::{Table, alone, executable};
+
+/// Longer than any of these programs needs.
+const SOON: Duration = Duration::from_secs(60);
+
+/// A table with a state folder per user.
+struct Place {
+    table: Table,
+}
+
+impl Place {
+    fn new() -> Self {
+        Self {
+            table: Table::new(),
+        }
+    }
+
+    /// Starts a program of a user.
+    fn start(&self, user: &str, words: &[&str]) -> Program {
+        let state = self.table.path(&format!("state-of-{user}"));
+        let state = format!("XDG_STATE_HOME={}", state.display());
+        let executable = executable().display().to_string();
+        let line = [&[state.as_str(), executable.as_str()], words].concat();
+        Program::start(user, Path::new("/usr/bin/env"), line).unwrap()
+    }
+
+    fn host(&self, options: &[&str]) -> (Program, Listening) {
+        let model = self.table.subject.file.display().to_string();
+        let words = [&["server", "host", &model, "--json"], options].concat();
+        let mut host = self.start("host", &words);
+        let listening = host.json("listen", SOON).unwrap();
+        (host, listening)
+    }
+
+    /// A participant who stays until it is asked to leave.
+    fn join(&self, user: &str, link: &str, options: &[&str]) -> Program {
+        let words = ["client", "join", link, "--json", "--no-realtime"];
+        self.start(user, &[&words, options].concat())
+    }
+
+    /// A script with a probe of 5 mm that moves between two heights above the block, which is 40 mm high.
+    fn script(&self, from_mm: f64, to_mm: f64) -> String {
+        let path = self.table.path(&format!("script-{from_mm}-{to_mm}.toml"));
+        let way = |t: f64, z: f64| format!("[[way]]\nt_s = {t:?}\nat_mm = [50.0, 50.0, {z:?}]\n");
+        let ways = [
+            way(0.0, from_mm),
+            way(0.5, to_mm),
+            way(1.0, to_mm),
+            way(1.5, from_mm),
+        ];
+        let head = "format = \"palpate-script/1\"\n[tool]\nkind = \"probe\"\nradius_mm = 5.0\n";
+        std::fs::write(&path, format!("{head}{}", ways.concat())).unwrap();
+        path.display().to_string()
+    }
+}
+
+fn says(program: &mut Program, phrase: &str) {
+    let began = Instant::now();
+    while !program.has_said(phrase) {
+        program.check_alive().unwrap();
+        assert!(
+            began.elapsed() < SOON,
+            "no \"{phrase}\": {}",
+            program.tail()
+        );
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// Waits for the end of a program that fails, and takes its last lines.
+fn failed(mut program: Program) -> String {
+    let status = program.wait(SOON).unwrap();
+    std::thread::sleep(Duration::from_millis(200));
+    assert!(!status.success(), "{}", program.tail());
+    program.tail()
+}
+
+fn left(mut program: Program) -> Summary {
+    program.wait_for_success(SOON).unwrap();
+    program.last_json("a summary").unwrap()
+}
+
+#[test]
+fn a_script_starts_at_joining_however_late_that_is() {
+    let _alone = alone();
+    let place = Place::new();
+    let (_host, listening) = place.host(&["--listen", "127.0.0.1:0"]);
+    let link = &listening.links["trainee"];
+    let script = place.script(60.0, 36.0);
+    let mut first = place.join("ann", link, &["--name", "ann", "--script", &script]);
+    says(&mut first, "joined as ann");
+    // The session runs for longer than the script.
+    std::thread::sleep(Duration::from_secs(3));
+    let options = ["--name", "bob", "--duration", "6", "--script", &script];
+    let late = left(place.join("bob", link, &options));
+    assert!(late.force_max_n > 0.05, "{late}");
+    assert_eq!(late.nearest_mm, None);
+    let together = [&options[..], &["--at", "session"]].concat();
+    let over = left(place.join("bob", link, &together));
+    assert_eq!(over.force_max_n, 0.0, "the session's script is over");
+}
+
+#[test]
+fn a_tool_that_touches_nothing_is_reported_with_its_distance() {
+    let _alone = alone();
+    let place = Place::new();
+    let (_host, listening) = place.host(&["--listen", "127.0.0.1:0"]);
+    let script = place.script(70.0, 57.0);
+    let options = ["--name", "ann", "--duration", "5", "--script", &script];
+    let summary = left(place.join("ann", &listening.links["trainee"], &options));
+    let nearest = summary.nearest_mm.unwrap();
+    // 17 mm above the block, less its radius; the hand follows the script through a spring.
+    assert!((nearest - 12.0).abs() < 1.5, "{nearest}");
+    let text = summary.to_string();
+    assert!(
+        text.contains("touched nothing") && text.contains(" mm"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_host_that_is_restarted_is_the_same_host_and_its_links_stay_valid() {
+    let _alone = alone();
+    let place = Place::new();
+    let (mut host, first) = place.host(&["--listen", "127.0.0.1:0"]);
+    says(&mut host, "preparing the model");
+    host.kill();
+    let port = first.listening.port().to_string();
+    let at = format!("127.0.0.1:{port}");
+    let (mut host, second) = place.host(&["--listen", &at]);
+    assert_eq!(first.links, second.links);
+    let spectator = &first.links["spectator"];
+    left(place.join("eve", spectator, &["--duration", "1"]));
+    let mut stays = place.join("eve", spectator, &["--reconnect", "3600"]);
+    says(&mut stays, "joined as");
+    host.kill();
+    let (_other, _) = place.host(&["--listen", &at, "--identity", "new"]);
+    let said = failed(stays);
+    assert!(
+        said.contains("certificate") && said.contains("link"),
+        "{said}"
+    );
+}
+
+#[test]
+fn the_same_user_takes_the_seat_again_at_once_and_another_does_not() {
+    let _alone = alone();
+    let place = Place::new();
+    let (_host, listening) = place.host(&["--listen", "127.0.0.1:0"]);
+    let link = &listening.links["spectator"];
+    let mut first = place.join("ann", link, &["--name", "ann"]);
+    says(&mut first, "joined as ann");
+    // Of two programs that run at the same time the second one takes no seat.
+    let said = failed(place.join("ann", link, &["--name", "ann"]));
+    assert!(said.contains("already in the session"), "{said}");
+    let number = |summary: &Summary| summary.participant;
+    first.kill();
+    let said = failed(place.join("eve", link, &["--name", "ann"]));
+    assert!(said.contains("\"ann\""), "{said}");
+    let again = left(place.join("ann", link, &["--name", "ann", "--duration", "1"]));
+    assert_eq!(number(&again), 1, "the seat of the run that crashed");
+    let seats: PathBuf = place.table.path("state-of-ann").join("palpate/seats");
+    assert_eq!(std::fs::read_dir(seats).unwrap().count(), 0, "it left");
+    let next = left(place.join("eve", link, &["--name", "ann", "--duration", "1"]));
+    assert_eq!(number(&next), 2, "the name is free");
+}
+
+#[test]
+fn a_slice_that_misses_the_model_is_answered_with_the_range() {
+    let place = Place::new();
+    let model = place.table.subject.file.display().to_string();
+    let png = place.table.path("m.png").display().to_string();
+    let words = [
+        "server", "inspect", &model, "--png", &png, "--slice", "z=580",
+    ];
+    let said = failed(place.start("ann", &words));
+    assert!(said.contains("0.0 to 40.0 mm"), "{said}");
+}
