@@ -4,6 +4,7 @@
 
 use nalgebra::Vector3;
 use palpate_device::{Buttons, Pose};
+use palpate_protocol::operation::CutStroke;
 use serde::{Deserialize, Serialize};
 
 /// Points of the hand's path: 20 minutes of every fourth tick. Later ones are dropped and counted.
@@ -108,7 +109,7 @@ pub struct ToolRecord {
 }
 
 /// An operation that was applied.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OperationRecord {
     /// Its place in the log.
     pub id: u64,
@@ -122,6 +123,9 @@ pub struct OperationRecord {
     pub version: u32,
     /// Hash of the topology after it, 16 hexadecimal digits.
     pub hash: String,
+    /// The stroke of a cut, in the rest frame.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stroke: Option<CutStroke>,
 }
 
 /// What found no room.

@@ -173,6 +173,12 @@ impl Replica {
         Some(side.solver.report().residual)
     }
 
+    /// Whether forces changed in the latest iteration of what the hand feels, or a cut has just changed it.
+    pub(crate) fn is_unsettled(&self) -> bool {
+        let solver = self.haptic.as_ref().map(|side| &side.solver);
+        solver.is_some_and(|s| s.is_settling() || !s.report().steady)
+    }
+
     /// What is seen; `None` when it is elsewhere.
     pub fn view(&self) -> Option<&View> {
         self.view.as_ref()

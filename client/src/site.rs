@@ -13,13 +13,13 @@ mod anew;
 mod applying;
 mod cutting;
 mod grid;
+mod hand;
 mod resync;
 mod thin;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use palpate_haptics::ContactModel;
 use palpate_protocol::clock::ClockMap;
 use palpate_protocol::compensation::DelaySchedule;
 use palpate_protocol::datagram::Corrections;
@@ -35,6 +35,7 @@ use palpate_tissue::{Budget, Model, Shape};
 
 use anew::Anew;
 use cutting::Cuts;
+use hand::Felt;
 use resync::Resync;
 
 pub use resync::{DRIFT_MAX_M, RESYNCS_MAX};
@@ -113,6 +114,8 @@ pub struct SiteCounters {
     pub resyncs: u64,
     /// How often one's own tool was lifted because of the network.
     pub demotions: u64,
+    /// Solves of what the hand feels.
+    pub haptic_solves: u64,
 }
 
 /// One participant's site.
@@ -136,6 +139,8 @@ pub struct Site {
     /// Whether cuts are made elsewhere, ahead of their moment.
     is_detached: bool,
     cuts: Cuts,
+    /// `None` before the first solve of this copy.
+    felt: Option<Felt>,
     /// What the view has to be told, where it is elsewhere.
     view_news: VecDeque<ViewNews>,
     /// What the topology must be when the log of the beginning is applied.
@@ -178,6 +183,7 @@ impl Site {
             deferred: VecDeque::new(),
             is_detached: false,
             cuts: Cuts::default(),
+            felt: None,
             view_news: VecDeque::new(),
             expected: Some((welcome.topology_version, welcome.topology_hash)),
             unreported: None,
@@ -337,33 +343,6 @@ impl Site {
     pub fn moment(&self, now: ClientTime) -> Option<(ServerTime, Span)> {
         let t = self.clock?.to_server(now);
         Some((self.schedule.shown_at(t), self.schedule.delay_at(t)))
-    }
-
-    /// Solves what the hand feels with its tool at `position` (m); `None` for who has no hand.
-    pub fn haptic_step(
-        &mut self,
-        now: ClientTime,
-        pose: palpate_device::Pose,
-        buttons: u8,
-        budget: Budget<'_>,
-    ) -> Option<ContactModel> {
-        self.replica.haptic_shape()?;
-        let own = self.own_tool().map(|description| ToolAt {
-            participant: self.me,
-            description,
-            position: pose.position,
-            orientation: pose.orientation,
-            buttons,
-            stale: false,
-        });
-        let others = match self.moment(now) {
-            Some((s, _)) => self.roster.tools_felt_at(s, self.me),
-            None => Vec::new(),
-        };
-        let replica = &mut self.replica;
-        let model = replica.haptic_step(now, own.as_ref(), &others, budget);
-        self.lead_cut();
-        Some(model)
     }
 
     /// The newest moment of the common grid that is to be seen now; `None` when it was given already.

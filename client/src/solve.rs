@@ -409,6 +409,7 @@ impl Turns {
         let buttons = (sample.buttons.bits() & 0xff) as u8;
         let pose = sample.pose;
         let is_believed = !self.link_lost && !self.work.site.is_resyncing();
+        let solves = self.work.site.counters().haptic_solves;
         if let Some(mut model) = self.work.site.haptic_step(began, pose, buttons, budget) {
             if model.touching().next().is_some() {
                 self.work.reach = None;
@@ -417,7 +418,9 @@ impl Turns {
                 take_away(&mut model);
             }
             hand.models.write(model);
-            record_time(&mut self.haptic_us, began);
+            if self.work.site.counters().haptic_solves > solves {
+                record_time(&mut self.haptic_us, began);
+            }
         }
     }
 

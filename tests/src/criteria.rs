@@ -23,6 +23,9 @@ pub const RESIDUAL: f64 = 0.03;
 /// The largest error of the reference by its own estimate, percent: half of what a session may have.
 pub const REFERENCE_ERROR_PERCENT: f64 = 5.0;
 
+/// Largest distance of a cut from where the reference's hands cut, mm: half the spacing of the finest lattice in use.
+pub const CUT_APART_MM: f64 = 2.0;
+
 /// On which side of its limit a figure has to be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -249,6 +252,12 @@ fn complete(report: &Report, expected: &Expected<'_>, table: &mut Vec<Criterion>
             reference.map(|r| r.residual_max),
             RESIDUAL,
             "",
+        ),
+        Criterion::at_most(
+            "distance of a cut from the reference's",
+            reference.map(|r| r.cut_apart_mm),
+            CUT_APART_MM,
+            "mm",
         ),
         Criterion::at_most(
             "estimated error of the reference",

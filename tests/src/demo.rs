@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use palpate_client::Recording;
 use palpate_device::{Script, ScriptError};
+use palpate_protocol::operation::CutStroke;
 use palpate_server::host::HostSummary;
 use palpate_tissue::{Solver, Topology, write_file};
 
@@ -135,7 +136,9 @@ pub fn run(
     let run = session(options, dir, &subject, progress, interrupt)?;
     progress.stage("computing the reference: the same hands without a network");
     let began = Instant::now();
-    let reference = reference::run(&subject.model, [&scripts[0], &scripts[1]], |share| {
+    let cuts = strokes_cut(&run);
+    let both = [&scripts[0], &scripts[1]];
+    let reference = reference::run(&subject.model, both, &cuts, |share| {
         progress.tick(&format!("{:.0} %", share * 100.0));
         !interrupt.is_set()
     });
@@ -151,6 +154,14 @@ pub fn run(
         pictures.write(dir, &report)?;
     }
     Ok(report)
+}
+
+/// The strokes that the session cut. All have the same log; who has left early has less of it.
+fn strokes_cut(run: &Run) -> Vec<CutStroke> {
+    let logs = run.left.iter().map(|l| &l.recording.operations);
+    let longest = logs.max_by_key(|log| log.len());
+    let strokes = longest.into_iter().flatten().map(|o| o.stroke.clone());
+    strokes.flatten().collect()
 }
 
 fn file_error(path: &Path, source: std::io::Error) -> DemoError {

@@ -166,15 +166,15 @@ pub struct ReferenceReport {
     pub seconds: f64,
     /// Moments of its cuts, seconds of script.
     pub cuts_s: Vec<f64>,
+    /// Largest distance of the session's cuts, which the reference makes, from where its own hands cut, mm.
+    pub cut_apart_mm: f64,
     /// Solves around the tools.
     pub solves: usize,
-    /// Solves that were checked by converged ones.
+    /// Converged solves of the whole tissue.
     pub checks: usize,
     /// The largest relative residual of a check.
     pub residual_max: f64,
-    /// What the checks changed, percent rms of the force; holder and cutter.
-    pub corrected_percent: [f64; 2],
-    /// Its own estimate of its error, percent rms of the force; holder and cutter.
+    /// What the checks changed, percent rms of the force: an upper estimate of the error; holder and cutter.
     pub error_percent: [f64; 2],
 }
 
@@ -185,10 +185,10 @@ impl ReferenceReport {
         Self {
             seconds,
             cuts_s: reference.cuts_s.clone(),
+            cut_apart_mm: reference.cut_apart_m * 1e3,
             solves: q.solves,
             checks: q.checks,
             residual_max: q.residual_max,
-            corrected_percent: q.corrected_percent,
             error_percent: q.error_percent,
         }
     }
@@ -363,13 +363,15 @@ impl Report {
         if let Some(r) = &self.reference {
             writeln!(
                 f,
-                "reference      {:.1} s for {} solves; {} checks to a residual of {:.3} changed forces by {:.1} and {:.1} %",
+                "reference      {:.1} s for {} solves; {} checks to a residual of {:.3} changed forces by {:.1} and {:.1} %; \
+                 its own cut would be {:.2} mm away",
                 r.seconds,
                 r.solves,
                 r.checks,
                 r.residual_max,
-                r.corrected_percent[0],
-                r.corrected_percent[1]
+                r.error_percent[0],
+                r.error_percent[1],
+                r.cut_apart_mm
             )?;
         }
         let s = &self.server;
@@ -448,7 +450,7 @@ impl fmt::Display for Brief<'_> {
                 let error = q.error_percent.into_iter().fold(0.0, f64::max);
                 write!(
                     f,
-                    "reference                the same hands without a network, computed in {:.1} s, error about {error:.1} %",
+                    "reference                the same hands without a network, computed in {:.1} s, error at most {error:.1} %",
                     q.seconds
                 )
             }

@@ -124,6 +124,10 @@ impl Site {
             version: topology.version(),
             // Only a cut changes it, and what it changed it to was compared.
             hash: operation.hash_after.to_string(),
+            stroke: match &operation.kind {
+                OperationKind::Cut(stroke) => Some(stroke.clone()),
+                _ => None,
+            },
         });
         Ok(true)
     }

@@ -33,6 +33,8 @@ pub(super) struct Cuts {
     /// Memory for a state of the hand, one for each cut that is made.
     rooms: VecDeque<Box<SolverState>>,
     stage: Stage,
+    /// Whether the hand's side has just been copied.
+    captured: bool,
     ready: VecDeque<ReadyCut>,
 }
 
@@ -40,6 +42,11 @@ impl Cuts {
     /// Has a cut made.
     pub(super) fn make(&mut self, operation: &Operation) {
         self.orders.push_back(CutOrder::Make(operation.clone()));
+    }
+
+    /// Whether the hand's side has been copied since the last question.
+    pub(super) fn take_captured(&mut self) -> bool {
+        std::mem::take(&mut self.captured)
     }
 }
 
@@ -80,6 +87,7 @@ impl Site {
                 if let Some(tools) = self.replica.capture(&mut state) {
                     cuts.orders.push_back(CutOrder::Prepare(state, tools));
                     cuts.stage = Stage::Follows;
+                    cuts.captured = true;
                 }
             }
             // It comes with the next step.

@@ -374,7 +374,7 @@ fn a_lifted_hand_feels_nothing_and_asks_as_before() {
     };
     let felt = |site: &mut Site, t: i64| {
         let model = site.haptic_step(ms(t), at, 0, budget()).unwrap();
-        model != ContactModel::free_at(ms(t), 0)
+        model != palpate_haptics::ContactModel::free_at(ms(t), 0)
     };
     assert!(felt(&mut site, 10));
     let kind = OperationKind::Demoted {
@@ -391,6 +391,33 @@ fn a_lifted_hand_feels_nothing_and_asks_as_before() {
     tell(&mut site, operation(1, 5050, kind), 50);
     site.advance(ms(60)).unwrap();
     assert!(!site.is_watching() && felt(&mut site, 70));
+}
+
+#[test]
+fn a_hand_that_rests_is_not_solved_again_and_one_that_moves_is() {
+    let mut site = site(0);
+    let at = |depth_mm: f64| palpate_device::Pose {
+        position: nalgebra::Vector3::new(0.0121, 0.0119, 0.013 - 1e-3 * depth_mm),
+        ..palpate_device::Pose::default()
+    };
+    let solves = |site: &mut Site, t: i64, depth_mm: f64| {
+        let before = site.counters().haptic_solves;
+        let model = site.haptic_step(ms(t), at(depth_mm), 0, budget()).unwrap();
+        assert!(model.in_contact() && model.solved_at == ms(t));
+        site.counters().haptic_solves - before
+    };
+    // Until forces are steady every turn is solved.
+    let begun: u64 = (0..100).map(|k| solves(&mut site, 4 * k, 0.0)).sum();
+    assert!((20..100).contains(&begun), "{begun}");
+    let resting: Vec<u64> = (100..110).map(|k| solves(&mut site, 4 * k, 0.0)).collect();
+    assert_eq!(resting.iter().sum::<u64>(), 2, "every 20 ms: {resting:?}");
+    assert_eq!(solves(&mut site, 440, 0.1), 1);
+    for k in 111..200 {
+        solves(&mut site, 4 * k, 0.1);
+    }
+    let small: u64 = (200..210).map(|k| solves(&mut site, 4 * k, 0.13)).sum();
+    // One of them changes the force, and another one follows it.
+    assert!(small <= 4, "{small} after less than 0.05 mm");
 }
 
 #[test]

@@ -110,7 +110,7 @@ fn a_good_report_passes_every_criterion_and_lists_all_of_them_in_json() {
     assert_eq!(failed(&mut report), [""; 0]);
     let json = serde_json::to_value(&report).unwrap();
     let all = json["criteria"].as_array().unwrap();
-    assert_eq!(all.len(), 19);
+    assert_eq!(all.len(), 20);
     for criterion in all {
         assert_eq!(criterion["ok"], true);
         assert!(criterion["value"].is_number() && criterion["limit"].is_number());
@@ -232,8 +232,13 @@ fn every_missing_figure_fails() {
         |r| r.reference = None,
         &[
             "largest residual of the reference",
+            "distance of a cut from the reference's",
             "estimated error of the reference",
         ],
+    );
+    fails(
+        |r| r.reference.as_mut().unwrap().cut_apart_mm = 2.5,
+        &["distance of a cut from the reference's"],
     );
     fails(
         |r| r.reference.as_mut().unwrap().residual_max = 0.2,

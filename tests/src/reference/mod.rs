@@ -1,19 +1,13 @@
 //! The same two scripts without a network: the forces that both trainees would feel at one table.
 //!
-//! In virtual time, with the client's own parts and without threads that wait, clocks or delay, in three passes:
+//! In virtual time, with the client's own parts and without threads that wait, clocks or delay. Two simulated hands
+//! and their haptic chains tick at 1 kHz over one copy of the tissue, which is solved around the tools whenever one of
+//! them has moved by [`MOVED_M`], and every [`SOLVE_AT_LEAST`] ticks. Tissue far from the tools lags behind such solves,
+//! so that forces drift by a few percent. At [`CHECKS`] moments the whole tissue is solved to a relative residual of
+//! `check::TOLERANCE`, which ends the drift. A cut happens in the moment in which its stroke ends.
 //!
-//! 1. **Track** (`table`): two simulated hands and their haptic chains tick at 1 kHz over one copy of the tissue. It
-//!    is solved around the tools whenever one of them has moved by [`MOVED_M`], and every [`SOLVE_AT_LEAST`] ticks. A cut
-//!    happens in the moment in which its stroke ends. This gives where the hands go, within some hundredths of a
-//!    millimetre, and forces that are a few percent off, because tissue far from the tools lags.
-//! 2. **Check** (`check`): at [`CHECKS`] of these solves, spread over all that touch, a copy of its own solves the
-//!    whole tissue to a relative residual of `check::TOLERANCE`. The checks do not depend on each other: two threads
-//!    take one half of the script each.
-//! 3. **Render**: hands and chains tick again, over the contact models of the first pass times the ratio of checked to
-//!    tracked force, which is interpolated between checks.
-//!
-//! The work is bounded by the motion and by the number of checks. How far each ratio is from the one that its
-//! neighbours predict estimates the error of the result; it is part of it, with the largest residual of a check.
+//! The work is bounded by the motion and by the number of checks. What checks change is the drift at its largest, and
+//! so an upper estimate of the error of the result; it is part of it, with the largest residual of a check.
 
 mod check;
 mod seat;
@@ -29,7 +23,7 @@ use palpate_device::{DeviceFault, Script};
 use palpate_protocol::operation::{BladePoint, CutStroke, Operation, OperationKind};
 use palpate_protocol::request::CutRequest;
 use palpate_protocol::{OperationId, ParticipantId, ServerTime, TopologyHash};
-use palpate_tissue::{Model, TopologyHash as TissueHash, cut, to_rest};
+use palpate_tissue::{Model, TopologyHash as TissueHash, Vec3, cut, to_rest};
 
 use crate::force_error::ForcePoint;
 use seat::Seat;
@@ -38,19 +32,16 @@ use table::{Pace, Table};
 /// Hands and chains run so long before the scripts begin, µs: longer than any soft start.
 const LEAD_US: i64 = 2_000_000;
 
-/// A tool that has moved so far is solved for again, m. Without checks the forces on the thigh then differ by 1.4 %
-/// (holder) and 2.5 % rms (cutter) from those of converged solves every 12 ms.
+/// A tool that has moved so far is solved for again, m. Without that threshold forces change by no more than two runs
+/// differ whose tools slip at other moments.
 pub const MOVED_M: f64 = 0.2e-3;
 
 /// Ticks between two solves at most while something touches: what is near relaxes over some solves.
 pub const SOLVE_AT_LEAST: i64 = 20;
 
-/// Solves that are checked, of those that touch. With 64 the estimated error on the thigh of 57,000 nodes is 1.0 and
-/// 1.7 % over scripts of 20 s, and 1.2 and 1.0 % over 60 s.
-pub const CHECKS: usize = 64;
-
-/// The first pass's part of the progress.
-const TRACK_SHARE: f64 = 0.4;
+/// Converged solves in the course of a script, at equal distances while something touches. With 64 the checks change
+/// forces on the thigh of 57,000 nodes by 0.7 and 2.4 % over scripts of 20 s, with 128 by 0.6 and 1.8 %.
+pub const CHECKS: usize = 96;
 
 /// Why there is no reference.
 #[derive(Debug, thiserror::Error)]
@@ -84,6 +75,10 @@ pub struct Reference {
     pub courses: [Vec<ForcePoint>; 2],
     /// Moments of the cuts, seconds of script.
     pub cuts_s: Vec<f64>,
+    /// What was cut, in the rest frame.
+    pub strokes: Vec<CutStroke>,
+    /// Largest distance of a point of a hand's own stroke from the stroke that was cut in its place, m.
+    pub cut_apart_m: f64,
     /// The topology in the end.
     pub topology_hash: TissueHash,
     /// How good it is.
@@ -93,27 +88,30 @@ pub struct Reference {
 /// How good a reference is.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Quality {
-    /// Solves of the first pass.
+    /// Solves around the tools.
     pub solves: usize,
-    /// Solves that were checked.
+    /// Checks: converged solves of the whole tissue.
     pub checks: usize,
     /// The largest relative residual of a check.
     pub residual_max: f64,
-    /// Root mean square of what the checks changed, percent of the force; per hand.
-    pub corrected_percent: [f64; 2],
-    /// Root mean square of the force that neighbouring checks would have left wrong at a check, percent of the force;
-    /// per hand. The neighbours are twice as far away as they are from any other solve, so this is an upper estimate.
+    /// Root mean square of what the checks changed, percent of the force; per hand. Between two checks the error grows up
+    /// to that, so this is an upper estimate of it.
     pub error_percent: [f64; 2],
 }
 
 /// Runs two scripts against a model: hands that answer to what they feel, one copy of the tissue. `progress`
 /// is given the share that is done, and returns whether to go on.
+///
+/// Strokes of the session in `cuts`, in the rest frame and in order, are cut in place of the hands' own ones: forces
+/// beside a cut depend on which springs it severs, and a tenth of a millimetre makes 3 to 9 % of them. How far apart the
+/// two are is told in [`Reference::cut_apart_m`].
 pub fn run(
     model: &Arc<Model>,
     scripts: [&Script; 2],
+    cuts: &[CutStroke],
     progress: impl FnMut(f64) -> bool,
 ) -> Result<Reference, ReferenceError> {
-    run_with(model, scripts, &Effort::default(), progress)
+    run_with(model, scripts, cuts, &Effort::default(), progress)
 }
 
 /// How much work a reference is.
@@ -121,7 +119,7 @@ pub fn run(
 pub struct Effort {
     /// A tool that has moved so far is solved for again, m.
     pub moved_m: f64,
-    /// Solves that are checked.
+    /// Converged solves of the whole tissue.
     pub checks: usize,
 }
 
@@ -138,38 +136,25 @@ impl Default for Effort {
 pub fn run_with(
     model: &Arc<Model>,
     scripts: [&Script; 2],
+    cuts: &[CutStroke],
     effort: &Effort,
     mut progress: impl FnMut(f64) -> bool,
 ) -> Result<Reference, ReferenceError> {
-    let seats = || -> Result<[Seat; 2], DeviceFault> {
-        Ok([
-            Seat::of_script(scripts[0], 1)?,
-            Seat::of_script(scripts[1], 2)?,
-        ])
-    };
+    let seats = [
+        Seat::of_script(scripts[0], 1)?,
+        Seat::of_script(scripts[1], 2)?,
+    ];
     let end_s = scripts[0].end_s().max(scripts[1].end_s());
     let end_us = LEAD_US + (end_s * 1e6) as i64;
     let pace = Pace {
         moved_m: effort.moved_m,
         at_least: SOLVE_AT_LEAST,
+        check_every: (end_s * 1e3 / effort.checks.max(1) as f64) as i64,
     };
     let copies = vec![Replica::new(Arc::clone(model), true)];
-    let mut table = Table::new(seats()?, copies, pace);
-    table.go_on(end_us, |share| progress(TRACK_SHARE * share))?;
-    let checked = check::run(model, &table.solves, &table.cuts, effort.checks, |share| {
-        progress(TRACK_SHARE + (1.0 - TRACK_SHARE) * share)
-    })?;
-    let mut seats = seats()?;
-    table::render(&mut seats, &table.solves, &checked.ratios, end_us)?;
-    Ok(Reference {
-        quality: Quality {
-            solves: table.solves.len(),
-            ..checked.quality
-        },
-        topology_hash: table.topology_hash(),
-        cuts_s: table.cuts_s,
-        courses: seats.map(|s| s.course),
-    })
+    let mut table = Table::new(seats, copies, pace, cuts);
+    table.go_on(end_us, &mut progress)?;
+    Ok(table.into_reference())
 }
 
 /// Lets both hands of a session go their ways again, as they were recorded, without what is between
@@ -192,31 +177,18 @@ pub fn replay(
     let end_us = recordings.iter().map(last).max().unwrap_or(0) - zero_us + LEAD_US;
     let seat = |k: usize| Seat::of_recording(recordings[k], scripts[k], k as u16 + 1, zero_us);
     let copies = (0..2).map(|_| Replica::new(Arc::clone(model), true));
-    let mut table = Table::new([seat(0)?, seat(1)?], copies.collect(), Pace::STEADY);
+    let mut table = Table::new([seat(0)?, seat(1)?], copies.collect(), Pace::STEADY, &[]);
     table.go_on(end_us, progress)?;
-    Ok(Reference {
-        quality: Quality {
-            solves: table.solves.len(),
-            ..Quality::default()
-        },
-        topology_hash: table.topology_hash(),
-        cuts_s: table.cuts_s,
-        courses: table.seats.map(|s| s.course),
-    })
+    Ok(table.into_reference())
 }
 
-/// The cut as the room makes it: the stroke is taken to the rest frame first.
-fn operation(
-    replica: &Replica,
-    request: &CutRequest,
-    number: usize,
-    author: u16,
-) -> Result<Operation, ReferenceError> {
+/// The stroke as the room takes it to the rest frame.
+fn stroke_at_rest(replica: &Replica, request: &CutRequest) -> CutStroke {
     let topology = replica.topology();
     let shape = replica.haptic_shape();
     let at_rest = |blade: &BladePoint| {
         let rest = to_rest(topology, shape?, blade.tip_m.into())?;
-        let along = rest.frame * palpate_tissue::Vec3::from(blade.axis);
+        let along = rest.frame * Vec3::from(blade.axis);
         let axis = along.try_normalize(1e-6)?;
         Some(BladePoint {
             tip_m: rest.position.into(),
@@ -225,10 +197,35 @@ fn operation(
         })
     };
     let points = request.points.iter().map(|p| &p.blade);
-    let stroke = CutStroke {
+    CutStroke {
         points: points.map(|p| at_rest(p).unwrap_or(*p)).collect(),
         width_m: request.width_m,
+    }
+}
+
+/// Largest distance of a point of one stroke's tip from the path of the other's, m.
+fn apart_m(stroke: &CutStroke, other: &CutStroke) -> f64 {
+    let from_path = |p: &BladePoint| {
+        let p = Vec3::from(p.tip_m);
+        let pieces = other.points.windows(2).map(|w| {
+            let (a, b) = (Vec3::from(w[0].tip_m), Vec3::from(w[1].tip_m));
+            let along = b - a;
+            let share = (p - a).dot(&along) / along.norm_squared().max(f64::MIN_POSITIVE);
+            (a + along * share.clamp(0.0, 1.0) - p).norm()
+        });
+        pieces.fold(f64::INFINITY, f64::min)
     };
+    stroke.points.iter().map(from_path).fold(0.0, f64::max)
+}
+
+/// A cut as the room makes it.
+fn operation(
+    replica: &Replica,
+    stroke: CutStroke,
+    number: usize,
+    author: u16,
+) -> Result<Operation, ReferenceError> {
+    let topology = replica.topology();
     let mut after = topology.clone();
     cut(&mut after, &tissue_stroke(&stroke)).map_err(|e| ReferenceError::Cut(e.to_string()))?;
     Ok(Operation {
@@ -267,7 +264,7 @@ mod tests {
         let model = Arc::new(block([24, 24, 8], 0.005, &soft, 1));
         let place = Place::find(&Topology::new(Arc::clone(&model))).unwrap();
         let scripts = Scripts::for_place(&place, 4.0).unwrap();
-        let once = || run(&model, [&scripts.holder, &scripts.cutter], |_| true).unwrap();
+        let once = || run(&model, [&scripts.holder, &scripts.cutter], &[], |_| true).unwrap();
         let (a, b) = (once(), once());
         assert_eq!(a.cuts_s.len(), 1);
         assert!((1.5..2.6).contains(&a.cuts_s[0]), "{:?}", a.cuts_s);
@@ -279,5 +276,20 @@ mod tests {
             let error = ForceError::between(course, course).unwrap();
             assert_eq!(error.rms_percent, 0.0);
         }
+        assert_eq!(a.cut_apart_m, 0.0);
+        // The session's cut is made in place of one's own, and the distance is told.
+        let mut moved = a.strokes[0].clone();
+        for point in &mut moved.points {
+            point.tip_m[2] -= 0.4e-3;
+        }
+        let scripts = [&scripts.holder, &scripts.cutter];
+        let given = run(&model, scripts, &[moved.clone()], |_| true).unwrap();
+        assert_eq!(given.strokes, [moved]);
+        assert_ne!(given.topology_hash, a.topology_hash);
+        assert!(
+            (given.cut_apart_m - 0.4e-3).abs() < 0.05e-3,
+            "{} m",
+            given.cut_apart_m
+        );
     }
 }

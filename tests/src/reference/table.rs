@@ -2,16 +2,16 @@
 
 use palpate_client::replica::hand_budget;
 use palpate_client::{Replica, ToolAt};
-use palpate_device::{DeviceFault, Sample};
+use palpate_device::Sample;
 use palpate_haptics::ContactModel;
 use palpate_protocol::ClientTime;
-use palpate_protocol::operation::Operation;
+use palpate_protocol::operation::CutStroke;
 use palpate_protocol::request::CutRequest;
-use palpate_tissue::{Budget, TopologyHash as TissueHash, Vec3};
+use palpate_tissue::Budget;
 
-use super::check::Ratios;
+use super::check::{self, Checks};
 use super::seat::Seat;
-use super::{ReferenceError, operation};
+use super::{Quality, Reference, ReferenceError, apart_m, operation, stroke_at_rest};
 
 /// The tick of hands and chains, µs.
 const TICK_US: i64 = 1000;
@@ -22,14 +22,11 @@ const SOLVE_EVERY: i64 = 4;
 /// Ticks between two calls about the progress.
 const PROGRESS_EVERY: i64 = 20;
 
-/// Iterations of a solve at most.
+/// Iterations of a solve near the tools at most.
 const ITERATIONS: usize = 4;
 
-/// Residual near the tools at which a solve ends.
+/// Residual at which a solve near the tools ends.
 const TOLERANCE: f64 = 2e-2;
-
-/// A turn counts as the way of a point so far from the pivot, m: the far end of a long tool.
-const LEVER_M: f64 = 0.05;
 
 /// When the tissue is solved again.
 #[derive(Debug, Clone, Copy)]
@@ -38,29 +35,17 @@ pub(super) struct Pace {
     pub(super) moved_m: f64,
     /// Ticks since the last solve.
     pub(super) at_least: i64,
+    /// Ticks between two checks.
+    pub(super) check_every: i64,
 }
 
 impl Pace {
-    /// As a session solves.
+    /// As a session solves, without checks.
     pub(super) const STEADY: Self = Self {
         moved_m: 0.0,
         at_least: SOLVE_EVERY,
+        check_every: i64::MAX,
     };
-}
-
-/// A solve of the tissue and what it gave both hands.
-#[derive(Debug, Clone)]
-pub(super) struct Solve {
-    /// When, µs of the table.
-    pub(super) us: i64,
-    pub(super) tools: [ToolAt; 2],
-    pub(super) models: [ContactModel; 2],
-}
-
-impl Solve {
-    pub(super) fn touches(&self) -> bool {
-        self.models.iter().any(ContactModel::in_contact)
-    }
 }
 
 /// Both hands and the tissue between them.
@@ -71,27 +56,52 @@ pub(super) struct Table {
     pace: Pace,
     /// The tools as they were last solved for.
     solved: [ToolAt; 2],
-    pub(super) solves: Vec<Solve>,
-    /// The cuts with their moments, µs of the table.
-    pub(super) cuts: Vec<(i64, Operation)>,
-    pub(super) cuts_s: Vec<f64>,
+    solves: usize,
+    checked: i64,
+    checks: Checks,
+    /// Strokes to cut in place of the hands' own ones, in order.
+    given: Vec<CutStroke>,
+    strokes: Vec<CutStroke>,
+    cut_apart_m: f64,
+    cuts_s: Vec<f64>,
 }
 
 impl Table {
-    pub(super) fn new(seats: [Seat; 2], copies: Vec<Replica>, pace: Pace) -> Self {
+    pub(super) fn new(
+        seats: [Seat; 2],
+        copies: Vec<Replica>,
+        pace: Pace,
+        cuts: &[CutStroke],
+    ) -> Self {
         Self {
             solved: [seats[0].tool, seats[1].tool],
             seats,
             copies,
             pace,
-            solves: Vec::new(),
-            cuts: Vec::new(),
+            solves: 0,
+            checked: 0,
+            checks: Checks::default(),
+            given: cuts.to_vec(),
+            strokes: Vec::new(),
+            cut_apart_m: 0.0,
             cuts_s: Vec::new(),
         }
     }
 
-    pub(super) fn topology_hash(&self) -> TissueHash {
-        self.copies[0].topology().hash()
+    pub(super) fn into_reference(self) -> Reference {
+        Reference {
+            quality: Quality {
+                solves: self.solves,
+                checks: self.checks.count,
+                residual_max: self.checks.residual_max,
+                error_percent: self.checks.changed_percent(),
+            },
+            topology_hash: self.copies[0].topology().hash(),
+            cuts_s: self.cuts_s,
+            strokes: self.strokes,
+            cut_apart_m: self.cut_apart_m,
+            courses: self.seats.map(|s| s.course),
+        }
     }
 
     pub(super) fn go_on(
@@ -129,7 +139,7 @@ impl Table {
         let mut is_cut = false;
         for (k, sample) in samples.iter().enumerate() {
             if let Some(request) = self.seats[k].take(us, sample) {
-                self.cut(us, k, &request)?;
+                self.cut(k, &request)?;
                 self.cuts_s.push(self.seats[k].script_s(us));
                 is_cut = true;
             }
@@ -139,35 +149,32 @@ impl Table {
 
     /// Whether a tool is elsewhere than at the last solve, or its buttons are.
     fn has_moved(&self) -> bool {
-        self.seats.iter().zip(&self.solved).any(|(seat, solved)| {
-            let moved = (seat.tool.position - solved.position).norm()
-                + LEVER_M * seat.tool.orientation.angle_to(&solved.orientation);
-            seat.tool.buttons != solved.buttons || moved >= self.pace.moved_m
-        })
+        let tools = self.seats.iter().map(|seat| &seat.tool);
+        let mut both = tools.zip(&self.solved);
+        both.any(|(tool, solved)| !tool.is_within(solved, self.pace.moved_m))
     }
 
     fn solve(&mut self, us: i64) {
         let now = ClientTime::from_micros(us);
         let [a, b] = &mut self.seats;
-        let tools = [a.tool, b.tool];
-        self.solved = tools;
+        self.solved = [a.tool, b.tool];
+        self.solves += 1;
         if let [one] = &mut self.copies[..] {
-            let mut budget = Budget {
+            let budget = Budget {
                 near: true,
                 ..Budget::new(ITERATIONS, TOLERANCE)
             };
-            a.contact = one.haptic_step(now, Some(&a.tool), &[b.tool], budget);
-            // The shape is solved for both: the second call only asks what the other hand feels.
-            budget = Budget {
-                near: true,
-                ..Budget::new(0, f64::INFINITY)
-            };
-            b.contact = one.haptic_step(now, Some(&b.tool), &[a.tool], budget);
-            self.solves.push(Solve {
-                us,
-                tools,
-                models: [a.contact, b.contact],
-            });
+            let [first, second] = feel(one, now, &self.solved, budget);
+            (a.contact, b.contact) = (first, second);
+            let touches = first.in_contact() || second.in_contact();
+            if touches && us / TICK_US - self.checked >= self.pace.check_every {
+                self.checked = us / TICK_US;
+                let budget = Budget::new(check::ITERATIONS, check::TOLERANCE);
+                let converged = feel(one, now, &self.solved, budget);
+                let residual = one.haptic_residual().unwrap_or(f64::INFINITY);
+                self.checks.note(residual, &[first, second], &converged);
+                [a.contact, b.contact] = converged;
+            }
             return;
         }
         let others = [b.tool, a.tool];
@@ -179,64 +186,38 @@ impl Table {
         }
     }
 
-    /// Cuts every copy by the stroke of the hand at seat `author`.
-    fn cut(&mut self, us: i64, author: usize, request: &CutRequest) -> Result<(), ReferenceError> {
+    /// Cuts every copy by the stroke of the hand at seat `author`, or by the one that was given in its place.
+    fn cut(&mut self, author: usize, request: &CutRequest) -> Result<(), ReferenceError> {
         let own = &self.copies[author.min(self.copies.len() - 1)];
-        let operation = operation(own, request, self.cuts.len(), author as u16 + 1)?;
+        let stroke = stroke_at_rest(own, request);
+        let number = self.strokes.len();
+        let given = self.given.get(number);
+        self.cut_apart_m = given.map_or(self.cut_apart_m, |given| {
+            self.cut_apart_m.max(apart_m(&stroke, given))
+        });
+        let stroke = given.cloned().unwrap_or(stroke);
+        self.strokes.push(stroke.clone());
+        let operation = operation(own, stroke, number, author as u16 + 1)?;
         for copy in &mut self.copies {
             copy.apply(&operation)?;
         }
-        self.cuts.push((us, operation));
         Ok(())
     }
 }
 
-/// Lets fresh hands feel the contact models of `solves`, each times its ratio.
-pub(super) fn render(
-    seats: &mut [Seat; 2],
-    solves: &[Solve],
-    ratios: &[Ratios; 2],
-    end_us: i64,
-) -> Result<(), DeviceFault> {
-    let mut solves = solves.iter().peekable();
-    for tick in 0..=end_us / TICK_US {
-        let us = tick * TICK_US;
-        for seat in seats.iter_mut() {
-            let sample = seat.tick(us)?;
-            // The strokes have been cut already.
-            let _ = seat.take(us, &sample);
-        }
-        if tick % SOLVE_EVERY != 0 {
-            continue;
-        }
-        if let Some(solve) = solves.next_if(|s| s.us <= us) {
-            for ((seat, model), ratios) in seats.iter_mut().zip(&solve.models).zip(ratios) {
-                seat.contact = scaled(model, ratios.at(us));
-            }
-        } else {
-            for seat in seats.iter_mut() {
-                seat.renew(us);
-            }
-        }
-    }
-    Ok(())
-}
-
-/// A contact model with all forces and stiffnesses times a ratio.
-fn scaled(model: &ContactModel, ratio: f64) -> ContactModel {
-    let mut scaled = *model;
-    for touch in scaled.touches.iter_mut().filter(|t| t.touches) {
-        touch.f0 *= ratio;
-        touch.stiffness *= ratio;
-        touch.damping *= ratio;
-        touch.pressed_n *= ratio;
-    }
-    scaled.couple *= ratio;
-    scaled
-}
-
-/// The force of a contact model, N.
-pub(super) fn pressed(model: &ContactModel) -> f64 {
-    let force: Vec3 = model.force();
-    force.norm()
+/// Solves for both hands; gives what each feels.
+fn feel(
+    copy: &mut Replica,
+    now: ClientTime,
+    [a, b]: &[ToolAt; 2],
+    budget: Budget<'_>,
+) -> [ContactModel; 2] {
+    let near = budget.near;
+    let first = copy.haptic_step(now, Some(a), &[*b], budget);
+    // The shape is solved for both: the second call only asks what the other hand feels.
+    let nothing = Budget {
+        near,
+        ..Budget::new(0, f64::INFINITY)
+    };
+    [first, copy.haptic_step(now, Some(b), &[*a], nothing)]
 }

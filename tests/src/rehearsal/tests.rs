@@ -78,7 +78,7 @@ fn one_seed_is_one_session_and_everybody_has_the_same_topology_in_the_end() {
     let views: Vec<&Recording> = a.recordings.iter().collect();
     let d = Disagreement::between(&views);
     assert!(d.nodes.p95 < 0.05, "{:?}", d.nodes);
-    let r = reference::run(&model, [&scripts.holder, &scripts.cutter], |_| true).unwrap();
+    let r = reference::run(&model, [&scripts.holder, &scripts.cutter], &[], |_| true).unwrap();
     for (recording, course) in a.recordings.iter().zip(&r.courses) {
         let felt = over_script(&recording.haptic, recording.script_started_us.unwrap());
         // A blade lets go when its button is pressed, up to a solve earlier or later.

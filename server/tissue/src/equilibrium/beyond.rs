@@ -3,51 +3,60 @@
 //! Forces out there are handed to the levels like all others, and moved along by what they answer. To tell
 //! how much of an answer to take without the work of those forces would weigh its price against half of its
 //! gain.
+//!
+//! A point beyond the set of its level follows the coarser one by its weights, e = P e', so that the work of a force f
+//! on it is that of Pᵀ f on the coarser level's points: f · P e' = Pᵀ f · e'. Forces are restricted until they meet
+//! points that take part.
 
 use super::block::{Quad, ZERO, plus};
 use super::cycle::Multigrid;
 use super::field::Field;
+use super::patch::Patch;
 use super::solver::Solver;
 use super::structure::Structure;
 
+impl Patch {
+    /// Adds to the force on a point that was restricted from beyond the set of the finer level.
+    fn add_beyond(&mut self, point: u32, force: &Quad, weight: f32) {
+        if self.beyond.insert(point) {
+            self.far[point as usize] = ZERO;
+        }
+        let far = &mut self.far[point as usize];
+        *far = plus(far, weight, force);
+    }
+}
+
 impl Multigrid {
-    /// The correction at a point of level `l`, also of one that only follows the coarser levels. What was found
-    /// stays known until [`forget`](Self::forget).
-    pub(super) fn correction(&mut self, structure: &Structure, l: usize, point: u32) -> Quad {
-        let p = point as usize;
-        let patch = &mut self.patches[l];
-        if patch.inside[p] > 0 || !patch.followed.insert(point) {
-            return patch.e[p];
-        }
-        let mut e = ZERO;
-        if l + 1 < self.patches.len() {
-            let ties = &structure.levels[l].ties[p];
-            for t in 0..ties.len as usize {
-                let above = self.correction(structure, l + 1, ties.to[t]);
-                e = plus(&e, ties.weight[t], &above);
-            }
-        }
-        self.patches[l].e[p] = e;
-        e
-    }
-
-    /// Forgets what points beyond the sets follow: there is a new correction.
-    pub(super) fn forget(&mut self) {
-        for patch in &mut self.patches {
-            patch.followed.clear();
-        }
-    }
-
-    /// Work of the lag beyond the sets along the correction, in N m.
-    pub(super) fn work_of_lag_beyond(&mut self, structure: &Structure) -> f64 {
+    /// Work of the forces beyond the sets along the correction, in N m: those restricted from nodes to level 1, and
+    /// the lag of each level.
+    fn work_beyond(&mut self, structure: &Structure) -> f64 {
         let mut sum = 0.0;
         for l in 0..self.patches.len() {
-            for i in 0..self.patches[l].lagging.items.len() {
-                let point = self.patches[l].lagging.items[i];
-                if self.patches[l].inside[point as usize] == 0 {
-                    let e = self.correction(structure, l, point);
-                    sum += work(&self.patches[l].lag[point as usize], &e);
+            let (finer, coarser) = self.patches.split_at_mut(l + 1);
+            let (patch, mut above) = (&mut finer[l], coarser.first_mut());
+            let mut hand_up = |point: u32, force: &Quad| {
+                let Some(above) = &mut above else { return };
+                let ties = &structure.levels[l].ties[point as usize];
+                for t in 0..ties.len as usize {
+                    above.add_beyond(ties.to[t], force, ties.weight[t]);
                 }
+            };
+            for &point in &patch.beyond.items {
+                let p = point as usize;
+                if patch.inside[p] > 0 {
+                    sum += work(&patch.far[p], &patch.e[p]);
+                } else {
+                    hand_up(point, &patch.far[p]);
+                }
+            }
+            for &point in &patch.lagging.items {
+                let p = point as usize;
+                if patch.inside[p] == 0 {
+                    hand_up(point, &patch.lag[p]);
+                }
+            }
+            if l > 0 {
+                patch.beyond.clear();
             }
         }
         sum
@@ -55,11 +64,12 @@ impl Multigrid {
 }
 
 impl Solver {
-    /// Work of what waits along the correction that has been deferred, before it and after it, in N m.
+    /// Work of what waits along the correction that has been deferred, before it and after it, in N m. Wants the
+    /// forces beyond the set [restricted](Field::restrict_beyond).
     pub(super) fn work_waiting(&mut self) -> [f64; 2] {
         let (structure, coarse) = (&self.structure, &mut self.coarse);
-        let beyond = self.field.work_beyond(structure, coarse);
-        coarse.work_along(structure).map(|w| w + beyond)
+        let beyond = coarse.work_beyond(structure);
+        coarse.work_along().map(|w| w + beyond)
     }
 }
 
@@ -70,17 +80,16 @@ impl Field {
         self.loud.items.iter().filter(beyond).map(|&n| n as usize)
     }
 
-    /// Work of the known forces on nodes beyond the set along the correction, in N m.
-    fn work_beyond(&self, structure: &Structure, coarse: &mut Multigrid) -> f64 {
-        let mut sum = 0.0;
+    /// Restricts the known forces on nodes beyond the set to the points of level 1.
+    pub(super) fn restrict_beyond(&self, structure: &Structure, coarse: &mut Multigrid) {
+        let patch = &mut coarse.patches[0];
+        patch.beyond.clear();
         for n in self.loud_beyond() {
             let ties = &structure.ties[n];
             for t in 0..ties.len as usize {
-                let e = coarse.correction(structure, 0, ties.to[t]);
-                sum += f64::from(ties.weight[t]) * work(&self.r[n], &e);
+                patch.add_beyond(ties.to[t], &self.r[n], ties.weight[t]);
             }
         }
-        sum
     }
 }
 

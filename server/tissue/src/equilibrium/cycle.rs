@@ -305,7 +305,6 @@ impl Multigrid {
     /// Works out what the correction does to the elements that are not refined; `work_along` and
     /// `commit` go by it.
     pub(super) fn defer(&mut self, structure: &Structure) {
-        self.forget();
         self.curve = 0.0;
         let slack = self.slack;
         for (patch, level) in self.patches.iter_mut().zip(&structure.levels) {
@@ -319,10 +318,10 @@ impl Multigrid {
         }
     }
 
-    /// Work of what waits along the correction, before it and after it, in N m: that of the lag, and of
+    /// Work of what waits on the sets along the correction, before it and after it, in N m: that of the lag, and of
     /// the elements that are not refined.
-    pub(super) fn work_along(&mut self, structure: &Structure) -> [f64; 2] {
-        let mut before = self.work_of_lag_beyond(structure);
+    pub(super) fn work_along(&self) -> [f64; 2] {
+        let mut before = 0.0;
         for patch in &self.patches {
             for &point in &patch.lagging.items {
                 let p = point as usize;

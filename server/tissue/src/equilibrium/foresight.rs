@@ -183,6 +183,8 @@ impl Solver {
         self.field.evaluate_bricks(&self.structure, u);
         self.field.keep_forces();
         self.coarse.defer(&self.structure);
+        self.field
+            .restrict_beyond(&self.structure, &mut self.coarse);
         let waiting = self.work_waiting();
         let r = &self.field.r;
         let before: Vec<_> = last.iter().map(|m| r[m.0 as usize]).collect();

@@ -25,11 +25,12 @@ impl Field {
             }
         }
         // Others that were disturbed wait for their turn; what they carry is known.
-        for n in self.loud_beyond() {
-            let ties = &structure.ties[n];
-            for t in 0..ties.len as usize {
-                patch.load(ties.to[t], &self.r[n], ties.weight[t]);
-            }
+        self.restrict_beyond(structure, coarse);
+        let patch = &mut coarse.patches[0];
+        for i in 0..patch.beyond.items.len() {
+            let point = patch.beyond.items[i];
+            let far = patch.far[point as usize];
+            patch.load(point, &far, 1.0);
         }
     }
 

@@ -125,8 +125,9 @@ pub(super) struct Patch {
     pub(super) gain: Vec<Quad>,
     pub(super) gained: List,
 
-    /// Points beyond the set of which it is known in `e` what they follow.
-    pub(super) followed: List,
+    /// Forces that were restricted from beyond the set of the finer level, in N, and the points they are on.
+    pub(super) far: Vec<Quad>,
+    pub(super) beyond: List,
 
     pub(super) lag: Vec<Quad>,
     pub(super) lagging: List,
@@ -171,7 +172,8 @@ impl Patch {
             loaded: List::new(points),
             gain: laid_out(ZERO, points),
             gained: List::new(points),
-            followed: List::new(points),
+            far: laid_out(ZERO, points),
+            beyond: List::new(points),
             lag: laid_out(ZERO, points),
             lagging: List::new(points),
             pending: laid_out(NOTHING, elements),
@@ -205,7 +207,7 @@ impl Patch {
             &mut self.lagging,
             &mut self.loaded,
             &mut self.gained,
-            &mut self.followed,
+            &mut self.beyond,
             &mut self.wanted,
             &mut self.stirred,
         ] {

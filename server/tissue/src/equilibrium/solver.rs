@@ -71,6 +71,11 @@ const DEEPEN: f64 = 0.25;
 /// Iterations that are due when a tool has jumped or has just touched the tissue: there is no last change to
 /// begin with.
 const DUE: usize = 3;
+/// Part of a tool's force by which a further iteration must have changed it, while a hand waits, for another one to
+/// follow. Over two hands that press and cut a thigh for 20 s at 250 Hz, forces are 1.4 and 4.2 % off from those of
+/// converged solves and a step takes 1.3 iterations' time; with four iterations in every step 2.0 and 3.4 %, with one
+/// 2.2 and 10.4 %.
+const STEADY: f64 = 5e-3;
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
 const BLOWN_UP: f64 = 1e4;
 
@@ -101,7 +106,7 @@ pub struct Solver {
     /// What they were led by, while the levels have not followed.
     pub(super) drawn: Vec<(u32, Vec3)>,
     pub(super) last_forces: Vec<Vec3>,
-    /// Quick steps since the topology changed; `None` when they are enough.
+    /// Steps for a hand since the topology changed or the whole tissue was solved; `None` when they are enough.
     pub(super) settling: Option<usize>,
 }
 
@@ -231,6 +236,7 @@ impl Solver {
         let changed = self.go_home(topology, shape) || changed;
         self.report.ignored_tools = self.contacts.ignored;
         self.report.iterations = 0;
+        self.report.steady = true;
         self.report.visits = [0; 2];
         self.report.fell_back = false;
         if !changed && self.report.lag_m == 0.0 && self.report.residual <= budget.tolerance {
@@ -256,6 +262,8 @@ impl Solver {
         self.iterate(topology, u, lags, &mut budget);
         if !near {
             self.pour(shape);
+            // A step for a hand that follows is not to hand down what the whole tissue was left with.
+            self.settling = Some(0);
         }
         if !self.is_sane(topology, &shape.displacement) {
             self.field.undo(&self.structure, &mut shape.displacement);
@@ -348,7 +356,9 @@ impl Solver {
                 outdated = true;
             }
             // What would take part in a further iteration of a hand's step is for the next step to choose.
-            if quick && self.is_over(budget, due, touches) {
+            self.report.steady = budget.near && self.are_forces_steady(u);
+            let steady = self.report.steady && self.report.iterations >= due;
+            if quick && (steady || self.is_over(budget, due, touches)) {
                 break;
             }
         }
@@ -356,7 +366,9 @@ impl Solver {
             if self.report.iterations > 0 {
                 self.finish(u);
             }
-            self.settle(budget.tolerance);
+            if budget.near {
+                self.settle(budget.tolerance);
+            }
         }
         if !self.held.is_empty() {
             // One step more by the forces that told the residual, on the nodes that were smoothed: nearly free, as it is
@@ -471,6 +483,8 @@ impl Solver {
         let draws = self.draws();
         let drawn = std::mem::take(&mut self.drawn);
         if draws {
+            self.field
+                .restrict_beyond(&self.structure, &mut self.coarse);
             // A node that has left the others behind is a spike, whose forces no level can follow. So the levels
             // are drawn after it instead.
             for (node, by) in drawn {
@@ -531,6 +545,14 @@ impl Solver {
             let (force, _) = self.contacts.force(u, i);
             self.last_forces.push(force);
         }
+    }
+
+    /// Whether the last iteration changed no tool's force by more than [`STEADY`].
+    fn are_forces_steady(&self, u: &[Vec3]) -> bool {
+        self.last_forces.iter().enumerate().all(|(i, last)| {
+            let (force, _) = self.contacts.force(u, i);
+            (force - last).norm() <= STEADY * force.norm()
+        })
     }
 
     fn is_sane(&self, topology: &Topology, u: &[Vec3]) -> bool {

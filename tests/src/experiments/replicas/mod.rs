@@ -97,7 +97,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let read = |text: &String| Script::from_toml(text).map_err(|e| e.to_string());
     let scripts = [&read(&files[0])?, &read(&files[1])?];
     (bench.progress)("one table", 0.0);
-    let truth = reference::run(&model, scripts, |_| true).map_err(|e| e.to_string())?;
+    let truth = reference::run(&model, scripts, &[], |_| true).map_err(|e| e.to_string())?;
     let (networks, asked) = match bench.profile.clone() {
         Some(profile) => (vec![profile], 0),
         None => (ROUND_TRIPS_MS.map(far).into(), ASKED),
