@@ -1,6 +1,6 @@
 //! From what the solver says of one's own tool to what the force loop has to know until the next solve.
 
-use palpate_haptics::{CONTACTS_MAX, ContactModel, Touch};
+use palpate_haptics::{CONTACTS_MAX, ContactModel, MINDLIN, Touch};
 use palpate_protocol::ClientTime;
 use palpate_tissue::{Place, Reaction, Vec3};
 
@@ -57,6 +57,10 @@ pub(crate) fn contact_model(
     model
 }
 
+/// Ratio of the tangent stiffness of a contact to its secant stiffness F / δ, with δ the mean indentation over the pressure:
+/// that of a sphere on an elastic half-space (Hertz 1882). A contact of constant area has 1.
+const TANGENT_OF_SECANT: f64 = 1.2;
+
 /// What a place feels that carries `share` of all that presses.
 fn touch(reaction: &Reaction, place: &Place, share: f64, from_pivot: Vec3) -> Touch {
     let stiffness = reaction.stiffness * share;
@@ -66,6 +70,7 @@ fn touch(reaction: &Reaction, place: &Place, share: f64, from_pivot: Vec3) -> To
         lever: place.lever + from_pivot,
         f0: place.force,
         stiffness,
+        tangential_stiffness: MINDLIN * TANGENT_OF_SECANT * place.pressed / place.indentation_m,
         damping: (DAMPING_S * along).min(DAMPING_MAX_NS_PER_M * share),
         normal: place.normal,
         pressed_n: place.pressed,
@@ -84,6 +89,7 @@ fn both(a: &Touch, b: &Touch) -> Touch {
         lever: a.lever * p + b.lever * q,
         f0,
         stiffness: a.stiffness + b.stiffness,
+        tangential_stiffness: a.tangential_stiffness + b.tangential_stiffness,
         damping: a.damping + b.damping,
         normal: f0.try_normalize(0.1 * sum).unwrap_or(a.normal),
         pressed_n: sum.max(f0.norm()),
@@ -114,6 +120,7 @@ mod tests {
             force,
             normal: force.normalize(),
             pressed: force.norm() * 1.1,
+            indentation_m: 2e-3,
             friction_static: 0.5,
             friction_dynamic: 0.3,
         }
@@ -166,6 +173,19 @@ mod tests {
             prop_assert!((stiffness - expected).norm() < 1e-6);
             prop_assert!(model.touching().map(|t| t.damping).sum::<f64>() <= 2.0 + 1e-9);
         }
+    }
+
+    #[test]
+    fn the_tie_of_friction_follows_from_the_indentation_and_not_from_what_was_learned() {
+        let learned = |k: f64| Reaction {
+            stiffness: Matrix3::from_diagonal_element(k),
+            ..reaction(vec![place(0, Vec3::zeros(), Vec3::z() * 0.2)])
+        };
+        let tie =
+            |r: &Reaction| contact_model(ClientTime::ZERO, 1, &[r]).touches[0].tangential_stiffness;
+        // 0.22 N press 2 mm deep.
+        assert!((tie(&learned(30.0)) - 88.0).abs() < 1e-9);
+        assert_eq!(tie(&learned(30.0)), tie(&learned(60.0)));
     }
 
     #[test]

@@ -69,7 +69,7 @@ impl Coupling {
             if touch.touches {
                 *slope = Slope {
                     along: self.cap.apply(touch.normal_stiffness()),
-                    across: self.cap.apply(touch.tangential_stiffness()),
+                    across: self.cap.apply(touch.tangential_stiffness),
                 };
             }
         }
@@ -210,7 +210,7 @@ mod tests {
                 };
                 let expected = Slope {
                     along: cap().apply(at.normal_stiffness()),
-                    across: cap().apply(at.tangential_stiffness()),
+                    across: cap().apply(at.tangential_stiffness),
                 };
                 let slopes = coupling.slopes(&ContactModel::single(at));
                 assert_eq!(slopes[0], expected, "{k} N/m");

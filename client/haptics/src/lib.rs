@@ -47,5 +47,5 @@ pub use friction::{Contact, Friction, FrictionConfig, Grip};
 pub use limits::{Slew, StiffnessCap, WrenchSlew, clamp_force};
 pub use passivity::{Given, Passivity, Seen};
 pub use soft_start::SoftStart;
-pub use touch::Touch;
+pub use touch::{MINDLIN, Touch};
 pub use watchdog::{LinkGuard, Watchdog, WatchdogConfig};

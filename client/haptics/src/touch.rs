@@ -17,6 +17,10 @@ use nalgebra::{Matrix3, Vector3};
 /// numbers could overflow; the model is refused.
 pub(crate) const FORCE_MAX_N: f64 = 1e6;
 
+/// Ratio of the tangential to the normal stiffness of a contact that sticks to an incompressible half-space (Mindlin 1949:
+/// 2 (1 − ν) / (2 − ν)).
+pub const MINDLIN: f64 = 2.0 / 3.0;
+
 /// See [`FORCE_MAX_N`].
 pub(crate) const COEFFICIENT_MAX: f64 = 1e9;
 
@@ -33,8 +37,11 @@ pub struct Touch {
     /// Force on the tool there (f0), N, without friction. The loop uses its part along the normal; what acts along the
     /// surface is the friction stage's.
     pub f0: Vector3<f64>,
-    /// This place's own part of the stiffness (K), N/m, symmetric positive semidefinite.
+    /// This place's own part of the stiffness (K), N/m, symmetric positive semidefinite. The loop uses it along the
+    /// normal.
     pub stiffness: Matrix3<f64>,
+    /// Stiffness across the normal against a tool that sticks (k_t), N/m.
+    pub tangential_stiffness: f64,
     /// Damping B, N·s/m.
     pub damping: f64,
     /// Unit normal of the surface, out of the tissue.
@@ -55,6 +62,7 @@ impl Touch {
         lever: Vector3::new(0.0, 0.0, 0.0),
         f0: Vector3::new(0.0, 0.0, 0.0),
         stiffness: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        tangential_stiffness: 0.0,
         damping: 0.0,
         normal: Vector3::new(0.0, 0.0, 1.0),
         pressed_n: 0.0,
@@ -63,15 +71,19 @@ impl Touch {
     };
 
     /// A touch at the pivot itself, pressed from one side with `f0` (N) along the unit `normal` against `stiffness`
-    /// (N/m), without damping and friction.
+    /// (N/m), without damping and friction. Its tangential stiffness is [`MINDLIN`] times that along the normal.
     pub fn at_pivot(f0: Vector3<f64>, stiffness: Matrix3<f64>, normal: Vector3<f64>) -> Self {
-        Self {
+        let at = Self {
             touches: true,
             f0,
             stiffness,
             normal,
             pressed_n: f0.norm(),
             ..Self::NONE
+        };
+        Self {
+            tangential_stiffness: MINDLIN * at.normal_stiffness(),
+            ..at
         }
     }
 
@@ -92,15 +104,6 @@ impl Touch {
         self.normal.dot(&(self.stiffness * self.normal)).max(0.0)
     }
 
-    /// Stiffness across the normal against a tool that sticks, N/m: two thirds of that along it, the ratio of an
-    /// incompressible half-space (Mindlin 1949: 2 (1 − ν) / (2 − ν)).
-    ///
-    /// The solver's own is not asked: its contacts slide freely, and what it finds across the normal is the shape of the
-    /// surface, which a tool that sticks does not feel.
-    pub fn tangential_stiffness(&self) -> f64 {
-        self.normal_stiffness() * 2.0 / 3.0
-    }
-
     /// Whether the loop may use it: finite, a unit normal, no negative coefficient, nothing beyond all measure.
     pub(crate) fn is_usable(&self) -> bool {
         // A comparison with a number that is none is false.
@@ -109,6 +112,7 @@ impl Touch {
             self.mu_static,
             self.mu_dynamic,
             self.pressed_n,
+            self.tangential_stiffness,
         ];
         !self.touches
             || self.f0.iter().all(|c| c.abs() <= FORCE_MAX_N)
@@ -143,7 +147,7 @@ mod tests {
     fn across_the_normal_it_is_two_thirds_of_that_along_it() {
         let m = pressed();
         assert!((m.normal_stiffness() - 400.0).abs() < 1e-9);
-        assert!((m.tangential_stiffness() - 800.0 / 3.0).abs() < 1e-9);
+        assert!((m.tangential_stiffness - 800.0 / 3.0).abs() < 1e-9);
     }
 
     #[test]

@@ -54,6 +54,9 @@ pub struct Place {
     /// What presses there from both sides together, in N, at least what `force` measures. Friction is in proportion to
     /// it: a needle in its channel is held though no force is left of what holds it.
     pub pressed: f64,
+    /// How far the tool has moved the tissue there, along the force, in m: the mean of the samples by their forces,
+    /// measured from the equilibrium without tools. Always above zero.
+    pub indentation_m: f64,
     /// Coefficient of static friction of what is touched there.
     pub friction_static: f64,
     /// Coefficient of dynamic friction of what is touched there.
@@ -67,6 +70,8 @@ struct Felt {
     lever: Vec3,
     force: Vec3,
     amount: f64,
+    /// In m.
+    indentation: f64,
     /// μ, static and dynamic.
     friction: [f64; 2],
 }
@@ -91,6 +96,7 @@ impl Place {
             force,
             normal,
             pressed: (side(1.0).norm() + side(-1.0).norm()).max(force.norm()),
+            indentation_m: mean(&|f| f.amount * f.indentation),
             friction_static: mean(&|f| f.amount * f.friction[0]),
             friction_dynamic: mean(&|f| f.amount * f.friction[1]),
         }
@@ -108,9 +114,16 @@ fn main_axis(felt: &[&Felt]) -> Vec3 {
 }
 
 impl Contacts {
-    /// The reaction on the tool of proxy `i`; lets go of what no longer touches.
-    pub(crate) fn reaction(&mut self, topology: &Topology, u: &[Vec3], i: usize) -> Reaction {
-        let (felt, nearest) = self.felt(topology, u, i);
+    /// The reaction on the tool of proxy `i`; lets go of what no longer touches. `untouched` is the displacement of every
+    /// node in the equilibrium without tools; `None` if that is zero.
+    pub(crate) fn reaction(
+        &mut self,
+        topology: &Topology,
+        u: &[Vec3],
+        untouched: Option<&[Vec3]>,
+        i: usize,
+    ) -> Reaction {
+        let (felt, nearest) = self.felt(topology, u, untouched, i);
         let spacing = topology.model().spacing_m;
         let proxy = &mut self.proxies[i];
         proxy.feel(nearest, spacing);
@@ -144,7 +157,13 @@ impl Contacts {
     }
 
     /// The pressed samples of proxy `i`, and the depth in m of the deepest sample, below zero where none is pressed.
-    fn felt(&self, topology: &Topology, u: &[Vec3], i: usize) -> (Vec<Felt>, Option<f64>) {
+    fn felt(
+        &self,
+        topology: &Topology,
+        u: &[Vec3],
+        untouched: Option<&[Vec3]>,
+        i: usize,
+    ) -> (Vec<Felt>, Option<f64>) {
         let proxy = &self.proxies[i];
         let parts = proxy.core.places(proxy.radius, topology.model().spacing_m);
         let (mut felt, mut nearest) = (Vec::new(), None::<f64>);
@@ -163,6 +182,7 @@ impl Contacts {
                     lever: c + n * (proxy.radius - proxy.inset) - proxy.at,
                     force: -n * amount,
                     amount,
+                    indentation: depth + sample.moved(u, untouched).dot(&n).max(0.0),
                     friction: [material.friction_static, material.friction_dynamic],
                 });
             }

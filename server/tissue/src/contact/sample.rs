@@ -49,6 +49,16 @@ impl Sample {
     pub(super) fn position(&self, u: &[Vec3]) -> Vec3 {
         self.rest + blend(&self.nodes.map(|n| u[n as usize]), &self.weights)
     }
+
+    /// How far tools have moved it from where it is without them.
+    pub(super) fn moved(&self, u: &[Vec3], untouched: Option<&[Vec3]>) -> Vec3 {
+        let by = |n: u32| {
+            let n = n as usize;
+            let from = untouched.and_then(|all| all.get(n));
+            from.map_or(u[n], |from| u[n] - from)
+        };
+        blend(&self.nodes.map(by), &self.weights)
+    }
 }
 
 /// Depth in m, below zero where it is off its tool, and direction into the tissue, of what is at `v` from the core

@@ -38,7 +38,7 @@ pub struct Sag {
 
 /// The shape under gravity, and the forces of its bricks.
 pub(super) struct Home {
-    displacement: Vec<Vec3>,
+    pub(super) displacement: Vec<Vec3>,
     forces: Vec<[[f32; LOCALS]; 3]>,
     /// Root of the sum of squares of the weights, in N.
     weight: f64,

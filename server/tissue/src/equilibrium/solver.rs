@@ -565,8 +565,9 @@ impl Solver {
         let spacing = topology.model().spacing_m;
         self.report.reactions.clear();
         self.report.lag_m = 0.0;
+        let untouched = self.home.as_ref().map(|h| h.displacement.as_slice());
         for i in 0..self.contacts.proxies.len() {
-            let mut reaction = self.contacts.reaction(topology, u, i);
+            let mut reaction = self.contacts.reaction(topology, u, untouched, i);
             self.report.lag_m = self.report.lag_m.max(self.contacts.proxies[i].lag());
             if reaction.contacts > 0 {
                 let own = self.field.own[self.contacts.nodes[0] as usize];
