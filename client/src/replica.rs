@@ -265,6 +265,15 @@ impl Replica {
         (ready.view, Retired { topology, hand })
     }
 
+    /// Moves a tool that touched nothing in the latest solve, without another one. Returns whether it touches nothing now.
+    pub(crate) fn move_free(&mut self, tool: &ToolAt) -> bool {
+        let (Some(side), topology) = (&mut self.haptic, &self.topology) else {
+            return false;
+        };
+        let mut parts = tool.contacts();
+        parts.all(|part| side.solver.move_free(topology, &side.shape, &part))
+    }
+
     /// Solves what the hand feels: one's `own` tool where it is `now`, the others where everybody
     /// sees them. A tool that does not press gives a model without contact. A solve that was thrown
     /// away gives a model that is not usable: the force loop counts it and lets the last one age.

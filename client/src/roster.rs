@@ -40,12 +40,17 @@ pub struct ToolAt {
 const LEVER_M: f64 = 0.05;
 
 impl ToolAt {
+    /// Whether it is the same tool in the same state.
+    pub fn is_alike(&self, other: &Self) -> bool {
+        let state = |t: &Self| (t.participant, t.description, t.buttons, t.stale);
+        state(self) == state(other)
+    }
+
     /// Whether it is the same tool in the same state, and has moved by less than `way_m` from where `other` is.
     pub fn is_within(&self, other: &Self, way_m: f64) -> bool {
         let moved = (self.position - other.position).norm()
             + LEVER_M * self.orientation.angle_to(&other.orientation);
-        let state = |t: &Self| (t.participant, t.description, t.buttons, t.stale);
-        state(self) == state(other) && moved < way_m
+        self.is_alike(other) && moved < way_m
     }
 
     /// Whether it is a blade that cuts now: its main button is held.

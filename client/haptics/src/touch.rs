@@ -40,7 +40,7 @@ pub struct Touch {
     /// This place's own part of the stiffness (K), N/m, symmetric positive semidefinite. The loop uses it along the
     /// normal.
     pub stiffness: Matrix3<f64>,
-    /// Stiffness across the normal against a tool that sticks (k_t), N/m.
+    /// Stiffness across the normal against a tool that sticks (`k_t`), N/m.
     pub tangential_stiffness: f64,
     /// Damping B, N·s/m.
     pub damping: f64,

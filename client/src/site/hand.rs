@@ -9,11 +9,14 @@ use palpate_protocol::{ClientTime, Span};
 use palpate_tissue::Budget;
 
 use super::Site;
+use crate::replica::Replica;
 use crate::roster::ToolAt;
 
-/// A tool that has moved so far is solved for again, m. The linear law is then off by less than the solver, and a
-/// tool that slips has a twentieth of a millimetre.
-const MOVED_M: f64 = 0.05e-3;
+/// One's own tool is solved for again after it has moved so far, m. The linear law is then off by less than the solver.
+const OWN_MOVED_M: f64 = 0.1e-3;
+
+/// Another tool is solved for again after it has moved so far, m: its force reaches one's own through the tissue between.
+const OTHER_MOVED_M: f64 = 0.2e-3;
 
 /// From one solve to the next at most: what is far from the tools relaxes over many.
 const SOLVE_WITHIN: Span = Span::from_millis(20);
@@ -21,6 +24,7 @@ const SOLVE_WITHIN: Span = Span::from_millis(20);
 /// The newest solve of the hand's side.
 pub(super) struct Felt {
     at: ClientTime,
+    /// The tools as they were solved for, or moved since without touching anything.
     own: Option<ToolAt>,
     others: Vec<ToolAt>,
     model: ContactModel,
@@ -29,22 +33,41 @@ pub(super) struct Felt {
 }
 
 impl Felt {
-    /// Whether another solve would give the same, as far as a hand can tell.
+    /// Whether another solve would give the same, as far as a hand can tell. Tools that touch nothing are moved in
+    /// the replica.
     fn holds(
-        &self,
+        &mut self,
         now: ClientTime,
         own: Option<&ToolAt>,
         others: &[ToolAt],
-        version: u32,
+        replica: &mut Replica,
     ) -> bool {
         let tools = self.own.iter().chain(&self.others);
-        let same = |(old, new): (&ToolAt, &ToolAt)| new.is_within(old, MOVED_M);
-        !self.unsettled
+        let alike = |(old, new): (&ToolAt, &ToolAt)| new.is_alike(old);
+        let same = !self.unsettled
             && now - self.at < SOLVE_WITHIN
-            && self.model.topology_version == version
+            && self.model.topology_version == replica.topology().version()
             && self.own.is_some() == own.is_some()
             && self.others.len() == others.len()
-            && tools.zip(own.into_iter().chain(others)).all(same)
+            && tools.zip(own.into_iter().chain(others)).all(alike);
+        if !same {
+            return false;
+        }
+        let own = self.own.iter_mut().zip(own);
+        let mut own = own.map(|(old, new)| (old, new, OWN_MOVED_M));
+        let others = self.others.iter_mut().zip(others);
+        let mut others = others.map(|(old, new)| (old, new, OTHER_MOVED_M));
+        let mut is_still = |(old, new, limit): (&mut ToolAt, &ToolAt, f64)| {
+            if new.is_within(old, limit) {
+                return true;
+            }
+            let is_free = replica.move_free(new);
+            if is_free {
+                *old = *new;
+            }
+            is_free
+        };
+        own.all(&mut is_still) && others.all(&mut is_still)
     }
 }
 
@@ -71,14 +94,14 @@ impl Site {
             Some((s, _)) => self.roster.tools_felt_at(s, self.me),
             None => Vec::new(),
         };
-        let version = self.replica.topology().version();
         // The copy for a cut has taken this turn's time.
         let is_spent = self.cuts.take_captured();
         if let Some(felt) = &mut self.felt {
-            if felt.holds(now, own.as_ref(), &others, version) {
+            if felt.holds(now, own.as_ref(), &others, &mut self.replica) {
                 felt.model.solved_at = now;
                 return Some(felt.model);
             }
+            let version = self.replica.topology().version();
             if is_spent && felt.model.topology_version == version {
                 return Some(felt.model);
             }

@@ -121,6 +121,40 @@ impl Contacts {
         lags
     }
 
+    /// Moves a known tool that touches nothing to where the hand has it, unless it touches something there. Returns whether
+    /// it touches nothing.
+    pub(crate) fn move_free(
+        &mut self,
+        topology: &Topology,
+        u: &[Vec3],
+        displaced: f64,
+        tool: &Tool,
+    ) -> bool {
+        let known = self.proxies.iter().position(|p| p.id == tool.id);
+        let Some(i) = known.filter(|&i| !self.proxies[i].touching && tool.is_sound()) else {
+            return false;
+        };
+        let spacing = topology.model().spacing_m;
+        let mut moved = self.proxies[i].clone();
+        moved.follow(tool);
+        moved.fit(spacing);
+        let others = self.proxies.iter().filter(|p| p.id != tool.id);
+        let all = others.chain([&moved]);
+        let balls: Vec<Ball> = all.flat_map(|p| p.balls(spacing)).collect();
+        self.index.watch(topology, u, displaced, &balls);
+        let surface = Surface {
+            topology,
+            u: Some(u),
+            index: &self.index,
+        };
+        moved.go(&surface);
+        let is_free = !moved.touching;
+        if is_free {
+            self.proxies[i] = moved;
+        }
+        is_free
+    }
+
     /// Whether no tool is pressed, nor would be if all tissue were within `sag` m of where it is at rest.
     pub(crate) fn are_clear(&self, topology: &Topology, u: &[Vec3], sag: f64) -> bool {
         let pressed = |sample: &Sample| self.press(sample, u).0 > 0.0;

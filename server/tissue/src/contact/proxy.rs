@@ -165,7 +165,7 @@ impl Proxy {
         self.touching &= depth.is_some() && self.gap < lost;
     }
 
-    fn go(&mut self, surface: &Surface<'_>) {
+    pub(super) fn go(&mut self, surface: &Surface<'_>) {
         let spacing = surface.topology.model().spacing_m;
         let stride = TRAVEL * self.radius.max(0.5 * spacing);
         if !self.placed {

@@ -10,7 +10,7 @@
 
 use super::block::{Quad, ZERO, plus};
 use super::cycle::Multigrid;
-use super::field::Field;
+use super::field::{Beyond, Field};
 use super::patch::Patch;
 use super::solver::Solver;
 use super::structure::Structure;
@@ -80,8 +80,11 @@ impl Field {
         self.loud.items.iter().filter(beyond).map(|&n| n as usize)
     }
 
-    /// Restricts the known forces on nodes beyond the set to the points of level 1.
-    pub(super) fn restrict_beyond(&self, structure: &Structure, coarse: &mut Multigrid) {
+    /// Restricts the known forces on nodes beyond the set to the points of level 1, if they are not the same as before.
+    pub(super) fn restrict_beyond(&mut self, structure: &Structure, coarse: &mut Multigrid) {
+        if std::mem::replace(&mut self.beyond, Beyond::Restricted) == Beyond::Restricted {
+            return;
+        }
         let patch = &mut coarse.patches[0];
         patch.beyond.clear();
         for n in self.loud_beyond() {

@@ -2,7 +2,7 @@
 
 use super::brick::LOCALS;
 use super::cycle::Multigrid;
-use super::field::{Field, Since, square};
+use super::field::{Beyond, Field, Since, square};
 use super::patch::Patch;
 use super::structure::Structure;
 use crate::Vec3;
@@ -69,6 +69,7 @@ impl Field {
         if !quick {
             for node in self.quiet.take() {
                 self.loud.insert(node);
+                self.beyond = Beyond::Changed;
             }
         }
         let mut limit = threshold;
@@ -87,11 +88,15 @@ impl Field {
             }
         }
         let silent = SILENT[usize::from(!quick)] * threshold;
-        let (r, quiet) = (&self.r, &mut self.quiet);
+        let (r, quiet, nodes) = (&self.r, &mut self.quiet, &self.nodes);
+        let beyond = &mut self.beyond;
         self.loud.retain(|node| {
             let stays = square(&r[node as usize]) > silent * silent;
             if quick && !stays {
                 quiet.insert(node);
+            }
+            if !stays && !nodes.contains(node) {
+                *beyond = Beyond::Changed;
             }
             stays
         });
@@ -177,6 +182,7 @@ impl Field {
     pub(super) fn take_in(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
         self.note(structure, coarse);
         self.since = Since::Chosen;
+        self.beyond = Beyond::Changed;
         std::mem::swap(&mut self.set, &mut self.left);
         self.set.clear();
         for &node in &self.nodes.items {

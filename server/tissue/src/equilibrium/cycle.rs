@@ -157,6 +157,23 @@ impl Multigrid {
         more
     }
 
+    /// Wants an element of level 1 refined that waits with a large force, and its neighbours: nodes are free to move only
+    /// where all elements around them are refined. All that wait with at least half of the largest force have their turn (a
+    /// block Gauss-Seidel iteration).
+    pub(super) fn refine_next(&mut self, structure: &Structure) {
+        let (level, patch) = (&structure.levels[0], &mut self.patches[0]);
+        let Some(element) = patch.next_deferred() else {
+            return;
+        };
+        for point in level.corners[element as usize] {
+            for &other in level.around.row(point) {
+                if !patch.refined.contains(other) {
+                    patch.wanted.insert(other);
+                }
+            }
+        }
+    }
+
     /// Forgets what was refined in the last step.
     pub(super) fn calm(&mut self) {
         for patch in &mut self.patches {

@@ -33,6 +33,15 @@ pub(super) enum Since {
     Chosen,
 }
 
+/// What has become of the forces on nodes beyond the set.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Beyond {
+    /// They are still to be restricted to level 1.
+    Changed,
+    /// They have been restricted, and are the same.
+    Restricted,
+}
+
 /// What the solver knows of single nodes and bricks.
 pub(super) struct Field {
     /// Pinned or held.
@@ -66,6 +75,8 @@ pub(super) struct Field {
     pub(super) quiet: List,
     /// Nodes that are not free and were disturbed since the set was last looked at.
     pub(super) disturbed: List,
+    /// The forces on nodes beyond the set.
+    pub(super) beyond: Beyond,
     /// Elements of level 1 that have to be refined; scratch.
     pub(super) needed: List,
     /// Whether the forces of the set, without contacts, are those of now.
@@ -133,6 +144,7 @@ impl Field {
             loud: List::new(nodes),
             quiet: List::new(nodes),
             disturbed: List::new(nodes),
+            beyond: Beyond::Changed,
             needed: List::new(structure.levels[0].corners.len()),
             current: false,
             outdated: true,
@@ -181,6 +193,9 @@ impl Field {
         for &node in nodes {
             self.r[node as usize] = self.sum(structure, node);
             self.loud.insert(node);
+            if !self.nodes.contains(node) {
+                self.beyond = Beyond::Changed;
+            }
             if !self.free[node as usize] {
                 self.disturbed.insert(node);
             }
@@ -197,6 +212,7 @@ impl Field {
         if self.stale.items.is_empty() {
             return;
         }
+        self.beyond = Beyond::Changed;
         self.stale.sort();
         let list = std::mem::take(&mut self.stale.items);
         self.compute(structure, u, &list);
@@ -241,14 +257,35 @@ impl Field {
         }
     }
 
-    /// Brings all nodes up to date with level 1; see `patch::take_over` for the levels above.
-    pub(super) fn pour(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
-        for node in 0..u.len() as u32 {
-            // Those of the set always are.
-            if !self.nodes.contains(node) {
-                self.take_over(structure, coarse, u, node);
+    /// Brings nodes up to date with those points of level 1 that have moved by more than `least` m since the last time; see
+    /// `patch::take_over` for the levels above.
+    pub(super) fn pour(
+        &mut self,
+        structure: &Structure,
+        coarse: &mut Multigrid,
+        u: &mut [Vec3],
+        least: f64,
+    ) {
+        let points = coarse.patches[0].take_moved(least);
+        let level = &structure.levels[0];
+        for (element, corners) in (0..).zip(&level.corners) {
+            if !corners.iter().any(|&p| points[p as usize]) {
+                continue;
+            }
+            for &brick in level.children.row(element) {
+                let b = &structure.bricks[brick as usize];
+                for (i, &node) in b.nodes.iter().enumerate() {
+                    // Those of the set always are up to date.
+                    if b.present >> i & 1 == 1
+                        && !self.nodes.contains(node)
+                        && self.touched.insert(node)
+                    {
+                        self.take_over(structure, coarse, u, node);
+                    }
+                }
             }
         }
+        self.touched.clear();
     }
 
     /// Brings these nodes up to date with level 1.

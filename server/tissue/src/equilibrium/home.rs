@@ -13,7 +13,7 @@ use super::block::ZERO;
 use super::brick::LOCALS;
 use super::budget::Budget;
 use super::cycle::Multigrid;
-use super::field::{Field, Since};
+use super::field::{Beyond, Field, Since};
 use super::foresight::Foresight;
 use super::patch::Patch;
 use super::relief::Relief;
@@ -176,6 +176,7 @@ impl Field {
             }
         }
         self.applied.fill([0.0; 3]);
+        self.beyond = Beyond::Changed;
         for list in [
             &mut self.loud,
             &mut self.quiet,

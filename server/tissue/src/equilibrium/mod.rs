@@ -12,6 +12,7 @@
 //! | `budget`, `relief` | what a step may cost, what it did, and what may wait for it |
 //! | `home`, `weight` | where tissue is that nothing touches; what gravity does to it |
 //! | `foresight`, `path`, `bind` | the last step's change carried on, along a curve; what hinders a move |
+//! | `prescribed` | nodes with a prescribed displacement |
 //! | `follower` | a cut's consequences, worked out beside the solvers |
 //! | `solver` | one step: its stages, its books |
 //! | `jacobi` | the seed's iteration (3.10), the named baseline |
@@ -50,6 +51,8 @@ mod choice;
 mod coarsen;
 mod corners;
 mod cycle;
+#[cfg(test)]
+mod deferred_tests;
 mod element;
 mod fibres;
 mod field;
@@ -67,6 +70,7 @@ mod near;
 mod overlay;
 mod patch;
 mod path;
+mod prescribed;
 mod relief;
 mod slight;
 mod solver;

@@ -12,7 +12,7 @@ use crate::Vec3;
 const MOVE_MAX: [f64; 2] = [0.5, 0.02];
 impl Field {
     /// Hands the forces on the nodes of the set to level 1.
-    pub(super) fn restrict(&self, structure: &Structure, coarse: &mut Multigrid) {
+    pub(super) fn restrict(&mut self, structure: &Structure, coarse: &mut Multigrid) {
         let patch = &mut coarse.patches[0];
         for &node in &self.nodes.items {
             let n = node as usize;

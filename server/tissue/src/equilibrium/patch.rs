@@ -135,10 +135,16 @@ pub(super) struct Patch {
     /// K p of each element: what its pending displacement put into the lag.
     pub(super) owed: Vec<Corners>,
     pub(super) waiting: Vec<bool>,
+    /// Square of the largest force on a corner that the pending displacement of each element makes, in N².
+    deferred_square: Vec<f32>,
+    /// The last element that had its turn.
+    last_turn: u32,
     /// What the correction in `e` does to the elements of the set that are not refined.
     pub(super) deferred: Vec<Deferred>,
     pub(super) total: Vec<[f64; 3]>,
     pub(super) applied: Vec<[f64; 3]>,
+    /// Of level 1: the totals that have been handed down to nodes far from the tools.
+    poured: Vec<[f64; 3]>,
 
     pub(super) overlays: Vec<Overlay>,
     /// Former ones, to be used again.
@@ -179,9 +185,12 @@ impl Patch {
             pending: laid_out(NOTHING, elements),
             owed: laid_out(NOTHING, elements),
             waiting: laid_out(false, elements),
+            deferred_square: laid_out(0.0, elements),
+            last_turn: 0,
             deferred: Vec::new(),
             total: laid_out([0.0; 3], points),
             applied: laid_out([0.0; 3], points),
+            poured: Vec::new(),
             overlays: Vec::new(),
             spare: Vec::new(),
             overlay_of: laid_out(NONE, elements),
@@ -197,11 +206,14 @@ impl Patch {
             if std::mem::take(waits) {
                 self.pending[e] = NOTHING;
                 self.owed[e] = NOTHING;
+                self.deferred_square[e] = 0.0;
             }
         }
         self.lag.fill(ZERO);
         self.total.fill([0.0; 3]);
         self.applied.fill([0.0; 3]);
+        self.poured.clear();
+        self.last_turn = 0;
         self.deferred.clear();
         for list in [
             &mut self.lagging,
@@ -213,6 +225,23 @@ impl Patch {
         ] {
             list.clear();
         }
+    }
+
+    /// Which points have moved by more than `least` m, along some axis, since they were last taken.
+    pub(super) fn take_moved(&mut self, least: f64) -> Vec<bool> {
+        self.poured.resize(self.total.len(), [0.0; 3]);
+        let mut moved = |(total, poured): (&[f64; 3], &mut [f64; 3])| {
+            let has = (0..3).any(|a| (total[a] - poured[a]).abs() > least);
+            if has {
+                *poured = *total;
+            }
+            has
+        };
+        self.total
+            .iter()
+            .zip(&mut self.poured)
+            .map(&mut moved)
+            .collect()
     }
 
     /// Adds to the load of a point.
@@ -249,6 +278,7 @@ impl Patch {
             owed[c] = plus(&owed[c], share, &force[c]);
             most = most.max(square(&owed[c]));
         }
+        self.deferred_square[e] = most;
         let (mut low, mut high) = (pending[0], pending[0]);
         for p in &pending[1..] {
             for a in 0..4 {
@@ -260,12 +290,28 @@ impl Patch {
         [most.sqrt(), apart[0].max(apart[1]).max(apart[2])]
     }
 
+    /// The next element, in order and after the last one, among those that wait with at least half of the
+    /// largest force. An element that soon waits with as much again does not keep the others from their turn.
+    pub(super) fn next_deferred(&mut self) -> Option<u32> {
+        let square = |e: u32| self.deferred_square[e as usize];
+        let waits = |e: &u32| self.waiting[*e as usize] && !self.refined.contains(*e);
+        let waiting = || (0..self.waiting.len() as u32).filter(waits);
+        let least = 0.25 * waiting().map(square).fold(0.0, f32::max);
+        let much = || waiting().filter(|&e| square(e) >= least);
+        let next = much()
+            .find(|&e| e > self.last_turn)
+            .or_else(|| much().next());
+        self.last_turn = next.unwrap_or(0);
+        next
+    }
+
     /// Takes what is pending on an element, and its force back out of the lag.
     pub(super) fn take_pending(&mut self, level: &Level, element: u32) -> Corners {
         let e = element as usize;
         let pending = std::mem::replace(&mut self.pending[e], NOTHING);
         let owed = std::mem::replace(&mut self.owed[e], NOTHING);
         self.waiting[e] = false;
+        self.deferred_square[e] = 0.0;
         for (&point, owed) in level.corners[e].iter().zip(&owed) {
             self.lagging.insert(point);
             let g = &mut self.lag[point as usize];

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use super::block::laid_out;
 use super::cycle::Multigrid;
-use super::field::{Field, square};
+use super::field::{Beyond, Field, square};
 use super::follower::{Follower, Successor};
 use super::foresight::Foresight;
 use super::home::Home;
@@ -132,8 +132,10 @@ impl Solver {
             quiet,
             nodes,
             r,
+            beyond,
             ..
         } = &mut self.field;
+        *beyond = Beyond::Changed;
         loud.retain(|node| {
             let stays = nodes.contains(node) || square(&r[node as usize]) > threshold * threshold;
             if !stays {
@@ -183,6 +185,7 @@ impl Solver {
             drawn: Vec::new(),
             last_forces: Vec::new(),
             settling: None,
+            near_steps: 0,
         }
     }
 }
