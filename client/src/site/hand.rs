@@ -12,10 +12,10 @@ use super::Site;
 use crate::replica::Replica;
 use crate::roster::ToolAt;
 
-/// One's own tool is solved for again after it has moved so far, m. The linear law is then off by less than the solver.
+/// The tool of this hand is solved for again after it has moved so far, m. The linear law is then off by less than the solver.
 const OWN_MOVED_M: f64 = 0.1e-3;
 
-/// Another tool is solved for again after it has moved so far, m: its force reaches one's own through the tissue between.
+/// Another tool is solved for again after it has moved so far, m: the tissue between smooths its effect on this hand.
 const OTHER_MOVED_M: f64 = 0.2e-3;
 
 /// From one solve to the next at most: what is far from the tools relaxes over many.

@@ -33,7 +33,7 @@ pub(super) enum Since {
     Chosen,
 }
 
-/// What has become of the forces on nodes beyond the set.
+/// State of the forces on nodes beyond the set.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Beyond {
     /// They are still to be restricted to level 1.

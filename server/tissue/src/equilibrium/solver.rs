@@ -80,8 +80,8 @@ const REFINED_EVERY: u32 = 8;
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
 const BLOWN_UP: f64 = 1e4;
 
-/// Displacement in m that a step of low accuracy may keep back from the nodes far from the tools: a hundredth of what is
-/// told over the network.
+/// Displacement in m that a step of low accuracy need not prolongate to nodes far from the tools: a tenth of the resolution of
+/// positions on the network.
 const UNSEEN_M: f64 = 1e-6;
 
 /// Scratch memory of the equilibrium of one shape of one topology.
@@ -154,7 +154,7 @@ impl Solver {
         self.hand_down(shape, 0.0);
     }
 
-    /// The same, but for what has moved by less than `least` m since it was last handed down.
+    /// Prolongates displacements of more than `least` m.
     fn hand_down(&mut self, shape: &mut Shape, least: f64) {
         for l in (0..self.coarse.patches.len()).rev() {
             take_over(&self.structure, &mut self.coarse.patches, l, true);
