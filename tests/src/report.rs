@@ -174,7 +174,7 @@ pub struct ReferenceReport {
     pub checks: usize,
     /// The largest relative residual of a check.
     pub residual_max: f64,
-    /// What the checks changed, percent rms of the force: an upper estimate of the error; holder and cutter.
+    /// Change of the force by the checks, percent rms: an upper estimate of the error; holder and cutter.
     pub error_percent: [f64; 2],
 }
 

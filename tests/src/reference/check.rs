@@ -35,7 +35,7 @@ impl Checks {
         }
     }
 
-    /// Root mean square of what the checks changed, percent of that of the force; per hand.
+    /// Change of the force by the checks, root mean square in percent of the force; per hand.
     pub(super) fn changed_percent(&self) -> [f64; 2] {
         self.squares.map(|[changed, force]| {
             if force > 0.0 {

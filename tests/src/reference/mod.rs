@@ -75,7 +75,7 @@ pub struct Reference {
     pub courses: [Vec<ForcePoint>; 2],
     /// Moments of the cuts, seconds of script.
     pub cuts_s: Vec<f64>,
-    /// What was cut, in the rest frame.
+    /// Strokes of the cuts, in the rest frame.
     pub strokes: Vec<CutStroke>,
     /// Largest distance of a point of a hand's own stroke from the stroke that was cut in its place, m.
     pub cut_apart_m: f64,
@@ -94,7 +94,7 @@ pub struct Quality {
     pub checks: usize,
     /// The largest relative residual of a check.
     pub residual_max: f64,
-    /// Root mean square of what the checks changed, percent of the force; per hand. Between two checks the error grows up
+    /// Change of the force by the checks, root mean square in percent; per hand. Between two checks the error grows up
     /// to that, so this is an upper estimate of it.
     pub error_percent: [f64; 2],
 }
@@ -277,7 +277,7 @@ mod tests {
             assert_eq!(error.rms_percent, 0.0);
         }
         assert_eq!(a.cut_apart_m, 0.0);
-        // The session's cut is made in place of one's own, and the distance is told.
+        // The cut of the session replaces the cut of the script, and the report has the distance.
         let mut moved = a.strokes[0].clone();
         for point in &mut moved.points {
             point.tip_m[2] -= 0.4e-3;
