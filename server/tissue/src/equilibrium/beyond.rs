@@ -28,38 +28,45 @@ impl Patch {
 
 impl Multigrid {
     /// Work of the forces beyond the sets along the correction, in N m: those restricted from nodes to level 1, and
-    /// the lag of each level.
+    /// the lag of each level. They change only when the sets are chosen anew, so they are restricted once per choice.
     fn work_beyond(&mut self, structure: &Structure) -> f64 {
+        if !std::mem::replace(&mut self.is_beyond_restricted, true) {
+            self.restrict_beyond(structure);
+        }
         let mut sum = 0.0;
-        for l in 0..self.patches.len() {
-            let (finer, coarser) = self.patches.split_at_mut(l + 1);
-            let (patch, mut above) = (&mut finer[l], coarser.first_mut());
-            let mut hand_up = |point: u32, force: &Quad| {
-                let Some(above) = &mut above else { return };
-                let ties = &structure.levels[l].ties[point as usize];
-                for t in 0..ties.len as usize {
-                    above.add_beyond(ties.to[t], force, ties.weight[t]);
-                }
-            };
+        for patch in &self.patches {
             for &point in &patch.beyond.items {
                 let p = point as usize;
                 if patch.inside[p] > 0 {
                     sum += work(&patch.far[p], &patch.e[p]);
-                } else {
-                    hand_up(point, &patch.far[p]);
                 }
-            }
-            for &point in &patch.lagging.items {
-                let p = point as usize;
-                if patch.inside[p] == 0 {
-                    hand_up(point, &patch.lag[p]);
-                }
-            }
-            if l > 0 {
-                patch.beyond.clear();
             }
         }
         sum
+    }
+
+    /// Restricts the forces on points beyond the sets to the points that take part.
+    fn restrict_beyond(&mut self, structure: &Structure) {
+        for patch in &mut self.patches[1..] {
+            patch.beyond.clear();
+        }
+        for l in 1..self.patches.len() {
+            let (finer, coarser) = self.patches.split_at_mut(l);
+            let (patch, above) = (&finer[l - 1], &mut coarser[0]);
+            let mut restrict = |point: u32, force: &Quad| {
+                let ties = &structure.levels[l - 1].ties[point as usize];
+                for t in 0..ties.len as usize {
+                    above.add_beyond(ties.to[t], force, ties.weight[t]);
+                }
+            };
+            let is_outside = |&&point: &&u32| patch.inside[point as usize] == 0;
+            for &point in patch.beyond.items.iter().filter(is_outside) {
+                restrict(point, &patch.far[point as usize]);
+            }
+            for &point in patch.lagging.items.iter().filter(is_outside) {
+                restrict(point, &patch.lag[point as usize]);
+            }
+        }
     }
 }
 
@@ -85,6 +92,7 @@ impl Field {
         if std::mem::replace(&mut self.beyond, Beyond::Restricted) == Beyond::Restricted {
             return;
         }
+        coarse.is_beyond_restricted = false;
         let patch = &mut coarse.patches[0];
         patch.beyond.clear();
         for n in self.loud_beyond() {

@@ -77,6 +77,8 @@ pub(super) struct Multigrid {
     /// Whether what a point was moved by before it took part counts as gained: what followed the coarser level.
     /// Under tools it does not: what is carried on there is what is near, and forces came out worse with it.
     pub(super) follows: bool,
+    /// Whether the forces beyond the sets have been restricted since the sets were chosen.
+    pub(super) is_beyond_restricted: bool,
 }
 
 impl Multigrid {
@@ -90,6 +92,7 @@ impl Multigrid {
             curve: 0.0,
             visits: 0,
             follows: false,
+            is_beyond_restricted: false,
         }
     }
 
@@ -107,6 +110,7 @@ impl Multigrid {
     /// Chooses what takes part on every level around the refined elements of level 1; `more` adds
     /// to what was chosen before.
     pub(super) fn select(&mut self, structure: &Structure, more: bool) {
+        self.is_beyond_restricted = false;
         let last = self.patches.len() - 1;
         for l in 0..last {
             let level = &structure.levels[l];
@@ -185,7 +189,7 @@ impl Multigrid {
     /// elements want to be refined.
     pub(super) fn push(&mut self, structure: &Structure, threshold: f32) -> bool {
         for l in (0..self.patches.len()).rev() {
-            take_over(structure, &mut self.patches, l, false);
+            take_over(structure, &mut self.patches, l);
         }
         for l in (1..self.patches.len()).rev() {
             let tolerable = self.tolerable(structure, l - 1, threshold);

@@ -20,8 +20,8 @@ fn deferred(solver: &Solver, element: u32) -> f32 {
     squares.fold(0.0, f32::max).sqrt()
 }
 
-#[test]
-fn large_deferred_forces_are_solved_while_a_hand_rests() {
+/// A soft block and a solver of it at rest.
+fn soft_block() -> (Topology, Solver, Shape) {
     let material = Material {
         young_pa: 10e3,
         density_kg_m3: 1000.0,
@@ -29,15 +29,25 @@ fn large_deferred_forces_are_solved_while_a_hand_rests() {
         ..Material::default()
     };
     let topology = Topology::new(Arc::new(block([40, 24, 12], CELL, &material, 1)));
-    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let (solver, shape) = (Solver::new(&topology), Shape::rest(&topology));
+    (topology, solver, shape)
+}
+
+/// A ball pressed so deep into the top of the block, `x` m from its middle.
+fn ball(x: f64, depth: f64) -> Tool {
+    let centre = Vec3::new(20.0 * CELL + x, 12.0 * CELL, 12.0 * CELL + 8e-3 - depth);
+    Tool::ball(1, centre, 8e-3)
+}
+
+#[test]
+fn large_deferred_forces_are_solved_while_a_hand_rests() {
+    let (topology, mut solver, mut shape) = soft_block();
     let step = |solver: &mut Solver, shape: &mut Shape, depth: f64| {
-        let centre = Vec3::new(20.0 * CELL, 12.0 * CELL, 12.0 * CELL + 8e-3 - depth);
         let budget = Budget {
             near: true,
             ..Budget::new(2, 0.02)
         };
-        let tool = Tool::ball(1, centre, 8e-3);
-        solver.step(&topology, shape, &[tool], budget);
+        solver.step(&topology, shape, &[ball(0.0, depth)], budget);
     };
     for k in 0..=40 {
         step(&mut solver, &mut shape, 0.2e-3 * f64::from(k));
@@ -51,5 +61,41 @@ fn large_deferred_forces_are_solved_while_a_hand_rests() {
         }
         let after = deferred(&solver, element);
         assert!(after < 0.5 * before, "{before} {after} N in round {round}");
+    }
+}
+
+#[test]
+fn forces_that_were_restricted_before_are_those_that_would_be_restricted_now() {
+    let (topology, mut kept, mut shape) = soft_block();
+    let mut renewed = kept.another(&topology);
+    let mut other = shape.clone();
+    for k in 0..200 {
+        let t = f64::from(k) * 0.02;
+        let tool = ball(0.02 * t.sin(), 6e-3 * (0.7 * t).sin());
+        let near = k % 20 > 0;
+        let budget = || Budget {
+            near,
+            ..Budget::new(3, 0.02)
+        };
+        kept.step(&topology, &mut shape, &[tool], budget());
+        renewed.coarse.is_beyond_restricted = false;
+        renewed.step(&topology, &mut other, &[tool], budget());
+        assert!(shape == other, "step {k}");
+    }
+}
+
+#[test]
+fn a_step_of_low_accuracy_leaves_out_what_nobody_sees() {
+    for steps in [5, 20, 60] {
+        let (topology, mut solver, mut shape) = soft_block();
+        for k in 0..steps {
+            let tool = ball(0.0, 0.1e-3 * f64::from(k));
+            solver.step(&topology, &mut shape, &[tool], Budget::new(2, 0.02));
+        }
+        let left = shape.clone();
+        solver.pour(&mut shape);
+        let apart = shape.displacement.iter().zip(&left.displacement);
+        let most = apart.map(|(a, b)| (a - b).amax()).fold(0.0, f64::max);
+        assert!(most > 0.0 && most < 20e-6, "{most} m after {steps} steps");
     }
 }

@@ -258,7 +258,7 @@ impl Field {
     }
 
     /// Brings nodes up to date with those points of level 1 that have moved by more than `least` m since the last time; see
-    /// `patch::take_over` for the levels above.
+    /// `patch::hand_down` for the levels above.
     pub(super) fn pour(
         &mut self,
         structure: &Structure,
@@ -267,25 +267,16 @@ impl Field {
         least: f64,
     ) {
         let points = coarse.patches[0].take_moved(least);
-        let level = &structure.levels[0];
-        for (element, corners) in (0..).zip(&level.corners) {
-            if !corners.iter().any(|&p| points[p as usize]) {
-                continue;
-            }
-            for &brick in level.children.row(element) {
-                let b = &structure.bricks[brick as usize];
-                for (i, &node) in b.nodes.iter().enumerate() {
+        for (element, corners) in (0..).zip(&structure.levels[0].corners) {
+            if corners.iter().any(|&p| points[p as usize]) {
+                for &node in structure.nodes_of.row(element) {
                     // Those of the set always are up to date.
-                    if b.present >> i & 1 == 1
-                        && !self.nodes.contains(node)
-                        && self.touched.insert(node)
-                    {
+                    if !self.nodes.contains(node) {
                         self.take_over(structure, coarse, u, node);
                     }
                 }
             }
         }
-        self.touched.clear();
     }
 
     /// Brings these nodes up to date with level 1.

@@ -143,7 +143,7 @@ pub(super) struct Patch {
     pub(super) deferred: Vec<Deferred>,
     pub(super) total: Vec<[f64; 3]>,
     pub(super) applied: Vec<[f64; 3]>,
-    /// Of level 1: the totals that have been handed down to nodes far from the tools.
+    /// The totals that have been handed down to all of the finer level.
     poured: Vec<[f64; 3]>,
 
     pub(super) overlays: Vec<Overlay>,
@@ -367,20 +367,32 @@ impl Patch {
 }
 
 /// Brings the totals of the points of a set up to date with the coarser level.
-pub(super) fn take_over(structure: &Structure, patches: &mut [Patch], l: usize, all: bool) {
-    let level = &structure.levels[l];
+pub(super) fn take_over(structure: &Structure, patches: &mut [Patch], l: usize) {
     let (finer, coarser) = patches.split_at_mut(l + 1);
     let Some(above) = coarser.first() else { return };
     let patch = &mut finer[l];
-    let mut update = |point: u32| {
+    for &point in &patch.points.items {
         let p = point as usize;
         let (total, applied) = (&mut patch.total[p], &mut patch.applied[p]);
-        bring_point(&level.ties[p], &above.total, total, applied);
+        bring_point(&structure.levels[l].ties[p], &above.total, total, applied);
+    }
+}
+
+/// Brings the totals of all points up to date with those of the coarser level that have moved by more than `least` m
+/// since the last time.
+pub(super) fn hand_down(structure: &Structure, patches: &mut [Patch], l: usize, least: f64) {
+    let (finer, coarser) = patches.split_at_mut(l + 1);
+    let Some(above) = coarser.first_mut() else {
+        return;
     };
-    if all {
-        (0..level.points() as u32).for_each(&mut update);
-    } else {
-        patch.points.items.iter().copied().for_each(&mut update);
+    let moved = above.take_moved(least);
+    let patch = &mut finer[l];
+    for (p, ties) in structure.levels[l].ties.iter().enumerate() {
+        let to = &ties.to[..ties.len as usize];
+        if to.iter().any(|&point| moved[point as usize]) {
+            let (total, applied) = (&mut patch.total[p], &mut patch.applied[p]);
+            bring_point(ties, &above.total, total, applied);
+        }
     }
 }
 

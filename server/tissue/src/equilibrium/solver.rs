@@ -10,7 +10,7 @@ use super::field::{Field, Since, own_stiffness};
 use super::foresight::Foresight;
 use super::home::Home;
 use super::near::Near;
-use super::patch::take_over;
+use super::patch::hand_down;
 use super::relief::Relief;
 use super::stiffen::HELD_STIFFNESS;
 use super::structure::Structure;
@@ -80,9 +80,9 @@ const REFINED_EVERY: u32 = 8;
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
 const BLOWN_UP: f64 = 1e4;
 
-/// Displacement in m that a step of low accuracy need not prolongate to nodes far from the tools: a tenth of the resolution of
-/// positions on the network.
-const UNSEEN_M: f64 = 1e-6;
+/// Displacement in m that a step of low accuracy need not prolongate to nodes far from the tools: half the step of
+/// displacements on the network.
+const UNSEEN_M: f64 = 5e-6;
 
 /// Scratch memory of the equilibrium of one shape of one topology.
 pub struct Solver {
@@ -157,7 +157,7 @@ impl Solver {
     /// Prolongates displacements of more than `least` m.
     fn hand_down(&mut self, shape: &mut Shape, least: f64) {
         for l in (0..self.coarse.patches.len()).rev() {
-            take_over(&self.structure, &mut self.coarse.patches, l, true);
+            hand_down(&self.structure, &mut self.coarse.patches, l, least);
         }
         self.field.pour(
             &self.structure,
@@ -227,11 +227,13 @@ impl Solver {
         let changed = self.go_home(topology, shape) || changed;
         self.report.ignored_tools = self.contacts.ignored;
         self.report.iterations = 0;
-        self.report.steady = true;
         self.report.visits = [0; 2];
         self.report.fell_back = false;
         if !changed && self.report.lag_m == 0.0 && self.report.residual <= budget.tolerance {
             self.settle(budget.tolerance);
+            for reaction in &mut self.report.reactions {
+                reaction.force_error = 0.0;
+            }
             return &self.report;
         }
         self.dirty = false;
@@ -355,8 +357,7 @@ impl Solver {
                 outdated = true;
             }
             // What would take part in a further iteration of a hand's step is for the next step to choose.
-            self.report.steady = budget.near && self.are_forces_steady(u);
-            let steady = self.report.steady && self.report.iterations >= due;
+            let steady = budget.near && self.are_forces_steady(u) && self.report.iterations >= due;
             if quick && (steady || self.is_over(budget, due, touches)) {
                 break;
             }

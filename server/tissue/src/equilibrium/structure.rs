@@ -119,6 +119,8 @@ pub(crate) struct Structure {
     pub(super) around: Table,
     /// Ties of each node to level 1; none for pinned nodes.
     pub(super) ties: Vec<Ties>,
+    /// Nodes of each element of level 1 that are tied to its corners, each node in one element.
+    pub(super) nodes_of: Table,
     pub(super) levels: Vec<Level>,
     pub(super) per_spacing: f32,
     /// Whether any tissue bottoms out.
@@ -184,6 +186,7 @@ impl Structure {
             element_of,
             around,
             ties,
+            nodes_of: Table::default(),
             levels: Vec::new(),
             per_spacing: (1.0 / topology.model().spacing_m) as f32,
             bottoms_out: topology
@@ -195,7 +198,28 @@ impl Structure {
             brick_of,
         };
         structure.add_levels(topology, coarse);
+        structure.nodes_of = structure.assign_nodes();
         structure
+    }
+
+    /// Assigns every node that has ties to an element of level 1 at whose corners they all are.
+    fn assign_nodes(&self) -> Table {
+        let level = &self.levels[0];
+        let element_of = |(node, ties): (usize, &Ties)| {
+            let to = &ties.to[..ties.len as usize];
+            let around = self.around.row(node as u32).iter();
+            let mut elements = around.map(|entry| self.element_of[(entry / 32) as usize]);
+            let holds = |&e: &u32| to.iter().all(|p| level.corners[e as usize].contains(p));
+            let element = elements.find(holds).filter(|_| !to.is_empty())?;
+            Some((element, node as u32))
+        };
+        let pairs: Vec<(u32, u32)> = self
+            .ties
+            .iter()
+            .enumerate()
+            .filter_map(element_of)
+            .collect();
+        Table::new(level.corners.len(), pairs.into_iter())
     }
 
     fn add_levels(&mut self, topology: &Topology, first: Coarse) {
