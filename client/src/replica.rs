@@ -37,10 +37,6 @@ pub const HAPTIC_WORK: Span = Span::from_micros(1000);
 /// Iterations at most; time ends most solves.
 pub(crate) const ITERATIONS: usize = 4;
 
-/// Relative change of the force on this hand's tool in the latest iteration up to which the force counts as steady. The force
-/// on another hand's tool is solved at that hand's site.
-const STEADY: f64 = 5e-3;
-
 /// Residual at which the hand's solve ends: the force is then within a percent or two. Less is not asked for of what is
 /// near a tool alone. With 3e-2 a line that was dragged at 50 mm/s over a thigh felt a force that was 6 % off instead
 /// of 4 %.
@@ -116,8 +112,6 @@ pub struct Replica {
     thin: Option<ThinView>,
     tools: Vec<Tool>,
     others: Others,
-    /// Whether the latest iteration left the forces on this hand's tool as they were.
-    is_steady: bool,
 }
 
 impl Replica {
@@ -132,7 +126,6 @@ impl Replica {
             topology,
             tools: Vec::new(),
             others: Others::default(),
-            is_steady: true,
         }
     }
 
@@ -146,7 +139,6 @@ impl Replica {
             topology,
             tools: Vec::new(),
             others: Others::default(),
-            is_steady: true,
         }
     }
 
@@ -181,10 +173,10 @@ impl Replica {
         Some(side.solver.report().residual)
     }
 
-    /// Whether the latest iteration changed the force on this hand's tool, or a cut has just changed the tissue.
+    /// Whether forces changed in the latest iteration of what the hand feels, or a cut has just changed it.
     pub(crate) fn is_unsettled(&self) -> bool {
-        let side = self.haptic.as_ref();
-        side.is_some_and(|side| side.solver.is_settling() || !self.is_steady)
+        let solver = self.haptic.as_ref().map(|side| &side.solver);
+        solver.is_some_and(|s| s.is_settling() || !s.report().steady)
     }
 
     /// What is seen; `None` when it is elsewhere.
@@ -311,8 +303,6 @@ impl Replica {
         self.others
             .note(report.reactions.iter().filter(|r| !is_own(r)));
         let parts: Vec<&Reaction> = report.reactions.iter().filter(is_own).collect();
-        let is_steady = |r: &&Reaction| r.force_error <= STEADY * r.force.norm();
-        self.is_steady = parts.iter().all(is_steady);
         let model = contact_model(now, version, &parts);
         ContactModel {
             others_j: self.others.work_j,

@@ -54,6 +54,8 @@ pub struct StepReport {
     pub ignored_tools: usize,
     /// Farthest that a proxy is behind its tool, in m; zero unless a tool jumped.
     pub lag_m: f64,
+    /// Whether the last iteration changed no tool's force by more than half a percent.
+    pub steady: bool,
     /// Whether an iterate was thrown away and the shape before the step put back.
     pub fell_back: bool,
     /// One per tool, in the order in which tools first appeared.

@@ -227,13 +227,11 @@ impl Solver {
         let changed = self.go_home(topology, shape) || changed;
         self.report.ignored_tools = self.contacts.ignored;
         self.report.iterations = 0;
+        self.report.steady = true;
         self.report.visits = [0; 2];
         self.report.fell_back = false;
         if !changed && self.report.lag_m == 0.0 && self.report.residual <= budget.tolerance {
             self.settle(budget.tolerance);
-            for reaction in &mut self.report.reactions {
-                reaction.force_error = 0.0;
-            }
             return &self.report;
         }
         self.dirty = false;
@@ -357,7 +355,8 @@ impl Solver {
                 outdated = true;
             }
             // What would take part in a further iteration of a hand's step is for the next step to choose.
-            let steady = budget.near && self.are_forces_steady(u) && self.report.iterations >= due;
+            self.report.steady = budget.near && self.are_forces_steady(u);
+            let steady = self.report.steady && self.report.iterations >= due;
             if quick && (steady || self.is_over(budget, due, touches)) {
                 break;
             }
