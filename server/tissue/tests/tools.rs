@@ -308,7 +308,9 @@ proptest! {
         let q = UnitQuaternion::from_axis_angle(&Vec3::y_axis(), lean)
             * UnitQuaternion::from_axis_angle(&Vec3::z_axis(), turn);
         let form = Form::rectangle(Vec3::zeros(), [Vec3::x() * long, Vec3::y() * broad]);
-        let tool = Tool { turn: q, form, ..Tool::ball(1, above(radius + long * lean.abs().sin()), radius) };
+        // Its lowest corner is at the surface, so that every tool touches.
+        let down = long * (q * Vec3::x()).z.abs() + broad * (q * Vec3::y()).z.abs();
+        let tool = Tool { turn: q, form, ..Tool::ball(1, above(radius + down), radius) };
         let mut bench = Bench::new(CELLS);
         let mut most = 0.0_f64;
         let mut work = 0.0;

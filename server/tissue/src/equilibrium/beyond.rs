@@ -28,7 +28,7 @@ impl Patch {
 
 impl Multigrid {
     /// Work of the forces beyond the sets along the correction, in N m: those restricted from nodes to level 1, and
-    /// the lag of each level. They change only when the sets are chosen anew, so they are restricted once per choice.
+    /// the lag of each level. They are restricted once until one of them, or the set of a level, changes.
     fn work_beyond(&mut self, structure: &Structure) -> f64 {
         if !std::mem::replace(&mut self.is_beyond_restricted, true) {
             self.restrict_beyond(structure);

@@ -77,7 +77,7 @@ pub(super) struct Multigrid {
     /// Whether what a point was moved by before it took part counts as gained: what followed the coarser level.
     /// Under tools it does not: what is carried on there is what is near, and forces came out worse with it.
     pub(super) follows: bool,
-    /// Whether the forces beyond the sets have been restricted since the sets were chosen.
+    /// Whether the forces beyond the sets have been restricted and are the same, as the sets are.
     pub(super) is_beyond_restricted: bool,
 }
 

@@ -219,6 +219,9 @@ impl Structure {
             .enumerate()
             .filter_map(element_of)
             .collect();
+        // One that is left out would never move with level 1.
+        let tied = self.ties.iter().filter(|ties| ties.len > 0).count();
+        debug_assert_eq!(pairs.len(), tied, "nodes of one element each");
         Table::new(level.corners.len(), pairs.into_iter())
     }
 
@@ -496,5 +499,57 @@ impl Form {
         take(&self.curve.limits);
         take(&self.corner);
         hasher.digest128()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{BladePoint, CutStroke, Material, block, cut};
+
+    const CELL: f64 = 4e-3;
+
+    /// Two strokes that cross askew to the lattice, one of them ending within the block.
+    fn crossed() -> Topology {
+        let mut topology =
+            Topology::new(Arc::new(block([20, 16, 8], CELL, &Material::default(), 1)));
+        for [from, by] in [[[2.3, 4.1], [1.1, 0.6]], [[11.7, 2.2], [-0.7, 1.3]]] {
+            let point = |i: u32| BladePoint {
+                tip: Vec3::new(
+                    CELL * (from[0] + by[0] * f64::from(i)),
+                    CELL * (from[1] + by[1] * f64::from(i)),
+                    3.4 * CELL,
+                ),
+                axis: Vec3::z(),
+                depth_m: 0.03,
+            };
+            let stroke = CutStroke {
+                points: (0..9).map(point).collect(),
+                width_m: 0.0,
+            };
+            let outcome = cut(&mut topology, &stroke).unwrap();
+            assert!(outcome.doubled.len() > 20);
+        }
+        topology
+    }
+
+    #[test]
+    fn every_tied_node_belongs_to_one_element_and_is_tied_to_its_corners() {
+        let structure = Structure::new(&crossed());
+        let mut elements_of = vec![0; structure.ties.len()];
+        for (element, corners) in (0..).zip(&structure.levels[0].corners) {
+            for &node in structure.nodes_of.row(element) {
+                let ties = &structure.ties[node as usize];
+                elements_of[node as usize] += 1;
+                assert!(
+                    ties.to[..ties.len as usize]
+                        .iter()
+                        .all(|p| corners.contains(p))
+                );
+            }
+        }
+        for (node, ties) in structure.ties.iter().enumerate() {
+            assert_eq!(elements_of[node], u32::from(ties.len > 0), "node {node}");
+        }
     }
 }
