@@ -25,16 +25,12 @@ use crate::roster::{ToolAt, gather};
 use crate::thin::ThinView;
 use crate::view::{View, ViewCut};
 
-/// From one solve of what the hand feels to the next.
+/// From one solve of the hand's tissue to the next, and the CPU time after which a solve begins no further iteration.
+/// Iterations are better made within a solve than in two: each solve gathers contacts and selects the active set anew. The
+/// limit is CPU time, because on a busy machine elapsed time would end solves before they converge.
 pub const HAPTIC_PERIOD: Span = Span::from_millis(4);
 
-/// Work on what the hand feels after which no further iteration begins: with it the contact
-/// model is renewed at 250 Hz and leaves room for others. Work and not time that passes: on a crowded
-/// machine a solve would otherwise be given up before it began, and the hand feel a tissue that has not
-/// given way yet.
-pub const HAPTIC_WORK: Span = Span::from_micros(1000);
-
-/// Iterations at most; time ends most solves.
+/// Iterations at most; most solves end when the forces are steady.
 pub(crate) const ITERATIONS: usize = 4;
 
 /// Residual at which the hand's solve ends: the force is then within a percent or two. Less is not asked for of what is
@@ -42,7 +38,7 @@ pub(crate) const ITERATIONS: usize = 4;
 /// of 4 %.
 pub(crate) const HAPTIC_TOLERANCE: f64 = 2e-2;
 
-/// The budget of a solve of what a hand feels; `stop` says when its [work](HAPTIC_WORK) is done.
+/// The budget of a solve of what a hand feels; `stop` ends it after [`HAPTIC_PERIOD`] of CPU time.
 pub fn hand_budget(stop: &mut dyn FnMut() -> bool) -> Budget<'_> {
     Budget {
         near: true,

@@ -27,7 +27,7 @@ use crate::inbox::Inbox;
 use crate::reach::Reach;
 use crate::realtime::{Frame, compute_alone, device_time, monotonic_now, sleep_until, worked};
 use crate::recording::{Recording, VIEW_HZ};
-use crate::replica::{HAPTIC_PERIOD, HAPTIC_WORK, hand_budget};
+use crate::replica::{HAPTIC_PERIOD, hand_budget};
 use crate::site::{Site, SiteCounters, SiteError, ViewNews};
 use crate::thin::{ThinCounters, ThinView};
 use crate::view::{Order, ViewReport, ViewThread, record};
@@ -403,7 +403,7 @@ impl Turns {
         };
         let frame = *hand.newest.read();
         let (began, at_first) = (monotonic_now(), worked());
-        let mut stop = || worked() - at_first > HAPTIC_WORK;
+        let mut stop = || worked() - at_first > HAPTIC_PERIOD;
         let sample = &frame.sample;
         let budget = hand_budget(&mut stop);
         let buttons = (sample.buttons.bits() & 0xff) as u8;

@@ -14,7 +14,7 @@ use std::sync::Arc;
 use nalgebra::{UnitQuaternion, Vector3};
 use palpate_client::Replica;
 use palpate_client::realtime::worked;
-use palpate_client::replica::{HAPTIC_PERIOD, HAPTIC_WORK, hand_budget};
+use palpate_client::replica::{HAPTIC_PERIOD, hand_budget};
 use palpate_client::roster::ToolAt;
 use palpate_device::script::{Hand, Script, ScriptPose, Tool as ScriptTool, WayPoint};
 use palpate_device::{DeviceCaps, DeviceTime, Sample, Workspace, Wrench};
@@ -209,7 +209,7 @@ impl Trial {
             }
             if coming.is_none() && now >= solve_at {
                 let began = worked();
-                let mut stop = || worked() - began > HAPTIC_WORK;
+                let mut stop = || worked() - began > HAPTIC_PERIOD;
                 let budget = hand_budget(&mut stop);
                 let model = replica.haptic_step(now, Some(&self.at(&at)), &[], budget);
                 let took = worked() - began;

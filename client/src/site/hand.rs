@@ -13,10 +13,10 @@ use crate::replica::Replica;
 use crate::roster::ToolAt;
 
 /// The tool of this hand is solved for again after it has moved so far, m. The linear law is then off by less than the solver.
-const OWN_MOVED_M: f64 = 0.1e-3;
+const OWN_MOVED_M: f64 = 0.15e-3;
 
 /// Another tool is solved for again after it has moved so far, m: the tissue between smooths its effect on this hand.
-const OTHER_MOVED_M: f64 = 0.2e-3;
+const OTHER_MOVED_M: f64 = 0.3e-3;
 
 /// From one solve to the next at most: what is far from the tools relaxes over many.
 const SOLVE_WITHIN: Span = Span::from_millis(20);

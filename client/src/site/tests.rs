@@ -411,13 +411,13 @@ fn a_hand_that_rests_is_not_solved_again_and_one_that_moves_is() {
     assert!((20..100).contains(&begun), "{begun}");
     let resting: Vec<u64> = (100..110).map(|k| solves(&mut site, 4 * k, 0.0)).collect();
     assert_eq!(resting.iter().sum::<u64>(), 2, "every 20 ms: {resting:?}");
-    assert_eq!(solves(&mut site, 440, 0.12), 1);
+    assert_eq!(solves(&mut site, 440, 0.17), 1);
     for k in 111..200 {
-        solves(&mut site, 4 * k, 0.12);
+        solves(&mut site, 4 * k, 0.17);
     }
-    let small: u64 = (200..210).map(|k| solves(&mut site, 4 * k, 0.18)).sum();
+    let small: u64 = (200..210).map(|k| solves(&mut site, 4 * k, 0.25)).sum();
     // One of them changes the force, and another one follows it.
-    assert!(small <= 4, "{small} after less than 0.1 mm");
+    assert!(small <= 4, "{small} after less than 0.15 mm");
 }
 
 #[test]

@@ -14,7 +14,7 @@ use crate::recording::{ToolRecord, ViewRecord, choose_nodes};
 use crate::site::ViewFrame;
 
 /// Iterations of one view: as many as the server makes of the same moment.
-const ITERATIONS: usize = 2;
+const ITERATIONS: usize = 1;
 
 /// Work on one view. Work and not time that passes: on a crowded machine a solve would otherwise be
 /// given up before it began.

@@ -31,7 +31,7 @@ use crate::pictures::Pictures;
 const TOLERANCE: f64 = 2e-2;
 
 /// Iterations of one tick at most, should the shell's time limit never come.
-const ITERATIONS_MAX: usize = 2;
+const ITERATIONS_MAX: usize = 1;
 
 /// A displacement below this needs no correction: it can not be seen.
 const DISPLACED_M: f64 = 5e-5;

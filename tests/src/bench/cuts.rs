@@ -12,7 +12,7 @@ use clap::Args;
 use nalgebra::Vector3;
 use palpate_client::ahead::{Ahead, CutNews, CutOrder};
 use palpate_client::realtime::worked;
-use palpate_client::replica::{HAPTIC_PERIOD, HAPTIC_WORK, hand_budget};
+use palpate_client::replica::{HAPTIC_PERIOD, hand_budget};
 use palpate_client::site::{SiteError, ViewNews};
 use palpate_client::view::{VIEW_TOLERANCE, View};
 use palpate_client::{Site, convert};
@@ -405,7 +405,7 @@ impl Step {
         }
         site.advance(now)?;
         let at_first = worked();
-        let mut stop = || worked() - at_first > HAPTIC_WORK;
+        let mut stop = || worked() - at_first > HAPTIC_PERIOD;
         let model = site.haptic_step(now, pose, 0, hand_budget(&mut stop));
         orders.extend(std::iter::from_fn(|| site.poll_cut_order()));
         let took = worked() - from;

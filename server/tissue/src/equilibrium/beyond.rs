@@ -54,10 +54,8 @@ impl Multigrid {
             let (finer, coarser) = self.patches.split_at_mut(l);
             let (patch, above) = (&finer[l - 1], &mut coarser[0]);
             let mut restrict = |point: u32, force: &Quad| {
-                let ties = &structure.levels[l - 1].ties[point as usize];
-                for t in 0..ties.len as usize {
-                    above.add_beyond(ties.to[t], force, ties.weight[t]);
-                }
+                let row = structure.levels[l - 1].prolongation.row(point as usize);
+                row.for_each(|(coarse, weight)| above.add_beyond(coarse, force, weight));
             };
             let is_outside = |&&point: &&u32| patch.inside[point as usize] == 0;
             for &point in patch.beyond.items.iter().filter(is_outside) {
@@ -96,9 +94,8 @@ impl Field {
         let patch = &mut coarse.patches[0];
         patch.beyond.clear();
         for n in self.loud_beyond() {
-            let ties = &structure.ties[n];
-            for t in 0..ties.len as usize {
-                patch.add_beyond(ties.to[t], &self.r[n], ties.weight[t]);
+            for (point, weight) in structure.prolongation.row(n) {
+                patch.add_beyond(point, &self.r[n], weight);
             }
         }
     }

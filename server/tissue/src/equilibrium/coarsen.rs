@@ -9,6 +9,9 @@
 
 use std::collections::BTreeMap;
 
+use super::brick::CORNER;
+use super::prolongation::FREE;
+
 /// A cell of some level as the next coarser one sees it.
 #[derive(Clone, Copy)]
 pub(crate) struct Piece {
@@ -18,22 +21,14 @@ pub(crate) struct Piece {
     pub(crate) corners: [u32; 8],
 }
 
-/// Up to eight points of the coarser level and their weights.
-#[derive(Clone, Copy, Default, Debug, PartialEq)]
-pub(crate) struct Ties {
-    pub(crate) to: [u32; 8],
-    pub(crate) weight: [f32; 8],
-    pub(crate) len: u8,
-}
-
 /// A coarser lattice.
 pub(crate) struct Coarse {
     /// Its elements, sorted by place.
     pub(crate) pieces: Vec<Piece>,
     /// Element of every finer cell.
     pub(crate) element_of: Vec<u32>,
-    /// Ties of every finer point; none for those of no cell.
-    pub(crate) ties: Vec<Ties>,
+    /// Element and place of every finer point, see [`Prolongation`](super::prolongation::Prolongation).
+    pub(crate) entries: Vec<u32>,
     /// Number of its points.
     pub(crate) points: usize,
 }
@@ -90,29 +85,33 @@ pub(crate) fn coarsen(
     for c in 0..cells.len() as u32 {
         element_of[c as usize] = element_of[sets.find(c) as usize];
     }
-    let (ties, count) = merge_corners(cells, points, &element_of, &mut pieces);
+    let (entries, count) = merge_corners(cells, points, &element_of, &mut pieces);
     Coarse {
         pieces,
         element_of,
-        ties,
+        entries,
         points: count,
     }
 }
 
-/// Makes one point of all corners that a finer point hangs on, numbers them and ties the points.
+/// Makes one point of all corners that a finer point hangs on and numbers them. Returns the element and place of each
+/// finer point, and the number of coarse points.
 fn merge_corners(
     cells: &[Piece],
     points: usize,
     element_of: &[u32],
     pieces: &mut [Piece],
-) -> (Vec<Ties>, usize) {
+) -> (Vec<u32>, usize) {
     const NONE: u32 = u32::MAX;
     let mut slots = Sets::new(pieces.len() * 8);
     let mut first = vec![[NONE; 8]; points];
+    let mut entries = vec![FREE; points];
     for (c, cell) in cells.iter().enumerate() {
         let element = element_of[c];
         let own = octant(cell.at);
         for (corner, &point) in cell.corners.iter().enumerate() {
+            // Seen from any other element around it, the weights and the merged corners are the same.
+            entries[point as usize] = element * 32 + CORNER[own][corner] as u32;
             let known = &mut first[point as usize];
             for (low, slot) in support(own, corner) {
                 let slot = element * 8 + slot as u32;
@@ -136,20 +135,7 @@ fn merge_corners(
             piece.corners[s] = number[root];
         }
     }
-    let ties = first
-        .iter()
-        .map(|known| {
-            let mut ties = Ties::default();
-            let used = known.iter().filter(|&&s| s != NONE).count();
-            for &slot in known.iter().filter(|&&s| s != NONE) {
-                ties.to[ties.len as usize] = pieces[slot as usize / 8].corners[slot as usize % 8];
-                ties.weight[ties.len as usize] = 1.0 / used as f32;
-                ties.len += 1;
-            }
-            ties
-        })
-        .collect();
-    (ties, count as usize)
+    (entries, count as usize)
 }
 
 /// Corners of an element on which corner `corner` of the cell at `octant` hangs: for each, its

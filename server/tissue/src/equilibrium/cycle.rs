@@ -7,10 +7,10 @@
 use pulp::{Arch, Simd, WithSimd};
 
 use super::block::{Quad, ZERO, plus};
-use super::coarsen::Ties;
 use super::element::Matrix;
 use super::matrix::Corners;
 use super::patch::{Deferred, Patch, apply, square, take_over};
+use super::prolongation::Prolongation;
 use super::structure::{Level, Structure};
 
 /// Lowest eigenvalue that smoothing looks after, in parts of the bound on all.
@@ -264,12 +264,12 @@ impl Multigrid {
                 continue;
             };
             for &point in &patch.points.items {
-                restrict(&level.ties[point as usize], &patch.r[point as usize], next);
+                restrict(&level.prolongation, point, &patch.r[point as usize], next);
             }
             for &point in &patch.loaded.items {
                 if patch.inside[point as usize] == 0 {
                     let b = patch.b[point as usize];
-                    restrict(&level.ties[point as usize], &b, next);
+                    restrict(&level.prolongation, point, &b, next);
                     if square(&b) > (effort.loaded * threshold).powi(2) {
                         for &element in level.around.row(point) {
                             next.wanted.insert(level.parent[element as usize]);
@@ -283,8 +283,8 @@ impl Multigrid {
             let (finer, coarser) = self.patches.split_at_mut(l + 1);
             let (patch, above) = (&mut finer[l], &coarser[0]);
             for &point in &patch.points.items {
-                let v = interpolate(&level.ties[point as usize], &above.e);
                 let p = point as usize;
+                let v = level.prolongation.interpolate(p, &above.e);
                 patch.d[p] = v;
                 patch.e[p] = plus(&patch.e[p], 1.0, &v);
             }
@@ -302,6 +302,14 @@ impl Multigrid {
         }
     }
 
+    /// Whether the totals that this step has changed are below `limit` m.
+    pub(super) fn is_within(&self, limit: f64) -> bool {
+        self.patches.iter().all(|patch| {
+            let mut totals = patch.gained.items.iter().map(|&p| patch.total[p as usize]);
+            totals.all(|total| crate::Vec3::from(total).norm() < limit)
+        })
+    }
+
     /// Begins a step: what the last one corrected becomes the correction that may be taken once more. Points on
     /// the rim of a set follow the coarser level, or what waits beside them would not know what they did.
     pub(super) fn recall(&mut self, structure: &Structure) {
@@ -313,7 +321,7 @@ impl Multigrid {
                 let gained = patch.gained.contains(point);
                 patch.e[p] = match above {
                     Some(above) if !patch.free[p] => {
-                        interpolate(&structure.levels[l].ties[p], &above.e)
+                        structure.levels[l].prolongation.interpolate(p, &above.e)
                     }
                     _ if gained => patch.gain[p],
                     _ => ZERO,
@@ -367,9 +375,9 @@ impl Multigrid {
                 if patch.gained.insert(point) {
                     let above = coarser.first().filter(|_| self.follows);
                     patch.gain[p] = above.map_or(ZERO, |above| {
-                        let ties = &level.ties[p];
-                        let e = interpolate(ties, &above.e);
-                        plus(&interpolate(ties, &above.gain), -share, &e)
+                        let e = level.prolongation.interpolate(p, &above.e);
+                        let gain = level.prolongation.interpolate(p, &above.gain);
+                        plus(&gain, -share, &e)
                     });
                 }
                 for a in 0..3 {
@@ -390,8 +398,8 @@ impl Multigrid {
             if let Some(above) = coarser.first() {
                 let patch = &mut finer[l];
                 for &point in &patch.points.items {
-                    patch.applied[point as usize] =
-                        super::patch::interpolate(&level.ties[point as usize], &above.total);
+                    let p = point as usize;
+                    patch.applied[p] = level.prolongation.interpolate_exactly(p, &above.total);
                 }
             }
         }
@@ -525,20 +533,12 @@ fn exceeds(waits: [f32; 2], tolerable: [f32; 2]) -> bool {
     waits[0] > tolerable[0] || waits[1] > tolerable[1]
 }
 
-pub(super) fn restrict(ties: &Ties, value: &Quad, to: &mut Patch) {
-    for t in 0..ties.len as usize {
-        to.load(ties.to[t], value, ties.weight[t]);
-    }
-}
-
-/// A correction of the coarser level where a point hangs.
+/// Adds the force on a point to the loads of the coarser level.
 #[inline(always)]
-pub(super) fn interpolate(ties: &Ties, of: &[Quad]) -> Quad {
-    let mut v = ZERO;
-    for t in 0..ties.len as usize {
-        v = plus(&v, ties.weight[t], &of[ties.to[t] as usize]);
+pub(super) fn restrict(by: &Prolongation, point: u32, force: &Quad, to: &mut Patch) {
+    for (coarse, weight) in by.row(point as usize) {
+        to.load(coarse, force, weight);
     }
-    v
 }
 
 fn to_child(parent: &Corners, octant: u8) -> Corners {

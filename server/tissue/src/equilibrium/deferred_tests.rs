@@ -56,7 +56,7 @@ fn large_deferred_forces_are_solved_while_a_hand_rests() {
     for round in 0..3 {
         let element = largest(&solver);
         let before = deferred(&solver, element);
-        for k in 0..400 {
+        for k in 0..100 {
             step(&mut solver, &mut shape, 8e-3 + 1e-6 * f64::from(k % 2));
         }
         let after = deferred(&solver, element);

@@ -13,7 +13,7 @@ use super::blocks::Blocks;
 use super::brick::LOCALS;
 use super::cycle::Multigrid;
 use super::kernel::{Ends, Forces};
-use super::patch::{List, interpolate};
+use super::patch::List;
 use super::structure::Structure;
 use super::weight::weights;
 use crate::contact::Contacts;
@@ -243,7 +243,9 @@ impl Field {
         node: u32,
     ) {
         let n = node as usize;
-        let v = interpolate(&structure.ties[n], &coarse.patches[0].total);
+        let v = structure
+            .prolongation
+            .interpolate_exactly(n, &coarse.patches[0].total);
         let old = self.applied[n];
         if v != old {
             self.applied[n] = v;
@@ -258,7 +260,7 @@ impl Field {
     }
 
     /// Brings nodes up to date with those points of level 1 that have moved by more than `least` m since the last time; see
-    /// `patch::hand_down` for the levels above.
+    /// `patch::hand_down` for the levels above. These moves are not [undone](Self::undo): the totals must be sane.
     pub(super) fn pour(
         &mut self,
         structure: &Structure,
@@ -266,17 +268,26 @@ impl Field {
         u: &mut [Vec3],
         least: f64,
     ) {
-        let points = coarse.patches[0].take_moved(least);
-        for (element, corners) in (0..).zip(&structure.levels[0].corners) {
-            if corners.iter().any(|&p| points[p as usize]) {
-                for &node in structure.nodes_of.row(element) {
-                    // Those of the set always are up to date.
-                    if !self.nodes.contains(node) {
-                        self.take_over(structure, coarse, u, node);
-                    }
+        let moved = coarse.patches[0].take_moved(&structure.levels[0], least);
+        let mut displaced = self.displaced.powi(2);
+        for (element, _) in (0..).zip(moved).filter(|(_, has_moved)| *has_moved) {
+            for &node in structure.nodes_of.row(element) {
+                let n = node as usize;
+                // Those of the set always are up to date.
+                if self.nodes.contains(node) {
+                    continue;
+                }
+                let total = &coarse.patches[0].total;
+                let now = structure.prolongation.interpolate_exactly(n, total);
+                let old = std::mem::replace(&mut self.applied[n], now);
+                if !self.fixed[n] {
+                    u[n] += Vec3::from(now) - Vec3::from(old);
+                    displaced = displaced.max(u[n].norm_squared());
                 }
             }
+            self.at_home = false;
         }
+        self.displaced = displaced.sqrt();
     }
 
     /// Brings these nodes up to date with level 1.

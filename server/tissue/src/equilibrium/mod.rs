@@ -6,6 +6,7 @@
 //! | `hold`, `corners` | what keeps tissue that bottoms out from folding: held springs, hardening corners |
 //! | `brick`, `kernel`, `slight`, `lanes` | forces of eight cells at a time, in vectors |
 //! | `coarsen`, `element`, `matrix`, `structure` | coarse lattices that open where cuts do, with a matrix per element |
+//! | `prolongation` | trilinear interpolation between two levels |
 //! | `patch`, `cycle`, `beyond` | the part of the coarse lattices near the tools, one V-cycle over it, what it does beyond |
 //! | `overlay`, `stiffen` | what tools and hardened tissue add to the coarse lattices |
 //! | `field`, `choice`, `moves`, `blocks`, `near` | forces on nodes, which of them take part, smoothing |
@@ -71,6 +72,7 @@ mod overlay;
 mod patch;
 mod path;
 mod prescribed;
+mod prolongation;
 mod relief;
 mod slight;
 mod solver;

@@ -3,7 +3,7 @@
 use super::block::{ZERO, make_room, plus};
 use super::cycle::{Chebyshev, LOW, Multigrid};
 use super::field::{Field, Since};
-use super::patch::{apply, interpolate};
+use super::patch::apply;
 use super::structure::Structure;
 use crate::Vec3;
 
@@ -19,9 +19,8 @@ impl Field {
             if self.fixed[n] {
                 continue;
             }
-            let ties = &structure.ties[n];
-            for t in 0..ties.len as usize {
-                patch.load(ties.to[t], &self.r[n], ties.weight[t]);
+            for (point, weight) in structure.prolongation.row(n) {
+                patch.load(point, &self.r[n], weight);
             }
         }
         // Others that were disturbed wait for their turn; what they carry is known.
@@ -60,7 +59,7 @@ impl Field {
                 continue;
             }
             if !self.is_settled(node) {
-                let v = super::cycle::interpolate(&structure.ties[n], e);
+                let v = structure.prolongation.interpolate(n, e);
                 let by = Vec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
                 moves.push((node, by));
             } else if self.moved_on.contains(node) {
@@ -121,8 +120,9 @@ impl Field {
         if self.since == Since::Carried {
             self.since = Since::Noted;
             for &node in &self.nodes.items {
-                let ties = &structure.ties[node as usize];
-                self.applied[node as usize] = interpolate(ties, &coarse.patches[0].total);
+                let total = &coarse.patches[0].total;
+                let n = node as usize;
+                self.applied[n] = structure.prolongation.interpolate_exactly(n, total);
             }
         }
     }
@@ -169,7 +169,7 @@ impl Field {
             let node = self.nodes.items[i];
             let n = node as usize;
             self.old.push(self.r[n]);
-            let v = super::cycle::interpolate(&structure.ties[n], e);
+            let v = structure.prolongation.interpolate(n, e);
             let by = Vec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
             let by = if self.fixed[n] { Vec3::zeros() } else { by };
             self.moved.push((node, by));
@@ -195,7 +195,8 @@ impl Field {
                 self.r[n] = plus(&self.old[i], share as f32, &change);
             }
             // The total was raised by the same: nothing is left to take over.
-            self.applied[n] = interpolate(&structure.ties[n], &coarse.patches[0].total);
+            let total = &coarse.patches[0].total;
+            self.applied[n] = structure.prolongation.interpolate_exactly(n, total);
         }
     }
 

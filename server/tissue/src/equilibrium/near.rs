@@ -21,7 +21,7 @@ impl Near {
     pub(super) fn new(structure: &Structure) -> Self {
         Self {
             bricks: List::new(structure.bricks.len()),
-            seen: List::new(structure.ties.len()),
+            seen: List::new(structure.prolongation.len()),
             nodes: Vec::new(),
         }
     }

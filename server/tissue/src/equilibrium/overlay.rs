@@ -1,9 +1,11 @@
 //! What contacts and held nodes add to the coarse levels: stiffness, and the force that draws them along.
 
 use super::block::{ZERO, plus};
+use super::brick::CORNER;
 use super::cycle::{Multigrid, restrict};
 use super::matrix::{Columns, at, lane};
 use super::patch::{NONE, Overlay, Patch, invert};
+use super::prolongation::STENCILS;
 use super::structure::{Level, Structure};
 use crate::Vec3;
 
@@ -15,7 +17,7 @@ impl Multigrid {
         };
         let (brick, place) = (entry / 32, entry % 32);
         let element = structure.element_of[brick as usize];
-        if structure.ties[node as usize].len == 0 {
+        if structure.prolongation.element_of(node as usize).is_none() {
             return;
         }
         let w = super::element::WEIGHTS[place as usize].map(|w| w as f32);
@@ -40,7 +42,7 @@ impl Multigrid {
     /// Adds a force in N on a node to the loads of level 1.
     pub(super) fn draw(&mut self, structure: &Structure, node: u32, force: &Vec3) {
         let load = [force.x as f32, force.y as f32, force.z as f32, 0.0];
-        restrict(&structure.ties[node as usize], &load, &mut self.patches[0]);
+        restrict(&structure.prolongation, node, &load, &mut self.patches[0]);
     }
 
     /// Carries the added stiffness to all levels.
@@ -69,9 +71,8 @@ impl Multigrid {
                 break;
             };
             for &point in &patch.stiffened.items {
-                let ties = &level.ties[point as usize];
-                for t in 0..ties.len as usize {
-                    next.bear(ties.to[t], &patch.stiffer[point as usize], ties.weight[t]);
+                for (coarse, weight) in level.prolongation.row(point as usize) {
+                    next.bear(coarse, &patch.stiffer[point as usize], weight);
                 }
             }
         }
@@ -118,66 +119,21 @@ impl Patch {
     }
 }
 
-/// Corners of an element that a corner of its child hangs on, and its weights: those that are not zero.
-#[derive(Clone, Copy)]
-struct Hangs {
-    on: [usize; 8],
-    weight: [f32; 8],
-    len: usize,
-}
-
-/// Of each corner of the child in each octant. (Looking for the zeros takes longer than everything else.)
-const HANGS: [[Hangs; 8]; 8] = hangs();
-
-const fn hangs() -> [[Hangs; 8]; 8] {
-    let none = Hangs {
-        on: [0; 8],
-        weight: [0.0; 8],
-        len: 0,
-    };
-    let mut list = [[none; 8]; 8];
-    let mut i = 0;
-    while i < 64 {
-        let (octant, corner) = (i / 8, i % 8);
-        let weights = super::element::WEIGHTS[super::brick::CORNER[octant][corner]];
-        let mut c = 0;
-        while c < 8 {
-            if weights[c] > 0.0 {
-                let hangs = &mut list[octant][corner];
-                hangs.on[hangs.len] = c;
-                hangs.weight[hangs.len] = weights[c] as f32;
-                hangs.len += 1;
-            }
-            c += 1;
-        }
-        i += 1;
-    }
-    list
-}
-
-impl Hangs {
-    #[inline(always)]
-    fn each(&self) -> impl Iterator<Item = (usize, f32)> {
-        let both = self.on.iter().copied().zip(self.weight);
-        both.take(self.len)
-    }
-}
-
 /// Adds `PᵀKP` of the matrix of a finer element.
 fn add_child(to: &mut Columns, child: &Columns, octant: usize) {
-    let corners = &HANGS[octant];
-    for (c, row) in corners.iter().enumerate() {
+    let stencils = CORNER[octant].map(|place| &STENCILS[place]);
+    for (c, row) in stencils.iter().enumerate() {
         for a in 0..3 {
             // Rows first: what one column of K becomes.
             let from = &child.0[at(c, a)];
             let mut t = [ZERO; 8];
-            for (own, hangs) in corners.iter().enumerate() {
+            for (own, stencil) in stencils.iter().enumerate() {
                 let value = [0, 1, 2, 3].map(|i| from[lane(own, i)]);
-                for (q, w) in hangs.each() {
+                for (q, w) in stencil.corners() {
                     t[q] = plus(&t[q], w, &value);
                 }
             }
-            for (p, w) in row.each() {
+            for (p, w) in row.corners() {
                 let column = &mut to.0[at(p, a)];
                 for (v, t) in column.iter_mut().zip(t.as_flattened()) {
                     *v += w * t;

@@ -227,8 +227,8 @@ impl Patch {
         }
     }
 
-    /// Which points have moved by more than `least` m, along some axis, since they were last taken.
-    pub(super) fn take_moved(&mut self, least: f64) -> Vec<bool> {
+    /// Elements with a corner that has moved by more than `least` m, along some axis, since it was last taken.
+    pub(super) fn take_moved(&mut self, level: &Level, least: f64) -> Vec<bool> {
         self.poured.resize(self.total.len(), [0.0; 3]);
         let mut moved = |(total, poured): (&[f64; 3], &mut [f64; 3])| {
             let has = (0..3).any(|a| (total[a] - poured[a]).abs() > least);
@@ -237,11 +237,10 @@ impl Patch {
             }
             has
         };
-        self.total
-            .iter()
-            .zip(&mut self.poured)
-            .map(&mut moved)
-            .collect()
+        let points = self.total.iter().zip(&mut self.poured);
+        let points: Vec<bool> = points.map(&mut moved).collect();
+        let has_moved = |corners: &[u32; 8]| corners.iter().any(|&p| points[p as usize]);
+        level.corners.iter().map(has_moved).collect()
     }
 
     /// Adds to the load of a point.
@@ -374,7 +373,10 @@ pub(super) fn take_over(structure: &Structure, patches: &mut [Patch], l: usize) 
     for &point in &patch.points.items {
         let p = point as usize;
         let (total, applied) = (&mut patch.total[p], &mut patch.applied[p]);
-        bring_point(&structure.levels[l].ties[p], &above.total, total, applied);
+        let now = structure.levels[l]
+            .prolongation
+            .interpolate_exactly(p, &above.total);
+        bring_point(now, total, applied);
     }
 }
 
@@ -385,43 +387,27 @@ pub(super) fn hand_down(structure: &Structure, patches: &mut [Patch], l: usize, 
     let Some(above) = coarser.first_mut() else {
         return;
     };
-    let moved = above.take_moved(least);
+    let moved = above.take_moved(&structure.levels[l + 1], least);
     let patch = &mut finer[l];
-    for (p, ties) in structure.levels[l].ties.iter().enumerate() {
-        let to = &ties.to[..ties.len as usize];
-        if to.iter().any(|&point| moved[point as usize]) {
-            let (total, applied) = (&mut patch.total[p], &mut patch.applied[p]);
-            bring_point(ties, &above.total, total, applied);
+    let prolongation = &structure.levels[l].prolongation;
+    for p in 0..prolongation.len() {
+        if prolongation
+            .element_of(p)
+            .is_some_and(|e| moved[e as usize])
+        {
+            let now = prolongation.interpolate_exactly(p, &above.total);
+            bring_point(now, &mut patch.total[p], &mut patch.applied[p]);
         }
     }
 }
 
-/// Brings the total of a point up to date with those of the coarser level.
+/// Adds to the total of a point what the interpolated total of the coarser level has changed by.
 #[inline]
-pub(super) fn bring_point(
-    ties: &super::coarsen::Ties,
-    above: &[[f64; 3]],
-    total: &mut [f64; 3],
-    applied: &mut [f64; 3],
-) {
-    let v = interpolate(ties, above);
+pub(super) fn bring_point(now: [f64; 3], total: &mut [f64; 3], applied: &mut [f64; 3]) {
     for a in 0..3 {
-        total[a] += v[a] - applied[a];
+        total[a] += now[a] - applied[a];
     }
-    *applied = v;
-}
-
-/// A quantity of the coarser level where a point hangs.
-#[inline]
-pub(super) fn interpolate(ties: &super::coarsen::Ties, of: &[[f64; 3]]) -> [f64; 3] {
-    let mut v = [0.0; 3];
-    for t in 0..ties.len as usize {
-        let (from, w) = (&of[ties.to[t] as usize], f64::from(ties.weight[t]));
-        for a in 0..3 {
-            v[a] += w * from[a];
-        }
-    }
-    v
+    *applied = now;
 }
 
 /// Inverse of a bound, zero where there is none.

@@ -68,21 +68,19 @@ const DEEPEN: f64 = 0.25;
 /// Iterations that are due when a tool has jumped or has just touched the tissue: there is no last change to
 /// begin with.
 const DUE: usize = 3;
-/// Part of a tool's force by which a further iteration must have changed it, while a hand waits, for another one to
-/// follow. Over two hands that press and cut a thigh for 20 s at 250 Hz, forces are 1.4 and 4.2 % off from those of
-/// converged solves and a step takes 1.3 iterations' time; with four iterations in every step 2.0 and 3.4 %, with one
-/// 2.2 and 10.4 %.
+/// Part of a tool's force by which the last iteration of a quick step must have changed it for another one to follow; see
+/// DECISIONS.md.
 const STEADY: f64 = 5e-3;
-/// Steps of a hand, in one of which an element that waits with a large force is refined. Without it, forces of one and the
+/// Quick steps, in one of which an element that waits with a large force is refined. Without it, forces of one and the
 /// same press depend on the path: on the thigh they were 5 % off (rms) while another tool that had let go left a dent
 /// unsolved. With 4, 8 and 16 they are 1.5, 1.9 and 3.2 % off, at 1.5, 1.2 and 1.1 times the work.
-const REFINED_EVERY: u32 = 8;
+const REFINED_EVERY: u32 = 2;
 /// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
 const BLOWN_UP: f64 = 1e4;
 
-/// Displacement in m that a step of low accuracy need not prolongate to nodes far from the tools: half the step of
+/// Displacement in m that a step of low accuracy need not prolongate to nodes far from the tools: the step of
 /// displacements on the network.
-const UNSEEN_M: f64 = 5e-6;
+const UNSEEN_M: f64 = 10e-6;
 
 /// Scratch memory of the equilibrium of one shape of one topology.
 pub struct Solver {
@@ -113,8 +111,8 @@ pub struct Solver {
     pub(super) last_forces: Vec<Vec3>,
     /// Steps for a hand since the topology changed or the whole tissue was solved; `None` when they are enough.
     pub(super) settling: Option<usize>,
-    /// Steps for a hand since the tissue was at rest.
-    pub(super) near_steps: u32,
+    /// Quick steps since the tissue was at rest.
+    pub(super) quick_steps: u32,
 }
 
 impl Solver {
@@ -251,17 +249,18 @@ impl Solver {
         self.led.clear();
         let lags = self.foresee(topology, u, carry);
         self.iterate(topology, u, lags, &mut budget);
-        if !near {
-            let is_quick = budget.tolerance >= QUICK;
-            self.hand_down(shape, if is_quick { UNSEEN_M } else { 0.0 });
-            // A step for a hand that follows is not to hand down what the whole tissue was left with.
-            self.settling = Some(0);
-        }
         if !self.is_sane(topology, &shape.displacement) {
             self.field.undo(&self.structure, &mut shape.displacement);
             let own = std::mem::take(&mut self.field.own);
             self.restart(topology, own);
             self.report.fell_back = true;
+        } else if !near {
+            let is_quick = budget.tolerance >= QUICK;
+            self.hand_down(shape, if is_quick { UNSEEN_M } else { 0.0 });
+            if !is_quick {
+                // A step for a hand that follows is not to hand down what the whole tissue was left with.
+                self.settling = Some(0);
+            }
         }
         self.close(topology, &shape.displacement);
         &self.report
@@ -275,43 +274,27 @@ impl Solver {
         budget: &mut Budget<'_>,
     ) {
         let quick = budget.near || budget.tolerance >= QUICK && self.held.is_empty();
-        if budget.near {
-            let is_at_rest = self.field.at_home;
-            self.near_steps = if is_at_rest { 0 } else { self.near_steps + 1 };
-            if self.near_steps % REFINED_EVERY == REFINED_EVERY - 1 {
-                self.coarse.refine_next(&self.structure);
-            }
-        }
-        let relief = self.relieve(budget.near);
-        self.coarse.pending = relief * PENDING[usize::from(quick)];
-        let deep = usize::from(self.structure.bottoms_out);
-        self.coarse.strained = if budget.near {
-            relief * STRAINED[deep]
+        let relief = if quick {
+            self.prepare_quick()
         } else {
-            f32::INFINITY
+            self.prepare_full()
         };
-        self.coarse.slack = if budget.near { SLACK } else { [1.0; 2] };
         self.coarse.follows = self.contacts.proxies.is_empty();
-        self.field.limit_moves(&self.structure, budget.near);
-        self.field.bent = if budget.near {
-            relief * BENT[deep]
-        } else {
-            f32::INFINITY
-        };
+        self.field.limit_moves(&self.structure, quick);
         // What took part in the last step takes part again: nothing is gained by beginning coarsely.
         let mut share = if self.carried { 0.0 } else { FIRST_SHARE };
         let jumped = lags;
         // What is added to the levels is that of other contacts.
         let mut outdated = true;
         let touched = self.report.reactions.iter().any(|r| r.contacts > 0);
-        let touches = budget.near && !touched && !self.contacts.nodes.is_empty();
+        let touches = quick && !touched && !self.contacts.nodes.is_empty();
         // One there is always: without any, what was foreseen would never be checked. Under a tool that jumped
         // into the tissue there are more: after one it has not given way, and the force is ten times too high.
         let due = if jumped || touches { DUE } else { 1 };
         let (mut begun, mut smoothing) = (0.0, None);
         loop {
             self.field.refresh(&self.structure, u);
-            let allowed = self.bring(u, budget.tolerance, budget.near);
+            let allowed = self.bring(u, budget.tolerance, quick);
             let last = if budget.tolerance < PROVEN {
                 0.5 / (self.field.stirred() as f64 + 1.0).sqrt()
             } else if budget.tolerance < QUICK {
@@ -354,8 +337,8 @@ impl Solver {
                 lags = self.gather(topology, u);
                 outdated = true;
             }
-            // What would take part in a further iteration of a hand's step is for the next step to choose.
-            self.report.steady = budget.near && self.are_forces_steady(u);
+            // The active set of a further iteration is for the next quick step to choose.
+            self.report.steady = quick && self.are_forces_steady(u);
             let steady = self.report.steady && self.report.iterations >= due;
             if quick && (steady || self.is_over(budget, due, touches)) {
                 break;
@@ -365,9 +348,7 @@ impl Solver {
             if self.report.iterations > 0 {
                 self.finish(u);
             }
-            if budget.near {
-                self.settle(budget.tolerance);
-            }
+            self.settle(budget.tolerance);
         }
         if !self.held.is_empty() {
             // One step more by the forces that told the residual, on the nodes that were smoothed: nearly free, as it is
@@ -435,15 +416,34 @@ impl Solver {
         self.field.square_over_unfixed()
     }
 
-    /// How many times more than else may wait in this step.
-    fn relieve(&mut self, near: bool) -> f32 {
-        if !near {
-            self.relief = Relief::NONE;
-            return 1.0;
+    /// Sets the limits of a quick step: elements may keep deferred residuals, less so the more they are strained. Returns how
+    /// many times the usual limits they are, to bound the work.
+    fn prepare_quick(&mut self) -> f32 {
+        let is_at_rest = self.field.at_home;
+        self.quick_steps = if is_at_rest { 0 } else { self.quick_steps + 1 };
+        if self.quick_steps % REFINED_EVERY == REFINED_EVERY - 1 {
+            self.coarse.refine_next(&self.structure);
         }
         let elements = self.coarse.patches.iter().map(|p| p.set.items.len());
-        let nodes = self.field.nodes.items.len();
-        self.relief.after(nodes, elements.sum())
+        let relief = self
+            .relief
+            .after(self.field.nodes.items.len(), elements.sum());
+        let deep = usize::from(self.structure.bottoms_out);
+        self.coarse.pending = relief * PENDING[1];
+        self.coarse.strained = relief * STRAINED[deep];
+        self.coarse.slack = SLACK;
+        self.field.bent = relief * BENT[deep];
+        relief
+    }
+
+    /// Sets the limits of a step that converges.
+    fn prepare_full(&mut self) -> f32 {
+        self.relief = Relief::NONE;
+        self.coarse.pending = PENDING[0];
+        self.coarse.strained = f32::INFINITY;
+        self.coarse.slack = [1.0; 2];
+        self.field.bent = f32::INFINITY;
+        1.0
     }
 
     /// Stage: proxies and samples.
@@ -556,7 +556,8 @@ impl Solver {
 
     fn is_sane(&self, topology: &Topology, u: &[Vec3]) -> bool {
         let limit = BLOWN_UP * topology.model().spacing_m;
-        self.report.residual.is_finite() && self.field.is_within(u, limit)
+        let is_finite = self.report.residual.is_finite();
+        is_finite && self.field.is_within(u, limit) && self.coarse.is_within(limit)
     }
 
     /// Last stage: reactions and figures.

@@ -10,8 +10,9 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::brick::{Brick, Draft, Form, LOCALS};
-use super::coarsen::{Coarse, Joints, Piece, Ties, coarsen, octant};
+use super::coarsen::{Coarse, Joints, Piece, coarsen, octant};
 use super::element::{Matrix, Sum};
+use super::prolongation::{FREE, Prolongation};
 use crate::{FaceId, NO_CELL, Topology, Vec3};
 
 /// Coarse levels at most: 8 halvings take a lattice of 256 points per axis to one.
@@ -63,7 +64,7 @@ impl Table {
 /// One coarse lattice.
 pub(super) struct Level {
     /// Points at the corners of each element.
-    pub(super) corners: Vec<[u32; 8]>,
+    pub(super) corners: Arc<Vec<[u32; 8]>>,
     /// Matrix of each element.
     pub(super) matrix: Vec<u32>,
     pub(super) matrices: Vec<Arc<Matrix>>,
@@ -73,8 +74,8 @@ pub(super) struct Level {
     pub(super) parent: Vec<u32>,
     /// Position of each element in its parent.
     pub(super) octant: Vec<u8>,
-    /// Ties of each point to the next coarser level; none on the coarsest.
-    pub(super) ties: Vec<Ties>,
+    /// From the next coarser level; of no points on the coarsest.
+    pub(super) prolongation: Prolongation,
     /// Elements around each point.
     pub(super) around: Table,
     /// What bounds the rows of each point: the sum of its elements' bounds.
@@ -117,9 +118,9 @@ pub(crate) struct Structure {
     pub(super) element_of: Vec<u32>,
     /// Bricks around each node, as `brick * 32 + entry`.
     pub(super) around: Table,
-    /// Ties of each node to level 1; none for pinned nodes.
-    pub(super) ties: Vec<Ties>,
-    /// Nodes of each element of level 1 that are tied to its corners, each node in one element.
+    /// From level 1 to the nodes; pinned nodes follow no element.
+    pub(super) prolongation: Prolongation,
+    /// Nodes that follow each element of level 1.
     pub(super) nodes_of: Table,
     pub(super) levels: Vec<Level>,
     pub(super) per_spacing: f32,
@@ -173,20 +174,27 @@ impl Structure {
                     .map(move |i| (brick.nodes[i as usize], b as u32 * 32 + i))
             }),
         );
-        let mut ties = coarse.ties.clone();
-        for (node, ties) in ties.iter_mut().enumerate() {
+        let mut entries = coarse.entries.clone();
+        for (node, entry) in entries.iter_mut().enumerate() {
             if topology.is_pinned(node as u32) {
-                ties.len = 0;
+                *entry = FREE;
             }
         }
+        let corners = Arc::new(corners_of(&coarse));
+        let prolongation = Prolongation::new(entries, corners);
+        let followers = |node| Some((prolongation.element_of(node)?, node as u32));
+        let nodes_of = Table::new(
+            coarse.pieces.len(),
+            (0..prolongation.len()).filter_map(followers),
+        );
         let mut structure = Self {
             shared: shared(&bricks, kinds.forms.len()),
             forms: kinds.forms.clone(),
             bricks,
             element_of,
             around,
-            ties,
-            nodes_of: Table::default(),
+            nodes_of,
+            prolongation,
             levels: Vec::new(),
             per_spacing: (1.0 / topology.model().spacing_m) as f32,
             bottoms_out: topology
@@ -198,31 +206,7 @@ impl Structure {
             brick_of,
         };
         structure.add_levels(topology, coarse);
-        structure.nodes_of = structure.assign_nodes();
         structure
-    }
-
-    /// Assigns every node that has ties to an element of level 1 at whose corners they all are.
-    fn assign_nodes(&self) -> Table {
-        let level = &self.levels[0];
-        let element_of = |(node, ties): (usize, &Ties)| {
-            let to = &ties.to[..ties.len as usize];
-            let around = self.around.row(node as u32).iter();
-            let mut elements = around.map(|entry| self.element_of[(entry / 32) as usize]);
-            let holds = |&e: &u32| to.iter().all(|p| level.corners[e as usize].contains(p));
-            let element = elements.find(holds).filter(|_| !to.is_empty())?;
-            Some((element, node as u32))
-        };
-        let pairs: Vec<(u32, u32)> = self
-            .ties
-            .iter()
-            .enumerate()
-            .filter_map(element_of)
-            .collect();
-        // One that is left out would never move with level 1.
-        let tied = self.ties.iter().filter(|ties| ties.len > 0).count();
-        debug_assert_eq!(pairs.len(), tied, "nodes of one element each");
-        Table::new(level.corners.len(), pairs.into_iter())
     }
 
     fn add_levels(&mut self, topology: &Topology, first: Coarse) {
@@ -418,7 +402,7 @@ struct Changed<'a> {
 impl<'a> Changed<'a> {
     fn new(topology: &Topology, before: &'a Structure, nodes: &[u32]) -> Self {
         let mut touched = vec![false; topology.node_count()];
-        touched[before.ties.len().min(topology.node_count())..].fill(true);
+        touched[before.prolongation.len().min(topology.node_count())..].fill(true);
         for &node in nodes {
             touched[node as usize] = true;
         }
@@ -470,16 +454,23 @@ fn level_of(
         .enumerate()
         .flat_map(|(e, piece)| piece.corners.map(|p| (p, e as u32)));
     Level {
-        corners: now.pieces.iter().map(|p| p.corners).collect(),
+        corners: Arc::new(corners_of(now)),
         matrix,
         matrices,
         children,
         parent: next.map_or_else(Vec::new, |n| n.element_of.clone()),
         octant: now.pieces.iter().map(|p| octant(p.at) as u8).collect(),
-        ties: next.map_or_else(Vec::new, |n| n.ties.clone()),
+        prolongation: next.map_or_else(
+            || Prolongation::new(Vec::new(), Arc::default()),
+            |next| Prolongation::new(next.entries.clone(), Arc::new(corners_of(next))),
+        ),
         around: Table::new(now.points, pairs),
         bound,
     }
+}
+
+fn corners_of(coarse: &Coarse) -> Vec<[u32; 8]> {
+    coarse.pieces.iter().map(|piece| piece.corners).collect()
 }
 
 impl Form {
@@ -534,22 +525,17 @@ mod tests {
     }
 
     #[test]
-    fn every_tied_node_belongs_to_one_element_and_is_tied_to_its_corners() {
+    fn a_node_is_interpolated_alike_from_every_element_around_it() {
         let structure = Structure::new(&crossed());
-        let mut elements_of = vec![0; structure.ties.len()];
-        for (element, corners) in (0..).zip(&structure.levels[0].corners) {
-            for &node in structure.nodes_of.row(element) {
-                let ties = &structure.ties[node as usize];
-                elements_of[node as usize] += 1;
-                assert!(
-                    ties.to[..ties.len as usize]
-                        .iter()
-                        .all(|p| corners.contains(p))
-                );
+        let level = &structure.levels[0];
+        for node in 0..structure.prolongation.len() {
+            let row: Vec<(u32, f32)> = structure.prolongation.row(node).collect();
+            let sum: f32 = row.iter().map(|(_, weight)| weight).sum();
+            assert_eq!(sum, if row.is_empty() { 0.0 } else { 1.0 }, "node {node}");
+            for &entry in structure.around.row(node as u32) {
+                let corners = level.corners[structure.element_of[(entry / 32) as usize] as usize];
+                assert!(row.iter().all(|(p, _)| corners.contains(p)), "node {node}");
             }
-        }
-        for (node, ties) in structure.ties.iter().enumerate() {
-            assert_eq!(elements_of[node], u32::from(ties.len > 0), "node {node}");
         }
     }
 }
