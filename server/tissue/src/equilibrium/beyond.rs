@@ -1,12 +1,10 @@
-//! What a correction does beyond the part of a level that takes part in it.
+//! Work of a correction on the part of the levels outside the active sets.
 //!
-//! Forces out there are handed to the levels like all others, and moved along by what they answer. To tell
-//! how much of an answer to take without the work of those forces would weigh its price against half of its
-//! gain.
+//! Outer forces are restricted and answered by the coarse levels like all others. Without their work, the line search
+//! would weigh the cost of an answer against half of its gain.
 //!
-//! A point beyond the set of its level follows the coarser one by its weights, e = P e', so that the work of a force f
-//! on it is that of Pᵀ f on the coarser level's points: f · P e' = Pᵀ f · e'. Forces are restricted until they meet
-//! points that take part.
+//! A point outside the set of its level follows the coarser level by its weights, e = P e'. The work of a force f on it
+//! is f · P e' = Pᵀ f · e', so the forces are restricted until they meet active points.
 
 use super::block::{Quad, ZERO, plus};
 use super::cycle::Multigrid;
@@ -16,7 +14,7 @@ use super::solver::Solver;
 use super::structure::Structure;
 
 impl Patch {
-    /// Adds to the force on a point that was restricted from beyond the set of the finer level.
+    /// Adds to the outer force of a point, restricted from outside the finer level's set.
     fn add_beyond(&mut self, point: u32, force: &Quad, weight: f32) {
         if self.beyond.insert(point) {
             self.far[point as usize] = ZERO;
@@ -27,8 +25,8 @@ impl Patch {
 }
 
 impl Multigrid {
-    /// Work of the forces beyond the sets along the correction, in N m: those restricted from nodes to level 1, and
-    /// the lag of each level. They are restricted once until one of them, or the set of a level, changes.
+    /// Work of the outer forces along the correction, in N m: those restricted from nodes to level 1, and the deferred
+    /// residual of each level. They are restricted once, until a force or a set changes.
     fn work_beyond(&mut self, structure: &Structure) -> f64 {
         if !std::mem::replace(&mut self.is_beyond_restricted, true) {
             self.restrict_beyond(structure);
@@ -45,7 +43,7 @@ impl Multigrid {
         sum
     }
 
-    /// Restricts the forces on points beyond the sets to the points that take part.
+    /// Restricts the outer forces to the active points.
     fn restrict_beyond(&mut self, structure: &Structure) {
         for patch in &mut self.patches[1..] {
             patch.beyond.clear();
@@ -69,8 +67,8 @@ impl Multigrid {
 }
 
 impl Solver {
-    /// Work of what waits along the correction that has been deferred, before it and after it, in N m. Wants the
-    /// forces beyond the set [restricted](Field::restrict_beyond).
+    /// Work of all deferred and outer forces along the correction, at its start and its end, in N m. Needs the
+    /// [restricted](Field::restrict_beyond) outer forces.
     pub(super) fn work_waiting(&mut self) -> [f64; 2] {
         let (structure, coarse) = (&self.structure, &mut self.coarse);
         let beyond = coarse.work_beyond(structure);
@@ -79,13 +77,13 @@ impl Solver {
 }
 
 impl Field {
-    /// Nodes beyond the set that may move and on which forces are known that may not be zero.
+    /// Unfixed nodes outside the set with a possibly nonzero force.
     pub(super) fn loud_beyond(&self) -> impl Iterator<Item = usize> {
         let beyond = |&&n: &&u32| !self.nodes.contains(n) && !self.fixed[n as usize];
         self.loud.items.iter().filter(beyond).map(|&n| n as usize)
     }
 
-    /// Restricts the known forces on nodes beyond the set to the points of level 1, if they are not the same as before.
+    /// Restricts the forces on nodes outside the set to level 1, if any has changed.
     pub(super) fn restrict_beyond(&mut self, structure: &Structure, coarse: &mut Multigrid) {
         if std::mem::replace(&mut self.beyond, Beyond::Restricted) == Beyond::Restricted {
             return;

@@ -1,12 +1,11 @@
-//! What has become stiff moves as one.
+//! Line search along a correction, with rigid aggregation of the stiffest bricks.
 //!
-//! Coarse levels know the tissue at rest, and a step's change is carried on along a straight line. Where tissue
-//! is pressed nearly flat it is hundreds of times stiffer than that, and a move that strains one such place a little
-//! more does more work there than everywhere else together: of the whole a hundredth could be taken, and
-//! forces were up to twice too high for several ticks. So where little of a move can be taken, the bricks that
-//! resist it most are bound: those that hang together move by the mean of what their free nodes would, or not at
-//! all where a node of them is held. Smoothing sees to them afterwards. (What the seed does with forces of
-//! rigid clusters, Lin 2007, section 3.5, done with moves.)
+//! Coarse operators are those of the rest state, and the warm start extrapolates along a straight line. Tissue pressed
+//! nearly flat is hundreds of times stiffer. A small strain there dominates the work along a correction, so the line
+//! search accepted a hundredth of it, and forces were up to twice too high for several ticks. If the line search
+//! accepts less than half of a step, the bricks that resist it most are aggregated into rigid groups. Connected bricks
+//! move by the mean of their free nodes, or not at all if one of their nodes is held; the smoother corrects the rest.
+//! (The seed's rigid clusters, Lin 2007, section 3.5, applied to displacements instead of forces.)
 
 use std::collections::BTreeMap;
 
@@ -17,15 +16,15 @@ use super::solver::Solver;
 use super::structure::Structure;
 use crate::Vec3;
 
-/// Share of a move below which what resists it is bound.
+/// Step length below which resisting bricks are aggregated.
 const HINDERED: f64 = 0.5;
-/// Part of what a move gains that a brick may resist it by.
+/// Work of a brick against the correction, relative to the total work, from which on it is aggregated.
 const RESISTED: f64 = 0.03;
 
 impl Solver {
-    /// The share of these moves at which no work is left along them, within bounds. `moves` are in order of nodes,
-    /// and the shape is where they lead to; `before` are the forces of bricks on the nodes where they began, in
-    /// N, and `waiting` is the work of what waits along them, at both ends, in N m. What hinders them is bound.
+    /// Line search: the step length within bounds at which the work along these increments vanishes. `moves` are sorted
+    /// by node, and the shape is at their end. `before` are the brick forces at their start in N; `waiting` is the work
+    /// of deferred forces at both ends in N m. Bricks that resist the step are aggregated.
     pub(super) fn share_of(
         &mut self,
         u: &mut [Vec3],
@@ -35,7 +34,7 @@ impl Solver {
         bounds: [f64; 2],
     ) -> f64 {
         let (share, gain) = self.rest_along(u, moves, before, waiting, bounds);
-        // Once: to bind what is strained by that in turn brought nothing.
+        // Once: aggregating again after the second search brought no gain.
         let hindered = share < HINDERED && gain > 0.0;
         if !hindered || !self.field.bind(&self.structure, u, moves, RESISTED * gain) {
             return share;
@@ -43,7 +42,7 @@ impl Solver {
         self.rest_along(u, moves, before, waiting, bounds).0
     }
 
-    /// That share for the moves as they are, and the work along them where they begin, in N m.
+    /// The step length for these increments, and the work along them at their start, in N m.
     fn rest_along(
         &self,
         u: &[Vec3],
@@ -64,7 +63,7 @@ impl Solver {
     }
 }
 
-/// Work along moves of the force that `of` gives for each by its number and node, in N m.
+/// Work along increments in N m; `of` returns the force by position and node.
 fn work<'a>(moves: &[(u32, Vec3)], of: impl Fn(usize, u32) -> &'a Quad) -> f64 {
     let one = |(i, (node, by)): (usize, &(u32, Vec3))| {
         let force = of(i, *node);
@@ -74,8 +73,8 @@ fn work<'a>(moves: &[(u32, Vec3)], of: impl Fn(usize, u32) -> &'a Quad) -> f64 {
 }
 
 impl Field {
-    /// Binds what resists these moves by more than `most` N m per brick; the shape is where they lead to, and the
-    /// forces where they began are those kept. Returns whether any move has changed.
+    /// Aggregates bricks whose work against these increments exceeds `most` N m. The shape is at the end of the
+    /// increments; the saved forces belong to their start. Returns whether any increment changed.
     fn bind(
         &mut self,
         structure: &Structure,
@@ -122,9 +121,9 @@ impl Field {
         !changed.is_empty()
     }
 
-    /// Bricks of the set that do more than `most` N m against the moves.
+    /// Active bricks that do more than `most` N m against the increments.
     fn resisting(&mut self, structure: &Structure, moves: &[(u32, Vec3)], most: f64) -> Vec<u32> {
-        // Smoothing begins without a last step, so its memory is free for what each node moves by.
+        // Smoothing starts without a previous step, so `d` is free for the increments.
         for &node in &self.nodes.items {
             self.d[node as usize] = ZERO;
         }

@@ -1,15 +1,13 @@
 //! Vectors in four lanes of f32, for forces and corrections.
 //!
-//! A correction needs few digits, so the coarse levels run in single precision; the sum of the
-//! corrections does not.
+//! Corrections need few digits, so the coarse levels run in single precision; accumulated totals are in f64.
 
 /// Three numbers and a lane that stays zero.
 pub(crate) type Quad = [f32; 4];
 
 pub(crate) const ZERO: Quad = [0.0; 4];
 
-/// `a + w b`, all four lanes at once: single lanes written and then read as a vector would have to wait for
-/// each other.
+/// `a + w b` in all four lanes at once. Scalar lane writes followed by a vector read would stall on store forwarding.
 #[inline(always)]
 pub(crate) fn plus(a: &Quad, w: f32, b: &Quad) -> Quad {
     [
@@ -20,16 +18,15 @@ pub(crate) fn plus(a: &Quad, w: f32, b: &Quad) -> Quad {
     ]
 }
 
-/// So many of a value, in memory that is there. What `vec!` makes of zeros is handed out page by page when it is
-/// first written to, and a hand's first touch of a place took a third longer for it.
+/// A vector of `len` copies in committed memory. `vec!` of zeros commits pages at the first write, which made the first
+/// touch of a tool a third slower.
 pub(super) fn laid_out<T: Clone>(value: T, len: usize) -> Vec<T> {
     let mut values = Vec::with_capacity(len);
     values.resize(len, value);
     values
 }
 
-/// Makes room for so many values, in memory that is there, and for a quarter more, so that it need not be done again
-/// for a few.
+/// Resizes to `len` values in committed memory, with a quarter in reserve.
 pub(super) fn make_room<T: Clone>(values: &mut Vec<T>, filler: T, len: usize) {
     if values.capacity() < len {
         let mut roomy = laid_out(filler, len + len / 4);

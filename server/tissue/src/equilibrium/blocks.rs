@@ -1,8 +1,8 @@
-//! How stiff nodes are: the blocks that smoothing divides by.
+//! Diagonal blocks of the nodes for the block Jacobi preconditioner of the smoother.
 //!
-//! The block of a node is the sum of what the bricks around it oppose to its moves, at the displacements of now. Most of
-//! a body is hardly strained, and there the blocks of a form of brick that many share are taken as they are at rest,
-//! unless its springs stiffen or become extreme before long.
+//! The block of a node sums the tangent stiffness of the bricks around it at the current displacements. Bricks with
+//! small strain use the precomputed blocks of their form at rest, unless their springs are close to stiffening or
+//! extreme.
 
 use super::brick::{Brick, LOCALS};
 use super::field::{Field, contact_block};
@@ -12,15 +12,14 @@ use super::structure::Structure;
 use crate::Vec3;
 use crate::contact::Contacts;
 
-/// How many times a contact counts in the block of a node that is smoothed: a Chebyshev step goes up to 1.74
-/// times as far as the block says, and a contact that has opened does not bring the node back. Without it
-/// forces of a real thigh were up to twice what they should be for a tick, now and then.
+/// Weight of a contact in the block of its node. A Chebyshev step reaches up to 1.74 times the Jacobi step, and a
+/// contact that opens does not pull the node back. With a weight of 1, forces of a real thigh doubled for single ticks.
 const CAUTION: f64 = 2.0;
-/// Change of the size of a brick in spacings up to which its blocks are those at rest: as much as pressed springs
-/// and corners count as nearer to where they harden than they are.
+/// Change of size in spacings up to which a brick uses its blocks at rest. Pressed springs and corners count as closer
+/// to hardening by the same amount.
 const MILD: f64 = 0.05;
 
-/// Blocks of the nodes of a brick in N/m, and their sum over those that are present.
+/// Diagonal blocks of the nodes of a brick in N/m, and their sum over present nodes.
 #[derive(Clone)]
 pub(super) struct Blocks {
     of: [[f32; 6]; LOCALS],
@@ -36,7 +35,7 @@ impl Blocks {
 }
 
 impl Field {
-    /// The blocks that smoothing divides by, at the displacements of now.
+    /// Recomputes the diagonal blocks of the active nodes at the current displacements.
     pub(super) fn renew_blocks(&mut self, structure: &Structure, u: &[Vec3], contacts: &Contacts) {
         for &node in &self.nodes.items {
             self.blocks[node as usize] = [0.0; 6];
@@ -86,7 +85,7 @@ impl Field {
         })
     }
 
-    /// The blocks of a brick that are those at rest, if it is of a form that others have, too, and hardly strained.
+    /// The blocks at rest of a brick with a shared form and small strain.
     fn at_rest(&mut self, structure: &Structure, brick: u32, u: &[Vec3]) -> Option<&Blocks> {
         let b = &structure.bricks[brick as usize];
         let form = b.form as usize;
@@ -102,13 +101,13 @@ impl Field {
         self.blocks_at_rest[form].as_deref()
     }
 
-    /// The same for the nodes in contact only, whose stiffness comes and goes with what presses: a node
-    /// smoothed with that of a moment when nothing pressed is thrown far out of the tool, and comes back.
+    /// The same for nodes in contact, whose stiffness changes with the contact. A block without the contact would throw
+    /// the node out of the tool.
     pub(super) fn renew_pressed(&mut self, u: &[Vec3], contacts: &Contacts) {
         self.renew_or_press(u, contacts, false);
     }
 
-    /// The same, and adds the forces of contacts to those on their nodes.
+    /// The same; also adds the contact forces to their nodes.
     pub(super) fn press(&mut self, u: &[Vec3], contacts: &Contacts) {
         self.renew_or_press(u, contacts, true);
     }
@@ -138,8 +137,8 @@ impl Field {
         }
     }
 
-    /// Finds out how firm bricks are that have just come in: with what they were before they waited, or at rest,
-    /// corrections were ten times too long there.
+    /// Recomputes the block sums of bricks that have just become active: with outdated sums corrections were ten times
+    /// too long.
     pub(super) fn renew_firmness(&mut self, structure: &Structure, u: &[Vec3], bricks: &[u32]) {
         if !structure.bottoms_out {
             return;
@@ -155,7 +154,7 @@ impl Field {
         }
     }
 
-    /// Sum of the blocks of a brick's nodes at rest.
+    /// Sum of the diagonal blocks of a brick at rest.
     pub(super) fn firm_at_rest(&mut self, structure: &Structure, brick: u32) -> [f32; 6] {
         let b = &structure.bricks[brick as usize];
         if let Some(known) = self.firm_at_rest[b.form as usize] {
@@ -166,7 +165,7 @@ impl Field {
     }
 }
 
-/// Sum of the blocks of the nodes that are present.
+/// Sum of the blocks of the present nodes.
 fn firm(blocks: &LocalBlocks, present: u32) -> [f32; 6] {
     std::array::from_fn(|e| {
         let there = (0..LOCALS).filter(|i| present >> i & 1 == 1);

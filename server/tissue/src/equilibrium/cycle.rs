@@ -1,8 +1,7 @@
-//! One V-cycle over the coarse lattices: what the forces left on the finer level ask for.
+//! One V-cycle over the coarse levels.
 //!
-//! Chebyshev iterations smooth on every level (their polynomial needs no order of points, so they
-//! run element by element in vectors); each level hands what is left over to the next coarser one
-//! and adds its answer.
+//! Each level smooths by Chebyshev iterations, restricts its residual to the coarser level and adds the prolongated
+//! correction. The Chebyshev polynomial needs no order of points, so elements are processed in vectors.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -13,23 +12,23 @@ use super::patch::{Deferred, Patch, apply, square, take_over};
 use super::prolongation::Prolongation;
 use super::structure::{Level, Structure};
 
-/// Lowest eigenvalue that smoothing looks after, in parts of the bound on all.
+/// Lowest eigenvalue that the smoother damps, relative to the bound of all eigenvalues.
 pub(super) const LOW: f32 = 0.15;
 /// The same on the coarsest level.
 const LOW_COARSEST: f32 = 0.02;
-/// How much a V-cycle does.
+/// Work of a V-cycle.
 #[derive(Clone, Copy)]
 pub(super) struct Effort {
-    /// Smoothing steps on each level before the correction of the coarser one, and after it.
+    /// Smoothing steps on each level before and after the coarse correction.
     pub(super) before: usize,
     pub(super) after: usize,
-    /// Steps on the coarsest level, which stand for a solve.
+    /// Steps on the coarsest level, in place of a direct solve.
     pub(super) coarsest: usize,
-    /// Load in thresholds on a point outside of the set from which on it is to be let in.
+    /// Load in thresholds that activates a point outside the set.
     pub(super) loaded: f32,
 }
 
-/// The factors of a Chebyshev iteration on [low, 1] times the bound.
+/// Coefficients of a Chebyshev iteration on [low, 1] times the bound.
 pub(super) struct Chebyshev {
     theta: f32,
     delta: f32,
@@ -46,7 +45,7 @@ impl Chebyshev {
         }
     }
 
-    /// Factors of the last step and of the scaled residual.
+    /// Coefficients of the previous update and of the preconditioned residual.
     pub(super) fn next(&mut self) -> (f32, f32) {
         if self.rho == 0.0 {
             self.rho = self.delta / self.theta;
@@ -59,25 +58,25 @@ impl Chebyshev {
     }
 }
 
-/// The coarse lattices of one shape.
+/// The coarse levels of one shape.
 pub(super) struct Multigrid {
     pub(super) patches: Vec<Patch>,
     arch: Arch,
     /// Force on a corner of an element of level 1, in thresholds, above which it is refined.
     pub(super) pending: f32,
-    /// Change of the size of an element, in parts of it, that may wait.
+    /// Relative change of size up to which an element stays deferred.
     pub(super) strained: f32,
-    /// Part of its stiffness that an element which waits answers with, one that is not even and one that is:
-    /// trilinear in its corners, it is stiffer than the tissue within.
+    /// Stiffness of deferred elements relative to their matrix (inhomogeneous, homogeneous): a trilinear element is
+    /// stiffer than the tissue in it.
     pub(super) slack: [f32; 2],
-    /// Work that the deferred correction does on what waits, all of it, in N m.
+    /// Work of the correction on all deferred elements, eᵀKe, in N m.
     curve: f64,
     /// Elements visited.
     pub(super) visits: usize,
-    /// Whether what a point was moved by before it took part counts as gained: what followed the coarser level.
-    /// Under tools it does not: what is carried on there is what is near, and forces came out worse with it.
+    /// Whether a point that becomes active counts its earlier moves with the coarser level as its own. Only without
+    /// tools: under tools the warm start carries local changes, and forces came out worse.
     pub(super) follows: bool,
-    /// Whether the forces beyond the sets have been restricted and are the same, as the sets are.
+    /// Whether the outer forces have been restricted for the current sets and are unchanged.
     pub(super) is_beyond_restricted: bool,
 }
 
@@ -96,9 +95,8 @@ impl Multigrid {
         }
     }
 
-    /// What may wait on an element of level l + 1: a force in N (what coarse elements get wrong is a
-    /// smaller part of a larger force) and a change of its size in m (they know nothing of how tissue
-    /// stiffens).
+    /// Limits of a deferred element of level l + 1: a force in N (coarse errors are a smaller part of a larger force)
+    /// and a change of size in m (coarse matrices do not know that tissue stiffens).
     fn tolerable(&self, structure: &Structure, l: usize, threshold: f32) -> [f32; 2] {
         let side = (2 << l) as f32 / structure.per_spacing;
         [
@@ -107,8 +105,8 @@ impl Multigrid {
         ]
     }
 
-    /// Chooses what takes part on every level around the refined elements of level 1; `more` adds
-    /// to what was chosen before.
+    /// Chooses the active elements of every level around the refined elements of level 1; `more` extends the earlier
+    /// choice.
     pub(super) fn select(&mut self, structure: &Structure, more: bool) {
         self.is_beyond_restricted = false;
         let last = self.patches.len() - 1;
@@ -122,7 +120,7 @@ impl Multigrid {
             for element in above.wanted.take() {
                 above.refined.insert(element);
             }
-            // One ring around what is refined, so that its points can move.
+            // One ring around the refined elements, so that all their points are free.
             for &element in &patch.refined.items {
                 for point in level.corners[element as usize] {
                     for &other in level.around.row(point) {
@@ -146,7 +144,7 @@ impl Multigrid {
         }
     }
 
-    /// Refines again whatever was refined at any time in the last step. Returns whether that is more than now.
+    /// Refines again all elements that the last step refined. Returns whether that adds any.
     pub(super) fn stir(&mut self, structure: &Structure) -> bool {
         let mut more = false;
         for patch in &mut self.patches {
@@ -161,9 +159,9 @@ impl Multigrid {
         more
     }
 
-    /// Wants an element of level 1 refined that waits with a large force, and its neighbours: nodes are free to move only
-    /// where all elements around them are refined. All that wait with at least half of the largest force have their turn (a
-    /// block Gauss-Seidel iteration).
+    /// Marks the next element of level 1 with a large deferred force, and its neighbours, for refinement: nodes are
+    /// free only where all elements around them are refined. Elements with at least half of the largest force take
+    /// turns (block Gauss-Seidel).
     pub(super) fn refine_next(&mut self, structure: &Structure) {
         let (level, patch) = (&structure.levels[0], &mut self.patches[0]);
         let Some(element) = patch.next_deferred() else {
@@ -178,15 +176,14 @@ impl Multigrid {
         }
     }
 
-    /// Forgets what was refined in the last step.
+    /// Clears the record of elements refined in the last step.
     pub(super) fn calm(&mut self) {
         for patch in &mut self.patches {
             patch.stirred.clear();
         }
     }
 
-    /// Hands pending displacements down to what is refined now. Returns whether that makes more
-    /// elements want to be refined.
+    /// Prolongates pending displacements to the refined elements. Returns whether more elements exceed their limits.
     pub(super) fn push(&mut self, structure: &Structure, threshold: f32) -> bool {
         for l in (0..self.patches.len()).rev() {
             take_over(structure, &mut self.patches, l);
@@ -302,7 +299,7 @@ impl Multigrid {
         }
     }
 
-    /// Whether the totals that this step has changed are below `limit` m.
+    /// Whether the totals changed in this step are below `limit` m.
     pub(super) fn is_within(&self, limit: f64) -> bool {
         self.patches.iter().all(|patch| {
             let mut totals = patch.gained.items.iter().map(|&p| patch.total[p as usize]);
@@ -310,8 +307,8 @@ impl Multigrid {
         })
     }
 
-    /// Begins a step: what the last one corrected becomes the correction that may be taken once more. Points on
-    /// the rim of a set follow the coarser level, or what waits beside them would not know what they did.
+    /// Starts a step: the accumulated correction of the last step becomes the candidate for the warm start. Rim points
+    /// follow the coarser level, or deferred elements beside them would miss their moves.
     pub(super) fn recall(&mut self, structure: &Structure) {
         for l in (0..self.patches.len()).rev() {
             let (finer, coarser) = self.patches.split_at_mut(l + 1);
@@ -331,8 +328,7 @@ impl Multigrid {
         }
     }
 
-    /// Works out what the correction does to the elements that are not refined; `work_along` and
-    /// `commit` go by it.
+    /// Computes the forces of the correction on elements that are not refined, for `work_along` and `commit`.
     pub(super) fn defer(&mut self, structure: &Structure) {
         self.curve = 0.0;
         let slack = self.slack;
@@ -347,8 +343,7 @@ impl Multigrid {
         }
     }
 
-    /// Work of what waits on the sets along the correction, before it and after it, in N m: that of the lag, and of
-    /// the elements that are not refined.
+    /// Work of the deferred residual of the sets along the correction, at its start and its end, in N m.
     pub(super) fn work_along(&self) -> [f64; 2] {
         let mut before = 0.0;
         for patch in &self.patches {
@@ -362,8 +357,8 @@ impl Multigrid {
         [before, before - self.curve]
     }
 
-    /// Takes over `share` of the correction: displacements in full, forces of what is not refined
-    /// as pending. Notes what is to be refined next.
+    /// Applies `share` of the correction: displacements in full, forces of unrefined elements as deferred residual.
+    /// Marks the elements to refine next.
     pub(super) fn commit(&mut self, structure: &Structure, share: f32, threshold: f32) {
         for l in (0..self.patches.len()).rev() {
             let level = &structure.levels[l];
@@ -393,7 +388,7 @@ impl Multigrid {
                 }
             }
             patch.deferred = deferred;
-            // What the coarser level did is part of e: it counts as taken over.
+            // The correction `e` includes that of the coarser level, so it counts as applied.
             let (finer, coarser) = self.patches.split_at_mut(l + 1);
             if let Some(above) = coarser.first() {
                 let patch = &mut finer[l];
@@ -406,8 +401,8 @@ impl Multigrid {
     }
 }
 
-/// Smooths one level. When it was moved by d, the residual is brought up to date first and need
-/// not be in the end; when not, the next coarser level wants it.
+/// Smooths one level. If level was moved by d, the residual is updated first and not at the end; if not, the coarser
+/// level needs the final residual.
 struct Smooth<'a> {
     level: &'a Level,
     patch: &'a mut Patch,
@@ -435,7 +430,7 @@ impl WithSimd for Smooth<'_> {
     }
 }
 
-/// Works out what the correction does to the elements that are not refined.
+/// Computes the forces of the correction on unrefined elements.
 struct Defer<'a> {
     level: &'a Level,
     patch: &'a mut Patch,
@@ -472,7 +467,7 @@ impl WithSimd for Defer<'_> {
 }
 
 impl Level {
-    /// Forces of an element whose corners are displaced so, in N.
+    /// Forces of an element for these corner displacements, in N.
     fn force(&self, element: u32, by: &Corners) -> Corners {
         let (_, m) = self.element(element);
         m.k.multiply(pulp::Scalar::new(), &[0, 1, 2, 3, 4, 5, 6, 7], by)
@@ -504,7 +499,7 @@ fn subtract<S: Simd>(simd: S, level: &Level, patch: &mut Patch) {
     }
 }
 
-/// Chebyshev steps from the residual in `r`, which is kept up to date to the end if `keep`.
+/// Chebyshev steps from the residual in `r`; `keep` updates it after the last step too.
 #[inline(always)]
 fn smooth<S: Simd>(simd: S, level: &Level, patch: &mut Patch, steps: usize, low: f32, keep: bool) {
     let mut factors = Chebyshev::new(low);
@@ -517,7 +512,7 @@ fn smooth<S: Simd>(simd: S, level: &Level, patch: &mut Patch, steps: usize, low:
                 continue;
             }
             let by = apply(&patch.inverse[p], &patch.r[p]);
-            // On the first step `last` is zero and d still holds something else.
+            // In the first step `last` is zero and d is stale.
             let before = if last == 0.0 { ZERO } else { patch.d[p] };
             let d = plus(&by.map(|v| new * v), last, &before);
             patch.d[p] = d;
@@ -533,7 +528,7 @@ fn exceeds(waits: [f32; 2], tolerable: [f32; 2]) -> bool {
     waits[0] > tolerable[0] || waits[1] > tolerable[1]
 }
 
-/// Adds the force on a point to the loads of the coarser level.
+/// Adds the restricted force of a point to the loads of the coarser level.
 #[inline(always)]
 pub(super) fn restrict(by: &Prolongation, point: u32, force: &Quad, to: &mut Patch) {
     for (coarse, weight) in by.row(point as usize) {

@@ -1,9 +1,8 @@
-//! The fine level: forces of bricks on nodes, and what is active.
+//! The fine level: forces of bricks on nodes, and the active set.
 //!
-//! Every brick keeps the forces it had when it was last computed, and the force on a node is their
-//! sum over the bricks around it. A step computes the bricks of the refined elements of level 1; a
-//! node all of whose bricks are among them is free to move, the others on the rim follow the coarser
-//! level.
+//! Every brick caches its last forces; the force on a node is the sum over the bricks around it. A step recomputes the
+//! bricks of the refined elements of level 1. A node is free if all its bricks are active; nodes on the rim follow
+//! level 1.
 
 use pulp::Arch;
 use rayon::prelude::*;
@@ -22,27 +21,27 @@ use crate::{Topology, Vec3};
 /// Bricks from which on they are shared among threads.
 const PARALLEL: usize = 512;
 
-/// What has become of the set since a step was carried on or level 1's correction was taken.
+/// State of the active set since the last warm start or coarse correction.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Since {
-    /// Nothing, and it is still to be noted of its nodes that they are up to date with level 1.
+    /// Unchanged; the nodes are still to be marked as up to date with level 1.
     Carried,
-    /// Nothing.
+    /// Unchanged.
     Noted,
-    /// It was chosen anew.
+    /// Replaced by a new choice.
     Chosen,
 }
 
-/// State of the forces on nodes beyond the set.
+/// State of the forces on nodes outside the active set.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Beyond {
-    /// They are still to be restricted to level 1.
+    /// Not yet restricted to level 1.
     Changed,
-    /// They have been restricted, and are the same.
+    /// Restricted, and unchanged since.
     Restricted,
 }
 
-/// What the solver knows of single nodes and bricks.
+/// State of nodes and bricks.
 pub(super) struct Field {
     /// Pinned or held.
     pub(super) fixed: Vec<bool>,
@@ -50,54 +49,54 @@ pub(super) struct Field {
     pub(super) own: Vec<f64>,
     /// Weight of each node in N; empty without gravity.
     pub(super) weights: Vec<Quad>,
-    /// Forces of each brick on its nodes when it was last computed.
+    /// Last computed forces of each brick on its nodes.
     pub(super) forces: Vec<[[f32; LOCALS]; 3]>,
-    /// Bricks that were computed since all was at rest.
+    /// Bricks computed since the tissue was at rest.
     pub(super) computed: List,
-    /// Some of them from before; scratch.
+    /// Saved forces of the active bricks; scratch.
     pub(super) kept: Vec<[[f32; LOCALS]; 3]>,
-    /// Force on each node in N, contacts included where they were last looked at.
+    /// Force on each node in N, including contacts where they were evaluated.
     pub(super) r: Vec<Quad>,
     pub(super) inverse: Vec<[f32; 6]>,
     pub(super) d: Vec<Quad>,
-    /// What each node has taken over of level 1's totals.
+    /// Displacement of level 1 that each node has already received.
     pub(super) applied: Vec<[f64; 3]>,
-    /// Bricks that take part, and their nodes.
+    /// Active bricks and their nodes.
     pub(super) set: List,
-    /// The set before; scratch.
+    /// The previous set; scratch.
     pub(super) left: List,
     pub(super) nodes: List,
     pub(super) inside: Vec<u32>,
     pub(super) free: Vec<bool>,
-    /// Nodes whose force may not be zero.
+    /// Nodes with a possibly nonzero force.
     pub(super) loud: List,
-    /// Nodes that were found too quiet for a hand, and matter again when more is asked for.
+    /// Nodes below the threshold of quick steps; full solves reconsider them.
     pub(super) quiet: List,
-    /// Nodes that are not free and were disturbed since the set was last looked at.
+    /// Nodes that are not free and were disturbed since the last choice of the set.
     pub(super) disturbed: List,
-    /// The forces on nodes beyond the set.
+    /// State of the forces on nodes outside the set.
     pub(super) beyond: Beyond,
-    /// Elements of level 1 that have to be refined; scratch.
+    /// Elements of level 1 to be refined; scratch.
     pub(super) needed: List,
-    /// Whether the forces of the set, without contacts, are those of now.
+    /// Whether the forces of the set, without contacts, match the current displacements.
     pub(super) current: bool,
-    /// Whether what is fixed has changed since the set was chosen.
+    /// Whether the fixed nodes have changed since the set was chosen.
     pub(super) outdated: bool,
-    /// Change of the size of a brick, in parts of it, from which on it stays in the set.
+    /// Relative change of size from which on a brick stays in the set.
     pub(super) bent: f32,
-    /// Bricks to be computed before anything is said about their nodes.
+    /// Bricks with outdated forces.
     pub(super) stale: List,
-    /// Nodes that are looked at; scratch.
+    /// Visited nodes; scratch.
     pub(super) touched: List,
-    /// Nodes that moved in this step, and where they were displaced to before it.
+    /// Nodes that moved in this step, and their displacements before it.
     pub(super) moved_on: List,
     pub(super) start: Vec<Vec3>,
-    /// What nodes moved by when a step was carried on.
+    /// Displacement increments of the last warm start.
     pub(super) moves: Vec<(u32, Vec3)>,
     pub(super) since: Since,
-    /// Nodes that were free when this step began.
+    /// Nodes that were free at the start of this step.
     pub(super) settled: List,
-    /// Whether nothing was moved from where the tissue is by itself.
+    /// Whether the shape is still the reference state.
     pub(super) at_home: bool,
     /// Largest displacement of any node so far in m.
     pub(super) displaced: f64,
@@ -105,15 +104,15 @@ pub(super) struct Field {
     pub(super) clamped: usize,
     /// Bricks computed in this step.
     pub(super) visits: usize,
-    /// Blocks of the nodes of the set, without contacts, and of those in contact, with them; scratch.
+    /// Diagonal blocks of the active nodes without contacts, and of the nodes in contact with them; scratch.
     pub(super) blocks: Vec<[f32; 6]>,
     pub(super) pressed: Vec<[f32; 6]>,
-    /// Sums of the blocks of each brick's nodes when they were last computed, and of each form's at rest.
+    /// Sum of the diagonal blocks of each brick when last computed, and of each form at rest.
     pub(super) firm: Vec<[f32; 6]>,
     pub(super) firm_at_rest: Vec<Option<[f32; 6]>>,
-    /// Blocks at rest of the forms that many bricks have.
+    /// Diagonal blocks at rest of forms that several bricks share.
     pub(super) blocks_at_rest: Vec<Option<Box<Blocks>>>,
-    /// What level 1 moved each node by in this iteration; scratch.
+    /// Correction of each node by level 1 in this iteration; scratch.
     pub(super) moved: Vec<(u32, Vec3)>,
     pub(super) old: Vec<Quad>,
     scratch: Box<Ends<3>>,
@@ -174,21 +173,21 @@ impl Field {
         }
     }
 
-    /// Marks the bricks around a node as no longer what their forces say.
+    /// Marks the forces of the bricks around a node as outdated.
     pub(super) fn disturb(&mut self, structure: &Structure, node: u32) {
         for &entry in structure.around.row(node) {
             self.stale.insert(entry / 32);
         }
     }
 
-    /// Marks everything.
+    /// Marks all bricks as outdated.
     pub(super) fn disturb_all(&mut self) {
         for brick in 0..self.forces.len() as u32 {
             self.stale.insert(brick);
         }
     }
 
-    /// Takes the forces of contacts off their nodes, before contacts are looked for afresh.
+    /// Removes contact forces from their nodes before contacts are searched again.
     pub(super) fn let_contacts_go(&mut self, structure: &Structure, nodes: &[u32]) {
         for &node in nodes {
             self.r[node as usize] = self.sum(structure, node);
@@ -202,12 +201,12 @@ impl Field {
         }
     }
 
-    /// Nodes whose force is not known to be zero.
+    /// Number of nodes with a possibly nonzero force.
     pub(super) fn stirred(&self) -> usize {
         self.loud.items.len()
     }
 
-    /// Computes what was disturbed, so that forces can be trusted.
+    /// Recomputes outdated bricks.
     pub(super) fn refresh(&mut self, structure: &Structure, u: &[Vec3]) {
         if self.stale.items.is_empty() {
             return;
@@ -233,7 +232,7 @@ impl Field {
         self.stale.clear();
     }
 
-    /// Brings a node up to date with level 1.
+    /// Adds to a node the displacement of level 1 that it has not yet received.
     #[inline]
     pub(super) fn take_over(
         &mut self,
@@ -259,8 +258,9 @@ impl Field {
         }
     }
 
-    /// Brings nodes up to date with those points of level 1 that have moved by more than `least` m since the last time; see
-    /// `patch::hand_down` for the levels above. These moves are not [undone](Self::undo): the totals must be sane.
+    /// Prolongates the displacements of level 1 that changed by more than `least` m since the last call;
+    /// `patch::hand_down` does the levels above. [`undo`](Self::undo) does not revert these moves: the totals must be
+    /// finite.
     pub(super) fn pour(
         &mut self,
         structure: &Structure,
@@ -273,7 +273,7 @@ impl Field {
         for (element, _) in (0..).zip(moved).filter(|(_, has_moved)| *has_moved) {
             for &node in structure.nodes_of.row(element) {
                 let n = node as usize;
-                // Those of the set always are up to date.
+                // Nodes of the set are always up to date.
                 if self.nodes.contains(node) {
                     continue;
                 }
@@ -303,7 +303,7 @@ impl Field {
         }
     }
 
-    /// Forces of the set's bricks.
+    /// Forces of these bricks.
     pub(super) fn compute(&mut self, structure: &Structure, u: &[Vec3], list: &[u32]) {
         self.visits += list.len();
         for &brick in list {
@@ -347,7 +347,7 @@ impl Field {
         self.current = true;
     }
 
-    /// Notes the forces of the set's bricks, to come back to them.
+    /// Saves the forces of the active bricks.
     pub(super) fn keep_forces(&mut self) {
         self.kept.clear();
         let forces = &self.forces;
@@ -355,8 +355,8 @@ impl Field {
         self.kept.extend(self.set.items.iter().map(of));
     }
 
-    /// Takes the forces of the set's bricks for those of now that lie `share` of the way from the ones kept
-    /// to the ones last computed; contacts have to be added to what they do to nodes.
+    /// Interpolates the forces of the active bricks between the saved ones and the last computed ones, without
+    /// contacts.
     pub(super) fn blend_forces(&mut self, structure: &Structure, share: f32) {
         for (&brick, kept) in self.set.items.iter().zip(&self.kept) {
             let forces = self.forces[brick as usize].as_flattened_mut();
@@ -373,7 +373,7 @@ impl Field {
         self.weights.iter().map(|w| f64::from(square(w))).sum()
     }
 
-    /// What the bricks as they were last computed do to the nodes of the set.
+    /// Sums the cached brick forces on the nodes of the set.
     pub(super) fn sum_up(&mut self, structure: &Structure) {
         for i in 0..self.nodes.items.len() {
             let node = self.nodes.items[i];
@@ -404,7 +404,7 @@ impl Field {
         free.map(|&n| f64::from(square(&self.r[n as usize]))).sum()
     }
 
-    /// Computes the set and what its bricks do to its nodes; contacts have to be added to that.
+    /// Recomputes the active bricks and the forces on their nodes, without contacts.
     pub(super) fn evaluate_bricks(&mut self, structure: &Structure, u: &[Vec3]) {
         if !std::mem::take(&mut self.current) {
             self.compute_set(structure, u);
@@ -412,7 +412,7 @@ impl Field {
         }
     }
 
-    /// Adds the forces of contacts to those on their nodes, or takes them off with a `sign` of -1.
+    /// Adds the contact forces to their nodes, or subtracts them with a `sign` of -1.
     pub(super) fn add_contacts(&mut self, u: &[Vec3], contacts: &Contacts, sign: f64) {
         let r = &mut self.r;
         contacts.pressed(u, |sample, force, _, _| {
@@ -425,13 +425,13 @@ impl Field {
         });
     }
 
-    /// Sum of the squares of the forces on the free nodes of the set as they were last computed.
+    /// Sum of the squares of the cached forces on the free nodes of the set.
     pub(super) fn square_over_free(&self) -> f64 {
         let free = self.nodes.items.iter().filter(|&&n| self.free[n as usize]);
         free.map(|&n| f64::from(square(&self.r[n as usize]))).sum()
     }
 
-    /// Force of the bricks on one node and its weight, computed afresh.
+    /// Force of the bricks on one node plus its weight, evaluated at `u`.
     pub(super) fn force_on(&self, structure: &Structure, u: &[Vec3], node: u32) -> Vec3 {
         let [x, y, z, _] = *self.weights.get(node as usize).unwrap_or(&ZERO);
         let mut sum = Vec3::new(x.into(), y.into(), z.into());
@@ -452,7 +452,7 @@ impl Field {
         sum
     }
 
-    /// Computes every brick: the sum of squares over all nodes free to move.
+    /// Recomputes every brick; returns the sum of squares over all unfixed nodes.
     pub(super) fn square_over_all(
         &mut self,
         structure: &Structure,

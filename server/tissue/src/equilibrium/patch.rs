@@ -1,37 +1,35 @@
-//! The part of each coarse lattice that takes part in a step, and what waits outside of it.
+//! The active part of each coarse lattice, and the deferred residual outside it.
 //!
-//! The levels are refined around the tools only (a fast adaptive composite grid).
-//! On level l the elements of a *set* take part; some of them are *refined*: their children on the
-//! level below take part in their place. Points whose elements are all in the set are free, those on
-//! its rim follow the coarser level.
+//! The levels are refined around the tools only (a fast adaptive composite grid). On level l an *active set* of
+//! elements is solved. Some of them are *refined*: their children on the finer level are active instead. Points whose
+//! elements are all active are free; points on the rim follow the coarser level.
 //!
-//! What a correction does to an element that is in the set and not refined is known only by the
-//! element's matrix: its *pending* displacement p has changed its forces by K p, which stands in the
-//! lag g of its points. When the element is refined later, p goes to its children (and in the end to
-//! bricks, which are then computed afresh) and K p is taken back. Displacements wait likewise: every
-//! point keeps its total and how much of the coarser level's total it has taken over (`applied`).
+//! An element that is active but not refined answers a correction by its matrix only. Its *pending* displacement p adds
+//! the force -K p to the deferred residual g of its points. When the element is refined, its children (at last the
+//! bricks, which are then recomputed) receive p, and K p is removed from g. Displacements are deferred likewise: every
+//! point keeps its total and the part of the coarser level's total that it has already received (`applied`).
 
 use super::block::{Quad, ZERO, laid_out, plus};
 use super::matrix::{Columns, Corners};
 use super::structure::{Level, Structure};
 
-/// An element's stiffness with that of contacts and held nodes.
+/// Stiffness of an element including contacts and held nodes.
 pub(super) struct Overlay {
     pub(super) element: u32,
     pub(super) k: Box<Columns>,
 }
 
-/// What a correction does to an element that is not refined.
+/// Force of a correction on an element that is not refined.
 pub(super) struct Deferred {
     pub(super) element: u32,
-    /// K e, the correction's at its corners, in N.
+    /// K e at the corners, in N.
     pub(super) force: Corners,
 }
 
-/// Part of all indices from which on a list is put in order by looking at all of them.
+/// Fraction of all indices from which on a list is sorted by scanning the membership flags.
 const FEW: usize = 16;
 
-/// A set of indices that is emptied in the time it took to fill.
+/// A set of indices; clearing costs only the number of its items.
 #[derive(Default)]
 pub(super) struct List {
     pub(super) items: Vec<u32>,
@@ -68,7 +66,7 @@ impl List {
         }
     }
 
-    /// Takes all items out.
+    /// Removes and returns all items.
     pub(super) fn take(&mut self) -> Vec<u32> {
         let items = std::mem::take(&mut self.items);
         for &item in &items {
@@ -90,7 +88,7 @@ impl List {
         }
     }
 
-    /// Keeps the items for which `keep` holds, in their order.
+    /// Keeps the items for which `keep` holds, in order.
     pub(super) fn retain(&mut self, mut keep: impl FnMut(u32) -> bool) {
         let member = &mut self.member;
         self.items.retain(|&item| {
@@ -101,15 +99,15 @@ impl List {
     }
 }
 
-/// The state of one coarse lattice.
+/// The state of one coarse level.
 pub(super) struct Patch {
     pub(super) set: List,
     pub(super) refined: List,
-    /// Elements that were refined at any time in this step.
+    /// Elements refined at any time in this step.
     pub(super) stirred: List,
     /// Elements to be refined in the next cycle.
     pub(super) wanted: List,
-    /// Points of the set, and how many of each one's elements are in it.
+    /// Active points, and the number of active elements around each.
     pub(super) points: List,
     pub(super) inside: Vec<u32>,
     pub(super) free: Vec<bool>,
@@ -118,46 +116,46 @@ pub(super) struct Patch {
     pub(super) d: Vec<Quad>,
     pub(super) b: Vec<Quad>,
     pub(super) r: Vec<Quad>,
-    /// Points with a load, in the set or not.
+    /// Points with a load, active or not.
     pub(super) loaded: List,
 
-    /// What this step has corrected so far, and where.
+    /// Accumulated correction of this step, and its points.
     pub(super) gain: Vec<Quad>,
     pub(super) gained: List,
 
-    /// Forces that were restricted from beyond the set of the finer level, in N, and the points they are on.
+    /// Forces in N restricted from outside the finer level's active set, and their points.
     pub(super) far: Vec<Quad>,
     pub(super) beyond: List,
 
     pub(super) lag: Vec<Quad>,
     pub(super) lagging: List,
     pub(super) pending: Vec<Corners>,
-    /// K p of each element: what its pending displacement put into the lag.
+    /// K p of each element: its part of the deferred residual.
     pub(super) owed: Vec<Corners>,
     pub(super) waiting: Vec<bool>,
-    /// Square of the largest force on a corner that the pending displacement of each element makes, in N².
+    /// Square of the largest corner force of each element's pending displacement, in N².
     deferred_square: Vec<f32>,
-    /// The last element that had its turn.
+    /// The element that was refined last by rotation.
     last_turn: u32,
-    /// What the correction in `e` does to the elements of the set that are not refined.
+    /// Forces of the correction `e` on active elements that are not refined.
     pub(super) deferred: Vec<Deferred>,
     pub(super) total: Vec<[f64; 3]>,
     pub(super) applied: Vec<[f64; 3]>,
-    /// The totals that have been handed down to all of the finer level.
+    /// Totals that were already prolongated to the whole finer level.
     poured: Vec<[f64; 3]>,
 
     pub(super) overlays: Vec<Overlay>,
-    /// Former ones, to be used again.
+    /// Unused entries for reuse.
     pub(super) spare: Vec<Overlay>,
     pub(super) overlay_of: Vec<u32>,
-    /// Bound that overlays add to points, and the points.
+    /// Additional diagonal bound of points by contact stiffness, and these points.
     pub(super) stiffer: Vec<[f32; 6]>,
     pub(super) stiffened: List,
     pub(super) inverse: Vec<[f32; 6]>,
 }
 
 const NOTHING: Corners = [ZERO; 8];
-/// No overlay.
+/// No contact stiffness.
 pub(super) const NONE: u32 = u32::MAX;
 
 impl Patch {
@@ -200,7 +198,7 @@ impl Patch {
         }
     }
 
-    /// Forgets all that was moved, and what waits for it.
+    /// Resets displacements and deferred residuals.
     pub(super) fn rest(&mut self) {
         for (e, waits) in self.waiting.iter_mut().enumerate() {
             if std::mem::take(waits) {
@@ -227,7 +225,7 @@ impl Patch {
         }
     }
 
-    /// Elements with a corner that has moved by more than `least` m, along some axis, since it was last taken.
+    /// Flags elements with a corner whose total changed by more than `least` m along an axis since the last call.
     pub(super) fn take_moved(&mut self, level: &Level, least: f64) -> Vec<bool> {
         self.poured.resize(self.total.len(), [0.0; 3]);
         let mut moved = |(total, poured): (&[f64; 3], &mut [f64; 3])| {
@@ -253,9 +251,8 @@ impl Patch {
         *b = plus(b, weight, value);
     }
 
-    /// Adds `share` of a displacement to what is pending on an element, and of the force that it makes
-    /// to the lag. Returns the largest force on a corner that all that is pending makes, in N, and how far
-    /// it moves two corners apart, in m.
+    /// Adds `share` of a displacement to the pending one of an element, and its force to the deferred residual. Returns
+    /// the largest corner force of the pending displacement in N, and its largest difference between two corners in m.
     #[inline(always)]
     pub(super) fn wait(
         &mut self,
@@ -289,8 +286,8 @@ impl Patch {
         [most.sqrt(), apart[0].max(apart[1]).max(apart[2])]
     }
 
-    /// The next element, in order and after the last one, among those that wait with at least half of the
-    /// largest force. An element that soon waits with as much again does not keep the others from their turn.
+    /// The next element in rotation among those with at least half of the largest deferred force. Rotation keeps an
+    /// element that soon defers as much again from starving the others.
     pub(super) fn next_deferred(&mut self) -> Option<u32> {
         let square = |e: u32| self.deferred_square[e as usize];
         let waits = |e: &u32| self.waiting[*e as usize] && !self.refined.contains(*e);
@@ -304,7 +301,7 @@ impl Patch {
         next
     }
 
-    /// Takes what is pending on an element, and its force back out of the lag.
+    /// Takes the pending displacement of an element and removes its force from the deferred residual.
     pub(super) fn take_pending(&mut self, level: &Level, element: u32) -> Corners {
         let e = element as usize;
         let pending = std::mem::replace(&mut self.pending[e], NOTHING);
@@ -315,8 +312,7 @@ impl Patch {
             self.lagging.insert(point);
             let g = &mut self.lag[point as usize];
             *g = plus(g, 1.0, owed);
-            // Sums of rounded terms do not cancel to the last bit: a point without pending
-            // elements has no lag.
+            // Rounded sums do not cancel exactly: a point without pending elements has no deferred residual.
             let quiet = |e: &u32| !self.waiting[*e as usize];
             if level.around.row(point).iter().all(quiet) {
                 self.lag[point as usize] = ZERO;
@@ -325,13 +321,13 @@ impl Patch {
         pending
     }
 
-    /// Forgets the lag of points that have none.
+    /// Drops points whose deferred residual is zero.
     pub(super) fn trim(&mut self) {
         let lag = &self.lag;
         self.lagging.retain(|p| lag[p as usize] != ZERO);
     }
 
-    /// Chooses the set: the children of what is refined above, or everything.
+    /// Activates the children of the coarser level's refined elements, or all elements on the coarsest level.
     pub(super) fn choose(&mut self, level: &Level, above: Option<(&Level, &List)>) {
         self.set.clear();
         for &point in &self.points.items {
@@ -365,7 +361,7 @@ impl Patch {
     }
 }
 
-/// Brings the totals of the points of a set up to date with the coarser level.
+/// Brings the totals of the active points up to date with the coarser level.
 pub(super) fn take_over(structure: &Structure, patches: &mut [Patch], l: usize) {
     let (finer, coarser) = patches.split_at_mut(l + 1);
     let Some(above) = coarser.first() else { return };
@@ -380,8 +376,8 @@ pub(super) fn take_over(structure: &Structure, patches: &mut [Patch], l: usize) 
     }
 }
 
-/// Brings the totals of all points up to date with those of the coarser level that have moved by more than `least` m
-/// since the last time.
+/// Brings all points up to date with the totals of the coarser level that changed by more than `least` m since the last
+/// call.
 pub(super) fn hand_down(structure: &Structure, patches: &mut [Patch], l: usize, least: f64) {
     let (finer, coarser) = patches.split_at_mut(l + 1);
     let Some(above) = coarser.first_mut() else {
@@ -401,7 +397,7 @@ pub(super) fn hand_down(structure: &Structure, patches: &mut [Patch], l: usize, 
     }
 }
 
-/// Adds to the total of a point what the interpolated total of the coarser level has changed by.
+/// Adds the change of the interpolated coarser total to the total of a point.
 #[inline]
 pub(super) fn bring_point(now: [f64; 3], total: &mut [f64; 3], applied: &mut [f64; 3]) {
     for a in 0..3 {
@@ -410,7 +406,7 @@ pub(super) fn bring_point(now: [f64; 3], total: &mut [f64; 3], applied: &mut [f6
     *applied = now;
 }
 
-/// Inverse of a bound, zero where there is none.
+/// Inverse of a diagonal block; zero for an empty one.
 pub(super) fn invert(m: &[f32; 6]) -> [f32; 6] {
     if m[0] + m[1] + m[2] <= 0.0 {
         return [0.0; 6];

@@ -1,4 +1,4 @@
-//! One step of the equilibrium: its stages and its books.
+//! One step of the equilibrium: its stages and its bookkeeping.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -17,9 +17,9 @@ use super::structure::Structure;
 use crate::contact::{Contacts, Tool};
 use crate::{Shape, Topology, Vec3};
 
-/// Smoothing steps after each coarse correction.
+/// Chebyshev steps on the nodes after each coarse correction.
 const SMOOTHING: usize = 3;
-/// V-cycles: of a solution, and of a step that a hand waits for, where many cheap ones come farther.
+/// V-cycle parameters of a full solve and of a quick step, which converges faster with many cheap cycles.
 const EFFORT: [Effort; 2] = [
     Effort {
         before: 3,
@@ -34,55 +34,51 @@ const EFFORT: [Effort; 2] = [
         loaded: 8.0,
     },
 ];
-/// Force on a corner of an element, in thresholds, that its pending displacement may have changed it by
-/// before it is refined; of a solution, and of a step that a hand waits for.
+/// Force on a corner of an element, in thresholds, from which its pending displacement has it refined; of a full solve
+/// and of a quick step.
 const PENDING: [f32; 2] = [4.0, 10.0];
-/// While a hand waits: change of the size of an element, in parts of it, that may wait with the coarse
-/// level's stiffness at rest (of springs alone, and of tissue that bottoms out), and the one of a brick that stays
-/// in the set while it lasts.
+/// Quick steps: relative change of size up to which an element stays deferred, with the coarse stiffness at rest (of
+/// springs alone, and of tissue that bottoms out). `BENT` is the change that keeps a brick in the active set.
 const STRAINED: [f32; 2] = [0.12, 0.1];
 const BENT: [f32; 2] = [0.3, 0.2];
-/// Part of their stiffness that elements answer with which wait while a hand does: of those with several tissues or
-/// distorted cells in them, and of those that are even. Trilinear in its corners an element is stiffer than what it is
-/// made of, and the more so the more that differs within. With all of it the force on a slab is 1 to 4 % too high all
-/// through a press and that on a real thigh 8 %; with 0.7 everywhere that on a slab is 3 % too low.
+/// Stiffness of deferred elements in quick steps, relative to their matrix: of inhomogeneous or distorted elements, and
+/// of homogeneous ones. A trilinear element is stiffer than its contents. With 1.0 the force on a slab is 1 to 4 % too
+/// high during a press and the force on a real thigh 8 %; with 0.7 everywhere the force on a slab is 3 % too low.
 const SLACK: [f32; 2] = [0.6, 0.87];
-/// Smoothing steps under the tools when a quick step ends.
+/// Smoothing steps around the contacts at the end of a quick step.
 const LAST_STEPS: usize = 3;
-/// Share of the coarse levels' correction that is taken at least and at most: a layer that bottoms out
-/// is tens of times as stiff as they know.
+/// Bounds of the step length along a coarse correction. Tissue that bottoms out is tens of times stiffer than its
+/// coarse operator.
 const SHARES: [f64; 2] = [0.01, 2.0];
-/// Part of the allowed residual that a single node may keep at first. When what is active has
-/// become calm the part is lowered, down to where all stirred nodes together can not exceed it.
+/// Initial threshold of a single node, relative to the allowed residual. Once the active set has converged, the
+/// threshold is lowered until all unbalanced nodes together can not exceed the allowed residual.
 pub(super) const FIRST_SHARE: f64 = 0.25;
-/// What tools bring in counts at least as this many spacings times the stiffness of a node: after a
-/// release there is nothing to be relative to, and no eye can tell less; no hand can tell a fifth of that.
+/// Lower bound of the reference residual, in spacings times the stiffness of a node; of full and of quick steps. It
+/// keeps the relative residual defined after a release. No eye sees smaller forces; no hand feels a fifth of them.
 const LEAST: [f64; 2] = [0.1, 0.02];
-/// Only below this tolerance is it lowered as far as that. Above, one lowering is enough: the force on a tool does not feel a thousand
-/// far nodes with a thousandth of it each, and visiting them all costs more than the press.
+/// Tolerance below which the threshold is lowered that far. Above it, one reduction is enough: a thousand distant nodes
+/// with a thousandth of the residual each do not change the force on a tool.
 const PROVEN: f64 = 1e-3;
-/// From this tolerance on it is not lowered: what a hand needs in a millisecond.
+/// Tolerance from which a step is quick: the threshold is not lowered.
 pub(super) const QUICK: f64 = 0.02;
-/// Factor by which the part is lowered.
+/// Factor by which the threshold is lowered.
 const DEEPEN: f64 = 0.25;
-/// Iterations that are due when a tool has jumped or has just touched the tissue: there is no last change to
-/// begin with.
+/// Minimum iterations after a jump or at first touch, where no warm start exists.
 const DUE: usize = 3;
-/// Part of a tool's force by which the last iteration of a quick step must have changed it for another one to follow; see
-/// DECISIONS.md.
+/// Relative change of a tool's force in the last iteration above which a quick step iterates again; see DECISIONS.md.
 const STEADY: f64 = 5e-3;
-/// Quick steps, in one of which an element that waits with a large force is refined. Without it, forces of one and the
-/// same press depend on the path: on the thigh they were 5 % off (rms) while another tool that had let go left a dent
-/// unsolved. With 4, 8 and 16 they are 1.5, 1.9 and 3.2 % off, at 1.5, 1.2 and 1.1 times the work.
+/// Every N-th quick step refines an element with a large deferred force. Without this, forces depend on the path: on
+/// the thigh they were 5 % off (rms) beside the dent of a released tool. With 4, 8 and 16 the error is 1.5, 1.9 and 3.2
+/// %, at 1.5, 1.2 and 1.1 times the work.
 const REFINED_EVERY: u32 = 2;
-/// Displacement in spacings of the whole lattice beyond which an iterate counts as blown up.
+/// Displacement in spacings of the lattice above which an iterate counts as diverged.
 const BLOWN_UP: f64 = 1e4;
 
-/// Displacement in m that a step of low accuracy need not prolongate to nodes far from the tools: the step of
-/// displacements on the network.
+/// Displacement in m that a step of low accuracy need not prolongate to distant nodes: the resolution of displacements
+/// on the network.
 const UNSEEN_M: f64 = 10e-6;
 
-/// Scratch memory of the equilibrium of one shape of one topology.
+/// The solver of one shape of one topology, with its scratch memory.
 pub struct Solver {
     pub(super) structure: Arc<Structure>,
     pub(super) field: Field,
@@ -94,30 +90,30 @@ pub struct Solver {
     pub(super) relief: Relief,
     pub(super) moved: Vec<Vec3>,
     pub(super) reference: f64,
-    /// Where the tissue is by itself, if not at rest.
+    /// Equilibrium without tools, if it differs from the rest shape.
     pub(super) home: Option<Arc<Home>>,
-    /// Whether the shape is known to have begun there.
+    /// Whether the shape is known to have started from the reference state.
     pub(super) moved_in: bool,
     /// Force in N that moves a typical node by a spacing; see [`LEAST`].
     pub(super) least: f64,
     pub(super) report: StepReport,
     pub(super) dirty: bool,
-    /// Whether this step began with the last one's change everywhere.
+    /// Whether this step started from a complete warm start.
     pub(super) carried: bool,
-    /// Where nodes were that have been held or moved since the last step.
+    /// Previous positions of the nodes that were held or moved since the last step.
     pub(super) led: BTreeMap<u32, Vec3>,
-    /// What they were led by, while the levels have not followed.
+    /// Their displacements, until the coarse levels have followed.
     pub(super) drawn: Vec<(u32, Vec3)>,
     pub(super) last_forces: Vec<Vec3>,
-    /// Steps for a hand since the topology changed or the whole tissue was solved; `None` when they are enough.
+    /// Quick steps since the topology changed or since a full solve; `None` once settled.
     pub(super) settling: Option<usize>,
     /// Quick steps since the tissue was at rest.
     pub(super) quick_steps: u32,
 }
 
 impl Solver {
-    /// A solver for shapes of this topology. With gravity it finds out where the tissue hangs, which takes as long
-    /// as solving for all of it; a shape that has not been moved begins there.
+    /// Creates a solver for shapes of this topology. With gravity it first solves the reference state, at the cost of a
+    /// full solve; an undeformed shape starts there.
     pub fn new(topology: &Topology) -> Self {
         let structure = Arc::new(Structure::new(topology));
         let all = 0..topology.node_count() as u32;
@@ -127,7 +123,7 @@ impl Solver {
         Self::with(topology, structure, field, home)
     }
 
-    /// Another solver of the same topology, sharing what does not change.
+    /// Creates another solver of the same topology. Immutable data are shared.
     #[must_use]
     pub fn another(&self, topology: &Topology) -> Self {
         let structure = Arc::clone(&self.structure);
@@ -146,8 +142,8 @@ impl Solver {
         Self::assemble(topology, structure, (field, coarse), contacts, home)
     }
 
-    /// Moves every node by what the coarse levels hold for it. A step with [`Budget::near`] leaves
-    /// the nodes far from the tools waiting.
+    /// Prolongates the accumulated displacements of the coarse levels to every node. Steps with [`Budget::near`] skip
+    /// the nodes far from the tools.
     pub fn pour(&mut self, shape: &mut Shape) {
         self.hand_down(shape, 0.0);
     }
@@ -165,7 +161,7 @@ impl Solver {
         );
     }
 
-    /// Tells the solver that the shape was changed from outside around these nodes.
+    /// Marks these nodes as changed from outside the solver.
     pub fn disturb(&mut self, shape: &Shape, nodes: &[u32]) {
         for &node in nodes {
             let Some(u) = shape.displacement.get(node as usize) else {
@@ -178,7 +174,7 @@ impl Solver {
         self.dirty = true;
     }
 
-    /// Force of the springs on a node and its weight in N (on a held or pinned node: what it carries).
+    /// Force of the springs on a node plus its weight in N (on a held or pinned node: the reaction).
     pub fn force_on(&self, shape: &Shape, node: u32) -> Vec3 {
         self.field
             .force_on(&self.structure, &shape.displacement, node)
@@ -189,8 +185,7 @@ impl Solver {
         &self.report
     }
 
-    /// The relative residual with every node looked at, active or not: a check, at the price of the
-    /// whole model.
+    /// The relative residual over all nodes, active or not. It evaluates the whole model; meant for checks.
     pub fn residual_over_all(&mut self, shape: &Shape) -> f64 {
         let u = &shape.displacement;
         let sum = self
@@ -199,14 +194,14 @@ impl Solver {
         relative(sum, self.reference)
     }
 
-    /// Moves a tool of the last step that touches nothing, without a step. Returns whether it touches nothing where it is
-    /// now; if it does, or is not known, it stays, and a step has to be made.
+    /// Moves a tool of the last step that touches nothing, without a solver step. Returns false, and leaves the tool in
+    /// place, if the tool is unknown or touches the tissue at its new position.
     pub fn move_free(&mut self, topology: &Topology, shape: &Shape, tool: &Tool) -> bool {
         let (u, displaced) = (&shape.displacement, self.field.displaced);
         u.len() == topology.node_count() && self.contacts.move_free(topology, u, displaced, tool)
     }
 
-    /// Brings the shape towards equilibrium under the tools.
+    /// Moves the shape towards equilibrium under the tools.
     pub fn step(
         &mut self,
         topology: &Topology,
@@ -240,7 +235,7 @@ impl Solver {
         self.coarse.visits = 0;
         let near = budget.near;
         if near {
-            // One iteration of more would already take too long.
+            // A tighter tolerance would exceed the time limit within one iteration.
             budget.tolerance = budget.tolerance.max(QUICK);
         }
         let u = &mut shape.displacement;
@@ -258,7 +253,7 @@ impl Solver {
             let is_quick = budget.tolerance >= QUICK;
             self.hand_down(shape, if is_quick { UNSEEN_M } else { 0.0 });
             if !is_quick {
-                // A step for a hand that follows is not to hand down what the whole tissue was left with.
+                // The next quick step must not process the small residuals that a full solve leaves everywhere.
                 self.settling = Some(0);
             }
         }
@@ -281,15 +276,15 @@ impl Solver {
         };
         self.coarse.follows = self.contacts.proxies.is_empty();
         self.field.limit_moves(&self.structure, quick);
-        // What took part in the last step takes part again: nothing is gained by beginning coarsely.
+        // With a warm start the last active set stays active, so the threshold starts low.
         let mut share = if self.carried { 0.0 } else { FIRST_SHARE };
         let jumped = lags;
-        // What is added to the levels is that of other contacts.
+        // The contact stiffness on the coarse levels belongs to earlier contacts.
         let mut outdated = true;
         let touched = self.report.reactions.iter().any(|r| r.contacts > 0);
         let touches = quick && !touched && !self.contacts.nodes.is_empty();
-        // One there is always: without any, what was foreseen would never be checked. Under a tool that jumped
-        // into the tissue there are more: after one it has not given way, and the force is ten times too high.
+        // At least one iteration checks the warm start. After a jump the tissue needs more: after one iteration the
+        // force is ten times too high.
         let due = if jumped || touches { DUE } else { 1 };
         let (mut begun, mut smoothing) = (0.0, None);
         loop {
@@ -319,7 +314,7 @@ impl Solver {
             if done || self.is_over(budget, due, touches) {
                 break;
             }
-            // All that takes part is near the threshold: only a lower one can make it calmer.
+            // All active residuals are near the threshold: only a lower threshold reduces them further.
             let nodes = self.field.nodes.items.len() as f64;
             let flat = sum.sqrt() <= 1.5 * share * allowed * nodes.sqrt();
             if (calm || (flat && !quick)) && share > last {
@@ -337,7 +332,7 @@ impl Solver {
                 lags = self.gather(topology, u);
                 outdated = true;
             }
-            // The active set of a further iteration is for the next quick step to choose.
+            // The next quick step chooses the active set of a further iteration.
             self.report.steady = quick && self.are_forces_steady(u);
             let steady = self.report.steady && self.report.iterations >= due;
             if quick && (steady || self.is_over(budget, due, touches)) {
@@ -351,8 +346,8 @@ impl Solver {
             self.settle(budget.tolerance);
         }
         if !self.held.is_empty() {
-            // One step more by the forces that told the residual, on the nodes that were smoothed: nearly free, as it is
-            // not looked at what it brings, and it halves what the path of a shape that is led is wrong by.
+            // One more step with the forces of the residual check costs almost nothing. It halves the error of the
+            // extrapolated path.
             let alone =
                 !quick && self.contacts.proxies.is_empty() && self.field.since != Since::Chosen;
             if let Some(mut smoothing) = smoothing.filter(|_| alone) {
@@ -362,14 +357,14 @@ impl Solver {
         }
     }
 
-    /// Whether no further iteration is to be made: `due` are always, those of a first touch whatever the budget says.
+    /// Whether the iteration ends. `due` iterations are always made; at first touch even beyond the budget.
     fn is_over(&self, budget: &mut Budget<'_>, due: usize, touches: bool) -> bool {
         let done = self.report.iterations;
         let more = done < due;
         done >= budget.iterations && !(more && touches) || !more && budget.is_over()
     }
 
-    /// Stage: what is under the tools is smoothed once more, and forces are taken stock of.
+    /// Stage: a last smoothing around the contacts, then the residual.
     fn finish(&mut self, u: &mut [Vec3]) {
         let (structure, field, contacts) = (&self.structure, &mut self.field, &self.contacts);
         if !contacts.nodes.is_empty() {
@@ -378,13 +373,13 @@ impl Solver {
         field.evaluate_bricks(structure, u);
         field.add_contacts(u, contacts, 1.0);
         let sum = field.square_over_unfixed();
-        // The next step begins with what bricks do at these places.
+        // The next step starts from the forces of bricks alone.
         field.let_contacts_go(structure, &contacts.nodes);
         field.current = true;
         self.report.residual = relative(sum, self.reference);
     }
 
-    /// Stage: what takes part, and the forces on it. Returns their sum of squares.
+    /// Stage: chooses the active set and computes its forces. Returns their sum of squares.
     fn take_part(&mut self, u: &mut [Vec3], threshold: f64, quick: bool) -> f64 {
         let (structure, coarse) = (&self.structure, &mut self.coarse);
         let touched = self.contacts.nodes.iter().chain(&self.held).copied();
@@ -395,7 +390,7 @@ impl Solver {
             _ => Keeps::Near,
         };
         let field = &mut self.field;
-        // What leaves the set keeps the forces it had: they must be those of where it is left.
+        // Nodes that leave the set keep their forces, which must match their final positions.
         field.evaluate_bricks(structure, u);
         field.add_contacts(u, &self.contacts, 1.0);
         let asked = Asked {
@@ -405,7 +400,7 @@ impl Solver {
         };
         if field.select(structure, coarse, touched, &asked, u) {
             coarse.select(structure, keeps == Keeps::Most);
-            // What is handed down can be too much to wait on the next level as well.
+            // Displacements that were prolongated may exceed the limits of the next level too.
             while coarse.push(structure, limit) {
                 Field::select_wanted(&mut coarse.patches[0]);
                 coarse.select(structure, true);
@@ -416,8 +411,8 @@ impl Solver {
         self.field.square_over_unfixed()
     }
 
-    /// Sets the limits of a quick step: elements may keep deferred residuals, less so the more they are strained. Returns how
-    /// many times the usual limits they are, to bound the work.
+    /// Sets the limits of a quick step: how much elements may defer. Returns the factor of these limits that bounds the
+    /// work.
     fn prepare_quick(&mut self) -> f32 {
         let is_at_rest = self.field.at_home;
         self.quick_steps = if is_at_rest { 0 } else { self.quick_steps + 1 };
@@ -436,7 +431,7 @@ impl Solver {
         relief
     }
 
-    /// Sets the limits of a step that converges.
+    /// Sets the limits of a full solve.
     fn prepare_full(&mut self) -> f32 {
         self.relief = Relief::NONE;
         self.coarse.pending = PENDING[0];
@@ -446,7 +441,7 @@ impl Solver {
         1.0
     }
 
-    /// Stage: proxies and samples.
+    /// Stage: moves proxies and gathers contact samples.
     pub(super) fn gather(&mut self, topology: &Topology, u: &mut [Vec3]) -> bool {
         let (field, contacts) = (&mut self.field, &mut self.contacts);
         field.let_contacts_go(&self.structure, &contacts.nodes);
@@ -455,7 +450,7 @@ impl Solver {
         lags
     }
 
-    /// Stage: the residual in N that the tolerance allows for what tools and held nodes bring in.
+    /// Stage: the residual in N that the tolerance allows, relative to the forces of tools and held nodes.
     fn bring(&mut self, u: &[Vec3], tolerance: f64, near: bool) -> f64 {
         let square = |n: u32| {
             let r = &self.field.r[n as usize];
@@ -475,7 +470,7 @@ impl Solver {
         tolerance * self.reference
     }
 
-    /// Stage: coarse correction, in the share that proves best.
+    /// Stage: coarse-grid correction with a line search.
     fn correct(&mut self, u: &mut [Vec3], threshold: f64, relief: f32, quick: bool) {
         let mut effort = EFFORT[usize::from(quick)];
         effort.loaded *= relief;
@@ -484,8 +479,8 @@ impl Solver {
         if draws {
             self.field
                 .restrict_beyond(&self.structure, &mut self.coarse);
-            // A node that has left the others behind is a spike, whose forces no level can follow. So the levels
-            // are drawn after it instead.
+            // A single displaced node is a spike that no coarse level represents, so a load moves the levels after the
+            // node.
             for (node, by) in drawn {
                 let force = by * (HELD_STIFFNESS[1] * self.field.own[node as usize]);
                 self.coarse.draw(&self.structure, node, &force);
@@ -503,8 +498,8 @@ impl Solver {
         field.correct(structure, coarse, u);
         field.evaluate_bricks(structure, u);
         coarse.defer(structure);
-        // Under held nodes the levels fall short by as much as what waits is too stiff: without it a
-        // cube from rest needs four iterations to 1 %, with it five.
+        // Held nodes: deferred work would shorten the step too much. A cube from rest then needs five iterations to 1 %
+        // instead of four.
         let waiting = if self.contacts.proxies.is_empty() {
             [0.0; 2]
         } else {
@@ -520,11 +515,11 @@ impl Solver {
         field.add_contacts(u, &self.contacts, 1.0);
     }
 
-    /// Stage: smoothing on the nodes. All of it or nothing: the steps are one polynomial, and half of that
-    /// leaves more than it takes away.
+    /// Stage: smoothing on the nodes. All steps are made: they form one Chebyshev polynomial, and a part of it can
+    /// amplify the residual.
     fn smooth(&mut self, u: &mut [Vec3]) -> Chebyshev {
-        // At the displacements they are used at: with blocks of before the correction, nodes in contact were
-        // thrown about where pressed tissue is about to snap through.
+        // The blocks must belong to the corrected displacements: older blocks overshoot where pressed tissue snaps
+        // through.
         let (structure, contacts) = (&self.structure, &self.contacts);
         self.field.renew_blocks(structure, u, contacts);
         let mut factors = Field::smoothing();
@@ -546,7 +541,7 @@ impl Solver {
         }
     }
 
-    /// Whether the last iteration changed no tool's force by more than [`STEADY`].
+    /// Whether the last iteration changed every tool's force by at most [`STEADY`].
     fn are_forces_steady(&self, u: &[Vec3]) -> bool {
         self.last_forces.iter().enumerate().all(|(i, last)| {
             let (force, _) = self.contacts.force(u, i);
@@ -560,7 +555,7 @@ impl Solver {
         is_finite && self.field.is_within(u, limit) && self.coarse.is_within(limit)
     }
 
-    /// Last stage: reactions and figures.
+    /// Last stage: reactions and statistics.
     fn close(&mut self, topology: &Topology, u: &[Vec3]) {
         let spacing = topology.model().spacing_m;
         self.report.reactions.clear();
