@@ -6,9 +6,8 @@
 //! the stiffness of its springs, so a spring between two bricks is computed in both, with what their
 //! cells give to it.
 //!
-//! Where a cut has doubled nodes, two cells of one brick can disagree about the node at the same
-//! place; they then go to two bricks, and nothing else has to know of cuts. Cells whose springs
-//! follow different curves go to different bricks, too.
+//! Where a cut has doubled nodes, two cells can disagree about the node at the same place. They then go to two bricks,
+//! so that only this module handles cuts. Cells with different spring curves go to different bricks too.
 
 use super::corners::{SKEWED, STRENGTH};
 use super::kernel::Aligned;
@@ -22,12 +21,11 @@ use crate::{Topology, Vec3, fit};
 pub(crate) const LOCALS: usize = 27;
 /// The nodes of a brick in whole vectors.
 pub(crate) const SPAN: usize = 32;
-/// Springs that one bit of [`Form::uses`] stands for.
+/// Springs per bit of [`Form::uses`].
 const CHUNK: usize = 8;
 /// Length of an array over the nodes of a brick, with room for loads beyond its end.
 pub(crate) const PADDED: usize = 48;
-/// Distances between the ends of a spring in a row of the brick's nodes, and the lattice steps that
-/// they stand for.
+/// Distances between the ends of a spring in a row of the brick's nodes, and the corresponding lattice steps.
 const STEPS: [(usize, [i32; 3]); 13] = [
     (1, [1, 0, 0]),
     (3, [0, 1, 0]),
@@ -43,7 +41,7 @@ const STEPS: [(usize, [i32; 3]); 13] = [
     (7, [1, -1, 1]),
     (5, [-1, -1, 1]),
 ];
-/// Part of a step that a spring may differ from it where cells are cubes.
+/// Deviation from a lattice step, relative to the step, up to which cells count as cubes.
 const REGULAR: f32 = 1e-5;
 /// Directions of springs.
 pub(crate) const DIRECTIONS: usize = STEPS.len();
@@ -71,7 +69,7 @@ const fn corners() -> [[usize; 8]; 8] {
     list
 }
 
-/// What the forces of a brick depend on besides displacements; bricks that are alike share one.
+/// Everything but displacements that determines the forces of a brick; equal bricks share one form.
 #[derive(Clone, PartialEq)]
 pub(crate) struct Form {
     /// Rest positions from the middle of the brick in m.
@@ -82,7 +80,7 @@ pub(crate) struct Form {
     pub(crate) rest_length: Aligned<[[f32; SPAN]; DIRECTIONS]>,
     /// One over their squares; zero where there is no spring.
     pub(crate) per_square: Aligned<[[f32; SPAN]; DIRECTIONS]>,
-    /// Displacement in m relative to the first node up to which springs may be slight; below zero if never.
+    /// Displacement in m relative to the first node up to which the small-strain law may apply; below zero if never.
     pub(crate) loose: f32,
     /// Bit `4 d + i / 8` is set when a spring of direction `d` starts at a node around `i`.
     used: u64,
@@ -101,14 +99,14 @@ pub(crate) struct Form {
 }
 
 impl Form {
-    /// Whether any of `width` springs of a direction from entry `from` on is there.
+    /// Whether any of `width` springs of a direction exists from entry `from` on.
     #[inline(always)]
     pub(crate) fn uses(&self, direction: usize, from: usize, width: usize) -> bool {
         let chunks = (1 << width.div_ceil(CHUNK)) - 1;
         self.used >> (4 * direction + from / CHUNK) & chunks != 0
     }
 
-    /// Whether all of its cells are cubes of the lattice.
+    /// Whether all cells are cubes of the lattice.
     pub(crate) fn is_regular(&self, per_spacing: f32) -> bool {
         (0..DIRECTIONS).all(|d| {
             let (offset, step) = STEPS[d];
@@ -126,7 +124,7 @@ impl Form {
 /// A brick.
 #[derive(Clone, Copy)]
 pub(crate) struct Brick {
-    /// Node at each entry; where there is none, some node of the brick.
+    /// Node at each entry; some node of the brick where an entry is empty.
     pub(crate) nodes: [u32; LOCALS],
     /// Bit `i` is set when entry `i` has a node.
     pub(crate) present: u32,
@@ -134,7 +132,7 @@ pub(crate) struct Brick {
     pub(crate) form: u32,
 }
 
-/// Cells that belong to one brick, while it is put together.
+/// Cells of one brick under construction.
 pub(crate) struct Draft {
     pub(crate) nodes: [u32; LOCALS],
     pub(crate) curve: Curve,
@@ -145,7 +143,7 @@ pub(crate) struct Draft {
 const ABSENT: u32 = u32::MAX;
 
 impl Draft {
-    /// Shares cells of one place among as few bricks as their nodes and curves allow.
+    /// Distributes the cells of one place to as few bricks as their nodes and curves allow.
     pub(crate) fn of(topology: &Topology, cells: &[(usize, u32)], drafts: &mut Vec<Self>) {
         let first = drafts.len();
         for &(position, cell) in cells {
@@ -177,7 +175,7 @@ impl Draft {
         }
     }
 
-    /// The brick, its form still to be numbered.
+    /// The brick; its form still needs a number.
     pub(crate) fn finish(&self, topology: &Topology) -> (Brick, Form) {
         let mut nodes = self.nodes;
         let mut present = 0;
@@ -200,7 +198,7 @@ impl Draft {
     fn form(&self, topology: &Topology, nodes: &[u32; LOCALS]) -> Form {
         let spacing = topology.model().spacing_m;
         let origin = topology.rest(nodes[0]);
-        // In spacings first: cubes at different places then have the same bits.
+        // In spacings first, so that cubes at different places have the same bits.
         let mut rest = Aligned([[0.0; PADDED]; 3]);
         for (i, &node) in nodes.iter().enumerate() {
             let d = (topology.rest(node) - origin) / spacing;
@@ -226,7 +224,7 @@ impl Draft {
             }
         }
         let mut stiffness = Aligned([[0.0; SPAN]; DIRECTIONS]);
-        // One where there is no spring: what is divided by it is nothing, and stays nothing.
+        // One where no spring exists: the numerator is zero there.
         let mut rest_length = Aligned([[1.0; SPAN]; DIRECTIONS]);
         let mut per_square = Aligned([[0.0; SPAN]; DIRECTIONS]);
         let mut shortest = f32::INFINITY;

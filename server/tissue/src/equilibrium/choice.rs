@@ -1,4 +1,4 @@
-//! What takes part in a step: the elements of level 1 that are refined, and their bricks.
+//! The active set: the refined elements of level 1 and their bricks.
 
 use super::brick::LOCALS;
 use super::cycle::Multigrid;
@@ -7,26 +7,25 @@ use super::patch::Patch;
 use super::structure::Structure;
 use crate::Vec3;
 
-/// Part of the threshold below which a force is forgotten, when a hand waits for the answer and
-/// when not.
+/// Fraction of the threshold below which a force is ignored, in quick and in full steps.
 const SILENT: [f32; 2] = [0.02, 1e-4];
-/// Elements that loud nodes may have refined while a hand waits. Where more are loud, the loudest have
-/// their turn first: two thousand nodes are what a millisecond has room for.
+/// Maximum elements that unbalanced nodes may add in a quick step; the largest forces come first. A millisecond
+/// suffices for about two thousand nodes.
 const NEEDED_MAX: usize = 160;
 
-/// What stays in the set when it is looked at.
+/// Rule by which elements stay in the set.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Keeps {
-    /// All, while a hand's step goes on.
+    /// All stay, within a quick step.
     All,
-    /// Much of it, because its change is carried on.
+    /// Most stay, because the warm start includes them.
     Most,
-    /// What is near.
+    /// Only elements near the required ones stay.
     Near,
 }
 
 impl Keeps {
-    /// How many times more elements than need to may take part before they are chosen afresh.
+    /// Factor by which the set may exceed the required elements before it is rebuilt.
     fn most(self) -> usize {
         match self {
             Self::All => usize::MAX,
@@ -36,20 +35,19 @@ impl Keeps {
     }
 }
 
-/// What a choice goes by.
+/// Criteria of a choice.
 pub(super) struct Asked {
-    /// Force in N from which on a node is loud.
+    /// Force in N from which a node requires refinement.
     pub(super) threshold: f32,
-    /// Whether a hand waits.
+    /// Whether the step is quick.
     pub(super) quick: bool,
     pub(super) keeps: Keeps,
 }
 
 impl Field {
-    /// Chooses what takes part: the elements of level 1 to refine are those with a node whose force
-    /// is above the threshold, those wanted by the last cycle, and those in contact. What is
-    /// refined already stays as it is while it covers them and is not much more. Returns whether
-    /// there is a choice to be taken.
+    /// Chooses the elements of level 1 to refine: those with a node whose force exceeds the threshold, those marked by
+    /// the last cycle, and those in contact. The current set stays if it covers them and is not much larger. Returns
+    /// whether the set changes.
     pub(super) fn select(
         &mut self,
         structure: &Structure,
@@ -75,7 +73,7 @@ impl Field {
         let mut limit = threshold;
         loop {
             self.need(structure, &coarse.patches[0], limit, quick);
-            // Forces that are no numbers are louder than any limit; the step is undone for them.
+            // NaN forces exceed any limit; the step is undone because of them.
             if !quick || self.needed.items.len() <= NEEDED_MAX || !limit.is_finite() {
                 break;
             }
@@ -122,7 +120,7 @@ impl Field {
         true
     }
 
-    /// Whether an element of level 1 is too deformed for its matrix, which is that of the rest state.
+    /// Whether an element of level 1 is too deformed for its matrix at rest.
     fn is_bent(&self, structure: &Structure, element: u32, u: &[Vec3]) -> bool {
         let tolerable = f64::from(self.bent) * 2.0 / f64::from(structure.per_spacing);
         let bricks = structure.levels[0].children.row(element);
@@ -131,7 +129,7 @@ impl Field {
             .any(|&brick| structure.change_of(brick, u) > tolerable)
     }
 
-    /// Notes the elements around nodes whose force is above the threshold.
+    /// Collects the elements around nodes whose force exceeds the threshold.
     fn need(&mut self, structure: &Structure, patch: &Patch, threshold: f32, quick: bool) {
         self.needed.clear();
         let waits = |&entry: &u32| {
@@ -143,8 +141,7 @@ impl Field {
             if self.fixed[n] || square(&self.r[n]) <= threshold * threshold {
                 continue;
             }
-            // Beside a part that waits only half of the force is known, and the rest is what the
-            // coarse level has seen to.
+            // Beside a deferred element only half of the force is known; the coarse level has solved the rest.
             let around = structure.around.row(node);
             let known = !quick
                 || self.free[n]
@@ -159,7 +156,7 @@ impl Field {
         }
     }
 
-    /// Adds the elements of level 1 that want to be refined.
+    /// Refines the marked elements of level 1.
     pub(super) fn select_wanted(patch: &mut Patch) {
         for element in patch.wanted.take() {
             patch.refined.insert(element);
@@ -167,8 +164,7 @@ impl Field {
         patch.refined.sort();
     }
 
-    /// Takes the chosen set and computes the bricks that are new in it; the forces of contacts have to be
-    /// added.
+    /// Activates the chosen set and computes its new bricks, without contact forces.
     pub(super) fn enter(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
         self.take_in(structure, coarse, u);
         let new = |brick: &u32| !self.left.contains(*brick);
@@ -178,7 +174,7 @@ impl Field {
         self.sum_up(structure);
     }
 
-    /// Takes the chosen set and brings its nodes up to date with level 1; forces are still to be computed.
+    /// Activates the chosen set and brings its nodes up to date with level 1, without computing forces.
     pub(super) fn take_in(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
         self.note(structure, coarse);
         self.since = Since::Chosen;

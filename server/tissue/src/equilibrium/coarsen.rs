@@ -1,18 +1,16 @@
-//! The next coarser lattice over cells of any level: which cells make an element, which points it
-//! has, and what hangs on them.
+//! Construction of the next coarser lattice over the cells of any level: elements, points and parents.
 //!
-//! Two by two by two cells make an element, as far as they hang together through faces: cells on
-//! two sides of a cut, or of a gap between two fingers, make two elements at the same place. The
-//! corners of elements become one point where a point of the finer level hangs on both. So the
-//! coarse lattices open where the fine one does, and the trilinear weights of a point are the same
-//! from whichever element it is seen.
+//! Two by two by two cells form an element if they are connected through faces. Cells on two sides of a cut, or of a
+//! gap between two fingers, form two elements at the same place. Corners of elements merge into one point where a finer
+//! point depends on both. So coarse lattices open where the fine lattice does, and the trilinear weights of a point do
+//! not depend on the element that evaluates them.
 
 use std::collections::BTreeMap;
 
 use super::brick::CORNER;
 use super::prolongation::FREE;
 
-/// A cell of some level as the next coarser one sees it.
+/// A cell of some level, as input of the next coarser one.
 #[derive(Clone, Copy)]
 pub(crate) struct Piece {
     /// Lattice coordinates in units of its own side.
@@ -42,8 +40,8 @@ fn place(at: [i32; 3]) -> [i32; 3] {
     at.map(|v| v.div_euclid(2))
 }
 
-/// Makes the coarser lattice. `points` is the number of finer points; `joined(a, axis, list)` adds to
-/// a list the cells that hang on cell `a` through its face towards higher coordinates on an axis.
+/// Makes the coarser lattice. `points` is the number of finer points; `joined(a, axis, list)` appends the cells
+/// connected to cell `a` through its face towards higher coordinates on an axis.
 pub(crate) fn coarsen(
     cells: &[Piece],
     points: usize,
@@ -94,8 +92,8 @@ pub(crate) fn coarsen(
     }
 }
 
-/// Makes one point of all corners that a finer point hangs on and numbers them. Returns the element and place of each
-/// finer point, and the number of coarse points.
+/// Merges all corners that a finer point depends on, and numbers them. Returns the element and place of each finer
+/// point, and the number of coarse points.
 fn merge_corners(
     cells: &[Piece],
     points: usize,
@@ -110,7 +108,7 @@ fn merge_corners(
         let element = element_of[c];
         let own = octant(cell.at);
         for (corner, &point) in cell.corners.iter().enumerate() {
-            // Seen from any other element around it, the weights and the merged corners are the same.
+            // Any other element around the point gives the same weights and merged corners.
             entries[point as usize] = element * 32 + CORNER[own][corner] as u32;
             let known = &mut first[point as usize];
             for (low, slot) in support(own, corner) {
@@ -138,8 +136,8 @@ fn merge_corners(
     (entries, count as usize)
 }
 
-/// Corners of an element on which corner `corner` of the cell at `octant` hangs: for each, its
-/// number among those of the point (by odd axes) and the slot of the element.
+/// Corners of an element on which corner `corner` of the cell at `octant` depends: for each, its number among those of
+/// the point (by odd axes) and the slot of the element.
 fn support(octant: usize, corner: usize) -> impl Iterator<Item = (usize, usize)> {
     let at: [usize; 3] = std::array::from_fn(|a| (octant >> a & 1) + (corner >> a & 1));
     (0..8usize).filter_map(move |low| {
@@ -157,7 +155,7 @@ fn support(octant: usize, corner: usize) -> impl Iterator<Item = (usize, usize)>
     })
 }
 
-/// Which elements hang on which through faces: by the points of the face that they share.
+/// Face connections between elements, by the points of the shared face.
 pub(crate) struct Joints {
     at: BTreeMap<[i32; 3], Vec<u32>>,
 }
@@ -171,7 +169,7 @@ impl Joints {
         Self { at }
     }
 
-    /// Adds the elements behind the face of `a` towards higher coordinates that share all its points.
+    /// Appends the elements behind the face of `a` towards higher coordinates that share all its points.
     pub(crate) fn behind(&self, pieces: &[Piece], a: u32, axis: usize, list: &mut Vec<u32>) {
         let own = &pieces[a as usize];
         let mut to = own.at;

@@ -1,27 +1,25 @@
-//! Corners of cells: what hardens them when they lose their volume.
+//! Corner energy: resistance of cells against collapse.
 //!
-//! Springs do not know on which side of a face a node is, and a lattice of them gets softer as it is
-//! pressed flat, because its diagonals turn sideways: the layer under a tool takes all of a deep
-//! press, and its cells are pushed flat and through. With e1, e2, e3 the edges of a cell at one of
-//! its corners, D = e1·(e2 × e3), D0 at rest and J = D/D0, a corner that has kept less than θ of its
-//! volume has (reconstructed; the neighbouring bounding box of Lin 2007, eq. 3.7, keeps nodes on their
-//! side along the axes only) an energy with
+//! Springs do not know on which side of a face a node is. A lattice softens as it is pressed flat, because its
+//! diagonals turn sideways; the layer under a tool then takes all of a deep press, and its cells invert. With e1, e2,
+//! e3 the edges of a cell at one of its corners, D = e1·(e2 × e3), D0 at rest and J = D/D0, a corner below θ of its
+//! volume has an energy (reconstructed; the neighbouring bounding box of Lin 2007, eq. 3.7, protects along the axes
+//! only) with
 //!
 //! ```text
 //! -dW/dD = C E/8 x²/(max(J, 0) + ε)          x = θ - J > 0
 //! ```
+//! ```
 //!
-//! It depends on the shape of the corner alone, so a flap may turn as it likes; it is zero with its
-//! first and second derivatives where it sets in, rises the steeper the flatter the corner is, and
-//! pushes an inverted one back. Corners with less than a cube's volume at rest are measured in cubes,
-//! x = (θ D0 - D)/Δd³ and J = D/Δd³, or flat ones would be stiffer than blocks of f32 and a step of
-//! the solver can follow (measured: deep presses on real surfaces blew up); corners inverted at rest
-//! have none of it.
+//! It depends on the shape of the corner alone, so it is invariant under rotation. It starts with zero first and second
+//! derivatives, rises more steeply the flatter the corner is, and pushes an inverted corner back. Corners with less
+//! than a cube's volume at rest are measured in cubes, x = (θ D0 - D)/Δd³ and J = D/Δd³. Otherwise flat corners would
+//! be too stiff for f32 blocks and the smoother (deep presses on real surfaces diverged). Corners inverted at rest have
+//! no such energy.
 //!
-//! Only bricks with a spring that is at least a tenth longer or shorter than at rest are looked at: no
-//! uniform deformation brings a cube to θ otherwise. Skewed corners get there with hardly any strain, so
-//! bricks that have one are always looked at (measured: forces that came and went with a spring at that
-//! tenth kept iterates jumping to and fro for ever).
+//! Only bricks with a spring at least a tenth longer or shorter than at rest are checked: no uniform deformation brings
+//! a cube to θ otherwise. Skewed corners reach θ at small strains, so their bricks are always checked (measured: forces
+//! that switched with a spring at that tenth kept iterates oscillating).
 
 use pulp::Simd;
 
@@ -30,52 +28,49 @@ use super::hold::MARGIN;
 use super::kernel::{Local, LocalBlocks, PAIRS, cross, dot};
 use super::lanes::{LANES, V};
 
-/// θ: part of its volume that a corner keeps before it hardens.
+/// θ: relative volume below which a corner hardens.
 const KEPT: f32 = 0.5;
 /// C: strength in parts of Young's modulus.
 pub(crate) const STRENGTH: f32 = 10.0;
 /// ε: softens the rise towards a flat corner.
 const SOFT: f32 = 0.08;
-/// Change of a spring's squared length, in parts of that at rest, from which on its brick is
-/// looked at.
+/// Relative change of a spring's squared length from which on the corners of its brick are checked.
 pub(crate) const NEAR: f32 = 0.2;
-/// Volume of a corner at rest in parts of its edges' product below which its brick is always looked
-/// at: what is nearly flat is flattened by the smallest strain.
+/// Volume of a corner at rest, relative to the product of its edges, below which its brick is always checked.
 pub(crate) const SKEWED: f64 = 0.8;
-/// Nodes of a corner: its terms bound its matrix when they count so often.
+/// Nodes of a corner; this factor makes the diagonal blocks an upper bound of its matrix.
 const NODES: f32 = 4.0;
 
 /// Steps to the next node along each axis of a brick.
 const STEP: [usize; 3] = [1, 3, 9];
 
-/// One corner of all cells of a brick, as far as it says whether it pushes.
+/// One corner of all cells of a brick.
 struct Corner<S: Simd> {
     /// Edges along the axes, from the near node to the far one, in m.
     now: [[V<S>; 3]; 3],
     /// Derivative of D by the edge along the first axis in m².
     first: [V<S>; 3],
-    /// Volume that J is measured in, in m³.
+    /// Reference volume of J in m³.
     unit: V<S>,
     /// J and x.
     kept: V<S>,
     lost: V<S>,
-    /// Modulus in Pa, zero where the corner does not push.
+    /// Modulus in Pa; zero where the corner does not push.
     modulus: V<S>,
 }
 
-/// Where the edge of corner `which` along an axis starts, from the first node of its cell. Bit `a` of
-/// `which` is set when the corner is the far one along axis `a`.
+/// Start of the edge of corner `which` along an axis, relative to the first node of its cell. Bit `a` of `which` is set
+/// when the corner is the far one along axis `a`.
 const fn start(which: usize, axis: usize) -> usize {
     own(which) - (which >> axis & 1) * STEP[axis]
 }
 
-/// Where the corner itself is.
+/// Position of the corner itself.
 const fn own(which: usize) -> usize {
     (which & 1) * STEP[0] + (which >> 1 & 1) * STEP[1] + (which >> 2 & 1) * STEP[2]
 }
 
-/// Difference between the ends of an edge. (Closures would not be inlined into what knows of wider
-/// vectors.)
+/// Difference between the ends of an edge. (A closure would not be inlined for wider vectors.)
 #[inline(always)]
 fn edge<S: Simd>(simd: S, of: &Local, at: usize, step: usize) -> [V<S>; 3] {
     [
@@ -91,8 +86,8 @@ fn sum<S: Simd>(a: [V<S>; 3], b: [V<S>; 3]) -> [V<S>; 3] {
 }
 
 impl<S: Simd> Corner<S> {
-    /// Looks at a corner of the cells whose first nodes are `from` on, `nearer` to flat by this part
-    /// than it is.
+    /// Evaluates a corner of the cells whose first nodes start at `from`, as if it were flatter by the fraction
+    /// `nearer`.
     #[inline(always)]
     fn of(simd: S, form: &Form, u: &Local, which: usize, from: usize, nearer: f32) -> Self {
         let at = [
@@ -158,8 +153,8 @@ impl<S: Simd> Corner<S> {
     }
 }
 
-/// Adds to a row from an entry on, times `sign`. One whole row after the other, so that what an entry gets
-/// is summed in the same order whatever the width of the vectors.
+/// Adds to a row from an entry on, times `sign`. Rows are added one by one, so the order of summation does not depend
+/// on the width of the vectors.
 #[inline(always)]
 fn add<S: Simd>(simd: S, row: &mut [f32], at: usize, by: &[f32; LANES], sign: f32) {
     let mut from = 0;
@@ -204,7 +199,7 @@ pub(crate) fn corner_forces<S: Simd>(simd: S, form: &Form, u: &Local, f: &mut Lo
     }
 }
 
-/// Adds the bounds of flat corners to the blocks of a brick's nodes, in N/m.
+/// Adds upper bounds of flat corners to the diagonal blocks of a brick's nodes, in N/m.
 #[inline(always)]
 pub(crate) fn corner_tangents<S: Simd>(
     simd: S,
@@ -216,7 +211,7 @@ pub(crate) fn corner_tangents<S: Simd>(
     let zero = V::all(simd, 0.0);
     let spacing = V::all(simd, 2.0 / per_spacing);
     for which in 0..8 {
-        // Of the ends of the three edges, and of the corner itself.
+        // Blocks of the ends of the three edges, and of the corner itself.
         let mut blocks = [[[0.0; LANES]; 6]; 4];
         let mut any = false;
         let mut from = 0;

@@ -1,4 +1,4 @@
-//! Deferred forces do not stay for good.
+//! Deferred forces are solved eventually.
 
 use std::sync::Arc;
 
@@ -6,7 +6,7 @@ use crate::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block};
 
 const CELL: f64 = 4e-3;
 
-/// The element of level 1 that waits with the largest force.
+/// The element of level 1 with the largest deferred force.
 fn largest(solver: &Solver) -> u32 {
     let elements = 0..solver.coarse.patches[0].owed.len() as u32;
     let largest = elements.max_by(|&a, &b| deferred(solver, a).total_cmp(&deferred(solver, b)));
@@ -33,7 +33,7 @@ fn soft_block() -> (Topology, Solver, Shape) {
     (topology, solver, shape)
 }
 
-/// A ball pressed so deep into the top of the block, `x` m from its middle.
+/// A ball pressed into the top of the block, `x` m from its middle.
 fn ball(x: f64, depth: f64) -> Tool {
     let centre = Vec3::new(20.0 * CELL + x, 12.0 * CELL, 12.0 * CELL + 8e-3 - depth);
     Tool::ball(1, centre, 8e-3)
@@ -52,7 +52,7 @@ fn large_deferred_forces_are_solved_while_a_hand_rests() {
     for k in 0..=40 {
         step(&mut solver, &mut shape, 0.2e-3 * f64::from(k));
     }
-    // The hand rests, but for a micrometre, so that steps are made.
+    // The tool moves by a micrometre, so that steps are made.
     for round in 0..3 {
         let element = largest(&solver);
         let before = deferred(&solver, element);

@@ -1,45 +1,43 @@
 //! Elements of the coarse levels: 24 x 24 stiffness matrices over eight points.
 //!
-//! With u = P e, P the trilinear weights, the energy at rest becomes ½ eᵀ(PᵀAP)e. A spring between
-//! nodes i and j sees of coarse point I the part `d_I = w_jI - w_iI`, so it adds
+//! Galerkin coarse operator: with u = P e, P the trilinear weights, the energy at rest becomes ½ eᵀ(PᵀAP)e. For coarse
+//! point I a spring between nodes i and j has the weight `d_I = w_jI - w_iI`, so it adds
 //!
 //! ```text
 //! k [n nᵀ + σ (I - n nᵀ)] d_I d_J
 //! ```
 //!
-//! A spring at rest has σ = 0. It is a small part of the floor of `law.rs`, enough for a point on which
-//! little hangs not to be free in any direction, and no more, because it takes every rotation for a
-//! strain: with the whole floor all tissue that turns about a bone was four times too stiff on the
-//! coarse levels, and what is far from a tool never came where it belongs. A cell's volume term adds
-//! κ V0 b bᵀ with b = Σ w ∇J. Kept per element instead of as rows of an assembled matrix, the operator
-//! needs no table of neighbours that a cut could upset, and elements that are alike (the inside of
-//! every homogeneous region) share one.
+//! A spring at rest has σ = 0. Here σ is a small part of the floor of `law.rs`, so that weakly connected points are not
+//! singular. It is small because it resists rotations: with the whole floor tissue that turns about a bone was four
+//! times too stiff on the coarse levels, and distant tissue never converged. The volume term of a cell adds κ V0 b bᵀ
+//! with b = Σ w ∇J. Matrices are stored per element, not assembled in rows, so a cut changes no table of neighbours.
+//! Equal elements (the inside of every homogeneous region) share one matrix.
 
 use super::brick::{CORNER, Form, LOCALS, OFFSETS};
 use super::law::{Symmetric, sideways};
 use super::matrix::{Columns, SIZE, Short, Stiffness, at, lane};
 
-/// σ in parts of the floor of `law.rs`.
+/// σ relative to the floor of `law.rs`.
 const TURNING: f64 = 0.1;
-/// Stiffness of a corner, in parts of its element's stiffest, below which it is tied to the others. A point
-/// beside a bone on which an eighth of one soft node hangs was corrected by 250 mm otherwise, and of such a
-/// correction next to nothing can be taken, anywhere. From 0.003 to 0.1 all do.
+/// Stiffness of a corner, relative to the stiffest one of its element, below which it is tied to the others. Otherwise
+/// a point beside a bone that carries an eighth of one soft node was corrected by 250 mm, and the line search accepted
+/// almost nothing. Values from 0.003 to 0.1 all work.
 const WEAK: f64 = 0.03;
-/// Iterations that estimate the largest eigenvalue of a scaled element.
+/// Power iterations for the largest eigenvalue of a scaled element.
 const POWER: usize = 12;
 
-/// The matrix of an element and what smoothing needs of it.
+/// The matrix of an element and its diagonal bound.
 #[derive(Clone)]
 pub(crate) struct Matrix {
     pub(crate) k: Stiffness,
-    /// Blocks of the corners times the largest eigenvalue of the element scaled by its blocks:
-    /// summed over elements they bound the whole matrix from above.
+    /// Diagonal blocks of the corners times the largest eigenvalue of the block-scaled element: their sum over elements
+    /// bounds the whole matrix from above.
     pub(crate) bound: [[f32; 6]; 8],
-    /// Whether all that it is made of is alike: cubes of one tissue.
+    /// Whether the element is homogeneous: cubes of one tissue.
     pub(crate) even: bool,
 }
 
-/// Accumulates in f64 what becomes a [`Matrix`].
+/// Accumulates a [`Matrix`] in f64.
 pub(crate) struct Sum(Box<[[f64; SIZE]; SIZE]>);
 
 impl Sum {
@@ -47,10 +45,9 @@ impl Sum {
         Self(Box::new([[0.0; SIZE]; SIZE]))
     }
 
-    /// Adds the springs and volume terms of a brick; bit `i` of `fixed` tells that entry `i` does
-    /// not move.
+    /// Adds the springs and volume terms of a brick; bit `i` of `fixed` marks entry `i` as fixed.
     pub(crate) fn add_brick(&mut self, form: &Form, fixed: u32, per_spacing: f32) {
-        // Per pair of corners: n nᵀ part and the isotropic part of all springs.
+        // Per pair of corners: the n nᵀ part and the isotropic part of all springs.
         for (direction, offset) in OFFSETS.into_iter().enumerate() {
             for (i, &k) in form.stiffness[direction][..LOCALS].iter().enumerate() {
                 if k > 0.0 {
@@ -197,8 +194,8 @@ impl Sum {
         }
     }
 
-    /// The matrix, and its bound. Where all that was added is `alike`, as it is inside of every
-    /// homogeneous region, it stays in single precision: those few matrices the nearest cache can hold.
+    /// The matrix and its bound. Homogeneous elements (`alike`) stay in single precision: these few matrices fit in the
+    /// L1 cache.
     pub(crate) fn finish(mut self, alike: bool) -> Matrix {
         self.back_up();
         let short = (!alike).then(|| Short::new(&self.0)).flatten();
@@ -218,8 +215,7 @@ impl Sum {
         }
     }
 
-    /// Ties corners that next to nothing hangs on to the others, as a soft filling of the element would: what
-    /// moves as a whole still makes no force.
+    /// Ties weakly connected corners to the others, like a soft filling. Rigid translations still make no force.
     fn back_up(&mut self) {
         let own = |c: usize| (0..3).map(|a| self.0[at(c, a)][at(c, a)]).sum::<f64>() / 3.0;
         let own: [f64; 8] = std::array::from_fn(own);
@@ -270,7 +266,7 @@ impl Sum {
             value = norm / before;
             x = z.map(|v| v / norm);
         }
-        // The iteration comes from below.
+        // Power iteration approaches the eigenvalue from below.
         (1.05 * value).clamp(1.0, 8.0)
     }
 }

@@ -1,19 +1,19 @@
-//! How strong springs along the fibres are for a material that is so many times stiffer along them.
+//! Spring factors along fibres, for a given ratio of moduli.
 //!
 //! A spring at the angle θ to the fibres has scale (1 + β cos⁴ θ) times its strength (reconstructed). A lattice has
-//! springs in thirteen directions n only, each with a weight w in `C = E Σ w n n n n` (`springs.rs`), so what β makes
-//! of them depends on where the fibres point. It is found for each region: along the fibres the modulus is to be `ratio`
-//! times the mean one across them, and that is to be Young's.
+//! springs in thirteen directions n only, each with a weight w in `C = E Σ w n n n n` (`springs.rs`), so the effect of
+//! β depends on the fibre direction. β is solved for per region: the modulus along the fibres is `ratio` times the mean
+//! modulus across them, and the latter is Young's modulus.
 
 use nalgebra::{Matrix6, Vector6};
 
 use crate::Vec3;
 use crate::springs::{BODY_SHARE, DIAGONAL_SHARE, EDGE_SHARE};
 
-/// β at most: fibres that no direction of the lattice is near can not be made arbitrarily stiffer.
+/// Maximum β: fibres far from all directions of the lattice can not be made arbitrarily stiff.
 const STRENGTH_MAX: f64 = 200.0;
-/// Cosines and sines of the directions across the fibres over which the modulus is averaged. Written down, because
-/// machines need not agree on the last bit of a sine, and sites have to agree on every bit of a stiffness.
+/// Cosines and sines of the directions across the fibres over which the modulus is averaged. They are literals, because
+/// the last bit of a sine depends on the machine, and all replicas need equal stiffnesses.
 const ACROSS: [(f64, f64); 8] = {
     const C: [f64; 3] = [
         0.923_879_532_511_286_7,
@@ -31,7 +31,7 @@ const ACROSS: [(f64, f64); 8] = {
         (-C[0], C[2]),
     ]
 };
-/// Halvings that find β.
+/// Bisection steps for β.
 const HALVINGS: usize = 60;
 
 /// The directions of a lattice's springs and their weights.
@@ -68,7 +68,7 @@ pub(crate) fn in_a_lattice(ratio: f64, fibre: &Vec3) -> (f64, f64) {
     (low, 1.0 / across)
 }
 
-/// Young's moduli along the fibres, and across them in the mean, in parts of the one without fibres.
+/// Young's moduli along the fibres and across them (mean), relative to the modulus without fibres.
 fn moduli(beta: f64, fibre: &Vec3) -> Option<(f64, f64)> {
     let mut stiffness = Matrix6::zeros();
     for (direction, weight) in DIRECTIONS {
@@ -91,8 +91,7 @@ fn moduli(beta: f64, fibre: &Vec3) -> Option<(f64, f64)> {
     ))
 }
 
-/// n n as six components, those off the diagonal times √2, so that products of tensors are products of
-/// vectors.
+/// n n as six components, off-diagonal ones times √2, so that products of tensors are products of vectors.
 pub(crate) fn dyad(n: &Vec3) -> Vector6<f64> {
     let root = 2.0_f64.sqrt();
     Vector6::new(

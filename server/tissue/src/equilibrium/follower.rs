@@ -1,8 +1,8 @@
-//! A change of the topology, worked out beside the solvers that will take it over.
+//! A change of the topology, prepared outside the solver thread.
 //!
-//! What a solver knows of a topology takes tens of milliseconds to bring up to date after a cut: too
-//! long for a hand, whose force is believed for no longer than that. A follower does it on another
-//! thread and hands every solver a [`Successor`], which is taken over in less than a millisecond.
+//! Updating a solver after a cut takes tens of milliseconds, too long for the haptic loop, whose forces expire before
+//! that. A follower computes the update on another thread and returns a [`Successor`] for every solver, which takes
+//! less than a millisecond to install.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use super::structure::Structure;
 use crate::Topology;
 use crate::contact::SurfaceIndex;
 
-/// Keeps up with a topology for solvers that live elsewhere. It costs about 200 bytes per node.
+/// Follows a topology for solvers on other threads. It costs about 200 bytes per node.
 #[derive(Clone)]
 pub struct Follower {
     structure: Arc<Structure>,
@@ -25,7 +25,7 @@ pub struct Follower {
     home: Option<Arc<Home>>,
 }
 
-/// What one solver needs after a change, ready made.
+/// Prepared update of one solver.
 pub struct Successor {
     pub(super) structure: Arc<Structure>,
     pub(super) field: Field,
@@ -62,7 +62,7 @@ impl Follower {
         &self.structure
     }
 
-    /// What one solver of the topology that was followed last needs.
+    /// The update for one solver of the topology that was followed last.
     pub fn successor(&self, topology: &Topology) -> Successor {
         let mut field = Field::new(topology, &self.structure, self.own.clone());
         field.disturb_all();
@@ -77,9 +77,9 @@ impl Follower {
 }
 
 impl Solver {
-    /// Follows a change of the topology. `touched` are the nodes whose springs, pinning or rest
-    /// position changed; new nodes at the end need not be listed. The shape must have been whole
-    /// before it (see [`Budget::near`](crate::Budget::near) and [`Solver::pour`]).
+    /// Follows a change of the topology. `touched` are the nodes whose springs, pinning or rest position changed; new
+    /// nodes at the end need not be listed. All nodes of the shape must have been up to date before it (see
+    /// [`Budget::near`](crate::Budget::near) and [`Solver::pour`]).
     pub fn follow(&mut self, topology: &Topology, touched: &[u32]) {
         let before = (&*self.structure, touched);
         self.structure = Arc::new(Structure::after(topology, Some(before)));
@@ -90,7 +90,7 @@ impl Solver {
         self.contacts.follow(topology);
     }
 
-    /// One that follows changes of the topology beside this solver, from the topology of now on.
+    /// A follower of later changes of the topology, starting from the current one.
     pub fn follower(&self) -> Follower {
         let home = self.home.clone();
         Follower::new(
@@ -101,8 +101,8 @@ impl Solver {
         )
     }
 
-    /// Follows a change of the topology that a [`Follower`] has followed. The shape must have been
-    /// whole before it, as for [`follow`](Self::follow).
+    /// Installs a change that a [`Follower`] has followed. All nodes of the shape must have been up to date before it,
+    /// as for [`follow`](Self::follow).
     pub fn succeed(&mut self, topology: &Topology, successor: Successor) {
         self.structure = successor.structure;
         self.contacts.take(topology, successor.index);
@@ -110,7 +110,7 @@ impl Solver {
         self.begin_again(successor.field, successor.coarse);
     }
 
-    /// Forgets all that was known of forces.
+    /// Discards all cached forces.
     pub(super) fn restart(&mut self, topology: &Topology, own: Vec<f64>) {
         let mut field = Field::new(topology, &self.structure, own);
         field.disturb_all();
@@ -118,7 +118,7 @@ impl Solver {
         self.begin_again(field, coarse);
     }
 
-    /// Goes on with a field and levels of which every force is still to be computed.
+    /// Continues with new fine and coarse levels, whose forces are all outdated.
     fn begin_again(&mut self, field: Field, coarse: Multigrid) {
         let (displaced, at_home) = (self.field.displaced, self.field.at_home);
         (self.field, self.coarse) = (field, coarse);
@@ -127,11 +127,11 @@ impl Solver {
         self.start_over(displaced, at_home);
     }
 
-    /// Takes over how far nodes are displaced, and what is held, where every force is still to be computed.
+    /// Takes over displacements and held nodes; all forces are outdated.
     pub(super) fn start_over(&mut self, displaced: f64, at_home: bool) {
         self.field.displaced = displaced;
         self.settling = Some(0);
-        // A cut moves what hangs.
+        // A cut changes the equilibrium under gravity.
         self.field.at_home = at_home && self.home.is_none();
         for &node in &self.held {
             self.field.fixed[node as usize] = true;
@@ -140,7 +140,7 @@ impl Solver {
     }
 }
 
-/// Brings the stiffness of nodes at rest up to date where a change touched them.
+/// Updates the stiffness of nodes at rest where a change touched them.
 pub(super) fn measure(own: &mut Vec<f64>, topology: &Topology, touched: &[u32]) {
     let new = own.len() as u32..topology.node_count() as u32;
     own.resize(topology.node_count(), 0.0);

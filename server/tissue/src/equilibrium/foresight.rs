@@ -1,10 +1,9 @@
-//! What a step may begin with: the change of the last one, carried on.
+//! Warm start: the displacement increment of the last step, extrapolated.
 //!
-//! A hand that leads nodes moves on much as it moved before, and equilibrium follows it smoothly. So when
-//! the held nodes have moved by γ times what they moved before, the shape begins with γ times its last
-//! change; what remains to be solved is of second order in the step. Under tools the share is looked for
-//! along the change itself: where a tool has gone does not tell where it still touches. The bricks' forces
-//! are known at both its ends then, and taken for linear between.
+//! A hand moves smoothly, and equilibrium follows it smoothly. If the held nodes moved by γ times their last increment,
+//! the shape starts with γ times its last increment; the remaining error is of second order in the step. Under tools a
+//! line search along the increment finds the factor, because the tool's path does not determine the contacts. The brick
+//! forces are known at both ends of the increment and interpolated linearly.
 
 use std::collections::BTreeMap;
 
@@ -13,24 +12,23 @@ use super::path::Path;
 use super::solver::{Solver, relative};
 use crate::{Topology, Vec3};
 
-/// Cosine between two moves from which on the second one continues the first.
+/// Cosine between two increments from which the second one continues the first.
 const ALIKE: f64 = 0.7;
-/// Residual of the last step's set up to which its change may be carried on: errors would be, too.
+/// Residual of the last active set up to which its increment is extrapolated; its errors are extrapolated too.
 const TRUSTED: f64 = 0.1;
-/// Part of a step by which it may be carried on too short and still tell of the curve.
+/// Relative deviation of the extrapolation factor up to which the correction still updates the curvature.
 const ASIDE: f64 = 1e-3;
-/// Bounds of the share of the last change that is carried on under tools, and what is tried first where
-/// tools do not tell.
+/// Bounds of the extrapolation factor under tools, and the first trial value.
 const CARRIED: [f64; 2] = [0.0, 1.0];
 
-/// Where held nodes were and how they moved in the last step.
+/// Positions of held nodes and their increments in the last step.
 #[derive(Default)]
 pub(super) struct Foresight {
     drivers: Vec<Driver>,
     pub(super) path: Path,
-    /// Whether the last step came as far as it was asked to.
+    /// Whether the last step converged.
     pub(super) calm: bool,
-    /// Share over which the last step was carried on if it did nothing else.
+    /// Extrapolation factor of the last step, if it made no iteration.
     steady: Option<f64>,
 }
 
@@ -41,7 +39,7 @@ struct Driver {
 }
 
 impl Foresight {
-    /// Takes in where held nodes are, and where they were led from; gives γ.
+    /// Reads the held nodes and their previous positions; returns γ.
     pub(super) fn look(&mut self, held: &[u32], led: &BTreeMap<u32, Vec3>, u: &[Vec3]) -> f64 {
         let (mut both, mut last, mut now) = (0.0, 0.0, 0.0);
         let drivers: Vec<Driver> = held
@@ -71,8 +69,7 @@ impl Foresight {
 }
 
 impl Solver {
-    /// Stage: contacts, and the last step's change carried on by about `guess` times. Returns whether
-    /// a proxy lags.
+    /// Stage: gathers contacts and applies the warm start with a factor of about `guess`. Returns whether a proxy lags.
     pub(super) fn foresee(&mut self, topology: &Topology, u: &mut [Vec3], guess: f64) -> bool {
         let led = self.contacts.proxies.is_empty();
         let share = if led { self.trusted(guess) } else { 0.0 };
@@ -93,11 +90,11 @@ impl Solver {
             self.field.moves = last;
             return self.gather(topology, u);
         }
-        // Of a tool's press only what is near is kept going: the rest costs more than it brings.
+        // Under tools only the increment near the contacts is extrapolated: the rest costs more than it gains.
         let lags = self.gather(topology, u);
         let share = self.best_carry(u, &mut last);
         self.carry_on(u, &last, share);
-        // Contacts are gathered again when a tool lags, and bring their nodes up to date.
+        // Contacts are gathered again if a tool lags, which updates their nodes.
         self.field.note(&self.structure, &self.coarse);
         if !last.is_empty() {
             self.field.blend_forces(&self.structure, share as f32);
@@ -106,8 +103,8 @@ impl Solver {
         lags
     }
 
-    /// Carries a shape that is led on along its path, over a share that is the `whole` of what it was led on by or
-    /// less.
+    /// Extrapolates a led shape along its path by the factor `share`; `whole` if that is the full increment of the held
+    /// nodes.
     fn go_on(&mut self, u: &mut [Vec3], share: f64, whole: bool) {
         let same = self.field.since != Since::Chosen && !self.field.outdated;
         let known = self.foresight.steady.filter(|_| same);
@@ -117,7 +114,7 @@ impl Solver {
             self.field.note(&self.structure, &self.coarse);
             self.field.take_moves(&self.structure, &self.coarse, u)
         };
-        // What is not free follows level 1, which knows of no curve.
+        // Nodes that are not free follow level 1, which has no curvature.
         let (path, free) = (&mut self.foresight.path, &self.field.free);
         if !whole {
             path.leave();
@@ -133,22 +130,21 @@ impl Solver {
         self.field.moves = moves;
     }
 
-    /// Last stage: what the next step needs to know of this one to carry it on, given the residual that it began with.
+    /// Last stage: records the step for the next warm start, given its initial residual.
     pub(super) fn look_back(&mut self, begun: f64) {
         let Foresight { path, steady, .. } = &mut self.foresight;
         if self.report.iterations > 0 && begun > 0.0 {
             path.solve(1.0 - self.report.residual / begun);
         }
         *steady = steady.filter(|_| self.carried && self.report.iterations == 0);
-        // All that took part will again.
+        // The same nodes become active again.
         let nodes = self.field.moved_on.items.len();
         path.make_room(nodes);
         self.field.make_room(nodes);
     }
 
-    /// How much of the last step's change is carried on under held nodes that moved by `guess` times as much:
-    /// less than that after a step that had too little time, so that what it got wrong dies out even if this one has
-    /// no more.
+    /// The extrapolation factor for held nodes that moved by `guess` times their last increment. It is reduced after a
+    /// step that did not converge, so that errors decay even without time for more iterations.
     fn trusted(&self, guess: f64) -> f64 {
         let residual = relative(self.field.square_over_free(), self.reference);
         if residual >= TRUSTED {
@@ -162,19 +158,19 @@ impl Solver {
         guess.clamp(-1.0, most)
     }
 
-    /// Lets all take part again that has taken part in the last step: it was moved, too, and what only
-    /// follows the coarse levels would lose its own part of that.
+    /// Activates again all nodes that were active in the last step: nodes that only follow the coarse levels would lose
+    /// their own part of the increment.
     fn stir(&mut self, u: &mut [Vec3]) {
         if self.coarse.stir(&self.structure) {
             while self.coarse.push(&self.structure, f32::INFINITY) {
                 self.coarse.select(&self.structure, true);
             }
-            // Forces are computed where it is carried to.
+            // Forces are computed after the extrapolation.
             self.field.take_in(&self.structure, &self.coarse, u);
         }
     }
 
-    /// How much of the last step's change is best: where no work is left along it.
+    /// Line search for the extrapolation factor: the work along the increment vanishes there.
     fn best_carry(&mut self, u: &mut [Vec3], last: &mut [(u32, Vec3)]) -> f64 {
         if last.is_empty() {
             return 0.0;
@@ -195,7 +191,7 @@ impl Solver {
         share
     }
 
-    /// Carries the last step's change on, on all levels.
+    /// Applies the last increment on all levels.
     fn carry_on(&mut self, u: &mut [Vec3], last: &[(u32, Vec3)], share: f64) {
         if share != 0.0 {
             self.coarse

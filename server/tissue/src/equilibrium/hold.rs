@@ -1,29 +1,26 @@
-//! Pressed springs: what keeps them from giving way sideways, and where they end.
+//! Stabilisation energy of compressed springs, and stiffening of extreme springs.
 //!
-//! A spring of the length law at r = |d| < l0 has the stiffness k(1 - l0/r) across its direction,
-//! -k at half its length. From 30 to 40 % of local strain on that outweighs what its neighbours
-//! hold up: the lattice buckles, cells fold sideways, and pressing on meets no more resistance.
-//! Against it (reconstructed) a pressed spring is held to its direction at rest n0 by
+//! A spring of the length law at r = |d| < l0 has the transverse stiffness k(1 - l0/r), -k at half its length. From 30
+//! to 40 % of local strain this exceeds the support of its neighbours: the lattice buckles, and cells fold sideways.
+//! Against that (reconstructed) a compressed spring is held to its direction at rest n0 by
 //!
 //! ```text
 //! χ(r) (r - d·n0)          χ = k l0 t²(3 - 2t),  t = 1 - r/(c l0) within 0..1
 //! ```
 //!
-//! At rest and when drawn there is nothing of it: up to 1 - c of compression, and however far it
-//! turns, a spring stays what it was. Pressed along n0 its force stays what it was, too, and its
-//! stiffness across becomes k(1 - l0/r) + χ/r, nowhere below -k/4; towards r = 0 the sum with the
-//! length law is that of the offset law k(d - d0), convex in all directions. (An energy that lets a
-//! spring turn freely at its full length can not be convex everywhere within it.)
+//! The energy vanishes at rest and in tension, and up to 1 - c of compression for any rotation. Compressed along n0 a
+//! spring keeps its force, and its transverse stiffness becomes k(1 - l0/r) + χ/r, at least -k/4. Towards r = 0 the sum
+//! with the length law is the offset law k(d - d0), convex in all directions. (An energy that is invariant under
+//! rotation at full length can not be convex everywhere within it.)
 //!
-//! Extreme springs (`law.rs`) set in smoothly: below r = `α_min` l0, with y = `α_min` l0 - r, they push
+//! Extreme springs (`law.rs`) stiffen smoothly: below r = `α_min` l0, with y = `α_min` l0 - r, they push with
 //! with
 //!
 //! ```text
 //! P = S k y²/(y + h l0)
 //! ```
 //!
-//! and are held by P in the place of χ besides, which is just what their push takes off the
-//! stiffness across.
+//! and are additionally held by P in the place of χ, which cancels the transverse stiffness lost by that push.
 
 use pulp::Simd;
 
@@ -33,20 +30,20 @@ use super::kernel::{Ends, Group, LEAD, Local, LocalBlocks, SPRINGS, dot};
 use super::lanes::V;
 use super::law::{EXTREME, GUARD};
 
-/// What single springs of the lattice have beyond their neighbours counts in full: two ends.
+/// Weight of the stabilisation in the diagonal blocks: two ends, as it acts on single springs.
 const SINGLE: f32 = 2.0;
-/// Part of its length at rest that a spring may be pressed further, or of its volume a corner, until
-/// blocks are computed again.
+/// Further relative compression of a spring, or loss of volume of a corner, that the blocks allow for until they are
+/// recomputed.
 pub(crate) const MARGIN: f32 = 0.05;
 
-/// c: length in parts of its own at rest below which a spring is held.
+/// c: relative length below which a spring is held.
 const HELD: f32 = 0.9;
-/// S: stiffness of a spring pressed far beyond its limit, in parts of its own.
+/// S: stiffness of a spring far beyond its limit, relative to its own.
 const PRESSED: f32 = 4.0;
-/// h: part of the length at rest over which an extreme spring sets in.
+/// h: relative length over which an extreme spring stiffens.
 const ONSET: f32 = 0.3;
 
-/// A pressed spring, or what it may become.
+/// Stabilisation terms of a compressed spring.
 struct Hold<S: Simd> {
     /// P in N, and its derivative by -r in N/m.
     push: V<S>,
@@ -63,7 +60,7 @@ impl<S: Simd> Hold<S> {
         V::all(simd, limit.max(HELD)) * rest - length
     }
 
-    /// That of a spring of stiffness `k`.
+    /// The terms of a spring of stiffness `k`.
     #[inline(always)]
     fn new(simd: S, limit: f32, k: V<S>, length: V<S>, rest: V<S>) -> Self {
         let all = |v: f32| V::all(simd, v);
@@ -90,8 +87,8 @@ impl<S: Simd> Hold<S> {
         [self.slope * over + self.back - self.push, self.back]
     }
 
-    /// What it adds to the stiffness at most, in N/m: along d, across it by the hold, and to both
-    /// where the spring has turned from n0 (|n - n0|² = 2 (1 - cos) bounds what couples the two).
+    /// Upper bound of the added stiffness in N/m: along d, across it, and to both where the spring has turned from n0
+    /// (|n - n0|² = 2 (1 - cos) bounds the coupling).
     #[inline(always)]
     fn stiffness(&self, simd: S, length: V<S>, over: V<S>) -> [V<S>; 3] {
         let away = (V::all(simd, 2.0) * over.max(V::all(simd, 0.0)) / length).sqrt();
@@ -101,28 +98,28 @@ impl<S: Simd> Hold<S> {
 }
 
 impl<S: Simd> Group<S> {
-    /// Above zero where the spring is far from its rest length. (Where there is none, the rest
-    /// length is a metre, and this is below zero.)
+    /// Above zero where the spring is far from its rest length. (Below zero where no spring exists: its rest length is
+    /// 1 m.)
     #[inline(always)]
     fn strained(&self, simd: S) -> V<S> {
         let change = self.excess.max(V::all(simd, 0.0) - self.excess);
         change - V::all(simd, NEAR) * self.rest_square()
     }
 
-    /// |d| - d·d0/l0: how much longer the spring is than along its rest direction.
+    /// |d| - d·d0/l0: excess length over the projection on the rest direction.
     #[inline(always)]
     fn over(&self) -> V<S> {
         self.length - dot(&self.now, &self.rest) / self.rest_length
     }
 
-    /// How far the spring is drawn beyond its limit, in m, above zero.
+    /// Extension of the spring beyond its limit in m, above zero.
     #[inline(always)]
     fn drawn(&self, simd: S, limit: f32) -> V<S> {
         self.length - V::all(simd, limit) * self.rest_length
     }
 }
 
-/// Forces of the springs, and whether any is strained so far that corners have to be looked at.
+/// Forces of the springs, and whether a strain is so large that corners must be checked.
 #[inline(always)]
 pub(crate) fn held_forces<S: Simd>(
     simd: S,
@@ -143,7 +140,7 @@ pub(crate) fn held_forces<S: Simd>(
                 let [least, most] = form.curve.limits;
                 let (long, guarded) = (s.drawn(simd, most), s.guarded(simd));
                 let pressed = Hold::sets_in(simd, least, s.length, s.rest_length);
-                // Rare, and dear: two roots and a division are what a spring costs otherwise.
+                // Rare and expensive: two roots and a division are the cost of an ordinary spring.
                 let unusual = k.where_above_zero(pressed.max(long).max(guarded));
                 let unusual = unusual.any_above_zero();
                 let mut guard = zero;
@@ -171,7 +168,7 @@ pub(crate) fn held_forces<S: Simd>(
     (ends.collect(simd, -1.0), strained.any_above_zero())
 }
 
-/// Blocks of the springs, and whether any is strained so far that corners have to be looked at.
+/// Diagonal blocks of the springs, and whether a strain is so large that corners must be checked.
 #[inline(always)]
 pub(crate) fn held_tangents<S: Simd>(
     simd: S,

@@ -1,11 +1,9 @@
-//! What nothing touches is at home: where tissue is in equilibrium by itself.
+//! Reference state: the equilibrium without tools and held nodes.
 //!
-//! With no tool on it and no node held, tissue that weighs nothing is in equilibrium where every spring is as long
-//! as at rest: that need not be solved for. With gravity it is where the springs carry the weight, which is solved
-//! for once per topology. What quick steps leave behind when a hand draws back is a shape a few tenths of a
-//! millimetre off and forces all over the place where the press was, which cost the next press its accuracy, and at
-//! 2 mm every later step 15 ms. So once all tools are clear of the tissue as it is at home, it is there; a tool still
-//! within what will be tissue again waits for that to come to it, as always.
+//! Without gravity it is the rest shape. With gravity it is solved once per topology. Quick steps leave residual
+//! displacements of a few tenths of a millimetre and residual forces after a release; these reduced the accuracy of the
+//! next press, and at 2 mm spacing cost 15 ms in every later step. So once all tools are clear of the tissue in its
+//! reference state, the shape is set to it. A tool that is still inside that state waits for the tissue to reach it.
 
 use std::sync::Arc;
 
@@ -21,22 +19,22 @@ use super::solver::Solver;
 use super::structure::Structure;
 use crate::{Shape, Topology, Vec3};
 
-/// Residual relative to the weights at which the shape under gravity is found, and iterations for it at most.
+/// Relative residual of the reference state under gravity, and the maximum of iterations.
 const TOLERANCE: f64 = 1e-4;
 const ITERATIONS: usize = 300;
 
-/// How far tissue has come to the equilibrium with its own weight.
+/// Convergence of the equilibrium under gravity.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sag {
-    /// Farthest that a node hangs from where it would be without gravity, in m.
+    /// Largest displacement of a node by gravity in m.
     pub displaced_m: f64,
-    /// Residual relative to the weights that is left.
+    /// Remaining residual relative to the weights.
     pub residual: f64,
-    /// Iterations that were made.
+    /// Iterations made.
     pub iterations: usize,
 }
 
-/// The shape under gravity, and the forces of its bricks.
+/// Shape and brick forces under gravity.
 pub(super) struct Home {
     pub(super) displacement: Vec<Vec3>,
     forces: Vec<[[f32; LOCALS]; 3]>,
@@ -46,8 +44,7 @@ pub(super) struct Home {
 }
 
 impl Home {
-    /// The one of a topology, looked for from where that of a former one stood; `None` where nothing weighs
-    /// anything.
+    /// The reference state of a topology, solved from the one of an earlier topology; `None` without weight.
     pub(super) fn of(
         topology: &Topology,
         structure: &Arc<Structure>,
@@ -62,7 +59,7 @@ impl Home {
         let mut shape = Shape::rest(topology);
         if let Some(former) = former {
             for (node, u) in (0..).zip(&mut shape.displacement) {
-                // A doubled node begins where the one was that it comes from.
+                // A doubled node starts from the displacement of its origin.
                 let known = former.displacement.get(node as usize);
                 *u = *known.unwrap_or(&former.displacement[topology.origin(node) as usize]);
             }
@@ -72,7 +69,7 @@ impl Home {
         let budget = Budget::new(ITERATIONS, TOLERANCE);
         let report = solver.step(topology, &mut shape, &[], budget);
         let (residual, iterations) = (report.residual, report.iterations);
-        // Every brick, where it is now.
+        // Evaluates every brick at the final shape.
         solver.residual_over_all(&shape);
         let longest = shape.displacement.iter().map(Vec3::norm);
         Some(Arc::new(Self {
@@ -89,12 +86,12 @@ impl Home {
 }
 
 impl Solver {
-    /// How far the tissue sags under its own weight; `None` without gravity.
+    /// Displacement of the tissue by its own weight; `None` without gravity.
     pub fn sag(&self) -> Option<Sag> {
         self.home.as_ref().map(|h| h.sag)
     }
 
-    /// How far in m a node hangs from where it is at rest while nothing touches the tissue.
+    /// Displacement in m of a node by gravity alone.
     pub fn sag_of(&self, node: u32) -> Vec3 {
         let known = self
             .home
@@ -103,12 +100,12 @@ impl Solver {
         known.copied().unwrap_or_else(Vec3::zeros)
     }
 
-    /// What residuals are relative to where nothing touches the tissue, in N.
+    /// Reference force in N of residuals without tools.
     pub(super) fn alone(&self) -> f64 {
         self.home.as_ref().map_or(0.0, |h| h.weight)
     }
 
-    /// Before the first step: tissue that weighs something and has not been moved begins where it hangs.
+    /// Before the first step: an undeformed shape starts from the equilibrium under gravity.
     pub(super) fn move_in(&mut self, shape: &mut Shape) {
         let home = self.home.clone().filter(|_| !self.moved_in);
         let Some(home) = home else { return };
@@ -134,7 +131,7 @@ impl Solver {
         }
     }
 
-    /// Puts the tissue to where it is by itself if nothing keeps it from there. Returns whether it moved.
+    /// Sets the shape to the reference state if no tool or held node prevents it. Returns whether it changed.
     pub(super) fn go_home(&mut self, topology: &Topology, shape: &mut Shape) -> bool {
         let sag = self.sag().map_or(0.0, |s| s.displaced_m);
         let clear = || self.contacts.are_clear(topology, &shape.displacement, sag);
