@@ -14,9 +14,8 @@ use crate::{Shape, Topology, Vec3};
 const OFFSET_SHARE: f64 = 0.5;
 
 impl Solver {
-    /// The seed's iteration (eq. 3.10) for the offset law, `sweeps` times or until the relative
-    /// residual of that law is below `tolerance`, with the held nodes as the prescribed ones. Tools
-    /// take no part. Returns the sweeps made and the residual.
+    /// The seed's iteration (eq. 3.10) for the offset law: `sweeps` times, or until its relative residual is below
+    /// `tolerance`. Held nodes are prescribed; tools are ignored. Returns the sweeps made and the residual.
     pub fn jacobi(
         &mut self,
         topology: &Topology,
@@ -58,8 +57,8 @@ impl Solver {
     }
 }
 
-/// One sweep of eq. 3.10 over the active nodes, from the displacements before the sweep; wakes the
-/// neighbours of those that moved. Returns the sum of squares of the forces before it.
+/// One sweep of eq. 3.10 over the active nodes, from the displacements before the sweep; activates the neighbours of
+/// nodes that moved. Returns the sum of squares of the forces before it.
 fn sweep(
     topology: &Topology,
     u: &mut [Vec3],

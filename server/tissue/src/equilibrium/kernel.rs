@@ -1,6 +1,6 @@
 //! Forces and tangent blocks of a brick: the inner loops of the equilibrium.
 //!
-//! Everything is `inline(always)` down to what is dispatched on the machine's vectors.
+//! All functions are `inline(always)`, so that they are compiled for the vector width of the machine.
 
 use std::ops::{Deref, DerefMut};
 
@@ -14,12 +14,12 @@ use super::law::{EXTREME, GUARD, GUARDED, LONG, SHORT, SIDEWAYS};
 use super::slight::slight_forces;
 use crate::Vec3;
 
-/// The blocks of springs times two bound their matrix whatever they join. On lattices with all their
-/// diagonals the highest mode is at 1.6 (alternating nodes load edges and body diagonals twice, face
-/// diagonals not at all); measured, 1.6 converges and 1.3 does not.
+/// Factor by which the diagonal blocks of springs bound their matrix; 2 holds for any mesh. On lattices with all
+/// diagonals the highest mode is at 1.6 (alternating nodes load edges and body diagonals twice, face diagonals not at
+/// all); measured, 1.6 converges and 1.3 does not.
 pub(crate) const SPRINGS: f32 = 1.7;
 
-/// Numbers where whole vectors of them lie in whole cache lines: a load that needs two lines takes twice as long.
+/// Arrays aligned to cache lines: a load across two lines takes twice as long.
 #[repr(C, align(64))]
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) struct Aligned<T>(pub(crate) T);
@@ -51,8 +51,7 @@ const CELLS: usize = 8;
 /// Axes of the entries of a symmetric block.
 pub(crate) const PAIRS: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
 
-/// Forces of a brick on its nodes, in N. (A closure would not be inlined into what knows of wider
-/// vectors.)
+/// Forces of a brick on its nodes, in N. (A closure would not be inlined for wider vectors.)
 pub(crate) struct Forces<'a> {
     pub(crate) brick: &'a Brick,
     pub(crate) form: &'a Form,
@@ -88,8 +87,8 @@ impl WithSimd for Forces<'_> {
     }
 }
 
-/// Tangent blocks of the nodes of a brick in N/m. Springs count [`SPRINGS`] times and the volume
-/// term eight times, which bounds the whole matrix by its blocks.
+/// Diagonal tangent blocks of the nodes of a brick in N/m. Springs count [`SPRINGS`] times and the volume term eight
+/// times, so that the blocks bound the whole matrix.
 pub(crate) struct Tangents<'a> {
     pub(crate) brick: &'a Brick,
     pub(crate) form: &'a Form,
@@ -139,16 +138,15 @@ fn gather(nodes: &[u32; LOCALS], u: &[Vec3]) -> Local {
     local
 }
 
-/// What springs give to their ends, direction by direction: entry `i` belongs to the spring that
-/// starts at node `i`, behind [`LEAD`] zeros.
+/// Forces of springs on their ends, by direction: entry `i` belongs to the spring that starts at node `i`, behind
+/// [`LEAD`] zeros.
 ///
-/// Adding each group to both its ends at once would load, again and again, vectors that overlap
-/// what was stored a moment ago, and wait for it. So all springs are written down first, and each
-/// node then collects from its 26 neighbours.
+/// Adding each group to both ends at once would reload vectors that overlap recent stores, and stall. So all springs
+/// are stored first, and each node then sums over its 26 neighbours.
 #[repr(C, align(64))]
 pub(crate) struct Ends<const C: usize>(pub(crate) [[[f32; LEAD + SPAN]; C]; DIRECTIONS]);
 
-/// Zeros in front: as many as the largest offset, in whole vectors.
+/// Leading zeros: as many as the largest offset, in whole vectors.
 pub(crate) const LEAD: usize = 16;
 
 impl<const C: usize> Ends<C> {
@@ -156,7 +154,7 @@ impl<const C: usize> Ends<C> {
         Self([[[0.0; LEAD + SPAN]; C]; DIRECTIONS])
     }
 
-    /// Notes that no spring of a direction starts from `from` on.
+    /// Stores that no spring of a direction starts from `from` on.
     #[inline(always)]
     pub(crate) fn none<S: Simd>(&mut self, simd: S, direction: usize, from: usize) {
         for row in &mut self.0[direction] {
@@ -164,7 +162,7 @@ impl<const C: usize> Ends<C> {
         }
     }
 
-    /// What starts at each node and `sign` times what ends there.
+    /// Sum of the springs that start at each node, and `sign` times those that end there.
     #[inline(always)]
     pub(crate) fn collect<S: Simd>(&self, simd: S, sign: f32) -> Aligned<[[f32; PADDED]; C]> {
         let mut all = Aligned([[0.0; PADDED]; C]);
@@ -184,7 +182,7 @@ impl<const C: usize> Ends<C> {
     }
 }
 
-/// One group of springs: where it starts from and how it stands now.
+/// One group of springs: start index and current state.
 pub(crate) struct Group<S: Simd> {
     pub(crate) rest: [V<S>; 3],
     pub(crate) now: [V<S>; 3],
@@ -231,7 +229,7 @@ impl<S: Simd> Group<S> {
         V::all(simd, GUARDED) * self.rest_square() - dot(&self.now, &self.rest)
     }
 
-    /// Its force over its length, in N/m, given its stiffness at rest.
+    /// The guard force over its length, in N/m, given its stiffness at rest.
     #[inline(always)]
     pub(crate) fn tension(&self, simd: S, form: &Form, k: V<S>) -> V<S> {
         let stretch = self.excess / ((self.length + self.rest_length) * self.length);
@@ -242,7 +240,7 @@ impl<S: Simd> Group<S> {
         k * stretch
     }
 
-    /// The stiffness along it that `k` at rest has become.
+    /// The longitudinal tangent stiffness, given `k` at rest.
     #[inline(always)]
     pub(crate) fn stiffened(&self, simd: S, form: &Form, k: V<S>) -> V<S> {
         if form.curve.stiffening > 0.0 {
@@ -253,7 +251,7 @@ impl<S: Simd> Group<S> {
         k
     }
 
-    /// The floor of `law.rs` of its stiffness across, in parts of that along it.
+    /// The floor of `law.rs` for the transverse stiffness, relative to the longitudinal one.
     #[inline(always)]
     pub(crate) fn floor(&self, simd: S, per_spacing: f32) -> V<S> {
         let all = |v: f32| V::all(simd, v);
@@ -262,8 +260,8 @@ impl<S: Simd> Group<S> {
         all(1.0) + slope * all(SIDEWAYS - 1.0)
     }
 
-    /// Writes the block of so much more along the spring than across it, over its length's square, of what it
-    /// has across, and of a guard, which acts along its direction at rest.
+    /// Stores the block of a spring: excess of longitudinal over transverse stiffness per squared length, transverse
+    /// stiffness, and the guard along the direction at rest.
     #[inline(always)]
     pub(crate) fn put_block<const N: usize>(
         &self,
@@ -280,7 +278,7 @@ impl<S: Simd> Group<S> {
         }
     }
 
-    /// How far the spring is beyond its limits, in m: too short and too long, above zero.
+    /// Excess of the spring beyond its limits in m: too short and too long, above zero.
     #[inline(always)]
     fn beyond(&self, simd: S, limits: [f32; 2]) -> [V<S>; 2] {
         let [least, most] = limits.map(|l| V::all(simd, l) * self.rest_length);
@@ -300,7 +298,7 @@ fn spring_forces<S: Simd>(simd: S, form: &Form, u: &Local, ends: &mut Ends<3>) -
                 let mut t = s.tension(simd, form, k);
                 let [short, long] = s.beyond(simd, form.curve.limits);
                 let guarded = s.guarded(simd);
-                // Rare, and dear: two roots and a division are what a spring costs otherwise.
+                // Rare and expensive: two roots and a division are the cost of an ordinary spring.
                 let unusual = short.max(long).max(guarded).any_above_zero();
                 let mut guard = zero;
                 if unusual {
@@ -358,7 +356,7 @@ fn spring_tangents<S: Simd>(
     ends.collect(simd, 1.0)
 }
 
-/// (exp(x) - 1)/x, to three digits and rising; exp as the 64th power of a parabola.
+/// (exp(x) - 1)/x to three digits, monotonic; exp is the 64th power of a parabola.
 #[inline(always)]
 fn growth(x: f32) -> f32 {
     let x = x.clamp(-60.0, 6.0);
@@ -392,7 +390,7 @@ pub(crate) fn cross<S: Simd>(a: &[V<S>; 3], b: &[V<S>; 3]) -> [V<S>; 3] {
     ]
 }
 
-/// Mean edges of the cells from `from` on: how a quantity differs between opposite faces.
+/// Mean edges of the cells from `from` on: the difference of a quantity between opposite faces.
 #[inline(always)]
 fn edges<S: Simd>(simd: S, of: &Local, from: usize) -> [[V<S>; 3]; 3] {
     let mut numbers = [[[0.0; LANES]; 3]; 3];
@@ -415,7 +413,7 @@ fn edges<S: Simd>(simd: S, of: &Local, from: usize) -> [[V<S>; 3]; 3] {
     ]
 }
 
-/// J - 1 of the cells from `from` on, and (b×c, c×a, a×b)/det0, of which its gradient consists.
+/// J - 1 of the cells from `from` on, and (b×c, c×a, a×b)/det0, the parts of its gradient.
 #[inline(always)]
 fn dilation<S: Simd>(simd: S, form: &Form, u: &Local, from: usize) -> (V<S>, [[V<S>; 3]; 3]) {
     let rest = edges(simd, &form.rest, from);
@@ -486,7 +484,7 @@ fn bulk_tangents<S: Simd>(simd: S, form: &Form, u: &Local, m: &mut LocalBlocks) 
         }
         from += V::<S>::WIDTH;
     }
-    // Eight corners: the matrix of a cell is below eight times its blocks.
+    // Eight corners: eight times the blocks bound the matrix of a cell.
     for l in 0..CELLS {
         let k = form.bulk[l] * (8.0 / 16.0);
         for c in 0..8 {

@@ -1,13 +1,13 @@
-//! Vectors of f32 as wide as the machine was found to have, with the operators of numbers.
+//! Vectors of f32 in the width of the machine, with arithmetic operators.
 //!
-//! Every operation is one IEEE operation per lane; there is no fused multiply-add, and nothing is ever
-//! summed across lanes. So the width of the machine's vectors changes no bit of a result.
+//! Every operation is one IEEE operation per lane, without fused multiply-add and without sums across lanes. So the
+//! vector width changes no bit of a result.
 
 use std::ops::{Add, Div, Mul, Sub};
 
 use pulp::Simd;
 
-/// Lanes that everything is padded to; a multiple of every width in use.
+/// Padding of all rows, in lanes; a multiple of every width in use.
 pub(crate) const LANES: usize = 16;
 
 /// A vector.
@@ -50,7 +50,7 @@ impl<S: Simd> V<S> {
         S::as_mut_simd_f32s(&mut to[at..at + Self::WIDTH]).0[0] = self.lanes;
     }
 
-    /// Number by number; for what is rare.
+    /// Scalar fallback, number by number, for rare operations.
     #[inline(always)]
     pub(crate) fn map(self, f: impl Fn(f32) -> f32) -> Self {
         let mut numbers = [0.0; LANES];
@@ -66,7 +66,7 @@ impl<S: Simd> V<S> {
         self.with(self.simd.sqrt_f32s(self.lanes))
     }
 
-    /// The larger; `other` where they are equal, so that zeros keep their sign everywhere alike.
+    /// The larger; `other` where they are equal, so that the sign of zero does not depend on the machine.
     #[inline(always)]
     pub(crate) fn max(self, other: Self) -> Self {
         let above = self.simd.less_than_f32s(other.lanes, self.lanes);

@@ -1,4 +1,4 @@
-//! The length law (Lin 2007, eq. 3.4): what a cell's material makes of its springs.
+//! The length law (Lin 2007, eq. 3.4): force law and moduli of the springs of a cell.
 //!
 //! With `d0 = X_j - X_i` the spring at rest, `δ = u_j - u_i` and d = d0 + δ, the force on i is
 //! k (|d| - l0) d/|d|. The difference of two nearly equal lengths would lose all digits of a small
@@ -19,46 +19,41 @@
 //!
 //! # The guard
 //!
-//! A spring does not know which way it points: under a deep press a node can pass its neighbour and
-//! stay there, folded, in an equilibrium of its own. The seed's guard is the neighbouring bounding box
-//! (eq. 3.7): a node stays between its neighbours along the axes of the rest state. As a force
-//! (reconstructed), with p = d·d0 / l0², one at rest and negative when the ends have passed:
+//! A spring does not know its orientation: under a deep press a node can pass its neighbour and stay folded, in a
+//! spurious equilibrium. The seed's guard is the neighbouring bounding box (eq. 3.7): a node stays between its
+//! neighbours along the axes of the rest state. As a force (reconstructed), with p = d·d0 / l0², one at rest and
+//! negative for a folded spring:
 //!
 //! ```text
 //! guard on i = -G k (θ - p) d0     while p < θ
 //! ```
 //!
-//! It is the gradient of a convex energy, so it adds no equilibria; with G θ > 1 it outweighs the spring
-//! wherever that would hold a fold. It stays out of the way until a spring is pressed or turned to θ
-//! of its length along d0, which a moderate press does nowhere; a flap turned by more than acos θ = 73°
-//! against its rest state is held back by it.
+//! It is the gradient of a convex energy, so it adds no equilibria; with G θ > 1 it outweighs the spring at any fold.
+//! It is zero until a spring is compressed or turned to θ of its length along d0, which no moderate press does. It
+//! limits the rotation of a flap against its rest state to about acos θ = 73°.
 //!
 //! # Extreme springs
 //!
-//! A spring pressed below `α_min` l0 or drawn beyond `α_max` l0 is extreme (Lin 2007, section 3.5, fig. 3.11):
-//! it becomes inextensible without breaking, and what presses on it goes through to what lies
-//! behind. The seed accumulates forces over rigid clusters by recursion, which can cycle. Here
-//! (reconstructed) an extreme spring is S times stiffer beyond its limit: equilibrium then passes
-//! the force on through the whole cluster. There is no recursion to cycle, but a thirtyfold step in
-//! stiffness is hard to solve over: with a limit of 0.8 iterates jump to and fro. Where a material bottoms
-//! out, a pressed spring has an energy of its own beyond its limit, which gets stiffer over a part of its length
-//! and up to a smaller factor (`hold.rs`), because stiff rods buckle; iterates that go down in an energy can not
-//! cycle.
+//! A spring compressed below `α_min` l0 or extended beyond `α_max` l0 is extreme (Lin 2007, section 3.5, fig. 3.11): it
+//! becomes inextensible without breaking, and transmits the load. The seed accumulates forces over rigid clusters by
+//! recursion, which can cycle. Here (reconstructed) an extreme spring is S times stiffer beyond its limit, so that the
+//! equilibrium transmits the force through the cluster. A thirtyfold step in stiffness is hard to solve: with a limit
+//! of 0.8 iterates oscillate. In materials that bottom out, a compressed spring therefore has an energy that stiffens
+//! over a part of its length and by a smaller factor (`hold.rs`), because stiff rods buckle. Iterates that decrease an
+//! energy can not cycle.
 //!
 //! # Deep presses
 //!
-//! Springs pressed to half their length give way sideways, and a lattice of them gets softer the
-//! flatter it is. What holds the pressed springs of a material that bottoms out to their direction is in
-//! `hold.rs`, what hardens its cells that lose their volume in `corners.rs`. Both are nothing at up to a
-//! tenth of strain and leave Young's modulus, shear modulus and Poisson's ratio as they are.
+//! Springs compressed to half their length buckle sideways, and a lattice of them softens as it flattens. The
+//! stabilisation energy of compressed springs is in `hold.rs`, the energy of collapsing cells in `corners.rs`. Both are
+//! zero up to a tenth of strain, and leave Young's modulus, shear modulus and Poisson's ratio unchanged.
 //!
 //! # The tangent
 //!
-//! The tangent of one spring is k [n nᵀ + s (I - n nᵀ)] with s = 1 - l0/|d|. A compressed spring has
-//! s < 0 and would make the block indefinite under a deep press, and a spring that is shorter than
-//! what its ends move turns within one step, so that its tangent tells nothing of where it will pull.
-//! So s is kept above a floor σ(l0/Δd) that is small for springs of the lattice's own length and one
-//! for short ones: k I bounds the length law from above whatever the direction.
+//! The tangent of one spring is k [n nᵀ + s (I - n nᵀ)] with s = 1 - l0/|d|. A compressed spring has s < 0, which would
+//! make the block indefinite under a deep press. A spring shorter than the moves of its ends turns within one step, so
+//! its tangent does not predict its force. So s has a floor σ(l0/Δd), small for springs of the lattice's own length and
+//! one for short ones: k I bounds the length law from above in any direction.
 
 use super::fibres;
 use crate::{Material, Region, Vec3};
@@ -75,7 +70,7 @@ pub(crate) const EXTREME: f32 = 30.0;
 
 /// Floor of s for springs as long as the lattice's own.
 pub(crate) const SIDEWAYS: f32 = 0.1;
-/// Length in spacings below which a spring counts as turning freely, and its floor is one.
+/// Length in spacings below which a spring is assumed to turn freely; its floor is one.
 pub(crate) const SHORT: f32 = 0.5;
 /// Length in spacings from which on the floor is [`SIDEWAYS`].
 pub(crate) const LONG: f32 = 0.9;
@@ -89,14 +84,14 @@ pub(crate) fn sideways(l0: f32, per_spacing: f32) -> f32 {
     1.0 + t * (SIDEWAYS - 1.0)
 }
 
-/// How the force of a spring depends on its strain.
+/// Force curve of a spring.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Curve {
-    /// Exponent b of F = k l0 (exp(b ε) - 1)/b; zero for a straight line.
+    /// Exponent b of F = k l0 (exp(b ε) - 1)/b; zero for a linear law.
     pub(crate) stiffening: f32,
-    /// `α_min` and `α_max`: lengths at which a spring turns extreme, in parts of its rest length.
+    /// `α_min` and `α_max`: relative lengths from which a spring is extreme.
     pub(crate) limits: [f32; 2],
-    /// Whether pressed springs are held and flat corners harden (`hold.rs`, `corners.rs`).
+    /// Whether compressed springs are stabilised and collapsing corners harden (`hold.rs`, `corners.rs`).
     pub(crate) held: bool,
 }
 
@@ -117,7 +112,7 @@ impl Curve {
 /// Moduli of the springs and the volume term of one region.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Elastic {
-    /// Young's modulus that the springs are given, in Pa: 2.5 μ.
+    /// Young's modulus of the springs in Pa: 2.5 μ.
     pub(crate) spring_pa: f64,
     /// κ = λ - μ in Pa.
     pub(crate) bulk_pa: f64,
@@ -127,14 +122,14 @@ pub(crate) struct Elastic {
 }
 
 impl Elastic {
-    /// Those of a region, for the thirteen directions of a lattice's springs.
+    /// Moduli of a region for the thirteen directions of a lattice's springs.
     pub(crate) fn of(region: &Region) -> Self {
         Self::with(region, |fibre| {
             fibres::in_a_lattice(region.material.fibre_ratio, fibre)
         })
     }
 
-    /// Those of a region, for springs in all directions: what the material says.
+    /// Moduli of a region for springs in all directions, as specified by the material.
     pub(crate) fn asked(region: &Region) -> Self {
         Self::with(region, |_| {
             fibres::in_all_directions(region.material.fibre_ratio)
@@ -159,7 +154,7 @@ impl Elastic {
         }
     }
 
-    /// Factor of a spring in direction `d` for its angle to the fibres.
+    /// Factor of a spring in direction `d` by its angle to the fibres.
     pub(crate) fn along(&self, d: &Vec3) -> f64 {
         let square = d.norm_squared();
         if self.fibre_strength == 0.0 || square == 0.0 {
@@ -170,7 +165,7 @@ impl Elastic {
     }
 }
 
-/// Inverse of a symmetric block, kept away from singularity by a part of its trace.
+/// Inverse of a symmetric block, regularised by a fraction of its trace.
 pub(crate) fn invert(m: &Symmetric) -> Symmetric {
     let guard = 1e-5 * (m[0] + m[1] + m[2]) + f64::MIN_POSITIVE;
     let (a, b, c) = (m[0] + guard, m[1] + guard, m[2] + guard);

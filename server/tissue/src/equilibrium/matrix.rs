@@ -1,4 +1,4 @@
-//! Matrices of coarse elements, as they are stored and multiplied.
+//! Storage and products of the matrices of coarse elements.
 
 use pulp::Simd;
 
@@ -12,10 +12,10 @@ pub(crate) const SIZE: usize = 24;
 pub(crate) const fn at(c: usize, a: usize) -> usize {
     3 * c + a
 }
-/// Rows of a matrix as it is stored: four per corner, the last of them zero, so that a product takes the
-/// values of points as they lie in memory and gives them back so, two vectors of sixteen in all.
+/// Rows of a stored matrix: four per corner, the last of them zero. A product then reads and writes point values in
+/// their memory layout, two vectors of sixteen in all.
 pub(crate) const ROWS: usize = 32;
-/// Row of corner `c` along axis `a` in what is stored.
+/// Stored row of corner `c` along axis `a`.
 #[inline(always)]
 pub(crate) const fn lane(c: usize, a: usize) -> usize {
     4 * c + a
@@ -48,7 +48,7 @@ impl Columns {
     }
 }
 
-/// The numbers of a column, in one kind or the other.
+/// The numbers of a column, in either format.
 trait Column {
     fn load<S: Simd>(&self, simd: S, at: usize) -> V<S>;
 }
@@ -79,7 +79,7 @@ fn product<S: Simd>(
     let mut y = Rows([0.0; ROWS]);
     let mut from = 0;
     while from < ROWS {
-        // A chain of sums for each axis, or each addition would wait for the one before.
+        // One chain of sums per axis; a single chain would wait for each addition.
         let zero = V::all(simd, 0.0);
         let (mut sum_x, mut sum_y, mut sum_z) = (zero, zero, zero);
         for c in 0..8 {
@@ -96,7 +96,7 @@ fn product<S: Simd>(
     y
 }
 
-/// Forces as they come out of a product: four to a corner, the last of them zero.
+/// Forces of a product: four per corner, the last of them zero.
 #[repr(align(64))]
 pub(crate) struct Rows([f32; ROWS]);
 
@@ -117,12 +117,12 @@ impl Rows {
     }
 }
 
-/// A matrix in whole numbers of sixteen bits, times a scale.
+/// A matrix of 16-bit integers times a scale.
 ///
-/// What takes part around a tool is some seven hundred elements of which hardly two are alike, more than a
-/// cache of 2 MB holds in single precision, and products waited for their matrices; with half of the bytes a
-/// hand's step takes a twentieth less. Coarse corrections need few digits. But what moves as a whole must make
-/// no more force than before: each block of the diagonal makes up for what was rounded in its rows.
+/// The active set around a tool has some seven hundred elements with almost as many different matrices. In single
+/// precision they exceed a cache of 2 MB; with half of the bytes a quick step takes 5 % less. Coarse corrections need
+/// few digits, but rigid translations must make no additional force: each diagonal block compensates the rounding
+/// errors of its rows.
 #[derive(Clone)]
 #[repr(align(64))]
 pub(crate) struct Short {
@@ -130,15 +130,15 @@ pub(crate) struct Short {
     scale: f32,
 }
 
-/// Largest whole number of a matrix; what is rounded has room above it.
+/// Largest integer of a matrix, with room for the rounding compensation.
 const LARGEST: f64 = 32_700.0;
-/// Part of the largest number of a matrix that counts as nothing where its blocks are added up.
+/// Entries below this part of the largest one count as zero when blocks are summed.
 const NOTHING: f64 = 1e-5;
-/// How many times as stiff as another a corner may be for sixteen bits to do for both.
+/// Largest ratio of corner stiffnesses that the 16-bit format represents.
 const CONTRAST: f64 = 64.0;
 
 impl Short {
-    /// The nearest one, unless its corners are too different.
+    /// The nearest 16-bit matrix; `None` if its corners are too different.
     pub(crate) fn new(k: &[[f64; SIZE]; SIZE]) -> Option<Self> {
         let diagonal = || (0..SIZE).map(|i| k[i][i]).filter(|&v| v != 0.0);
         let largest = diagonal().fold(0.0, f64::max);
@@ -184,7 +184,7 @@ pub(crate) enum Stiffness {
 }
 
 impl Stiffness {
-    /// The number in a column and a stored row.
+    /// Entry in a column and a stored row.
     pub(crate) fn get(&self, column: usize, row: usize) -> f32 {
         match self {
             Self::Full(k) => k.0[column][row],
@@ -192,7 +192,7 @@ impl Stiffness {
         }
     }
 
-    /// Adds this to a matrix.
+    /// Adds this matrix to another.
     pub(crate) fn add_to(&self, to: &mut Columns) {
         let to = to.0.as_flattened_mut().iter_mut();
         match self {
@@ -222,7 +222,7 @@ mod tests {
 
     use super::*;
 
-    /// Springs of all pairs of corners, each along some direction.
+    /// Matrix of springs between all pairs of corners, each along some direction.
     fn springs(numbers: &[f64]) -> [[f64; SIZE]; SIZE] {
         let mut k = [[0.0; SIZE]; SIZE];
         let mut numbers = numbers.chunks_exact(4).cycle();
@@ -259,7 +259,7 @@ mod tests {
             for c in 0..8 {
                 for a in 0..3 {
                     at_corners[c][a] = x[at(c, a)];
-                    // Small whole numbers, whose sums are exact.
+                    // Small integers, whose sums are exact.
                     together[c][a] = whole[a].round();
                 }
             }

@@ -1,4 +1,4 @@
-//! How the nodes of the fine level move: by the coarse levels' correction, and by smoothing.
+//! Moves of the fine level's nodes: coarse corrections, smoothing and the warm start.
 
 use super::block::{ZERO, make_room, plus};
 use super::cycle::{Chebyshev, LOW, Multigrid};
@@ -7,11 +7,11 @@ use super::patch::apply;
 use super::structure::Structure;
 use crate::Vec3;
 
-/// Longest move of a node in one smoothing step, in spacings; longer ones are cut and counted. While a hand
-/// waits, blocks are computed once per iteration, and what bottoms out hardens within the steps that go by them.
+/// Longest move of a node in one smoothing step, in spacings; longer ones are clamped and counted. Quick steps compute
+/// the blocks once per iteration, and tissue that bottoms out hardens within the smoothing steps.
 const MOVE_MAX: [f64; 2] = [0.5, 0.02];
 impl Field {
-    /// Hands the forces on the nodes of the set to level 1.
+    /// Restricts the forces on the nodes of the set to level 1.
     pub(super) fn restrict(&mut self, structure: &Structure, coarse: &mut Multigrid) {
         let patch = &mut coarse.patches[0];
         for &node in &self.nodes.items {
@@ -23,7 +23,7 @@ impl Field {
                 patch.load(point, &self.r[n], weight);
             }
         }
-        // Others that were disturbed wait for their turn; what they carry is known.
+        // Disturbed nodes outside the set are restricted too: their forces are known.
         self.restrict_beyond(structure, coarse);
         let patch = &mut coarse.patches[0];
         for i in 0..patch.beyond.items.len() {
@@ -33,16 +33,15 @@ impl Field {
         }
     }
 
-    /// Whether a node is free and was so all through the last step. What a newcomer moved by is more than the change
-    /// of that step: it made up for what it had missed while it followed the coarse levels, and will not again.
+    /// Whether a node is free, and was free throughout the last step. The move of a new node exceeds the increment of
+    /// that step: it includes earlier displacements.
     fn is_settled(&self, node: u32) -> bool {
         let first = self.settled.items.is_empty();
         self.free[node as usize] && (first || self.settled.contains(node))
     }
 
-    /// Begins a step: what the last one moved the nodes of the set by, in order of nodes. Newcomers, and those on the
-    /// rim of the set, beside which something waits that would never know what else they did, moved by what they
-    /// follow, level 1's `e`.
+    /// Starts a step: the increments of the set's nodes in the last step, in order of nodes. New nodes and nodes on the
+    /// rim of the set use the increment of level 1, `e`, or deferred elements beside them would miss their moves.
     pub(super) fn take_moves(
         &mut self,
         structure: &Structure,
@@ -54,7 +53,7 @@ impl Field {
         let e = &coarse.patches[0].e;
         for &node in &self.nodes.items {
             let n = node as usize;
-            // A node that has just been held stays where it is held.
+            // A node that has just been held stays in place.
             if self.fixed[n] {
                 continue;
             }
@@ -76,26 +75,26 @@ impl Field {
         moves
     }
 
-    /// Begins a step after one that was only carried on: it moved by [`moves`](Self::moves).
+    /// Starts a step after one that only extrapolated: its increments are [`moves`](Self::moves).
     pub(super) fn keep_moves(&mut self) -> Vec<(u32, Vec3)> {
         self.moved_on.clear();
         std::mem::take(&mut self.moves)
     }
 
-    /// Lays out memory for the moves of so many nodes: a step that carries the last one on would wait for it.
+    /// Reserves memory for the increments of so many nodes, so that no warm start allocates.
     pub(super) fn make_room(&mut self, nodes: usize) {
         make_room(&mut self.moves, (0, Vec3::zeros()), nodes);
     }
 
-    /// Moves nodes by `share` of what they moved by.
+    /// Moves nodes by `share` of these increments.
     pub(super) fn move_on(&mut self, u: &mut [Vec3], moves: &[(u32, Vec3)], share: f64) {
         for &(node, by) in moves {
             self.shift(u, node, by * share);
         }
     }
 
-    /// Moves nodes by `share` of these moves. What level 1 was moved on by is part of that; the other nodes of the
-    /// set take it over.
+    /// Moves nodes by `share` of these increments, which include those of level 1. The other nodes of the set follow
+    /// level 1.
     pub(super) fn carry(
         &mut self,
         structure: &Structure,
@@ -115,7 +114,7 @@ impl Field {
         }
     }
 
-    /// Notes that the nodes of the set are up to date with level 1, if that was put off.
+    /// Marks the nodes of the set as up to date with level 1, if that was postponed.
     pub(super) fn note(&mut self, structure: &Structure, coarse: &Multigrid) {
         if self.since == Since::Carried {
             self.since = Since::Noted;
@@ -127,19 +126,19 @@ impl Field {
         }
     }
 
-    /// Whether every node that this step moved is somewhere, and within `limit` m of where it is at rest.
+    /// Whether every node moved in this step is finite and displaced by less than `limit` m.
     pub(super) fn is_within(&self, u: &[Vec3], limit: f64) -> bool {
         let within = |&node: &u32| u[node as usize].norm() < limit;
         self.moved_on.items.iter().all(within)
     }
 
-    /// Puts back every node that this step moved, and to its rest what is nowhere.
+    /// Restores every node moved in this step, and resets non-finite displacements to zero.
     pub(super) fn undo(&mut self, structure: &Structure, u: &mut [Vec3]) {
         for node in self.moved_on.take() {
             u[node as usize] = self.start[node as usize];
             self.disturb(structure, node);
         }
-        // What came in from outside was never anywhere else.
+        // Non-finite input has no earlier state.
         let lost = |u: &&mut Vec3| !u.norm().is_finite();
         u.iter_mut().filter(lost).for_each(|u| *u = Vec3::zeros());
         self.displaced = u.iter().map(Vec3::norm).fold(0.0, f64::max);
@@ -160,7 +159,7 @@ impl Field {
         }
     }
 
-    /// Moves the nodes of the set by level 1's correction, in full.
+    /// Moves the nodes of the set by the full correction of level 1.
     pub(super) fn correct(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
         self.moved.clear();
         self.old.clear();
@@ -177,7 +176,7 @@ impl Field {
         }
     }
 
-    /// Takes only `share` of the correction after all; the forces of bricks follow linearly.
+    /// Reduces the applied correction to `share` of it; brick forces are interpolated linearly.
     pub(super) fn settle(
         &mut self,
         structure: &Structure,
@@ -194,13 +193,13 @@ impl Field {
                 let change = plus(&self.r[n], -1.0, &self.old[i]);
                 self.r[n] = plus(&self.old[i], share as f32, &change);
             }
-            // The total was raised by the same: nothing is left to take over.
+            // The total of level 1 grew by the same amount.
             let total = &coarse.patches[0].total;
             self.applied[n] = structure.prolongation.interpolate_exactly(n, total);
         }
     }
 
-    /// One Chebyshev step over the free ones of these nodes from the forces in `r`.
+    /// One Chebyshev step over the free ones of these nodes, from the forces in `r`.
     pub(super) fn relax(&mut self, u: &mut [Vec3], nodes: &[u32], factors: &mut Chebyshev) {
         let (last, new) = factors.next();
         for &node in nodes {
@@ -227,14 +226,14 @@ impl Field {
         }
     }
 
-    /// The same over the nodes of the set.
+    /// The same over the active set.
     pub(super) fn relax_set(&mut self, u: &mut [Vec3], factors: &mut Chebyshev) {
         let nodes = std::mem::take(&mut self.nodes.items);
         self.relax(u, &nodes, factors);
         self.nodes.items = nodes;
     }
 
-    /// Sets how far smoothing moves a node at most; see [`MOVE_MAX`].
+    /// Sets the maximum move of a smoothing step; see [`MOVE_MAX`].
     pub(super) fn limit_moves(&mut self, structure: &Structure, near: bool) {
         let short = near && structure.bottoms_out;
         self.move_max = MOVE_MAX[usize::from(short)] / f64::from(structure.per_spacing);

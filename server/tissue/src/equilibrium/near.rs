@@ -1,8 +1,7 @@
-//! What lies directly under the tools: a few bricks whose nodes are smoothed more often than the others.
+//! Additional smoothing of the bricks under the tools.
 //!
-//! A contact is forty times as stiff as the tissue, so a node that a correction has left a little off its
-//! place shows as a large force. What is to be mended there is local. (Three such steps took 0.065 ms of a tick
-//! of 1.3 ms: not much less than three over all, because of the contacts' own share.)
+//! A contact is forty times stiffer than the tissue, so a small displacement error of a node in contact makes a large
+//! force error. The error is local, so local smoothing removes it. (Three steps take 0.065 ms of a tick of 1.3 ms.)
 
 use super::field::Field;
 use super::patch::List;
@@ -10,7 +9,7 @@ use super::structure::Structure;
 use crate::Vec3;
 use crate::contact::Contacts;
 
-/// Bricks around nodes in contact, and the nodes that have no others around them.
+/// Bricks around nodes in contact, and the nodes inside these bricks.
 pub(super) struct Near {
     bricks: List,
     seen: List,
@@ -26,7 +25,7 @@ impl Near {
         }
     }
 
-    /// Takes what is under these contacts.
+    /// Collects the bricks under these contacts.
     fn gather(&mut self, structure: &Structure, field: &Field, contacts: &Contacts) {
         self.bricks.clear();
         self.seen.clear();
@@ -52,7 +51,7 @@ impl Near {
 }
 
 impl Field {
-    /// Smooths what is under the tools, with `steps` steps.
+    /// Smooths the nodes under the tools with `steps` Chebyshev steps.
     pub(super) fn smooth_near(
         &mut self,
         structure: &Structure,
@@ -62,8 +61,8 @@ impl Field {
         steps: usize,
     ) {
         near.gather(structure, self, contacts);
-        // Their blocks are those of the smoothing before, after the correction: with blocks of before the correction
-        // steps blew up where tissue has become much stiffer since.
+        // The diagonal blocks are those of the last smoothing, after the correction. Older blocks made the iteration
+        // diverge where tissue had stiffened.
         let mut factors = Self::smoothing();
         for _ in 0..steps {
             self.compute(structure, u, &near.bricks.items);

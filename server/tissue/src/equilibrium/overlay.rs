@@ -1,4 +1,4 @@
-//! What contacts and held nodes add to the coarse levels: stiffness, and the force that draws them along.
+//! Stiffness and loads of contacts and held nodes on the coarse levels.
 
 use super::block::{ZERO, plus};
 use super::brick::CORNER;
@@ -45,7 +45,7 @@ impl Multigrid {
         restrict(&structure.prolongation, node, &load, &mut self.patches[0]);
     }
 
-    /// Carries the added stiffness to all levels.
+    /// Adds the stiffness to the Galerkin operators of all levels.
     pub(super) fn spread(&mut self, structure: &Structure) {
         for l in 0..self.patches.len() {
             let level = &structure.levels[l];
@@ -78,7 +78,7 @@ impl Multigrid {
         }
     }
 
-    /// Forgets all added stiffness.
+    /// Removes all added stiffness.
     pub(super) fn soften(&mut self, structure: &Structure) {
         for (patch, level) in self.patches.iter_mut().zip(&structure.levels) {
             for overlay in &patch.overlays {
@@ -124,7 +124,7 @@ fn add_child(to: &mut Columns, child: &Columns, octant: usize) {
     let stencils = CORNER[octant].map(|place| &STENCILS[place]);
     for (c, row) in stencils.iter().enumerate() {
         for a in 0..3 {
-            // Rows first: what one column of K becomes.
+            // Rows first: one column of K becomes t.
             let from = &child.0[at(c, a)];
             let mut t = [ZERO; 8];
             for (own, stencil) in stencils.iter().enumerate() {

@@ -1,25 +1,24 @@
-//! The path of a shape that is led: a parabola through the shapes that were last solved for.
+//! Predictor for a led shape: a parabola through the last converged shapes.
 //!
-//! Where held nodes go on as they went, equilibrium follows them on a smooth curve. What a step changes is then
-//! carried on by the next one, and what is left to be solved for is of second order in the step. A correction tells
-//! that second order: if it took the shape c away from where it had been carried over m steps, the curve's second
-//! difference is 2 c / (m (m + 1)) more than was thought. With that known only the third order is left, and a cube
-//! that needed an iteration in every third step of a press needs one in all of it.
+//! Equilibrium follows smoothly moving held nodes on a smooth path. The warm start repeats the last increment, with an
+//! error of second order in the step. A correction determines the curvature: a correction c after m extrapolated steps
+//! changes the second difference by 2 c / (m (m + 1)). The remaining error is of third order. A cube that needed an
+//! iteration in every third step of a press then needs one in all of it.
 
 use super::block::make_room;
 use crate::Vec3;
 
-/// Steps between two shapes that were solved for, in m (m + 1) / 2, below which a correction tells nothing of the curve.
+/// Minimum distance m (m + 1) / 2 between two converged shapes for a correction to update the curvature.
 const APART: f64 = 0.9;
 
-/// Part of what was left that a correction has to take away to be the whole of it.
+/// Fraction of the residual that a correction must remove to count in full.
 const SURE: f64 = 0.75;
 
-/// What is known of the curve at a node.
+/// Predictor state of a node.
 #[derive(Clone, Copy)]
 struct Curve {
     node: u32,
-    /// What the node was carried on by in this step, in m.
+    /// Increment predicted in this step, in m.
     carried: [f32; 3],
     /// Second difference for steps of this length, in m.
     bend: [f32; 3],
@@ -33,42 +32,42 @@ impl Curve {
     };
 }
 
-/// The curve that a led shape is on.
+/// The predicted path of a shape.
 #[derive(Default)]
 pub(super) struct Path {
     /// In order of nodes.
     curves: Vec<Curve>,
-    /// How far the last shape that was solved for lies back, in steps of this length.
+    /// Steps of the current length since the last converged shape.
     since: f64,
-    /// Part of what carrying on had left that iterations took away, if there were any in this step.
+    /// Fraction of the extrapolation residual that the iterations of this step removed, if any were made.
     solved: Option<f64>,
 }
 
 impl Path {
-    /// Forgets the curve: the shape is not carried on.
+    /// Discards the path: the shape is not extrapolated.
     pub(super) fn leave(&mut self) {
         self.curves.clear();
         self.since = 0.0;
         self.solved = None;
     }
 
-    /// Notes that the step is not on the curve: what corrects it tells nothing of that.
+    /// Marks the step as not on the path: its correction does not update the curvature.
     pub(super) fn lose(&mut self) {
         self.since = 0.0;
     }
 
-    /// Notes that iterations took away this part of what carrying on had left.
+    /// Records the fraction of the extrapolation residual that iterations removed.
     pub(super) fn solve(&mut self, part: f64) {
         self.solved = Some((part / SURE).clamp(0.0, 1.0));
     }
 
-    /// Lays out memory for so many nodes: the first step that is carried on would wait for it.
+    /// Reserves memory for so many nodes, so that the first extrapolation does not allocate.
     pub(super) fn make_room(&mut self, nodes: usize) {
         make_room(&mut self.curves, Curve::UNKNOWN, nodes);
     }
 
-    /// Of these moves, in order of nodes, nodes made the part `made` in the last step; makes of them what they move on
-    /// by over the share of that step which the next one is long. Nodes for which `bends` does not hold go straight on.
+    /// Replaces the last increments by the predicted ones. `made` is the part of an increment that the last step made;
+    /// `share` is the length of the next step relative to it. Nodes without `bends` are extrapolated linearly.
     pub(super) fn follow(
         &mut self,
         moves: &mut [(u32, Vec3)],
@@ -82,7 +81,7 @@ impl Path {
             if far >= APART {
                 sharper = part / far;
                 faster = 2.0 / self.since - 1.0;
-                // A single step's correction is as much error as curve where little of it was solved for.
+                // After an incomplete solve, the correction of a single step is as much error as curvature.
                 faster *= if faster > 0.0 { part } else { 1.0 };
             }
             self.since = 0.0;
@@ -108,7 +107,7 @@ impl Path {
         }
     }
 
-    /// Makes the curves those of the nodes that move; newcomers are where they were to be, and go straight on.
+    /// Aligns the states with the moving nodes; new nodes start without curvature.
     fn join(&mut self, moves: &[(u32, Vec3)]) {
         let nodes = self.curves.iter().map(|c| c.node);
         if nodes.eq(moves.iter().map(|m| m.0)) {
@@ -134,8 +133,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Follows a curve over steps of these lengths; every so many, a correction brings the node onto it. Gives how far
-    /// off it is after each step.
+    /// Predicts a curve over steps of these lengths; every `every` steps a correction moves the node onto it. Returns
+    /// the error after each step.
     fn follow(curve: impl Fn(f64) -> Vec3, steps: &[f64], every: usize) -> Vec<f64> {
         let mut path = Path::default();
         let (mut s, mut at) = (1.0, curve(1.0));

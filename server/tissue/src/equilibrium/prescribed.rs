@@ -4,13 +4,12 @@ use super::field::Beyond;
 use super::solver::Solver;
 use crate::{Shape, Topology, Vec3};
 
-/// Nodes held at once at most; [`Solver::hold`] refuses more. Four thousand nodes are a surface of
-/// 25 cm square at 4 mm.
+/// Maximum of nodes held at once; [`Solver::hold`] refuses more. 4096 nodes are a surface of 25 cm square at 4 mm.
 const HELD_MAX: usize = 4096;
 
 impl Solver {
-    /// Holds a node at a displacement in m until it is let go. Returns whether it could: not a
-    /// pinned node, not a displacement that is no number, not more than 4096 nodes.
+    /// Holds a node at a displacement in m until [`let_go`](Solver::let_go). Returns false for a pinned node, a
+    /// displacement that is not finite, or too many held nodes.
     pub fn hold(&mut self, topology: &Topology, shape: &mut Shape, node: u32, at: Vec3) -> bool {
         let n = node as usize;
         if n >= shape.displacement.len() || topology.is_pinned(node) || !at.norm().is_finite() {
@@ -31,7 +30,7 @@ impl Solver {
         true
     }
 
-    /// Lets go of a held node.
+    /// Releases a held node.
     pub fn let_go(&mut self, topology: &Topology, node: u32) {
         if let Some(i) = self.held.iter().position(|&n| n == node) {
             self.held.swap_remove(i);

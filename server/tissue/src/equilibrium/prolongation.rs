@@ -10,7 +10,7 @@ use super::element::WEIGHTS;
 /// Entry of a point that follows no coarse element.
 pub(crate) const FREE: u32 = u32::MAX;
 
-/// The corners of an element that have a weight for one of its 27 places, ascending; all have the same.
+/// The corners with a nonzero weight at one of the 27 places of an element, ascending, and their common weight.
 #[derive(Clone, Copy)]
 pub(crate) struct Stencil {
     corners: [u8; 8],
@@ -18,7 +18,7 @@ pub(crate) struct Stencil {
     weight: f32,
 }
 
-/// Of each place.
+/// Stencil of each place.
 pub(crate) const STENCILS: [Stencil; LOCALS] = stencils();
 
 const fn stencils() -> [Stencil; LOCALS] {
@@ -54,8 +54,8 @@ impl Stencil {
     }
 }
 
-/// The operator of one level. Stored as the element and the place of each point, not as rows of indices and weights: a step
-/// reads it for all points, and 4 bytes each stay in a cache where 68 did not.
+/// The prolongation operator of one level. It stores element and place of each point (4 bytes) instead of rows of
+/// indices and weights (68 bytes), which exceed the cache.
 pub(crate) struct Prolongation {
     /// Coarse element and place, as `element * 32 + place`, or [`FREE`].
     entries: Vec<u32>,
@@ -92,7 +92,7 @@ impl Prolongation {
         row.into_iter().flatten()
     }
 
-    /// Coarse values at a point.
+    /// Interpolates coarse values at a point.
     #[inline(always)]
     pub(crate) fn interpolate(&self, point: usize, of: &[Quad]) -> Quad {
         let row = self.row(point);

@@ -1,27 +1,27 @@
-//! How much may wait while a hand does.
+//! Work limit of quick steps.
 //!
-//! The finer a model is, the more nodes there are in what a press strains: under a sphere 15 mm deep 500 at 4 mm and
-//! 3,000 at 2 mm, which took 10 ms. What may wait on the coarse levels is a matter of tolerances, and the time a step
-//! may take is not: so tolerances are made wider while more takes part than there is time for, and narrow again when
-//! there is room. It goes by what took part, not by a clock: the same steps give the same bits.
+//! Finer models have more nodes in the strained region: under a sphere 15 mm deep 500 at 4 mm and 3,000 at 2 mm, which
+//! took 10 ms. The time of a step is fixed, the tolerances of deferred elements are not. They are widened while the
+//! active set exceeds the limit, and narrowed when it is well below. The rule counts nodes and reads no clock, so equal
+//! steps give equal bits.
 
-/// Nodes that a step of a hand has time for.
+/// Nodes that fit in the time of a quick step.
 const ROOM: f64 = 900.0;
-/// An element of the coarse levels, in nodes: what they cost.
+/// Cost of a coarse element in nodes.
 const ELEMENT: f64 = 0.25;
-/// Part of the room below which tolerances are narrowed again.
+/// Fraction of the limit below which tolerances are narrowed.
 const ROOMY: f64 = 0.8;
-/// How many times wider tolerances may be made: beyond it is only the contact left.
+/// Maximum factor of the tolerances; beyond it only the contacts remain active.
 const WIDEST: f64 = 8.0;
 
-/// How many times more may wait than where there is time for all of it.
+/// Factor of the tolerances of deferred elements.
 #[derive(Clone, Copy)]
 pub(super) struct Relief(f64);
 
 impl Relief {
     pub(super) const NONE: Self = Self(1.0);
 
-    /// Takes in what took part in the last step; gives the factor for the next one.
+    /// Updates the factor by the active set of the last step; returns it for the next one.
     pub(super) fn after(&mut self, nodes: usize, elements: usize) -> f32 {
         let load = (nodes as f64 + ELEMENT * elements as f64) / ROOM;
         if load > 1.0 {
@@ -40,7 +40,7 @@ mod tests {
     #[test]
     fn it_settles_where_there_is_just_room() {
         let mut relief = Relief::NONE;
-        // Half as much takes part when four times as much may wait.
+        // The active set halves when the tolerance factor is four.
         let mut nodes = 3000.0;
         for _ in 0..40 {
             nodes = 3000.0 / f64::from(relief.after(nodes as usize, 0)).sqrt();

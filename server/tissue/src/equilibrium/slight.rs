@@ -1,13 +1,13 @@
-//! Forces of springs that are nearly as long as at rest, without roots and divisions.
+//! Small-strain expansion of the spring law, without roots and divisions.
 //!
-//! Most of a body is strained little. With `e = (|d|² - l0²) / l0²` the length law reads
+//! In most of a body strains are small. With `e = (|d|² - l0²) / l0²` the length law reads
 //!
 //! ```text
 //! k (|d| - l0) / |d| = k (1 - (1 + e)^-1/2) = k e g(e)
 //! ```
 //!
-//! and g is a polynomial to the digits of f32 while |e| is small. A root and a division take as long as
-//! everything else that a spring needs. Beyond a strain of a tenth a brick is left to the general law.
+//! and g is a polynomial to the digits of f32 while |e| is small. A root and a division cost as much as all other
+//! operations of a spring. Above a strain of a tenth a brick uses the general law.
 
 use pulp::Simd;
 
@@ -15,9 +15,9 @@ use super::brick::{DIRECTIONS, Form, LOCALS, OFFSETS, PADDED, SPAN};
 use super::kernel::{Ends, LEAD, Local};
 use super::lanes::V;
 
-/// |e| up to which springs are slight, and where pressed springs are held: these are from 0.19 on.
+/// Range of |e|, without and with stabilised springs (these act from 0.19 on).
 const SLIGHT: [f32; 2] = [0.2, 0.19];
-/// g, from the constant on: least squares in Chebyshev points of ±0.2, off by 1.5e-7 of it at most.
+/// Coefficients of g, constant first: least squares in Chebyshev points of ±0.2, relative error at most 1.5e-7.
 const POLYNOMIAL: [f32; 7] = [
     0.5,
     -0.375_001_46,
@@ -27,22 +27,22 @@ const POLYNOMIAL: [f32; 7] = [
     -0.239_994_6,
     0.225_102_75,
 ];
-/// Displacement of a node relative to the brick's first, along an axis and in lengths of the shortest spring,
-/// up to which none can have turned or shrunk so far that a guard pushes: two such ends are 0.69 apart.
+/// Displacement of a node relative to the brick's first, along an axis and in lengths of the shortest spring, up to
+/// which no guard can act: two such ends are 0.69 apart.
 pub(crate) const LOOSE: f32 = 0.2;
 
-/// Lengths between which a material's springs must be neither extreme.
+/// Relative lengths within which no spring of the material may be extreme.
 const LENGTHS: [f32; 2] = [0.89, 1.1];
 
 impl Form {
-    /// Whether its springs follow the length law alone while they are slight.
+    /// Whether its springs follow the length law alone at small strain.
     pub(crate) fn is_plain(&self) -> bool {
         let [least, most] = self.curve.limits;
         !self.skewed && self.curve.stiffening == 0.0 && least < LENGTHS[0] && most > LENGTHS[1]
     }
 }
 
-/// Whether the nodes have moved so little that the springs may be slight.
+/// Whether the nodes have moved so little that the expansion may apply.
 #[inline(always)]
 fn is_loose<S: Simd>(simd: S, form: &Form, u: &Local) -> bool {
     let zero = V::all(simd, 0.0);
@@ -58,7 +58,7 @@ fn is_loose<S: Simd>(simd: S, form: &Form, u: &Local) -> bool {
     !(most - V::all(simd, form.loose)).any_above_zero()
 }
 
-/// Forces of the springs of a brick in N, if all of them are slight.
+/// Forces of the springs of a brick in N, if all strains are within the range of the expansion.
 #[inline(always)]
 pub(crate) fn slight_forces<S: Simd>(
     simd: S,

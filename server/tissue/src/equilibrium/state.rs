@@ -1,9 +1,8 @@
 //! The state of a solver and its shape, copied out so that another thread can continue it on a changed topology.
 //!
-//! A cut changes the bricks and levels of a solver, and every force has to be computed afresh: some 30 ms on
-//! 57,000 nodes. The thread of a hand has 2 ms. So it only [captures](Solver::capture) its state, a copy of
-//! 60 bytes per node. Another thread [resumes](SolverState::resume) from that on the new topology, solves, and hands
-//! the finished solver back.
+//! A cut changes the bricks and levels of a solver and outdates all forces: some 30 ms on 57,000 nodes, while the
+//! haptic loop has 2 ms. So its thread only [captures](Solver::capture) the state, 60 bytes per node. Another thread
+//! [resumes](SolverState::resume) from the copy on the new topology, solves, and returns the solver.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -22,20 +21,20 @@ use super::structure::Structure;
 use crate::contact::{Contacts, Proxy};
 use crate::{CutOutcome, Shape, StepReport, Topology, Vec3};
 
-/// Steps in which a solver settles on a changed topology, at least and at most. The forces of a press are back within
-/// its tolerance after two or three.
+/// Minimum and maximum number of steps of settling on a changed topology. The forces of a press are within tolerance
+/// after two or three.
 const SETTLING: [usize; 2] = [3, 8];
 
-/// Displacements of one coarse level: in all, and how much of the coarser level's is in them.
+/// Displacements of one coarse level: totals, and the part applied from the coarser level.
 #[derive(Default)]
 struct Totals {
     total: Vec<[f64; 3]>,
     applied: Vec<[f64; 3]>,
 }
 
-/// What a solver on a changed topology needs to continue where another one is.
+/// State of a solver for its continuation on a changed topology.
 pub struct SolverState {
-    /// That of the captured solver; `None` before there is one.
+    /// Hierarchy of the captured solver; `None` before a capture.
     structure: Option<Arc<Structure>>,
     displacement: Vec<Vec3>,
     applied: Vec<[f64; 3]>,
@@ -51,7 +50,7 @@ pub struct SolverState {
 }
 
 impl Follower {
-    /// An empty state with memory for a capture of this topology, so that [`Solver::capture`] only copies.
+    /// An empty state with memory for a capture of this topology, so that [`Solver::capture`] does not allocate.
     pub fn room(&self) -> SolverState {
         fn room<T: Clone>(value: T, len: usize) -> Vec<T> {
             let mut values = laid_out(value, len);
@@ -86,7 +85,7 @@ impl Follower {
 }
 
 impl Solver {
-    /// Copies the state of this solver and its shape. The solver goes on as if nothing had happened.
+    /// Copies the state of this solver and its shape. The solver itself continues unchanged.
     pub fn capture(&mut self, shape: &Shape, to: &mut SolverState) {
         fn copy<T: Clone>(from: &[T], to: &mut Vec<T>) {
             to.clear();
@@ -112,10 +111,10 @@ impl Solver {
         to.structure = Some(Arc::clone(&self.structure));
     }
 
-    /// Ends the settling that follows a change of the topology: leaves the small forces far from the tools alone that
-    /// computing every brick has shown. They are those that a hand's steps leave where nothing is computed. After a few
-    /// steps the coarse levels have answered the smooth part, and no node has more than the threshold of such a step.
-    /// Handed down in every step, what is left of 57,000 nodes takes longer than a press.
+    /// Ends the settling after a change of the topology: drops the small forces far from the tools that the evaluation
+    /// of every brick has found. Quick steps leave forces of that size anyway. After a few steps the coarse levels have
+    /// solved the smooth part, and every remaining force is below the threshold. Processing them for 57,000 nodes takes
+    /// longer than a press.
     pub(super) fn settle(&mut self, tolerance: f64) {
         let Some(steps) = &mut self.settling else {
             return;
@@ -145,12 +144,12 @@ impl Solver {
         });
     }
 
-    /// Whether the steps that follow a change of the topology are still to be made.
+    /// Whether settling continues.
     pub fn is_settling(&self) -> bool {
         self.settling.is_some()
     }
 
-    /// A solver made of its parts.
+    /// Assembles a solver from its parts.
     pub(super) fn assemble(
         topology: &Topology,
         structure: Arc<Structure>,
@@ -191,8 +190,8 @@ impl Solver {
 }
 
 impl SolverState {
-    /// A solver and a shape that continue this state on the topology as a cut left it. `successor` is what a
-    /// [`Follower`] of that topology gives. Without a capture the shape is at rest.
+    /// A solver and a shape that continue this state on the cut topology. `successor` comes from a [`Follower`] of that
+    /// topology. Without a capture the shape is at rest.
     pub fn resume(
         mut self,
         topology: &Topology,
@@ -222,7 +221,7 @@ impl SolverState {
         (solver, shape)
     }
 
-    /// Moves every node by what the coarse levels hold for it, as [`Solver::pour`] does.
+    /// Prolongates the coarse displacements to every node, as [`Solver::pour`] does.
     fn pour(&mut self) {
         let Some(structure) = self.structure.take() else {
             return;
@@ -301,7 +300,7 @@ mod tests {
         }
     }
 
-    /// A press, then a cut beside it that another solver resumes.
+    /// A press, then a cut beside it; the state is resumed on another solver.
     fn resumed() -> (Topology, Solver, Shape) {
         let mut topology = topology();
         let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));

@@ -1,16 +1,15 @@
-//! What contacts, held nodes and hardened tissue make of the coarse levels.
+//! Stiffness of contacts, held nodes and hardened tissue on the coarse levels.
 //!
-//! Coarse matrices are those of the tissue at rest, and tissue that is pressed nearly flat is tens of times as
-//! stiff. Their corrections there were as many times too long, so that only a fiftieth could be taken, of all of
-//! them: a hand that drew back from 15 mm felt forces up to half too low for a tenth of a second. So an element that
-//! has hardened stands with
+//! Coarse operators are those of the rest state, but tissue pressed nearly flat is tens of times stiffer. Corrections
+//! there were too long by the same factor, so the line search accepted a fiftieth: after a retreat from 15 mm forces
+//! were up to half too low for 0.1 s. So the matrix of a hardened element becomes
 //!
 //! ```text
 //! K' = C K Cᵀ for every pair of corners,  C = (I + (B - B₀) / b₀)^½,  b₀ = tr B₀ / 3
 //! ```
 //!
-//! where B and B₀ are the sums of the blocks of its nodes, now and at rest: as much stiffer along each axis as the
-//! tissue is, and still without resistance to moves as a whole. Its rows are bounded by `C D Cᵀ` as before by D.
+//! where B and B₀ are the sums of the diagonal blocks of its nodes, now and at rest. The element stiffens along each
+//! axis like the tissue, and keeps its null space of translations. Its diagonal bound D becomes `C D Cᵀ`.
 
 use nalgebra::Matrix3;
 
@@ -22,18 +21,18 @@ use super::solver::Solver;
 use super::structure::Structure;
 use crate::Vec3;
 
-/// How many times as stiff as at rest an element is, all axes together, from which on the levels follow it.
+/// Ratio to the stiffness at rest, over all axes, from which the coarse levels follow an element.
 const HARDENED: f32 = 1.5;
-/// Stiffness that stands for a held node on the coarse levels, in parts of its own: where it is already, and where the
-/// levels are drawn after it. With what draws best, a cube that is carried on keeps 23 % of its error in an iteration,
-/// with the node's own 11 %; drawn by 4 to 12 it comes to 1 % in three iterations or nearly.
+/// Coarse penalty stiffness of a held node relative to its own: for nodes in place, and for the load that moves the
+/// levels after a node. In a warm-started cube 8 leaves 23 % of the error per iteration and 1 leaves 11 %; as a load, 4
+/// to 12 reach 1 % in about three iterations.
 pub(super) const HELD_STIFFNESS: [f64; 2] = [1.0, 8.0];
-/// Rounds of the root: from 100 times the identity they leave a thousandth.
+/// Iterations of the matrix root: for 100 times the identity the relative error is a thousandth.
 const ROOT_ROUNDS: usize = 9;
 
 impl Solver {
-    /// Stage: what contacts, held nodes and hardened tissue add to the coarse levels. Contacts are those that
-    /// press, and those that are only `expected` to.
+    /// Stage: adds the stiffness of contacts, held nodes and hardened tissue to the coarse levels. `expected` includes
+    /// contacts that are open but predicted to close.
     pub(super) fn stiffen(&mut self, u: &[Vec3], expected: bool) {
         let stiffness = HELD_STIFFNESS[usize::from(self.draws())];
         let (structure, coarse) = (&self.structure, &mut self.coarse);
@@ -69,12 +68,12 @@ impl Solver {
         coarse.spread(structure);
     }
 
-    /// Whether the levels are to be drawn after nodes that were led on.
+    /// Whether the levels are loaded after led nodes.
     pub(super) fn draws(&self) -> bool {
         !self.drawn.is_empty() && !self.carried && self.contacts.nodes.is_empty()
     }
 
-    /// Loads level 1 with the pull of contacts that have come off and are expected to press again.
+    /// Loads level 1 with the pull of open contacts that are predicted to close.
     pub(super) fn pull(&mut self, u: &[Vec3]) {
         let (structure, coarse, fixed) = (&self.structure, &mut self.coarse, &self.field.fixed);
         self.contacts.expected(u, |sample, depth, kappa, n| {
@@ -88,12 +87,12 @@ impl Solver {
 }
 
 impl Field {
-    /// C of an element of level 1, if it has hardened since it was at rest.
+    /// C of an element of level 1, if it has hardened.
     fn hardening(&mut self, structure: &Structure, element: u32) -> Option<Matrix3<f32>> {
         let (mut now, mut rest) = ([0.0; 6], [0.0; 6]);
         for &brick in structure.levels[0].children.row(element) {
             let firm = self.firm[brick as usize];
-            // Zero: of this brick no blocks were asked for yet.
+            // Zero: no blocks were computed for this brick yet.
             if firm != [0.0; 6] {
                 let at_rest = self.firm_at_rest(structure, brick);
                 for e in 0..6 {
@@ -117,7 +116,7 @@ impl Field {
 }
 
 impl Multigrid {
-    /// Makes an element of level 1 as much stiffer as `c` says.
+    /// Stiffens an element of level 1 by `c`.
     fn harden(&mut self, structure: &Structure, element: u32, c: &Matrix3<f32>) {
         let level = &structure.levels[0];
         let (corners, own) = level.element(element);
@@ -140,13 +139,13 @@ impl Multigrid {
     }
 }
 
-/// A symmetric matrix of its entries xx, yy, zz, xy, xz, yz.
+/// The symmetric matrix with the entries xx, yy, zz, xy, xz, yz.
 fn full<T: nalgebra::Scalar + Copy>(m: &[T; 6]) -> Matrix3<T> {
     Matrix3::new(m[0], m[3], m[4], m[3], m[1], m[5], m[4], m[5], m[2])
 }
 
-/// The positive root of a positive symmetric matrix (Denman and Beavers 1976: nothing but inverses, so that all
-/// machines agree); none of any other.
+/// The square root of a positive definite matrix; `None` for any other. (Denman and Beavers 1976: only inverses, so all
+/// machines agree.)
 fn root(m: &[f64; 6]) -> Option<[f64; 6]> {
     let (mut y, mut z) = (*m, [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
     for _ in 0..ROOT_ROUNDS {

@@ -1,4 +1,4 @@
-//! What the equilibrium of one topology never changes: its bricks and its coarse lattices.
+//! Immutable data of the equilibrium of one topology: its bricks and its coarse lattices.
 //!
 //! Level 0 are the nodes of the model with the bricks as their elements; level 1 and up are lattices
 //! of twice the side each, with matrices as their elements (`element`, `coarsen`). Every element of
@@ -15,14 +15,14 @@ use super::element::{Matrix, Sum};
 use super::prolongation::{FREE, Prolongation};
 use crate::{FaceId, NO_CELL, Topology, Vec3};
 
-/// Coarse levels at most: 8 halvings take a lattice of 256 points per axis to one.
+/// Maximum of coarse levels: 8 halvings reduce 256 points per axis to one.
 const LEVELS_MAX: usize = 8;
-/// A level this small is not made coarser.
+/// A level with this few elements is the coarsest.
 const COARSEST_ELEMENTS: usize = 12;
-/// Bricks put together at once, so that what is not shared yet stays below some 30 MB.
+/// Bricks built per batch, so that temporary forms stay below some 30 MB.
 const BATCH: usize = 8192;
 
-/// Lists of numbers, one per row, in one piece of memory.
+/// Compressed rows of numbers.
 #[derive(Default)]
 pub(super) struct Table {
     first: Vec<u32>,
@@ -74,11 +74,11 @@ pub(super) struct Level {
     pub(super) parent: Vec<u32>,
     /// Position of each element in its parent.
     pub(super) octant: Vec<u8>,
-    /// From the next coarser level; of no points on the coarsest.
+    /// Prolongation from the next coarser level; empty on the coarsest.
     pub(super) prolongation: Prolongation,
     /// Elements around each point.
     pub(super) around: Table,
-    /// What bounds the rows of each point: the sum of its elements' bounds.
+    /// Diagonal bound of each point: the sum of its elements' bounds.
     pub(super) bound: Vec<[f32; 6]>,
 }
 
@@ -88,8 +88,7 @@ impl Level {
     }
 }
 
-/// What bricks and elements that are alike share, numbered once and for all: after a cut only what
-/// is new is computed.
+/// Forms and matrices shared by equal bricks and elements, numbered permanently: a cut only computes new ones.
 #[derive(Clone, Default)]
 struct Kinds {
     forms: Vec<Arc<Form>>,
@@ -97,15 +96,14 @@ struct Kinds {
     levels: Vec<LevelKinds>,
 }
 
-/// Matrices of one level by what they are made of.
+/// Matrices of one level by their parts.
 #[derive(Clone, Default)]
 struct LevelKinds {
     matrices: Vec<Arc<Matrix>>,
     known: BTreeMap<Parts, u32>,
 }
 
-/// What an element is made of: forms and fixed nodes of its bricks, or matrices and octants of its
-/// children.
+/// Parts of an element: forms and fixed nodes of its bricks, or matrices and octants of its children.
 type Parts = Vec<(u32, u32)>;
 
 /// Bricks and coarse lattices of a topology.
@@ -118,7 +116,7 @@ pub(crate) struct Structure {
     pub(super) element_of: Vec<u32>,
     /// Bricks around each node, as `brick * 32 + entry`.
     pub(super) around: Table,
-    /// From level 1 to the nodes; pinned nodes follow no element.
+    /// Prolongation from level 1 to the nodes; pinned nodes follow no element.
     pub(super) prolongation: Prolongation,
     /// Nodes that follow each element of level 1.
     pub(super) nodes_of: Table,
@@ -132,7 +130,7 @@ pub(crate) struct Structure {
 }
 
 impl Structure {
-    /// How far apart along an axis the nodes of a brick have been displaced, in m at most.
+    /// Largest difference in displacement along an axis between the nodes of a brick, in m.
     pub(super) fn change_of(&self, brick: u32, u: &[Vec3]) -> f64 {
         let nodes = &self.bricks[brick as usize].nodes;
         let first = u[nodes[0] as usize];
@@ -144,13 +142,13 @@ impl Structure {
         (high - low).max()
     }
 
-    /// That of a topology.
+    /// Builds the hierarchy of a topology.
     pub(super) fn new(topology: &Topology) -> Self {
         Self::after(topology, None)
     }
 
-    /// That of a topology after a change, given what was before it and the nodes whose cells or
-    /// rest positions it touched.
+    /// Builds the hierarchy of a topology after a change, from the earlier one and the nodes whose cells or rest
+    /// positions changed.
     pub(super) fn after(topology: &Topology, before: Option<(&Self, &[u32])>) -> Self {
         let cells = pieces_of(topology);
         let coarse = coarsen(&cells, topology.node_count(), |cell, axis, list| {
@@ -256,7 +254,7 @@ impl Structure {
         parts
     }
 
-    /// The matrix of each element of a level; elements made of the same parts share one.
+    /// The matrix of each element of a level; elements with equal parts share one.
     fn matrices(&mut self, l: usize, parts: &[Parts]) -> Vec<u32> {
         if self.kinds.levels.len() == l {
             self.kinds.levels.push(LevelKinds::default());
@@ -393,7 +391,7 @@ fn bricks_of(
     made
 }
 
-/// What a change left alone.
+/// The unchanged part of a topology.
 struct Changed<'a> {
     before: &'a Structure,
     touched: Vec<bool>,
@@ -409,7 +407,7 @@ impl<'a> Changed<'a> {
         Self { before, touched }
     }
 
-    /// The bricks of an element that has these cells, if they are what they were.
+    /// The bricks of an element with these cells, if unchanged.
     fn unchanged(
         &self,
         topology: &Topology,
@@ -500,7 +498,7 @@ mod tests {
 
     const CELL: f64 = 4e-3;
 
-    /// Two strokes that cross askew to the lattice, one of them ending within the block.
+    /// Two crossing strokes oblique to the lattice; one ends inside the block.
     fn crossed() -> Topology {
         let mut topology =
             Topology::new(Arc::new(block([20, 16, 8], CELL, &Material::default(), 1)));

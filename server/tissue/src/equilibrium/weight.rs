@@ -1,8 +1,7 @@
-//! What gravity does to the nodes: the body force of the equilibrium.
+//! Gravity: the body force of the equilibrium.
 //!
-//! A node weighs what an eighth of each of its cells weighs, as built: cuts change no weight. What hangs together
-//! with nothing that is pinned would fall for ever, which no equilibrium is; it is taken to lie wherever it is, and
-//! weighs nothing.
+//! A node carries an eighth of the weight of each of its cells, as built: cuts change no weight. A component without
+//! pinned nodes has no equilibrium under gravity, so its weight is zero.
 
 use super::block::{Quad, ZERO};
 use crate::{Model, Topology};
@@ -29,7 +28,7 @@ pub(super) fn weights(topology: &Topology) -> Vec<Quad> {
     all.map(of).collect()
 }
 
-/// Nodes of a model that weigh nothing though there is gravity, because nothing that is pinned holds them.
+/// Nodes without weight in spite of gravity, because their component has no pinned node.
 pub(crate) fn adrift(model: &Model) -> usize {
     if model.gravity == [0.0; 3] {
         return 0;
@@ -46,9 +45,9 @@ pub(crate) fn adrift(model: &Model) -> usize {
     hangs.iter().filter(|hangs| !**hangs).count()
 }
 
-/// Whether each node is joined, from cell to cell, to one that is pinned.
+/// Whether each node is connected through cells to a pinned node.
 fn hanging(cells: impl Iterator<Item = [u32; 8]>, pinned: &[bool]) -> Vec<bool> {
-    // A forest over the nodes, in which each root stands for what is joined.
+    // A union-find forest over the nodes.
     let mut parents: Vec<u32> = (0..pinned.len() as u32).collect();
     for corners in cells {
         let first = root(&mut parents, corners[0]);
@@ -66,7 +65,7 @@ fn hanging(cells: impl Iterator<Item = [u32; 8]>, pinned: &[bool]) -> Vec<bool> 
     roots.into_iter().map(|root| holds[root as usize]).collect()
 }
 
-/// The root of a node; makes the way there shorter.
+/// The root of a node, with path compression.
 fn root(parents: &mut [u32], mut node: u32) -> u32 {
     while parents[node as usize] != node {
         let above = parents[parents[node as usize] as usize];

@@ -59,7 +59,7 @@ fn slight_springs_follow((brick, form, u): (Brick, Form, Vec<Vec3>)) {
     };
     assert!(other(&u).is_none());
     for turned in [0.0, 0.04] {
-        // A turn strains nothing by more than its square.
+        // A rotation strains nothing beyond second order.
         let turn = |(u, p): (&Vec3, usize)| {
             let [x, y] = [0, 1].map(|a| f64::from(form.rest[a][p]));
             u + Vec3::new(-y, x, 0.0) * turned
@@ -120,7 +120,7 @@ fn same_bits(brick: &Brick, form: &Form, u: &[Vec3]) {
     assert_eq!(tangents(true), tangents(false));
 }
 
-/// A little strained, and so much that springs are held and extreme and corners push.
+/// At a small strain, and at one with held and extreme springs and hardened corners.
 #[test]
 fn forces_add_up_to_nothing_and_have_a_potential() {
     let (brick, form, u) = brick(3.0, true);
@@ -195,7 +195,7 @@ fn has_a_potential(brick: &Brick, form: &Form, u: &[Vec3]) {
         let size: f32 = row.iter().map(|v| v.abs()).sum();
         assert!(sum.abs() < 1e-4 * size, "{sum} of {size}");
     }
-    // What a node's move along one axis does to all, by differences.
+    // Force change on all nodes by one node's move along an axis, by differences.
     let step = 1e-6;
     let stiffness: Vec<[[f32; LOCALS]; 3]> = (0..3 * LOCALS)
         .map(|i| {
