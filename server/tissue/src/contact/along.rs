@@ -1,39 +1,39 @@
-//! What contacts do along a line of shapes.
+//! Line search with contacts.
 //!
-//! Tissue resists a change of its shape nearly linearly; a tool pushes from where it touches on, many
-//! times as hard, and never pulls. How far it is best to go along a correction can not be told from the
-//! forces at its two ends: where a tool leaves the tissue, or meets it, the answer was a tenth of what it
-//! should have been. The forces of contacts are cheap, so they are computed wherever they are asked for.
+//! Tissue resists deformation nearly linearly; a contact pushes from touch on, many times stiffer, and never pulls. So
+//! the step length along a correction does not follow from the forces at its two ends: where a tool leaves or meets the
+//! tissue, that estimate was a tenth of the right value. Contact forces are cheap, so they are evaluated at every trial
+//! step length.
 
 use super::core::Core;
 use crate::Vec3;
 
-/// Rounds that look for where the work ends: the bracket halves at least every other time.
+/// Maximum rounds of the root search: the bracket halves at least every other round.
 const ROUNDS: usize = 24;
-/// Width of the bracket that is narrow enough.
+/// Width of the bracket at which the search ends.
 const NARROW: f64 = 1e-3;
-/// Distance from the middle of a ball, in radii, within which a sample that comes in does not pass it.
+/// Distance from the middle of a ball, in radii, within which an approaching sample must not pass it.
 const CORE: f64 = 0.5;
 
-/// Samples along shapes `u + s by`.
+/// Contact samples on a line of shapes `u + s by`.
 pub(crate) struct Along {
-    /// Each with the point of the core that it [pierces](Row::pierces), if it does.
+    /// Each with the core point that it [pierces](Row::pierces), if any.
     rows: Vec<(Row, Option<Vec3>)>,
-    /// The tools' cores, of which only the shape counts.
+    /// Cores of the tools; only their shape is used.
     cores: Vec<Core>,
 }
 
 pub(crate) struct Row {
-    /// From the middle of the tool's core at s = 0, in m, and per s.
+    /// Position relative to the middle of the tool's core at s = 0, and its derivative by s, in m.
     pub(crate) from: Vec3,
     pub(crate) by: Vec3,
     pub(crate) radius: f64,
     pub(crate) stiffness: f64,
-    /// Which tool.
+    /// Index of the tool.
     pub(crate) tool: u32,
 }
 
-/// From the middle of a core to the point of it nearest to what is at `v` from there.
+/// The core point nearest to the position `v`, both relative to the middle of the core.
 #[inline]
 fn nearest(core: &Core, v: &Vec3) -> Vec3 {
     let [s, t] = core.nearest(&(core.mid + v));
@@ -41,9 +41,8 @@ fn nearest(core: &Core, v: &Vec3) -> Vec3 {
 }
 
 impl Row {
-    /// The point of the core, from its middle, through the ball around which the line leads too near to the centre. Beyond it
-    /// the tool would push onwards, out on the far side: under a tool that drew back tissue was thrown through it, and
-    /// drew it in with ten newtons.
+    /// The core point whose ball the line passes too close to the centre. Beyond it the contact force would push the
+    /// sample out on the far side: a retreating tool pulled tissue through itself with ten newtons.
     fn pierces(&self, core: &Core) -> Option<Vec3> {
         let centre = if core.is_point() {
             Vec3::zeros()
@@ -58,20 +57,20 @@ impl Row {
         (towards > 0.0 && near()).then_some(centre)
     }
 
-    /// Whether the sample may touch the tool anywhere between these bounds of s.
+    /// Whether the sample may touch the tool for any s within these bounds.
     fn meets(&self, core: &Core, [low, high]: [f64; 2]) -> bool {
         let square = self.by.norm_squared();
         let nearest = -self.from.dot(&self.by) / square;
-        // Not a number where it does not move: then it is anywhere.
+        // NaN where the sample does not move: then every s is nearest.
         let nearest = nearest.max(low).min(high);
         let v = self.from + self.by * nearest;
-        // A little more, for what is rounded.
+        // A margin for rounding.
         let reach = self.radius + core.half_diagonal();
         v.norm_squared() < 1.001 * reach * reach
     }
 }
 
-/// Work per s of one contact's force at s, in N m.
+/// Work of one contact's force per s, at s, in N m.
 fn work((row, pierces): &(Row, Option<Vec3>), core: &Core, s: f64) -> f64 {
     let v = row.from + row.by * s;
     if let Some(centre) = pierces {
@@ -111,7 +110,7 @@ impl Along {
         &self.cores[row.tool as usize]
     }
 
-    /// Work per s of the contacts' forces at s, in N m.
+    /// Work of all contact forces per s, at s, in N m.
     pub(crate) fn work(&self, s: f64) -> f64 {
         self.rows
             .iter()
@@ -119,10 +118,10 @@ impl Along {
             .sum()
     }
 
-    /// The s within bounds at which no work is left, where that of everything else is `here` at 0 and
-    /// `there` at 1 and linear between: the lowest energy on the line.
+    /// The s within bounds at which the total work vanishes: the minimum of the energy on the line. All other work is
+    /// `here` at 0, `there` at 1, and linear between.
     pub(crate) fn rest(&self, [here, there]: [f64; 2], bounds: [f64; 2]) -> f64 {
-        // Half of what is in reach of a tool does not touch it anywhere on the line.
+        // Half of the samples in reach of a tool do not touch it anywhere on the line.
         let meets = |(row, pierces): &&(Row, Option<Vec3>)| {
             pierces.is_some() || row.meets(self.core(row), bounds)
         };
@@ -145,7 +144,7 @@ impl Along {
             if high - low < NARROW {
                 break;
             }
-            // The chord finds the end of what is linear at once, the middle gets past the touch.
+            // The chord solves the linear part at once, the midpoint passes the onset of contact.
             let s = if round % 2 == 0 {
                 low + (high - low) * left / (left - right)
             } else {
@@ -193,7 +192,7 @@ mod tests {
 
     #[test]
     fn tissue_that_comes_back_stops_where_the_tool_is() {
-        // The tool has gone 0.8 mm away, and is forty times as stiff as what comes back.
+        // The tool has retreated by 0.8 mm, and is forty times as stiff as the returning tissue.
         let away = along(vec![ball(-8.8e-3, 4000.0)]);
         let s = away.rest([1e-4, 0.0], [0.0, 2.0]);
         assert!((0.8..0.83).contains(&s), "{s}");
@@ -201,11 +200,11 @@ mod tests {
 
     #[test]
     fn nothing_passes_through_a_tool() {
-        // What is on its way to 30 mm beyond the near side of a ball of 16 mm.
+        // A sample that moves to 30 mm beyond the near side of a ball of 16 mm.
         let away = along(vec![ball(-8.8e-3, 4000.0)]);
         let s = away.rest([1e-4, 1e-4], [0.0, 30.0]);
         assert!((0.8..0.9).contains(&s), "{s}");
-        // And what slides along it does.
+        // A sample that slides along the ball moves on.
         let mut beside = ball(-8.8e-3, 40.0);
         beside.from.x = 7.9e-3;
         let s = along(vec![beside]).rest([1e-2, 1e-2], [0.0, 30.0]);
@@ -213,7 +212,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever is left out by [`Row::meets`] does nothing between the bounds.
+        /// Samples excluded by [`Row::meets`] do no work between the bounds.
         #[test]
         fn what_meets_nowhere_does_no_work(
             from in prop::array::uniform3(-12e-3..12e-3f64), by in prop::array::uniform3(-10e-3..10e-3f64),

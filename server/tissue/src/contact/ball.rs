@@ -1,4 +1,4 @@
-//! Balls in which to search.
+//! Balls as search regions.
 
 use parry3d_f64::bounding_volume::Aabb;
 use parry3d_f64::math::Vector;
@@ -25,7 +25,7 @@ impl Ball {
         (other.centre - self.centre).norm() + other.radius <= self.radius
     }
 
-    /// Whether a part of a box is in it.
+    /// Whether the ball intersects a box.
     #[inline]
     pub(crate) fn reaches(&self, mins: Vector, maxs: Vector) -> bool {
         self.away(mins, maxs) <= self.radius * self.radius

@@ -5,7 +5,7 @@ use super::surface::Surface;
 use super::{PITCH, SurfaceIndex, Tool};
 use crate::{Topology, Vec3};
 
-/// Beyond this distance no surface is looked for, m: scenes are smaller.
+/// Maximum search distance in m; scenes are smaller.
 const REACH_M: f64 = 1e3;
 
 /// Measures distances to the outer surface at rest.
@@ -23,8 +23,8 @@ impl<'a> Clearance<'a> {
         }
     }
 
-    /// The distance in m between `tool` and the surface: above zero where the tool is outside the tissue, below zero
-    /// where it is inside, zero where it touches. `None` for a tool that is not sound.
+    /// The distance in m between `tool` and the surface: positive outside the tissue, negative inside, zero at touch.
+    /// `None` for an invalid tool.
     pub fn of(&self, tool: &Tool) -> Option<f64> {
         if !tool.is_sound() {
             return None;

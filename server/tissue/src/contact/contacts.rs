@@ -1,4 +1,4 @@
-//! All contacts of one view: tools, their samples, and what they do to nodes.
+//! All contacts of one shape: tools, their samples, and the forces on nodes.
 
 use super::along::{Along, Row};
 use super::ball::Ball;
@@ -16,10 +16,10 @@ pub(crate) struct Contacts {
     index: SurfaceIndex,
     pub(crate) proxies: Vec<Proxy>,
     pub(crate) samples: Vec<Sample>,
-    /// Nodes of the samples, and position in it of every node.
+    /// Nodes of the samples, and the position of every node in this list.
     pub(crate) nodes: Vec<u32>,
     place: Vec<u32>,
-    /// Tools of the last step that were not sound, or one too many.
+    /// Invalid or excess tools of the last step.
     pub(crate) ignored: usize,
 }
 
@@ -29,7 +29,7 @@ impl Contacts {
         Self::with(topology, SurfaceIndex::new(topology), proxies)
     }
 
-    /// Contacts of tools that are known already, on a surface of which none has been looked at.
+    /// Contacts of known tools on a surface without deformed regions.
     pub(crate) fn with(topology: &Topology, index: SurfaceIndex, proxies: Vec<Proxy>) -> Self {
         Self {
             index,
@@ -46,18 +46,18 @@ impl Contacts {
         self.index.follow(topology);
     }
 
-    /// Where the surface is looked for.
+    /// The search index of the surface.
     pub(crate) fn index(&self) -> &SurfaceIndex {
         &self.index
     }
 
-    /// Goes on with an index that has followed what cuts did.
+    /// Continues with an index that was updated after a cut.
     pub(crate) fn take(&mut self, topology: &Topology, index: SurfaceIndex) {
         self.place.resize(topology.node_count(), NONE);
         self.index = index;
     }
 
-    /// Takes in the tools of a step. Returns whether anything is different from the last one.
+    /// Sets the tools of a step. Returns whether any tool changed.
     pub(crate) fn begin(&mut self, tools: &[Tool]) -> bool {
         let mut changed = false;
         self.ignored = 0;
@@ -83,14 +83,13 @@ impl Contacts {
         self.proxies.retain(|p| p.seen);
         let gone = self.proxies.len() != before;
         if gone {
-            // Their samples name proxies by position.
+            // Samples refer to proxies by position.
             self.clear();
         }
         changed | gone
     }
 
-    /// Moves the proxies and gathers the samples within their reach. Returns whether any proxy has
-    /// not arrived yet.
+    /// Moves the proxies and gathers the samples within their reach. Returns whether a proxy lags behind its tool.
     pub(crate) fn gather(
         &mut self,
         topology: &Topology,
@@ -121,8 +120,8 @@ impl Contacts {
         lags
     }
 
-    /// Moves a known tool that touches nothing to where the hand has it, unless it touches something there. Returns whether
-    /// it touches nothing.
+    /// Moves a known tool that touches nothing to its target, unless it touches something there. Returns whether it is
+    /// free.
     pub(crate) fn move_free(
         &mut self,
         topology: &Topology,
@@ -155,7 +154,7 @@ impl Contacts {
         is_free
     }
 
-    /// Whether no tool is pressed, nor would be if all tissue were within `sag` m of where it is at rest.
+    /// Whether no tool touches the tissue, now or if every node were within `sag` m of its rest position.
     pub(crate) fn are_clear(&self, topology: &Topology, u: &[Vec3], sag: f64) -> bool {
         let pressed = |sample: &Sample| self.press(sample, u).0 > 0.0;
         if self.samples.iter().any(pressed) {
@@ -169,7 +168,7 @@ impl Contacts {
         let pitch = topology.model().spacing_m;
         let clear = |proxy: &Proxy| {
             let (points, apart) = proxy.core.points_and_pitch(pitch);
-            // Between two points of it the tissue may be nearer.
+            // Between two core points the tissue may be nearer.
             let slack = if proxy.core.is_point() { 0.0 } else { apart };
             points.into_iter().all(|point| {
                 let at = proxy.core.at(point);
@@ -183,14 +182,13 @@ impl Contacts {
         self.proxies.iter().all(|p| p.placed && clear(p))
     }
 
-    /// Lets go of all tissue: it is at rest, and all tools are clear of it.
+    /// Drops all samples: the tissue is at rest, and all tools are clear of it.
     pub(crate) fn rest(&mut self) {
         self.clear();
         self.proxies.iter_mut().for_each(|p| p.feel(None, 0.0));
     }
 
-    /// Tells each proxy how deep it is already pressed, so that none gets ahead of the tissue, and how far that is
-    /// behind it.
+    /// Updates the penetration depth and the gap of each proxy, so that no proxy outruns the tissue.
     fn hold_back(&mut self, u: &[Vec3]) {
         let mut nearest = vec![f64::NEG_INFINITY; self.proxies.len()];
         for sample in &self.samples {
@@ -230,14 +228,14 @@ impl Contacts {
     #[inline]
     pub(crate) fn press(&self, sample: &Sample, u: &[Vec3]) -> (f64, Vec3) {
         let (v, radius) = self.offset(sample, u);
-        // Most of what is in reach does not touch: without a root.
+        // Early exit without a square root: most samples in reach do not touch.
         if v.norm_squared() >= radius * radius {
             return (0.0, Vec3::zeros());
         }
         depth(v, radius)
     }
 
-    /// Where a sample is, from the core of its tool, and the tool's radius, in m.
+    /// Position of a sample relative to the core of its tool, and the tool's radius, in m.
     #[inline]
     fn offset(&self, sample: &Sample, u: &[Vec3]) -> (Vec3, f64) {
         let proxy = &self.proxies[sample.proxy as usize];
@@ -274,8 +272,8 @@ impl Contacts {
         }
     }
 
-    /// Calls `visit` with every sample that is pressed or is expected to be again, its depth in m (below zero: it
-    /// has come off), its κ and its direction. Expected is what has come off by less than it was pressed in before the tool
+    /// Calls `visit` with every sample that is pressed or is predicted to close again, its depth in m (negative: open),
+    /// its κ and its direction. Predicted to close are samples that opened by less than their depth before the tool
     /// moved: the criterion of a primal-dual active set, with κ as its factor (Hintermüller, Ito and Kunisch 2002).
     pub(crate) fn expected(&self, u: &[Vec3], mut visit: impl FnMut(&Sample, f64, f64, Vec3)) {
         for sample in &self.samples {

@@ -1,16 +1,16 @@
-//! What is inside a rounded tool: a point, a piece of a line, or a rectangle.
+//! The core of a rounded tool: a point, a line segment, or a rectangle.
 //!
-//! A tool is every point within its radius of its core: a ball, a needle with round ends, a plate with
-//! round edges. How far a point of the tissue is from it is then how far it is from the core, less the radius.
+//! A tool is the set of points within its radius of its core: a ball, a needle with round ends, a plate with round
+//! edges. The distance of a point to the tool is its distance to the core minus the radius.
 
 use super::ball::Ball;
 use super::{PLACES_MAX, Tool};
 use crate::Vec3;
 
-/// Points of a tool that are asked for what is beneath them, at most; beyond it they lie further apart. A
-/// needle of 0.25 m on a lattice of 4 mm has 126.
+/// Maximum sampling points of a core; larger tools are sampled more coarsely. A needle of 0.25 m on a lattice of 4 mm
+/// has 126.
 const POINTS_MAX: usize = 256;
-/// Longest part of a tool that is one place, in spacings (of at least its radius).
+/// Maximum length of one contact patch in spacings (at least its radius).
 const PLACE: f64 = 2.0;
 
 /// The core of a tool in the scene: every `mid + s a + t b` with s and t from -1 to 1.
@@ -23,7 +23,7 @@ pub(crate) struct Core {
 }
 
 impl Core {
-    /// Of a tool where it is.
+    /// The core of a tool in its pose.
     pub(crate) fn of(tool: &Tool) -> Self {
         if tool.is_ball() {
             return Self {
@@ -44,7 +44,7 @@ impl Core {
         self.a == Vec3::zeros() && self.b == Vec3::zeros()
     }
 
-    /// Coordinates s and t of the point of it that is nearest to `x`.
+    /// Coordinates s and t of the core point nearest to `x`.
     pub(crate) fn nearest(&self, x: &Vec3) -> [f64; 2] {
         let v = x - self.mid;
         [&self.a, &self.b].map(|axis| {
@@ -66,7 +66,7 @@ impl Core {
         self.mid + self.a * s + self.b * t
     }
 
-    /// From its nearest point to `x`.
+    /// Vector from the nearest core point to `x`.
     #[inline]
     pub(crate) fn towards(&self, x: &Vec3) -> Vec3 {
         if self.is_point() {
@@ -91,12 +91,12 @@ impl Core {
         }
     }
 
-    /// Points on it no further than `pitch` apart, ends included, or further where that were more than [`POINTS_MAX`].
+    /// Core points at most `pitch` apart, ends included; farther apart if there were more than [`POINTS_MAX`].
     pub(crate) fn points(&self, pitch: f64) -> Vec<[f64; 2]> {
         self.points_and_pitch(pitch).0
     }
 
-    /// The same, and how far apart they are at most.
+    /// The same, and the largest distance between neighbours.
     pub(crate) fn points_and_pitch(&self, pitch: f64) -> (Vec<[f64; 2]>, f64) {
         let count = |pitch: f64| {
             [self.a, self.b].map(|axis| {
@@ -126,9 +126,9 @@ impl Core {
         (points.collect(), pitch)
     }
 
-    /// Balls that hold every point within `reach` of it.
+    /// Balls that cover every point within `reach` of the core.
     pub(crate) fn cover(&self, reach: f64) -> Vec<Ball> {
-        // Points this far apart leave no place further than 0.71 of it from one of them.
+        // With this pitch every place is within 0.71 `pitch` of a point.
         let pitch = reach;
         let radius = if self.is_point() {
             reach
@@ -147,13 +147,13 @@ impl Core {
         points.into_iter().map(ball).collect()
     }
 
-    /// How many spacings of a tool's length and width there are, one at least each.
+    /// Length times width of a tool in spacings, each at least one.
     pub(crate) fn spans(&self, spacing: f64) -> f64 {
         let of = |axis: &Vec3| (2.0 * axis.norm() / spacing).max(1.0);
         of(&self.a) * of(&self.b)
     }
 
-    /// Into how many places it is divided along and across.
+    /// Number of contact patches along and across.
     pub(crate) fn places(&self, radius: f64, spacing: f64) -> [usize; 2] {
         let size = PLACE * radius.max(spacing);
         let wanted = [self.a, self.b].map(|axis| {
@@ -172,7 +172,7 @@ impl Core {
     }
 }
 
-/// The place with these coordinates, of so many along and across.
+/// The patch with these coordinates, given the numbers of patches along and across.
 pub(crate) fn place_of([s, t]: [f64; 2], [n, m]: [usize; 2]) -> usize {
     let of = |x: f64, n: usize| (((x + 1.0) * 0.5 * n as f64) as usize).min(n - 1);
     of(s, n) * m + of(t, m)

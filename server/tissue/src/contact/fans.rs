@@ -1,4 +1,4 @@
-//! Which triangles of the surface are around a node.
+//! Triangles of the surface around each node.
 
 use crate::Topology;
 
@@ -6,7 +6,7 @@ use crate::Topology;
 /// per node.
 #[derive(Clone)]
 pub(crate) struct Fans {
-    /// Where the triangles of each node begin, and where the last ones end.
+    /// Start of each node's triangles, and the end of the last ones.
     starts: Vec<u32>,
     triangles: Vec<u32>,
 }

@@ -1,25 +1,22 @@
-//! Where to look for surface triangles: a bounding volume hierarchy of the surface, refitted to the
-//! deformation in reach of the tools only (fig 6.2).
+//! Spatial index of the surface: a bounding volume hierarchy, refitted to the deformation near the tools only (fig
+//! 6.2).
 //!
-//! The upper levels are parry's tree over the boxes of all triangles at rest. It costs nothing while
-//! tissue is pressed, and follows cuts in place. A search that has only this tree widens its reach by
-//! the longest displacement there is: a press of 15 mm would make a sphere of 8 mm look at nine times
-//! the surface it touches, once per search.
+//! The upper levels are parry's tree over the boxes of all triangles at rest. Deformation does not change it, and cuts
+//! update it in place. A search in this tree alone would have to widen its reach by the longest displacement: a press
+//! of 15 mm would make a sphere of 8 mm visit nine times the surface it touches.
 //!
-//! So the lowest levels are made anew where tools are ([`Watched`]): the triangles that at rest lie within
-//! reach and displacement of a tool, in groups of neighbours, with boxes around where they *are*. These are
-//! refitted before every round of searches. What is deformed far from all tools costs nothing,
-//! and a tool that comes to a place deformed long ago finds it, because what comes into reach is refitted
-//! before it is searched.
+//! So the lowest levels are rebuilt around the tools ([`Watched`]): groups of neighbouring triangles that at rest lie
+//! within reach plus displacement of a tool, with boxes around their current positions. They are refitted before every
+//! round of searches. Deformation far from all tools costs nothing, and a tool that reaches it later finds it, because
+//! a region is refitted before it is searched.
 //!
-//! Refitting parry's tree itself was measured: under a tool every node moves in every step, and at 90 ns per
-//! triangle whose way to the root is widened that took 60 µs per step (2 mm apart, 15 mm deep), more than
-//! looking at everything did (27 µs).
+//! Refitting parry's own tree took 60 µs per step under a tool (2 mm apart, 15 mm deep), at 90 ns per triangle; a
+//! linear scan took 27 µs.
 //!
-//! What is found does not depend on the shape of the tree, hence not on its history: it is what a test
-//! of every triangle's own box would find, in the order of their numbers.
+//! Results do not depend on the shape or history of the tree: they equal a test of every triangle's own box, in the
+//! order of their numbers.
 //!
-//! Memory: about 150 bytes per triangle and 8 per node; vectors that grow after cuts may double that.
+//! Memory: about 150 bytes per triangle and 8 per node; growth after cuts may double that.
 
 use parry3d_f64::bounding_volume::Aabb;
 use parry3d_f64::math::Vector;
@@ -30,21 +27,21 @@ use super::fans::Fans;
 use super::watched::Watched;
 use crate::{Topology, Vec3};
 
-/// Part of what is within reach by which what is watched goes beyond it. More of it is refitted for
-/// nothing in every step, less is collected more often.
+/// Margin of the watched region relative to the reach. A larger margin refits more triangles per step, a smaller one
+/// rebuilds more often.
 const PAD: f64 = 0.25;
-/// Part of a distance that covers rounding.
+/// Relative margin for rounding.
 pub(super) const ROUNDING: f64 = 1e-9;
 const NONE: u32 = u32::MAX;
 
 #[derive(Clone)]
 pub(crate) struct SurfaceIndex {
-    /// Of rest positions; leaf `t` is triangle `t`.
+    /// Tree of rest positions; leaf `t` is triangle `t`.
     tree: Bvh,
     fans: Fans,
     watched: Watched,
     spacing: f64,
-    /// No node of the surface is displaced by more than this in m, since the last watch.
+    /// Upper bound of surface displacements in m, since the last watch.
     displaced: f64,
 }
 
@@ -61,8 +58,8 @@ impl SurfaceIndex {
         }
     }
 
-    /// Takes in what cuts did to the surface: boxes of triangles that changed are refitted, new ones
-    /// inserted. Starts over if the surface was rebuilt shorter.
+    /// Updates the index after cuts: refits the boxes of changed triangles, inserts new ones. Rebuilds if the surface
+    /// became shorter.
     pub(crate) fn follow(&mut self, topology: &Topology) {
         let triangles = &topology.boundary().triangles;
         if triangles.len() < self.tree.leaf_count() as usize {
@@ -84,8 +81,8 @@ impl SurfaceIndex {
         self.watched = Watched::new(topology.node_count());
     }
 
-    /// Refits what is in reach. Call it before searches in the surface displaced by `u`, of which none is
-    /// longer than `displaced`, and give it the balls in which they will be; elsewhere they take longer.
+    /// Refits the regions of the following searches, in the surface displaced by `u`, with displacements of at most
+    /// `displaced`. Searches outside these balls are slower.
     pub(crate) fn watch(
         &mut self,
         topology: &Topology,
@@ -114,13 +111,13 @@ impl SurfaceIndex {
         self.watched.refit(topology, u);
     }
 
-    /// Where the triangles are at rest that may now have a part in the ball.
+    /// The ball in which triangles at rest may now intersect `ball`.
     fn at_rest(&self, ball: &Ball) -> Ball {
         ball.wider((1.0 + ROUNDING) * self.displaced)
     }
 
-    /// The triangles whose boxes have a part in the ball, in the order of their numbers. `corners` gives
-    /// those of a triangle.
+    /// The triangles whose boxes intersect the ball, in the order of their numbers. `corners` returns the corners of a
+    /// triangle.
     pub(crate) fn near(&self, ball: &Ball, corners: impl Fn(u32) -> [Vec3; 3]) -> Vec<u32> {
         let mut found = Vec::new();
         self.any_near(ball, corners, |t| {
@@ -131,7 +128,7 @@ impl SurfaceIndex {
         found
     }
 
-    /// Whether a triangle whose box has a part in the ball passes a test. They are tested in any order.
+    /// Whether any triangle whose box intersects the ball passes a test, in any order.
     pub(crate) fn any_near(
         &self,
         ball: &Ball,
@@ -158,8 +155,8 @@ impl SurfaceIndex {
         any
     }
 
-    /// The triangle with the smallest `square` of a distance to the centre of the ball, and that square;
-    /// of equal ones the lowest. Only such within the ball count.
+    /// The triangle within the ball with the smallest `square` of a distance to its centre, and that square; the lowest
+    /// number at ties.
     pub(crate) fn nearest(&self, ball: &Ball, square: impl Fn(u32) -> f64) -> Option<(u32, f64)> {
         if self.watched.covers(&self.at_rest(ball)) {
             return self.watched.nearest(ball, square);
@@ -167,7 +164,7 @@ impl SurfaceIndex {
         self.nearest_within(ball, self.displaced, square)
     }
 
-    /// The same where no triangle is farther than `displaced` m from where it is at rest.
+    /// The same where every triangle is within `displaced` m of its rest position.
     pub(crate) fn nearest_within(
         &self,
         ball: &Ball,
@@ -175,7 +172,7 @@ impl SurfaceIndex {
         square: impl Fn(u32) -> f64,
     ) -> Option<(u32, f64)> {
         let reach = ball.radius * ball.radius;
-        // A few nanometres off the surface, digits of the distance are lost in those of the place.
+        // A few nanometres off the surface, the position has fewer digits than the distance needs.
         let slack = (1.0 + ROUNDING) * displaced + ROUNDING * self.spacing;
         let least = |node: &BvhNode| {
             let away = ball.away(node.mins(), node.maxs()).sqrt() - slack;
@@ -184,7 +181,7 @@ impl SurfaceIndex {
         let (_, best) =
             self.tree
                 .find_best(reach, |node, _| least(node), |t, _| Some(square(t)))?;
-        // Which of equal ones comes first depends on the tree.
+        // The order of ties depends on the tree.
         let mut lowest = NONE;
         self.tree.traverse(|node| {
             if least(node) > best {

@@ -1,34 +1,30 @@
 //! Rounded tools against the outer surface of the tissue, without friction.
 //!
-//! A tool is all that lies within its radius R of a core: a point (a ball), a line (a needle, an edge) or a
-//! rectangle (a plate, a jaw). It presses with a stiff foundation: a sample x of the surface that lies
-//! within R of the point c of the core nearest to it is pushed out along n = (x - c)/|x - c| by
+//! A tool is the set of points within its radius R of a core: a point (a ball), a line (a needle, an edge) or a
+//! rectangle (a plate, a jaw). Contact is a penalty: a sample x of the surface within R of its nearest core point c is
+//! pushed out along n = (x - c)/|x - c| by
 //!
 //! ```text
 //! f = κ max(0, R - |x - c|) n          x = Σ w_k x_k over the nodes of its triangle
 //! ```
 //!
-//! shared by the three nodes as `w_k f`; the tool feels the opposite. Each triangle has four samples
-//! of equal area, half a spacing apart, or one where the lattice is fine beside the tool ([`FINE_RADIUS`]): a
-//! lattice half as fine has as many under it. κ is [`FOUNDATION`] times the stiffness that the nodes
-//! under the sample have themselves, which leaves a penetration of one or two parts in a hundred
-//! of the indentation. Nothing can pull, and the force grows from zero as a sample enters: so it is
-//! continuous while the tool moves. A triangle that faces away from the core (the far skin of a
-//! thin flap) fades out over a range of angles.
+//! The three nodes share it as `w_k f`; the tool receives the opposite force. Each triangle has four samples of equal
+//! area, half a spacing apart, or one where the lattice is fine compared to the tool ([`FINE_RADIUS`]). The contact
+//! penalty stiffness κ is [`FOUNDATION`] times the stiffness of the nodes under the sample, which leaves a penetration
+//! of 1 to 2 % of the indentation. Contacts never pull, and the force grows from zero at touch, so it is continuous. A
+//! triangle that faces away from the core (the far skin of a thin flap) fades out over a range of angles.
 //!
-//! Below [`POINT_RADIUS`] of the spacing a tool would slip between samples. Such a tool presses with that radius, on
-//! a surface that lies deeper by what it is too wide (`outwards`): it touches where it should, and its dent is as
-//! narrow as the lattice can show. (Its own points with the nearest points of the surface were tried: the walls of
-//! the dent turn what is nearest, forces on the way back were a quarter higher than on the way in, and the last digit of a place
-//! decided between the two.)
+//! Below [`POINT_RADIUS`] spacings a tool would slip between samples. Such a tool presses with that radius on a surface
+//! that is offset inwards by the difference (`outwards`): it touches at the right place, and its dent is as narrow as
+//! the lattice resolves. (Rejected: the core's points against their nearest surface points. The walls of the dent
+//! change the nearest point, and forces on retreat were 25 % higher than on approach.)
 //!
-//! What the tissue does to a tool is told as a force, a torque about the pivot, T = Σ (x - pivot) × f (Lin 2007,
-//! fig 4.13), and the shares of up to [`PLACES_MAX`] places of the tool: friction acts at each on its own.
+//! The reaction on a tool is a force, a torque about the pivot, T = Σ (x - pivot) × f (Lin 2007, fig 4.13), and the
+//! shares of up to [`PLACES_MAX`] contact patches, each with its own friction.
 //!
-//! What is pressed into the tissue is not the tool but its proxy, which remembers on which side of
-//! the surface it is: it stops where it first touches, and moves by half a radius per iteration at
-//! most while it touches. A tool that jumps, or first shows up deep inside, is followed from
-//! outside.
+//! The tissue is pressed by the proxy of a tool, which stays on its side of the surface: it stops at first touch, and
+//! in contact moves by at most half a radius per iteration. A tool that jumps, or appears inside the tissue, is
+//! followed from outside.
 
 mod along;
 mod ball;
@@ -55,19 +51,19 @@ pub(crate) use contacts::Contacts;
 pub(crate) use index::SurfaceIndex;
 pub(crate) use proxy::Proxy;
 
-/// Stiffness of the foundation between tool and tissue, in parts of the nodes' own.
+/// Contact penalty stiffness relative to that of the nodes.
 pub(crate) const FOUNDATION: f64 = 20.0;
-/// Radius, in spacings, that the thinnest tool presses with. With half a spacing a ball that drew back from 7 mm was let
-/// through between the samples of a lattice of 4 mm.
+/// Smallest contact radius in spacings. With half a spacing a ball that retreated from 7 mm slipped between the samples
+/// of a lattice of 4 mm.
 pub(crate) const POINT_RADIUS: f64 = 0.75;
-/// Distance between the points of a thin tool that look for the first touch, in spacings (Lin 2007, figs 4.15 and 4.16: half the
-/// resolution).
+/// Distance between the sampling points of a thin tool's first-touch test, in spacings (Lin 2007, figs 4.15 and 4.16:
+/// half the resolution).
 pub(crate) const PITCH: f64 = 0.5;
-/// Radius, in spacings, from which on every triangle has one sample. Under a sphere of 8 mm on a lattice of 2 mm four
-/// make a converged force 0.3 to 0.9 % lower, and take a seventh of a tick.
+/// Radius in spacings from which every triangle has one sample. Under a sphere of 8 mm on a lattice of 2 mm four
+/// samples change a converged force by -0.3 to -0.9 % and cost a seventh of a tick.
 pub(crate) const FINE_RADIUS: f64 = 3.0;
-/// Tools that are looked at in one step; more than these are ignored and counted. A session has 64 people
-/// at most, and forceps are two.
+/// Maximum tools per step; excess tools are ignored and counted. A session has at most 64 participants, and forceps are
+/// two tools.
 pub const TOOLS_MAX: usize = 128;
-/// Places of a tool that are told apart at most: what touches it along a line or a surface is summed in so many parts.
+/// Maximum contact patches of a tool: forces along a line or on a surface are summed per patch.
 pub const PLACES_MAX: usize = 16;

@@ -1,21 +1,20 @@
-//! Which way is out of the tissue, whatever dent a tool has made in it.
+//! Outward direction of the undented surface.
 //!
-//! The normal of a triangle, or the mean of those around a node, turns as soon as a thin tool presses a node in: a
-//! tool that follows it sees a dent's walls instead of the surface. The sum of the area normals of a patch depends
-//! on its rim alone (Stokes). Here that of a node is the sum over it and its neighbours of the area normals around
-//! each: what the node itself does cancels.
+//! The normal of a triangle or of a node turns as soon as a thin tool presses a node in, towards the walls of the dent.
+//! The sum of the area normals of a patch depends on its rim alone (Stokes). Here the direction of a node sums the area
+//! normals around it and around its neighbours, so its own displacement cancels.
 
 use super::surface::{Surface, area_normal, blend};
 use crate::Vec3;
 
-/// The directions at the nodes of some triangles.
+/// Outward directions at the nodes of some triangles.
 pub(super) struct Outwards {
-    /// In the order of the nodes' numbers, each not of unit length.
+    /// Sorted by node, not normalised.
     of_node: Vec<(u32, Vec3)>,
 }
 
 impl Outwards {
-    /// At the nodes of these triangles.
+    /// Directions at the nodes of these triangles.
     pub(super) fn around(surface: &Surface<'_>, triangles: &[u32]) -> Self {
         let all = &surface.topology.boundary().triangles;
         let nodes_of = |t: &u32| all[*t as usize];
@@ -44,7 +43,7 @@ impl Outwards {
         }
     }
 
-    /// Unit vector at a point of a triangle; `normal` where the patch has none (a thin flap's rim).
+    /// Unit vector at a point of a triangle; `normal` where the sum vanishes (a thin flap's rim).
     pub(super) fn at(&self, nodes: &[u32; 3], weights: &[f64; 3], normal: &Vec3) -> Vec3 {
         let of = |n: &u32| {
             let found = self.of_node.binary_search_by_key(n, |(node, _)| *node);

@@ -1,4 +1,4 @@
-//! The proxy of a tool: where it is held while tissue stands in its way.
+//! The proxy of a tool: its position outside the tissue.
 
 use nalgebra::UnitQuaternion;
 
@@ -9,39 +9,39 @@ use super::surface::{Foot, Surface, area_normal, blend};
 use super::{PITCH, POINT_RADIUS, Tool};
 use crate::Vec3;
 
-/// Steps in which a free path is searched for the first touch; a longer one counts as a jump.
+/// Maximum steps of the search for the first touch on a free path; a longer path counts as a jump.
 const MARCH_MAX: usize = 64;
-/// Travel per iteration while touching, in radii (of at least half a spacing).
+/// Maximum travel per iteration in contact, in radii (of at least half a spacing).
 const TRAVEL: f64 = 0.5;
 
-/// Distance in spacings from a tool's surface at which it looks for the tissue's.
+/// Search distance around a tool's surface in spacings.
 pub(crate) const REACH: f64 = 2.0;
-/// Distance to the tissue, in radii (of at least half a spacing), from which on a tool has lost it.
+/// Distance to the tissue, in radii (of at least half a spacing), at which contact is lost.
 const LOST: f64 = 0.5;
-/// Depth, in such travels, at which the proxy waits for the tissue to give way.
+/// Depth, relative to the maximum travel, at which the proxy waits for the tissue to yield.
 const WAIT: f64 = 0.5;
 
-/// What is remembered of a tool between steps.
+/// State of a tool between steps.
 #[derive(Clone)]
 pub(crate) struct Proxy {
     pub(crate) id: u32,
-    /// Radius that it presses with, in m; see `inset`.
+    /// Contact radius in m; see `inset`.
     pub(crate) radius: f64,
-    /// By how much that is more than the tool's. The surface is put inwards by it.
+    /// Excess of the contact radius over the tool's; the surface is offset inwards by it.
     pub(crate) inset: f64,
-    /// The tool where the hand has it.
+    /// Target pose of the tool.
     pub(crate) target: Tool,
-    /// Where its pivot is, and how it is turned.
+    /// Position of the pivot, and rotation.
     pub(crate) at: Vec3,
     pub(crate) turn: UnitQuaternion<f64>,
-    /// Where its core is.
+    /// Core in the current pose.
     pub(crate) core: Core,
-    /// Where that was before it last moved.
+    /// Core before the last move.
     pub(crate) before: Core,
-    /// How far in m the tissue may be from it that it touched: by what it drew back, and what is still to follow.
+    /// Allowed gap in m to the tissue it touched: the retreat of the tool, plus the displacement still to follow.
     pub(crate) gap: f64,
     pub(crate) touching: bool,
-    /// Deepest sample at the last look, in m.
+    /// Depth of the deepest sample at the last evaluation, in m.
     pub(crate) depth: f64,
     pub(crate) placed: bool,
     pub(crate) seen: bool,
@@ -69,45 +69,46 @@ impl Proxy {
         }
     }
 
-    /// Takes in where the hand has its tool now. Returns whether that is any different.
+    /// Sets the target pose. Returns whether it changed.
     pub(crate) fn follow(&mut self, tool: &Tool) -> bool {
         let changed = self.target != *tool;
         let other = self.target.form != tool.form;
         self.target = *tool;
         if other {
-            // What is inside of it now is met from outside: jaws that close come upon what is between them.
+            // A closing jaw meets the tissue between its parts from outside.
             self.set(self.at, self.turn);
             self.placed = false;
         }
         if tool.is_ball() {
-            // It turns without moving.
+            // A ball turns without moving its surface.
             self.turn = tool.turn;
         }
         changed
     }
 
-    /// Fits it to the lattice: what is too thin for it presses as something wider would on a surface that lies so much deeper.
+    /// Adapts the proxy to the lattice: a tool thinner than the resolution presses as a wider one on a surface that is
+    /// offset inwards.
     pub(crate) fn fit(&mut self, spacing: f64) {
         self.radius = self.target.radius_m.max(POINT_RADIUS * spacing);
         self.inset = self.radius - self.target.radius_m;
     }
 
-    /// What a thin one asks for the surface beneath.
+    /// Sampling points of a thin tool.
     fn points(&self, spacing: f64) -> Vec<[f64; 2]> {
         self.core.points(PITCH * spacing)
     }
 
-    /// Where it may go and what it may feel there in this step.
+    /// Search regions of this step.
     pub(crate) fn balls(&self, spacing: f64) -> Vec<Ball> {
         let mut reach = self.radius + self.inset + self.gap + REACH * spacing;
-        // A tool that jumps is not followed on its way.
+        // The path of a jump is not searched.
         if self.lag() <= 2.0 * reach {
             reach += self.lag();
         }
         Core::of(&self.target).cover(reach)
     }
 
-    /// Distance in m by which the proxy is behind its tool, at the end that is behind most.
+    /// Distance in m between proxy and tool, at the farthest end.
     pub(crate) fn lag(&self) -> f64 {
         let way = (self.target.centre - self.at).norm();
         if self.target.is_ball() {
@@ -121,7 +122,7 @@ impl Proxy {
         self.target.form.mid.norm() + self.core.half_diagonal()
     }
 
-    /// Puts it somewhere.
+    /// Sets the pose.
     fn set(&mut self, at: Vec3, turn: UnitQuaternion<f64>) {
         (self.at, self.turn) = (at, turn);
         self.core = Core::of(&Tool {
@@ -131,11 +132,11 @@ impl Proxy {
         });
     }
 
-    /// Goes a share of the way to its tool, from where it was before.
+    /// Moves a fraction of the way from the previous pose to the tool.
     fn approach(&mut self, [at, turn]: [(Vec3, UnitQuaternion<f64>); 2], share: f64) {
         let way = turn.0 - at.0;
         if self.target.is_ball() {
-            // It does not matter how it is turned.
+            // The rotation of a ball is irrelevant.
             return self.set(at.0 + way * share, turn.1);
         }
         let turned = at.1.try_slerp(&turn.1, share, 1e-9).unwrap_or(turn.1);
@@ -156,11 +157,10 @@ impl Proxy {
         }
     }
 
-    /// Takes in how deep it is pressed in m, below zero how far the tissue is from it; without anything near it
-    /// is nothing.
+    /// Updates the penetration depth in m (negative: the gap to the tissue); `None` if no tissue is near.
     pub(crate) fn feel(&mut self, depth: Option<f64>, spacing: f64) {
         self.gap = depth.map_or(0.0, |d| (-d).max(0.0));
-        // Tissue that is on its way after a tool would get past it unseen if that forgot it.
+        // Tissue that still follows a retreating tool would otherwise pass through it.
         let lost = LOST * self.radius.max(0.5 * spacing);
         self.touching &= depth.is_some() && self.gap < lost;
     }
@@ -175,7 +175,7 @@ impl Proxy {
         let length = self.lag();
         let there = (self.target.centre, self.target.turn);
         if length == 0.0 {
-            // What it had lost may have come after it.
+            // Tissue may have followed the tool after contact was lost.
             self.touching = self.touching || self.touches(surface, spacing);
             return;
         }
@@ -211,12 +211,12 @@ impl Proxy {
         }
     }
 
-    /// Puts a tool without history where it is, or outside the surface if it is inside.
+    /// Places a new tool at its pose, or outside the surface if it is inside.
     fn place(&mut self, surface: &Surface<'_>) {
         self.placed = true;
         self.touching = false;
         let spacing = surface.topology.model().spacing_m;
-        // As far out as its deepest point is in.
+        // Moved out by its deepest penetration.
         let mut out = (0.0, Vec3::zeros());
         for point in self.points(spacing) {
             let at = self.core.at(point);
@@ -250,7 +250,7 @@ impl Proxy {
                 foot.is_some_and(|foot| pressed(at, foot))
             };
             let mut points = self.points(spacing).into_iter();
-            // Between the points of a large plate tissue may come up.
+            // Tissue may bulge between the points of a large plate.
             let found = points.any(|p| at_point(self.core.at(p)));
             if found || self.core.b == Vec3::zeros() {
                 return found;

@@ -1,4 +1,4 @@
-//! What a tool feels, and how that changes when it moves a little.
+//! Reaction on a tool and its stiffness.
 
 use nalgebra::{Matrix3, UnitQuaternion};
 
@@ -8,62 +8,62 @@ use super::core::place_of;
 use super::sample::depth;
 use crate::{Topology, Vec3};
 
-/// Part of what presses on a place that is left of it as one force, below which its direction is that of no surface.
+/// Ratio of the net force of a patch to its total pressure below which the net direction is not a surface normal.
 const ONE_SIDED: f64 = 0.3;
 
-/// Answer of the tissue to one tool.
+/// Reaction of the tissue on one tool.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reaction {
-    /// The tool.
+    /// Identifier of the tool.
     pub tool: u32,
     /// Force on the tool in N.
     pub force: Vec3,
     /// Torque on the tool about its pivot in N m.
     pub torque: Vec3,
-    /// Estimate of -dF/dx in N/m, symmetric and positive semidefinite, for a tool that does not turn.
+    /// Estimate of -dF/dx in N/m, symmetric and positive semidefinite, for a tool without rotation.
     pub stiffness: Matrix3<f64>,
-    /// Out of the tissue, along the force; zero without contact.
+    /// Unit vector out of the tissue, along the force; zero without contact.
     pub normal: Vec3,
     /// Surface samples that carry the force.
     pub contacts: u32,
-    /// Coefficient of static friction of what is touched.
+    /// Coefficient of static friction of the touched material.
     pub friction_static: f64,
-    /// Coefficient of dynamic friction of what is touched.
+    /// Coefficient of dynamic friction of the touched material.
     pub friction_dynamic: f64,
-    /// Estimate of the error of `force` in N, from what the last iteration changed.
+    /// Estimate of the error of `force` in N: its change in the last iteration.
     pub force_error: f64,
-    /// Where the force holds: the proxy's pivot, which equals the tool's unless the tool jumped.
+    /// Position where the force holds: the proxy's pivot, which equals the tool's unless the tool jumped.
     pub at: Vec3,
-    /// How the proxy is turned.
+    /// Rotation of the proxy.
     pub turn: UnitQuaternion<f64>,
-    /// The places of the tool that touch, in the order of their numbers. Their forces are all of `force`.
+    /// Contact patches in the order of their numbers. Their forces sum to `force`.
     pub places: Vec<Place>,
 }
 
-/// What touches one place of a tool.
+/// One contact patch of a tool.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
-    /// Which place of the tool, below [`PLACES_MAX`]: the same one from step to step.
+    /// Number of the patch, below [`PLACES_MAX`]: stable from step to step.
     pub number: u8,
-    /// From the pivot to where its force acts, in m: the mean of the samples by their forces.
+    /// From the pivot to the centre of pressure, in m: the mean of the samples weighted by force.
     pub lever: Vec3,
-    /// Force on the tool there, in N.
+    /// Force on the tool in this patch, in N.
     pub force: Vec3,
-    /// Unit vector out of the tissue. Where a place is pressed from two sides alike, out of one of them.
+    /// Unit vector out of the tissue; out of one of the sides if two sides press equally.
     pub normal: Vec3,
-    /// What presses there from both sides together, in N, at least what `force` measures. Friction is in proportion to
-    /// it: a needle in its channel is held though no force is left of what holds it.
+    /// Total pressure from all sides in N, at least the norm of `force`. Friction is proportional to it: a needle in
+    /// its channel is held although its net force is zero.
     pub pressed: f64,
-    /// How far the tool has moved the tissue there, along the force, in m: the mean of the samples by their forces,
-    /// measured from the equilibrium without tools. Always above zero.
+    /// Displacement of the tissue by the tool along the force, in m: the mean of the samples weighted by force,
+    /// relative to the equilibrium without tools. Always positive.
     pub indentation_m: f64,
-    /// Coefficient of static friction of what is touched there.
+    /// Coefficient of static friction in this patch.
     pub friction_static: f64,
-    /// Coefficient of dynamic friction of what is touched there.
+    /// Coefficient of dynamic friction in this patch.
     pub friction_dynamic: f64,
 }
 
-/// One pressed sample, as its tool feels it.
+/// One pressed sample in the frame of its tool.
 struct Felt {
     place: usize,
     /// From the pivot, in m.
@@ -77,7 +77,7 @@ struct Felt {
 }
 
 impl Place {
-    /// Of the samples of one place, of which there is one at least.
+    /// Sums the samples of one patch, of which there is at least one.
     fn of(number: usize, felt: &[&Felt]) -> Self {
         let force: Vec3 = felt.iter().map(|f| f.force).sum();
         let sum: f64 = felt.iter().map(|f| f.amount).sum();
@@ -103,7 +103,7 @@ impl Place {
     }
 }
 
-/// The direction that most of what presses is along.
+/// The direction that most of the pressure is along.
 fn main_axis(felt: &[&Felt]) -> Vec3 {
     let mut sum = Matrix3::zeros();
     for f in felt.iter().filter(|f| f.amount > 0.0) {
@@ -114,8 +114,8 @@ fn main_axis(felt: &[&Felt]) -> Vec3 {
 }
 
 impl Contacts {
-    /// The reaction on the tool of proxy `i`; lets go of what no longer touches. `untouched` is the displacement of every
-    /// node in the equilibrium without tools; `None` if that is zero.
+    /// The reaction on the tool of proxy `i`; also updates its depth. `untouched` is the displacement of every node in
+    /// the equilibrium without tools; `None` if that is zero.
     pub(crate) fn reaction(
         &mut self,
         topology: &Topology,
@@ -156,7 +156,7 @@ impl Contacts {
         }
     }
 
-    /// The pressed samples of proxy `i`, and the depth in m of the deepest sample, below zero where none is pressed.
+    /// The pressed samples of proxy `i`, and the depth in m of the deepest sample, negative where none is pressed.
     fn felt(
         &self,
         topology: &Topology,
@@ -178,7 +178,7 @@ impl Contacts {
                 let material = topology.model().material_of(face.cell() as usize);
                 felt.push(Felt {
                     place: place_of(on_core, parts),
-                    // On the skin of the tool, not of a wider one that stands for it.
+                    // On the surface of the real tool, without the inset.
                     lever: c + n * (proxy.radius - proxy.inset) - proxy.at,
                     force: -n * amount,
                     amount,
@@ -190,8 +190,8 @@ impl Contacts {
         (felt, nearest)
     }
 
-    /// Learns from the reaction on the tool of proxy `i`, which has some, what its stiffness is in N/m. A node under it
-    /// has the stiffness `own`.
+    /// Updates the stiffness estimate in N/m of the tool of proxy `i` from its reaction. `own` is the stiffness of a
+    /// node under it.
     pub(crate) fn learn(
         &mut self,
         u: &[Vec3],
@@ -211,7 +211,7 @@ impl Contacts {
         proxy.secant.stiffness()
     }
 
-    /// The middle of what presses on the tool of proxy `i`, on its core: what a move of the tool moves it by.
+    /// The centre of pressure of proxy `i`, on its core: it moves with the tool.
     fn middle(&self, u: &[Vec3], i: usize) -> Vec3 {
         let proxy = &self.proxies[i];
         if proxy.target.is_ball() {
@@ -230,12 +230,12 @@ impl Contacts {
     }
 }
 
-/// A move teaches where the force changes along it: below this cosine of the two, what changed is mostly
-/// something else (another hand, tissue that settles), and the update divides by the cosine.
+/// Minimum cosine between move and force change for an update. Below it, the change has mostly other causes (another
+/// tool, settling tissue), and the update divides by the cosine.
 const ALIGNED: f64 = 0.3;
 
-/// Stiffness learned from pairs of poses and forces: the BFGS update of K so that K s = -ΔF for
-/// the latest move s, which keeps K symmetric and positive.
+/// Secant stiffness from pairs of poses and forces: the BFGS update of K so that K s = -ΔF for the latest move s, which
+/// keeps K symmetric and positive.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Secant {
     last: Option<(Vec3, Vec3)>,
@@ -251,14 +251,14 @@ impl Secant {
         self.stiffness.is_some()
     }
 
-    /// Starts from a measured normal stiffness, with `across` of it in the tangent plane.
+    /// Starts from a measured normal stiffness; `across` is the tangential fraction.
     fn start(&mut self, normal: &Vec3, stiffness: f64, across: f64) {
         let along = normal * normal.transpose();
         self.stiffness =
             Some(along * stiffness + (Matrix3::identity() - along) * (stiffness * across));
     }
 
-    /// Takes in the force at a pose; moves below `least` metres are noise.
+    /// Updates by the force at a pose; moves below `least` metres are noise.
     fn learn(&mut self, at: Vec3, force: Vec3, least: f64) {
         let Some((x, f)) = self.last else {
             self.last = Some((at, force));
@@ -311,11 +311,11 @@ mod tests {
         let mut secant = Secant::default();
         secant.start(&Vec3::z(), 50.0, 0.3);
         secant.learn(Vec3::zeros(), Vec3::zeros(), 1e-5);
-        // Somebody else presses nearby while the tool goes a tenth of a millimetre along the surface.
+        // Another tool presses nearby while this one moves 0.1 mm along the surface.
         let x = Vec3::new(1e-4, 0.0, 0.0);
         secant.learn(x, Vec3::new(-1e-3, 0.0, 2e-2), 1e-5);
         assert_eq!(secant.stiffness()[(2, 2)], 50.0);
-        // From there it learns again.
+        // The next aligned move updates the estimate.
         secant.learn(x - Vec3::z() * 1e-4, Vec3::new(-1e-3, 0.0, 2.8e-2), 1e-5);
         assert!((secant.stiffness()[(2, 2)] - 80.0).abs() < 1e-9);
     }

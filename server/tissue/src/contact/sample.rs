@@ -1,7 +1,7 @@
-//! The points of the surface that a tool presses on.
+//! Contact samples: the points of the surface that a tool presses on.
 //!
-//! How closely they lie is a matter of the tool, not of the lattice: what is felt is how well they stand for the
-//! sphere. Four per triangle of a lattice half as fine are as many as one.
+//! The sampling density follows the resolution of the sphere, not the lattice. Four samples per triangle equal one
+//! sample per triangle of a lattice of half the spacing.
 
 use super::ball::Ball;
 use super::core::Core;
@@ -11,7 +11,7 @@ use super::surface::{Surface, area_normal, blend};
 use super::{FINE_RADIUS, FOUNDATION};
 use crate::Vec3;
 
-/// Barycentric weights of the four samples of a triangle, the middles of its four equal parts; its own is the first.
+/// Barycentric weights of the four samples of a triangle, the middles of its four equal parts; the first is the centre.
 const SAMPLES: [[f64; 3]; 4] = [
     [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0],
     [2.0 / 3.0, 1.0 / 6.0, 1.0 / 6.0],
@@ -20,37 +20,37 @@ const SAMPLES: [[f64; 3]; 4] = [
 ];
 /// Triangles per node of a surface.
 const TRIANGLES_PER_NODE: f64 = 2.0;
-/// Samples of all tools at most: a sphere of 40 spacings pressed in to its middle has about 20,000.
-/// Beyond it triangles are left out, in the order of the search.
+/// Maximum samples of all tools: a sphere of 40 spacings pressed in to its middle has about 20,000. Further triangles
+/// are left out, in the order of the search.
 const SAMPLES_MAX: usize = 32_768;
-/// Radius, in spacings, below which a tool has so few samples under it that each has to be stiffer, or tissue would come
-/// up past it. With twice this radius convergence took a third more iterations.
+/// Radius in spacings below which each of the few samples under a tool is stiffened, or tissue would pass beside it.
+/// With twice this radius convergence took a third more iterations.
 const WIDE: f64 = 1.0;
-/// Cosine to the centre of the tool from which on a triangle counts in full; at zero it does not.
+/// Cosine to the centre of the tool from which a triangle counts in full; the weight is zero at cosine zero.
 const FACING: f64 = 0.3;
 
 /// One point of the surface that a tool may press on.
 pub(crate) struct Sample {
     pub(crate) nodes: [u32; 3],
     pub(crate) weights: [f64; 3],
-    /// Where it is at rest, less what it is put inwards for a thin tool.
+    /// Position at rest, minus the inset of a thin tool.
     pub(super) rest: Vec3,
-    /// κ in N/m, its area and facing taken in.
+    /// κ in N/m, including area and facing.
     pub(super) stiffness: f64,
     pub(super) proxy: u32,
     pub(super) triangle: u32,
-    /// How deep it was in m before the tool moved.
+    /// Depth in m before the tool moved.
     pub(super) depth_before: f64,
 }
 
 impl Sample {
-    /// Where it is.
+    /// Current position.
     #[inline]
     pub(super) fn position(&self, u: &[Vec3]) -> Vec3 {
         self.rest + blend(&self.nodes.map(|n| u[n as usize]), &self.weights)
     }
 
-    /// How far tools have moved it from where it is without them.
+    /// Displacement by tools, relative to the equilibrium without tools.
     pub(super) fn moved(&self, u: &[Vec3], untouched: Option<&[Vec3]>) -> Vec3 {
         let by = |n: u32| {
             let n = n as usize;
@@ -61,8 +61,7 @@ impl Sample {
     }
 }
 
-/// Depth in m, below zero where it is off its tool, and direction into the tissue, of what is at `v` from the core
-/// of a tool.
+/// Depth in m (negative: open) and direction into the tissue of a sample at `v` from the core of a tool.
 #[inline]
 pub(super) fn depth(v: Vec3, radius: f64) -> (f64, Vec3) {
     let distance = v.norm();
@@ -81,7 +80,7 @@ pub(super) fn weights_of(radius: f64, spacing: f64) -> &'static [[f64; 3]] {
     }
 }
 
-/// Adds the samples of a tool: those of the surface within its reach that face it.
+/// Adds the samples of a tool: points of the surface within its reach that face it.
 pub(super) fn sample(
     samples: &mut Vec<Sample>,
     surface: &Surface<'_>,
@@ -133,7 +132,7 @@ pub(super) fn sample(
     }
 }
 
-/// Triangles whose boxes have a part within reach of a core, or near that, in the order of their numbers.
+/// Triangles whose boxes may be within reach of a core, in the order of their numbers.
 fn within_reach(surface: &Surface<'_>, core: &Core, reach: f64) -> Vec<u32> {
     let balls = core.cover(reach);
     if let [ball] = balls[..] {

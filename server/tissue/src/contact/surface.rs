@@ -4,13 +4,13 @@ use super::ball::Ball;
 use super::index::SurfaceIndex;
 use crate::{Topology, Vec3};
 
-/// The deformed outer surface, as the search sees it.
+/// The deformed outer surface for searches.
 #[derive(Clone, Copy)]
 pub(crate) struct Surface<'a> {
     pub(crate) topology: &'a Topology,
-    /// Displacements in m, or at rest: that can be asked for its nearest point alone.
+    /// Displacements in m; `None` at rest, for nearest points only.
     pub(crate) u: Option<&'a [Vec3]>,
-    /// Which has watched `u`.
+    /// Index that watches `u`.
     pub(crate) index: &'a SurfaceIndex,
 }
 
@@ -33,7 +33,7 @@ impl Surface<'_> {
         }
     }
 
-    /// Triangles whose boxes have a part within `reach` of `centre`, in the order of their numbers.
+    /// Triangles whose boxes intersect the ball, in the order of their numbers.
     pub(crate) fn near(&self, centre: Vec3, reach: f64) -> Vec<u32> {
         let ball = Ball {
             centre,
@@ -42,7 +42,7 @@ impl Surface<'_> {
         self.index.near(&ball, |t| self.corners(t))
     }
 
-    /// Whether a triangle whose box has a part within `reach` of `centre` passes a test.
+    /// Whether any triangle whose box intersects the ball passes a test.
     pub(crate) fn any_near(&self, centre: Vec3, reach: f64, test: impl FnMut(u32) -> bool) -> bool {
         let ball = Ball {
             centre,

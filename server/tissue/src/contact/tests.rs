@@ -1,4 +1,4 @@
-//! The search finds what looking at every triangle finds, whatever happened before.
+//! Index searches equal a linear scan, after any history.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ fn topology() -> Topology {
     Topology::new(Arc::new(block(CELLS, D, &Material::default(), 1)))
 }
 
-/// A point in the block or a little beyond it.
+/// A point in or near the block.
 fn place() -> impl Strategy<Value = Vec3> {
     (-0.3..1.3, -0.3..1.3, -0.3..1.3).prop_map(|(x, y, z): (f64, f64, f64)| {
         let [a, b, c] = CELLS.map(|n| n as f64 * D);
@@ -28,7 +28,7 @@ fn place() -> impl Strategy<Value = Vec3> {
 
 #[derive(Debug, Clone)]
 enum Event {
-    /// Everything around a place moves by so much.
+    /// Moves the nodes around a place.
     Deform(Vec3, f64, Vec3),
     Restore,
     Cut(Vec3, Vec3),
@@ -68,7 +68,7 @@ fn distance(surface: &Surface<'_>, triangle: u32, p: Vec3) -> f64 {
     (blend(&corners, &nearest_weights(&corners, &p)) - p).norm_squared()
 }
 
-/// Compares searches around a ball with a look at every triangle.
+/// Compares searches around a ball with a linear scan.
 fn compare(surface: &Surface<'_>, ball: &Ball) {
     let all = 0..surface.topology.boundary().triangles.len() as u32;
     let squares: Vec<f64> = all.map(|t| distance(surface, t, ball.centre)).collect();
@@ -139,7 +139,7 @@ proptest! {
                     for ball in &balls {
                         compare(&surface, ball);
                     }
-                    // Beyond what is watched, too.
+                    // Also outside the watched region.
                     let far = Ball { centre: Vec3::repeat(-3.0 * D), radius: 6.0 * D };
                     compare(&surface, &far);
                     compare(&surface, &Ball { radius: 1.0, ..far });
@@ -206,7 +206,7 @@ fn what_is_deformed_far_from_all_tools_is_not_looked_at() {
             "{node} is far from the tool"
         );
     }
-    // A tool that comes there finds it.
+    // A tool that reaches the deformed region finds it.
     index.watch(
         &topology,
         &u,
@@ -228,7 +228,7 @@ fn the_index_takes_a_bounded_number_of_bytes_per_triangle_and_node() {
     let bytes = index.heap_bytes();
     let bound = 180 * triangles + 8 * topology.node_count() + 256;
     assert!(bytes <= bound, "{bytes} of {bound}");
-    // Everything watched and deformed, over and over.
+    // Repeatedly watch and deform everything.
     let mut u = vec![Vec3::zeros(); topology.node_count()];
     for i in 0..50 {
         let centre = Vec3::new(0.001 * f64::from(i), 0.01, 0.02);

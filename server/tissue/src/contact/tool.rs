@@ -1,18 +1,18 @@
-//! Tools: rigid, rounded, and turned as the hand turns them.
+//! Tools: rigid rounded bodies with a pose.
 
 use nalgebra::UnitQuaternion;
 
 use crate::Vec3;
 
-/// Half the length of a tool at most, and the offset of its middle from the pivot at most, in m.
+/// Maximum half length of a tool, and maximum offset of its middle from the pivot, in m.
 pub const TOOL_REACH_MAX_M: f64 = 1.0;
 
-/// What a tool is within its radius of: in its own frame, whose origin is the pivot, every `mid + s half[0] +
-/// t half[1]` with s and t from -1 to 1. Both halves zero: a ball. One: a needle, a handle, the edge of a blade. Two,
-/// at right angles: a plate, the side of a blade, the jaw of a forceps.
+/// The core of a tool in its own frame, whose origin is the pivot: every `mid + s half[0] + t half[1]` with s and t
+/// from -1 to 1. Two zero halves: a ball. One: a needle, a handle, the edge of a blade. None: a plate, the side of a
+/// blade, the jaw of a forceps; the halves are then at right angles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Form {
-    /// Its middle from the pivot, in m.
+    /// Middle of the core relative to the pivot, in m.
     pub mid: Vec3,
     /// Half its length and half its width, with their directions, in m.
     pub half: [Vec3; 2],
@@ -41,7 +41,7 @@ impl Form {
     fn is_sound(&self) -> bool {
         let [a, b] = &self.half;
         let within = |v: &Vec3| v.norm() <= TOOL_REACH_MAX_M;
-        // A comparison with a number that is none is false.
+        // A comparison with NaN is false.
         let across = a.dot(b).abs() <= 1e-6 * a.norm() * b.norm();
         within(&self.mid) && within(a) && within(b) && across
     }
@@ -50,13 +50,13 @@ impl Form {
 /// A tool.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tool {
-    /// Tells tools apart from step to step; two tools of one step have different ones.
+    /// Identifies the tool from step to step; unique within a step.
     pub id: u32,
-    /// The pivot, which a hand holds and torques are about, in m: the centre of a ball.
+    /// The pivot in m: the grip point and the reference of torques; the centre of a ball.
     pub centre: Vec3,
     /// Rotation from the tool's frame to the scene's.
     pub turn: UnitQuaternion<f64>,
-    /// What it is within its radius of.
+    /// Core of the tool.
     pub form: Form,
     /// Radius in m, above zero.
     pub radius_m: f64,
@@ -74,7 +74,7 @@ impl Tool {
         }
     }
 
-    /// Whether pose, form and radius are numbers that mean something.
+    /// Whether pose, form and radius are finite and valid.
     pub fn is_sound(&self) -> bool {
         let norm = self.turn.quaternion().norm();
         self.radius_m > 0.0

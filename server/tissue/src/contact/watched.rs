@@ -1,4 +1,4 @@
-//! The part of the surface in reach of the tools: the lowest levels of the hierarchy, where tissue *is*.
+//! The watched surface near the tools: the lowest levels of the hierarchy, at current positions.
 
 use parry3d_f64::bounding_volume::Aabb;
 use parry3d_f64::math::Vector;
@@ -7,21 +7,21 @@ use super::ball::Ball;
 use super::index::ROUNDING;
 use crate::{Topology, Vec3};
 
-/// Triangles that share a box. They follow each other in the tree, so they are neighbours.
+/// Triangles per box; they are consecutive in the tree, hence neighbours.
 const GROUP: usize = 16;
 const NONE: u32 = u32::MAX;
 
 /// Triangles in groups, and boxes around them as they were at the last refit.
 #[derive(Clone)]
 pub(crate) struct Watched {
-    /// Every triangle that at rest has a part in one of these is here.
+    /// Every triangle that at rest intersects one of these balls is watched.
     balls: Vec<Ball>,
     /// Groups of [`GROUP`], the last one may be smaller.
     triangles: Vec<u32>,
     /// Places in `nodes` of the corners of each triangle.
     corners: Vec<[u32; 3]>,
     nodes: Vec<u32>,
-    /// Where the nodes are, in m.
+    /// Current positions of the nodes in m.
     at: Vec<Vector>,
     groups: Vec<Group>,
     /// Places in `nodes` of the corners of each group, one group after the other.
@@ -32,7 +32,7 @@ pub(crate) struct Watched {
 
 #[derive(Clone)]
 struct Group {
-    /// Where its corners end in `shared`.
+    /// End of its corners in `shared`.
     end: u32,
     mins: Vector,
     maxs: Vector,
@@ -52,12 +52,12 @@ impl Watched {
         }
     }
 
-    /// Whether every triangle that at rest has a part in the ball is watched.
+    /// Whether every triangle that at rest intersects the ball is watched.
     pub(crate) fn covers(&self, ball: &Ball) -> bool {
         self.balls.iter().any(|b| b.holds(ball))
     }
 
-    /// Watches these triangles: all that at rest have a part in one of the balls.
+    /// Watches these triangles: all that at rest intersect one of the balls.
     pub(crate) fn set(&mut self, topology: &Topology, triangles: Vec<u32>, balls: Vec<Ball>) {
         self.corners.clear();
         self.nodes.clear();
@@ -123,7 +123,7 @@ impl Watched {
         Aabb::new(a.min(b).min(c), a.max(b).max(c))
     }
 
-    /// Whether a watched triangle whose box has a part in the ball passes a test.
+    /// Whether any watched triangle whose box intersects the ball passes a test.
     pub(crate) fn any_near(&self, ball: &Ball, mut test: impl FnMut(u32) -> bool) -> bool {
         for (group, triangles) in self.groups.iter().zip(self.ranges()) {
             if ball.reaches(group.mins, group.maxs) {
@@ -141,7 +141,7 @@ impl Watched {
     /// lowest.
     pub(crate) fn nearest(&self, ball: &Ball, square: impl Fn(u32) -> f64) -> Option<(u32, f64)> {
         let mut best = (NONE, ball.radius * ball.radius);
-        // Of two that share the nearest point, none may be missed for the last bit of its box.
+        // Rounding of the boxes must not hide one of two triangles that share the nearest point.
         let too_far = |mins, maxs, best| ball.away(mins, maxs) * (1.0 - ROUNDING) > best;
         for (group, triangles) in self.groups.iter().zip(self.ranges()) {
             if too_far(group.mins, group.maxs, best.1) {

@@ -1,4 +1,4 @@
-//! Connected components: what a cut has parted from what.
+//! Connected components of the cells after a cut.
 
 use std::collections::BTreeMap;
 

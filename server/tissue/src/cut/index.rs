@@ -1,8 +1,7 @@
-//! Where things are, so that a cut asks only its neighbourhood.
+//! Spatial index of cells, so that a cut visits only its neighbourhood.
 //!
-//! Cells are found by the bucket their centre stood in when the model was built. Cuts move nodes by
-//! less than [`super::DRIFT_MAX`] spacings for ever, so the buckets never have to be changed; whoever
-//! asks widens the question by that much.
+//! Cells are stored by the bucket of their centre in the model as built. Cuts move nodes by less than
+//! [`super::DRIFT_MAX`] spacings in total, so the buckets never change; searches are widened by that bound.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
@@ -95,7 +94,7 @@ pub(crate) fn centre(corners: &[Vec3; 8]) -> Vec3 {
     corners.iter().sum::<Vec3>() / 8.0
 }
 
-/// What a topology remembers to make cuts cheap; nothing in it is state of its own.
+/// Derived data that make cuts cheap; not part of the state.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct CutIndex {
     cells: OnceLock<Arc<CellIndex>>,
@@ -104,7 +103,7 @@ pub(crate) struct CutIndex {
 }
 
 impl Topology {
-    /// The cells by place; built when first asked for and shared by all copies made after.
+    /// The cell index; built at first use and shared by all later copies.
     pub(crate) fn cell_index(&self) -> Arc<CellIndex> {
         let build = || Arc::new(CellIndex::new(&self.model));
         Arc::clone(self.cut_index.cells.get_or_init(build))

@@ -1,8 +1,8 @@
 //! Cutting: a stroke of a blade parts the tissue (Lin 2007, chapter 5).
 //!
-//! Of that chapter only captions and the abstract survive; every algorithm here is a reconstruction.
-//! What they say: nodes near the cut are snapped onto it, doubled and displaced; no new elements are
-//! made; triangles along the cut show the layers; a refinement follows; the width varies with depth.
+//! Only captions and the abstract of that chapter survive; every algorithm here is a reconstruction. They state: nodes
+//! near the cut are snapped onto it, doubled and displaced; no new elements are made; triangles along the cut show the
+//! layers; a refinement follows; the width varies with depth.
 //!
 //! A cut is a SHEET of faces between cells on opposite sides of the surface that the blade swept. The
 //! nodes of the sheet are snapped onto that surface, the cells are parted along the sheet, and every
@@ -57,25 +57,25 @@ use snap::{Freedom, SheetNode};
 /// Farthest a node's rest position may ever be from where the model was built, in spacings, however
 /// many cuts pass; a node at this bound falls short of the next cut instead.
 pub(crate) const DRIFT_MAX: f64 = 1.0;
-/// How often the nodes that fell short try again while their surroundings give way.
+/// Retries of nodes that fell short while their surroundings yield.
 const RETRIES: usize = 3;
 
-/// Why a stroke cuts nothing. The topology is then as it was.
+/// Reasons for rejecting a stroke. The topology is then unchanged.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CutError {
     /// Too few or too many blade points.
     #[error("a stroke has 2 to {BLADE_POINTS_MAX} blade points; this one has {count}")]
     Points {
-        /// How many it has.
+        /// Number of points.
         count: usize,
     },
-    /// A coordinate is not a number, or out of this world.
+    /// A coordinate is not finite or out of range.
     #[error("blade point {index} of the stroke is not a place")]
     NotFinite {
         /// Which point.
         index: usize,
     },
-    /// The axis is no direction.
+    /// The axis is not a unit vector.
     #[error("the axis of blade point {index} is not a unit vector")]
     Axis {
         /// Which point.
@@ -144,7 +144,7 @@ pub enum CutError {
     Full,
 }
 
-/// What a cut did.
+/// Result of a cut.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CutOutcome {
     /// Version of the topology after it.
@@ -160,10 +160,10 @@ pub struct CutOutcome {
     pub faces_opened: usize,
     /// Nodes of the sheet that lie on the swept surface.
     pub nodes_snapped: usize,
-    /// Nodes of the sheet that could not reach it without harm to a cell.
+    /// Nodes of the sheet that could not reach it without damaging a cell.
     pub nodes_short: usize,
-    /// Connected components of the cells that touch the sheet, passing only among these: 1 while
-    /// they hang together around the cut's front. See [`Topology::components`] for the whole.
+    /// Connected components among the cells that touch the sheet: 1 while they are connected around the cut's front.
+    /// See [`Topology::components`] for the whole.
     pub components_near: usize,
     /// The regions that it cut, sorted.
     pub regions_cut: Vec<RegionId>,
@@ -179,12 +179,12 @@ pub fn cut(topology: &mut Topology, stroke: &CutStroke) -> Result<CutOutcome, Cu
         return Err(CutError::NothingNew);
     }
     let mut nodes = snap::sheet_nodes(topology, &sheet);
-    // A node has eight cells at most, so at most seven more nodes come of it.
+    // A node has at most eight cells, so it makes at most seven more nodes.
     if topology.node_count() + 7 * nodes.len() > NODES_MAX + NODES_MAX / 4 {
         return Err(CutError::Full);
     }
 
-    // From here on nothing can fail.
+    // All checks are done; nothing fails from here on.
     let ribbon = Ribbon::continued(&stroke.points, spacing);
     let (moved, mut changed) = settle(topology, &ribbon, &mut nodes);
     let doubled = part::double(topology, &sheet);
@@ -213,7 +213,7 @@ pub fn cut(topology: &mut Topology, stroke: &CutStroke) -> Result<CutOutcome, Cu
     })
 }
 
-/// Moves the nodes of the sheet onto the ribbon and lets those around follow, all still single.
+/// Moves the nodes of the sheet onto the ribbon, then relaxes the surroundings; no node is doubled yet.
 fn settle(
     topology: &mut Topology,
     ribbon: &Ribbon,

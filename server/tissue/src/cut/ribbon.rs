@@ -1,4 +1,4 @@
-//! The swept surface of a blade as triangles: what it crosses, and the nearest point on it.
+//! The swept surface of a blade as triangles: crossed segments and nearest points.
 //!
 //! Whether a segment p q crosses a triangle a b c is decided by the signs of exact determinants:
 //! p and q on different sides of the triangle's plane, and the line through them on the same side
@@ -34,7 +34,7 @@ pub(crate) struct Triangle {
 impl Triangle {
     /// Whether a segment crosses it; see the file's head.
     pub(crate) fn crosses(&self, p: &Vec3, q: &Vec3) -> bool {
-        // Plainly on one side; what is closer than rounding is left to the exact determinants.
+        // Early exit; points within rounding of the plane are left to the exact determinants.
         let (hp, hq) = (self.height(p), self.height(q));
         if hp * hq > 0.0 && hp.abs().min(hq.abs()) > 1e-6 * (q - p).amax() {
             return false;
@@ -120,7 +120,7 @@ pub(crate) struct Ribbon {
 }
 
 impl Ribbon {
-    /// What the blade swept.
+    /// The surface swept by the blade.
     pub(crate) fn swept(points: &[BladePoint], spacing: f64) -> Self {
         let columns: Vec<[Vec3; 2]> = points.iter().map(|p| [p.tip, p.top()]).collect();
         Self::between(&columns, spacing, 0)

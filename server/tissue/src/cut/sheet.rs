@@ -21,11 +21,11 @@ use crate::{FACES, FaceId, NO_CELL, RegionId, Topology, Vec3};
 
 /// Longest segment between centres of neighbours, in spacings.
 pub(crate) const SEGMENT_MAX: f64 = 2.5;
-/// A shift of all centres, in spacings, so small that it decides nothing but ties, of which cuts
-/// along the lattice of a block are full.
+/// A shift of all centres, in spacings, that only decides ties, which are frequent in cuts along the lattice of a
+/// block.
 const TIE: Vec3 = Vec3::new(6.13e-8, 3.71e-8, 7.93e-8);
 
-/// What a ribbon meets.
+/// Faces and regions that a ribbon crosses.
 #[derive(Default)]
 struct Met {
     faces: BTreeSet<FaceId>,
@@ -62,7 +62,7 @@ pub(crate) fn crossed(topology: &Topology, ribbon: &Ribbon) -> Result<Vec<FaceId
     }
 }
 
-/// Looks through the three upper faces of a cell for triangles in the way.
+/// Tests the three upper faces of a cell against nearby triangles.
 fn meet(topology: &Topology, cell: u32, from: &Vec3, near: &[&Triangle], met: &mut Met) {
     let spacing = topology.model.spacing_m;
     for face in [1, 3, 5] {
@@ -94,7 +94,7 @@ pub(crate) fn nodes_of(topology: &Topology, face: FaceId) -> [u32; 4] {
     FACES[face.face()].map(|c| topology.corners(face.cell())[c])
 }
 
-/// A piece of fewer cells than this is a crumb: nothing holds it, and nobody can grasp it.
+/// A component of fewer cells than this is a crumb: unattached, and too small to grasp.
 const CRUMB_CELLS: usize = 8;
 
 /// The sheet that is left of crossed faces; see the file's head.
@@ -157,7 +157,7 @@ fn erode(topology: &Topology, faces: Vec<FaceId>) -> Vec<FaceId> {
             .copied()
             .filter(|&face| erosion.separated(face) == 0)
             .collect();
-        // Those whose chords were not looked for yet stay suspects.
+        // Faces whose chords were not yet searched stay suspects.
         let mut around = BTreeSet::new();
         if leaving.is_empty() {
             for &face in &suspects {

@@ -1,4 +1,4 @@
-//! What a blade did: the stroke, and the checks it must pass before anything is computed from it.
+//! Strokes of a blade and their validation.
 
 use super::CutError;
 use crate::{Shape, Topology, Vec3, to_rest};
@@ -23,12 +23,12 @@ pub struct BladePoint {
     pub tip: Vec3,
     /// Unit vector from the tip out along the blade, against the depth.
     pub axis: Vec3,
-    /// How much of the blade cuts, from the tip along the axis, in m.
+    /// Cutting length of the blade, from the tip along the axis, in m.
     pub depth_m: f64,
 }
 
 impl BladePoint {
-    /// Where the cutting part ends at the top, in m.
+    /// Upper end of the cutting part, in m.
     pub fn top(&self) -> Vec3 {
         self.tip + self.axis * self.depth_m
     }
@@ -59,7 +59,7 @@ pub struct CutStroke {
 }
 
 impl CutStroke {
-    /// Refuses what no blade can have done.
+    /// Rejects impossible strokes.
     pub(crate) fn check(&self, spacing: f64) -> Result<(), CutError> {
         let count = self.points.len();
         if !(2..=BLADE_POINTS_MAX).contains(&count) {

@@ -68,12 +68,11 @@ fn side(topology: &Topology, node: u32, normal: &Vec3) -> f64 {
     if sum >= 0.0 { 1.0 } else { -1.0 }
 }
 
-/// What is left to a node on the lip of a wound: its own cut, which is being widened, holds it no
-/// more, but the skin does.
+/// The degrees of freedom of a node on the lip of a wound: held by the skin, but not by the cut that is being widened.
 fn outer(topology: &Topology, node: u32, normal: &Vec3) -> Freedom {
     match freedom(topology, node) {
         Freedom::Held(free) => {
-            // The cut's own normal is given back, less what of it another surface holds.
+            // The cut's own normal is free again, except its part along other surfaces.
             let held = nalgebra::Matrix3::identity() - free - normal * normal.transpose();
             let eigen = nalgebra::SymmetricEigen::new(held);
             let mut projector = nalgebra::Matrix3::identity();
