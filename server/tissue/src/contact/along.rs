@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn without_contacts_it_is_where_the_line_crosses_zero() {
+    fn line_search_without_contacts_finds_the_zero_of_the_line() {
         let none = along(Vec::new());
         assert!((none.rest([1.0, -1.0], [0.0, 2.0]) - 0.5).abs() < 1e-3);
         assert_eq!(none.rest([1.0, 0.9], [0.0, 2.0]), 2.0);
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn tissue_that_comes_back_stops_where_the_tool_is() {
+    fn returning_tissue_stops_at_the_tool() {
         // The tool has retreated by 0.8 mm, and is forty times as stiff as the returning tissue.
         let away = along(vec![ball(-8.8e-3, 4000.0)]);
         let s = away.rest([1e-4, 0.0], [0.0, 2.0]);
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_passes_through_a_tool() {
+    fn samples_do_not_pass_through_a_tool() {
         // A sample that moves to 30 mm beyond the near side of a ball of 16 mm.
         let away = along(vec![ball(-8.8e-3, 4000.0)]);
         let s = away.rest([1e-4, 1e-4], [0.0, 30.0]);

@@ -57,7 +57,7 @@ mod tests {
     use crate::{Material, block};
 
     #[test]
-    fn a_clearance_is_positive_outside_negative_inside_and_zero_in_touch() {
+    fn clearance_is_positive_outside_negative_inside_and_zero_at_touch() {
         let model = block([10, 10, 10], 4e-3, &Material::default(), 1);
         let topology = Topology::new(Arc::new(model));
         let clearance = Clearance::new(&topology);

@@ -292,7 +292,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_secant_finds_a_linear_law_and_stays_symmetric() {
+    fn secant_stiffness_finds_a_linear_law_and_stays_symmetric() {
         let law = Matrix3::new(3.0, 0.5, 0.0, 0.5, 2.0, -0.3, 0.0, -0.3, 4.0) * 100.0;
         let mut secant = Secant::default();
         secant.start(&Vec3::z(), 50.0, 0.2);
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn a_force_that_changes_across_a_move_teaches_nothing() {
+    fn force_change_across_a_move_does_not_update_the_stiffness() {
         let mut secant = Secant::default();
         secant.start(&Vec3::z(), 50.0, 0.3);
         secant.learn(Vec3::zeros(), Vec3::zeros(), 1e-5);

@@ -143,7 +143,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_nearest_point_is_not_beaten_by_any_other_of_the_triangle() {
+    fn nearest_point_is_the_minimum_over_the_triangle() {
         let corners = [
             Vec3::new(0.0, 0.0, 0.0),
             Vec3::new(2.0, 0.0, 0.5),

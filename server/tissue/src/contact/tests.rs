@@ -186,7 +186,7 @@ proptest! {
 }
 
 #[test]
-fn what_is_deformed_far_from_all_tools_is_not_looked_at() {
+fn deformation_far_from_all_tools_is_not_visited() {
     let topology = Topology::new(Arc::new(block([40, 6, 6], D, &Material::default(), 1)));
     let mut index = SurfaceIndex::new(&topology);
     let mut u = vec![Vec3::zeros(); topology.node_count()];

@@ -70,7 +70,7 @@ pub enum CutError {
         count: usize,
     },
     /// A coordinate is not finite or out of range.
-    #[error("blade point {index} of the stroke is not a place")]
+    #[error("blade point {index} of the stroke has a coordinate that is not finite or too large")]
     NotFinite {
         /// Which point.
         index: usize,

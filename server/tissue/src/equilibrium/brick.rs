@@ -326,7 +326,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_spring_of_a_cell_has_its_place() {
+    fn every_spring_of_a_cell_has_a_direction() {
         for (offset, step) in STEPS {
             assert_eq!(
                 OFFSETS[STEPS.iter().position(|s| s.0 == offset).unwrap()],

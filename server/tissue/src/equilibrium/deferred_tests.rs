@@ -40,7 +40,7 @@ fn ball(x: f64, depth: f64) -> Tool {
 }
 
 #[test]
-fn large_deferred_forces_are_solved_while_a_hand_rests() {
+fn large_deferred_forces_are_solved_while_the_tool_rests() {
     let (topology, mut solver, mut shape) = soft_block();
     let step = |solver: &mut Solver, shape: &mut Shape, depth: f64| {
         let budget = Budget {
@@ -65,7 +65,7 @@ fn large_deferred_forces_are_solved_while_a_hand_rests() {
 }
 
 #[test]
-fn forces_that_were_restricted_before_are_those_that_would_be_restricted_now() {
+fn cached_restricted_forces_equal_recomputed_ones() {
     let (topology, mut kept, mut shape) = soft_block();
     let mut renewed = kept.another(&topology);
     let mut other = shape.clone();
@@ -85,7 +85,7 @@ fn forces_that_were_restricted_before_are_those_that_would_be_restricted_now() {
 }
 
 #[test]
-fn a_step_of_low_accuracy_leaves_out_what_nobody_sees() {
+fn quick_step_skips_invisible_displacements() {
     for steps in [5, 20, 60] {
         let (topology, mut solver, mut shape) = soft_block();
         for k in 0..steps {

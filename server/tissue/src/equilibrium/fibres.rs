@@ -140,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn fibres_raise_the_modulus_along_them_and_leave_that_across() {
+    fn fibres_raise_only_the_modulus_along_them() {
         assert!(in_all_directions(1.0).0.abs() < 1e-9);
         for ratio in [0.5, 2.0, 5.0] {
             let (beta, scale) = in_all_directions(ratio);
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn in_a_lattice_they_give_what_was_asked_wherever_they_point() {
+    fn fibres_give_the_requested_ratio_in_any_direction_of_a_lattice() {
         for fibre in [
             [1.0, 0.0, 0.0],
             [1.0, 1.0, 0.0],

@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_too_different_for_sixteen_bits_stay_in_full() {
+    fn matrix_of_high_contrast_stays_in_f32() {
         let mut k = springs(&[0.5; 4]);
         for i in 0..SIZE {
             for j in 0..SIZE {

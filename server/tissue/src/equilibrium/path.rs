@@ -164,7 +164,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_parabola_is_followed_from_the_first_correction_on(
+        fn parabola_is_predicted_after_the_first_correction(
             (v, a) in (vector(), vector()),
             every in 1usize..6,
         ) {
@@ -176,7 +176,7 @@ mod tests {
         }
 
         #[test]
-        fn and_back_again_and_in_steps_of_other_lengths(
+        fn parabola_is_predicted_in_steps_of_any_length_and_direction(
             (v, a) in (vector(), vector()),
             steps in prop::collection::vec(0.7..1.4f64, 8),
         ) {
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_hardly_solved_for_does_not_bend_a_path() {
+    fn incomplete_solve_does_not_change_the_curvature() {
         let mut path = Path::default();
         let mut moves = vec![(1, Vec3::x()), (2, Vec3::y())];
         path.follow(&mut moves, 1.0, 1.0, |_| true);
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn what_corrects_a_step_beside_the_curve_does_not_bend_it() {
+    fn correction_off_the_path_does_not_change_the_curvature() {
         let mut path = Path::default();
         let mut moves = vec![(1, Vec3::x())];
         path.follow(&mut moves, 1.0, 1.0, |_| true);
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn what_follows_a_level_goes_straight_on() {
+    fn nodes_on_the_coarse_level_are_extrapolated_linearly() {
         let mut path = Path::default();
         let mut moves = vec![(1, Vec3::x()), (2, Vec3::x())];
         path.follow(&mut moves, 1.0, 1.0, |_| true);
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn newcomers_go_straight_on() {
+    fn new_nodes_are_extrapolated_linearly() {
         let mut path = Path::default();
         path.follow(&mut [(5, Vec3::x())], 1.0, 1.0, |_| true);
         path.solve(1.0);

@@ -38,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_settles_where_there_is_just_room() {
+    fn active_set_settles_at_the_work_limit() {
         let mut relief = Relief::NONE;
         // The active set halves when the tolerance factor is four.
         let mut nodes = 3000.0;

@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn a_capture_changes_no_bit_of_what_follows() {
+    fn capture_does_not_change_later_steps() {
         let topology = topology();
         let run = |captures: bool| {
             let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn a_captured_shape_is_the_one_that_pouring_makes() {
+    fn captured_shape_equals_the_prolongated_shape() {
         let topology = topology();
         let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
         for k in 0..40 {
@@ -353,7 +353,7 @@ mod tests {
     const BLOCK: usize = 7 * 7 * 7;
 
     #[test]
-    fn a_settled_solver_hands_no_small_far_forces_down() {
+    fn settled_solver_does_not_refine_for_small_distant_forces() {
         let (topology, mut solver, mut shape) = resumed();
         let mut steps = 0;
         while solver.is_settling() {

@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_positive_has_no_root() {
+    fn indefinite_matrix_has_no_root() {
         assert!(root(&[-1.0, 2.0, 3.0, 0.0, 0.0, 0.0]).is_none());
         assert!(root(&[f64::NAN; 6]).is_none());
         assert!(root(&[0.0; 6]).is_none_or(|r| r.iter().all(|v| v.abs() < 1e-2)));

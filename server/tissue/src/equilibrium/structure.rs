@@ -523,7 +523,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_is_interpolated_alike_from_every_element_around_it() {
+    fn interpolation_is_equal_from_every_element_around_a_node() {
         let structure = Structure::new(&crossed());
         let level = &structure.levels[0];
         for node in 0..structure.prolongation.len() {

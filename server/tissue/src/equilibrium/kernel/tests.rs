@@ -39,7 +39,7 @@ fn vectors_of_any_width_give_the_same_bits() {
 }
 
 #[test]
-fn slight_springs_follow_the_general_law_and_others_are_left_to_it() {
+fn small_strain_expansion_equals_the_general_law_within_its_range() {
     slight_springs_follow(brick(0.0, false));
     slight_springs_follow(brick(0.0, true));
 }
@@ -122,7 +122,7 @@ fn same_bits(brick: &Brick, form: &Form, u: &[Vec3]) {
 
 /// At a small strain, and at one with held and extreme springs and hardened corners.
 #[test]
-fn forces_add_up_to_nothing_and_have_a_potential() {
+fn forces_sum_to_zero_and_have_a_potential() {
     let (brick, form, u) = brick(3.0, true);
     for scale in [0.01, STRAINED] {
         let u: Vec<Vec3> = u.iter().map(|u| u * scale).collect();
@@ -131,7 +131,7 @@ fn forces_add_up_to_nothing_and_have_a_potential() {
 }
 
 #[test]
-fn a_brick_turned_by_sixty_degrees_bears_no_force() {
+fn brick_rotated_by_sixty_degrees_has_no_force() {
     let (brick, form, _) = brick(3.0, true);
     let turn = nalgebra::Rotation3::from_scaled_axis(Vec3::new(0.3, -0.5, 0.86).normalize() * 1.05);
     let mut turned = vec![Vec3::zeros(); LOCALS];
@@ -153,7 +153,7 @@ fn a_brick_turned_by_sixty_degrees_bears_no_force() {
 }
 
 #[test]
-fn corners_push_in_a_strained_brick_and_in_no_other() {
+fn corners_push_only_in_a_strained_brick() {
     let (brick, form, u) = brick(3.0, true);
     let mut soft = form.clone();
     soft.corner = [0.0; LANES];
