@@ -1,8 +1,8 @@
 //! All contacts of one shape: tools, their samples, and the forces on nodes.
 
-use super::along::{Along, Row};
 use super::ball::Ball;
 use super::index::SurfaceIndex;
+use super::line_search::{LineSearch, Row};
 use super::proxy::Proxy;
 use super::sample::{Sample, depth, sample};
 use super::surface::{Foot, Surface, blend};
@@ -243,7 +243,7 @@ impl Contacts {
     }
 
     /// The samples along shapes `u + (s - at) by`.
-    pub(crate) fn along(&self, u: &[Vec3], by: impl Fn(u32) -> Vec3, at: f64) -> Along {
+    pub(crate) fn along(&self, u: &[Vec3], by: impl Fn(u32) -> Vec3, at: f64) -> LineSearch {
         let moves: Vec<Vec3> = self.nodes.iter().map(|&n| by(n)).collect();
         let row = |sample: &Sample| {
             let by = blend(&sample.nodes.map(|n| moves[self.place(n)]), &sample.weights);
@@ -258,7 +258,7 @@ impl Contacts {
             }
         };
         let cores = self.proxies.iter().map(|p| p.core).collect();
-        Along::new(self.samples.iter().map(row).collect(), cores)
+        LineSearch::new(self.samples.iter().map(row).collect(), cores)
     }
 
     /// Calls `visit` with every pressed sample, its force in N, its κ and its direction.

@@ -26,13 +26,13 @@
 //! in contact moves by at most half a radius per iteration. A tool that jumps, or appears inside the tissue, is
 //! followed from outside.
 
-mod along;
 mod ball;
 mod clearance;
 mod contacts;
 mod core;
 mod fans;
 mod index;
+mod line_search;
 mod outwards;
 mod proxy;
 mod reaction;

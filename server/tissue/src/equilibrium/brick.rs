@@ -13,7 +13,7 @@ use super::corners::{SKEWED, STRENGTH};
 use super::kernel::Aligned;
 use super::lanes::LANES;
 use super::law::{Curve, Elastic};
-use super::slight::LOOSE;
+use super::small_strain::LOOSE;
 use crate::springs::LENGTH_FLOOR;
 use crate::{Topology, Vec3, fit};
 

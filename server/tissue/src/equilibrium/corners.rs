@@ -24,9 +24,9 @@
 use pulp::Simd;
 
 use super::brick::Form;
-use super::hold::MARGIN;
 use super::kernel::{Local, LocalBlocks, PAIRS, cross, dot};
 use super::lanes::{LANES, V};
+use super::stabilisation::MARGIN;
 
 /// θ: relative volume below which a corner hardens.
 const KEPT: f32 = 0.5;

@@ -5,12 +5,12 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::block::{Quad, ZERO, plus};
+use super::coarse_level::{CoarseLevel, Deferred, apply, square, take_over};
 use super::element::Matrix;
+use super::hierarchy::{Hierarchy, Level};
 use super::matrix::Corners;
-use super::patch::{Deferred, Patch, apply, square, take_over};
 use super::prolongation::Prolongation;
-use super::structure::{Level, Structure};
+use super::quad::{Quad, ZERO, plus};
 
 /// Lowest eigenvalue that the smoother damps, relative to the bound of all eigenvalues.
 pub(super) const LOW: f32 = 0.15;
@@ -60,7 +60,7 @@ impl Chebyshev {
 
 /// The coarse levels of one shape.
 pub(super) struct Multigrid {
-    pub(super) patches: Vec<Patch>,
+    pub(super) patches: Vec<CoarseLevel>,
     arch: Arch,
     /// Force on a corner of an element of level 1, in thresholds, above which it is refined.
     pub(super) pending: f32,
@@ -81,9 +81,9 @@ pub(super) struct Multigrid {
 }
 
 impl Multigrid {
-    pub(super) fn new(structure: &Structure) -> Self {
+    pub(super) fn new(structure: &Hierarchy) -> Self {
         Self {
-            patches: structure.levels.iter().map(Patch::new).collect(),
+            patches: structure.levels.iter().map(CoarseLevel::new).collect(),
             arch: Arch::new(),
             pending: 1.0,
             strained: f32::INFINITY,
@@ -97,7 +97,7 @@ impl Multigrid {
 
     /// Limits of a deferred element of level l + 1: a force in N (coarse errors are a smaller part of a larger force)
     /// and a change of size in m (coarse matrices do not know that tissue stiffens).
-    fn tolerable(&self, structure: &Structure, l: usize, threshold: f32) -> [f32; 2] {
+    fn tolerable(&self, structure: &Hierarchy, l: usize, threshold: f32) -> [f32; 2] {
         let side = (2 << l) as f32 / structure.per_spacing;
         [
             self.pending * threshold * (1 << l) as f32,
@@ -107,7 +107,7 @@ impl Multigrid {
 
     /// Chooses the active elements of every level around the refined elements of level 1; `more` extends the earlier
     /// choice.
-    pub(super) fn select(&mut self, structure: &Structure, more: bool) {
+    pub(super) fn select(&mut self, structure: &Hierarchy, more: bool) {
         self.is_beyond_restricted = false;
         let last = self.patches.len() - 1;
         for l in 0..last {
@@ -145,7 +145,7 @@ impl Multigrid {
     }
 
     /// Refines again all elements that the last step refined. Returns whether that adds any.
-    pub(super) fn stir(&mut self, structure: &Structure) -> bool {
+    pub(super) fn stir(&mut self, structure: &Hierarchy) -> bool {
         let mut more = false;
         for patch in &mut self.patches {
             for i in 0..patch.stirred.items.len() {
@@ -162,7 +162,7 @@ impl Multigrid {
     /// Marks the next element of level 1 with a large deferred force, and its neighbours, for refinement: nodes are
     /// free only where all elements around them are refined. Elements with at least half of the largest force take
     /// turns (block Gauss-Seidel).
-    pub(super) fn refine_next(&mut self, structure: &Structure) {
+    pub(super) fn refine_next(&mut self, structure: &Hierarchy) {
         let (level, patch) = (&structure.levels[0], &mut self.patches[0]);
         let Some(element) = patch.next_deferred() else {
             return;
@@ -184,7 +184,7 @@ impl Multigrid {
     }
 
     /// Prolongates pending displacements to the refined elements. Returns whether more elements exceed their limits.
-    pub(super) fn push(&mut self, structure: &Structure, threshold: f32) -> bool {
+    pub(super) fn push(&mut self, structure: &Hierarchy, threshold: f32) -> bool {
         for l in (0..self.patches.len()).rev() {
             take_over(structure, &mut self.patches, l);
         }
@@ -224,7 +224,7 @@ impl Multigrid {
     }
 
     /// One V-cycle for the loads on level 1; leaves the correction in every patch's `e`.
-    pub(super) fn cycle(&mut self, structure: &Structure, threshold: f32, effort: Effort) {
+    pub(super) fn cycle(&mut self, structure: &Hierarchy, threshold: f32, effort: Effort) {
         let last = self.patches.len() - 1;
         for l in 0..=last {
             let level = &structure.levels[l];
@@ -309,7 +309,7 @@ impl Multigrid {
 
     /// Starts a step: the accumulated correction of the last step becomes the candidate for the warm start. Rim points
     /// follow the coarser level, or deferred elements beside them would miss their moves.
-    pub(super) fn recall(&mut self, structure: &Structure) {
+    pub(super) fn recall(&mut self, structure: &Hierarchy) {
         for l in (0..self.patches.len()).rev() {
             let (finer, coarser) = self.patches.split_at_mut(l + 1);
             let (patch, above) = (&mut finer[l], coarser.first());
@@ -329,7 +329,7 @@ impl Multigrid {
     }
 
     /// Computes the forces of the correction on elements that are not refined, for `work_along` and `commit`.
-    pub(super) fn defer(&mut self, structure: &Structure) {
+    pub(super) fn defer(&mut self, structure: &Hierarchy) {
         self.curve = 0.0;
         let slack = self.slack;
         for (patch, level) in self.patches.iter_mut().zip(&structure.levels) {
@@ -359,7 +359,7 @@ impl Multigrid {
 
     /// Applies `share` of the correction: displacements in full, forces of unrefined elements as deferred residual.
     /// Marks the elements to refine next.
-    pub(super) fn commit(&mut self, structure: &Structure, share: f32, threshold: f32) {
+    pub(super) fn commit(&mut self, structure: &Hierarchy, share: f32, threshold: f32) {
         for l in (0..self.patches.len()).rev() {
             let level = &structure.levels[l];
             let tolerable = self.tolerable(structure, l, threshold);
@@ -405,7 +405,7 @@ impl Multigrid {
 /// level needs the final residual.
 struct Smooth<'a> {
     level: &'a Level,
-    patch: &'a mut Patch,
+    patch: &'a mut CoarseLevel,
     steps: usize,
     low: f32,
     moved: bool,
@@ -433,7 +433,7 @@ impl WithSimd for Smooth<'_> {
 /// Computes the forces of the correction on unrefined elements.
 struct Defer<'a> {
     level: &'a Level,
-    patch: &'a mut Patch,
+    patch: &'a mut CoarseLevel,
     slack: [f32; 2],
     curve: &'a mut f64,
 }
@@ -484,7 +484,7 @@ impl Level {
 
 /// `r -= K d` over the set.
 #[inline(always)]
-fn subtract<S: Simd>(simd: S, level: &Level, patch: &mut Patch) {
+fn subtract<S: Simd>(simd: S, level: &Level, patch: &mut CoarseLevel) {
     for &element in &patch.set.items {
         let (points, m) = level.element(element);
         let overlay = patch.overlay_of[element as usize];
@@ -501,7 +501,14 @@ fn subtract<S: Simd>(simd: S, level: &Level, patch: &mut Patch) {
 
 /// Chebyshev steps from the residual in `r`; `keep` updates it after the last step too.
 #[inline(always)]
-fn smooth<S: Simd>(simd: S, level: &Level, patch: &mut Patch, steps: usize, low: f32, keep: bool) {
+fn smooth<S: Simd>(
+    simd: S,
+    level: &Level,
+    patch: &mut CoarseLevel,
+    steps: usize,
+    low: f32,
+    keep: bool,
+) {
     let mut factors = Chebyshev::new(low);
     for step in 1..=steps {
         let (last, new) = factors.next();
@@ -530,7 +537,7 @@ fn exceeds(waits: [f32; 2], tolerable: [f32; 2]) -> bool {
 
 /// Adds the restricted force of a point to the loads of the coarser level.
 #[inline(always)]
-pub(super) fn restrict(by: &Prolongation, point: u32, force: &Quad, to: &mut Patch) {
+pub(super) fn restrict(by: &Prolongation, point: u32, force: &Quad, to: &mut CoarseLevel) {
     for (coarse, weight) in by.row(point as usize) {
         to.load(coarse, force, weight);
     }

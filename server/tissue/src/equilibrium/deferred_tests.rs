@@ -16,7 +16,7 @@ fn largest(solver: &Solver) -> u32 {
 /// The largest deferred force on a corner of an element, in N.
 fn deferred(solver: &Solver, element: u32) -> f32 {
     let owed = &solver.coarse.patches[0].owed[element as usize];
-    let squares = owed.iter().map(super::patch::square);
+    let squares = owed.iter().map(super::coarse_level::square);
     squares.fold(0.0, f32::max).sqrt()
 }
 

@@ -6,40 +6,40 @@
 
 use std::sync::Arc;
 
+use super::contact_smoother::ContactSmoother;
 use super::cycle::Multigrid;
-use super::field::{Field, own_stiffness};
-use super::foresight::Foresight;
-use super::home::Home;
-use super::near::Near;
+use super::fine_level::{FineLevel, own_stiffness};
+use super::hierarchy::Hierarchy;
+use super::reference_state::ReferenceState;
 use super::solver::Solver;
-use super::structure::Structure;
+use super::warm_start::WarmStart;
 use crate::Topology;
 use crate::contact::SurfaceIndex;
 
 /// Follows a topology for solvers on other threads. It costs about 200 bytes per node.
 #[derive(Clone)]
 pub struct Follower {
-    structure: Arc<Structure>,
+    structure: Arc<Hierarchy>,
     own: Vec<f64>,
     index: SurfaceIndex,
-    home: Option<Arc<Home>>,
+    home: Option<Arc<ReferenceState>>,
 }
 
 /// Prepared update of one solver.
 pub struct Successor {
-    pub(super) structure: Arc<Structure>,
-    pub(super) field: Field,
+    pub(super) structure: Arc<Hierarchy>,
+    pub(super) field: FineLevel,
     pub(super) coarse: Multigrid,
     pub(super) index: SurfaceIndex,
-    pub(super) home: Option<Arc<Home>>,
+    pub(super) home: Option<Arc<ReferenceState>>,
 }
 
 impl Follower {
     pub(super) fn new(
-        structure: &Arc<Structure>,
+        structure: &Arc<Hierarchy>,
         own: &[f64],
         index: &SurfaceIndex,
-        home: Option<Arc<Home>>,
+        home: Option<Arc<ReferenceState>>,
     ) -> Self {
         Self {
             structure: Arc::clone(structure),
@@ -52,19 +52,19 @@ impl Follower {
     /// Follows a change of the topology; see [`Solver::follow`](crate::Solver::follow).
     pub fn follow(&mut self, topology: &Topology, touched: &[u32]) {
         let before = (&*self.structure, touched);
-        self.structure = Arc::new(Structure::after(topology, Some(before)));
+        self.structure = Arc::new(Hierarchy::after(topology, Some(before)));
         measure(&mut self.own, topology, touched);
-        self.home = Home::of(topology, &self.structure, &self.own, self.home.as_deref());
+        self.home = ReferenceState::of(topology, &self.structure, &self.own, self.home.as_deref());
         self.index.follow(topology);
     }
 
-    pub(super) fn structure(&self) -> &Structure {
+    pub(super) fn structure(&self) -> &Hierarchy {
         &self.structure
     }
 
     /// The update for one solver of the topology that was followed last.
     pub fn successor(&self, topology: &Topology) -> Successor {
-        let mut field = Field::new(topology, &self.structure, self.own.clone());
+        let mut field = FineLevel::new(topology, &self.structure, self.own.clone());
         field.disturb_all();
         Successor {
             field,
@@ -82,10 +82,10 @@ impl Solver {
     /// [`Budget::near`](crate::Budget::near) and [`Solver::pour`]).
     pub fn follow(&mut self, topology: &Topology, touched: &[u32]) {
         let before = (&*self.structure, touched);
-        self.structure = Arc::new(Structure::after(topology, Some(before)));
+        self.structure = Arc::new(Hierarchy::after(topology, Some(before)));
         let mut own = std::mem::take(&mut self.field.own);
         measure(&mut own, topology, touched);
-        self.home = Home::of(topology, &self.structure, &own, self.home.as_deref());
+        self.home = ReferenceState::of(topology, &self.structure, &own, self.home.as_deref());
         self.restart(topology, own);
         self.contacts.follow(topology);
     }
@@ -112,18 +112,18 @@ impl Solver {
 
     /// Discards all cached forces.
     pub(super) fn restart(&mut self, topology: &Topology, own: Vec<f64>) {
-        let mut field = Field::new(topology, &self.structure, own);
+        let mut field = FineLevel::new(topology, &self.structure, own);
         field.disturb_all();
         let coarse = Multigrid::new(&self.structure);
         self.begin_again(field, coarse);
     }
 
     /// Continues with new fine and coarse levels, whose forces are all outdated.
-    fn begin_again(&mut self, field: Field, coarse: Multigrid) {
+    fn begin_again(&mut self, field: FineLevel, coarse: Multigrid) {
         let (displaced, at_home) = (self.field.displaced, self.field.at_home);
         (self.field, self.coarse) = (field, coarse);
-        self.near = Near::new(&self.structure);
-        self.foresight = Foresight::default();
+        self.near = ContactSmoother::new(&self.structure);
+        self.foresight = WarmStart::default();
         self.start_over(displaced, at_home);
     }
 

@@ -6,7 +6,7 @@
 //! shear is 2.5 times too stiff beside it, so spring constants are halved here to show E. It
 //! converges slowly: stopping it early overstates the force.
 
-use super::patch::List;
+use super::coarse_level::List;
 use super::solver::{Solver, relative};
 use crate::{Shape, Topology, Vec3};
 

@@ -8,10 +8,10 @@ use pulp::{Simd, WithSimd};
 
 use super::brick::{Brick, CORNER, DIRECTIONS, Form, LOCALS, OFFSETS, PADDED, SPAN};
 use super::corners::{corner_forces, corner_tangents};
-use super::hold::{held_forces, held_tangents};
 use super::lanes::{LANES, V};
 use super::law::{EXTREME, GUARD, GUARDED, LONG, SHORT, SIDEWAYS};
-use super::slight::slight_forces;
+use super::small_strain::slight_forces;
+use super::stabilisation::{held_forces, held_tangents};
 use crate::Vec3;
 
 /// Factor by which the diagonal blocks of springs bound their matrix; 2 holds for any mesh. On lattices with all

@@ -39,13 +39,13 @@
 //! recursion, which can cycle. Here (reconstructed) an extreme spring is S times stiffer beyond its limit, so that the
 //! equilibrium transmits the force through the cluster. A thirtyfold step in stiffness is hard to solve: with a limit
 //! of 0.8 iterates oscillate. In materials that bottom out, a compressed spring therefore has an energy that stiffens
-//! over a part of its length and by a smaller factor (`hold.rs`), because stiff rods buckle. Iterates that decrease an
+//! over a part of its length and by a smaller factor (`stabilisation.rs`), because stiff rods buckle. Iterates that decrease an
 //! energy can not cycle.
 //!
 //! # Deep presses
 //!
 //! Springs compressed to half their length buckle sideways, and a lattice of them softens as it flattens. The
-//! stabilisation energy of compressed springs is in `hold.rs`, the energy of collapsing cells in `corners.rs`. Both are
+//! stabilisation energy of compressed springs is in `stabilisation.rs`, the energy of collapsing cells in `corners.rs`. Both are
 //! zero up to a tenth of strain, and leave Young's modulus, shear modulus and Poisson's ratio unchanged.
 //!
 //! # The tangent
@@ -91,7 +91,7 @@ pub(crate) struct Curve {
     pub(crate) stiffening: f32,
     /// `α_min` and `α_max`: relative lengths from which a spring is extreme.
     pub(crate) limits: [f32; 2],
-    /// Whether compressed springs are stabilised and collapsing corners harden (`hold.rs`, `corners.rs`).
+    /// Whether compressed springs are stabilised and collapsing corners harden (`stabilisation.rs`, `corners.rs`).
     pub(crate) held: bool,
 }
 

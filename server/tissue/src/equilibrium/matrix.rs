@@ -2,8 +2,8 @@
 
 use pulp::Simd;
 
-use super::block::{Quad, ZERO};
 use super::lanes::V;
+use super::quad::{Quad, ZERO};
 
 /// Unknowns of an element: corner `c` along axis `a` is [`at`]`(c, a)`.
 pub(crate) const SIZE: usize = 24;

@@ -1,91 +1,91 @@
 //! The quasi-static equilibrium of the length law (Lin 2007, section 3.4) under tools.
 //!
-//! | noun | what it is |
+//! | module | contents |
 //! | --- | --- |
-//! | `law`, `fibres` | what a material makes of springs: length law, volume term, guard, extreme springs, fibres |
-//! | `hold`, `corners` | what keeps tissue that bottoms out from folding: held springs, hardening corners |
-//! | `brick`, `kernel`, `slight`, `lanes` | forces of eight cells at a time, in vectors |
-//! | `coarsen`, `element`, `matrix`, `structure` | coarse lattices that open where cuts do, with a matrix per element |
-//! | `prolongation` | trilinear interpolation between two levels |
-//! | `patch`, `cycle`, `beyond` | the part of the coarse lattices near the tools, one V-cycle over it, what it does beyond |
-//! | `overlay`, `stiffen` | what tools and hardened tissue add to the coarse lattices |
-//! | `field`, `choice`, `moves`, `blocks`, `near` | forces on nodes, which of them take part, smoothing |
-//! | `budget`, `relief` | what a step may cost, what it did, and what may wait for it |
-//! | `home`, `weight` | where tissue is that nothing touches; what gravity does to it |
-//! | `foresight`, `path`, `bind` | the last step's change carried on, along a curve; what hinders a move |
+//! | `law`, `fibres` | spring laws of a material: length law, volume term, guard, extreme springs, fibres |
+//! | `stabilisation`, `corners` | energies against buckling and collapse of deeply pressed tissue |
+//! | `brick`, `kernel`, `small_strain`, `lanes` | forces of eight cells at a time, in vectors |
+//! | `hierarchy`, `coarsen`, `element`, `matrix` | coarse lattices and their Galerkin operators, per element |
+//! | `prolongation` | trilinear interpolation between two levels; its transpose restricts |
+//! | `coarse_level`, `cycle`, `outer_residual` | active part of a level, V-cycle, forces outside the active part |
+//! | `contact_stiffness`, `coarse_stiffening` | contacts, held nodes and hardened tissue on the coarse levels |
+//! | `fine_level`, `active_set`, `corrections` | forces on nodes, refinement, coarse corrections |
+//! | `jacobi_blocks`, `contact_smoother` | block Jacobi preconditioner, additional smoothing at contacts |
+//! | `budget`, `work_limit` | limits and report of a step; bound on active nodes |
+//! | `reference_state`, `weight` | equilibrium without tools; gravity |
+//! | `warm_start`, `predictor` | extrapolation of the last step, along a parabola for held nodes |
+//! | `rigid_aggregation` | line search, with rigid groups where tissue is too stiff |
 //! | `prescribed` | nodes with a prescribed displacement |
-//! | `follower` | a cut's consequences, worked out beside the solvers |
-//! | `solver` | one step: its stages, its books |
-//! | `jacobi` | the seed's iteration (3.10), the named baseline |
+//! | `follower`, `state` | update after a cut on another thread |
+//! | `solver` | one step and its stages |
+//! | `jacobi` | the seed's iteration (3.10), a baseline |
 //!
-//! A step is a list of stages: carry the last change on, gather contacts, then per iteration choose
-//! what takes part, compute its forces, correct by the coarse levels, smooth. Coarse operators are those
-//! of the rest state, but where tissue has hardened; how much of their correction is taken is measured afterwards. One order of
-//! everything, no clock: the same steps give the same bits, on any number of threads and with vectors of
-//! any width.
+//! A step applies the warm start and gathers contacts. Each iteration then chooses the active set, computes its forces,
+//! corrects by a V-cycle with line search, and smooths with block Jacobi Chebyshev steps. Coarse operators belong to the
+//! rest state, except where tissue has hardened. The order of operations is fixed and no clock is read: equal steps give
+//! equal bits, for any number of threads and any vector width.
 //!
-//! # Measured
+//! # Performance
 //!
-//! `palpate-lab bench press-cube` and `press-scene`, one thread of a shared machine: a cube of 8,000
-//! nodes from rest to 1 % in 6.5 ms, of 64,000 in 44 ms; a disc that moves on in 0.6 ms per step that needs no
-//! iteration, in 3.3 ms with one. A real thigh of 70,000 nodes pressed at 100 mm/s in 1.25 ms per tick (99 %
-//! below 1.6 ms): force error 1.4 % rms, 3.1 % at most; drawn back in 1.3 ms (1.7 ms), 6 % rms. One of 528,000 nodes
-//! in 1.8 ms (2.2 to 2.5 ms), 7.5 % rms.
+//! `palpate-lab bench press-cube` and `press-scene`, one thread of a shared machine. Cube from rest to 1 %: 6.5 ms with
+//! 8,000 nodes, 44 ms with 64,000. A moving disc: 0.6 ms per step without an iteration, 3.3 ms with one. A real thigh of
+//! 70,000 nodes pressed at 100 mm/s: 1.25 ms per tick (99 % below 1.6 ms), force error 1.4 % rms, 3.1 % at most; in
+//! retreat 1.3 ms (1.7 ms), 6 % rms. With 528,000 nodes: 1.8 ms (2.2 to 2.5 ms), 7.5 % rms.
 //!
-//! # What it can not do
+//! # Limits
 //!
-//! Coarse operators follow tissue that hardens and do not turn with it. Springs that are not to bottom out fold from
-//! 30 % of a layer's thickness on. A stiff layer over something ten times softer is too stiff in a hand's steps. Near incompressible materials (Poisson's ratio 0.45)
-//! smooth slowly. A point tool (radius below half a spacing) feels the corners of the mesh, and slips between the
-//! samples of a soft surface when it is pressed deeper than its own radius.
+//! Coarse operators follow hardening but not rotation. Tissue without `bottoms_out` folds from 30 % of a layer's thickness
+//! on. Quick steps are too stiff for a stiff layer over one ten times softer. Nearly incompressible materials (Poisson's
+//! ratio 0.45) converge slowly. A point tool (radius below half a spacing) feels the corners of the mesh, and slips between
+//! the samples of a soft surface when it is pressed deeper than its own radius.
 
-// Vectors exist only where everything is inlined into what was dispatched.
+// SIMD code must be inlined into the dispatched function.
 #![allow(clippy::inline_always)]
 
-mod beyond;
-mod bind;
-mod block;
-mod blocks;
+mod active_set;
 mod brick;
 mod budget;
-mod choice;
+mod coarse_level;
+mod coarse_stiffening;
 mod coarsen;
+mod contact_smoother;
+mod contact_stiffness;
 mod corners;
+mod corrections;
 mod cycle;
 #[cfg(test)]
 mod deferred_tests;
 mod element;
 mod fibres;
-mod field;
+mod fine_level;
 mod follower;
-mod foresight;
-mod hold;
-mod home;
+mod hierarchy;
 mod jacobi;
+mod jacobi_blocks;
 mod kernel;
 mod lanes;
 mod law;
 mod matrix;
-mod moves;
-mod near;
-mod overlay;
-mod patch;
-mod path;
+mod outer_residual;
+mod predictor;
 mod prescribed;
 mod prolongation;
-mod relief;
-mod slight;
+mod quad;
+mod reference_state;
+mod rigid_aggregation;
+mod small_strain;
 mod solver;
+mod stabilisation;
 mod state;
-mod stiffen;
-mod structure;
+mod warm_start;
 mod weight;
+mod work_limit;
 
 pub use budget::{Budget, StepReport};
 pub(crate) use fibres::dyad;
 pub use follower::{Follower, Successor};
-pub use home::Sag;
 pub(crate) use law::Elastic;
+pub use reference_state::Sag;
 pub use solver::Solver;
 pub use state::SolverState;
 pub(crate) use weight::adrift;

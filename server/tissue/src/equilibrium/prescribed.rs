@@ -1,6 +1,6 @@
 //! Nodes with a prescribed displacement: Dirichlet conditions that change from step to step.
 
-use super::field::Beyond;
+use super::fine_level::OuterForces;
 use super::solver::Solver;
 use crate::{Shape, Topology, Vec3};
 
@@ -23,7 +23,7 @@ impl Solver {
         }
         self.field.outdated |= !self.field.fixed[n];
         self.field.fixed[n] = true;
-        self.field.beyond = Beyond::Changed;
+        self.field.beyond = OuterForces::Changed;
         self.led.entry(node).or_insert(shape.displacement[n]);
         shape.displacement[n] = at;
         self.disturb(shape, &[node]);
@@ -35,7 +35,7 @@ impl Solver {
         if let Some(i) = self.held.iter().position(|&n| n == node) {
             self.held.swap_remove(i);
             self.field.fixed[node as usize] = topology.is_pinned(node);
-            self.field.beyond = Beyond::Changed;
+            self.field.beyond = OuterForces::Changed;
             self.field.outdated = true;
             self.field.disturb(&self.structure, node);
             self.dirty = true;

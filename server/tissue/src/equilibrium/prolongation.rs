@@ -3,9 +3,9 @@
 
 use std::sync::Arc;
 
-use super::block::{Quad, ZERO, plus};
 use super::brick::LOCALS;
 use super::element::WEIGHTS;
+use super::quad::{Quad, ZERO, plus};
 
 /// Entry of a point that follows no coarse element.
 pub(crate) const FREE: u32 = u32::MAX;

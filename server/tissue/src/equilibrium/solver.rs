@@ -3,17 +3,17 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use super::active_set::{Criteria, Keeps};
 use super::budget::{Budget, StepReport};
-use super::choice::{Asked, Keeps};
+use super::coarse_level::hand_down;
+use super::coarse_stiffening::HELD_STIFFNESS;
+use super::contact_smoother::ContactSmoother;
 use super::cycle::{Chebyshev, Effort, Multigrid};
-use super::field::{Field, Since, own_stiffness};
-use super::foresight::Foresight;
-use super::home::Home;
-use super::near::Near;
-use super::patch::hand_down;
-use super::relief::Relief;
-use super::stiffen::HELD_STIFFNESS;
-use super::structure::Structure;
+use super::fine_level::{FineLevel, Since, own_stiffness};
+use super::hierarchy::Hierarchy;
+use super::reference_state::ReferenceState;
+use super::warm_start::WarmStart;
+use super::work_limit::WorkLimit;
 use crate::contact::{Contacts, Tool};
 use crate::{Shape, Topology, Vec3};
 
@@ -80,18 +80,18 @@ const UNSEEN_M: f64 = 10e-6;
 
 /// The solver of one shape of one topology, with its scratch memory.
 pub struct Solver {
-    pub(super) structure: Arc<Structure>,
-    pub(super) field: Field,
+    pub(super) structure: Arc<Hierarchy>,
+    pub(super) field: FineLevel,
     pub(super) coarse: Multigrid,
     pub(super) contacts: Contacts,
-    pub(super) near: Near,
+    pub(super) near: ContactSmoother,
     pub(super) held: Vec<u32>,
-    pub(super) foresight: Foresight,
-    pub(super) relief: Relief,
+    pub(super) foresight: WarmStart,
+    pub(super) relief: WorkLimit,
     pub(super) moved: Vec<Vec3>,
     pub(super) reference: f64,
     /// Equilibrium without tools, if it differs from the rest shape.
-    pub(super) home: Option<Arc<Home>>,
+    pub(super) home: Option<Arc<ReferenceState>>,
     /// Whether the shape is known to have started from the reference state.
     pub(super) moved_in: bool,
     /// Force in N that moves a typical node by a spacing; see [`LEAST`].
@@ -115,11 +115,11 @@ impl Solver {
     /// Creates a solver for shapes of this topology. With gravity it first solves the reference state, at the cost of a
     /// full solve; an undeformed shape starts there.
     pub fn new(topology: &Topology) -> Self {
-        let structure = Arc::new(Structure::new(topology));
+        let structure = Arc::new(Hierarchy::new(topology));
         let all = 0..topology.node_count() as u32;
         let own: Vec<f64> = all.map(|n| own_stiffness(topology, n)).collect();
-        let home = Home::of(topology, &structure, &own, None);
-        let field = Field::new(topology, &structure, own);
+        let home = ReferenceState::of(topology, &structure, &own, None);
+        let field = FineLevel::new(topology, &structure, own);
         Self::with(topology, structure, field, home)
     }
 
@@ -127,15 +127,15 @@ impl Solver {
     #[must_use]
     pub fn another(&self, topology: &Topology) -> Self {
         let structure = Arc::clone(&self.structure);
-        let field = Field::new(topology, &structure, self.field.own.clone());
+        let field = FineLevel::new(topology, &structure, self.field.own.clone());
         Self::with(topology, structure, field, self.home.clone())
     }
 
     pub(super) fn with(
         topology: &Topology,
-        structure: Arc<Structure>,
-        field: Field,
-        home: Option<Arc<Home>>,
+        structure: Arc<Hierarchy>,
+        field: FineLevel,
+        home: Option<Arc<ReferenceState>>,
     ) -> Self {
         let coarse = Multigrid::new(&structure);
         let contacts = Contacts::new(topology);
@@ -393,7 +393,7 @@ impl Solver {
         // Nodes that leave the set keep their forces, which must match their final positions.
         field.evaluate_bricks(structure, u);
         field.add_contacts(u, &self.contacts, 1.0);
-        let asked = Asked {
+        let asked = Criteria {
             threshold: limit,
             quick,
             keeps,
@@ -402,7 +402,7 @@ impl Solver {
             coarse.select(structure, keeps == Keeps::Most);
             // Displacements that were prolongated may exceed the limits of the next level too.
             while coarse.push(structure, limit) {
-                Field::select_wanted(&mut coarse.patches[0]);
+                FineLevel::select_wanted(&mut coarse.patches[0]);
                 coarse.select(structure, true);
             }
             field.enter(structure, coarse, u);
@@ -433,7 +433,7 @@ impl Solver {
 
     /// Sets the limits of a full solve.
     fn prepare_full(&mut self) -> f32 {
-        self.relief = Relief::NONE;
+        self.relief = WorkLimit::NONE;
         self.coarse.pending = PENDING[0];
         self.coarse.strained = f32::INFINITY;
         self.coarse.slack = [1.0; 2];
@@ -522,7 +522,7 @@ impl Solver {
         // through.
         let (structure, contacts) = (&self.structure, &self.contacts);
         self.field.renew_blocks(structure, u, contacts);
-        let mut factors = Field::smoothing();
+        let mut factors = FineLevel::smoothing();
         for s in 0..SMOOTHING {
             if s > 0 {
                 self.field.evaluate_bricks(&self.structure, u);

@@ -7,17 +7,17 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::block::laid_out;
+use super::coarse_level::bring_point;
+use super::contact_smoother::ContactSmoother;
 use super::cycle::Multigrid;
-use super::field::{Beyond, Field, square};
+use super::fine_level::{FineLevel, OuterForces, square};
 use super::follower::{Follower, Successor};
-use super::foresight::Foresight;
-use super::home::Home;
-use super::near::Near;
-use super::patch::bring_point;
-use super::relief::Relief;
+use super::hierarchy::Hierarchy;
+use super::quad::laid_out;
+use super::reference_state::ReferenceState;
 use super::solver::{FIRST_SHARE, QUICK, Solver};
-use super::structure::Structure;
+use super::warm_start::WarmStart;
+use super::work_limit::WorkLimit;
 use crate::contact::{Contacts, Proxy};
 use crate::{CutOutcome, Shape, StepReport, Topology, Vec3};
 
@@ -35,7 +35,7 @@ struct Totals {
 /// State of a solver for its continuation on a changed topology.
 pub struct SolverState {
     /// Hierarchy of the captured solver; `None` before a capture.
-    structure: Option<Arc<Structure>>,
+    structure: Option<Arc<Hierarchy>>,
     displacement: Vec<Vec3>,
     applied: Vec<[f64; 3]>,
     levels: Vec<Totals>,
@@ -45,7 +45,7 @@ pub struct SolverState {
     is_at_home: bool,
     has_moved_in: bool,
     reference: f64,
-    relief: Relief,
+    relief: WorkLimit,
     report: StepReport,
 }
 
@@ -78,7 +78,7 @@ impl Follower {
             is_at_home: true,
             has_moved_in: false,
             reference: 0.0,
-            relief: Relief::NONE,
+            relief: WorkLimit::NONE,
             report: StepReport::default(),
         }
     }
@@ -126,7 +126,7 @@ impl Solver {
         }
         self.settling = None;
         let threshold = (FIRST_SHARE * QUICK * self.reference) as f32;
-        let Field {
+        let FineLevel {
             loud,
             quiet,
             nodes,
@@ -134,7 +134,7 @@ impl Solver {
             beyond,
             ..
         } = &mut self.field;
-        *beyond = Beyond::Changed;
+        *beyond = OuterForces::Changed;
         loud.retain(|node| {
             let stays = nodes.contains(node) || square(&r[node as usize]) > threshold * threshold;
             if !stays {
@@ -152,10 +152,10 @@ impl Solver {
     /// Assembles a solver from its parts.
     pub(super) fn assemble(
         topology: &Topology,
-        structure: Arc<Structure>,
-        (field, coarse): (Field, Multigrid),
+        structure: Arc<Hierarchy>,
+        (field, coarse): (FineLevel, Multigrid),
         contacts: Contacts,
-        home: Option<Arc<Home>>,
+        home: Option<Arc<ReferenceState>>,
     ) -> Self {
         let mut own: Vec<f64> = field.own.iter().copied().filter(|&k| k > 0.0).collect();
         let middle = own.len() / 2;
@@ -165,14 +165,14 @@ impl Solver {
         };
         Self {
             least: typical * topology.model().spacing_m,
-            near: Near::new(&structure),
+            near: ContactSmoother::new(&structure),
             field,
             coarse,
             structure,
             contacts,
             held: Vec::new(),
-            foresight: Foresight::default(),
-            relief: Relief::NONE,
+            foresight: WarmStart::default(),
+            relief: WorkLimit::NONE,
             moved: Vec::new(),
             reference: 0.0,
             home,

@@ -3,7 +3,7 @@
 //! A node carries an eighth of the weight of each of its cells, as built: cuts change no weight. A component without
 //! pinned nodes has no equilibrium under gravity, so its weight is zero.
 
-use super::block::{Quad, ZERO};
+use super::quad::{Quad, ZERO};
 use crate::{Model, Topology};
 
 /// Weight of each node in N, pinned ones included; empty without gravity.

@@ -1,18 +1,18 @@
 //! Moves of the fine level's nodes: coarse corrections, smoothing and the warm start.
 
-use super::block::{ZERO, make_room, plus};
+use super::coarse_level::apply;
 use super::cycle::{Chebyshev, LOW, Multigrid};
-use super::field::{Field, Since};
-use super::patch::apply;
-use super::structure::Structure;
+use super::fine_level::{FineLevel, Since};
+use super::hierarchy::Hierarchy;
+use super::quad::{ZERO, make_room, plus};
 use crate::Vec3;
 
 /// Longest move of a node in one smoothing step, in spacings; longer ones are clamped and counted. Quick steps compute
 /// the blocks once per iteration, and tissue that bottoms out hardens within the smoothing steps.
 const MOVE_MAX: [f64; 2] = [0.5, 0.02];
-impl Field {
+impl FineLevel {
     /// Restricts the forces on the nodes of the set to level 1.
-    pub(super) fn restrict(&mut self, structure: &Structure, coarse: &mut Multigrid) {
+    pub(super) fn restrict(&mut self, structure: &Hierarchy, coarse: &mut Multigrid) {
         let patch = &mut coarse.patches[0];
         for &node in &self.nodes.items {
             let n = node as usize;
@@ -44,7 +44,7 @@ impl Field {
     /// rim of the set use the increment of level 1, `e`, or deferred elements beside them would miss their moves.
     pub(super) fn take_moves(
         &mut self,
-        structure: &Structure,
+        structure: &Hierarchy,
         coarse: &Multigrid,
         u: &[Vec3],
     ) -> Vec<(u32, Vec3)> {
@@ -75,7 +75,7 @@ impl Field {
         moves
     }
 
-    /// Starts a step after one that only extrapolated: its increments are [`moves`](Self::moves).
+    /// Starts a step after one that only extrapolated: its increments are [`corrections`](Self::moves).
     pub(super) fn keep_moves(&mut self) -> Vec<(u32, Vec3)> {
         self.moved_on.clear();
         std::mem::take(&mut self.moves)
@@ -97,7 +97,7 @@ impl Field {
     /// level 1.
     pub(super) fn carry(
         &mut self,
-        structure: &Structure,
+        structure: &Hierarchy,
         coarse: &Multigrid,
         u: &mut [Vec3],
         moves: &[(u32, Vec3)],
@@ -115,7 +115,7 @@ impl Field {
     }
 
     /// Marks the nodes of the set as up to date with level 1, if that was postponed.
-    pub(super) fn note(&mut self, structure: &Structure, coarse: &Multigrid) {
+    pub(super) fn note(&mut self, structure: &Hierarchy, coarse: &Multigrid) {
         if self.since == Since::Carried {
             self.since = Since::Noted;
             for &node in &self.nodes.items {
@@ -133,7 +133,7 @@ impl Field {
     }
 
     /// Restores every node moved in this step, and resets non-finite displacements to zero.
-    pub(super) fn undo(&mut self, structure: &Structure, u: &mut [Vec3]) {
+    pub(super) fn undo(&mut self, structure: &Hierarchy, u: &mut [Vec3]) {
         for node in self.moved_on.take() {
             u[node as usize] = self.start[node as usize];
             self.disturb(structure, node);
@@ -160,7 +160,7 @@ impl Field {
     }
 
     /// Moves the nodes of the set by the full correction of level 1.
-    pub(super) fn correct(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
+    pub(super) fn correct(&mut self, structure: &Hierarchy, coarse: &Multigrid, u: &mut [Vec3]) {
         self.moved.clear();
         self.old.clear();
         let e = &coarse.patches[0].e;
@@ -179,7 +179,7 @@ impl Field {
     /// Reduces the applied correction to `share` of it; brick forces are interpolated linearly.
     pub(super) fn settle(
         &mut self,
-        structure: &Structure,
+        structure: &Hierarchy,
         coarse: &Multigrid,
         u: &mut [Vec3],
         share: f64,
@@ -234,7 +234,7 @@ impl Field {
     }
 
     /// Sets the maximum move of a smoothing step; see [`MOVE_MAX`].
-    pub(super) fn limit_moves(&mut self, structure: &Structure, near: bool) {
+    pub(super) fn limit_moves(&mut self, structure: &Hierarchy, near: bool) {
         let short = near && structure.bottoms_out;
         self.move_max = MOVE_MAX[usize::from(short)] / f64::from(structure.per_spacing);
     }

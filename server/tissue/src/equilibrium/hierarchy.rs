@@ -107,7 +107,7 @@ struct LevelKinds {
 type Parts = Vec<(u32, u32)>;
 
 /// Bricks and coarse lattices of a topology.
-pub(crate) struct Structure {
+pub(crate) struct Hierarchy {
     pub(super) bricks: Vec<Brick>,
     pub(super) forms: Vec<Arc<Form>>,
     /// Whether more than one brick has the form.
@@ -129,7 +129,7 @@ pub(crate) struct Structure {
     brick_of: Vec<u32>,
 }
 
-impl Structure {
+impl Hierarchy {
     /// Largest difference in displacement along an axis between the nodes of a brick, in m.
     pub(super) fn change_of(&self, brick: u32, u: &[Vec3]) -> f64 {
         let nodes = &self.bricks[brick as usize].nodes;
@@ -335,7 +335,7 @@ fn bricks_of(
     topology: &Topology,
     cells: &[Piece],
     coarse: &Coarse,
-    before: Option<(&Structure, &[u32])>,
+    before: Option<(&Hierarchy, &[u32])>,
     kinds: &mut Kinds,
 ) -> Sorted {
     let elements = coarse.pieces.len();
@@ -393,12 +393,12 @@ fn bricks_of(
 
 /// The unchanged part of a topology.
 struct Changed<'a> {
-    before: &'a Structure,
+    before: &'a Hierarchy,
     touched: Vec<bool>,
 }
 
 impl<'a> Changed<'a> {
-    fn new(topology: &Topology, before: &'a Structure, nodes: &[u32]) -> Self {
+    fn new(topology: &Topology, before: &'a Hierarchy, nodes: &[u32]) -> Self {
         let mut touched = vec![false; topology.node_count()];
         touched[before.prolongation.len().min(topology.node_count())..].fill(true);
         for &node in nodes {
@@ -524,7 +524,7 @@ mod tests {
 
     #[test]
     fn interpolation_is_equal_from_every_element_around_a_node() {
-        let structure = Structure::new(&crossed());
+        let structure = Hierarchy::new(&crossed());
         let level = &structure.levels[0];
         for node in 0..structure.prolongation.len() {
             let row: Vec<(u32, f32)> = structure.prolongation.row(node).collect();

@@ -1,17 +1,17 @@
 //! Stiffness and loads of contacts and held nodes on the coarse levels.
 
-use super::block::{ZERO, plus};
 use super::brick::CORNER;
+use super::coarse_level::{CoarseLevel, ContactStiffness, NONE, invert};
 use super::cycle::{Multigrid, restrict};
+use super::hierarchy::{Hierarchy, Level};
 use super::matrix::{Columns, at, lane};
-use super::patch::{NONE, Overlay, Patch, invert};
 use super::prolongation::STENCILS;
-use super::structure::{Level, Structure};
+use super::quad::{ZERO, plus};
 use crate::Vec3;
 
 impl Multigrid {
     /// Adds the stiffness of a node, a block in N/m, to level 1.
-    pub(super) fn stiffen(&mut self, structure: &Structure, node: u32, block: &[f32; 6]) {
+    pub(super) fn stiffen(&mut self, structure: &Hierarchy, node: u32, block: &[f32; 6]) {
         let Some(&entry) = structure.around.row(node).first() else {
             return;
         };
@@ -40,13 +40,13 @@ impl Multigrid {
     }
 
     /// Adds a force in N on a node to the loads of level 1.
-    pub(super) fn draw(&mut self, structure: &Structure, node: u32, force: &Vec3) {
+    pub(super) fn draw(&mut self, structure: &Hierarchy, node: u32, force: &Vec3) {
         let load = [force.x as f32, force.y as f32, force.z as f32, 0.0];
         restrict(&structure.prolongation, node, &load, &mut self.patches[0]);
     }
 
     /// Adds the stiffness to the Galerkin operators of all levels.
-    pub(super) fn spread(&mut self, structure: &Structure) {
+    pub(super) fn spread(&mut self, structure: &Hierarchy) {
         for l in 0..self.patches.len() {
             let level = &structure.levels[l];
             let (finer, coarser) = self.patches.split_at_mut(l + 1);
@@ -79,7 +79,7 @@ impl Multigrid {
     }
 
     /// Removes all added stiffness.
-    pub(super) fn soften(&mut self, structure: &Structure) {
+    pub(super) fn soften(&mut self, structure: &Hierarchy) {
         for (patch, level) in self.patches.iter_mut().zip(&structure.levels) {
             for overlay in &patch.overlays {
                 patch.overlay_of[overlay.element as usize] = NONE;
@@ -94,13 +94,13 @@ impl Multigrid {
     }
 }
 
-impl Patch {
+impl CoarseLevel {
     pub(super) fn overlay(&mut self, level: &Level, element: u32, add: impl FnOnce(&mut Columns)) {
         debug_assert!((element as usize) < level.corners.len());
         let entry = &mut self.overlay_of[element as usize];
         if *entry == NONE {
             *entry = self.overlays.len() as u32;
-            let mut overlay = self.spare.pop().unwrap_or_else(|| Overlay {
+            let mut overlay = self.spare.pop().unwrap_or_else(|| ContactStiffness {
                 element,
                 k: Box::new(Columns::ZERO),
             });

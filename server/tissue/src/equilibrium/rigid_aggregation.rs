@@ -9,11 +9,11 @@
 
 use std::collections::BTreeMap;
 
-use super::block::{Quad, ZERO};
 use super::brick::LOCALS;
-use super::field::Field;
+use super::fine_level::FineLevel;
+use super::hierarchy::Hierarchy;
+use super::quad::{Quad, ZERO};
 use super::solver::Solver;
-use super::structure::Structure;
 use crate::Vec3;
 
 /// Step length below which resisting bricks are aggregated.
@@ -22,7 +22,7 @@ const HINDERED: f64 = 0.5;
 const RESISTED: f64 = 0.03;
 
 impl Solver {
-    /// Line search: the step length within bounds at which the work along these increments vanishes. `moves` are sorted
+    /// Line search: the step length within bounds at which the work along these increments vanishes. `corrections` are sorted
     /// by node, and the shape is at their end. `before` are the brick forces at their start in N; `waiting` is the work
     /// of deferred forces at both ends in N m. Bricks that resist the step are aggregated.
     pub(super) fn share_of(
@@ -72,12 +72,12 @@ fn work<'a>(moves: &[(u32, Vec3)], of: impl Fn(usize, u32) -> &'a Quad) -> f64 {
     moves.iter().enumerate().map(one).sum()
 }
 
-impl Field {
+impl FineLevel {
     /// Aggregates bricks whose work against these increments exceeds `most` N m. The shape is at the end of the
     /// increments; the saved forces belong to their start. Returns whether any increment changed.
     fn bind(
         &mut self,
-        structure: &Structure,
+        structure: &Hierarchy,
         u: &mut [Vec3],
         moves: &mut [(u32, Vec3)],
         most: f64,
@@ -122,7 +122,7 @@ impl Field {
     }
 
     /// Active bricks that do more than `most` N m against the increments.
-    fn resisting(&mut self, structure: &Structure, moves: &[(u32, Vec3)], most: f64) -> Vec<u32> {
+    fn resisting(&mut self, structure: &Hierarchy, moves: &[(u32, Vec3)], most: f64) -> Vec<u32> {
         // Smoothing starts without a previous step, so `d` is free for the increments.
         for &node in &self.nodes.items {
             self.d[node as usize] = ZERO;
@@ -148,7 +148,7 @@ impl Field {
 }
 
 /// Nodes of bricks that share nodes, group by group.
-fn hang_together(structure: &Structure, bricks: &[u32]) -> Vec<Vec<u32>> {
+fn hang_together(structure: &Hierarchy, bricks: &[u32]) -> Vec<Vec<u32>> {
     let mut groups: Vec<Vec<u32>> = Vec::new();
     let mut group_of: BTreeMap<u32, usize> = BTreeMap::new();
     for (own, &brick) in bricks.iter().enumerate() {

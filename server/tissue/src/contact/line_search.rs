@@ -16,7 +16,7 @@ const NARROW: f64 = 1e-3;
 const CORE: f64 = 0.5;
 
 /// Contact samples on a line of shapes `u + s by`.
-pub(crate) struct Along {
+pub(crate) struct LineSearch {
     /// Each with the core point that it [pierces](Row::pierces), if any.
     rows: Vec<(Row, Option<Vec3>)>,
     /// Cores of the tools; only their shape is used.
@@ -94,7 +94,7 @@ fn work((row, pierces): &(Row, Option<Vec3>), core: &Core, s: f64) -> f64 {
     row.stiffness * (row.radius - distance) / distance * v.dot(&row.by)
 }
 
-impl Along {
+impl LineSearch {
     pub(crate) fn new(rows: Vec<Row>, cores: Vec<Core>) -> Self {
         let row = |row: Row| {
             let pierces = row.pierces(&cores[row.tool as usize]);
@@ -177,9 +177,9 @@ mod tests {
         }
     }
 
-    fn along(rows: Vec<Row>) -> Along {
+    fn along(rows: Vec<Row>) -> LineSearch {
         let core = Core::of(&Tool::ball(0, Vec3::zeros(), 8e-3));
-        Along::new(rows, vec![core])
+        LineSearch::new(rows, vec![core])
     }
 
     #[test]

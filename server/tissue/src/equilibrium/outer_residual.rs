@@ -6,14 +6,14 @@
 //! A point outside the set of its level follows the coarser level by its weights, e = P e'. The work of a force f on it
 //! is f · P e' = Pᵀ f · e', so the forces are restricted until they meet active points.
 
-use super::block::{Quad, ZERO, plus};
+use super::coarse_level::CoarseLevel;
 use super::cycle::Multigrid;
-use super::field::{Beyond, Field};
-use super::patch::Patch;
+use super::fine_level::{FineLevel, OuterForces};
+use super::hierarchy::Hierarchy;
+use super::quad::{Quad, ZERO, plus};
 use super::solver::Solver;
-use super::structure::Structure;
 
-impl Patch {
+impl CoarseLevel {
     /// Adds to the outer force of a point, restricted from outside the finer level's set.
     fn add_beyond(&mut self, point: u32, force: &Quad, weight: f32) {
         if self.beyond.insert(point) {
@@ -27,7 +27,7 @@ impl Patch {
 impl Multigrid {
     /// Work of the outer forces along the correction, in N m: those restricted from nodes to level 1, and the deferred
     /// residual of each level. They are restricted once, until a force or a set changes.
-    fn work_beyond(&mut self, structure: &Structure) -> f64 {
+    fn work_beyond(&mut self, structure: &Hierarchy) -> f64 {
         if !std::mem::replace(&mut self.is_beyond_restricted, true) {
             self.restrict_beyond(structure);
         }
@@ -44,7 +44,7 @@ impl Multigrid {
     }
 
     /// Restricts the outer forces to the active points.
-    fn restrict_beyond(&mut self, structure: &Structure) {
+    fn restrict_beyond(&mut self, structure: &Hierarchy) {
         for patch in &mut self.patches[1..] {
             patch.beyond.clear();
         }
@@ -76,7 +76,7 @@ impl Solver {
     }
 }
 
-impl Field {
+impl FineLevel {
     /// Unfixed nodes outside the set with a possibly nonzero force.
     pub(super) fn loud_beyond(&self) -> impl Iterator<Item = usize> {
         let beyond = |&&n: &&u32| !self.nodes.contains(n) && !self.fixed[n as usize];
@@ -84,8 +84,8 @@ impl Field {
     }
 
     /// Restricts the forces on nodes outside the set to level 1, if any has changed.
-    pub(super) fn restrict_beyond(&mut self, structure: &Structure, coarse: &mut Multigrid) {
-        if std::mem::replace(&mut self.beyond, Beyond::Restricted) == Beyond::Restricted {
+    pub(super) fn restrict_beyond(&mut self, structure: &Hierarchy, coarse: &mut Multigrid) {
+        if std::mem::replace(&mut self.beyond, OuterForces::Restricted) == OuterForces::Restricted {
             return;
         }
         coarse.is_beyond_restricted = false;

@@ -14,11 +14,11 @@
 use nalgebra::Matrix3;
 
 use super::cycle::Multigrid;
-use super::field::{Field, contact_block};
+use super::fine_level::{FineLevel, contact_block};
+use super::hierarchy::Hierarchy;
 use super::law::invert;
 use super::matrix::{at, lane};
 use super::solver::Solver;
-use super::structure::Structure;
 use crate::Vec3;
 
 /// Ratio to the stiffness at rest, over all axes, from which the coarse levels follow an element.
@@ -86,9 +86,9 @@ impl Solver {
     }
 }
 
-impl Field {
+impl FineLevel {
     /// C of an element of level 1, if it has hardened.
-    fn hardening(&mut self, structure: &Structure, element: u32) -> Option<Matrix3<f32>> {
+    fn hardening(&mut self, structure: &Hierarchy, element: u32) -> Option<Matrix3<f32>> {
         let (mut now, mut rest) = ([0.0; 6], [0.0; 6]);
         for &brick in structure.levels[0].children.row(element) {
             let firm = self.firm[brick as usize];
@@ -117,7 +117,7 @@ impl Field {
 
 impl Multigrid {
     /// Stiffens an element of level 1 by `c`.
-    fn harden(&mut self, structure: &Structure, element: u32, c: &Matrix3<f32>) {
+    fn harden(&mut self, structure: &Hierarchy, element: u32, c: &Matrix3<f32>) {
         let level = &structure.levels[0];
         let (corners, own) = level.element(element);
         let patch = &mut self.patches[0];

@@ -7,16 +7,16 @@
 
 use std::sync::Arc;
 
-use super::block::ZERO;
 use super::brick::LOCALS;
 use super::budget::Budget;
+use super::coarse_level::CoarseLevel;
 use super::cycle::Multigrid;
-use super::field::{Beyond, Field, Since};
-use super::foresight::Foresight;
-use super::patch::Patch;
-use super::relief::Relief;
+use super::fine_level::{FineLevel, OuterForces, Since};
+use super::hierarchy::Hierarchy;
+use super::quad::ZERO;
 use super::solver::Solver;
-use super::structure::Structure;
+use super::warm_start::WarmStart;
+use super::work_limit::WorkLimit;
 use crate::{Shape, Topology, Vec3};
 
 /// Relative residual of the reference state under gravity, and the maximum of iterations.
@@ -35,7 +35,7 @@ pub struct Sag {
 }
 
 /// Shape and brick forces under gravity.
-pub(super) struct Home {
+pub(super) struct ReferenceState {
     pub(super) displacement: Vec<Vec3>,
     forces: Vec<[[f32; LOCALS]; 3]>,
     /// Root of the sum of squares of the weights, in N.
@@ -43,18 +43,18 @@ pub(super) struct Home {
     sag: Sag,
 }
 
-impl Home {
+impl ReferenceState {
     /// The reference state of a topology, solved from the one of an earlier topology; `None` without weight.
     pub(super) fn of(
         topology: &Topology,
-        structure: &Arc<Structure>,
+        structure: &Arc<Hierarchy>,
         own: &[f64],
         former: Option<&Self>,
     ) -> Option<Arc<Self>> {
         if topology.model().gravity == [0.0; 3] {
             return None;
         }
-        let field = Field::new(topology, structure, own.to_vec());
+        let field = FineLevel::new(topology, structure, own.to_vec());
         let mut solver = Solver::with(topology, Arc::clone(structure), field, None);
         let mut shape = Shape::rest(topology);
         if let Some(former) = former {
@@ -146,9 +146,9 @@ impl Solver {
         self.field.rest(&self.structure, home);
         self.coarse.rest();
         self.contacts.rest();
-        self.foresight = Foresight::default();
+        self.foresight = WarmStart::default();
         self.led.clear();
-        self.relief = Relief::NONE;
+        self.relief = WorkLimit::NONE;
         self.reference = self.alone();
         self.report.reactions.clear();
         self.dirty = false;
@@ -156,8 +156,8 @@ impl Solver {
     }
 }
 
-impl Field {
-    fn rest(&mut self, structure: &Structure, home: Option<&Home>) {
+impl FineLevel {
+    fn rest(&mut self, structure: &Hierarchy, home: Option<&ReferenceState>) {
         let bricks = self.computed.take();
         for &brick in &bricks {
             let b = brick as usize;
@@ -173,7 +173,7 @@ impl Field {
             }
         }
         self.applied.fill([0.0; 3]);
-        self.beyond = Beyond::Changed;
+        self.beyond = OuterForces::Changed;
         for list in [
             &mut self.loud,
             &mut self.quiet,
@@ -194,6 +194,6 @@ impl Field {
 
 impl Multigrid {
     fn rest(&mut self) {
-        self.patches.iter_mut().for_each(Patch::rest);
+        self.patches.iter_mut().for_each(CoarseLevel::rest);
     }
 }

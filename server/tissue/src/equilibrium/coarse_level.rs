@@ -9,12 +9,12 @@
 //! bricks, which are then recomputed) receive p, and K p is removed from g. Displacements are deferred likewise: every
 //! point keeps its total and the part of the coarser level's total that it has already received (`applied`).
 
-use super::block::{Quad, ZERO, laid_out, plus};
+use super::hierarchy::{Hierarchy, Level};
 use super::matrix::{Columns, Corners};
-use super::structure::{Level, Structure};
+use super::quad::{Quad, ZERO, laid_out, plus};
 
 /// Stiffness of an element including contacts and held nodes.
-pub(super) struct Overlay {
+pub(super) struct ContactStiffness {
     pub(super) element: u32,
     pub(super) k: Box<Columns>,
 }
@@ -100,7 +100,7 @@ impl List {
 }
 
 /// The state of one coarse level.
-pub(super) struct Patch {
+pub(super) struct CoarseLevel {
     pub(super) set: List,
     pub(super) refined: List,
     /// Elements refined at any time in this step.
@@ -144,9 +144,9 @@ pub(super) struct Patch {
     /// Totals that were already prolongated to the whole finer level.
     poured: Vec<[f64; 3]>,
 
-    pub(super) overlays: Vec<Overlay>,
+    pub(super) overlays: Vec<ContactStiffness>,
     /// Unused entries for reuse.
-    pub(super) spare: Vec<Overlay>,
+    pub(super) spare: Vec<ContactStiffness>,
     pub(super) overlay_of: Vec<u32>,
     /// Additional diagonal bound of points by contact stiffness, and these points.
     pub(super) stiffer: Vec<[f32; 6]>,
@@ -158,7 +158,7 @@ const NOTHING: Corners = [ZERO; 8];
 /// No contact stiffness.
 pub(super) const NONE: u32 = u32::MAX;
 
-impl Patch {
+impl CoarseLevel {
     pub(super) fn new(level: &Level) -> Self {
         let (elements, points) = (level.corners.len(), level.points());
         Self {
@@ -362,7 +362,7 @@ impl Patch {
 }
 
 /// Brings the totals of the active points up to date with the coarser level.
-pub(super) fn take_over(structure: &Structure, patches: &mut [Patch], l: usize) {
+pub(super) fn take_over(structure: &Hierarchy, patches: &mut [CoarseLevel], l: usize) {
     let (finer, coarser) = patches.split_at_mut(l + 1);
     let Some(above) = coarser.first() else { return };
     let patch = &mut finer[l];
@@ -378,7 +378,7 @@ pub(super) fn take_over(structure: &Structure, patches: &mut [Patch], l: usize) 
 
 /// Brings all points up to date with the totals of the coarser level that changed by more than `least` m since the last
 /// call.
-pub(super) fn hand_down(structure: &Structure, patches: &mut [Patch], l: usize, least: f64) {
+pub(super) fn hand_down(structure: &Hierarchy, patches: &mut [CoarseLevel], l: usize, least: f64) {
     let (finer, coarser) = patches.split_at_mut(l + 1);
     let Some(above) = coarser.first_mut() else {
         return;

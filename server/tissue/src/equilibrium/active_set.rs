@@ -1,10 +1,10 @@
 //! The active set: the refined elements of level 1 and their bricks.
 
 use super::brick::LOCALS;
+use super::coarse_level::CoarseLevel;
 use super::cycle::Multigrid;
-use super::field::{Beyond, Field, Since, square};
-use super::patch::Patch;
-use super::structure::Structure;
+use super::fine_level::{FineLevel, OuterForces, Since, square};
+use super::hierarchy::Hierarchy;
 use crate::Vec3;
 
 /// Fraction of the threshold below which a force is ignored, in quick and in full steps.
@@ -36,7 +36,7 @@ impl Keeps {
 }
 
 /// Criteria of a choice.
-pub(super) struct Asked {
+pub(super) struct Criteria {
     /// Force in N from which a node requires refinement.
     pub(super) threshold: f32,
     /// Whether the step is quick.
@@ -44,19 +44,19 @@ pub(super) struct Asked {
     pub(super) keeps: Keeps,
 }
 
-impl Field {
+impl FineLevel {
     /// Chooses the elements of level 1 to refine: those with a node whose force exceeds the threshold, those marked by
     /// the last cycle, and those in contact. The current set stays if it covers them and is not much larger. Returns
     /// whether the set changes.
     pub(super) fn select(
         &mut self,
-        structure: &Structure,
+        structure: &Hierarchy,
         coarse: &mut Multigrid,
         always: impl Iterator<Item = u32>,
-        asked: &Asked,
+        asked: &Criteria,
         u: &[Vec3],
     ) -> bool {
-        let Asked {
+        let Criteria {
             threshold,
             quick,
             keeps,
@@ -67,7 +67,7 @@ impl Field {
         if !quick {
             for node in self.quiet.take() {
                 self.loud.insert(node);
-                self.beyond = Beyond::Changed;
+                self.beyond = OuterForces::Changed;
             }
         }
         let mut limit = threshold;
@@ -94,7 +94,7 @@ impl Field {
                 quiet.insert(node);
             }
             if !stays && !nodes.contains(node) {
-                *beyond = Beyond::Changed;
+                *beyond = OuterForces::Changed;
             }
             stays
         });
@@ -121,7 +121,7 @@ impl Field {
     }
 
     /// Whether an element of level 1 is too deformed for its matrix at rest.
-    fn is_bent(&self, structure: &Structure, element: u32, u: &[Vec3]) -> bool {
+    fn is_bent(&self, structure: &Hierarchy, element: u32, u: &[Vec3]) -> bool {
         let tolerable = f64::from(self.bent) * 2.0 / f64::from(structure.per_spacing);
         let bricks = structure.levels[0].children.row(element);
         bricks
@@ -130,7 +130,7 @@ impl Field {
     }
 
     /// Collects the elements around nodes whose force exceeds the threshold.
-    fn need(&mut self, structure: &Structure, patch: &Patch, threshold: f32, quick: bool) {
+    fn need(&mut self, structure: &Hierarchy, patch: &CoarseLevel, threshold: f32, quick: bool) {
         self.needed.clear();
         let waits = |&entry: &u32| {
             let element = structure.element_of[(entry / 32) as usize];
@@ -157,7 +157,7 @@ impl Field {
     }
 
     /// Refines the marked elements of level 1.
-    pub(super) fn select_wanted(patch: &mut Patch) {
+    pub(super) fn select_wanted(patch: &mut CoarseLevel) {
         for element in patch.wanted.take() {
             patch.refined.insert(element);
         }
@@ -165,7 +165,7 @@ impl Field {
     }
 
     /// Activates the chosen set and computes its new bricks, without contact forces.
-    pub(super) fn enter(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
+    pub(super) fn enter(&mut self, structure: &Hierarchy, coarse: &Multigrid, u: &mut [Vec3]) {
         self.take_in(structure, coarse, u);
         let new = |brick: &u32| !self.left.contains(*brick);
         let new: Vec<u32> = self.set.items.iter().copied().filter(new).collect();
@@ -175,10 +175,10 @@ impl Field {
     }
 
     /// Activates the chosen set and brings its nodes up to date with level 1, without computing forces.
-    pub(super) fn take_in(&mut self, structure: &Structure, coarse: &Multigrid, u: &mut [Vec3]) {
+    pub(super) fn take_in(&mut self, structure: &Hierarchy, coarse: &Multigrid, u: &mut [Vec3]) {
         self.note(structure, coarse);
         self.since = Since::Chosen;
-        self.beyond = Beyond::Changed;
+        self.beyond = OuterForces::Changed;
         std::mem::swap(&mut self.set, &mut self.left);
         self.set.clear();
         for &node in &self.nodes.items {

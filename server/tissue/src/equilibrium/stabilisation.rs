@@ -44,7 +44,7 @@ const PRESSED: f32 = 4.0;
 const ONSET: f32 = 0.3;
 
 /// Stabilisation terms of a compressed spring.
-struct Hold<S: Simd> {
+struct Stabilisation<S: Simd> {
     /// P in N, and its derivative by -r in N/m.
     push: V<S>,
     stiffness: V<S>,
@@ -53,7 +53,7 @@ struct Hold<S: Simd> {
     slope: V<S>,
 }
 
-impl<S: Simd> Hold<S> {
+impl<S: Simd> Stabilisation<S> {
     /// Above zero where a spring of this length is held or extreme, given `α_min`.
     #[inline(always)]
     fn sets_in(simd: S, limit: f32, length: V<S>, rest: V<S>) -> V<S> {
@@ -139,13 +139,13 @@ pub(crate) fn held_forces<S: Simd>(
                 let mut t = s.tension(simd, form, k);
                 let [least, most] = form.curve.limits;
                 let (long, guarded) = (s.drawn(simd, most), s.guarded(simd));
-                let pressed = Hold::sets_in(simd, least, s.length, s.rest_length);
+                let pressed = Stabilisation::sets_in(simd, least, s.length, s.rest_length);
                 // Rare and expensive: two roots and a division are the cost of an ordinary spring.
                 let unusual = k.where_above_zero(pressed.max(long).max(guarded));
                 let unusual = unusual.any_above_zero();
                 let mut guard = zero;
                 if unusual {
-                    let hold = Hold::new(simd, least, k, s.length, s.rest_length);
+                    let hold = Stabilisation::new(simd, least, k, s.length, s.rest_length);
                     let [pull, back] = hold.pull(s.over());
                     let long = V::all(simd, EXTREME) * k * long.max(zero);
                     t = t + (long + pull) / s.length;
@@ -195,9 +195,9 @@ pub(crate) fn held_tangents<S: Simd>(
                 let (mut first, mut across) = (k, k * turning.max(floor));
                 let margin = all(MARGIN) * s.rest_length;
                 let length = (s.length - margin).max(margin);
-                let pressed = Hold::sets_in(simd, least, length, s.rest_length);
+                let pressed = Stabilisation::sets_in(simd, least, length, s.rest_length);
                 if plain.where_above_zero(pressed).any_above_zero() {
-                    let hold = Hold::new(simd, least, plain, length, s.rest_length);
+                    let hold = Stabilisation::new(simd, least, plain, length, s.rest_length);
                     let [along, held, bent] = hold.stiffness(simd, length, s.over());
                     first = first + along + bent;
                     let held = held.where_above_zero(k * turning + held);

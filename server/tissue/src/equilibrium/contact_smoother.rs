@@ -3,21 +3,21 @@
 //! A contact is forty times stiffer than the tissue, so a small displacement error of a node in contact makes a large
 //! force error. The error is local, so local smoothing removes it. (Three steps take 0.065 ms of a tick of 1.3 ms.)
 
-use super::field::Field;
-use super::patch::List;
-use super::structure::Structure;
+use super::coarse_level::List;
+use super::fine_level::FineLevel;
+use super::hierarchy::Hierarchy;
 use crate::Vec3;
 use crate::contact::Contacts;
 
 /// Bricks around nodes in contact, and the nodes inside these bricks.
-pub(super) struct Near {
+pub(super) struct ContactSmoother {
     bricks: List,
     seen: List,
     pub(super) nodes: Vec<u32>,
 }
 
-impl Near {
-    pub(super) fn new(structure: &Structure) -> Self {
+impl ContactSmoother {
+    pub(super) fn new(structure: &Hierarchy) -> Self {
         Self {
             bricks: List::new(structure.bricks.len()),
             seen: List::new(structure.prolongation.len()),
@@ -26,7 +26,7 @@ impl Near {
     }
 
     /// Collects the bricks under these contacts.
-    fn gather(&mut self, structure: &Structure, field: &Field, contacts: &Contacts) {
+    fn gather(&mut self, structure: &Hierarchy, field: &FineLevel, contacts: &Contacts) {
         self.bricks.clear();
         self.seen.clear();
         self.nodes.clear();
@@ -50,12 +50,12 @@ impl Near {
     }
 }
 
-impl Field {
+impl FineLevel {
     /// Smooths the nodes under the tools with `steps` Chebyshev steps.
     pub(super) fn smooth_near(
         &mut self,
-        structure: &Structure,
-        near: &mut Near,
+        structure: &Hierarchy,
+        near: &mut ContactSmoother,
         u: &mut [Vec3],
         contacts: &Contacts,
         steps: usize,

@@ -5,10 +5,10 @@
 //! extreme.
 
 use super::brick::{Brick, LOCALS};
-use super::field::{Field, contact_block};
+use super::coarse_level::invert;
+use super::fine_level::{FineLevel, contact_block};
+use super::hierarchy::Hierarchy;
 use super::kernel::{LocalBlocks, Tangents};
-use super::patch::invert;
-use super::structure::Structure;
 use crate::Vec3;
 use crate::contact::Contacts;
 
@@ -21,12 +21,12 @@ const MILD: f64 = 0.05;
 
 /// Diagonal blocks of the nodes of a brick in N/m, and their sum over present nodes.
 #[derive(Clone)]
-pub(super) struct Blocks {
+pub(super) struct JacobiBlocks {
     of: [[f32; 6]; LOCALS],
     firm: [f32; 6],
 }
 
-impl Blocks {
+impl JacobiBlocks {
     fn new(blocks: &LocalBlocks, present: u32) -> Self {
         let of = std::array::from_fn(|i| blocks.each_ref().map(|entry| entry[i]));
         let firm = firm(blocks, present);
@@ -34,9 +34,9 @@ impl Blocks {
     }
 }
 
-impl Field {
+impl FineLevel {
     /// Recomputes the diagonal blocks of the active nodes at the current displacements.
-    pub(super) fn renew_blocks(&mut self, structure: &Structure, u: &[Vec3], contacts: &Contacts) {
+    pub(super) fn renew_blocks(&mut self, structure: &Hierarchy, u: &[Vec3], contacts: &Contacts) {
         for &node in &self.nodes.items {
             self.blocks[node as usize] = [0.0; 6];
         }
@@ -72,7 +72,7 @@ impl Field {
 
     fn tangents(
         &mut self,
-        structure: &Structure,
+        structure: &Hierarchy,
         brick: &Brick,
         u: Option<&[Vec3]>,
     ) -> LocalBlocks {
@@ -86,7 +86,7 @@ impl Field {
     }
 
     /// The blocks at rest of a brick with a shared form and small strain.
-    fn at_rest(&mut self, structure: &Structure, brick: u32, u: &[Vec3]) -> Option<&Blocks> {
+    fn at_rest(&mut self, structure: &Hierarchy, brick: u32, u: &[Vec3]) -> Option<&JacobiBlocks> {
         let b = &structure.bricks[brick as usize];
         let form = b.form as usize;
         let mild = MILD / f64::from(structure.per_spacing);
@@ -96,7 +96,7 @@ impl Field {
         }
         if self.blocks_at_rest[form].is_none() {
             let m = self.tangents(structure, b, None);
-            self.blocks_at_rest[form] = Some(Box::new(Blocks::new(&m, b.present)));
+            self.blocks_at_rest[form] = Some(Box::new(JacobiBlocks::new(&m, b.present)));
         }
         self.blocks_at_rest[form].as_deref()
     }
@@ -139,7 +139,7 @@ impl Field {
 
     /// Recomputes the block sums of bricks that have just become active: with outdated sums corrections were ten times
     /// too long.
-    pub(super) fn renew_firmness(&mut self, structure: &Structure, u: &[Vec3], bricks: &[u32]) {
+    pub(super) fn renew_firmness(&mut self, structure: &Hierarchy, u: &[Vec3], bricks: &[u32]) {
         if !structure.bottoms_out {
             return;
         }
@@ -155,7 +155,7 @@ impl Field {
     }
 
     /// Sum of the diagonal blocks of a brick at rest.
-    pub(super) fn firm_at_rest(&mut self, structure: &Structure, brick: u32) -> [f32; 6] {
+    pub(super) fn firm_at_rest(&mut self, structure: &Hierarchy, brick: u32) -> [f32; 6] {
         let b = &structure.bricks[brick as usize];
         if let Some(known) = self.firm_at_rest[b.form as usize] {
             return known;

@@ -7,13 +7,13 @@
 use pulp::Arch;
 use rayon::prelude::*;
 
-use super::block::{Quad, ZERO, laid_out};
-use super::blocks::Blocks;
 use super::brick::LOCALS;
+use super::coarse_level::List;
 use super::cycle::Multigrid;
+use super::hierarchy::Hierarchy;
+use super::jacobi_blocks::JacobiBlocks;
 use super::kernel::{Ends, Forces};
-use super::patch::List;
-use super::structure::Structure;
+use super::quad::{Quad, ZERO, laid_out};
 use super::weight::weights;
 use crate::contact::Contacts;
 use crate::{Topology, Vec3};
@@ -34,7 +34,7 @@ pub(super) enum Since {
 
 /// State of the forces on nodes outside the active set.
 #[derive(Clone, Copy, PartialEq)]
-pub(super) enum Beyond {
+pub(super) enum OuterForces {
     /// Not yet restricted to level 1.
     Changed,
     /// Restricted, and unchanged since.
@@ -42,7 +42,7 @@ pub(super) enum Beyond {
 }
 
 /// State of nodes and bricks.
-pub(super) struct Field {
+pub(super) struct FineLevel {
     /// Pinned or held.
     pub(super) fixed: Vec<bool>,
     /// Mean stiffness of the node at rest in N/m.
@@ -75,7 +75,7 @@ pub(super) struct Field {
     /// Nodes that are not free and were disturbed since the last choice of the set.
     pub(super) disturbed: List,
     /// State of the forces on nodes outside the set.
-    pub(super) beyond: Beyond,
+    pub(super) beyond: OuterForces,
     /// Elements of level 1 to be refined; scratch.
     pub(super) needed: List,
     /// Whether the forces of the set, without contacts, match the current displacements.
@@ -111,7 +111,7 @@ pub(super) struct Field {
     pub(super) firm: Vec<[f32; 6]>,
     pub(super) firm_at_rest: Vec<Option<[f32; 6]>>,
     /// Diagonal blocks at rest of forms that several bricks share.
-    pub(super) blocks_at_rest: Vec<Option<Box<Blocks>>>,
+    pub(super) blocks_at_rest: Vec<Option<Box<JacobiBlocks>>>,
     /// Correction of each node by level 1 in this iteration; scratch.
     pub(super) moved: Vec<(u32, Vec3)>,
     pub(super) old: Vec<Quad>,
@@ -120,9 +120,9 @@ pub(super) struct Field {
     pub(super) arch: Arch,
 }
 
-impl Field {
+impl FineLevel {
     /// `own` is the stiffness of each node, from [`own_stiffness`].
-    pub(super) fn new(topology: &Topology, structure: &Structure, own: Vec<f64>) -> Self {
+    pub(super) fn new(topology: &Topology, structure: &Hierarchy, own: Vec<f64>) -> Self {
         let nodes = topology.node_count();
         Self {
             fixed: (0..nodes as u32).map(|n| topology.is_pinned(n)).collect(),
@@ -143,7 +143,7 @@ impl Field {
             loud: List::new(nodes),
             quiet: List::new(nodes),
             disturbed: List::new(nodes),
-            beyond: Beyond::Changed,
+            beyond: OuterForces::Changed,
             needed: List::new(structure.levels[0].corners.len()),
             current: false,
             outdated: true,
@@ -174,7 +174,7 @@ impl Field {
     }
 
     /// Marks the forces of the bricks around a node as outdated.
-    pub(super) fn disturb(&mut self, structure: &Structure, node: u32) {
+    pub(super) fn disturb(&mut self, structure: &Hierarchy, node: u32) {
         for &entry in structure.around.row(node) {
             self.stale.insert(entry / 32);
         }
@@ -188,12 +188,12 @@ impl Field {
     }
 
     /// Removes contact forces from their nodes before contacts are searched again.
-    pub(super) fn let_contacts_go(&mut self, structure: &Structure, nodes: &[u32]) {
+    pub(super) fn let_contacts_go(&mut self, structure: &Hierarchy, nodes: &[u32]) {
         for &node in nodes {
             self.r[node as usize] = self.sum(structure, node);
             self.loud.insert(node);
             if !self.nodes.contains(node) {
-                self.beyond = Beyond::Changed;
+                self.beyond = OuterForces::Changed;
             }
             if !self.free[node as usize] {
                 self.disturbed.insert(node);
@@ -207,11 +207,11 @@ impl Field {
     }
 
     /// Recomputes outdated bricks.
-    pub(super) fn refresh(&mut self, structure: &Structure, u: &[Vec3]) {
+    pub(super) fn refresh(&mut self, structure: &Hierarchy, u: &[Vec3]) {
         if self.stale.items.is_empty() {
             return;
         }
-        self.beyond = Beyond::Changed;
+        self.beyond = OuterForces::Changed;
         self.stale.sort();
         let list = std::mem::take(&mut self.stale.items);
         self.compute(structure, u, &list);
@@ -236,7 +236,7 @@ impl Field {
     #[inline]
     pub(super) fn take_over(
         &mut self,
-        structure: &Structure,
+        structure: &Hierarchy,
         coarse: &Multigrid,
         u: &mut [Vec3],
         node: u32,
@@ -259,11 +259,11 @@ impl Field {
     }
 
     /// Prolongates the displacements of level 1 that changed by more than `least` m since the last call;
-    /// `patch::hand_down` does the levels above. [`undo`](Self::undo) does not revert these moves: the totals must be
+    /// `coarse_level::hand_down` does the levels above. [`undo`](Self::undo) does not revert these moves: the totals must be
     /// finite.
     pub(super) fn pour(
         &mut self,
-        structure: &Structure,
+        structure: &Hierarchy,
         coarse: &mut Multigrid,
         u: &mut [Vec3],
         least: f64,
@@ -293,7 +293,7 @@ impl Field {
     /// Brings these nodes up to date with level 1.
     pub(super) fn pour_at(
         &mut self,
-        structure: &Structure,
+        structure: &Hierarchy,
         coarse: &Multigrid,
         u: &mut [Vec3],
         nodes: &[u32],
@@ -304,7 +304,7 @@ impl Field {
     }
 
     /// Forces of these bricks.
-    pub(super) fn compute(&mut self, structure: &Structure, u: &[Vec3], list: &[u32]) {
+    pub(super) fn compute(&mut self, structure: &Hierarchy, u: &[Vec3], list: &[u32]) {
         self.visits += list.len();
         for &brick in list {
             self.computed.insert(brick);
@@ -339,7 +339,7 @@ impl Field {
         }
     }
 
-    fn compute_set(&mut self, structure: &Structure, u: &[Vec3]) {
+    fn compute_set(&mut self, structure: &Hierarchy, u: &[Vec3]) {
         let list = std::mem::take(&mut self.set.items);
         self.compute(structure, u, &list);
         self.set.items = list;
@@ -357,7 +357,7 @@ impl Field {
 
     /// Interpolates the forces of the active bricks between the saved ones and the last computed ones, without
     /// contacts.
-    pub(super) fn blend_forces(&mut self, structure: &Structure, share: f32) {
+    pub(super) fn blend_forces(&mut self, structure: &Hierarchy, share: f32) {
         for (&brick, kept) in self.set.items.iter().zip(&self.kept) {
             let forces = self.forces[brick as usize].as_flattened_mut();
             for (f, from) in forces.iter_mut().zip(kept.as_flattened()) {
@@ -374,7 +374,7 @@ impl Field {
     }
 
     /// Sums the cached brick forces on the nodes of the set.
-    pub(super) fn sum_up(&mut self, structure: &Structure) {
+    pub(super) fn sum_up(&mut self, structure: &Hierarchy) {
         for i in 0..self.nodes.items.len() {
             let node = self.nodes.items[i];
             self.r[node as usize] = self.sum(structure, node);
@@ -382,7 +382,7 @@ impl Field {
     }
 
     #[inline]
-    pub(super) fn sum(&self, structure: &Structure, node: u32) -> Quad {
+    pub(super) fn sum(&self, structure: &Hierarchy, node: u32) -> Quad {
         let mut sum = *self.weights.get(node as usize).unwrap_or(&ZERO);
         for &entry in structure.around.row(node) {
             let f = &self.forces[(entry / 32) as usize];
@@ -405,7 +405,7 @@ impl Field {
     }
 
     /// Recomputes the active bricks and the forces on their nodes, without contacts.
-    pub(super) fn evaluate_bricks(&mut self, structure: &Structure, u: &[Vec3]) {
+    pub(super) fn evaluate_bricks(&mut self, structure: &Hierarchy, u: &[Vec3]) {
         if !std::mem::take(&mut self.current) {
             self.compute_set(structure, u);
             self.current = false;
@@ -432,7 +432,7 @@ impl Field {
     }
 
     /// Force of the bricks on one node plus its weight, evaluated at `u`.
-    pub(super) fn force_on(&self, structure: &Structure, u: &[Vec3], node: u32) -> Vec3 {
+    pub(super) fn force_on(&self, structure: &Hierarchy, u: &[Vec3], node: u32) -> Vec3 {
         let [x, y, z, _] = *self.weights.get(node as usize).unwrap_or(&ZERO);
         let mut sum = Vec3::new(x.into(), y.into(), z.into());
         for &entry in structure.around.row(node) {
@@ -455,7 +455,7 @@ impl Field {
     /// Recomputes every brick; returns the sum of squares over all unfixed nodes.
     pub(super) fn square_over_all(
         &mut self,
-        structure: &Structure,
+        structure: &Hierarchy,
         u: &[Vec3],
         contacts: &Contacts,
     ) -> f64 {

@@ -16,9 +16,9 @@ const WIDEST: f64 = 8.0;
 
 /// Factor of the tolerances of deferred elements.
 #[derive(Clone, Copy)]
-pub(super) struct Relief(f64);
+pub(super) struct WorkLimit(f64);
 
-impl Relief {
+impl WorkLimit {
     pub(super) const NONE: Self = Self(1.0);
 
     /// Updates the factor by the active set of the last step; returns it for the next one.
@@ -39,7 +39,7 @@ mod tests {
 
     #[test]
     fn active_set_settles_at_the_work_limit() {
-        let mut relief = Relief::NONE;
+        let mut relief = WorkLimit::NONE;
         // The active set halves when the tolerance factor is four.
         let mut nodes = 3000.0;
         for _ in 0..40 {

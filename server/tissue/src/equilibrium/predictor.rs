@@ -5,7 +5,7 @@
 //! changes the second difference by 2 c / (m (m + 1)). The remaining error is of third order. A cube that needed an
 //! iteration in every third step of a press then needs one in all of it.
 
-use super::block::make_room;
+use super::quad::make_room;
 use crate::Vec3;
 
 /// Minimum distance m (m + 1) / 2 between two converged shapes for a correction to update the curvature.
@@ -34,7 +34,7 @@ impl Curve {
 
 /// The predicted path of a shape.
 #[derive(Default)]
-pub(super) struct Path {
+pub(super) struct Predictor {
     /// In order of nodes.
     curves: Vec<Curve>,
     /// Steps of the current length since the last converged shape.
@@ -43,7 +43,7 @@ pub(super) struct Path {
     solved: Option<f64>,
 }
 
-impl Path {
+impl Predictor {
     /// Discards the path: the shape is not extrapolated.
     pub(super) fn leave(&mut self) {
         self.curves.clear();
@@ -136,7 +136,7 @@ mod tests {
     /// Predicts a curve over steps of these lengths; every `every` steps a correction moves the node onto it. Returns
     /// the error after each step.
     fn follow(curve: impl Fn(f64) -> Vec3, steps: &[f64], every: usize) -> Vec<f64> {
-        let mut path = Path::default();
+        let mut path = Predictor::default();
         let (mut s, mut at) = (1.0, curve(1.0));
         let (mut moves, mut made) = (vec![(7, at - curve(0.0))], 1.0);
         let mut last = 1.0;
@@ -193,7 +193,7 @@ mod tests {
 
     #[test]
     fn incomplete_solve_does_not_change_the_curvature() {
-        let mut path = Path::default();
+        let mut path = Predictor::default();
         let mut moves = vec![(1, Vec3::x()), (2, Vec3::y())];
         path.follow(&mut moves, 1.0, 1.0, |_| true);
         path.solve(0.0);
@@ -204,7 +204,7 @@ mod tests {
 
     #[test]
     fn correction_off_the_path_does_not_change_the_curvature() {
-        let mut path = Path::default();
+        let mut path = Predictor::default();
         let mut moves = vec![(1, Vec3::x())];
         path.follow(&mut moves, 1.0, 1.0, |_| true);
         path.lose();
@@ -216,7 +216,7 @@ mod tests {
 
     #[test]
     fn nodes_on_the_coarse_level_are_extrapolated_linearly() {
-        let mut path = Path::default();
+        let mut path = Predictor::default();
         let mut moves = vec![(1, Vec3::x()), (2, Vec3::x())];
         path.follow(&mut moves, 1.0, 1.0, |_| true);
         path.solve(1.0);
@@ -227,7 +227,7 @@ mod tests {
 
     #[test]
     fn new_nodes_are_extrapolated_linearly() {
-        let mut path = Path::default();
+        let mut path = Predictor::default();
         path.follow(&mut [(5, Vec3::x())], 1.0, 1.0, |_| true);
         path.solve(1.0);
         let mut moves = [(3, Vec3::y()), (5, Vec3::x() * 1.5), (9, Vec3::z())];

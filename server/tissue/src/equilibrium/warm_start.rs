@@ -7,8 +7,8 @@
 
 use std::collections::BTreeMap;
 
-use super::field::Since;
-use super::path::Path;
+use super::fine_level::Since;
+use super::predictor::Predictor;
 use super::solver::{Solver, relative};
 use crate::{Topology, Vec3};
 
@@ -23,9 +23,9 @@ const CARRIED: [f64; 2] = [0.0, 1.0];
 
 /// Positions of held nodes and their increments in the last step.
 #[derive(Default)]
-pub(super) struct Foresight {
+pub(super) struct WarmStart {
     drivers: Vec<Driver>,
-    pub(super) path: Path,
+    pub(super) path: Predictor,
     /// Whether the last step converged.
     pub(super) calm: bool,
     /// Extrapolation factor of the last step, if it made no iteration.
@@ -38,7 +38,7 @@ struct Driver {
     by: Vec3,
 }
 
-impl Foresight {
+impl WarmStart {
     /// Reads the held nodes and their previous positions; returns γ.
     pub(super) fn look(&mut self, held: &[u32], led: &BTreeMap<u32, Vec3>, u: &[Vec3]) -> f64 {
         let (mut both, mut last, mut now) = (0.0, 0.0, 0.0);
@@ -132,7 +132,7 @@ impl Solver {
 
     /// Last stage: records the step for the next warm start, given its initial residual.
     pub(super) fn look_back(&mut self, begun: f64) {
-        let Foresight { path, steady, .. } = &mut self.foresight;
+        let WarmStart { path, steady, .. } = &mut self.foresight;
         if self.report.iterations > 0 && begun > 0.0 {
             path.solve(1.0 - self.report.residual / begun);
         }
