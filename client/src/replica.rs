@@ -223,7 +223,7 @@ impl Replica {
     fn follow(&mut self, made: MadeCut) -> Option<ViewCut> {
         self.topology = made.topology;
         if let Some((side, successor)) = self.haptic.as_mut().zip(made.hand) {
-            side.solver.pour(&mut side.shape);
+            side.solver.prolongate_all(&mut side.shape);
             side.succeed(&self.topology, &made.outcome, successor);
         }
         let cut = ViewCut {

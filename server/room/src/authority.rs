@@ -239,7 +239,7 @@ impl Authority {
         {
             self.due.pop_front();
             if let Some(cut) = self.prepared.pop_front() {
-                self.solver.pour(&mut self.shape);
+                self.solver.prolongate_all(&mut self.shape);
                 self.topology = cut.topology;
                 self.shape.follow(&self.topology, &cut.outcome);
                 self.solver.succeed(&self.topology, cut.successor);

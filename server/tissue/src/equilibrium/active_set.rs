@@ -3,7 +3,7 @@
 use super::brick::LOCALS;
 use super::coarse_level::CoarseLevel;
 use super::cycle::Multigrid;
-use super::fine_level::{FineLevel, OuterForces, Since, square};
+use super::fine_level::{FineLevel, OuterForces, SetChange, square};
 use super::hierarchy::Hierarchy;
 use crate::Vec3;
 
@@ -11,7 +11,7 @@ use crate::Vec3;
 const SILENT: [f32; 2] = [0.02, 1e-4];
 /// Maximum elements that unbalanced nodes may add in a quick step; the largest forces come first. A millisecond
 /// suffices for about two thousand nodes.
-const NEEDED_MAX: usize = 160;
+const REQUIRED_MAX: usize = 160;
 
 /// Rule by which elements stay in the set.
 #[derive(Clone, Copy, PartialEq)]
@@ -50,7 +50,7 @@ impl FineLevel {
     /// whether the set changes.
     pub(super) fn select(
         &mut self,
-        structure: &Hierarchy,
+        hierarchy: &Hierarchy,
         coarse: &mut Multigrid,
         always: impl Iterator<Item = u32>,
         asked: &Criteria,
@@ -62,123 +62,123 @@ impl FineLevel {
             keeps,
         } = *asked;
         for &node in &self.nodes.items {
-            self.loud.insert(node);
+            self.unbalanced.insert(node);
         }
         if !quick {
-            for node in self.quiet.take() {
-                self.loud.insert(node);
-                self.beyond = OuterForces::Changed;
+            for node in self.below_threshold.take() {
+                self.unbalanced.insert(node);
+                self.outer_forces = OuterForces::Changed;
             }
         }
         let mut limit = threshold;
         loop {
-            self.need(structure, &coarse.patches[0], limit, quick);
+            self.need(hierarchy, &coarse.grids[0], limit, quick);
             // NaN forces exceed any limit; the step is undone because of them.
-            if !quick || self.needed.items.len() <= NEEDED_MAX || !limit.is_finite() {
+            if !quick || self.required.items.len() <= REQUIRED_MAX || !limit.is_finite() {
                 break;
             }
             limit *= 2.0;
         }
         for node in always {
-            for &entry in structure.around.row(node) {
-                let element = structure.element_of[(entry / 32) as usize];
-                self.needed.insert(element);
+            for &entry in hierarchy.around.row(node) {
+                let element = hierarchy.element_of[(entry / 32) as usize];
+                self.required.insert(element);
             }
         }
         let silent = SILENT[usize::from(!quick)] * threshold;
-        let (r, quiet, nodes) = (&self.r, &mut self.quiet, &self.nodes);
-        let beyond = &mut self.beyond;
-        self.loud.retain(|node| {
+        let (r, below_threshold, nodes) = (&self.r, &mut self.below_threshold, &self.nodes);
+        let outer = &mut self.outer_forces;
+        self.unbalanced.retain(|node| {
             let stays = square(&r[node as usize]) > silent * silent;
             if quick && !stays {
-                quiet.insert(node);
+                below_threshold.insert(node);
             }
             if !stays && !nodes.contains(node) {
-                *beyond = OuterForces::Changed;
+                *outer = OuterForces::Changed;
             }
             stays
         });
         self.disturbed.clear();
-        let wanted = coarse.patches.iter().any(|p| !p.wanted.items.is_empty());
-        let (refined, needed) = (&coarse.patches[0].refined, &self.needed);
-        let covered = needed.items.iter().all(|&e| refined.contains(e));
-        let roomy = refined.items.len() / keeps.most() > needed.items.len();
-        if covered && !roomy && !wanted && !self.outdated {
+        let to_refine = coarse.grids.iter().any(|p| !p.to_refine.items.is_empty());
+        let (refined, required) = (&coarse.grids[0].refined, &self.required);
+        let covered = required.items.iter().all(|&e| refined.contains(e));
+        let roomy = refined.items.len() / keeps.most() > required.items.len();
+        if covered && !roomy && !to_refine && !self.outdated {
             return false;
         }
         self.outdated = false;
-        let patch = &mut coarse.patches[0];
+        let grid = &mut coarse.grids[0];
         if roomy || keeps == Keeps::Near {
-            let mut refined = std::mem::take(&mut patch.refined);
-            refined.retain(|element| self.is_bent(structure, element, u));
-            patch.refined = refined;
+            let mut refined = std::mem::take(&mut grid.refined);
+            refined.retain(|element| self.is_bent(hierarchy, element, u));
+            grid.refined = refined;
         }
-        for &element in &self.needed.items {
-            patch.refined.insert(element);
+        for &element in &self.required.items {
+            grid.refined.insert(element);
         }
-        Self::select_wanted(patch);
+        Self::refine_marked(grid);
         true
     }
 
     /// Whether an element of level 1 is too deformed for its matrix at rest.
-    fn is_bent(&self, structure: &Hierarchy, element: u32, u: &[Vec3]) -> bool {
-        let tolerable = f64::from(self.bent) * 2.0 / f64::from(structure.per_spacing);
-        let bricks = structure.levels[0].children.row(element);
+    fn is_bent(&self, hierarchy: &Hierarchy, element: u32, u: &[Vec3]) -> bool {
+        let deferral_limits = f64::from(self.bent) * 2.0 / f64::from(hierarchy.per_spacing);
+        let bricks = hierarchy.levels[0].children.row(element);
         bricks
             .iter()
-            .any(|&brick| structure.change_of(brick, u) > tolerable)
+            .any(|&brick| hierarchy.change_of(brick, u) > deferral_limits)
     }
 
     /// Collects the elements around nodes whose force exceeds the threshold.
-    fn need(&mut self, structure: &Hierarchy, patch: &CoarseLevel, threshold: f32, quick: bool) {
-        self.needed.clear();
+    fn need(&mut self, hierarchy: &Hierarchy, grid: &CoarseLevel, threshold: f32, quick: bool) {
+        self.required.clear();
         let waits = |&entry: &u32| {
-            let element = structure.element_of[(entry / 32) as usize];
-            patch.waiting[element as usize]
+            let element = hierarchy.element_of[(entry / 32) as usize];
+            grid.has_pending[element as usize]
         };
-        for &node in &self.loud.items {
+        for &node in &self.unbalanced.items {
             let n = node as usize;
             if self.fixed[n] || square(&self.r[n]) <= threshold * threshold {
                 continue;
             }
             // Beside a deferred element only half of the force is known; the coarse level has solved the rest.
-            let around = structure.around.row(node);
+            let around = hierarchy.around.row(node);
             let known = !quick
                 || self.free[n]
                 || self.disturbed.contains(node)
                 || !self.nodes.contains(node) && !around.iter().any(waits);
             if known {
                 for &entry in around {
-                    self.needed
-                        .insert(structure.element_of[(entry / 32) as usize]);
+                    self.required
+                        .insert(hierarchy.element_of[(entry / 32) as usize]);
                 }
             }
         }
     }
 
     /// Refines the marked elements of level 1.
-    pub(super) fn select_wanted(patch: &mut CoarseLevel) {
-        for element in patch.wanted.take() {
-            patch.refined.insert(element);
+    pub(super) fn refine_marked(grid: &mut CoarseLevel) {
+        for element in grid.to_refine.take() {
+            grid.refined.insert(element);
         }
-        patch.refined.sort();
+        grid.refined.sort();
     }
 
     /// Activates the chosen set and computes its new bricks, without contact forces.
-    pub(super) fn enter(&mut self, structure: &Hierarchy, coarse: &Multigrid, u: &mut [Vec3]) {
-        self.take_in(structure, coarse, u);
+    pub(super) fn enter(&mut self, hierarchy: &Hierarchy, coarse: &Multigrid, u: &mut [Vec3]) {
+        self.activate(hierarchy, coarse, u);
         let new = |brick: &u32| !self.left.contains(*brick);
         let new: Vec<u32> = self.set.items.iter().copied().filter(new).collect();
-        self.compute(structure, u, &new);
-        self.renew_firmness(structure, u, &new);
-        self.sum_up(structure);
+        self.compute(hierarchy, u, &new);
+        self.update_block_sums(hierarchy, u, &new);
+        self.sum_up(hierarchy);
     }
 
     /// Activates the chosen set and brings its nodes up to date with level 1, without computing forces.
-    pub(super) fn take_in(&mut self, structure: &Hierarchy, coarse: &Multigrid, u: &mut [Vec3]) {
-        self.note(structure, coarse);
-        self.since = Since::Chosen;
-        self.beyond = OuterForces::Changed;
+    pub(super) fn activate(&mut self, hierarchy: &Hierarchy, coarse: &Multigrid, u: &mut [Vec3]) {
+        self.mark_applied(hierarchy, coarse);
+        self.since = SetChange::Replaced;
+        self.outer_forces = OuterForces::Changed;
         std::mem::swap(&mut self.set, &mut self.left);
         self.set.clear();
         for &node in &self.nodes.items {
@@ -186,13 +186,13 @@ impl FineLevel {
             self.free[node as usize] = false;
         }
         self.nodes.clear();
-        for &element in &coarse.patches[0].refined.items {
-            for &brick in structure.levels[0].children.row(element) {
+        for &element in &coarse.grids[0].refined.items {
+            for &brick in hierarchy.levels[0].children.row(element) {
                 self.set.insert(brick);
             }
         }
         for &brick in &self.set.items {
-            let b = &structure.bricks[brick as usize];
+            let b = &hierarchy.bricks[brick as usize];
             for i in 0..LOCALS {
                 if b.present >> i & 1 == 1 {
                     self.nodes.insert(b.nodes[i]);
@@ -204,9 +204,9 @@ impl FineLevel {
         for i in 0..self.nodes.items.len() {
             let node = self.nodes.items[i];
             let n = node as usize;
-            self.loud.insert(node);
-            self.free[n] = !self.fixed[n] && self.inside[n] == structure.around.len(node);
-            self.take_over(structure, coarse, u, node);
+            self.unbalanced.insert(node);
+            self.free[n] = !self.fixed[n] && self.inside[n] == hierarchy.around.len(node);
+            self.follow_coarser(hierarchy, coarse, u, node);
         }
         self.current = false;
     }

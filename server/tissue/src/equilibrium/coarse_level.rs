@@ -104,9 +104,9 @@ pub(super) struct CoarseLevel {
     pub(super) set: List,
     pub(super) refined: List,
     /// Elements refined at any time in this step.
-    pub(super) stirred: List,
+    pub(super) refined_in_step: List,
     /// Elements to be refined in the next cycle.
-    pub(super) wanted: List,
+    pub(super) to_refine: List,
     /// Active points, and the number of active elements around each.
     pub(super) points: List,
     pub(super) inside: Vec<u32>,
@@ -120,19 +120,19 @@ pub(super) struct CoarseLevel {
     pub(super) loaded: List,
 
     /// Accumulated correction of this step, and its points.
-    pub(super) gain: Vec<Quad>,
-    pub(super) gained: List,
+    pub(super) step_correction: Vec<Quad>,
+    pub(super) corrected: List,
 
     /// Forces in N restricted from outside the finer level's active set, and their points.
-    pub(super) far: Vec<Quad>,
-    pub(super) beyond: List,
+    pub(super) outer_force: Vec<Quad>,
+    pub(super) outer_points: List,
 
-    pub(super) lag: Vec<Quad>,
-    pub(super) lagging: List,
+    pub(super) deferred_residual: Vec<Quad>,
+    pub(super) deferred_points: List,
     pub(super) pending: Vec<Corners>,
     /// K p of each element: its part of the deferred residual.
-    pub(super) owed: Vec<Corners>,
-    pub(super) waiting: Vec<bool>,
+    pub(super) deferred_force: Vec<Corners>,
+    pub(super) has_pending: Vec<bool>,
     /// Square of the largest corner force of each element's pending displacement, in N².
     deferred_square: Vec<f32>,
     /// The element that was refined last by rotation.
@@ -142,14 +142,14 @@ pub(super) struct CoarseLevel {
     pub(super) total: Vec<[f64; 3]>,
     pub(super) applied: Vec<[f64; 3]>,
     /// Totals that were already prolongated to the whole finer level.
-    poured: Vec<[f64; 3]>,
+    prolongated: Vec<[f64; 3]>,
 
-    pub(super) overlays: Vec<ContactStiffness>,
+    pub(super) stiffened_elements: Vec<ContactStiffness>,
     /// Unused entries for reuse.
     pub(super) spare: Vec<ContactStiffness>,
-    pub(super) overlay_of: Vec<u32>,
+    pub(super) stiffness_of: Vec<u32>,
     /// Additional diagonal bound of points by contact stiffness, and these points.
-    pub(super) stiffer: Vec<[f32; 6]>,
+    pub(super) added_bound: Vec<[f32; 6]>,
     pub(super) stiffened: List,
     pub(super) inverse: Vec<[f32; 6]>,
 }
@@ -164,8 +164,8 @@ impl CoarseLevel {
         Self {
             set: List::new(elements),
             refined: List::new(elements),
-            stirred: List::new(elements),
-            wanted: List::new(elements),
+            refined_in_step: List::new(elements),
+            to_refine: List::new(elements),
             points: List::new(points),
             inside: laid_out(0, points),
             free: laid_out(false, points),
@@ -174,25 +174,25 @@ impl CoarseLevel {
             b: laid_out(ZERO, points),
             r: laid_out(ZERO, points),
             loaded: List::new(points),
-            gain: laid_out(ZERO, points),
-            gained: List::new(points),
-            far: laid_out(ZERO, points),
-            beyond: List::new(points),
-            lag: laid_out(ZERO, points),
-            lagging: List::new(points),
+            step_correction: laid_out(ZERO, points),
+            corrected: List::new(points),
+            outer_force: laid_out(ZERO, points),
+            outer_points: List::new(points),
+            deferred_residual: laid_out(ZERO, points),
+            deferred_points: List::new(points),
             pending: laid_out(NOTHING, elements),
-            owed: laid_out(NOTHING, elements),
-            waiting: laid_out(false, elements),
+            deferred_force: laid_out(NOTHING, elements),
+            has_pending: laid_out(false, elements),
             deferred_square: laid_out(0.0, elements),
             last_turn: 0,
             deferred: Vec::new(),
             total: laid_out([0.0; 3], points),
             applied: laid_out([0.0; 3], points),
-            poured: Vec::new(),
-            overlays: Vec::new(),
+            prolongated: Vec::new(),
+            stiffened_elements: Vec::new(),
             spare: Vec::new(),
-            overlay_of: laid_out(NONE, elements),
-            stiffer: laid_out([0.0; 6], points),
+            stiffness_of: laid_out(NONE, elements),
+            added_bound: laid_out([0.0; 6], points),
             stiffened: List::new(points),
             inverse: level.bound.iter().map(invert).collect(),
         }
@@ -200,26 +200,26 @@ impl CoarseLevel {
 
     /// Resets displacements and deferred residuals.
     pub(super) fn rest(&mut self) {
-        for (e, waits) in self.waiting.iter_mut().enumerate() {
+        for (e, waits) in self.has_pending.iter_mut().enumerate() {
             if std::mem::take(waits) {
                 self.pending[e] = NOTHING;
-                self.owed[e] = NOTHING;
+                self.deferred_force[e] = NOTHING;
                 self.deferred_square[e] = 0.0;
             }
         }
-        self.lag.fill(ZERO);
+        self.deferred_residual.fill(ZERO);
         self.total.fill([0.0; 3]);
         self.applied.fill([0.0; 3]);
-        self.poured.clear();
+        self.prolongated.clear();
         self.last_turn = 0;
         self.deferred.clear();
         for list in [
-            &mut self.lagging,
+            &mut self.deferred_points,
             &mut self.loaded,
-            &mut self.gained,
-            &mut self.beyond,
-            &mut self.wanted,
-            &mut self.stirred,
+            &mut self.corrected,
+            &mut self.outer_points,
+            &mut self.to_refine,
+            &mut self.refined_in_step,
         ] {
             list.clear();
         }
@@ -227,15 +227,15 @@ impl CoarseLevel {
 
     /// Flags elements with a corner whose total changed by more than `least` m along an axis since the last call.
     pub(super) fn take_moved(&mut self, level: &Level, least: f64) -> Vec<bool> {
-        self.poured.resize(self.total.len(), [0.0; 3]);
-        let mut moved = |(total, poured): (&[f64; 3], &mut [f64; 3])| {
-            let has = (0..3).any(|a| (total[a] - poured[a]).abs() > least);
+        self.prolongated.resize(self.total.len(), [0.0; 3]);
+        let mut moved = |(total, prolongated): (&[f64; 3], &mut [f64; 3])| {
+            let has = (0..3).any(|a| (total[a] - prolongated[a]).abs() > least);
             if has {
-                *poured = *total;
+                *prolongated = *total;
             }
             has
         };
-        let points = self.total.iter().zip(&mut self.poured);
+        let points = self.total.iter().zip(&mut self.prolongated);
         let points: Vec<bool> = points.map(&mut moved).collect();
         let has_moved = |corners: &[u32; 8]| corners.iter().any(|&p| points[p as usize]);
         level.corners.iter().map(has_moved).collect()
@@ -254,7 +254,7 @@ impl CoarseLevel {
     /// Adds `share` of a displacement to the pending one of an element, and its force to the deferred residual. Returns
     /// the largest corner force of the pending displacement in N, and its largest difference between two corners in m.
     #[inline(always)]
-    pub(super) fn wait(
+    pub(super) fn defer_displacement(
         &mut self,
         level: &Level,
         element: u32,
@@ -263,16 +263,16 @@ impl CoarseLevel {
         share: f32,
     ) -> [f32; 2] {
         let e = element as usize;
-        self.waiting[e] = true;
-        let (pending, owed) = (&mut self.pending[e], &mut self.owed[e]);
+        self.has_pending[e] = true;
+        let (pending, deferred_force) = (&mut self.pending[e], &mut self.deferred_force[e]);
         let mut most = 0.0f32;
         for (c, &point) in level.corners[e].iter().enumerate() {
-            self.lagging.insert(point);
-            let g = &mut self.lag[point as usize];
+            self.deferred_points.insert(point);
+            let g = &mut self.deferred_residual[point as usize];
             *g = plus(g, -share, &force[c]);
             pending[c] = plus(&pending[c], share, &by[c]);
-            owed[c] = plus(&owed[c], share, &force[c]);
-            most = most.max(square(&owed[c]));
+            deferred_force[c] = plus(&deferred_force[c], share, &force[c]);
+            most = most.max(square(&deferred_force[c]));
         }
         self.deferred_square[e] = most;
         let (mut low, mut high) = (pending[0], pending[0]);
@@ -290,8 +290,8 @@ impl CoarseLevel {
     /// element that soon defers as much again from starving the others.
     pub(super) fn next_deferred(&mut self) -> Option<u32> {
         let square = |e: u32| self.deferred_square[e as usize];
-        let waits = |e: &u32| self.waiting[*e as usize] && !self.refined.contains(*e);
-        let waiting = || (0..self.waiting.len() as u32).filter(waits);
+        let waits = |e: &u32| self.has_pending[*e as usize] && !self.refined.contains(*e);
+        let waiting = || (0..self.has_pending.len() as u32).filter(waits);
         let least = 0.25 * waiting().map(square).fold(0.0, f32::max);
         let much = || waiting().filter(|&e| square(e) >= least);
         let next = much()
@@ -305,17 +305,17 @@ impl CoarseLevel {
     pub(super) fn take_pending(&mut self, level: &Level, element: u32) -> Corners {
         let e = element as usize;
         let pending = std::mem::replace(&mut self.pending[e], NOTHING);
-        let owed = std::mem::replace(&mut self.owed[e], NOTHING);
-        self.waiting[e] = false;
+        let deferred_force = std::mem::replace(&mut self.deferred_force[e], NOTHING);
+        self.has_pending[e] = false;
         self.deferred_square[e] = 0.0;
-        for (&point, owed) in level.corners[e].iter().zip(&owed) {
-            self.lagging.insert(point);
-            let g = &mut self.lag[point as usize];
-            *g = plus(g, 1.0, owed);
+        for (&point, deferred_force) in level.corners[e].iter().zip(&deferred_force) {
+            self.deferred_points.insert(point);
+            let g = &mut self.deferred_residual[point as usize];
+            *g = plus(g, 1.0, deferred_force);
             // Rounded sums do not cancel exactly: a point without pending elements has no deferred residual.
-            let quiet = |e: &u32| !self.waiting[*e as usize];
-            if level.around.row(point).iter().all(quiet) {
-                self.lag[point as usize] = ZERO;
+            let settled = |e: &u32| !self.has_pending[*e as usize];
+            if level.around.row(point).iter().all(settled) {
+                self.deferred_residual[point as usize] = ZERO;
             }
         }
         pending
@@ -323,8 +323,8 @@ impl CoarseLevel {
 
     /// Drops points whose deferred residual is zero.
     pub(super) fn trim(&mut self) {
-        let lag = &self.lag;
-        self.lagging.retain(|p| lag[p as usize] != ZERO);
+        let lag = &self.deferred_residual;
+        self.deferred_points.retain(|p| lag[p as usize] != ZERO);
     }
 
     /// Activates the children of the coarser level's refined elements, or all elements on the coarsest level.
@@ -362,44 +362,49 @@ impl CoarseLevel {
 }
 
 /// Brings the totals of the active points up to date with the coarser level.
-pub(super) fn take_over(structure: &Hierarchy, patches: &mut [CoarseLevel], l: usize) {
-    let (finer, coarser) = patches.split_at_mut(l + 1);
+pub(super) fn follow_coarser(hierarchy: &Hierarchy, grids: &mut [CoarseLevel], l: usize) {
+    let (finer, coarser) = grids.split_at_mut(l + 1);
     let Some(above) = coarser.first() else { return };
-    let patch = &mut finer[l];
-    for &point in &patch.points.items {
+    let grid = &mut finer[l];
+    for &point in &grid.points.items {
         let p = point as usize;
-        let (total, applied) = (&mut patch.total[p], &mut patch.applied[p]);
-        let now = structure.levels[l]
+        let (total, applied) = (&mut grid.total[p], &mut grid.applied[p]);
+        let now = hierarchy.levels[l]
             .prolongation
             .interpolate_exactly(p, &above.total);
-        bring_point(now, total, applied);
+        update_total(now, total, applied);
     }
 }
 
 /// Brings all points up to date with the totals of the coarser level that changed by more than `least` m since the last
 /// call.
-pub(super) fn hand_down(structure: &Hierarchy, patches: &mut [CoarseLevel], l: usize, least: f64) {
-    let (finer, coarser) = patches.split_at_mut(l + 1);
+pub(super) fn prolongate_changes(
+    hierarchy: &Hierarchy,
+    grids: &mut [CoarseLevel],
+    l: usize,
+    least: f64,
+) {
+    let (finer, coarser) = grids.split_at_mut(l + 1);
     let Some(above) = coarser.first_mut() else {
         return;
     };
-    let moved = above.take_moved(&structure.levels[l + 1], least);
-    let patch = &mut finer[l];
-    let prolongation = &structure.levels[l].prolongation;
+    let moved = above.take_moved(&hierarchy.levels[l + 1], least);
+    let grid = &mut finer[l];
+    let prolongation = &hierarchy.levels[l].prolongation;
     for p in 0..prolongation.len() {
         if prolongation
             .element_of(p)
             .is_some_and(|e| moved[e as usize])
         {
             let now = prolongation.interpolate_exactly(p, &above.total);
-            bring_point(now, &mut patch.total[p], &mut patch.applied[p]);
+            update_total(now, &mut grid.total[p], &mut grid.applied[p]);
         }
     }
 }
 
 /// Adds the change of the interpolated coarser total to the total of a point.
 #[inline]
-pub(super) fn bring_point(now: [f64; 3], total: &mut [f64; 3], applied: &mut [f64; 3]) {
+pub(super) fn update_total(now: [f64; 3], total: &mut [f64; 3], applied: &mut [f64; 3]) {
     for a in 0..3 {
         total[a] += now[a] - applied[a];
     }

@@ -33,10 +33,10 @@ const ROOT_ROUNDS: usize = 9;
 impl Solver {
     /// Stage: adds the stiffness of contacts, held nodes and hardened tissue to the coarse levels. `expected` includes
     /// contacts that are open but predicted to close.
-    pub(super) fn stiffen(&mut self, u: &[Vec3], expected: bool) {
-        let stiffness = HELD_STIFFNESS[usize::from(self.draws())];
-        let (structure, coarse) = (&self.structure, &mut self.coarse);
-        coarse.soften(structure);
+    pub(super) fn stiffen_levels(&mut self, u: &[Vec3], expected: bool) {
+        let stiffness = HELD_STIFFNESS[usize::from(self.follows_led_nodes())];
+        let (hierarchy, coarse) = (&self.hierarchy, &mut self.coarse);
+        coarse.clear_stiffness(hierarchy);
         let mut blocks: Vec<[f32; 6]> = vec![[0.0; 6]; self.contacts.nodes.len()];
         let contacts = &self.contacts;
         contacts.expected(u, |sample, depth, kappa, n| {
@@ -51,35 +51,35 @@ impl Solver {
             }
         });
         for (&node, block) in contacts.nodes.iter().zip(&blocks) {
-            coarse.stiffen(structure, node, block);
+            coarse.add_node_stiffness(hierarchy, node, block);
         }
         for &node in &self.held {
-            let k = (stiffness * self.field.own[node as usize]) as f32;
-            coarse.stiffen(structure, node, &[k, k, k, 0.0, 0.0, 0.0]);
+            let k = (stiffness * self.fine.own[node as usize]) as f32;
+            coarse.add_node_stiffness(hierarchy, node, &[k, k, k, 0.0, 0.0, 0.0]);
         }
-        if structure.bottoms_out {
-            for i in 0..coarse.patches[0].refined.items.len() {
-                let element = coarse.patches[0].refined.items[i];
-                if let Some(c) = self.field.hardening(structure, element) {
-                    coarse.harden(structure, element, &c);
+        if hierarchy.bottoms_out {
+            for i in 0..coarse.grids[0].refined.items.len() {
+                let element = coarse.grids[0].refined.items[i];
+                if let Some(c) = self.fine.hardening(hierarchy, element) {
+                    coarse.harden(hierarchy, element, &c);
                 }
             }
         }
-        coarse.spread(structure);
+        coarse.propagate_stiffness(hierarchy);
     }
 
     /// Whether the levels are loaded after led nodes.
-    pub(super) fn draws(&self) -> bool {
-        !self.drawn.is_empty() && !self.carried && self.contacts.nodes.is_empty()
+    pub(super) fn follows_led_nodes(&self) -> bool {
+        !self.led_displacements.is_empty() && !self.warm_started && self.contacts.nodes.is_empty()
     }
 
     /// Loads level 1 with the pull of open contacts that are predicted to close.
-    pub(super) fn pull(&mut self, u: &[Vec3]) {
-        let (structure, coarse, fixed) = (&self.structure, &mut self.coarse, &self.field.fixed);
+    pub(super) fn load_expected_contacts(&mut self, u: &[Vec3]) {
+        let (hierarchy, coarse, fixed) = (&self.hierarchy, &mut self.coarse, &self.fine.fixed);
         self.contacts.expected(u, |sample, depth, kappa, n| {
             for (&node, w) in sample.nodes.iter().zip(sample.weights) {
                 if depth < 0.0 && !fixed[node as usize] {
-                    coarse.draw(structure, node, &(n * (w * kappa * depth)));
+                    coarse.load_node(hierarchy, node, &(n * (w * kappa * depth)));
                 }
             }
         });
@@ -88,15 +88,15 @@ impl Solver {
 
 impl FineLevel {
     /// C of an element of level 1, if it has hardened.
-    fn hardening(&mut self, structure: &Hierarchy, element: u32) -> Option<Matrix3<f32>> {
+    fn hardening(&mut self, hierarchy: &Hierarchy, element: u32) -> Option<Matrix3<f32>> {
         let (mut now, mut rest) = ([0.0; 6], [0.0; 6]);
-        for &brick in structure.levels[0].children.row(element) {
-            let firm = self.firm[brick as usize];
+        for &brick in hierarchy.levels[0].children.row(element) {
+            let block_sum = self.block_sum[brick as usize];
             // Zero: no blocks were computed for this brick yet.
-            if firm != [0.0; 6] {
-                let at_rest = self.firm_at_rest(structure, brick);
+            if block_sum != [0.0; 6] {
+                let at_rest = self.block_sum_at_rest(hierarchy, brick);
                 for e in 0..6 {
-                    now[e] += firm[e];
+                    now[e] += block_sum[e];
                     rest[e] += at_rest[e];
                 }
             }
@@ -117,11 +117,11 @@ impl FineLevel {
 
 impl Multigrid {
     /// Stiffens an element of level 1 by `c`.
-    fn harden(&mut self, structure: &Hierarchy, element: u32, c: &Matrix3<f32>) {
-        let level = &structure.levels[0];
+    fn harden(&mut self, hierarchy: &Hierarchy, element: u32, c: &Matrix3<f32>) {
+        let level = &hierarchy.levels[0];
         let (corners, own) = level.element(element);
-        let patch = &mut self.patches[0];
-        patch.overlay(level, element, |k| {
+        let grid = &mut self.grids[0];
+        grid.add_stiffness(level, element, |k| {
             for (p, q) in (0..64).map(|i| (i / 8, i % 8)) {
                 let block = Matrix3::from_fn(|a, b| own.k.get(at(p, a), lane(q, b)));
                 let more = c * block * c - block;
@@ -134,7 +134,7 @@ impl Multigrid {
             let block = full(bound);
             let m = c * block * c - block;
             let more = [m.m11, m.m22, m.m33, m.m12, m.m13, m.m23];
-            patch.bear(point, &more, 1.0);
+            grid.add_bound(point, &more, 1.0);
         }
     }
 }

@@ -17,31 +17,31 @@ pub(super) struct ContactSmoother {
 }
 
 impl ContactSmoother {
-    pub(super) fn new(structure: &Hierarchy) -> Self {
+    pub(super) fn new(hierarchy: &Hierarchy) -> Self {
         Self {
-            bricks: List::new(structure.bricks.len()),
-            seen: List::new(structure.prolongation.len()),
+            bricks: List::new(hierarchy.bricks.len()),
+            seen: List::new(hierarchy.prolongation.len()),
             nodes: Vec::new(),
         }
     }
 
     /// Collects the bricks under these contacts.
-    fn gather(&mut self, structure: &Hierarchy, field: &FineLevel, contacts: &Contacts) {
+    fn gather(&mut self, hierarchy: &Hierarchy, fine: &FineLevel, contacts: &Contacts) {
         self.bricks.clear();
         self.seen.clear();
         self.nodes.clear();
         for &node in &contacts.nodes {
-            for &entry in structure.around.row(node) {
+            for &entry in hierarchy.around.row(node) {
                 self.bricks.insert(entry / 32);
             }
         }
         self.bricks.sort();
         for &brick in &self.bricks.items {
-            for &node in &structure.bricks[brick as usize].nodes {
+            for &node in &hierarchy.bricks[brick as usize].nodes {
                 let within = |entry: &u32| self.bricks.contains(*entry / 32);
-                if field.free[node as usize]
+                if fine.free[node as usize]
                     && self.seen.insert(node)
-                    && structure.around.row(node).iter().all(within)
+                    && hierarchy.around.row(node).iter().all(within)
                 {
                     self.nodes.push(node);
                 }
@@ -52,28 +52,28 @@ impl ContactSmoother {
 
 impl FineLevel {
     /// Smooths the nodes under the tools with `steps` Chebyshev steps.
-    pub(super) fn smooth_near(
+    pub(super) fn smooth_contacts(
         &mut self,
-        structure: &Hierarchy,
-        near: &mut ContactSmoother,
+        hierarchy: &Hierarchy,
+        smoother: &mut ContactSmoother,
         u: &mut [Vec3],
         contacts: &Contacts,
         steps: usize,
     ) {
-        near.gather(structure, self, contacts);
+        smoother.gather(hierarchy, self, contacts);
         // The diagonal blocks are those of the last smoothing, after the correction. Older blocks made the iteration
         // diverge where tissue had stiffened.
         let mut factors = Self::smoothing();
         for _ in 0..steps {
-            self.compute(structure, u, &near.bricks.items);
-            for &node in &near.nodes {
-                self.r[node as usize] = self.sum(structure, node);
+            self.compute(hierarchy, u, &smoother.bricks.items);
+            for &node in &smoother.nodes {
+                self.r[node as usize] = self.sum(hierarchy, node);
             }
             for &node in &contacts.nodes {
-                self.r[node as usize] = self.sum(structure, node);
+                self.r[node as usize] = self.sum(hierarchy, node);
             }
             self.press(u, contacts);
-            self.relax(u, &near.nodes, &mut factors);
+            self.relax(u, &smoother.nodes, &mut factors);
         }
     }
 }

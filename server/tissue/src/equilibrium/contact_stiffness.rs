@@ -11,17 +11,22 @@ use crate::Vec3;
 
 impl Multigrid {
     /// Adds the stiffness of a node, a block in N/m, to level 1.
-    pub(super) fn stiffen(&mut self, structure: &Hierarchy, node: u32, block: &[f32; 6]) {
-        let Some(&entry) = structure.around.row(node).first() else {
+    pub(super) fn add_node_stiffness(
+        &mut self,
+        hierarchy: &Hierarchy,
+        node: u32,
+        block: &[f32; 6],
+    ) {
+        let Some(&entry) = hierarchy.around.row(node).first() else {
             return;
         };
         let (brick, place) = (entry / 32, entry % 32);
-        let element = structure.element_of[brick as usize];
-        if structure.prolongation.element_of(node as usize).is_none() {
+        let element = hierarchy.element_of[brick as usize];
+        if hierarchy.prolongation.element_of(node as usize).is_none() {
             return;
         }
         let w = super::element::WEIGHTS[place as usize].map(|w| w as f32);
-        self.patches[0].overlay(&structure.levels[0], element, |k| {
+        self.grids[0].add_stiffness(&hierarchy.levels[0], element, |k| {
             for (p, wp) in w.iter().enumerate().filter(|w| *w.1 > 0.0) {
                 for (q, wq) in w.iter().enumerate().filter(|w| *w.1 > 0.0) {
                     const AT: [[usize; 3]; 3] = [[0, 3, 4], [3, 1, 5], [4, 5, 2]];
@@ -33,87 +38,92 @@ impl Multigrid {
                 }
             }
         });
-        let corners = structure.levels[0].corners[element as usize];
+        let corners = hierarchy.levels[0].corners[element as usize];
         for (c, wc) in w.iter().enumerate().filter(|w| *w.1 > 0.0) {
-            self.patches[0].bear(corners[c], block, *wc);
+            self.grids[0].add_bound(corners[c], block, *wc);
         }
     }
 
     /// Adds a force in N on a node to the loads of level 1.
-    pub(super) fn draw(&mut self, structure: &Hierarchy, node: u32, force: &Vec3) {
+    pub(super) fn load_node(&mut self, hierarchy: &Hierarchy, node: u32, force: &Vec3) {
         let load = [force.x as f32, force.y as f32, force.z as f32, 0.0];
-        restrict(&structure.prolongation, node, &load, &mut self.patches[0]);
+        restrict(&hierarchy.prolongation, node, &load, &mut self.grids[0]);
     }
 
     /// Adds the stiffness to the Galerkin operators of all levels.
-    pub(super) fn spread(&mut self, structure: &Hierarchy) {
-        for l in 0..self.patches.len() {
-            let level = &structure.levels[l];
-            let (finer, coarser) = self.patches.split_at_mut(l + 1);
-            let patch = &mut finer[l];
-            for &point in &patch.stiffened.items {
+    pub(super) fn propagate_stiffness(&mut self, hierarchy: &Hierarchy) {
+        for l in 0..self.grids.len() {
+            let level = &hierarchy.levels[l];
+            let (finer, coarser) = self.grids.split_at_mut(l + 1);
+            let grid = &mut finer[l];
+            for &point in &grid.stiffened.items {
                 let p = point as usize;
-                let sum = std::array::from_fn(|i| level.bound[p][i] + patch.stiffer[p][i]);
-                patch.inverse[p] = invert(&sum);
+                let sum = std::array::from_fn(|i| level.bound[p][i] + grid.added_bound[p][i]);
+                grid.inverse[p] = invert(&sum);
             }
-            for overlay in &mut patch.overlays {
-                let element = overlay.element as usize;
+            for stiffened in &mut grid.stiffened_elements {
+                let element = stiffened.element as usize;
                 if let Some(next) = coarser.first_mut() {
                     let octant = level.octant[element] as usize;
-                    next.overlay(&structure.levels[l + 1], level.parent[element], |k| {
-                        add_child(k, &overlay.k, octant);
+                    next.add_stiffness(&hierarchy.levels[l + 1], level.parent[element], |k| {
+                        add_child(k, &stiffened.k, octant);
                     });
                 }
-                let (_, own) = level.element(overlay.element);
-                own.k.add_to(&mut overlay.k);
+                let (_, own) = level.element(stiffened.element);
+                own.k.add_to(&mut stiffened.k);
             }
             let Some(next) = coarser.first_mut() else {
                 break;
             };
-            for &point in &patch.stiffened.items {
+            for &point in &grid.stiffened.items {
                 for (coarse, weight) in level.prolongation.row(point as usize) {
-                    next.bear(coarse, &patch.stiffer[point as usize], weight);
+                    next.add_bound(coarse, &grid.added_bound[point as usize], weight);
                 }
             }
         }
     }
 
     /// Removes all added stiffness.
-    pub(super) fn soften(&mut self, structure: &Hierarchy) {
-        for (patch, level) in self.patches.iter_mut().zip(&structure.levels) {
-            for overlay in &patch.overlays {
-                patch.overlay_of[overlay.element as usize] = NONE;
+    pub(super) fn clear_stiffness(&mut self, hierarchy: &Hierarchy) {
+        for (grid, level) in self.grids.iter_mut().zip(&hierarchy.levels) {
+            for stiffened in &grid.stiffened_elements {
+                grid.stiffness_of[stiffened.element as usize] = NONE;
             }
-            patch.spare.append(&mut patch.overlays);
-            for &point in &patch.stiffened.items {
-                patch.stiffer[point as usize] = [0.0; 6];
-                patch.inverse[point as usize] = invert(&level.bound[point as usize]);
+            grid.spare.append(&mut grid.stiffened_elements);
+            for &point in &grid.stiffened.items {
+                grid.added_bound[point as usize] = [0.0; 6];
+                grid.inverse[point as usize] = invert(&level.bound[point as usize]);
             }
-            patch.stiffened.clear();
+            grid.stiffened.clear();
         }
     }
 }
 
 impl CoarseLevel {
-    pub(super) fn overlay(&mut self, level: &Level, element: u32, add: impl FnOnce(&mut Columns)) {
+    pub(super) fn add_stiffness(
+        &mut self,
+        level: &Level,
+        element: u32,
+        add: impl FnOnce(&mut Columns),
+    ) {
         debug_assert!((element as usize) < level.corners.len());
-        let entry = &mut self.overlay_of[element as usize];
+        let entry = &mut self.stiffness_of[element as usize];
         if *entry == NONE {
-            *entry = self.overlays.len() as u32;
-            let mut overlay = self.spare.pop().unwrap_or_else(|| ContactStiffness {
+            *entry = self.stiffened_elements.len() as u32;
+            let mut stiffened = self.spare.pop().unwrap_or_else(|| ContactStiffness {
                 element,
                 k: Box::new(Columns::ZERO),
             });
-            overlay.element = element;
-            *overlay.k = Columns::ZERO;
-            self.overlays.push(overlay);
+            stiffened.element = element;
+            *stiffened.k = Columns::ZERO;
+            self.stiffened_elements.push(stiffened);
         }
-        add(&mut self.overlays[*entry as usize].k);
+        add(&mut self.stiffened_elements[*entry as usize].k);
     }
 
-    pub(super) fn bear(&mut self, point: u32, block: &[f32; 6], weight: f32) {
+    pub(super) fn add_bound(&mut self, point: u32, block: &[f32; 6], weight: f32) {
         self.stiffened.insert(point);
-        for (to, v) in self.stiffer[point as usize].iter_mut().zip(block) {
+        for (to, v) in self.added_bound[point as usize].iter_mut().zip(block) {
             *to += weight * v;
         }
     }

@@ -2,7 +2,7 @@
 
 use super::coarse_level::apply;
 use super::cycle::{Chebyshev, LOW, Multigrid};
-use super::fine_level::{FineLevel, Since};
+use super::fine_level::{FineLevel, SetChange};
 use super::hierarchy::Hierarchy;
 use super::quad::{ZERO, make_room, plus};
 use crate::Vec3;
@@ -12,24 +12,24 @@ use crate::Vec3;
 const MOVE_MAX: [f64; 2] = [0.5, 0.02];
 impl FineLevel {
     /// Restricts the forces on the nodes of the set to level 1.
-    pub(super) fn restrict(&mut self, structure: &Hierarchy, coarse: &mut Multigrid) {
-        let patch = &mut coarse.patches[0];
+    pub(super) fn restrict(&mut self, hierarchy: &Hierarchy, coarse: &mut Multigrid) {
+        let grid = &mut coarse.grids[0];
         for &node in &self.nodes.items {
             let n = node as usize;
             if self.fixed[n] {
                 continue;
             }
-            for (point, weight) in structure.prolongation.row(n) {
-                patch.load(point, &self.r[n], weight);
+            for (point, weight) in hierarchy.prolongation.row(n) {
+                grid.load(point, &self.r[n], weight);
             }
         }
         // Disturbed nodes outside the set are restricted too: their forces are known.
-        self.restrict_beyond(structure, coarse);
-        let patch = &mut coarse.patches[0];
-        for i in 0..patch.beyond.items.len() {
-            let point = patch.beyond.items[i];
-            let far = patch.far[point as usize];
-            patch.load(point, &far, 1.0);
+        self.restrict_outer(hierarchy, coarse);
+        let grid = &mut coarse.grids[0];
+        for i in 0..grid.outer_points.items.len() {
+            let point = grid.outer_points.items[i];
+            let far = grid.outer_force[point as usize];
+            grid.load(point, &far, 1.0);
         }
     }
 
@@ -42,15 +42,15 @@ impl FineLevel {
 
     /// Starts a step: the increments of the set's nodes in the last step, in order of nodes. New nodes and nodes on the
     /// rim of the set use the increment of level 1, `e`, or deferred elements beside them would miss their moves.
-    pub(super) fn take_moves(
+    pub(super) fn take_increments(
         &mut self,
-        structure: &Hierarchy,
+        hierarchy: &Hierarchy,
         coarse: &Multigrid,
         u: &[Vec3],
     ) -> Vec<(u32, Vec3)> {
-        let mut moves = std::mem::take(&mut self.moves);
-        moves.clear();
-        let e = &coarse.patches[0].e;
+        let mut increments = std::mem::take(&mut self.increments);
+        increments.clear();
+        let e = &coarse.grids[0].e;
         for &node in &self.nodes.items {
             let n = node as usize;
             // A node that has just been held stays in place.
@@ -58,11 +58,11 @@ impl FineLevel {
                 continue;
             }
             if !self.is_settled(node) {
-                let v = structure.prolongation.interpolate(n, e);
+                let v = hierarchy.prolongation.interpolate(n, e);
                 let by = Vec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
-                moves.push((node, by));
+                increments.push((node, by));
             } else if self.moved_on.contains(node) {
-                moves.push((node, u[n] - self.start[n]));
+                increments.push((node, u[n] - self.start[n]));
             }
         }
         self.moved_on.clear();
@@ -72,56 +72,61 @@ impl FineLevel {
                 self.settled.insert(node);
             }
         }
-        moves
+        increments
     }
 
-    /// Starts a step after one that only extrapolated: its increments are [`corrections`](Self::moves).
-    pub(super) fn keep_moves(&mut self) -> Vec<(u32, Vec3)> {
+    /// Starts a step after one that only extrapolated: its increments are [`increments`](Self::increments).
+    pub(super) fn keep_increments(&mut self) -> Vec<(u32, Vec3)> {
         self.moved_on.clear();
-        std::mem::take(&mut self.moves)
+        std::mem::take(&mut self.increments)
     }
 
     /// Reserves memory for the increments of so many nodes, so that no warm start allocates.
     pub(super) fn make_room(&mut self, nodes: usize) {
-        make_room(&mut self.moves, (0, Vec3::zeros()), nodes);
+        make_room(&mut self.increments, (0, Vec3::zeros()), nodes);
     }
 
     /// Moves nodes by `share` of these increments.
-    pub(super) fn move_on(&mut self, u: &mut [Vec3], moves: &[(u32, Vec3)], share: f64) {
-        for &(node, by) in moves {
+    pub(super) fn add_increments(
+        &mut self,
+        u: &mut [Vec3],
+        increments: &[(u32, Vec3)],
+        share: f64,
+    ) {
+        for &(node, by) in increments {
             self.shift(u, node, by * share);
         }
     }
 
     /// Moves nodes by `share` of these increments, which include those of level 1. The other nodes of the set follow
     /// level 1.
-    pub(super) fn carry(
+    pub(super) fn apply_increments(
         &mut self,
-        structure: &Hierarchy,
+        hierarchy: &Hierarchy,
         coarse: &Multigrid,
         u: &mut [Vec3],
-        moves: &[(u32, Vec3)],
+        increments: &[(u32, Vec3)],
         share: f64,
     ) {
-        self.move_on(u, moves, share);
-        self.since = Since::Carried;
-        let mut moved = moves.iter().map(|m| m.0).peekable();
+        self.add_increments(u, increments, share);
+        self.since = SetChange::Extrapolated;
+        let mut moved = increments.iter().map(|m| m.0).peekable();
         for i in 0..self.nodes.items.len() {
             let node = self.nodes.items[i];
             if moved.next_if_eq(&node).is_none() {
-                self.take_over(structure, coarse, u, node);
+                self.follow_coarser(hierarchy, coarse, u, node);
             }
         }
     }
 
     /// Marks the nodes of the set as up to date with level 1, if that was postponed.
-    pub(super) fn note(&mut self, structure: &Hierarchy, coarse: &Multigrid) {
-        if self.since == Since::Carried {
-            self.since = Since::Noted;
+    pub(super) fn mark_applied(&mut self, hierarchy: &Hierarchy, coarse: &Multigrid) {
+        if self.since == SetChange::Extrapolated {
+            self.since = SetChange::Unchanged;
             for &node in &self.nodes.items {
-                let total = &coarse.patches[0].total;
+                let total = &coarse.grids[0].total;
                 let n = node as usize;
-                self.applied[n] = structure.prolongation.interpolate_exactly(n, total);
+                self.applied[n] = hierarchy.prolongation.interpolate_exactly(n, total);
             }
         }
     }
@@ -133,10 +138,10 @@ impl FineLevel {
     }
 
     /// Restores every node moved in this step, and resets non-finite displacements to zero.
-    pub(super) fn undo(&mut self, structure: &Hierarchy, u: &mut [Vec3]) {
+    pub(super) fn undo(&mut self, hierarchy: &Hierarchy, u: &mut [Vec3]) {
         for node in self.moved_on.take() {
             u[node as usize] = self.start[node as usize];
-            self.disturb(structure, node);
+            self.disturb(hierarchy, node);
         }
         // Non-finite input has no earlier state.
         let lost = |u: &&mut Vec3| !u.norm().is_finite();
@@ -148,7 +153,7 @@ impl FineLevel {
     pub(super) fn shift(&mut self, u: &mut [Vec3], node: u32, by: Vec3) {
         let n = node as usize;
         self.current = false;
-        self.at_home = false;
+        self.at_reference = false;
         if self.moved_on.insert(node) {
             self.start[n] = u[n];
         }
@@ -160,15 +165,15 @@ impl FineLevel {
     }
 
     /// Moves the nodes of the set by the full correction of level 1.
-    pub(super) fn correct(&mut self, structure: &Hierarchy, coarse: &Multigrid, u: &mut [Vec3]) {
+    pub(super) fn correct(&mut self, hierarchy: &Hierarchy, coarse: &Multigrid, u: &mut [Vec3]) {
         self.moved.clear();
         self.old.clear();
-        let e = &coarse.patches[0].e;
+        let e = &coarse.grids[0].e;
         for i in 0..self.nodes.items.len() {
             let node = self.nodes.items[i];
             let n = node as usize;
             self.old.push(self.r[n]);
-            let v = structure.prolongation.interpolate(n, e);
+            let v = hierarchy.prolongation.interpolate(n, e);
             let by = Vec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
             let by = if self.fixed[n] { Vec3::zeros() } else { by };
             self.moved.push((node, by));
@@ -179,12 +184,12 @@ impl FineLevel {
     /// Reduces the applied correction to `share` of it; brick forces are interpolated linearly.
     pub(super) fn settle(
         &mut self,
-        structure: &Hierarchy,
+        hierarchy: &Hierarchy,
         coarse: &Multigrid,
         u: &mut [Vec3],
         share: f64,
     ) {
-        self.since = Since::Noted;
+        self.since = SetChange::Unchanged;
         for i in 0..self.nodes.items.len() {
             let node = self.nodes.items[i];
             let n = node as usize;
@@ -194,8 +199,8 @@ impl FineLevel {
                 self.r[n] = plus(&self.old[i], share as f32, &change);
             }
             // The total of level 1 grew by the same amount.
-            let total = &coarse.patches[0].total;
-            self.applied[n] = structure.prolongation.interpolate_exactly(n, total);
+            let total = &coarse.grids[0].total;
+            self.applied[n] = hierarchy.prolongation.interpolate_exactly(n, total);
         }
     }
 
@@ -234,9 +239,9 @@ impl FineLevel {
     }
 
     /// Sets the maximum move of a smoothing step; see [`MOVE_MAX`].
-    pub(super) fn limit_moves(&mut self, structure: &Hierarchy, near: bool) {
-        let short = near && structure.bottoms_out;
-        self.move_max = MOVE_MAX[usize::from(short)] / f64::from(structure.per_spacing);
+    pub(super) fn limit_moves(&mut self, hierarchy: &Hierarchy, near: bool) {
+        let short = near && hierarchy.bottoms_out;
+        self.move_max = MOVE_MAX[usize::from(short)] / f64::from(hierarchy.per_spacing);
     }
 
     /// Chebyshev factors for the fine level.

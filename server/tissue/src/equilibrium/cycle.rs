@@ -5,7 +5,7 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::coarse_level::{CoarseLevel, Deferred, apply, square, take_over};
+use super::coarse_level::{CoarseLevel, Deferred, apply, follow_coarser, square};
 use super::element::Matrix;
 use super::hierarchy::{Hierarchy, Level};
 use super::matrix::Corners;
@@ -60,7 +60,7 @@ impl Chebyshev {
 
 /// The coarse levels of one shape.
 pub(super) struct Multigrid {
-    pub(super) patches: Vec<CoarseLevel>,
+    pub(super) grids: Vec<CoarseLevel>,
     arch: Arch,
     /// Force on a corner of an element of level 1, in thresholds, above which it is refined.
     pub(super) pending: f32,
@@ -77,13 +77,13 @@ pub(super) struct Multigrid {
     /// tools: under tools the warm start carries local changes, and forces came out worse.
     pub(super) follows: bool,
     /// Whether the outer forces have been restricted for the current sets and are unchanged.
-    pub(super) is_beyond_restricted: bool,
+    pub(super) is_outer_restricted: bool,
 }
 
 impl Multigrid {
-    pub(super) fn new(structure: &Hierarchy) -> Self {
+    pub(super) fn new(hierarchy: &Hierarchy) -> Self {
         Self {
-            patches: structure.levels.iter().map(CoarseLevel::new).collect(),
+            grids: hierarchy.levels.iter().map(CoarseLevel::new).collect(),
             arch: Arch::new(),
             pending: 1.0,
             strained: f32::INFINITY,
@@ -91,14 +91,14 @@ impl Multigrid {
             curve: 0.0,
             visits: 0,
             follows: false,
-            is_beyond_restricted: false,
+            is_outer_restricted: false,
         }
     }
 
     /// Limits of a deferred element of level l + 1: a force in N (coarse errors are a smaller part of a larger force)
     /// and a change of size in m (coarse matrices do not know that tissue stiffens).
-    fn tolerable(&self, structure: &Hierarchy, l: usize, threshold: f32) -> [f32; 2] {
-        let side = (2 << l) as f32 / structure.per_spacing;
+    fn deferral_limits(&self, hierarchy: &Hierarchy, l: usize, threshold: f32) -> [f32; 2] {
+        let side = (2 << l) as f32 / hierarchy.per_spacing;
         [
             self.pending * threshold * (1 << l) as f32,
             self.strained * side,
@@ -107,21 +107,21 @@ impl Multigrid {
 
     /// Chooses the active elements of every level around the refined elements of level 1; `more` extends the earlier
     /// choice.
-    pub(super) fn select(&mut self, structure: &Hierarchy, more: bool) {
-        self.is_beyond_restricted = false;
-        let last = self.patches.len() - 1;
+    pub(super) fn select(&mut self, hierarchy: &Hierarchy, more: bool) {
+        self.is_outer_restricted = false;
+        let last = self.grids.len() - 1;
         for l in 0..last {
-            let level = &structure.levels[l];
-            let (finer, coarser) = self.patches.split_at_mut(l + 1);
-            let (patch, above) = (&finer[l], &mut coarser[0]);
+            let level = &hierarchy.levels[l];
+            let (finer, coarser) = self.grids.split_at_mut(l + 1);
+            let (grid, above) = (&finer[l], &mut coarser[0]);
             if !more {
                 above.refined.clear();
             }
-            for element in above.wanted.take() {
+            for element in above.to_refine.take() {
                 above.refined.insert(element);
             }
             // One ring around the refined elements, so that all their points are free.
-            for &element in &patch.refined.items {
+            for &element in &grid.refined.items {
                 for point in level.corners[element as usize] {
                     for &other in level.around.row(point) {
                         above.refined.insert(level.parent[other as usize]);
@@ -131,30 +131,30 @@ impl Multigrid {
             above.refined.sort();
         }
         for l in (0..=last).rev() {
-            let (finer, coarser) = self.patches.split_at_mut(l + 1);
+            let (finer, coarser) = self.grids.split_at_mut(l + 1);
             let above = coarser
                 .first()
-                .map(|p| (&structure.levels[l + 1], &p.refined));
-            finer[l].choose(&structure.levels[l], above);
+                .map(|p| (&hierarchy.levels[l + 1], &p.refined));
+            finer[l].choose(&hierarchy.levels[l], above);
         }
-        for patch in &mut self.patches {
-            for &element in &patch.refined.items {
-                patch.stirred.insert(element);
+        for grid in &mut self.grids {
+            for &element in &grid.refined.items {
+                grid.refined_in_step.insert(element);
             }
         }
     }
 
     /// Refines again all elements that the last step refined. Returns whether that adds any.
-    pub(super) fn stir(&mut self, structure: &Hierarchy) -> bool {
+    pub(super) fn reactivate(&mut self, hierarchy: &Hierarchy) -> bool {
         let mut more = false;
-        for patch in &mut self.patches {
-            for i in 0..patch.stirred.items.len() {
-                more |= patch.refined.insert(patch.stirred.items[i]);
+        for grid in &mut self.grids {
+            for i in 0..grid.refined_in_step.items.len() {
+                more |= grid.refined.insert(grid.refined_in_step.items[i]);
             }
-            patch.refined.sort();
+            grid.refined.sort();
         }
         if more {
-            self.select(structure, true);
+            self.select(hierarchy, true);
         }
         more
     }
@@ -162,84 +162,84 @@ impl Multigrid {
     /// Marks the next element of level 1 with a large deferred force, and its neighbours, for refinement: nodes are
     /// free only where all elements around them are refined. Elements with at least half of the largest force take
     /// turns (block Gauss-Seidel).
-    pub(super) fn refine_next(&mut self, structure: &Hierarchy) {
-        let (level, patch) = (&structure.levels[0], &mut self.patches[0]);
-        let Some(element) = patch.next_deferred() else {
+    pub(super) fn refine_next(&mut self, hierarchy: &Hierarchy) {
+        let (level, grid) = (&hierarchy.levels[0], &mut self.grids[0]);
+        let Some(element) = grid.next_deferred() else {
             return;
         };
         for point in level.corners[element as usize] {
             for &other in level.around.row(point) {
-                if !patch.refined.contains(other) {
-                    patch.wanted.insert(other);
+                if !grid.refined.contains(other) {
+                    grid.to_refine.insert(other);
                 }
             }
         }
     }
 
     /// Clears the record of elements refined in the last step.
-    pub(super) fn calm(&mut self) {
-        for patch in &mut self.patches {
-            patch.stirred.clear();
+    pub(super) fn clear_refined(&mut self) {
+        for grid in &mut self.grids {
+            grid.refined_in_step.clear();
         }
     }
 
     /// Prolongates pending displacements to the refined elements. Returns whether more elements exceed their limits.
-    pub(super) fn push(&mut self, structure: &Hierarchy, threshold: f32) -> bool {
-        for l in (0..self.patches.len()).rev() {
-            take_over(structure, &mut self.patches, l);
+    pub(super) fn prolongate_pending(&mut self, hierarchy: &Hierarchy, threshold: f32) -> bool {
+        for l in (0..self.grids.len()).rev() {
+            follow_coarser(hierarchy, &mut self.grids, l);
         }
-        for l in (1..self.patches.len()).rev() {
-            let tolerable = self.tolerable(structure, l - 1, threshold);
-            let (finer, coarser) = self.patches.split_at_mut(l);
-            let (below, patch) = (&mut finer[l - 1], &mut coarser[0]);
-            let (level, level_below) = (&structure.levels[l], &structure.levels[l - 1]);
-            for i in 0..patch.refined.items.len() {
-                let element = patch.refined.items[i];
-                if !patch.waiting[element as usize] {
+        for l in (1..self.grids.len()).rev() {
+            let deferral_limits = self.deferral_limits(hierarchy, l - 1, threshold);
+            let (finer, coarser) = self.grids.split_at_mut(l);
+            let (below, grid) = (&mut finer[l - 1], &mut coarser[0]);
+            let (level, level_below) = (&hierarchy.levels[l], &hierarchy.levels[l - 1]);
+            for i in 0..grid.refined.items.len() {
+                let element = grid.refined.items[i];
+                if !grid.has_pending[element as usize] {
                     continue;
                 }
-                let pending = patch.take_pending(level, element);
+                let pending = grid.take_pending(level, element);
                 for &child in level.children.row(element) {
                     let by = to_child(&pending, level_below.octant[child as usize]);
                     let force = level_below.force(child, &by);
                     let slack = self.slack[usize::from(level_below.element(child).1.even)];
                     let force = force.map(|f| f.map(|v| slack * v));
-                    let waits = below.wait(level_below, child, &by, &force, 1.0);
-                    if exceeds(waits, tolerable) && !below.refined.contains(child) {
-                        below.wanted.insert(child);
+                    let waits = below.defer_displacement(level_below, child, &by, &force, 1.0);
+                    if exceeds(waits, deferral_limits) && !below.refined.contains(child) {
+                        below.to_refine.insert(child);
                     }
                 }
             }
-            patch.trim();
+            grid.trim();
         }
-        let patch = &mut self.patches[0];
-        for i in 0..patch.refined.items.len() {
-            let element = patch.refined.items[i];
-            if patch.waiting[element as usize] {
-                patch.take_pending(&structure.levels[0], element);
+        let grid = &mut self.grids[0];
+        for i in 0..grid.refined.items.len() {
+            let element = grid.refined.items[i];
+            if grid.has_pending[element as usize] {
+                grid.take_pending(&hierarchy.levels[0], element);
             }
         }
-        patch.trim();
-        self.patches.iter().any(|p| !p.wanted.items.is_empty())
+        grid.trim();
+        self.grids.iter().any(|p| !p.to_refine.items.is_empty())
     }
 
-    /// One V-cycle for the loads on level 1; leaves the correction in every patch's `e`.
-    pub(super) fn cycle(&mut self, structure: &Hierarchy, threshold: f32, effort: Effort) {
-        let last = self.patches.len() - 1;
+    /// One V-cycle for the loads on level 1; leaves the correction in the `e` of every level.
+    pub(super) fn cycle(&mut self, hierarchy: &Hierarchy, threshold: f32, effort: Effort) {
+        let last = self.grids.len() - 1;
         for l in 0..=last {
-            let level = &structure.levels[l];
-            let (finer, coarser) = self.patches.split_at_mut(l + 1);
-            let patch = &mut finer[l];
-            for i in 0..patch.lagging.items.len() {
-                let point = patch.lagging.items[i];
-                let lag = patch.lag[point as usize];
-                patch.load(point, &lag, 1.0);
+            let level = &hierarchy.levels[l];
+            let (finer, coarser) = self.grids.split_at_mut(l + 1);
+            let grid = &mut finer[l];
+            for i in 0..grid.deferred_points.items.len() {
+                let point = grid.deferred_points.items[i];
+                let lag = grid.deferred_residual[point as usize];
+                grid.load(point, &lag, 1.0);
             }
-            for &point in &patch.points.items {
+            for &point in &grid.points.items {
                 let p = point as usize;
-                patch.e[p] = ZERO;
-                patch.r[p] = if patch.loaded.contains(point) {
-                    patch.b[p]
+                grid.e[p] = ZERO;
+                grid.r[p] = if grid.loaded.contains(point) {
+                    grid.b[p]
                 } else {
                     ZERO
                 };
@@ -249,10 +249,10 @@ impl Multigrid {
             } else {
                 (effort.before, LOW)
             };
-            self.visits += (1 + steps) * patch.set.items.len();
+            self.visits += (1 + steps) * grid.set.items.len();
             self.arch.dispatch(Smooth {
                 level,
-                patch,
+                grid,
                 steps,
                 low,
                 moved: false,
@@ -260,82 +260,82 @@ impl Multigrid {
             let Some(next) = coarser.first_mut() else {
                 continue;
             };
-            for &point in &patch.points.items {
-                restrict(&level.prolongation, point, &patch.r[point as usize], next);
+            for &point in &grid.points.items {
+                restrict(&level.prolongation, point, &grid.r[point as usize], next);
             }
-            for &point in &patch.loaded.items {
-                if patch.inside[point as usize] == 0 {
-                    let b = patch.b[point as usize];
+            for &point in &grid.loaded.items {
+                if grid.inside[point as usize] == 0 {
+                    let b = grid.b[point as usize];
                     restrict(&level.prolongation, point, &b, next);
                     if square(&b) > (effort.loaded * threshold).powi(2) {
                         for &element in level.around.row(point) {
-                            next.wanted.insert(level.parent[element as usize]);
+                            next.to_refine.insert(level.parent[element as usize]);
                         }
                     }
                 }
             }
         }
         for l in (0..last).rev() {
-            let level = &structure.levels[l];
-            let (finer, coarser) = self.patches.split_at_mut(l + 1);
-            let (patch, above) = (&mut finer[l], &coarser[0]);
-            for &point in &patch.points.items {
+            let level = &hierarchy.levels[l];
+            let (finer, coarser) = self.grids.split_at_mut(l + 1);
+            let (grid, above) = (&mut finer[l], &coarser[0]);
+            for &point in &grid.points.items {
                 let p = point as usize;
                 let v = level.prolongation.interpolate(p, &above.e);
-                patch.d[p] = v;
-                patch.e[p] = plus(&patch.e[p], 1.0, &v);
+                grid.d[p] = v;
+                grid.e[p] = plus(&grid.e[p], 1.0, &v);
             }
-            self.visits += effort.after * patch.set.items.len();
+            self.visits += effort.after * grid.set.items.len();
             self.arch.dispatch(Smooth {
                 level,
-                patch,
+                grid,
                 steps: effort.after,
                 low: LOW,
                 moved: true,
             });
         }
-        for patch in &mut self.patches {
-            patch.loaded.clear();
+        for grid in &mut self.grids {
+            grid.loaded.clear();
         }
     }
 
     /// Whether the totals changed in this step are below `limit` m.
     pub(super) fn is_within(&self, limit: f64) -> bool {
-        self.patches.iter().all(|patch| {
-            let mut totals = patch.gained.items.iter().map(|&p| patch.total[p as usize]);
+        self.grids.iter().all(|grid| {
+            let mut totals = grid.corrected.items.iter().map(|&p| grid.total[p as usize]);
             totals.all(|total| crate::Vec3::from(total).norm() < limit)
         })
     }
 
     /// Starts a step: the accumulated correction of the last step becomes the candidate for the warm start. Rim points
     /// follow the coarser level, or deferred elements beside them would miss their moves.
-    pub(super) fn recall(&mut self, structure: &Hierarchy) {
-        for l in (0..self.patches.len()).rev() {
-            let (finer, coarser) = self.patches.split_at_mut(l + 1);
-            let (patch, above) = (&mut finer[l], coarser.first());
-            for &point in &patch.points.items {
+    pub(super) fn load_last_correction(&mut self, hierarchy: &Hierarchy) {
+        for l in (0..self.grids.len()).rev() {
+            let (finer, coarser) = self.grids.split_at_mut(l + 1);
+            let (grid, above) = (&mut finer[l], coarser.first());
+            for &point in &grid.points.items {
                 let p = point as usize;
-                let gained = patch.gained.contains(point);
-                patch.e[p] = match above {
-                    Some(above) if !patch.free[p] => {
-                        structure.levels[l].prolongation.interpolate(p, &above.e)
+                let corrected = grid.corrected.contains(point);
+                grid.e[p] = match above {
+                    Some(above) if !grid.free[p] => {
+                        hierarchy.levels[l].prolongation.interpolate(p, &above.e)
                     }
-                    _ if gained => patch.gain[p],
+                    _ if corrected => grid.step_correction[p],
                     _ => ZERO,
                 };
             }
-            patch.gained.clear();
+            grid.corrected.clear();
         }
     }
 
     /// Computes the forces of the correction on elements that are not refined, for `work_along` and `commit`.
-    pub(super) fn defer(&mut self, structure: &Hierarchy) {
+    pub(super) fn defer(&mut self, hierarchy: &Hierarchy) {
         self.curve = 0.0;
         let slack = self.slack;
-        for (patch, level) in self.patches.iter_mut().zip(&structure.levels) {
+        for (grid, level) in self.grids.iter_mut().zip(&hierarchy.levels) {
             let defer = Defer {
                 level,
-                patch,
+                grid,
                 slack,
                 curve: &mut self.curve,
             };
@@ -346,11 +346,11 @@ impl Multigrid {
     /// Work of the deferred residual of the sets along the correction, at its start and its end, in N m.
     pub(super) fn work_along(&self) -> [f64; 2] {
         let mut before = 0.0;
-        for patch in &self.patches {
-            for &point in &patch.lagging.items {
+        for grid in &self.grids {
+            for &point in &grid.deferred_points.items {
                 let p = point as usize;
-                if patch.inside[p] > 0 {
-                    before += dot(&patch.lag[p], &patch.e[p]);
+                if grid.inside[p] > 0 {
+                    before += dot(&grid.deferred_residual[p], &grid.e[p]);
                 }
             }
         }
@@ -359,42 +359,45 @@ impl Multigrid {
 
     /// Applies `share` of the correction: displacements in full, forces of unrefined elements as deferred residual.
     /// Marks the elements to refine next.
-    pub(super) fn commit(&mut self, structure: &Hierarchy, share: f32, threshold: f32) {
-        for l in (0..self.patches.len()).rev() {
-            let level = &structure.levels[l];
-            let tolerable = self.tolerable(structure, l, threshold);
-            let (finer, coarser) = self.patches.split_at_mut(l + 1);
-            let patch = &mut finer[l];
-            for &point in &patch.points.items {
+    pub(super) fn commit(&mut self, hierarchy: &Hierarchy, share: f32, threshold: f32) {
+        for l in (0..self.grids.len()).rev() {
+            let level = &hierarchy.levels[l];
+            let deferral_limits = self.deferral_limits(hierarchy, l, threshold);
+            let (finer, coarser) = self.grids.split_at_mut(l + 1);
+            let grid = &mut finer[l];
+            for &point in &grid.points.items {
                 let p = point as usize;
-                if patch.gained.insert(point) {
+                if grid.corrected.insert(point) {
                     let above = coarser.first().filter(|_| self.follows);
-                    patch.gain[p] = above.map_or(ZERO, |above| {
+                    grid.step_correction[p] = above.map_or(ZERO, |above| {
                         let e = level.prolongation.interpolate(p, &above.e);
-                        let gain = level.prolongation.interpolate(p, &above.gain);
+                        let gain = level.prolongation.interpolate(p, &above.step_correction);
                         plus(&gain, -share, &e)
                     });
                 }
                 for a in 0..3 {
-                    patch.total[p][a] += f64::from(share) * f64::from(patch.e[p][a]);
+                    grid.total[p][a] += f64::from(share) * f64::from(grid.e[p][a]);
                 }
-                patch.gain[p] = plus(&patch.gain[p], share, &patch.e[p]);
+                grid.step_correction[p] = plus(&grid.step_correction[p], share, &grid.e[p]);
             }
-            let mut deferred = std::mem::take(&mut patch.deferred);
+            let mut deferred = std::mem::take(&mut grid.deferred);
             for Deferred { element, force } in deferred.drain(..) {
-                let by = level.corners[element as usize].map(|p| patch.e[p as usize]);
-                if exceeds(patch.wait(level, element, &by, &force, share), tolerable) {
-                    patch.wanted.insert(element);
+                let by = level.corners[element as usize].map(|p| grid.e[p as usize]);
+                if exceeds(
+                    grid.defer_displacement(level, element, &by, &force, share),
+                    deferral_limits,
+                ) {
+                    grid.to_refine.insert(element);
                 }
             }
-            patch.deferred = deferred;
+            grid.deferred = deferred;
             // The correction `e` includes that of the coarser level, so it counts as applied.
-            let (finer, coarser) = self.patches.split_at_mut(l + 1);
+            let (finer, coarser) = self.grids.split_at_mut(l + 1);
             if let Some(above) = coarser.first() {
-                let patch = &mut finer[l];
-                for &point in &patch.points.items {
+                let grid = &mut finer[l];
+                for &point in &grid.points.items {
                     let p = point as usize;
-                    patch.applied[p] = level.prolongation.interpolate_exactly(p, &above.total);
+                    grid.applied[p] = level.prolongation.interpolate_exactly(p, &above.total);
                 }
             }
         }
@@ -405,7 +408,7 @@ impl Multigrid {
 /// level needs the final residual.
 struct Smooth<'a> {
     level: &'a Level,
-    patch: &'a mut CoarseLevel,
+    grid: &'a mut CoarseLevel,
     steps: usize,
     low: f32,
     moved: bool,
@@ -417,12 +420,12 @@ impl WithSimd for Smooth<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         if self.moved {
-            subtract(simd, self.level, self.patch);
+            subtract(simd, self.level, self.grid);
         }
         smooth(
             simd,
             self.level,
-            self.patch,
+            self.grid,
             self.steps,
             self.low,
             !self.moved,
@@ -433,7 +436,7 @@ impl WithSimd for Smooth<'_> {
 /// Computes the forces of the correction on unrefined elements.
 struct Defer<'a> {
     level: &'a Level,
-    patch: &'a mut CoarseLevel,
+    grid: &'a mut CoarseLevel,
     slack: [f32; 2],
     curve: &'a mut f64,
 }
@@ -445,23 +448,23 @@ impl WithSimd for Defer<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Self {
             level,
-            patch,
+            grid,
             slack,
             curve,
         } = self;
-        patch.deferred.clear();
-        for &element in &patch.set.items {
-            if patch.refined.contains(element) {
+        grid.deferred.clear();
+        for &element in &grid.set.items {
+            if grid.refined.contains(element) {
                 continue;
             }
             let (points, m) = level.element(element);
-            let force = m.k.multiply(simd, points, &patch.e).corners();
+            let force = m.k.multiply(simd, points, &grid.e).corners();
             let slack = slack[usize::from(m.even)];
             let force = force.map(|f| f.map(|v| slack * v));
             for (&point, force) in points.iter().zip(&force) {
-                *curve += dot(&patch.e[point as usize], force);
+                *curve += dot(&grid.e[point as usize], force);
             }
-            patch.deferred.push(Deferred { element, force });
+            grid.deferred.push(Deferred { element, force });
         }
     }
 }
@@ -484,16 +487,16 @@ impl Level {
 
 /// `r -= K d` over the set.
 #[inline(always)]
-fn subtract<S: Simd>(simd: S, level: &Level, patch: &mut CoarseLevel) {
-    for &element in &patch.set.items {
+fn subtract<S: Simd>(simd: S, level: &Level, grid: &mut CoarseLevel) {
+    for &element in &grid.set.items {
         let (points, m) = level.element(element);
-        let overlay = patch.overlay_of[element as usize];
-        let y = match patch.overlays.get(overlay as usize) {
-            Some(overlay) => overlay.k.multiply(simd, points, &patch.d),
-            None => m.k.multiply(simd, points, &patch.d),
+        let stiffened = grid.stiffness_of[element as usize];
+        let y = match grid.stiffened_elements.get(stiffened as usize) {
+            Some(stiffened) => stiffened.k.multiply(simd, points, &grid.d),
+            None => m.k.multiply(simd, points, &grid.d),
         };
         for (c, &point) in points.iter().enumerate() {
-            let r = &mut patch.r[point as usize];
+            let r = &mut grid.r[point as usize];
             *r = plus(r, -1.0, &y.corner(c));
         }
     }
@@ -504,7 +507,7 @@ fn subtract<S: Simd>(simd: S, level: &Level, patch: &mut CoarseLevel) {
 fn smooth<S: Simd>(
     simd: S,
     level: &Level,
-    patch: &mut CoarseLevel,
+    grid: &mut CoarseLevel,
     steps: usize,
     low: f32,
     keep: bool,
@@ -512,27 +515,27 @@ fn smooth<S: Simd>(
     let mut factors = Chebyshev::new(low);
     for step in 1..=steps {
         let (last, new) = factors.next();
-        for &point in &patch.points.items {
+        for &point in &grid.points.items {
             let p = point as usize;
-            if !patch.free[p] {
-                patch.d[p] = ZERO;
+            if !grid.free[p] {
+                grid.d[p] = ZERO;
                 continue;
             }
-            let by = apply(&patch.inverse[p], &patch.r[p]);
+            let by = apply(&grid.inverse[p], &grid.r[p]);
             // In the first step `last` is zero and d is stale.
-            let before = if last == 0.0 { ZERO } else { patch.d[p] };
+            let before = if last == 0.0 { ZERO } else { grid.d[p] };
             let d = plus(&by.map(|v| new * v), last, &before);
-            patch.d[p] = d;
-            patch.e[p] = plus(&patch.e[p], 1.0, &d);
+            grid.d[p] = d;
+            grid.e[p] = plus(&grid.e[p], 1.0, &d);
         }
         if keep || step < steps {
-            subtract(simd, level, patch);
+            subtract(simd, level, grid);
         }
     }
 }
 
-fn exceeds(waits: [f32; 2], tolerable: [f32; 2]) -> bool {
-    waits[0] > tolerable[0] || waits[1] > tolerable[1]
+fn exceeds(waits: [f32; 2], deferral_limits: [f32; 2]) -> bool {
+    waits[0] > deferral_limits[0] || waits[1] > deferral_limits[1]
 }
 
 /// Adds the restricted force of a point to the loads of the coarser level.

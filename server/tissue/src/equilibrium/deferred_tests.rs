@@ -8,15 +8,15 @@ const CELL: f64 = 4e-3;
 
 /// The element of level 1 with the largest deferred force.
 fn largest(solver: &Solver) -> u32 {
-    let elements = 0..solver.coarse.patches[0].owed.len() as u32;
+    let elements = 0..solver.coarse.grids[0].deferred_force.len() as u32;
     let largest = elements.max_by(|&a, &b| deferred(solver, a).total_cmp(&deferred(solver, b)));
     largest.expect("something waits")
 }
 
 /// The largest deferred force on a corner of an element, in N.
 fn deferred(solver: &Solver, element: u32) -> f32 {
-    let owed = &solver.coarse.patches[0].owed[element as usize];
-    let squares = owed.iter().map(super::coarse_level::square);
+    let deferred_force = &solver.coarse.grids[0].deferred_force[element as usize];
+    let squares = deferred_force.iter().map(super::coarse_level::square);
     squares.fold(0.0, f32::max).sqrt()
 }
 
@@ -78,7 +78,7 @@ fn cached_restricted_forces_equal_recomputed_ones() {
             ..Budget::new(3, 0.02)
         };
         kept.step(&topology, &mut shape, &[tool], budget());
-        renewed.coarse.is_beyond_restricted = false;
+        renewed.coarse.is_outer_restricted = false;
         renewed.step(&topology, &mut other, &[tool], budget());
         assert!(shape == other, "step {k}");
     }
@@ -93,7 +93,7 @@ fn quick_step_skips_invisible_displacements() {
             solver.step(&topology, &mut shape, &[tool], Budget::new(2, 0.02));
         }
         let left = shape.clone();
-        solver.pour(&mut shape);
+        solver.prolongate_all(&mut shape);
         let apart = shape.displacement.iter().zip(&left.displacement);
         let most = apart.map(|(a, b)| (a - b).amax()).fold(0.0, f64::max);
         assert!(most > 0.0 && most < 20e-6, "{most} m after {steps} steps");

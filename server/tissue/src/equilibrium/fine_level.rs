@@ -23,13 +23,13 @@ const PARALLEL: usize = 512;
 
 /// State of the active set since the last warm start or coarse correction.
 #[derive(Clone, Copy, PartialEq)]
-pub(super) enum Since {
+pub(super) enum SetChange {
     /// Unchanged; the nodes are still to be marked as up to date with level 1.
-    Carried,
+    Extrapolated,
     /// Unchanged.
-    Noted,
+    Unchanged,
     /// Replaced by a new choice.
-    Chosen,
+    Replaced,
 }
 
 /// State of the forces on nodes outside the active set.
@@ -69,15 +69,15 @@ pub(super) struct FineLevel {
     pub(super) inside: Vec<u32>,
     pub(super) free: Vec<bool>,
     /// Nodes with a possibly nonzero force.
-    pub(super) loud: List,
+    pub(super) unbalanced: List,
     /// Nodes below the threshold of quick steps; full solves reconsider them.
-    pub(super) quiet: List,
+    pub(super) below_threshold: List,
     /// Nodes that are not free and were disturbed since the last choice of the set.
     pub(super) disturbed: List,
     /// State of the forces on nodes outside the set.
-    pub(super) beyond: OuterForces,
+    pub(super) outer_forces: OuterForces,
     /// Elements of level 1 to be refined; scratch.
-    pub(super) needed: List,
+    pub(super) required: List,
     /// Whether the forces of the set, without contacts, match the current displacements.
     pub(super) current: bool,
     /// Whether the fixed nodes have changed since the set was chosen.
@@ -92,12 +92,12 @@ pub(super) struct FineLevel {
     pub(super) moved_on: List,
     pub(super) start: Vec<Vec3>,
     /// Displacement increments of the last warm start.
-    pub(super) moves: Vec<(u32, Vec3)>,
-    pub(super) since: Since,
+    pub(super) increments: Vec<(u32, Vec3)>,
+    pub(super) since: SetChange,
     /// Nodes that were free at the start of this step.
     pub(super) settled: List,
     /// Whether the shape is still the reference state.
-    pub(super) at_home: bool,
+    pub(super) at_reference: bool,
     /// Largest displacement of any node so far in m.
     pub(super) displaced: f64,
     pub(super) move_max: f64,
@@ -108,8 +108,8 @@ pub(super) struct FineLevel {
     pub(super) blocks: Vec<[f32; 6]>,
     pub(super) pressed: Vec<[f32; 6]>,
     /// Sum of the diagonal blocks of each brick when last computed, and of each form at rest.
-    pub(super) firm: Vec<[f32; 6]>,
-    pub(super) firm_at_rest: Vec<Option<[f32; 6]>>,
+    pub(super) block_sum: Vec<[f32; 6]>,
+    pub(super) block_sum_at_rest: Vec<Option<[f32; 6]>>,
     /// Diagonal blocks at rest of forms that several bricks share.
     pub(super) blocks_at_rest: Vec<Option<Box<JacobiBlocks>>>,
     /// Correction of each node by level 1 in this iteration; scratch.
@@ -122,49 +122,49 @@ pub(super) struct FineLevel {
 
 impl FineLevel {
     /// `own` is the stiffness of each node, from [`own_stiffness`].
-    pub(super) fn new(topology: &Topology, structure: &Hierarchy, own: Vec<f64>) -> Self {
+    pub(super) fn new(topology: &Topology, hierarchy: &Hierarchy, own: Vec<f64>) -> Self {
         let nodes = topology.node_count();
         Self {
             fixed: (0..nodes as u32).map(|n| topology.is_pinned(n)).collect(),
             own,
             weights: weights(topology),
-            forces: laid_out([[0.0; LOCALS]; 3], structure.bricks.len()),
-            computed: List::new(structure.bricks.len()),
+            forces: laid_out([[0.0; LOCALS]; 3], hierarchy.bricks.len()),
+            computed: List::new(hierarchy.bricks.len()),
             kept: Vec::new(),
             r: laid_out(ZERO, nodes),
             inverse: laid_out([0.0; 6], nodes),
             d: laid_out(ZERO, nodes),
             applied: laid_out([0.0; 3], nodes),
-            set: List::new(structure.bricks.len()),
-            left: List::new(structure.bricks.len()),
+            set: List::new(hierarchy.bricks.len()),
+            left: List::new(hierarchy.bricks.len()),
             nodes: List::new(nodes),
             inside: laid_out(0, nodes),
             free: laid_out(false, nodes),
-            loud: List::new(nodes),
-            quiet: List::new(nodes),
+            unbalanced: List::new(nodes),
+            below_threshold: List::new(nodes),
             disturbed: List::new(nodes),
-            beyond: OuterForces::Changed,
-            needed: List::new(structure.levels[0].corners.len()),
+            outer_forces: OuterForces::Changed,
+            required: List::new(hierarchy.levels[0].corners.len()),
             current: false,
             outdated: true,
             bent: f32::INFINITY,
-            stale: List::new(structure.bricks.len()),
+            stale: List::new(hierarchy.bricks.len()),
             touched: List::new(nodes),
             moved_on: List::new(nodes),
             start: laid_out(Vec3::zeros(), nodes),
-            moves: Vec::new(),
-            since: Since::Chosen,
+            increments: Vec::new(),
+            since: SetChange::Replaced,
             settled: List::new(nodes),
-            at_home: true,
+            at_reference: true,
             displaced: 0.0,
             move_max: 0.0,
             clamped: 0,
             visits: 0,
             blocks: laid_out([0.0; 6], nodes),
             pressed: Vec::new(),
-            firm: laid_out([0.0; 6], structure.bricks.len()),
-            firm_at_rest: laid_out(None, structure.forms.len()),
-            blocks_at_rest: vec![None; structure.forms.len()],
+            block_sum: laid_out([0.0; 6], hierarchy.bricks.len()),
+            block_sum_at_rest: laid_out(None, hierarchy.forms.len()),
+            blocks_at_rest: vec![None; hierarchy.forms.len()],
             moved: Vec::new(),
             old: Vec::new(),
             scratch: Box::new(Ends::new()),
@@ -174,8 +174,8 @@ impl FineLevel {
     }
 
     /// Marks the forces of the bricks around a node as outdated.
-    pub(super) fn disturb(&mut self, structure: &Hierarchy, node: u32) {
-        for &entry in structure.around.row(node) {
+    pub(super) fn disturb(&mut self, hierarchy: &Hierarchy, node: u32) {
+        for &entry in hierarchy.around.row(node) {
             self.stale.insert(entry / 32);
         }
     }
@@ -188,12 +188,12 @@ impl FineLevel {
     }
 
     /// Removes contact forces from their nodes before contacts are searched again.
-    pub(super) fn let_contacts_go(&mut self, structure: &Hierarchy, nodes: &[u32]) {
+    pub(super) fn remove_contacts(&mut self, hierarchy: &Hierarchy, nodes: &[u32]) {
         for &node in nodes {
-            self.r[node as usize] = self.sum(structure, node);
-            self.loud.insert(node);
+            self.r[node as usize] = self.sum(hierarchy, node);
+            self.unbalanced.insert(node);
             if !self.nodes.contains(node) {
-                self.beyond = OuterForces::Changed;
+                self.outer_forces = OuterForces::Changed;
             }
             if !self.free[node as usize] {
                 self.disturbed.insert(node);
@@ -202,25 +202,25 @@ impl FineLevel {
     }
 
     /// Number of nodes with a possibly nonzero force.
-    pub(super) fn stirred(&self) -> usize {
-        self.loud.items.len()
+    pub(super) fn unbalanced_count(&self) -> usize {
+        self.unbalanced.items.len()
     }
 
     /// Recomputes outdated bricks.
-    pub(super) fn refresh(&mut self, structure: &Hierarchy, u: &[Vec3]) {
+    pub(super) fn refresh(&mut self, hierarchy: &Hierarchy, u: &[Vec3]) {
         if self.stale.items.is_empty() {
             return;
         }
-        self.beyond = OuterForces::Changed;
+        self.outer_forces = OuterForces::Changed;
         self.stale.sort();
         let list = std::mem::take(&mut self.stale.items);
-        self.compute(structure, u, &list);
+        self.compute(hierarchy, u, &list);
         for &brick in &list {
-            let b = &structure.bricks[brick as usize];
+            let b = &hierarchy.bricks[brick as usize];
             for (i, &node) in b.nodes.iter().enumerate() {
                 if b.present >> i & 1 == 1 && self.touched.insert(node) {
-                    self.loud.insert(node);
-                    self.r[node as usize] = self.sum(structure, node);
+                    self.unbalanced.insert(node);
+                    self.r[node as usize] = self.sum(hierarchy, node);
                     if !self.free[node as usize] {
                         self.disturbed.insert(node);
                     }
@@ -234,17 +234,17 @@ impl FineLevel {
 
     /// Adds to a node the displacement of level 1 that it has not yet received.
     #[inline]
-    pub(super) fn take_over(
+    pub(super) fn follow_coarser(
         &mut self,
-        structure: &Hierarchy,
+        hierarchy: &Hierarchy,
         coarse: &Multigrid,
         u: &mut [Vec3],
         node: u32,
     ) {
         let n = node as usize;
-        let v = structure
+        let v = hierarchy
             .prolongation
-            .interpolate_exactly(n, &coarse.patches[0].total);
+            .interpolate_exactly(n, &coarse.grids[0].total);
         let old = self.applied[n];
         if v != old {
             self.applied[n] = v;
@@ -258,61 +258,61 @@ impl FineLevel {
         }
     }
 
-    /// Prolongates the displacements of level 1 that changed by more than `least` m since the last call;
-    /// `coarse_level::hand_down` does the levels above. [`undo`](Self::undo) does not revert these moves: the totals must be
+    /// Prolongates the displacements of level 1 that changed by more than `least` m since the last call. The levels above
+    /// are done by `coarse_level::prolongate_changes`. [`undo`](Self::undo) does not revert these moves: the totals must be
     /// finite.
-    pub(super) fn pour(
+    pub(super) fn prolongate(
         &mut self,
-        structure: &Hierarchy,
+        hierarchy: &Hierarchy,
         coarse: &mut Multigrid,
         u: &mut [Vec3],
         least: f64,
     ) {
-        let moved = coarse.patches[0].take_moved(&structure.levels[0], least);
+        let moved = coarse.grids[0].take_moved(&hierarchy.levels[0], least);
         let mut displaced = self.displaced.powi(2);
         for (element, _) in (0..).zip(moved).filter(|(_, has_moved)| *has_moved) {
-            for &node in structure.nodes_of.row(element) {
+            for &node in hierarchy.nodes_of.row(element) {
                 let n = node as usize;
                 // Nodes of the set are always up to date.
                 if self.nodes.contains(node) {
                     continue;
                 }
-                let total = &coarse.patches[0].total;
-                let now = structure.prolongation.interpolate_exactly(n, total);
+                let total = &coarse.grids[0].total;
+                let now = hierarchy.prolongation.interpolate_exactly(n, total);
                 let old = std::mem::replace(&mut self.applied[n], now);
                 if !self.fixed[n] {
                     u[n] += Vec3::from(now) - Vec3::from(old);
                     displaced = displaced.max(u[n].norm_squared());
                 }
             }
-            self.at_home = false;
+            self.at_reference = false;
         }
         self.displaced = displaced.sqrt();
     }
 
     /// Brings these nodes up to date with level 1.
-    pub(super) fn pour_at(
+    pub(super) fn prolongate_at(
         &mut self,
-        structure: &Hierarchy,
+        hierarchy: &Hierarchy,
         coarse: &Multigrid,
         u: &mut [Vec3],
         nodes: &[u32],
     ) {
         for &node in nodes {
-            self.take_over(structure, coarse, u, node);
+            self.follow_coarser(hierarchy, coarse, u, node);
         }
     }
 
     /// Forces of these bricks.
-    pub(super) fn compute(&mut self, structure: &Hierarchy, u: &[Vec3], list: &[u32]) {
+    pub(super) fn compute(&mut self, hierarchy: &Hierarchy, u: &[Vec3], list: &[u32]) {
         self.visits += list.len();
         for &brick in list {
             self.computed.insert(brick);
         }
         let arch = self.arch;
         let one = |brick: u32, to: &mut [[f32; LOCALS]; 3], scratch: &mut Ends<3>| {
-            let b = &structure.bricks[brick as usize];
-            let form = &structure.forms[b.form as usize];
+            let b = &hierarchy.bricks[brick as usize];
+            let form = &hierarchy.forms[b.form as usize];
             arch.dispatch(Forces {
                 brick: b,
                 form,
@@ -339,11 +339,11 @@ impl FineLevel {
         }
     }
 
-    fn compute_set(&mut self, structure: &Hierarchy, u: &[Vec3]) {
+    fn compute_set(&mut self, hierarchy: &Hierarchy, u: &[Vec3]) {
         let list = std::mem::take(&mut self.set.items);
-        self.compute(structure, u, &list);
+        self.compute(hierarchy, u, &list);
         self.set.items = list;
-        self.sum_up(structure);
+        self.sum_up(hierarchy);
         self.current = true;
     }
 
@@ -357,14 +357,14 @@ impl FineLevel {
 
     /// Interpolates the forces of the active bricks between the saved ones and the last computed ones, without
     /// contacts.
-    pub(super) fn blend_forces(&mut self, structure: &Hierarchy, share: f32) {
+    pub(super) fn blend_forces(&mut self, hierarchy: &Hierarchy, share: f32) {
         for (&brick, kept) in self.set.items.iter().zip(&self.kept) {
             let forces = self.forces[brick as usize].as_flattened_mut();
             for (f, from) in forces.iter_mut().zip(kept.as_flattened()) {
                 *f = from + share * (*f - from);
             }
         }
-        self.sum_up(structure);
+        self.sum_up(hierarchy);
         self.current = true;
     }
 
@@ -374,17 +374,17 @@ impl FineLevel {
     }
 
     /// Sums the cached brick forces on the nodes of the set.
-    pub(super) fn sum_up(&mut self, structure: &Hierarchy) {
+    pub(super) fn sum_up(&mut self, hierarchy: &Hierarchy) {
         for i in 0..self.nodes.items.len() {
             let node = self.nodes.items[i];
-            self.r[node as usize] = self.sum(structure, node);
+            self.r[node as usize] = self.sum(hierarchy, node);
         }
     }
 
     #[inline]
-    pub(super) fn sum(&self, structure: &Hierarchy, node: u32) -> Quad {
+    pub(super) fn sum(&self, hierarchy: &Hierarchy, node: u32) -> Quad {
         let mut sum = *self.weights.get(node as usize).unwrap_or(&ZERO);
-        for &entry in structure.around.row(node) {
+        for &entry in hierarchy.around.row(node) {
             let f = &self.forces[(entry / 32) as usize];
             let i = (entry % 32) as usize;
             for a in 0..3 {
@@ -405,9 +405,9 @@ impl FineLevel {
     }
 
     /// Recomputes the active bricks and the forces on their nodes, without contacts.
-    pub(super) fn evaluate_bricks(&mut self, structure: &Hierarchy, u: &[Vec3]) {
+    pub(super) fn evaluate_bricks(&mut self, hierarchy: &Hierarchy, u: &[Vec3]) {
         if !std::mem::take(&mut self.current) {
-            self.compute_set(structure, u);
+            self.compute_set(hierarchy, u);
             self.current = false;
         }
     }
@@ -432,12 +432,12 @@ impl FineLevel {
     }
 
     /// Force of the bricks on one node plus its weight, evaluated at `u`.
-    pub(super) fn force_on(&self, structure: &Hierarchy, u: &[Vec3], node: u32) -> Vec3 {
+    pub(super) fn force_on(&self, hierarchy: &Hierarchy, u: &[Vec3], node: u32) -> Vec3 {
         let [x, y, z, _] = *self.weights.get(node as usize).unwrap_or(&ZERO);
         let mut sum = Vec3::new(x.into(), y.into(), z.into());
-        for &entry in structure.around.row(node) {
-            let b = &structure.bricks[(entry / 32) as usize];
-            let form = &structure.forms[b.form as usize];
+        for &entry in hierarchy.around.row(node) {
+            let b = &hierarchy.bricks[(entry / 32) as usize];
+            let form = &hierarchy.forms[b.form as usize];
             let i = (entry % 32) as usize;
             let mut f = [[0.0; LOCALS]; 3];
             self.arch.dispatch(Forces {
@@ -455,14 +455,14 @@ impl FineLevel {
     /// Recomputes every brick; returns the sum of squares over all unfixed nodes.
     pub(super) fn square_over_all(
         &mut self,
-        structure: &Hierarchy,
+        hierarchy: &Hierarchy,
         u: &[Vec3],
         contacts: &Contacts,
     ) -> f64 {
-        for brick in 0..structure.bricks.len() as u32 {
+        for brick in 0..hierarchy.bricks.len() as u32 {
             self.stale.insert(brick);
         }
-        self.refresh(structure, u);
+        self.refresh(hierarchy, u);
         let mut r: Vec<[f64; 3]> = self
             .r
             .iter()

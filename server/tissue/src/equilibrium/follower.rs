@@ -19,59 +19,64 @@ use crate::contact::SurfaceIndex;
 /// Follows a topology for solvers on other threads. It costs about 200 bytes per node.
 #[derive(Clone)]
 pub struct Follower {
-    structure: Arc<Hierarchy>,
+    hierarchy: Arc<Hierarchy>,
     own: Vec<f64>,
     index: SurfaceIndex,
-    home: Option<Arc<ReferenceState>>,
+    reference_state: Option<Arc<ReferenceState>>,
 }
 
 /// Prepared update of one solver.
 pub struct Successor {
-    pub(super) structure: Arc<Hierarchy>,
-    pub(super) field: FineLevel,
+    pub(super) hierarchy: Arc<Hierarchy>,
+    pub(super) fine: FineLevel,
     pub(super) coarse: Multigrid,
     pub(super) index: SurfaceIndex,
-    pub(super) home: Option<Arc<ReferenceState>>,
+    pub(super) reference_state: Option<Arc<ReferenceState>>,
 }
 
 impl Follower {
     pub(super) fn new(
-        structure: &Arc<Hierarchy>,
+        hierarchy: &Arc<Hierarchy>,
         own: &[f64],
         index: &SurfaceIndex,
-        home: Option<Arc<ReferenceState>>,
+        reference_state: Option<Arc<ReferenceState>>,
     ) -> Self {
         Self {
-            structure: Arc::clone(structure),
+            hierarchy: Arc::clone(hierarchy),
             own: own.to_vec(),
             index: index.clone(),
-            home,
+            reference_state,
         }
     }
 
     /// Follows a change of the topology; see [`Solver::follow`](crate::Solver::follow).
     pub fn follow(&mut self, topology: &Topology, touched: &[u32]) {
-        let before = (&*self.structure, touched);
-        self.structure = Arc::new(Hierarchy::after(topology, Some(before)));
+        let before = (&*self.hierarchy, touched);
+        self.hierarchy = Arc::new(Hierarchy::after(topology, Some(before)));
         measure(&mut self.own, topology, touched);
-        self.home = ReferenceState::of(topology, &self.structure, &self.own, self.home.as_deref());
+        self.reference_state = ReferenceState::of(
+            topology,
+            &self.hierarchy,
+            &self.own,
+            self.reference_state.as_deref(),
+        );
         self.index.follow(topology);
     }
 
-    pub(super) fn structure(&self) -> &Hierarchy {
-        &self.structure
+    pub(super) fn hierarchy(&self) -> &Hierarchy {
+        &self.hierarchy
     }
 
     /// The update for one solver of the topology that was followed last.
     pub fn successor(&self, topology: &Topology) -> Successor {
-        let mut field = FineLevel::new(topology, &self.structure, self.own.clone());
-        field.disturb_all();
+        let mut fine = FineLevel::new(topology, &self.hierarchy, self.own.clone());
+        fine.disturb_all();
         Successor {
-            field,
-            coarse: Multigrid::new(&self.structure),
-            structure: Arc::clone(&self.structure),
+            fine,
+            coarse: Multigrid::new(&self.hierarchy),
+            hierarchy: Arc::clone(&self.hierarchy),
             index: self.index.clone(),
-            home: self.home.clone(),
+            reference_state: self.reference_state.clone(),
         }
     }
 }
@@ -79,62 +84,67 @@ impl Follower {
 impl Solver {
     /// Follows a change of the topology. `touched` are the nodes whose springs, pinning or rest position changed; new
     /// nodes at the end need not be listed. All nodes of the shape must have been up to date before it (see
-    /// [`Budget::near`](crate::Budget::near) and [`Solver::pour`]).
+    /// [`Budget::near`](crate::Budget::near) and [`Solver::prolongate_all`]).
     pub fn follow(&mut self, topology: &Topology, touched: &[u32]) {
-        let before = (&*self.structure, touched);
-        self.structure = Arc::new(Hierarchy::after(topology, Some(before)));
-        let mut own = std::mem::take(&mut self.field.own);
+        let before = (&*self.hierarchy, touched);
+        self.hierarchy = Arc::new(Hierarchy::after(topology, Some(before)));
+        let mut own = std::mem::take(&mut self.fine.own);
         measure(&mut own, topology, touched);
-        self.home = ReferenceState::of(topology, &self.structure, &own, self.home.as_deref());
+        self.reference_state = ReferenceState::of(
+            topology,
+            &self.hierarchy,
+            &own,
+            self.reference_state.as_deref(),
+        );
         self.restart(topology, own);
         self.contacts.follow(topology);
     }
 
     /// A follower of later changes of the topology, starting from the current one.
     pub fn follower(&self) -> Follower {
-        let home = self.home.clone();
+        let reference_state = self.reference_state.clone();
         Follower::new(
-            &self.structure,
-            &self.field.own,
+            &self.hierarchy,
+            &self.fine.own,
             self.contacts.index(),
-            home,
+            reference_state,
         )
     }
 
     /// Installs a change that a [`Follower`] has followed. All nodes of the shape must have been up to date before it,
     /// as for [`follow`](Self::follow).
     pub fn succeed(&mut self, topology: &Topology, successor: Successor) {
-        self.structure = successor.structure;
+        self.hierarchy = successor.hierarchy;
         self.contacts.take(topology, successor.index);
-        self.home = successor.home;
-        self.begin_again(successor.field, successor.coarse);
+        self.reference_state = successor.reference_state;
+        self.begin_again(successor.fine, successor.coarse);
     }
 
     /// Discards all cached forces.
     pub(super) fn restart(&mut self, topology: &Topology, own: Vec<f64>) {
-        let mut field = FineLevel::new(topology, &self.structure, own);
-        field.disturb_all();
-        let coarse = Multigrid::new(&self.structure);
-        self.begin_again(field, coarse);
+        let mut fine = FineLevel::new(topology, &self.hierarchy, own);
+        fine.disturb_all();
+        let coarse = Multigrid::new(&self.hierarchy);
+        self.begin_again(fine, coarse);
     }
 
     /// Continues with new fine and coarse levels, whose forces are all outdated.
-    fn begin_again(&mut self, field: FineLevel, coarse: Multigrid) {
-        let (displaced, at_home) = (self.field.displaced, self.field.at_home);
-        (self.field, self.coarse) = (field, coarse);
-        self.near = ContactSmoother::new(&self.structure);
-        self.foresight = WarmStart::default();
-        self.start_over(displaced, at_home);
+    fn begin_again(&mut self, fine: FineLevel, coarse: Multigrid) {
+        let (displaced, at_reference) = (self.fine.displaced, self.fine.at_reference);
+        (self.fine, self.coarse) = (fine, coarse);
+        self.contact_smoother = ContactSmoother::new(&self.hierarchy);
+        self.warm_start = WarmStart::default();
+        self.start_over(displaced, at_reference);
     }
 
     /// Takes over displacements and held nodes; all forces are outdated.
-    pub(super) fn start_over(&mut self, displaced: f64, at_home: bool) {
-        self.field.displaced = displaced;
+    pub(super) fn start_over(&mut self, displaced: f64, at_reference: bool) {
+        self.fine.displaced = displaced;
         self.settling = Some(0);
         // A cut changes the equilibrium under gravity.
-        self.field.at_home = at_home && self.home.is_none();
+        self.fine.at_reference = at_reference && self.reference_state.is_none();
         for &node in &self.held {
-            self.field.fixed[node as usize] = true;
+            self.fine.fixed[node as usize] = true;
         }
         self.dirty = true;
     }

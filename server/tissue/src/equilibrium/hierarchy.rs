@@ -185,7 +185,7 @@ impl Hierarchy {
             coarse.pieces.len(),
             (0..prolongation.len()).filter_map(followers),
         );
-        let mut structure = Self {
+        let mut hierarchy = Self {
             shared: shared(&bricks, kinds.forms.len()),
             forms: kinds.forms.clone(),
             bricks,
@@ -203,8 +203,8 @@ impl Hierarchy {
             kinds,
             brick_of,
         };
-        structure.add_levels(topology, coarse);
-        structure
+        hierarchy.add_levels(topology, coarse);
+        hierarchy
     }
 
     fn add_levels(&mut self, topology: &Topology, first: Coarse) {
@@ -343,7 +343,7 @@ fn bricks_of(
         elements,
         (0..cells.len()).map(|c| (coarse.element_of[c], c as u32)),
     );
-    let changed = before.map(|(structure, touched)| Changed::new(topology, structure, touched));
+    let changed = before.map(|(hierarchy, touched)| Changed::new(topology, hierarchy, touched));
     let make = |e: usize| -> Vec<Made> {
         let row = members.row(e as u32);
         if let Some(old) = changed.as_ref().and_then(|c| c.unchanged(topology, row)) {
@@ -524,14 +524,14 @@ mod tests {
 
     #[test]
     fn interpolation_is_equal_from_every_element_around_a_node() {
-        let structure = Hierarchy::new(&crossed());
-        let level = &structure.levels[0];
-        for node in 0..structure.prolongation.len() {
-            let row: Vec<(u32, f32)> = structure.prolongation.row(node).collect();
+        let hierarchy = Hierarchy::new(&crossed());
+        let level = &hierarchy.levels[0];
+        for node in 0..hierarchy.prolongation.len() {
+            let row: Vec<(u32, f32)> = hierarchy.prolongation.row(node).collect();
             let sum: f32 = row.iter().map(|(_, weight)| weight).sum();
             assert_eq!(sum, if row.is_empty() { 0.0 } else { 1.0 }, "node {node}");
-            for &entry in structure.around.row(node as u32) {
-                let corners = level.corners[structure.element_of[(entry / 32) as usize] as usize];
+            for &entry in hierarchy.around.row(node as u32) {
+                let corners = level.corners[hierarchy.element_of[(entry / 32) as usize] as usize];
                 assert!(row.iter().all(|(p, _)| corners.contains(p)), "node {node}");
             }
         }

@@ -24,7 +24,7 @@ impl Solver {
         tolerance: f64,
     ) -> (usize, f64) {
         let u = &mut shape.displacement;
-        let fixed = &self.field.fixed;
+        let fixed = &self.fine.fixed;
         let mut active = List::new(topology.node_count());
         for &node in &self.held {
             for spring in topology.springs().row(node) {
@@ -78,8 +78,12 @@ fn sweep(
             stiffness += k;
         }
         sum += force.norm_squared();
-        let moves = force.norm() > threshold && stiffness > 0.0;
-        next.push(if moves { own + force / stiffness } else { own });
+        let increments = force.norm() > threshold && stiffness > 0.0;
+        next.push(if increments {
+            own + force / stiffness
+        } else {
+            own
+        });
     }
     for (i, value) in next.iter().enumerate() {
         let node = active.items[i];

@@ -23,40 +23,40 @@ const MILD: f64 = 0.05;
 #[derive(Clone)]
 pub(super) struct JacobiBlocks {
     of: [[f32; 6]; LOCALS],
-    firm: [f32; 6],
+    block_sum: [f32; 6],
 }
 
 impl JacobiBlocks {
     fn new(blocks: &LocalBlocks, present: u32) -> Self {
         let of = std::array::from_fn(|i| blocks.each_ref().map(|entry| entry[i]));
-        let firm = firm(blocks, present);
-        Self { of, firm }
+        let block_sum = block_sum(blocks, present);
+        Self { of, block_sum }
     }
 }
 
 impl FineLevel {
     /// Recomputes the diagonal blocks of the active nodes at the current displacements.
-    pub(super) fn renew_blocks(&mut self, structure: &Hierarchy, u: &[Vec3], contacts: &Contacts) {
+    pub(super) fn update_blocks(&mut self, hierarchy: &Hierarchy, u: &[Vec3], contacts: &Contacts) {
         for &node in &self.nodes.items {
             self.blocks[node as usize] = [0.0; 6];
         }
         for i in 0..self.set.items.len() {
             let brick = self.set.items[i];
-            let b = &structure.bricks[brick as usize];
-            if let Some(blocks) = self.at_rest(structure, brick, u) {
-                let (of, firm) = (blocks.of, blocks.firm);
-                self.firm[brick as usize] = firm;
+            let b = &hierarchy.bricks[brick as usize];
+            if let Some(blocks) = self.at_rest(hierarchy, brick, u) {
+                let (of, block_sum) = (blocks.of, blocks.block_sum);
+                self.block_sum[brick as usize] = block_sum;
                 self.add_blocks(b, |i, e| of[i][e]);
             } else {
-                let m = self.tangents(structure, b, Some(u));
-                self.firm[brick as usize] = firm(&m, b.present);
+                let m = self.tangents(hierarchy, b, Some(u));
+                self.block_sum[brick as usize] = block_sum(&m, b.present);
                 self.add_blocks(b, |i, e| m[e][i]);
             }
         }
         for &node in &self.nodes.items {
             self.inverse[node as usize] = invert(&self.blocks[node as usize]);
         }
-        self.renew_pressed(u, contacts);
+        self.update_contact_blocks(u, contacts);
     }
 
     #[inline(always)]
@@ -72,30 +72,30 @@ impl FineLevel {
 
     fn tangents(
         &mut self,
-        structure: &Hierarchy,
+        hierarchy: &Hierarchy,
         brick: &Brick,
         u: Option<&[Vec3]>,
     ) -> LocalBlocks {
         self.arch.dispatch(Tangents {
             brick,
-            form: &structure.forms[brick.form as usize],
+            form: &hierarchy.forms[brick.form as usize],
             u,
-            per_spacing: structure.per_spacing,
+            per_spacing: hierarchy.per_spacing,
             scratch: &mut self.block_scratch,
         })
     }
 
     /// The blocks at rest of a brick with a shared form and small strain.
-    fn at_rest(&mut self, structure: &Hierarchy, brick: u32, u: &[Vec3]) -> Option<&JacobiBlocks> {
-        let b = &structure.bricks[brick as usize];
+    fn at_rest(&mut self, hierarchy: &Hierarchy, brick: u32, u: &[Vec3]) -> Option<&JacobiBlocks> {
+        let b = &hierarchy.bricks[brick as usize];
         let form = b.form as usize;
-        let mild = MILD / f64::from(structure.per_spacing);
-        let tame = structure.shared[form] && structure.forms[form].is_plain();
-        if !tame || structure.change_of(brick, u) > mild {
+        let mild = MILD / f64::from(hierarchy.per_spacing);
+        let tame = hierarchy.shared[form] && hierarchy.forms[form].is_plain();
+        if !tame || hierarchy.change_of(brick, u) > mild {
             return None;
         }
         if self.blocks_at_rest[form].is_none() {
-            let m = self.tangents(structure, b, None);
+            let m = self.tangents(hierarchy, b, None);
             self.blocks_at_rest[form] = Some(Box::new(JacobiBlocks::new(&m, b.present)));
         }
         self.blocks_at_rest[form].as_deref()
@@ -103,7 +103,7 @@ impl FineLevel {
 
     /// The same for nodes in contact, whose stiffness changes with the contact. A block without the contact would throw
     /// the node out of the tool.
-    pub(super) fn renew_pressed(&mut self, u: &[Vec3], contacts: &Contacts) {
+    pub(super) fn update_contact_blocks(&mut self, u: &[Vec3], contacts: &Contacts) {
         self.renew_or_press(u, contacts, false);
     }
 
@@ -139,34 +139,34 @@ impl FineLevel {
 
     /// Recomputes the block sums of bricks that have just become active: with outdated sums corrections were ten times
     /// too long.
-    pub(super) fn renew_firmness(&mut self, structure: &Hierarchy, u: &[Vec3], bricks: &[u32]) {
-        if !structure.bottoms_out {
+    pub(super) fn update_block_sums(&mut self, hierarchy: &Hierarchy, u: &[Vec3], bricks: &[u32]) {
+        if !hierarchy.bottoms_out {
             return;
         }
         for &brick in bricks {
-            let firm = if let Some(blocks) = self.at_rest(structure, brick, u) {
-                blocks.firm
+            let block_sum = if let Some(blocks) = self.at_rest(hierarchy, brick, u) {
+                blocks.block_sum
             } else {
-                let b = &structure.bricks[brick as usize];
-                firm(&self.tangents(structure, b, Some(u)), b.present)
+                let b = &hierarchy.bricks[brick as usize];
+                block_sum(&self.tangents(hierarchy, b, Some(u)), b.present)
             };
-            self.firm[brick as usize] = firm;
+            self.block_sum[brick as usize] = block_sum;
         }
     }
 
     /// Sum of the diagonal blocks of a brick at rest.
-    pub(super) fn firm_at_rest(&mut self, structure: &Hierarchy, brick: u32) -> [f32; 6] {
-        let b = &structure.bricks[brick as usize];
-        if let Some(known) = self.firm_at_rest[b.form as usize] {
+    pub(super) fn block_sum_at_rest(&mut self, hierarchy: &Hierarchy, brick: u32) -> [f32; 6] {
+        let b = &hierarchy.bricks[brick as usize];
+        if let Some(known) = self.block_sum_at_rest[b.form as usize] {
             return known;
         }
-        let firm = firm(&self.tangents(structure, b, None), b.present);
-        *self.firm_at_rest[b.form as usize].insert(firm)
+        let block_sum = block_sum(&self.tangents(hierarchy, b, None), b.present);
+        *self.block_sum_at_rest[b.form as usize].insert(block_sum)
     }
 }
 
 /// Sum of the blocks of the present nodes.
-fn firm(blocks: &LocalBlocks, present: u32) -> [f32; 6] {
+fn block_sum(blocks: &LocalBlocks, present: u32) -> [f32; 6] {
     std::array::from_fn(|e| {
         let there = (0..LOCALS).filter(|i| present >> i & 1 == 1);
         there.map(|i| blocks[e][i]).sum()

@@ -280,7 +280,7 @@ impl<S: Simd> Group<S> {
 
     /// Excess of the spring beyond its limits in m: too short and too long, above zero.
     #[inline(always)]
-    fn beyond(&self, simd: S, limits: [f32; 2]) -> [V<S>; 2] {
+    fn over_limits(&self, simd: S, limits: [f32; 2]) -> [V<S>; 2] {
         let [least, most] = limits.map(|l| V::all(simd, l) * self.rest_length);
         [least - self.length, self.length - most]
     }
@@ -296,14 +296,14 @@ fn spring_forces<S: Simd>(simd: S, form: &Form, u: &Local, ends: &mut Ends<3>) -
                 let s = Group::load(simd, form, u, direction, from);
                 let k = V::load(simd, &form.stiffness[direction], from);
                 let mut t = s.tension(simd, form, k);
-                let [short, long] = s.beyond(simd, form.curve.limits);
+                let [short, long] = s.over_limits(simd, form.curve.limits);
                 let guarded = s.guarded(simd);
                 // Rare and expensive: two roots and a division are the cost of an ordinary spring.
                 let unusual = short.max(long).max(guarded).any_above_zero();
                 let mut guard = zero;
                 if unusual {
-                    let beyond = long.max(zero) - short.max(zero);
-                    t = t + V::all(simd, EXTREME) * k * beyond / s.length;
+                    let excess = long.max(zero) - short.max(zero);
+                    t = t + V::all(simd, EXTREME) * k * excess / s.length;
                     guard = V::all(simd, GUARD) * k * guarded.max(zero) / s.rest_square();
                 }
                 for a in 0..3 {
@@ -338,7 +338,7 @@ fn spring_tangents<S: Simd>(
                 let s = Group::load(simd, form, u, direction, from);
                 let k = V::load(simd, &form.stiffness[direction], from) * all(SPRINGS);
                 let mut k = s.stiffened(simd, form, k);
-                let [short, long] = s.beyond(simd, form.curve.limits);
+                let [short, long] = s.over_limits(simd, form.curve.limits);
                 k = k + short.max(long).where_above_zero(all(EXTREME) * k);
                 let floor = s.floor(simd, per_spacing);
                 let turning = (all(1.0) - s.rest_length / s.length).max(floor);

@@ -15,11 +15,11 @@ use super::solver::Solver;
 
 impl CoarseLevel {
     /// Adds to the outer force of a point, restricted from outside the finer level's set.
-    fn add_beyond(&mut self, point: u32, force: &Quad, weight: f32) {
-        if self.beyond.insert(point) {
-            self.far[point as usize] = ZERO;
+    fn add_outer(&mut self, point: u32, force: &Quad, weight: f32) {
+        if self.outer_points.insert(point) {
+            self.outer_force[point as usize] = ZERO;
         }
-        let far = &mut self.far[point as usize];
+        let far = &mut self.outer_force[point as usize];
         *far = plus(far, weight, force);
     }
 }
@@ -27,16 +27,16 @@ impl CoarseLevel {
 impl Multigrid {
     /// Work of the outer forces along the correction, in N m: those restricted from nodes to level 1, and the deferred
     /// residual of each level. They are restricted once, until a force or a set changes.
-    fn work_beyond(&mut self, structure: &Hierarchy) -> f64 {
-        if !std::mem::replace(&mut self.is_beyond_restricted, true) {
-            self.restrict_beyond(structure);
+    fn work_outer(&mut self, hierarchy: &Hierarchy) -> f64 {
+        if !std::mem::replace(&mut self.is_outer_restricted, true) {
+            self.restrict_outer(hierarchy);
         }
         let mut sum = 0.0;
-        for patch in &self.patches {
-            for &point in &patch.beyond.items {
+        for grid in &self.grids {
+            for &point in &grid.outer_points.items {
                 let p = point as usize;
-                if patch.inside[p] > 0 {
-                    sum += work(&patch.far[p], &patch.e[p]);
+                if grid.inside[p] > 0 {
+                    sum += work(&grid.outer_force[p], &grid.e[p]);
                 }
             }
         }
@@ -44,23 +44,23 @@ impl Multigrid {
     }
 
     /// Restricts the outer forces to the active points.
-    fn restrict_beyond(&mut self, structure: &Hierarchy) {
-        for patch in &mut self.patches[1..] {
-            patch.beyond.clear();
+    fn restrict_outer(&mut self, hierarchy: &Hierarchy) {
+        for grid in &mut self.grids[1..] {
+            grid.outer_points.clear();
         }
-        for l in 1..self.patches.len() {
-            let (finer, coarser) = self.patches.split_at_mut(l);
-            let (patch, above) = (&finer[l - 1], &mut coarser[0]);
+        for l in 1..self.grids.len() {
+            let (finer, coarser) = self.grids.split_at_mut(l);
+            let (grid, above) = (&finer[l - 1], &mut coarser[0]);
             let mut restrict = |point: u32, force: &Quad| {
-                let row = structure.levels[l - 1].prolongation.row(point as usize);
-                row.for_each(|(coarse, weight)| above.add_beyond(coarse, force, weight));
+                let row = hierarchy.levels[l - 1].prolongation.row(point as usize);
+                row.for_each(|(coarse, weight)| above.add_outer(coarse, force, weight));
             };
-            let is_outside = |&&point: &&u32| patch.inside[point as usize] == 0;
-            for &point in patch.beyond.items.iter().filter(is_outside) {
-                restrict(point, &patch.far[point as usize]);
+            let is_outside = |&&point: &&u32| grid.inside[point as usize] == 0;
+            for &point in grid.outer_points.items.iter().filter(is_outside) {
+                restrict(point, &grid.outer_force[point as usize]);
             }
-            for &point in patch.lagging.items.iter().filter(is_outside) {
-                restrict(point, &patch.lag[point as usize]);
+            for &point in grid.deferred_points.items.iter().filter(is_outside) {
+                restrict(point, &grid.deferred_residual[point as usize]);
             }
         }
     }
@@ -69,31 +69,37 @@ impl Multigrid {
 impl Solver {
     /// Work of all deferred and outer forces along the correction, at its start and its end, in N m. Needs the
     /// [restricted](Field::restrict_beyond) outer forces.
-    pub(super) fn work_waiting(&mut self) -> [f64; 2] {
-        let (structure, coarse) = (&self.structure, &mut self.coarse);
-        let beyond = coarse.work_beyond(structure);
-        coarse.work_along().map(|w| w + beyond)
+    pub(super) fn deferred_work(&mut self) -> [f64; 2] {
+        let (hierarchy, coarse) = (&self.hierarchy, &mut self.coarse);
+        let outer = coarse.work_outer(hierarchy);
+        coarse.work_along().map(|w| w + outer)
     }
 }
 
 impl FineLevel {
     /// Unfixed nodes outside the set with a possibly nonzero force.
-    pub(super) fn loud_beyond(&self) -> impl Iterator<Item = usize> {
-        let beyond = |&&n: &&u32| !self.nodes.contains(n) && !self.fixed[n as usize];
-        self.loud.items.iter().filter(beyond).map(|&n| n as usize)
+    pub(super) fn unbalanced_outer(&self) -> impl Iterator<Item = usize> {
+        let outer = |&&n: &&u32| !self.nodes.contains(n) && !self.fixed[n as usize];
+        self.unbalanced
+            .items
+            .iter()
+            .filter(outer)
+            .map(|&n| n as usize)
     }
 
     /// Restricts the forces on nodes outside the set to level 1, if any has changed.
-    pub(super) fn restrict_beyond(&mut self, structure: &Hierarchy, coarse: &mut Multigrid) {
-        if std::mem::replace(&mut self.beyond, OuterForces::Restricted) == OuterForces::Restricted {
+    pub(super) fn restrict_outer(&mut self, hierarchy: &Hierarchy, coarse: &mut Multigrid) {
+        if std::mem::replace(&mut self.outer_forces, OuterForces::Restricted)
+            == OuterForces::Restricted
+        {
             return;
         }
-        coarse.is_beyond_restricted = false;
-        let patch = &mut coarse.patches[0];
-        patch.beyond.clear();
-        for n in self.loud_beyond() {
-            for (point, weight) in structure.prolongation.row(n) {
-                patch.add_beyond(point, &self.r[n], weight);
+        coarse.is_outer_restricted = false;
+        let grid = &mut coarse.grids[0];
+        grid.outer_points.clear();
+        for n in self.unbalanced_outer() {
+            for (point, weight) in hierarchy.prolongation.row(n) {
+                grid.add_outer(point, &self.r[n], weight);
             }
         }
     }

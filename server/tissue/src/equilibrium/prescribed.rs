@@ -21,9 +21,9 @@ impl Solver {
             }
             self.held.push(node);
         }
-        self.field.outdated |= !self.field.fixed[n];
-        self.field.fixed[n] = true;
-        self.field.beyond = OuterForces::Changed;
+        self.fine.outdated |= !self.fine.fixed[n];
+        self.fine.fixed[n] = true;
+        self.fine.outer_forces = OuterForces::Changed;
         self.led.entry(node).or_insert(shape.displacement[n]);
         shape.displacement[n] = at;
         self.disturb(shape, &[node]);
@@ -34,10 +34,10 @@ impl Solver {
     pub fn let_go(&mut self, topology: &Topology, node: u32) {
         if let Some(i) = self.held.iter().position(|&n| n == node) {
             self.held.swap_remove(i);
-            self.field.fixed[node as usize] = topology.is_pinned(node);
-            self.field.beyond = OuterForces::Changed;
-            self.field.outdated = true;
-            self.field.disturb(&self.structure, node);
+            self.fine.fixed[node as usize] = topology.is_pinned(node);
+            self.fine.outer_forces = OuterForces::Changed;
+            self.fine.outdated = true;
+            self.fine.disturb(&self.hierarchy, node);
             self.dirty = true;
         }
     }

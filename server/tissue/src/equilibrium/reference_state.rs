@@ -11,7 +11,7 @@ use super::brick::LOCALS;
 use super::budget::Budget;
 use super::coarse_level::CoarseLevel;
 use super::cycle::Multigrid;
-use super::fine_level::{FineLevel, OuterForces, Since};
+use super::fine_level::{FineLevel, OuterForces, SetChange};
 use super::hierarchy::Hierarchy;
 use super::quad::ZERO;
 use super::solver::Solver;
@@ -47,15 +47,15 @@ impl ReferenceState {
     /// The reference state of a topology, solved from the one of an earlier topology; `None` without weight.
     pub(super) fn of(
         topology: &Topology,
-        structure: &Arc<Hierarchy>,
+        hierarchy: &Arc<Hierarchy>,
         own: &[f64],
         former: Option<&Self>,
     ) -> Option<Arc<Self>> {
         if topology.model().gravity == [0.0; 3] {
             return None;
         }
-        let field = FineLevel::new(topology, structure, own.to_vec());
-        let mut solver = Solver::with(topology, Arc::clone(structure), field, None);
+        let fine = FineLevel::new(topology, hierarchy, own.to_vec());
+        let mut solver = Solver::with(topology, Arc::clone(hierarchy), fine, None);
         let mut shape = Shape::rest(topology);
         if let Some(former) = former {
             for (node, u) in (0..).zip(&mut shape.displacement) {
@@ -64,7 +64,7 @@ impl ReferenceState {
                 *u = *known.unwrap_or(&former.displacement[topology.origin(node) as usize]);
             }
         }
-        solver.field.disturb_all();
+        solver.fine.disturb_all();
         solver.dirty = true;
         let budget = Budget::new(ITERATIONS, TOLERANCE);
         let report = solver.step(topology, &mut shape, &[], budget);
@@ -79,8 +79,8 @@ impl ReferenceState {
                 iterations,
             },
             displacement: shape.displacement,
-            weight: solver.field.square_of_weights().sqrt(),
-            forces: solver.field.forces,
+            weight: solver.fine.square_of_weights().sqrt(),
+            forces: solver.fine.forces,
         }))
     }
 }
@@ -88,13 +88,13 @@ impl ReferenceState {
 impl Solver {
     /// Displacement of the tissue by its own weight; `None` without gravity.
     pub fn sag(&self) -> Option<Sag> {
-        self.home.as_ref().map(|h| h.sag)
+        self.reference_state.as_ref().map(|h| h.sag)
     }
 
     /// Displacement in m of a node by gravity alone.
     pub fn sag_of(&self, node: u32) -> Vec3 {
         let known = self
-            .home
+            .reference_state
             .as_ref()
             .and_then(|h| h.displacement.get(node as usize));
         known.copied().unwrap_or_else(Vec3::zeros)
@@ -102,53 +102,59 @@ impl Solver {
 
     /// Reference force in N of residuals without tools.
     pub(super) fn alone(&self) -> f64 {
-        self.home.as_ref().map_or(0.0, |h| h.weight)
+        self.reference_state.as_ref().map_or(0.0, |h| h.weight)
     }
 
     /// Before the first step: an undeformed shape starts from the equilibrium under gravity.
-    pub(super) fn move_in(&mut self, shape: &mut Shape) {
-        let home = self.home.clone().filter(|_| !self.moved_in);
-        let Some(home) = home else { return };
-        self.moved_in = true;
+    pub(super) fn start_at_reference_state(&mut self, shape: &mut Shape) {
+        let reference_state = self.reference_state.clone().filter(|_| !self.has_started);
+        let Some(reference_state) = reference_state else {
+            return;
+        };
+        self.has_started = true;
         let u = &mut shape.displacement;
-        let unmoved = |n: usize| self.field.fixed[n] || u[n] == Vec3::zeros();
+        let unmoved = |n: usize| self.fine.fixed[n] || u[n] == Vec3::zeros();
         if !(0..u.len()).all(unmoved) {
-            self.field.disturb_all();
+            self.fine.disturb_all();
             self.dirty = true;
             return;
         }
         for (n, u) in u.iter_mut().enumerate() {
-            if !self.field.fixed[n] {
-                *u = home.displacement[n];
+            if !self.fine.fixed[n] {
+                *u = reference_state.displacement[n];
             }
         }
         self.reference = self.alone();
         let held = self.held.clone();
-        self.field.forces.clone_from(&home.forces);
-        self.field.displaced = self.field.displaced.max(home.sag.displaced_m);
+        self.fine.forces.clone_from(&reference_state.forces);
+        self.fine.displaced = self.fine.displaced.max(reference_state.sag.displaced_m);
         for node in held {
-            self.field.disturb(&self.structure, node);
+            self.fine.disturb(&self.hierarchy, node);
         }
     }
 
     /// Sets the shape to the reference state if no tool or held node prevents it. Returns whether it changed.
-    pub(super) fn go_home(&mut self, topology: &Topology, shape: &mut Shape) -> bool {
+    pub(super) fn restore_reference_state(
+        &mut self,
+        topology: &Topology,
+        shape: &mut Shape,
+    ) -> bool {
         let sag = self.sag().map_or(0.0, |s| s.displaced_m);
         let clear = || self.contacts.are_clear(topology, &shape.displacement, sag);
-        if self.field.at_home || !self.held.is_empty() || !clear() {
+        if self.fine.at_reference || !self.held.is_empty() || !clear() {
             return false;
         }
-        let home = self.home.as_deref();
-        match home {
-            Some(home) => shape.displacement.clone_from(&home.displacement),
+        let reference_state = self.reference_state.as_deref();
+        match reference_state {
+            Some(reference_state) => shape.displacement.clone_from(&reference_state.displacement),
             None => shape.displacement.fill(Vec3::zeros()),
         }
-        self.field.rest(&self.structure, home);
+        self.fine.rest(&self.hierarchy, reference_state);
         self.coarse.rest();
         self.contacts.rest();
-        self.foresight = WarmStart::default();
+        self.warm_start = WarmStart::default();
         self.led.clear();
-        self.relief = WorkLimit::NONE;
+        self.work_limit = WorkLimit::NONE;
         self.reference = self.alone();
         self.report.reactions.clear();
         self.dirty = false;
@@ -157,26 +163,26 @@ impl Solver {
 }
 
 impl FineLevel {
-    fn rest(&mut self, structure: &Hierarchy, home: Option<&ReferenceState>) {
+    fn rest(&mut self, hierarchy: &Hierarchy, reference_state: Option<&ReferenceState>) {
         let bricks = self.computed.take();
         for &brick in &bricks {
             let b = brick as usize;
-            self.forces[b] = home.map_or([[0.0; LOCALS]; 3], |h| h.forces[b]);
-            self.firm[b] = [0.0; 6];
+            self.forces[b] = reference_state.map_or([[0.0; LOCALS]; 3], |h| h.forces[b]);
+            self.block_sum[b] = [0.0; 6];
         }
         for &brick in &bricks {
-            for &node in &structure.bricks[brick as usize].nodes {
-                self.r[node as usize] = match home {
-                    Some(_) => self.sum(structure, node),
+            for &node in &hierarchy.bricks[brick as usize].nodes {
+                self.r[node as usize] = match reference_state {
+                    Some(_) => self.sum(hierarchy, node),
                     None => ZERO,
                 };
             }
         }
         self.applied.fill([0.0; 3]);
-        self.beyond = OuterForces::Changed;
+        self.outer_forces = OuterForces::Changed;
         for list in [
-            &mut self.loud,
-            &mut self.quiet,
+            &mut self.unbalanced,
+            &mut self.below_threshold,
             &mut self.disturbed,
             &mut self.stale,
             &mut self.moved_on,
@@ -184,16 +190,16 @@ impl FineLevel {
         ] {
             list.clear();
         }
-        self.since = Since::Chosen;
+        self.since = SetChange::Replaced;
         self.current = false;
         self.outdated = true;
-        self.at_home = true;
-        self.displaced = home.map_or(0.0, |h| h.sag.displaced_m);
+        self.at_reference = true;
+        self.displaced = reference_state.map_or(0.0, |h| h.sag.displaced_m);
     }
 }
 
 impl Multigrid {
     fn rest(&mut self) {
-        self.patches.iter_mut().for_each(CoarseLevel::rest);
+        self.grids.iter_mut().for_each(CoarseLevel::rest);
     }
 }

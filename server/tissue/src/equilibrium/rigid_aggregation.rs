@@ -17,121 +17,131 @@ use super::solver::Solver;
 use crate::Vec3;
 
 /// Step length below which resisting bricks are aggregated.
-const HINDERED: f64 = 0.5;
+const AGGREGATE_BELOW: f64 = 0.5;
 /// Work of a brick against the correction, relative to the total work, from which on it is aggregated.
-const RESISTED: f64 = 0.03;
+const RESISTING_WORK: f64 = 0.03;
 
 impl Solver {
-    /// Line search: the step length within bounds at which the work along these increments vanishes. `corrections` are sorted
-    /// by node, and the shape is at their end. `before` are the brick forces at their start in N; `waiting` is the work
+    /// Line search: the step length within bounds at which the work along these increments vanishes. `increments` are sorted
+    /// by node, and the shape is at their end. `before` are the brick forces at their start in N; `deferred` is the work
     /// of deferred forces at both ends in N m. Bricks that resist the step are aggregated.
-    pub(super) fn share_of(
+    pub(super) fn line_search(
         &mut self,
         u: &mut [Vec3],
-        moves: &mut [(u32, Vec3)],
+        increments: &mut [(u32, Vec3)],
         before: &[Quad],
-        waiting: [f64; 2],
+        deferred: [f64; 2],
         bounds: [f64; 2],
     ) -> f64 {
-        let (share, gain) = self.rest_along(u, moves, before, waiting, bounds);
+        let (share, gain) = self.zero_work_step(u, increments, before, deferred, bounds);
         // Once: aggregating again after the second search brought no gain.
-        let hindered = share < HINDERED && gain > 0.0;
-        if !hindered || !self.field.bind(&self.structure, u, moves, RESISTED * gain) {
+        let short = share < AGGREGATE_BELOW && gain > 0.0;
+        if !short
+            || !self
+                .fine
+                .aggregate(&self.hierarchy, u, increments, RESISTING_WORK * gain)
+        {
             return share;
         }
-        self.rest_along(u, moves, before, waiting, bounds).0
+        self.zero_work_step(u, increments, before, deferred, bounds)
+            .0
     }
 
     /// The step length for these increments, and the work along them at their start, in N m.
-    fn rest_along(
+    fn zero_work_step(
         &self,
         u: &[Vec3],
-        moves: &[(u32, Vec3)],
+        increments: &[(u32, Vec3)],
         before: &[Quad],
-        waiting: [f64; 2],
+        deferred: [f64; 2],
         bounds: [f64; 2],
     ) -> (f64, f64) {
         let by = |n: u32| {
-            let found = moves.binary_search_by_key(&n, |m| m.0);
-            found.map_or_else(|_| Vec3::zeros(), |i| moves[i].1)
+            let found = increments.binary_search_by_key(&n, |m| m.0);
+            found.map_or_else(|_| Vec3::zeros(), |i| increments[i].1)
         };
         let along = self.contacts.along(u, by, 1.0);
-        let here = waiting[0] + work(moves, |i, _| &before[i]);
-        let r = &self.field.r;
-        let there = waiting[1] + work(moves, |_, node| &r[node as usize]);
+        let here = deferred[0] + work(increments, |i, _| &before[i]);
+        let r = &self.fine.r;
+        let there = deferred[1] + work(increments, |_, node| &r[node as usize]);
         (along.rest([here, there], bounds), here + along.work(0.0))
     }
 }
 
 /// Work along increments in N m; `of` returns the force by position and node.
-fn work<'a>(moves: &[(u32, Vec3)], of: impl Fn(usize, u32) -> &'a Quad) -> f64 {
+fn work<'a>(increments: &[(u32, Vec3)], of: impl Fn(usize, u32) -> &'a Quad) -> f64 {
     let one = |(i, (node, by)): (usize, &(u32, Vec3))| {
         let force = of(i, *node);
         (0..3).map(|a| f64::from(force[a]) * by[a]).sum::<f64>()
     };
-    moves.iter().enumerate().map(one).sum()
+    increments.iter().enumerate().map(one).sum()
 }
 
 impl FineLevel {
     /// Aggregates bricks whose work against these increments exceeds `most` N m. The shape is at the end of the
     /// increments; the saved forces belong to their start. Returns whether any increment changed.
-    fn bind(
+    fn aggregate(
         &mut self,
-        structure: &Hierarchy,
+        hierarchy: &Hierarchy,
         u: &mut [Vec3],
-        moves: &mut [(u32, Vec3)],
+        increments: &mut [(u32, Vec3)],
         most: f64,
     ) -> bool {
         let mut changed = Vec::new();
-        for nodes in hang_together(structure, &self.resisting(structure, moves, most)) {
+        for nodes in connected_groups(hierarchy, &self.resisting(hierarchy, increments, most)) {
             let places: Vec<usize> = nodes
                 .iter()
                 .filter(|&&n| self.free[n as usize])
-                .filter_map(|n| moves.binary_search_by_key(n, |m| m.0).ok())
+                .filter_map(|n| increments.binary_search_by_key(n, |m| m.0).ok())
                 .collect();
             let held = nodes.iter().any(|&n| self.fixed[n as usize]);
-            let sum: Vec3 = places.iter().map(|&i| moves[i].1).sum();
+            let sum: Vec3 = places.iter().map(|&i| increments[i].1).sum();
             let mean = if held {
                 Vec3::zeros()
             } else {
                 sum / places.len().max(1) as f64
             };
             for i in places {
-                let (node, by) = moves[i];
+                let (node, by) = increments[i];
                 if by != mean {
                     self.shift(u, node, mean - by);
-                    moves[i].1 = mean;
+                    increments[i].1 = mean;
                     changed.push(node);
                 }
             }
         }
         self.left.clear();
         for &node in &changed {
-            for &entry in structure.around.row(node) {
+            for &entry in hierarchy.around.row(node) {
                 self.left.insert(entry / 32);
             }
         }
         let bricks = self.left.take();
-        self.compute(structure, u, &bricks);
+        self.compute(hierarchy, u, &bricks);
         for &brick in &bricks {
-            for &node in &structure.bricks[brick as usize].nodes {
-                self.r[node as usize] = self.sum(structure, node);
+            for &node in &hierarchy.bricks[brick as usize].nodes {
+                self.r[node as usize] = self.sum(hierarchy, node);
             }
         }
         !changed.is_empty()
     }
 
     /// Active bricks that do more than `most` N m against the increments.
-    fn resisting(&mut self, structure: &Hierarchy, moves: &[(u32, Vec3)], most: f64) -> Vec<u32> {
+    fn resisting(
+        &mut self,
+        hierarchy: &Hierarchy,
+        increments: &[(u32, Vec3)],
+        most: f64,
+    ) -> Vec<u32> {
         // Smoothing starts without a previous step, so `d` is free for the increments.
         for &node in &self.nodes.items {
             self.d[node as usize] = ZERO;
         }
-        for (node, by) in moves {
+        for (node, by) in increments {
             self.d[*node as usize] = [by.x as f32, by.y as f32, by.z as f32, 0.0];
         }
         let resists = |(&brick, before): (&u32, &[[f32; LOCALS]; 3])| {
-            let nodes = &structure.bricks[brick as usize].nodes;
+            let nodes = &hierarchy.bricks[brick as usize].nodes;
             let now = &self.forces[brick as usize];
             let mut work = [0.0f32; LOCALS];
             for (l, work) in work.iter_mut().enumerate() {
@@ -148,12 +158,12 @@ impl FineLevel {
 }
 
 /// Nodes of bricks that share nodes, group by group.
-fn hang_together(structure: &Hierarchy, bricks: &[u32]) -> Vec<Vec<u32>> {
+fn connected_groups(hierarchy: &Hierarchy, bricks: &[u32]) -> Vec<Vec<u32>> {
     let mut groups: Vec<Vec<u32>> = Vec::new();
     let mut group_of: BTreeMap<u32, usize> = BTreeMap::new();
     for (own, &brick) in bricks.iter().enumerate() {
         groups.push(Vec::new());
-        let b = &structure.bricks[brick as usize];
+        let b = &hierarchy.bricks[brick as usize];
         for l in (0..LOCALS).filter(|l| b.present >> l & 1 == 1) {
             let node = b.nodes[l];
             match group_of.insert(node, own) {

@@ -5,11 +5,11 @@ use std::sync::Arc;
 
 use super::active_set::{Criteria, Keeps};
 use super::budget::{Budget, StepReport};
-use super::coarse_level::hand_down;
+use super::coarse_level::prolongate_changes;
 use super::coarse_stiffening::HELD_STIFFNESS;
 use super::contact_smoother::ContactSmoother;
 use super::cycle::{Chebyshev, Effort, Multigrid};
-use super::fine_level::{FineLevel, Since, own_stiffness};
+use super::fine_level::{FineLevel, SetChange, own_stiffness};
 use super::hierarchy::Hierarchy;
 use super::reference_state::ReferenceState;
 use super::warm_start::WarmStart;
@@ -80,30 +80,30 @@ const UNSEEN_M: f64 = 10e-6;
 
 /// The solver of one shape of one topology, with its scratch memory.
 pub struct Solver {
-    pub(super) structure: Arc<Hierarchy>,
-    pub(super) field: FineLevel,
+    pub(super) hierarchy: Arc<Hierarchy>,
+    pub(super) fine: FineLevel,
     pub(super) coarse: Multigrid,
     pub(super) contacts: Contacts,
-    pub(super) near: ContactSmoother,
+    pub(super) contact_smoother: ContactSmoother,
     pub(super) held: Vec<u32>,
-    pub(super) foresight: WarmStart,
-    pub(super) relief: WorkLimit,
+    pub(super) warm_start: WarmStart,
+    pub(super) work_limit: WorkLimit,
     pub(super) moved: Vec<Vec3>,
     pub(super) reference: f64,
     /// Equilibrium without tools, if it differs from the rest shape.
-    pub(super) home: Option<Arc<ReferenceState>>,
+    pub(super) reference_state: Option<Arc<ReferenceState>>,
     /// Whether the shape is known to have started from the reference state.
-    pub(super) moved_in: bool,
+    pub(super) has_started: bool,
     /// Force in N that moves a typical node by a spacing; see [`LEAST`].
     pub(super) least: f64,
     pub(super) report: StepReport,
     pub(super) dirty: bool,
     /// Whether this step started from a complete warm start.
-    pub(super) carried: bool,
+    pub(super) warm_started: bool,
     /// Previous positions of the nodes that were held or moved since the last step.
     pub(super) led: BTreeMap<u32, Vec3>,
     /// Their displacements, until the coarse levels have followed.
-    pub(super) drawn: Vec<(u32, Vec3)>,
+    pub(super) led_displacements: Vec<(u32, Vec3)>,
     pub(super) last_forces: Vec<Vec3>,
     /// Quick steps since the topology changed or since a full solve; `None` once settled.
     pub(super) settling: Option<usize>,
@@ -115,46 +115,52 @@ impl Solver {
     /// Creates a solver for shapes of this topology. With gravity it first solves the reference state, at the cost of a
     /// full solve; an undeformed shape starts there.
     pub fn new(topology: &Topology) -> Self {
-        let structure = Arc::new(Hierarchy::new(topology));
+        let hierarchy = Arc::new(Hierarchy::new(topology));
         let all = 0..topology.node_count() as u32;
         let own: Vec<f64> = all.map(|n| own_stiffness(topology, n)).collect();
-        let home = ReferenceState::of(topology, &structure, &own, None);
-        let field = FineLevel::new(topology, &structure, own);
-        Self::with(topology, structure, field, home)
+        let reference_state = ReferenceState::of(topology, &hierarchy, &own, None);
+        let fine = FineLevel::new(topology, &hierarchy, own);
+        Self::with(topology, hierarchy, fine, reference_state)
     }
 
     /// Creates another solver of the same topology. Immutable data are shared.
     #[must_use]
     pub fn another(&self, topology: &Topology) -> Self {
-        let structure = Arc::clone(&self.structure);
-        let field = FineLevel::new(topology, &structure, self.field.own.clone());
-        Self::with(topology, structure, field, self.home.clone())
+        let hierarchy = Arc::clone(&self.hierarchy);
+        let fine = FineLevel::new(topology, &hierarchy, self.fine.own.clone());
+        Self::with(topology, hierarchy, fine, self.reference_state.clone())
     }
 
     pub(super) fn with(
         topology: &Topology,
-        structure: Arc<Hierarchy>,
-        field: FineLevel,
-        home: Option<Arc<ReferenceState>>,
+        hierarchy: Arc<Hierarchy>,
+        fine: FineLevel,
+        reference_state: Option<Arc<ReferenceState>>,
     ) -> Self {
-        let coarse = Multigrid::new(&structure);
+        let coarse = Multigrid::new(&hierarchy);
         let contacts = Contacts::new(topology);
-        Self::assemble(topology, structure, (field, coarse), contacts, home)
+        Self::assemble(
+            topology,
+            hierarchy,
+            (fine, coarse),
+            contacts,
+            reference_state,
+        )
     }
 
     /// Prolongates the accumulated displacements of the coarse levels to every node. Steps with [`Budget::near`] skip
     /// the nodes far from the tools.
-    pub fn pour(&mut self, shape: &mut Shape) {
-        self.hand_down(shape, 0.0);
+    pub fn prolongate_all(&mut self, shape: &mut Shape) {
+        self.prolongate_changes(shape, 0.0);
     }
 
     /// Prolongates displacements of more than `least` m.
-    fn hand_down(&mut self, shape: &mut Shape, least: f64) {
-        for l in (0..self.coarse.patches.len()).rev() {
-            hand_down(&self.structure, &mut self.coarse.patches, l, least);
+    fn prolongate_changes(&mut self, shape: &mut Shape, least: f64) {
+        for l in (0..self.coarse.grids.len()).rev() {
+            prolongate_changes(&self.hierarchy, &mut self.coarse.grids, l, least);
         }
-        self.field.pour(
-            &self.structure,
+        self.fine.prolongate(
+            &self.hierarchy,
             &mut self.coarse,
             &mut shape.displacement,
             least,
@@ -167,17 +173,17 @@ impl Solver {
             let Some(u) = shape.displacement.get(node as usize) else {
                 continue;
             };
-            self.field.displaced = self.field.displaced.max(u.norm());
-            self.field.at_home = false;
-            self.field.disturb(&self.structure, node);
+            self.fine.displaced = self.fine.displaced.max(u.norm());
+            self.fine.at_reference = false;
+            self.fine.disturb(&self.hierarchy, node);
         }
         self.dirty = true;
     }
 
     /// Force of the springs on a node plus its weight in N (on a held or pinned node: the reaction).
     pub fn force_on(&self, shape: &Shape, node: u32) -> Vec3 {
-        self.field
-            .force_on(&self.structure, &shape.displacement, node)
+        self.fine
+            .force_on(&self.hierarchy, &shape.displacement, node)
     }
 
     /// The report of the latest step.
@@ -189,15 +195,15 @@ impl Solver {
     pub fn residual_over_all(&mut self, shape: &Shape) -> f64 {
         let u = &shape.displacement;
         let sum = self
-            .field
-            .square_over_all(&self.structure, u, &self.contacts);
+            .fine
+            .square_over_all(&self.hierarchy, u, &self.contacts);
         relative(sum, self.reference)
     }
 
     /// Moves a tool of the last step that touches nothing, without a solver step. Returns false, and leaves the tool in
     /// place, if the tool is unknown or touches the tissue at its new position.
     pub fn move_free(&mut self, topology: &Topology, shape: &Shape, tool: &Tool) -> bool {
-        let (u, displaced) = (&shape.displacement, self.field.displaced);
+        let (u, displaced) = (&shape.displacement, self.fine.displaced);
         u.len() == topology.node_count() && self.contacts.move_free(topology, u, displaced, tool)
     }
 
@@ -209,15 +215,15 @@ impl Solver {
         tools: &[Tool],
         mut budget: Budget<'_>,
     ) -> &StepReport {
-        if topology.node_count() != self.field.fixed.len() {
+        if topology.node_count() != self.fine.fixed.len() {
             self.follow(topology, &[]);
         }
         shape
             .displacement
             .resize(topology.node_count(), Vec3::zeros());
-        self.move_in(shape);
+        self.start_at_reference_state(shape);
         let changed = self.contacts.begin(tools) || self.dirty;
-        let changed = self.go_home(topology, shape) || changed;
+        let changed = self.restore_reference_state(topology, shape) || changed;
         self.report.ignored_tools = self.contacts.ignored;
         self.report.iterations = 0;
         self.report.steady = true;
@@ -229,9 +235,11 @@ impl Solver {
         }
         self.dirty = false;
         let u = &mut shape.displacement;
-        let carry = self.foresight.look(&self.held, &self.led, u);
-        self.field.clamped = 0;
-        self.field.visits = 0;
+        let carry = self
+            .warm_start
+            .extrapolation_factor(&self.held, &self.led, u);
+        self.fine.clamped = 0;
+        self.fine.visits = 0;
         self.coarse.visits = 0;
         let near = budget.near;
         if near {
@@ -240,18 +248,18 @@ impl Solver {
         }
         let u = &mut shape.displacement;
         let by = |(&node, from): (&u32, &Vec3)| (node, u[node as usize] - from);
-        self.drawn = self.led.iter().map(by).collect();
+        self.led_displacements = self.led.iter().map(by).collect();
         self.led.clear();
-        let lags = self.foresee(topology, u, carry);
+        let lags = self.apply_warm_start(topology, u, carry);
         self.iterate(topology, u, lags, &mut budget);
         if !self.is_sane(topology, &shape.displacement) {
-            self.field.undo(&self.structure, &mut shape.displacement);
-            let own = std::mem::take(&mut self.field.own);
+            self.fine.undo(&self.hierarchy, &mut shape.displacement);
+            let own = std::mem::take(&mut self.fine.own);
             self.restart(topology, own);
             self.report.fell_back = true;
         } else if !near {
             let is_quick = budget.tolerance >= QUICK;
-            self.hand_down(shape, if is_quick { UNSEEN_M } else { 0.0 });
+            self.prolongate_changes(shape, if is_quick { UNSEEN_M } else { 0.0 });
             if !is_quick {
                 // The next quick step must not process the small residuals that a full solve leaves everywhere.
                 self.settling = Some(0);
@@ -269,15 +277,15 @@ impl Solver {
         budget: &mut Budget<'_>,
     ) {
         let quick = budget.near || budget.tolerance >= QUICK && self.held.is_empty();
-        let relief = if quick {
+        let work_limit = if quick {
             self.prepare_quick()
         } else {
             self.prepare_full()
         };
         self.coarse.follows = self.contacts.proxies.is_empty();
-        self.field.limit_moves(&self.structure, quick);
+        self.fine.limit_moves(&self.hierarchy, quick);
         // With a warm start the last active set stays active, so the threshold starts low.
-        let mut share = if self.carried { 0.0 } else { FIRST_SHARE };
+        let mut share = if self.warm_started { 0.0 } else { FIRST_SHARE };
         let jumped = lags;
         // The contact stiffness on the coarse levels belongs to earlier contacts.
         let mut outdated = true;
@@ -288,45 +296,45 @@ impl Solver {
         let due = if jumped || touches { DUE } else { 1 };
         let (mut begun, mut smoothing) = (0.0, None);
         loop {
-            self.field.refresh(&self.structure, u);
-            let allowed = self.bring(u, budget.tolerance, quick);
+            self.fine.refresh(&self.hierarchy, u);
+            let allowed = self.allowed_residual(u, budget.tolerance, quick);
             let last = if budget.tolerance < PROVEN {
-                0.5 / (self.field.stirred() as f64 + 1.0).sqrt()
+                0.5 / (self.fine.unbalanced_count() as f64 + 1.0).sqrt()
             } else if budget.tolerance < QUICK {
                 FIRST_SHARE * DEEPEN
             } else {
                 FIRST_SHARE
             };
             share = share.max(last);
-            let sum = self.take_part(u, share * allowed, quick);
+            let sum = self.choose_active_set(u, share * allowed, quick);
             self.report.residual = relative(sum, self.reference);
             let whole = self
                 .coarse
-                .patches
+                .grids
                 .iter()
-                .all(|p| p.wanted.items.is_empty());
-            let calm = sum.sqrt() <= allowed && !lags;
-            let done = calm && share <= last && (whole || budget.tolerance >= PROVEN);
+                .all(|p| p.to_refine.items.is_empty());
+            let converged = sum.sqrt() <= allowed && !lags;
+            let done = converged && share <= last && (whole || budget.tolerance >= PROVEN);
             if self.report.iterations == 0 {
                 begun = self.report.residual;
             }
-            self.foresight.calm = done;
+            self.warm_start.converged = done;
             if done || self.is_over(budget, due, touches) {
                 break;
             }
             // All active residuals are near the threshold: only a lower threshold reduces them further.
-            let nodes = self.field.nodes.items.len() as f64;
+            let nodes = self.fine.nodes.items.len() as f64;
             let flat = sum.sqrt() <= 1.5 * share * allowed * nodes.sqrt();
-            if (calm || (flat && !quick)) && share > last {
+            if (converged || (flat && !quick)) && share > last {
                 share = (share * DEEPEN).max(last);
             }
             self.report.iterations += 1;
             self.remember_forces(u);
             if !quick || outdated {
-                self.stiffen(u, self.report.iterations == 1);
+                self.stiffen_levels(u, self.report.iterations == 1);
                 outdated = false;
             }
-            self.correct(u, share * allowed, relief, quick);
+            self.correct(u, share * allowed, work_limit, quick);
             smoothing = Some(self.smooth(u));
             if lags {
                 lags = self.gather(topology, u);
@@ -348,12 +356,13 @@ impl Solver {
         if !self.held.is_empty() {
             // One more step with the forces of the residual check costs almost nothing. It halves the error of the
             // extrapolated path.
-            let alone =
-                !quick && self.contacts.proxies.is_empty() && self.field.since != Since::Chosen;
+            let alone = !quick
+                && self.contacts.proxies.is_empty()
+                && self.fine.since != SetChange::Replaced;
             if let Some(mut smoothing) = smoothing.filter(|_| alone) {
-                self.field.relax_set(u, &mut smoothing);
+                self.fine.relax_set(u, &mut smoothing);
             }
-            self.look_back(begun);
+            self.record_step(begun);
         }
     }
 
@@ -366,100 +375,106 @@ impl Solver {
 
     /// Stage: a last smoothing around the contacts, then the residual.
     fn finish(&mut self, u: &mut [Vec3]) {
-        let (structure, field, contacts) = (&self.structure, &mut self.field, &self.contacts);
+        let (hierarchy, fine, contacts) = (&self.hierarchy, &mut self.fine, &self.contacts);
         if !contacts.nodes.is_empty() {
-            field.smooth_near(structure, &mut self.near, u, contacts, LAST_STEPS);
+            fine.smooth_contacts(
+                hierarchy,
+                &mut self.contact_smoother,
+                u,
+                contacts,
+                LAST_STEPS,
+            );
         }
-        field.evaluate_bricks(structure, u);
-        field.add_contacts(u, contacts, 1.0);
-        let sum = field.square_over_unfixed();
+        fine.evaluate_bricks(hierarchy, u);
+        fine.add_contacts(u, contacts, 1.0);
+        let sum = fine.square_over_unfixed();
         // The next step starts from the forces of bricks alone.
-        field.let_contacts_go(structure, &contacts.nodes);
-        field.current = true;
+        fine.remove_contacts(hierarchy, &contacts.nodes);
+        fine.current = true;
         self.report.residual = relative(sum, self.reference);
     }
 
     /// Stage: chooses the active set and computes its forces. Returns their sum of squares.
-    fn take_part(&mut self, u: &mut [Vec3], threshold: f64, quick: bool) -> f64 {
-        let (structure, coarse) = (&self.structure, &mut self.coarse);
+    fn choose_active_set(&mut self, u: &mut [Vec3], threshold: f64, quick: bool) -> f64 {
+        let (hierarchy, coarse) = (&self.hierarchy, &mut self.coarse);
         let touched = self.contacts.nodes.iter().chain(&self.held).copied();
         let limit = threshold as f32;
         let keeps = match quick {
             true if self.report.iterations > 0 => Keeps::All,
-            false if self.carried => Keeps::Most,
+            false if self.warm_started => Keeps::Most,
             _ => Keeps::Near,
         };
-        let field = &mut self.field;
+        let fine = &mut self.fine;
         // Nodes that leave the set keep their forces, which must match their final positions.
-        field.evaluate_bricks(structure, u);
-        field.add_contacts(u, &self.contacts, 1.0);
+        fine.evaluate_bricks(hierarchy, u);
+        fine.add_contacts(u, &self.contacts, 1.0);
         let asked = Criteria {
             threshold: limit,
             quick,
             keeps,
         };
-        if field.select(structure, coarse, touched, &asked, u) {
-            coarse.select(structure, keeps == Keeps::Most);
+        if fine.select(hierarchy, coarse, touched, &asked, u) {
+            coarse.select(hierarchy, keeps == Keeps::Most);
             // Displacements that were prolongated may exceed the limits of the next level too.
-            while coarse.push(structure, limit) {
-                FineLevel::select_wanted(&mut coarse.patches[0]);
-                coarse.select(structure, true);
+            while coarse.prolongate_pending(hierarchy, limit) {
+                FineLevel::refine_marked(&mut coarse.grids[0]);
+                coarse.select(hierarchy, true);
             }
-            field.enter(structure, coarse, u);
-            field.add_contacts(u, &self.contacts, 1.0);
+            fine.enter(hierarchy, coarse, u);
+            fine.add_contacts(u, &self.contacts, 1.0);
         }
-        self.field.square_over_unfixed()
+        self.fine.square_over_unfixed()
     }
 
     /// Sets the limits of a quick step: how much elements may defer. Returns the factor of these limits that bounds the
     /// work.
     fn prepare_quick(&mut self) -> f32 {
-        let is_at_rest = self.field.at_home;
+        let is_at_rest = self.fine.at_reference;
         self.quick_steps = if is_at_rest { 0 } else { self.quick_steps + 1 };
         if self.quick_steps % REFINED_EVERY == REFINED_EVERY - 1 {
-            self.coarse.refine_next(&self.structure);
+            self.coarse.refine_next(&self.hierarchy);
         }
-        let elements = self.coarse.patches.iter().map(|p| p.set.items.len());
-        let relief = self
-            .relief
-            .after(self.field.nodes.items.len(), elements.sum());
-        let deep = usize::from(self.structure.bottoms_out);
-        self.coarse.pending = relief * PENDING[1];
-        self.coarse.strained = relief * STRAINED[deep];
+        let elements = self.coarse.grids.iter().map(|p| p.set.items.len());
+        let work_limit = self
+            .work_limit
+            .update(self.fine.nodes.items.len(), elements.sum());
+        let deep = usize::from(self.hierarchy.bottoms_out);
+        self.coarse.pending = work_limit * PENDING[1];
+        self.coarse.strained = work_limit * STRAINED[deep];
         self.coarse.slack = SLACK;
-        self.field.bent = relief * BENT[deep];
-        relief
+        self.fine.bent = work_limit * BENT[deep];
+        work_limit
     }
 
     /// Sets the limits of a full solve.
     fn prepare_full(&mut self) -> f32 {
-        self.relief = WorkLimit::NONE;
+        self.work_limit = WorkLimit::NONE;
         self.coarse.pending = PENDING[0];
         self.coarse.strained = f32::INFINITY;
         self.coarse.slack = [1.0; 2];
-        self.field.bent = f32::INFINITY;
+        self.fine.bent = f32::INFINITY;
         1.0
     }
 
     /// Stage: moves proxies and gathers contact samples.
     pub(super) fn gather(&mut self, topology: &Topology, u: &mut [Vec3]) -> bool {
-        let (field, contacts) = (&mut self.field, &mut self.contacts);
-        field.let_contacts_go(&self.structure, &contacts.nodes);
-        let lags = contacts.gather(topology, u, field.displaced, &field.own);
-        field.pour_at(&self.structure, &self.coarse, u, &contacts.nodes);
+        let (fine, contacts) = (&mut self.fine, &mut self.contacts);
+        fine.remove_contacts(&self.hierarchy, &contacts.nodes);
+        let lags = contacts.gather(topology, u, fine.displaced, &fine.own);
+        fine.prolongate_at(&self.hierarchy, &self.coarse, u, &contacts.nodes);
         lags
     }
 
     /// Stage: the residual in N that the tolerance allows, relative to the forces of tools and held nodes.
-    fn bring(&mut self, u: &[Vec3], tolerance: f64, near: bool) -> f64 {
+    fn allowed_residual(&mut self, u: &[Vec3], tolerance: f64, near: bool) -> f64 {
         let square = |n: u32| {
-            let r = &self.field.r[n as usize];
+            let r = &self.fine.r[n as usize];
             r.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>()
         };
         let mut sum: f64 = self.held.iter().map(|&n| square(n)).sum();
         sum += self.contacts.square(u);
         if self.held.is_empty() && self.contacts.proxies.is_empty() {
-            sum += self.field.square_of_weights();
+            sum += self.fine.square_of_weights();
         }
         if sum > 0.0 {
             self.reference = sum.sqrt();
@@ -471,48 +486,47 @@ impl Solver {
     }
 
     /// Stage: coarse-grid correction with a line search.
-    fn correct(&mut self, u: &mut [Vec3], threshold: f64, relief: f32, quick: bool) {
+    fn correct(&mut self, u: &mut [Vec3], threshold: f64, work_limit: f32, quick: bool) {
         let mut effort = EFFORT[usize::from(quick)];
-        effort.loaded *= relief;
-        let draws = self.draws();
-        let drawn = std::mem::take(&mut self.drawn);
-        if draws {
-            self.field
-                .restrict_beyond(&self.structure, &mut self.coarse);
+        effort.loaded *= work_limit;
+        let follows_led_nodes = self.follows_led_nodes();
+        let led_displacements = std::mem::take(&mut self.led_displacements);
+        if follows_led_nodes {
+            self.fine.restrict_outer(&self.hierarchy, &mut self.coarse);
             // A single displaced node is a spike that no coarse level represents, so a load moves the levels after the
             // node.
-            for (node, by) in drawn {
-                let force = by * (HELD_STIFFNESS[1] * self.field.own[node as usize]);
-                self.coarse.draw(&self.structure, node, &force);
+            for (node, by) in led_displacements {
+                let force = by * (HELD_STIFFNESS[1] * self.fine.own[node as usize]);
+                self.coarse.load_node(&self.hierarchy, node, &force);
             }
         } else {
-            self.field.restrict(&self.structure, &mut self.coarse);
+            self.fine.restrict(&self.hierarchy, &mut self.coarse);
             if self.report.iterations == 1 {
-                self.pull(u);
+                self.load_expected_contacts(u);
             }
         }
-        let (structure, coarse, field) = (&self.structure, &mut self.coarse, &mut self.field);
-        coarse.cycle(structure, threshold as f32, effort);
-        field.add_contacts(u, &self.contacts, -1.0);
-        field.keep_forces();
-        field.correct(structure, coarse, u);
-        field.evaluate_bricks(structure, u);
-        coarse.defer(structure);
+        let (hierarchy, coarse, fine) = (&self.hierarchy, &mut self.coarse, &mut self.fine);
+        coarse.cycle(hierarchy, threshold as f32, effort);
+        fine.add_contacts(u, &self.contacts, -1.0);
+        fine.keep_forces();
+        fine.correct(hierarchy, coarse, u);
+        fine.evaluate_bricks(hierarchy, u);
+        coarse.defer(hierarchy);
         // Held nodes: deferred work would shorten the step too much. A cube from rest then needs five iterations to 1 %
         // instead of four.
         let waiting = if self.contacts.proxies.is_empty() {
             [0.0; 2]
         } else {
-            self.work_waiting()
+            self.deferred_work()
         };
-        let old = std::mem::take(&mut self.field.old);
-        let mut moved = std::mem::take(&mut self.field.moved);
-        let share = self.share_of(u, &mut moved, &old, waiting, SHARES);
-        let (structure, coarse, field) = (&self.structure, &mut self.coarse, &mut self.field);
-        (field.old, field.moved) = (old, moved);
-        coarse.commit(structure, share as f32, threshold as f32);
-        field.settle(structure, coarse, u, share);
-        field.add_contacts(u, &self.contacts, 1.0);
+        let old = std::mem::take(&mut self.fine.old);
+        let mut moved = std::mem::take(&mut self.fine.moved);
+        let share = self.line_search(u, &mut moved, &old, waiting, SHARES);
+        let (hierarchy, coarse, fine) = (&self.hierarchy, &mut self.coarse, &mut self.fine);
+        (fine.old, fine.moved) = (old, moved);
+        coarse.commit(hierarchy, share as f32, threshold as f32);
+        fine.settle(hierarchy, coarse, u, share);
+        fine.add_contacts(u, &self.contacts, 1.0);
     }
 
     /// Stage: smoothing on the nodes. All steps are made: they form one Chebyshev polynomial, and a part of it can
@@ -520,15 +534,15 @@ impl Solver {
     fn smooth(&mut self, u: &mut [Vec3]) -> Chebyshev {
         // The blocks must belong to the corrected displacements: older blocks overshoot where pressed tissue snaps
         // through.
-        let (structure, contacts) = (&self.structure, &self.contacts);
-        self.field.renew_blocks(structure, u, contacts);
+        let (hierarchy, contacts) = (&self.hierarchy, &self.contacts);
+        self.fine.update_blocks(hierarchy, u, contacts);
         let mut factors = FineLevel::smoothing();
         for s in 0..SMOOTHING {
             if s > 0 {
-                self.field.evaluate_bricks(&self.structure, u);
-                self.field.press(u, &self.contacts);
+                self.fine.evaluate_bricks(&self.hierarchy, u);
+                self.fine.press(u, &self.contacts);
             }
-            self.field.relax_set(u, &mut factors);
+            self.fine.relax_set(u, &mut factors);
         }
         factors
     }
@@ -552,7 +566,7 @@ impl Solver {
     fn is_sane(&self, topology: &Topology, u: &[Vec3]) -> bool {
         let limit = BLOWN_UP * topology.model().spacing_m;
         let is_finite = self.report.residual.is_finite();
-        is_finite && self.field.is_within(u, limit) && self.coarse.is_within(limit)
+        is_finite && self.fine.is_within(u, limit) && self.coarse.is_within(limit)
     }
 
     /// Last stage: reactions and statistics.
@@ -560,12 +574,15 @@ impl Solver {
         let spacing = topology.model().spacing_m;
         self.report.reactions.clear();
         self.report.lag_m = 0.0;
-        let untouched = self.home.as_ref().map(|h| h.displacement.as_slice());
+        let untouched = self
+            .reference_state
+            .as_ref()
+            .map(|h| h.displacement.as_slice());
         for i in 0..self.contacts.proxies.len() {
             let mut reaction = self.contacts.reaction(topology, u, untouched, i);
             self.report.lag_m = self.report.lag_m.max(self.contacts.proxies[i].lag());
             if reaction.contacts > 0 {
-                let own = self.field.own[self.contacts.nodes[0] as usize];
+                let own = self.fine.own[self.contacts.nodes[0] as usize];
                 reaction.stiffness = self.contacts.learn(u, i, &reaction, own, spacing);
                 if let Some(last) = self.last_forces.get(i) {
                     reaction.force_error = (reaction.force - last).norm();
@@ -573,9 +590,9 @@ impl Solver {
             }
             self.report.reactions.push(reaction);
         }
-        self.report.active_nodes = self.field.nodes.items.len();
-        self.report.visits = [self.field.visits, self.coarse.visits];
-        self.report.clamped = self.field.clamped;
+        self.report.active_nodes = self.fine.nodes.items.len();
+        self.report.visits = [self.fine.visits, self.coarse.visits];
+        self.report.clamped = self.fine.clamped;
         if self.report.active_nodes == 0 && self.contacts.nodes.is_empty() && self.held.is_empty() {
             self.reference = self.alone();
             self.report.residual = 0.0;

@@ -7,7 +7,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::coarse_level::bring_point;
+use super::coarse_level::update_total;
 use super::contact_smoother::ContactSmoother;
 use super::cycle::Multigrid;
 use super::fine_level::{FineLevel, OuterForces, square};
@@ -35,17 +35,17 @@ struct Totals {
 /// State of a solver for its continuation on a changed topology.
 pub struct SolverState {
     /// Hierarchy of the captured solver; `None` before a capture.
-    structure: Option<Arc<Hierarchy>>,
+    hierarchy: Option<Arc<Hierarchy>>,
     displacement: Vec<Vec3>,
     applied: Vec<[f64; 3]>,
     levels: Vec<Totals>,
     held: Vec<u32>,
     proxies: Vec<Proxy>,
     displaced: f64,
-    is_at_home: bool,
-    has_moved_in: bool,
+    is_at_reference: bool,
+    has_started: bool,
     reference: f64,
-    relief: WorkLimit,
+    work_limit: WorkLimit,
     report: StepReport,
 }
 
@@ -57,17 +57,17 @@ impl Follower {
             values.clear();
             values
         }
-        let structure = self.structure();
-        let nodes = structure.prolongation.len();
+        let hierarchy = self.hierarchy();
+        let nodes = hierarchy.prolongation.len();
         let totals = |points: usize| Totals {
             total: room([0.0; 3], points),
             applied: room([0.0; 3], points),
         };
         SolverState {
-            structure: None,
+            hierarchy: None,
             displacement: room(Vec3::zeros(), nodes),
             applied: room([0.0; 3], nodes),
-            levels: structure
+            levels: hierarchy
                 .levels
                 .iter()
                 .map(|l| totals(l.points()))
@@ -75,10 +75,10 @@ impl Follower {
             held: Vec::new(),
             proxies: Vec::new(),
             displaced: 0.0,
-            is_at_home: true,
-            has_moved_in: false,
+            is_at_reference: true,
+            has_started: false,
             reference: 0.0,
-            relief: WorkLimit::NONE,
+            work_limit: WorkLimit::NONE,
             report: StepReport::default(),
         }
     }
@@ -91,24 +91,24 @@ impl Solver {
             to.clear();
             to.extend_from_slice(from);
         }
-        self.field.note(&self.structure, &self.coarse);
+        self.fine.mark_applied(&self.hierarchy, &self.coarse);
         copy(&shape.displacement, &mut to.displacement);
-        copy(&self.field.applied, &mut to.applied);
+        copy(&self.fine.applied, &mut to.applied);
         to.levels
-            .resize_with(self.coarse.patches.len(), Totals::default);
-        for (patch, level) in self.coarse.patches.iter().zip(&mut to.levels) {
-            copy(&patch.total, &mut level.total);
-            copy(&patch.applied, &mut level.applied);
+            .resize_with(self.coarse.grids.len(), Totals::default);
+        for (grid, level) in self.coarse.grids.iter().zip(&mut to.levels) {
+            copy(&grid.total, &mut level.total);
+            copy(&grid.applied, &mut level.applied);
         }
         copy(&self.held, &mut to.held);
         copy(&self.contacts.proxies, &mut to.proxies);
-        to.displaced = self.field.displaced;
-        to.is_at_home = self.field.at_home;
-        to.has_moved_in = self.moved_in;
+        to.displaced = self.fine.displaced;
+        to.is_at_reference = self.fine.at_reference;
+        to.has_started = self.has_started;
         to.reference = self.reference;
-        to.relief = self.relief;
+        to.work_limit = self.work_limit;
         to.report.clone_from(&self.report);
-        to.structure = Some(Arc::clone(&self.structure));
+        to.hierarchy = Some(Arc::clone(&self.hierarchy));
     }
 
     /// Ends the settling after a change of the topology: drops the small forces far from the tools that the evaluation
@@ -127,18 +127,18 @@ impl Solver {
         self.settling = None;
         let threshold = (FIRST_SHARE * QUICK * self.reference) as f32;
         let FineLevel {
-            loud,
-            quiet,
+            unbalanced,
+            below_threshold,
             nodes,
             r,
-            beyond,
+            outer_forces,
             ..
-        } = &mut self.field;
-        *beyond = OuterForces::Changed;
-        loud.retain(|node| {
+        } = &mut self.fine;
+        *outer_forces = OuterForces::Changed;
+        unbalanced.retain(|node| {
             let stays = nodes.contains(node) || square(&r[node as usize]) > threshold * threshold;
             if !stays {
-                quiet.insert(node);
+                below_threshold.insert(node);
             }
             stays
         });
@@ -152,12 +152,12 @@ impl Solver {
     /// Assembles a solver from its parts.
     pub(super) fn assemble(
         topology: &Topology,
-        structure: Arc<Hierarchy>,
-        (field, coarse): (FineLevel, Multigrid),
+        hierarchy: Arc<Hierarchy>,
+        (fine, coarse): (FineLevel, Multigrid),
         contacts: Contacts,
-        home: Option<Arc<ReferenceState>>,
+        reference_state: Option<Arc<ReferenceState>>,
     ) -> Self {
-        let mut own: Vec<f64> = field.own.iter().copied().filter(|&k| k > 0.0).collect();
+        let mut own: Vec<f64> = fine.own.iter().copied().filter(|&k| k > 0.0).collect();
         let middle = own.len() / 2;
         let typical = match own.get(middle) {
             Some(_) => *own.select_nth_unstable_by(middle, f64::total_cmp).1,
@@ -165,23 +165,23 @@ impl Solver {
         };
         Self {
             least: typical * topology.model().spacing_m,
-            near: ContactSmoother::new(&structure),
-            field,
+            contact_smoother: ContactSmoother::new(&hierarchy),
+            fine,
             coarse,
-            structure,
+            hierarchy,
             contacts,
             held: Vec::new(),
-            foresight: WarmStart::default(),
-            relief: WorkLimit::NONE,
+            warm_start: WarmStart::default(),
+            work_limit: WorkLimit::NONE,
             moved: Vec::new(),
             reference: 0.0,
-            home,
-            moved_in: false,
+            reference_state,
+            has_started: false,
             report: StepReport::default(),
             dirty: false,
-            carried: false,
+            warm_started: false,
             led: BTreeMap::new(),
-            drawn: Vec::new(),
+            led_displacements: Vec::new(),
             last_forces: Vec::new(),
             settling: None,
             quick_steps: 0,
@@ -198,32 +198,38 @@ impl SolverState {
         outcome: &CutOutcome,
         successor: Successor,
     ) -> (Solver, Shape) {
-        self.pour();
+        self.prolongate_all();
         let mut shape = Shape {
             displacement: self.displacement,
         };
         shape.follow(topology, outcome);
         let Successor {
-            structure,
-            field,
+            hierarchy,
+            fine,
             coarse,
             index,
-            home,
+            reference_state,
         } = successor;
         let contacts = Contacts::with(topology, index, self.proxies);
-        let mut solver = Solver::assemble(topology, structure, (field, coarse), contacts, home);
+        let mut solver = Solver::assemble(
+            topology,
+            hierarchy,
+            (fine, coarse),
+            contacts,
+            reference_state,
+        );
         solver.held = self.held;
-        solver.moved_in = self.has_moved_in;
+        solver.has_started = self.has_started;
         solver.reference = self.reference;
-        solver.relief = self.relief;
+        solver.work_limit = self.work_limit;
         solver.report = self.report;
-        solver.start_over(self.displaced, self.is_at_home);
+        solver.start_over(self.displaced, self.is_at_reference);
         (solver, shape)
     }
 
-    /// Prolongates the coarse displacements to every node, as [`Solver::pour`] does.
-    fn pour(&mut self) {
-        let Some(structure) = self.structure.take() else {
+    /// Prolongates the coarse displacements to every node, as [`Solver::prolongate_all`] does.
+    fn prolongate_all(&mut self) {
+        let Some(hierarchy) = self.hierarchy.take() else {
             return;
         };
         for l in (0..self.levels.len()).rev() {
@@ -231,11 +237,11 @@ impl SolverState {
             let (Some(level), Some(above)) = (finer.last_mut(), coarser.first()) else {
                 continue;
             };
-            let prolongation = &structure.levels[l].prolongation;
+            let prolongation = &hierarchy.levels[l].prolongation;
             let points = level.total.iter_mut().zip(&mut level.applied);
             for (p, (total, applied)) in points.enumerate() {
                 let now = prolongation.interpolate_exactly(p, &above.total);
-                bring_point(now, total, applied);
+                update_total(now, total, applied);
             }
         }
         let Some(first) = self.levels.first() else {
@@ -248,7 +254,7 @@ impl SolverState {
             .collect();
         let nodes = self.displacement.iter_mut().zip(&self.applied);
         for (n, (u, applied)) in nodes.enumerate() {
-            let now = structure.prolongation.interpolate_exactly(n, &first.total);
+            let now = hierarchy.prolongation.interpolate_exactly(n, &first.total);
             *u += Vec3::from(now) - Vec3::from(*applied);
         }
         for (node, at) in held {
@@ -342,8 +348,8 @@ mod tests {
         }
         let mut state = solver.follower().room();
         solver.capture(&shape, &mut state);
-        state.pour();
-        solver.pour(&mut shape);
+        state.prolongate_all();
+        solver.prolongate_all(&mut shape);
         let apart = state.displacement.iter().zip(&shape.displacement);
         let most = apart.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
         assert!(most < 1e-12, "{most} m");
@@ -364,8 +370,8 @@ mod tests {
         for k in 40..60 {
             solver.step(&topology, &mut shape, &[tool(k)], hand());
             let (far, near) = (
-                solver.field.loud_beyond().count(),
-                solver.field.nodes.items.len(),
+                solver.fine.unbalanced_outer().count(),
+                solver.fine.nodes.items.len(),
             );
             assert!(far <= near + BLOCK, "{far} far nodes, {near} near ones");
         }

@@ -6,13 +6,13 @@
 //! steps give equal bits.
 
 /// Nodes that fit in the time of a quick step.
-const ROOM: f64 = 900.0;
+const NODES_MAX: f64 = 900.0;
 /// Cost of a coarse element in nodes.
-const ELEMENT: f64 = 0.25;
+const ELEMENT_COST: f64 = 0.25;
 /// Fraction of the limit below which tolerances are narrowed.
-const ROOMY: f64 = 0.8;
+const SPARE: f64 = 0.8;
 /// Maximum factor of the tolerances; beyond it only the contacts remain active.
-const WIDEST: f64 = 8.0;
+const FACTOR_MAX: f64 = 8.0;
 
 /// Factor of the tolerances of deferred elements.
 #[derive(Clone, Copy)]
@@ -22,12 +22,12 @@ impl WorkLimit {
     pub(super) const NONE: Self = Self(1.0);
 
     /// Updates the factor by the active set of the last step; returns it for the next one.
-    pub(super) fn after(&mut self, nodes: usize, elements: usize) -> f32 {
-        let load = (nodes as f64 + ELEMENT * elements as f64) / ROOM;
+    pub(super) fn update(&mut self, nodes: usize, elements: usize) -> f32 {
+        let load = (nodes as f64 + ELEMENT_COST * elements as f64) / NODES_MAX;
         if load > 1.0 {
-            self.0 = (self.0 * load).min(WIDEST);
-        } else if load < ROOMY {
-            self.0 = (self.0 * (load / ROOMY).max(0.5).sqrt()).max(1.0);
+            self.0 = (self.0 * load).min(FACTOR_MAX);
+        } else if load < SPARE {
+            self.0 = (self.0 * (load / SPARE).max(0.5).sqrt()).max(1.0);
         }
         self.0 as f32
     }
@@ -39,16 +39,19 @@ mod tests {
 
     #[test]
     fn active_set_settles_at_the_work_limit() {
-        let mut relief = WorkLimit::NONE;
+        let mut work_limit = WorkLimit::NONE;
         // The active set halves when the tolerance factor is four.
         let mut nodes = 3000.0;
         for _ in 0..40 {
-            nodes = 3000.0 / f64::from(relief.after(nodes as usize, 0)).sqrt();
+            nodes = 3000.0 / f64::from(work_limit.update(nodes as usize, 0)).sqrt();
         }
-        assert!((ROOMY * ROOM..=1.2 * ROOM).contains(&nodes), "{nodes}");
+        assert!(
+            (SPARE * NODES_MAX..=1.2 * NODES_MAX).contains(&nodes),
+            "{nodes}"
+        );
         for _ in 0..40 {
-            relief.after(0, 0);
+            work_limit.update(0, 0);
         }
-        assert_eq!(relief.after(0, 0), 1.0);
+        assert_eq!(work_limit.update(0, 0), 1.0);
     }
 }
