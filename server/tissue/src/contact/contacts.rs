@@ -1,11 +1,11 @@
 //! All contacts of one shape: tools, their samples, and the forces on nodes.
 
 use super::ball::Ball;
-use super::index::SurfaceIndex;
+use super::contact_sample::{Sample, depth, sample};
 use super::line_search::{LineSearch, Row};
 use super::proxy::Proxy;
-use super::sample::{Sample, depth, sample};
 use super::surface::{Foot, Surface, blend};
+use super::surface_index::SurfaceIndex;
 use super::{TOOLS_MAX, Tool};
 use crate::{Topology, Vec3};
 

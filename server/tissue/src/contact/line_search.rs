@@ -120,7 +120,7 @@ impl LineSearch {
 
     /// The s within bounds at which the total work vanishes: the minimum of the energy on the line. All other work is
     /// `here` at 0, `there` at 1, and linear between.
-    pub(crate) fn rest(&self, [here, there]: [f64; 2], bounds: [f64; 2]) -> f64 {
+    pub(crate) fn zero_work(&self, [here, there]: [f64; 2], bounds: [f64; 2]) -> f64 {
         // Half of the samples in reach of a tool do not touch it anywhere on the line.
         let meets = |(row, pierces): &&(Row, Option<Vec3>)| {
             pierces.is_some() || row.meets(self.core(row), bounds)
@@ -185,16 +185,16 @@ mod tests {
     #[test]
     fn line_search_without_contacts_finds_the_zero_of_the_line() {
         let none = along(Vec::new());
-        assert!((none.rest([1.0, -1.0], [0.0, 2.0]) - 0.5).abs() < 1e-3);
-        assert_eq!(none.rest([1.0, 0.9], [0.0, 2.0]), 2.0);
-        assert_eq!(none.rest([-1.0, -2.0], [0.2, 2.0]), 0.2);
+        assert!((none.zero_work([1.0, -1.0], [0.0, 2.0]) - 0.5).abs() < 1e-3);
+        assert_eq!(none.zero_work([1.0, 0.9], [0.0, 2.0]), 2.0);
+        assert_eq!(none.zero_work([-1.0, -2.0], [0.2, 2.0]), 0.2);
     }
 
     #[test]
     fn returning_tissue_stops_at_the_tool() {
         // The tool has retreated by 0.8 mm, and is forty times as stiff as the returning tissue.
         let away = along(vec![ball(-8.8e-3, 4000.0)]);
-        let s = away.rest([1e-4, 0.0], [0.0, 2.0]);
+        let s = away.zero_work([1e-4, 0.0], [0.0, 2.0]);
         assert!((0.8..0.83).contains(&s), "{s}");
     }
 
@@ -202,12 +202,12 @@ mod tests {
     fn samples_do_not_pass_through_a_tool() {
         // A sample that moves to 30 mm beyond the near side of a ball of 16 mm.
         let away = along(vec![ball(-8.8e-3, 4000.0)]);
-        let s = away.rest([1e-4, 1e-4], [0.0, 30.0]);
+        let s = away.zero_work([1e-4, 1e-4], [0.0, 30.0]);
         assert!((0.8..0.9).contains(&s), "{s}");
         // A sample that slides along the ball moves on.
         let mut beside = ball(-8.8e-3, 40.0);
         beside.from.x = 7.9e-3;
-        let s = along(vec![beside]).rest([1e-2, 1e-2], [0.0, 30.0]);
+        let s = along(vec![beside]).zero_work([1e-2, 1e-2], [0.0, 30.0]);
         assert_eq!(s, 30.0);
     }
 
@@ -240,7 +240,7 @@ mod tests {
             from in -10e-3..-6e-3f64, stiffness in 10.0..1e4f64, here in 1e-6..1e-3f64, falls in 0.0..1e-3f64
         ) {
             let along = along(vec![ball(from, stiffness)]);
-            let s = along.rest([here, here - falls], [-1.0, 2.0]);
+            let s = along.zero_work([here, here - falls], [-1.0, 2.0]);
             let work = |s: f64| here - s * falls + along.work(s);
             prop_assert!((-1.0..=2.0).contains(&s));
             if s > -1.0 && s < 2.0 {

@@ -28,16 +28,16 @@
 
 mod ball;
 mod clearance;
+mod contact_sample;
 mod contacts;
 mod core;
-mod fans;
-mod index;
 mod line_search;
+mod node_triangles;
 mod outwards;
 mod proxy;
 mod reaction;
-mod sample;
 mod surface;
+mod surface_index;
 #[cfg(test)]
 mod tests;
 mod tool;
@@ -48,8 +48,8 @@ pub use reaction::{Place, Reaction};
 pub use tool::{Form, TOOL_REACH_MAX_M, Tool};
 
 pub(crate) use contacts::Contacts;
-pub(crate) use index::SurfaceIndex;
 pub(crate) use proxy::Proxy;
+pub(crate) use surface_index::SurfaceIndex;
 
 /// Contact penalty stiffness relative to that of the nodes.
 pub(crate) const FOUNDATION: f64 = 20.0;

@@ -263,7 +263,7 @@ impl Proxy {
             let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
             let facing = self.core.towards(&middle).dot(&area_normal(&corners)) < 0.0;
             facing
-                && super::sample::weights_of(self.radius, spacing)
+                && super::contact_sample::weights_of(self.radius, spacing)
                     .iter()
                     .any(|w| {
                         let away = self.core.towards(&blend(&corners, w));

@@ -3,9 +3,9 @@
 use nalgebra::{Matrix3, UnitQuaternion};
 
 use super::PLACES_MAX;
+use super::contact_sample::depth;
 use super::contacts::Contacts;
 use super::core::place_of;
-use super::sample::depth;
 use crate::{Topology, Vec3};
 
 /// Ratio of the net force of a patch to its total pressure below which the net direction is not a surface normal.

@@ -1,7 +1,7 @@
 //! Points of the deformed surface: triangles, nearest points, normals.
 
 use super::ball::Ball;
-use super::index::SurfaceIndex;
+use super::surface_index::SurfaceIndex;
 use crate::{Topology, Vec3};
 
 /// The deformed outer surface for searches.

@@ -5,9 +5,9 @@ use std::sync::Arc;
 use proptest::prelude::*;
 
 use super::ball::Ball;
-use super::index::{SurfaceIndex, box_of};
-use super::sample::weights_of;
+use super::contact_sample::weights_of;
 use super::surface::{Surface, area_normal, blend, nearest_weights};
+use super::surface_index::{SurfaceIndex, box_of};
 use super::{Contacts, Form, POINT_RADIUS, Tool};
 use crate::{BladePoint, CutStroke, Material, Topology, Vec3, block, cut};
 

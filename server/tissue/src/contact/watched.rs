@@ -4,7 +4,7 @@ use parry3d_f64::bounding_volume::Aabb;
 use parry3d_f64::math::Vector;
 
 use super::ball::Ball;
-use super::index::ROUNDING;
+use super::surface_index::ROUNDING;
 use crate::{Topology, Vec3};
 
 /// Triangles per box; they are consecutive in the tree, hence neighbours.

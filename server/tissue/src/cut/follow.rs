@@ -6,7 +6,7 @@
 //! the node it came from.
 
 use super::CutOutcome;
-use super::quality::Moves;
+use super::bounded_moves::Moves;
 use super::trilinear::{invert, weights};
 use crate::{NO_CELL, Shape, Topology, Vec3};
 

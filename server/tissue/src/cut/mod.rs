@@ -13,25 +13,25 @@
 //! keeps the springs of its own cells, which are half of those that were in its plane.
 //!
 //! ```text
-//! stroke.rs   what the blade did               snap.rs     nodes onto the swept surface
-//! ribbon.rs   the swept surface                refine.rs   the nodes around share the move
-//! sheet.rs    the faces it opens               part.rs     doubling, opening, deriving
-//! fans.rs     who hangs together at a node     follow.rs   how a deformed shape follows
+//! stroke.rs   motion of the blade      sheet_snap.rs   nodes onto the swept surface
+//! ribbon.rs   the swept surface        refine.rs       relaxation of the nodes around
+//! sheet.rs    the faces it opens       part.rs         doubling, opening, deriving
+//! fans.rs     cell groups at a node    follow.rs       deformed shapes after a cut
 //! ```
 //!
 //! Everything runs in one order that depends on the topology and the stroke alone: the same strokes
 //! in the same order give the same topology hash everywhere.
 
+mod bounded_moves;
+mod cell_index;
 mod components;
 mod fans;
 mod follow;
-mod index;
 mod part;
-mod quality;
 mod refine;
 mod ribbon;
 mod sheet;
-mod snap;
+mod sheet_snap;
 mod stroke;
 mod to_rest;
 mod trilinear;
@@ -39,8 +39,8 @@ mod width;
 
 use std::collections::{BTreeSet, HashMap};
 
+pub(crate) use cell_index::CutIndex;
 pub use follow::Moved;
-pub(crate) use index::CutIndex;
 pub(crate) use part::derive_around;
 pub use stroke::{
     BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, BladePoint, CutStroke, STROKE_LENGTH_MAX_M,
@@ -49,10 +49,10 @@ pub use stroke::{
 pub use to_rest::{RestPoint, to_rest};
 
 use crate::{NODES_MAX, RegionId, Topology};
-use quality::Moves;
+use bounded_moves::Moves;
 use refine::Surroundings;
 use ribbon::Ribbon;
-use snap::{Freedom, SheetNode};
+use sheet_snap::{Freedom, SheetNode};
 
 /// Farthest a node's rest position may ever be from where the model was built, in spacings, however
 /// many cuts pass; a node at this bound falls short of the next cut instead.
@@ -178,7 +178,7 @@ pub fn cut(topology: &mut Topology, stroke: &CutStroke) -> Result<CutOutcome, Cu
     if sheet.is_empty() {
         return Err(CutError::NothingNew);
     }
-    let mut nodes = snap::sheet_nodes(topology, &sheet);
+    let mut nodes = sheet_snap::sheet_nodes(topology, &sheet);
     // A node has at most eight cells, so it makes at most seven more nodes.
     if topology.node_count() + 7 * nodes.len() > NODES_MAX + NODES_MAX / 4 {
         return Err(CutError::Full);
@@ -226,10 +226,10 @@ fn settle(
         topology,
         old: HashMap::new(),
     };
-    snap::snap(&mut moves, ribbon, nodes);
+    sheet_snap::snap(&mut moves, ribbon, nodes);
     for _ in 0..RETRIES {
         surroundings.relax(&mut moves);
-        snap::retry(&mut moves, ribbon, nodes);
+        sheet_snap::retry(&mut moves, ribbon, nodes);
     }
     surroundings.relax(&mut moves);
     (follow::moved(&moves), moves.old.keys().copied().collect())

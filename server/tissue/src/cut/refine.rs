@@ -9,8 +9,8 @@
 
 use std::collections::{BTreeSet, HashMap};
 
-use super::quality::Moves;
-use super::snap::{Freedom, freedom};
+use super::bounded_moves::Moves;
+use super::sheet_snap::{Freedom, freedom};
 use crate::{NO_CELL, Topology, Vec3};
 
 /// How many rings of neighbours around the cut take part.

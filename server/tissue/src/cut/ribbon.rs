@@ -8,7 +8,7 @@
 use robust::{Coord3D, orient3d};
 
 use super::DRIFT_MAX;
-use super::index::{BUCKET, Key, keys_of_triangle};
+use super::cell_index::{BUCKET, Key, keys_of_triangle};
 use super::sheet::SEGMENT_MAX;
 use super::stroke::BladePoint;
 use crate::Vec3;

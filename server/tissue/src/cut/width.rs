@@ -11,9 +11,9 @@
 
 use std::collections::{BTreeSet, HashMap};
 
-use super::quality::Moves;
+use super::bounded_moves::Moves;
 use super::ribbon::Ribbon;
-use super::snap::{Freedom, freedom};
+use super::sheet_snap::{Freedom, freedom};
 use super::stroke::CutStroke;
 use crate::{NO_CELL, Topology, Vec3};
 

@@ -64,7 +64,10 @@ impl Solver {
         let here = deferred[0] + work(increments, |i, _| &before[i]);
         let r = &self.fine.r;
         let there = deferred[1] + work(increments, |_, node| &r[node as usize]);
-        (along.rest([here, there], bounds), here + along.work(0.0))
+        (
+            along.zero_work([here, there], bounds),
+            here + along.work(0.0),
+        )
     }
 }
 

@@ -5,13 +5,13 @@ use crate::Topology;
 /// Triangles around every node, each list in the order of their numbers: 12 bytes per triangle and 4
 /// per node.
 #[derive(Clone)]
-pub(crate) struct Fans {
+pub(crate) struct NodeTriangles {
     /// Start of each node's triangles, and the end of the last ones.
     starts: Vec<u32>,
     triangles: Vec<u32>,
 }
 
-impl Fans {
+impl NodeTriangles {
     pub(crate) fn new(topology: &Topology) -> Self {
         let all = &topology.boundary().triangles;
         let mut starts = vec![0; topology.node_count() + 1];

@@ -17,7 +17,7 @@
 
 use nalgebra::{Matrix3, SymmetricEigen};
 
-use super::quality::Moves;
+use super::bounded_moves::Moves;
 use super::ribbon::{Foot, Ribbon};
 use crate::{FACES, FaceId, NO_CELL, Topology, Vec3};
 

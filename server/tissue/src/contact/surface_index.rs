@@ -23,7 +23,7 @@ use parry3d_f64::math::Vector;
 use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode, TraversalAction};
 
 use super::ball::Ball;
-use super::fans::Fans;
+use super::node_triangles::NodeTriangles;
 use super::watched::Watched;
 use crate::{Topology, Vec3};
 
@@ -38,7 +38,7 @@ const NONE: u32 = u32::MAX;
 pub(crate) struct SurfaceIndex {
     /// Tree of rest positions; leaf `t` is triangle `t`.
     tree: Bvh,
-    fans: Fans,
+    node_triangles: NodeTriangles,
     watched: Watched,
     spacing: f64,
     /// Upper bound of surface displacements in m, since the last watch.
@@ -51,7 +51,7 @@ impl SurfaceIndex {
         let boxes = triangles.iter().map(|t| rest_box(topology, t)).enumerate();
         Self {
             tree: Bvh::from_iter(BvhBuildStrategy::Binned, boxes),
-            fans: Fans::new(topology),
+            node_triangles: NodeTriangles::new(topology),
             watched: Watched::new(topology.node_count()),
             spacing: topology.model().spacing_m,
             displaced: 0.0,
@@ -77,7 +77,7 @@ impl SurfaceIndex {
         }
         // Insertion only widens boxes on the way to the root; this makes them tight again.
         self.tree.refit_partial(&[], &changed);
-        self.fans = Fans::new(topology);
+        self.node_triangles = NodeTriangles::new(topology);
         self.watched = Watched::new(topology.node_count());
     }
 
@@ -196,7 +196,7 @@ impl SurfaceIndex {
 
     /// Triangles around a node, in the order of their numbers.
     pub(crate) fn around(&self, node: u32) -> &[u32] {
-        self.fans.of(node)
+        self.node_triangles.of(node)
     }
 
     #[cfg(test)]
@@ -207,7 +207,7 @@ impl SurfaceIndex {
     /// Bytes on the heap.
     #[cfg(test)]
     pub(super) fn heap_bytes(&self) -> usize {
-        self.tree.heap_memory_size() + self.fans.heap_bytes() + self.watched.heap_bytes()
+        self.tree.heap_memory_size() + self.node_triangles.heap_bytes() + self.watched.heap_bytes()
     }
 }
 
