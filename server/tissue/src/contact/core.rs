@@ -206,7 +206,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_point_of_a_core_is_nearer_than_the_nearest(
+        fn nearest_point_of_a_core_is_the_minimum(
             core in core(), x in prop::array::uniform3(-0.3..0.3f64), s in -1.0..1.0f64, t in -1.0..1.0f64,
         ) {
             let x = Vec3::from(x);
@@ -215,7 +215,7 @@ mod tests {
         }
 
         #[test]
-        fn a_cover_holds_all_that_is_within_reach(
+        fn cover_contains_all_points_within_reach(
             core in core(), reach in 0.002..0.05f64, s in -1.0..1.0f64, t in -1.0..1.0f64,
             off in prop::array::uniform3(-1.0..1.0f64),
         ) {
@@ -227,7 +227,7 @@ mod tests {
         }
 
         #[test]
-        fn points_lie_within_half_a_pitch_and_places_are_few(core in core(), s in -1.0..1.0f64, t in -1.0..1.0f64) {
+        fn points_lie_within_half_a_pitch_and_patches_are_bounded(core in core(), s in -1.0..1.0f64, t in -1.0..1.0f64) {
             let points = core.points(0.02);
             prop_assert!(!points.is_empty() && points.len() <= POINTS_MAX);
             let x = core.at([s, t]);

@@ -214,7 +214,7 @@ mod tests {
     proptest! {
         /// Samples excluded by [`Row::meets`] do no work between the bounds.
         #[test]
-        fn what_meets_nowhere_does_no_work(
+        fn samples_out_of_reach_do_no_work(
             from in prop::array::uniform3(-12e-3..12e-3f64), by in prop::array::uniform3(-10e-3..10e-3f64),
             low in -2.0..1.0f64, wide in 0.0..4.0f64, still in any::<bool>(),
             long in 0.0..0.02f64, broad in 0.0..0.02f64,
@@ -236,7 +236,7 @@ mod tests {
         }
 
         #[test]
-        fn at_rest_no_work_is_left(
+        fn work_vanishes_at_the_zero_work_step(
             from in -10e-3..-6e-3f64, stiffness in 10.0..1e4f64, here in 1e-6..1e-3f64, falls in 0.0..1e-3f64
         ) {
             let along = along(vec![ball(from, stiffness)]);

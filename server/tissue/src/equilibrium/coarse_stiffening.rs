@@ -166,7 +166,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_root_times_itself_is_what_it_is_of(
+        fn square_of_the_root_is_the_matrix(
             axes in prop::array::uniform3(0.2..60.0f64),
             turn in prop::array::uniform3(-3.0..3.0f64),
         ) {

@@ -247,7 +247,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn sixteen_bits_give_the_forces_and_none_to_what_moves_as_a_whole(
+        fn sixteen_bit_matrix_keeps_forces_and_translations(
             numbers in prop::collection::vec(0.3..1.0f64, 4 * 28),
             x in prop::collection::vec(-1.0..1.0f32, SIZE),
             whole in prop::array::uniform3(-8.0..8.0f32),
