@@ -97,7 +97,7 @@ impl Contacts {
         displaced: f64,
         own_stiffness: &[f64],
     ) -> bool {
-        self.hold_back(u);
+        self.update_penetration(u);
         self.clear();
         let spacing = topology.model().spacing_m;
         self.proxies.iter_mut().for_each(|p| p.fit(spacing));
@@ -156,7 +156,7 @@ impl Contacts {
 
     /// Whether no tool touches the tissue, now or if every node were within `sag` m of its rest position.
     pub(crate) fn are_clear(&self, topology: &Topology, u: &[Vec3], sag: f64) -> bool {
-        let pressed = |sample: &Sample| self.press(sample, u).0 > 0.0;
+        let pressed = |sample: &Sample| self.penetration(sample, u).0 > 0.0;
         if self.samples.iter().any(pressed) {
             return false;
         }
@@ -185,11 +185,11 @@ impl Contacts {
     /// Drops all samples: the tissue is at rest, and all tools are clear of it.
     pub(crate) fn rest(&mut self) {
         self.clear();
-        self.proxies.iter_mut().for_each(|p| p.feel(None, 0.0));
+        self.proxies.iter_mut().for_each(|p| p.set_depth(None, 0.0));
     }
 
     /// Updates the penetration depth and the gap of each proxy, so that no proxy outruns the tissue.
-    fn hold_back(&mut self, u: &[Vec3]) {
+    fn update_penetration(&mut self, u: &[Vec3]) {
         let mut nearest = vec![f64::NEG_INFINITY; self.proxies.len()];
         for sample in &self.samples {
             let (v, radius) = self.offset(sample, u);
@@ -226,7 +226,7 @@ impl Contacts {
 
     /// Depth in m (above zero: pressed) and direction into the tissue of a sample.
     #[inline]
-    pub(crate) fn press(&self, sample: &Sample, u: &[Vec3]) -> (f64, Vec3) {
+    pub(crate) fn penetration(&self, sample: &Sample, u: &[Vec3]) -> (f64, Vec3) {
         let (v, radius) = self.offset(sample, u);
         // Early exit without a square root: most samples in reach do not touch.
         if v.norm_squared() >= radius * radius {
@@ -265,7 +265,7 @@ impl Contacts {
     #[inline]
     pub(crate) fn pressed(&self, u: &[Vec3], mut visit: impl FnMut(&Sample, Vec3, f64, Vec3)) {
         for sample in &self.samples {
-            let (depth, n) = self.press(sample, u);
+            let (depth, n) = self.penetration(sample, u);
             if depth > 0.0 {
                 visit(sample, n * (sample.stiffness * depth), sample.stiffness, n);
             }
@@ -281,7 +281,7 @@ impl Contacts {
                 let (v, radius) = self.offset(sample, u);
                 depth(v, radius)
             } else {
-                self.press(sample, u)
+                self.penetration(sample, u)
             };
             if deep + sample.depth_before > 0.0 {
                 visit(sample, deep, sample.stiffness, n);
@@ -309,7 +309,7 @@ impl Contacts {
     pub(crate) fn force(&self, u: &[Vec3], i: usize) -> (Vec3, u32) {
         let (mut force, mut count) = (Vec3::zeros(), 0);
         for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
-            let (depth, n) = self.press(sample, u);
+            let (depth, n) = self.penetration(sample, u);
             if depth > 0.0 {
                 force -= n * (sample.stiffness * depth);
                 count += 1;

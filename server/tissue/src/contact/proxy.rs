@@ -158,7 +158,7 @@ impl Proxy {
     }
 
     /// Updates the penetration depth in m (negative: the gap to the tissue); `None` if no tissue is near.
-    pub(crate) fn feel(&mut self, depth: Option<f64>, spacing: f64) {
+    pub(crate) fn set_depth(&mut self, depth: Option<f64>, spacing: f64) {
         self.gap = depth.map_or(0.0, |d| (-d).max(0.0));
         // Tissue that still follows a retreating tool would otherwise pass through it.
         let lost = LOST * self.radius.max(0.5 * spacing);

@@ -64,7 +64,7 @@ pub struct Place {
 }
 
 /// One pressed sample in the frame of its tool.
-struct Felt {
+struct PressedSample {
     place: usize,
     /// From the pivot, in m.
     lever: Vec3,
@@ -78,16 +78,19 @@ struct Felt {
 
 impl Place {
     /// Sums the samples of one patch, of which there is at least one.
-    fn of(number: usize, felt: &[&Felt]) -> Self {
-        let force: Vec3 = felt.iter().map(|f| f.force).sum();
-        let sum: f64 = felt.iter().map(|f| f.amount).sum();
-        let mean = |of: &dyn Fn(&Felt) -> f64| felt.iter().map(|f| of(f)).sum::<f64>() / sum;
-        let lever: Vec3 = felt.iter().map(|f| f.lever * f.amount).sum();
+    fn of(number: usize, samples: &[&PressedSample]) -> Self {
+        let force: Vec3 = samples.iter().map(|f| f.force).sum();
+        let sum: f64 = samples.iter().map(|f| f.amount).sum();
+        let mean =
+            |of: &dyn Fn(&PressedSample) -> f64| samples.iter().map(|f| of(f)).sum::<f64>() / sum;
+        let lever: Vec3 = samples.iter().map(|f| f.lever * f.amount).sum();
         let normal = force
             .try_normalize(ONE_SIDED * sum)
-            .unwrap_or_else(|| main_axis(felt));
+            .unwrap_or_else(|| main_axis(samples));
         let side = |which: f64| -> Vec3 {
-            let on = felt.iter().filter(|f| which * f.force.dot(&normal) > 0.0);
+            let on = samples
+                .iter()
+                .filter(|f| which * f.force.dot(&normal) > 0.0);
             on.map(|f| f.force).sum()
         };
         Self {
@@ -104,9 +107,9 @@ impl Place {
 }
 
 /// The direction that most of the pressure is along.
-fn main_axis(felt: &[&Felt]) -> Vec3 {
+fn main_axis(samples: &[&PressedSample]) -> Vec3 {
     let mut sum = Matrix3::zeros();
-    for f in felt.iter().filter(|f| f.amount > 0.0) {
+    for f in samples.iter().filter(|f| f.amount > 0.0) {
         sum += f.force * f.force.transpose() / f.amount;
     }
     let eigen = sum.symmetric_eigen();
@@ -123,20 +126,25 @@ impl Contacts {
         untouched: Option<&[Vec3]>,
         i: usize,
     ) -> Reaction {
-        let (felt, nearest) = self.felt(topology, u, untouched, i);
+        let (samples, nearest) = self.pressed_samples(topology, u, untouched, i);
         let spacing = topology.model().spacing_m;
         let proxy = &mut self.proxies[i];
-        proxy.feel(nearest, spacing);
-        if felt.is_empty() {
+        proxy.set_depth(nearest, spacing);
+        if samples.is_empty() {
             proxy.secant.clear();
         }
-        let force: Vec3 = felt.iter().map(|f| f.force).sum();
-        let torque = felt.iter().map(|f| f.lever.cross(&f.force)).sum();
-        let sum: f64 = felt.iter().map(|f| f.amount).sum();
+        let force: Vec3 = samples.iter().map(|f| f.force).sum();
+        let torque = samples.iter().map(|f| f.lever.cross(&f.force)).sum();
+        let sum: f64 = samples.iter().map(|f| f.amount).sum();
         let share = if sum > 0.0 { 1.0 / sum } else { 0.0 };
-        let friction = |k: usize| felt.iter().map(|f| f.amount * f.friction[k]).sum::<f64>();
-        let mut of_place: [Vec<&Felt>; PLACES_MAX] = Default::default();
-        for f in &felt {
+        let friction = |k: usize| {
+            samples
+                .iter()
+                .map(|f| f.amount * f.friction[k])
+                .sum::<f64>()
+        };
+        let mut of_place: [Vec<&PressedSample>; PLACES_MAX] = Default::default();
+        for f in &samples {
             of_place[f.place].push(f);
         }
         let touched = of_place.iter().enumerate().filter(|(_, f)| !f.is_empty());
@@ -146,7 +154,7 @@ impl Contacts {
             torque,
             stiffness: proxy.secant.stiffness(),
             normal: force.try_normalize(1e-12).unwrap_or_else(Vec3::zeros),
-            contacts: felt.len() as u32,
+            contacts: samples.len() as u32,
             friction_static: friction(0) * share,
             friction_dynamic: friction(1) * share,
             force_error: 0.0,
@@ -157,16 +165,16 @@ impl Contacts {
     }
 
     /// The pressed samples of proxy `i`, and the depth in m of the deepest sample, negative where none is pressed.
-    fn felt(
+    fn pressed_samples(
         &self,
         topology: &Topology,
         u: &[Vec3],
         untouched: Option<&[Vec3]>,
         i: usize,
-    ) -> (Vec<Felt>, Option<f64>) {
+    ) -> (Vec<PressedSample>, Option<f64>) {
         let proxy = &self.proxies[i];
         let parts = proxy.core.places(proxy.radius, topology.model().spacing_m);
-        let (mut felt, mut nearest) = (Vec::new(), None::<f64>);
+        let (mut samples, mut nearest) = (Vec::new(), None::<f64>);
         for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
             let on_core = proxy.core.nearest(&sample.position(u));
             let c = proxy.core.at(on_core);
@@ -176,7 +184,7 @@ impl Contacts {
             if amount > 0.0 {
                 let face = topology.boundary().faces[sample.triangle as usize / 2];
                 let material = topology.model().material_of(face.cell() as usize);
-                felt.push(Felt {
+                samples.push(PressedSample {
                     place: place_of(on_core, parts),
                     // On the surface of the real tool, without the inset.
                     lever: c + n * (proxy.radius - proxy.inset) - proxy.at,
@@ -187,7 +195,7 @@ impl Contacts {
                 });
             }
         }
-        (felt, nearest)
+        (samples, nearest)
     }
 
     /// Updates the stiffness estimate in N/m of the tool of proxy `i` from its reaction. `own` is the stiffness of a
@@ -219,7 +227,7 @@ impl Contacts {
         }
         let (mut at, mut sum) = (Vec3::zeros(), 0.0);
         for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
-            let (depth, _) = self.press(sample, u);
+            let (depth, _) = self.penetration(sample, u);
             if depth > 0.0 {
                 let on_core = proxy.core.nearest(&sample.position(u));
                 at += proxy.core.at(on_core) * (sample.stiffness * depth);

@@ -53,14 +53,14 @@ impl FineLevel {
         hierarchy: &Hierarchy,
         coarse: &mut Multigrid,
         always: impl Iterator<Item = u32>,
-        asked: &Criteria,
+        criteria: &Criteria,
         u: &[Vec3],
     ) -> bool {
         let Criteria {
             threshold,
             quick,
             keeps,
-        } = *asked;
+        } = *criteria;
         for &node in &self.nodes.items {
             self.unbalanced.insert(node);
         }
@@ -72,7 +72,7 @@ impl FineLevel {
         }
         let mut limit = threshold;
         loop {
-            self.need(hierarchy, &coarse.grids[0], limit, quick);
+            self.collect_required(hierarchy, &coarse.grids[0], limit, quick);
             // NaN forces exceed any limit; the step is undone because of them.
             if !quick || self.required.items.len() <= REQUIRED_MAX || !limit.is_finite() {
                 break;
@@ -110,7 +110,7 @@ impl FineLevel {
         let grid = &mut coarse.grids[0];
         if roomy || keeps == Keeps::Near {
             let mut refined = std::mem::take(&mut grid.refined);
-            refined.retain(|element| self.is_bent(hierarchy, element, u));
+            refined.retain(|element| self.is_strained(hierarchy, element, u));
             grid.refined = refined;
         }
         for &element in &self.required.items {
@@ -121,16 +121,22 @@ impl FineLevel {
     }
 
     /// Whether an element of level 1 is too deformed for its matrix at rest.
-    fn is_bent(&self, hierarchy: &Hierarchy, element: u32, u: &[Vec3]) -> bool {
-        let deferral_limits = f64::from(self.bent) * 2.0 / f64::from(hierarchy.per_spacing);
+    fn is_strained(&self, hierarchy: &Hierarchy, element: u32, u: &[Vec3]) -> bool {
+        let limit = f64::from(self.keep_strained) * 2.0 / f64::from(hierarchy.per_spacing);
         let bricks = hierarchy.levels[0].children.row(element);
         bricks
             .iter()
-            .any(|&brick| hierarchy.change_of(brick, u) > deferral_limits)
+            .any(|&brick| hierarchy.change_of(brick, u) > limit)
     }
 
     /// Collects the elements around nodes whose force exceeds the threshold.
-    fn need(&mut self, hierarchy: &Hierarchy, grid: &CoarseLevel, threshold: f32, quick: bool) {
+    fn collect_required(
+        &mut self,
+        hierarchy: &Hierarchy,
+        grid: &CoarseLevel,
+        threshold: f32,
+        quick: bool,
+    ) {
         self.required.clear();
         let waits = |&entry: &u32| {
             let element = hierarchy.element_of[(entry / 32) as usize];

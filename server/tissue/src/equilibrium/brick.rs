@@ -13,7 +13,7 @@ use super::corners::{SKEWED, STRENGTH};
 use super::kernel::Aligned;
 use super::lanes::LANES;
 use super::law::{Curve, Elastic};
-use super::small_strain::LOOSE;
+use super::small_strain::DISPLACEMENT_MAX;
 use crate::springs::LENGTH_FLOOR;
 use crate::{Topology, Vec3, fit};
 
@@ -81,7 +81,7 @@ pub(crate) struct Form {
     /// One over their squares; zero where there is no spring.
     pub(crate) per_square: Aligned<[[f32; SPAN]; DIRECTIONS]>,
     /// Displacement in m relative to the first node up to which the small-strain law may apply; below zero if never.
-    pub(crate) loose: f32,
+    pub(crate) small_displacement: f32,
     /// Bit `4 d + i / 8` is set when a spring of direction `d` starts at a node around `i`.
     used: u64,
     /// κ V0 of each cell in N m, and one over its determinant at rest (the volume term).
@@ -247,7 +247,7 @@ impl Draft {
             stiffness,
             rest_length,
             per_square,
-            loose: LOOSE * shortest,
+            small_displacement: DISPLACEMENT_MAX * shortest,
             used,
             bulk,
             per_volume,
@@ -258,7 +258,7 @@ impl Draft {
             curve: self.curve,
         };
         if !form.is_plain() {
-            form.loose = -1.0;
+            form.small_displacement = -1.0;
         }
         form
     }

@@ -72,7 +72,7 @@ impl FineLevel {
             for &node in &contacts.nodes {
                 self.r[node as usize] = self.sum(hierarchy, node);
             }
-            self.press(u, contacts);
+            self.add_contacts_and_blocks(u, contacts);
             self.relax(u, &smoother.nodes, &mut factors);
         }
     }

@@ -197,7 +197,7 @@ impl Sum {
     /// The matrix and its bound. Homogeneous elements (`alike`) stay in single precision: these few matrices fit in the
     /// L1 cache.
     pub(crate) fn finish(mut self, alike: bool) -> Matrix {
-        self.back_up();
+        self.tie_weak_corners();
         let short = (!alike).then(|| Short::new(&self.0)).flatten();
         let k = match short {
             Some(short) => Stiffness::Short(Box::new(short)),
@@ -216,7 +216,7 @@ impl Sum {
     }
 
     /// Ties weakly connected corners to the others, like a soft filling. Rigid translations still make no force.
-    fn back_up(&mut self) {
+    fn tie_weak_corners(&mut self) {
         let own = |c: usize| (0..3).map(|a| self.0[at(c, a)][at(c, a)]).sum::<f64>() / 3.0;
         let own: [f64; 8] = std::array::from_fn(own);
         let least = WEAK * own.iter().copied().fold(0.0, f64::max);

@@ -83,7 +83,7 @@ pub(super) struct FineLevel {
     /// Whether the fixed nodes have changed since the set was chosen.
     pub(super) outdated: bool,
     /// Relative change of size from which on a brick stays in the set.
-    pub(super) bent: f32,
+    pub(super) keep_strained: f32,
     /// Bricks with outdated forces.
     pub(super) stale: List,
     /// Visited nodes; scratch.
@@ -147,7 +147,7 @@ impl FineLevel {
             required: List::new(hierarchy.levels[0].corners.len()),
             current: false,
             outdated: true,
-            bent: f32::INFINITY,
+            keep_strained: f32::INFINITY,
             stale: List::new(hierarchy.bricks.len()),
             touched: List::new(nodes),
             moved_on: List::new(nodes),

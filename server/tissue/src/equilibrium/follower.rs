@@ -53,7 +53,7 @@ impl Follower {
     pub fn follow(&mut self, topology: &Topology, touched: &[u32]) {
         let before = (&*self.hierarchy, touched);
         self.hierarchy = Arc::new(Hierarchy::after(topology, Some(before)));
-        measure(&mut self.own, topology, touched);
+        update_stiffness(&mut self.own, topology, touched);
         self.reference_state = ReferenceState::of(
             topology,
             &self.hierarchy,
@@ -89,7 +89,7 @@ impl Solver {
         let before = (&*self.hierarchy, touched);
         self.hierarchy = Arc::new(Hierarchy::after(topology, Some(before)));
         let mut own = std::mem::take(&mut self.fine.own);
-        measure(&mut own, topology, touched);
+        update_stiffness(&mut own, topology, touched);
         self.reference_state = ReferenceState::of(
             topology,
             &self.hierarchy,
@@ -117,7 +117,7 @@ impl Solver {
         self.hierarchy = successor.hierarchy;
         self.contacts.take(topology, successor.index);
         self.reference_state = successor.reference_state;
-        self.begin_again(successor.fine, successor.coarse);
+        self.replace_levels(successor.fine, successor.coarse);
     }
 
     /// Discards all cached forces.
@@ -125,20 +125,20 @@ impl Solver {
         let mut fine = FineLevel::new(topology, &self.hierarchy, own);
         fine.disturb_all();
         let coarse = Multigrid::new(&self.hierarchy);
-        self.begin_again(fine, coarse);
+        self.replace_levels(fine, coarse);
     }
 
     /// Continues with new fine and coarse levels, whose forces are all outdated.
-    fn begin_again(&mut self, fine: FineLevel, coarse: Multigrid) {
+    fn replace_levels(&mut self, fine: FineLevel, coarse: Multigrid) {
         let (displaced, at_reference) = (self.fine.displaced, self.fine.at_reference);
         (self.fine, self.coarse) = (fine, coarse);
         self.contact_smoother = ContactSmoother::new(&self.hierarchy);
         self.warm_start = WarmStart::default();
-        self.start_over(displaced, at_reference);
+        self.restore_state(displaced, at_reference);
     }
 
     /// Takes over displacements and held nodes; all forces are outdated.
-    pub(super) fn start_over(&mut self, displaced: f64, at_reference: bool) {
+    pub(super) fn restore_state(&mut self, displaced: f64, at_reference: bool) {
         self.fine.displaced = displaced;
         self.settling = Some(0);
         // A cut changes the equilibrium under gravity.
@@ -151,7 +151,7 @@ impl Solver {
 }
 
 /// Updates the stiffness of nodes at rest where a change touched them.
-pub(super) fn measure(own: &mut Vec<f64>, topology: &Topology, touched: &[u32]) {
+pub(super) fn update_stiffness(own: &mut Vec<f64>, topology: &Topology, touched: &[u32]) {
     let new = own.len() as u32..topology.node_count() as u32;
     own.resize(topology.node_count(), 0.0);
     for node in touched.iter().copied().chain(new) {

@@ -104,15 +104,15 @@ impl FineLevel {
     /// The same for nodes in contact, whose stiffness changes with the contact. A block without the contact would throw
     /// the node out of the tool.
     pub(super) fn update_contact_blocks(&mut self, u: &[Vec3], contacts: &Contacts) {
-        self.renew_or_press(u, contacts, false);
+        self.update_contacts(u, contacts, false);
     }
 
     /// The same; also adds the contact forces to their nodes.
-    pub(super) fn press(&mut self, u: &[Vec3], contacts: &Contacts) {
-        self.renew_or_press(u, contacts, true);
+    pub(super) fn add_contacts_and_blocks(&mut self, u: &[Vec3], contacts: &Contacts) {
+        self.update_contacts(u, contacts, true);
     }
 
-    fn renew_or_press(&mut self, u: &[Vec3], contacts: &Contacts, presses: bool) {
+    fn update_contacts(&mut self, u: &[Vec3], contacts: &Contacts, presses: bool) {
         self.pressed.clear();
         let blocks = contacts.nodes.iter().map(|&n| self.blocks[n as usize]);
         self.pressed.extend(blocks);

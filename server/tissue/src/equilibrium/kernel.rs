@@ -10,8 +10,8 @@ use super::brick::{Brick, CORNER, DIRECTIONS, Form, LOCALS, OFFSETS, PADDED, SPA
 use super::corners::{corner_forces, corner_tangents};
 use super::lanes::{LANES, V};
 use super::law::{EXTREME, GUARD, GUARDED, LONG, SHORT, SIDEWAYS};
-use super::small_strain::slight_forces;
-use super::stabilisation::{held_forces, held_tangents};
+use super::small_strain::small_strain_forces;
+use super::stabilisation::{stabilised_forces, stabilised_tangents};
 use crate::Vec3;
 
 /// Factor by which the diagonal blocks of springs bound their matrix; 2 holds for any mesh. On lattices with all
@@ -67,10 +67,10 @@ impl WithSimd for Forces<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let local = gather(&self.brick.nodes, self.u);
-        let mut f = match slight_forces(simd, self.form, &local, self.scratch) {
+        let mut f = match small_strain_forces(simd, self.form, &local, self.scratch) {
             Some(f) => f,
             None if self.form.curve.held => {
-                let (mut f, strained) = held_forces(simd, self.form, &local, self.scratch);
+                let (mut f, strained) = stabilised_forces(simd, self.form, &local, self.scratch);
                 if strained || self.form.skewed {
                     corner_forces(simd, self.form, &local, &mut f);
                 }
@@ -109,7 +109,7 @@ impl WithSimd for Tangents<'_> {
         };
         let (form, per_spacing, scratch) = (self.form, self.per_spacing, self.scratch);
         let mut m = if form.curve.held {
-            let (mut m, strained) = held_tangents(simd, form, &local, per_spacing, scratch);
+            let (mut m, strained) = stabilised_tangents(simd, form, &local, per_spacing, scratch);
             if strained || form.skewed {
                 corner_tangents(simd, form, &local, per_spacing, &mut m);
             }

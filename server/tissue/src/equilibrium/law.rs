@@ -39,14 +39,14 @@
 //! recursion, which can cycle. Here (reconstructed) an extreme spring is S times stiffer beyond its limit, so that the
 //! equilibrium transmits the force through the cluster. A thirtyfold step in stiffness is hard to solve: with a limit
 //! of 0.8 iterates oscillate. In materials that bottom out, a compressed spring therefore has an energy that stiffens
-//! over a part of its length and by a smaller factor (`stabilisation.rs`), because stiff rods buckle. Iterates that decrease an
-//! energy can not cycle.
+//! over a part of its length and by a smaller factor (`stabilisation.rs`), because stiff rods buckle. Iterates that
+//! decrease an energy can not cycle.
 //!
 //! # Deep presses
 //!
 //! Springs compressed to half their length buckle sideways, and a lattice of them softens as it flattens. The
-//! stabilisation energy of compressed springs is in `stabilisation.rs`, the energy of collapsing cells in `corners.rs`. Both are
-//! zero up to a tenth of strain, and leave Young's modulus, shear modulus and Poisson's ratio unchanged.
+//! stabilisation energy of compressed springs is in `stabilisation.rs`, the energy of collapsing cells in `corners.rs`.
+//! Both are zero up to a tenth of strain, and leave Young's modulus, shear modulus and Poisson's ratio unchanged.
 //!
 //! # The tangent
 //!

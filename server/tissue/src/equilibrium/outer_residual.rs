@@ -68,7 +68,7 @@ impl Multigrid {
 
 impl Solver {
     /// Work of all deferred and outer forces along the correction, at its start and its end, in N m. Needs the
-    /// [restricted](Field::restrict_beyond) outer forces.
+    /// [restricted](FineLevel::restrict_outer) outer forces.
     pub(super) fn deferred_work(&mut self) -> [f64; 2] {
         let (hierarchy, coarse) = (&self.hierarchy, &mut self.coarse);
         let outer = coarse.work_outer(hierarchy);

@@ -49,7 +49,7 @@ impl ReferenceState {
         topology: &Topology,
         hierarchy: &Arc<Hierarchy>,
         own: &[f64],
-        former: Option<&Self>,
+        earlier: Option<&Self>,
     ) -> Option<Arc<Self>> {
         if topology.model().gravity == [0.0; 3] {
             return None;
@@ -57,11 +57,11 @@ impl ReferenceState {
         let fine = FineLevel::new(topology, hierarchy, own.to_vec());
         let mut solver = Solver::with(topology, Arc::clone(hierarchy), fine, None);
         let mut shape = Shape::rest(topology);
-        if let Some(former) = former {
+        if let Some(earlier) = earlier {
             for (node, u) in (0..).zip(&mut shape.displacement) {
                 // A doubled node starts from the displacement of its origin.
-                let known = former.displacement.get(node as usize);
-                *u = *known.unwrap_or(&former.displacement[topology.origin(node) as usize]);
+                let known = earlier.displacement.get(node as usize);
+                *u = *known.unwrap_or(&earlier.displacement[topology.origin(node) as usize]);
             }
         }
         solver.fine.disturb_all();
@@ -101,7 +101,7 @@ impl Solver {
     }
 
     /// Reference force in N of residuals without tools.
-    pub(super) fn alone(&self) -> f64 {
+    pub(super) fn reference_force(&self) -> f64 {
         self.reference_state.as_ref().map_or(0.0, |h| h.weight)
     }
 
@@ -124,7 +124,7 @@ impl Solver {
                 *u = reference_state.displacement[n];
             }
         }
-        self.reference = self.alone();
+        self.reference = self.reference_force();
         let held = self.held.clone();
         self.fine.forces.clone_from(&reference_state.forces);
         self.fine.displaced = self.fine.displaced.max(reference_state.sag.displaced_m);
@@ -155,7 +155,7 @@ impl Solver {
         self.warm_start = WarmStart::default();
         self.led.clear();
         self.work_limit = WorkLimit::NONE;
-        self.reference = self.alone();
+        self.reference = self.reference_force();
         self.report.reactions.clear();
         self.dirty = false;
         true

@@ -16,7 +16,7 @@ use super::kernel::{Ends, LEAD, Local};
 use super::lanes::V;
 
 /// Range of |e|, without and with stabilised springs (these act from 0.19 on).
-const SLIGHT: [f32; 2] = [0.2, 0.19];
+const STRAIN_MAX: [f32; 2] = [0.2, 0.19];
 /// Coefficients of g, constant first: least squares in Chebyshev points of ±0.2, relative error at most 1.5e-7.
 const POLYNOMIAL: [f32; 7] = [
     0.5,
@@ -29,7 +29,7 @@ const POLYNOMIAL: [f32; 7] = [
 ];
 /// Displacement of a node relative to the brick's first, along an axis and in lengths of the shortest spring, up to
 /// which no guard can act: two such ends are 0.69 apart.
-pub(crate) const LOOSE: f32 = 0.2;
+pub(crate) const DISPLACEMENT_MAX: f32 = 0.2;
 
 /// Relative lengths within which no spring of the material may be extreme.
 const LENGTHS: [f32; 2] = [0.89, 1.1];
@@ -44,7 +44,7 @@ impl Form {
 
 /// Whether the nodes have moved so little that the expansion may apply.
 #[inline(always)]
-fn is_loose<S: Simd>(simd: S, form: &Form, u: &Local) -> bool {
+fn is_small<S: Simd>(simd: S, form: &Form, u: &Local) -> bool {
     let zero = V::all(simd, 0.0);
     let mut most = zero;
     for row in &**u {
@@ -55,18 +55,18 @@ fn is_loose<S: Simd>(simd: S, form: &Form, u: &Local) -> bool {
             from += V::<S>::WIDTH;
         }
     }
-    !(most - V::all(simd, form.loose)).any_above_zero()
+    !(most - V::all(simd, form.small_displacement)).any_above_zero()
 }
 
 /// Forces of the springs of a brick in N, if all strains are within the range of the expansion.
 #[inline(always)]
-pub(crate) fn slight_forces<S: Simd>(
+pub(crate) fn small_strain_forces<S: Simd>(
     simd: S,
     form: &Form,
     u: &Local,
     ends: &mut Ends<3>,
 ) -> Option<Local> {
-    if !is_loose(simd, form, u) {
+    if !is_small(simd, form, u) {
         return None;
     }
     let mut most = V::all(simd, 0.0);
@@ -97,9 +97,9 @@ pub(crate) fn slight_forces<S: Simd>(
             from += V::<S>::WIDTH;
         }
     }
-    let limit = SLIGHT[usize::from(form.curve.held)];
-    let slight = !(most - V::all(simd, limit * limit)).any_above_zero();
-    slight.then_some(ends.collect(simd, -1.0))
+    let limit = STRAIN_MAX[usize::from(form.curve.held)];
+    let small = !(most - V::all(simd, limit * limit)).any_above_zero();
+    small.then_some(ends.collect(simd, -1.0))
 }
 
 #[inline(always)]

@@ -38,9 +38,9 @@ const EFFORT: [Effort; 2] = [
 /// and of a quick step.
 const PENDING: [f32; 2] = [4.0, 10.0];
 /// Quick steps: relative change of size up to which an element stays deferred, with the coarse stiffness at rest (of
-/// springs alone, and of tissue that bottoms out). `BENT` is the change that keeps a brick in the active set.
+/// springs alone, and of tissue that bottoms out). `KEEP_STRAINED` is the change that keeps a brick in the active set.
 const STRAINED: [f32; 2] = [0.12, 0.1];
-const BENT: [f32; 2] = [0.3, 0.2];
+const KEEP_STRAINED: [f32; 2] = [0.3, 0.2];
 /// Stiffness of deferred elements in quick steps, relative to their matrix: of inhomogeneous or distorted elements, and
 /// of homogeneous ones. A trilinear element is stiffer than its contents. With 1.0 the force on a slab is 1 to 4 % too
 /// high during a press and the force on a real thigh 8 %; with 0.7 everywhere the force on a slab is 3 % too low.
@@ -265,7 +265,7 @@ impl Solver {
                 self.settling = Some(0);
             }
         }
-        self.close(topology, &shape.displacement);
+        self.report_reactions(topology, &shape.displacement);
         &self.report
     }
 
@@ -408,12 +408,12 @@ impl Solver {
         // Nodes that leave the set keep their forces, which must match their final positions.
         fine.evaluate_bricks(hierarchy, u);
         fine.add_contacts(u, &self.contacts, 1.0);
-        let asked = Criteria {
+        let criteria = Criteria {
             threshold: limit,
             quick,
             keeps,
         };
-        if fine.select(hierarchy, coarse, touched, &asked, u) {
+        if fine.select(hierarchy, coarse, touched, &criteria, u) {
             coarse.select(hierarchy, keeps == Keeps::Most);
             // Displacements that were prolongated may exceed the limits of the next level too.
             while coarse.prolongate_pending(hierarchy, limit) {
@@ -442,7 +442,7 @@ impl Solver {
         self.coarse.pending = work_limit * PENDING[1];
         self.coarse.strained = work_limit * STRAINED[deep];
         self.coarse.slack = SLACK;
-        self.fine.bent = work_limit * BENT[deep];
+        self.fine.keep_strained = work_limit * KEEP_STRAINED[deep];
         work_limit
     }
 
@@ -452,7 +452,7 @@ impl Solver {
         self.coarse.pending = PENDING[0];
         self.coarse.strained = f32::INFINITY;
         self.coarse.slack = [1.0; 2];
-        self.fine.bent = f32::INFINITY;
+        self.fine.keep_strained = f32::INFINITY;
         1.0
     }
 
@@ -540,7 +540,7 @@ impl Solver {
         for s in 0..SMOOTHING {
             if s > 0 {
                 self.fine.evaluate_bricks(&self.hierarchy, u);
-                self.fine.press(u, &self.contacts);
+                self.fine.add_contacts_and_blocks(u, &self.contacts);
             }
             self.fine.relax_set(u, &mut factors);
         }
@@ -570,7 +570,7 @@ impl Solver {
     }
 
     /// Last stage: reactions and statistics.
-    fn close(&mut self, topology: &Topology, u: &[Vec3]) {
+    fn report_reactions(&mut self, topology: &Topology, u: &[Vec3]) {
         let spacing = topology.model().spacing_m;
         self.report.reactions.clear();
         self.report.lag_m = 0.0;
@@ -594,7 +594,7 @@ impl Solver {
         self.report.visits = [self.fine.visits, self.coarse.visits];
         self.report.clamped = self.fine.clamped;
         if self.report.active_nodes == 0 && self.contacts.nodes.is_empty() && self.held.is_empty() {
-            self.reference = self.alone();
+            self.reference = self.reference_force();
             self.report.residual = 0.0;
         }
     }

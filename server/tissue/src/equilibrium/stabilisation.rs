@@ -121,7 +121,7 @@ impl<S: Simd> Group<S> {
 
 /// Forces of the springs, and whether a strain is so large that corners must be checked.
 #[inline(always)]
-pub(crate) fn held_forces<S: Simd>(
+pub(crate) fn stabilised_forces<S: Simd>(
     simd: S,
     form: &Form,
     u: &Local,
@@ -170,7 +170,7 @@ pub(crate) fn held_forces<S: Simd>(
 
 /// Diagonal blocks of the springs, and whether a strain is so large that corners must be checked.
 #[inline(always)]
-pub(crate) fn held_tangents<S: Simd>(
+pub(crate) fn stabilised_tangents<S: Simd>(
     simd: S,
     form: &Form,
     u: &Local,
@@ -200,10 +200,10 @@ pub(crate) fn held_tangents<S: Simd>(
                 let pressed = Stabilisation::sets_in(simd, least, length, s.rest_length);
                 if plain.where_above_zero(pressed).any_above_zero() {
                     let hold = Stabilisation::new(simd, least, plain, length, s.rest_length);
-                    let [along, held, bent] = hold.stiffness(simd, length, s.over());
-                    first = first + along + bent;
+                    let [along, held, coupled] = hold.stiffness(simd, length, s.over());
+                    first = first + along + coupled;
                     let held = held.where_above_zero(k * turning + held);
-                    across = across.max(held) + bent;
+                    across = across.max(held) + coupled;
                 }
                 let (first, across) = (first + stiff, across + stiff);
                 let along = (first - across) / s.square;

@@ -223,7 +223,7 @@ impl SolverState {
         solver.reference = self.reference;
         solver.work_limit = self.work_limit;
         solver.report = self.report;
-        solver.start_over(self.displaced, self.is_at_reference);
+        solver.restore_state(self.displaced, self.is_at_reference);
         (solver, shape)
     }
 

@@ -34,7 +34,7 @@ fn vectors_of_any_width_give_the_same_bits() {
         let (brick, form, u) = brick(3.0, bottoms_out);
         same_bits(&brick, &form, &u);
         let (brick, form, u) = self::brick(0.0, bottoms_out);
-        same_bits(&brick, &form, &slight(&u));
+        same_bits(&brick, &form, &small(&u));
     }
 }
 
@@ -48,14 +48,14 @@ fn slight_springs_follow((brick, form, u): (Brick, Form, Vec<Vec3>)) {
     let general = |u: &[Vec3]| {
         let local = gather(&brick.nodes, u);
         if form.curve.held {
-            held_forces(Scalar, &form, &local, &mut Ends::new()).0
+            stabilised_forces(Scalar, &form, &local, &mut Ends::new()).0
         } else {
             spring_forces(Scalar, &form, &local, &mut Ends::new())
         }
     };
     let other = |u: &[Vec3]| {
         let local = gather(&brick.nodes, u);
-        slight_forces(Scalar, &form, &local, &mut Ends::new())
+        small_strain_forces(Scalar, &form, &local, &mut Ends::new())
     };
     assert!(other(&u).is_none());
     for turned in [0.0, 0.04] {
@@ -64,7 +64,7 @@ fn slight_springs_follow((brick, form, u): (Brick, Form, Vec<Vec3>)) {
             let [x, y] = [0, 1].map(|a| f64::from(form.rest[a][p]));
             u + Vec3::new(-y, x, 0.0) * turned
         };
-        let u: Vec<Vec3> = slight(&u).iter().zip(0..).map(turn).collect();
+        let u: Vec<Vec3> = small(&u).iter().zip(0..).map(turn).collect();
         let (all, some) = (general(&u), other(&u).unwrap());
         let (all, some) = (all.as_flattened(), some.as_flattened());
         let size = all.iter().fold(0.0f32, |m, f| m.max(f.abs()));
@@ -75,7 +75,7 @@ fn slight_springs_follow((brick, form, u): (Brick, Form, Vec<Vec3>)) {
 }
 
 /// A small part of the displacements.
-fn slight(u: &[Vec3]) -> Vec<Vec3> {
+fn small(u: &[Vec3]) -> Vec<Vec3> {
     u.iter().map(|u| u * 0.02).collect()
 }
 
