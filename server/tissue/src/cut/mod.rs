@@ -13,19 +13,20 @@
 //! keeps the springs of its own cells, which are half of those that were in its plane.
 //!
 //! ```text
-//! stroke.rs   motion of the blade      sheet_snap.rs   nodes onto the swept surface
-//! ribbon.rs   the swept surface        refine.rs       relaxation of the nodes around
-//! sheet.rs    the faces it opens       part.rs         doubling, opening, deriving
-//! fans.rs     cell groups at a node    follow.rs       deformed shapes after a cut
+//! stroke.rs      motion of the blade      sheet_snap.rs     nodes onto the swept surface
+//! ribbon.rs      the swept surface        bounded_moves.rs  limits of cell distortion
+//! sheet.rs       the faces it opens       refine.rs         relaxation of the nodes around
+//! cell_fans.rs   cell groups at a node    part.rs           doubling, opening, deriving
+//! cell_index.rs  cells near a cut         follow.rs         deformed shapes after a cut
 //! ```
 //!
 //! Everything runs in one order that depends on the topology and the stroke alone: the same strokes
 //! in the same order give the same topology hash everywhere.
 
 mod bounded_moves;
+mod cell_fans;
 mod cell_index;
 mod components;
-mod fans;
 mod follow;
 mod part;
 mod refine;

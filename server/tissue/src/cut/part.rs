@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use super::fans::{Fans, NO_FAN, Opening};
+use super::cell_fans::{Fans, NO_FAN, Opening};
 use super::sheet::nodes_of;
 use crate::{FACES, FaceId, NO_CELL, Topology, cell_volume};
 

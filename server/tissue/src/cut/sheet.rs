@@ -15,7 +15,7 @@
 use std::collections::{BTreeSet, HashMap};
 
 use super::CutError;
-use super::fans::{Fans, Opening};
+use super::cell_fans::{Fans, Opening};
 use super::ribbon::{Ribbon, Triangle};
 use crate::{FACES, FaceId, NO_CELL, RegionId, Topology, Vec3};
 

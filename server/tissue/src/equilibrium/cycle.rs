@@ -404,7 +404,7 @@ impl Multigrid {
     }
 }
 
-/// Smooths one level. If level was moved by d, the residual is updated first and not at the end; if not, the coarser
+/// Smooths one level. If the level was moved by d, the residual is updated first and not at the end; if not, the coarser
 /// level needs the final residual.
 struct Smooth<'a> {
     level: &'a Level,
