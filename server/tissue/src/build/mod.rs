@@ -1,15 +1,15 @@
 //! From closed surfaces to a model: tri-ray node snapping (Lin 2007, section 3.3) and its completion.
 //!
 //! 1. A grid of cubes of side Δd is laid around the outermost surface.
-//! 2. Rays decide which region fills each cell ([`label`]); thin layers and necks get the cells that
-//!    they need to hang together ([`walls`], [`bridge`]), and doubtful cells are flipped until the
-//!    surface of every region is a manifold ([`lattice`]).
-//! 3. Nodes between regions are snapped onto the interface along rays in three directions, the rest
-//!    is projected onto it, and all are relaxed ([`snap`], [`relax`]).
-//! 4. Cells are made good, whatever it takes ([`untangle`]), and regions get back the volume that
-//!    straight faces have cut off ([`volume`]).
-//! 5. What came out is compared with what went in ([`compare`]), and what is thinner than the
-//!    spacing is listed with its place ([`sample`], [`thin`]).
+//! 2. Rays decide which region fills each cell ([`label`]). Thin layers and necks get the cells that they need
+//! to stay connected ([`walls`], [`bridge`]). Doubtful cells are flipped until the surface of every region is a
+//! manifold ([`lattice`]).
+//! 3. Nodes between regions are snapped onto the interface along rays in three directions; other interface
+//! nodes are projected onto it, and all are relaxed ([`snap`], [`relax`]).
+//! 4. Cells are untangled until all meet the quality floors ([`untangle`]), and regions regain the volume that
+//! straight faces have cut off ([`volume`]).
+//! 5. The model is compared with its input ([`compare`]), and parts thinner than the spacing are listed with
+//! their position ([`sample`], [`thin`]).
 //!
 //! Interfaces are then the faces between cells of different regions: closed and conforming by
 //! construction.
@@ -68,7 +68,7 @@ pub const GRID_CELLS_MAX: f64 = 4e8;
 /// it the build is refused with the spacing that would fit.
 pub const BUILD_NODES_MAX: f64 = 8e6;
 
-/// A node that was let go is reported when it stands off its interface by more than this, in spacings.
+/// A released node is reported when it is farther from its interface than this, in spacings.
 const STRAY: f64 = 0.25;
 
 /// Why a model could not be built.
@@ -92,7 +92,7 @@ pub enum BuildError {
         cells: f64,
         /// A spacing that fits.
         suggestion_mm: f64,
-        /// What else it may be, or nothing.
+        /// Likely cause, or empty.
         hint: String,
     },
     /// The input lies farther from the origin than a model may.
@@ -115,7 +115,7 @@ pub enum BuildError {
         spacing_mm: f64,
         /// Largest extent of any surface.
         extent_mm: f64,
-        /// What else it may be, or nothing.
+        /// Likely cause, or empty.
         hint: String,
     },
     /// A region has nothing in common with the first one.
@@ -159,7 +159,7 @@ pub fn build(
     let mut walls = walls::Walls::default();
     let mut input_volumes = label::resolved_volumes(&grid, &surfaces, &mut walls);
     for (volume, voxels) in input_volumes.iter_mut().zip(&input.voxels_m3) {
-        // A label volume is the truth about what it alone describes.
+        // A label volume is authoritative for the regions that it alone describes.
         *volume = voxels.unwrap_or(*volume);
     }
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
@@ -249,7 +249,7 @@ pub fn build(
     Ok((model, report))
 }
 
-/// What a report says of a finished model by itself.
+/// Figures of a report that follow from a finished model alone.
 struct Figures {
     layers: Vec<LayerReport>,
     bars: Vec<BarReport>,
@@ -257,7 +257,7 @@ struct Figures {
     topology_hash: String,
 }
 
-/// Works them out beside each other: each is mostly one thread's work.
+/// Computes them concurrently: each is mostly single-threaded.
 fn figures(model: &Model, faces: &[faces::Face], names: &[String]) -> Figures {
     let layers = || compare::layers(&Layers::of_faces(model, faces), names);
     let outer_surface = || report_triangles(&outer_triangles(faces, model));
@@ -281,14 +281,14 @@ fn outer_triangles(faces: &[faces::Face], model: &Model) -> Vec<[u32; 3]> {
     outer.flat_map(|f| f.triangles(&model.nodes)).collect()
 }
 
-/// What nodes are placed by.
+/// Input of node placement.
 struct Input<'a> {
     surfaces: &'a [&'a Surface],
     interfaces: &'a patch::Interfaces,
     volumes: &'a [f64],
 }
 
-/// The nodes in their places, and how they got there.
+/// Positions of the nodes, and the record of their placement.
 struct Placed {
     positions: Vec<Vec3>,
     constraints: Vec<snap::Constraint>,
@@ -296,7 +296,7 @@ struct Placed {
     around: Vec<[u32; 8]>,
     /// Nodes that two interfaces claimed.
     tied: usize,
-    /// Nodes that were let go.
+    /// Nodes released from their interface.
     let_go: Vec<u32>,
 }
 
@@ -316,7 +316,7 @@ fn place(
     let mut positions = snap::snap(grid, lattice, input.surfaces, interfaces, &constraints);
     progress("relaxing", 0.4);
     relax::relax(lattice, interfaces, &constraints, &mut positions);
-    // Nobody asks for neighbours along the axes from here on.
+    // The axis neighbours are not used after this point.
     lattice.adjacent = Vec::new();
     progress("making cells good", 0.5);
     let untangler =
@@ -335,7 +335,7 @@ fn place(
 }
 
 impl Placed {
-    /// Nodes that were let go and stand off their interface: where, in which region, how far.
+    /// Released nodes that are off their interface: position, region, distance.
     fn strays(
         &self,
         lattice: &lattice::Lattice,
