@@ -84,7 +84,7 @@ pub fn cell_volume(corners: &[Vec3; 8]) -> f64 {
 pub fn scaled_jacobian(corners: &[Vec3; 8]) -> f64 {
     (0..8)
         .map(|c| {
-            // Along each axis from low to high, so that the sign is that of the volume.
+            // Each edge runs from low to high along its axis, so that the sign is that of the volume.
             let [x, y, z] = [1, 2, 4].map(|step| corners[c | step] - corners[c & !step]);
             let lengths = (x.norm_squared() * y.norm_squared() * z.norm_squared()).sqrt();
             if lengths > 0.0 {

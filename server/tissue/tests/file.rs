@@ -130,12 +130,12 @@ fn a_model_that_contradicts_itself_is_refused() {
         ("material", |m| m.regions[1].material.poisson = 0.5),
         ("region", |m| m.cells[3].region.0 = 7),
         ("node", |m| m.cells[3].corners[2] = 9999),
-        ("none does", |m| m.cells[3].corners = m.cells[4].corners),
-        ("measure", |m| m.nodes[5].y = f64::NAN),
+        ("there is none", |m| m.cells[3].corners = m.cells[4].corners),
+        ("from the origin", |m| m.nodes[5].y = f64::NAN),
         ("spacing", |m| m.spacing_m = 0.0),
         ("material", |m| m.regions[0].material.young_pa = -1.0),
         ("lattice", |m| m.lattice[8][1] += 1),
-        ("none does", |m| m.cells[0].neighbours[0] = 1),
+        ("there is none", |m| m.cells[0].neighbours[0] = 1),
     ];
     for (word, harm) in harms {
         let mut file = file();
