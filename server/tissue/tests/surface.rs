@@ -204,7 +204,7 @@ fn what_is_no_surface_is_refused_in_words_that_name_the_file() {
             (0..5000_u32).map(|i| (i * i % 251) as u8).collect(),
             "not an STL",
         ),
-        ("short.stl", truncated.to_vec(), "promises 12 triangles"),
+        ("short.stl", truncated.to_vec(), "declares 12 triangles"),
         ("cut.stl", ascii.as_bytes()[..700].to_vec(), "triangle "),
         (
             "word.stl",

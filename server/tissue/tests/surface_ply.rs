@@ -157,7 +157,7 @@ fn what_is_broken_is_named_with_its_place() {
     let whole = binary(false);
     let message = read(&whole[..whole.len() - 3]).unwrap_err().to_string();
     assert!(
-        message.contains("\"face\" 1 to 6") && message.contains("ends in the middle"),
+        message.contains("\"face\" 1 to 6") && message.contains("truncated"),
         "{message}"
     );
 }

@@ -144,7 +144,7 @@ pub(super) fn too_coarse(surfaces: &[&Surface], spacing: f64) -> BuildError {
     let boxes = surfaces.iter().filter_map(|s| s.aabb());
     let extent = boxes.map(|b| b.extent().max()).fold(0.0, f64::max);
     let hint = if extent < SMALL {
-        "; that is very small: were the surfaces written in metres? Then say unit = \"m\""
+        "; that is very small: were the surfaces written in metres? Then set unit = \"m\""
     } else {
         ""
     };
@@ -190,7 +190,7 @@ pub(super) fn regions(regions: &[RegionReport], warnings: &mut Vec<String>) {
             ));
         } else if region.nodes == 0 {
             warnings.push(format!(
-                "region {:?} has no cell at this spacing: it is thinner than half of it everywhere",
+                "region {:?} has no cell at this spacing: it is thinner than half the spacing everywhere",
                 region.name
             ));
         } else if error.abs() > VOLUME_WARNING {
