@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn the_scaled_jacobian_is_one_for_a_box_and_negative_inside_out() {
+    fn scaled_jacobian_is_one_for_a_box_and_negative_if_inverted() {
         let mut corners = cube(2.0).map(|p| p.component_mul(&Vec3::new(1.0, 3.0, 0.5)));
         assert!((scaled_jacobian(&corners) - 1.0).abs() < 1e-12);
         corners[7] = Vec3::new(1.0, 3.0, 0.1);

@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn the_long_axis_of_a_bar_turns_with_it() {
+    fn long_axis_rotates_with_the_bar() {
         let mut model = block([4, 30, 6], 0.002, &fibred(FibreAxis::Long), 1);
         assert!((Vec3::from(model.regions[1].fibre) - Vec3::y()).norm() < 1e-12);
         let turn = nalgebra::Rotation3::from_euler_angles(0.4, 1.1, -0.7);
@@ -117,13 +117,13 @@ mod tests {
     }
 
     #[test]
-    fn what_is_the_same_in_all_directions_has_no_fibres() {
+    fn isotropic_material_has_no_fibres() {
         let model = block([3, 3, 3], 0.002, &Material::default(), 1);
         assert!(model.regions.iter().all(|r| r.fibre == [0.0; 3]));
     }
 
     #[test]
-    fn a_given_direction_is_made_a_unit_vector() {
+    fn given_direction_is_normalised() {
         for scale in [1.0, 1e-200, 1e200] {
             let axis = [0.0, 3.0 * scale, -4.0 * scale];
             let model = block([2, 2, 2], 0.002, &fibred(FibreAxis::Given(axis)), 1);
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cube_has_some_axis_and_always_the_same() {
+    fn axis_of_a_cube_is_reproducible() {
         let axis = || block([4, 4, 5], 0.002, &fibred(FibreAxis::Long), 1).regions[1].fibre;
         assert_eq!(axis(), axis());
         assert!((Vec3::from(axis()).norm() - 1.0).abs() < 1e-12);

@@ -211,14 +211,14 @@ mod tests {
     }
 
     #[test]
-    fn a_cube_is_isotropic_with_its_own_shares() {
+    fn cube_is_isotropic_with_its_own_shares() {
         let shares = shares(&cube(), 0.5);
         assert_eq!(shares, ENDS.map(|[a, b]| share(a, b)));
         assert!(off(&cube(), &shares) < 1e-12);
     }
 
     #[test]
-    fn a_cell_that_is_a_little_distorted_is_isotropic_again() {
+    fn slightly_distorted_cell_becomes_isotropic() {
         let mut corners = cube();
         corners[7] += Vec3::new(0.1, -0.05, 0.1);
         corners[2] += Vec3::new(-0.1, 0.1, 0.05);
@@ -235,7 +235,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn distorted_cells_come_closer_to_isotropy_and_never_push(
+        fn distorted_cells_approach_isotropy_with_non_negative_shares(
             moves in prop::array::uniform24(-0.2..0.2f64)
         ) {
             let mut corners = cube();

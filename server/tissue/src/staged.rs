@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_and_a_pipe_are_written_into_and_never_replaced() {
+    fn devices_and_pipes_are_written_and_never_replaced() {
         let dir = tempfile::tempdir().unwrap();
         let null = dir.path().join("null");
         symlink("/dev/null", &null).unwrap();
@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_stays_and_the_file_behind_it_is_new() {
+    fn write_through_a_link_replaces_its_target() {
         let dir = tempfile::tempdir().unwrap();
         let (file, link) = (dir.path().join("file"), dir.path().join("link"));
         std::fs::write(&file, "old").unwrap();
@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn folders_sockets_and_dead_links_are_refused_with_the_reason() {
+    fn folders_sockets_and_dangling_links_are_rejected_with_the_reason() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         symlink("absent", at("dead")).unwrap();
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn a_check_changes_nothing() {
+    fn check_changes_no_file() {
         let dir = tempfile::tempdir().unwrap();
         let old = dir.path().join("old");
         std::fs::write(&old, "kept").unwrap();

@@ -365,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bar_of_cubes_shows_what_was_asked() {
+    fn bar_of_cubes_has_the_material_modulus() {
         for poisson in [0.25, 0.45] {
             let material = Material {
                 poisson,
@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn with_fibres_the_modulus_of_the_bars_direction_is_expected() {
+    fn fibred_bar_has_the_modulus_of_its_direction() {
         let material = Material {
             fibre_ratio: 3.0,
             fibre_axis: FibreAxis::Given([1.0, 0.0, 0.0]),
@@ -397,14 +397,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_too_thin_has_no_bar() {
+    fn thin_region_has_no_bar() {
         let reports = bars(&model([20, 20, 2], &Material::default()));
         assert_eq!(reports[0].cells, [0; 3]);
         assert_eq!(reports[0].measured_kpa, None);
     }
 
     #[test]
-    fn nodes_that_were_moved_are_pulled_where_they_are() {
+    fn bar_uses_moved_node_positions() {
         let mut model = model([5, 5, 22], &Material::default());
         let turn = |i: usize, k: usize| ((i * 7 + k * 13) % 11) as f64 / 11.0 - 0.5;
         for i in 0..model.nodes.len() {

@@ -431,7 +431,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn the_tree_answers_as_looking_at_every_triangle_does(
+        fn tree_queries_equal_brute_force(
             numbers in prop::collection::vec(-1.0_f32..1.0, 9..900), point in prop::array::uniform3(-2.0..2.0),
             way in prop::array::uniform3(-2.0..2.0),
         ) {

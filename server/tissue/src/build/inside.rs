@@ -146,7 +146,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(32))]
         /// A spindle with ridges: blocks of any size agree with the lines, or are undecided.
         #[test]
-        fn blocks_tell_what_lines_do(
+        fn blocks_agree_with_lines(
             radii in prop::collection::vec(0.005_f64..0.03, 2..9), spacing in 5e-4_f64..0.02,
             points in prop::collection::vec(prop::array::uniform3(-0.035_f64..0.035), 64),
         ) {
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_triangle_wound_against_the_others_is_noticed_and_changes_nothing() {
+    fn inverted_triangle_is_detected_and_keeps_the_result() {
         let mut surface = turned(&[(0.02, -0.03), (0.02, 0.03)], 64);
         assert!(is_wound_alike(&surface));
         surface.triangles[0].swap(0, 1);
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn blocks_far_from_a_surface_tell_and_those_at_it_do_not() {
+    fn only_blocks_away_from_the_surface_decide() {
         let surface = turned(&[(0.02, -0.03), (0.02, 0.03)], 64);
         let query = PointQuery::new(&[&surface], Vec3::zeros(), 2e-3);
         let blocks = &query.surfaces[0].blocks;

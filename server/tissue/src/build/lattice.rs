@@ -504,7 +504,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn two_cells_that_share_only_an_edge_or_a_corner_are_no_manifold() {
+    fn cells_sharing_only_an_edge_or_corner_are_not_manifold() {
         assert!(manifold(0b1111_1111) && manifold(0) && manifold(0b0000_0001));
         assert!(manifold(0b0000_0011));
         assert!(!manifold(0b0000_1001));
@@ -513,7 +513,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flip_that_would_only_move_a_fault_on_is_not_made() {
+    fn flip_that_only_moves_a_fault_is_rejected() {
         let grid = Grid {
             origin: Vec3::zeros(),
             spacing: 1.0,
@@ -545,7 +545,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(48))]
         #[test]
-        fn mending_makes_the_surface_of_every_label_a_manifold(
+        fn repair_makes_every_label_surface_a_manifold(
             cells in prop::collection::vec((0..4_u8, 0..4_u8, any::<u8>()), 512),
         ) {
             let grid = Grid { origin: Vec3::zeros(), spacing: 1.0, cells: [10, 10, 10] };

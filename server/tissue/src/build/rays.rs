@@ -305,7 +305,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn every_ray_leaves_a_closed_surface_as_often_as_it_enters(
+        fn rays_enter_and_leave_closed_surfaces_equally_often(
             shape in prop::collection::vec(-2_i32..=2, 18), axis in 0_usize..3,
         ) {
             // Vertices on a coarse integer grid: flat, folded and touching triangles all occur.

@@ -535,7 +535,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_on_a_rim_goes_to_one_that_looks_as_its_cells_do() {
+    fn rim_node_goes_to_a_rim_matching_its_cell_faces() {
         let interfaces = end_of_a_wall();
         let from = Vec3::new(0.4, 0.0, -0.1);
         let rim_of = |faces| {

@@ -161,7 +161,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_of_surfaces_are_names_of_files_and_no_two_are_the_same() {
+    fn surface_names_are_unique_valid_file_names() {
         let mut names = BTreeSet::new();
         let mut of = |name: &str| unique(&mut names, name);
         assert_eq!(of("region-m. vastus/../x"), "region-m__vastus____x");

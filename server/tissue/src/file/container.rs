@@ -175,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn content_of_any_number_of_parts_comes_back_whole() {
+    fn multi_part_content_round_trip() {
         for len in [0, 1, PART - 1, PART, PART + 1, 3 * PART + 17] {
             let content: Vec<u8> = (0..len).map(|i| ((i * i) >> 7) as u8).collect();
             let sealed = seal(*b"testtest", 1, &content);

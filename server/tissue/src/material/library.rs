@@ -266,7 +266,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_built_in_material_is_in_range_and_cites_a_source() {
+    fn built_in_materials_are_in_range_and_cite_a_source() {
         for name in MATERIAL_NAMES {
             let material = built_in(name).unwrap();
             assert_eq!(material.clone().checked(), Ok(material.clone()), "{name}");

@@ -296,7 +296,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_loft_encloses_the_integral_of_its_sections() {
+    fn loft_volume_is_the_integral_of_its_sections() {
         for ends in [
             [End::Flat; 2],
             [End::Fillet(6.0), End::Dome(15.0)],
@@ -312,14 +312,14 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_finer_loft_is_nearer_to_the_integral() {
+    fn loft_volume_converges_with_refinement() {
         let loft = oval([End::Fillet(6.0); 2]);
         let error = |step| (loft.surface(step).volume() * 1e9 / integral(&loft) - 1.0).abs();
         assert!(error(1.5) < error(6.0));
     }
 
     #[test]
-    fn a_rounded_minimum_stays_below_every_length() {
+    fn smooth_minimum_stays_below_every_length() {
         let lengths = [3.0, 5.0, f64::INFINITY, 4.0];
         let m = rounded_min(lengths);
         assert!(m < 3.0 && m > 2.5, "{m}");

@@ -159,7 +159,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_part_encloses_the_integral_of_its_sections() {
+    fn part_volumes_are_the_integrals_of_their_sections() {
         let skin = envelope();
         for loft in [QUADRICEPS, HAMSTRINGS, ADDUCTORS]
             .iter()

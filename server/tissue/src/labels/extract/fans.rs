@@ -249,7 +249,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_face_lies_between_voxels_that_differ_along_its_axis() {
+    fn faces_separate_voxels_along_their_axis() {
         for f in 0..12 {
             let [near, far] = voxels(f);
             assert_eq!(near ^ far, 1 << (f / 4));
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn voxels_that_meet_in_an_edge_or_a_corner_have_fans_of_their_own() {
+    fn voxels_touching_in_edge_or_corner_have_separate_fans() {
         let fans = Fans::new();
         assert_eq!(fans.of(0).count, 0);
         assert_eq!(fans.of(0b0000_0001).count, 1);
