@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::faces::{Face, OUTSIDE, volumes};
+use super::interface_samples::Sample;
 use super::layers::{Layers, surface_of};
 use super::patch::{Interface, Interfaces};
 use super::quality::{
@@ -11,7 +12,6 @@ use super::quality::{
 use super::report::{
     LayerReport, QualityReport, RegionReport, SpringCounts, SurfaceReport, report_triangles,
 };
-use super::sample::Sample;
 use super::thin::Collector;
 use crate::{Aabb, Model, NO_CELL, RegionId, Vec3};
 

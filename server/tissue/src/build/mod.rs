@@ -9,7 +9,7 @@
 //! 4. Cells are untangled until all meet the quality floors ([`untangle`]), and regions regain the volume that
 //! straight faces have cut off ([`volume`]).
 //! 5. The model is compared with its input ([`compare`]), and parts thinner than the spacing are listed with
-//! their position ([`sample`], [`thin`]).
+//! their position ([`interface_samples`], [`thin`]).
 //!
 //! Interfaces are then the faces between cells of different regions: closed and conforming by
 //! construction.
@@ -23,6 +23,7 @@ mod compare;
 mod faces;
 mod grid;
 mod inside;
+mod interface_samples;
 mod label;
 mod lattice;
 mod layers;
@@ -33,7 +34,6 @@ mod rays;
 mod relax;
 mod report;
 mod rim;
-mod sample;
 mod snap;
 mod spacing;
 mod strands;
@@ -46,6 +46,7 @@ mod walls;
 
 use thiserror::Error;
 
+pub use interface_samples::DISTANCE_REACH;
 pub use layers::{Layer, Layers, NEIGHBOURS_MAX, region_surface};
 pub use quality::{CORNER_FLOOR, SPRING_FLOOR};
 pub(crate) use report::report_triangles;
@@ -53,7 +54,6 @@ pub use report::{
     BarReport, BuildReport, LayerReport, QualityReport, RegionReport, SpacingReport, SpringCounts,
     SurfaceReport, report_surface,
 };
-pub use sample::DISTANCE_REACH;
 pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
 
 use crate::scene::SceneInput;
@@ -194,7 +194,7 @@ pub fn build(
 
     progress("looking for thin parts", 0.8);
     let nodes = &placed.positions;
-    let samples = sample::samples(&interfaces, &query, &faces, nodes, grid.middle());
+    let samples = interface_samples::samples(&interfaces, &query, &faces, nodes, grid.middle());
     let mut collector = thin::Collector::of(&grid, &samples, &mending.crumbs, &lost, &parts);
     collector.add_nodes(&placed.strays(&lattice, &interfaces));
     let (around, tied, let_go) = (placed.around, placed.tied, placed.let_go.len());

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::faces::OUTSIDE;
 use super::grid::Grid;
+use super::interface_samples::{Sample, Thin};
 use super::lattice::Crumb;
-use super::sample::{Sample, Thin};
 use crate::{Aabb, Vec3};
 
 /// Most parts that a report lists, the largest first; the rest is counted.
