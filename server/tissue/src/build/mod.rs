@@ -7,7 +7,7 @@
 //! 3. Nodes between regions are snapped onto the interface along rays in three directions; other interface
 //! nodes are projected onto it, and all are relaxed ([`snap`], [`relax`]).
 //! 4. Cells are untangled until all meet the quality floors ([`untangle`]), and regions regain the volume that
-//! straight faces have cut off ([`volume`]).
+//! straight faces have cut off ([`volume_correction`]).
 //! 5. The model is compared with its input ([`compare`]), and parts thinner than the spacing are listed with
 //! their position ([`interface_samples`], [`thin`]).
 //!
@@ -41,7 +41,7 @@ mod strands;
 mod tests;
 mod thin;
 mod untangle;
-mod volume;
+mod volume_correction;
 mod walls;
 
 use thiserror::Error;
@@ -323,7 +323,7 @@ fn place(
         untangle::Untangler::new(lattice, interfaces, &constraints, grid.spacing, grid.origin);
     let let_go = untangler.untangle(&mut positions);
     progress("restoring volumes", 0.7);
-    volume::restore_volumes(&untangler, faces, input.volumes, &mut positions);
+    volume_correction::restore_volumes(&untangler, faces, input.volumes, &mut positions);
     let around = untangler.into_around();
     Placed {
         positions,
