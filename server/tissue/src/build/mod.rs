@@ -18,10 +18,10 @@ mod bar;
 mod blocks;
 mod bridge;
 mod bvh;
-mod check;
 mod compare;
 mod faces;
 mod grid;
+mod input_check;
 mod inside;
 mod interface_samples;
 mod label;
@@ -152,10 +152,10 @@ pub fn build(
     } else {
         (input.scene.spacing_m, None)
     };
-    check::size(&surfaces, spacing)?;
+    input_check::size(&surfaces, spacing)?;
     let grid = Grid::around(&surfaces, spacing);
     let query = inside::PointQuery::new(&surfaces, grid.middle(), spacing);
-    check::nesting(input, spacing, &query, &mut warnings)?;
+    input_check::nesting(input, spacing, &query, &mut warnings)?;
     let mut walls = walls::Walls::default();
     let mut input_volumes = label::resolved_volumes(&grid, &surfaces, &mut walls);
     for (volume, voxels) in input_volumes.iter_mut().zip(&input.voxels_m3) {
@@ -169,11 +169,11 @@ pub fn build(
     let mending = lattice::mend_all(&grid, &mut labels, &walls, &parts);
     let lost = walls.lost(&grid, &labels);
     drop(walls);
-    check::mending(&mending, grid.cell_count(), &mut warnings);
+    input_check::mending(&mending, grid.cell_count(), &mut warnings);
     let mut lattice = lattice::number(&grid, &labels);
     drop(labels);
     if lattice.cells.is_empty() {
-        return Err(check::too_coarse(&surfaces, spacing));
+        return Err(input_check::too_coarse(&surfaces, spacing));
     }
 
     progress("sorting the interfaces", 0.2);
@@ -222,8 +222,8 @@ pub fn build(
     });
     collector.add_strays(&strays);
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
-    check::regions(&regions, &mut warnings);
-    check::hanging(&model, &mut warnings);
+    input_check::regions(&regions, &mut warnings);
+    input_check::hanging(&model, &mut warnings);
     let figures = figures(&model, &faces, &names);
     let report = BuildReport {
         nodes: model.nodes.len(),
