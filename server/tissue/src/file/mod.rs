@@ -17,17 +17,17 @@
 //! neighbour behind a face follows from the corners. A node is corner `c` of at most one cell, so the neighbour
 //! along an axis is the cell of which it is corner `c` with that axis flipped.
 
-mod check;
 mod container;
+mod model_check;
 mod planes;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-pub(crate) use check::POSITION_MAX_M;
-pub use check::{CELLS_MAX, NODES_MAX, REGIONS_MAX};
 pub use container::EnvelopeError;
 pub(crate) use container::{open, seal};
+pub(crate) use model_check::POSITION_MAX_M;
+pub use model_check::{CELLS_MAX, NODES_MAX, REGIONS_MAX};
 pub(crate) use planes::{Content, Reader, Short};
 
 use crate::staged::{Staged, WriteError};
@@ -103,7 +103,7 @@ impl ModelFile {
         if !reader.0.is_empty() {
             return Err(FileError::Inconsistent("is followed by more".into()));
         }
-        check::check(&model).map_err(FileError::Inconsistent)?;
+        model_check::check(&model).map_err(FileError::Inconsistent)?;
         Ok(Self { model, report_json })
     }
 
