@@ -1,6 +1,6 @@
 //! From a label volume to one closed surface per region, without gaps or overlaps.
 //!
-//! 0. Voxels much finer than the requested size are joined in blocks ([`grid`]).
+//! 0. Voxels much finer than the requested size are joined in blocks ([`voxel_grid`]).
 //! 1. Every corner where eight voxels of more than one region meet becomes a vertex, and every face between
 //! voxels of two regions a quadrilateral ([`net`]). All regions share this one mesh (surface nets, Gibson 1998,
 //! for several labels at once). Where a layer of one voxel is connected through edges only, each of its two
@@ -13,13 +13,13 @@
 //! bit.
 
 mod fans;
-mod grid;
 mod net;
 mod restore;
 mod shell;
 mod smooth;
 #[cfg(test)]
 mod tests;
+mod voxel_grid;
 
 use std::path::Path;
 
@@ -28,9 +28,9 @@ use rayon::prelude::*;
 use super::{LabelError, LabelVolume};
 use crate::Surface;
 use crate::scene::REGIONS_MAX;
-use grid::{BEYOND, Grid, OUTSIDE};
 pub use net::NET_VERTICES_MAX;
 use net::Net;
+use voxel_grid::{BEYOND, Grid, OUTSIDE};
 
 /// The labels that make one region.
 #[derive(Debug, Clone, PartialEq, Eq)]

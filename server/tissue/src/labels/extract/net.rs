@@ -6,7 +6,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::fans::{self, face};
-use super::grid::{BEYOND, Grid, OUTSIDE};
+use super::voxel_grid::{BEYOND, Grid, OUTSIDE};
 use crate::Vec3;
 use crate::labels::{Affine, LabelError};
 

@@ -114,7 +114,8 @@ impl Pull {
         let mut start = vec![0];
         let mut regions = Vec::new();
         let mut stays = Vec::with_capacity(net.corners.len());
-        let is_region = |r: &u8| *r != super::grid::OUTSIDE && *r != super::grid::BEYOND;
+        let is_region =
+            |r: &u8| *r != super::voxel_grid::OUTSIDE && *r != super::voxel_grid::BEYOND;
         for corner in &net.corners {
             let mut around = corner.block;
             around.sort_unstable();
