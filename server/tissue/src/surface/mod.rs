@@ -5,19 +5,19 @@
 //! no guessing.
 
 mod check;
+mod check_report;
 mod edges;
 mod error;
 mod obj;
 mod orient;
 mod ply;
 mod read;
-mod report;
 mod stl;
 mod weld;
 
+pub use check_report::CheckReport;
 pub use error::SurfaceError;
 pub use read::{FILE_BYTES_MAX, TRIANGLES_MAX};
-pub use report::CheckReport;
 
 use crate::Vec3;
 
