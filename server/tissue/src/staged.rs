@@ -7,7 +7,7 @@
 //! no file, regular file         written beside it, then renamed
 //! link to a regular file        replaces its target; the link stays
 //! device, pipe                  written into, when the content is complete
-//! folder, socket, dead link     refused
+//! folder, socket, dead link     rejected
 //! ```
 
 use std::fs::{File, FileType, OpenOptions};

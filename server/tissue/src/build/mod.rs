@@ -2,14 +2,14 @@
 //!
 //! 1. A grid of cubes of side Δd is laid around the outermost surface.
 //! 2. Rays decide which region fills each cell ([`label`]). Thin layers and necks get the cells that they need
-//! to stay connected ([`walls`], [`bridge`]). Doubtful cells are flipped until the surface of every region is a
-//! manifold ([`lattice`]).
+//!    to stay connected ([`walls`], [`bridge`]). Doubtful cells are flipped until the surface of every region is a
+//!    manifold ([`lattice`]).
 //! 3. Nodes between regions are snapped onto the interface along rays in three directions; other interface
-//! nodes are projected onto it, and all are relaxed ([`snap`], [`relax`]).
+//!    nodes are projected onto it, and all are relaxed ([`snap`], [`relax`]).
 //! 4. Cells are untangled until all meet the quality floors ([`untangle`]), and regions regain the volume that
-//! straight faces have cut off ([`volume_correction`]).
+//!    straight faces have cut off ([`volume_correction`]).
 //! 5. The model is compared with its input ([`compare`]), and parts thinner than the spacing are listed with
-//! their position ([`interface_samples`], [`thin`]).
+//!    their position ([`interface_samples`], [`thin`]).
 //!
 //! Interfaces are then the faces between cells of different regions: closed and conforming by
 //! construction.
@@ -61,11 +61,11 @@ use crate::{Aabb, Model, NO_CELL, Surface, TopologyHash, Vec3};
 use grid::Grid;
 
 /// Most grid cells of one build. A cell of the grid costs about 10 bytes while it is labelled, so
-/// this is 4 GB; beyond it the build is refused with the spacing that would fit.
+/// this is 4 GB; beyond it the build is rejected with the spacing that would fit.
 pub const GRID_CELLS_MAX: f64 = 4e8;
 
 /// Most nodes of one model. A node costs about 600 bytes with its springs, so this is 5 GB; beyond
-/// it the build is refused with the spacing that would fit.
+/// it the build is rejected with the spacing that would fit.
 pub const BUILD_NODES_MAX: f64 = 8e6;
 
 /// A released node is reported when it is farther from its interface than this, in spacings.

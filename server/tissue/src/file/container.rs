@@ -4,7 +4,7 @@
 //! offset  bytes  little-endian
 //!      0      8  magic, which kind of file this is
 //!      8      4  format version
-//! offset  bytes  little-endian
+//!     12      8  size of the content before compression
 //!     20      8  size of the content as stored
 //!     28      4  CRC-32 over bytes 12..28 and the stored content
 //!     32      …  content, raw deflate
@@ -20,7 +20,7 @@ use rayon::prelude::*;
 /// Size in bytes of the header.
 pub(crate) const HEADER_BYTES: usize = 32;
 /// Largest content before compression, in bytes: 16 million nodes with their cells come to 1.3 GiB.
-/// A file that declares more is refused before anything is allocated.
+/// A file that declares more is rejected before anything is allocated.
 pub(crate) const CONTENT_BYTES_MAX: u64 = 2 << 30;
 /// Deflate cannot compress better than 1032 to one. A file that declares more is rejected before anything is
 /// allocated.

@@ -5,7 +5,7 @@ use crate::material::{
 };
 use crate::{EDGES, FACES, Model, NO_CELL};
 
-/// Most nodes of a model. At 16 million a topology takes about 12 GiB; a file with more is refused.
+/// Most nodes of a model. At 16 million a topology takes about 12 GiB; a file with more is rejected.
 pub const NODES_MAX: usize = 16_000_000;
 /// Most cells of a model; face numbers (six per cell) then fit 32 bits with room to spare.
 pub const CELLS_MAX: usize = 16_000_000;

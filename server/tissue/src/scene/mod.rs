@@ -42,16 +42,16 @@
 //! `[material.NAME]`, then to the library. A material that is not built in needs a `[material.NAME]` with
 //! `young_kpa` and `density_kg_m3`.
 //!
-//! | key | what it is | bounds | new material |
+//! | key | meaning | bounds | new material |
 //! | --- | --- | --- | --- |
 //! | `young_kpa` | Young's modulus in kPa; with fibres, across them | 0.001 to 2e9 | needed |
 //! | `poisson` | Poisson's ratio; a quarter is springs alone | 0.25 to 0.49 | 0.25 |
 //! | `stiffening` | b of the spring curve F = k l0 (exp(b e) - 1)/b over the strain e; 0 is a line | 0 to 50 | 0 |
 //! | `fibre_ratio` | Young's modulus along the fibres over the one across | 0.1 to 20 | 1 |
-//! | `fibres` | where they run: `"long"` (the region's long axis) or `[x, y, z]` | | `"long"` |
-//! | `compress_limit` | part of its rest length below which no spring is pressed | 0.05 to 0.95 | 0.3 |
-//! | `stretch_limit` | multiple of its rest length beyond which no spring is pulled | 1.01 to 100 | 3 |
-//! | `bottoms_out` | whether it hardens when pressed flat and never folds; without it a hand's steps take a fifth less | `true`, `false` | `true` |
+//! | `fibres` | their direction: `"long"` (the region's long axis) or `[x, y, z]` | | `"long"` |
+//! | `compress_limit` | least spring length, relative to its rest length | 0.05 to 0.95 | 0.3 |
+//! | `stretch_limit` | greatest spring length, relative to its rest length | 1.01 to 100 | 3 |
+//! | `bottoms_out` | hardens when pressed flat, so that no cell folds; without it haptic steps take a fifth less time | `true`, `false` | `true` |
 //! | `density_kg_m3` | density in kg/m³ | 1 to 25 000 | needed |
 //! | `friction_static` | coefficient of static friction against a tool | 0 to 5 | 0.4 |
 //! | `friction_dynamic` | of dynamic friction; not above the static one | 0 to 5 | 0.3 |

@@ -2,15 +2,15 @@
 //!
 //! 0. Voxels much finer than the requested size are joined in blocks ([`voxel_grid`]).
 //! 1. Every corner where eight voxels of more than one region meet becomes a vertex, and every face between
-//! voxels of two regions a quadrilateral ([`net`]). All regions share this one mesh (surface nets, Gibson 1998,
-//! for several labels at once). Where a layer of one voxel is connected through edges only, each of its two
-//! sides has its own vertex ([`fans`]).
+//!    voxels of two regions a quadrilateral ([`net`]). All regions share this one mesh (surface nets, Gibson 1998,
+//!    for several labels at once). Where a layer of one voxel is connected through edges only, each of its two
+//!    sides has its own vertex ([`fans`]).
 //! 2. Vertices slide towards their neighbours, each within half a voxel of its corner; vertices where three
-//! regions meet slide along that line only. This smooths the voxel steps ([`smooth`]).
+//!    regions meet slide along that line only. This smooths the voxel steps ([`smooth`]).
 //! 3. All vertices move along their normals so that every region regains the volume of its voxels. A vertex
-//! belongs to all regions around it, so this is one system of equations ([`restore`]).
+//!    belongs to all regions around it, so this is one system of equations ([`restore`]).
 //! 4. Each region takes its quadrilaterals as triangles ([`shell`]). Neighbours share their vertices bit for
-//! bit.
+//!    bit.
 
 mod fans;
 mod net;

@@ -83,7 +83,7 @@ impl Shell<'_> {
         self.pinched.get(&v).unwrap_or_else(of_set)
     }
 
-    /// Adds a face; `near` says whether its nearer voxel is the inner one.
+    /// Adds a face; `near` is whether its nearer voxel is the inner one.
     fn add(&mut self, quad: &Quad, near: bool) {
         let axis = usize::from(quad.axis);
         let vertices: [u32; 4] = std::array::from_fn(|c| {
