@@ -167,7 +167,7 @@ fn failed_write_keeps_the_old_file() {
     });
     let said = full.unwrap_err().to_string();
     assert!(
-        said.contains("m.vtu") && said.contains("make room"),
+        said.contains("m.vtu") && said.contains("free disk space"),
         "{said}"
     );
     assert_eq!(std::fs::read_to_string(&path).unwrap(), "old");

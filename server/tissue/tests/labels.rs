@@ -169,7 +169,7 @@ fn nifti_header_errors_name_the_field() {
     assert_says(&refusal("a.nii", &[7; 400]), &["not a NIfTI file"]);
     assert_says(
         &refusal("a.vtk", &[7; 400]),
-        &["extensions", ".nii.gz", ".nrrd"],
+        &["extension", ".nii.gz", ".nrrd"],
     );
 }
 

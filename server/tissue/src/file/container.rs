@@ -55,7 +55,9 @@ pub enum EnvelopeError {
         reads: u32,
     },
     /// Shorter than it declares, or longer.
-    #[error("{found} bytes instead of {expected}; the file is truncated, copy it again")]
+    #[error(
+        "{found} bytes instead of {expected}; the file is incomplete or damaged, copy it again"
+    )]
     Length {
         /// Bytes it should have.
         expected: u64,

@@ -51,7 +51,7 @@
 //! | `fibres` | their direction: `"long"` (the region's long axis) or `[x, y, z]` | | `"long"` |
 //! | `compress_limit` | least spring length, relative to its rest length | 0.05 to 0.95 | 0.3 |
 //! | `stretch_limit` | greatest spring length, relative to its rest length | 1.01 to 100 | 3 |
-//! | `bottoms_out` | hardens when pressed flat, no cell folds; without it haptic steps are 20 % faster | `true`, `false` | `true` |
+//! | `bottoms_out` | hardens when pressed flat, no folds; without it steps take 20 % less time | `true`, `false` | `true` |
 //! | `density_kg_m3` | density in kg/m³ | 1 to 25 000 | needed |
 //! | `friction_static` | coefficient of static friction against a tool | 0 to 5 | 0.4 |
 //! | `friction_dynamic` | of dynamic friction; not above the static one | 0 to 5 | 0.3 |
