@@ -1,7 +1,7 @@
-//! Builds a model and prints what came out: `cargo run --release -p palpate-tissue --example build
-//! -- SET|SCENE.toml|ball:TRIANGLES [spacing_mm]`. A set is one of [`SETS`], read from the folder
-//! that `PALPATE_DATA` names; a ball of 50 mm is made with so many triangles. Prints the time of each stage, the report, the shape of the cells as
-//! measured here on the finished model, and the largest resident memory.
+//! Builds a model and prints the result: `cargo run --release -p palpate-tissue --example build --
+//! SET|SCENE.toml|ball:TRIANGLES [spacing_mm]`. A set is one of [`SETS`], read from the folder in
+//! `PALPATE_DATA`; a ball of 50 mm has the given number of triangles. The output is the time of each stage, the
+//! report, the shape of the finished cells, and the peak resident memory.
 
 #![allow(clippy::print_stdout)]
 
@@ -78,7 +78,7 @@ const SETS: [Set; 10] = [
     ("battery", "tool_otoscope", &[("battery_holder", "bone")]),
 ];
 
-/// Thin parts that are printed, unless `PARTS` says otherwise.
+/// Number of thin parts to print, unless `PARTS` overrides it.
 const PARTS_SHOWN: usize = 12;
 
 fn shown() -> usize {
@@ -218,7 +218,7 @@ fn scene_file(set: &str, spacing: &str) -> PathBuf {
     );
     for (file, material) in *regions {
         let path = Path::new(&data).join(folder).join(format!("{file}.stl"));
-        // A string takes all.
+        // A literal string needs no escapes.
         let _ = write!(
             text,
             "[[region]]\nname = \"{file}\"\nsurface = '{}'\nmaterial = \"{material}\"\n",
@@ -231,7 +231,7 @@ fn scene_file(set: &str, spacing: &str) -> PathBuf {
     file
 }
 
-/// Judges the cells by the determinants at their eight corners and by all their springs.
+/// Measures the cells by the determinants at their eight corners and by all their springs.
 fn measure(model: &Model) {
     let mut flat = [0_usize; 8];
     let mut worst: (f64, usize) = (f64::INFINITY, 0);
@@ -267,7 +267,7 @@ fn measure(model: &Model) {
     );
 }
 
-/// Largest resident size so far in MB; 0 where the system does not tell.
+/// Peak resident size so far in MB; 0 where the system does not report it.
 fn peak_mb() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));

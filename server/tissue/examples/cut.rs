@@ -1,5 +1,5 @@
-//! How long cuts take: the same strokes on a block of 62,000 nodes and on one of eight times as many.
-//! The price of a cut should follow the cut, not the model.
+//! Time of cuts: the same strokes on a block of 62,000 nodes and on one of eight times as many. The cost of a
+//! cut should depend on the cut, not on the model.
 
 #![allow(clippy::print_stdout, clippy::disallowed_methods)]
 
@@ -83,7 +83,7 @@ fn main() {
     }
 }
 
-/// The same 50 mm as fifty strokes of 1 mm, each from where the last one stopped.
+/// The same 50 mm as fifty strokes of 1 mm, each continuing the last one.
 fn gradual(built: &Topology, top: f64) {
     let whole = strokes(top, 50, 0.05, 0.02);
     let mut t = built.clone();
@@ -91,7 +91,7 @@ fn gradual(built: &Topology, top: f64) {
     let mut times = Vec::new();
     let mut opened = 0;
     for end in 1..=50 {
-        // A stroke looks back one lattice step, so that the sheet is never narrower than two cells.
+        // A stroke begins one lattice step earlier, so that the sheet is never narrower than two cells.
         let from = usize::saturating_sub(end, 8);
         let points = whole.points[from..=end].to_vec();
         let start = Instant::now();

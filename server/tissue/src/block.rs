@@ -1,4 +1,4 @@
-//! A homogeneous rectangular block of cells: the plainest model, for closed-form checks and benches.
+//! A homogeneous rectangular block of cells: the simplest model, for closed-form checks and benchmarks.
 
 use crate::{Cell, Material, Model, NO_CELL, Region, RegionId, Vec3};
 

@@ -84,7 +84,7 @@ pub fn cell_volume(corners: &[Vec3; 8]) -> f64 {
 pub fn scaled_jacobian(corners: &[Vec3; 8]) -> f64 {
     (0..8)
         .map(|c| {
-            // Along each axis from low to high, so that the sign is that of the volume.
+            // Each edge runs from low to high along its axis, so that the sign is that of the volume.
             let [x, y, z] = [1, 2, 4].map(|step| corners[c | step] - corners[c & !step]);
             let lengths = (x.norm_squared() * y.norm_squared() * z.norm_squared()).sqrt();
             if lengths > 0.0 {
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn the_scaled_jacobian_is_one_for_a_box_and_negative_inside_out() {
+    fn scaled_jacobian_is_one_for_a_box_and_negative_if_inverted() {
         let mut corners = cube(2.0).map(|p| p.component_mul(&Vec3::new(1.0, 3.0, 0.5)));
         assert!((scaled_jacobian(&corners) - 1.0).abs() < 1e-12);
         corners[7] = Vec3::new(1.0, 3.0, 0.1);

@@ -1,4 +1,4 @@
-//! The direction of a region's fibres, found once when the model is made.
+//! The direction of a region's fibres, computed once when the model is made.
 
 use crate::{FibreAxis, Model, Vec3};
 
@@ -7,9 +7,9 @@ use crate::{FibreAxis, Model, Vec3};
 const SQUARINGS: usize = 40;
 
 impl Model {
-    /// Sets every region's fibre direction from its material: zero where the material is the same
-    /// in all directions, else a unit vector. Building does this; so must a program that puts a
-    /// model together by hand or changes its materials.
+    /// Sets every region's fibre direction from its material: zero where the material is isotropic, else a unit
+    /// vector. The builder calls this; so must a program that assembles a model by hand or changes its
+    /// materials.
     pub fn resolve_fibres(&mut self) {
         for index in 0..self.regions.len() {
             let material = &self.regions[index].material;
@@ -25,9 +25,9 @@ impl Model {
         }
     }
 
-    /// The principal axis of the middles of a region's cells, as a unit vector whose largest
-    /// component is positive. Of a region as long one way as another (a ball, a cube) it is some
-    /// axis, always the same one; of a region without cells it is z.
+    /// The principal axis of the middles of a region's cells, as a unit vector whose largest component is
+    /// positive. For a region without a long axis (a ball, a cube) the result is arbitrary but reproducible.
+    /// For a region without cells it is z.
     fn long_axis(&self, region: usize) -> Vec3 {
         let middles = || {
             let cells = self.cells.iter().filter(|c| c.region.index() == region);
@@ -66,7 +66,7 @@ fn largest_axis(mut m: [[f64; 3]; 3]) -> Vec3 {
             }
         }
     }
-    // All columns are multiples of it now; the one with the largest diagonal is the surest.
+    // All columns are multiples of the eigenvector now; the one with the largest diagonal is the most accurate.
     let surest = (1..3).fold(0, |best, i| if m[i][i] > m[best][best] { i } else { best });
     let axis = unit(Vec3::from(m[surest]));
     if axis[axis.iamax()] < 0.0 {
@@ -76,7 +76,7 @@ fn largest_axis(mut m: [[f64; 3]; 3]) -> Vec3 {
     }
 }
 
-/// A direction's unit vector; z for what has no direction.
+/// The unit vector of a direction; z if the direction is zero.
 fn unit(v: Vec3) -> Vec3 {
     // Scaled first, so that the squares of very small and very large components stay numbers.
     let scaled = v / v.amax();
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn the_long_axis_of_a_bar_turns_with_it() {
+    fn long_axis_rotates_with_the_bar() {
         let mut model = block([4, 30, 6], 0.002, &fibred(FibreAxis::Long), 1);
         assert!((Vec3::from(model.regions[1].fibre) - Vec3::y()).norm() < 1e-12);
         let turn = nalgebra::Rotation3::from_euler_angles(0.4, 1.1, -0.7);
@@ -117,13 +117,13 @@ mod tests {
     }
 
     #[test]
-    fn what_is_the_same_in_all_directions_has_no_fibres() {
+    fn isotropic_material_has_no_fibres() {
         let model = block([3, 3, 3], 0.002, &Material::default(), 1);
         assert!(model.regions.iter().all(|r| r.fibre == [0.0; 3]));
     }
 
     #[test]
-    fn a_given_direction_is_made_a_unit_vector() {
+    fn given_direction_is_normalised() {
         for scale in [1.0, 1e-200, 1e200] {
             let axis = [0.0, 3.0 * scale, -4.0 * scale];
             let model = block([2, 2, 2], 0.002, &fibred(FibreAxis::Given(axis)), 1);
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cube_has_some_axis_and_always_the_same() {
+    fn axis_of_a_cube_is_reproducible() {
         let axis = || block([4, 4, 5], 0.002, &fibred(FibreAxis::Long), 1).regions[1].fibre;
         assert_eq!(axis(), axis());
         assert!((Vec3::from(axis()).norm() - 1.0).abs() < 1e-12);

@@ -1,18 +1,17 @@
 //! Shares of Young's modulus for the springs of a cell that is no cube.
 //!
-//! A spring along the unit vector n with the share s of `springs.rs` gives a cell the energy
-//! ½ s E V (n·ε·n)² under the uniform strain ε: the cell's stiffness is E Σ s n n n n. On a cube the
-//! shares make that isotropic. On a distorted cell the directions differ, and the same shares are
-//! stiff one way and soft another, which softens the whole: a bar at 30 degrees to the lattice showed
-//! 7 % less than it was given. So the shares are changed as little as possible until the tensor is the
-//! isotropic one again (reconstructed): with A the 15 components of n n n n per spring, t those of
-//! the isotropic tensor and W the shares of the cube,
+//! A spring along the unit vector n with the share s of `springs.rs` gives a cell the energy ½ s E V (n·ε·n)²
+//! under the uniform strain ε: the cell's stiffness is E Σ s n n n n. On a cube the shares make that isotropic.
+//! On a distorted cell the same shares are anisotropic, which softens the whole: a bar at 30 degrees to the
+//! lattice was 7 % too soft. So the shares are changed as little as possible until the tensor is isotropic
+//! again (reconstructed). With A the 15 components of n n n n per spring, t those of the isotropic tensor and W
+//! the shares of the cube,
 //!
 //! ```text
 //! s = W + W Aᵀ (A W Aᵀ)⁻¹ (t - A W)
 //! ```
 //!
-//! kept between bounds, so that no spring ever pushes.
+//! clamped between bounds, so that no spring ever pushes.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -25,12 +24,11 @@ pub(crate) const PAIRS: usize = 28;
 /// Ends of the springs of a cell.
 pub(crate) const ENDS: [[usize; 2]; PAIRS] = ends();
 
-/// Bounds of a share in parts of the cube's.
+/// Bounds of a share, relative to the cube's.
 const BOUNDS: [f64; 2] = [0.3, 4.0];
-/// Rounds, because what a bound takes away others must carry.
+/// Rounds: each clamped share has to be compensated by the others.
 const ROUNDS: usize = 4;
-/// Regularisation in parts of the trace: a cell so flat that some direction is missing is left
-/// nearly as it is.
+/// Regularisation relative to the trace: a cell so flat that some direction is missing stays nearly unchanged.
 const REGULAR: f64 = 1e-6;
 /// Deviation from a cube, in parts of its side, below which the shares are the cube's.
 const CUBE: f64 = 1e-6;
@@ -106,7 +104,7 @@ pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; PAIRS] {
             break;
         }
     }
-    // Bounds can turn a good answer into a bad one, in cells that are nearly flat.
+    // Clamping can turn a good solution into a bad one, in cells that are nearly flat.
     let off = |shares| missing(&columns, shares).iter().map(|v| v * v).sum::<f64>();
     if off(&shares) < off(&plain) {
         shares
@@ -124,8 +122,8 @@ fn is_cube(corners: &[Vec3; 8]) -> bool {
     })
 }
 
-/// Components of a fourth-order tensor that are summed over directions, and room for them in whole
-/// vectors; what is over stays zero.
+/// Components of a fourth-order tensor that are summed over directions, padded with zeros to whole SIMD
+/// vectors.
 const COMPONENTS: usize = 15;
 const ROW: usize = 16;
 type Row = [f64; ROW];
@@ -166,7 +164,7 @@ const ISOTROPIC: Row = {
     t
 };
 
-/// What the isotropic tensor has and these shares do not.
+/// Isotropic tensor minus the tensor of these shares.
 fn missing(columns: &[Row; PAIRS], shares: &[f64; PAIRS]) -> Row {
     let mut sum = ISOTROPIC;
     for (column, share) in columns.iter().zip(shares) {
@@ -198,7 +196,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// How far the tensor of these shares is from the isotropic one.
+    /// Distance of the tensor of these shares from the isotropic one.
     fn off(corners: &[Vec3; 8], shares: &[f64; PAIRS]) -> f64 {
         let columns = ENDS.map(|[a, b]| powers(&(corners[b] - corners[a]).normalize()));
         missing(&columns, shares)
@@ -213,14 +211,14 @@ mod tests {
     }
 
     #[test]
-    fn a_cube_is_isotropic_with_its_own_shares() {
+    fn cube_is_isotropic_with_its_own_shares() {
         let shares = shares(&cube(), 0.5);
         assert_eq!(shares, ENDS.map(|[a, b]| share(a, b)));
         assert!(off(&cube(), &shares) < 1e-12);
     }
 
     #[test]
-    fn a_cell_that_is_a_little_distorted_is_isotropic_again() {
+    fn slightly_distorted_cell_becomes_isotropic() {
         let mut corners = cube();
         corners[7] += Vec3::new(0.1, -0.05, 0.1);
         corners[2] += Vec3::new(-0.1, 0.1, 0.05);
@@ -237,7 +235,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn distorted_cells_come_closer_to_isotropy_and_never_push(
+        fn distorted_cells_approach_isotropy_with_non_negative_shares(
             moves in prop::array::uniform24(-0.2..0.2f64)
         ) {
             let mut corners = cube();

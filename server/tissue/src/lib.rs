@@ -1,10 +1,10 @@
 //! The deformable model: building it from surfaces or label volumes, its equilibrium under tools, cutting,
 //! snapshots and hashes.
 //!
-//! This crate never opens a socket, never reads a clock and knows no file but those of
-//! surfaces, label volumes, scenes and models. Three kinds of data are kept apart: the [`Model`] (immutable, what a model file
-//! holds), the [`Topology`] (what cuts change) with one [`Shape`] per view of it (what pressing
-//! changes), and the scratch memory of the solvers.
+//! This crate never opens a socket, never reads a clock and reads only files of surfaces, label volumes, scenes
+//! and models. Three kinds of data are kept apart: the [`Model`] (immutable, the content of a model file), the
+//! [`Topology`] (changed by cuts) with one [`Shape`] per view of it (changed by tools), and the scratch memory
+//! of the solvers.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -61,5 +61,5 @@ pub use staged::{Staged, WriteError, write_file};
 pub use surface::{Aabb, CheckReport, Surface, SurfaceError, Unit};
 pub use topology::{Boundary, FaceId, Topology, TopologyHash};
 
-/// A vector or point of the model: metres, newtons or whatever the name beside it says.
+/// A vector or point of the model, in metres, newtons or the unit of its name.
 pub type Vec3 = nalgebra::Vector3<f64>;

@@ -1,10 +1,9 @@
 //! Materials in engineering units, and the library of built-in ones.
 //!
-//! A person gives Young's modulus, Poisson's ratio, density and friction, and where a tissue is not
-//! linear or not the same in all directions how it stiffens and along what; the springs of the
-//! lattice follow from them. The built-in values are rounded, each with where it comes from; living
-//! tissue varies by a factor of several between people, sites and methods, so a scene may override
-//! every one.
+//! A scene gives Young's modulus, Poisson's ratio, density and friction; for non-linear or anisotropic tissue
+//! also the stiffening and the fibre direction. The springs of the lattice follow from them. The built-in
+//! values are rounded, each with its source. Living tissue varies by a factor of several between people, sites
+//! and methods, so a scene may override every value.
 
 mod library;
 
@@ -15,30 +14,30 @@ use thiserror::Error;
 
 use crate::Vec3;
 
-/// What a region is made of.
+/// Properties of a material.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Material {
-    /// The name it goes by in a scene.
+    /// Its name in a scene.
     pub name: String,
     /// Young's modulus in Pa; with fibres, the one across them.
     pub young_pa: f64,
-    /// Poisson's ratio: a quarter is what springs alone give, one half would be incompressible.
+    /// Poisson's ratio: 0.25 for springs alone; 0.5 would be incompressible.
     pub poisson: f64,
     /// Exponent b of the spring curve F = k l0 (exp(b e) - 1)/b over the strain e = (l - l0)/l0;
     /// 0 is the straight line F = k l0 e.
     pub stiffening: f64,
-    /// Young's modulus along the fibres over the one across them; 1 is the same in all directions.
+    /// Young's modulus along the fibres over the one across them; 1 is isotropic.
     pub fibre_ratio: f64,
-    /// The direction of the fibres; without meaning when `fibre_ratio` is 1.
+    /// The direction of the fibres; unused when `fibre_ratio` is 1.
     pub fibre_axis: FibreAxis,
-    /// Part of its rest length at which a compressed spring turns extreme: it gets no shorter
-    /// (`α_min` of Lin 2007, fig. 3.11).
+    /// Fraction of its rest length at which a compressed spring becomes extreme: it gets no shorter (`α_min` of
+    /// Lin 2007, fig. 3.11).
     pub compress_limit: f64,
-    /// Multiple of its rest length at which a stretched spring turns extreme: it gets no longer
-    /// (`α_max` of Lin 2007, fig. 3.11).
+    /// Multiple of its rest length at which a stretched spring becomes extreme: it gets no longer (`α_max` of
+    /// Lin 2007, fig. 3.11).
     pub stretch_limit: f64,
-    /// Whether it bottoms out: pressed flat it hardens, and no cell of it folds. Without it a step for a hand takes a
-    /// fifth less, and the lattice gives way sideways from 30 to 40 % of local compression on.
+    /// Whether it bottoms out: it hardens when pressed flat, and no cell of it folds. Without it a haptic step
+    /// takes a fifth less time, and the lattice buckles sideways from 30 to 40 % of local compression on.
     pub bottoms_out: bool,
     /// Density in kg/m³.
     pub density_kg_m3: f64,
@@ -46,11 +45,11 @@ pub struct Material {
     pub friction_static: f64,
     /// Coefficient of dynamic friction against a tool; not above the static one.
     pub friction_dynamic: f64,
-    /// Where the numbers come from.
+    /// Source of the values.
     pub source: String,
 }
 
-/// Which way the fibres of a region run.
+/// Direction of a region's fibres.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub enum FibreAxis {
     /// Along the region's long axis: the principal axis of its cells' middles.
@@ -61,8 +60,8 @@ pub enum FibreAxis {
 }
 
 impl Default for Material {
-    /// A soft one without a history: linear, the same in all directions, springs alone. For models
-    /// that are made by a program; scenes take theirs from the library.
+    /// A soft synthetic material: linear, isotropic, springs alone. For models made by a program; scenes use
+    /// the library.
     fn default() -> Self {
         Self {
             name: "plain".to_owned(),
@@ -82,8 +81,7 @@ impl Default for Material {
     }
 }
 
-/// What a scene says about a material, in `[material.NAME]` or in a region itself. What is `None`
-/// stays as it is.
+/// Changes to a material, from `[material.NAME]` or from a region. A field that is `None` keeps its value.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct MaterialOverride {
     /// Young's modulus in Pa.
@@ -96,9 +94,9 @@ pub struct MaterialOverride {
     pub fibre_ratio: Option<f64>,
     /// Direction of the fibres.
     pub fibre_axis: Option<FibreAxis>,
-    /// Part of the rest length at which a compressed spring turns extreme.
+    /// Fraction of the rest length at which a compressed spring becomes extreme.
     pub compress_limit: Option<f64>,
-    /// Multiple of the rest length at which a stretched spring turns extreme.
+    /// Multiple of the rest length at which a stretched spring becomes extreme.
     pub stretch_limit: Option<f64>,
     /// Whether it bottoms out.
     pub bottoms_out: Option<bool>,
@@ -110,57 +108,56 @@ pub struct MaterialOverride {
     pub friction_dynamic: Option<f64>,
 }
 
-/// Young's modulus in Pa a material may have. Reason: from the softest gel (1 Pa) to above
-/// diamond (1.2e12 Pa); a value outside is a slip of unit. At the bound the material is refused.
+/// Range of Young's modulus in Pa. Reason: from the softest gel (1 Pa) to above diamond (1.2e12 Pa); a value
+/// outside is in the wrong unit. Outside the range the material is rejected.
 pub(crate) const YOUNG_PA_RANGE: [f64; 2] = [1.0, 2e12];
 
-/// Density in kg/m³ a material may have. Reason: from aerogel (1) to above osmium (22 590); a
-/// value outside is a slip of unit. At the bound the material is refused.
+/// Range of the density in kg/m³. Reason: from aerogel (1) to above osmium (22 590); a value outside is in the
+/// wrong unit. Outside the range the material is rejected.
 pub(crate) const DENSITY_KG_M3_RANGE: [f64; 2] = [1.0, 25_000.0];
 
-/// Largest coefficient of friction. Reason: clean rubber reaches about 2; above 5 nothing a tool
-/// touches. At the bound the material is refused.
+/// Largest coefficient of friction. Reason: clean rubber reaches about 2; no material that a tool touches is
+/// above 5. Above it the material is rejected.
 pub(crate) const FRICTION_MAX: f64 = 5.0;
 
-/// Poisson's ratio a material may have. Reason: below a quarter the term that keeps the volume
-/// would have to pull the cells apart; at one half it would be infinite, and at 0.49 it is 48 times
-/// as stiff as the springs. At the bounds the material is refused.
+/// Range of Poisson's ratio. Reason: below 0.25 the volume term would have a negative stiffness. At 0.5 the
+/// stiffness would be infinite; at 0.49 it is 48 times that of the springs. Outside the range the material is
+/// rejected.
 pub(crate) const POISSON_RANGE: [f64; 2] = [POISSON_OF_SPRINGS, 0.49];
 
-/// Exponent of the spring curve a material may have. Reason: at 50 a spring is e times as stiff
-/// with every 2 % of strain, beyond the steepest toe region of a tendon; steeper is a limit, for
-/// which there is `stretch_limit`. At the bound the material is refused.
+/// Range of the exponent of the spring curve. Reason: at 50 a spring stiffens by a factor e per 2 % of strain,
+/// beyond the steepest toe region of a tendon. `stretch_limit` models steeper laws. Outside the range the
+/// material is rejected.
 pub(crate) const STIFFENING_RANGE: [f64; 2] = [0.0, 50.0];
 
-/// Ratio of the moduli along and across fibres. Reason: springs can share the work between their
-/// directions only so far before some would have to push; muscle and tendon in the literature lie
-/// within. At the bounds the material is refused.
+/// Range of the ratio of the moduli along and across fibres. Reason: beyond it some springs would need negative
+/// stiffness; muscle and tendon in the literature lie within. Outside the range the material is rejected.
 pub(crate) const FIBRE_RATIO_RANGE: [f64; 2] = [0.1, 20.0];
 
-/// Parts of the rest length at which compression may end. Reason: above 0.95 a touch would make
-/// everything rigid; below 0.05 the cells have folded before. At the bounds the material is refused.
+/// Range of the compression limit. Reason: above 0.95 a touch would make the tissue rigid; below 0.05 the cells
+/// have folded before. Outside the range the material is rejected.
 pub(crate) const COMPRESS_LIMIT_RANGE: [f64; 2] = [0.05, 0.95];
 
-/// Multiples of the rest length at which stretching may end. Reason: at 1 and a hundredth a touch
-/// makes everything rigid; at 100 there is no limit. At the bounds the material is refused.
+/// Range of the stretch limit. Reason: at 1.01 a touch makes the tissue rigid; 100 is no limit in practice.
+/// Outside the range the material is rejected.
 pub(crate) const STRETCH_LIMIT_RANGE: [f64; 2] = [1.01, 100.0];
 
-/// What springs alone give (`springs.rs`).
+/// Poisson's ratio of springs alone (`springs.rs`).
 const POISSON_OF_SPRINGS: f64 = 0.25;
 
-/// Where compression ends when the scene does not say.
+/// Default compression limit.
 const COMPRESS_LIMIT_DEFAULT: f64 = 0.3;
 
-/// Where stretching ends when the scene does not say.
+/// Default stretch limit.
 const STRETCH_LIMIT_DEFAULT: f64 = 3.0;
 
-/// Friction of a new material for which the scene gives none.
+/// Default friction of a new material.
 const FRICTION_DEFAULT: [f64; 2] = [0.4, 0.3];
 
-/// Why a material was refused.
+/// The reason why a material was rejected.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum MaterialError {
-    /// Neither built in nor described by the scene.
+    /// Neither built in nor defined by the scene.
     #[error(
         "no material \"{name}\"{}; built in are {}; for one of your own add \
          [material.{name}] with young_kpa and density_kg_m3",
@@ -173,7 +170,7 @@ pub enum MaterialError {
         /// The most similar known name.
         nearest: Option<String>,
     },
-    /// A new material without all it needs.
+    /// A new material with a missing key.
     #[error(
         "material \"{name}\" is not built in, so [material.{name}] must give {missing}; built \
          in are {}",
@@ -192,9 +189,9 @@ pub enum MaterialError {
         name: String,
         /// The key of the scene.
         key: &'static str,
-        /// What it says.
+        /// Its value.
         value: f64,
-        /// What it may be.
+        /// The allowed values.
         range: String,
     },
 }
@@ -205,7 +202,7 @@ impl Material {
         library::built_in(name)
     }
 
-    /// A built-in material with the scene's changes, or a new one from the scene alone.
+    /// A built-in material with the scene's changes, or a new one defined by the scene alone.
     pub fn resolve(name: &str, change: Option<&MaterialOverride>) -> Result<Self, MaterialError> {
         let change = match (Self::built_in(name), change) {
             (Some(built_in), None) => return Ok(built_in),
@@ -240,7 +237,7 @@ impl Material {
         .checked()
     }
 
-    /// Itself with a scene's changes; `by` says whose they are and begins the new source.
+    /// This material with a scene's changes; `by` names their origin and begins the new source.
     pub(crate) fn with(
         mut self,
         change: &MaterialOverride,
@@ -258,7 +255,7 @@ impl Material {
         self.stretch_limit = change.stretch_limit.unwrap_or(self.stretch_limit);
         self.bottoms_out = change.bottoms_out.unwrap_or(self.bottoms_out);
         self.density_kg_m3 = change.density_kg_m3.unwrap_or(self.density_kg_m3);
-        // Whoever gives one coefficient means the other to follow where it would contradict.
+        // A single coefficient takes the other one along where the two would contradict.
         let [statik, dynamic] = [change.friction_static, change.friction_dynamic];
         self.friction_static = statik.unwrap_or(self.friction_static.max(dynamic.unwrap_or(0.0)));
         self.friction_dynamic = dynamic.unwrap_or(self.friction_dynamic.min(self.friction_static));
@@ -266,7 +263,7 @@ impl Material {
         self.checked()
     }
 
-    /// Itself, when every number is in range.
+    /// This material, if every number is in range.
     fn checked(self) -> Result<Self, MaterialError> {
         let bad = |key, value: f64, range: String| {
             Err(MaterialError::OutOfRange {
@@ -296,7 +293,7 @@ impl Material {
         Ok(self)
     }
 
-    /// Each number with its key in a scene, what it may be, and its unit there.
+    /// Each number with its scene key, its range, and its unit in a scene.
     fn ranges(&self) -> [(&'static str, f64, [f64; 2], &'static str); 8] {
         let young_kpa = YOUNG_PA_RANGE.map(|pa| pa * 1e-3);
         let friction = [0.0, FRICTION_MAX];

@@ -1,4 +1,4 @@
-//! The model as it was built: immutable, what a model file holds and every participant shares.
+//! The model as it was built: immutable, the content of a model file, shared by every participant.
 
 use crate::{Cell, Material, Vec3};
 
@@ -18,12 +18,11 @@ impl RegionId {
 pub struct Region {
     /// Its name in the scene.
     pub name: String,
-    /// What it is made of.
+    /// Its material.
     pub material: Material,
     /// A pinned region does not move.
     pub pinned: bool,
-    /// Unit vector along its fibres; zero when its material is the same in all directions. See
-    /// [`Model::resolve_fibres`].
+    /// Unit vector along its fibres; zero when its material is isotropic. See [`Model::resolve_fibres`].
     pub fibre: [f64; 3],
 }
 
@@ -32,13 +31,13 @@ pub struct Region {
 pub struct Model {
     /// Lattice spacing Δd in m.
     pub spacing_m: f64,
-    /// Acceleration of gravity in m/s² along the axes of the model; zeros where there is none.
+    /// Acceleration of gravity in m/s² along the axes of the model; zeros without gravity.
     pub gravity: [f64; 3],
     /// Regions in scene order: a later one overrides an earlier one where they overlap.
     pub regions: Vec<Region>,
     /// Rest position of each node in m.
     pub nodes: Vec<Vec3>,
-    /// Lattice coordinates of each node: the grid point it stood at before it was snapped.
+    /// Lattice coordinates of each node: its grid point before snapping.
     pub lattice: Vec<[i32; 3]>,
     /// The cells; their corners index `nodes`.
     pub cells: Vec<Cell>,

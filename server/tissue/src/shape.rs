@@ -2,8 +2,8 @@
 
 use crate::{Topology, Vec3};
 
-/// Displacements from the rest positions of a [`Topology`]; several shapes of one topology may
-/// stand side by side (what the hand feels now, what everybody sees at the shared moment).
+/// Displacements from the rest positions of a [`Topology`]. Several shapes of one topology may exist at once:
+/// one for haptic rendering, one at the shared time for display.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shape {
     /// Displacement of each node in m.

@@ -1,19 +1,19 @@
-//! A snapshot: all that cuts and presses changed in a model, as bytes.
+//! A snapshot: all changes of a model by cuts and tools, as bytes.
 //!
-//! It stands on the model it was taken of, and holds only what differs. The content, inside the same
-//! envelope as a model file:
+//! It refers to the model it was taken of, and holds only differences. The content, inside the same envelope as
+//! a model file:
 //!
 //! ```text
 //! model      its hash, node and cell counts
 //! counts     version, nodes, rewired cells, opened faces (u32 each)
 //! cells      number (as steps), eight columns of corners, cut bits of each rewired cell
-//! opened     the faces laid open, in order
+//! opened     the opened faces, in order
 //! diagonals  one byte per face of the surface: which diagonal splits it
-//! rest       three columns of f64 bits, XOR those of the model's node it was or was doubled from
+//! rest       three columns of f64 bits, XOR those of the model's node (for a doubled node: its original)
 //! shape      three columns of f64 bits of the displacements
 //! ```
 //!
-//! Springs, masses, volumes and triangles are derived again; they are functions of these.
+//! Springs, masses, volumes and triangles are functions of these and are derived again.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -25,14 +25,14 @@ use crate::{FACES, FaceId, Model, NO_CELL, NODES_MAX, Shape, Topology, Vec3};
 const MAGIC: [u8; 8] = *b"palpsnap";
 /// Version of the snapshot format that this program writes and reads.
 pub const SNAPSHOT_FORMAT: u32 = 1;
-/// Farthest a rest position or displacement may be, in m; beyond it is damage.
+/// Largest coordinate of a rest position or displacement, in m; a larger one means damage.
 const POSITION_MAX_M: f64 = 1e5;
 
-/// Why a snapshot can not be restored.
+/// The reason why a snapshot cannot be restored.
 #[derive(Debug, thiserror::Error)]
 pub enum SnapshotError {
     /// Not a snapshot, of another version, or damaged.
-    #[error("this is no sound snapshot: {0}")]
+    #[error("invalid snapshot: {0}")]
     Envelope(#[from] EnvelopeError),
     /// Of another model.
     #[error(
@@ -46,18 +46,18 @@ pub enum SnapshotError {
         expected: u64,
     },
     /// The content contradicts itself or the model.
-    #[error("the snapshot contradicts itself: it {0}; take another")]
+    #[error("inconsistent snapshot: it {0}; request another")]
     Inconsistent(&'static str),
 }
 
 impl From<Short> for SnapshotError {
     fn from(_: Short) -> Self {
-        Self::Inconsistent("ends before all that it declares")
+        Self::Inconsistent("ends before its declared content")
     }
 }
 
-/// Identifies a model: equal hashes mean the same nodes, cells and materials, bit by bit. Names and
-/// sources of materials do not count.
+/// Identifies a model: equal hashes mean the same nodes, cells and materials, bit by bit. Names and sources of
+/// materials are not hashed.
 pub fn model_hash(model: &Model) -> u64 {
     let mut hasher = xxhash_rust::xxh3::Xxh3::new();
     for v in [model.spacing_m].iter().chain(&model.gravity) {
@@ -151,7 +151,7 @@ pub fn snapshot(topology: &Topology, shape: &Shape) -> Vec<u8> {
     seal(MAGIC, SNAPSHOT_FORMAT, &out.0)
 }
 
-/// Restores a snapshot onto the model it was taken of: topology and shape have the hashes they had.
+/// Restores a snapshot onto the model it was taken of: topology and shape have the same hashes as at the time.
 pub fn restore(model: Arc<Model>, bytes: &[u8]) -> Result<(Topology, Shape), SnapshotError> {
     let content = open(MAGIC, SNAPSHOT_FORMAT, bytes)?;
     let mut reader = Reader(&content);
@@ -161,14 +161,16 @@ pub fn restore(model: Arc<Model>, bytes: &[u8]) -> Result<(Topology, Shape), Sna
     }
     let built = model.nodes.len();
     if reader.u32()? as usize != built || reader.u32()? as usize != model.cells.len() {
-        return Err(SnapshotError::Inconsistent("counts other nodes or cells"));
+        return Err(SnapshotError::Inconsistent(
+            "has other node or cell counts than the model",
+        ));
     }
     let version = reader.u32()?;
     let nodes = reader.u32()? as usize;
     let rewired = reader.u32()? as usize;
     let opened = reader.u32()? as usize;
     if nodes < built || nodes > 2 * NODES_MAX || rewired > model.cells.len() {
-        return Err(SnapshotError::Inconsistent("declares impossible counts"));
+        return Err(SnapshotError::Inconsistent("declares counts out of range"));
     }
     let mut topology = Topology::new(model);
     let mut changed = rewire(&mut topology, &mut reader, nodes, rewired)?;
@@ -186,8 +188,7 @@ pub fn restore(model: Arc<Model>, bytes: &[u8]) -> Result<(Topology, Shape), Sna
     Ok((topology, Shape { displacement }))
 }
 
-/// Puts corners and cut bits in place, checks that they make sense, and makes room for the nodes.
-/// Gives the nodes around.
+/// Stores corners and cut bits, validates them, and makes room for the nodes. Returns the nodes around.
 fn rewire(
     topology: &mut Topology,
     reader: &mut Reader<'_>,
@@ -204,13 +205,13 @@ fn rewire(
     for (i, &cell) in cells.iter().enumerate() {
         if cell as usize >= topology.cell_count() {
             return Err(SnapshotError::Inconsistent(
-                "rewires a cell that is not there",
+                "rewires a cell that does not exist",
             ));
         }
         for (c, column) in corners.iter().enumerate() {
             if column[i] as usize >= nodes {
                 return Err(SnapshotError::Inconsistent(
-                    "wires a cell to a node that is not there",
+                    "wires a cell to a node that does not exist",
                 ));
             }
             changed.insert(topology.corners[cell as usize][c]);
@@ -227,7 +228,7 @@ fn rewire(
         for (slot, &node) in corners.iter().enumerate() {
             let place = &mut topology.node_cells[node as usize][slot];
             if *place != NO_CELL {
-                return Err(SnapshotError::Inconsistent("puts two cells in one place"));
+                return Err(SnapshotError::Inconsistent("has two cells in one position"));
             }
             *place = cell as u32;
         }
@@ -241,10 +242,12 @@ fn rewire(
     Ok(changed)
 }
 
-/// Faces are cut from both sides or none, and cells that are not parted share their nodes.
+/// Faces are cut from both sides or none, and uncut neighbours share their nodes.
 fn check_faces(topology: &Topology, cell: u32) -> Result<(), SnapshotError> {
     if topology.cut[cell as usize] >> 6 != 0 {
-        return Err(SnapshotError::Inconsistent("cuts a face that is not there"));
+        return Err(SnapshotError::Inconsistent(
+            "cuts a face that does not exist",
+        ));
     }
     for (face, corners) in FACES.iter().enumerate() {
         let id = FaceId::new(cell, face);
@@ -265,7 +268,7 @@ fn check_faces(topology: &Topology, cell: u32) -> Result<(), SnapshotError> {
         let [near, far] = [cell, behind.cell()].map(|c| topology.corners(c));
         if cut == 0 && corners.iter().any(|&c| near[c] != far[c ^ across]) {
             return Err(SnapshotError::Inconsistent(
-                "parts cells that are not cut apart",
+                "separates cells that are not cut apart",
             ));
         }
     }
@@ -307,13 +310,15 @@ fn read_points(
             if p.iter().all(|v| v.abs() <= POSITION_MAX_M) {
                 Ok(p)
             } else {
-                Err(SnapshotError::Inconsistent("has a node beyond all measure"))
+                Err(SnapshotError::Inconsistent(
+                    "has a node position out of range",
+                ))
             }
         })
         .collect()
 }
 
-/// Splits the surface again as it was split, with the opened faces in their order.
+/// Splits the surface as before, with the opened faces in their order.
 fn reopen(topology: &mut Topology, faces: &[u32], diagonals: &[u8]) -> Result<(), SnapshotError> {
     let bits: u32 = topology.cut.iter().map(|c| c.count_ones()).sum();
     for &face in faces {

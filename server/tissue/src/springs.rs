@@ -10,10 +10,10 @@
 //! so isotropy, C11 = 3 C44, needs k1 = k2 + 8/3 k3; then E = 2.5 C44 and Poisson's ratio is 1/4. With
 //! k3 = k2/2 that is k1 = 0.56 E Δd, k2 = 0.24 E Δd, k3 = 0.12 E Δd.
 //!
-//! The seed (Lin 2007, fig. 3.2) has no body diagonals. They are there because of nodes at a step of
-//! the lattice that lie flat on an oblique surface: all their edges and face diagonals lie in the
-//! surface, and without a spring into the depth they can be pushed through it with no force and
-//! stay there (measured: a press of 2 mm left dents of 5 mm).
+//! The seed (Lin 2007, fig. 3.2) has no body diagonals. They support nodes at a step of the lattice that lie
+//! flat on an oblique surface. All edges and face diagonals of such a node lie in the surface. Without a spring
+//! into the depth the node can be pushed through it with no force and stay there (measured: a press of 2 mm
+//! left dents of 5 mm).
 //!
 //! An edge is shared by four cells and a face diagonal by two. Written per cell with its own volume V
 //! and the spring's own length l, the stiffness is
@@ -24,15 +24,14 @@
 //! body diagonal  0.36 E V / l²      (cube: V = Δd³, l = √3 Δd   ->  k3)
 //! ```
 //!
-//! which keeps the energy per volume of a uniform strain when a cell is scaled. Heterogeneity,
-//! boundaries and the halves on both sides of a cut then come by themselves. E stands for 2.5 μ: with
-//! the volume term (`equilibrium/law.rs`) the springs carry the shear modulus alone, and at Poisson's
-//! ratio 1/4 that is Young's modulus.
+//! which keeps the energy per volume of a uniform strain when a cell is scaled. Heterogeneity, boundaries and
+//! the halves on both sides of a cut then need no special case. E stands for 2.5 μ: with the volume term
+//! (`equilibrium/law.rs`) the springs carry the shear modulus alone, and at Poisson's ratio 1/4 that is Young's
+//! modulus.
 //!
-//! The rows here have these shares whatever the shape of the cell: they are the seed's springs, which
-//! its iteration (3.10) runs on and from which the stiffness of a node is taken. The forces of the
-//! equilibrium come per cell, and in a distorted cell with shares that make it isotropic again
-//! (`fit.rs`).
+//! The rows here have these shares regardless of the shape of the cell. They are the springs of the seed's
+//! iteration (3.10), and the stiffness of a node is taken from them. The equilibrium computes forces per cell,
+//! with shares that make a distorted cell isotropic again (`fit.rs`).
 
 /// One spring as seen from one of its ends.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -49,22 +48,22 @@ pub struct Spring {
 /// and across a cut no two of them need share their far end.
 pub const SPRINGS_PER_NODE_MAX: usize = 56;
 
-/// Share of Young's modulus that an edge spring carries; see the file's head.
+/// Share of Young's modulus that an edge spring carries; see the module docs.
 pub(crate) const EDGE_SHARE: f64 = 0.14;
-/// Share of Young's modulus that a face diagonal carries; see the file's head.
+/// Share of Young's modulus that a face diagonal carries; see the module docs.
 pub(crate) const DIAGONAL_SHARE: f64 = 0.24;
 /// Share of Young's modulus that a body diagonal carries.
 pub(crate) const BODY_SHARE: f64 = 0.36;
-/// A spring shorter than this part of the spacing counts as this long when its stiffness is
-/// computed, so that one bad corner can not make the whole system stiff.
+/// A spring shorter than this part of the spacing counts as this long when its stiffness is computed, so that
+/// one bad corner cannot make the whole system stiff.
 pub(crate) const LENGTH_FLOOR: f64 = 0.5;
 
-/// All springs, as one row per node; each spring stands in the rows of both its ends.
+/// All springs, as one row per node; each spring is in the rows of both its ends.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Springs {
     rows: Vec<Row>,
     entries: Vec<Spring>,
-    /// Entries that no row points to any more, after rows were replaced.
+    /// Unused entries, after rows were replaced.
     garbage: usize,
 }
 
@@ -76,7 +75,7 @@ struct Row {
 }
 
 impl Springs {
-    /// No springs for no nodes, with room for `nodes` rows.
+    /// An empty table with room for `nodes` rows.
     pub(crate) fn with_capacity(nodes: usize) -> Self {
         Self {
             rows: Vec::with_capacity(nodes),
@@ -96,7 +95,7 @@ impl Springs {
         self.rows.len()
     }
 
-    /// Whether there is no row.
+    /// Whether there are no rows.
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }
@@ -106,7 +105,7 @@ impl Springs {
         self.rows.iter().map(|r| r.len as usize).sum::<usize>() / 2
     }
 
-    /// Puts a row in place of a node's old one, or appends the row of the next node.
+    /// Replaces a node's row, or appends the row of the next node.
     pub(crate) fn set_row(&mut self, node: u32, springs: &[Spring]) {
         let index = node as usize;
         assert!(index <= self.rows.len(), "rows are added in order");

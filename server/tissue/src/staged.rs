@@ -1,71 +1,71 @@
-//! Writing a file whole: beside its place first, then moved there.
+//! Atomic file writes: a temporary file beside the path, then a rename.
 //!
-//! Every output of the programs goes through here. A move would replace whatever has the name, so only regular files are
-//! ever replaced:
+//! Every output of the programs uses this module. A rename would replace anything of that name, so only regular
+//! files are ever replaced:
 //!
 //! ```text
-//! nothing there, regular file   written beside it, then moved
-//! link to a regular file        the file that it leads to; the link stays
+//! no file, regular file         written beside it, then renamed
+//! link to a regular file        replaces its target; the link stays
 //! device, pipe                  written into, when the content is complete
-//! folder, socket, dead link     refused
+//! folder, socket, dead link     rejected
 //! ```
 
 use std::fs::{File, FileType, OpenOptions};
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-/// Names that are tried for the file beside the place.
+/// Names that are tried for the temporary file.
 const NAMES_MAX: u32 = 100;
 
-/// Why a file could not be written. Whatever stood in its place before is untouched.
+/// The reason why a file could not be written. The previous content of the path is untouched.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: can not be written: {source}; {}", path.display(), advice(source))]
 pub struct WriteError {
     /// The file.
     pub path: PathBuf,
-    /// What the operating system said.
+    /// The error of the operating system.
     pub source: io::Error,
 }
 
 fn advice(source: &io::Error) -> &'static str {
     match source.kind() {
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge => {
-            "make room there or write elsewhere; nothing was changed"
+            "free disk space or write elsewhere; nothing was changed"
         }
         ErrorKind::NotFound => "make its folder first",
         ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => {
             "write where you are allowed to"
         }
         ErrorKind::InvalidInput => "name a regular file, or a new one",
-        _ => "check that its place is a file in a folder one can write to",
+        _ => "check that its folder can be written",
     }
 }
 
-/// The way into a place.
+/// Method of writing to a path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Way {
-    /// Replaces what is there.
+    /// Replaces the existing file.
     Move,
-    /// Keeps what is there and writes into it.
+    /// Keeps the existing device or pipe and writes into it.
     Into,
 }
 
-/// A file that is complete on the disk but not yet in its place. Dropped, it leaves nothing behind;
-/// so several files can be made sure of before the first of them is put in place.
+/// A file that is complete on the disk but not yet at its path. Dropping it removes the temporary file. So
+/// several files can be completed before the first of them is put in place.
 #[derive(Debug)]
 #[must_use = "the file is thrown away unless it is put in place"]
 pub struct Staged {
     beside: PathBuf,
-    /// The place as it was named.
+    /// The path as given.
     path: PathBuf,
-    /// The place behind any links.
+    /// The path with links resolved.
     place: PathBuf,
     way: Way,
     in_place: bool,
 }
 
 impl Staged {
-    /// Writes with `fill` what is to stand at `path`.
+    /// Writes the content for `path` with `fill`.
     pub fn write(
         path: &Path,
         fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
@@ -74,19 +74,20 @@ impl Staged {
         let mut out = BufWriter::new(file);
         let written = fill(&mut out).and_then(|()| {
             out.flush()?;
-            // Some file systems find out only now that they are full.
+            // Some file systems report only now that they are full.
             out.get_ref().sync_all()
         });
         written.map_err(|source| staged.error(source))?;
         Ok(staged)
     }
 
-    /// Whether a file can be put at `path`, found by starting one. Nothing that is there changes, and nothing is left.
+    /// Checks that a file can be put at `path` by starting one. Existing files stay unchanged, and the
+    /// temporary file is removed.
     pub fn check(path: &Path) -> Result<(), WriteError> {
         Self::begin(path).map(|_| ())
     }
 
-    /// Makes an empty file beside the place.
+    /// Makes an empty temporary file.
     fn begin(path: &Path) -> Result<(Self, File), WriteError> {
         let error = |source| WriteError {
             path: path.to_owned(),
@@ -108,18 +109,18 @@ impl Staged {
         if way == Way::Move
             && let Ok(before) = std::fs::metadata(&staged.place)
         {
-            // Of another owner's file they can not be kept.
+            // The attributes of another owner's file cannot be kept.
             let _ = file.set_permissions(before.permissions());
         }
         Ok((staged, file))
     }
 
-    /// The place that it is for.
+    /// Its final path.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Moves the file into its place; a reader finds the old file or the new one, never a part.
+    /// Renames the file to its path; a reader finds the old file or the new one, never a part.
     pub fn put_in_place(mut self) -> Result<(), WriteError> {
         match self.way {
             Way::Move => {
@@ -131,11 +132,11 @@ impl Staged {
         Ok(())
     }
 
-    /// Writes the file into the device or pipe at its place.
+    /// Writes the file into the device or pipe at its path.
     fn pour(&self) -> io::Result<()> {
         let mut out = OpenOptions::new().write(true).open(&self.place)?;
         match io::copy(&mut File::open(&self.beside)?, &mut out) {
-            // A reader that has seen enough and closed its end is no mistake.
+            // A reader that closes its end early is not an error.
             Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
             done => done.map(|_| ()),
         }
@@ -152,25 +153,25 @@ impl Staged {
 impl Drop for Staged {
     fn drop(&mut self) {
         if !self.in_place {
-            // That the rest of an attempt can not be removed either adds nothing to the error.
+            // A failure to remove the temporary file adds nothing to the error.
             let _ = std::fs::remove_file(&self.beside);
         }
     }
 }
 
-/// Writes a file whole and puts it in its place.
+/// Writes a file atomically.
 pub fn write_file(path: &Path, content: impl AsRef<[u8]>) -> Result<(), WriteError> {
     Staged::write(path, |out| out.write_all(content.as_ref()))?.put_in_place()
 }
 
-/// The place behind any links, and the way into it.
+/// The path with links resolved, and the method of writing to it.
 fn place_of(path: &Path) -> io::Result<(PathBuf, Way)> {
     let refused = |why: &str| Err(io::Error::new(ErrorKind::InvalidInput, why));
     let metadata = match std::fs::metadata(path) {
         Ok(metadata) => metadata,
         Err(error) if error.kind() == ErrorKind::NotFound => {
             if path.symlink_metadata().is_ok() {
-                return refused("it is a symbolic link to nothing");
+                return refused("it is a dangling symbolic link");
             }
             return Ok((path.to_owned(), Way::Move));
         }
@@ -187,7 +188,7 @@ fn place_of(path: &Path) -> io::Result<(PathBuf, Way)> {
         };
     }
     if names_open_file(path) {
-        // Its own position would be lost, and what is printed after it would overwrite it.
+        // The position of the open file would be lost, and later output would overwrite the content.
         return refused("it names a file that is open already");
     }
     Ok((path.canonicalize()?, Way::Move))
@@ -214,7 +215,7 @@ fn names_open_file(path: &Path) -> bool {
         .any(|p| p.starts_with("/proc"))
 }
 
-/// Makes a new file beside `place`, under a name that nothing has.
+/// Makes a new file beside `place`, under an unused name.
 fn create_beside(place: &Path) -> io::Result<(PathBuf, File)> {
     let mut number = 0;
     loop {
@@ -242,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_and_a_pipe_are_written_into_and_never_replaced() {
+    fn devices_and_pipes_are_written_and_never_replaced() {
         let dir = tempfile::tempdir().unwrap();
         let null = dir.path().join("null");
         symlink("/dev/null", &null).unwrap();
@@ -274,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_stays_and_the_file_behind_it_is_new() {
+    fn write_through_a_link_replaces_its_target() {
         let dir = tempfile::tempdir().unwrap();
         let (file, link) = (dir.path().join("file"), dir.path().join("link"));
         std::fs::write(&file, "old").unwrap();
@@ -288,14 +289,14 @@ mod tests {
     }
 
     #[test]
-    fn folders_sockets_and_dead_links_are_refused_with_the_reason() {
+    fn folders_sockets_and_dangling_links_are_rejected_with_the_reason() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         symlink("absent", at("dead")).unwrap();
         let _listener = UnixListener::bind(at("socket")).unwrap();
         std::fs::create_dir(at("folder")).unwrap();
         for (name, why) in [
-            ("dead", "symbolic link to nothing"),
+            ("dead", "dangling symbolic link"),
             ("socket", "a socket"),
             ("folder", "a folder"),
         ] {
@@ -314,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn a_check_changes_nothing() {
+    fn check_changes_no_file() {
         let dir = tempfile::tempdir().unwrap();
         let old = dir.path().join("old");
         std::fs::write(&old, "kept").unwrap();

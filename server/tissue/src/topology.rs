@@ -1,9 +1,8 @@
-//! What cuts change: rest positions, the wiring of the cells, and all that follows from them.
+//! The topology: rest positions and wiring of the cells, which cuts change, and all derived data.
 //!
-//! A cut separates cells along faces that they share and doubles the nodes between them; no cell
-//! comes or goes. So the topology is: a rest position per node, eight corners per cell, and a mask
-//! of cut faces per cell. Springs, masses and the outer surface are derived from these, and only
-//! around the nodes that changed.
+//! A cut separates cells along shared faces and doubles the nodes between them; the number of cells is
+//! constant. So the topology is a rest position per node, eight corners per cell, and a mask of cut faces per
+//! cell. Springs, masses and the outer surface are derived from these, and updated only around changed nodes.
 
 use std::sync::Arc;
 
@@ -72,7 +71,7 @@ impl FaceId {
         self.0 / 6
     }
 
-    /// Which of the six faces of [`FACES`] it is.
+    /// Its index in [`FACES`].
     pub const fn face(self) -> usize {
         (self.0 % 6) as usize
     }
@@ -102,7 +101,7 @@ pub struct Topology {
     /// Slot `c` of a node: the cell of which it is corner `c`, or [`NO_CELL`].
     pub(crate) node_cells: Vec<[u32; 8]>,
     pub(crate) cell_volume: Vec<f64>,
-    /// Volume of each cell as it was built: what its mass comes from, so that no cut changes it.
+    /// Volume of each cell as it was built; its mass follows from it, so that no cut changes the mass.
     built_volume: Vec<f64>,
     pub(crate) springs: Springs,
     pub(crate) mass: Vec<f64>,
@@ -158,7 +157,7 @@ impl Topology {
         &self.model
     }
 
-    /// How many operations have changed it.
+    /// Number of operations that have changed it.
     pub fn version(&self) -> u32 {
         self.version
     }

@@ -1,4 +1,4 @@
-//! The virtual bars of a build's report: what the built samples show of the moduli that were asked for.
+//! The virtual bars of a build's report: moduli of the built samples against those of their materials.
 
 #![allow(clippy::unwrap_used)]
 
@@ -6,7 +6,7 @@ use palpate_tissue::build;
 use palpate_tissue::sample::Sample;
 
 #[test]
-fn every_sample_shows_its_moduli_where_a_region_is_three_cells_thick() {
+fn sample_moduli_match_materials_in_regions_three_cells_thick() {
     for sample in Sample::ALL {
         let input = sample.input().unwrap();
         let (model, report) = build(&input, &mut |_, _| {}).unwrap();

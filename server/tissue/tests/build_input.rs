@@ -1,4 +1,4 @@
-//! Input that is odd, thin, wrong, or too much.
+//! Unusual, thin, invalid or oversized input.
 
 #![allow(clippy::unwrap_used)]
 
@@ -26,7 +26,7 @@ fn slab(low: [f64; 3], high: [f64; 3]) -> Surface {
 }
 
 #[test]
-fn neighbours_that_share_a_wall_triangle_by_triangle_meet_there() {
+fn neighbours_with_a_common_wall_share_its_nodes() {
     // The wall at x = 0 consists of the same triangles with opposite windings, as between two labels.
     let left = slab([-31.0, -20.0, -20.0], [0.0, 20.0, 20.0]);
     let right = slab([0.0, -20.0, -20.0], [29.0, 20.0, 20.0]);
@@ -37,7 +37,7 @@ fn neighbours_that_share_a_wall_triangle_by_triangle_meet_there() {
             assert!(volume_error(&report, r).abs() < 0.01, "{report:?}");
         }
         assert!(report.thin.parts.is_empty(), "{:?}", report.thin);
-        // Two outer interfaces and one between them; all its nodes in the plane of the wall.
+        // Two outer interfaces and one between them, whose nodes lie in the plane of the wall.
         assert_eq!(report.layers.len(), 3);
         let layers = palpate_tissue::Layers::new(&model);
         let wall = layers.layers.iter().find(|l| l.outside.is_some()).unwrap();
@@ -49,7 +49,7 @@ fn neighbours_that_share_a_wall_triangle_by_triangle_meet_there() {
 }
 
 #[test]
-fn many_neighbours_with_common_walls_leave_no_gap() {
+fn common_walls_of_many_neighbours_leave_no_gap() {
     let at = |i: usize| [i & 1, i >> 1 & 1, i >> 2 & 1].map(|b| b as f64 * 20.0);
     let blocks: Vec<Surface> = (0..8)
         .map(|i| slab(at(i), at(i).map(|x| x + 20.0)))
@@ -64,9 +64,9 @@ fn many_neighbours_with_common_walls_leave_no_gap() {
 }
 
 #[test]
-fn a_layer_thinner_than_the_spacing_is_reported_with_its_place() {
+fn thin_layer_is_reported_with_position() {
     let outer = slab([-30.0, -30.0, 0.0], [30.0, 30.0, 30.0]);
-    // Two millimetres of the first region are left on top, and plenty at the sides.
+    // The first region keeps two millimetres on top, and far more at the sides.
     let inner = slab([-20.0, -20.0, 0.0], [20.0, 20.0, 28.0]);
     let (_, report) = built(&scene("5.0", &[outer, inner]).unwrap());
     let part = report
@@ -86,7 +86,7 @@ fn a_layer_thinner_than_the_spacing_is_reported_with_its_place() {
 }
 
 #[test]
-fn a_wall_far_thinner_than_the_spacing_is_lost_and_the_report_says_so() {
+fn lost_thin_wall_is_reported() {
     let cone = together(&[cylinder(0.01, 0.02), {
         let mut hole = cylinder(0.0095, 0.0195);
         hole.triangles.iter_mut().for_each(|t| t.swap(1, 2));
@@ -104,7 +104,7 @@ fn a_wall_far_thinner_than_the_spacing_is_lost_and_the_report_says_so() {
 }
 
 #[test]
-fn duplicated_crossing_and_inside_out_triangles_change_nothing() {
+fn duplicate_crossing_and_inverted_triangles_keep_the_model() {
     let plain = ball(0.02);
     let (model, _) = built(&scene("3.0", std::slice::from_ref(&plain)).unwrap());
     let mut doubled = plain.clone();
@@ -121,14 +121,14 @@ fn duplicated_crossing_and_inside_out_triangles_change_nothing() {
         let (same, _) = built(&scene("3.0", &[odd]).unwrap());
         assert_eq!(same.nodes, model.nodes);
     }
-    // Two balls that run through each other in one surface.
+    // Two balls that intersect in one surface.
     let crossing = together(&[ball(0.015), placed(ball(0.015), [0.3; 3], Vec3::x() * 0.01)]);
     let (_, report) = built(&scene("2.5", &[crossing]).unwrap());
     assert_eq!(report.regions[0].components, 1);
 }
 
 #[test]
-fn many_components_stay_apart() {
+fn separate_components_stay_separate() {
     let drops: Vec<Surface> = (0..27)
         .map(|i| [i % 3, i / 3 % 3, i / 9].map(|j| f64::from(j - 1) * 0.02))
         .map(|at| placed(ball(0.006), [0.0; 3], Vec3::from(at)))
@@ -147,7 +147,7 @@ fn many_components_stay_apart() {
 }
 
 #[test]
-fn metres_taken_for_millimetres_say_what_it_looks_like() {
+fn error_for_wrong_unit_names_the_likely_unit() {
     let mut tiny = ball(0.1);
     tiny.vertices.iter_mut().for_each(|v| *v *= 1e-3);
     let input = scene("4.0", &[tiny]).unwrap();
@@ -164,7 +164,7 @@ fn metres_taken_for_millimetres_say_what_it_looks_like() {
 }
 
 #[test]
-fn what_lies_too_far_from_the_origin_is_refused_before_it_is_built() {
+fn input_too_far_from_the_origin_is_rejected_before_building() {
     for far in [12e3, -2e5] {
         let mut ball = ball(0.1);
         ball.vertices.iter_mut().for_each(|v| v.x += far);
@@ -178,7 +178,7 @@ fn what_lies_too_far_from_the_origin_is_refused_before_it_is_built() {
 }
 
 #[test]
-fn an_automatic_spacing_follows_the_thinnest_layer_and_not_below_the_least() {
+fn automatic_spacing_is_thinnest_layer_or_given_minimum() {
     let outer = placed(ball(0.03), [0.0; 3], Vec3::zeros());
     let inner = placed(ball(0.026), [0.0; 3], Vec3::zeros());
     let (model, report) = built(&scene("\"auto\"", &[outer.clone(), inner.clone()]).unwrap());

@@ -1,4 +1,4 @@
-//! What must hold of every model, whatever shapes it is built from.
+//! Invariants of every model, for random input shapes.
 
 #![allow(clippy::unwrap_used)]
 
@@ -12,10 +12,10 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use shapes::{ball, cuboid, cylinder, placed, scene};
 
-/// Volumes must agree to this part where nothing of the region is thin.
+/// Relative tolerance of the volumes where nothing of the region is thin.
 const VOLUME: f64 = 0.02;
 
-/// Judges a model by looking at it, not by what its report says.
+/// Checks the invariants on the model itself, independently of its report.
 fn assert_sound(model: &Model, report: &BuildReport) {
     let mut volumes = vec![0.0; model.regions.len()];
     for (index, cell) in model.cells.iter().enumerate() {
@@ -83,9 +83,9 @@ fn shape(reach: f64) -> impl Strategy<Value = Surface> {
         })
 }
 
-/// Two boxes of which a corner ends between two layers of the lattice's nodes: the worst of 1,300.
+/// Two boxes of which a corner ends between two layers of the lattice's nodes: the worst of 1,300 random cases.
 #[test]
-fn a_corner_that_no_node_looks_like_is_kept() {
+fn corner_between_lattice_layers_is_kept() {
     for seed in [191, 1277] {
         let mut random = rand_pcg::Pcg64::seed_from_u64(seed);
         let mut between = |a: f64, b: f64| a + (b - a) * random.random::<f64>();
@@ -109,7 +109,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn shapes_that_nest_touch_or_cross_give_sound_models(
+    fn nested_touching_or_crossing_shapes_give_valid_models(
         first in shape(1e-6), more in prop::collection::vec(shape(0.02), 0..4), spacing in 2.0..4.0_f64,
     ) {
         let surfaces: Vec<Surface> = std::iter::once(first).chain(more).collect();
@@ -126,7 +126,7 @@ proptest! {
             let error = region.volume_mm3 / region.input_volume_mm3 - 1.0;
             prop_assert!(thin || error.abs() < VOLUME, "{region:?}");
         }
-        // Layers hold every face between regions, once.
+        // Layers contain every face between regions once.
         let layers = Layers::new(&model);
         let faces: usize = layers.layers.iter().map(|l| l.triangles.len()).sum();
         let sides: usize = report.regions.iter().map(|r| r.surface.triangles).sum();
@@ -134,7 +134,7 @@ proptest! {
     }
 
     #[test]
-    fn shapes_within_each_other_keep_their_volumes(
+    fn nested_shapes_keep_their_volumes(
         inner in shape(0.004), turn in prop::array::uniform3(-1.5..1.5_f64), spacing in 2.0..3.0_f64,
     ) {
         // Nothing is thin here: the wall around the inner shape is a few spacings thick.

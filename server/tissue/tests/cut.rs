@@ -1,4 +1,4 @@
-//! The laws a cut keeps, on blocks: closed surface, mass, volume, sound cells, one history for all.
+//! Laws of a cut, on blocks: closed surface, mass, volume, valid cells, reproducible history.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -19,7 +19,7 @@ fn upright(from: [f64; 2], to: [f64; 2], height: f64, depth: f64) -> CutStroke {
 }
 
 #[test]
-fn a_cut_between_cells_moves_nothing_and_opens_a_closed_surface() {
+fn cut_between_cells_moves_no_node_and_keeps_the_surface_closed() {
     let mut t = topology([8, 8, 8], D);
     let before = Outline::of(&t);
     let s = upright([4.0 * D, -D], [4.0 * D, 9.0 * D], 8.0 * D, 4.0 * D);
@@ -39,7 +39,7 @@ fn a_cut_between_cells_moves_nothing_and_opens_a_closed_surface() {
 }
 
 #[test]
-fn a_through_cut_gives_two_exact_halves_at_any_tilt() {
+fn through_cut_gives_exact_halves_at_any_tilt() {
     for degrees in [0.0f64, 7.0, 30.0, 45.0, 60.0] {
         let n = 12;
         let mut t = topology([n, n, n], D);
@@ -63,7 +63,7 @@ fn a_through_cut_gives_two_exact_halves_at_any_tilt() {
                 "{degrees} degrees: {v} of {half}"
             );
         }
-        // What is short is short by less than half a spacing; the rest is on the plane.
+        // Nodes short of the plane are short by less than half a spacing; all others are on it.
         let normal = Vec3::new(cos, 0.0, -sin);
         let mut on = 0;
         for &(new, old) in &outcome.doubled {
@@ -83,7 +83,7 @@ fn a_through_cut_gives_two_exact_halves_at_any_tilt() {
 }
 
 #[test]
-fn a_cut_off_the_lattice_is_snapped_onto_the_blade() {
+fn oblique_cut_is_snapped_onto_the_blade() {
     for off in [0.1, 0.3, 0.49, 0.51, 0.8] {
         let mut t = topology([8, 8, 8], D);
         let before = Outline::of(&t);
@@ -101,7 +101,7 @@ fn a_cut_off_the_lattice_is_snapped_onto_the_blade() {
 }
 
 #[test]
-fn a_curved_cut_keeps_the_laws_and_the_curve() {
+fn curved_cut_keeps_the_laws_and_the_curve() {
     let mut t = topology([16, 16, 8], D);
     let before = Outline::of(&t);
     let radius = 10.0 * D;
@@ -133,7 +133,7 @@ fn a_curved_cut_keeps_the_laws_and_the_curve() {
 }
 
 #[test]
-fn crossing_continued_deepened_and_repeated_cuts_keep_the_laws() {
+fn crossing_continued_deepened_and_repeated_cuts_keep_invariants() {
     let mut t = topology([12, 12, 8], D);
     let before = Outline::of(&t);
     let h = 8.0 * D;
@@ -147,14 +147,14 @@ fn crossing_continued_deepened_and_repeated_cuts_keep_the_laws() {
     check_all(&t, &before);
     cut(&mut t, &along(6.2, 2.0, 9.0, 6.0)).unwrap();
     check_all(&t, &before);
-    // The same again parts nothing.
+    // A repeated stroke separates nothing.
     let hash = t.hash();
     let again = cut(&mut t, &along(6.2, 2.0, 9.0, 6.0));
     assert_eq!(again, Err(CutError::NothingNew));
     assert_eq!(t.hash(), hash);
     let outline = before;
     let check_all = |t: &Topology| cut_laws::check_within(t, &outline, 1e-4);
-    // Crossing at a right angle and at a slant.
+    // Crossing at a right angle and obliquely.
     cut(
         &mut t,
         &upright([5.4 * D, -D], [5.4 * D, 13.0 * D], h, 5.0 * D),
@@ -178,20 +178,20 @@ fn crossing_continued_deepened_and_repeated_cuts_keep_the_laws() {
 }
 
 #[test]
-fn a_short_cut_inside_the_surface_stays_one_piece() {
+fn short_inner_cut_keeps_one_piece() {
     let mut t = topology([10, 10, 6], D);
     let before = Outline::of(&t);
     let s = upright([3.0 * D, 5.0 * D], [7.0 * D, 5.0 * D], 6.0 * D, 3.0 * D);
     let outcome = cut(&mut t, &s).unwrap();
     assert_eq!(outcome.faces_opened, 12);
-    // Only what lies between the ends opens: three columns, three rows.
+    // Only the part between the ends opens: three columns, three rows.
     assert_eq!(outcome.doubled.len(), 9);
     assert_eq!(t.components(), 1);
     check_all(&t, &before);
 }
 
 #[test]
-fn a_stroke_that_can_not_cut_says_why_and_changes_nothing() {
+fn rejected_stroke_returns_the_reason_and_changes_nothing() {
     let mut t = Topology::new(Arc::new(block([6, 6, 6], D, &cut_laws::rubber(), 2)));
     let hash = t.hash();
     let good = upright([3.0 * D, 0.0], [3.0 * D, 6.0 * D], 6.0 * D, 3.0 * D);
@@ -225,7 +225,7 @@ fn a_stroke_that_can_not_cut_says_why_and_changes_nothing() {
     ] {
         let error = match cut(&mut t, &s) {
             Err(error) => error.to_string(),
-            Ok(_) => panic!("it cut, where it should say: {word}"),
+            Ok(_) => panic!("the stroke cut instead of the error: {word}"),
         };
         assert!(error.contains(word), "{word}: {error}");
         assert_eq!(t.hash(), hash);
@@ -233,7 +233,7 @@ fn a_stroke_that_can_not_cut_says_why_and_changes_nothing() {
 }
 
 #[test]
-fn a_knife_stops_at_bone() {
+fn pinned_bone_stops_the_blade() {
     let mut t = Topology::new(Arc::new(block([8, 8, 8], D, &cut_laws::rubber(), 3)));
     let before = Outline::of(&t);
     let s = upright([4.2 * D, -D], [4.2 * D, 9.0 * D], 8.0 * D, 8.5 * D);
@@ -250,7 +250,7 @@ fn a_knife_stops_at_bone() {
 }
 
 #[test]
-fn a_wide_wound_parts_at_the_top_and_closes_at_the_front() {
+fn wide_wound_opens_at_the_top_and_closes_at_the_front() {
     let mut t = topology([8, 8, 8], D);
     let before = Outline::of(&t);
     let mut s = upright([4.2 * D, -D], [4.2 * D, 9.0 * D], 8.0 * D, 4.0 * D);
@@ -271,7 +271,7 @@ fn a_wide_wound_parts_at_the_top_and_closes_at_the_front() {
 }
 
 #[test]
-fn a_deformed_shape_follows_a_cut_without_a_jump() {
+fn cut_keeps_the_displacement_field() {
     let mut t = topology([10, 10, 10], D);
     let bend = nalgebra::Matrix3::new(0.1, 0.2, 0.0, 0.0, -0.1, 0.05, 0.1, 0.0, 0.2);
     let mut shape = Shape::rest(&t);
@@ -286,7 +286,7 @@ fn a_deformed_shape_follows_a_cut_without_a_jump() {
     assert!(!outcome.moved.is_empty());
     shape.follow(&t, &outcome);
     assert_eq!(shape.displacement.len(), t.node_count());
-    // An affine deformation is still the same one, at every node.
+    // An affine deformation is unchanged at every node.
     for n in 0..t.node_count() as u32 {
         let off = shape.displacement[n as usize] - bend * t.rest(n);
         assert!(off.norm() < 1e-9 * D, "node {n}: {}", off.norm() / D);
@@ -294,7 +294,7 @@ fn a_deformed_shape_follows_a_cut_without_a_jump() {
 }
 
 #[test]
-fn the_way_back_to_rest_inverts_the_deformation() {
+fn mapping_to_rest_inverts_the_deformation() {
     let t = topology([12, 12, 12], D);
     let mut shape = Shape::rest(&t);
     let press = |p: Vec3| Vec3::new(0.0, 0.3 * p.z, -0.25 * p.z * (p.x / (12.0 * D)).powi(2));
@@ -317,7 +317,7 @@ fn the_way_back_to_rest_inverts_the_deformation() {
     assert!((from.position - top).norm() < 0.3 * D && from.outside > 0.1);
     assert!(to_rest(&t, &shape, Vec3::repeat(1.0)).is_none());
     assert!(to_rest(&t, &shape, Vec3::repeat(f64::NAN)).is_none());
-    // A blade keeps its unit axis and lengths go along.
+    // A blade keeps its unit axis; its lengths are transformed.
     let blade = BladePoint {
         tip: Vec3::repeat(6.0 * D) + press(Vec3::repeat(6.0 * D)),
         axis: Vec3::z(),

@@ -1,4 +1,4 @@
-//! Random strokes, one after the other: none may break an invariant, all give one history.
+//! Random strokes in sequence: none may break an invariant, and all are reproducible.
 
 #![allow(clippy::unwrap_used)]
 
@@ -20,7 +20,7 @@ fn model(pinned: usize) -> Arc<Model> {
     Arc::new(block(CELLS, D, &cut_laws::rubber(), pinned))
 }
 
-/// Numbers between -0.3 and 1.3: shares of the block's sides, a little beyond it on each.
+/// Numbers between -0.3 and 1.3: fractions of the block's sides, with a margin on each side.
 fn place() -> impl Strategy<Value = Vec3> {
     (-0.3..1.3, -0.3..1.3, -0.3..1.3).prop_map(|(x, y, z): (f64, f64, f64)| {
         let [a, b, c] = CELLS.map(|n| n as f64 * D);
@@ -63,7 +63,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 120, failure_persistence: None, ..Default::default() })]
 
     #[test]
-    fn random_strokes_break_no_invariant(
+    fn random_strokes_keep_invariants(
         pinned in 0usize..2,
         strokes in proptest::collection::vec(strokes(), 1..7),
     ) {
@@ -86,7 +86,7 @@ proptest! {
                 prop_assert_eq!(t.hash(), hash);
             }
         }
-        // The same strokes give the same topology, and a snapshot gives it back.
+        // The same strokes give the same topology, and a snapshot restores it.
         let mut again = Topology::new(Arc::clone(&model));
         for s in &strokes {
             let _ = cut(&mut again, s);
@@ -101,7 +101,7 @@ proptest! {
         prop_assert_eq!(back_shape.hash(), shape.hash());
         prop_assert_eq!(back.boundary(), t.boundary());
         cut_laws::check_derived(&back);
-        // It can be cut on alike.
+        // The restored topology can be cut in the same way.
         let mut back = back;
         for s in strokes.iter().rev() {
             prop_assert_eq!(cut(&mut back, s), cut(&mut t, s));
@@ -133,7 +133,7 @@ fn one_cut() -> (Arc<Model>, Topology, Shape) {
 }
 
 #[test]
-fn a_damaged_snapshot_is_refused() {
+fn damaged_snapshot_is_rejected() {
     let (model, t, shape) = one_cut();
     let good = snapshot(&t, &shape);
     assert!(restore(Arc::clone(&model), &good).is_ok());
@@ -151,7 +151,7 @@ fn a_damaged_snapshot_is_refused() {
 }
 
 #[test]
-fn a_snapshot_of_another_model_is_refused() {
+fn snapshot_of_another_model_is_rejected() {
     let (_, t, shape) = one_cut();
     let other = block([7, 6, 6], D, &cut_laws::rubber(), 1);
     let expected = model_hash(&other);

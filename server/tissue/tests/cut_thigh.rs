@@ -65,7 +65,7 @@ fn worst_cell(t: &Topology) -> f64 {
 }
 
 #[test]
-fn an_incision_through_the_layers_keeps_surface_and_volumes() {
+fn incision_through_layers_keeps_surface_and_volumes() {
     let mut t = thigh();
     cut_laws::check_surface(&t);
     let (before, worst) = (region_volumes(&t), worst_cell(&t));
@@ -87,7 +87,7 @@ fn an_incision_through_the_layers_keeps_surface_and_volumes() {
 }
 
 #[test]
-fn the_layers_show_on_both_sides_of_a_deep_incision() {
+fn deep_incision_exposes_all_layers_on_both_sides() {
     let mut t = thigh();
     let built = t.boundary().faces.len();
     let stroke = incision(&t, 0.35, 0.65, 0.03);
@@ -103,7 +103,7 @@ fn the_layers_show_on_both_sides_of_a_deep_incision() {
 }
 
 #[test]
-fn the_thigh_comes_back_from_its_file() {
+fn thigh_model_file_round_trip() {
     let t = thigh();
     let bytes = encode_model(t.model());
     println!("{} nodes in {} bytes", t.node_count(), bytes.len());

@@ -1,5 +1,5 @@
-//! Deep presses: a soft layer over what does not give. Extreme springs pass the force on, nothing folds,
-//! nothing cycles.
+//! Deep presses of a soft layer over a rigid one. Extreme springs transmit the force, no cell folds, and the
+//! iteration does not cycle.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -22,9 +22,9 @@ const SPACING: f64 = 2.0 * MM;
 const FAT_CELLS: usize = 7;
 const THICKNESS: f64 = SPACING * FAT_CELLS as f64;
 const ACROSS: usize = 20;
-/// θ of the guard: the part of its length that a spring keeps along its direction at rest.
+/// θ of the guard: the minimum ratio of a spring's projection on its rest direction to its rest length.
 const GUARDED: f64 = 0.3;
-/// Residual that counts as converged here: forces are then known to a part in a thousand.
+/// Residual that counts as converged here; forces are then accurate to 1e-3.
 const CONVERGED: f64 = 1e-5;
 
 /// A layer of tissue under a sphere.
@@ -32,7 +32,7 @@ struct Press {
     topology: Topology,
     solver: Solver,
     shape: Shape,
-    /// Where the sphere touches first, and the direction out of the tissue there.
+    /// First point of contact of the sphere, and the outward normal there.
     at: Vec3,
     normal: Vec3,
 }
@@ -49,7 +49,7 @@ impl Press {
         }
     }
 
-    /// Fat over bone; `limit` is the part of its length at which a pressed spring turns extreme.
+    /// Fat over bone; `limit` is the compression limit of the springs.
     fn slab(limit: f64) -> Self {
         let fat = Material {
             compress_limit: limit,
@@ -76,7 +76,7 @@ impl Press {
         report.clone()
     }
 
-    /// Goes down to `depth` in steps of a quarter of a millimetre and converges there.
+    /// Presses to `depth` in steps of a quarter of a millimetre and converges there.
     fn down(&mut self, from: f64, depth: f64) -> f64 {
         let steps = ((depth - from) / (0.25 * MM)).ceil().max(1.0) as usize;
         for s in 1..steps {
@@ -115,7 +115,7 @@ impl Press {
         per_cell.fold(f64::MAX, f64::min)
     }
 
-    /// The least part of its rest length that any spring keeps along its direction at rest.
+    /// The least ratio of any spring's projection on its rest direction to its rest length.
     fn least_part(&self) -> f64 {
         let mut least = f64::MAX;
         for node in 0..self.topology.node_count() as u32 {
@@ -136,11 +136,11 @@ fn determinant(corners: &[Vec3; 8], c: usize) -> f64 {
     x.dot(&y.cross(&z))
 }
 
-/// Limit that no scene has changed, and one that a moderate press reaches already.
+/// The default compression limit, and one that a moderate press reaches already.
 const LIMITS: [f64; 2] = [0.3, 0.8];
 
 #[test]
-fn fat_over_bone_bottoms_out() {
+fn force_over_bone_rises_steeply_in_deep_presses() {
     for limit in LIMITS {
         let mut press = Press::slab(limit);
         let mut last = 0.0;
@@ -159,7 +159,7 @@ fn fat_over_bone_bottoms_out() {
 }
 
 #[test]
-fn under_a_resting_tool_extreme_springs_come_to_rest() {
+fn extreme_springs_converge_under_a_resting_tool() {
     for limit in LIMITS {
         for part in [0.3, 0.5, 0.7, 0.8, 0.9] {
             let mut press = Press::slab(limit);
@@ -184,7 +184,8 @@ fn under_a_resting_tool_extreme_springs_come_to_rest() {
     }
 }
 
-/// Presses into the outer layer and asks for whole cells, and for a guard without work in moderate presses.
+/// Presses into the outer layer; checks that cells stay valid and that the guard stays inactive in moderate
+/// presses.
 fn press_into(mut press: Press, thickness: f64, parts: &[f64]) {
     let mut last = 0.0;
     for &part in parts {
@@ -199,7 +200,7 @@ fn press_into(mut press: Press, thickness: f64, parts: &[f64]) {
 }
 
 #[test]
-fn a_press_of_four_fifths_into_a_slab_inverts_no_cell_and_the_guard_rests_up_to_two() {
+fn press_of_80_percent_into_slab_inverts_no_cell() {
     press_into(
         Press::slab(LIMITS[0]),
         THICKNESS,
@@ -208,11 +209,11 @@ fn a_press_of_four_fifths_into_a_slab_inverts_no_cell_and_the_guard_rests_up_to_
 }
 
 #[test]
-fn a_press_of_two_fifths_into_a_thigh_inverts_no_cell_and_the_guard_rests() {
+fn press_of_40_percent_into_thigh_inverts_no_cell() {
     let input = Sample::Thigh.input().unwrap();
     let (model, _) = build(&input, &mut |_, _| {}).unwrap();
     let topology = Topology::new(Arc::new(model));
-    // Along -x the tool meets a corner that is flat at rest, which a tenth of the layer turns over.
+    // Along -x the tool meets a corner that is flat at rest, which a press of a tenth of the layer inverts.
     for normal in [Vec3::x(), Vec3::y()] {
         let at = outermost(&topology, normal);
         let thickness = layer(&topology, at, -normal);
@@ -222,8 +223,8 @@ fn a_press_of_two_fifths_into_a_thigh_inverts_no_cell_and_the_guard_rests() {
     }
 }
 
-/// Thickness of the outer region under a point of the surface: how far in, near the line, the first
-/// cell of another region has its middle, less half a cell.
+/// Thickness of the outer region under a point of the surface: distance along the inward line to the middle of
+/// the first nearby cell of another region, less half a cell.
 fn layer(topology: &Topology, at: Vec3, inward: Vec3) -> f64 {
     let spacing = topology.model().spacing_m;
     let mut least = f64::MAX;

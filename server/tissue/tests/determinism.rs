@@ -1,11 +1,11 @@
-//! The same steps give the same bits: on any number of threads, with vectors of any width, in any build.
+//! The same steps give the same bits on any number of threads, with any vector width, in any build.
 
 use std::sync::Arc;
 
 use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block};
 
-/// Of a press into a block of 14 thousand cells with a volume term and stiffening springs. Changes only
-/// with the law or the solver, and then for everybody.
+/// Hash of a press into a block of 14 thousand cells with a volume term and stiffening springs. It changes only
+/// with the force law or the solver, and then on every machine.
 const GOLDEN: u64 = 0xe9c6_d62d_6511_b036;
 
 fn press(threads: usize) -> u64 {
@@ -27,7 +27,7 @@ fn press(threads: usize) -> u64 {
                 Vec3::new(0.047, 0.05, 0.096 + 0.012 - 1e-3 * f64::from(step)),
                 0.012,
             );
-            // A small tolerance makes every brick take part, so that threads have something to share.
+            // A small tolerance refines every brick, so that the threads have work to share.
             solver.step(&topology, &mut shape, &[tool], Budget::new(4, 1e-6));
         }
     });
@@ -35,7 +35,7 @@ fn press(threads: usize) -> u64 {
 }
 
 #[test]
-fn a_press_has_the_same_bits_on_any_number_of_threads_and_in_any_build() {
+fn press_is_bit_equal_on_any_thread_count_and_in_any_build() {
     for threads in [1, 2, 4] {
         assert_eq!(press(threads), GOLDEN, "{:#x} on {threads}", press(threads));
     }

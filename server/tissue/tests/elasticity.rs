@@ -1,4 +1,4 @@
-//! What a built bar shows of the moduli that were asked for: closed-form cases, at several spacings and
+//! Moduli of built bars against those of their materials: closed-form cases, at several spacings and
 //! orientations on the lattice.
 
 #![allow(clippy::unwrap_used)]
@@ -15,13 +15,13 @@ use palpate_tissue::{
 
 const MM: f64 = 1e-3;
 const YOUNG_PA: f64 = 10e3;
-/// Residual of a solve: what is looked at here is known to 5 %. (Bars of Poisson's ratio 0.45 askew to the
-/// lattice take hundreds of iterations for less.)
+/// Residual of a solve; the results are accurate to 5 %. (Oblique bars of Poisson's ratio 0.45 take hundreds of
+/// iterations for a smaller residual.)
 const TOLERANCE: f64 = 5e-4;
 /// Half width and half length of a bar in m.
 const HALF: [f64; 3] = [12.0 * MM, 12.0 * MM, 40.0 * MM];
 
-/// A closed box from `low` to `high`, turned.
+/// A rotated closed box from `low` to `high`.
 fn cuboid(low: Vec3, high: Vec3, turn: &Rotation3<f64>) -> Surface {
     let corner = |c: usize| {
         let pick = |a: usize| if c >> a & 1 == 1 { high[a] } else { low[a] };
@@ -83,7 +83,7 @@ fn bar(poisson: f64, spacing: f64, turn: &Rotation3<f64>) -> Topology {
     model(&[(-half, half, YOUNG_PA)], poisson, spacing, turn)
 }
 
-/// Prescribes a displacement field on the nodes that `on` chooses; gives their numbers.
+/// Prescribes a displacement field on the nodes that `on` selects; returns their numbers.
 fn prescribe(
     topology: &Topology,
     solver: &mut Solver,
@@ -171,7 +171,7 @@ fn shear(topology: &Topology, turn: &Rotation3<f64>) -> f64 {
 }
 
 #[test]
-fn a_bar_shows_what_was_asked_for() {
+fn bar_moduli_match_the_material() {
     for poisson in [0.25, 0.35, 0.45] {
         for spacing in [4.0 * MM, 3.0 * MM, 2.0 * MM] {
             for (i, turn) in orientations().iter().enumerate() {
@@ -193,7 +193,7 @@ fn a_bar_shows_what_was_asked_for() {
 }
 
 #[test]
-fn two_materials_in_series_and_in_parallel_follow_the_closed_forms() {
+fn bars_in_series_and_parallel_follow_closed_forms() {
     let half = Vec3::from(HALF);
     let turn = Rotation3::identity();
     let strain = 0.01;

@@ -54,7 +54,7 @@ fn press(topology: &Topology, solver: &mut Solver, shape: &mut Shape, last: Tool
 }
 
 #[test]
-fn a_bar_in_tension_shows_young_and_poisson() {
+fn bar_in_tension_has_young_and_poisson_of_its_material() {
     let topology = tissue([6, 6, 25], 4.0 * MM);
     let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
     let strain = 0.01;
@@ -116,7 +116,7 @@ fn tool_forces_balance_the_pinned_nodes() {
 }
 
 #[test]
-fn a_released_press_returns_to_rest() {
+fn released_tissue_returns_to_rest() {
     let (topology, mut solver, mut shape) = slab();
     press(
         &topology,
@@ -136,7 +136,7 @@ fn a_released_press_returns_to_rest() {
 }
 
 #[test]
-fn a_press_has_no_hysteresis_and_warm_equals_cold() {
+fn press_has_no_hysteresis_and_warm_start_equals_cold_start() {
     let (topology, mut solver, mut shape) = slab();
     let shallow = tool(24.0 * MM, 24.0 * MM, 1.0 * MM, 8.0 * MM);
     let deep = tool(24.0 * MM, 24.0 * MM, 2.5 * MM, 8.0 * MM);
@@ -150,7 +150,7 @@ fn a_press_has_no_hysteresis_and_warm_equals_cold() {
 }
 
 #[test]
-fn a_centred_press_is_mirror_symmetric() {
+fn centred_press_is_mirror_symmetric() {
     let (topology, mut solver, mut shape) = slab();
     let report = press(
         &topology,
@@ -164,9 +164,9 @@ fn a_centred_press_is_mirror_symmetric() {
 }
 
 #[test]
-fn the_seeds_iteration_agrees_where_the_laws_do() {
-    // Pure compression without lateral room: one cell across, held sideways by its neighbours'
-    // symmetry, is where both laws have a uniform answer: the displacement is linear in height.
+fn seed_iteration_agrees_for_uniform_compression() {
+    // Both laws have a uniform solution for pure compression without lateral room. The column is one cell
+    // across, held sideways by its neighbours' symmetry, and the displacement is linear in height.
     let topology = tissue([4, 4, 10], 4.0 * MM);
     let mut tops = Vec::new();
     for law in 0..2 {
@@ -210,7 +210,7 @@ fn off(shape: &Shape, exact: &Shape) -> f64 {
 }
 
 #[test]
-fn what_is_held_draws_the_rest_along() {
+fn held_nodes_displace_the_rest() {
     let (topology, disc) = cube();
     let led = |iterations: usize| {
         let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
@@ -224,7 +224,7 @@ fn what_is_held_draws_the_rest_along() {
 }
 
 #[test]
-fn what_is_led_on_as_before_carries_everything_on() {
+fn steady_prescribed_motion_is_extrapolated() {
     let (topology, disc) = cube();
     let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
     lead(&topology, &mut solver, &mut shape, &disc, 0.1 * MM);
@@ -234,14 +234,14 @@ fn what_is_led_on_as_before_carries_everything_on() {
         *u *= 2.0;
     }
     lead(&topology, &mut solver, &mut shape, &disc, 0.2 * MM);
-    // Nothing is solved here: also what had become calm, and took no part any more, has to come along.
+    // Nothing is solved here: nodes that had left the active set have to be extrapolated too.
     let report = solver.step(&topology, &mut shape, &[], Budget::new(0, 0.5));
     assert_eq!(report.iterations, 0);
     assert!(off(&shape, &twice) < 1e-3, "{}", off(&shape, &twice));
 }
 
 #[test]
-fn two_tools_press_at_once() {
+fn two_tools_press_simultaneously() {
     let (topology, mut solver, mut shape) = slab();
     let mut other = tool(36.0 * MM, 36.0 * MM, 1.0 * MM, 6.0 * MM);
     other.id = 2;
@@ -253,7 +253,7 @@ fn two_tools_press_at_once() {
 }
 
 #[test]
-fn the_same_steps_give_the_same_bits() {
+fn same_steps_give_same_bits() {
     let run = || {
         let (topology, mut solver, mut shape) = slab();
         for s in 0..12 {

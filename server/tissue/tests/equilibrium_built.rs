@@ -1,5 +1,5 @@
-//! The equilibrium on built anatomy: irregular cells, several materials, nodes that lie flat on an
-//! oblique surface; and on a lattice that has been cut.
+//! The equilibrium on built anatomy: irregular cells, several materials, nodes flat on an oblique surface; and
+//! on a cut lattice.
 
 #![allow(clippy::unwrap_used)]
 
@@ -17,7 +17,7 @@ use places::outermost;
 const RADIUS_M: f64 = 0.008;
 
 #[test]
-fn a_deep_press_into_built_tissue_neither_folds_nor_blows_up_and_leaves_no_dent() {
+fn deep_press_into_built_tissue_is_stable_and_leaves_no_dent() {
     let mut input = Sample::Thigh.input().unwrap();
     input.scene.spacing_m = 0.006;
     let (model, _) = build(&input, &mut |_, _| {}).unwrap();
@@ -58,7 +58,7 @@ fn a_deep_press_into_built_tissue_neither_folds_nor_blows_up_and_leaves_no_dent(
 }
 
 #[test]
-fn a_solver_that_follows_a_cut_finds_what_a_new_one_finds() {
+fn solver_updated_by_a_cut_agrees_with_a_new_one() {
     let fat = Material::built_in("fat").unwrap();
     let mut topology = Topology::new(Arc::new(block([14, 14, 8], 0.004, &fat, 1)));
     let mut shape = Shape::rest(&topology);

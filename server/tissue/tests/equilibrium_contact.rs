@@ -1,4 +1,4 @@
-//! Contracts of the contact: continuity, unilaterality, side memory, stiffness, bad input.
+//! Contracts of the contact: continuity, unilaterality, side memory, stiffness, invalid input.
 
 use std::sync::Arc;
 
@@ -35,7 +35,7 @@ fn force(topology: &Topology, solver: &mut Solver, shape: &mut Shape, tool: Tool
 }
 
 #[test]
-fn force_is_continuous_along_a_press_and_a_slide() {
+fn force_is_continuous_while_pressing_and_sliding() {
     for radius in [1.0 * MM, 4.0 * MM, 8.0 * MM] {
         let (topology, mut solver, mut shape) = slab();
         let mut last = Vec3::zeros();
@@ -56,7 +56,8 @@ fn force_is_continuous_along_a_press_and_a_slide() {
                 radius,
             );
             let f = force(&topology, &mut solver, &mut shape, t);
-            // The dent under a point is a corner of the mesh, which it feels when it crosses one.
+            // The dent under a contact point is a corner of the mesh, which causes a small force change when
+            // crossed.
             let bound = if radius < 2.0 * MM { 0.4 } else { 0.12 };
             assert!(
                 (f - last).norm() < bound * f.norm(),
@@ -69,7 +70,7 @@ fn force_is_continuous_along_a_press_and_a_slide() {
 }
 
 #[test]
-fn the_stiffness_foretells_the_next_force() {
+fn contact_stiffness_predicts_the_next_force() {
     let (topology, mut solver, mut shape) = slab();
     let mut report = None;
     for s in 1..=10 {
@@ -95,7 +96,7 @@ fn the_stiffness_foretells_the_next_force() {
 }
 
 #[test]
-fn a_tool_that_starts_deep_inside_is_followed_from_outside() {
+fn tool_that_starts_deep_inside_is_pushed_out() {
     let (topology, mut solver, mut shape) = slab();
     let t = tool(24.0 * MM, 24.0 * MM, 13.0 * MM, 6.0 * MM);
     let report = solver
@@ -107,7 +108,7 @@ fn a_tool_that_starts_deep_inside_is_followed_from_outside() {
 }
 
 #[test]
-fn bad_tools_are_ignored_and_counted() {
+fn invalid_tools_are_ignored_and_counted() {
     let (topology, mut solver, mut shape) = slab();
     let good = tool(24.0 * MM, 24.0 * MM, 1.0 * MM, 6.0 * MM);
     let mut nan = Tool { id: 2, ..good };
@@ -129,7 +130,7 @@ fn bad_tools_are_ignored_and_counted() {
 }
 
 #[test]
-fn a_double_of_a_pressing_tool_that_is_nowhere_changes_nothing() {
+fn duplicate_tool_with_invalid_position_changes_nothing() {
     let run = |double: bool| {
         let (topology, mut solver, mut shape) = slab();
         for tenth in 0..12 {
@@ -146,7 +147,7 @@ fn a_double_of_a_pressing_tool_that_is_nowhere_changes_nothing() {
 }
 
 #[test]
-fn a_stop_is_obeyed() {
+fn solver_stops_on_request() {
     let (topology, mut solver, mut shape) = slab();
     let mut asked = 0;
     let mut stop = || {
@@ -160,7 +161,7 @@ fn a_stop_is_obeyed() {
         stop: Some(&mut stop),
     };
     let t = tool(24.0 * MM, 24.0 * MM, 1.0 * MM, 6.0 * MM);
-    // The first iteration is made unasked, the second one because it may.
+    // The first iteration is unconditional; the second one is allowed by the callback.
     assert_eq!(
         solver.step(&topology, &mut shape, &[t], budget).iterations,
         2
@@ -181,7 +182,7 @@ proptest! {
             let report = solver.step(&topology, &mut shape, &[t], Budget::new(3, 1e-2)).clone();
             for reaction in &report.reactions {
                 prop_assert!(reaction.force.norm().is_finite());
-                // The foundation of all nodes within reach, pressed by the whole radius.
+                // The bedding of all nodes within reach, compressed by the whole radius.
                 prop_assert!(reaction.force.norm() < 1000.0);
             }
             prop_assert!(shape.displacement.iter().all(|u| u.norm() < 1.0));

@@ -1,4 +1,4 @@
-//! What a cut costs the equilibrium: a lattice with parted springs and doubled nodes is the normal case.
+//! Convergence on a cut lattice, with separated springs and doubled nodes.
 
 #![allow(clippy::unwrap_used)]
 
@@ -14,7 +14,7 @@ const CELLS: [usize; 3] = [24, 24, 12];
 const TOP: f64 = SPACING * CELLS[2] as f64;
 const MIDDLE: f64 = 0.5 * SPACING * CELLS[0] as f64;
 const RADIUS: f64 = 8.0 * MM;
-/// Most iterations on the cut block, in parts of those on the whole one.
+/// Most iterations on the cut block, relative to the whole one.
 const ALLOWED: f64 = 1.5;
 
 fn whole() -> Topology {
@@ -65,11 +65,11 @@ fn iterations(topology: &Topology, tolerance: f64, step: f64, steps: usize) -> u
 }
 
 #[test]
-fn a_cut_block_takes_at_most_half_as_many_iterations_again() {
+fn cut_block_takes_at_most_half_more_iterations() {
     let uncut = whole();
     for crossing in [false, true] {
         let cut = parted(uncut.clone(), crossing);
-        // In one go from rest, and as a hand would.
+        // In one step from rest, and in small steps like a hand.
         for (step, steps) in [(2.0 * MM, 1), (0.4 * MM, 10)] {
             for tolerance in [1e-2, 1e-4, 1e-6] {
                 let [a, b] = [&uncut, &cut].map(|t| iterations(t, tolerance, step, steps));

@@ -1,4 +1,4 @@
-//! What other programs are given: surfaces that close and add up, files that are whole or not there.
+//! Exports for other programs: closed surfaces with consistent volumes, files that are complete or absent.
 
 #![allow(clippy::unwrap_used)]
 
@@ -42,7 +42,7 @@ fn volumes(topology: &Topology, shape: &Shape) -> BTreeMap<String, f64> {
 }
 
 #[test]
-fn regions_close_and_their_volumes_add_up_to_the_outer_one() {
+fn region_surfaces_are_closed_and_volumes_add_up() {
     let input = Sample::Handle.input().unwrap();
     let topology = Topology::new(Arc::new(build(&input, &mut |_, _| ()).unwrap().0));
     for topology in [topology, blocks()] {
@@ -54,7 +54,7 @@ fn regions_close_and_their_volumes_add_up_to_the_outer_one() {
 }
 
 #[test]
-fn surfaces_follow_the_shape() {
+fn exported_surfaces_follow_the_shape() {
     let topology = blocks();
     let mut shape = Shape::rest(&topology);
     let before = volumes(&topology, &shape);
@@ -70,7 +70,7 @@ fn surfaces_follow_the_shape() {
 }
 
 #[test]
-fn a_wound_that_gapes_is_part_of_a_closed_surface() {
+fn open_wound_is_part_of_a_closed_surface() {
     let mut topology = cut_laws::topology([8, 8, 8], 0.005);
     let whole = volumes(&topology, &Shape::rest(&topology));
     let tips = [-0.005, 0.045].map(|y| Vec3::new(0.02, y, 0.02));
@@ -82,7 +82,7 @@ fn a_wound_that_gapes_is_part_of_a_closed_surface() {
         whole.keys().collect::<Vec<_>>()
     );
     for node in 0..topology.node_count() as u32 {
-        // What lies beyond the cut and above its end moves away from it.
+        // Nodes beyond the cut and above its end move away from it.
         let cells = topology
             .cells_around(node)
             .into_iter()
@@ -108,7 +108,7 @@ fn a_wound_that_gapes_is_part_of_a_closed_surface() {
 }
 
 #[test]
-fn an_interface_is_the_border_of_its_regions_seen_from_the_later_one() {
+fn interface_is_wound_outwards_from_the_later_region() {
     let topology = blocks();
     let surfaces = surfaces(&topology, &Shape::rest(&topology));
     let sheet = surfaces.iter().find(|s| s.name == "interface-base-body");
@@ -124,7 +124,7 @@ fn an_interface_is_the_border_of_its_regions_seen_from_the_later_one() {
 }
 
 #[test]
-fn stl_files_read_back_as_they_were_and_nothing_is_left_beside_them() {
+fn stl_round_trip_leaves_no_temporary_file() {
     let topology = blocks();
     let rest = Shape::rest(&topology);
     let dir = tempfile::tempdir().unwrap();
@@ -145,7 +145,7 @@ fn stl_files_read_back_as_they_were_and_nothing_is_left_beside_them() {
 }
 
 #[test]
-fn the_same_state_gives_the_same_grid() {
+fn same_state_gives_same_grid() {
     let topology = blocks();
     let grid = || {
         let mut out = Vec::new();
@@ -157,7 +157,7 @@ fn the_same_state_gives_the_same_grid() {
 }
 
 #[test]
-fn a_file_that_can_not_be_finished_leaves_what_was_there() {
+fn failed_write_keeps_the_old_file() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("m.vtu");
     std::fs::write(&path, "old").unwrap();
@@ -167,7 +167,7 @@ fn a_file_that_can_not_be_finished_leaves_what_was_there() {
     });
     let said = full.unwrap_err().to_string();
     assert!(
-        said.contains("m.vtu") && said.contains("make room"),
+        said.contains("m.vtu") && said.contains("free disk space"),
         "{said}"
     );
     assert_eq!(std::fs::read_to_string(&path).unwrap(), "old");

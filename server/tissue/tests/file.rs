@@ -1,4 +1,4 @@
-//! The model file keeps every bit, and nothing that was damaged gets in.
+//! The model file keeps every bit, and damaged files are rejected.
 
 #![allow(clippy::unwrap_used)]
 
@@ -29,7 +29,7 @@ fn rubber() -> Material {
     }
 }
 
-/// A block whose nodes carry all their bits and whose lattice does not begin at zero.
+/// A block with full-precision nodes, whose lattice does not begin at zero.
 fn crooked() -> Model {
     let mut model = block([7, 5, 4], 0.004, &rubber(), 1);
     for (i, p) in model.nodes.iter_mut().enumerate() {
@@ -51,7 +51,7 @@ fn file() -> ModelFile {
 }
 
 #[test]
-fn a_model_comes_back_with_every_bit() {
+fn model_round_trip_keeps_every_bit() {
     let file = file();
     let back = ModelFile::decode(&file.encode()).unwrap();
     assert_eq!(back, file);
@@ -61,12 +61,12 @@ fn a_model_comes_back_with_every_bit() {
 }
 
 #[test]
-fn the_same_model_gives_the_same_bytes() {
+fn same_model_gives_same_bytes() {
     assert_eq!(file().encode(), file().encode());
 }
 
 #[test]
-fn a_file_on_disk_comes_back_and_leaves_nothing_beside_it() {
+fn disk_round_trip_leaves_no_temporary_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("m.palp");
     file().write(&path).unwrap();
@@ -76,7 +76,7 @@ fn a_file_on_disk_comes_back_and_leaves_nothing_beside_it() {
 }
 
 #[test]
-fn a_folder_that_is_not_there_is_named() {
+fn missing_folder_is_named() {
     let error = file().write("/nowhere/at/all/m.palp".as_ref()).unwrap_err();
     assert!(error.to_string().contains("/nowhere/at/all/m.palp"));
     let error = ModelFile::read("/nowhere/m.palp".as_ref()).unwrap_err();
@@ -84,7 +84,7 @@ fn a_folder_that_is_not_there_is_named() {
 }
 
 #[test]
-fn each_kind_of_damage_has_its_own_word() {
+fn each_kind_of_damage_has_its_own_error() {
     let good = file().encode();
     let kind = |bytes: &[u8]| match ModelFile::decode(bytes).unwrap_err() {
         FileError::Envelope(e) => e,
@@ -111,7 +111,7 @@ fn each_kind_of_damage_has_its_own_word() {
 }
 
 #[test]
-fn every_flipped_byte_and_every_truncation_is_refused() {
+fn flipped_bytes_and_truncations_are_rejected() {
     let good = file().encode();
     for at in 0..good.len() {
         let mut bad = good.clone();
@@ -122,7 +122,7 @@ fn every_flipped_byte_and_every_truncation_is_refused() {
 }
 
 #[test]
-fn a_model_that_contradicts_itself_is_refused() {
+fn inconsistent_model_is_rejected() {
     type Harm = fn(&mut Model);
     let harms: [(&str, Harm); 11] = [
         ("fibres", |m| m.regions[0].fibre = [0.0; 3]),
@@ -130,12 +130,12 @@ fn a_model_that_contradicts_itself_is_refused() {
         ("material", |m| m.regions[1].material.poisson = 0.5),
         ("region", |m| m.cells[3].region.0 = 7),
         ("node", |m| m.cells[3].corners[2] = 9999),
-        ("none does", |m| m.cells[3].corners = m.cells[4].corners),
-        ("measure", |m| m.nodes[5].y = f64::NAN),
+        ("there is none", |m| m.cells[3].corners = m.cells[4].corners),
+        ("from the origin", |m| m.nodes[5].y = f64::NAN),
         ("spacing", |m| m.spacing_m = 0.0),
         ("material", |m| m.regions[0].material.young_pa = -1.0),
         ("lattice", |m| m.lattice[8][1] += 1),
-        ("none does", |m| m.cells[0].neighbours[0] = 1),
+        ("there is none", |m| m.cells[0].neighbours[0] = 1),
     ];
     for (word, harm) in harms {
         let mut file = file();
@@ -145,7 +145,7 @@ fn a_model_that_contradicts_itself_is_refused() {
     }
 }
 
-/// The content of a file, decompressed.
+/// The decompressed content of a file.
 fn content(file: &[u8]) -> Vec<u8> {
     let mut out = Vec::new();
     let mut inflate = flate2::read::DeflateDecoder::new(&file[32..]);
@@ -170,7 +170,7 @@ fn forged(file: &[u8], content: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn every_flipped_byte_behind_a_forged_checksum_is_refused_or_a_model_that_holds() {
+fn flipped_bytes_with_forged_checksum_give_an_error_or_a_valid_model() {
     let good = ModelFile {
         model: block([3, 2, 2], 0.004, &rubber(), 1),
         report_json: "{}".into(),
@@ -183,7 +183,7 @@ fn every_flipped_byte_behind_a_forged_checksum_is_refused_or_a_model_that_holds(
         for flip in [0x01, 0x80, 0xff] {
             let mut bad = content.clone();
             bad[at] ^= flip;
-            // Whoever forges the checksum too may make another model, but never one that breaks.
+            // A forged checksum may give another model, but never an invalid one.
             if let Ok(file) = ModelFile::decode(&forged(&good, &bad)) {
                 accepted += 1;
                 let topology = Topology::new(Arc::new(file.model.clone()));
@@ -197,9 +197,9 @@ fn every_flipped_byte_behind_a_forged_checksum_is_refused_or_a_model_that_holds(
 }
 
 proptest! {
-    /// Whoever forges the envelope too still can not do worse than an error.
+    /// A forged envelope causes at most an error.
     #[test]
-    fn noise_behind_a_valid_header_is_an_error(noise in proptest::collection::vec(any::<u8>(), 0..200)) {
+    fn noise_after_a_valid_header_is_an_error(noise in proptest::collection::vec(any::<u8>(), 0..200)) {
         let mut bytes = file().encode();
         bytes.truncate(32);
         bytes.extend(&noise);

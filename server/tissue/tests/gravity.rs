@@ -1,4 +1,4 @@
-//! Laws of tissue that weighs something: what it hangs by carries it, and how far it hangs.
+//! Laws of tissue under gravity: support forces and sag.
 
 #![allow(clippy::unwrap_used)]
 
@@ -26,7 +26,7 @@ fn heavy(cells: [usize; 3], gravity: [f64; 3]) -> Topology {
     Topology::new(Arc::new(model))
 }
 
-/// Where it hangs by itself.
+/// Equilibrium under gravity without tools.
 fn hanging(topology: &Topology) -> (Solver, Shape) {
     let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
     solver.step(topology, &mut shape, &[], Budget::new(1, 1e-3));
@@ -37,7 +37,7 @@ fn nodes(topology: &Topology) -> impl Iterator<Item = u32> + use<> {
     0..topology.node_count() as u32
 }
 
-/// What the pinned nodes carry, in N.
+/// Force on the pinned nodes, in N.
 fn carried(topology: &Topology, solver: &Solver, shape: &Shape) -> Vec3 {
     nodes(topology)
         .filter(|&n| topology.is_pinned(n))
@@ -50,7 +50,7 @@ fn weight(topology: &Topology) -> Vec3 {
     Vec3::from(topology.model().gravity) * mass
 }
 
-/// A stroke along y at `x`, from `bottom` up through the top; it leaves `uncut` at the far side along y.
+/// A stroke along y at `x`, from `bottom` through the top; the far `uncut` along y stays uncut.
 fn slit(topology: &mut Topology, x: f64, bottom: f64, uncut: f64) -> CutOutcome {
     let far = nodes(topology)
         .map(|n| topology.rest(n).y)
@@ -70,7 +70,7 @@ fn slit(topology: &mut Topology, x: f64, bottom: f64, uncut: f64) -> CutOutcome 
 }
 
 fn press(k: usize, top: f64, middle: f64) -> Tool {
-    // In by half a millimetre per tick and out again, and off.
+    // Half a millimetre down per tick, up again, and off the surface.
     let depth = 0.5 * MM * (12.0 - (k as f64 - 12.0).abs());
     Tool::ball(
         1,
@@ -80,8 +80,8 @@ fn press(k: usize, top: f64, middle: f64) -> Tool {
 }
 
 #[test]
-fn a_column_stretches_by_its_own_weight_as_a_bar_does() {
-    // Held at its lowest layer and pulled upwards, as if it hung from a ceiling.
+fn column_stretches_under_its_weight_like_a_bar() {
+    // Held at its lowest layer with gravity upwards, as if it hung from a ceiling.
     let gravity = 1.0;
     let topology = heavy([6, 6, 40], [0.0, 0.0, gravity]);
     let (solver, shape) = hanging(&topology);
@@ -95,7 +95,7 @@ fn a_column_stretches_by_its_own_weight_as_a_bar_does() {
     let mean = end.iter().sum::<f64>() / end.len() as f64;
     let length = 39.0 * SPACING;
     let expected = DENSITY * gravity * length * length / (2.0 * YOUNG_PA);
-    // The clamp keeps the foot from thinning, over about a width: a percent of the length.
+    // The clamp keeps the foot from thinning over about one width: a percent of the length.
     assert!(
         (mean / expected - 1.0).abs() < 0.03,
         "{mean} m instead of {expected}"
@@ -103,7 +103,7 @@ fn a_column_stretches_by_its_own_weight_as_a_bar_does() {
 }
 
 #[test]
-fn what_is_pinned_carries_all_weight() {
+fn pinned_nodes_carry_all_weight() {
     for gravity in [[0.0, 0.0, -9.81], [3.0, -2.0, 5.0]] {
         let mut topology = heavy([10, 10, 8], gravity);
         for cuts in 0..2 {
@@ -123,7 +123,7 @@ fn what_is_pinned_carries_all_weight() {
 }
 
 #[test]
-fn tissue_that_was_pressed_hangs_again_as_before_to_the_bit() {
+fn released_tissue_returns_to_the_same_sag_bit_for_bit() {
     let topology = heavy([16, 16, 8], [0.0, 0.0, -40.0]);
     let (mut solver, mut shape) = hanging(&topology);
     let (home, sag) = (shape.hash(), solver.sag().unwrap().displaced_m);
@@ -145,7 +145,7 @@ fn tissue_that_was_pressed_hangs_again_as_before_to_the_bit() {
         assert_eq!(shape.hash(), home);
     }
     assert_eq!(forces[0], forces[1]);
-    // And what was felt is what a converged press feels.
+    // The tick forces agree with those of a converged press.
     let (mut exact, mut shape) = hanging(&topology);
     let most = forces[0].iter().copied().fold(0.0, f64::max);
     for k in 0..=12 {
@@ -161,7 +161,7 @@ fn tissue_that_was_pressed_hangs_again_as_before_to_the_bit() {
 }
 
 #[test]
-fn a_flap_sags_alike_whoever_follows_the_cut() {
+fn flap_sag_is_equal_for_updated_and_new_solvers() {
     let mut topology = heavy([10, 10, 8], [-9.81, 0.0, 0.0]);
     let (mut solver, mut shape) = hanging(&topology);
     let mut follower = solver.follower();
@@ -178,7 +178,7 @@ fn a_flap_sags_alike_whoever_follows_the_cut() {
     assert_eq!(shape.hash(), beside.hash());
     let after = solver.sag().unwrap();
     assert!(after.displaced_m > 1.1 * before, "{before} {after:?}");
-    // One that begins with the cut tissue finds the same, within what is left to be solved.
+    // A solver created on the cut tissue agrees within the residual.
     let (_, afresh) = hanging(&topology);
     let apart = shape.displacement.iter().zip(&afresh.displacement);
     let apart = apart.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
@@ -186,10 +186,10 @@ fn a_flap_sags_alike_whoever_follows_the_cut() {
 }
 
 #[test]
-fn what_is_cut_off_weighs_nothing_and_stays() {
+fn detached_piece_has_no_weight_and_stays() {
     let mut topology = heavy([8, 8, 8], [0.0, 0.0, -9.81]);
     let (mut solver, mut shape) = hanging(&topology);
-    // A level cut through all of it, above the base.
+    // A level cut through the whole block, above the base.
     let points = (0..=20).map(|i| BladePoint {
         tip: Vec3::new(
             -10.0 * MM,
@@ -209,7 +209,7 @@ fn what_is_cut_off_weighs_nothing_and_stays() {
     solver.follow(&topology, &outcome.touched);
     let report = solver.step(&topology, &mut shape, &[], Budget::new(50, 1e-3));
     assert!(!report.fell_back);
-    // What is left to carry is what is still joined to the base.
+    // The base carries only the tissue still connected to it.
     let mut left = weight(&topology) * (17.7 / 32.0);
     left.z -= carried(&topology, &solver, &shape).z;
     assert!(left.norm() < 0.15 * weight(&topology).norm(), "{left:?}");
@@ -222,7 +222,7 @@ fn what_is_cut_off_weighs_nothing_and_stays() {
 }
 
 #[test]
-fn threads_change_no_bit_of_where_it_hangs() {
+fn sag_is_bit_equal_on_any_thread_count() {
     let topology = heavy([24, 24, 12], [1.0, 2.0, -9.0]);
     let on = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();

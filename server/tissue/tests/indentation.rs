@@ -1,4 +1,5 @@
-//! The indentation of a place of a tool, from which the stiffness of friction follows: a function of the shape alone.
+//! The indentation of a contact point, from which the friction stiffness follows: a function of the shape
+//! alone.
 
 use std::sync::Arc;
 
@@ -47,17 +48,18 @@ impl Bench {
         report.reactions[0].clone()
     }
 
-    /// F / δ of the place that touches, in N/m.
+    /// F / δ of the active contact point, in N/m.
     fn secant(&mut self, x: f64, depth: f64) -> f64 {
         let reaction = self.press(x, depth);
         reaction.places[0].pressed / reaction.places[0].indentation_m
     }
 }
 
-/// Hertz: a sphere on a half-space has F ∝ d^1.5 at the depth d, and the mean indentation δ over its pressure is 0.8 d, so
-/// dF/dd = 1.2 F/δ. A contact of constant area has dF/dd = F/δ: on a lattice, the area grows in steps.
+/// Hertz: a sphere on a half-space has F ∝ d^1.5 at the depth d, and the mean indentation δ over its pressure
+/// is 0.8 d, so dF/dd = 1.2 F/δ. A contact of constant area has dF/dd = F/δ: on a lattice, the area grows in
+/// steps.
 #[test]
-fn the_tangent_stiffness_of_a_sphere_is_a_fifth_more_than_its_secant_stiffness() {
+fn sphere_tangent_stiffness_is_1_2_times_its_secant_stiffness() {
     let mut bench = Bench::new(0.0);
     for depth in [2.0 * MM, 3.0 * MM, 4.0 * MM] {
         let step = 0.4 * MM;
@@ -69,7 +71,7 @@ fn the_tangent_stiffness_of_a_sphere_is_a_fifth_more_than_its_secant_stiffness()
 }
 
 #[test]
-fn the_secant_stiffness_does_not_depend_on_the_path_of_the_tool() {
+fn secant_stiffness_is_independent_of_the_tool_path() {
     let straight = Bench::new(0.0).secant(0.0, 3.0 * MM);
     let mut bench = Bench::new(0.0);
     for k in 0..=20 {
@@ -83,10 +85,10 @@ fn the_secant_stiffness_does_not_depend_on_the_path_of_the_tool() {
 }
 
 #[test]
-fn a_tissue_that_sags_is_not_indented_by_its_weight() {
+fn sag_is_not_counted_as_indentation() {
     let weightless = Bench::new(0.0).press(0.0, 3.0 * MM);
     let mut heavy = Bench::new(-9.81);
-    // Its surface lies lower by so much, so the tool goes after it.
+    // The surface is lower by the sag, so the tool follows it.
     let sag = -heavy.solver.sag_of(middle_of_the_top(&heavy.topology)).z;
     assert!(sag > 0.3 * MM, "{sag} m");
     let sagged = heavy.press(0.0, 3.0 * MM + sag);

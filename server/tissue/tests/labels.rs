@@ -1,4 +1,4 @@
-//! Reading label volumes: what is read, what is refused and in which words.
+//! Reading label volumes: accepted files, rejected files and the texts of the errors.
 
 #![allow(clippy::unwrap_used)]
 
@@ -36,7 +36,7 @@ fn assert_at(volume: &LabelVolume, index: [f64; 3], mm: [f64; 3]) {
 }
 
 #[test]
-fn nifti_of_every_number_type_and_either_byte_order_holds_the_same_labels() {
+fn nifti_labels_are_equal_for_every_number_type_and_byte_order() {
     type Sample = fn(u8) -> Vec<u8>;
     let types: [(i16, Sample); 10] = [
         (2, |v| vec![v]),
@@ -63,7 +63,7 @@ fn nifti_of_every_number_type_and_either_byte_order_holds_the_same_labels() {
 }
 
 #[test]
-fn sform_goes_before_qform_and_that_before_bare_voxel_sizes() {
+fn sform_precedes_qform_precedes_voxel_sizes() {
     let mut file = Nifti::bytes();
     file.short(252, 1);
     assert_at(
@@ -86,10 +86,10 @@ fn sform_goes_before_qform_and_that_before_bare_voxel_sizes() {
 }
 
 #[test]
-fn units_of_the_header_count() {
+fn header_units_are_applied() {
     let mut file = Nifti::bytes();
     file.header[123] = 3;
-    // Micrometres: 6 x 6 x 8 of them are no body.
+    // Micrometres: a body of 6 x 6 x 8 of them is implausible.
     assert_says(&refusal("a.nii", &file.file()), &["0.006 x", "metres"]);
     file.header[123] = 1;
     assert_says(
@@ -105,7 +105,7 @@ fn units_of_the_header_count() {
 }
 
 #[test]
-fn slope_and_intercept_are_applied_and_a_slope_of_zero_is_none() {
+fn slope_and_intercept_are_applied_and_zero_slope_is_ignored() {
     let mut file = Nifti::bytes();
     file.float(112, 2.0).float(116, 1.0);
     let volume = read("a.nii", &file.file()).unwrap();
@@ -115,7 +115,7 @@ fn slope_and_intercept_are_applied_and_a_slope_of_zero_is_none() {
 }
 
 #[test]
-fn a_fourth_axis_with_one_entry_is_none_and_with_more_is_refused() {
+fn fourth_axis_is_accepted_with_one_entry_only() {
     let mut file = Nifti::bytes();
     file.dims(&[5, 3, 2, 2, 1, 1, 1, 1]);
     assert_ramp(&read("a.nii", &file.file()).unwrap());
@@ -127,7 +127,7 @@ fn a_fourth_axis_with_one_entry_is_none_and_with_more_is_refused() {
 }
 
 #[test]
-fn what_a_nifti_header_can_have_wrong_is_named() {
+fn nifti_header_errors_name_the_field() {
     type Change = fn(&mut Nifti);
     let mistakes: [(Change, &[&str]); 14] = [
         (|f| _ = f.short(70, 128), &["colours", "whole numbers"]),
@@ -169,12 +169,12 @@ fn what_a_nifti_header_can_have_wrong_is_named() {
     assert_says(&refusal("a.nii", &[7; 400]), &["not a NIfTI file"]);
     assert_says(
         &refusal("a.vtk", &[7; 400]),
-        &["extensions", ".nii.gz", ".nrrd"],
+        &["extension", ".nii.gz", ".nrrd"],
     );
 }
 
 #[test]
-fn samples_that_are_no_labels_are_refused_with_the_voxel() {
+fn invalid_label_is_rejected_with_its_voxel() {
     let half = Nifti::new(16, |v| (f32::from(v) / 4.0).to_le_bytes().into());
     assert_says(
         &refusal("a.nii", &half.file()),
@@ -192,7 +192,7 @@ fn samples_that_are_no_labels_are_refused_with_the_voxel() {
 }
 
 #[test]
-fn a_header_that_promises_more_than_there_is_is_refused_before_memory_is_taken() {
+fn oversized_header_is_rejected_before_allocation() {
     let mut file = Nifti::bytes();
     file.dims(&[3, 600, 600, 700, 1, 1, 1, 1]);
     assert_says(&refusal("a.nii", &file.file()), &["12 of 252000000 voxels"]);
@@ -208,7 +208,7 @@ fn a_header_that_promises_more_than_there_is_is_refused_before_memory_is_taken()
 }
 
 #[test]
-fn a_damaged_gzip_file_is_refused_with_how_far_it_came() {
+fn damaged_gzip_is_rejected_with_the_voxel_count() {
     let whole = gzip(&Nifti::bytes().file());
     for length in 20..whole.len() {
         assert!(
@@ -225,7 +225,7 @@ fn a_damaged_gzip_file_is_refused_with_how_far_it_came() {
 }
 
 #[test]
-fn nrrd_of_every_encoding_attached_or_detached_holds_the_same_labels() {
+fn nrrd_labels_are_equal_for_every_encoding() {
     let fields = space("right-anterior-superior");
     let text: Vec<String> = ramp().iter().map(u8::to_string).collect();
     let text = text.join(" \n");
@@ -247,7 +247,7 @@ fn nrrd_of_every_encoding_attached_or_detached_holds_the_same_labels() {
 }
 
 #[test]
-fn nrrd_in_lps_and_las_is_turned_into_ras() {
+fn nrrd_lps_and_las_are_converted_to_ras() {
     for (name, x, y) in [
         ("left-posterior-superior", -1.0, -1.0),
         ("LAS", -1.0, 1.0),
@@ -259,7 +259,7 @@ fn nrrd_in_lps_and_las_is_turned_into_ras() {
 }
 
 #[test]
-fn nrrd_skips_lines_and_bytes_and_swaps_them() {
+fn nrrd_line_skip_byte_skip_and_byte_order_are_applied() {
     let fields = format!("{}line skip: 2\nbyte skip: 3\n", space("RAS"));
     let data = [b"one\ntwo\nxyz".as_slice(), &ramp()].concat();
     assert_ramp(&read("a.nrrd", &nrrd("raw", &fields, &data)).unwrap());
@@ -272,7 +272,7 @@ fn nrrd_skips_lines_and_bytes_and_swaps_them() {
 }
 
 #[test]
-fn more_data_than_a_header_declares_is_named_and_less_is_refused() {
+fn surplus_data_is_reported_and_missing_data_rejected() {
     let surplus = [ramp(), vec![0; 5]].concat();
     for (name, bytes) in [
         ("a.nrrd", nrrd("raw", &space("RAS"), &surplus)),
@@ -293,7 +293,7 @@ fn more_data_than_a_header_declares_is_named_and_less_is_refused() {
 }
 
 #[test]
-fn nrrd_axes_that_are_none_of_space_must_have_one_entry() {
+fn nrrd_non_spatial_axes_must_have_one_entry() {
     let file = |sizes: &str| {
         let fields = "space: RAS\nspace directions: none (2,0,0) (0,3,0) (0,0,4)\n";
         let text = String::from_utf8(nrrd("raw", fields, &ramp())).unwrap();
@@ -306,7 +306,7 @@ fn nrrd_axes_that_are_none_of_space_must_have_one_entry() {
 }
 
 #[test]
-fn what_an_nrrd_header_can_have_wrong_is_named_with_its_line() {
+fn nrrd_header_errors_name_the_line() {
     let mistakes: [(&str, &str, &[&str]); 13] = [
         ("uchar", "block", &["\"block\"", "whole numbers"]),
         ("uchar", "short", &["endian", "missing"]),
@@ -357,14 +357,14 @@ fn what_an_nrrd_header_can_have_wrong_is_named_with_its_line() {
 
 #[cfg(not(feature = "dicom"))]
 #[test]
-fn a_dicom_series_is_refused_with_the_feature_that_reads_it() {
+fn dicom_series_error_names_the_missing_feature() {
     let folder = Folder::new();
     let text = LabelVolume::read(folder.path()).unwrap_err().to_string();
     assert_says(&text, &["--features dicom", "NIfTI"]);
 }
 
 #[test]
-fn counts_and_bounds_are_those_of_the_voxels() {
+fn counts_and_bounds_match_the_voxels() {
     let volume = read("a.nii", &Nifti::bytes().file()).unwrap();
     assert_eq!(volume.counts().len(), 12);
     assert!((volume.voxel_m3() - 24e-9).abs() < 1e-18);
@@ -392,7 +392,7 @@ fn real_labels_and_surfaces_of_one_body_coincide() {
         let surface = palpate_tissue::Surface::read(&file, Unit::default()).unwrap();
         let own = found[0].surface.aabb().unwrap();
         let given = surface.aabb().unwrap();
-        // The shank's label holds the fibula too, so its box may only be larger.
+        // The shank's label includes the fibula, so its box may only be larger.
         assert!(
             (own.max.x - given.max.x).abs() < 2.5e-3 && (own.max.z - given.max.z).abs() < 2.5e-3
         );

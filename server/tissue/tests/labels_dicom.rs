@@ -127,7 +127,7 @@ fn assert_at(volume: &LabelVolume, index: [f64; 3], mm: [f64; 3]) {
 }
 
 #[test]
-fn slices_are_put_in_order_by_their_place_and_turned_from_lps_into_ras() {
+fn slices_are_sorted_by_position_and_converted_to_ras() {
     // Files in the wrong order; DICOM coordinates are LPS.
     let volume = series(&[Image::at(38.0, 12), Image::at(30.0, 0), Image::at(34.0, 6)]).unwrap();
     assert_eq!(volume.size, [3, 2, 3]);
@@ -137,7 +137,7 @@ fn slices_are_put_in_order_by_their_place_and_turned_from_lps_into_ras() {
 }
 
 #[test]
-fn a_multi_frame_file_has_its_places_per_frame_or_by_thickness() {
+fn multi_frame_positions_come_per_frame_or_from_thickness() {
     let mut image = Image::at(30.0, 0);
     image.frames = 2;
     image.pixels = (0..12).collect();
@@ -146,7 +146,7 @@ fn a_multi_frame_file_has_its_places_per_frame_or_by_thickness() {
     assert_eq!(volume.labels, (0..12).collect::<Vec<u16>>());
     assert_at(&volume, [0.0, 0.0, 1.0], [-10.0, -20.0, 34.0]);
 
-    // The frames stand from top to bottom here.
+    // The frames are ordered from top to bottom here.
     let place = |z: f64| {
         let text = format!("10\\20\\{z}");
         let position = element((0x20, 0x32), *b"DS", text.as_bytes());
@@ -168,7 +168,7 @@ fn a_multi_frame_file_has_its_places_per_frame_or_by_thickness() {
 type Change = fn(&mut Image);
 
 #[test]
-fn what_is_no_series_of_labels_is_refused_with_the_place() {
+fn invalid_series_is_rejected_with_the_place() {
     let good = [Image::at(30.0, 0), Image::at(34.0, 6), Image::at(38.0, 12)];
     let with = |change: &dyn Fn(&mut Image)| {
         let mut images = good.clone();
@@ -210,7 +210,7 @@ fn what_is_no_series_of_labels_is_refused_with_the_place() {
 }
 
 #[test]
-fn damaged_files_are_errors_and_no_panics() {
+fn damaged_files_never_panic() {
     let whole = Image::at(30.0, 0).file();
     let folder = Folder::new();
     for at in 0..whole.len() {

@@ -1,4 +1,4 @@
-//! Shapes of which nodes are held and led on: they follow, and to where they are in equilibrium.
+//! Prescribed motion: some nodes are held at given displacements, and the rest converges to equilibrium.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ fn disc(topology: &Topology, radius: f64) -> Vec<u32> {
     (0..topology.node_count() as u32).filter(within).collect()
 }
 
-/// Leads nodes to `to` from where they are at rest.
+/// Moves nodes to `to` relative to rest.
 fn lead(topology: &Topology, solver: &mut Solver, shape: &mut Shape, nodes: &[u32], to: Vec3) {
     for &n in nodes {
         assert!(solver.hold(topology, shape, n, to));
@@ -46,7 +46,7 @@ fn error(shape: &Shape, exact: &Shape) -> f64 {
 }
 
 #[test]
-fn a_press_in_equal_steps_hardly_needs_iterations() {
+fn equal_steps_need_few_iterations() {
     let topology = cube(&Material::default());
     let nodes = disc(&topology, 13e-3);
     let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
@@ -67,7 +67,7 @@ fn a_press_in_equal_steps_hardly_needs_iterations() {
 }
 
 #[test]
-fn a_hand_that_moves_unevenly_and_turns_back_is_followed() {
+fn uneven_and_reversing_motion_is_followed() {
     let topology = cube(&Material::default());
     let nodes = disc(&topology, 13e-3);
     let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
@@ -85,7 +85,7 @@ fn a_hand_that_moves_unevenly_and_turns_back_is_followed() {
 }
 
 #[test]
-fn a_node_that_is_held_while_others_are_led_stays_there() {
+fn held_node_stays_while_other_nodes_move() {
     let topology = cube(&Material::default());
     let nodes = disc(&topology, 8e-3);
     let other = disc(&topology, 40e-3)
@@ -109,7 +109,7 @@ fn a_node_that_is_held_while_others_are_led_stays_there() {
 }
 
 #[test]
-fn tissue_that_hardly_stretches_comes_to_rest_within_its_limit_and_beyond() {
+fn stiff_stretch_limit_converges_below_and_above_the_limit() {
     for stretch in [0.01, 0.03] {
         let material = Material {
             stretch_limit: 1.02,
@@ -126,7 +126,7 @@ fn tissue_that_hardly_stretches_comes_to_rest_within_its_limit_and_beyond() {
 }
 
 #[test]
-fn a_tool_that_jumps_into_what_is_held_feels_what_it_would_have_felt() {
+fn tool_jumping_into_held_tissue_gets_the_converged_force() {
     let topology = cube(&Material::default());
     let nodes = disc(&topology, 8e-3);
     let tool = Tool::ball(1, Vec3::new(10e-3, 10e-3, 50e-3 + 8e-3 - 2e-3), 8e-3);

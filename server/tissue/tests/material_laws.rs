@@ -1,5 +1,5 @@
-//! What a material's own keys make of a bar (the stiffening curve, the fibres), and that a press feels the
-//! material rather than the lattice.
+//! Effect of the stiffening curve and the fibres on a bar, and convergence of the contact force under lattice
+//! refinement.
 
 #![allow(clippy::unwrap_used)]
 
@@ -12,9 +12,9 @@ use palpate_tissue::{
 const MM: f64 = 1e-3;
 const SPACING: f64 = 4.0 * MM;
 const YOUNG_PA: f64 = 10e3;
-/// Residual of a solve: what is looked at here is known to a part in a hundred and more.
+/// Residual of a solve; the results are accurate to 1 % or better.
 const TOLERANCE: f64 = 5e-4;
-/// Strain that is put on at a time: a jump would draw the cells at the surface out many times as far.
+/// Strain increment per step: a jump would stretch the surface cells many times as far.
 const STRAIN_STEP: f64 = 0.01;
 
 fn plain() -> Material {
@@ -29,7 +29,7 @@ fn bar(cells: [usize; 3], material: &Material) -> Model {
     block(cells, SPACING, material, 0)
 }
 
-/// Holds the nodes that `on` chooses at a field per strain, which is put on in steps; converges in each.
+/// Holds the nodes that `on` selects at a field per strain, which is applied in steps; converges in each.
 fn held(
     topology: &Topology,
     strain: f64,
@@ -65,10 +65,10 @@ fn confined_work(topology: &Topology, strain: f64) -> f64 {
         .sum()
 }
 
-/// The same in closed form. A uniform strain of a lattice of cubes is an equilibrium: each spring of an
-/// inner node has a like one on the other side. So every spring is as long as the strain says, pulls with
-/// k l0 (exp(b e) - 1)/b, and by virtual work the surface carries the sum of these times what each
-/// spring's height gains per unit of strain.
+/// The same in closed form. A uniform strain of a lattice of cubes is an equilibrium, because each spring of an
+/// inner node has an equal one on the other side. Every spring has the length given by the strain and pulls
+/// with k l0 (exp(b e) - 1)/b. By virtual work the surface force is the sum of these, each times the change of
+/// the spring's height per unit of strain.
 fn closed_work(topology: &Topology, strain: f64, stiffening: f64) -> f64 {
     let mut work = 0.0;
     for node in 0..topology.node_count() as u32 {
@@ -90,7 +90,7 @@ fn curve(e: f64, b: f64) -> f64 {
 }
 
 #[test]
-fn a_confined_bar_of_stiffening_springs_follows_the_closed_form() {
+fn confined_stiffening_bar_follows_the_closed_form() {
     for stiffening in [0.0, 5.0, 20.0] {
         let material = Material {
             stiffening,
@@ -109,8 +109,8 @@ fn a_confined_bar_of_stiffening_springs_follows_the_closed_form() {
     }
 }
 
-/// Young's modulus of a bar pulled along its z with free sides, its ends clamped: stress in the bar
-/// over the strain of its middle half.
+/// Young's modulus of a bar pulled along z with free sides and clamped ends: stress in the bar over the strain
+/// of its middle half.
 fn young(model: Model, strain: f64) -> f64 {
     let topology = Topology::new(Arc::new(model));
     let points = || (0..topology.node_count() as u32).map(|n| topology.rest(n));
@@ -147,12 +147,13 @@ fn fibred(ratio: f64, axis: [f64; 3]) -> f64 {
 }
 
 #[test]
-fn a_bar_shows_what_was_asked_along_its_fibres_and_across_them() {
+fn bar_moduli_along_and_across_fibres_match_the_material() {
     for ratio in [0.5, 1.0, 2.0, 3.0, 5.0] {
         let along = fibred(ratio, [0.0, 0.0, 1.0]) / YOUNG_PA;
         let across = fibred(ratio, [1.0, 0.0, 0.0]) / YOUNG_PA;
         assert!((along / ratio - 1.0).abs() < 0.02, "{ratio}: {along}");
-        // In the mean of all directions across: along an edge of the lattice it is a little more.
+        // The modulus is exact as the mean of all directions across; along an edge of the lattice it is
+        // slightly larger.
         assert!(
             (across - 1.0).abs() < 0.02 * ratio.max(1.0),
             "{ratio}: {across}"
@@ -163,7 +164,7 @@ fn a_bar_shows_what_was_asked_along_its_fibres_and_across_them() {
 }
 
 #[test]
-fn a_bar_without_stiffening_or_fibres_shows_young() {
+fn isotropic_linear_bar_has_young_of_its_material() {
     let error = fibred(1.0, [0.0, 0.0, 1.0]) / YOUNG_PA - 1.0;
     assert!(error.abs() < 0.02, "{error}");
 }
@@ -171,7 +172,7 @@ fn a_bar_without_stiffening_or_fibres_shows_young() {
 /// Converged force of a sphere of 8 mm pressed `depth` m into a pad of 48 x 48 x 32 mm on a pinned base.
 fn pressed(spacing: f64, depth: f64) -> f64 {
     let cells = |length: f64| (length / spacing).round() as usize;
-    // One layer more: the base.
+    // One additional layer: the base.
     let model = block(
         [cells(48.0 * MM), cells(48.0 * MM), cells(32.0 * MM) + 1],
         spacing,

@@ -1,5 +1,4 @@
-//! A hand that leaves as fast as it came, and one whose solver had no time for a while: forces of single
-//! quick iterations against converged ones.
+//! Fast release, and a solver that misses ticks: forces of single quick iterations against converged ones.
 
 use std::sync::Arc;
 
@@ -8,7 +7,7 @@ use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, bloc
 const MM: f64 = 1e-3;
 const RADIUS: f64 = 8.0 * MM;
 
-/// 64 by 64 by 32 mm of something soft, which bottoms out or not.
+/// 64 by 64 by 32 mm of soft tissue, which bottoms out or not.
 fn slab(bottoms_out: bool) -> Topology {
     let material = Material {
         young_pa: 10e3,
@@ -18,11 +17,11 @@ fn slab(bottoms_out: bool) -> Topology {
     Topology::new(Arc::new(block([16, 16, 8], 4.0 * MM, &material, 1)))
 }
 
-/// Where the tool is at tick `k`: 6 mm in at 100 mm/s, held, 10 mm out at 150 mm/s.
+/// Tool position at tick `k`: 6 mm in at 100 mm/s, held, 10 mm out at 150 mm/s.
 fn tool(k: usize) -> Tool {
     let k = k as f64;
     let depth = (0.4 * k).min(6.0).min(6.0 - 0.6 * (k - 30.0)).max(-4.0);
-    // Over no node in particular, and a little askew.
+    // Off the nodes, and slightly oblique.
     let centre = Vec3::new(
         33.0 * MM + 0.01 * MM * k,
         30.5 * MM,
@@ -31,7 +30,7 @@ fn tool(k: usize) -> Tool {
     Tool::ball(1, centre, RADIUS)
 }
 
-/// Where it is on its way to 18 mm at 100 mm/s.
+/// Tool position on a press to 18 mm at 100 mm/s.
 fn deep_tool(k: usize) -> Tool {
     let depth = 0.4 * k as f64;
     Tool::ball(
@@ -41,7 +40,7 @@ fn deep_tool(k: usize) -> Tool {
     )
 }
 
-/// Where it is on its way to 15 mm and back, at 100 mm/s.
+/// Tool position on a press to 15 mm and back, at 100 mm/s.
 fn there_and_back_tool(k: usize) -> Tool {
     let depth = (0.4 * k as f64).min(15.0).min(0.4 * (85.0 - k as f64));
     Tool::ball(
@@ -54,7 +53,7 @@ fn there_and_back_tool(k: usize) -> Tool {
 const TICKS: usize = 48;
 const DEEP_TICKS: usize = 45;
 
-/// Force along z of the ticks `at` of a tool, solved with a budget.
+/// Force along z at the ticks `at` of a tool, solved with a budget.
 fn press(
     topology: &Topology,
     tool: fn(usize) -> Tool,
@@ -76,8 +75,8 @@ fn press(
         .collect()
 }
 
-/// Root mean square of the difference over that of the converged forces, and the largest difference over
-/// the largest force.
+/// Relative root mean square error against the converged forces, and the largest error relative to the largest
+/// force.
 fn errors(at: &[usize], iterations: usize, bottoms_out: bool) -> (f64, f64) {
     let topology = slab(bottoms_out);
     let exact = press(&topology, tool, at, false, 100, 1e-5);
@@ -88,7 +87,7 @@ fn errors(at: &[usize], iterations: usize, bottoms_out: bool) -> (f64, f64) {
     (rms(&apart) / rms(&exact), most(&apart) / most(&exact))
 }
 
-/// Of tissue that bottoms out and of tissue that does not.
+/// Checks tissue that bottoms out and tissue that does not.
 fn assert_below(at: &[usize], iterations: usize, (rms_max, most_max): (f64, f64)) {
     for bottoms_out in [false, true] {
         let (rms, most) = errors(at, iterations, bottoms_out);
@@ -100,26 +99,26 @@ fn assert_below(at: &[usize], iterations: usize, (rms_max, most_max): (f64, f64)
 }
 
 #[test]
-fn one_quick_iteration_per_tick_follows_a_hand_in_and_out() {
+fn one_quick_iteration_per_tick_tracks_press_and_release() {
     let every: Vec<usize> = (1..=TICKS).collect();
     assert_below(&every, 1, (0.032, 0.08));
 }
 
 #[test]
-fn two_quick_iterations_per_tick_follow_it_closely() {
+fn two_quick_iterations_per_tick_track_closely() {
     let every: Vec<usize> = (1..=TICKS).collect();
     assert_below(&every, 2, (0.025, 0.065));
 }
 
 #[test]
-fn ticks_that_are_missed_make_no_peaks() {
+fn missed_ticks_cause_no_force_peaks() {
     // Gaps of up to 12 ticks.
     let some = [3, 4, 9, 10, 18, 19, 20, 27, 33, 35, 38, 39, 44, 46];
     assert_below(&some, 2, (0.12, 0.25));
 }
 
 #[test]
-fn a_node_that_is_nowhere_is_put_back_and_nobody_waits_for_it() {
+fn node_with_invalid_position_is_reset_without_delay() {
     let topology = slab(true);
     let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
     let mut step = |k: usize, shape: &mut Shape, lost: Option<u32>| {
@@ -159,7 +158,7 @@ fn a_node_that_is_nowhere_is_put_back_and_nobody_waits_for_it() {
 }
 
 #[test]
-fn tissue_twice_as_fine_follows_a_deep_press_back_and_never_draws_the_tool_in() {
+fn fine_tissue_tracks_a_deep_release_without_suction() {
     let material = Material {
         young_pa: 10e3,
         ..Material::default()
@@ -180,7 +179,7 @@ fn tissue_twice_as_fine_follows_a_deep_press_back_and_never_draws_the_tool_in() 
 }
 
 #[test]
-fn a_press_after_a_release_has_the_bits_of_the_first() {
+fn press_after_release_is_bit_equal_to_the_first() {
     let topology = slab(true);
     let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
     let mut press = || -> Vec<u64> {
@@ -201,8 +200,8 @@ fn a_press_after_a_release_has_the_bits_of_the_first() {
 }
 
 #[test]
-fn a_tool_within_what_will_be_tissue_again_waits_for_it() {
-    // It draws back 5 mm at once and stays 5 mm below the surface at rest.
+fn tool_below_the_rest_surface_waits_for_recovering_tissue() {
+    // It withdraws 5 mm at once and stays 5 mm below the surface at rest.
     let topology = slab(true);
     let at = |depth: f64| Tool {
         centre: Vec3::new(33.0 * MM, 30.5 * MM, 32.0 * MM + RADIUS - depth * MM),
@@ -233,13 +232,12 @@ fn a_tool_within_what_will_be_tissue_again_waits_for_it() {
 }
 
 #[test]
-fn one_quick_iteration_per_tick_goes_wrong_in_no_tick_of_a_deep_press() {
+fn one_quick_iteration_per_tick_bounds_the_error_in_a_deep_press() {
     let topology = slab(true);
     let every: Vec<usize> = (1..=DEEP_TICKS).collect();
     let exact = press(&topology, deep_tool, &every, false, 100, 1e-3);
     let quick = press(&topology, deep_tool, &every, true, 1, 0.03);
     for (k, (exact, quick)) in exact.iter().zip(&quick).enumerate() {
-        // It was 7 % with what newcomers make up for carried on as well.
         let error = quick / exact - 1.0;
         assert!(error.abs() < 0.04, "tick {k}: {error:.3}");
     }

@@ -19,7 +19,7 @@ fn winding(surface: &Surface, point: &Vec3) -> f64 {
 }
 
 #[test]
-fn every_sample_is_closed_outward_and_needs_no_repair() {
+fn samples_are_closed_outward_and_need_no_repair() {
     for sample in Sample::ALL {
         let files = sample.generate();
         for (file, surface) in &files.surfaces {
@@ -34,12 +34,12 @@ fn every_sample_is_closed_outward_and_needs_no_repair() {
 }
 
 #[test]
-fn no_inner_surface_pokes_out_of_the_outermost() {
+fn inner_surfaces_stay_inside_the_outermost() {
     for sample in Sample::ALL {
         let files = sample.generate();
         let (_, outer) = &files.surfaces[0];
-        // Vertices in the plane sides of a block are shared with the outermost surface; drawn
-        // towards the middle by a thousandth they must be inside.
+        // Vertices in the plane sides of a block are shared with the outermost surface; moved towards the
+        // middle by a thousandth they must be inside.
         let centre = outer.aabb().unwrap().centre();
         for (file, inner) in &files.surfaces[1..] {
             for p in inner.vertices.iter().step_by(37) {
@@ -51,7 +51,7 @@ fn no_inner_surface_pokes_out_of_the_outermost() {
 }
 
 #[test]
-fn the_marrow_lies_inside_the_femur() {
+fn marrow_lies_inside_the_femur() {
     let files = Sample::Thigh.generate();
     let find = |name: &str| {
         &files
@@ -67,7 +67,7 @@ fn the_marrow_lies_inside_the_femur() {
 }
 
 #[test]
-fn samples_have_the_size_of_what_they_are() {
+fn samples_have_anatomical_sizes() {
     for sample in Sample::ALL {
         let files = sample.generate();
         let nodes = files.surfaces[0].1.volume() / files.scene.spacing_m.powi(3);
@@ -90,7 +90,7 @@ fn samples_have_the_size_of_what_they_are() {
 }
 
 #[test]
-fn every_sample_builds_without_a_word_of_warning() {
+fn samples_build_without_warnings() {
     for sample in Sample::ALL {
         let (model, report) = build(&sample.input().unwrap(), &mut |_, _| {}).unwrap();
         assert_eq!(report.warnings, Vec::<String>::new(), "{sample}");
@@ -114,7 +114,7 @@ fn every_sample_builds_without_a_word_of_warning() {
 }
 
 #[test]
-fn a_written_sample_reads_back_as_the_same_scene() {
+fn written_sample_reads_back_as_the_same_scene() {
     let dir = tempfile::tempdir().unwrap();
     for sample in Sample::ALL {
         let files = sample.generate();
@@ -132,7 +132,7 @@ fn a_written_sample_reads_back_as_the_same_scene() {
 }
 
 #[test]
-fn a_sample_does_not_overwrite_unless_asked() {
+fn sample_does_not_overwrite_by_default() {
     let dir = tempfile::tempdir().unwrap();
     let files = Sample::Handle.generate();
     std::fs::write(dir.path().join("handle_core.stl"), "mine").unwrap();
@@ -147,7 +147,7 @@ fn a_sample_does_not_overwrite_unless_asked() {
 }
 
 #[test]
-fn an_unknown_sample_names_the_nearest_and_all() {
+fn unknown_sample_error_names_the_nearest_and_all() {
     let error = "tigh".parse::<Sample>().unwrap_err().to_string();
     assert!(
         error.contains("\"thigh\"?") && error.contains("abdominal-wall"),
@@ -159,7 +159,7 @@ fn an_unknown_sample_names_the_nearest_and_all() {
 }
 
 #[test]
-fn the_same_sample_is_the_same_bits() {
+fn sample_generation_is_bit_reproducible() {
     for sample in Sample::ALL {
         assert_eq!(sample.generate(), sample.generate());
     }

@@ -1,4 +1,4 @@
-//! Scenes: what is read, what is refused, at which line and in which words.
+//! Scenes: accepted and rejected texts, with line and text of each error.
 
 #![allow(clippy::unwrap_used)]
 
@@ -45,7 +45,7 @@ fn parse(text: &str) -> Result<Scene, SceneError> {
 }
 
 #[test]
-fn a_scene_says_what_its_text_says() {
+fn parsed_scene_matches_its_text() {
     let scene = parse(THIGH).unwrap();
     assert!((scene.spacing_m - 4e-3).abs() < 1e-15);
     assert_eq!(scene.pinned, ["femur"]);
@@ -75,7 +75,7 @@ fn a_scene_says_what_its_text_says() {
 }
 
 #[test]
-fn a_written_scene_reads_back_as_itself() {
+fn scene_text_round_trip() {
     let scene = parse(THIGH).unwrap();
     let text = scene.to_toml();
     let again = parse(&text).unwrap();
@@ -96,7 +96,7 @@ fn a_written_scene_reads_back_as_itself() {
     }
 }
 
-/// What to put for what in [`THIGH`], and words the message must hold.
+/// Text to replace in [`THIGH`], its replacement, and words of the expected message.
 const MISTAKES: [(&str, &str, &[&str]); 34] = [
     (
         "young_kpa = 10.0",
@@ -246,7 +246,7 @@ const MISTAKES: [(&str, &str, &[&str]); 34] = [
 ];
 
 #[test]
-fn every_mistake_is_named_with_its_line_and_what_to_do() {
+fn errors_name_line_and_remedy() {
     for (from, to, words) in MISTAKES {
         let text = THIGH.replacen(from, to, 1);
         assert_ne!(text, THIGH, "{from}");
@@ -265,7 +265,7 @@ fn every_mistake_is_named_with_its_line_and_what_to_do() {
 }
 
 #[test]
-fn gravity_is_an_acceleration_that_something_withstands() {
+fn gravity_is_validated_and_needs_a_pinned_region() {
     assert_eq!(parse(THIGH).unwrap().gravity_m_s2, [0.0; 3]);
     let with = |value: &str| {
         let line = format!("gravity_m_s2 = {value}\npinned =");
@@ -302,7 +302,7 @@ fn names_with_quotes_and_line_breaks_survive_writing() {
 }
 
 #[test]
-fn a_new_material_must_be_complete_and_a_known_one_may_change_in_part() {
+fn new_material_must_be_complete_and_known_one_may_change_in_part() {
     let gel = THIGH.replace("\"muscle\"\n\n", "\"gel\"\n\n") + "[material.gel]\nyoung_kpa = 3\n";
     let message = parse(&gel).unwrap_err().to_string();
     assert!(
@@ -336,7 +336,7 @@ fn a_new_material_must_be_complete_and_a_known_one_may_change_in_part() {
 }
 
 #[test]
-fn a_region_overrides_its_material_for_itself_alone() {
+fn region_override_affects_that_region_only() {
     let text = THIGH
         .replace(
             "unit = \"m\"",
@@ -367,7 +367,7 @@ fn a_region_overrides_its_material_for_itself_alone() {
 }
 
 #[test]
-fn the_library_knows_what_it_lists() {
+fn listed_materials_exist() {
     for name in MATERIAL_NAMES {
         let material = Material::built_in(name).unwrap();
         assert_eq!(material.name, name);
@@ -377,7 +377,7 @@ fn the_library_knows_what_it_lists() {
 }
 
 #[test]
-fn too_many_regions_are_refused() {
+fn too_many_regions_are_rejected() {
     let mut text = "format = \"palpate-scene/1\"\nspacing_mm = 4\n".to_owned();
     for i in 0..=REGIONS_MAX {
         writeln!(
@@ -392,7 +392,7 @@ fn too_many_regions_are_refused() {
 }
 
 #[test]
-fn files_that_are_no_scene_are_refused_by_name() {
+fn invalid_scene_files_are_rejected_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let missing = Scene::load(&dir.path().join("gone.toml"))
         .unwrap_err()
@@ -416,7 +416,7 @@ fn files_that_are_no_scene_are_refused_by_name() {
 }
 
 #[test]
-fn a_surface_that_fails_names_its_region_and_file() {
+fn surface_error_names_region_and_file() {
     let dir = tempfile::tempdir().unwrap();
     let path = Sample::Handle.generate().write(dir.path(), false).unwrap();
     let core = dir.path().join("handle_core.stl");
@@ -438,9 +438,9 @@ fn a_surface_that_fails_names_its_region_and_file() {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(128) })]
 
-    /// A damaged scene is read or refused, never a panic.
+    /// A damaged scene is read or rejected, without a panic.
     #[test]
-    fn a_damaged_scene_never_panics(at in 0..THIGH.len(), length in 0_usize..20, with in "[\\PC\n\"\\[\\]=.]{0,8}") {
+    fn damaged_scene_never_panics(at in 0..THIGH.len(), length in 0_usize..20, with in "[\\PC\n\"\\[\\]=.]{0,8}") {
         let end = (at + length).min(THIGH.len());
         let text = format!("{}{with}{}", &THIGH[..at], &THIGH[end..]);
         if let Ok(scene) = parse(&text) {
@@ -451,7 +451,7 @@ proptest! {
 }
 
 #[test]
-fn an_automatic_spacing_survives_writing() {
+fn automatic_spacing_survives_writing() {
     for least in ["", "spacing_min_mm = 2.5\n"] {
         let text = format!(
             "format = \"palpate-scene/1\"\nspacing_mm = \"auto\"\n{least}{}",

@@ -1,4 +1,4 @@
-//! Scenes whose regions come from label volumes, wholly or in part: read, refused, built.
+//! Scenes whose regions come from label volumes, all or some: reading, errors, building.
 
 #![allow(clippy::unwrap_used)]
 
@@ -40,7 +40,7 @@ material = "liver"
 "#;
 
 #[test]
-fn a_region_names_a_surface_or_labels_of_its_own_volume_or_the_scenes() {
+fn region_source_is_a_surface_or_labels_of_own_or_scene_volume() {
     let scene = Scene::parse(THIGH, Path::new("base")).unwrap();
     let labels = |r: usize| match &scene.regions[r].source {
         RegionSource::Labels { labels, .. } => labels.clone(),
@@ -56,7 +56,7 @@ fn a_region_names_a_surface_or_labels_of_its_own_volume_or_the_scenes() {
 }
 
 #[test]
-fn mistakes_in_labels_are_named_with_their_line() {
+fn label_errors_name_the_line() {
     let mistakes: [(&str, &str, &[&str]); 9] = [
         (
             "label = 1\n",
@@ -96,7 +96,7 @@ fn mistakes_in_labels_are_named_with_their_line() {
     }
 }
 
-/// A thigh in small: 1 around 2 around 3, flat at the image's ends.
+/// A miniature thigh: 1 around 2 around 3, flat at the image border.
 fn drum() -> Vec<u8> {
     image(|[x, y, _]| {
         let r = (x - 19.5).hypot(y - 19.5);
@@ -104,7 +104,7 @@ fn drum() -> Vec<u8> {
     })
 }
 
-/// A column that leans, of 2 in a skin of 1 that is one voxel thick within each slice.
+/// A leaning column of 2 in a skin of 1 that is one voxel thick within each slice.
 fn leaning() -> Vec<u8> {
     let inside = |x: f64, y: f64, z: f64| {
         let (x, y) = (x - 19.5 - 0.37 * (z - 11.5), y - 19.5 - 0.21 * (z - 11.5));
@@ -117,7 +117,7 @@ fn leaning() -> Vec<u8> {
     })
 }
 
-/// Two balls of 2 in a block of 1, joined by a rod askew that is two voxels thick.
+/// Two balls of 2 in a block of 1, joined by an oblique rod that is two voxels thick.
 fn dumb_bell() -> Vec<u8> {
     let ends = [Vec3::new(10.0, 9.0, 7.0), Vec3::new(29.0, 28.0, 17.0)];
     let way = (ends[1] - ends[0]).normalize();
@@ -172,10 +172,10 @@ fn built(folder: &Folder, text: &str) -> (SceneInput, BuildReport) {
 }
 
 #[test]
-fn a_labelled_scene_builds_to_the_volumes_of_its_voxels() {
+fn labelled_scene_keeps_voxel_volumes() {
     let folder = Folder::new();
     folder.write("drum.nii", &drum());
-    // In any order of the regions: every voxel is of the region its label names.
+    // For any order of the regions: every voxel belongs to the region of its label.
     for order in [
         ["label = 1", "label = 2", "label = 3"],
         ["label = 3", "label = 1", "label = 2"],
@@ -194,7 +194,7 @@ fn a_labelled_scene_builds_to_the_volumes_of_its_voxels() {
 }
 
 #[test]
-fn a_skin_of_one_voxel_is_one_piece_and_parts_what_lies_on_its_sides() {
+fn one_voxel_skin_is_one_piece_and_separates_its_sides() {
     let folder = Folder::new();
     folder.write("drum.nii", &leaning());
     for spacing in ["2.0", "3.0", "3.5"] {
@@ -208,13 +208,13 @@ fn a_skin_of_one_voxel_is_one_piece_and_parts_what_lies_on_its_sides() {
             report.layers.iter().find(own).map_or(0, |l| l.components)
         };
         assert_eq!(layers("fat", Some("skin")), 1, "at {spacing}");
-        // Fat comes out at the image's two ends, and nowhere else.
+        // Fat reaches the surface only at the two ends of the image.
         assert_eq!(layers("fat", None), 2, "at {spacing}");
     }
 }
 
 #[test]
-fn what_is_one_part_stays_one_where_it_is_thinner_than_a_cell() {
+fn connected_part_stays_connected_below_cell_size() {
     let folder = Folder::new();
     folder.write("drum.nii", &dumb_bell());
     for spacing in ["3.0", "4.0", "5.0", "6.0"] {
@@ -226,7 +226,7 @@ fn what_is_one_part_stays_one_where_it_is_thinner_than_a_cell() {
 }
 
 #[test]
-fn what_is_known_of_the_sides_is_what_looking_finds() {
+fn known_triangle_sides_agree_with_probing() {
     let folder = Folder::new();
     folder.write("drum.nii", &drum());
     let text = drum_scene(&[("a", "label = 2"), ("b", "label = 1"), ("c", "label = 3")]);
@@ -243,7 +243,7 @@ fn what_is_known_of_the_sides_is_what_looking_finds() {
 }
 
 #[test]
-fn labels_and_surfaces_mix_and_later_regions_override() {
+fn labels_and_surfaces_mix_with_later_regions_overriding() {
     let folder = Folder::new();
     folder.write("drum.nii", &drum());
     // A block of 20 mm through the middle of label 2, written as a surface.
@@ -278,7 +278,7 @@ fn labels_and_surfaces_mix_and_later_regions_override() {
     let (input, report) = built(&folder, &text);
     assert!(input.voxels_m3.iter().all(Option::is_none));
     let volume = |r: usize| report.regions[r].volume_mm3;
-    // The bone reaches into the block and wins.
+    // The bone reaches into the block and overrides it.
     assert!(volume(2) < 7_900.0 && volume(2) > 6_500.0, "{}", volume(2));
     let bone = std::f64::consts::PI * 12.0 * 12.0 * 48.0;
     assert!((volume(3) / bone - 1.0).abs() < 0.03, "{}", volume(3));
@@ -289,7 +289,7 @@ fn labels_and_surfaces_mix_and_later_regions_override() {
 }
 
 #[test]
-fn what_is_wrong_with_a_label_volume_reaches_the_person_with_its_file() {
+fn label_volume_errors_name_the_file() {
     let folder = Folder::new();
     folder.write("drum.nii", &drum());
     let scene = folder.write("s.toml", drum_scene(&[("a", "label = 9")]).as_bytes());
@@ -333,7 +333,7 @@ fn assert_volumes(report: &BuildReport, first: usize) {
     }
 }
 
-/// Outside of what is reported as thin, surfaces are where they belong.
+/// Outside of the parts reported as thin, surfaces are in the right position.
 fn assert_distances(report: &BuildReport) {
     for region in &report.regions {
         let mean = region.distance_mean_outside_thin_mm;
@@ -344,7 +344,7 @@ fn assert_distances(report: &BuildReport) {
 }
 
 #[test]
-fn real_legs_build_from_their_labels_to_within_a_hundredth() {
+fn real_legs_keep_label_volumes_within_1_percent() {
     for volume in ["thigh_labels_2mm.nii.gz", "shank_labels_2mm.nii.gz"] {
         for spacing_mm in [4.0, 3.0] {
             if let Some(report) = real("leg_bp3d", volume, 3, spacing_mm) {
@@ -356,7 +356,7 @@ fn real_legs_build_from_their_labels_to_within_a_hundredth() {
 }
 
 #[test]
-fn a_real_slab_of_ten_organs_builds_from_its_labels() {
+fn real_slab_of_ten_organs_builds_from_labels() {
     // The first region is a skin one voxel thick.
     for spacing_mm in [3.0, 4.0] {
         let report = real(
@@ -374,7 +374,7 @@ fn a_real_slab_of_ten_organs_builds_from_its_labels() {
 }
 
 #[test]
-fn a_real_torso_builds_from_its_labels() {
+fn real_torso_builds_from_labels() {
     let Some(report) = real("abdomen_ct", "torso_tissue_3mm.nii.gz", 5, 3.0) else {
         return;
     };

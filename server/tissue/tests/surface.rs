@@ -1,4 +1,4 @@
-//! Surfaces: what is read, what is repaired, what is refused and in which words.
+//! Surfaces: accepted, repaired and rejected input, with the text of each error.
 
 #![allow(clippy::unwrap_used)]
 
@@ -38,7 +38,7 @@ fn cube() -> Surface {
     cuboid([0.0; 3], [20.0; 3])
 }
 
-/// Both in one surface, vertices apart.
+/// Both in one surface, without shared vertices.
 fn together(a: Surface, b: &Surface) -> Surface {
     let mut both = a;
     let n = both.vertices.len() as u32;
@@ -113,7 +113,7 @@ fn near(a: f64, b: f64) -> bool {
 }
 
 #[test]
-fn a_written_surface_reads_back_the_same() {
+fn written_surface_reads_back_the_same() {
     let folder = Folder::new();
     let surface = folder.read("cube.stl", binary_stl(&cube())).unwrap();
     assert_eq!(surface.vertices.len(), 8, "corners are welded");
@@ -124,7 +124,7 @@ fn a_written_surface_reads_back_the_same() {
 }
 
 #[test]
-fn the_unit_scales_what_is_read() {
+fn unit_scales_coordinates() {
     let folder = Folder::new();
     let path = folder.file("cube.stl", binary_stl(&cube()));
     let surface = Surface::read(&path, Unit::Metre).unwrap();
@@ -132,7 +132,7 @@ fn the_unit_scales_what_is_read() {
 }
 
 #[test]
-fn a_binary_file_whose_header_says_solid_is_binary() {
+fn binary_stl_with_solid_header_is_read_as_binary() {
     let folder = Folder::new();
     let mut bytes = binary_stl(&cube());
     bytes[..16].copy_from_slice(b"solid by someone");
@@ -147,7 +147,7 @@ fn a_binary_file_whose_header_says_solid_is_binary() {
 }
 
 #[test]
-fn ascii_files_are_read_with_any_line_ending_case_and_number_of_solids() {
+fn ascii_stl_accepts_any_line_ending_case_and_solid_count() {
     let folder = Folder::new();
     let unix = ascii_stl(&cube(), "\n");
     let nameless = unix.replace(" a name", "");
@@ -167,14 +167,14 @@ fn ascii_files_are_read_with_any_line_ending_case_and_number_of_solids() {
 }
 
 #[test]
-fn minus_zero_is_zero() {
+fn minus_zero_equals_zero() {
     let folder = Folder::new();
     let text = ascii_stl(&cube(), "\n").replacen("vertex 0 0e0 0\n", "vertex -0 -0e0 -0\n", 1);
     assert_eq!(folder.read("cube.stl", text).unwrap().vertices.len(), 8);
 }
 
 #[test]
-fn obj_files_are_read_with_polygons_objects_and_backward_indices() {
+fn obj_accepts_polygons_objects_and_negative_indices() {
     let folder = Folder::new();
     let mut text = "# a cube\nmtllib none.mtl\no first\nusemtl skin\n".to_owned();
     for p in &cube().vertices {
@@ -188,7 +188,7 @@ fn obj_files_are_read_with_polygons_objects_and_backward_indices() {
 }
 
 #[test]
-fn what_is_no_surface_is_refused_in_words_that_name_the_file() {
+fn invalid_surface_error_names_the_file() {
     let folder = Folder::new();
     let truncated = &binary_stl(&cube())[..400];
     let ascii = ascii_stl(&cube(), "\n");
@@ -204,7 +204,7 @@ fn what_is_no_surface_is_refused_in_words_that_name_the_file() {
             (0..5000_u32).map(|i| (i * i % 251) as u8).collect(),
             "not an STL",
         ),
-        ("short.stl", truncated.to_vec(), "promises 12 triangles"),
+        ("short.stl", truncated.to_vec(), "declares 12 triangles"),
         ("cut.stl", ascii.as_bytes()[..700].to_vec(), "triangle "),
         (
             "word.stl",
@@ -243,7 +243,7 @@ fn what_is_no_surface_is_refused_in_words_that_name_the_file() {
 }
 
 #[test]
-fn empty_flat_and_broken_surfaces_are_refused() {
+fn empty_flat_and_broken_surfaces_are_rejected() {
     assert!(matches!(
         Surface::default().check(),
         Err(SurfaceError::Empty)
@@ -274,7 +274,7 @@ fn empty_flat_and_broken_surfaces_are_refused() {
 }
 
 #[test]
-fn a_hole_is_named_by_edges_loops_and_place() {
+fn hole_error_gives_edges_loops_and_position() {
     let mut open = cube();
     open.triangles.drain(2..4); // the top
     let message = open.check().unwrap_err().to_string();
@@ -294,7 +294,7 @@ fn a_hole_is_named_by_edges_loops_and_place() {
 }
 
 #[test]
-fn winding_is_repaired_and_an_inside_out_surface_is_turned() {
+fn winding_is_repaired_and_inverted_surface_is_turned() {
     let mut mixed = cube();
     for t in [1, 4, 7] {
         mixed.triangles[t].swap(0, 1);
@@ -308,7 +308,7 @@ fn winding_is_repaired_and_an_inside_out_surface_is_turned() {
 }
 
 #[test]
-fn cavities_stay_cavities_also_when_all_is_inside_out() {
+fn cavities_stay_cavities_in_an_inverted_surface() {
     let shell = together(cube(), &turned(cuboid([5.0; 3], [15.0; 3])));
     for surface in [shell.clone(), turned(shell)] {
         let report = accepted(surface);
@@ -324,7 +324,7 @@ fn cavities_stay_cavities_also_when_all_is_inside_out() {
 }
 
 #[test]
-fn separate_parts_are_counted_and_each_turned_by_itself() {
+fn separate_parts_are_counted_and_turned_independently() {
     let far = cuboid([100.0; 3], [110.0; 3]);
     let report = accepted(together(cube(), &turned(far)));
     assert_eq!((report.components, report.components_turned), (2, 1));
@@ -332,7 +332,7 @@ fn separate_parts_are_counted_and_each_turned_by_itself() {
 }
 
 #[test]
-fn parts_that_touch_along_an_edge_are_accepted() {
+fn parts_touching_along_an_edge_are_accepted() {
     // The second cube shares the vertical edge at x = y = 20 mm.
     let mut touching = together(cube(), &cuboid([20.0, 20.0, 0.0], [40.0, 40.0, 20.0]));
     for v in touching.triangles[12..].iter_mut().flatten() {
@@ -363,7 +363,7 @@ fn duplicates_and_degenerate_triangles_are_dropped() {
 }
 
 #[test]
-fn a_needle_that_closes_a_seam_is_kept() {
+fn needle_triangle_that_closes_a_seam_is_kept() {
     // The edge 0-1 gets a vertex in its middle on one side only; a triangle without area closes
     // the seam.
     let mut surface = cube();
@@ -381,7 +381,7 @@ fn a_needle_that_closes_a_seam_is_kept() {
 }
 
 #[test]
-fn a_likely_slip_of_unit_is_warned_of() {
+fn likely_wrong_unit_gives_a_warning() {
     for (scale, word) in [(1e-3, "metres"), (1e3, "millimetres")] {
         let mut surface = cube();
         surface.vertices.iter_mut().for_each(|p| *p *= scale);
@@ -395,7 +395,7 @@ fn a_likely_slip_of_unit_is_warned_of() {
 }
 
 #[test]
-fn a_one_sided_surface_is_refused() {
+fn one_sided_surface_is_rejected() {
     // A Klein bottle on a 6 x 6 grid: around j the strip closes, around i it closes mirrored.
     let n = 6_u32;
     let vertex = |i: u32, j: u32| {
@@ -430,9 +430,9 @@ fn a_one_sided_surface_is_refused() {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(64) })]
 
-    /// Whatever triangles are wound backwards, the check finds the same outward surface.
+    /// The check finds the same outward surface for any set of inverted triangles.
     #[test]
-    fn repaired_winding_does_not_depend_on_what_was_wrong(flips in proptest::collection::vec(any::<bool>(), 12)) {
+    fn repaired_winding_is_independent_of_the_damage(flips in proptest::collection::vec(any::<bool>(), 12)) {
         let mut surface = cube();
         for (t, flip) in surface.triangles.iter_mut().zip(&flips) {
             if *flip {
@@ -443,9 +443,9 @@ proptest! {
         prop_assert!(near(surface.volume(), 8e-6));
     }
 
-    /// No bytes make the reader or the check panic.
+    /// No bytes cause a panic in the reader or the check.
     #[test]
-    fn noise_is_refused_or_read_but_never_panics(
+    fn noise_never_panics(
         noise in proptest::collection::vec(any::<u8>(), 0..600),
         at in 0_usize..2000,
         kind in 0..4,
@@ -474,7 +474,7 @@ fn real_anatomy_is_accepted() {
         eprintln!("PALPATE_DATA is not set: skipped");
         return;
     };
-    // A relative path is relative to the root of the repository, whose package this is.
+    // A relative path is relative to the root of the repository.
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let mut surfaces = 0;
     for folder in std::fs::read_dir(root.join(data))

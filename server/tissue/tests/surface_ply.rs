@@ -1,4 +1,4 @@
-//! PLY surfaces: every encoding reads as the same body, and what is broken is named with its place.
+//! PLY surfaces: every encoding gives the same body, and errors name the position.
 
 #![allow(clippy::unwrap_used)]
 
@@ -40,7 +40,7 @@ fn ascii() -> String {
     text
 }
 
-/// From little-endian bytes to those of the file.
+/// From little-endian bytes to those of the file's byte order.
 type Order = fn([u8; 4]) -> [u8; 4];
 
 fn binary(big: bool) -> Vec<u8> {
@@ -76,7 +76,7 @@ fn read(bytes: &[u8]) -> Result<Surface, SurfaceError> {
 }
 
 #[test]
-fn every_encoding_reads_as_the_same_body() {
+fn every_encoding_gives_the_same_body() {
     let doubles = ascii()
         .replace("float", "double")
         .replace("uchar int vertex_indices", "uint16 uint vertex_index");
@@ -101,7 +101,7 @@ fn every_encoding_reads_as_the_same_body() {
 }
 
 #[test]
-fn elements_of_other_kinds_are_passed_over() {
+fn unknown_elements_are_skipped() {
     let text = ascii().replace(
         "element face",
         "element edge 2\nproperty int vertex1\nproperty list uchar float more\nelement face",
@@ -116,7 +116,7 @@ fn elements_of_other_kinds_are_passed_over() {
 }
 
 #[test]
-fn what_is_broken_is_named_with_its_place() {
+fn ply_errors_name_the_position() {
     let mistakes: [(&str, &str, &[&str]); 11] = [
         ("ply\n", "plx\n", &["not a PLY file", ".stl"]),
         ("end_header\n", "", &["header"]),
@@ -157,13 +157,13 @@ fn what_is_broken_is_named_with_its_place() {
     let whole = binary(false);
     let message = read(&whole[..whole.len() - 3]).unwrap_err().to_string();
     assert!(
-        message.contains("\"face\" 1 to 6") && message.contains("ends in the middle"),
+        message.contains("\"face\" 1 to 6") && message.contains("truncated"),
         "{message}"
     );
 }
 
 #[test]
-fn a_coordinate_that_is_no_number_is_refused_by_the_check() {
+fn nan_coordinate_is_rejected_by_the_check() {
     let mut surface = read(ascii().replacen("20 0 0", "nan 0 0", 1).as_bytes());
     if let Ok(surface) = &mut surface {
         assert!(surface.check().is_err());

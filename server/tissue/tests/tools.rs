@@ -1,4 +1,4 @@
-//! Line and surface tools: what they feel on slabs and columns whose answer is known.
+//! Line and surface tools on slabs and columns with known solutions.
 
 use std::sync::Arc;
 
@@ -82,7 +82,7 @@ fn above(radius: f64) -> Vec3 {
 }
 
 #[test]
-fn a_line_of_no_length_is_the_ball() {
+fn line_of_zero_length_equals_the_ball() {
     for radius in [1.0 * MM, 6.0 * MM] {
         let at = above(radius);
         let ball = Bench::new(CELLS).lower(Tool::ball(1, at, radius), 4.0 * MM);
@@ -98,13 +98,14 @@ fn a_line_of_no_length_is_the_ball() {
 }
 
 #[test]
-fn a_centred_line_has_no_torque_and_an_offset_one_force_times_lever() {
+fn line_torque_is_force_times_offset() {
     for radius in [1.0 * MM, 5.0 * MM] {
         let at = above(radius);
         let centred = Bench::new(CELLS).lower(needle(at, 0.0, 10.0 * MM, radius), 4.0 * MM);
         let f = centred.force.z;
         assert!(f > 0.0 && centred.torque.xy().norm() < 1e-3 * f * 10.0 * MM);
-        // Diagonals of the surface's squares all run one way: a thin needle feels that as a turn in the plane.
+        // The diagonals of the surface's squares all run one way, which gives a thin needle a torque in the
+        // plane.
         assert!(centred.torque.z.abs() < 0.03 * f * 10.0 * MM, "{centred:?}");
         // The same needle on the same tissue, held 15 mm from its middle.
         let d = 15.0 * MM;
@@ -118,7 +119,7 @@ fn a_centred_line_has_no_torque_and_an_offset_one_force_times_lever() {
 }
 
 #[test]
-fn the_places_of_a_line_carry_its_force_and_torque() {
+fn contact_points_of_a_line_sum_to_its_force_and_torque() {
     let radius = 5.0 * MM;
     let mut bench = Bench::new(CELLS);
     let tool = needle(above(radius), 6.0 * MM, 20.0 * MM, radius);
@@ -140,8 +141,8 @@ fn the_places_of_a_line_carry_its_force_and_torque() {
 }
 
 #[test]
-fn a_plate_on_a_column_is_uniaxial_compression() {
-    // Four times as high as wide; the foot, which can not spread, is a small part of it.
+fn plate_on_a_column_is_uniaxial_compression() {
+    // Four times as high as wide; the foot, which cannot spread, is a small part of it.
     let cells = [6, 6, 24];
     let (side, height) = (6.0 * D, 24.0 * D);
     let mut bench = Bench::new(cells);
@@ -170,7 +171,7 @@ fn a_plate_on_a_column_is_uniaxial_compression() {
 }
 
 #[test]
-fn a_leaning_plate_feels_a_torque_that_rights_it() {
+fn tilted_plate_has_a_restoring_torque() {
     let radius = 3.0 * MM;
     let at = above(radius);
     let form = Form::rectangle(
@@ -187,7 +188,7 @@ fn a_leaning_plate_feels_a_torque_that_rights_it() {
     let other = Bench::new(CELLS).lower(leaning(-4.0), 4.0 * MM);
     assert!(one.torque.y < -1e-4, "{}", one.torque);
     assert!((one.torque.y + other.torque.y).abs() < 0.02 * one.torque.y.abs());
-    // And a plate that is turned in place is the one that was lowered turned.
+    // A plate that is turned in place equals one that was lowered in the turned pose.
     let mut bench = Bench::new(CELLS);
     bench.lower(leaning(0.0), 4.0 * MM);
     let down = at - Vec3::z() * (4.0 * MM);
@@ -205,7 +206,7 @@ fn a_leaning_plate_feels_a_torque_that_rights_it() {
 }
 
 #[test]
-fn a_blade_pressed_with_its_edge_feels_more_where_it_is_deeper() {
+fn blade_edge_force_is_larger_at_the_deeper_end() {
     // 30 mm long, 10 mm high, 1 mm thick: far thinner than the lattice.
     let radius = 0.5 * MM;
     let half = [Vec3::x() * (15.0 * MM), Vec3::z() * (5.0 * MM)];
@@ -227,7 +228,7 @@ fn a_blade_pressed_with_its_edge_feels_more_where_it_is_deeper() {
 }
 
 #[test]
-fn a_long_tool_that_swings_in_from_aside_stops_at_the_surface() {
+fn long_tool_swinging_in_stops_at_the_surface() {
     let radius = 3.0 * MM;
     let mut bench = Bench::new(CELLS);
     // Its pivot stays beside the slab; the needle reaches over it and swings down.
@@ -238,7 +239,7 @@ fn a_long_tool_that_swings_in_from_aside_stops_at_the_surface() {
         ..Tool::ball(1, pivot, radius)
     };
     assert_eq!(bench.press(swing(-0.2)).contacts, 0);
-    // In one step by a quarter of a turn's worth of way: the tip would be 12 mm deep.
+    // One step of about a quarter turn: the tip would be 12 mm deep.
     let r = bench.press(swing(0.35));
     assert!(r.force.z > 0.0 && r.contacts > 0, "{r:?}");
     let mut slow = Bench::new(CELLS);
@@ -255,7 +256,7 @@ fn a_long_tool_that_swings_in_from_aside_stops_at_the_surface() {
 }
 
 #[test]
-fn forms_that_are_none_are_ignored_and_counted() {
+fn invalid_tool_forms_are_ignored_and_counted() {
     let mut bench = Bench::new([4, 4, 4]);
     let ball = Tool::ball(1, Vec3::new(8.0 * MM, 8.0 * MM, 17.0 * MM), 2.0 * MM);
     let nan = Vec3::new(f64::NAN, 0.0, 0.0);
@@ -263,7 +264,7 @@ fn forms_that_are_none_are_ignored_and_counted() {
         Form::line(Vec3::zeros(), nan),
         Form::line(Vec3::zeros(), Vec3::x() * 1e9),
         Form::rectangle(nan, [Vec3::zeros(); 2]),
-        // No rectangle.
+        // Not a rectangle.
         Form::rectangle(Vec3::zeros(), [Vec3::x(), Vec3::new(0.5, 0.5, 0.0)]),
     ];
     for form in bad {
@@ -280,7 +281,7 @@ fn forms_that_are_none_are_ignored_and_counted() {
 }
 
 #[test]
-fn a_tool_larger_than_the_model_presses_all_of_it() {
+fn tool_larger_than_the_model_presses_all_of_it() {
     let mut bench = Bench::new([4, 4, 4]);
     let radius = 4.0 * MM;
     let plate = Tool {
@@ -288,7 +289,7 @@ fn a_tool_larger_than_the_model_presses_all_of_it() {
         ..Tool::ball(1, Vec3::new(8.0 * MM, 8.0 * MM, 16.0 * MM + radius), radius)
     };
     let r = bench.lower(plate, 1.0 * MM);
-    // A little more than a free column of its size, as its foot is held.
+    // Slightly more than a free column of its size, because its foot is held.
     let free = YOUNG * (1.0 / 16.0) * (16.0 * MM) * (16.0 * MM);
     assert!(
         (0.95..1.4).contains(&(r.force.z / free)),
@@ -300,9 +301,10 @@ fn a_tool_larger_than_the_model_presses_all_of_it() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 12, failure_persistence: None, ..Default::default() })]
 
-    /// What pushes a tool out is what it is pressed with: no tool is drawn in, and no work is got from a press and back.
+    /// A tool is pushed out by no more than its press: no tool is pulled in, and a press and release yields no
+    /// energy.
     #[test]
-    fn no_tool_is_drawn_in(
+    fn no_tool_is_pulled_in(
         long in 0.0..0.02f64, broad in 0.0..0.012f64, radius in 0.3e-3..6e-3f64, lean in -0.3..0.3f64, turn in -3.0..3.0f64,
     ) {
         let q = UnitQuaternion::from_axis_angle(&Vec3::y_axis(), lean)
@@ -333,8 +335,8 @@ proptest! {
 }
 
 #[test]
-fn four_times_the_samples_change_the_force_by_less_than_two_percent() {
-    // At three spacings a triangle has one sample, below it four.
+fn four_times_the_samples_change_force_by_less_than_2_percent() {
+    // At three spacings a triangle has one sample, below that four.
     let press = |radius: f64| {
         let mut bench = Bench::new(CELLS);
         bench.lower(needle(above(radius), 0.0, 12.0 * MM, radius), 5.0 * MM)
@@ -351,7 +353,7 @@ fn four_times_the_samples_change_the_force_by_less_than_two_percent() {
 }
 
 #[test]
-fn a_ball_pushes_a_face_an_edge_and_a_corner_outwards_less_and_less() {
+fn ball_force_decreases_from_face_to_edge_to_corner() {
     let radius = 6.0 * MM;
     let push = |at: Vec3, along: Vec3| {
         let mut bench = Bench::new(CELLS);
@@ -376,9 +378,9 @@ fn a_ball_pushes_a_face_an_edge_and_a_corner_outwards_less_and_less() {
     );
 }
 
-/// Fig 4.14: what holds a tool inside is summed over the layers that it goes through, each with its own friction.
+/// Fig. 4.14: friction in a wound is summed over the layers around the tool, each with its own friction.
 #[test]
-fn a_blade_in_its_wound_is_squeezed_from_both_sides_by_every_layer_with_its_own_friction() {
+fn blade_in_a_wound_has_the_friction_of_each_layer() {
     let mut model = block([14, 14, 9], D, &material(), 1);
     let mut upper = model.regions[1].clone();
     upper.name = "upper".into();
@@ -429,7 +431,7 @@ fn a_blade_in_its_wound_is_squeezed_from_both_sides_by_every_layer_with_its_own_
     }
     let r = last.expect("steps");
     let pressed: f64 = r.places.iter().map(|p| p.pressed).sum();
-    // The places at the tip lie for the most part in the lower layer, the others in the upper one.
+    // The contact points at the tip lie mostly in the lower layer, the others in the upper one.
     let (deep, high): (Vec<&Place>, Vec<&Place>) =
         r.places.iter().partition(|p| p.friction_static > 0.3);
     assert!(!deep.is_empty() && !high.is_empty(), "{:#?}", r.places);
@@ -437,7 +439,7 @@ fn a_blade_in_its_wound_is_squeezed_from_both_sides_by_every_layer_with_its_own_
         assert!((p.friction_static - 0.2).abs() < 1e-9 && (p.friction_dynamic - 0.1).abs() < 1e-9);
     }
     for p in &r.places {
-        // From both sides, across the wound: nothing of it is left as a force.
+        // Both sides press across the wound, so the net force is zero.
         assert!(
             p.pressed > 3.0 * p.force.xy().norm() && p.normal.y.abs() > 0.8,
             "{p:?}"
@@ -447,7 +449,7 @@ fn a_blade_in_its_wound_is_squeezed_from_both_sides_by_every_layer_with_its_own_
 }
 
 #[test]
-fn a_ball_that_turns_in_place_is_said_to_have_turned() {
+fn ball_turning_in_place_reports_its_rotation() {
     let mut bench = Bench::new(CELLS);
     let ball = Tool::ball(1, above(8.0 * MM) - Vec3::z() * (4.0 * MM), 8.0 * MM);
     bench.press(ball);
@@ -457,8 +459,8 @@ fn a_ball_that_turns_in_place_is_said_to_have_turned() {
 }
 
 #[test]
-fn a_jaw_that_closes_into_a_wall_comes_upon_it_from_outside() {
-    // A wall 24 mm thick; the jaw stands beside it, and its form then says that it is 6 mm further in, past the surface.
+fn closing_jaw_meets_the_wall_from_outside() {
+    // A wall 24 mm thick with the jaw beside it; the closed form then lies 6 mm deeper, past the surface.
     let mut bench = Bench::new([6, 10, 8]);
     let radius = 2.0 * MM;
     let jaw = |x: f64| Tool {

@@ -1,5 +1,5 @@
-//! Tissue that turns about a bone: the softest thing it can do, and the farthest that has to be told to
-//! nodes that no tool is near.
+//! Tissue rotating about a bone: its softest mode, and the longest propagation of a displacement to nodes far
+//! from any tool.
 
 use std::sync::Arc;
 
@@ -45,7 +45,7 @@ fn turned(topology: &Topology, iterations: usize) -> Shape {
 }
 
 #[test]
-fn what_turns_about_a_bone_comes_where_it_belongs_in_six_cycles() {
+fn rotation_about_a_bone_converges_in_six_cycles() {
     let topology = around_a_bone();
     let exact = turned(&topology, 200);
     let cycles = turned(&topology, 6);

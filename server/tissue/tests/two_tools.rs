@@ -1,4 +1,4 @@
-//! Two tools on one tissue: what one leaves behind does not stay in the force on the other.
+//! Two tools on one tissue: the released tool leaves no residual force on the other.
 
 use std::sync::Arc;
 
@@ -36,7 +36,7 @@ fn hand() -> Budget<'static> {
 }
 
 #[test]
-fn a_hand_feels_the_converged_force_after_another_tool_has_let_go() {
+fn force_converges_after_another_tool_is_released() {
     let topology = topology();
     let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
     let mut step = |gentle: f64, deep: f64| {
@@ -44,7 +44,7 @@ fn a_hand_feels_the_converged_force_after_another_tool_has_let_go() {
         let report = solver.step(&topology, &mut shape, &tools, hand());
         report.reactions[0].force
     };
-    // Both press, one of them three times as deep, which then draws back at 100 mm/s.
+    // Both press, one three times as deep; it then withdraws at 100 mm/s.
     for k in 0..=50 {
         let share = f64::from(k) / 50.0;
         step(3.0 * MM * share, 9.0 * MM * share);
@@ -52,7 +52,7 @@ fn a_hand_feels_the_converged_force_after_another_tool_has_let_go() {
     for k in 0..=60 {
         step(3.0 * MM, 9.0 * MM - 0.4 * MM * f64::from(k));
     }
-    // Two seconds of a hand that rests.
+    // Two seconds with the hand at rest.
     let mut felt = Vec3::zeros();
     for _ in 0..100 {
         felt = step(3.0 * MM, -15.0 * MM);
@@ -66,7 +66,7 @@ fn a_hand_feels_the_converged_force_after_another_tool_has_let_go() {
 }
 
 #[test]
-fn a_tool_that_touches_nothing_moves_without_a_step_until_it_touches() {
+fn free_tool_moves_without_a_step_until_contact() {
     let topology = topology();
     let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
     let tools = [
@@ -81,11 +81,11 @@ fn a_tool_that_touches_nothing_moves_without_a_step_until_it_touches() {
     assert!(solver.move_free(&topology, &shape, &free(-10.0 * MM)));
     assert!(solver.move_free(&topology, &shape, &free(-2.0 * MM)));
     assert!(!solver.move_free(&topology, &shape, &free(1.0 * MM)));
-    // One that presses, and one that no step has seen.
+    // One pressing tool, and one unknown to any step.
     assert!(!solver.move_free(&topology, &shape, &tools[0]));
     assert!(!solver.move_free(&topology, &shape, &ball(3, 0.0, -20.0 * MM)));
     assert_eq!(shape.hash(), hash);
-    // The next step finds it where it was last free, and lets it touch.
+    // The next step starts it at its last free position, and lets it touch.
     let report = solver.step(&topology, &mut shape, &[tools[0], free(1.0 * MM)], hand());
     assert!(
         report.reactions[1].contacts > 0 && report.lag_m == 0.0,

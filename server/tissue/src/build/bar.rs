@@ -1,16 +1,16 @@
-//! Virtual bars: what a built region shows of the modulus that its material asked for.
+//! Virtual bars: Young's modulus of a built region compared with the modulus of its material.
 //!
-//! From each region that is not pinned a bar of cells is cut, a box of the lattice that lies wholly within
-//! the region, with its nodes where they were placed. Its ends are drawn apart by a small strain; with
-//! F the force on them, ε the strain of its middle half and A the sections of that half,
+//! From each region that is not pinned a bar of cells is cut: a box of the lattice that lies wholly within the
+//! region, with its nodes where the builder placed them. Its ends are pulled apart by a small strain. With F
+//! the force on them, ε the strain of its middle half and A the sections of that half,
 //!
 //! ```text
 //! E = F <1/A> / ε
 //! ```
 //!
-//! It is compared with what the material's tensor says for that direction. For springs of strength
-//! s(n) in all directions n that tensor is `C = 6 <s n n n n> + κ I I` (`springs.rs`, `equilibrium/law.rs`),
-//! and Young's modulus along a is 1 / (aa : C⁻¹ : aa).
+//! This is compared with the modulus of the material's tensor in that direction. For springs of strength s(n)
+//! in all directions n the tensor is `C = 6 <s n n n n> + κ I I` (`springs.rs`, `equilibrium/law.rs`). Young's
+//! modulus along a is 1 / (aa : C⁻¹ : aa).
 
 use nalgebra::{Matrix6, Vector6};
 use rayon::prelude::*;
@@ -19,18 +19,19 @@ use super::report::BarReport;
 use crate::equilibrium::{Elastic, dyad};
 use crate::{Budget, Cell, Model, NO_CELL, Region, RegionId, Shape, Solver, Topology, Vec3};
 
-/// Widths of a bar in cells, tried from the first to the last. Wider ones say nothing more, and
-/// 5 x 5 x 20 cells are found and pulled in a few milliseconds.
+/// Widths of a bar in cells, tried from the first to the last. Wider bars are no more accurate; 5 x 5 x 20
+/// cells are found and pulled in a few milliseconds.
 const WIDTHS: [usize; 4] = [5, 4, 3, 2];
 /// Length of a bar in widths: the clamped ends disturb one width each.
 const SLENDER: usize = 4;
-/// Strain of a pull. Small, because stiffening springs show the material's modulus at rest only.
+/// Strain of a pull. It is small, because stiffening springs have the material's modulus at rest only.
 const STRAIN: f64 = 1e-3;
-/// Residual and iterations of a pull: a tenth of what the modulus is asked to.
+/// Relative residual and most iterations of a pull. The residual is a tenth of the accuracy required of the
+/// modulus.
 const TOLERANCE: f64 = 5e-4;
 const ITERATIONS: usize = 200;
-/// Pieces per edge of the cube around the sphere over which a material's tensor is summed, with two points
-/// of Gauss in each: exact to five digits.
+/// Pieces per edge of the cube around the sphere over which a material's tensor is integrated, with two Gauss
+/// points in each. The sum is exact to five digits.
 const PIECES: usize = 8;
 
 /// A bar for every region that is not pinned.
@@ -69,7 +70,7 @@ struct Place {
     axis: usize,
 }
 
-/// Numbers of a region's cells in all boxes from the low corner on.
+/// Summed-area table: number of a region's cells in each box from the low corner on.
 struct Grid {
     low: [i32; 3],
     /// Points: one more than cells along each axis.
@@ -123,7 +124,7 @@ impl Grid {
         x + self.points[0] * (y + self.points[1] * z)
     }
 
-    /// How many of the region's cells are in the box at `low`.
+    /// Number of the region's cells in the box at `low`.
     fn count(&self, low: [usize; 3], size: [usize; 3]) -> u32 {
         let at = |c: usize| {
             let corner = std::array::from_fn(|a| low[a] + size[a] * (c >> a & 1));
@@ -137,7 +138,7 @@ impl Grid {
             .wrapping_sub([3, 5, 6, 0].map(at).into_iter().fold(0, u32::wrapping_add))
     }
 
-    /// The widest bar that is full, and of those of this width the one nearest to the region's middle.
+    /// The widest bar that is full; among bars of this width the one nearest to the region's middle.
     fn largest_box(&self) -> Option<Place> {
         WIDTHS.into_iter().find_map(|width| {
             let places = (0..3).filter_map(|axis| self.nearest_box(width, axis));
@@ -145,7 +146,7 @@ impl Grid {
         })
     }
 
-    /// The full box of one width along one axis that is nearest to the middle, after its distance.
+    /// The full box of one width along one axis that is nearest to the middle, with its distance.
     fn nearest_box(&self, width: usize, axis: usize) -> Option<(i64, Place)> {
         let mut size = [width; 3];
         size[axis] = width * SLENDER;
@@ -232,7 +233,7 @@ fn cut_out(model: &Model, region: usize, place: &Place) -> Model {
     }
 }
 
-/// Pulls a bar along its axis; gives its modulus in Pa, or nothing when no equilibrium is found.
+/// Pulls a bar along its axis. Returns its modulus in Pa, or `None` when no equilibrium is found.
 fn pull(topology: &Topology, place: &Place) -> Option<f64> {
     let axis = place.axis;
     let layers = place.size[axis];
@@ -244,7 +245,7 @@ fn pull(topology: &Topology, place: &Place) -> Option<f64> {
     let nodes = 0..topology.node_count() as u32;
     let middle = nodes.clone().map(|n| topology.rest(n)).sum::<Vec3>() / nodes.len() as f64;
     let thinning = topology.model().regions[0].material.poisson;
-    // From the bar as it would be without clamps, so that only these are left to be found.
+    // The initial guess is the bar without clamps, so that only their effect has to be solved for.
     for node in nodes.clone() {
         let from = topology.rest(node) - middle;
         let mut u = from * (-STRAIN * thinning);
@@ -261,7 +262,7 @@ fn pull(topology: &Topology, place: &Place) -> Option<f64> {
     if residual > TOLERANCE {
         return None;
     }
-    // What is drawn apart pulls back.
+    // The reaction opposes the displacement.
     let force: f64 = nodes
         .clone()
         .filter(|&n| layer(n) == layers)
@@ -280,7 +281,7 @@ fn pull(topology: &Topology, place: &Place) -> Option<f64> {
     Some(force * mean_inverse_section(topology, &layer, from..to, axis) / strain)
 }
 
-/// <1/A> over some layers of cells, each as thick as its nodes say on the mean.
+/// <1/A> over some layers of cells, each as thick as the mean of its nodes.
 fn mean_inverse_section(
     topology: &Topology,
     layer: &impl Fn(u32) -> usize,
@@ -320,7 +321,7 @@ fn slope(points: impl Iterator<Item = (f64, f64)> + Clone) -> f64 {
     xy / xx
 }
 
-/// Young's modulus in Pa that a region's material says for a direction.
+/// Young's modulus in Pa of a region's material in a direction.
 fn expected(region: &Region, direction: Vec3) -> f64 {
     let elastic = Elastic::asked(region);
     let mut stiffness = Matrix6::zeros();
@@ -364,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bar_of_cubes_shows_what_was_asked() {
+    fn bar_of_cubes_has_the_material_modulus() {
         for poisson in [0.25, 0.45] {
             let material = Material {
                 poisson,
@@ -384,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn with_fibres_the_modulus_of_the_bars_direction_is_expected() {
+    fn fibred_bar_has_the_modulus_of_its_direction() {
         let material = Material {
             fibre_ratio: 3.0,
             fibre_axis: FibreAxis::Given([1.0, 0.0, 0.0]),
@@ -396,14 +397,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_too_thin_has_no_bar() {
+    fn thin_region_has_no_bar() {
         let reports = bars(&model([20, 20, 2], &Material::default()));
         assert_eq!(reports[0].cells, [0; 3]);
         assert_eq!(reports[0].measured_kpa, None);
     }
 
     #[test]
-    fn nodes_that_were_moved_are_pulled_where_they_are() {
+    fn bar_uses_moved_node_positions() {
         let mut model = model([5, 5, 22], &Material::default());
         let turn = |i: usize, k: usize| ((i * 7 + k * 13) % 11) as f64 / 11.0 - 0.5;
         for i in 0..model.nodes.len() {

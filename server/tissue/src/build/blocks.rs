@@ -1,19 +1,19 @@
-//! Blocks of space around one surface: what lies in a block that no triangle reaches into is all inside
-//! or all outside, and one line tells for all of it.
+//! Blocks of space around one surface. A block that no triangle reaches into is all inside or all outside, and
+//! one line decides for all of it.
 
 use crate::{Surface, Vec3};
 
 /// Side of a block in lattice spacings.
 const SIDE: f64 = 2.0;
-/// Blocks at most; their sides grow with the surface beyond that.
+/// Most blocks; beyond it their sides grow with the surface.
 const COUNT_MAX: f64 = 4e6;
-/// Triangles are put into so many blocks each, on the mean, at most. Where they would be in more, they are
-/// as large as the surface, and blocks tell nothing.
+/// Most blocks per triangle on the mean. With more, triangles are as large as the surface, and blocks decide
+/// nothing.
 const SHARE: usize = 32;
-/// By how much a triangle counts as larger, in parts of a block: far more than trees round its corners by.
+/// Margin added to a triangle, in parts of a block: far more than the tree rounds its corners by.
 const MARGIN: f64 = 1e-3;
 
-/// What a block is.
+/// State of a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Block {
     /// Triangles reach into it.
@@ -30,12 +30,13 @@ pub(super) struct Blocks {
     /// One over the side of a block, in 1/m.
     per_side: f64,
     count: [usize; 3],
-    /// Empty where blocks tell nothing.
+    /// Empty where blocks decide nothing.
     list: Vec<Block>,
 }
 
 impl Blocks {
-    /// Sorts space around a surface on a lattice of this spacing (m); `is_inside` tells of single points.
+    /// Classifies space around a surface on a lattice of this spacing (m). `is_inside` decides for single
+    /// points.
     pub(super) fn new(surface: &Surface, spacing: f64, is_inside: impl Fn(Vec3) -> bool) -> Self {
         let mut blocks = Self::default();
         if let Some(bounds) = surface.aabb() {
@@ -54,12 +55,12 @@ impl Blocks {
         blocks
     }
 
-    /// Whether a point is inside the surface, if that of its block is known.
+    /// Whether a point is inside the surface, if the state of its block is known.
     pub(super) fn tell(&self, point: &Vec3) -> Option<bool> {
         let at = (point - self.low) * self.per_side;
         let at: [f64; 3] = at.into();
         if (0..3).any(|a| at[a] < 0.0 || at[a] >= self.count[a] as f64) {
-            // The surface's own box tells.
+            // Outside the bounding box of the surface.
             return None;
         }
         match self.list.get(self.index(at.map(|v| v as usize)))? {
@@ -99,7 +100,7 @@ impl Blocks {
         true
     }
 
-    /// Works out the others: one that meets another which is known is as that is.
+    /// Classifies the other blocks: a block takes the state of a known neighbour.
     fn fill(&mut self, is_inside: impl Fn(Vec3) -> bool) {
         for z in 0..self.count[2] {
             for y in 0..self.count[1] {

@@ -1,9 +1,9 @@
-//! Joining again what is one part in the input (reconstructed).
+//! Reconnecting pieces of a region that are one part in the input (reconstructed).
 //!
-//! A rod or a neck thinner than a cell rarely fills most of one, so a part of a region comes to lie in
-//! pieces. The rays that measured what fills the cells know which of these were one part, and through
-//! which cells it runs from one to the next; the cells of the way that lacks least become cells of the
-//! region. Nodes are put onto its surface afterwards, which makes the bridge as thin as it is.
+//! A rod or a neck thinner than a cell rarely fills most of one, so a part of a region is split into pieces.
+//! The rays that measured the fill of the cells know which pieces were one part, and through which cells that
+//! part runs from one piece to the next. The path of cells with the least missing volume becomes cells of the
+//! region. Nodes are projected onto its surface afterwards, so the bridge gets its true thickness.
 
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -14,11 +14,11 @@ use super::lattice::{face_neighbours, pieces};
 use super::parts::root;
 use super::walls::{Share, Walls, in_margin};
 
-/// A cell is no place for a bridge unless the part fills at least this much of it.
+/// A cell may carry a bridge only if the part fills at least this much of it.
 const FILLED_MIN: f64 = 0.01;
-/// What a face costs where regions would touch that do not, in cells that lack everything.
+/// Cost of a face at which regions would touch that do not touch in the input, in empty cells.
 const FALSE_FACE: f64 = 0.5;
-/// Most cells that are looked at for one bridge: a way of ten cells among its neighbours.
+/// Most cells that are visited for one bridge: a path of ten cells among its neighbours.
 const LOOK_MAX: usize = 4096;
 
 /// Joins pieces of a region that are one part in the input; returns the number of bridges.
@@ -54,11 +54,11 @@ struct Torn {
     part: u32,
     /// The pieces, the largest first.
     pieces: Vec<u32>,
-    /// The cells of each piece that other regions have something of, and those around them.
+    /// The cells around each piece, and the cells of each piece that other regions fill in part.
     rims: BTreeMap<u32, Vec<usize>>,
 }
 
-/// Finds which part of its region each piece is, and the parts that have several.
+/// Finds the part that each piece belongs to, and the parts with several pieces.
 fn torn(
     grid: &Grid,
     labels: &Labels,
@@ -66,7 +66,7 @@ fn torn(
     piece_of: &[u32],
     sizes: &[usize],
 ) -> Vec<Torn> {
-    // How much of each part each piece has.
+    // Volume of each part in each piece.
     let mut has: BTreeMap<(u32, u32), (u8, f64)> = BTreeMap::new();
     for (cell, label) in labels.label.iter().enumerate().filter(|(_, l)| **l != 0) {
         for share in walls.shares_of(cell).iter().filter(|s| s.label == *label) {
@@ -120,7 +120,7 @@ struct Search<'a> {
     piece_of: &'a [u32],
 }
 
-/// A cell that is reached at a cost, the cheapest first.
+/// A cell reached at a cost; the cheapest comes first.
 #[derive(PartialEq)]
 struct Reached {
     cost: f64,
@@ -143,8 +143,8 @@ impl PartialOrd for Reached {
 }
 
 impl Search<'_> {
-    /// The cells to give the region so that a piece of the part hangs together with another one, which
-    /// `parent` is told; none when there is no way.
+    /// The cells to give the region so that a piece of the part connects to another one, which `parent`
+    /// records. Empty when there is no path.
     fn way(&self, parent: &mut [u32], piece: u32) -> Option<Vec<usize>> {
         let mut queue = BinaryHeap::new();
         let mut from: BTreeMap<usize, (f64, usize)> = BTreeMap::new();
@@ -180,7 +180,7 @@ impl Search<'_> {
         None
     }
 
-    /// What the region lacks of a cell, if the part runs through it.
+    /// Missing volume of the region in a cell, if the part runs through it.
     fn cost(&self, cell: usize) -> Option<f64> {
         let shares = self.walls.shares_of(cell).iter();
         let own = shares.filter(|s| s.label == self.own.label && s.part == self.own.part);
@@ -194,7 +194,7 @@ impl Search<'_> {
     }
 }
 
-/// The cells on the way back to the piece, without its own.
+/// The cells on the path back to the piece, without the piece's own.
 fn way_back(from: &BTreeMap<usize, (f64, usize)>, mut cell: usize) -> Vec<usize> {
     let mut way = Vec::new();
     while from[&cell].1 != cell {

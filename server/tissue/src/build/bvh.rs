@@ -1,4 +1,4 @@
-//! A tree of boxes over triangles: the nearest point, and the first triangle along a short way.
+//! A bounding volume hierarchy over triangles: nearest point, and first triangle along a short segment.
 //!
 //! Triangles are kept in single precision about an origin in their middle: 20 nm in a model of
 //! 0.3 m, and 50 bytes per triangle with its share of the tree, so that a surface of ten million
@@ -13,20 +13,20 @@ const FORK: usize = 4096;
 /// Deepest tree: halving 2^32 triangles.
 const DEPTH_MAX: usize = 40;
 
-/// The number of a triangle that has none.
+/// Tag of a triangle without one.
 pub(super) const NO_TAG: u16 = u16::MAX;
 
-/// A triangle as a tree keeps it.
+/// A triangle as stored in the tree.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Flat {
     /// Corners relative to the tree's origin.
     corners: [[f32; 3]; 3],
-    /// What its owner wants to know of it, or [`NO_TAG`].
+    /// Tag chosen by the owner, or [`NO_TAG`].
     tag: u16,
 }
 
 impl Flat {
-    /// The same triangle with a number to know it by.
+    /// The same triangle with a tag.
     pub(super) fn tagged(self, tag: u16) -> Self {
         Self { tag, ..self }
     }
@@ -42,14 +42,14 @@ struct Node {
     count: u32,
 }
 
-/// Which part of a line is looked at.
+/// The part of a line to search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Way {
-    /// What lies before the point, where coordinates are lower.
+    /// The part before the point, at lower coordinates.
     Before,
-    /// What lies after it.
+    /// The part after the point.
     After,
-    /// All.
+    /// The whole line.
     Both,
 }
 
@@ -76,7 +76,7 @@ impl Bvh {
         }
     }
 
-    /// A triangle as the tree takes it.
+    /// A triangle in the tree's precision.
     pub(super) fn flat(origin: &Vec3, corners: &[Vec3; 3]) -> Flat {
         let corners = corners.map(|p| {
             let p = p - origin;
@@ -146,7 +146,7 @@ impl Bvh {
             }
             let child = |child: u32| (child, self.nodes[child as usize].distance_squared(&at));
             let (left, right) = (child(index + 1), child(node.start));
-            // The nearer child is looked at first.
+            // The nearer child is searched first.
             let (first, second) = if left.1 <= right.1 {
                 (left, right)
             } else {
@@ -171,7 +171,7 @@ impl Bvh {
         root.is_some_and(|node| node.distance_squared(&at) == 0.0)
     }
 
-    /// On which side of a point along an axis the box around all triangles ends sooner.
+    /// The side of a point along an axis on which the box around all triangles ends sooner.
     pub(super) fn nearer_end(&self, point: &Vec3, axis: usize) -> Way {
         let at = point[axis] - self.origin[axis];
         match self.nodes.first() {
@@ -181,7 +181,7 @@ impl Bvh {
     }
 
     /// Calls `each` with every triangle whose box the line along `axis` through `point`, or the part of it
-    /// before or after the point, may pass; point and corners are given relative to the tree's origin.
+    /// before or after the point, may cross. Point and corners are relative to the tree's origin.
     pub(super) fn for_line(
         &self,
         point: &Vec3,
@@ -194,7 +194,7 @@ impl Bvh {
         }
         let at = point - self.origin;
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        // Rounded outwards by a last digit, so that the boxes can be compared in single precision.
+        // Rounded outwards by one last digit, so that the boxes can be compared in single precision.
         let (p, q) = (at[u] as f32, at[v] as f32);
         let (p0, p1, q0, q1) = (p.next_down(), p.next_up(), q.next_down(), q.next_up());
         let d = at[axis] as f32;
@@ -235,7 +235,8 @@ impl Bvh {
         }
     }
 
-    /// How far along `way` (m, from `from`) the first triangle is crossed, if one is, and which it is.
+    /// Distance along `way` (m, from `from`) to the first triangle that it crosses, with the triangle's number;
+    /// `None` without a crossing.
     pub(super) fn first_along(&self, from: &Vec3, way: &Vec3) -> Option<(f64, usize)> {
         if self.nodes.is_empty() {
             return None;
@@ -305,7 +306,7 @@ fn local(p: &[f32; 3]) -> Vec3 {
     Vec3::new(f64::from(p[0]), f64::from(p[1]), f64::from(p[2]))
 }
 
-/// Nodes of the tree over so many triangles; splitting in halves makes it a function of the number.
+/// Number of tree nodes over so many triangles; splitting in halves makes it a function of the number.
 fn node_count(triangles: usize) -> usize {
     if triangles == 0 {
         0
@@ -317,8 +318,8 @@ fn node_count(triangles: usize) -> usize {
     }
 }
 
-/// Fills `nodes` with the tree over `triangles`; the first ones of these are numbers
-/// `triangle_base` and `node_base` of the whole.
+/// Fills `nodes` with the tree over `triangles`. Their first entries have the numbers `triangle_base` and
+/// `node_base` in the whole tree.
 fn split(triangles: &mut [Flat], triangle_base: usize, nodes: &mut [Node], node_base: usize) {
     let mut node = Node {
         low: [f32::INFINITY; 3],
@@ -337,7 +338,7 @@ fn split(triangles: &mut [Flat], triangle_base: usize, nodes: &mut [Node], node_
         let axis = (0..3).fold(0, |b, a| if extent[a] > extent[b] { a } else { b });
         let middle = |t: &Flat| t.corners.iter().map(|c| c[axis]).sum::<f32>();
         let half = triangles.len() / 2;
-        // Equal middles are told apart by the corners, so the tree depends on the set alone.
+        // Equal middles are ordered by the corners, so the tree depends on the set alone.
         triangles.select_nth_unstable_by(half, |t, u| {
             middle(t).total_cmp(&middle(u)).then_with(|| {
                 let corners = |t: &'_ Flat| t.corners.into_iter().flatten();
@@ -406,7 +407,7 @@ fn nearest_on(p: &Vec3, [a, b, c]: &[Vec3; 3]) -> Vec3 {
     }
 }
 
-/// The part of `way` after which it crosses a triangle (Möller and Trumbore 1997).
+/// The fraction of `way` at which it crosses a triangle (Möller and Trumbore 1997).
 fn crossing(from: &Vec3, way: &Vec3, [a, b, c]: &[Vec3; 3]) -> Option<f64> {
     let (ab, ac) = (b - a, c - a);
     let normal = way.cross(&ac);
@@ -430,7 +431,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn the_tree_answers_as_looking_at_every_triangle_does(
+        fn tree_queries_equal_brute_force(
             numbers in prop::collection::vec(-1.0_f32..1.0, 9..900), point in prop::array::uniform3(-2.0..2.0),
             way in prop::array::uniform3(-2.0..2.0),
         ) {

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::faces::{Face, OUTSIDE, volumes};
+use super::interface_samples::Sample;
 use super::layers::{Layers, surface_of};
 use super::patch::{Interface, Interfaces};
 use super::quality::{
@@ -11,15 +12,14 @@ use super::quality::{
 use super::report::{
     LayerReport, QualityReport, RegionReport, SpringCounts, SurfaceReport, report_triangles,
 };
-use super::sample::Sample;
 use super::thin::Collector;
 use crate::{Aabb, Model, NO_CELL, RegionId, Vec3};
 
-/// A node farther than this from its interface, in spacings, is listed with its place.
+/// A node farther than this from its interface, in spacings, is listed with its position.
 const STRAY: f64 = 0.5;
 
-/// Counts springs by kind: for each node the directions in which a cell has a spring, as a mask of
-/// 27 bits, half of which belong to the other end.
+/// Counts springs by kind. For each node the directions in which a cell has a spring form a mask of 27 bits,
+/// half of which belong to the other end.
 pub(super) fn count_springs(model: &Model, around: &[[u32; 8]], faces: &[Face]) -> SpringCounts {
     let mut interface = vec![false; model.nodes.len()];
     for node in faces
@@ -53,7 +53,7 @@ pub(super) fn count_springs(model: &Model, around: &[[u32; 8]], faces: &[Face]) 
                         };
                         code * 3 + way
                     });
-                    // Codes above the middle one lead to the nodes that come later.
+                    // Codes above the middle one lead to nodes of higher number.
                     if code < 13 || seen >> code & 1 == 1 {
                         continue;
                     }
@@ -73,7 +73,7 @@ pub(super) fn count_springs(model: &Model, around: &[[u32; 8]], faces: &[Face]) 
         .reduce(SpringCounts::default, add)
 }
 
-/// Looks at the shape of all cells.
+/// Measures the shape of all cells.
 pub(super) fn quality(model: &Model) -> QualityReport {
     let spacing = model.spacing_m;
     let empty = QualityReport {
@@ -115,7 +115,7 @@ pub(super) fn quality(model: &Model) -> QualityReport {
         )
 }
 
-/// Sums the layers of each interface up.
+/// Sums up the layers of each interface.
 pub(super) fn layers(layers: &Layers, names: &[String]) -> Vec<LayerReport> {
     layers
         .layers
@@ -134,7 +134,7 @@ pub(super) fn layers(layers: &Layers, names: &[String]) -> Vec<LayerReport> {
         .collect()
 }
 
-/// What [`regions`] compares.
+/// Input of [`regions`].
 pub(super) struct Compared<'a> {
     pub(super) model: &'a Model,
     pub(super) around: &'a [[u32; 8]],
@@ -147,8 +147,8 @@ pub(super) struct Compared<'a> {
     pub(super) input_volumes: &'a [f64],
 }
 
-/// Compares each region with its input; also gives the places where the model has an interface
-/// farther than [`STRAY`] from the input's and outside of thin parts: point, region, distance in m.
+/// Compares each region with its input. Also returns the positions where the model's interface is farther than
+/// [`STRAY`] from the input's and outside of thin parts: point, region, distance in m.
 pub(super) fn regions(compared: &Compared<'_>) -> (Vec<RegionReport>, Vec<Stray>) {
     let Compared { model, faces, .. } = compared;
     let regions = model.regions.len();
@@ -286,7 +286,7 @@ impl Distances {
     }
 }
 
-/// A distance in m from the input, and whether it is that of a thin part.
+/// A distance in m from the input, and whether it belongs to a thin part.
 type Found = (f32, bool);
 
 /// Distances of the nodes of each interface, sorted.
@@ -318,7 +318,7 @@ fn distance(interface: Interface, point: &Vec3, compared: &Compared<'_>) -> Foun
     ((nearest - point).norm() as f32, thin)
 }
 
-/// Pieces of each region's cells that hang together through faces.
+/// Face-connected pieces of each region's cells.
 fn components(model: &Model) -> Vec<usize> {
     let mut counts = vec![0; model.regions.len()];
     let mut seen = vec![false; model.cells.len()];
@@ -345,7 +345,7 @@ fn components(model: &Model) -> Vec<usize> {
     counts
 }
 
-/// Where a node stands off the nearest of its interfaces, in m.
+/// Distance in m of a node from the nearest of its interfaces.
 pub(super) fn off_interface(
     interfaces: &Interfaces,
     of: impl Iterator<Item = Interface>,

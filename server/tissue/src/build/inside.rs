@@ -1,8 +1,8 @@
-//! Which region holds a point.
+//! Point location: the region that contains a point.
 //!
-//! Far from a surface its blocks tell. Near it one watertight line does, along the axis that its
-//! triangles face most. The tree keeps vertices in single precision, all copies of one rounded alike, so
-//! the surface stays closed.
+//! Far from a surface its blocks decide. Near it one watertight line decides, along the axis that its triangles
+//! face most. The tree keeps vertices in single precision, with all copies of a vertex rounded alike, so the
+//! surface stays closed.
 
 use rayon::prelude::*;
 
@@ -11,7 +11,7 @@ use super::bvh::{Bvh, Way};
 use super::rays::{Winding, hit_at};
 use crate::{Surface, Vec3};
 
-/// Answers which region holds a point.
+/// Finds the region that contains a point.
 #[derive(Debug)]
 pub(super) struct PointQuery {
     surfaces: Vec<Body>,
@@ -23,14 +23,14 @@ struct Body {
     tree: Bvh,
     /// Axis of its lines.
     axis: usize,
-    /// Whether its triangles are wound alike, so that every line leaves it as often as it enters.
+    /// Whether its triangles are wound consistently, so that every line leaves it as often as it enters.
     wound_alike: bool,
     blocks: Blocks,
 }
 
 impl PointQuery {
-    /// Sorts the triangles of all surfaces into trees about `middle`, and space into blocks on a lattice of
-    /// this spacing (m).
+    /// Sorts the triangles of all surfaces into trees about `middle`, and classifies blocks of space on a
+    /// lattice of this spacing (m).
     pub(super) fn new(surfaces: &[&Surface], middle: Vec3, spacing: f64) -> Self {
         let body = |surface: &&Surface| {
             let corners = |t| surface.corners(t);
@@ -56,7 +56,7 @@ impl PointQuery {
             .find(|&r| self.contains(r, point))
     }
 
-    /// Whether region `r`'s own surface contains the point, whoever else does.
+    /// Whether region `r`'s own surface contains the point, regardless of other regions.
     pub(super) fn contains(&self, region: usize, point: Vec3) -> bool {
         self.surfaces[region].contains(point)
     }
@@ -82,7 +82,7 @@ impl Body {
             });
         };
         if self.wound_alike {
-            // What lies on one side of the point tells as much as what lies on the other.
+            // The hits on either side of the point give the same answer.
             let way = self.tree.nearer_end(&point, axis);
             let mut turns = 0;
             hits(way, &mut |turn, before| {
@@ -98,9 +98,9 @@ impl Body {
     }
 }
 
-/// Whether every edge is passed as often in one direction as in the other. Each undirected edge stands for a
-/// number as good as random, and those passed forwards must cancel those passed backwards (by chance they do
-/// once in 2^64 surfaces).
+/// Whether every edge is used as often in one direction as in the other. Each undirected edge gets a
+/// pseudo-random number, and those of forward uses must cancel those of backward uses. A false match happens
+/// once in 2^64 surfaces.
 fn is_wound_alike(surface: &Surface) -> bool {
     let mut sum = 0_u64;
     for &[a, b, c] in &surface.triangles {
@@ -144,9 +144,9 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(32))]
-        /// A spindle with ridges: blocks of any size tell what lines do, or nothing.
+        /// A spindle with ridges: blocks of any size agree with the lines, or are undecided.
         #[test]
-        fn blocks_tell_what_lines_do(
+        fn blocks_agree_with_lines(
             radii in prop::collection::vec(0.005_f64..0.03, 2..9), spacing in 5e-4_f64..0.02,
             points in prop::collection::vec(prop::array::uniform3(-0.035_f64..0.035), 64),
         ) {
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_triangle_wound_against_the_others_is_noticed_and_changes_nothing() {
+    fn inverted_triangle_is_detected_and_keeps_the_result() {
         let mut surface = turned(&[(0.02, -0.03), (0.02, 0.03)], 64);
         assert!(is_wound_alike(&surface));
         surface.triangles[0].swap(0, 1);
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn blocks_far_from_a_surface_tell_and_those_at_it_do_not() {
+    fn only_blocks_away_from_the_surface_decide() {
         let surface = turned(&[(0.02, -0.03), (0.02, 0.03)], 64);
         let query = PointQuery::new(&[&surface], Vec3::zeros(), 2e-3);
         let blocks = &query.surfaces[0].blocks;

@@ -1,9 +1,8 @@
-//! Which region fills each cell of the grid, and the exact volumes of the input.
+//! The region of each cell of the grid, and the exact volumes of the input.
 //!
-//! Sixteen rays run along z through every column of cells; the stretches of each ray inside each
-//! surface, with overlaps resolved in favour of the later region, give the part of every cell that
-//! each region fills. A cell belongs to the model when at least half of it is inside, and then to
-//! the region that fills most of it.
+//! Sixteen rays run along z through every column of cells. The stretches of each ray inside each surface, with
+//! overlaps resolved in favour of the later region, give the fraction of every cell that each region fills. A
+//! cell belongs to the model when at least half of it is inside. It then gets the region that fills most of it.
 
 use std::collections::BTreeSet;
 
@@ -15,23 +14,23 @@ use super::strands::{NOTHING, RAYS_PER_CELL, Strand, Strands};
 use super::walls::{Share, Walls, contact};
 use crate::Surface;
 
-/// A cell is of one kind when all but this part of it is.
+/// A cell is homogeneous when one region fills all but this part of it.
 const PURE: f64 = 1e-3;
-/// What fills the cells of the grid.
+/// Labels of the cells of the grid.
 #[derive(Debug)]
 pub(super) struct Labels {
     /// Region number plus one for each cell, 0 outside the model.
     pub(super) label: Vec<u8>,
-    /// The label that came second.
+    /// The label with the second largest fraction.
     pub(super) second: Vec<u8>,
-    /// By how much of the cell the first one was ahead, in 1/255.
+    /// Lead of the first label over the second, in 1/255 of the cell.
     pub(super) margin: Vec<u8>,
-    /// Cells that were given to a region because they hold it together.
+    /// Cells given to a region because they connect it.
     pub(super) held: BTreeSet<usize>,
 }
 
 impl Labels {
-    /// Gives a cell to what it holds together; it is the last to be given away again.
+    /// Gives a cell to a region that it connects; it is the last candidate for another flip.
     pub(super) fn hold(&mut self, cell: usize, label: u8) {
         self.second[cell] = self.label[cell];
         self.label[cell] = label;
@@ -42,7 +41,7 @@ impl Labels {
 /// Label, second label and margin of one cell.
 type Decision = [u8; 3];
 
-/// Classifies every cell of the grid, and tells `walls` what fills those that are not of one kind.
+/// Classifies every cell of the grid, and passes the fills of inhomogeneous cells to `walls`.
 pub(super) fn label(grid: &Grid, surfaces: &[&Surface], walls: &mut Walls) -> Labels {
     let [nx, ny, nz] = grid.cells;
     let strands = Strands::new(grid, surfaces);
@@ -80,7 +79,7 @@ pub(super) fn label(grid: &Grid, surfaces: &[&Surface], walls: &mut Walls) -> La
     labels
 }
 
-/// What fills the cells of one column along z.
+/// Fills of the cells of one column along z.
 struct Column {
     regions: usize,
     /// Summed lengths of rays in each region, for each cell.
@@ -130,7 +129,7 @@ impl Column {
         }
     }
 
-    /// Lists what fills each cell, unless one region fills it all.
+    /// Lists the fills of each cell that is not filled by one region alone.
     fn shares(&mut self, grid: &Grid, [i, j]: [usize; 2], shares: &mut Vec<Share>) {
         let full = (RAYS_PER_CELL * RAYS_PER_CELL) as f64;
         let mut pieces = std::mem::take(&mut self.pieces);
@@ -156,7 +155,7 @@ fn decide(part: &[f64]) -> Decision {
     let inside: f64 = part.iter().sum();
     let mut best = 0;
     for (region, &length) in part.iter().enumerate() {
-        // At equal parts the later region has the cell, as where surfaces overlap.
+        // At equal parts the later region gets the cell, as where surfaces overlap.
         if length >= part[best] {
             best = region;
         }
@@ -178,10 +177,10 @@ fn decide(part: &[f64]) -> Decision {
 
 /// Volume in m³ of each region with overlaps resolved.
 ///
-/// The volume of each whole surface is exact (divergence theorem). What part of it later regions
-/// take is measured along rays of all three directions; as a ratio to the same rays' measure of the
-/// whole, so that the error of sampling flat ends and rims cancels. The same rays tell `walls` which
-/// regions touch where.
+/// The volume of each whole surface is exact (divergence theorem). The fraction that later regions take is
+/// measured along rays of all three directions. It is a ratio to the same rays' measure of the whole, so that
+/// the sampling error of flat ends and rims cancels. The same rays give `walls` the regions that touch and
+/// where.
 pub(super) fn resolved_volumes(grid: &Grid, surfaces: &[&Surface], walls: &mut Walls) -> Vec<f64> {
     let kept: Vec<Vec<f64>> = (0..3)
         .map(|axis| kept_along(grid, surfaces, axis, walls))
@@ -193,7 +192,7 @@ pub(super) fn resolved_volumes(grid: &Grid, surfaces: &[&Surface], walls: &mut W
         .collect()
 }
 
-/// Part of each region's rays along one axis that no later region takes.
+/// Part of each region's rays along one axis that no later region covers.
 fn kept_along(grid: &Grid, surfaces: &[&Surface], axis: usize, walls: &mut Walls) -> Vec<f64> {
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     let step = grid.spacing / 2.0;
@@ -204,7 +203,7 @@ fn kept_along(grid: &Grid, surfaces: &[&Surface], axis: usize, walls: &mut Walls
         count: [2 * grid.cells[u], 2 * grid.cells[v]],
     };
     let hits: Vec<Hits> = surfaces.iter().map(|s| cast(s, &rays)).collect();
-    // Row by row, and the rows summed in order: the same sum on any number of threads.
+    // The rows are summed in order: the same sum on any number of threads.
     let rows: Vec<(Vec<[f64; 2]>, Vec<u64>)> = (0..rays.count[1])
         .into_par_iter()
         .map(|row| {
@@ -241,13 +240,13 @@ fn kept_along(grid: &Grid, surfaces: &[&Surface], axis: usize, walls: &mut Walls
     kept
 }
 
-/// Follows a ray from region to region and notes in which cells two of them touch.
+/// Follows a ray from region to region and records the cells in which two of them touch.
 struct Marks<'a> {
     grid: &'a Grid,
     axis: usize,
-    /// The column of cells: places along the next two axes.
+    /// The column of cells: indices along the next two axes.
     column: [usize; 2],
-    /// The label that the ray is in, and where it leaves it.
+    /// The current label of the ray, and where the ray leaves it.
     last: (u8, f64),
 }
 
@@ -262,7 +261,7 @@ impl<'a> Marks<'a> {
         }
     }
 
-    /// The ray passes a stretch of a region.
+    /// The ray passes through a stretch of a region.
     fn pass(&mut self, region: usize, from: f64, to: f64, contacts: &mut Vec<u64>) {
         let nothing = NOTHING * self.grid.spacing;
         if to - from < nothing {
@@ -278,7 +277,7 @@ impl<'a> Marks<'a> {
         self.last = (label, to);
     }
 
-    /// The ray comes out of the region that it is in.
+    /// The ray leaves its current region.
     fn leave(&self, contacts: &mut Vec<u64>) {
         if self.last.0 != 0 {
             self.mark(self.last.0, 0, self.last.1, contacts);
@@ -295,7 +294,7 @@ impl<'a> Marks<'a> {
     }
 }
 
-/// Resolves the overlaps of all surfaces along one ray; holds the memory for it.
+/// Resolves the overlaps of all surfaces along one ray; owns the buffers for it.
 #[derive(Debug, Default)]
 pub(super) struct Sweep {
     /// Where a region begins (+) or ends (-).

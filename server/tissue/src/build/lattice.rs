@@ -1,4 +1,4 @@
-//! From labelled cells to nodes and hexahedra: mending the labels, numbering, neighbours.
+//! From labelled cells to nodes and hexahedra: repair of the labels, numbering, neighbours.
 
 use std::collections::BTreeMap;
 
@@ -13,21 +13,21 @@ use crate::{Aabb, Cell, EDGES, NO_CELL, RegionId, Vec3};
 /// No node stands at this grid point.
 const NO_NODE: u32 = u32::MAX;
 
-/// Passes over the grid in which mending may both fill and empty cells; real anatomy needs three.
-/// After that cells are only emptied, which can not go round in circles.
+/// Passes over the grid in which repair may both fill and empty cells; real anatomy needs three. After that
+/// cells are only emptied, which cannot cycle.
 const TWO_WAY_PASSES: usize = 10;
 
 /// A piece with fewer cells than this part of the largest one is dropped, and reported.
 const PIECE_MIN: f64 = 0.001;
 
-/// Regions' islands of fewer cells than this are given to what surrounds them: nothing of that size
-/// can be pressed.
+/// A region's islands of fewer cells than this are given to the surrounding regions, because nothing of that
+/// size can be pressed.
 const ISLAND_MIN: usize = 4;
 /// The same as a part of the region's largest piece.
 const ISLAND_PART: f64 = 0.001;
-/// Islands that are given away can leave edges that touch, and mending these can make islands.
+/// Most rounds: given-away islands can leave edges that touch, and repairing these can make islands.
 const ROUNDS: usize = 4;
-/// Most dropped pieces whose place is kept; beyond it they are only counted.
+/// Most dropped pieces whose position is kept; beyond it they are only counted.
 const PLACES_MAX: usize = 4096;
 
 /// A piece of a region that was given to its surroundings.
@@ -35,13 +35,13 @@ const PLACES_MAX: usize = 4096;
 pub(super) struct Crumb {
     /// Its label.
     pub(super) label: u8,
-    /// The label it was given.
+    /// Its new label.
     pub(super) given: u8,
     /// Its cells in the grid.
     pub(super) cells: Vec<[usize; 3]>,
 }
 
-/// What had to be done to the labels.
+/// Repairs made to the labels.
 #[derive(Debug, Default)]
 pub(super) struct Mending {
     /// Cells flipped so that the outer surface is a manifold.
@@ -50,14 +50,14 @@ pub(super) struct Mending {
     pub(super) flipped_inner: usize,
     /// Number of pieces dropped as too small, and of cells in them.
     pub(super) dropped: (usize, usize),
-    /// Where they were, [`PLACES_MAX`] at most.
+    /// Their positions, at most [`PLACES_MAX`].
     pub(super) crumbs: Vec<Crumb>,
     /// Number of pieces kept.
     pub(super) pieces: usize,
 }
 
-/// Puts back what is thin, mends and drops until nothing changes. `parts` are the boxes around the closed parts of each
-/// region's input; an island that stands for one of them stays whatever its size.
+/// Restores thin layers, repairs faults and drops pieces until nothing changes. `parts` are the boxes around
+/// the closed parts of each region's input; an island that represents one of them stays regardless of its size.
 pub(super) fn mend_all(
     grid: &Grid,
     labels: &mut Labels,
@@ -91,7 +91,7 @@ pub(super) fn mend_all(
     mending
 }
 
-/// Whether the set bits of a 2x2x2 block are connected through faces (no bit at all counts as so).
+/// Whether the set bits of a 2x2x2 block are connected through faces (an empty block counts as connected).
 fn connected(block: u8) -> bool {
     if block == 0 {
         return true;
@@ -119,7 +119,7 @@ fn manifold(block: u8) -> bool {
     connected(block) && connected(!block)
 }
 
-/// How many of the labels in a block have no proper surface there.
+/// Number of labels in a block whose surface is not a manifold there.
 fn faults(block: [u8; 8], table: &[bool; 256]) -> usize {
     let mut seen = 0_u8;
     let mut faults = 0;
@@ -134,9 +134,9 @@ fn faults(block: [u8; 8], table: &[bool; 256]) -> usize {
     faults
 }
 
-/// Flips the most doubtful cells until the surface of the model and of every region is a manifold:
-/// where two cells touch along an edge or at a corner only, a surface could not be wound
-/// consistently, and one node would have to be in two places.
+/// Flips the most doubtful cells until the surface of the model and of every region is a manifold. Where two
+/// cells touch along an edge or at a corner only, a surface could not be wound consistently, and one node would
+/// need two positions.
 fn mend(grid: &Grid, labels: &mut Labels, walls: &Walls, mending: &mut Mending) {
     let table: [bool; 256] = std::array::from_fn(|block| manifold(block as u8));
     let mut found: Vec<[usize; 3]> = (0..grid.cells[2] - 1)
@@ -148,7 +148,7 @@ fn mend(grid: &Grid, labels: &mut Labels, walls: &Walls, mending: &mut Mending) 
         for &at in &found {
             let cells = block_cells(grid, at);
             let block = cells.map(|c| labels.label[c]);
-            // An earlier flip of this pass may have mended it.
+            // An earlier flip of this pass may have repaired it.
             if faults(block, &table) > 0
                 && let Some((c, to)) =
                     best_flip(grid, labels, walls, &cells, pass < TWO_WAY_PASSES, &table)
@@ -170,7 +170,7 @@ fn mend(grid: &Grid, labels: &mut Labels, walls: &Walls, mending: &mut Mending) 
         if flipped.is_empty() {
             break;
         }
-        // Elsewhere nothing has changed.
+        // No other block has changed.
         found.extend(flipped.iter().flat_map(|&cell| blocks_of(grid, cell)));
         found.sort_unstable_by_key(|at| [at[2], at[1], at[0]]);
         found.dedup();
@@ -209,10 +209,10 @@ fn block_cells(grid: &Grid, at: [usize; 3]) -> [usize; 8] {
     })
 }
 
-/// The cell of a block to flip and its new label: what leaves the fewest faults here, then what holds
-/// nothing together, then what makes the fewest in the blocks around (faults that move on from block to block end
-/// in cells that a region fills), then what makes the fewest regions touch that do not, then the most doubtful.
-/// With `any` false a label may only sink, which can not go round in circles.
+/// The cell of a block to flip and its new label. Candidates are ordered by: fewest faults left here, cell
+/// connects nothing, fewest new faults in the blocks around, fewest new false faces, least confident label.
+/// Faults that move on from block to block end in cells that a region fills. With `any` false a label may only
+/// decrease, which cannot cycle.
 fn best_flip(
     grid: &Grid,
     labels: &Labels,
@@ -222,8 +222,8 @@ fn best_flip(
     table: &[bool; 256],
 ) -> Option<(usize, u8)> {
     let block = cells.map(|c| labels.label[c]);
-    // Faults left, whether it is held, faults made around, false faces, doubt, and the flip itself, which decides
-    // between equals.
+    // Faults left, whether it connects a region, faults made around, false faces, doubt, and the flip itself as
+    // the tie-break.
     let mut best: Option<(usize, bool, usize, i32, u16, usize, u8)> = None;
     for c in 0..8 {
         // The margin of the grid stays empty.
@@ -239,7 +239,7 @@ fn best_flip(
             let mut after = block;
             after[c] = to;
             let here = faults(after, table);
-            // The blocks around take longer to look at.
+            // The blocks around are more expensive to check.
             if best.is_some_and(|b| (b.0, b.1) < (here, held)) {
                 continue;
             }
@@ -260,7 +260,7 @@ fn best_flip(
     best.map(|(_, _, _, _, _, c, to)| (c, to))
 }
 
-/// Faults that another label in a cell makes in the blocks around it, those that it mends left aside.
+/// Faults that another label in a cell makes in the blocks around it, not counting those that it repairs.
 fn faults_made(grid: &Grid, labels: &Labels, cell: usize, to: u8, table: &[bool; 256]) -> usize {
     let made = |at| {
         let cells = block_cells(grid, at);
@@ -291,8 +291,8 @@ pub(super) fn face_neighbours(grid: &Grid, cell: usize) -> [Option<usize>; 6] {
     })
 }
 
-/// Pieces of face-connected cells: which piece each cell is in, from 1, and the size of each.
-/// Cells belong together when `same` says so of their labels; label 0 is in no piece.
+/// Pieces of face-connected cells: the piece of each cell, from 1, and the size of each. Cells are connected
+/// when `same` is true for their labels; label 0 is in no piece.
 pub(super) fn pieces(
     grid: &Grid,
     labels: &Labels,
@@ -323,7 +323,7 @@ pub(super) fn pieces(
     (piece_of, sizes)
 }
 
-/// Gives islands of a region that are too small to be meant to what surrounds them.
+/// Gives islands of a region that are too small to be intended to the surrounding regions.
 fn drop_islands(grid: &Grid, labels: &mut Labels, parts: &[Vec<Aabb>], mending: &mut Mending) {
     let (piece_of, sizes) = pieces(grid, labels, |a, b| a == b);
     let mut label_of = vec![0_u8; sizes.len()];
@@ -337,7 +337,7 @@ fn drop_islands(grid: &Grid, labels: &mut Labels, parts: &[Vec<Aabb>], mending: 
     let small = |piece: u32| {
         let largest = largest[label_of[piece as usize] as usize];
         let least = ISLAND_MIN.max((largest as f64 * ISLAND_PART).ceil() as usize);
-        // The largest piece of a region stays whatever its size.
+        // The largest piece of a region stays regardless of its size.
         piece != 0 && sizes[piece as usize] < least.min(largest)
     };
     let mut dropped: BTreeMap<u32, Dropped> = BTreeMap::new();
@@ -389,7 +389,7 @@ fn stands_for_a_part(grid: &Grid, cells: &[usize], parts: &[Aabb]) -> bool {
         .any(|part| within.contains(&part.min) && within.contains(&part.max))
 }
 
-/// The cells of an island and how often each label stands beside it.
+/// The cells of an island and the number of faces with each label beside it.
 #[derive(Default)]
 struct Dropped {
     cells: Vec<usize>,
@@ -410,7 +410,7 @@ impl Mending {
     }
 }
 
-/// Drops pieces of the whole model that are too small to be meant, and counts those that stay.
+/// Drops pieces of the whole model that are too small to be intended, and counts the others.
 fn drop_crumbs(grid: &Grid, labels: &mut Labels, mending: &mut Mending) {
     let (piece_of, sizes) = pieces(grid, labels, |_, _| true);
     let least = (sizes.iter().copied().max().unwrap_or(0) as f64 * PIECE_MIN).ceil() as usize;
@@ -504,7 +504,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn two_cells_that_share_only_an_edge_or_a_corner_are_no_manifold() {
+    fn cells_sharing_only_an_edge_or_corner_are_not_manifold() {
         assert!(manifold(0b1111_1111) && manifold(0) && manifold(0b0000_0001));
         assert!(manifold(0b0000_0011));
         assert!(!manifold(0b0000_1001));
@@ -513,7 +513,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flip_that_would_only_move_a_fault_on_is_not_made() {
+    fn flip_that_only_moves_a_fault_is_rejected() {
         let grid = Grid {
             origin: Vec3::zeros(),
             spacing: 1.0,
@@ -526,8 +526,8 @@ mod tests {
             margin: vec![200; grid.cell_count()],
             held: BTreeSet::new(),
         };
-        // The first two touch along an edge only. Where the more doubtful cell beside them is filled, the third
-        // one does so, too.
+        // The first two touch along an edge only. When the more doubtful cell beside them is filled, the third
+        // one does so too.
         for at in [[2, 2, 3], [3, 3, 3], [1, 4, 3]] {
             labels.label[grid.cell_index(at)] = 1;
         }
@@ -545,7 +545,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(48))]
         #[test]
-        fn mending_makes_the_surface_of_every_label_a_manifold(
+        fn repair_makes_every_label_surface_a_manifold(
             cells in prop::collection::vec((0..4_u8, 0..4_u8, any::<u8>()), 512),
         ) {
             let grid = Grid { origin: Vec3::zeros(), spacing: 1.0, cells: [10, 10, 10] };

@@ -60,9 +60,9 @@ impl Layers {
         Self { layers }
     }
 
-    /// Selects all nodes homogeneous with `node`: on an interface the nodes of all interfaces that it
-    /// lies on, elsewhere the inner nodes of its region. Sorted; so a material or a property is
-    /// given to a tissue as a whole and not node by node.
+    /// Selects all nodes homogeneous with `node`, sorted. On an interface these are the nodes of all interfaces
+    /// that it lies on, elsewhere the inner nodes of its region. So a material or a property is given to a
+    /// tissue as a whole.
     ///
     /// # Panics
     /// When the model has no such node.
@@ -153,7 +153,7 @@ fn march(model: &Model, faces: &[Face], group: &[u32], slots: &mut [u32]) -> Vec
                     layer_of[other as usize] = number;
                     queue.push_back(other);
                 }
-                // Joined when it is among the first `N_max` of either end; the lower end says so.
+                // Joined when it is among the first `N_max` of either end; the lower end decides.
                 let chosen = count < NEIGHBOURS_MAX || {
                     let back = neighbours.of(other);
                     back.iter().take(NEIGHBOURS_MAX).any(|&n| n == node)
@@ -181,7 +181,7 @@ fn march(model: &Model, faces: &[Face], group: &[u32], slots: &mut [u32]) -> Vec
 
 /// The homogeneous neighbours of the nodes of one interface, direct ones first.
 struct Neighbours {
-    /// The nodes, in order; everything else counts in their places here.
+    /// The nodes, in order; all other tables refer to positions in this list.
     nodes: Vec<u32>,
     start: Vec<u32>,
     entries: Vec<u32>,

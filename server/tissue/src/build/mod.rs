@@ -1,15 +1,15 @@
 //! From closed surfaces to a model: tri-ray node snapping (Lin 2007, section 3.3) and its completion.
 //!
 //! 1. A grid of cubes of side Δd is laid around the outermost surface.
-//! 2. Rays decide which region fills each cell ([`label`]); thin layers and necks get the cells that
-//!    they need to hang together ([`walls`], [`bridge`]), and doubtful cells are flipped until the
-//!    surface of every region is a manifold ([`lattice`]).
-//! 3. Nodes between regions are snapped onto the interface along rays in three directions, the rest
-//!    is projected onto it, and all are relaxed ([`snap`], [`relax`]).
-//! 4. Cells are made good, whatever it takes ([`untangle`]), and regions get back the volume that
-//!    straight faces have cut off ([`volume`]).
-//! 5. What came out is compared with what went in ([`compare`]), and what is thinner than the
-//!    spacing is listed with its place ([`sample`], [`thin`]).
+//! 2. Rays decide which region fills each cell ([`label`]). Thin layers and necks get the cells that they need
+//!    to stay connected ([`walls`], [`bridge`]). Doubtful cells are flipped until the surface of every region is a
+//!    manifold ([`lattice`]).
+//! 3. Nodes between regions are snapped onto the interface along rays in three directions; other interface
+//!    nodes are projected onto it, and all are relaxed ([`snap`], [`relax`]).
+//! 4. Cells are untangled until all meet the quality floors ([`untangle`]), and regions regain the volume that
+//!    straight faces have cut off ([`volume_correction`]).
+//! 5. The model is compared with its input ([`compare`]), and parts thinner than the spacing are listed with
+//!    their position ([`interface_samples`], [`thin`]).
 //!
 //! Interfaces are then the faces between cells of different regions: closed and conforming by
 //! construction.
@@ -18,11 +18,12 @@ mod bar;
 mod blocks;
 mod bridge;
 mod bvh;
-mod check;
 mod compare;
 mod faces;
 mod grid;
+mod input_check;
 mod inside;
+mod interface_samples;
 mod label;
 mod lattice;
 mod layers;
@@ -33,7 +34,6 @@ mod rays;
 mod relax;
 mod report;
 mod rim;
-mod sample;
 mod snap;
 mod spacing;
 mod strands;
@@ -41,11 +41,12 @@ mod strands;
 mod tests;
 mod thin;
 mod untangle;
-mod volume;
+mod volume_correction;
 mod walls;
 
 use thiserror::Error;
 
+pub use interface_samples::DISTANCE_REACH;
 pub use layers::{Layer, Layers, NEIGHBOURS_MAX, region_surface};
 pub use quality::{CORNER_FLOOR, SPRING_FLOOR};
 pub(crate) use report::report_triangles;
@@ -53,7 +54,6 @@ pub use report::{
     BarReport, BuildReport, LayerReport, QualityReport, RegionReport, SpacingReport, SpringCounts,
     SurfaceReport, report_surface,
 };
-pub use sample::DISTANCE_REACH;
 pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
 
 use crate::scene::SceneInput;
@@ -61,14 +61,14 @@ use crate::{Aabb, Model, NO_CELL, Surface, TopologyHash, Vec3};
 use grid::Grid;
 
 /// Most grid cells of one build. A cell of the grid costs about 10 bytes while it is labelled, so
-/// this is 4 GB; beyond it the build is refused with the spacing that would fit.
+/// this is 4 GB; beyond it the build is rejected with the spacing that would fit.
 pub const GRID_CELLS_MAX: f64 = 4e8;
 
 /// Most nodes of one model. A node costs about 600 bytes with its springs, so this is 5 GB; beyond
-/// it the build is refused with the spacing that would fit.
+/// it the build is rejected with the spacing that would fit.
 pub const BUILD_NODES_MAX: f64 = 8e6;
 
-/// A node that was let go is reported when it stands off its interface by more than this, in spacings.
+/// A released node is reported when it is farther from its interface than this, in spacings.
 const STRAY: f64 = 0.25;
 
 /// Why a model could not be built.
@@ -92,7 +92,7 @@ pub enum BuildError {
         cells: f64,
         /// A spacing that fits.
         suggestion_mm: f64,
-        /// What else it may be, or nothing.
+        /// Likely cause, or empty.
         hint: String,
     },
     /// The input lies farther from the origin than a model may.
@@ -115,7 +115,7 @@ pub enum BuildError {
         spacing_mm: f64,
         /// Largest extent of any surface.
         extent_mm: f64,
-        /// What else it may be, or nothing.
+        /// Likely cause, or empty.
         hint: String,
     },
     /// A region has nothing in common with the first one.
@@ -152,14 +152,14 @@ pub fn build(
     } else {
         (input.scene.spacing_m, None)
     };
-    check::size(&surfaces, spacing)?;
+    input_check::size(&surfaces, spacing)?;
     let grid = Grid::around(&surfaces, spacing);
     let query = inside::PointQuery::new(&surfaces, grid.middle(), spacing);
-    check::nesting(input, spacing, &query, &mut warnings)?;
+    input_check::nesting(input, spacing, &query, &mut warnings)?;
     let mut walls = walls::Walls::default();
     let mut input_volumes = label::resolved_volumes(&grid, &surfaces, &mut walls);
     for (volume, voxels) in input_volumes.iter_mut().zip(&input.voxels_m3) {
-        // A label volume is the truth about what it alone describes.
+        // A label volume is authoritative for the regions that it alone describes.
         *volume = voxels.unwrap_or(*volume);
     }
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
@@ -169,11 +169,11 @@ pub fn build(
     let mending = lattice::mend_all(&grid, &mut labels, &walls, &parts);
     let lost = walls.lost(&grid, &labels);
     drop(walls);
-    check::mending(&mending, grid.cell_count(), &mut warnings);
+    input_check::mending(&mending, grid.cell_count(), &mut warnings);
     let mut lattice = lattice::number(&grid, &labels);
     drop(labels);
     if lattice.cells.is_empty() {
-        return Err(check::too_coarse(&surfaces, spacing));
+        return Err(input_check::too_coarse(&surfaces, spacing));
     }
 
     progress("sorting the interfaces", 0.2);
@@ -194,7 +194,7 @@ pub fn build(
 
     progress("looking for thin parts", 0.8);
     let nodes = &placed.positions;
-    let samples = sample::samples(&interfaces, &query, &faces, nodes, grid.middle());
+    let samples = interface_samples::samples(&interfaces, &query, &faces, nodes, grid.middle());
     let mut collector = thin::Collector::of(&grid, &samples, &mending.crumbs, &lost, &parts);
     collector.add_nodes(&placed.strays(&lattice, &interfaces));
     let (around, tied, let_go) = (placed.around, placed.tied, placed.let_go.len());
@@ -222,8 +222,8 @@ pub fn build(
     });
     collector.add_strays(&strays);
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
-    check::regions(&regions, &mut warnings);
-    check::hanging(&model, &mut warnings);
+    input_check::regions(&regions, &mut warnings);
+    input_check::hanging(&model, &mut warnings);
     let figures = figures(&model, &faces, &names);
     let report = BuildReport {
         nodes: model.nodes.len(),
@@ -249,7 +249,7 @@ pub fn build(
     Ok((model, report))
 }
 
-/// What a report says of a finished model by itself.
+/// Figures of a report that follow from a finished model alone.
 struct Figures {
     layers: Vec<LayerReport>,
     bars: Vec<BarReport>,
@@ -257,7 +257,7 @@ struct Figures {
     topology_hash: String,
 }
 
-/// Works them out beside each other: each is mostly one thread's work.
+/// Computes them concurrently: each is mostly single-threaded.
 fn figures(model: &Model, faces: &[faces::Face], names: &[String]) -> Figures {
     let layers = || compare::layers(&Layers::of_faces(model, faces), names);
     let outer_surface = || report_triangles(&outer_triangles(faces, model));
@@ -281,14 +281,14 @@ fn outer_triangles(faces: &[faces::Face], model: &Model) -> Vec<[u32; 3]> {
     outer.flat_map(|f| f.triangles(&model.nodes)).collect()
 }
 
-/// What nodes are placed by.
+/// Input of node placement.
 struct Input<'a> {
     surfaces: &'a [&'a Surface],
     interfaces: &'a patch::Interfaces,
     volumes: &'a [f64],
 }
 
-/// The nodes in their places, and how they got there.
+/// Positions of the nodes, and the record of their placement.
 struct Placed {
     positions: Vec<Vec3>,
     constraints: Vec<snap::Constraint>,
@@ -296,7 +296,7 @@ struct Placed {
     around: Vec<[u32; 8]>,
     /// Nodes that two interfaces claimed.
     tied: usize,
-    /// Nodes that were let go.
+    /// Nodes released from their interface.
     let_go: Vec<u32>,
 }
 
@@ -316,14 +316,14 @@ fn place(
     let mut positions = snap::snap(grid, lattice, input.surfaces, interfaces, &constraints);
     progress("relaxing", 0.4);
     relax::relax(lattice, interfaces, &constraints, &mut positions);
-    // Nobody asks for neighbours along the axes from here on.
+    // The axis neighbours are not used after this point.
     lattice.adjacent = Vec::new();
     progress("making cells good", 0.5);
     let untangler =
         untangle::Untangler::new(lattice, interfaces, &constraints, grid.spacing, grid.origin);
     let let_go = untangler.untangle(&mut positions);
     progress("restoring volumes", 0.7);
-    volume::restore_volumes(&untangler, faces, input.volumes, &mut positions);
+    volume_correction::restore_volumes(&untangler, faces, input.volumes, &mut positions);
     let around = untangler.into_around();
     Placed {
         positions,
@@ -335,7 +335,7 @@ fn place(
 }
 
 impl Placed {
-    /// Nodes that were let go and stand off their interface: where, in which region, how far.
+    /// Released nodes that are off their interface: position, region, distance.
     fn strays(
         &self,
         lattice: &lattice::Lattice,

@@ -28,7 +28,7 @@ pub(super) fn parts(surface: &Surface) -> Vec<Aabb> {
     boxes
 }
 
-/// Root of an entry in a forest of merged ones, with the path to it halved.
+/// Root of an entry in a union-find forest, with path halving.
 pub(super) fn root(parent: &mut [u32], mut at: u32) -> u32 {
     while parent[at as usize] != at {
         parent[at as usize] = parent[parent[at as usize] as usize];

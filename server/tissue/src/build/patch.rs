@@ -1,9 +1,9 @@
-//! Which parts of the input surfaces are the interfaces of the model, and the nearest point on them.
+//! The parts of the input surfaces that are interfaces of the model, and the nearest point on them.
 //!
-//! Surfaces overlap: bone reaches into skin, flat ends of skin, muscle and bone lie in one plane. A
-//! piece of a surface counts as an interface of its region when that region really holds the material
-//! just behind it; it belongs to the *outer* patch when nothing lies before it, and to the *inner*
-//! patch of its region otherwise. What a later region hides belongs to none.
+//! Surfaces overlap: bone reaches into skin, and flat ends of skin, muscle and bone lie in one plane. A piece
+//! of a surface is an interface of its region when that region really holds the material just behind it. The
+//! piece belongs to the *outer* patch when nothing lies before it, else to the *inner* patch of its region.
+//! Pieces that a later region hides belong to neither.
 
 use rayon::prelude::*;
 
@@ -16,19 +16,19 @@ use crate::{Surface, Vec3};
 
 /// Longest side, in spacings, of a piece that is classified as a whole.
 const PIECE_SIDE_MAX: f64 = 4.0;
-/// A piece that is not of one kind is cut down to this side, in spacings.
+/// A piece of mixed kind is cut down to this side, in spacings.
 const PIECE_SIDE_MIN: f64 = 0.25;
-/// Part of the way from the middle of a piece to its corners where it is looked at too.
+/// Fraction of the way from the middle of a piece to its corners at which further probes are placed.
 const TOWARDS_CORNER: f64 = 0.9;
-/// How far behind and before a piece one looks, in spacings: far enough to clear rounding, near
-/// enough not to cross the thinnest layer worth modelling.
+/// Distance of the probes behind and before a piece, in spacings: far enough to clear rounding, near enough not
+/// to cross the thinnest layer worth modelling.
 const LOOK: f64 = 0.02;
-/// Triangles sorted by one task.
+/// Triangles sorted per task.
 const CHUNK: usize = 4096;
 
 /// The interfaces of the model.
 pub(super) struct Interfaces {
-    /// Where the model ends.
+    /// The outer surface of the model.
     pub(super) outer: Bvh,
     /// For each region, where it meets regions that it overrides.
     pub(super) inner: Vec<Bvh>,
@@ -104,9 +104,9 @@ impl Interfaces {
     }
 }
 
-/// The number by which a patch knows the sides of a triangle.
+/// Tag of a triangle in a patch: the regions on its two sides.
 fn tag(sides: Sides) -> u16 {
-    // No scene has so many regions that this is `NO_TAG`.
+    // No scene has so many regions that this equals `NO_TAG`.
     u16::from(sides.behind) << 8 | sides.before.map_or(0xff, u16::from)
 }
 
@@ -124,13 +124,13 @@ pub(super) fn sides_of(patch: &Bvh, triangle: usize) -> Option<[u16; 2]> {
 /// One interface of the model: the outer surface, or where region `r` overrides others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Interface {
-    /// Where the model ends.
+    /// The outer surface of the model.
     Outer,
     /// Where this region overrides others.
     Of(usize),
 }
 
-/// The pieces of some triangles; what is hidden is in neither list.
+/// The pieces of some triangles; hidden pieces are in neither list.
 #[derive(Default)]
 struct Sorted {
     outer: Vec<Flat>,
@@ -150,7 +150,7 @@ struct Sorter<'a> {
 }
 
 impl Sorter<'_> {
-    /// Sorts the triangles of a surface by looking behind and before them.
+    /// Sorts the triangles of a surface by probes behind and before them.
     fn look_at_all(&self, surface: &Surface) -> Vec<Sorted> {
         let at_vertices = vertex_kinds(surface, self.region, self.query, self.spacing);
         let chunks = surface.triangles.par_chunks(CHUNK).map(|chunk| {
@@ -168,8 +168,8 @@ impl Sorter<'_> {
         chunks.collect()
     }
 
-    /// Sorts the triangles of a surface when it is known what is on their sides: none are hidden behind
-    /// another region's, and the first region's surface goes around all.
+    /// Sorts the triangles of a surface whose two sides are known: none are hidden behind another region's, and
+    /// the first region's surface goes around all.
     fn take_all(&self, surface: &Surface, sides: &[Sides]) -> Vec<Sorted> {
         let mut sorted = Sorted::default();
         for (t, sides) in sides.iter().enumerate() {
@@ -190,8 +190,8 @@ impl Sorter<'_> {
         vec![sorted]
     }
 
-    /// Cuts a triangle into pieces small enough to be classified as a whole, and sorts them;
-    /// `at_corners` is what its vertices are.
+    /// Cuts a triangle into pieces small enough to be classified as a whole, and sorts them. `at_corners` is
+    /// the classification of its vertices.
     fn sort(&self, corners: &[Vec3; 3], at_corners: [Kind; 3], sorted: &mut Sorted) {
         let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
         let Some(normal) = normal.try_normalize(0.0) else {
@@ -206,12 +206,12 @@ impl Sorter<'_> {
                 continue;
             }
             let middle = (piece[0] + piece[1] + piece[2]) / 3.0;
-            // Far smaller than the spacing, a triangle is what its vertices are.
+            // A triangle far smaller than the spacing takes the classification of its vertices.
             let fine = piece == *corners && at_corners == [at_corners[0]; 3];
             let fine = fine && halve(&piece, PIECE_SIDE_MIN * self.spacing).is_none();
             let here = if fine { at_corners[0] } else { kind(middle) };
             let whole = piece == *corners && at_corners == [here; 3];
-            // Near where interfaces meet, a piece may be of one kind here and of another there.
+            // Near the border between interfaces a piece may have mixed kinds.
             let mixed = || {
                 (piece.iter())
                     .map(|p| middle.lerp(p, TOWARDS_CORNER))
@@ -233,8 +233,8 @@ impl Sorter<'_> {
     }
 }
 
-/// What the surface is at each of its vertices, seen along the mean normal there: a triangle whose
-/// corners and middle agree need not be looked at more closely.
+/// Classification of the surface at each of its vertices, probed along the mean normal there. A triangle whose
+/// corners and middle agree needs no further probes.
 fn vertex_kinds(surface: &Surface, region: usize, query: &PointQuery, spacing: f64) -> Vec<Kind> {
     let mut normals = vec![Vec3::zeros(); surface.vertices.len()];
     for t in &surface.triangles {
@@ -255,7 +255,7 @@ fn vertex_kinds(surface: &Surface, region: usize, query: &PointQuery, spacing: f
         .collect()
 }
 
-/// What a piece of a region's surface is.
+/// Classification of a piece of a region's surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Outer,
@@ -263,15 +263,15 @@ enum Kind {
     Hidden,
 }
 
-/// Looks behind and before a point of the surface of `region`.
+/// Probes behind and before a point of the surface of `region`.
 fn kind(region: usize, query: &PointQuery, at: Vec3, look: Vec3) -> Kind {
     let Some(behind) = query.region_at(at - look) else {
         return Kind::Hidden;
     };
     match query.region_at(at + look) {
-        // Flat ends that several regions share are of this kind whichever region is asked.
+        // Flat ends that several regions share are of this kind for each of these regions.
         None => Kind::Outer,
-        // Before a later region that one's own wall stands in the same place and counts instead.
+        // Before a later region, the wall of the later region stands in the same position and counts instead.
         Some(before) if behind == region && before < region => Kind::Inner,
         Some(_) => Kind::Hidden,
     }

@@ -1,8 +1,8 @@
-//! When a cell is good enough to carry springs.
+//! Quality criteria that a cell must meet to carry springs.
 //!
-//! A cell is judged by the determinant of the three edges at each of its eight corners (1 for a cube
-//! of the lattice, in units of Δd³) and by the length of its 28 springs. A positive determinant at
-//! every corner is what "not inverted" means here: stricter than a positive volume.
+//! Two measures judge a cell: the determinant of the three edges at each of its eight corners (1 for a cube of
+//! the lattice, in units of Δd³) and the length of its 28 springs. "Not inverted" here requires a positive
+//! determinant at every corner, which is stricter than a positive volume.
 
 use crate::Vec3;
 

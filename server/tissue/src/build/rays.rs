@@ -36,7 +36,7 @@ impl Rays {
         ray[0] + self.count[0] * ray[1]
     }
 
-    /// Range of ray numbers along u or v that can lie between two coordinates.
+    /// Range of ray numbers along u or v that may lie between two coordinates.
     fn range(&self, side: usize, low: f64, high: f64) -> std::ops::Range<usize> {
         let at = |x: f64| (x - self.first[side]) / self.step;
         let from = (at(low) - 1e-6).ceil().max(0.0) as usize;
@@ -49,7 +49,7 @@ impl Rays {
     }
 }
 
-/// Where a ray passes a surface.
+/// Intersection of a ray with a surface.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Hit {
     /// Coordinate along the ray in m.
@@ -93,11 +93,11 @@ impl Hits {
     }
 }
 
-/// Tells from the hits of a whole line, in any order, whether a point on it lies inside.
+/// Decides from the hits of a whole line, in any order, whether a point on it lies inside.
 ///
-/// Inside is where the winding number is not zero: a part of the surface that is turned inside out
-/// fills what it encloses all the same. Where the turns of the whole line do not cancel, some
-/// triangles are wound against the others, and every other stretch counts as inside.
+/// Inside is where the winding number is not zero, so an inverted part of the surface still fills its interior.
+/// When the crossings of the whole line do not cancel, some triangles are wound inconsistently; every other
+/// stretch then counts as inside.
 #[derive(Debug, Default)]
 pub(super) struct Winding {
     whole: i32,
@@ -146,7 +146,7 @@ fn cast_triangle(corners: &[Vec3; 3], rays: &Rays, found: &mut Vec<(u32, Hit)>) 
     let (u, v) = ((rays.axis + 1) % 3, (rays.axis + 2) % 3);
     let flat = corners.map(|p| [p[u], p[v]]);
     if flat[0] == flat[1] || flat[1] == flat[2] || flat[2] == flat[0] {
-        // Seen along the rays it is a line, and an edge of no length has no sides.
+        // A triangle parallel to the rays projects to a line, and an edge of zero length has no sides.
         return;
     }
     let low = |a: usize| flat.iter().map(|p| p[a]).fold(f64::INFINITY, f64::min);
@@ -161,7 +161,7 @@ fn cast_triangle(corners: &[Vec3; 3], rays: &Rays, found: &mut Vec<(u32, Hit)>) 
     }
 }
 
-/// Where the line along `axis` through `at` (u, v) passes a triangle.
+/// Intersection of the line along `axis` through `at` (u, v) with a triangle.
 pub(super) fn hit_at(corners: &[Vec3; 3], axis: usize, at: [f64; 2]) -> Option<Hit> {
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     let flat = corners.map(|p| [p[u], p[v]]);
@@ -232,7 +232,7 @@ fn sort_by_ray(found: &[(u32, Hit)], rays: usize) -> Hits {
         *slot += 1;
     }
     for ray in 0..rays {
-        // At equal depth the order must not depend on which thread found what first.
+        // At equal depth the order must not depend on the thread that found a hit.
         hits[start[ray] as usize..start[ray + 1] as usize]
             .sort_unstable_by(|a, b| a.depth.total_cmp(&b.depth).then(b.turn.cmp(&a.turn)));
     }
@@ -305,7 +305,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn every_ray_leaves_a_closed_surface_as_often_as_it_enters(
+        fn rays_enter_and_leave_closed_surfaces_equally_often(
             shape in prop::collection::vec(-2_i32..=2, 18), axis in 0_usize..3,
         ) {
             // Vertices on a coarse integer grid: flat, folded and touching triangles all occur.

@@ -13,9 +13,9 @@ use crate::Vec3;
 
 /// Sweeps over the nodes. Ten restore the spacing to within a few percent of what more would.
 const SWEEPS: usize = 10;
-/// Layers of interior nodes beside an interface that move; further in, nothing is out of place.
+/// Layers of interior nodes beside an interface that move; deeper nodes are already regular.
 const LAYERS: usize = 3;
-/// Part of the way towards the mean in one sweep; the full way makes neighbours overshoot in turn.
+/// Relaxation factor of one sweep; with a factor of 1 neighbours overshoot in turn.
 const STEP: f64 = 0.5;
 
 /// Relaxes the node positions in place.
@@ -61,7 +61,7 @@ fn relaxed(
             count += 1.0;
         }
     }
-    // A node at the end of a curve has nowhere to slide to.
+    // A node at the end of a curve has no neighbour to slide to.
     if count < 2.0 {
         return at;
     }
@@ -69,7 +69,7 @@ fn relaxed(
     if constraint.free() {
         towards
     } else {
-        // The node is on its interface, so that is no farther than the step.
+        // The node is on its interface, so the nearest point is no farther than the step.
         project_near(interfaces, constraint, towards, (towards - at).norm())
     }
 }

@@ -1,4 +1,4 @@
-//! What a build reports, so that a model can be trusted.
+//! The report of a build.
 
 use serde::{Deserialize, Serialize};
 
@@ -26,17 +26,17 @@ pub struct BuildReport {
     pub layers: Vec<LayerReport>,
     /// The outer surface.
     pub outer_surface: SurfaceReport,
-    /// How well shaped the cells are.
+    /// Shape quality of the cells.
     pub quality: QualityReport,
-    /// One virtual bar per region that is not pinned: the modulus that was asked for and what the model shows.
+    /// One virtual bar per region that is not pinned: the modulus of its material and the modulus of the model.
     #[serde(default)]
     pub bars: Vec<BarReport>,
-    /// What is thinner than the spacing, and what was lost of the input.
+    /// Parts thinner than the spacing, and parts of the input that were lost.
     #[serde(default)]
     pub thin: ThinParts,
     /// Topology hash of the uncut model, hexadecimal.
     pub topology_hash: String,
-    /// What a person should know, one sentence each.
+    /// Warnings for the user, one sentence each.
     pub warnings: Vec<String>,
 }
 
@@ -66,7 +66,7 @@ pub struct SpacingReport {
     pub smallest_mm: f64,
     /// The low quantile that stands for the smallest layer, `d_min`, in mm.
     pub quantile_mm: f64,
-    /// Which part of the distances lies below it.
+    /// Quantile of the distances that `d_min` is.
     pub quantile: f64,
     /// The least spacing that the scene allows, `d_threshold`, in mm.
     pub threshold_mm: f64,
@@ -104,10 +104,10 @@ pub struct RegionReport {
     /// Largest such distance, in mm.
     #[serde(default)]
     pub input_distance_max_mm: f64,
-    /// Mean distance outside of thin parts, in mm: the larger one of the two ways.
+    /// Mean distance outside of thin parts, in mm: the larger one of the two directions.
     #[serde(default)]
     pub distance_mean_outside_thin_mm: f64,
-    /// Largest distance either way outside of thin parts, in mm.
+    /// Largest distance in either direction outside of thin parts, in mm.
     #[serde(default)]
     pub distance_max_outside_thin_mm: f64,
 }
@@ -121,9 +121,9 @@ pub struct BarReport {
     pub cells: [usize; 3],
     /// The axis of the lattice along which it was pulled: 0, 1, 2 for x, y, z.
     pub axis: usize,
-    /// Young's modulus that the material says for that direction, in kPa.
+    /// Young's modulus of the material in that direction, in kPa.
     pub expected_kpa: f64,
-    /// Young's modulus that the bar shows, in kPa; none without a bar or without an equilibrium.
+    /// Young's modulus of the bar, in kPa; none without a bar or without an equilibrium.
     pub measured_kpa: Option<f64>,
 }
 
@@ -172,13 +172,13 @@ pub struct QualityReport {
     /// Cells by their least scaled Jacobian: below 0.1, 0.1 to 0.2, ... 0.9 to 1.
     #[serde(default)]
     pub scaled_jacobian: [usize; 10],
-    /// Nodes that had to leave their surface so that their cells stay good.
+    /// Nodes released from their surface so that their cells meet the quality floors.
     #[serde(default)]
     pub nodes_let_go: usize,
-    /// Nodes that two interfaces claimed and the nearer one got.
+    /// Nodes that two interfaces claimed; the nearer interface got them.
     #[serde(default)]
     pub nodes_tied: usize,
-    /// Cells given to another region where the surface of one would have touched itself.
+    /// Cells given to another region because the surface of their region would have touched itself.
     #[serde(default)]
     pub cells_flipped: usize,
 }
@@ -219,7 +219,7 @@ pub(crate) fn report_triangles(triangles: &[[u32; 3]]) -> SurfaceReport {
     }
 }
 
-/// Root of a vertex in a forest of merged vertices, with the path to it halved.
+/// Root of a vertex in a union-find forest, with path halving.
 fn root(parent: &mut [u32], mut vertex: usize) -> usize {
     while parent[vertex] as usize != vertex {
         parent[vertex] = parent[parent[vertex] as usize];

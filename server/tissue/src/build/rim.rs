@@ -1,8 +1,8 @@
 //! Rims of an interface: edges where it turns sharply, as where a flat end meets the side, and the
 //! corners where such edges meet.
 //!
-//! Projecting nodes onto the nearest point of a surface rounds its rims off, and the cells there
-//! get bad corners. So nodes that the lattice sees as a rim are put onto the rim itself.
+//! Projecting nodes onto the nearest point of a surface rounds its rims off, and the cells there get bad
+//! corners. So nodes on a rim of the lattice are put onto the rim itself.
 
 use std::collections::BTreeMap;
 
@@ -17,9 +17,9 @@ const RIM_COSINE: f64 = 0.707;
 /// Two edges that leave a point at less than 120° make a corner of it.
 const CORNER_COSINE: f64 = -0.5;
 
-/// Farthest, in spacings, that a node that looks like a corner is from the one it is put onto.
+/// Farthest, in spacings, that a node at a corner of the lattice is from the corner it is put onto.
 pub(super) const CORNER_REACH: f64 = 0.9;
-/// Farthest, in spacings, that any node is put onto a corner: one that points along an axis ends up to a
+/// Farthest, in spacings, that any node is put onto a corner. A corner that points along an axis ends up to a
 /// spacing beyond the last layer of nodes.
 const BLUNT_REACH: f64 = 1.25;
 
@@ -161,7 +161,7 @@ pub(super) fn sharp_edges(surface: &Surface, masks: [&[bool]; 2]) -> Vec<(usize,
         let [a, b, c] = surface.corners(t as usize);
         (b - a).cross(&(c - a)).try_normalize(0.0)
     };
-    // Sorted, and not in a map: ten million triangles have thirty million uses of edges.
+    // Sorted instead of in a map: ten million triangles have thirty million uses of edges.
     let mut uses: Vec<[u32; 3]> = Vec::with_capacity(3 * surface.triangles.len());
     for (t, [a, b, c]) in surface.triangles.iter().enumerate() {
         for [a, b] in [[*a, *b], [*b, *c], [*c, *a]] {
@@ -186,7 +186,8 @@ pub(super) fn sharp_edges(surface: &Surface, masks: [&[bool]; 2]) -> Vec<(usize,
         .collect()
 }
 
-/// The cube that holds a point and the 26 around it; its own comes first, where the nearest is.
+/// The cube that contains a point and the 26 around it; its own comes first, as it holds the nearest
+/// candidates.
 fn cubes_around(point: &Vec3, side: f64) -> impl Iterator<Item = [i64; 3]> + use<> {
     let [x, y, z] = cube(point, side);
     let step = |n: i64| (n + 1) % 3 - 1;

@@ -1,10 +1,10 @@
 //! Putting the nodes between regions onto the interfaces.
 //!
-//! Snapping along the three rays (Lin 2007, eqs. 3.1-3.3, figs. 3.5-3.7) comes first: along Z, then
-//! along X and Y for nodes that no ray before has placed. On its own it loses several percent of the
-//! volume and leaves two nodes in five off the surface, so the completion (reconstructed) follows:
-//! every node between cells of different regions that no ray has placed is projected onto the
-//! nearest point of that interface; nodes where the lattice shows a rim go onto the rim.
+//! Snapping along the three rays (Lin 2007, eqs. 3.1-3.3, figs. 3.5-3.7) comes first: along Z, then along X and
+//! Y for nodes not yet placed. On its own it loses several percent of the volume and leaves two nodes in five
+//! off the surface, so the completion (reconstructed) follows. Every node between cells of different regions
+//! that no ray has placed is projected onto the nearest point of that interface. Nodes on a rim of the lattice
+//! go onto the rim.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,33 +17,34 @@ use super::rays::{Hits, Rays, cast};
 use super::rim::CORNER_REACH;
 use crate::{Surface, Vec3};
 
-/// How many times a node that lies on several interfaces is sent from one to the next. Each round
-/// shortens the distance to their common curve by the cosine of the angle between them.
+/// Most alternating projections of a node that lies on several interfaces. Each round shortens the distance to
+/// their common curve by the cosine of the angle between them.
 const ALTERNATIONS: usize = 6;
 
-/// It has arrived when a round moves it by no more than this, in spacings; less is rounding.
+/// The projections have converged when a round moves the node by no more than this, in spacings; less is
+/// rounding.
 const ARRIVED: f64 = 1e-9;
 
-/// A node is put onto a rim when each face of the rim is seen by a cell face of the node within this
-/// cosine (63°: an oblique side shows two kinds of cell faces, each at most 55° away).
+/// A node is put onto a rim when each face of the rim agrees with a cell face of the node within this cosine
+/// (63°). An oblique side has two kinds of cell faces, each at most 55° away.
 const RIM_FACE_COSINE: f64 = 0.45;
 
-/// Places on a rim nearer to each other than this, in spacings, are one.
+/// Positions on a rim closer together than this, in spacings, are one.
 const CLAIM_REACH: f64 = 0.5;
 
 /// A node counts as on an interface when it is at most this far away, in spacings; patches are kept
 /// in single precision.
 const ON_SURFACE: f64 = 1e-4;
 
-/// Farthest that a node is projected, in spacings; there is no interface of its own beyond it.
+/// Farthest projection of a node, in spacings; its own interface is never beyond it.
 const REACH: f64 = 4.0;
 
-/// Interfaces meet where a point is found that is this near to all of them, in spacings, ...
+/// Interfaces meet if a point is found within this distance of all of them, in spacings, ...
 const MEETING: f64 = 0.1;
 /// ... and this near to the lattice point.
 const MEETING_REACH: f64 = 1.25;
 
-/// Which interfaces a node lies on.
+/// The interfaces that a node lies on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Constraint {
     /// The outer surface.
@@ -52,7 +53,7 @@ pub(super) struct Constraint {
     pub(super) rim: bool,
     /// A corner of that rim.
     pub(super) corner: bool,
-    /// Bit `f`: a cell face that looks way `f` shows that rim; none where any will do.
+    /// Bit `f`: a cell face in direction `f` belongs to that rim; zero when any rim will do.
     faces: u8,
     /// Bit `r`: the inner interface of region `r`, where it overrides others.
     pub(super) owners: u64,
@@ -85,7 +86,7 @@ impl Constraint {
         outer.into_iter().chain(owners.map(Interface::Of))
     }
 
-    /// Whose rims the node may stand on, as a place in [`Interfaces::rims`].
+    /// The interface whose rims the node may stand on, as an index into [`Interfaces::rims`].
     fn rim_slot(self) -> Option<usize> {
         if self.outer {
             Some(0)
@@ -100,8 +101,8 @@ impl Constraint {
         !self.rim && u32::from(self.outer) + self.owners.count_ones() == 1
     }
 
-    /// Whether a node under `self` may slide towards one under `other`: that one lies on at least
-    /// the same interfaces.
+    /// Whether a node under `self` may slide towards a node under `other`: the other lies on at least the same
+    /// interfaces.
     pub(super) fn within(self, other: Self) -> bool {
         (!self.outer || other.outer)
             && (!self.rim || other.rim)
@@ -130,15 +131,14 @@ pub(super) fn constraints(lattice: &Lattice) -> Vec<Constraint> {
         .collect()
 }
 
-/// Marks the nodes that stand at a rim of their interface, and for each corner of it the nearest of
-/// these.
+/// Marks the nodes on a rim of their interface, and for each corner the nearest of these.
 pub(super) fn mark_rims(
     grid: &Grid,
     lattice: &Lattice,
     interfaces: &Interfaces,
     constraints: &mut [Constraint],
 ) {
-    // Which ways the faces of the outside, and of inner interfaces, look around each node.
+    // Directions of the faces of the outside, and of inner interfaces, around each node.
     let mut seen: Vec<[u8; 2]> = vec![[0; 2]; lattice.nodes.len()];
     for cell in &lattice.cells {
         for face in 0..6 {
@@ -154,8 +154,8 @@ pub(super) fn mark_rims(
     }
     let mut claims: Vec<Claim> = Vec::new();
     let mut candidates: Vec<Candidate> = Vec::new();
-    // A corner that points along an axis of the lattice may end in a flat of several cells: nodes there
-    // do not look like one.
+    // A corner that points along an axis of the lattice may end in a flat of several cells, whose nodes do not
+    // look like a corner.
     let mut blunt: Vec<Candidate> = Vec::new();
     for (node, constraint) in constraints.iter_mut().enumerate() {
         let Some(slot) = constraint.rim_slot() else {
@@ -206,14 +206,14 @@ pub(super) fn mark_rims(
         taken.insert((slot, corner));
     }
     for of_corner in blunt.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
-        // Where a node stands on the rim nearby, nothing is lost.
+        // The corner is not needed if a node already stands on the rim nearby.
         if of_corner.iter().all(|c| !constraints[c.3 as usize].rim) {
             let constraint = &mut constraints[of_corner[0].3 as usize];
             constraint.rim = true;
             constraint.corner = true;
         }
     }
-    // A rim that ends in a corner leads a node beyond its end to the one that stands there: it takes any rim.
+    // The node at the end of a rim may be beyond the corner: it accepts any rim.
     for claim in &claims {
         let end = interfaces.rims[claim.slot].nearest_corner(&claim.point);
         let held = end.is_some_and(|(corner, distance)| {
@@ -228,7 +228,7 @@ pub(super) fn mark_rims(
 /// A node that may go onto a corner: slot, number of the corner, distance, node.
 type Candidate = (usize, u32, f64, u32);
 
-/// Brings those of each corner together, the nearest first.
+/// Groups the candidates of each corner, the nearest first.
 fn sort_candidates(candidates: &mut [Candidate]) {
     candidates.sort_by(|a, b| {
         let place = (a.0, a.1).cmp(&(b.0, b.1));
@@ -236,7 +236,7 @@ fn sort_candidates(candidates: &mut [Candidate]) {
     });
 }
 
-/// A node that would stand on a rim, and where.
+/// A node that would stand on a rim, and its position.
 struct Claim {
     slot: usize,
     node: u32,
@@ -244,9 +244,9 @@ struct Claim {
     distance: f64,
 }
 
-/// Leaves one node at each place of a rim. Where the cell at a rim is less than half full it is
-/// missing, and three nodes around the notch claim the same place: the hollow one is between the
-/// other two on the surface, so it gets it; else the nearest one does.
+/// Leaves one node at each position of a rim. A cell at a rim that is less than half full is missing, and three
+/// nodes around the notch claim the same position. The hollow one is between the other two on the surface, so
+/// it gets the position; otherwise the nearest one does.
 fn settle_claims(
     claims: &mut [Claim],
     cells_inside: &[u8],
@@ -285,7 +285,7 @@ fn settle_claims(
     }
 }
 
-/// How many of the eight cells around each node lie on the inner side of its interface.
+/// Number of the eight cells around each node that lie on the inner side of its interface.
 fn cells_inside(lattice: &Lattice, constraints: &[Constraint]) -> Vec<u8> {
     let mut inside = vec![0; lattice.nodes.len()];
     for cell in &lattice.cells {
@@ -298,7 +298,7 @@ fn cells_inside(lattice: &Lattice, constraints: &[Constraint]) -> Vec<u8> {
     inside
 }
 
-/// Whether two different cell faces of the node look the two ways that the faces of a rim do.
+/// Whether two different cell faces of the node agree with the two faces of a rim.
 fn shows(faces: u8, normals: [Vec3; 2]) -> bool {
     let looking = |normal: Vec3| {
         let mut mask = 0_u8;
@@ -321,7 +321,7 @@ pub(super) fn project_near(
     from: Vec3,
     reach: f64,
 ) -> Vec3 {
-    // A little more: the tree keeps single precision.
+    // A small margin, because the tree keeps single precision.
     let reach = reach + ON_SURFACE * interfaces.spacing;
     let mut own = constraint.interfaces().filter(|_| constraint.single());
     let near = own
@@ -330,7 +330,7 @@ pub(super) fn project_near(
     near.unwrap_or_else(|| project(interfaces, constraint, from))
 }
 
-/// The nearest point that satisfies a constraint, as far as alternating projections find it.
+/// The nearest point that satisfies a constraint, by alternating projections.
 pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec3) -> Vec3 {
     let mut at = from;
     let rounds = if constraint.single() { 1 } else { ALTERNATIONS };
@@ -345,7 +345,8 @@ pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec
         let rims = constraint.rim_slot().filter(|_| constraint.rim);
         if let Some(rims) = rims.map(|slot| &interfaces.rims[slot]) {
             let corner = constraint.corner.then(|| rims.corner_near(&at)).flatten();
-            // Rims lie side by side where steps are as large as cells; the node's own is the one that it shows.
+            // Rims lie side by side where steps are as large as cells; the node's own rim agrees with its cell
+            // faces.
             let own = || {
                 rims.nearest(&at, |s| {
                     constraint.faces == 0 || shows(constraint.faces, s.normals)
@@ -371,9 +372,9 @@ fn nearest(interfaces: &Interfaces, interface: Interface, at: &Vec3) -> Option<V
         .nearest(at, REACH * interfaces.spacing)
 }
 
-/// The tie rule (reconstructed): where interfaces lie nearer to each other than a spacing and do not
-/// meet, the one nearer to a node's lattice point takes the node. Returns the number of such nodes,
-/// whose constraints are changed accordingly.
+/// The tie rule (reconstructed): where interfaces are closer together than a spacing and do not meet, the
+/// interface nearer to a node's lattice point gets the node. Returns the number of such nodes, and changes
+/// their constraints accordingly.
 pub(super) fn settle_ties(
     grid: &Grid,
     lattice: &Lattice,
@@ -534,7 +535,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_on_a_rim_goes_to_one_that_looks_as_its_cells_do() {
+    fn rim_node_goes_to_a_rim_matching_its_cell_faces() {
         let interfaces = end_of_a_wall();
         let from = Vec3::new(0.4, 0.0, -0.1);
         let rim_of = |faces| {
@@ -547,11 +548,11 @@ mod tests {
             project(&interfaces, constraint, from)
         };
         let [left, right] = [0.0, 0.6].map(|x| Vec3::new(x, 0.0, 0.0));
-        // Its cells show their left and their lower faces, the right and the lower ones, any.
+        // Its cells have left and lower faces, right and lower ones, or any.
         assert_eq!(rim_of(0b01_00_01), left);
         assert_eq!(rim_of(0b01_00_10), right);
         assert_eq!(rim_of(0), right);
-        // Where no rim looks so, the nearest one is better than none.
+        // Without a rim of matching direction the nearest rim is used.
         assert_eq!(rim_of(0b10_01_00), right);
     }
 }

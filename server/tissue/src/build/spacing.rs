@@ -1,10 +1,10 @@
 //! Finding the spacing from the input: `Δd = max(d_min, d_threshold)` (Lin 2007, eq. 3.2).
 //!
-//! `d_min` is the smallest distance between intersections with different interfaces. On real data the
-//! plain minimum says nothing: surfaces that cross or end in one plane come as near to each other as
-//! one likes, and a ray there measures it. So `d_min` is a low quantile ([`QUANTILE`]) of the distances
-//! along rays in three directions; where surfaces coincide there is no layer, and distances below
-//! [`COINCIDENT`] are left out (reconstructed). The plain minimum is reported beside it.
+//! `d_min` is the smallest distance between intersections with different interfaces. On real data the plain
+//! minimum is meaningless: surfaces that cross or end in one plane come arbitrarily close, and some ray
+//! measures it. So `d_min` is a low quantile ([`QUANTILE`]) of the distances along rays in three directions.
+//! Where surfaces coincide there is no layer, so distances below [`COINCIDENT`] are left out (reconstructed).
+//! The report includes the plain minimum.
 
 use rayon::prelude::*;
 
@@ -13,16 +13,16 @@ use super::rays::{Hits, Rays, cast};
 use super::{BUILD_NODES_MAX, GRID_CELLS_MAX, SpacingReport};
 use crate::{Aabb, Surface, Vec3};
 
-/// Rays across the longest side of the input. Finer rays find no other layers, only more of them.
+/// Rays across the longest side of the input. Finer rays find no further layers, only more samples.
 const RAYS: f64 = 128.0;
-/// The part of the distances that may be smaller than the spacing.
+/// Part of the distances that may be smaller than the spacing.
 const QUANTILE: f64 = 0.05;
-/// Interfaces nearer than this, in m, are one.
+/// Interfaces closer together than this, in m, coincide.
 const COINCIDENT: f64 = 5e-5;
 /// Cells across the smallest side of an input without layers.
 const CELLS_ACROSS: f64 = 16.0;
-/// Most nodes of a model whose spacing is found automatically, unless the scene gives a least
-/// spacing: what a session's equilibrium is solved on in time.
+/// Most nodes of a model with automatic spacing, unless the scene gives a least spacing: the size whose
+/// equilibrium is solved within a tick.
 const AUTO_NODES_MAX: f64 = 1e6;
 
 /// The spacing in m and how it was found; `threshold` is `d_threshold` in m, 0 for none.
@@ -51,7 +51,7 @@ pub(super) fn find(surfaces: &[&Surface], threshold: f64) -> (f64, SpacingReport
     let by_nodes = (volume / nodes_max).cbrt();
     let by_cells = (extent.add_scalar(4.0 * by_nodes).product() / GRID_CELLS_MAX).cbrt();
     let memory = by_nodes.max(by_cells) * 1.02;
-    // Up to the hundredth of a millimetre: the same number is then written into reports and scenes.
+    // Rounded up to the hundredth of a millimetre, so that reports and scenes hold the same number.
     let spacing = (quantile.max(threshold).max(memory) * 1e5).ceil() / 1e5;
     let report = SpacingReport {
         distances: distances.len(),
@@ -89,7 +89,7 @@ fn distances_along(
             for column in 0..rays.count[0] {
                 stretches.clear();
                 sweep.resolve(&hits, rays.index([column, row]), |region, from, to| {
-                    // The ray's stretches are cut where a hidden surface passes.
+                    // The ray's stretches are split where a hidden surface crosses.
                     match stretches.last_mut() {
                         Some(last) if last.0 == region && last.2 == from => last.2 = to,
                         _ => stretches.push((region, from, to)),

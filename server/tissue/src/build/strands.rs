@@ -1,7 +1,7 @@
-//! The pieces of rays that lie in each region, and which of them hang together.
+//! The stretches of rays within each region, and their connectivity.
 //!
-//! Neighbouring rays are a quarter of a cell apart; pieces of one region side by side belong together.
-//! So it is known of parts too thin for a cell of their own what they are part of.
+//! Neighbouring rays are a quarter of a cell apart, and stretches of one region side by side are connected. So
+//! even a part too thin for a cell of its own is assigned to the part it is connected to.
 
 use rayon::prelude::*;
 
@@ -80,7 +80,7 @@ impl Strands {
         self.start[ray] as usize..self.start[ray + 1] as usize
     }
 
-    /// Finds what hangs together side by side.
+    /// Connects adjacent strands.
     fn join(&mut self) {
         let mut parent: Vec<u32> = (0..self.all.len() as u32).collect();
         for ray in 0..self.start.len() - 1 {
@@ -115,7 +115,7 @@ impl Strands {
     }
 }
 
-/// The strands of a row of rays, and how many there are up to the end of each ray.
+/// The strands of a row of rays, and their number up to the end of each ray.
 fn row(grid: &Grid, hits: &[Hits], rays: &Rays, v: usize) -> (Vec<u32>, Vec<Strand>) {
     let at = |z: f64| (z - grid.origin.z) / grid.spacing;
     let mut strands: Vec<Strand> = Vec::new();

@@ -75,7 +75,7 @@ fn assert_sound(model: &Model, report: &BuildReport) {
         let error = region.volume_mm3 / region.input_volume_mm3 - 1.0;
         assert!(error.abs() < 0.02, "{region:?}");
     }
-    // A uniform field must not feel the lattice: masses add up to density times volume.
+    // The mass of the model must equal density times volume, regardless of the lattice.
     let topology = Topology::new(Arc::new(model.clone()));
     assert_eq!(report.topology_hash, topology.hash().to_string());
     let kinds = report.springs;
@@ -92,7 +92,7 @@ fn assert_sound(model: &Model, report: &BuildReport) {
 }
 
 #[test]
-fn what_gravity_would_let_fall_is_named() {
+fn unpinned_pieces_under_gravity_are_reported() {
     let beside = ball(0.008);
     let mut apart = beside.clone();
     for p in &mut apart.vertices {
@@ -105,7 +105,7 @@ fn what_gravity_would_let_fall_is_named() {
         report.warnings.iter().filter(named).count()
     };
     input.scene.pinned = vec!["held".to_owned()];
-    assert_eq!(falls(&input), 0, "without gravity nothing falls");
+    assert_eq!(falls(&input), 0, "without gravity no piece falls");
     input.scene.gravity_m_s2 = [0.0, 0.0, -9.81];
     assert_eq!(falls(&input), 1);
     input.scene.pinned.push("loose".to_owned());
@@ -113,7 +113,7 @@ fn what_gravity_would_let_fall_is_named() {
 }
 
 #[test]
-fn a_ball_keeps_its_volume_and_its_nodes_lie_on_it() {
+fn ball_keeps_its_volume_and_surface_nodes_lie_on_it() {
     for spacing in [4.0, 8.0] {
         let (model, report) = built(spacing, &[("ball", ball(0.0375))]);
         assert_sound(&model, &report);
@@ -126,8 +126,8 @@ fn a_ball_keeps_its_volume_and_its_nodes_lie_on_it() {
 }
 
 #[test]
-fn what_no_cell_stands_for_is_reported_with_its_place() {
-    // A grain of a quarter of a cell, and a tip that is nowhere half of one: not thin across, and lost.
+fn parts_without_cells_are_reported_with_position() {
+    // A grain of a quarter of a cell, and a tip that never fills half a cell: the tip is not thin, and lost.
     let tip = turned(
         &[
             (0.006, -0.02),
@@ -158,19 +158,19 @@ fn what_no_cell_stands_for_is_reported_with_its_place() {
 }
 
 #[test]
-fn nested_and_poking_regions_share_conforming_interfaces() {
+fn nested_and_protruding_regions_share_conforming_interfaces() {
     let skin = turned(&[(0.05, -0.06), (0.05, 0.06)], 128);
     let bone = turned(&[(0.02, -0.06), (0.02, 0.06)], 64);
     let (model, report) = built(4.0, &[("skin", skin), ("bone", bone)]);
     assert_sound(&model, &report);
-    // Region volumes are measured on shared nodes, so together they are the whole.
+    // Region volumes are measured on shared nodes, so they add up to the whole.
     let whole: f64 = report.regions.iter().map(|r| r.volume_mm3).sum();
     let exact = PI * 50.0 * 50.0 * 120.0;
     assert!((whole / exact - 1.0).abs() < 0.01, "{whole} {exact}");
 }
 
 #[test]
-fn every_interface_is_one_layer_of_springs_of_the_model() {
+fn every_interface_has_one_layer_of_model_springs() {
     let skin = turned(&[(0.05, -0.06), (0.05, 0.06)], 128);
     let bone = turned(&[(0.02, -0.06), (0.02, 0.06)], 64);
     let marrow = ball(0.012);
@@ -223,7 +223,7 @@ fn every_interface_is_one_layer_of_springs_of_the_model() {
 }
 
 #[test]
-fn a_rim_stays_sharp() {
+fn rims_stay_sharp() {
     let (model, _) = built(5.0, &[("drum", turned(&[(0.04, 0.0), (0.04, 0.05)], 128))]);
     let highest = model.nodes.iter().filter(|p| (p.z - 0.05).abs() < 1e-6);
     let reach = highest.map(|p| p.xy().norm()).fold(0.0, f64::max);
@@ -231,7 +231,7 @@ fn a_rim_stays_sharp() {
 }
 
 #[test]
-fn the_same_input_gives_the_same_model_on_any_number_of_threads() {
+fn model_is_equal_on_any_thread_count() {
     let hash = |threads| {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
@@ -243,7 +243,7 @@ fn the_same_input_gives_the_same_model_on_any_number_of_threads() {
 }
 
 #[test]
-fn a_spacing_that_is_too_coarse_or_too_fine_is_refused_with_a_way_out() {
+fn too_coarse_or_too_fine_spacing_is_rejected_with_a_remedy() {
     let refuse = |spacing| {
         build(&scene(spacing, &[("ball", ball(0.02))]), &mut |_, _| {})
             .unwrap_err()
@@ -259,7 +259,7 @@ fn a_spacing_that_is_too_coarse_or_too_fine_is_refused_with_a_way_out() {
 }
 
 #[test]
-fn a_region_outside_the_outermost_is_refused_by_name() {
+fn region_outside_the_outermost_is_rejected_by_name() {
     let mut far = ball(0.01);
     for v in &mut far.vertices {
         v.x += 1.0;

@@ -1,4 +1,4 @@
-//! Where the input is thinner than the spacing and what was lost of it.
+//! Parts of the input thinner than the spacing, and parts that were lost.
 
 use std::collections::BTreeMap;
 
@@ -6,50 +6,50 @@ use serde::{Deserialize, Serialize};
 
 use super::faces::OUTSIDE;
 use super::grid::Grid;
+use super::interface_samples::{Sample, Thin};
 use super::lattice::Crumb;
-use super::sample::{Sample, Thin};
 use crate::{Aabb, Vec3};
 
-/// Most parts that a report lists, the largest first: what a person can look at. The rest is counted.
+/// Most parts that a report lists, the largest first; the rest is counted.
 pub const THIN_PARTS_MAX: usize = 64;
 
-/// Samples in cubes of this side, in spacings, that touch belong to one part.
+/// Samples in touching cubes of this side, in spacings, belong to one part.
 const CUBE: f64 = 2.0;
-/// A piece of an input interface is lost when the model's own is farther away than this, in spacings.
+/// A piece of an input interface is lost when the model's interface is farther away than this, in spacings.
 const LOST: f64 = 0.5;
 
-/// What a part of the input suffers from.
+/// Kind of a thin or lost part of the input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ThinKind {
     /// A layer of a region thinner than the spacing.
     Layer,
-    /// Outside between two walls nearer to each other than the spacing.
+    /// A gap outside between two walls closer together than the spacing.
     Gap,
-    /// Not thin, and still farther from the model than half a spacing: a sharp edge, a tip, or what
-    /// lies beside a thin part that was lost.
+    /// Not thin, and still farther from the model than half a spacing: a sharp edge, a tip, or the
+    /// neighbourhood of a lost thin part.
     Rim,
-    /// A few cells of a region that were given to what surrounds them, or cells of others that it fills a part of
-    /// where no cell stands for it.
+    /// A few cells of a region that were given to the surrounding regions, or cells of others that it fills in
+    /// part while no cell represents it.
     Crumb,
-    /// Closed pieces of a region's surface that are smaller than the spacing but in one direction: grains and
-    /// needles.
+    /// Closed pieces of a region's surface that are smaller than the spacing in at least two directions: grains
+    /// and needles.
     Speck,
-    /// Nodes that left their interface so that their cells stay good.
+    /// Nodes released from their interface so that their cells meet the quality floors.
     LetGo,
-    /// Nodes farther than half a spacing from their interface, near nothing thin: where the model's
-    /// interface runs on and the input's does not.
+    /// Nodes farther than half a spacing from their interface with no thin part nearby: the model's interface
+    /// continues and the input's does not.
     Stray,
 }
 
 /// One part of the input that is thin or was lost.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ThinPart {
-    /// What is wrong with it.
+    /// Kind of defect.
     pub kind: ThinKind,
     /// The region that is thin or was lost; `None` for a gap.
     pub region: Option<String>,
-    /// What lies on its two sides; `None` is the outside.
+    /// The regions on its two sides; `None` is the outside.
     pub between: [Option<String>; 2],
     /// Middle of the box around it, in mm.
     pub centre_mm: [f64; 3],
@@ -57,15 +57,15 @@ pub struct ThinPart {
     pub size_mm: [f64; 3],
     /// Area of the interface there, in mm²; both sides of a layer count.
     pub area_mm2: f64,
-    /// Of that, what lies farther from the model's interface than half a spacing, in mm².
+    /// Part of that area, in mm², farther from the model's interface than half a spacing.
     pub lost_area_mm2: f64,
-    /// Least thickness in mm; 0 where it was not measured.
+    /// Least thickness in mm; 0 if not measured.
     pub thickness_min_mm: f64,
-    /// Mean thickness in mm; 0 where it was not measured.
+    /// Mean thickness in mm; 0 if not measured.
     pub thickness_mean_mm: f64,
     /// Largest distance of the input from the model's interface there, in mm.
     pub distance_max_mm: f64,
-    /// Cells of a crumb, nodes that were let go, samples of a layer.
+    /// Number of cells of a crumb, of released nodes, or of samples of a layer.
     pub count: usize,
 }
 
@@ -74,13 +74,13 @@ pub struct ThinPart {
 pub struct ThinParts {
     /// The largest ones, at most [`THIN_PARTS_MAX`].
     pub parts: Vec<ThinPart>,
-    /// How many more there are.
+    /// Number of further parts.
     pub more: usize,
     /// Area of these in mm².
     pub more_area_mm2: f64,
 }
 
-/// What distinguishes parts that lie side by side: kind, region, and what it lies between.
+/// Key that distinguishes adjacent parts: kind, region, and the regions on both sides.
 type Key = (ThinKind, u16, [u16; 2]);
 
 #[derive(Debug, Clone, Copy)]
@@ -172,7 +172,7 @@ impl<'a> Collector<'a> {
         collector
     }
 
-    /// Takes what is thin or lost among the samples.
+    /// Adds the thin or lost samples.
     fn add_samples(&mut self, samples: &[Sample]) {
         let spacing = self.grid.spacing;
         for sample in samples {
@@ -200,7 +200,7 @@ impl<'a> Collector<'a> {
         }
     }
 
-    /// Takes nodes that were let go; what is around them counts as a thin part.
+    /// Adds released nodes; their surroundings count as a thin part.
     pub(super) fn add_nodes(&mut self, nodes: &[(Vec3, u16, f64)]) {
         for (at, _, _) in nodes {
             self.mark(at);
@@ -208,7 +208,7 @@ impl<'a> Collector<'a> {
         self.put_nodes(ThinKind::LetGo, nodes);
     }
 
-    /// Takes nodes that are far from the input.
+    /// Adds nodes that are far from the input.
     pub(super) fn add_strays(&mut self, nodes: &[(Vec3, u16, f64)]) {
         self.put_nodes(ThinKind::Stray, nodes);
     }
@@ -226,7 +226,7 @@ impl<'a> Collector<'a> {
         }
     }
 
-    /// Takes pieces of regions that were dropped.
+    /// Adds dropped pieces of regions.
     fn add_crumbs(&mut self, crumbs: &[Crumb]) {
         let region = |label: u8| u16::from(label).checked_sub(1).unwrap_or(OUTSIDE);
         for crumb in crumbs {
@@ -248,7 +248,7 @@ impl<'a> Collector<'a> {
         }
     }
 
-    /// Takes cells where something of a region was lost: cell, its label, and the one lost.
+    /// Adds cells in which a part of a region was lost: cell, its label, and the lost label.
     fn add_lost(&mut self, lost: &[(usize, u8, u8)]) {
         let region = |label: u8| u16::from(label).checked_sub(1).unwrap_or(OUTSIDE);
         let [nx, ny, _] = self.grid.cells;
@@ -268,7 +268,8 @@ impl<'a> Collector<'a> {
         }
     }
 
-    /// Takes closed parts of each region's input surface that are smaller than the spacing but in one direction.
+    /// Adds closed parts of each region's input surface that are smaller than the spacing in at least two
+    /// directions.
     fn add_specks(&mut self, parts: &[Vec<Aabb>]) {
         for (region, parts) in parts.iter().enumerate() {
             for part in parts {
@@ -296,7 +297,7 @@ impl<'a> Collector<'a> {
         }
     }
 
-    /// Whether a point lies in or beside a thin or lost part.
+    /// Whether a point is in or beside a thin or lost part.
     pub(super) fn is_marked(&self, at: &Vec3) -> bool {
         self.cell_at(at).is_none_or(|cell| self.marked[cell])
     }
@@ -330,7 +331,7 @@ impl<'a> Collector<'a> {
             .add(heap);
     }
 
-    /// Joins cubes that touch into parts, the largest first.
+    /// Joins touching cubes into parts, the largest first.
     pub(super) fn finish(self, names: &[String]) -> ThinParts {
         let mut rest = self.cubes;
         let mut parts = Vec::new();
@@ -394,7 +395,7 @@ fn part((kind, region, between): Key, heap: &Heap, names: &[String]) -> ThinPart
 }
 
 impl std::fmt::Display for ThinPart {
-    /// One line for a person.
+    /// One line for the user.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let name = |n: &Option<String>| n.clone().unwrap_or_else(|| "outside".to_owned());
         let place = |v: &[f64; 3], between: &str| {

@@ -1,19 +1,19 @@
-//! Making every cell good (reconstructed).
+//! Making every cell meet the quality floors (reconstructed).
 //!
-//! Where a step of the lattice lies on a smooth surface, a cell has two or three faces in one plane:
-//! its corner there is flat, and a little noise turns it inside out. Such a node has to stand off
-//! the surface by a few hundredths of a spacing. With the other nodes held, the determinants at the
-//! corners that a node takes part in are linear in its position x, so
+//! Where a step of the lattice lies on a smooth surface, a cell has two or three faces in one plane: its corner
+//! there is flat, and a little noise inverts it. Such a node has to leave the surface by a few hundredths of a
+//! spacing. With the other nodes held, the determinants at the corners that involve a node are linear in its
+//! position x, so
 //!
 //! ```text
 //! f(x) = w (n·(x - s))² + ε |x - x0|² + Σ max(0, D - det(x))² + Σ max(0, L - |x - y|)²
 //! ```
 //!
-//! (s the point of its surface, n the normal there) is convex but for the springs' lengths, and a few
-//! Newton steps minimise it. Nodes of cells that fall short are visited, in eight colours by the
-//! parity of their lattice point: no two nodes of one colour share a cell, so each colour is done in
-//! parallel and the result is the same on any number of threads. What can not be made good so is let
-//! go: its nodes go back towards their lattice points, where every cell is a cube, until it can.
+//! (s the point of its surface, n the normal there) is convex except for the spring lengths, and a few Newton
+//! steps minimise it. Nodes of failing cells are visited in eight colours by the parity of their lattice point.
+//! No two nodes of one colour share a cell, so each colour runs in parallel and the result is the same on any
+//! number of threads. Cells that still fail are released: their nodes move back towards their lattice points,
+//! where every cell is a cube, until the cells pass.
 
 use rayon::prelude::*;
 
@@ -23,23 +23,22 @@ use super::quality::{CORNER_FLOOR, SPRING_FLOOR, passes};
 use super::snap::{Constraint, project};
 use crate::{NO_CELL, Vec3};
 
-/// Cells with a smaller determinant, in Δd³, or a shorter spring, in Δd, are worked on.
+/// Cells with a smaller determinant, in Δd³, or a shorter spring, in Δd, are visited.
 const GOOD: (f64, f64) = (0.03, 0.33);
-/// What is aimed at, a little more, so that a cell once visited is done with.
+/// Target of the minimisation: a margin above the floor, so that one visit suffices.
 const AIM: (f64, f64) = (0.08, 0.38);
-/// What must hold at the end; a hair above the floors, so that rounding does not matter.
+/// Limits that must hold at the end; slightly above the floors, to be safe from rounding.
 const FLOOR: (f64, f64) = (CORNER_FLOOR * 1.001, SPRING_FLOOR * 1.001);
 
-/// Sweeps, and how strongly they hold nodes on their surfaces (w above). Later ones let nodes stand
-/// off farther.
+/// Sweeps, and their weights of the distance to the surface (w above). Later sweeps let nodes move farther off.
 const STAGES: [(usize, f64); 3] = [(10, 0.1), (12, 0.01), (16, 0.001)];
-/// What holds a node near where it is (ε above).
+/// Weight of the distance to the current position (ε above).
 const INERTIA: f64 = 0.02;
 /// Newton steps per visit.
 const NEWTON_STEPS: usize = 4;
 /// Longest move in one visit, in spacings.
 const MOVE_MAX: f64 = 0.25;
-/// Rounds in which nodes go half way back to their lattice points, each followed by sweeps.
+/// Rounds in which nodes move half way back to their lattice points, each followed by sweeps.
 const HALVINGS: usize = 6;
 /// Sweeps after each of them.
 const SWEEPS_AFTER_HALVING: usize = 4;
@@ -55,7 +54,7 @@ pub(super) struct Untangler<'a> {
 }
 
 impl<'a> Untangler<'a> {
-    /// Gathers the cells around each node. `origin` is where lattice point (0, 0, 0) stands.
+    /// Gathers the cells around each node. `origin` is the position of lattice point (0, 0, 0).
     pub(super) fn new(
         lattice: &'a Lattice,
         interfaces: &'a Interfaces,
@@ -79,7 +78,7 @@ impl<'a> Untangler<'a> {
         }
     }
 
-    /// Moves nodes until every cell meets the floors; returns the nodes that were let go, in order.
+    /// Moves nodes until every cell meets the floors; returns the released nodes, in order.
     pub(super) fn untangle(&self, positions: &mut [Vec3]) -> Vec<u32> {
         let mut bad = self.failing(0..self.lattice.cells.len() as u32, positions, GOOD);
         for (sweeps, hold) in STAGES {
@@ -101,13 +100,13 @@ impl<'a> Untangler<'a> {
         self.spacing
     }
 
-    /// Which interfaces a node lies on.
+    /// The interfaces of each node.
     pub(super) fn constraint(&self, node: u32) -> Constraint {
         self.constraints[node as usize]
     }
 
-    /// Moves nodes by the first of the given parts of their moves that leaves the cells around them
-    /// above the floors, or not at all.
+    /// Moves each node by the first of the given fractions of its step that keeps the cells around it above the
+    /// floors, or not at all.
     pub(super) fn move_while_it_holds(
         &self,
         moves: &[(u32, Vec3)],
@@ -133,7 +132,7 @@ impl<'a> Untangler<'a> {
         }
     }
 
-    /// Whether all cells around a node would meet the floors with it at `to`.
+    /// Whether all cells around a node would meet the floors with the node at `to`.
     fn holds(&self, node: u32, to: &Vec3, positions: &[Vec3]) -> bool {
         let slots = self.around[node as usize].iter().enumerate();
         slots
@@ -177,7 +176,7 @@ impl<'a> Untangler<'a> {
         sorted(cells.filter(|&c| c != NO_CELL))
     }
 
-    /// Visits the nodes of `bad` cells once; returns the cells around them that are bad after it.
+    /// Visits the nodes of `bad` cells once; returns the cells around them that fail afterwards.
     fn sweep(&self, bad: &[u32], hold: f64, positions: &mut [Vec3]) -> Vec<u32> {
         if bad.is_empty() {
             return Vec::new();
@@ -196,15 +195,15 @@ impl<'a> Untangler<'a> {
         self.failing(self.cells_at(&nodes).into_iter(), positions, GOOD)
     }
 
-    /// Where a node goes, by minimising f of the file's head with all others held.
+    /// New position of a node, which minimises f of the module docs with all others held.
     fn visited(&self, node: u32, hold: f64, positions: &[Vec3]) -> Vec3 {
         let at = positions[node as usize];
         let constraint = self.constraints[node as usize];
         let mut pull = (nalgebra::Matrix3::identity() * INERTIA, Vec3::zeros());
         if !constraint.free() {
             let off = (project(self.interfaces, constraint, at) - at) / self.spacing;
-            // Off the surface the way back is the normal; on it nothing pulls, and the hold acts
-            // when the next visit finds the node off it.
+            // Off the surface the normal is the direction back to it. On the surface the term vanishes; it acts
+            // at the next visit that finds the node off the surface.
             if let Some(normal) = off.try_normalize(1e-9) {
                 pull.0 += normal * normal.transpose() * hold;
                 pull.1 += off * hold;
@@ -214,7 +213,7 @@ impl<'a> Untangler<'a> {
         at + stencil.minimise(&pull.0, &pull.1) * self.spacing
     }
 
-    /// Sends the nodes of cells that fail back towards their lattice points until none does.
+    /// Moves the nodes of failing cells back towards their lattice points until none fails.
     fn let_go(&self, mut bad: Vec<u32>, positions: &mut [Vec3]) -> Vec<u32> {
         let mut gone = Vec::new();
         let lattice_point = |node: u32| {
@@ -238,7 +237,7 @@ impl<'a> Untangler<'a> {
             touched.extend(&bad);
             bad = self.failing(sorted(touched.into_iter()).into_iter(), positions, FLOOR);
         }
-        // Whole cells go back, then those that this spoils; in the end all are cubes.
+        // Whole cells move back, then the cells that this spoils; in the limit all are cubes.
         while !bad.is_empty() {
             let nodes = self.nodes_of(&bad);
             for &node in &nodes {
@@ -262,12 +261,12 @@ fn sorted(numbers: impl Iterator<Item = u32>) -> Vec<u32> {
     numbers
 }
 
-/// What a node's position enters into, in spacings relative to where it stands.
+/// Terms that depend on a node's position, in spacings relative to its current one.
 struct Stencil {
-    /// Determinant here and its gradient, for each corner that the node takes part in.
+    /// Determinant here and its gradient, for each corner that involves the node.
     dets: [(f64, Vec3); 32],
     det_count: usize,
-    /// The other ends of its springs that may come too near.
+    /// The other ends of springs that may become too short.
     near: [Vec3; 56],
     near_count: usize,
 }
@@ -294,7 +293,7 @@ impl Stencil {
             let gradient = -(y - x).cross(&(z - x)) * sign;
             stencil.add_det(sign * x.dot(&y.cross(&z)), gradient);
             for axis in 0..3 {
-                // The corner next to the node along `axis`, one of whose edges leads to it.
+                // The corner next to the node along `axis`; one of its edges leads to the node.
                 let d = c ^ (1 << axis);
                 let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
                 let edge = |a: usize| corners[d ^ (1 << a)] - corners[d];
@@ -316,8 +315,8 @@ impl Stencil {
         self.det_count += 1;
     }
 
-    /// The step, in spacings, that minimises the quadratic `1/2 x·A x - b·x` together with what the
-    /// determinants and the springs lack.
+    /// The step, in spacings, that minimises the quadratic `1/2 x·A x - b·x` plus the penalties of determinants
+    /// and spring lengths.
     fn minimise(&self, a: &nalgebra::Matrix3<f64>, b: &Vec3) -> Vec3 {
         let mut x = Vec3::zeros();
         for _ in 0..NEWTON_STEPS {

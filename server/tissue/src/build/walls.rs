@@ -1,11 +1,11 @@
-//! Keeping thin layers between what they part (reconstructed).
+//! Keeping thin layers between the regions that they separate (reconstructed).
 //!
-//! A layer of about half a spacing rarely fills most of a cell, so where it runs askew to the lattice the
-//! cells that it has come apart, and the regions on its two sides touch where in the input they never
-//! do. Such a *false* face is cured by giving the layer one of the face's two cells: its nodes are put
-//! onto the layer's two interfaces afterwards, which makes it as thin as it is.
+//! A layer of about half a spacing rarely fills most of a cell. Where it runs oblique to the lattice, its cells
+//! become disconnected, and the regions on its two sides touch although they never do in the input. Such a
+//! *false* face is repaired by giving the layer one of the face's two cells. Its nodes are put onto the layer's
+//! two interfaces afterwards, which restores the true thickness.
 //!
-//! Whether two regions touch in a cell is seen by rays in three directions.
+//! Rays in three directions detect whether two regions touch in a cell.
 
 use rayon::prelude::*;
 
@@ -13,37 +13,37 @@ use super::grid::Grid;
 use super::label::Labels;
 use super::lattice::{cell_at, face_neighbours};
 
-/// A layer that is thinner than this, in spacings along an axis of the lattice and as a mean over nine
-/// lines side by side, is not put back: springs across it would be shorter than a cell's may be.
+/// Least thickness of a layer that is restored, in spacings along an axis of the lattice, as a mean over nine
+/// adjacent lines. Springs across a thinner layer would be shorter than the floor.
 const LAYER_MIN: f64 = 0.2;
-/// The same for the one line through the face. Real layers are pinched here and there: labels of one
-/// voxel that meet in an edge only are nothing thick there.
+/// The same for the one line through the face. Real layers are pinched here and there: labels of one voxel that
+/// meet in an edge only have zero thickness there.
 const LINE_MIN: f64 = 0.05;
 
-/// Part of a cell that a region fills at least where it counts as lost when no cell around stands for it: a
-/// few rays of sixteen.
+/// Least part of a cell that a region fills where it counts as lost when no cell around represents it: a few
+/// rays of sixteen.
 const LOST_MIN: f64 = 0.1;
 
-/// Rounds of looking for false faces. Curing one may show another; each cure leaves fewer.
+/// Rounds of the search for false faces. Repairing one may reveal another; each round leaves fewer.
 const ROUNDS: usize = 8;
 
-/// Which labels touch in which cells, and how much of each cell every label fills. Without rays (as by
+/// The labels that touch in each cell, and the fraction of each cell that every label fills. Without rays (the
 /// default) nothing is known, and every face counts as true.
 #[derive(Debug, Default)]
 pub(super) struct Walls {
     /// See [`contact`]; sorted.
     contacts: Vec<u64>,
-    /// Sorted. Cells that one label fills are not in it.
+    /// Sorted. Cells filled by one label are not in it.
     shares: Vec<Share>,
 }
 
-/// What a part of a region fills of a cell.
+/// Fill of a cell by a part of a region.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Share {
     cell: u32,
     /// The region's label.
     pub(super) label: u8,
-    /// Which part of the region it is; parts do not touch each other.
+    /// Number of the part of the region; parts do not touch each other.
     pub(super) part: u32,
     /// In 1/255 of the cell.
     filled: u8,
@@ -80,15 +80,15 @@ impl Walls {
         self.shares.append(&mut shares);
     }
 
-    /// Sorts what was added; nothing can be asked before.
+    /// Sorts the entries; queries are allowed afterwards only.
     pub(super) fn sort(&mut self) {
         self.contacts.par_sort_unstable();
         self.contacts.dedup();
         self.shares.par_sort_unstable();
     }
 
-    /// Cells that a region fills a part of where neither they nor any that share a face or an edge with them stand
-    /// for it: cell, its label, and the one that was lost there.
+    /// Cells that a region fills in part while neither they nor any cell that shares a face or an edge with
+    /// them represents it: cell, its label, and the lost label.
     pub(super) fn lost(&self, grid: &Grid, labels: &Labels) -> Vec<(usize, u8, u8)> {
         let [nx, ny, nz] = grid.cells;
         let found = self.shares.par_iter().filter_map(|share| {
@@ -117,7 +117,7 @@ impl Walls {
         own.map(Share::filled).sum()
     }
 
-    /// What fills a cell; nothing when one label fills it all.
+    /// The fills of a cell; empty when one label fills it all.
     pub(super) fn shares_of(&self, cell: usize) -> &[Share] {
         let cell = cell as u32;
         let from = self.shares.partition_point(|s| s.cell < cell);
@@ -137,7 +137,7 @@ impl Walls {
         a != b && !cells.iter().any(|cell| self.touch(*cell, a, b))
     }
 
-    /// False faces that a cell has more with label `to` than with its own.
+    /// Additional false faces of a cell with label `to` instead of its own.
     pub(super) fn false_faces_won(&self, grid: &Grid, labels: &Labels, cell: usize, to: u8) -> i32 {
         if self.contacts.is_empty() {
             return 0;
@@ -150,7 +150,7 @@ impl Walls {
         others.map(|other| with(to, other) - with(own, other)).sum()
     }
 
-    /// Gives layers cells of what they part, where they are missing between the two.
+    /// Gives layers the cells that are missing between the two regions that they separate.
     pub(super) fn put_layers_back(&self, grid: &Grid, labels: &mut Labels) -> usize {
         let mut given = 0;
         if self.contacts.is_empty() {
@@ -190,7 +190,7 @@ impl Walls {
         found
     }
 
-    /// Cures the face across `axis` above a cell if it is still false and a layer is there for it.
+    /// Repairs the face across `axis` above a cell if it is still false and a layer lies there.
     fn cure(&self, grid: &Grid, labels: &mut Labels, cell: usize, axis: usize) -> bool {
         let step = steps(grid)[axis];
         let cells = [cell, cell + step];
@@ -224,7 +224,7 @@ impl Walls {
         true
     }
 
-    /// Whether a layer across the face above `cell` can be held by the lattice.
+    /// Whether the lattice can represent a layer across the face above `cell`.
     fn is_thick_enough(
         &self,
         grid: &Grid,
@@ -248,13 +248,13 @@ impl Walls {
         if thickness([0, 0], 2) < LINE_MIN {
             return false;
         }
-        // Beside it a layer askew has gone on by a cell.
+        // An oblique layer has moved on by one cell beside it.
         let lines = (0..9).map(|n| thickness([n % 3 - 1, n / 3 - 1], 3));
         lines.sum::<f64>() >= 9.0 * LAYER_MIN
     }
 }
 
-/// How far apart neighbouring cells are along each axis.
+/// Index offset of neighbouring cells along each axis.
 fn steps(grid: &Grid) -> [usize; 3] {
     [1, grid.cells[0], grid.cells[0] * grid.cells[1]]
 }

@@ -11,7 +11,7 @@ use crate::{FaceId, NO_CELL, RegionId, Shape, Surface, Topology};
 /// and a character takes up to four.
 const NAME_CHARS_MAX: usize = 48;
 
-/// A surface with the name its file goes by.
+/// A surface with the name of its file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NamedSurface {
     /// Made of letters, digits, `-` and `_`; unique among the surfaces of a model.
@@ -27,7 +27,7 @@ pub struct NamedSurface {
 /// - `interface-A-B` between two regions that touch, open where it ends in a third region or at the
 ///   outside, wound outwards from the region that comes later in the scene.
 ///
-/// What two of them have in common has the same triangles in both.
+/// Two surfaces have the same triangles where they coincide.
 pub fn surfaces(topology: &Topology, shape: &Shape) -> Vec<NamedSurface> {
     let parts = sort_faces(topology);
     let regions = &topology.model().regions;
@@ -51,8 +51,8 @@ pub fn surfaces(topology: &Topology, shape: &Shape) -> Vec<NamedSurface> {
     found
 }
 
-/// Writes every surface as a binary STL in mm into a folder, which is made when it is not there.
-/// Nothing is in its place before [`Staged::put_in_place`].
+/// Writes every surface as a binary STL in mm into a folder, which is made if it does not exist. The files
+/// appear at their paths only after [`Staged::put_in_place`].
 pub fn stage_stl(
     topology: &Topology,
     shape: &Shape,
@@ -79,7 +79,7 @@ struct Parts {
 }
 
 fn sort_faces(topology: &Topology) -> Parts {
-    // The outer surface may split a face otherwise than an inner face would be.
+    // The outer surface may split a face along the other diagonal than an inner face would be.
     let outer: BTreeMap<FaceId, usize> = topology
         .boundary()
         .faces
@@ -133,8 +133,8 @@ fn named(
     }
 }
 
-/// A name that no other surface has, of characters that every file system takes. Names that differ
-/// in case only count as the same, as some file systems have it.
+/// A unique name of characters that every file system accepts. Names that differ in case only count as the
+/// same, because some file systems ignore case.
 fn unique(names: &mut BTreeSet<String>, name: &str) -> String {
     let plain: String = name
         .chars()
@@ -161,7 +161,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_of_surfaces_are_names_of_files_and_no_two_are_the_same() {
+    fn surface_names_are_unique_valid_file_names() {
         let mut names = BTreeSet::new();
         let mut of = |name: &str| unique(&mut names, name);
         assert_eq!(of("region-m. vastus/../x"), "region-m__vastus____x");

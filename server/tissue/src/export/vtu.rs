@@ -1,7 +1,7 @@
 //! The model as a VTK unstructured grid (`.vtu`), which programs such as `ParaView` open.
 //!
-//! The file is the XML head that names the arrays, and behind it the arrays as they are, each in
-//! blocks packed by zlib:
+//! The file is the XML head that names the arrays, followed by the arrays as binary data, each in blocks
+//! compressed by zlib:
 //!
 //! ```text
 //! array   number of blocks, bytes of a block, bytes of the last block (0: a whole one), packed bytes
@@ -21,7 +21,7 @@ use rayon::prelude::*;
 use crate::staged::{Staged, WriteError};
 use crate::{Model, NO_CELL, Shape, Topology, Vec3, cell_volume, scaled_jacobian};
 
-/// Bytes packed at a time: small enough that all cores have some, large enough to pack well.
+/// Bytes per compressed block: small enough to occupy all cores, large enough to compress well.
 const BLOCK_BYTES: usize = 1 << 18;
 /// Deflate level, as in the model file: coordinates gain little beyond it.
 const LEVEL: u32 = 3;
@@ -35,14 +35,14 @@ const MM: f64 = 1e3;
 ///
 /// | of | array | |
 /// | --- | --- | --- |
-/// | point | `displacement_mm` | how far it is from rest |
-/// | point | `lattice` | lattice coordinates (of doubled nodes: of the one they were doubled from) |
-/// | point | `pinned` | 1 where it does not move |
+/// | point | `displacement_mm` | displacement from rest |
+/// | point | `lattice` | lattice coordinates (of doubled nodes: of the original node) |
+/// | point | `pinned` | 1 for pinned nodes |
 /// | cell | `region` | number of its region in scene order |
 /// | cell | `material` | number of its material, by first occurrence in scene order |
 /// | cell | `young_kpa` | Young's modulus |
-/// | cell | `volume_mm3` | its volume now |
-/// | cell | `scaled_jacobian` | its shape now, see [`scaled_jacobian`] |
+/// | cell | `volume_mm3` | its current volume |
+/// | cell | `scaled_jacobian` | its current shape, see [`scaled_jacobian`] |
 ///
 /// Names of regions and materials stand in a comment at the head of the file.
 pub fn write_vtu(topology: &Topology, shape: &Shape, out: &mut impl Write) -> io::Result<()> {
@@ -68,7 +68,7 @@ pub fn write_vtu(topology: &Topology, shape: &Shape, out: &mut impl Write) -> io
         writeln!(out, "<{section}>")?;
         for array in arrays {
             let components = match array.components {
-                // The default; some readers give a column for it where they give a list without.
+                // The default value; some readers handle only this form of a missing list.
                 1 => String::new(),
                 n => format!(" NumberOfComponents=\"{n}\""),
             };
@@ -91,7 +91,7 @@ pub fn write_vtu(topology: &Topology, shape: &Shape, out: &mut impl Write) -> io
     out.write_all(b"\n</AppendedData>\n</VTKFile>\n")
 }
 
-/// Writes a `.vtu` file, which is not in its place before [`Staged::put_in_place`].
+/// Writes a `.vtu` file, which appears at its path only after [`Staged::put_in_place`].
 pub fn stage_vtu(topology: &Topology, shape: &Shape, path: &Path) -> Result<Staged, WriteError> {
     Staged::write(path, |out| write_vtu(topology, shape, out))
 }
@@ -116,7 +116,7 @@ fn write_head(model: &Model, out: &mut impl Write) -> io::Result<()> {
     writeln!(out, "-->")
 }
 
-/// A name without what would end a comment or be no character of XML.
+/// A name without text that would end an XML comment and without characters that XML forbids.
 fn plain(name: &str) -> String {
     let visible = name.chars().filter(|c| !c.is_control());
     visible.collect::<String>().replace('-', "_")
@@ -135,7 +135,7 @@ fn materials(model: &Model) -> Vec<i32> {
     of_regions.map(number).collect()
 }
 
-/// Numbers with the name and type they have in the file.
+/// Numbers with their name and type in the file.
 struct Array {
     kind: &'static str,
     name: &'static str,
@@ -161,7 +161,7 @@ impl Array {
     }
 }
 
-/// A number as VTK names and stores it.
+/// The VTK name and bytes of a number.
 trait Number {
     const KIND: &'static str;
     fn append(self, bytes: &mut Vec<u8>);
@@ -216,7 +216,7 @@ fn point_data(topology: &Topology, shape: &Shape) -> Vec<Array> {
     ]
 }
 
-/// Lattice coordinates of a node, or of the one it was doubled from.
+/// Lattice coordinates of a node; a doubled node has those of its original.
 fn lattice(topology: &Topology, node: u32) -> [i32; 3] {
     let model = topology.model();
     let cells = topology.cells_around(node);
@@ -250,7 +250,7 @@ fn cell_data(topology: &Topology, shape: &Shape) -> Vec<Array> {
     ]
 }
 
-/// An array as it stands in the file.
+/// An array as stored in the file.
 fn pack(bytes: &[u8]) -> io::Result<Vec<u8>> {
     let blocks: Vec<Vec<u8>> = bytes
         .par_chunks(BLOCK_BYTES)

@@ -1,4 +1,4 @@
-//! The envelope of every file of ours: magic, version, sizes, checksum, compressed content.
+//! The common envelope of all files: magic, version, sizes, checksum, compressed content.
 //!
 //! ```text
 //! offset  bytes  little-endian
@@ -17,28 +17,28 @@ use flate2::read::DeflateDecoder;
 use flate2::write::DeflateEncoder;
 use rayon::prelude::*;
 
-/// Size in bytes of what stands before the content.
+/// Size in bytes of the header.
 pub(crate) const HEADER_BYTES: usize = 32;
 /// Largest content before compression, in bytes: 16 million nodes with their cells come to 1.3 GiB.
-/// A file that declares more is refused before anything is allocated.
+/// A file that declares more is rejected before anything is allocated.
 pub(crate) const CONTENT_BYTES_MAX: u64 = 2 << 30;
-/// Deflate can not shrink by more than 1032 to one; a file that declares more is lying about its
-/// size and is refused before anything is allocated.
+/// Deflate cannot compress better than 1032 to one. A file that declares more is rejected before anything is
+/// allocated.
 const SHRINKAGE_MAX: u64 = 1032;
-/// Deflate level: byte planes of coordinates gain little beyond it, and it is four times as fast
-/// as the default.
+/// Deflate level. Byte planes of coordinates gain little beyond it, and it is four times as fast as the
+/// default.
 const LEVEL: u32 = 3;
-/// Bytes of content that are compressed by themselves, each on a thread: what a part could have taken
-/// from the one before is a hundredth of a percent.
+/// Bytes of content that are compressed independently, each on a thread. Parts that shared history would be a
+/// hundredth of a percent smaller.
 const PART: usize = 512 << 10;
 
-/// What is wrong with an envelope.
+/// A defect of an envelope.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum EnvelopeError {
-    /// The magic is another one.
-    #[error("it does not begin like one; check that the right file was given")]
+    /// The magic is a different one.
+    #[error("wrong file type; check that the right file was given")]
     WrongKind,
-    /// A version this program does not know.
+    /// An unknown version.
     #[error(
         "it has format version {found}, {} than version {reads}, which this program reads; {}",
         if found < reads { "older" } else { "newer" },
@@ -55,7 +55,9 @@ pub enum EnvelopeError {
         reads: u32,
     },
     /// Shorter than it declares, or longer.
-    #[error("it should have {expected} bytes but has {found}: cut off, or copied in part")]
+    #[error(
+        "{found} bytes instead of {expected}; the file is incomplete or damaged, copy it again"
+    )]
     Length {
         /// Bytes it should have.
         expected: u64,
@@ -63,10 +65,10 @@ pub enum EnvelopeError {
         found: u64,
     },
     /// The checksum does not match.
-    #[error("its checksum does not match: it was damaged after it was written")]
+    #[error("checksum mismatch; the file is damaged, copy it again")]
     Checksum,
-    /// A declared size is beyond what can be true.
-    #[error("it declares {declared} bytes of content; at most {max} are possible here")]
+    /// A declared size is beyond the possible.
+    #[error("{declared} bytes of content declared, at most {max} possible; the file is damaged")]
     Size {
         /// Declared size in bytes.
         declared: u64,
@@ -74,7 +76,7 @@ pub enum EnvelopeError {
         max: u64,
     },
     /// The compressed stream does not yield what it declares.
-    #[error("its content can not be decompressed")]
+    #[error("the content cannot be decompressed; the file is damaged")]
     Stream,
 }
 
@@ -100,8 +102,8 @@ pub(crate) fn seal(magic: [u8; 8], version: u32, content: &[u8]) -> Vec<u8> {
     out
 }
 
-/// A part of a deflate stream: one that is not the last ends with an empty block on a byte's edge, where
-/// the next one goes on.
+/// A part of a deflate stream. Each part except the last ends with an empty block on a byte boundary, where the
+/// next part continues.
 fn pack(part: &[u8], last: bool) -> std::io::Result<Vec<u8>> {
     let out = Vec::with_capacity(part.len() / 3);
     let mut encoder = DeflateEncoder::new(out, Compression::new(LEVEL));
@@ -113,7 +115,7 @@ fn pack(part: &[u8], last: bool) -> std::io::Result<Vec<u8>> {
     Ok(std::mem::take(encoder.get_mut()))
 }
 
-/// Takes content out of its envelope, after every check the envelope allows.
+/// Takes content out of its envelope, after every check that the envelope allows.
 pub(crate) fn open(magic: [u8; 8], version: u32, bytes: &[u8]) -> Result<Vec<u8>, EnvelopeError> {
     if bytes.len() < 8 || bytes[..8] != magic {
         return Err(EnvelopeError::WrongKind);
@@ -175,7 +177,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn content_of_any_number_of_parts_comes_back_whole() {
+    fn multi_part_content_round_trip() {
         for len in [0, 1, PART - 1, PART, PART + 1, 3 * PART + 17] {
             let content: Vec<u8> = (0..len).map(|i| ((i * i) >> 7) as u8).collect();
             let sealed = seal(*b"testtest", 1, &content);

@@ -13,21 +13,21 @@
 //! report     text that the program which built the model left for a reader
 //! ```
 //!
-//! Positions keep every bit; XOR with the lattice point they came from leaves their leading bytes
-//! zero. Which cell is behind a face follows from the corners: a node is corner `c` of one cell at
-//! most, so the neighbour along an axis is the cell of which it is corner `c` with that axis flipped.
+//! Positions keep every bit; XOR with the lattice point they came from zeroes their leading bytes. The
+//! neighbour behind a face follows from the corners. A node is corner `c` of at most one cell, so the neighbour
+//! along an axis is the cell of which it is corner `c` with that axis flipped.
 
-mod check;
 mod container;
+mod model_check;
 mod planes;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-pub(crate) use check::POSITION_MAX_M;
-pub use check::{CELLS_MAX, NODES_MAX, REGIONS_MAX};
 pub use container::EnvelopeError;
 pub(crate) use container::{open, seal};
+pub(crate) use model_check::POSITION_MAX_M;
+pub use model_check::{CELLS_MAX, NODES_MAX, REGIONS_MAX};
 pub(crate) use planes::{Content, Reader, Short};
 
 use crate::staged::{Staged, WriteError};
@@ -36,40 +36,40 @@ use crate::{Cell, FACES, FibreAxis, Material, Model, NO_CELL, Region, RegionId, 
 const MAGIC: [u8; 8] = *b"palpmodl";
 /// Version of the model format that this program writes and reads.
 pub const MODEL_FORMAT: u32 = 3;
-/// Bits of a material's flags: its fibres run along a direction that follows, and it bottoms out.
+/// Flag bits of a material: it has a fibre direction, which follows; it bottoms out.
 const GIVEN_AXIS: u8 = 1;
 const BOTTOMS_OUT: u8 = 2;
 /// Longest build report in bytes; a longer one is left out.
 const REPORT_BYTES_MAX: usize = 16 << 20;
 
-/// Why a model file can not be read.
+/// The reason why a model file cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
-    /// The operating system refused.
+    /// The operating system returned an error.
     #[error("{}: {doing}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What was being done.
+        /// The failed operation.
         doing: &'static str,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
     /// Not a model file, of another version, or damaged.
-    #[error("this is no sound model file: {0}")]
+    #[error("invalid model file: {0}")]
     Envelope(#[from] EnvelopeError),
     /// The content contradicts itself.
-    #[error("the model file contradicts itself: the model {0}; build it again")]
+    #[error("inconsistent model file: the model {0}; build it again")]
     Inconsistent(String),
 }
 
 impl From<Short> for FileError {
     fn from(_: Short) -> Self {
-        Self::Inconsistent("ends before all that it declares".into())
+        Self::Inconsistent("ends before its declared content".into())
     }
 }
 
-/// What a model file holds.
+/// Content of a model file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelFile {
     /// The model.
@@ -84,18 +84,18 @@ impl ModelFile {
         encode_with(&self.model, &self.report_json)
     }
 
-    /// A file from its bytes, every number in it checked.
+    /// Decodes a file and checks every number in it.
     pub fn decode(bytes: &[u8]) -> Result<Self, FileError> {
         Self::from_content(&open(MAGIC, MODEL_FORMAT, bytes)?)
     }
 
-    /// What stands in the file's envelope, unpacked.
+    /// The decompressed content of the envelope.
     pub fn content(&self) -> Vec<u8> {
         content_of(&self.model, &self.report_json)
     }
 
-    /// The file of that content, every number in it checked. A checksum keeps damage from [`decode`](Self::decode); this
-    /// is where crafted bytes arrive.
+    /// Decodes the content of a file and checks every number in it. The checksum keeps damage from
+    /// [`decode`](Self::decode); crafted bytes arrive here.
     pub fn from_content(content: &[u8]) -> Result<Self, FileError> {
         let mut reader = Reader(content);
         let model = read_model(&mut reader)?;
@@ -103,17 +103,17 @@ impl ModelFile {
         if !reader.0.is_empty() {
             return Err(FileError::Inconsistent("is followed by more".into()));
         }
-        check::check(&model).map_err(FileError::Inconsistent)?;
+        model_check::check(&model).map_err(FileError::Inconsistent)?;
         Ok(Self { model, report_json })
     }
 
-    /// Writes the file: beside its place first and then moved there, so that a reader finds the old
-    /// file or the new one, never half of one.
+    /// Writes the file beside its path and then moves it there, so that a reader finds the old file or the new
+    /// one, never half of one.
     pub fn write(&self, path: &Path) -> Result<(), WriteError> {
         self.stage(path)?.put_in_place()
     }
 
-    /// Writes the file without putting it in its place yet.
+    /// Writes the file without moving it to its path yet.
     pub fn stage(&self, path: &Path) -> Result<Staged, WriteError> {
         Staged::write(path, |out| out.write_all(&self.encode()))
     }
@@ -122,14 +122,14 @@ impl ModelFile {
     pub fn read(path: &Path) -> Result<Self, FileError> {
         let bytes = read_if(MAGIC, path).map_err(|source| FileError::Io {
             path: path.into(),
-            doing: "the model could not be read",
+            doing: "the model file could not be read",
             source,
         })?;
         Self::decode(&bytes)
     }
 }
 
-/// A file's bytes; only the first ones where they are not these: what is no model can be endless.
+/// The bytes of a file. A file with the wrong magic is read no further than that, because it may be endless.
 fn read_if(magic: [u8; 8], path: &Path) -> std::io::Result<Vec<u8>> {
     use std::io::Read as _;
     let mut file = std::fs::File::open(path)?;
@@ -141,7 +141,7 @@ fn read_if(magic: [u8; 8], path: &Path) -> std::io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// A model alone as the bytes of a model file, for sending it.
+/// Encodes a model alone as the bytes of a model file, for transmission.
 pub fn encode_model(model: &Model) -> Vec<u8> {
     encode_with(model, "")
 }
@@ -191,7 +191,7 @@ fn content_of(model: &Model, report_json: &str) -> Vec<u8> {
     out.0
 }
 
-/// The median over the nodes of what lies between a node and its lattice point.
+/// The median over the nodes of the offset of a node from its lattice point.
 fn origin_of(model: &Model) -> [f64; 3] {
     std::array::from_fn(|axis| {
         let mut offsets: Vec<f64> = model
@@ -219,7 +219,7 @@ fn write_region(out: &mut Content, region: &Region) {
         out.f64(component);
     }
     let m = &region.material;
-    // Taken apart, so that a new field of a material can not be forgotten here.
+    // Destructured, so that a new field of a material cannot be forgotten here.
     let Material {
         name: _,
         young_pa,
@@ -275,7 +275,7 @@ fn read_material(reader: &mut Reader<'_>) -> Result<Material, Short> {
     Ok(Material {
         name,
         bottoms_out: flags & BOTTOMS_OUT != 0,
-        // A struct's fields are read in the order they stand in here.
+        // The fields are read in the order of this literal.
         fibre_axis: match flags & GIVEN_AXIS {
             0 => FibreAxis::Long,
             _ => FibreAxis::Given(reader.point()?),
@@ -372,7 +372,7 @@ fn read_cells(reader: &mut Reader<'_>, nodes: usize, count: usize) -> Result<Vec
         let node = corners[corner][cell];
         match around[node as usize][corner ^ (1 << (face / 2))] {
             NO_CELL => Err(FileError::Inconsistent(format!(
-                "says that a cell lies behind face {face} of cell {cell}, but none does"
+                "declares a neighbour across face {face} of cell {cell}, but there is none"
             ))),
             other => Ok(other),
         }

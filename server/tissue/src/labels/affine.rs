@@ -19,7 +19,7 @@ pub struct Affine {
 }
 
 impl Affine {
-    /// The world position of a point given in voxel indices (a voxel's middle is whole numbers).
+    /// The world position of a point given in voxel indices (the middle of a voxel has integer indices).
     pub fn world(&self, index: &Vec3) -> Vec3 {
         // Written out: the sum has one order on every machine.
         let m = &self.linear;
@@ -39,7 +39,7 @@ impl Affine {
         a.dot(&b.cross(&c))
     }
 
-    /// What is wrong with it, if it can not place voxels.
+    /// The defect that makes it unusable, if any.
     pub(super) fn fault(&self) -> Option<String> {
         let all = self.linear.iter().chain(self.origin.iter());
         if !all.into_iter().all(|x| x.is_finite()) {

@@ -1,4 +1,4 @@
-//! What can be wrong with a label volume.
+//! Errors of label volumes.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use super::{NET_VERTICES_MAX, VOXELS_MAX};
 
-/// Why a label volume was refused.
+/// The reason why a label volume was rejected.
 #[derive(Debug, Error)]
 pub enum LabelError {
     /// The file could not be opened or read.
@@ -14,10 +14,10 @@ pub enum LabelError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// None of the formats.
+    /// Not one of the formats.
     #[error(
         "{}: {what}; give a NIfTI-1 (.nii, .nii.gz), an NRRD (.nrrd, .nhdr) or a folder with one \
          DICOM series",
@@ -26,17 +26,17 @@ pub enum LabelError {
     NotALabelVolume {
         /// The file.
         path: PathBuf,
-        /// What was found instead.
+        /// Description of the file.
         what: String,
     },
-    /// The format is right and the content is broken.
+    /// The format is right but the content is invalid.
     #[error("{}: {place}: {what}; export the volume again", path.display())]
     Broken {
         /// The file.
         path: PathBuf,
         /// Field, line or voxel.
         place: String,
-        /// What is wrong there.
+        /// The defect.
         what: String,
     },
     /// Fewer samples than the header promises.
@@ -53,7 +53,7 @@ pub enum LabelError {
         /// Voxels that were there.
         found: u64,
     },
-    /// Samples that can not be labels.
+    /// Samples that cannot be labels.
     #[error(
         "{}: voxels are {what}; labels are whole numbers from 0 to 65535 (any integer type, or \
          floating point with whole values); export the segmentation, not the image",
@@ -65,7 +65,7 @@ pub enum LabelError {
         /// The type in words.
         what: String,
     },
-    /// A sample that is no label.
+    /// A sample that is not a label.
     #[error(
         "{}: voxel ({}, {}, {}) holds {value}, which is no label; labels are whole numbers from 0 \
          to 65535; export the segmentation, not the image",
@@ -76,7 +76,7 @@ pub enum LabelError {
         path: PathBuf,
         /// Index of the voxel.
         voxel: [usize; 3],
-        /// What it holds.
+        /// Its value.
         value: f64,
     },
     /// Not one three-dimensional image.
@@ -84,10 +84,10 @@ pub enum LabelError {
     Dimensions {
         /// The file.
         path: PathBuf,
-        /// What was found instead.
+        /// Description of the content.
         what: String,
     },
-    /// The way from voxels to the world is not usable.
+    /// The transform from voxels to the world is unusable.
     #[error(
         "{}: the orientation in the {from} is not usable: {what}; save the volume again with a \
          proper orientation",
@@ -98,10 +98,10 @@ pub enum LabelError {
         path: PathBuf,
         /// The fields it was read from.
         from: String,
-        /// What is wrong with it.
+        /// The defect.
         what: String,
     },
-    /// A size no body has.
+    /// A size that no body has.
     #[error(
         "{}: the volume is {extent}: that looks like {guess}; correct the voxel size or its unit",
         path.display()
@@ -111,10 +111,10 @@ pub enum LabelError {
         path: PathBuf,
         /// Its size in words.
         extent: String,
-        /// What has likely happened.
+        /// The likely cause.
         guess: &'static str,
     },
-    /// More voxels than are read.
+    /// More voxels than the limit.
     #[error(
         "{}: {} x {} x {} voxels, the limit is {VOXELS_MAX} in all; crop or resample the volume",
         path.display(), size[0], size[1], size[2]
@@ -125,7 +125,7 @@ pub enum LabelError {
         /// Voxels along each axis.
         size: [u64; 3],
     },
-    /// More boundary than is extracted.
+    /// More boundary corners than the limit.
     #[error(
         "{}: the regions meet at {corners} corners of voxels, the limit is {NET_VERTICES_MAX}; crop \
          or resample the volume (is it a segmentation, and not noise?)",
@@ -134,7 +134,7 @@ pub enum LabelError {
     TooRough {
         /// The file.
         path: PathBuf,
-        /// Corners where voxels of different regions meet.
+        /// Number of corners where voxels of different regions meet.
         corners: usize,
     },
     /// A label that no voxel has.
@@ -159,7 +159,7 @@ pub enum LabelError {
         /// Its labels, in words.
         labels: String,
     },
-    /// A DICOM series, and a program without its reader.
+    /// A DICOM series, while the program was built without the reader.
     #[error(
         "{} is a folder or a DICOM file: this program was built without the DICOM reader; build it \
          with --features dicom, or convert the series to NIfTI or NRRD",

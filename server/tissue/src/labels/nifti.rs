@@ -18,10 +18,10 @@ use crate::Vec3;
 const HEADER_BYTES: usize = 348;
 /// The same number in a header of the second version.
 const HEADER_BYTES_2: i32 = 540;
-/// Largest part of a file before its voxels. Reason: header extensions hold a protocol or an XML
-/// text of some kilobytes. At the bound the file is refused.
+/// Largest part of a file before its voxels. Reason: header extensions hold a protocol or an XML text of some
+/// kilobytes. Beyond the bound the file is rejected.
 const OFFSET_MAX: f32 = 16_777_216.0;
-/// Voxel sizes of `sform` and `pixdim` that differ by more than this part earn a warning.
+/// Relative difference between the voxel sizes of `sform` and `pixdim` above which a warning is given.
 const SPACING_MISMATCH: f64 = 0.01;
 /// How much longer than 1 a rotation's quaternion may be. Reason: its parts are f32.
 const QUATERNION_SLACK: f64 = 1e-4;
@@ -37,7 +37,7 @@ pub(super) fn read(path: &Path) -> Result<LabelVolume, LabelError> {
     };
     let got = read_fully(&mut file, &mut start).map_err(io)?;
     let mut all = start[..got].chain(file);
-    // The content says whether it is compressed; names lie.
+    // The content decides whether it is compressed; names are unreliable.
     if start == [0x1f, 0x8b] {
         read_stream(path, &mut MultiGzDecoder::new(BufReader::new(all)), None)
     } else {
@@ -45,7 +45,7 @@ pub(super) fn read(path: &Path) -> Result<LabelVolume, LabelError> {
     }
 }
 
-/// Reads a plain stream; `bytes` is its length where it is known beforehand.
+/// Reads a plain stream; `bytes` is its length if known.
 fn read_stream(
     path: &Path,
     from: &mut impl Read,
@@ -88,7 +88,7 @@ fn read_stream(
     })
 }
 
-/// The header's bytes and how to read numbers from them.
+/// The bytes of the header and their byte order.
 struct Header<'a> {
     path: &'a Path,
     bytes: [u8; HEADER_BYTES],
@@ -246,12 +246,12 @@ impl<'a> Header<'a> {
         Ok(offset as usize - HEADER_BYTES)
     }
 
-    /// Orientation, in m, and what is odd about it.
+    /// Orientation, in m, and warnings about it.
     fn to_world(&self) -> Result<(Affine, Vec<String>), LabelError> {
         let unit = match self.bytes[123] & 7 {
             1 => 1.0,
             3 => 1e-6,
-            // 0 is unknown, and everybody writes millimetres.
+            // 0 is unknown; all common programs write millimetres.
             _ => 1e-3,
         };
         let pixdim = [1, 2, 3].map(|a| self.f32(76 + 4 * a));

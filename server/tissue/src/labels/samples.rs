@@ -8,8 +8,8 @@ use super::LabelError;
 /// Bytes decoded at a time; a multiple of every sample's size.
 const BLOCK_BYTES: usize = 1 << 16;
 
-/// Labels reserved before the first one has been seen. Reason: a header may promise what the file
-/// does not hold; beyond this the memory grows with what is really there.
+/// Labels reserved before the first one has been read. Reason: a header may declare more than the file holds;
+/// beyond this the memory grows with the actual data.
 const RESERVED: usize = 1 << 20;
 
 /// The type of a sample.
@@ -38,8 +38,8 @@ impl SampleType {
         }
     }
 
-    /// The value of a sample in little-endian bytes. Whole numbers beyond 2^53 lose digits and are
-    /// no labels either way.
+    /// The value of a sample in little-endian bytes. Integers beyond 2^53 lose digits, but are not labels in
+    /// any case.
     fn value(self, b: &[u8]) -> f64 {
         let mut eight = [0_u8; 8];
         eight[..b.len()].copy_from_slice(b);
@@ -56,7 +56,7 @@ impl SampleType {
     }
 }
 
-/// How the samples of a file become labels.
+/// Conversion from the samples of a file to labels.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Coding {
     pub(super) sample: SampleType,
@@ -67,7 +67,7 @@ pub(super) struct Coding {
 }
 
 impl Coding {
-    /// Samples that are the labels themselves.
+    /// Samples that are labels without conversion.
     pub(super) fn plain(sample: SampleType, big_endian: bool) -> Self {
         Self {
             sample,
@@ -78,7 +78,7 @@ impl Coding {
     }
 }
 
-/// Gathers labels and knows which voxel comes next.
+/// Collects labels and tracks the next voxel.
 pub(super) struct Gather<'a> {
     path: &'a Path,
     size: [usize; 3],
@@ -156,7 +156,7 @@ impl<'a> Gather<'a> {
         }
     }
 
-    /// The data end here.
+    /// Marks the end of the data.
     pub(super) fn truncated(&self) -> LabelError {
         LabelError::Truncated {
             path: self.path.to_owned(),
@@ -165,7 +165,7 @@ impl<'a> Gather<'a> {
         }
     }
 
-    /// An error of the stream, with how far it came.
+    /// An error of the stream, with the number of voxels read.
     pub(super) fn stream_error(&self, source: std::io::Error) -> LabelError {
         match source.kind() {
             ErrorKind::UnexpectedEof => self.truncated(),

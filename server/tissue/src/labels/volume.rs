@@ -1,4 +1,4 @@
-//! A label volume in memory, and which reader a file belongs to.
+//! A label volume in memory, and the choice of the reader for a file.
 
 use std::fs::File;
 use std::io::Read;
@@ -7,7 +7,7 @@ use std::path::Path;
 use super::{Affine, EXTENT_RANGE_M, LabelError, VOXELS_MAX, nifti, nrrd};
 use crate::{Aabb, Vec3};
 
-/// Labels named one by one in a message; beyond it their number says more.
+/// Labels listed individually in a message; beyond it the message gives their number.
 const NAMED_MAX: usize = 24;
 
 /// An image of labels with its place in the world (RAS, m; see the module).
@@ -19,7 +19,7 @@ pub struct LabelVolume {
     pub labels: Vec<u16>,
     /// From voxel indices to the world.
     pub to_world: Affine,
-    /// What a person should know about the file, one sentence each.
+    /// Warnings about the file, one sentence each.
     pub warnings: Vec<String>,
 }
 
@@ -44,14 +44,14 @@ impl LabelVolume {
         } else {
             return Err(LabelError::NotALabelVolume {
                 path: path.to_owned(),
-                what: "the name ends in none of the known extensions".into(),
+                what: "the extension is unknown".into(),
             });
         };
         volume.refuse_unlikely_size(path)?;
         Ok(volume)
     }
 
-    /// How often each label occurs, by label; labels that do not occur are left out.
+    /// Number of voxels of each label, by label; labels that do not occur are left out.
     pub fn counts(&self) -> Vec<(u16, u64)> {
         let mut counts = vec![0_u64; usize::from(u16::MAX) + 1];
         for label in &self.labels {
@@ -140,12 +140,15 @@ fn read_dicom(path: &Path) -> Result<LabelVolume, LabelError> {
     })
 }
 
-/// The size as the rest uses it, or an error when it is more than is read or nothing at all.
+/// The size as `usize`, or an error when it exceeds the limit or is empty.
 pub(super) fn checked_size(path: &Path, size: [u64; 3]) -> Result<[usize; 3], LabelError> {
     if size.contains(&0) {
         return Err(LabelError::Dimensions {
             path: path.to_owned(),
-            what: format!("{} x {} x {} voxels are none", size[0], size[1], size[2]),
+            what: format!(
+                "empty image of {} x {} x {} voxels",
+                size[0], size[1], size[2]
+            ),
         });
     }
     let voxels = size.iter().try_fold(1_u64, |n, s| n.checked_mul(*s));
@@ -158,7 +161,7 @@ pub(super) fn checked_size(path: &Path, size: [u64; 3]) -> Result<[usize; 3], La
     Ok(size.map(|s| s as usize))
 }
 
-/// Opens a file; a folder is refused here, where a read of it would say less.
+/// Opens a file; a folder is rejected here, because a read error would be less specific.
 pub(super) fn open(path: &Path) -> Result<(File, u64), LabelError> {
     let io = |source| LabelError::Io {
         path: path.to_owned(),
@@ -181,7 +184,7 @@ pub(super) fn open(path: &Path) -> Result<(File, u64), LabelError> {
     Ok((file, metadata.len()))
 }
 
-/// What to say of bytes that come after the last voxel.
+/// The warning about bytes after the last voxel.
 pub(super) fn surplus(path: &Path, bytes: u64) -> String {
     format!(
         "{} has {bytes} bytes behind the last voxel of those that its header declares; they were \
@@ -190,8 +193,7 @@ pub(super) fn surplus(path: &Path, bytes: u64) -> String {
     )
 }
 
-/// Reads on to the end of a compressed stream, as far as is sensible, so that its checksum is
-/// looked at.
+/// Reads to the end of a compressed stream, within a limit, so that its checksum is verified.
 pub(super) fn drain(from: &mut impl Read) -> std::io::Result<()> {
     /// Bytes after the last voxel that are read. Reason: programs append some padding, not more.
     const TAIL_MAX: u64 = 1 << 20;

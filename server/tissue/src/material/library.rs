@@ -1,13 +1,12 @@
 //! The built-in materials.
 //!
-//! Poisson's ratio is 0.25 throughout, which is what springs alone give; each entry says what the
-//! literature has, so that the number can be raised with the term that keeps the volume of a cell.
-//! None stiffens by itself and none has fibres: how much depends on the site and on what it is
-//! wanted for, and a scene says so where it matters.
+//! Poisson's ratio is 0.25 throughout, the value of springs alone. Each entry quotes the literature, so that a
+//! scene can raise the value with the volume term. None stiffens and none has fibres: both depend on the site
+//! and the application, so a scene sets them where needed.
 
 use super::{Material, POISSON_OF_SPRINGS};
 
-/// Names of the built-in materials, in the order they are listed to a person.
+/// Names of the built-in materials, in listing order.
 pub const MATERIAL_NAMES: [&str; 20] = [
     "skin",
     "fat",
@@ -31,7 +30,7 @@ pub const MATERIAL_NAMES: [&str; 20] = [
     "polycarbonate",
 ];
 
-/// What the library says of a material; the rest is as in [`Material::default`].
+/// Values of a library entry; the others are those of [`Material::default`].
 struct Entry {
     young_kpa: f64,
     poisson: f64,
@@ -58,13 +57,13 @@ pub(super) fn built_in(name: &str) -> Option<Material> {
     })
 }
 
-/// Friction: dry skin 0.4-0.6 (Derler and Gerhardt 2012); wet inner tissue and solids are orders
-/// of magnitude chosen by us, and each entry says so.
+/// Friction: dry skin 0.4-0.6 (Derler and Gerhardt 2012). Values for wet inner tissue and solids are our own
+/// orders of magnitude, and each entry marks them as such.
 const WET: [f64; 2] = [0.2, 0.15];
 /// Smooth serous surfaces of organs.
 const SLIPPERY: [f64; 2] = [0.15, 0.1];
 
-/// Skin, what lies under it, and what holds a body together.
+/// Skin, subcutaneous and connective tissue.
 fn connective(name: &str) -> Option<Entry> {
     Some(match name {
         "skin" => Entry {
@@ -215,7 +214,7 @@ fn organ(name: &str) -> Option<Entry> {
     })
 }
 
-/// What products and tools are made of.
+/// Technical materials of products and tools.
 fn product(name: &str) -> Option<Entry> {
     Some(match name {
         "foam" => Entry {
@@ -267,7 +266,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_built_in_material_is_in_range_and_cites_a_source() {
+    fn built_in_materials_are_in_range_and_cite_a_source() {
         for name in MATERIAL_NAMES {
             let material = built_in(name).unwrap();
             assert_eq!(material.clone().checked(), Ok(material.clone()), "{name}");

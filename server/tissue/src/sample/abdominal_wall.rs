@@ -1,14 +1,14 @@
 //! A block cut from the anterior abdominal wall above the umbilicus (Lin 2007, fig. 3.1).
 //!
 //! X points to the left side of the body, Y to the front, Z up. From the front: skin, fat, the
-//! rectus sheath (fascia) with the two rectus muscles in it and the linea alba between them,
-//! peritoneum. The block lies flat on its back and curves like the belly in front. The
-//! peritoneum and what lies behind it hold the block, so the peritoneum is pinned.
+//! X points to the left side of the body, Y to the front, Z up. From the front: skin, fat, the rectus sheath
+//! (fascia) with the two rectus muscles in it and the linea alba between them, peritoneum. The block has a flat
+//! back and curves like the belly in front. The tissue behind the peritoneum holds the block, so the peritoneum
+//! is pinned.
 //!
-//! Layers are at least as thick as the spacing of 3 mm: skin, sheath and peritoneum are drawn
-//! thicker than in life (2, 1 and below 1 mm). All layers but the muscles reach from the back of
-//! the block to their own front and share its back and sides; a later one overrides an earlier
-//! one, so what is left of each is its layer.
+//! Layers are at least as thick as the spacing of 3 mm: skin, sheath and peritoneum are thicker than in life
+//! (2, 1 and below 1 mm). All layers except the muscles reach from the back of the block to their own front and
+//! share its back and sides. A later layer overrides an earlier one, so the visible rest of each is its layer.
 
 use super::loft::{End, Loft};
 use super::slab::Slab;
@@ -30,7 +30,7 @@ const RECTUS_HALF_WIDTH_MM: f64 = 27.0;
 const LINEA_ALBA_MM: f64 = 5.0;
 /// Fat at the sides of the block.
 const FAT_MM: f64 = 13.0;
-/// By how much more it is in the middle.
+/// Additional fat in the middle.
 const CURVE_MM: f64 = 5.0;
 const SKIN_MM: f64 = 4.0;
 
@@ -63,7 +63,7 @@ fn rectus(side: f64) -> Loft<'static> {
     }
 }
 
-/// All of it.
+/// The sample with all its regions.
 pub(super) fn body() -> Body {
     let layer = |name, material, thickness: &dyn Fn(f64, f64) -> f64| {
         let slab = Slab {

@@ -27,7 +27,7 @@ fn grip_radius(z: f64, theta: f64) -> f64 {
     belly * oval - GROOVE_MM * fingers * inside_of_the_hand
 }
 
-/// All of it.
+/// The sample with all its regions.
 pub(super) fn body() -> Body {
     let grip = Loft {
         z: [0.0, LENGTH_MM],

@@ -109,7 +109,7 @@ fn group<'a>(envelope: &'a Loft<'static>, turn: f64, inset_mm: f64) -> Loft<'a> 
     }
 }
 
-/// All of it.
+/// The sample with all its regions.
 pub(super) fn body() -> Body {
     let envelope = envelope();
     let part = |name, material, loft: &Loft| Part {

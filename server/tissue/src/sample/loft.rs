@@ -4,8 +4,8 @@
 //! c(z) + r(z, θ) (cos θ, sin θ), so its volume is ∫ ∫ r²/2 dθ dz whatever c is. Towards an end
 //! r shrinks along a quarter of an ellipse, or the end is cut flat.
 //!
-//! Lengths in this folder are millimetres, as tables of anatomy have them, and become metres
-//! where a [`Surface`] is made.
+//! Lengths in this folder are millimetres, as in tables of anatomy, and are converted to metres where a
+//! [`Surface`] is made.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -18,7 +18,7 @@ pub(super) type Point = [f64; 2];
 /// Rings along the quarter of an ellipse that rounds an end. Reason: 11° each.
 const RINGS_PER_END: usize = 8;
 
-/// How an end is closed.
+/// Shape of an end.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum End {
     /// Cut flat.
@@ -30,7 +30,7 @@ pub(super) enum End {
 }
 
 impl End {
-    /// Length of axis in mm over which it acts.
+    /// Length of axis in mm that it affects.
     fn length(self) -> f64 {
         match self {
             Self::Flat => 0.0,
@@ -38,7 +38,7 @@ impl End {
         }
     }
 
-    /// The radius at distance `d` from the end, where it would be `r` without it.
+    /// The radius at distance `d` from the end, where it would be `r` without rounding.
     fn shrink(self, r: f64, d: f64) -> f64 {
         let quarter = |length: f64| {
             let u = ((length - d) / length).clamp(0.0, 1.0);
@@ -52,11 +52,11 @@ impl End {
     }
 }
 
-/// A lofted body; see the file's head for the letters.
+/// A lofted body; see the module docs for the letters.
 pub(super) struct Loft<'a> {
     /// z0 and z1 in mm.
     pub(super) z: [f64; 2],
-    /// How it ends at z0 and at z1.
+    /// Shape of its ends at z0 and at z1.
     pub(super) ends: [End; 2],
     /// c(z) in mm.
     pub(super) centre: Box<dyn Fn(f64) -> Point + 'a>,
@@ -178,7 +178,7 @@ struct Rings {
     around: usize,
 }
 
-/// What the next ring is joined to: one vertex, or `around` of them.
+/// The previous ring: one vertex, or `around` of them.
 #[derive(Clone, Copy)]
 enum Rim {
     Pole(u32),
@@ -233,9 +233,8 @@ impl Rings {
     }
 }
 
-/// A smooth minimum of positive lengths, never above the smallest: (Σ dᵢ⁻ᵖ)^(-1/p), p = 6.
-/// Rays from one point, cut short so by every wall, draw a body with rounded corners that stays
-/// inside all walls.
+/// A smooth minimum of positive lengths, never above the smallest: (Σ dᵢ⁻ᵖ)^(-1/p), p = 6. Rays from one point,
+/// limited in this way by every wall, give a body with rounded corners that stays inside all walls.
 pub(super) fn rounded_min(lengths: impl IntoIterator<Item = f64>) -> f64 {
     const P: f64 = 6.0;
     lengths
@@ -297,7 +296,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_loft_encloses_the_integral_of_its_sections() {
+    fn loft_volume_is_the_integral_of_its_sections() {
         for ends in [
             [End::Flat; 2],
             [End::Fillet(6.0), End::Dome(15.0)],
@@ -313,14 +312,14 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_finer_loft_is_nearer_to_the_integral() {
+    fn loft_volume_converges_with_refinement() {
         let loft = oval([End::Fillet(6.0); 2]);
         let error = |step| (loft.surface(step).volume() * 1e9 / integral(&loft) - 1.0).abs();
         assert!(error(1.5) < error(6.0));
     }
 
     #[test]
-    fn a_rounded_minimum_stays_below_every_length() {
+    fn smooth_minimum_stays_below_every_length() {
         let lengths = [3.0, 5.0, f64::INFINITY, 4.0];
         let m = rounded_min(lengths);
         assert!(m < 3.0 && m > 2.5, "{m}");

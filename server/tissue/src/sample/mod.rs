@@ -1,9 +1,8 @@
-//! Built-in samples: closed surfaces the program generates, so that it carries no data of others.
+//! Built-in samples: closed surfaces that the program generates, so that it ships no third-party data.
 //!
-//! The shapes are drawn from common anatomical proportions, smooth and simple; they are for
-//! trying the program and for tests, not for measuring a person. Layers thinner than the lattice
-//! spacing cannot be divided: where real skin (1 to 3 mm) is thinner, the outermost region holds
-//! skin and fat together, and the sample says so.
+//! The shapes follow common anatomical proportions, smooth and simple. They are for trying the program and for
+//! tests, not for measuring a person. Layers thinner than the lattice spacing cannot be divided. Where real
+//! skin (1 to 3 mm) is thinner, the outermost region combines skin and fat, and the sample documents it.
 
 mod abdominal_wall;
 mod handle;
@@ -38,7 +37,7 @@ pub enum Sample {
     Handle,
 }
 
-/// Why a sample was not made.
+/// The reason why a sample was not made.
 #[derive(Debug, Error)]
 pub enum SampleError {
     /// No sample of that name.
@@ -53,15 +52,15 @@ pub enum SampleError {
         /// The most similar sample.
         nearest: Option<&'static str>,
     },
-    /// A file of that name is there already.
-    #[error("{} is there already; choose another folder, or ask to overwrite", .0.display())]
+    /// A file of that name exists already.
+    #[error("{} exists already; choose another folder, or allow overwriting", .0.display())]
     Exists(PathBuf),
-    /// The system refused to write.
+    /// The operating system rejected the write.
     #[error("{}: {source}; check that the folder can be written", path.display())]
     Io {
         /// The folder or file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
     /// The scene could not be written.
@@ -84,10 +83,10 @@ pub struct SampleFiles {
 }
 
 impl Sample {
-    /// All of them, in the order they are listed to a person.
+    /// All samples, in listing order.
     pub const ALL: [Self; 4] = [Self::Thigh, Self::AbdominalWall, Self::Leg, Self::Handle];
 
-    /// The name it goes by on the command line.
+    /// Its name on the command line.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Thigh => "thigh",
@@ -97,7 +96,7 @@ impl Sample {
         }
     }
 
-    /// Generates the scene and its surfaces. The same sample is the same bits every time.
+    /// Generates the scene and its surfaces. The result is always bit-identical.
     pub fn generate(self) -> SampleFiles {
         let body = match self {
             Self::Thigh => thigh::body(),
@@ -136,7 +135,7 @@ impl Sample {
         }
     }
 
-    /// Generates what a model is built from, without files.
+    /// Generates the input of the builder, without files.
     pub fn input(self) -> Result<SceneInput, SceneError> {
         let files = self.generate();
         SceneInput::new(
@@ -167,9 +166,8 @@ impl std::fmt::Display for Sample {
 }
 
 impl SampleFiles {
-    /// Writes the scene and its surfaces (binary STL in millimetres) into `dir`, which is made
-    /// when it is not there. Without `overwrite` nothing is written when one of the files exists.
-    /// Returns the scene file.
+    /// Writes the scene and its surfaces (binary STL in millimetres) into `dir`, which is made if it does not
+    /// exist. Without `overwrite`, nothing is written if one of the files exists. Returns the scene file.
     pub fn write(&self, dir: &Path, overwrite: bool) -> Result<PathBuf, SampleError> {
         let io = |path: &Path| {
             let path = path.to_owned();
@@ -189,13 +187,13 @@ impl SampleFiles {
         for (name, surface) in &self.surfaces {
             surface.write_stl(&dir.join(name))?;
         }
-        // Last, so that a scene that is there is complete.
+        // The scene is written last, so that an existing scene is complete.
         write_file(&scene, self.scene.to_toml())?;
         Ok(scene)
     }
 }
 
-/// What each sample is made of.
+/// Description of a sample.
 struct Body {
     spacing_m: f64,
     pinned: &'static [&'static str],

@@ -1,4 +1,4 @@
-//! Closed slabs between two height fields: layers of a block that was cut out.
+//! Closed slabs between two height fields: layers of an excised block.
 
 use crate::Vec3;
 use crate::surface::{Surface, Unit};

@@ -1,11 +1,10 @@
-//! A segment of a right thigh, 200 mm of its length, as a maker of phantoms would cast it: its
-//! ends are rounded and closed by subcutaneous tissue.
+//! A segment of a right thigh, 200 mm of its length, like a casting of a phantom: its ends are rounded and
+//! closed by subcutaneous tissue.
 //!
 //! X points to the lateral side, Y to the front, Z up the leg. The outermost region is
 //! subcutaneous fat and holds the skin too, whose 2 mm are thinner than the spacing of 4 mm.
-//! The muscle groups lie around the femur as in a section through the middle of the thigh:
-//! quadriceps in front, hamstrings behind, adductors on the medial side; they touch each other,
-//! and fat fills what they leave.
+//! The muscle groups lie around the femur as in a section through the middle of the thigh: quadriceps in front,
+//! hamstrings behind, adductors on the medial side. They touch each other, and fat fills the rest.
 
 use std::f64::consts::PI;
 
@@ -15,10 +14,10 @@ use super::{Body, Part};
 const LENGTH_MM: f64 = 200.0;
 /// Triangles of about this size: the spacing of the default scene.
 const STEP_MM: f64 = 4.0;
-/// Half of what two muscle groups overlap where they touch; the later one wins. A cleft thinner
-/// than the spacing could not be divided, and would leave crushed cells.
+/// Half of the overlap of two muscle groups where they touch; the later one wins. A cleft thinner than the
+/// spacing could not be divided, and would leave crushed cells.
 const OVERLAP_MM: f64 = 1.0;
-/// Where the medullary cavity ends, from the ends of the bone.
+/// Distance of the ends of the medullary cavity from the ends of the bone.
 const MARROW_INSET_MM: f64 = 8.0;
 
 /// Height along the segment, 0 at the knee's end and 1 at the hip's.
@@ -60,8 +59,8 @@ fn femur_radius(theta: f64) -> f64 {
     13.5 + 1.8 * (4.0 * ((theta + 0.5 * PI).cos() - 1.0)).exp()
 }
 
-/// A muscle group: its middle, seen from the femur (angle and mm), and the walls that part it
-/// from its neighbours: angle of the outward normal, mm from the femur's axis along it.
+/// A muscle group: its middle, seen from the femur (angle and mm), and the walls that separate it from its
+/// neighbours: angle of the outward normal, mm from the femur's axis along it.
 struct Group {
     middle: [f64; 2],
     walls: &'static [[f64; 2]],
@@ -90,7 +89,7 @@ const ADDUCTORS: Group = Group {
 };
 
 impl Group {
-    /// The muscle fills what the fat, its walls and its own roundness leave.
+    /// The muscle fills the space within the fat, its walls and its own roundness.
     fn loft<'a>(&'a self, envelope: &'a Loft<'static>) -> Loft<'a> {
         let middle = |z: f64| {
             let f = femur_centre(z);
@@ -119,7 +118,7 @@ impl Group {
     }
 }
 
-/// All of it.
+/// The sample with all its regions.
 pub(super) fn body() -> Body {
     let envelope = envelope();
     let part = |name, material, loft: &Loft| Part {
@@ -160,7 +159,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_part_encloses_the_integral_of_its_sections() {
+    fn part_volumes_are_the_integrals_of_their_sections() {
         let skin = envelope();
         for loft in [QUADRICEPS, HAMSTRINGS, ADDUCTORS]
             .iter()

@@ -1,4 +1,4 @@
-//! What can be wrong with a scene.
+//! Errors of scenes.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,7 @@ use crate::MaterialError;
 use crate::labels::LabelError;
 use crate::surface::SurfaceError;
 
-/// Why a scene was refused.
+/// The reason why a scene was rejected.
 #[derive(Debug, Error)]
 pub enum SceneError {
     /// The file could not be read.
@@ -17,7 +17,7 @@ pub enum SceneError {
     Io {
         /// The scene file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
     /// Too large to be a scene.
@@ -40,26 +40,26 @@ pub enum SceneError {
         file: String,
         /// Line, counted from 1.
         line: usize,
-        /// What is wrong and what to do.
+        /// The defect and its remedy.
         what: String,
     },
     /// A material that cannot be resolved.
     #[error(transparent)]
     Material(MaterialError),
-    /// A label volume could not be read, or does not hold what the scene asks of it.
+    /// A label volume could not be read, or lacks a label that the scene uses.
     #[error(transparent)]
     Labels(#[from] LabelError),
     /// A surface file of this region could not be read.
     #[error("region \"{0}\": {1}")]
     Surface(String, #[source] SurfaceError),
-    /// A surface was read and is not usable.
+    /// A surface was read but is unusable.
     #[error("region \"{region}\", surface {}: {source}", path.display())]
     Check {
         /// The region.
         region: String,
         /// Its surface file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Its defect.
         source: SurfaceError,
     },
 }

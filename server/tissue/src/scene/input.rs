@@ -1,4 +1,4 @@
-//! A scene together with its surfaces: what a model is built from.
+//! A scene together with its surfaces: the input of the builder.
 
 use std::path::{Path, PathBuf};
 
@@ -6,31 +6,31 @@ use super::{RegionSource, Scene, SceneError};
 use crate::labels::{self, LabelRegion, LabelVolume, Sides};
 use crate::surface::Surface;
 
-/// Voxels up to this part of the spacing are joined before their surfaces are extracted. Half a
-/// spacing is what separates a node from the next crossing.
+/// Voxels up to this part of the spacing are joined before their surfaces are extracted. Half a spacing is the
+/// distance from a node to the nearest other crossing.
 const FINEST: f64 = 0.5;
 
-/// What the builder takes, whether it came from files or was generated.
+/// Input of the builder, from files or generated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneInput {
     /// The scene.
     pub scene: Scene,
     /// One closed surface per region of the scene, in the same order, wound outwards.
     pub surfaces: Vec<Surface>,
-    /// For each region, the volume in m³ that its own voxels have when all regions come from one
-    /// label volume; `None` where only its surface tells.
+    /// For each region, the volume in m³ of its own voxels when all regions come from one label volume; `None`
+    /// when only its surface defines the volume.
     pub voxels_m3: Vec<Option<f64>>,
-    /// For each region, what is on the sides of each triangle of its surface when all regions come
-    /// from one label volume; before the first one's, which goes around all, there is nothing.
-    /// Without elements where the builder has to look for it.
+    /// For each region, the regions on the sides of each triangle of its surface when all regions come from one
+    /// label volume. The first surface encloses all, so nothing lies before it. Empty when the builder has to
+    /// search for the sides.
     pub sides: Vec<Vec<Sides>>,
-    /// What was repaired or looks odd, one sentence each, with the region's name.
+    /// Repairs and warnings, one sentence each, with the region's name.
     pub warnings: Vec<String>,
 }
 
 impl SceneInput {
-    /// Reads a scene file and every surface and label volume it names: surfaces are checked, those
-    /// of labelled regions are extracted.
+    /// Reads a scene file and every surface and label volume it names. Surfaces are checked, and those of
+    /// labelled regions are extracted.
     pub fn load(path: &Path) -> Result<Self, SceneError> {
         let scene = Scene::load(path)?;
         let mut input = Self {
@@ -54,7 +54,7 @@ impl SceneInput {
         Ok(input)
     }
 
-    /// Checks the surfaces and puts them beside the scene they belong to.
+    /// Checks the surfaces and combines them with their scene.
     ///
     /// # Panics
     /// When there is not exactly one surface per region.
@@ -75,8 +75,8 @@ impl SceneInput {
         Ok(input)
     }
 
-    /// Judges the surfaces that came from elsewhere. Those extracted from labels are closed and
-    /// wound by construction; asking which of their parts lie in which would only cost time.
+    /// Checks the surfaces from files. Surfaces extracted from labels are closed and wound by construction, so
+    /// checking the nesting of their parts would only cost time.
     fn check(&mut self) -> Result<(), SceneError> {
         for (r, surface) in self.surfaces.iter_mut().enumerate() {
             let region = &self.scene.regions[r];
@@ -128,7 +128,7 @@ impl SceneInput {
     }
 }
 
-/// The label volumes that a scene names, each once, in the order of the regions.
+/// The distinct label volumes of a scene, in the order of the regions.
 fn label_files(scene: &Scene) -> Vec<PathBuf> {
     let mut files: Vec<PathBuf> = Vec::new();
     for region in &scene.regions {

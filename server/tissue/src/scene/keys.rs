@@ -1,12 +1,12 @@
-//! Walking a parsed TOML table key by key, with the line of everything that is wrong.
+//! Walking a parsed TOML table key by key, with the line of every error.
 
 use toml::de::{DeTable, DeValue};
 use toml::{Spanned, de};
 
 use super::SceneError;
 
-/// Edits per letter beyond which a name is not suggested. Reason: "musle" is one edit from
-/// "muscle"; names further than half their letters apart have nothing to do with each other.
+/// Edits per letter beyond which a name is not suggested. Reason: "musle" is one edit from "muscle"; names
+/// further than half their letters apart are unrelated.
 const EDITS_PER_LETTER_MAX: f64 = 0.5;
 
 /// The known name most similar to `name`, if any is similar at all.
@@ -23,12 +23,12 @@ pub(crate) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) 
         .map(|(_, k)| k)
 }
 
-/// The line, counted from 1, of what follows some text.
+/// The line, counted from 1, of the text after the given prefix.
 pub(super) fn line_after(before: &[u8]) -> usize {
     before.split(|b| *b == b'\n').count()
 }
 
-/// The text being read and the name it goes by in messages.
+/// The text being read and its name in messages.
 pub(super) struct Text<'i> {
     pub(super) file: String,
     pub(super) text: &'i str,
@@ -58,7 +58,7 @@ impl<'i> Text<'i> {
         )
     }
 
-    /// Refuses a key that is not in `known`. `place` says where, such as "in [[region]]".
+    /// Rejects a key that is not in `known`. `place` names the table, such as "in [[region]]".
     pub(super) fn refuse_unknown(
         &self,
         table: &DeTable<'i>,
@@ -108,7 +108,7 @@ impl<'i> Text<'i> {
         number.ok_or_else(|| self.kind(key, value, "a number"))
     }
 
-    /// Yes or no.
+    /// A boolean.
     pub(super) fn boolean(
         &self,
         key: &str,

@@ -1,4 +1,4 @@
-//! What a scene says of materials: in `[material.NAME]`, and in a `[[region]]` for itself alone.
+//! Materials of a scene: in `[material.NAME]`, and in a `[[region]]` for that region alone.
 
 use std::collections::BTreeMap;
 
@@ -43,7 +43,7 @@ pub(super) fn materials(
         )?;
         text.refuse_unknown(table, &MATERIAL_KEYS, &format!("in {place}"))?;
         let change = change(text, table)?;
-        // Also when no region uses it: a number out of range is a slip all the same.
+        // Checked also when no region uses it, because a number out of range is a mistake in any case.
         Material::resolve(name.get_ref(), Some(&change))
             .map_err(|e| text.error(name.span().start, e.to_string()))?;
         materials.insert(name.get_ref().to_string(), change);
@@ -51,7 +51,7 @@ pub(super) fn materials(
     Ok(materials)
 }
 
-/// What a table says under the [`MATERIAL_KEYS`]; its other keys are somebody else's.
+/// The values of the [`MATERIAL_KEYS`] in a table; other keys are checked by the caller.
 pub(super) fn change(text: &Text, table: &DeTable) -> Result<MaterialOverride, SceneError> {
     let number = |key: &str| table.get(key).map(|v| text.number(key, v)).transpose();
     Ok(MaterialOverride {
@@ -96,7 +96,7 @@ fn fibres(text: &Text, value: &Spanned<DeValue>) -> Result<FibreAxis, SceneError
 }
 
 impl MaterialOverride {
-    /// Its numbers by the keys of a scene, in the units of a scene, in the order they are written.
+    /// Its numbers by scene key, in the units of a scene, in writing order.
     pub(super) fn numbers(&self) -> [(&'static str, Option<f64>); 9] {
         [
             ("young_kpa", self.young_pa.map(|pa| pa * 1e-3)),

@@ -1,4 +1,4 @@
-//! Scenes: which surfaces make a model, what each is filled with, how finely it is divided.
+//! Scenes: the surfaces of a model, the material of each, and the lattice spacing.
 //!
 //! The file format is `palpate-scene/1`, in TOML:
 //!
@@ -35,23 +35,23 @@
 //! material = "muscle"
 //! ```
 //!
-//! When the first region comes from labels, its surface goes around all regions of the same volume,
-//! so that, with the later ones overriding it, every voxel is of the region its label names.
+//! When the first region comes from labels, its surface encloses all regions of the same volume. Later regions
+//! override it, so every voxel belongs to the region of its label.
 //!
-//! Keys of a material, in `[material.NAME]` and in `[[region]]` alike. A region takes what it does
-//! not say from its `[material.NAME]`, and that from the library; a material that is not built in
-//! needs a `[material.NAME]` with `young_kpa` and `density_kg_m3`.
+//! Keys of a material, in `[material.NAME]` and in `[[region]]` alike. Keys missing in a region default to its
+//! `[material.NAME]`, then to the library. A material that is not built in needs a `[material.NAME]` with
+//! `young_kpa` and `density_kg_m3`.
 //!
-//! | key | what it is | bounds | new material |
+//! | key | meaning | bounds | new material |
 //! | --- | --- | --- | --- |
 //! | `young_kpa` | Young's modulus in kPa; with fibres, across them | 0.001 to 2e9 | needed |
 //! | `poisson` | Poisson's ratio; a quarter is springs alone | 0.25 to 0.49 | 0.25 |
 //! | `stiffening` | b of the spring curve F = k l0 (exp(b e) - 1)/b over the strain e; 0 is a line | 0 to 50 | 0 |
 //! | `fibre_ratio` | Young's modulus along the fibres over the one across | 0.1 to 20 | 1 |
-//! | `fibres` | where they run: `"long"` (the region's long axis) or `[x, y, z]` | | `"long"` |
-//! | `compress_limit` | part of its rest length below which no spring is pressed | 0.05 to 0.95 | 0.3 |
-//! | `stretch_limit` | multiple of its rest length beyond which no spring is pulled | 1.01 to 100 | 3 |
-//! | `bottoms_out` | whether it hardens when pressed flat and never folds; without it a hand's steps take a fifth less | `true`, `false` | `true` |
+//! | `fibres` | their direction: `"long"` (the region's long axis) or `[x, y, z]` | | `"long"` |
+//! | `compress_limit` | least spring length, relative to its rest length | 0.05 to 0.95 | 0.3 |
+//! | `stretch_limit` | greatest spring length, relative to its rest length | 1.01 to 100 | 3 |
+//! | `bottoms_out` | hardens when pressed flat, no folds; without it steps take 20 % less time | `true`, `false` | `true` |
 //! | `density_kg_m3` | density in kg/m³ | 1 to 25 000 | needed |
 //! | `friction_static` | coefficient of static friction against a tool | 0 to 5 | 0.4 |
 //! | `friction_dynamic` | of dynamic friction; not above the static one | 0 to 5 | 0.3 |
@@ -77,17 +77,16 @@ use crate::{Material, MaterialOverride, Region};
 /// The one format this version reads and writes.
 pub const SCENE_FORMAT: &str = "palpate-scene/1";
 
-/// Most regions in one scene. Reason: the builder resolves overlaps along a ray in the bits of
-/// one 64-bit word, and each region costs one ray pass over its surface. At the bound the scene
-/// is refused.
+/// Most regions in one scene. Reason: the builder resolves overlaps along a ray in the bits of one 64-bit word,
+/// and each region costs one ray pass over its surface. Beyond the bound the scene is rejected.
 pub const REGIONS_MAX: usize = 64;
 
-/// Largest scene file in bytes. Reason: a scene of [`REGIONS_MAX`] regions is some 50 kB; a
-/// larger file is something else under the wrong name. At the bound it is refused unread.
+/// Largest scene file in bytes. Reason: a scene of [`REGIONS_MAX`] regions is some 50 kB; a larger file is of
+/// another type. Beyond the bound it is rejected unread.
 pub const SCENE_BYTES_MAX: u64 = 1 << 20;
 
-/// Strongest gravity of a scene in m/s², per axis. Reason: ten times that of the Earth is a centrifuge;
-/// more is a slip of unit (mm/s²). At the bound the scene is refused.
+/// Largest gravity of a scene in m/s², per axis. Reason: ten times that of the Earth is a centrifuge; more is a
+/// wrong unit (mm/s²). Beyond the bound the scene is rejected.
 pub const GRAVITY_MAX_M_S2: f64 = 100.0;
 
 /// One region of a scene.
@@ -95,16 +94,16 @@ pub const GRAVITY_MAX_M_S2: f64 = 100.0;
 pub struct SceneRegion {
     /// Its name, unique in the scene.
     pub name: String,
-    /// Where its shape comes from.
+    /// Source of its shape.
     pub source: RegionSource,
     /// Name of its material: built in, or from `[material.NAME]`.
     pub material: String,
-    /// What is different about it in this region.
+    /// Material changes for this region.
     pub change: MaterialOverride,
 }
 
-/// What a scene file says, checked: names are unique, materials and pinned regions exist,
-/// numbers are in range. Surfaces have not been looked at.
+/// Content of a scene file, checked: names are unique, materials and pinned regions exist, numbers are in
+/// range. Surfaces are not checked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
     /// Lattice spacing Δd in m; with `auto_spacing` the least one, `d_threshold`, 0 for none.
@@ -113,8 +112,8 @@ pub struct Scene {
     pub auto_spacing: bool,
     /// Names of the regions that do not move.
     pub pinned: Vec<String>,
-    /// Acceleration of gravity in m/s² along the axes of the model; zeros for none. Surfaces and labels are the
-    /// shape without it.
+    /// Acceleration of gravity in m/s² along the axes of the model; zeros for none. Surfaces and labels define
+    /// the shape without gravity.
     pub gravity_m_s2: [f64; 3],
     /// In scene order: a later region overrides an earlier one where they overlap.
     pub regions: Vec<SceneRegion>,
@@ -125,7 +124,7 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Where the file is that a region's shape comes from: a surface or a label volume.
+    /// Path of the file that defines a region's shape: a surface or a label volume.
     pub fn source_path(&self, region: usize) -> PathBuf {
         self.base.join(self.regions[region].source.file())
     }
@@ -142,7 +141,7 @@ impl Scene {
             .map_err(SceneError::Material)
     }
 
-    /// The regions as a [`crate::Model`] holds them before it has cells to find fibres along; see
+    /// The regions of a [`crate::Model`], before it has cells to compute fibre directions from; see
     /// [`crate::Model::resolve_fibres`].
     pub fn model_regions(&self) -> Result<Vec<Region>, SceneError> {
         (0..self.regions.len())

@@ -1,4 +1,4 @@
-//! From TOML to a scene, with the line of everything that is wrong.
+//! From TOML to a scene, with the line of every error.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -29,7 +29,7 @@ const SCENE_KEYS: [&str; 8] = [
 const REGION_KEYS: [&str; 6] = ["name", "surface", "label", "labels", "material", "unit"];
 
 impl Scene {
-    /// Reads a scene file. Its surfaces are not looked at; [`super::SceneInput::load`] does that.
+    /// Reads a scene file without its surfaces; [`super::SceneInput::load`] reads those.
     pub fn load(path: &Path) -> Result<Self, SceneError> {
         let io = |source| SceneError::Io {
             path: path.to_owned(),
@@ -92,7 +92,7 @@ fn read(text: &Text, base: PathBuf) -> Result<Scene, SceneError> {
     })
 }
 
-/// The format comes first: a scene of another version may hold keys this one does not know.
+/// The format is checked first: a scene of another version may have unknown keys.
 fn refuse_other_formats(text: &Text, root: &DeTable) -> Result<(), SceneError> {
     let Some(format) = root.get("format") else {
         let what =
@@ -108,7 +108,7 @@ fn refuse_other_formats(text: &Text, root: &DeTable) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// The spacing in m, or the least one and that the builder is to find it.
+/// The spacing in m; or the least spacing, and that the builder determines it.
 fn spacing(text: &Text, root: &DeTable) -> Result<(f64, bool), SceneError> {
     let Some(value) = root.get("spacing_mm") else {
         let what = "\"spacing_mm\" is missing; add, say, spacing_mm = 4.0 or spacing_mm = \"auto\"";
@@ -182,7 +182,7 @@ fn region(
     let needed = |key: &str| needed(text, value, table, key);
     let (material, at) = needed("material")?;
     let resolved = Material::resolve(&material, materials.get(&material)).map_err(|e| {
-        // A scene's own materials are candidates for a slip of the finger too.
+        // The scene's own materials are candidates for suggestions too.
         match nearest(&material, materials.keys().map(String::as_str)) {
             Some(own) if Material::built_in(&material).is_none() && own != material => text.error(
                 at,
@@ -203,7 +203,7 @@ fn region(
     })
 }
 
-/// A text that must be there, and where it is.
+/// A required text, and its position.
 fn needed(
     text: &Text,
     region: &Spanned<DeValue>,
@@ -302,7 +302,7 @@ fn unit(text: &Text, table: &DeTable) -> Result<Unit, SceneError> {
     }
 }
 
-/// Gravity in m/s²; something has to hold what it pulls at.
+/// Gravity in m/s²; a model under gravity needs a pinned region.
 fn gravity(text: &Text, root: &DeTable, is_pinned: bool) -> Result<[f64; 3], SceneError> {
     const KEY: &str = "gravity_m_s2";
     const WANTED: &str = "an acceleration such as [0.0, 0.0, -9.81]";
@@ -328,7 +328,7 @@ fn gravity(text: &Text, root: &DeTable, is_pinned: bool) -> Result<[f64; 3], Sce
     }
     if !is_pinned && gravity != [0.0; 3] {
         return refuse(format!(
-            "{KEY} pulls at a model that nothing holds; name a region in \"pinned\""
+            "{KEY} needs a pinned region that carries the weight; name a region in \"pinned\""
         ));
     }
     Ok(gravity)
@@ -347,7 +347,7 @@ fn pinned(text: &Text, root: &DeTable, regions: &[SceneRegion]) -> Result<Vec<St
                 Some(n) => format!("did you mean \"{n}\"?"),
                 None => format!("regions are {}", names().collect::<Vec<_>>().join(", ")),
             };
-            let what = format!("pinned region \"{name}\" is no region of this scene; {hint}");
+            let what = format!("pinned region \"{name}\" is not a region of this scene; {hint}");
             return Err(text.error(value.span().start, what));
         }
         if !pinned.contains(&name) {

@@ -1,4 +1,4 @@
-//! Where the shape of a region comes from.
+//! Source of the shape of a region.
 
 use std::path::{Path, PathBuf};
 

@@ -80,13 +80,13 @@ fn write_change(out: &mut String, change: &MaterialOverride) -> fmt::Result {
     }
 }
 
-/// A number without the noise a change of unit leaves in its last digits.
+/// A number without the rounding noise of a unit conversion in its last digits.
 fn number(x: f64) -> String {
     let rounded: f64 = format!("{x:.12e}").parse().unwrap_or(x);
     format!("{rounded:?}")
 }
 
-/// A TOML string on one line, which may also stand where a key must.
+/// A TOML string on one line, also valid as a key.
 fn quoted(text: &str) -> String {
     let mut out = String::from('"');
     for c in text.chars() {

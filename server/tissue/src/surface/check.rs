@@ -1,5 +1,5 @@
-//! The check every surface passes before a model is built from it: refuse what encloses no
-//! volume, repair what can be repaired without guessing, and say what was done.
+//! The check every surface passes before a model is built from it. It rejects surfaces that enclose no volume,
+//! makes all repairs that need no guessing, and reports them.
 
 use std::collections::HashMap;
 
@@ -8,12 +8,12 @@ use super::orient::{self, Orientation};
 use super::{Aabb, CheckReport, Surface, SurfaceError};
 use crate::Vec3;
 
-/// A surface smaller than this in m is reported as a likely slip of unit. Reason: the smallest
-/// thing a hand feels through a tool is some 5 mm; metres read as millimetres are a thousandth.
+/// A surface smaller than this in m is reported as a likely wrong unit. Reason: the smallest feature felt
+/// through a tool is some 5 mm; metres read as millimetres are a thousandth.
 const SUSPICIOUSLY_SMALL_M: f64 = 5e-3;
 
-/// A surface larger than this in m is reported as a likely slip of unit. Reason: no body is 5 m
-/// long; millimetres read as metres are a thousand times.
+/// A surface larger than this in m is reported as a likely wrong unit. Reason: no body is 5 m long; millimetres
+/// read as metres are a thousand times larger.
 const SUSPICIOUSLY_LARGE_M: f64 = 5.0;
 
 /// Area of a triangle below which it counts as zero, relative to its longest edge squared.
@@ -25,12 +25,11 @@ const NEEDLE: f64 = 1e-7;
 const NO_VOLUME: f64 = 1e-7;
 
 impl Surface {
-    /// Judges the surface and repairs what can be repaired without guessing: degenerate and
-    /// duplicate triangles are dropped, winding is made consistent, components that are inside
-    /// out are turned, vertices of no triangle are removed.
+    /// Checks the surface and makes all repairs that need no guessing. Degenerate and duplicate triangles are
+    /// dropped, winding is made consistent, inverted components are turned, and unused vertices are removed.
     ///
-    /// Vertices must be welded, as [`Surface::read`] leaves them. An error leaves the surface in
-    /// an unspecified state; the same surface checked twice is not changed by the second check.
+    /// Vertices must be welded, as after [`Surface::read`]. An error leaves the surface in an unspecified
+    /// state. A second check of the same surface changes nothing.
     pub fn check(&mut self) -> Result<CheckReport, SurfaceError> {
         self.refuse_nonsense()?;
         let before = self.triangles.len();
@@ -108,8 +107,8 @@ impl Surface {
         before - self.triangles.len()
     }
 
-    /// How many triangles have no area though their corners differ. Dropping one would tear the
-    /// surface along its long edge, so they stay: they enclose nothing and hide nothing.
+    /// Number of triangles without area though their corners differ. Dropping one would tear the surface along
+    /// its long edge, so they stay: they enclose nothing and hide nothing.
     fn needles(&self) -> usize {
         (0..self.triangles.len())
             .filter(|&t| {
@@ -121,8 +120,8 @@ impl Surface {
             .count()
     }
 
-    /// Of triangles with the same corners, equally wound ones are one triangle written several
-    /// times, and two of opposite winding are a fold without thickness: both go.
+    /// Of triangles with the same corners, equally wound ones are repetitions of one triangle, and two of
+    /// opposite winding are a fold without thickness: both are dropped.
     fn drop_duplicates(&mut self) -> usize {
         let mut balance: HashMap<[u32; 3], (u32, i64)> = HashMap::new();
         let signed = |&[a, b, c]: &[u32; 3]| {
@@ -145,7 +144,7 @@ impl Surface {
             let (key, sign) = signed(t);
             match balance.get_mut(&key) {
                 Some((1, _)) => true,
-                // The first of the winding that prevails stays; then nothing is left to keep.
+                // The first one of the prevailing winding stays; after it no other is kept.
                 Some((_, surplus)) if surplus.signum() == sign => {
                     *surplus = 0;
                     true
@@ -175,7 +174,7 @@ impl Surface {
             let ends = [e.low, e.high].map(|v| self.vertices[v as usize]);
             holes.entry(sets.find(e.low)).or_default().extend(ends);
         }
-        // The representative breaks ties, or the message would change from run to run.
+        // The representative breaks ties, so that the message does not change from run to run.
         let largest = holes
             .iter()
             .max_by_key(|(id, points)| (points.len(), u32::MAX - **id));
@@ -234,7 +233,7 @@ impl Surface {
     }
 }
 
-/// What a person should know about a surface that was accepted.
+/// Warnings about an accepted surface.
 fn warnings(report: &CheckReport, orientation: &Orientation) -> Vec<String> {
     let mut warnings = Vec::new();
     let mut say = |count: usize, what: &str| {
@@ -277,7 +276,7 @@ fn warnings(report: &CheckReport, orientation: &Orientation) -> Vec<String> {
     );
     let size = report.aabb.extent();
     let advice = if size.max() < SUSPICIOUSLY_SMALL_M {
-        Some("very small; was it written in metres? Then say unit = \"m\"")
+        Some("very small; was it written in metres? Then set unit = \"m\"")
     } else if size.max() > SUSPICIOUSLY_LARGE_M {
         Some("very large; was it written in millimetres and read as metres?")
     } else {

@@ -11,11 +11,11 @@ pub(super) struct EdgeUse {
     pub(super) high: u32,
     /// The triangle.
     pub(super) triangle: u32,
-    /// Does the triangle run from `low` to `high`?
+    /// Whether the triangle runs from `low` to `high`.
     pub(super) forward: bool,
 }
 
-/// All uses of all edges, sorted: the uses of one edge stand together.
+/// All uses of all edges, sorted: the uses of one edge are adjacent.
 pub(super) struct Edges(Vec<EdgeUse>);
 
 impl Edges {
@@ -43,7 +43,7 @@ impl Edges {
     }
 }
 
-/// Disjoint sets of small integers.
+/// Disjoint sets of small integers (union-find).
 pub(super) struct Sets(Vec<u32>);
 
 impl Sets {
@@ -52,7 +52,7 @@ impl Sets {
         Self((0..n as u32).collect())
     }
 
-    /// The smallest member of the set `i` is in.
+    /// The smallest member of the set that contains `i`.
     pub(super) fn find(&mut self, mut i: u32) -> u32 {
         while self.0[i as usize] != i {
             self.0[i as usize] = self.0[self.0[i as usize] as usize];
@@ -61,19 +61,19 @@ impl Sets {
         i
     }
 
-    /// Makes one set of two; the smaller representative stays.
+    /// Merges two sets; the smaller representative stays.
     pub(super) fn join(&mut self, a: u32, b: u32) {
         let (a, b) = (self.find(a), self.find(b));
         self.0[a.max(b) as usize] = a.min(b);
     }
 }
 
-/// A point in words, for messages.
+/// Text of a point, for messages.
 pub(super) fn in_mm(p: &Vec3) -> String {
     format!("({:.1}, {:.1}, {:.1}) mm", p.x * 1e3, p.y * 1e3, p.z * 1e3)
 }
 
-/// A size in words, for messages.
+/// Text of a size, for messages.
 pub(super) fn size_in_mm(extent: &Vec3) -> String {
     format!(
         "{:.3} x {:.3} x {:.3} mm",

@@ -1,4 +1,4 @@
-//! What can be wrong with a surface.
+//! Errors of surfaces.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use super::{FILE_BYTES_MAX, TRIANGLES_MAX};
 
-/// Why a surface was refused. Lengths in the messages are millimetres.
+/// The reason why a surface was rejected. Lengths in the messages are millimetres.
 #[derive(Debug, Error)]
 pub enum SurfaceError {
     /// The file could not be opened or read.
@@ -14,7 +14,7 @@ pub enum SurfaceError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
     /// Neither STL nor OBJ nor PLY.
@@ -22,20 +22,20 @@ pub enum SurfaceError {
     NotASurface {
         /// The file.
         path: PathBuf,
-        /// What was found instead.
+        /// Description of the file.
         what: String,
     },
-    /// The format is right and the content is broken.
+    /// The format is right but the content is invalid.
     #[error("{}: {place}: {what}; export the surface again", path.display())]
     Broken {
         /// The file.
         path: PathBuf,
         /// Line or triangle.
         place: String,
-        /// What is wrong there.
+        /// The defect.
         what: String,
     },
-    /// More bytes than are read.
+    /// More bytes than the limit.
     #[error("{}: {bytes} bytes, the limit is {FILE_BYTES_MAX}; simplify the surface", path.display())]
     TooManyBytes {
         /// The file.
@@ -43,18 +43,18 @@ pub enum SurfaceError {
         /// Its size.
         bytes: u64,
     },
-    /// More triangles than are read.
+    /// More triangles than the limit.
     #[error("{}: {triangles} triangles, the limit is {TRIANGLES_MAX}; simplify the surface", path.display())]
     TooManyTriangles {
         /// The file.
         path: PathBuf,
-        /// How many it says it has.
+        /// Its declared number of triangles.
         triangles: u64,
     },
     /// No triangle at all.
     #[error("the surface is empty: it has no triangle; export it again")]
     Empty,
-    /// A triangle names a vertex that is not there.
+    /// A triangle names a vertex that does not exist.
     #[error("triangle {triangle} names vertex {vertex} of {vertices}; export the surface again")]
     NoSuchVertex {
         /// Which triangle.
@@ -64,7 +64,7 @@ pub enum SurfaceError {
         /// How many vertices there are.
         vertices: usize,
     },
-    /// A coordinate that is no number.
+    /// A coordinate that is not finite.
     #[error(
         "{count} vertices have a coordinate that is infinite or not a number, the first is \
          vertex {first}; export the surface again"
@@ -97,13 +97,13 @@ pub enum SurfaceError {
         if *loops == 1 { "hole" } else { "holes" }
     )]
     Open {
-        /// Edges that belong to one triangle only.
+        /// Edges of exactly one triangle.
         edges: usize,
         /// Edges with three, five... triangles.
         odd_edges: usize,
-        /// In how many separate holes.
+        /// Number of separate holes.
         loops: usize,
-        /// Where the largest is, in words.
+        /// Position of the largest hole, in words.
         largest: String,
     },
     /// A one-sided surface such as a Klein bottle.
@@ -112,7 +112,7 @@ pub enum SurfaceError {
          export the surface again"
     )]
     OneSided {
-        /// Where it was noticed.
+        /// Position of the contradiction.
         place: String,
     },
     /// The triangles cancel: no volume.

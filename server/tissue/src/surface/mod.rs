@@ -1,30 +1,30 @@
-//! Closed triangle surfaces: reading them, judging and repairing them, writing them.
+//! Closed triangle surfaces: reading, checking, repairing and writing them.
 //!
-//! A surface is the boundary of one region. [`Surface::read`] brings STL, OBJ and PLY files into
-//! metres with welded vertices, [`Surface::check`] refuses what encloses no volume and repairs
-//! what can be repaired without guessing.
+//! A surface is the boundary of one region. [`Surface::read`] converts STL, OBJ and PLY files to metres with
+//! welded vertices. [`Surface::check`] rejects surfaces that enclose no volume and makes all repairs that need
+//! no guessing.
 
 mod check;
+mod check_report;
 mod edges;
 mod error;
 mod obj;
 mod orient;
 mod ply;
 mod read;
-mod report;
 mod stl;
 mod weld;
 
+pub use check_report::CheckReport;
 pub use error::SurfaceError;
 pub use read::{FILE_BYTES_MAX, TRIANGLES_MAX};
-pub use report::CheckReport;
 
 use crate::Vec3;
 
-/// The unit a surface file is written in. Inside, every length is in metres.
+/// The unit of a surface file. In memory, every length is in metres.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Unit {
-    /// What segmentation and printing tools write, and the default.
+    /// Millimetres: the unit of segmentation and printing tools, and the default.
     #[default]
     Millimetre,
     /// `unit = "m"` in a scene.
@@ -72,12 +72,12 @@ impl Aabb {
         self.max - self.min
     }
 
-    /// Its middle.
+    /// Its centre.
     pub fn centre(&self) -> Vec3 {
         (self.min + self.max) * 0.5
     }
 
-    /// Does it hold the point, rim included?
+    /// Whether it contains the point, boundary included.
     pub fn contains(&self, p: &Vec3) -> bool {
         (0..3).all(|k| self.min[k] <= p[k] && p[k] <= self.max[k])
     }

@@ -28,9 +28,9 @@ pub(super) fn read(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, Sur
     Ok(welder.finish())
 }
 
-/// The file reduced to what makes a surface, each number looked at: `v` lines with three
-/// coordinates and `f` lines with position indices. Without objects, materials, texture and
-/// normals there is nothing left that could split the surface or fail to load.
+/// The file reduced to surface data, with every number validated: `v` lines with three coordinates and `f`
+/// lines with position indices. Without objects, materials, texture and normals nothing remains that could
+/// split the surface or fail to load.
 fn plain(path: &Path, text: &str) -> Result<String, SurfaceError> {
     let mut out = String::with_capacity(text.len());
     let (mut triangles, mut vertices) = (0_u64, 0_i64);

@@ -1,4 +1,4 @@
-//! Which side is outside.
+//! Orientation of the surface: determination of the outside.
 //!
 //! Triangles that share an edge two by two agree on their winding when they run along it in
 //! opposite directions. From one triangle this spreads over a *patch*, everything reachable
@@ -11,11 +11,11 @@ use super::edges::{Edges, Sets, in_mm};
 use super::{Aabb, Surface, SurfaceError, signed_volume};
 use crate::Vec3;
 
-/// Most triangles looked at while asking which components lie inside which. Reason: a second of
-/// work. At the bound the boxes around the components answer instead.
+/// Most triangles visited while computing the nesting of components. Reason: a second of work. Beyond the bound
+/// the boxes around the components decide instead.
 const NESTING_WORK_MAX: usize = 200_000_000;
 
-/// What was found and done.
+/// Findings and repairs of the orientation.
 #[derive(Debug, Default)]
 pub(super) struct Orientation {
     /// Closed parts.
@@ -36,7 +36,7 @@ pub(super) struct Orientation {
 #[derive(Clone, Copy)]
 struct Across {
     triangle: u32,
-    /// Do both run along the edge in the same direction?
+    /// Whether both run along the edge in the same direction.
     clash: bool,
 }
 
@@ -100,8 +100,8 @@ fn neighbours(surface: &Surface, edges: &Edges) -> Vec<[Option<Across>; 3]> {
     neighbours
 }
 
-/// The patch of each triangle, and whether to turn it so that its patch agrees. The smaller part
-/// of a patch is turned, so that a few bad triangles do not turn all the good ones.
+/// The patch of each triangle, and whether to turn it so that its patch agrees. The smaller part of a patch is
+/// turned, so that a few bad triangles do not turn all the good ones.
 fn spread(
     surface: &Surface,
     neighbours: &[[Option<Across>; 3]],
@@ -173,7 +173,7 @@ fn components(patch_of: &[u32], edges: &Edges) -> Vec<Vec<usize>> {
     members
 }
 
-/// Which components must be turned; cavities and nested ones are counted.
+/// The components that must be turned; cavities and nested ones are counted.
 fn inside_out(surface: &Surface, members: &[Vec<usize>], found: &mut Orientation) -> Vec<bool> {
     let volumes: Vec<f64> = members
         .iter()
@@ -185,7 +185,7 @@ fn inside_out(surface: &Surface, members: &[Vec<usize>], found: &mut Orientation
     order.sort_by_key(|c| holders[*c].len());
     for c in order {
         let depth = holders[c].len();
-        // A surface whose outermost part is inside out is inside out as a whole.
+        // If the outermost part of a surface is inverted, the whole surface is inverted.
         let outermost = holders[c].iter().copied().min_by_key(|h| holders[*h].len());
         turned[c] = outermost.is_some_and(|o| turned[o]);
         let faces_inward = (volumes[c] < 0.0) != turned[c];
@@ -201,7 +201,7 @@ fn inside_out(surface: &Surface, members: &[Vec<usize>], found: &mut Orientation
     turned
 }
 
-/// For each component, the components it lies in.
+/// For each component, the components that contain it.
 fn holders(surface: &Surface, members: &[Vec<usize>]) -> Vec<Vec<usize>> {
     let corners = |c: usize| members[c].iter().flat_map(|t| surface.triangles[*t]);
     let boxes: Vec<Option<Aabb>> = (0..members.len())

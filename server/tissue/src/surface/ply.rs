@@ -1,4 +1,4 @@
-//! PLY files, ascii and binary: positions and faces; polygons become fans, all else is passed over.
+//! PLY files, ASCII and binary: positions and faces. Polygons become fans; all other elements are skipped.
 
 use std::io::{Cursor, ErrorKind};
 use std::path::Path;
@@ -11,20 +11,19 @@ use ply_rs_bw::ply::{
 use super::weld::Welder;
 use super::{Surface, SurfaceError, TRIANGLES_MAX, Unit};
 
-/// Elements taken from the parser at a time. Reason: each face is an allocation of its own there;
-/// so there are never more than these.
+/// Most elements taken from the parser at a time, because each face is a separate allocation there.
 const BLOCK: usize = 1 << 16;
 
 /// Names that programs give to a face's list of corners.
 const CORNERS: [&str; 2] = ["vertex_indices", "vertex_index"];
 
-/// A vertex or a face, whichever its element is; other properties are dropped.
+/// A vertex or a face, depending on its element; other properties are dropped.
 struct Element {
     at: [f32; 3],
     corners: Vec<i64>,
 }
 
-/// Takes whatever number type the file uses.
+/// Accepts the file's number type.
 macro_rules! take {
     ($set:ident, $set_list:ident, $begin:ident, $ty:ty) => {
         fn $set(&mut self, name: &str, value: $ty) -> PropertyAccessResult {
@@ -103,15 +102,15 @@ impl Ply<'_> {
     fn refuse_nonsense(&self, header: &Header, bytes: usize) -> Result<(), SurfaceError> {
         let left = bytes - (self.reader.get_ref().position() as usize).min(bytes);
         for (name, element) in &header.elements {
-            // An element without properties takes a line of its own in a text, and nothing at all
-            // in a binary file: there its count could be any number.
+            // An element without properties takes a line of its own in a text, and no bytes in a binary file:
+            // there its count could be any number.
             let least = match header.encoding {
                 Encoding::Ascii => 1,
                 _ => element.properties.len(),
             };
             if element.count > 0 && (least == 0 || element.count > left / least) {
                 let what = format!(
-                    "it promises {} of \"{name:.40}\", the file has {left} bytes left",
+                    "{} of \"{name:.40}\" declared, but the file has {left} bytes left",
                     element.count
                 );
                 return Err(self.wrong("header", what));
@@ -234,8 +233,8 @@ impl Ply<'_> {
 
     fn broken(&self, place: &str, e: &ParseError) -> SurfaceError {
         let what = match e.kind() {
-            ErrorKind::UnexpectedEof => "the file ends in the middle".to_owned(),
-            // The parser repeats the line it stumbled over, on a line of its own.
+            ErrorKind::UnexpectedEof => "the file is truncated".to_owned(),
+            // The parser repeats the faulty line on a line of its own.
             _ => e
                 .to_string()
                 .split_whitespace()

@@ -1,4 +1,4 @@
-//! Reading a surface file: which format it is, and whether it is small enough to be read.
+//! Reading a surface file: choice of the format, and limit of the size.
 
 use std::fs::File;
 use std::io::Read;
@@ -6,18 +6,18 @@ use std::path::Path;
 
 use super::{Surface, SurfaceError, Unit, obj, ply, stl};
 
-/// Most triangles in one file. Reason: 20 million are finer than any scan of a limb (0.1 mm) and
-/// take 2 GB while being welded. At the bound the file is refused.
+/// Most triangles in one file. Reason: 20 million are finer than any scan of a limb (0.1 mm) and take 2 GB
+/// during welding. Beyond the bound the file is rejected.
 pub const TRIANGLES_MAX: u64 = 20_000_000;
 
-/// Largest file in bytes. Reason: a binary STL of [`TRIANGLES_MAX`] triangles. At the bound the
-/// file is refused before it is read.
+/// Largest file in bytes. Reason: a binary STL of [`TRIANGLES_MAX`] triangles. Beyond the bound the file is
+/// rejected unread.
 pub const FILE_BYTES_MAX: u64 = stl::binary_bytes(TRIANGLES_MAX);
 
 impl Surface {
-    /// Reads a closed surface from an STL (binary or ASCII), OBJ or PLY (any kind) file whose
-    /// coordinates are in `unit`. The content decides between the kinds of STL and of PLY, the
-    /// extension between STL, OBJ and PLY. The surface is welded and not yet checked.
+    /// Reads a closed surface from an STL (binary or ASCII), OBJ or PLY (any kind) file whose coordinates are
+    /// in `unit`. The extension selects STL, OBJ or PLY; the content selects the kind of STL or PLY. The
+    /// surface is welded and not yet checked.
     pub fn read(path: &Path, unit: Unit) -> Result<Self, SurfaceError> {
         let bytes = read_bounded(path)?;
         if bytes.is_empty() {
@@ -43,7 +43,7 @@ impl Surface {
     }
 }
 
-/// The whole file, refused unread when it is larger than the limit.
+/// The whole file, rejected unread if it exceeds the limit.
 fn read_bounded(path: &Path) -> Result<Vec<u8>, SurfaceError> {
     let io = |source| SurfaceError::Io {
         path: path.to_owned(),
@@ -64,7 +64,7 @@ fn read_bounded(path: &Path) -> Result<Vec<u8>, SurfaceError> {
     if metadata.len() > FILE_BYTES_MAX {
         return Err(too_many(metadata.len()));
     }
-    // A pipe has no length beforehand, and a file may grow: the reader is bounded too.
+    // A pipe has no known length, and a file may grow: the reader is bounded too.
     let mut bytes = Vec::with_capacity(metadata.len() as usize);
     file.take(FILE_BYTES_MAX + 1)
         .read_to_end(&mut bytes)

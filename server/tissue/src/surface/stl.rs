@@ -20,8 +20,8 @@ pub(super) const fn binary_bytes(triangles: u64) -> u64 {
     HEADER_BYTES + TRIANGLE_BYTES * triangles
 }
 
-/// Reads either kind. Size decides, because many programs write binary files whose header begins
-/// with "solid", the word an ASCII file begins with.
+/// Reads either kind. The size decides, because many programs write binary files whose header begins with
+/// "solid", like an ASCII file.
 pub(super) fn read(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, SurfaceError> {
     let count = bytes
         .get(80..84)
@@ -45,7 +45,7 @@ pub(super) fn read(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, Sur
                 "after {} triangles",
                 (bytes.len() as u64 - HEADER_BYTES) / TRIANGLE_BYTES
             ),
-            what: format!("the file ends, but its header promises {n} triangles"),
+            what: format!("the file is truncated: its header declares {n} triangles"),
         }),
         _ => Err(SurfaceError::NotASurface {
             path: path.to_owned(),
@@ -54,8 +54,8 @@ pub(super) fn read(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, Sur
     }
 }
 
-/// Does a file whose size is wrong look like a binary STL all the same? The first triangle must
-/// be there, with coordinates a drawing could have.
+/// Whether a file of wrong size still looks like a binary STL. The first triangle must be present, with
+/// plausible coordinates.
 fn plausible(bytes: &[u8]) -> bool {
     let first = bytes.get(HEADER_BYTES as usize..(HEADER_BYTES + 48) as usize);
     first.is_some_and(|b| {
@@ -66,7 +66,7 @@ fn plausible(bytes: &[u8]) -> bool {
     })
 }
 
-/// The text of an ASCII file, without case; `None` when it does not begin like one.
+/// The text of an ASCII file, in lower case; `None` when it does not begin like one.
 fn ascii(bytes: &[u8]) -> Option<String> {
     let begin = bytes.trim_ascii_start();
     let word = begin.get(..5)?;
@@ -74,9 +74,9 @@ fn ascii(bytes: &[u8]) -> Option<String> {
         .then(|| String::from_utf8_lossy(bytes).to_lowercase())
 }
 
-/// One solid with plain headings, which is what the parser takes: names and the limits between
-/// several solids are dropped, and so are the written normals (some programs write `nan` there;
-/// the order of the corners says the same).
+/// One solid with plain headings, as the parser requires. Names, boundaries between several solids and the
+/// written normals are dropped. Some programs write `nan` normals; the order of the corners defines the same
+/// direction.
 fn normalised(path: &Path, text: &str) -> Result<Vec<u8>, SurfaceError> {
     let mut out = String::with_capacity(text.len() + 16);
     out.push_str("solid s\n");
@@ -115,7 +115,7 @@ fn collect(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, SurfaceErro
         path: path.to_owned(),
         place: format!("triangle {}", triangles + 1),
         what: match source.kind() {
-            ErrorKind::UnexpectedEof => "the file ends in the middle".to_owned(),
+            ErrorKind::UnexpectedEof => "the file is truncated".to_owned(),
             _ => source.to_string(),
         },
     };
@@ -129,7 +129,7 @@ fn collect(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, SurfaceErro
 }
 
 impl Surface {
-    /// Writes a binary STL in millimetres with outward normals; whole or not at all.
+    /// Writes a binary STL in millimetres with outward normals, atomically.
     pub fn write_stl(&self, path: &Path) -> Result<(), SurfaceError> {
         Staged::write(path, |out| self.write_stl_to(out))
             .and_then(Staged::put_in_place)

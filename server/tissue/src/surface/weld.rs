@@ -5,10 +5,10 @@ use std::collections::HashMap;
 use super::Surface;
 use crate::Vec3;
 
-/// Gathers triangles corner by corner into a surface with welded vertices.
+/// Collects triangles corner by corner into a surface with welded vertices.
 ///
-/// Corners are the same vertex when their coordinates are equal as numbers (so -0 is 0).
-/// Vertices are numbered in the order they first come, whatever the hash map does.
+/// Corners are the same vertex when their coordinates are equal as numbers (so -0 is 0). Vertices are numbered
+/// by first occurrence, independently of the hash map.
 pub(super) struct Welder {
     unit_m: f64,
     index: HashMap<[u32; 3], u32>,
@@ -31,7 +31,7 @@ impl Welder {
         self.surface.triangles.push(corners);
     }
 
-    /// How many triangles there are so far.
+    /// Number of triangles so far.
     pub(super) fn triangles(&self) -> usize {
         self.surface.triangles.len()
     }

@@ -1,4 +1,4 @@
-//! Checks of a whole topology against what it must always be.
+//! Invariants of a whole topology.
 
 #![allow(clippy::unwrap_used)]
 // Each test file uses a part of it.
@@ -36,7 +36,7 @@ pub(crate) fn stroke(tips: &[Vec3], axis: Vec3, depth_m: f64) -> CutStroke {
     }
 }
 
-/// What a closed cut must not change.
+/// Quantities that a cut conserves.
 pub(crate) struct Outline {
     pub(crate) volume: f64,
     pub(crate) mass: f64,
@@ -64,8 +64,8 @@ pub(crate) fn check_all(t: &Topology, before: &Outline) {
     check_within(t, before, 1e-12);
 }
 
-/// All laws; nodes that slid along the crooked sides of older cuts may have changed volume and mass
-/// by a small part.
+/// All laws. Nodes that slid along the crooked sides of older cuts may have changed volume and mass by a small
+/// fraction.
 pub(crate) fn check_within(t: &Topology, before: &Outline, part: f64) {
     check_surface(t);
     check_cells(t);
@@ -96,7 +96,7 @@ pub(crate) fn check_surface(t: &Topology) {
     }
 }
 
-/// Sound cells: positive at every corner, springs long enough.
+/// Valid cells: a positive determinant at every corner, and springs long enough.
 pub(crate) fn check_cells(t: &Topology) {
     let spacing = t.model().spacing_m;
     for cell in 0..t.cell_count() as u32 {
@@ -116,7 +116,7 @@ pub(crate) fn check_cells(t: &Topology) {
     }
 }
 
-/// All that follows from corners, cuts and rest positions is what one gets by starting over.
+/// All data derived from corners, cuts and rest positions equal those of a new derivation.
 pub(crate) fn check_derived(t: &Topology) {
     let nodes = t.node_count();
     let mut slots = vec![[NO_CELL; 8]; nodes];

@@ -1,4 +1,4 @@
-//! Label volumes written byte by byte, as the formats' definitions say.
+//! Label volumes written byte by byte, according to the format definitions.
 
 #![allow(clippy::unwrap_used)]
 // Each test file uses a part of it.

@@ -1,4 +1,4 @@
-//! Places on a model that tests press.
+//! Points on a model that tests press.
 
 #![allow(clippy::unwrap_used)]
 

@@ -73,7 +73,7 @@ pub(crate) fn cuboid(low: Vec3, high: Vec3) -> Surface {
     }
 }
 
-/// The shape turned by Euler angles and moved.
+/// The shape rotated by Euler angles and translated.
 pub(crate) fn placed(mut surface: Surface, angles: [f64; 3], at: Vec3) -> Surface {
     let turn = Rotation3::from_euler_angles(angles[0], angles[1], angles[2]);
     for v in &mut surface.vertices {
@@ -94,7 +94,7 @@ pub(crate) fn together(surfaces: &[Surface]) -> Surface {
     all
 }
 
-/// A scene of the surfaces in this order, regions named by their number.
+/// A scene of the surfaces in this order; each region is named by its number.
 pub(crate) fn scene(spacing: &str, surfaces: &[Surface]) -> Result<SceneInput, SceneError> {
     let mut text = format!("format = \"palpate-scene/1\"\nspacing_mm = {spacing}\n");
     for r in 0..surfaces.len() {

@@ -1,8 +1,7 @@
-//! A look at the lengths of a file's elements before it is parsed.
+//! Validation of element lengths before a file is parsed.
 //!
-//! The parser makes room for an element of the length it claims before it reads it, and a length has
-//! 32 bits: one flipped bit would cost gigabytes. Sequences and items are walked through, so that
-//! everything stands in one row.
+//! The parser allocates an element of the declared length before it reads it, and a length has 32 bits: one
+//! flipped bit would cost gigabytes. Sequences and items are entered, so that all elements form one list.
 
 use std::fs::File;
 use std::io::{BufReader, Error, ErrorKind, Read, Result};
@@ -10,9 +9,9 @@ use std::path::Path;
 
 /// Bytes before the first element.
 const PREAMBLE: i64 = 132;
-/// The length of what ends with a delimiter.
+/// The length of a value that ends with a delimiter.
 const UNDEFINED: u32 = u32::MAX;
-/// Value representations with a length of 16 bits; all others, known or not, have one of 32.
+/// Value representations with a length of 16 bits; all others, known or not, have 32.
 const SHORT: [&[u8; 2]; 21] = [
     b"AE", b"AS", b"AT", b"CS", b"DA", b"DS", b"DT", b"FD", b"FL", b"IS", b"LO", b"LT", b"PN",
     b"SH", b"SL", b"SS", b"ST", b"TM", b"UI", b"UL", b"US",
@@ -32,7 +31,7 @@ struct Scan {
     left: u64,
 }
 
-/// Refuses a file in which an element claims more bytes than follow it.
+/// Rejects a file in which an element declares more bytes than follow it.
 pub(super) fn check(path: &Path) -> Result<()> {
     let file = File::open(path)?;
     let bytes = file.metadata()?.len();
@@ -46,7 +45,7 @@ pub(super) fn check(path: &Path) -> Result<()> {
         big_endian: false,
     };
     while scan.left >= 8 {
-        // What follows group 2 may be written in another way, which is known by then.
+        // Elements after group 2 may have a different encoding, which is known by then.
         let group = u16::from_le_bytes(scan.peek()?);
         let own = if group == 2 {
             Syntax {
@@ -96,7 +95,7 @@ impl Scan {
         })
     }
 
-    /// Passes one element; `false` when there is nothing more to look at.
+    /// Passes one element; `false` at the end of the elements to check.
     fn element(&mut self, syntax: Syntax, of_data: &mut Syntax) -> Result<bool> {
         let tag = (self.short(syntax)?, self.short(syntax)?);
         let mut kind = *b"  ";
@@ -112,7 +111,7 @@ impl Scan {
             }
         };
         if length == UNDEFINED {
-            // A sequence of unknown kind is written in a way of its own; the rest is taken as it is.
+            // A sequence of unknown representation has its own encoding; the rest is not checked.
             return Ok(&kind != b"UN" && tag != PIXEL_DATA);
         }
         if u64::from(length) > self.left {
@@ -144,7 +143,7 @@ impl Scan {
         Ok(true)
     }
 
-    /// Whether a value without a kind begins like a sequence.
+    /// Whether a value without a representation begins like a sequence.
     fn holds_items(&mut self, syntax: Syntax, length: u32) -> Result<bool> {
         Ok(!syntax.explicit && length >= 8 && self.peek()? == ITEM_GROUP.to_le_bytes())
     }

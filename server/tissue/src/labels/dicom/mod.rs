@@ -1,8 +1,8 @@
 //! DICOM series whose images are labels: a folder of single frames, or one multi-frame file.
 //!
-//! A first pass reads the headers and finds the slices' places, a second one the pixels, one file
-//! at a time. Pixels must be uncompressed; the tags are those of PS3.3, C.7.6.2 (image plane) and
-//! C.7.6.16 (functional groups).
+//! A first pass reads the headers and the positions of the slices, a second one the pixels, one file at a time.
+//! Pixels must be uncompressed. The tags are those of PS3.3, C.7.6.2 (image plane) and C.7.6.16 (functional
+//! groups).
 
 mod lengths;
 
@@ -16,12 +16,12 @@ use crate::labels::samples::{Coding, Gather, SampleType};
 use crate::labels::volume::checked_size;
 use crate::labels::{Affine, LabelError, LabelVolume};
 
-/// Most files of a folder that are looked at. Reason: a whole body at 1 mm has 2000 slices. At the
-/// bound the folder is refused.
+/// Most files of a folder that are read. Reason: a whole body at 1 mm has 2000 slices. Beyond the bound the
+/// folder is rejected.
 const FILES_MAX: usize = 20_000;
 
-/// Largest difference between distances of slices, relative to their mean. Reason: positions are
-/// written with a hundredth of a millimetre; a missing slice makes a whole step.
+/// Largest difference between distances of slices, relative to their mean. Reason: positions are written with a
+/// hundredth of a millimetre, and a missing slice is a whole step.
 const GAP_MAX: f64 = 0.05;
 
 /// Largest difference between directions (cosines) or voxel sizes (mm) of slices of one series.
@@ -56,7 +56,7 @@ const PLAIN_SYNTAXES: [&str; 3] = [
     "1.2.840.10008.1.2.2",
 ];
 
-/// What one file says before its pixels.
+/// Header fields of one file.
 #[derive(Debug, Clone)]
 struct Header {
     path: PathBuf,
@@ -124,7 +124,7 @@ fn broken(path: &Path, place: &str, what: impl Into<String>) -> LabelError {
     }
 }
 
-/// The headers of all DICOM files of a folder, by name; other files are passed over.
+/// The headers of all DICOM files of a folder, by name; other files are skipped.
 fn headers(path: &Path) -> Result<Vec<Header>, LabelError> {
     let io = |source| LabelError::Io {
         path: path.to_owned(),
@@ -160,7 +160,7 @@ fn headers(path: &Path) -> Result<Vec<Header>, LabelError> {
     Ok(headers)
 }
 
-/// Does the mark of a DICOM file follow its preamble?
+/// Whether the DICOM mark follows the preamble.
 fn is_dicom(path: &Path) -> bool {
     let mut start = [0; 132];
     let read = std::fs::File::open(path)
@@ -228,13 +228,13 @@ impl Header {
     }
 }
 
-/// A header's object, to be asked for fields.
+/// The object of a header, for reading fields.
 struct Fields<'a> {
     path: &'a Path,
     object: &'a InMemDicomObject,
 }
 
-/// The numbers of an element; `None` when it is not there, is empty or holds none.
+/// The numbers of an element; `None` when it is missing, empty or not numeric.
 fn numbers(object: &InMemDicomObject, tag: Tag) -> Option<Vec<f64>> {
     let numbers = object.get(tag)?.to_multi_float64().ok()?;
     (!numbers.is_empty() && numbers.iter().all(|n| n.is_finite())).then_some(numbers)
@@ -430,7 +430,7 @@ fn pixels(
             let what = format!("{} bytes, frame {} needs more", bytes.len(), slice.frame);
             broken(&header.path, "pixel data", what)
         })?;
-        // The library hands out words in the machine's own order.
+        // The library returns words in the machine's byte order.
         let coding = Coding {
             slope: header.slope,
             intercept: header.intercept,

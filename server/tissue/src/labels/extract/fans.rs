@@ -1,13 +1,13 @@
-//! Around one corner: which faces of a region hang together.
+//! Connectivity of the faces of a region around one corner.
 //!
-//! Where voxels of a region meet in an edge or a corner only, its surface touches itself there. Each
-//! fan of faces gets a vertex of its own at that place, so that the surface's edges and vertices are
-//! those of a manifold. At an edge with four faces, the two that belong to one voxel hang together.
+//! Where voxels of a region meet in an edge or a corner only, its surface touches itself. Each fan of faces
+//! gets its own vertex there, so that the surface's edges and vertices are those of a manifold. At an edge with
+//! four faces, the two faces of one voxel are connected.
 //!
-//! Unless the region parts two others there: a layer of one voxel askew to the voxels has its own ones
-//! in an edge only, and what it parts on the two other sides. Such an edge is *pinched*. The two faces
-//! towards one side hang together then, and the mesh has a vertex for each side ([`sheets`]), or the
-//! layer would be nothing thick there.
+//! The exception is a region that separates two others there. A layer of one voxel oblique to the voxels shares
+//! only an edge with itself, and the separated regions lie on the two other sides. Such an edge is *pinched*.
+//! Its two faces towards one side are connected, and the mesh has a vertex for each side ([`sheets`]).
+//! Otherwise the layer would have zero thickness there.
 
 use crate::Vec3;
 
@@ -19,9 +19,9 @@ pub(super) struct Fans {
 /// The fans around one corner.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fan {
-    /// How many there are.
+    /// Number of fans.
     pub(super) count: u8,
-    /// The fan of each face (see [`face`]); faces that are no boundary have 0 too.
+    /// The fan of each face (see [`face`]); 0 also for faces that are not on the boundary.
     pub(super) of_face: [u8; 12],
     /// Bit d: four faces meet in direction d and all belong to one fan.
     pub(super) doubled: u8,
@@ -42,15 +42,15 @@ pub(super) fn pinched(block: [u8; 8], outside: u8) -> u8 {
     (0..6).fold(0, |set, d| set | u8::from(is_pinched(d)) << d)
 }
 
-/// The four voxels of a block around its half edge in a direction (axis, towards further).
+/// The four voxels of a block around its half edge in a direction (axis, positive).
 pub(super) fn around(block: [u8; 8], direction: usize) -> [u8; 4] {
     let (axis, side) = (direction / 2, direction % 2);
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     [0, 1, 2, 3].map(|q: usize| block[side << axis | (q & 1) << u | (q >> 1) << v])
 }
 
-/// The faces between different regions of a block, in sets that hang together, as bits (see [`face`]).
-/// Without a pinched edge they are all in one.
+/// The faces between different regions of a block, in connected sets, as bits (see [`face`]). Without a pinched
+/// edge there is one set.
 pub(super) fn sheets(block: [u8; 8], pinched: u8) -> Vec<u16> {
     let differs = |f: usize| voxels(f).map(|v| block[v]);
     let is_boundary = |f: &usize| differs(*f)[0] != differs(*f)[1];
@@ -67,8 +67,8 @@ pub(super) fn sheets(block: [u8; 8], pinched: u8) -> Vec<u16> {
         let is_pinched = pinched >> direction & 1 == 1;
         for (n, &f) in meeting.iter().enumerate() {
             for &g in &meeting[n + 1..] {
-                // At a pinched edge two faces of one side have that side's voxel in common, and two of
-                // one of the layer's own voxels have that: the layer is what is there twice.
+                // At a pinched edge two faces of one side share that side's voxel, and two faces of one voxel
+                // of the layer share that voxel. The layer is the region that occurs twice.
                 let common = voxels(f).into_iter().find(|v| voxels(g).contains(v));
                 let of_side = || common.is_some_and(|v| is_side(block, direction, v));
                 if !is_pinched || of_side() {
@@ -85,7 +85,7 @@ pub(super) fn sheets(block: [u8; 8], pinched: u8) -> Vec<u16> {
     sheets
 }
 
-/// Whether a voxel at a pinched edge is on a side of the layer: its region is there once.
+/// Whether a voxel at a pinched edge is on a side of the layer: its region occurs once.
 fn is_side(block: [u8; 8], direction: usize, voxel: usize) -> bool {
     let [a, b, c, d] = around(block, direction);
     let layer = if a == d { a } else { b };
@@ -93,7 +93,7 @@ fn is_side(block: [u8; 8], direction: usize, voxel: usize) -> bool {
     block[voxel] != layer
 }
 
-/// The mean way from the corner into the sides that a set of faces is towards at pinched edges.
+/// The mean direction from the corner into the sides that a set of faces bounds at pinched edges.
 pub(super) fn aside(block: [u8; 8], faces: u16, pinched: u8) -> Option<Vec3> {
     let mut way = Vec3::zeros();
     for direction in (0..6).filter(|d| pinched >> d & 1 == 1) {
@@ -114,7 +114,7 @@ pub(super) fn aside(block: [u8; 8], faces: u16, pinched: u8) -> Option<Vec3> {
     way.try_normalize(0.0)
 }
 
-/// The directions in which a set of faces runs.
+/// The directions of the edges in a set of faces.
 pub(super) fn runs(faces: u16) -> u8 {
     let meets = |d: usize| faces_in(d).iter().any(|f| faces >> f & 1 == 1);
     (0..6).fold(0, |set, d| set | u8::from(meets(d)) << d)
@@ -131,7 +131,7 @@ pub(super) fn regions_along(block: [u8; 8], faces: u16, direction: usize) -> Vec
     regions
 }
 
-/// A face of a set that runs in a direction, as the corner at the other end of the edge numbers it.
+/// A face of a set along a direction, in the numbering of the corner at the other end of the edge.
 pub(super) fn seen_from_next(faces: u16, direction: usize) -> Option<usize> {
     let own = faces_in(direction)
         .into_iter()
@@ -249,7 +249,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_face_lies_between_voxels_that_differ_along_its_axis() {
+    fn faces_separate_voxels_along_their_axis() {
         for f in 0..12 {
             let [near, far] = voxels(f);
             assert_eq!(near ^ far, 1 << (f / 4));
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn voxels_that_meet_in_an_edge_or_a_corner_have_fans_of_their_own() {
+    fn voxels_touching_in_edge_or_corner_have_separate_fans() {
         let fans = Fans::new();
         assert_eq!(fans.of(0).count, 0);
         assert_eq!(fans.of(0b0000_0001).count, 1);

@@ -1,26 +1,25 @@
 //! From a label volume to one closed surface per region, without gaps or overlaps.
 //!
-//! 0. Voxels much finer than what is asked for are joined in blocks ([`grid`]).
-//! 1. Every corner where eight voxels of more than one region meet becomes a vertex, every face
-//!    between voxels of two regions a quadrilateral ([`net`]): one mesh that all regions share
-//!    (surface nets, Gibson 1998, for several labels at once). Where a layer of one voxel has edges only
-//!    in common with itself, each of its two sides has a vertex of its own ([`fans`]).
-//! 2. Vertices slide towards their neighbours, each within half a voxel of its corner, those where
-//!    three regions meet along that line only: the steps of the voxels go ([`smooth`]).
-//! 3. All vertices move along their normals so that every region has the volume of its voxels
-//!    again; a vertex belongs to all regions around it, so this is one system of equations
-//!    ([`restore`]).
-//! 4. Each region takes its quadrilaterals as triangles ([`shell`]). Neighbours have the same
-//!    vertices, bit for bit.
+//! 0. Voxels much finer than the requested size are joined in blocks ([`voxel_grid`]).
+//! 1. Every corner where eight voxels of more than one region meet becomes a vertex, and every face between
+//!    voxels of two regions a quadrilateral ([`net`]). All regions share this one mesh (surface nets, Gibson 1998,
+//!    for several labels at once). Where a layer of one voxel is connected through edges only, each of its two
+//!    sides has its own vertex ([`fans`]).
+//! 2. Vertices slide towards their neighbours, each within half a voxel of its corner; vertices where three
+//!    regions meet slide along that line only. This smooths the voxel steps ([`smooth`]).
+//! 3. All vertices move along their normals so that every region regains the volume of its voxels. A vertex
+//!    belongs to all regions around it, so this is one system of equations ([`restore`]).
+//! 4. Each region takes its quadrilaterals as triangles ([`shell`]). Neighbours share their vertices bit for
+//!    bit.
 
 mod fans;
-mod grid;
 mod net;
 mod restore;
 mod shell;
 mod smooth;
 #[cfg(test)]
 mod tests;
+mod voxel_grid;
 
 use std::path::Path;
 
@@ -29,9 +28,9 @@ use rayon::prelude::*;
 use super::{LabelError, LabelVolume};
 use crate::Surface;
 use crate::scene::REGIONS_MAX;
-use grid::{BEYOND, Grid, OUTSIDE};
 pub use net::NET_VERTICES_MAX;
 use net::Net;
+use voxel_grid::{BEYOND, Grid, OUTSIDE};
 
 /// The labels that make one region.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -40,23 +39,23 @@ pub struct LabelRegion {
     pub labels: Vec<u16>,
 }
 
-/// What was extracted for one region.
+/// The extracted surface of one region.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RegionSurface {
     /// Closed, its edges shared by two triangles each, wound outwards; world coordinates in m.
     pub surface: Surface,
-    /// Volume of the region's own voxels in m³, whatever the surface encloses besides.
+    /// Volume of the region's own voxels in m³, without other regions that the surface encloses.
     pub voxels_m3: f64,
-    /// What is on the two sides of each triangle of the surface.
+    /// The regions on the two sides of each triangle of the surface.
     pub sides: Vec<Sides>,
 }
 
-/// Which of the regions are on the two sides of a triangle.
+/// The regions on the two sides of a triangle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sides {
-    /// Behind it: the region that it is the surface of, unless that goes around several.
+    /// Behind it: the region of this surface, or one of several regions that the surface encloses.
     pub behind: u8,
-    /// Before it; `None` outside them all.
+    /// Before it; `None` outside all regions.
     pub before: Option<u8>,
 }
 
@@ -66,8 +65,8 @@ pub struct Sides {
 /// builder in which later regions override earlier ones wants an outermost surface that contains
 /// the others.
 ///
-/// Voxels smaller than `finest_m` are joined into larger ones, at most that long, where no region
-/// suffers from it: what a lattice can not hold would only cost time. With 0 none are.
+/// Voxels smaller than `finest_m` are joined into larger ones, at most that long, unless a region loses too
+/// much volume. Details below the lattice spacing would only cost time. With 0 no voxels are joined.
 ///
 /// # Panics
 /// When there are more regions than a scene may have.
@@ -113,7 +112,7 @@ pub fn surfaces(
     Ok(found.collect())
 }
 
-/// Region number plus one for each label, or [`OUTSIDE`]; labels that do not occur are refused.
+/// Region number plus one for each label, or [`OUTSIDE`]; labels that do not occur are rejected.
 fn region_of(
     volume: &LabelVolume,
     path: &Path,

@@ -6,18 +6,18 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::fans::{self, face};
-use super::grid::{BEYOND, Grid, OUTSIDE};
+use super::voxel_grid::{BEYOND, Grid, OUTSIDE};
 use crate::Vec3;
 use crate::labels::{Affine, LabelError};
 
 /// No vertex in this direction.
 pub(super) const NONE: u32 = u32::MAX;
 
-/// Most vertices of one net. Reason: twice as many triangles, the limit of a surface file, at some
-/// 200 bytes each with everything derived. At the bound the volume is refused.
+/// Most vertices of one net. Reason: they give twice as many triangles, the limit of a surface file, at some
+/// 200 bytes each with all derived data. Beyond the bound the volume is rejected.
 pub const NET_VERTICES_MAX: usize = 10_000_000;
 
-/// Where a vertex stands and what is around it.
+/// Position of a vertex and its surroundings.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Corner {
     /// The corner between voxels `at - 1` and `at` along each axis.
@@ -32,12 +32,12 @@ pub(super) struct Corner {
     pub(super) on_line: bool,
     /// Bit a: the vertex lies in the volume's border across axis a and stays there.
     pub(super) locked: u8,
-    /// The faces around it, as bits. All that there are, but where a layer is pinched: there each of
-    /// its sides has a vertex of its own.
+    /// The faces around it, as bits: all faces of the corner, except at a pinched layer, where each side has
+    /// its own vertex.
     pub(super) faces: u16,
     /// Bit d: the edge in direction d is pinched.
     pub(super) pinched: u8,
-    /// The way to the own side, where the vertex has others beside it.
+    /// The direction of its own side, if other vertices share the corner.
     pub(super) aside: Option<Vec3>,
 }
 
@@ -47,14 +47,14 @@ pub(super) struct Quad {
     /// Vertices, counter-clockwise seen from the further voxel, beginning with the lowest.
     pub(super) corners: [u32; 4],
     pub(super) axis: u8,
-    /// Regions of the two voxels; beyond the border is outside.
+    /// Regions of the two voxels; voxels beyond the border are outside.
     pub(super) sides: [u8; 2],
     /// Whether the diagonal runs from corner 1 to 3 instead of 0 to 2.
     pub(super) turned: bool,
 }
 
 impl Quad {
-    /// The two triangles, as places among the corners.
+    /// The two triangles, as indices of the corners.
     pub(super) fn triangles(&self) -> [[usize; 3]; 2] {
         if self.turned {
             [[1, 2, 3], [1, 3, 0]]
@@ -67,13 +67,13 @@ impl Quad {
 /// The shared mesh.
 pub(super) struct Net {
     pub(super) corners: Vec<Corner>,
-    /// How far each vertex has moved from its corner, in voxels.
+    /// Displacement of each vertex from its corner, in voxels.
     pub(super) moved: Vec<Vec3>,
     pub(super) quads: Vec<Quad>,
     pub(super) to_world: Affine,
 }
 
-/// A region as one side of a boundary sees it.
+/// A region on one side of a boundary.
 fn solid(region: u8) -> u8 {
     if region == BEYOND { OUTSIDE } else { region }
 }
@@ -208,7 +208,7 @@ impl Corner {
             let regions = fans::regions_along(block, faces, direction).len();
             lines |= u8::from(regions > 2) << direction;
         }
-        // Where three regions meet in a line, the line is what has to become smooth.
+        // Where three regions meet in a line, the line itself is smoothed.
         let follows = if lines == 0 { runs } else { lines };
         Self {
             at,
@@ -235,7 +235,7 @@ fn joined(grid: &Grid, by_layer: &[Vec<Corner>]) -> Vec<Corner> {
     }
     let index = |layer: usize| {
         let mut index = vec![NONE; area];
-        // Of several vertices at one corner the first.
+        // The first of several vertices at one corner.
         for (n, corner) in by_layer[layer].iter().enumerate().rev() {
             index[cell(corner)] = start[layer] + n as u32;
         }
@@ -276,7 +276,7 @@ fn joined(grid: &Grid, by_layer: &[Vec<Corner>]) -> Vec<Corner> {
     corners
 }
 
-/// Of several vertices at each neighbouring corner those with which a vertex shares a face.
+/// The vertices at each neighbouring corner with which a vertex shares a face.
 fn on_sheet(corners: &[Corner], corner: &Corner) -> [u32; 6] {
     std::array::from_fn(|direction| {
         let first = corner.neighbours[direction];
@@ -288,7 +288,7 @@ fn on_sheet(corners: &[Corner], corner: &Corner) -> [u32; 6] {
     })
 }
 
-/// The vertex with a face among those at the corner of vertex `v`.
+/// The vertex with a face, among the vertices at the corner of vertex `v`.
 fn with_face(corners: &[Corner], v: u32, face: usize) -> u32 {
     let at = corners[v as usize].at;
     let same = |w: &u32| corners[*w as usize].at == at;

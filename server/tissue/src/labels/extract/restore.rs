@@ -1,10 +1,10 @@
-//! Giving every region the volume of its voxels back.
+//! Restoring the voxel volume of every region.
 //!
-//! Moving vertex v by d changes the volume of region r by g(r,v)·d, where g is a third of the sum of
-//! the area vectors of r's triangles around v. The smallest movement (in the world's metric) that
-//! changes every region's volume by what it lacks is d(v) = D Σ λ(r) g(r,v), with λ from
-//! A λ = missing, A(r,s) = Σ g(r,v)ᵀ D g(s,v): regions that share vertices are settled together. D
-//! turns a direction in voxel indices into one in the world and leaves out locked axes.
+//! Moving vertex v by d changes the volume of region r by g(r,v)·d, where g is a third of the sum of the area
+//! vectors of r's triangles around v. The smallest movement (in the world's metric) that restores the missing
+//! volume of every region is d(v) = D Σ λ(r) g(r,v), with λ from A λ = missing, A(r,s) = Σ g(r,v)ᵀ D g(s,v).
+//! Regions that share vertices are solved together. D maps a direction in voxel indices into the world and
+//! drops locked axes.
 
 use nalgebra::Matrix3;
 use rayon::prelude::*;
@@ -13,18 +13,18 @@ use super::net::Net;
 use super::smooth::confined;
 use crate::Vec3;
 
-/// Steps towards the volumes; each one squares the error unless vertices reach their limits.
+/// Newton steps towards the volumes; each squares the error unless vertices reach their limits.
 const STEPS: usize = 12;
-/// A region's volume is right within this part of it.
+/// Relative tolerance of a region's volume.
 const EXACT: f64 = 1e-6;
-/// Part by which a region's volume may be off in the end; a hundredth is what a model promises.
+/// Accepted relative error of a region's volume at the end; a model guarantees a hundredth.
 const TOLERANCE: f64 = 2e-3;
-/// Farthest that a vertex moves in one step, in voxels.
+/// Largest movement of a vertex in one step, in voxels.
 const STEP_MAX: f64 = 0.2;
-/// Rounds in which the vertices of regions that miss their volume go half of the way back to their
-/// corners; after them they go back for good, where the volume is right by nature.
+/// Rounds in which the vertices of regions that miss their volume move half way back to their corners. After
+/// them they move all the way back, where the volume is exact.
 const HALVINGS: usize = 4;
-/// Quadrilaterals summed at a time; sums have one order whatever the number of threads.
+/// Quadrilaterals per partial sum; the order of summation does not depend on the number of threads.
 const CHUNK: usize = 4096;
 
 /// Moves the vertices until every region has its volume (in voxels) within [`TOLERANCE`].
@@ -53,8 +53,8 @@ pub(super) fn restore(net: &mut Net, targets: &[f64]) {
     }
 }
 
-/// Takes steps towards the volumes, as far as the vertices' limits let it. Vertices of frozen
-/// regions stay (`frozen` may be empty).
+/// Takes steps towards the volumes, within the vertices' limits. Vertices of frozen regions stay (`frozen` may
+/// be empty).
 pub(super) fn push_towards(net: &mut Net, targets: &[f64], frozen: &[bool]) {
     let pull = Pull::new(net, frozen);
     for _ in 0..STEPS {
@@ -97,7 +97,7 @@ pub(super) fn volumes(net: &Net, regions: usize) -> Vec<f64> {
     sums
 }
 
-/// What of the equations does not change from step to step.
+/// Constant parts of the equations.
 struct Pull {
     /// First entry of each vertex, and one past the last of all.
     start: Vec<u32>,
@@ -114,7 +114,8 @@ impl Pull {
         let mut start = vec![0];
         let mut regions = Vec::new();
         let mut stays = Vec::with_capacity(net.corners.len());
-        let is_region = |r: &u8| *r != super::grid::OUTSIDE && *r != super::grid::BEYOND;
+        let is_region =
+            |r: &u8| *r != super::voxel_grid::OUTSIDE && *r != super::voxel_grid::BEYOND;
         for corner in &net.corners {
             let mut around = corner.block;
             around.sort_unstable();

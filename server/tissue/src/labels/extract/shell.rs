@@ -10,8 +10,8 @@ use crate::Surface;
 /// Sides of a quadrilateral's corners along the two axes of its plane, in the order of the corners.
 const SIDES: [[usize; 2]; 4] = [[0, 0], [1, 0], [1, 1], [0, 1]];
 
-/// The closed surface around all voxels whose region passes `is_in`, wound outwards, in the world;
-/// and what is on the sides of each triangle.
+/// The closed surface around all voxels whose region passes `is_in`, wound outwards, in the world; and the
+/// regions on the sides of each triangle.
 pub(super) fn shell(net: &Net, is_in: impl Fn(u8) -> bool) -> (Surface, Vec<Sides>) {
     let fans = Fans::new();
     let filled: Vec<u8> = net
@@ -48,7 +48,7 @@ pub(super) fn shell(net: &Net, is_in: impl Fn(u8) -> bool) -> (Surface, Vec<Side
         let [near, far] = quad.sides.map(&is_in);
         if near != far {
             shell.add(quad, near);
-            // Region numbers plus one, and 0 for what is in none.
+            // Region numbers plus one, and 0 for voxels of no region.
             let own = Sides {
                 behind: quad.sides[usize::from(!near)] - 1,
                 before: quad.sides[usize::from(near)].checked_sub(1),
@@ -64,12 +64,12 @@ struct Shell<'a> {
     fans: &'a Fans,
     /// The fans at pinched edges.
     pinched: BTreeMap<u32, Fan>,
-    /// Which voxels around each vertex are in the region.
+    /// The voxels around each vertex that are in the region.
     filled: &'a [u8],
     /// First copy of each vertex in the surface.
     first: Vec<u32>,
-    /// Vertices in the middle of edges that four triangles would share: (lower end, axis, voxel of
-    /// the lower end's block that the faces belong to).
+    /// Vertices in the middle of edges that four triangles would share: (lower end, axis, voxel of the lower
+    /// end's block that the faces belong to).
     midpoints: BTreeMap<(u32, u8, u8), u32>,
     /// Whether voxel indices are left-handed in the world.
     mirrored: bool,
@@ -83,7 +83,7 @@ impl Shell<'_> {
         self.pinched.get(&v).unwrap_or_else(of_set)
     }
 
-    /// Adds a face; `near` says whether its nearer voxel is the inner one.
+    /// Adds a face; `near` is whether its nearer voxel is the inner one.
     fn add(&mut self, quad: &Quad, near: bool) {
         let axis = usize::from(quad.axis);
         let vertices: [u32; 4] = std::array::from_fn(|c| {
@@ -107,7 +107,7 @@ impl Shell<'_> {
         }
     }
 
-    /// The vertex in the middle of side `e`, where four triangles would share it otherwise.
+    /// The vertex in the middle of side `e`, if four triangles would share it otherwise.
     fn midpoint(&mut self, quad: &Quad, e: usize, near: bool) -> Option<u32> {
         let plane = usize::from(quad.axis);
         let (u, w) = ((plane + 1) % 3, (plane + 2) % 3);
@@ -122,7 +122,7 @@ impl Shell<'_> {
             return None;
         }
         let [su, sw] = SIDES[low];
-        // Faces that hang together have their inner voxel in common, at a pinched edge the outer one.
+        // Connected faces share their inner voxel, at a pinched edge the outer one.
         let lower = &self.net.corners[quad.corners[low] as usize];
         let is_pinched = lower.pinched >> (2 * axis + 1) & 1 == 1;
         let voxel = (1 - su) << u | (1 - sw) << w | usize::from(near == is_pinched) << plane;
@@ -146,7 +146,7 @@ impl Shell<'_> {
                 .push(if outward { [a, b, c] } else { [a, c, b] });
             return;
         };
-        // Cut from the middle of the first such side to the corner opposite of it.
+        // Split from the middle of the first such side to the opposite corner.
         let [a, b, c] = [0, 1, 2].map(|i| corners[(first + i) % 3]);
         let side = |i: usize| middles[(first + i) % 3];
         let middle = side(0).unwrap_or(a);

@@ -1,4 +1,4 @@
-//! Taking the steps of the voxels out of the shared mesh.
+//! Smoothing the voxel steps of the shared mesh.
 
 use rayon::prelude::*;
 
@@ -6,26 +6,26 @@ use super::net::{Corner, NONE, Net};
 use super::restore::push_towards;
 use crate::Vec3;
 
-/// Farthest that a vertex may be from its corner along each axis, in voxels. Below one half, so that
-/// the two faces of a layer one voxel thick never touch.
+/// Largest distance of a vertex from its corner along each axis, in voxels. Below one half, so that the two
+/// faces of a layer one voxel thick never touch.
 pub(super) const REACH: f64 = 0.45;
 
 /// Least distance of a vertex from a corner where a layer is pinched, towards its own side, in voxels: the
 /// layer is at least twice that thick there.
 const ASIDE_MIN: f64 = 0.15;
 
-/// Rounds of sweeps, each followed by giving regions their volume back: sliding towards neighbours
-/// alone would shrink what is round until it stood at the limit of [`REACH`], steps and all.
+/// Rounds of sweeps, each followed by a volume correction. Without it, smoothing alone would shrink round
+/// shapes up to the limit of [`REACH`].
 const ROUNDS: usize = 4;
 
 /// Sweeps in a round.
 const SWEEPS: usize = 4;
 
-/// Part of the way towards the mean of the neighbours in one sweep.
+/// Relaxation factor of one sweep.
 const STEP: f64 = 0.5;
 
-/// The same for vertices on lines. Half as much, because all their neighbours lie along the line:
-/// the rim of a cylinder then draws in as fast as its side.
+/// Relaxation factor for vertices on lines. It is half as large, because all their neighbours lie along the
+/// line: the rim of a cylinder then shrinks as fast as its side.
 const STEP_ON_LINE: f64 = 0.25;
 
 /// Moves the vertices; `targets` are the volumes of the regions in voxels.
@@ -65,8 +65,8 @@ fn slid(net: &Net, v: usize) -> Vec3 {
     confined(own + (sum / count - own) * step, corner)
 }
 
-/// Within reach of the corner, on the own side of a pinched layer, and in the border where the vertex
-/// belongs to it.
+/// Within reach of the corner, on the vertex's side of a pinched layer, and in the border if the vertex belongs
+/// to it.
 pub(super) fn confined(mut moved: Vec3, corner: &Corner) -> Vec3 {
     if let Some(aside) = corner.aside {
         moved += aside * (ASIDE_MIN - moved.dot(&aside)).max(0.0);

@@ -1,4 +1,4 @@
-//! Extraction held against what it promises, on simple bodies and on noise.
+//! Guarantees of the extraction, on simple bodies and on noise.
 
 use std::collections::BTreeMap;
 
@@ -95,14 +95,14 @@ fn assert_volume(found: &RegionSurface) {
     assert!((part - 1.0).abs() < 0.003, "{part} of the voxels' volume");
 }
 
-/// A region and what is beyond its surface.
+/// A region and the region beyond its surface.
 type Beyond = (u8, Option<u8>);
 
 #[test]
-fn regions_share_their_boundary_and_keep_their_volume() {
+fn neighbours_share_triangles_and_keep_their_volume() {
     let volume = nested(32);
     let found = extracted(&volume, &[&[1], &[2], &[3]], false);
-    // For each triangle, the regions that have it, and what is beyond it for each of them.
+    // For each triangle, the regions that have it, and the region beyond it for each of them.
     let mut faces: BTreeMap<[[u64; 3]; 3], Vec<Beyond>> = BTreeMap::new();
     for (region, found) in found.iter().enumerate() {
         assert_eq!(found.sides.len(), found.surface.triangles.len());
@@ -137,14 +137,14 @@ fn regions_share_their_boundary_and_keep_their_volume() {
         shared > faces.len() / 3,
         "neighbours share triangles bit for bit"
     );
-    // Without gaps and overlaps, the parts are the whole.
+    // Without gaps and overlaps, the volumes add up to the whole.
     let parts: f64 = found.iter().map(|f| f.surface.volume()).sum();
     let whole = extracted(&volume, &[&[1, 2, 3]], false);
     assert!((parts / whole[0].surface.volume() - 1.0).abs() < 1e-3);
 }
 
 #[test]
-fn the_outermost_surface_goes_around_all_regions() {
+fn outermost_surface_encloses_all_regions() {
     let volume = nested(24);
     let found = extracted(&volume, &[&[1], &[2], &[3]], true);
     let parts: f64 = found.iter().map(|f| f.voxels_m3).sum();
@@ -157,7 +157,7 @@ fn the_outermost_surface_goes_around_all_regions() {
 }
 
 #[test]
-fn a_label_of_several_regions_is_the_last_ones() {
+fn shared_label_belongs_to_the_last_region() {
     let volume = nested(24);
     let found = extracted(&volume, &[&[1, 2, 3], &[3]], false);
     let counts = volume.counts();
@@ -167,7 +167,7 @@ fn a_label_of_several_regions_is_the_last_ones() {
 }
 
 #[test]
-fn steps_of_the_voxels_are_smoothed_away() {
+fn voxel_steps_are_smoothed() {
     // A ball of 20 voxels: the staircase has half as much area again as the ball.
     let volume = volume([48; 3], |at| {
         u16::from(Vec3::from_fn(|a, _| at[a] as f64 - 23.3).norm() < 20.0)
@@ -186,7 +186,7 @@ fn steps_of_the_voxels_are_smoothed_away() {
 }
 
 #[test]
-fn where_the_image_ends_the_cut_is_flat_and_its_rim_sharp() {
+fn surface_is_flat_with_a_sharp_rim_at_the_image_border() {
     let volume = volume([20, 20, 10], |[x, y, _]| {
         let r = (x as f64 - 9.5).hypot(y as f64 - 9.5);
         if r < 4.0 { 2 } else { u16::from(r < 8.0) }
@@ -210,7 +210,7 @@ fn where_the_image_ends_the_cut_is_flat_and_its_rim_sharp() {
 }
 
 #[test]
-fn sheared_mirrored_and_anisotropic_voxels_are_placed_and_wound_right() {
+fn sheared_mirrored_and_anisotropic_voxels_keep_position_and_winding() {
     for columns in [
         [[1e-3, 0.0, 0.0], [0.0, 1e-3, 0.0], [0.0, 0.0, 5e-3]],
         [[-1e-3, 0.0, 0.0], [0.0, 1e-3, 0.0], [0.0, 0.0, 2e-3]],
@@ -228,7 +228,7 @@ fn sheared_mirrored_and_anisotropic_voxels_are_placed_and_wound_right() {
 }
 
 #[test]
-fn voxels_finer_than_asked_for_are_joined_and_volumes_kept() {
+fn joining_fine_voxels_keeps_volumes() {
     // 2 mm voxels; 6.1 mm allows blocks of three, and 63 of them leave no remainder, 64 do.
     for size in [63, 64] {
         let mut volume = nested(size);
@@ -257,7 +257,7 @@ fn voxels_finer_than_asked_for_are_joined_and_volumes_kept() {
 }
 
 #[test]
-fn a_layer_as_thin_as_the_voxels_is_not_joined_away() {
+fn joining_voxels_keeps_one_voxel_layers() {
     let volume = volume([24; 3], |[x, y, z]| {
         let edge = |i: usize| i == 2 || i == 21;
         let inside = |i: usize| (2..22).contains(&i);
@@ -274,8 +274,8 @@ fn a_layer_as_thin_as_the_voxels_is_not_joined_away() {
 }
 
 #[test]
-fn a_layer_askew_to_its_voxels_is_one_sheet_of_even_thickness() {
-    // Its voxels have only edges in common.
+fn oblique_one_voxel_layer_is_one_sheet_of_even_thickness() {
+    // Its voxels are connected through edges only.
     let volume = volume([24; 3], |[x, y, _]| match x + y {
         0..20 => 2,
         20 => 1,
@@ -292,7 +292,7 @@ fn a_layer_askew_to_its_voxels_is_one_sheet_of_even_thickness() {
     );
     for vertex in &layer.vertices {
         let at = (vertex - volume.to_world.origin) / 2e-3;
-        // Where the image ends the two sides still meet in the edges.
+        // At the image border the two sides still meet in the edges.
         let inner = (6.0..14.0).contains(&at.x) && (8.0..15.0).contains(&at.z);
         let off = (at.x + at.y - 20.0).abs();
         assert!(!inner || (0.35..0.65).contains(&off), "{off}");
@@ -300,7 +300,7 @@ fn a_layer_askew_to_its_voxels_is_one_sheet_of_even_thickness() {
 }
 
 #[test]
-fn what_the_scene_asks_and_the_volume_does_not_hold_is_refused() {
+fn missing_labels_are_rejected() {
     let volume = nested(12);
     let path = Path::new("test.nii");
     let missing = surfaces(&volume, path, &regions(&[&[1], &[7]]), true, 0.0).unwrap_err();
@@ -314,7 +314,7 @@ fn what_the_scene_asks_and_the_volume_does_not_hold_is_refused() {
 }
 
 #[test]
-fn the_same_volume_gives_the_same_bits_on_any_number_of_threads() {
+fn extraction_is_bit_equal_on_any_thread_count() {
     let of = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         pool.unwrap()
@@ -327,7 +327,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(96))]
 
     #[test]
-    fn any_labels_give_closed_surfaces_of_the_voxels_volume(
+    fn random_labels_give_closed_surfaces_of_the_voxel_volume(
         size in [1_usize..9, 1_usize..9, 1_usize..9],
         noise in prop::collection::vec(0_u16..5, 512),
         coarse in 1_usize..4,

@@ -10,14 +10,14 @@ use crate::labels::samples::SampleType;
 use crate::labels::volume::checked_size;
 use crate::labels::{Affine, LabelError};
 
-/// Largest header in bytes. Reason: with key/value pairs of a segmentation of hundreds of names it
-/// is some 100 kB. At the bound the file is refused.
+/// Largest header in bytes. Reason: with key/value pairs of a segmentation of hundreds of names it is some 100
+/// kB. Beyond the bound the file is rejected.
 const HEADER_BYTES_MAX: u64 = 1 << 22;
 
 /// Most axes a file may name (the format's own limit).
 const AXES_MAX: usize = 16;
 
-/// How the samples are written.
+/// Encoding of the samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Encoding {
     Raw,
@@ -25,7 +25,7 @@ pub(super) enum Encoding {
     Ascii,
 }
 
-/// What the fields say.
+/// Fields of the header.
 pub(super) struct Header<'a> {
     path: &'a Path,
     pub(super) sample: SampleType,
@@ -37,16 +37,16 @@ pub(super) struct Header<'a> {
     /// A detached header's data file, relative to the header.
     pub(super) data_file: Option<String>,
     sizes: Vec<u64>,
-    /// Steps along each axis, `None` where the axis is not one of space.
+    /// Steps along each axis, `None` for an axis that is not spatial.
     directions: Option<Vec<Option<Vec3>>>,
     spacings: Option<Vec<f64>>,
     origin: Option<Vec3>,
-    /// What each world axis is multiplied with to become RAS; `None` when the file does not say.
+    /// Factor that turns each world axis into RAS; `None` when the file does not define it.
     to_ras: Option<[f64; 3]>,
     unit_m: f64,
 }
 
-/// A header while it is read: the fields in the order they come.
+/// A header while it is read: the fields in file order.
 struct Fields<'a> {
     path: &'a Path,
     fields: Vec<(usize, String, String)>,
@@ -57,7 +57,7 @@ impl<'a> Header<'a> {
         let fields = Fields::read(path, from)?;
         let dimension: usize = fields.number("dimension")?;
         if !(1..=AXES_MAX).contains(&dimension) {
-            let what = format!("{dimension} is not between 1 and {AXES_MAX}");
+            let what = format!("{dimension} axes; must be between 1 and {AXES_MAX}");
             return Err(fields.broken("dimension", what));
         }
         let sizes: Vec<u64> = fields.numbers("sizes", fields.needed("sizes")?)?;
@@ -128,7 +128,7 @@ impl<'a> Header<'a> {
         })
     }
 
-    /// The three axes of space among the file's; all others must have one entry.
+    /// The three spatial axes of the file; all others must have one entry.
     fn axes(&self) -> Result<[usize; 3], LabelError> {
         let mut spatial: Vec<usize> = (0..self.sizes.len()).collect();
         if let Some(directions) = &self.directions {
@@ -164,7 +164,7 @@ impl<'a> Header<'a> {
         checked_size(self.path, self.axes()?.map(|a| self.sizes[a]))
     }
 
-    /// Orientation in m, RAS, and what is odd about it.
+    /// Orientation in m, RAS, and warnings about it.
     pub(super) fn to_world(&self) -> Result<(Affine, Vec<String>), LabelError> {
         let axes = self.axes()?;
         let mut warnings = Vec::new();
@@ -177,15 +177,13 @@ impl<'a> Header<'a> {
                 Matrix3::from_diagonal(&Vec3::from(axes.map(|a| spacings[a])))
             }
             (None, None) => {
-                warnings.push(
-                    "the header says nothing of the voxel size: 1 mm is taken on all axes".into(),
-                );
+                warnings.push("the header has no voxel size: 1 mm is assumed on all axes".into());
                 Matrix3::identity()
             }
         };
         if self.to_ras.is_none() {
             warnings.push(
-                "the header says nothing of the orientation: axes are taken as they come".into(),
+                "the header has no orientation: the axis order of the file is assumed".into(),
             );
         }
         let sign = self.to_ras.unwrap_or([1.0; 3]);
@@ -240,7 +238,7 @@ impl<'a> Fields<'a> {
             if line.is_empty() {
                 return Ok(this);
             }
-            // Comments begin with #, key/value pairs are divided by := and say nothing of shape.
+            // Comments begin with #; key/value pairs are divided by := and do not affect the shape.
             if line.starts_with('#') || line.contains(":=") {
                 continue;
             }
@@ -382,7 +380,7 @@ fn sample_type(path: &Path, name: &str) -> Result<SampleType, LabelError> {
     Ok(sample)
 }
 
-/// What turns the file's world axes into RAS, and how many there are.
+/// Factors that turn the file's world axes into RAS, and the number of axes.
 fn space(fields: &Fields) -> Result<(Option<[f64; 3]>, usize), LabelError> {
     let Some(name) = fields.get("space") else {
         let axes = fields.optional("space dimension")?.unwrap_or(3);

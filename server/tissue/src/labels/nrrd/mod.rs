@@ -56,7 +56,7 @@ fn read_data(
         Encoding::Raw => {
             let bytes = (voxels * header.sample.bytes()) as u64;
             let skip = match header.byte_skip {
-                // -1: the samples are the last bytes of the file, whatever stands before them but a header.
+                // -1: the samples are the last bytes of the file, after any other content except a header.
                 None => from.stream_position().and_then(|start| {
                     let end = from.seek(SeekFrom::End(0))?;
                     let at = end.checked_sub(bytes).filter(|at| *at >= start);
@@ -99,7 +99,7 @@ fn read_data(
     gather.finish()
 }
 
-/// Skips bytes; `false` when the stream ends before.
+/// Skips bytes; `false` when the stream ends first.
 fn skip_bytes(from: &mut impl Read, count: u64) -> std::io::Result<bool> {
     std::io::copy(&mut from.take(count), &mut std::io::sink()).map(|n| n == count)
 }

@@ -1,9 +1,9 @@
-//! What a check found and repaired.
+//! Findings and repairs of a check.
 
 use super::Aabb;
 
-/// The outcome of [`super::Surface::check`] on a surface that was accepted. Counts are of
-/// triangles unless they say otherwise.
+/// The outcome of [`super::Surface::check`] on an accepted surface. Counts are of triangles unless stated
+/// otherwise.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CheckReport {
     /// Closed parts that are not connected to each other.
@@ -14,7 +14,7 @@ pub struct CheckReport {
     pub degenerate_dropped: usize,
     /// Kept though their area is zero, because the surface would be open without them.
     pub needles_kept: usize,
-    /// Dropped because the same three corners came more than once.
+    /// Dropped because the same three corners occur more than once.
     pub duplicates_dropped: usize,
     /// Turned so that neighbours agree on which side is outside.
     pub winding_repaired: usize,
@@ -28,6 +28,6 @@ pub struct CheckReport {
     pub area_m2: f64,
     /// Box around the surface in m.
     pub aabb: Aabb,
-    /// What a person should know, one sentence each.
+    /// Warnings for the user, one sentence each.
     pub warnings: Vec<String>,
 }

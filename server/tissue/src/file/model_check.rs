@@ -1,35 +1,35 @@
-//! What must hold of a model that comes from outside, so that nothing later can panic over it.
+//! Validation of a model from outside, so that no later code can panic on it.
 
 use crate::material::{
     COMPRESS_LIMIT_RANGE, FIBRE_RATIO_RANGE, POISSON_RANGE, STIFFENING_RANGE, STRETCH_LIMIT_RANGE,
 };
 use crate::{EDGES, FACES, Model, NO_CELL};
 
-/// Most nodes of a model. At 16 million a topology takes about 12 GiB; a file with more is refused.
+/// Most nodes of a model. At 16 million a topology takes about 12 GiB; a file with more is rejected.
 pub const NODES_MAX: usize = 16_000_000;
 /// Most cells of a model; face numbers (six per cell) then fit 32 bits with room to spare.
 pub const CELLS_MAX: usize = 16_000_000;
-/// Most regions of a model: what a scene names by hand. More means a damaged file.
+/// Most regions of a model, far more than a scene names by hand. More means a damaged file.
 pub const REGIONS_MAX: usize = 1024;
 /// Farthest lattice coordinate from the origin, so that products of coordinates fit 64 bits.
 const LATTICE_MAX: u32 = 1 << 20;
 /// Farthest node from the origin in m; anything beyond is a mistaken unit.
 pub(crate) const POSITION_MAX_M: f64 = 1e4;
-/// Lattice spacings that make sense, in m: from a tenth of a micrometre to ten metres.
+/// Range of lattice spacings in m: from a tenth of a micrometre to ten metres.
 const SPACING_RANGE_M: std::ops::RangeInclusive<f64> = 1e-7..=10.0;
-/// Strongest gravity along an axis that makes sense, in m/s²; of the order of a centrifuge's.
+/// Largest gravity along an axis in m/s²; of the order of a centrifuge's.
 const GRAVITY_MAX_M_S2: f64 = 1e3;
-/// Young's moduli that make sense, in Pa: from looser than mucus to a hundred times diamond. They
-/// keep every spring's stiffness finite in 32 bits.
+/// Range of Young's moduli in Pa: from looser than mucus to a hundred times diamond. The range keeps every
+/// spring's stiffness finite in 32 bits.
 const YOUNG_RANGE_PA: std::ops::RangeInclusive<f64> = 1e-3..=1e14;
-/// Densities that make sense, in kg/m³.
+/// Range of densities in kg/m³.
 const DENSITY_RANGE_KG_M3: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
-/// How far from one the square of a unit vector may be by rounding.
+/// Rounding tolerance of the square of a unit vector.
 const FIBRE_TOLERANCE: f64 = 1e-9;
-/// Coefficients of friction that make sense.
+/// Range of the coefficients of friction.
 const FRICTION_RANGE: std::ops::RangeInclusive<f64> = 0.0..=10.0;
 
-/// The first thing that is wrong with a model, as the rest of "the model …".
+/// The first defect of a model, as the rest of "the model …".
 pub(crate) fn check(model: &Model) -> Result<(), String> {
     check_counts(model)?;
     if !SPACING_RANGE_M.contains(&model.spacing_m) {
@@ -43,7 +43,9 @@ pub(crate) fn check(model: &Model) -> Result<(), String> {
     for (node, (p, l)) in model.nodes.iter().zip(&model.lattice).enumerate() {
         // Written so that a NaN fails.
         if !p.iter().all(|v| v.abs() <= POSITION_MAX_M) {
-            return Err(format!("has node {node} at {p:?}, beyond all measure"));
+            return Err(format!(
+                "has node {node} at {p:?}, farther than {POSITION_MAX_M} m from the origin"
+            ));
         }
         if l.iter().any(|v| v.unsigned_abs() > LATTICE_MAX) {
             return Err(format!("has node {node} at lattice point {l:?}"));
@@ -66,7 +68,7 @@ fn check_counts(model: &Model) -> Result<(), String> {
         }
     }
     if model.lattice.len() != model.nodes.len() {
-        return Err("has not one lattice point per node".into());
+        return Err("has a number of lattice points that differs from its nodes".into());
     }
     Ok(())
 }
@@ -86,7 +88,7 @@ fn check_regions(model: &Model) -> Result<(), String> {
         if !fits {
             let (region, material) = (&region.name, &m.name);
             return Err(format!(
-                "has in region `{region}` a material `{material}` with impossible values"
+                "has in region `{region}` a material `{material}` with values out of range"
             ));
         }
         let squared: f64 = region.fibre.iter().map(|v| v * v).sum();
@@ -116,14 +118,14 @@ fn check_cells(model: &Model) -> Result<(), String> {
     let mut slots = vec![0u8; nodes];
     for (index, cell) in model.cells.iter().enumerate() {
         if cell.region.index() >= model.regions.len() {
-            return Err(format!("has cell {index} in a region that is not there"));
+            return Err(format!("has cell {index} in a region that does not exist"));
         }
         for (corner, &node) in cell.corners.iter().enumerate() {
             let Some(slot) = slots.get_mut(node as usize) else {
                 return Err(format!("has cell {index} on node {node} of {nodes}"));
             };
             if *slot >> corner & 1 == 1 {
-                return Err(format!("has two cells in one place at node {node}"));
+                return Err(format!("has two cells in one position at node {node}"));
             }
             *slot |= 1 << corner;
         }
@@ -148,7 +150,7 @@ fn check_neighbours(model: &Model) -> Result<(), String> {
             if neighbour == NO_CELL {
                 continue;
             }
-            let wrong = || format!("has cell {index} wired wrongly through face {face}");
+            let wrong = || format!("has a wrong neighbour of cell {index} across face {face}");
             let other = model.cells.get(neighbour as usize).ok_or_else(wrong)?;
             let across = 1 << (face / 2);
             let shares = corners

@@ -1,9 +1,8 @@
-//! Giving every region back the volume that straight cell faces have cut off its curved interfaces
-//! (reconstructed).
+//! Restoring the region volumes that straight cell faces have cut off curved interfaces (reconstructed).
 //!
-//! Faces between nodes that lie exactly on a curved surface run inside it: a bone of radius 7 mm
-//! loses 6 % at a spacing of 4 mm. So the nodes of each interface move along its normal, mostly by well
-//! below a tenth of the spacing; a node whose cells would suffer moves less.
+//! Faces between nodes that lie exactly on a curved surface run inside it: a bone of radius 7 mm loses 6 % at a
+//! spacing of 4 mm. So the nodes of each interface move along its normal, mostly by well below a tenth of the
+//! spacing. A node moves less if its cells would fail the floors.
 
 use std::collections::BTreeMap;
 
@@ -13,25 +12,24 @@ use super::faces::{Face, OUTSIDE, volumes};
 use super::untangle::Untangler;
 use crate::Vec3;
 
-/// Most rounds of correction; later ones take up what nodes that had to stay have left over. Three are
-/// enough for a limb, a skin of one cell's thickness takes eight.
+/// Most rounds of correction; later rounds make up for nodes that could not move. Three are enough for a limb;
+/// a skin of one cell's thickness takes eight.
 const ROUNDS_MAX: usize = 8;
 /// Correction ends when every region is within this part of its volume.
 const EXACT: f64 = 1e-4;
-/// Farthest that an interface is moved in all, in spacings; a skin thinner than a cell needs a third.
-/// A region that misses more volume than this gives has lost thin parts, and blowing up the rest
-/// would be a lie.
+/// Farthest total move of an interface, in spacings; a skin thinner than a cell needs a third. A region that
+/// misses more volume than this gives has lost thin parts, and inflating the rest would be wrong.
 const SHIFT_MAX: f64 = 0.4;
-/// The same for one round, so that the interface's normals are still its own.
+/// The same per round, so that the normals of the interface remain valid.
 const STEP_MAX: f64 = 0.1;
-/// Parts of the way that are tried until the cells around a node hold.
+/// Fractions of the step that are tried until the cells around a node pass.
 const TRIES: [f64; 3] = [1.0, 0.5, 0.25];
 
 /// Moves the nodes of curved interfaces until region volumes match `targets` (m³).
 ///
-/// Each pair of neighbours r, s has one shift of its wall, `λ_r - λ_s` out of r, with λ = 0 outside.
-/// With the areas `A_rs` the volumes then change by what is missing, `m_r = Σ_s A_rs (λ_r - λ_s)`: a small
-/// Laplacian system, which gives of all shifts that do so the least.
+/// Each pair of neighbours r, s has one shift of its wall, `λ_r - λ_s` out of r, with λ = 0 outside. With the
+/// areas `A_rs` the volumes change by the missing volumes `m_r = Σ_s A_rs (λ_r - λ_s)`. This is a small
+/// Laplacian system, whose solution has the smallest shifts.
 pub(super) fn restore_volumes(
     untangler: &Untangler<'_>,
     faces: &[Face],
@@ -39,7 +37,7 @@ pub(super) fn restore_volumes(
     positions: &mut [Vec3],
 ) {
     let mut slots = Slots::new(faces, positions.len());
-    // How far each wall has moved.
+    // Total shift of each wall.
     let mut shifted: BTreeMap<Pair, f64> = BTreeMap::new();
     for _ in 0..ROUNDS_MAX {
         let volumes = volumes(faces, positions, targets.len());
@@ -62,10 +60,10 @@ pub(super) fn restore_volumes(
     }
 }
 
-/// The region of a wall and what is behind it.
+/// The region of a wall and the region behind it.
 type Pair = (u16, u16);
 
-/// The shift of every wall that gives the regions what they miss (m³).
+/// The shift of every wall that restores the missing volumes of the regions (m³).
 fn shifts(faces: &[Face], positions: &[Vec3], missing: &[f64]) -> Option<BTreeMap<Pair, f64>> {
     let mut areas: BTreeMap<Pair, f64> = BTreeMap::new();
     for face in faces {
@@ -74,7 +72,7 @@ fn shifts(faces: &[Face], positions: &[Vec3], missing: &[f64]) -> Option<BTreeMa
     }
     let count = missing.len();
     let whole: f64 = areas.values().sum();
-    // A region that touches nothing keeps its row solvable.
+    // A region without neighbours keeps its row solvable.
     let mut laplacian = DMatrix::from_diagonal_element(count, count, 1e-9 * whole);
     for (&(region, other), &area) in &areas {
         let r = usize::from(region);
@@ -109,7 +107,7 @@ fn face_vector(face: &Face, positions: &[Vec3]) -> Vec3 {
     (c - a).cross(&(d - b)) / 2.0
 }
 
-/// A place for the normal of every node that lies on an interface.
+/// A slot for the normal of every node on an interface.
 struct Slots {
     slot_of: Vec<u32>,
     nodes: Vec<u32>,

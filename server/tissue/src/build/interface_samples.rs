@@ -1,5 +1,5 @@
-//! Samples of the input's interfaces: how thick the layers beside them are, and how far away the
-//! model's own interface is.
+//! Samples of the input's interfaces: thickness of the layers beside them, and distance to the model's own
+//! interface.
 
 use rayon::prelude::*;
 
@@ -15,16 +15,16 @@ const SIDE_MAX: f64 = 1.0;
 const AREA_MIN: f64 = 0.4;
 /// Triangles sampled by one task.
 const CHUNK: usize = 1024;
-/// How far from a surface one begins to look, in spacings.
+/// Offset from a surface at which a search ray starts, in spacings.
 const LOOK: f64 = 0.02;
-/// Farthest that the model's interface is looked for from the input's, in spacings: distances of a report that
-/// are as large are at least that.
+/// Search radius for the model's interface around the input's, in spacings. A reported distance of this size is
+/// a lower bound.
 pub const DISTANCE_REACH: f64 = 3.0;
 
 /// A point of an input interface.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sample {
-    /// Where it is, in m.
+    /// Its position in m.
     pub(super) at: Vec3,
     /// Area that it stands for, in m².
     pub(super) area: f64,
@@ -43,7 +43,7 @@ pub(super) struct Sample {
 pub(super) struct Thin {
     /// Its region, or [`OUTSIDE`] for a gap.
     pub(super) region: u16,
-    /// What lies beyond it.
+    /// The region beyond it.
     pub(super) beyond: u16,
     /// Thickness in m along the normal.
     pub(super) thickness: f64,
@@ -95,13 +95,13 @@ fn model_surface(interface: Interface, faces: &[Face], positions: &[Vec3], middl
     Bvh::new(middle, triangles)
 }
 
-/// A place to look at.
+/// A point to probe.
 struct Point {
     at: Vec3,
     /// Unit normal.
     normal: Vec3,
     area: f64,
-    /// The regions behind and before it, where they are known.
+    /// The regions behind and before it, if known.
     sides: Option<[u16; 2]>,
 }
 
@@ -147,11 +147,11 @@ fn spread(patch: &Bvh, range: std::ops::Range<usize>, spacing: f64, points: &mut
     }
 }
 
-/// What one meets first on a way.
+/// The first crossing along a direction.
 struct Wall {
-    /// How far along the way, in m.
+    /// Its distance in m.
     depth: f64,
-    /// The region beyond it, where that is known.
+    /// The region beyond it, if known.
     beyond: Option<u16>,
 }
 

@@ -1,4 +1,4 @@
-//! What is wrong with the input, and what a person should know about the result.
+//! Validation of the input, and warnings about the result.
 
 use rayon::prelude::*;
 
@@ -10,21 +10,21 @@ use crate::file::POSITION_MAX_M;
 use crate::scene::SceneInput;
 use crate::{Aabb, Model, Surface, Vec3};
 
-/// A region whose volume differs from its input by more than this part earns a warning.
+/// Relative difference between the volume of a region and its input above which the report warns.
 const VOLUME_WARNING: f64 = 0.01;
 
-/// More flipped cells than this part of all cells of the grid earn a warning.
+/// Part of the cells of the grid that may be flipped without a warning.
 const FLIPPED_WARNING: f64 = 0.005;
 
-/// A region sticks out of the first one where it does so by more than this part of the spacing.
+/// A region sticks out of the first one when it does so by more than this part of the spacing.
 const STICKING_OUT: f64 = 0.25;
 
-/// An outermost surface larger than this, in m, was most likely not written in millimetres.
+/// Extent in m above which an outermost surface was most likely not written in millimetres.
 const LARGE: f64 = 5.0;
-/// An outermost surface smaller than this, in m, was most likely written in metres.
+/// Extent in m below which an outermost surface was most likely written in metres.
 const SMALL: f64 = 0.003;
 
-/// Refuses what lies beyond where a model may, and a spacing that needs more memory than there may be.
+/// Rejects input outside the allowed coordinates, and a spacing that exceeds the memory limits.
 pub(super) fn size(surfaces: &[&Surface], spacing: f64) -> Result<(), BuildError> {
     let bounds = Aabb::around(surfaces.iter().flat_map(|s| &s.vertices));
     let far = bounds.map_or(0.0, |b| b.min.abs().sup(&b.max.abs()).max());
@@ -39,7 +39,7 @@ pub(super) fn size(surfaces: &[&Surface], spacing: f64) -> Result<(), BuildError
         return Ok(());
     }
     let factor = (cells / GRID_CELLS_MAX).max(nodes / BUILD_NODES_MAX).cbrt();
-    // Rounded up to the hundredth, with a little room for the rim of the grid.
+    // Rounded up to the hundredth, with some room for the rim of the grid.
     let suggestion_mm = (spacing * 1e3 * factor * 1.02 * 100.0).ceil() / 100.0;
     let hint = if extent.max() > LARGE {
         format!(
@@ -58,7 +58,7 @@ pub(super) fn size(surfaces: &[&Surface], spacing: f64) -> Result<(), BuildError
     })
 }
 
-/// Refuses regions that are far from all others, and warns of those that stick out of the first.
+/// Rejects regions that are far from all others, and warns of regions that stick out of the first one.
 pub(super) fn nesting(
     input: &SceneInput,
     spacing: f64,
@@ -88,7 +88,7 @@ pub(super) fn nesting(
         }
         let out = sticking_out(input, spacing, query, r);
         let all = surface.triangles.len();
-        // A region that is all outside stands beside the first one; that is meant.
+        // A region that is all outside stands beside the first one; that is intended.
         if out * 50 > all && out * 50 < all * 49 {
             warnings.push(format!(
                 "{} % of the surface of region {:?} lies outside the outermost region {:?}; \
@@ -102,7 +102,7 @@ pub(super) fn nesting(
     Ok(())
 }
 
-/// Warns of what gravity pulls at and nothing holds.
+/// Warns of pieces of the model that gravity acts on and no pinned node holds.
 pub(super) fn hanging(model: &Model, warnings: &mut Vec<String>) {
     let adrift = adrift(model);
     if adrift > 0 {
@@ -122,8 +122,8 @@ fn gap(a: &Aabb, b: &Aabb) -> f64 {
         .norm()
 }
 
-/// Triangles of region `r` that lie outside the first region by more than a part of the spacing:
-/// what two surfaces have in common, as a flat end, counts as outside or not by rounding.
+/// Triangles of region `r` that lie outside the first region by more than a part of the spacing. Areas that two
+/// surfaces share, as a flat end, count as outside or not by rounding.
 fn sticking_out(input: &SceneInput, spacing: f64, query: &PointQuery, r: usize) -> usize {
     let surface = &input.surfaces[r];
     let depth = spacing * STICKING_OUT;
@@ -139,12 +139,12 @@ fn sticking_out(input: &SceneInput, spacing: f64, query: &PointQuery, r: usize) 
         .count()
 }
 
-/// The error for a spacing at which nothing is left.
+/// The error for a spacing at which no cell is left.
 pub(super) fn too_coarse(surfaces: &[&Surface], spacing: f64) -> BuildError {
     let boxes = surfaces.iter().filter_map(|s| s.aabb());
     let extent = boxes.map(|b| b.extent().max()).fold(0.0, f64::max);
     let hint = if extent < SMALL {
-        "; that is very small: were the surfaces written in metres? Then say unit = \"m\""
+        "; that is very small: were the surfaces written in metres? Then set unit = \"m\""
     } else {
         ""
     };
@@ -155,7 +155,7 @@ pub(super) fn too_coarse(surfaces: &[&Surface], spacing: f64) -> BuildError {
     }
 }
 
-/// Says what was done to the labels.
+/// Warns of changes to the labels.
 pub(super) fn mending(mending: &Mending, cells: usize, warnings: &mut Vec<String>) {
     if mending.dropped.0 > 0 {
         warnings.push(format!(
@@ -179,7 +179,7 @@ pub(super) fn mending(mending: &Mending, cells: usize, warnings: &mut Vec<String
     }
 }
 
-/// Says which regions differ from their input.
+/// Warns of regions that differ from their input.
 pub(super) fn regions(regions: &[RegionReport], warnings: &mut Vec<String>) {
     for region in regions {
         let error = region.volume_mm3 / region.input_volume_mm3 - 1.0;
@@ -190,7 +190,7 @@ pub(super) fn regions(regions: &[RegionReport], warnings: &mut Vec<String>) {
             ));
         } else if region.nodes == 0 {
             warnings.push(format!(
-                "region {:?} has no cell at this spacing: it is thinner than half of it everywhere",
+                "region {:?} has no cell at this spacing: it is thinner than half the spacing everywhere",
                 region.name
             ));
         } else if error.abs() > VOLUME_WARNING {

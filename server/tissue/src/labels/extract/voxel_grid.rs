@@ -1,4 +1,4 @@
-//! The regions of a volume's voxels, cut down to where there are any, with a rim of one voxel.
+//! The regions of a volume's voxels, cropped to the non-empty part plus a rim of one voxel.
 
 use nalgebra::Matrix3;
 use rayon::prelude::*;
@@ -9,15 +9,15 @@ use crate::labels::{Affine, LabelVolume};
 /// A voxel of no region.
 pub(super) const OUTSIDE: u8 = 0;
 
-/// A voxel beyond the volume's border. It is outside too, but the border is a plane of its own: an
-/// image ends there, not the body, and the cut stays flat with a sharp rim.
+/// A voxel beyond the volume's border. It is outside too, but the border is a separate plane: the image ends
+/// there, not the body, and the cut stays flat with a sharp rim.
 pub(super) const BEYOND: u8 = u8::MAX;
 
-/// Part of its volume that a region may gain or lose when voxels are joined. Reason: it gets the right
-/// volume back by moving its boundary by a fraction of a voxel (a rod four voxels thick by an eighth
-/// of one); what loses more is a layer as thin as the voxels, which must be kept.
+/// Relative volume change of a region that is accepted when voxels are joined. Reason: the volume is restored
+/// by moving the boundary by a fraction of a voxel (a rod four voxels thick by an eighth of one). A region that
+/// loses more is a layer as thin as the voxels, which must be kept.
 const COARSENING_LOSS_MAX: f64 = 0.25;
-/// Voxels to a block from which on fewer are tried by halves, below one by one.
+/// Block size in voxels above which the size is halved after a failed attempt; below it decreases by one.
 const FACTOR_FINE: usize = 8;
 
 /// Regions of voxels, x fastest.
@@ -31,7 +31,7 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// Takes over what lies in some region and one voxel around it.
+    /// Copies the voxels of all regions and one voxel around them.
     pub(super) fn new(volume: &LabelVolume, region_of: &[u8]) -> Self {
         let [low, high] = extent(volume, region_of);
         let size: [usize; 3] = std::array::from_fn(|a| high[a] - low[a] + 2);
@@ -68,9 +68,9 @@ impl Grid {
         }
     }
 
-    /// Joins blocks of voxels into one that belongs to the region with most of them, as long as no
-    /// block is longer than `finest_m` and every region keeps its volume roughly. Returns how many
-    /// voxels make one, too.
+    /// Joins blocks of voxels into one that belongs to the region with most of them, as long as no block is
+    /// longer than `finest_m` and every region roughly keeps its volume. Returns the number of voxels per
+    /// block, too.
     pub(super) fn coarsened(self, finest_m: f64, regions: usize) -> (Self, usize) {
         let spacing = self.to_world.spacing_m();
         let most = self.size.map(|n| n - 2);
@@ -87,7 +87,8 @@ impl Grid {
             if before.iter().zip(&coarse.counts(regions)).all(keeps) {
                 return (coarse, each);
             }
-            // Large ones faster: a spacing typed in the wrong unit would take a look at every voxel for each.
+            // Large blocks shrink faster: a spacing in the wrong unit would otherwise take one pass over all
+            // voxels per size.
             factors = factors.map(|f| {
                 if f > FACTOR_FINE {
                     f / 2
@@ -102,7 +103,7 @@ impl Grid {
     fn joined(&self, factors: [usize; 3]) -> Self {
         let inner = self.size.map(|n| n - 2);
         let index = |p: [usize; 3]| p[0] + self.size[0] * (p[1] + self.size[1] * p[2]);
-        // The rims along an axis, seen beside the first voxel.
+        // The rims along an axis, relative to the first voxel.
         let rim = |a: usize, at: usize| {
             let mut p = [1; 3];
             p[a] = at;
@@ -111,7 +112,7 @@ impl Grid {
         let rims: [[u8; 2]; 3] = std::array::from_fn(|a| [rim(a, 0), rim(a, inner[a] + 1)]);
         let size: [usize; 3] = std::array::from_fn(|a| {
             let (n, f) = (inner[a], factors[a]);
-            // The border of the image moves by half a block at most; elsewhere nothing is cut off.
+            // The border of the image moves by half a block at most; nothing else is cropped.
             let blocks = if rims[a][1] == BEYOND {
                 (n + f / 2) / f
             } else {
@@ -181,7 +182,7 @@ impl Grid {
     }
 }
 
-/// Index in the volume of what is `at - 1` steps from its first voxel.
+/// Index in the volume of the voxel `at - 1` steps from the first one.
 fn within(at: usize, size: usize) -> Option<usize> {
     at.checked_sub(1).filter(|i| *i < size)
 }
