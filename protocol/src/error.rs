@@ -1,4 +1,4 @@
-//! What can be wrong with bytes that came from somebody else.
+//! Errors in bytes from the peer.
 
 use crate::handshake::PROTOCOL_VERSION;
 
@@ -19,13 +19,13 @@ pub enum ProtocolError {
         "the other side speaks protocol version {theirs}, this program speaks version {PROTOCOL_VERSION}; use the same release on both sides"
     )]
     Version {
-        /// The version in the other side's preamble.
+        /// The version in the peer's preamble.
         theirs: u16,
     },
     /// A frame announces more bytes than its kind may have.
     #[error("a frame of {bytes} bytes on the operations stream, where at most {limit} are allowed")]
     FrameTooLong {
-        /// What the length prefix says, in bytes.
+        /// The length prefix in bytes.
         bytes: u64,
         /// The limit that applied, in bytes.
         limit: usize,
@@ -37,7 +37,7 @@ pub enum ProtocolError {
         what: &'static str,
         /// The length of the frame in bytes.
         bytes: usize,
-        /// What the decoder said.
+        /// The decoder's message.
         detail: String,
     },
     /// A message ended before its frame did.
@@ -48,7 +48,7 @@ pub enum ProtocolError {
         /// How many bytes were left.
         extra: usize,
     },
-    /// A message of our own that can not be sent.
+    /// A message of this program that is too large to send.
     #[error("a {what} of {bytes} bytes is too large to send, at most {limit} are allowed")]
     TooLarge {
         /// The kind of message.
@@ -58,16 +58,16 @@ pub enum ProtocolError {
         /// The limit in bytes.
         limit: usize,
     },
-    /// A datagram that is shorter than its content says.
+    /// A datagram that ends before its announced content.
     #[error("a {what} datagram ends in the middle")]
     DatagramTruncated {
         /// The part that was being read.
         what: &'static str,
     },
-    /// A datagram tells differences from another one that did not arrive or is forgotten.
+    /// A datagram whose baseline did not arrive or is forgotten.
     #[error("a datagram tells differences from datagram {sequence}, which is not there")]
     NoBaseline {
-        /// The number of the other one.
+        /// The number of the baseline.
         sequence: u32,
     },
     /// A datagram of another life of the session.
@@ -80,12 +80,12 @@ pub enum ProtocolError {
         /// The low bits of the epoch in the datagram.
         low_bits: u8,
     },
-    /// A datagram of somebody else's connection.
+    /// A datagram of another participant's connection.
     #[error(
         "a datagram of another participant: its low bits are {low_bits}, the connection is that of #{expected}"
     )]
     OtherStream {
-        /// The participant whose connection it is.
+        /// The participant of this connection.
         expected: u16,
         /// The low bits of the participant in the datagram.
         low_bits: u8,
@@ -109,7 +109,7 @@ pub enum ProtocolError {
     OutOfOrder {
         /// The message that arrived.
         what: &'static str,
-        /// What the session was doing.
+        /// The state of the session.
         state: &'static str,
     },
     /// The numbered operations have a hole.
@@ -117,7 +117,7 @@ pub enum ProtocolError {
     OperationGap {
         /// The number that was due.
         expected: u64,
-        /// The number that came.
+        /// The number received.
         found: u64,
     },
     /// The peer takes its operations more slowly than they are produced.

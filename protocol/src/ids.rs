@@ -1,4 +1,4 @@
-//! Names of things on the wire, one type per kind, so that one is never taken for another.
+//! Identifiers on the wire: one type per kind, so that the compiler keeps them apart.
 
 use std::fmt;
 
@@ -28,13 +28,13 @@ id! {
 }
 
 impl ParticipantId {
-    /// The server itself, author of what no participant asked for; participants count from 1.
+    /// The server itself: the author of operations without a requester. Participants count from 1.
     pub const SERVER: Self = Self(0);
 }
 
 id! {
-    /// Which life of a session this is: it grows whenever a server takes the session over, and
-    /// what carries an earlier one is refused.
+    /// The incarnation of a session: it grows whenever a server takes the session over. Messages with an
+    /// earlier epoch are rejected.
     Epoch(u32), "epoch {}"
 }
 

@@ -1,4 +1,4 @@
-//! Lateness that machines cause, apart from the lateness that networks cause.
+//! Lateness that machines cause, separated from the lateness that networks cause.
 //!
 //! ```text
 //! sender    takes samples, and sends them after at most a batch       the rest is lateness of the sender
@@ -6,8 +6,9 @@
 //! receiver  handles what its socket holds as soon as it is there      the rest is a stall of the receiver
 //! ```
 //!
-//! Every track says how late its sender and the server made it ([`Lateness`], in the datagram). The receiver's own
-//! part is measured where the socket is read ([`StallWatch`]). The playout delay covers what is left: the network.
+//! Every track carries the lateness of its sender and of the server ([`Lateness`], in the datagram). The
+//! receiver's part is measured where the socket is read ([`StallWatch`]). The playout delay covers the
+//! rest: the network.
 
 use crate::{ServerTime, Span};
 
@@ -58,7 +59,7 @@ impl Lateness {
         .limited()
     }
 
-    /// As a datagram says it: within limits, in whole steps.
+    /// The value that a datagram carries: within limits, in whole steps.
     #[must_use]
     pub fn limited(self) -> Self {
         let step = LATENESS_STEP.as_micros();
@@ -74,7 +75,7 @@ impl Lateness {
     }
 }
 
-/// Repeats what a sender claims about the oldest news of one track.
+/// Repeats a sender's reported lateness about the oldest news of one track.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Repeated {
     until: ServerTime,
@@ -109,21 +110,21 @@ const WATCH_PERIOD: Span = Span::from_millis(8);
 /// Something moves when the receiver is woken twice within this time.
 const MOTION_GAP: Span = Span::from_millis(20);
 
-/// The receiver goes on watching for so long after something moved: a sender may have stalled.
+/// The receiver keeps watching for this long after motion: a sender may have stalled.
 const WATCH_AFTER: Span = Span::from_millis(500);
 
-/// After a stall the datagrams that wait in the socket come through other tasks of this machine. They take up to one
-/// part in so many of the stall.
+/// After a stall the datagrams in the socket's queue pass through other tasks of this machine. The queue
+/// takes up to the stall divided by this to drain.
 const SETTLING_PART: i64 = 4;
 
-/// Measures how long datagrams may have waited for a receiver that did not run.
+/// Measures how long datagrams may have waited for a stalled receiver.
 ///
 /// Calling order, with one monotonic clock: [`waits`](Self::waits) before the receiver waits,
 /// [`wake`](Self::wake) when it goes on, [`handle_datagram`](Self::handle_datagram) for every datagram, and
 /// [`handle_empty`](Self::handle_empty) when no datagram is left.
 ///
-/// A receiver that runs wakes at its deadline at the latest. Past the deadline it did not run, and a datagram in its
-/// queue may have come at any time since the queue was last empty.
+/// A running receiver wakes at its deadline at the latest. Past the deadline it was stalled, and a
+/// datagram in its queue may have arrived at any time since the queue was last empty.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct StallWatch {
     /// When the queue was last seen empty.
@@ -140,7 +141,7 @@ pub struct StallWatch {
 struct Stall {
     /// The queue was empty then.
     began: Span,
-    /// What piled up is worked off by then.
+    /// The queue has drained by then.
     settled_at: Span,
 }
 
@@ -176,7 +177,8 @@ impl StallWatch {
         }
     }
 
-    /// A datagram is taken from the queue; returns how long it may have waited there because of a stall.
+    /// Notes a datagram taken from the queue; returns how long it may have waited there because of a
+    /// stall.
     pub fn handle_datagram(&self, now: Span) -> Span {
         self.stalled.map_or(Span::ZERO, |stall| now - stall.began)
     }
@@ -206,14 +208,15 @@ pub struct LocalStalls {
 /// Lateness up to this counts as none.
 const NO_STALL: Span = Span::from_millis(1);
 
-/// A stall above this is counted by [`LocalStalls::above_20_ms`], and nothing that waited for so long measures a clock.
+/// [`LocalStalls::above_20_ms`] counts longer stalls. A datagram that waited this long does not measure
+/// a clock.
 pub(crate) const LONG_STALL: Span = Span::from_millis(20);
 
 /// Classes of a [`StallCounter`], eight for every doubling.
 const CLASSES: usize = 96;
 const CLASSES_PER_OCTAVE: f64 = 8.0;
 
-/// Counts stalls by length: the first class is up to [`NO_STALL`], the others grow by a tenth each.
+/// Counts stalls by length: the first class is up to [`NO_STALL`], each next class is a tenth wider.
 #[derive(Debug, Clone)]
 pub(crate) struct StallCounter {
     classes: [u64; CLASSES],
@@ -285,7 +288,7 @@ mod tests {
         let mut watch = StallWatch::default();
         let mut now = Span::ZERO;
         for silence in [4, 4, 4, 300, 4, 4, 2000, 4] {
-            // The timer fires until a datagram comes.
+            // The timer fires until a datagram arrives.
             let until = now + ms(silence);
             loop {
                 let wait = watch.waits(now, ms(100));

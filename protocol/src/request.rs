@@ -1,4 +1,4 @@
-//! What a client asks of the server, and the messages on the operations stream as a whole.
+//! A client's requests to the server, and all messages on the operations stream.
 
 use serde::{Deserialize, Serialize};
 
@@ -37,14 +37,14 @@ pub enum ServerMessage {
 /// One request of a client.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Request {
-    /// Counts up from 1 for a seat, over all its connections. A number that the seat used over an earlier
-    /// connection is a repetition: what was done is not done again.
+    /// Counts up from 1 for a seat, over all its connections. A number that the seat used over an
+    /// earlier connection is a repetition, and the server does not apply it twice.
     pub id: RequestId,
-    /// What is asked for.
+    /// The requested change.
     pub kind: RequestKind,
 }
 
-/// What can be asked for.
+/// The changes that a client can request.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum RequestKind {
     /// Cut here.
@@ -105,7 +105,7 @@ pub struct TimedBladePoint {
     pub blade: BladePoint,
 }
 
-/// What one site measured about the age of the motion it receives.
+/// One site's measurement of the age of received motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct DelayReport {
     /// Mean age on arrival μ, microseconds.
@@ -137,18 +137,18 @@ pub enum RequestRefusal {
     /// The tissue refused the stroke.
     #[error("the stroke can not be cut: {0}")]
     CanNotCut(String),
-    /// More requests than the server takes.
+    /// The client exceeds the request rate.
     #[error("too many requests; wait a moment")]
     TooMany,
     /// The topology differs from the server's: the client must rejoin.
     #[error("your copy of the tissue differs from the server's; rejoin the session")]
     TopologyDiffers,
-    /// Who asks only watches, because of their network.
+    /// The requester is demoted, because of its network.
     #[error(
         "your tool is lifted, because your network needs more delay than the session allows; it comes back by itself when the network has recovered"
     )]
     Demoted,
-    /// So much has been done in the session that newcomers could not be told more.
+    /// The log is so long that new participants could not receive any more of it.
     #[error(
         "the session's log is full; ask the host to save the tissue as a model and to begin a new session with it"
     )]

@@ -1,43 +1,43 @@
-//! What a delay must cover: how far the moment shown is from the newest sample, over time.
+//! The delay estimate: the distance of the displayed moment from the newest sample, over time.
 //!
-//! A packet's age says how old a sample is when it comes. What a site shows in between rests on a
-//! sample that grows older until the next one comes, so that the site needs, at every moment t,
-//!
+//! A packet's age is the age of a sample on arrival. Until the next one arrives the newest sample grows
+//! older, so that the site needs, at every moment t,
 //! ```text
 //! n(t) = t - (moment of the newest sample here)
 //! ```
 //!
-//! With D >= n nothing is made up; with D < n the timeline goes n - D beyond its newest sample.
-//! That is nearly free for a few milliseconds (`verlet`: 0.02 mm rms at 10 ms), so that D need not
-//! cover everything: it is aimed [`BRIDGE`] or less below the [`SHARE`] of n.
+//! With D >= n nothing is extrapolated; with D < n the timeline extrapolates by n - D beyond its newest
+//! sample. A few milliseconds of extrapolation are nearly free (`verlet`: 0.02 mm rms at 10 ms), so that
+//! D need not cover all of n: it is aimed up to [`BRIDGE`] below the [`SHARE`] of n.
 //!
 //! ```text
 //! D* = max( q(n over LONG or SHORT, the lesser) - BRIDGE,  what a burst needed )
 //! ```
 //!
-//! Three memories, because paths change in three ways (the rule is of our own making):
-//! - a **step up** shows in a few packets that are all beyond what D can bridge: the memory of what was before
-//!   them is cleared;
-//! - a **step down** shows when the short memory lies below the long one;
-//! - a **burst** is a step up that is taken back within [`BURST_MAX`]. One alone is forgotten after
-//!   [`BURST_MEMORY_LEAST`]. Where bursts recur, their need is kept from one to the next, without
-//!   counting on the bridge, because packets are missing within a burst too.
+//! Three memories, because paths change in three ways (the rule is our own):
+//! - A **step up** shows in a few packets that are all beyond the bridge of D: the memory before them is
+//!   cleared.
+//! - A **step down** shows when the short memory lies below the long one.
+//! - A **burst** is a step up that reverts within [`BURST_MAX`]. A single burst is forgotten after
+//!   [`BURST_MEMORY_LEAST`]. The need of recurring bursts is kept from one to the next, without the
+//!   bridge, because packets are missing within a burst too.
 //!
-//! The bridge is spent on jitter: a path without jitter gets none, so that it has the whole bridge left when it changes.
+//! The bridge covers jitter. A path without jitter gets none, and keeps the whole bridge for a change.
 
 use std::collections::VecDeque;
 
 use super::estimator::MotionArrival;
 use crate::{ServerTime, Span};
 
-/// The farthest beyond the newest sample that the rule lets the timeline go at the edge of its
+/// The longest extrapolation beyond the newest sample that the rule plans for at the edge of its
 /// `SHARE`.
 pub const BRIDGE: Span = Span::from_millis(12);
 
-/// The bridge of a short path: there it is most of the delay, and such a path gains little at once.
+/// The bridge of a short path, where the bridge is most of the delay.
 const BRIDGE_SHORT: Span = Span::from_micros(11_300);
 
-/// A path counts as short up to the first need, and not at all from the second on; in between by parts.
+/// A path counts as short up to the first need and as long from the second on, with a linear blend
+/// between.
 const SHORT_PATH: [Span; 2] = [Span::from_millis(15), Span::from_millis(30)];
 
 /// The bridge in spreads of jitter (from the median to the [`SHARE`]).

@@ -140,7 +140,7 @@ fn beyond_the_gap_limit_the_tool_stands_fades_and_is_stale() {
     assert_eq!(at(&mut timeline, 1000).opacity, 0.0);
 }
 
-/// The methods that a session may be shown by: what is made of sample-to-sample differences leaps by itself.
+/// The methods for sessions: methods of sample-to-sample differences jump by construction.
 const STEADY: [Method; 3] = [Method::Linear, Method::Verlet, Method::Hermite];
 
 #[test]
