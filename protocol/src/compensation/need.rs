@@ -40,47 +40,47 @@ const BRIDGE_SHORT: Span = Span::from_micros(11_300);
 /// between.
 const SHORT_PATH: [Span; 2] = [Span::from_millis(15), Span::from_millis(30)];
 
-/// The bridge in spreads of jitter (from the median to the [`SHARE`]).
+/// The bridge in multiples of the jitter spread (from the median to the [`SHARE`]).
 const BRIDGE_SPREADS: i64 = 3;
 
 /// The spread of the need on a path without jitter: from the median to the [`SHARE`] of a packet interval of 4 ms.
 const PACKET_SPREAD_US: i64 = 1840;
 
-/// The share of the time in which D and the bridge together are to be enough.
+/// The share of the time that D and the bridge together are to cover.
 const SHARE: f64 = 0.96;
 
-/// The long memory: as many packets as give a steady quantile of jitter.
+/// The long memory: enough packets for a steady quantile of jitter.
 const LONG: Span = Span::from_millis(4000);
 
-/// The short memory: what it lies below the long one is a step down.
+/// The short memory: its distance below the long one is a step down.
 const SHORT: Span = Span::from_millis(700);
 
-/// Packets in a row, all later than anything bridged, that make a step up.
+/// Consecutive packets, all later than the bridge covers, that make a step up.
 const STEP_PACKETS: usize = 3;
 
-/// A step up is one when all of [`STEP_PACKETS`] are so much above the long memory's quantile.
+/// The distance of all [`STEP_PACKETS`] above the long memory's quantile that makes a step up.
 const STEP_US: i64 = 6000;
 
-/// A rise that lasts longer is no burst but how the path now is.
+/// A longer rise is the new state of the path, not a burst.
 const BURST_MAX: Span = Span::from_millis(1200);
 
-/// A burst alone is remembered for so long.
+/// How long a single burst is remembered.
 const BURST_MEMORY_LEAST: Span = Span::from_millis(2000);
 
-/// Bursts that recur are remembered for so many times the longest time between two of them.
+/// Recurring bursts are remembered for this multiple of the longest time between two of them.
 const BURST_MEMORY_GAPS: i64 = 3;
 
-/// Bursts that are farther apart do not recur.
+/// Bursts farther apart than this do not recur.
 const BURST_MEMORY_MOST: Span = Span::from_millis(30_000);
 
-/// A burst's need and so much more: the next one is a little worse as often as not.
+/// The margin above a burst's need: about every second burst is a little worse than the one before.
 const BURST_MARGIN_US: i64 = 5000;
 
-/// Intervals remembered; at 250 Hz the long memory needs 1000, and a stream that is faster is
-/// remembered for a shorter time.
+/// Intervals remembered. At 250 Hz the long memory needs 1000; a faster stream is remembered for a
+/// shorter time.
 const INTERVALS_MAX: usize = 2048;
 
-/// The least time that an interval counts for: packets that come together show nothing in between.
+/// The minimum weight of an interval: packets that arrive together have no time between them.
 const INTERVAL_MIN_US: i64 = 1;
 
 /// The bridge of a path with this need and this spread of it, microseconds.
@@ -91,8 +91,8 @@ fn bridge(need_us: i64, spread_us: i64) -> i64 {
     (BRIDGE_SPREADS * (spread_us - PACKET_SPREAD_US)).clamp(least, BRIDGE.as_micros())
 }
 
-/// What was needed from one packet to the next: from the age of the first on its arrival up to
-/// that age and the time between them.
+/// The delay estimate from one packet to the next: from the age of the first on its arrival up to that
+/// age plus the time between them.
 #[derive(Debug, Clone, Copy)]
 struct Interval {
     until: ServerTime,
@@ -115,7 +115,7 @@ struct Bursts {
     ended: ServerTime,
     /// How long they are remembered.
     memory: Span,
-    /// The most that one of them needed, while it is remembered.
+    /// The largest need among them, while it is remembered.
     need_us: Option<i64>,
 }
 
@@ -138,7 +138,7 @@ impl Bursts {
         }
     }
 
-    /// What is no longer remembered is forgotten.
+    /// Forgets expired bursts.
     fn forget(&mut self, now: ServerTime) {
         if now - self.ended > self.memory {
             self.need_us = None;
@@ -146,7 +146,7 @@ impl Bursts {
     }
 }
 
-/// What a site needs of D so that the timeline can bridge the rest.
+/// The D that a site needs so that the timeline can bridge the rest.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Need {
     /// The newest sample and its age on arrival.
@@ -161,9 +161,9 @@ pub(super) struct Need {
 }
 
 impl Need {
-    /// Notes motion of which the newest sample had this age when it arrived, without what machines made of it:
-    /// so much was `taken_off` for its sender and the server.
-    /// `true` when the path has just become slower: worth a report at once.
+    /// Notes motion whose newest sample had this age on arrival, after the lateness of its sender and
+    /// server, `taken_off`, was subtracted. Returns `true` when the path has just become slower: report
+    /// at once.
     pub(super) fn handle_arrival(
         &mut self,
         motion: &MotionArrival,
@@ -179,14 +179,14 @@ impl Need {
         if generated <= newest {
             return false;
         }
-        // Just before its arrival, had its oldest news left in time.
+        // The need just before its arrival, had its oldest news left in time.
         let oldest = generated - newest + taken_off - motion.late.oldest + age;
         let interval = Interval {
             until: arrival,
             from_us: age_before.as_micros(),
             to_us: oldest.max(age).max(age_before).as_micros(),
         };
-        // A tool that was silent needed nothing.
+        // A silent tool needs no delay.
         let silent = arrival - self.last_arrival > LONG || generated - newest > LONG;
         self.newest = Some((generated, age));
         self.last_arrival = self.last_arrival.max(arrival);
@@ -196,7 +196,7 @@ impl Need {
         self.remember(interval);
         let stepped = self.note_step(arrival);
         self.note_burst(arrival);
-        // Quantiles of a thousand intervals for every packet would be spent for nothing.
+        // Quantiles over a thousand intervals for every packet would be wasted.
         self.since_sorted += 1;
         if stepped || self.since_sorted >= 8 || self.settled_us.is_none() {
             self.since_sorted = 0;
@@ -215,7 +215,7 @@ impl Need {
         self.intervals.push_back(interval);
     }
 
-    /// A step up: the last packets are all later than the memory says, by more than jitter.
+    /// A step up: the last packets are all later than the memory predicts, by more than jitter.
     fn note_step(&mut self, now: ServerTime) -> bool {
         let Some(settled_us) = self.settled_us else {
             return false;
@@ -226,7 +226,7 @@ impl Need {
         let recent = self
             .intervals
             .range(self.intervals.len() - STEP_PACKETS + 1..);
-        // Just after an arrival the need is at its least.
+        // The need is smallest just after an arrival.
         let least = recent.map(|i| i.from_us).min().unwrap_or(0);
         if least <= settled_us + STEP_US {
             return false;
@@ -236,7 +236,7 @@ impl Need {
         let first = self.intervals.len() - STEP_PACKETS;
         self.intervals.drain(..first);
         let peak_us = self.intervals.iter().map(|i| i.to_us).max().unwrap_or(0);
-        // The interval that waited for the step is longer than any after it.
+        // The interval that ended with the step is longer than any after it.
         self.intervals.pop_front();
         self.rise = Some(Rise {
             began,
@@ -246,7 +246,7 @@ impl Need {
         true
     }
 
-    /// A rise that ends soon was a burst; one that stays is how the path now is.
+    /// A rise that ends soon was a burst; a lasting one is the new state of the path.
     fn note_burst(&mut self, now: ServerTime) {
         let Some(mut rise) = self.rise else { return };
         let Some(last) = self.intervals.back() else {
@@ -263,7 +263,7 @@ impl Need {
         }
     }
 
-    /// What the memories say, the bridge not yet taken off.
+    /// The need from the memories, before the bridge is subtracted.
     fn settle(&mut self, now: ServerTime) -> i64 {
         if let Some(bursts) = &mut self.bursts {
             bursts.forget(now);
@@ -276,9 +276,9 @@ impl Need {
         settled_us
     }
 
-    /// The need that is not exceeded for a share of the time within a memory.
+    /// The quantile of the need over time within a memory.
     fn quantile(&self, now: ServerTime, memory: Span, share: f64) -> i64 {
-        // Within an interval the need rises evenly: its time above a level x is to - x.
+        // Within an interval the need rises linearly: its time above a level x is to - x.
         let mut ends: Vec<(i64, i64)> = Vec::with_capacity(2 * self.intervals.len());
         let mut total = 0;
         for i in self.intervals.iter().rev() {

@@ -1,18 +1,18 @@
 //! The other reading of artificial time compensation: the server predicts.
 //!
-//! The source's abstract says that compensation reduces "the time discrepancy between the server and the client", which
-//! can be read in two ways. Delay equalisation, everybody showing an event stamped t at t + D, is what sessions do.
-//! Prediction is the other one (both rules are reconstructed): nobody waits, and to each client the server sends a tool
-//! as it will be when the packet arrives,
+//! The source's abstract states that compensation reduces "the time discrepancy between the server and
+//! the client", which has two readings (both rules are reconstructed). In delay equalisation every site
+//! shows an event stamped t at t + D; sessions use it. In prediction no site delays: the server
+//! extrapolates a tool to the arrival time of the packet at each client,
 //!
 //! ```text
-//! sent to client k:   x^(g + A_k)         g the newest sample's moment, A_k what such samples take to k
+//! sent to client k:   x^(g + A_k)         g the newest sample's moment, A_k the age of such samples at k
 //! A_k -> μ_k + 2ν_k   mean age and mean deviation that k reports, slewed by dA/dt in [-0.25, +0.02], A <= 200 ms
 //! ```
 //!
-//! so that the disagreement of two sites is the error of a prediction over A, where equalisation leaves what is missing
-//! beyond D. `palpate-lab run atc-predicted` compares the two: a hand of 87 mm/s and 0.1 mm of tremor can be foreseen for
-//! some ten milliseconds.
+//! so that the disagreement of two sites is the prediction error over A; under equalisation it is the
+//! motion missing beyond D. `palpate-lab run atc-predicted` compares the two: a hand of 87 mm/s and 0.1
+//! mm of tremor can be predicted for about ten milliseconds.
 
 use super::{SLEW_DOWN, SLEW_UP};
 use crate::request::DelayReport;
@@ -21,9 +21,9 @@ use crate::{ServerTime, Span};
 /// Nothing is predicted farther ahead: by then a hand's tremor has turned around twice.
 pub const PREDICTION_MAX: Span = Span::from_millis(200);
 
-/// How many mean deviations more than the mean age: predictions differ from one to the next, so that who has to go on
-/// beyond the newest makes much of little (54 mm across an ocean at 0 of them), and farther ahead each is worse. The sum
-/// is least at 1 to 2.
+/// The number of mean deviations above the mean age. Consecutive predictions differ, so that a client
+/// that extrapolates beyond the newest amplifies their differences (54 mm across an ocean at 0
+/// deviations); longer predictions are each worse. The sum of both errors is smallest at 1 to 2.
 const DEVIATIONS: f64 = 2.0;
 
 /// How far ahead the server predicts for one client. Calling order: [`handle_report`](Self::handle_report) as reports
@@ -40,7 +40,7 @@ impl Prediction {
         Self::default()
     }
 
-    /// What a client says of the age of others' samples on their arrival.
+    /// Takes a client's report on the age of remote samples on their arrival.
     pub fn handle_report(&mut self, report: DelayReport, now: ServerTime) {
         let most = PREDICTION_MAX.as_micros() as f64;
         let most_of_them_us =
@@ -52,8 +52,8 @@ impl Prediction {
         }
     }
 
-    /// How far beyond a tool's newest sample to predict at a moment: slewed, so that what is shown neither runs
-    /// backwards nor hurries, by the rates of the other reading.
+    /// The prediction horizon beyond a tool's newest sample at a moment: slewed, so that displayed
+    /// motion neither reverses nor accelerates, by the rates of the other reading.
     pub fn ahead_at(&mut self, now: ServerTime) -> Span {
         let Some((at, before_us)) = self.known else {
             return Span::ZERO;

@@ -289,7 +289,7 @@ fn lateness_of_the_sender_is_not_taken_for_the_network_s() {
         // One batch of 50 leaves 200 ms late, and nothing between it and the batch before.
         let (interval_us, newest_ms, oldest_ms) = match i % 50 {
             48 => (204_000, 40, 200),
-            // It catches up with what was taken meanwhile.
+            // The queue of the stall drains.
             49 => (4000, 0, 40),
             _ => (4000, 0, 0),
         };

@@ -44,7 +44,7 @@ impl<'a> Reader<'a> {
         Self { rest: bytes, what }
     }
 
-    /// Says which part is read from here on, for errors.
+    /// Names the part that is read from here on, for errors.
     pub(super) fn part(&mut self, what: &'static str) {
         self.what = what;
     }
@@ -64,7 +64,7 @@ impl<'a> Reader<'a> {
 
     take!(u8: u8, u16: u16, u32: u32, i64: i64);
 
-    /// What has not been read.
+    /// The unread bytes.
     pub(super) fn rest(self) -> &'a [u8] {
         self.rest
     }

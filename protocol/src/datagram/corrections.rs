@@ -40,7 +40,7 @@ pub struct Displacements {
     pub topology_version: u32,
     /// The moment that they are for.
     pub view_time: ServerTime,
-    /// Nodes in view that are off by more than a step at that moment and are not told of for want of room.
+    /// Nodes in view whose error exceeds a step at that moment and that did not fit into the rate.
     pub waiting: u32,
     /// Node and displacement from its rest position in metres; nodes ascend.
     pub nodes: Vec<(u32, [f32; 3])>,

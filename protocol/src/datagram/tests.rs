@@ -1,4 +1,4 @@
-//! What a datagram's codec promises, whatever the bytes.
+//! Laws of a datagram's codec for arbitrary bytes.
 
 use proptest::prelude::*;
 
@@ -24,7 +24,7 @@ fn header() -> Header {
     }
 }
 
-/// Without anything to tell differences from.
+/// Encodes without a baseline.
 fn encode(datagram: &Datagram) -> Result<Vec<u8>, ProtocolError> {
     datagram.encode(&mut Memory::default())
 }
@@ -121,7 +121,7 @@ fn every_kind_reads_back_as_written_up_to_its_quantum() {
             header.generated = tracks[0].samples.last().unwrap().time;
         }
         assert_eq!(back.header, header);
-        // Written again, it is the same to the bit.
+        // Encoding it again gives the same bits.
         assert_eq!(encode(&back).unwrap(), bytes);
     }
 }
@@ -132,7 +132,7 @@ fn every_truncation_is_an_error_or_a_valid_message() {
         let bytes = encode(&datagram).unwrap();
         for len in 0..bytes.len() {
             check(&bytes[..len]);
-            // The header is 9 bytes or more here; of a range code that ends early the rest is zeros.
+            // The header is 9 bytes or more here; a truncated range code reads as zeros.
             if len < 9 {
                 assert!(decode(&bytes[..len]).is_err(), "{len} of {}", bytes.len());
             }
@@ -165,7 +165,7 @@ fn no_flipped_bit_makes_the_decoder_panic_or_give_what_is_out_of_range() {
     }
 }
 
-/// Whatever decodes is within the ranges that the types promise.
+/// Decoded values are within the ranges of their types.
 fn check(bytes: &[u8]) {
     let Ok(datagram) = decode(bytes) else {
         return;

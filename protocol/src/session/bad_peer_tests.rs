@@ -1,5 +1,5 @@
-//! What a peer sends that it must not: each thing is counted under a name of its own, changes nothing, and the
-//! session goes on.
+//! Protocol violations of a peer in datagrams: each is counted by its kind and changes nothing, and the
+//! session continues.
 
 use super::tests::Pair;
 use crate::datagram::{Acknowledgement, Body, Datagram, Header, Memory, Tag};
@@ -10,7 +10,7 @@ use crate::{
     Epoch, LocalSample, ParticipantId, Pose, ServerTime, Span, ToolSample, ToolTrack, TopologyHash,
 };
 
-/// A session that stands.
+/// An established session.
 fn standing() -> Pair {
     let mut pair = Pair::new(3, 20_000, 0, 0.0);
     pair.join(0);
@@ -18,7 +18,7 @@ fn standing() -> Pair {
     pair
 }
 
-/// A heartbeat of a client with a header that somebody wrote by hand.
+/// A heartbeat of a client with a given header.
 fn heartbeat(epoch: Epoch, sequence: u32, acknowledged: Option<Acknowledgement>) -> Vec<u8> {
     let datagram = Datagram {
         header: Header {

@@ -69,14 +69,14 @@ struct Joined {
     catch_up: u64,
     schedule: DelaySchedule,
     newest_shown: Vec<(ParticipantId, ServerTime)>,
-    /// When somebody's tool was last heard of.
+    /// The last arrival of motion of another participant's tool.
     news_at: ClientTime,
 }
 
 /// The client's end of a session: see [`crate::session`] for the calling order.
 ///
-/// Made with a [`Hello`], it writes the preamble and the hello at once. After
-/// [`ClientEvent::Closed`] it does nothing any more.
+/// It is created with a [`Hello`] and writes the preamble and the hello at once. After
+/// [`ClientEvent::Closed`] it does nothing.
 pub struct ClientSession {
     state: State,
     decoder: FrameDecoder<ServerMessage>,
@@ -87,14 +87,14 @@ pub struct ClientSession {
     motion: MotionBatch,
     events: VecDeque<ClientEvent>,
     last_request: u32,
-    /// Where the log may go on for who takes a seat again.
+    /// The log position from which a resumed seat continues.
     resumes_at: Option<OperationId>,
     known_delay: Option<DelaySchedule>,
     started: ClientTime,
     heard: ClientTime,
     link_lost: bool,
     probe_due: ClientTime,
-    /// What is to go with the next packet.
+    /// The content for the next packet.
     wants: Wants,
     report_due: ClientTime,
 }
@@ -269,7 +269,7 @@ impl ClientSession {
             | OperationKind::Away { participant }
             | OperationKind::Demoted { participant, .. } => {
                 joined.newest_shown.retain(|(p, _)| p != participant);
-                // What the last one needed who could be heard is needed by nobody now.
+                // The last delay estimate is void: no other participant's motion arrives.
                 if joined.newest_shown.is_empty() {
                     self.delay = DelayEstimator::new(DelayRule::default());
                 }
@@ -308,8 +308,8 @@ impl ClientSession {
             Body::Delays(list) => self.emit(ClientEvent::Delays(list)),
             Body::Probe(_) => self.link.count_misdirected(),
         }
-        // Who sends no motion would acknowledge with the next question for the clock only, too late to
-        // cover everything.
+        // A client without motion would acknowledge only with the next clock probe, too late to cover
+        // all datagrams.
         self.wants.acknowledgement |= self.link.owes_acknowledgement();
     }
 
@@ -403,7 +403,7 @@ impl ClientSession {
                 }
                 if now >= self.report_due {
                     self.report_due = now + DELAY_REPORT_PERIOD;
-                    // Who hears nobody needs nothing.
+                    // Without motion from other participants there is no delay estimate.
                     let is_fresh = now - joined.news_at <= REPORT_OLD;
                     if let Some(report) = self.delay.report().filter(|_| is_fresh) {
                         let since = self
@@ -427,21 +427,21 @@ impl ClientSession {
         self.close(CloseReason::ConnectionLost(why));
     }
 
-    /// The server ended the session; only the end of the connection says so.
+    /// The server ended the session with the close frame of the connection only.
     pub fn handle_goodbye(&mut self, sentence: String) {
         self.close(CloseReason::Goodbye(sentence));
     }
 
-    /// Takes one sample of one's own tool, oldest first; they leave in batches of four. A sample
-    /// that is not finite or out of range is refused and counted.
+    /// Takes one sample of the client's own tool, oldest first; samples leave in batches of four. A
+    /// sample that is not finite or out of range is rejected and counted.
     pub fn send_motion(&mut self, sample: LocalSample) {
         if !self.motion.push(sample) {
             self.link.count_refused_samples(1);
         }
     }
 
-    /// Leaves out motion that others would guess to within a deadband; `None`, as in the beginning, sends
-    /// all of it.
+    /// Omits motion that receivers predict to within a deadband; `None`, the initial setting, sends all
+    /// of it.
     pub fn set_deadband(&mut self, deadband: Option<Deadband>) {
         self.motion.set_deadband(deadband);
     }
@@ -453,8 +453,8 @@ impl ClientSession {
         Ok(id)
     }
 
-    /// The same under a number that is the caller's: who takes a seat again goes on counting, and asks
-    /// again under its old number what was not answered.
+    /// Sends a request with a number from the caller: a resumed client continues its numbering, and
+    /// repeats unanswered requests under their old numbers.
     pub fn send_request(&mut self, request: Request) -> Result<(), ProtocolError> {
         if !matches!(self.state, State::Joined(_)) {
             return Err(ProtocolError::OutOfOrder {
@@ -505,13 +505,13 @@ impl ClientSession {
         }
     }
 
-    /// Whether the session is over; what [`poll_stream`](Self::poll_stream) still gives is to be
-    /// sent nevertheless.
+    /// Whether the session is over. The shell still sends the rest that
+    /// [`poll_stream`](Self::poll_stream) returns.
     pub fn is_closed(&self) -> bool {
         matches!(self.state, State::Closed)
     }
 
-    /// From one's own clock to the server's; `None` until it is locked.
+    /// The map from the client's clock to the server's; `None` until it is locked.
     pub fn clock(&self) -> Option<ClockMap> {
         self.clock.map()
     }
@@ -532,7 +532,7 @@ impl ClientSession {
         }
     }
 
-    /// One's own number, once welcomed.
+    /// The client's participant number, once welcomed.
     pub fn participant(&self) -> Option<ParticipantId> {
         match &self.state {
             State::Joined(joined) => Some(joined.participant),

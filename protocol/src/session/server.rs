@@ -25,7 +25,8 @@ pub const REQUESTS_PER_SECOND_MAX: u32 = 50;
 /// A sample may not claim to be from farther in the future than this; such a datagram is noise.
 pub const FUTURE_MAX: Span = Span::from_millis(500);
 
-/// Samples that are older are noise, too: nobody shows them, and others must be able to tell them apart from new ones.
+/// Older samples are noise, too: no site displays them, and receivers must distinguish them from new
+/// ones.
 const PAST_MAX: Span = Span::from_millis(2000);
 
 enum State {
@@ -65,7 +66,7 @@ pub struct ServerPeer {
     decoder: FrameDecoder<ClientMessage>,
     outbox: Outbox,
     link: Link,
-    /// What a thin subscriber is told of the tissue, from its first picture on.
+    /// The picture stream of a thin subscriber, from its first picture on.
     picture: Option<Box<PictureStream>>,
     events: VecDeque<PeerEvent>,
     started: ServerTime,
@@ -284,7 +285,7 @@ impl ServerPeer {
         self.close(CloseReason::ConnectionLost(why));
     }
 
-    /// The participant is gone for good; only the end of the connection says so.
+    /// The participant left for good, with the close frame of the connection only.
     pub fn handle_goodbye(&mut self) {
         self.close(CloseReason::Left);
     }
@@ -392,8 +393,8 @@ impl ServerPeer {
         self.heartbeat_due = now + HEARTBEAT;
     }
 
-    /// Puts the tools of the others into datagrams; one that gets too long is halved when it is
-    /// encoded.
+    /// Puts the tools of the other participants into datagrams; one that gets too long is halved when it
+    /// is encoded.
     fn enqueue_motion(&mut self, round: &MotionRound, own: ParticipantId) {
         let since = round.released;
         let others = round
@@ -454,8 +455,8 @@ impl ServerPeer {
         }
     }
 
-    /// Whether the session is over; what [`poll_stream`](Self::poll_stream) still gives is to be
-    /// sent nevertheless.
+    /// Whether the session is over. The shell still sends the rest that
+    /// [`poll_stream`](Self::poll_stream) returns.
     pub fn is_closed(&self) -> bool {
         matches!(self.state, State::Closed)
     }
@@ -465,7 +466,7 @@ impl ServerPeer {
         self.link.stats()
     }
 
-    /// How the picture of a thin subscriber does; `None` for any other.
+    /// The statistics of a thin subscriber's picture stream; `None` for any other subscriber.
     pub fn picture_stats(&self) -> Option<PictureStats> {
         self.picture.as_ref().map(|p| p.stats())
     }
@@ -475,7 +476,7 @@ impl ServerPeer {
             return;
         }
         if self.events.len() == EVENTS_MAX {
-            // Motion makes room, the oldest first: a room that stands still is not its peers' fault.
+            // The oldest motion is dropped first: a stalled room is not the fault of its peers.
             let lossy = |e: &PeerEvent| matches!(e, PeerEvent::Motion(_) | PeerEvent::Delay(_));
             if let Some(i) = self.events.iter().position(lossy) {
                 self.events.remove(i);
@@ -496,7 +497,7 @@ impl ServerPeer {
     fn violation(&mut self, error: ProtocolError) {
         if !matches!(self.state, State::Closed | State::Preamble(_)) {
             let sentence = error.to_string();
-            // What can not be sent any more is not worth a second error.
+            // The session ends in any case; a failed farewell needs no second error.
             let _ = self.outbox.push(&ServerMessage::Goodbye { sentence });
         }
         self.close(CloseReason::Violation(error));

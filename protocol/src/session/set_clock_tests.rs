@@ -6,7 +6,7 @@ use crate::{LocalSample, Pose};
 
 const HOURS_US: i64 = 3 * 3_600_000_000;
 
-/// A session that has stood for two seconds, and whose clock is then set.
+/// A session that has run for two seconds before its clock is set.
 fn set_by(us: i64) -> Pair {
     let mut pair = Pair::new(1, 30_000, 5_000, 0.0);
     pair.join(0);
@@ -17,7 +17,7 @@ fn set_by(us: i64) -> Pair {
     pair
 }
 
-/// So many milliseconds with a hand that rests.
+/// Runs for `ms` milliseconds with a hand at rest.
 fn moved(pair: &mut Pair, ms: i64) {
     for _ in 0..ms {
         let time = pair.client_now();

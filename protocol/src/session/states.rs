@@ -12,7 +12,7 @@ use crate::{ClientTime, RequestId, ServerTime, TopologyHash};
 
 const DOCUMENT: &str = include_str!("../../STATES.md");
 
-/// From, what happens, to.
+/// State, event, next state.
 type Row = [String; 3];
 
 /// The rows of the table below a heading.

@@ -1,4 +1,4 @@
-//! Both ends against each other, in virtual time over a bad link.
+//! Client and server sessions connected in virtual time over a bad link.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;

@@ -46,12 +46,13 @@ pub enum Method {
     Verlet,
     /// Verlet's rule with the second difference from sample to sample, which multiplies their noise.
     VerletRaw,
-    /// The cubic with the velocities of both ends, which come from a window on each side; beyond the samples its
-    /// velocity and fading acceleration at the end of the last window. Between samples it is nearer than Verlet from about 20 to 30 ms on.
+    /// The cubic with the velocities of both ends, which come from a window on each side. Beyond the
+    /// samples: its velocity and fading acceleration at the end of the last window. Between samples it
+    /// is more accurate than Verlet for gaps above 20 to 30 ms.
     Hermite,
-    /// Straight lines.
+    /// Linear interpolation and extrapolation.
     Linear,
-    /// The last sample stays.
+    /// Holds the last sample.
     Hold,
 }
 

@@ -33,9 +33,9 @@ struct Thin {
     pair: Pair,
     side: u32,
     nodes: Arc<[u32]>,
-    /// What the pictures said, by their moments.
+    /// The pictures, by their times.
     was: BTreeMap<ServerTime, Vec<[f32; 3]>>,
-    /// What the client shows.
+    /// The client's displayed displacements.
     shown: BTreeMap<u32, (ServerTime, [f32; 3])>,
     worst_m: f32,
 }
@@ -47,7 +47,7 @@ impl Thin {
         Self {
             pair,
             side,
-            // Every other number: those between are inside.
+            // Every other number: the nodes between are inside.
             nodes: (0..side * side).map(|n| 2 * n + 1).collect(),
             was: BTreeMap::new(),
             shown: BTreeMap::new(),
@@ -55,7 +55,7 @@ impl Thin {
         }
     }
 
-    /// Shows pictures for so long; the dent rests from `rests` on.
+    /// Shows pictures for `ms` milliseconds; the dent rests from `rests` on.
     fn play(&mut self, from_ms: i64, ms: i64, rests: i64) {
         for t in from_ms..from_ms + ms {
             if t % PERIOD_MS == 0 {
@@ -135,7 +135,7 @@ proptest! {
 
 #[test]
 fn the_rate_is_kept_when_more_moves_than_fits_and_what_waits_is_counted_and_comes() {
-    // 62,500 nodes that all move: ten times what fits.
+    // 62,500 nodes that all move: ten times the capacity.
     let mut thin = Thin::new(1, 250, 20_000, 5_000, 0.02);
     let before = thin.pair.down.datagrams;
     thin.play(0, 2000, 2000);
@@ -157,7 +157,7 @@ fn the_farthest_off_go_first() {
     let mut thin = Thin::new(1, 250, 1_000, 0, 0.0);
     thin.play(0, 3000, 0);
     assert!(thin.off_m() < STEP_M);
-    // A deep dent at once: within a tenth of a second what is far off is there, and the rest follows.
+    // A sudden deep dent: its large errors are sent within a tenth of a second, then the rest.
     thin.play(400, 100, 400);
     assert!(thin.off_m() < 1e-3, "{}", thin.off_m());
 }
