@@ -1,5 +1,4 @@
-//! Whatever arrives in place of a message, what reads it gives an error or a valid message, and takes
-//! no more memory than its limit.
+//! Damaged bytes decode to an error or a valid message, and take no more memory than the limit.
 
 #![allow(clippy::unwrap_used)]
 
@@ -11,8 +10,8 @@ use palpate_protocol::datagram::{Datagram, Memory};
 use palpate_protocol::examples;
 use palpate_protocol::request::{ClientMessage, ServerMessage};
 
-/// The most bytes that reading one frame may hold at a time: the frame's own limit for what it says, as
-/// much again for a list that grows, and the words of an error.
+/// The memory limit for reading one frame in bytes: the frame's own limit for its content, the same
+/// again for a growing list, and the text of an error.
 const FRAME_HELD_MAX: usize = 3 * codec::FRAME_MAX_BYTES;
 
 /// The most bytes that reading one datagram may hold: twice 1024 nodes of 20 B, once for memory, and 64
@@ -53,7 +52,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// The most bytes that `run` holds at a time, and what it gives.
+/// The peak memory of `run` in bytes, and its result.
 fn held<T>(run: impl FnOnce() -> T) -> (usize, T) {
     let before = HELD.with(|held| {
         let (now, _) = held.get();
@@ -125,7 +124,7 @@ fn a_frame_that_ends_early_is_no_message() {
                 codec::decode_body::<ClientMessage>(&body[..len]).is_ok(),
                 codec::decode_body::<ServerMessage>(&body[..len]).is_ok(),
             );
-            // What is cut off must not be taken for the message that it was.
+            // A truncated frame must not decode to the original message.
             let was_client = client.iter().any(|c| c.name == example.name);
             assert!(
                 !if was_client { both.0 } else { both.1 },
@@ -159,7 +158,7 @@ fn a_damaged_datagram_is_an_error_or_a_message_and_takes_no_more_than_its_limit(
                 example.name
             );
             if let Ok(datagram) = read {
-                // It can be said again: nothing is out of the range of what may be sent.
+                // It can be encoded again: every value is in the range of the wire format.
                 let again = datagram.encode(&mut Memory::default());
                 assert!(again.is_ok(), "{}: {again:?}", example.name);
             }

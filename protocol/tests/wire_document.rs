@@ -1,5 +1,5 @@
-//! The byte document is true: every example in it is what the code writes and reads, every message has
-//! one, and every kind is in its tables.
+//! Checks WIRE.md: every example matches the code, every message has an example, and every kind is in
+//! its tables.
 
 #![allow(clippy::unwrap_used)]
 
@@ -14,7 +14,7 @@ use palpate_protocol::request::{ClientMessage, RequestKind, ServerMessage};
 
 const DOCUMENT: &str = include_str!("../WIRE.md");
 
-/// Lines of examples begin so.
+/// The prefix of example lines.
 const MARK: &str = "example ";
 
 fn hex(bytes: &[u8]) -> String {

@@ -1,4 +1,4 @@
-//! Who a server is: a self-signed certificate, known by its hash in the join link.
+//! A server's identity: a self-signed certificate, known by its hash in the join link.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 
 use crate::{TransportError, config};
 
-/// The name in the certificate. Nobody relies on it: the hash is what counts.
+/// The name in the certificate. It proves nothing: clients check the hash.
 pub(crate) const SERVER_NAME: &str = "palpate";
 
 /// A self-signed certificate (ECDSA P-256) and its key.

@@ -1,25 +1,25 @@
-//! The caps on datagrams: on what the application sends, and on what is taken from the other side.
+//! Rate caps on datagrams, for sending and for receiving.
 
 use std::time::Instant;
 
-/// Bytes per second and connection, 10 Mbit/s: a thousand of the largest datagrams with an eighth
-/// to spare, ten times what a thin subscriber needs. Beyond it datagrams are skipped. Whether the
-/// path takes as much is for the congestion controller to find.
+/// Bytes per second and connection, 10 Mbit/s: a thousand of the largest datagrams plus an eighth, ten
+/// times the rate of a thin subscriber. Datagrams beyond it are skipped. The congestion controller finds
+/// the path's capacity.
 pub(crate) const RATE_MAX: f64 = 1_250_000.0;
 
 /// Bytes that may go at once: one frame of corrections of a pressed region.
 pub(crate) const BURST_MAX: f64 = 64.0 * 1024.0;
 
-/// Bytes per second that are taken from one connection. Who keeps to [`RATE_MAX`] never meets it;
-/// the quarter more is for clocks and for what the path bunches.
+/// Bytes per second that one connection accepts. A sender within [`RATE_MAX`] never reaches it; the
+/// extra quarter covers clock errors and bunching on the path.
 pub(crate) const TAKEN_RATE_MAX: f64 = 1.25 * RATE_MAX;
 
-/// Bytes that are taken at once: what a path held back for 0.4 s at the full rate. More is too old
-/// to be worth anything.
+/// The largest burst in bytes: datagrams that a path held back for 0.4 s at the full rate. Older ones
+/// are useless.
 pub(crate) const TAKEN_BURST_MAX: f64 = 512.0 * 1024.0;
 
-/// What a datagram costs at least when taken, bytes: a tiny one makes nearly the work of a large
-/// one. This allows some 3,000 a second, three times what the send cap allows of the largest.
+/// The minimum cost of a received datagram, bytes: a tiny one takes nearly the work of a large one. This
+/// allows some 3,000 a second, three times the number of the largest within the send cap.
 pub(crate) const TAKEN_COST_MIN: usize = 500;
 
 /// A bucket of bytes that fills with time.
@@ -33,12 +33,12 @@ pub(crate) struct RateCap {
 }
 
 impl RateCap {
-    /// A full bucket for what is sent.
+    /// A full token bucket for sending.
     pub(crate) fn sending(now: Instant) -> Self {
         Self::new(RATE_MAX, BURST_MAX, 0, now)
     }
 
-    /// A full bucket for what is taken.
+    /// A full token bucket for receiving.
     pub(crate) fn taking(now: Instant) -> Self {
         Self::new(TAKEN_RATE_MAX, TAKEN_BURST_MAX, TAKEN_COST_MIN, now)
     }

@@ -17,14 +17,14 @@ use crate::error::GOODBYE;
 use crate::identity::ServerIdentity;
 use crate::{TransportError, bulk};
 
-/// Gives the bytes of a model to who holds a grant; `None` refuses. It must not block.
+/// Returns the bytes of a model to the holder of a grant; `None` refuses. It must not block.
 pub type ModelSource = Arc<dyn Fn(Grant, ModelHash) -> Option<Arc<[u8]>> + Send + Sync>;
 
 /// Handshakes at the same time; more are refused.
 const HANDSHAKES_MAX: usize = 256;
 
-/// With so many handshakes under way, an address must prove that it is real (QUIC Retry) before
-/// any work is done for it.
+/// From this number of pending handshakes on, an address must prove that it is real (QUIC Retry) before
+/// the server does any work for it.
 const HANDSHAKES_UNVALIDATED_MAX: usize = 16;
 
 /// Sessions that wait for the shell to accept them; further ones wait in their handshake.

@@ -1,4 +1,5 @@
-//! How a connection ends is told apart by both ends, also where the farewell on the stream is lost with the stream.
+//! Both ends distinguish how a connection ended, even if the farewell on the stream is lost with the
+//! stream.
 #![allow(clippy::unwrap_used)]
 
 #[path = "support/session.rs"]
@@ -14,10 +15,10 @@ use session::{
 };
 use tokio::sync::mpsc;
 
-/// The code with which both ends say that they do not come back (WIRE.md).
+/// The close code of an end that does not reconnect (WIRE.md).
 const GOODBYE: u32 = 1;
 
-/// A server with one client in, whose end of it is kept.
+/// A server with one joined client; returns the server's handle of it.
 async fn one_is_in() -> (Server, PeerHandle, ClientHandle) {
     let (server, link) = serve();
     let (sender, mut inbox) = mpsc::channel(1024);

@@ -224,7 +224,7 @@ async fn noise_harms_nobody_and_is_counted() {
     }
     tokio::time::sleep(Duration::from_millis(700)).await;
     assert!(bad_peer.stats().link.noise.early > 0);
-    // The other one goes on.
+    // The other session continues.
     assert!(good_peer.send(operation(1)));
     loop {
         if let ClientEvent::Operation(o) = next_event(&mut good).await
@@ -414,7 +414,7 @@ async fn who_is_refused_and_reads_nothing_does_not_keep_the_task() {
         next_input(&mut inbox).await.event,
         PeerEvent::Closed(CloseReason::Violation(_))
     ));
-    // The connection stands, and nothing of it was read; the task ends nevertheless.
+    // The connection is open, and nothing was read from it; the task ends nevertheless.
     let ended = async {
         while peer.send(operation(OPERATIONS)) {
             tokio::time::sleep(Duration::from_millis(20)).await;

@@ -17,10 +17,10 @@ const COMMANDS_MAX: usize = 256;
 /// Events that may wait for the shell; beyond, the session drops motion first.
 const EVENTS_MAX: usize = 1024;
 
-/// What the shell tells the task that drives a client session.
+/// A command of the shell to the task that drives a client session.
 #[derive(Debug)]
 pub enum ClientCommand {
-    /// New samples of one's own tool, oldest first. Send them about every 4 ms: four samples make
+    /// New samples of the client's own tool, oldest first. Send them about every 4 ms: four samples make
     /// a datagram, which leaves at once.
     Motion(Vec<LocalSample>),
     /// Ask for something.
@@ -33,7 +33,7 @@ pub enum ClientCommand {
 
 /// A client session that runs in a task. Dropping `commands` leaves the session.
 pub struct ClientHandle {
-    /// Bounded; use `try_send` next to a real-time thread and drop what does not fit.
+    /// Bounded; use `try_send` next to a real-time thread and drop the rest.
     pub commands: mpsc::Sender<ClientCommand>,
     /// Bounded; the last event is [`ClientEvent::Closed`].
     pub events: mpsc::Receiver<ClientEvent>,

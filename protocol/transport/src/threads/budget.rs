@@ -74,7 +74,7 @@ impl Limit {
         if self.left_us > 0 {
             return Span::ZERO;
         }
-        // So many replenishments until something is left.
+        // The replenishments until the budget is positive.
         let more = -self.left_us / self.runtime_us;
         let ends_us = self.ends_us.unwrap_or(now_us) + more * self.period_us;
         Span::from_micros((ends_us - now_us).max(0))

@@ -11,7 +11,7 @@ const STEP_US: i64 = 100;
 struct Loop {
     class: ThreadClass,
     period_us: i64,
-    /// CPU time that one turn takes.
+    /// CPU time of one turn.
     work_us: i64,
     budget: CpuBudget,
     next_us: i64,
