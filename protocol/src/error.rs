@@ -31,7 +31,7 @@ pub enum ProtocolError {
         limit: usize,
     },
     /// A frame's content is not a message.
-    #[error("a frame of {bytes} bytes that is not a {what}: {detail}")]
+    #[error("a frame of {bytes} bytes is not a valid {what}: {detail}")]
     BadFrame {
         /// The kind of message expected.
         what: &'static str,
@@ -41,7 +41,7 @@ pub enum ProtocolError {
         detail: String,
     },
     /// A message ended before its frame did.
-    #[error("a {what} followed by {extra} bytes that belong to nothing")]
+    #[error("a {what} is followed by {extra} extra bytes")]
     TrailingBytes {
         /// The kind of message.
         what: &'static str,
@@ -59,13 +59,13 @@ pub enum ProtocolError {
         limit: usize,
     },
     /// A datagram that ends before its announced content.
-    #[error("a {what} datagram ends in the middle")]
+    #[error("a {what} datagram is truncated")]
     DatagramTruncated {
         /// The part that was being read.
         what: &'static str,
     },
     /// A datagram whose baseline did not arrive or is forgotten.
-    #[error("a datagram tells differences from datagram {sequence}, which is not there")]
+    #[error("a datagram refers to the baseline {sequence}, which is unknown here")]
     NoBaseline {
         /// The number of the baseline.
         sequence: u32,
@@ -91,7 +91,7 @@ pub enum ProtocolError {
         low_bits: u8,
     },
     /// A datagram of a kind that this version does not know.
-    #[error("a datagram of the unknown kind {kind}")]
+    #[error("a datagram has the unknown kind {kind}")]
     DatagramKind {
         /// The byte that names the kind.
         kind: u8,

@@ -126,7 +126,7 @@ impl fmt::Display for Role {
 
 /// The error for a word that names no role.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("\"{0}\" is no role; the roles are instructor, trainee, spectator and recorder")]
+#[error("unknown role \"{0}\"; the roles are instructor, trainee, spectator and recorder")]
 pub struct UnknownRole(pub String);
 
 impl FromStr for Role {
@@ -174,8 +174,8 @@ impl fmt::Display for Subscription {
 /// The error for a word that names no subscription.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "\"{0}\" is no subscription; there are full (this machine computes the tissue) and thin (the server \
-     sends where its surface is, for who only looks)"
+    "unknown subscription \"{0}\"; choose full (this machine computes the tissue) or thin (the server \
+     sends the surface, for roles without a tool)"
 )]
 pub struct UnknownSubscription(pub String);
 
@@ -346,7 +346,7 @@ pub enum RefusalReason {
         role: Role,
     },
     /// Another participant has this name.
-    #[error("somebody named \"{name}\" is already in the session; choose another name")]
+    #[error("a participant named \"{name}\" is already in the session; choose another name")]
     NameTaken {
         /// The name asked for.
         name: String,
@@ -373,7 +373,7 @@ pub enum RefusalReason {
     },
     /// The seat is gone or the token belongs to another seat; the client does not learn which.
     #[error(
-        "the seat to take again has been given up, or belongs to somebody else; join again as somebody new"
+        "the seat to resume has expired or belongs to another participant; join again as a new participant"
     )]
     NoSuchSeat,
     /// The session ends or the server stops.
@@ -381,7 +381,7 @@ pub enum RefusalReason {
     Closing,
     /// The log has reached its largest size, so that no client can receive all of it.
     #[error(
-        "the session's log is full, and nobody can join or come back any more; ask the host to save the tissue as a model and to begin a new session with it"
+        "the session's log is full, so that no client can join or reconnect; ask the host to save the tissue as a model and to begin a new session with it"
     )]
     LogFull,
 }

@@ -145,7 +145,7 @@ pub enum RequestRefusal {
     TopologyDiffers,
     /// The requester is demoted, because of its network.
     #[error(
-        "your tool is lifted, because your network needs more delay than the session allows; it comes back by itself when the network has recovered"
+        "your tool is inactive, because your network needs more delay than the session allows; it becomes active again when the network has recovered"
     )]
     Demoted,
     /// The log is so long that new participants could not receive any more of it.

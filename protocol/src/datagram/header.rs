@@ -156,7 +156,7 @@ impl Header {
             if nearest(low, SEQUENCE_BITS, sequence) != sequence {
                 return Err(ProtocolError::OutOfRange {
                     what: "a whole number",
-                    detail: format!("{sequence}, whose low bits are told as {low}"),
+                    detail: format!("{sequence}, whose low bits are sent as {low}"),
                 });
             }
             (sequence, r.i64()?)

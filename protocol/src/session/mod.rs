@@ -70,7 +70,7 @@ pub enum CloseReason {
     #[error(transparent)]
     Violation(#[from] ProtocolError),
     /// The other side was silent for too long.
-    #[error("nothing was heard from the other side for {} ms", .0.as_millis_f64())]
+    #[error("the other side was silent for {} ms", .0.as_millis_f64())]
     Silent(Span),
     /// The handshake did not finish in time.
     #[error("the handshake was not finished within {} s", HANDSHAKE_TIMEOUT.as_secs_f64())]

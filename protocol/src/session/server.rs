@@ -315,7 +315,7 @@ impl ServerPeer {
         let not_joined = |what| {
             Err(ProtocolError::OutOfOrder {
                 what,
-                state: "nobody joined",
+                state: "no participant has joined",
             })
         };
         match (message, &mut self.state) {
@@ -330,7 +330,7 @@ impl ServerPeer {
                 self.heard = now;
                 Ok(())
             }
-            (PeerMessage::Welcome(_), _) => not_joined("welcome that nobody asked for"),
+            (PeerMessage::Welcome(_), _) => not_joined("welcome without a hello"),
             (PeerMessage::Refused(refused), _) => self.refuse(refused.clone()),
             (PeerMessage::Operation(operation), State::Joined { next_operation, .. }) => {
                 if operation.id != *next_operation {

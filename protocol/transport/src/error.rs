@@ -112,12 +112,12 @@ pub(crate) fn is_goodbye(error: &quinn::ConnectionError) -> bool {
 pub(crate) fn in_words(error: &quinn::ConnectionError) -> String {
     use quinn::ConnectionError as E;
     match error {
-        E::TimedOut => "nothing was heard from the other side for too long".to_owned(),
+        E::TimedOut => "the other side was silent for too long".to_owned(),
         E::ApplicationClosed(close) if !close.reason.is_empty() => {
             String::from_utf8_lossy(&close.reason).into_owned()
         }
         E::Reset => "the other side was restarted".to_owned(),
-        E::LocallyClosed => "it was closed here".to_owned(),
+        E::LocallyClosed => "this side closed it".to_owned(),
         other => other.to_string(),
     }
 }

@@ -97,7 +97,7 @@ async fn a_session_goes_from_hello_to_leave() {
             assert_eq!(
                 track.participant,
                 ParticipantId(2),
-                "one's own tool is left out"
+                "the own tool is omitted"
             );
             break;
         }
