@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_announces_too_much_is_refused_before_it_arrives() {
+    fn frame_with_excessive_length_is_rejected_before_it_arrives() {
         let mut decoder = FrameDecoder::<ClientMessage>::new(HELLO_MAX_BYTES);
         decoder.push(&(HELLO_MAX_BYTES as u32 + 1).to_le_bytes());
         let error = decoder.next().unwrap_err();
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn a_list_that_announces_too_much_is_refused() {
+    fn list_with_excessive_length_is_rejected() {
         // A cut request whose list has 2^60 points.
         let mut body = encode_frame(&longest_request())
             .unwrap()

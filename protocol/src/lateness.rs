@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn a_receiver_that_runs_sees_no_stall_however_long_the_network_is_silent() {
+    fn running_receiver_sees_no_stall_during_network_silence() {
         let mut watch = StallWatch::default();
         let mut now = Span::ZERO;
         for silence in [4, 4, 4, 300, 4, 4, 2000, 4] {
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stall_counts_for_every_datagram_in_the_queue_and_for_none_after_it() {
+    fn stall_counts_for_queued_datagrams_only() {
         let mut watch = StallWatch::default();
         for t in [0, 4, 8, 12] {
             watch.waits(ms(t - 4), ms(100));
@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn a_receiver_that_is_always_late_never_takes_more_for_a_stall_than_it_slept() {
+    fn stall_of_a_late_receiver_is_at_most_its_sleep() {
         let mut watch = StallWatch::default();
         for t in (0..10_000_i64).step_by(30) {
             watch.wake(ms(t));
@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn a_claim_is_repeated_until_a_lost_datagram_can_not_have_taken_it_along() {
+    fn reported_lateness_is_repeated_to_survive_a_loss() {
         let mut repeated = Repeated::default();
         let at = |t: i64| ServerTime::from_micros(t * 1000);
         let late = |t| Lateness {
@@ -387,7 +387,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_claim_is_within_its_limits_whatever_it_is_made_of(
+        fn reported_lateness_is_within_its_limits_for_any_input(
             newest in any::<i32>(), oldest in any::<i32>(), wait in any::<i32>(),
         ) {
             let us = |us: i32| Span::from_micros(i64::from(us));

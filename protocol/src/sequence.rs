@@ -107,7 +107,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn duplicates_and_old_numbers_are_told_apart() {
+    fn duplicates_and_old_numbers_are_distinguished() {
         let mut w = SequenceWindow::new();
         assert_eq!(w.insert(100), Arrival::New);
         assert_eq!(w.insert(102), Arrival::New);

@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tool_has_the_sides_of_its_kind() {
+    fn tool_dimensions_match_its_kind() {
         assert!(ToolDescription::probe(4e-3).is_valid());
         assert!(ToolDescription::scalpel(5e-4, 0.02).is_valid());
         assert!(tool(ToolKind::Needle, 0.05, 0.0).is_valid());
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_is_told_apart_and_its_owner_known() {
+    fn part_ids_are_unique_and_give_their_owner() {
         let ids: Vec<u32> = (0..3)
             .flat_map(|who| (0..2).map(move |part| part_id(ParticipantId(who), part)))
             .collect();

@@ -231,7 +231,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_parabola_is_continued_exactly(
+        fn parabola_is_extrapolated_exactly(
             c in [-0.1_f64..0.1, -0.3_f64..0.3, -10.0_f64..10.0],
             h1 in 0.001_f64..0.02, h2 in 0.001_f64..0.02, s in 0.0_f64..0.05,
         ) {
@@ -245,7 +245,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_fit_finds_the_parabola_that_was_sampled_anyhow(
+        fn fit_recovers_a_parabola_from_any_sampling(
             c in [-0.1_f64..0.1, -0.3_f64..0.3, -10.0_f64..10.0],
             gaps in prop::collection::vec(0.001_f64..0.01, 3..20),
         ) {
@@ -262,7 +262,7 @@ mod tests {
         }
 
         #[test]
-        fn velocity_is_the_derivative_of_what_is_carried_on(
+        fn velocity_is_the_derivative_of_the_extrapolation(
             v in -0.3_f64..0.3, a in -10.0_f64..10.0, s in 0.0_f64..0.1,
         ) {
             let fit = Fit { x: [0.0; 3], v: [v; 3], a: [a; 3] };
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn two_moments_have_no_acceleration() {
+    fn two_samples_have_no_acceleration() {
         let k = |t: f64| Knot { t, x: [t; 3] };
         assert!(fit([k(0.0), k(-0.01)].into_iter(), k(0.0)).is_none());
     }

@@ -96,7 +96,7 @@ fn check_frame<M: Message + PartialEq + std::fmt::Debug>(name: &str, body: &[u8]
 }
 
 #[test]
-fn a_damaged_frame_is_an_error_or_a_message_and_takes_no_more_than_its_limit() {
+fn damaged_frame_decodes_to_an_error_or_a_message_within_the_memory_limit() {
     let [client, server] = examples::frames().unwrap();
     for example in client {
         let body = &example.message[codec::PREFIX_BYTES..];
@@ -115,7 +115,7 @@ fn a_damaged_frame_is_an_error_or_a_message_and_takes_no_more_than_its_limit() {
 }
 
 #[test]
-fn a_frame_that_ends_early_is_no_message() {
+fn truncated_frame_is_an_error() {
     let [client, server] = examples::frames().unwrap();
     for example in client.iter().chain(&server) {
         let body = &example.message[codec::PREFIX_BYTES..];
@@ -145,7 +145,7 @@ fn memory_after(all: &[examples::Example<Vec<u8>>], count: usize) -> Memory {
 }
 
 #[test]
-fn a_damaged_datagram_is_an_error_or_a_message_and_takes_no_more_than_its_limit() {
+fn damaged_datagram_decodes_to_an_error_or_a_message_within_the_memory_limit() {
     let all = examples::datagram_bytes().unwrap();
     for (i, example) in all.iter().enumerate() {
         for damaged in damages(&example.message) {

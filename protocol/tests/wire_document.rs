@@ -79,13 +79,13 @@ fn check_frames<M: Message + PartialEq + std::fmt::Debug>(messages: Vec<Example<
 }
 
 #[test]
-fn the_documents_frames_read_as_their_messages_and_are_written_alike() {
+fn documented_frames_decode_and_encode_exactly() {
     check_frames(examples::client_messages());
     check_frames(examples::server_messages());
 }
 
 #[test]
-fn the_documents_datagrams_read_in_their_order_and_are_written_alike() {
+fn documented_datagrams_decode_in_order_and_encode_exactly() {
     let documented = documented();
     let (mut theirs, mut ours) = (Memory::default(), Memory::default());
     for Example { name, message } in examples::datagrams() {

@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn who_needs_too_much_for_long_watches_until_the_network_has_recovered_for_longer() {
+    fn demotion_after_three_seconds_and_restoration_after_ten() {
         let mut demotion = Demotion::default();
         assert_eq!(feed(&mut demotion, 0, 2, 600), [], "a burst");
         assert_eq!(feed(&mut demotion, 2, 20, 390), []);
@@ -141,7 +141,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn nobody_is_thrown_in_and_out_faster_than_both_patiences(
+        fn role_never_toggles_faster_than_both_waiting_times(
             wanted in prop::collection::vec(0_i64..1000, 1..400),
         ) {
             let mut demotion = Demotion::default();

@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_predicted_for_whom_nothing_is_known_of_and_the_first_report_counts_at_once() {
+    fn no_prediction_before_the_first_report_which_counts_at_once() {
         let mut prediction = Prediction::new();
         let now = ServerTime::from_micros(7_000_000);
         assert_eq!(prediction.ahead_at(now), Span::ZERO);
@@ -89,7 +89,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_predicted_goes_forward_hurries_by_a_fiftieth_at_most_and_stays_within_the_limit(
+        fn predicted_time_advances_at_most_two_percent_faster_within_the_limit(
             reports in prop::collection::vec((0_u32..2_000_000, 1_i64..2000), 1..40),
         ) {
             let mut prediction = Prediction::new();

@@ -564,7 +564,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_steps_stand_on_the_wire_an_expectation_is_a_place(
+        fn predictions_are_in_range_for_any_steps_on_the_wire(
             ends in [-POSITION_MAX..=POSITION_MAX, -POSITION_MAX..=POSITION_MAX, -POSITION_MAX..=POSITION_MAX],
             before in 1_i64..=VELOCITY_UNITS,
             span in 1_i64..FAR_UNITS,

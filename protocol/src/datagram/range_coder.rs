@@ -327,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thousand_zeros_cost_a_few_bytes() {
+    fn thousand_zeros_cost_few_bytes() {
         assert!(coded(&[0; 1000]).len() < 20);
     }
 

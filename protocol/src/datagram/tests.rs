@@ -112,7 +112,7 @@ fn every_kind() -> Vec<Datagram> {
 }
 
 #[test]
-fn every_kind_reads_back_as_written_up_to_its_quantum() {
+fn every_kind_round_trips_within_its_quantum() {
     for datagram in every_kind() {
         let bytes = encode(&datagram).unwrap();
         let back = decode(&bytes).unwrap();
@@ -141,7 +141,7 @@ fn every_truncation_is_an_error_or_a_valid_message() {
 }
 
 #[test]
-fn every_byte_too_many_is_an_error() {
+fn trailing_bytes_are_an_error() {
     for datagram in every_kind() {
         let mut bytes = encode(&datagram).unwrap();
         bytes.push(0);
@@ -154,7 +154,7 @@ fn every_byte_too_many_is_an_error() {
 }
 
 #[test]
-fn no_flipped_bit_makes_the_decoder_panic_or_give_what_is_out_of_range() {
+fn flipped_bits_never_panic_or_decode_out_of_range() {
     for datagram in every_kind() {
         let good = encode(&datagram).unwrap();
         for bit in 0..good.len() * 8 {
@@ -190,7 +190,7 @@ fn check(bytes: &[u8]) {
 }
 
 #[test]
-fn what_can_not_be_sent_is_refused_and_not_sent_wrong() {
+fn encoder_rejects_values_out_of_range() {
     let send = |f: fn(&mut ToolSample)| {
         let mut track = track(1, 1, false);
         f(&mut track.samples[0]);
@@ -220,7 +220,7 @@ fn what_can_not_be_sent_is_refused_and_not_sent_wrong() {
 }
 
 #[test]
-fn corrections_of_any_length_are_divided_into_datagrams() {
+fn corrections_of_any_length_split_into_datagrams() {
     let all = nodes(1000);
     let view_time = ServerTime::from_micros(8_999_000);
     let pieces = Corrections::pieces(7, view_time, &all);
@@ -256,7 +256,7 @@ proptest! {
     }
 
     #[test]
-    fn positions_and_rotations_survive_within_their_quantum(
+    fn positions_and_rotations_round_trip_within_their_quantum(
         x in -20.0_f64..20.0,
         axis in [-1.0_f64..1.0, -1.0_f64..1.0, -1.0_f64..1.0],
         angle in -3.2_f64..3.2,

@@ -37,7 +37,7 @@ fn heartbeat(epoch: Epoch, sequence: u32, acknowledged: Option<Acknowledgement>)
 }
 
 #[test]
-fn an_acknowledgement_of_what_was_never_sent_is_counted_and_acknowledges_nothing() {
+fn acknowledgement_of_unsent_datagrams_is_counted_and_ignored() {
     let mut pair = standing();
     let before = pair.server.stats();
     let next = pair.client.stats(pair.client_now()).sent as u32 + 1;
@@ -63,7 +63,7 @@ fn an_acknowledgement_of_what_was_never_sent_is_counted_and_acknowledges_nothing
 }
 
 #[test]
-fn datagrams_of_an_earlier_life_of_the_session_are_counted_and_not_read() {
+fn datagrams_of_an_earlier_epoch_are_counted_and_ignored() {
     let mut pair = standing();
     let events = pair.server_events.len();
     let received = pair.server.stats().received;
@@ -80,7 +80,7 @@ fn datagrams_of_an_earlier_life_of_the_session_are_counted_and_not_read() {
 }
 
 #[test]
-fn what_was_recorded_and_is_played_again_is_counted_as_seen_or_old() {
+fn replayed_datagrams_are_counted_as_duplicate_or_old() {
     let mut pair = standing();
     let now = pair.server_now();
     let first = heartbeat(Epoch(2), 100, None);
@@ -98,7 +98,7 @@ fn what_was_recorded_and_is_played_again_is_counted_as_seen_or_old() {
 }
 
 #[test]
-fn samples_that_are_seconds_old_are_counted_and_not_passed_on() {
+fn samples_seconds_old_are_counted_and_not_relayed() {
     let mut pair = standing();
     let now = pair.server_now();
     let next = pair.client.stats(pair.client_now()).sent as u32 + 1;
@@ -137,7 +137,7 @@ fn samples_that_are_seconds_old_are_counted_and_not_passed_on() {
 }
 
 #[test]
-fn a_room_that_stands_still_loses_motion_and_no_request_and_throws_nobody_out() {
+fn stalled_room_loses_motion_but_no_request_and_no_participant() {
     let mut pair = standing();
     let hash = TopologyHash(0);
     let report = RequestKind::TopologyReport { version: 0, hash };

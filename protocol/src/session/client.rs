@@ -195,7 +195,10 @@ impl ClientSession {
                 self.emit(ClientEvent::RequestRefused(refused));
             }
             (State::Joined(_), ServerMessage::Welcome(_) | ServerMessage::Refused(_)) => {
-                return out_of_order("second answer to the hello", "the session is already established");
+                return out_of_order(
+                    "second answer to the hello",
+                    "the session is already established",
+                );
             }
             _ => return out_of_order("server message", "the hello is not answered"),
         }

@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn what_others_extrapolate_stays_within_the_deadband_and_silence_below_50_ms() {
+    fn extrapolation_error_stays_within_the_deadband_and_silence_below_50_ms() {
         let deadband = Deadband::default();
         for slow in [1.0, 0.3] {
             let (batches, truth) = arrived(Some(deadband), slow);
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_button_is_told_at_once() {
+    fn button_change_is_sent_at_once() {
         let mut told = Told::nothing(Deadband::default());
         let sample = |ms: i64| ToolSample {
             time: ServerTime::from_micros(1000 * ms),

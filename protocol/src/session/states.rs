@@ -187,11 +187,11 @@ fn run_peer(from: &str, what: &str) -> &'static str {
 }
 
 #[test]
-fn the_clients_session_moves_as_the_document_says() {
+fn client_session_follows_the_state_document() {
     check("Client session", &ClientSession::STATES, run_client);
 }
 
 #[test]
-fn the_servers_peer_moves_as_the_document_says() {
+fn server_peer_follows_the_state_document() {
     check("Server peer", &ServerPeer::STATES, run_peer);
 }

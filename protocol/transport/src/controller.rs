@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn loss_without_a_queue_leaves_the_floor_however_much_the_delay_jitters() {
+    fn loss_without_a_queue_keeps_the_floor_under_any_jitter() {
         let mut now = Instant::now();
         let mut floor = Floor::new(now, 1200);
         for _ in 0..20 {
@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn delay_without_loss_leaves_the_floor() {
+    fn delay_without_loss_keeps_the_floor() {
         let mut now = Instant::now();
         let mut floor = Floor::new(now, 1200);
         for rtt in [60, 160, 120, 60] {
@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn a_queue_that_overflows_takes_the_floor_which_returns_once_it_is_gone() {
+    fn overflowing_queue_removes_the_floor_until_it_drains() {
         let mut now = Instant::now();
         let mut floor = Floor::new(now, 1200);
         half_a_second(&mut floor, &mut now, |_| ms(50), 0);
@@ -405,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn a_deep_queue_takes_the_floor_without_any_loss() {
+    fn deep_queue_removes_the_floor_without_loss() {
         let mut now = Instant::now();
         let mut floor = Floor::new(now, 1200);
         half_a_second(&mut floor, &mut now, |_| ms(50), 0);
@@ -414,7 +414,7 @@ mod tests {
     }
 
     #[test]
-    fn a_longer_route_is_known_as_such_after_a_minute() {
+    fn longer_route_is_recognised_after_a_minute() {
         let mut now = Instant::now();
         let mut floor = Floor::new(now, 1200);
         half_a_second(&mut floor, &mut now, |_| ms(50), 0);

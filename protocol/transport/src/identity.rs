@@ -137,7 +137,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_kept_identity_is_the_same_host_and_a_mixed_one_is_refused() {
+    fn stored_identity_is_reused_and_a_mixed_one_is_rejected() {
         let identity = ServerIdentity::generate().unwrap();
         let (certificate, key) = identity.to_der();
         let kept = ServerIdentity::from_der(certificate.clone(), key.clone()).unwrap();

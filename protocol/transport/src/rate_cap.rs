@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn no_second_carries_more_than_the_rate_and_one_burst() {
+    fn any_second_carries_at_most_the_rate_and_one_burst() {
         let start = Instant::now();
         let mut cap = RateCap::sending(start);
         let bytes = passing(&mut cap, start, 1100, Duration::from_micros(50));
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn who_sends_what_it_may_is_taken_whole_and_who_sends_twice_that_is_not() {
+    fn sender_at_the_cap_loses_nothing_and_sender_at_twice_the_cap_is_limited() {
         for (times, whole) in [(1.0, true), (2.0, false)] {
             let mut now = Instant::now();
             let mut cap = RateCap::taking(now);
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn tiny_datagrams_are_taken_by_number_not_by_size() {
+    fn tiny_datagrams_are_limited_by_number() {
         let start = Instant::now();
         let mut cap = RateCap::taking(start);
         let taken = passing(&mut cap, start, 1, Duration::from_micros(10));

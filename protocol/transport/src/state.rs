@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn private_files_are_for_their_owner_alone_and_never_in_part() {
+    fn private_files_are_owner_only_and_written_atomically() {
         let folder = folder();
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
         assert_eq!(mode(&folder), 0o700);

@@ -41,7 +41,7 @@ async fn ending(client: &mut ClientHandle) -> CloseReason {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_host_that_ends_the_session_is_told_from_one_that_is_gone() {
+async fn ended_session_is_distinguished_from_a_lost_host() {
     let (server, _peer, mut client) = one_is_in().await;
     server.close("the host has ended it").await;
     let reason = ending(&mut client).await;
@@ -59,7 +59,7 @@ async fn a_host_that_ends_the_session_is_told_from_one_that_is_gone() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn who_leaves_for_good_is_told_from_who_may_come_back() {
+async fn leaving_client_is_distinguished_from_a_lost_one() {
     for (code, leaves) in [(GOODBYE, true), (0, false), (2, false)] {
         let (server, _, identity) = serve_as();
         let (sender, mut inbox) = mpsc::channel(64);

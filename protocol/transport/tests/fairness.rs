@@ -162,11 +162,11 @@ fn fair([bulk, first, second]: [f64; 3]) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_bulk_flow_that_comes_later_keeps_a_third_of_the_bottleneck() {
+async fn later_bulk_flow_gets_a_third_of_the_bottleneck() {
     fair(shares(false).await);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn sessions_that_come_later_leave_a_third_to_the_bulk_flow() {
+async fn later_sessions_leave_a_third_to_the_bulk_flow() {
     fair(shares(true).await);
 }

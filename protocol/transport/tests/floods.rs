@@ -82,7 +82,7 @@ async fn flood(connection: &Connection, len: usize, per_second: f64) -> u64 {
 }
 
 /// One peer floods while another joins; then the first continues undisturbed.
-async fn a_flood_is_capped_and_harms_nobody(len: usize, per_second: f64) {
+async fn flood_is_capped_and_harms_no_other_peer(len: usize, per_second: f64) {
     let mut room = Room::open();
     let (_endpoint, bad) = unbound(&room.server, &room.identity).await;
     let (mut send, mut recv) = bad.open_bi().await.unwrap();
@@ -126,11 +126,11 @@ async fn a_flood_is_capped_and_harms_nobody(len: usize, per_second: f64) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn who_sends_twice_what_it_may_is_cut_to_the_cap_and_stays_in_the_session() {
-    a_flood_is_capped_and_harms_nobody(1100, 2.0 * MAY / 1100.0).await;
+async fn sender_at_twice_the_cap_is_limited_and_stays_in_the_session() {
+    flood_is_capped_and_harms_no_other_peer(1100, 2.0 * MAY / 1100.0).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_flood_of_tiny_datagrams_is_cut_by_their_number() {
-    a_flood_is_capped_and_harms_nobody(1, 20_000.0).await;
+async fn flood_of_tiny_datagrams_is_limited_by_number() {
+    flood_is_capped_and_harms_no_other_peer(1, 20_000.0).await;
 }

@@ -31,7 +31,7 @@ mod tests {
     use crate::{ClientTime, ServerTime, Span};
 
     #[test]
-    fn who_returns_goes_on_towards_the_delay_that_was_on_its_way() {
+    fn resumed_session_continues_a_pending_delay_change() {
         let at = |ms: i64| ServerTime::from_micros(ms * 1000);
         let mut known = DelaySchedule::new(&welcome(0, 0).compensation);
         known.handle_change(300_000, at(1000));

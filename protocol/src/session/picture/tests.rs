@@ -117,7 +117,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(8))]
 
     #[test]
-    fn no_loss_leaves_anything_behind_and_what_is_shown_is_what_was_once_told(
+    fn losses_leave_no_error_at_rest_and_only_sent_displacements_are_shown(
         seed in 0_u64..1000,
         delay_us in 1_000_i64..150_000,
         jitter_us in 0_i64..20_000,
@@ -134,7 +134,7 @@ proptest! {
 }
 
 #[test]
-fn the_rate_is_kept_when_more_moves_than_fits_and_what_waits_is_counted_and_comes() {
+fn rate_holds_under_overload_and_waiting_nodes_are_counted_and_sent_later() {
     // 62,500 nodes that all move: ten times the capacity.
     let mut thin = Thin::new(1, 250, 20_000, 5_000, 0.02);
     let before = thin.pair.down.datagrams;
@@ -153,7 +153,7 @@ fn the_rate_is_kept_when_more_moves_than_fits_and_what_waits_is_counted_and_come
 }
 
 #[test]
-fn the_farthest_off_go_first() {
+fn nodes_with_the_largest_error_are_sent_first() {
     let mut thin = Thin::new(1, 250, 1_000, 0, 0.0);
     thin.play(0, 3000, 0);
     assert!(thin.off_m() < STEP_M);
@@ -163,7 +163,7 @@ fn the_farthest_off_go_first() {
 }
 
 #[test]
-fn a_picture_that_rests_costs_next_to_nothing() {
+fn picture_at_rest_costs_almost_nothing() {
     let mut thin = Thin::new(1, 60, 20_000, 0, 0.0);
     thin.play(0, 2000, 500);
     thin.pair.down.datagrams = (0, 0);

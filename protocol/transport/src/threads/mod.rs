@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn a_refusal_names_cause_effect_and_remedy() {
+    fn rejection_names_cause_effect_and_remedy() {
         let refused = Scheduling::Ordinary {
             refused: Some("Operation not permitted".to_owned()),
         };
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_of_a_class_is_counted_there_while_it_runs_and_after_its_end() {
+    fn cpu_time_counts_for_the_class_during_and_after_a_thread() {
         let before = cpu_time();
         let burn = || {
             let began = worked_ns();

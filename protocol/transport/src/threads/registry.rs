@@ -155,7 +155,7 @@ mod tests {
 
     /// Needs the permission that it tests; without it there is nothing to enforce.
     #[test]
-    fn a_real_time_thread_that_never_sleeps_loses_its_priority_and_gets_it_back() {
+    fn busy_real_time_thread_loses_and_regains_its_priority() {
         let seen = std::thread::spawn(|| {
             let membership = enter(ThreadClass::Network);
             if !matches!(membership.scheduling(), Scheduling::RealTime { .. }) {
