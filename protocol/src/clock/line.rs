@@ -46,7 +46,7 @@ impl Measurement {
 
 /// The widest feasible band between the two directions: at `origin`, with its slope.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Strip {
+pub(super) struct Band {
     pub middle_us: f64,
     width_us: f64,
     pub slope: f64,
@@ -68,7 +68,7 @@ pub(super) struct Answers<'a> {
 
 impl Answers<'_> {
     /// The band of one slope, at `origin`.
-    fn strip(&self, origin: ClientTime, slope: f64) -> Strip {
+    fn band(&self, origin: ClientTime, slope: f64) -> Band {
         let (mut above_us, mut below_us) = (f64::INFINITY, f64::NEG_INFINITY);
         // Offsets are relative to one answer, so that hours of offset lose no digits.
         let reference = self.answers.back().map_or(0, |m| m.above_us);
@@ -77,7 +77,7 @@ impl Answers<'_> {
             above_us = above_us.min(m.above_us.saturating_sub(reference) as f64 - leaned);
             below_us = below_us.max(m.below_us.saturating_sub(reference) as f64 - leaned);
         }
-        Strip {
+        Band {
             middle_us: reference as f64 + 0.5 * (above_us + below_us),
             width_us: above_us - below_us,
             slope,
@@ -85,22 +85,22 @@ impl Answers<'_> {
     }
 
     /// The offset line: the band and the mean of all answers, weighted by precision.
-    pub(super) fn line(&self, origin: ClientTime) -> Strip {
+    pub(super) fn line(&self, origin: ClientTime) -> Band {
         let mean = self.mean_line(origin);
-        let unsure_us = self.unsure_of_fastest(origin, mean.slope);
-        let strip = self.widest_strip(origin);
-        let by_strip = 0.5 * unsure_us * unsure_us;
-        let by_mean = mean.variance_us2;
-        // If both variances are zero, the band counts: a queue can not bias it.
-        let share = if by_strip > 0.0 {
-            by_strip / (by_strip + by_mean)
+        let uncertainty_us = self.fastest_uncertainty(origin, mean.slope);
+        let band = self.widest_band(origin);
+        let band_variance = 0.5 * uncertainty_us * uncertainty_us;
+        let mean_variance = mean.variance_us2;
+        // With a band variance of zero the band counts alone: a queue can not bias it.
+        let share = if band_variance > 0.0 {
+            band_variance / (band_variance + mean_variance)
         } else {
             0.0
         };
-        Strip {
-            middle_us: strip.middle_us + share * (mean.middle_us - strip.middle_us),
-            slope: strip.slope + share * (mean.slope - strip.slope),
-            ..strip
+        Band {
+            middle_us: band.middle_us + share * (mean.middle_us - band.middle_us),
+            slope: band.slope + share * (mean.slope - band.slope),
+            ..band
         }
     }
 
@@ -147,7 +147,7 @@ impl Answers<'_> {
     /// The distance of the fastest packet of a direction from the minimum delay: the mean distance
     /// between the [`FASTEST`]. For an exponential tail, which every smooth tail resembles near its end,
     /// this is the standard deviation.
-    fn unsure_of_fastest(&self, origin: ClientTime, slope: f64) -> f64 {
+    fn fastest_uncertainty(&self, origin: ClientTime, slope: f64) -> f64 {
         let between = |of: &dyn Fn(&Measurement) -> i64, slope: f64| -> f64 {
             let reference = self.answers.back().map_or(0, of);
             let mut beyond: Vec<f64> = (self.answers.iter())
@@ -173,22 +173,22 @@ impl Answers<'_> {
     /// The widest band. Its width is concave in the slope (a minimum of straight lines less a maximum),
     /// so that ternary search finds it. The slope has no prior: under bursts a prior suppressed real
     /// drift.
-    fn widest_strip(&self, origin: ClientTime) -> Strip {
+    fn widest_band(&self, origin: ClientTime) -> Band {
         const THIRDS: u32 = 18;
         let history = self.answers.back().zip(self.answers.front());
         if history.is_none_or(|(last, first)| last.at - first.at < DRIFT_MIN) {
-            return self.strip(origin, 0.0);
+            return self.band(origin, 0.0);
         }
         let (mut low, mut high) = (-DRIFT_MAX, DRIFT_MAX);
         for _ in 0..THIRDS {
             let third = (high - low) / 3.0;
             let (a, b) = (low + third, high - third);
-            if self.strip(origin, a).width_us < self.strip(origin, b).width_us {
+            if self.band(origin, a).width_us < self.band(origin, b).width_us {
                 low = a;
             } else {
                 high = b;
             }
         }
-        self.strip(origin, 0.5 * (low + high))
+        self.band(origin, 0.5 * (low + high))
     }
 }

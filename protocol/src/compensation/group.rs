@@ -20,7 +20,7 @@ pub struct GroupDelay {
 }
 
 /// Minima of the server's own delay estimate and of the participants' worst report, over the current
-/// half of [`FORESIGHT`] and the one before.
+/// half of [`PREDICTION_WINDOW`] and the one before.
 ///
 /// When an uplink becomes slower, the server measures it first: the slow samples must still travel the
 /// downlink, and the reports the uplink. Every participant's estimate will grow as much as the server's
@@ -28,36 +28,42 @@ pub struct GroupDelay {
 #[derive(Debug, Clone, Copy, Default)]
 struct Floor {
     since: Option<ServerTime>,
-    halves: [Option<Needs>; 2],
+    halves: [Option<Estimates>; 2],
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Needs {
+struct Estimates {
     server_us: u32,
-    others_us: u32,
+    participants_us: u32,
 }
 
-impl Needs {
+impl Estimates {
     fn least(self, other: Self) -> Self {
         Self {
             server_us: self.server_us.min(other.server_us),
-            others_us: self.others_us.min(other.others_us),
+            participants_us: self.participants_us.min(other.participants_us),
         }
     }
 }
 
 impl Floor {
     /// The predicted delay estimate of all participants, microseconds: at least the reported one.
-    fn foresee(&mut self, needs: Needs, now: ServerTime) -> u32 {
-        let half = Span::from_micros(FORESIGHT.as_micros() / 2);
+    fn predict(&mut self, estimates: Estimates, now: ServerTime) -> u32 {
+        let half = Span::from_micros(PREDICTION_WINDOW.as_micros() / 2);
         if self.since.is_none_or(|since| now - since >= half) {
             self.since = Some(now);
             self.halves = [None, self.halves[0]];
         }
-        self.halves[0] = Some(self.halves[0].map_or(needs, |n| n.least(needs)));
-        let least = self.halves.into_iter().flatten().fold(needs, Needs::least);
-        let rise_us = needs.server_us - least.server_us;
-        needs.others_us.max(least.others_us.saturating_add(rise_us))
+        self.halves[0] = Some(self.halves[0].map_or(estimates, |n| n.least(estimates)));
+        let least = self
+            .halves
+            .into_iter()
+            .flatten()
+            .fold(estimates, Estimates::least);
+        let rise_us = estimates.server_us - least.server_us;
+        estimates
+            .participants_us
+            .max(least.participants_us.saturating_add(rise_us))
     }
 }
 
@@ -78,7 +84,7 @@ pub const RAISE_PERIOD: Span = Span::from_millis(50);
 
 /// How long a rise of the server's own estimate is added to the earlier reports: by then the slow
 /// samples have reached the participants, and their reports the server.
-const FORESIGHT: Span = Span::from_millis(600);
+const PREDICTION_WINDOW: Span = Span::from_millis(600);
 
 /// Time beyond the one-way delay that allows one retransmission of an operation on a short path.
 const LEAD_MARGIN: Span = Span::from_millis(20);
@@ -137,18 +143,19 @@ impl GroupDelay {
         let CompensationMode::Adaptive { cap_us } = self.mode else {
             return None;
         };
-        let (server, others): (Vec<_>, Vec<_>) =
+        let (server, participants): (Vec<_>, Vec<_>) =
             (self.wanted.iter()).partition(|(p, _)| *p == ParticipantId::SERVER);
-        let most = |needs: Vec<&(ParticipantId, u32)>| needs.into_iter().map(|(_, w)| *w).max();
-        let wanted = match (most(server), most(others)) {
-            (Some(server_us), Some(others_us)) => {
-                let needs = Needs {
+        let most =
+            |estimates: Vec<&(ParticipantId, u32)>| estimates.into_iter().map(|(_, w)| *w).max();
+        let wanted = match (most(server), most(participants)) {
+            (Some(server_us), Some(participants_us)) => {
+                let estimates = Estimates {
                     server_us,
-                    others_us,
+                    participants_us,
                 };
-                self.floor.foresee(needs, now).max(server_us)
+                self.floor.predict(estimates, now).max(server_us)
             }
-            (server, others) => server.max(others)?,
+            (server, participants) => server.max(participants)?,
         }
         .min(cap_us);
         let change = i64::from(wanted) - i64::from(self.target_us);

@@ -302,7 +302,7 @@ fn code_whole(c: &mut impl Coder, p: Point) -> Result<Point, ProtocolError> {
 
 /// The prior knowledge about the time of a tool's newest sample, in steps.
 #[derive(Debug, Clone, Copy)]
-enum Told {
+enum TimePrior {
     /// The header contains it.
     Whole(i64),
     /// It is close to this value.
@@ -315,13 +315,13 @@ enum Told {
 fn code_time(
     c: &mut impl Coder,
     m: &mut Model,
-    told: Told,
+    prior: TimePrior,
     baseline: Option<(i32, i64)>,
     time: i64,
 ) -> Result<i64, ProtocolError> {
     let narrow = |t: i64| t.clamp(-i64::from(i32::MAX), i64::from(i32::MAX)) as i32;
-    match (told, baseline) {
-        (Told::Whole(time), _) => Ok(time),
+    match (prior, baseline) {
+        (TimePrior::Whole(time), _) => Ok(time),
         (_, Some((ago, before))) => {
             let since = time.saturating_sub(before);
             let batches = (since + BATCH_UNITS / 2).div_euclid(BATCH_UNITS);
@@ -330,11 +330,11 @@ fn code_time(
             let rest = m.rest.code(c, narrow(since - start))?;
             Ok(before.saturating_add(start + i64::from(rest)))
         }
-        (Told::Near(near), None) => {
+        (TimePrior::Near(near), None) => {
             let low = c.raw(16, u32::from(time as u16))?;
             Ok(nearest_time(low as u16, near))
         }
-        (Told::First(first), None) => {
+        (TimePrior::First(first), None) => {
             let age = m.age.code(c, narrow(first.saturating_sub(time)))?;
             Ok(first.saturating_sub(i64::from(age)))
         }
@@ -346,14 +346,14 @@ fn code_time(
 fn code_points(
     c: &mut impl Coder,
     m: &mut Model,
-    told: Told,
+    prior: TimePrior,
     baseline: Option<(i32, Anchor)>,
     points: &mut [Point],
 ) -> Result<Anchor, ProtocolError> {
     let last = points.len() - 1;
     let narrow = |t: i64| t.clamp(-i64::from(i32::MAX), i64::from(i32::MAX)) as i32;
     let before = baseline.map(|(ago, anchor)| (ago, anchor.newest.time));
-    points[last].time = code_time(c, m, told, before, points[last].time)?;
+    points[last].time = code_time(c, m, prior, before, points[last].time)?;
     let baseline = baseline.map(|(_, anchor)| anchor);
     for i in (0..last).rev() {
         let step = points[i + 1].time.saturating_sub(points[i].time);
@@ -425,7 +425,7 @@ fn write_track(
     c: &mut impl Coder,
     m: &mut Model,
     at: Moment,
-    told: Told,
+    prior: TimePrior,
     memory: &Memory,
     track: &ToolTrack,
 ) -> Result<Anchor, ProtocolError> {
@@ -457,14 +457,14 @@ fn write_track(
         points.push(Point::of(sample, Some(newest.turn))?);
     }
     points[count - 1] = newest;
-    code_points(c, m, told, baseline, &mut points)
+    code_points(c, m, prior, baseline, &mut points)
 }
 
 fn read_track(
     c: &mut impl Coder,
     m: &mut Model,
     at: Moment,
-    told: Told,
+    prior: TimePrior,
     memory: &Memory,
 ) -> Result<(ToolTrack, Anchor), ProtocolError> {
     let participant = i32::from(at.stream.0) + m.participant.code(c, 0)?;
@@ -488,7 +488,7 @@ fn read_track(
     };
     let mut points = [Point::default(); TRACK_MAX_SAMPLES];
     let points = &mut points[..count];
-    let anchor = code_points(c, m, told, baseline, points)?;
+    let anchor = code_points(c, m, prior, baseline, points)?;
     let samples = points.iter().map(Point::sample).collect();
     let track = ToolTrack {
         participant,
@@ -499,12 +499,12 @@ fn read_track(
 }
 
 /// The prior knowledge about the time of the next tool.
-fn told(at: Moment, first: Option<i64>) -> Told {
+fn time_prior(at: Moment, first: Option<i64>) -> TimePrior {
     let near = quantise::time(at.generated);
     match first {
-        Some(first) => Told::First(first),
-        None if at.is_whole => Told::Whole(near),
-        None => Told::Near(near),
+        Some(first) => TimePrior::First(first),
+        None if at.is_whole => TimePrior::Whole(near),
+        None => TimePrior::Near(near),
     }
 }
 
@@ -527,7 +527,7 @@ pub(super) fn write(
     let mut first = None;
     m.tracks.code(c, tracks.len() as i32 - 1)?;
     for track in tracks {
-        let anchor = write_track(c, &mut m, at, told(at, first), memory, track)?;
+        let anchor = write_track(c, &mut m, at, time_prior(at, first), memory, track)?;
         first = first.or(Some(anchor.newest.time));
         memory.remember_point(track.participant, at.sequence, anchor);
     }
@@ -548,7 +548,7 @@ pub(super) fn read(
     let mut tracks = Vec::new();
     let mut first = None;
     for _ in 0..count {
-        let (track, anchor) = read_track(c, &mut m, at, told(at, first), memory)?;
+        let (track, anchor) = read_track(c, &mut m, at, time_prior(at, first), memory)?;
         first = first.or(Some(anchor.newest.time));
         memory.remember_point(track.participant, at.sequence, anchor);
         tracks.push(track);

@@ -60,13 +60,13 @@ fn angle(a: &Pose, b: &Pose) -> f64 {
 
 /// The receiver's knowledge of one tool.
 #[derive(Debug)]
-pub(super) struct Told {
+pub(super) struct SentMotion {
     deadband: Deadband,
     timeline: Timeline,
     newest: Option<ToolSample>,
 }
 
-impl Told {
+impl SentMotion {
     pub(super) fn nothing(deadband: Deadband) -> Self {
         Self {
             deadband,
@@ -76,17 +76,17 @@ impl Told {
     }
 
     /// Whether the receiver predicts all of a batch, so that the batch need not be sent yet.
-    pub(super) fn foresees(&self, batch: &[ToolSample]) -> bool {
-        let Some(told) = &self.newest else {
+    pub(super) fn predicts(&self, batch: &[ToolSample]) -> bool {
+        let Some(sent) = &self.newest else {
             return false;
         };
-        let batch = batch.iter().filter(|s| s.time > told.time);
+        let batch = batch.iter().filter(|s| s.time > sent.time);
         batch.rev().take(BATCH).all(|s| {
-            let silence = s.time - told.time + Span::from_millis(BATCH as i64);
+            let silence = s.time - sent.time + Span::from_millis(BATCH as i64);
             let shown = self.timeline.foresee(s.time);
             silence <= DEADBAND_HEARTBEAT
-                && s.buttons == told.buttons
-                && shown.is_some_and(|shown| self.deadband.allows(&s.pose, &shown, &told.pose))
+                && s.buttons == sent.buttons
+                && shown.is_some_and(|shown| self.deadband.allows(&s.pose, &shown, &sent.pose))
         })
     }
 
@@ -187,16 +187,16 @@ mod tests {
 
     #[test]
     fn button_change_is_sent_at_once() {
-        let mut told = Told::nothing(Deadband::default());
+        let mut sent = SentMotion::nothing(Deadband::default());
         let sample = |ms: i64| ToolSample {
             time: ServerTime::from_micros(1000 * ms),
             ..ToolSample::default()
         };
-        told.note(&[0, 1, 2, 3].map(sample));
-        assert_eq!(told.newest(), Some(sample(3).time));
+        sent.note(&[0, 1, 2, 3].map(sample));
+        assert_eq!(sent.newest(), Some(sample(3).time));
         let mut next = [4, 5, 6, 7].map(sample);
-        assert!(told.foresees(&next));
+        assert!(sent.predicts(&next));
         next[2].buttons = 1;
-        assert!(!told.foresees(&next));
+        assert!(!sent.predicts(&next));
     }
 }

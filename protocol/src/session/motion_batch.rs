@@ -7,7 +7,7 @@ use crate::clock::ClockMap;
 use crate::datagram::POSITION_MAX_M;
 use crate::datagram::motion::{BATCH, USUAL_SAMPLES};
 use crate::lateness::Lateness;
-use crate::session::deadband::{Deadband, Told};
+use crate::session::deadband::{Deadband, SentMotion};
 use crate::{ClientTime, LocalSample, Span, ToolSample};
 
 /// One batch in this many carries the force, with its newest sample, ten times a second: other
@@ -36,7 +36,7 @@ pub(super) struct MotionBatch {
     /// Newest samples of the last two batches.
     before: [Option<ClientTime>; 2],
     /// With a deadband: the receiver's knowledge.
-    told: Option<Told>,
+    sent: Option<SentMotion>,
 }
 
 impl MotionBatch {
@@ -73,7 +73,7 @@ impl MotionBatch {
 
     /// Omits motion that the receiver predicts, or sends all of it.
     pub(super) fn set_deadband(&mut self, deadband: Option<Deadband>) {
-        self.told = deadband.map(Told::nothing);
+        self.sent = deadband.map(SentMotion::nothing);
     }
 
     /// The samples for the next datagram, oldest first, if one is due, and how late they leave.
@@ -84,10 +84,10 @@ impl MotionBatch {
     ) -> Option<(Vec<ToolSample>, Lateness)> {
         loop {
             let (samples, late) = self.next_batch(now, map)?;
-            match &mut self.told {
-                Some(told) if told.foresees(&samples) => {}
-                Some(told) => {
-                    told.note(&samples);
+            match &mut self.sent {
+                Some(sent) if sent.predicts(&samples) => {}
+                Some(sent) => {
+                    sent.note(&samples);
                     return Some((samples, late));
                 }
                 None => return Some((samples, late)),

@@ -88,15 +88,15 @@ pub struct PictureStats {
 enum Fate {
     /// Never sent, or lost: the client displays `known`.
     #[default]
-    Untold,
+    Unsent,
     /// Sent in the datagram of this number.
-    OnItsWay(u32),
+    InFlight(u32),
     Known,
 }
 
 /// The client's knowledge of one node.
 #[derive(Debug, Clone, Copy, Default)]
-struct Told {
+struct SentNode {
     /// The displacement last sent, steps.
     last: [i16; 3],
     /// The displacement last acknowledged, steps.
@@ -121,7 +121,7 @@ pub(super) struct PictureStream {
     /// Whether the newest picture is not yet divided into pieces.
     is_fresh: bool,
     /// By node number; as long as the largest number that was in view.
-    told: Vec<Told>,
+    sent: Vec<SentNode>,
     /// Chosen pieces of the newest picture that are not sent yet.
     pieces: VecDeque<Displacements>,
     flights: VecDeque<Flight>,
@@ -165,11 +165,11 @@ impl PictureStream {
             let part = if took > *usual { 2 } else { 16 };
             *usual = *usual + Span::from_micros((took - *usual).as_micros() / part);
             for node in flight.nodes {
-                let told = &mut self.told[node as usize];
-                if told.fate == Fate::OnItsWay(flight.sequence) {
-                    told.fate = Fate::Known;
-                    told.known = told.last;
-                    told.is_known = true;
+                let sent = &mut self.sent[node as usize];
+                if sent.fate == Fate::InFlight(flight.sequence) {
+                    sent.fate = Fate::Known;
+                    sent.known = sent.last;
+                    sent.is_known = true;
                 }
             }
         }
@@ -233,9 +233,9 @@ impl PictureStream {
                 return;
             };
             for node in flight.nodes {
-                let told = &mut self.told[node as usize];
-                if told.fate == Fate::OnItsWay(flight.sequence) {
-                    told.fate = Fate::Untold;
+                let sent = &mut self.sent[node as usize];
+                if sent.fate == Fate::InFlight(flight.sequence) {
+                    sent.fate = Fate::Unsent;
                     self.stats.again += 1;
                 }
             }
@@ -247,9 +247,9 @@ impl PictureStream {
         let guess = self.node_bytes.get_or_insert(each);
         *guess += FOLLOW * (each - *guess);
         for (node, displacement) in &piece.nodes {
-            let told = &mut self.told[*node as usize];
-            told.last = steps(*displacement);
-            told.fate = Fate::OnItsWay(sequence);
+            let sent = &mut self.sent[*node as usize];
+            sent.last = steps(*displacement);
+            sent.fate = Fate::InFlight(sequence);
         }
         self.stats.told += piece.nodes.len() as u64;
         self.flights.push_back(Flight {
@@ -265,12 +265,12 @@ impl PictureStream {
             return;
         };
         let longest = picture.nodes.last().map_or(0, |n| *n as usize + 1);
-        if self.told.len() < longest {
-            self.told.resize(longest, Told::default());
+        if self.sent.len() < longest {
+            self.sent.resize(longest, SentNode::default());
         }
         let all = picture.nodes.iter().zip(&picture.displacements);
         let mut off: Vec<(f32, u32, [f32; 3])> = all
-            .filter_map(|(node, d)| Some((self.told[*node as usize].off(*d)?, *node, *d)))
+            .filter_map(|(node, d)| Some((self.sent[*node as usize].off(*d)?, *node, *d)))
             .collect();
         let node_bytes = self.node_bytes.unwrap_or(NODE_BYTES_FIRST);
         let fit = |bytes: f64| ((bytes - HEAD_BYTES).max(0.0) / node_bytes) as usize;
@@ -304,18 +304,18 @@ impl PictureStream {
     }
 }
 
-impl Told {
+impl SentNode {
     /// The error of a node relative to the displacement sent, in steps; `None` below the threshold.
     fn off(&self, displacement: [f32; 3]) -> Option<f32> {
-        let (at, is_told) = match self.fate {
-            Fate::Untold => (self.known, false),
-            Fate::OnItsWay(_) | Fate::Known => (self.last, true),
+        let (at, is_sent) = match self.fate {
+            Fate::Unsent => (self.known, false),
+            Fate::InFlight(_) | Fate::Known => (self.last, true),
         };
         let step = f32::from(PICTURE_STEP_UM) * 1e-6;
         let parts = (0..3).map(|i| displacement[i] / step - f32::from(at[i]));
         let off = parts.map(|x| x * x).sum::<f32>().sqrt();
         // The error of an unknown node is unknown: it goes before nodes with small errors.
-        if is_told {
+        if is_sent {
             (off > 1.0).then_some(off)
         } else {
             Some(off + 1.0)
