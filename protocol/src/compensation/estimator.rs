@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::need::Need;
+use super::bridged::BridgedDelay;
 use super::{ALPHA, PERCENTILE_WINDOW};
 use crate::lateness::Lateness;
 use crate::request::DelayReport;
@@ -81,7 +81,7 @@ pub enum DelayRule {
     MeanDeviation,
     /// The 98th percentile of the last [`PERCENTILE_WINDOW`] ages + packet interval.
     Percentile,
-    /// The delay after which the timeline can bridge the rest ([`need`](super::BRIDGE)): the default.
+    /// The delay after which the timeline can bridge the rest ([`BRIDGE`](super::BRIDGE)): the default.
     /// The other two rules cover nearly every packet and cost a third more delay than extrapolation
     /// needs.
     #[default]
@@ -100,7 +100,7 @@ pub struct DelayEstimator {
     least: LeastAge,
     spike_us: Option<f64>,
     ages_us: VecDeque<i64>,
-    need: Need,
+    bridged: BridgedDelay,
     urgent: bool,
     measured: u64,
     ignored: u64,
@@ -119,7 +119,7 @@ impl DelayEstimator {
             least: LeastAge::default(),
             spike_us: None,
             ages_us: VecDeque::with_capacity(PERCENTILE_WINDOW),
-            need: Need::default(),
+            bridged: BridgedDelay::default(),
             urgent: false,
             measured: 0,
             ignored: 0,
@@ -149,7 +149,7 @@ impl DelayEstimator {
         let d = (self.mean_us as i64).clamp(earliest, latest);
         let d_us = d as f64;
         let age = Span::from_micros(d);
-        self.urgent |= (self.need).handle_arrival(&motion, Span::from_micros(taken_off), age);
+        self.urgent |= (self.bridged).handle_arrival(&motion, Span::from_micros(taken_off), age);
         if self.ages_us.len() == PERCENTILE_WINDOW {
             self.ages_us.pop_front();
         }
@@ -186,7 +186,7 @@ impl DelayEstimator {
             DelayRule::Bridged => {
                 // One arrival is not enough: after a demotion, late motion of that participant may still
                 // arrive.
-                return self.need.wanted_us().map(Span::from_micros);
+                return self.bridged.wanted_us().map(Span::from_micros);
             }
         } + self.interval_us;
         let wanted = self.spike_us.map_or(settled, |spike| settled.max(spike));

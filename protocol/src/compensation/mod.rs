@@ -7,7 +7,7 @@
 //! d = t_arrival - t_generated;   μ += α (d - μ);   ν += α (|d - μ| - ν)          α = 0.02
 //! D* = μ + 4ν + packet interval, or the 98th percentile of the last 200 d + interval
 //! spike mode: while d > D + 8ν, D* follows d at once; it ends when d falls below D again
-//! bridged: the part of the time since the newest sample that the timeline can not bridge (the default, `need`)
+//! bridged: the part of the time since the newest sample that the timeline can not bridge (the default, `bridged`)
 //! prediction: the growth of the uplink age within 600 ms is added to the earlier reports of the participants
 //! group: D = max over participants, slewed by dD/dt in [-0.02, +0.25], D <= cap
 //! ```
@@ -25,19 +25,19 @@
 //! D: the same D at the same server time on every site, because it is a function of the operation log
 //! alone.
 
+mod bridged;
 mod demotion;
 mod estimator;
 mod group;
-mod need;
 mod prediction;
 mod schedule;
 
 use crate::Span;
 
+pub use bridged::BRIDGE;
 pub use demotion::{DEMOTE_AFTER, Demotion, REPORT_OLD, RESTORE_AFTER, RESTORE_SHARE, Verdict};
 pub use estimator::{DelayEstimator, DelayRule, MotionArrival};
 pub use group::{CHANGE_MIN, CHANGE_PART, CHANGE_PERIOD, DelayChange, GroupDelay, RAISE_PERIOD};
-pub use need::BRIDGE;
 pub use prediction::{PREDICTION_MAX, Prediction};
 pub use schedule::{CATCH_UP, DelaySchedule};
 

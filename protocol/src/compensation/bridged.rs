@@ -1,7 +1,8 @@
 //! The delay estimate: the distance of the displayed moment from the newest sample, over time.
 //!
 //! A packet's age is the age of a sample on arrival. Until the next one arrives the newest sample grows
-//! older, so that the site needs, at every moment t,
+//! older. At every moment t the site requires the delay
+//!
 //! ```text
 //! n(t) = t - (moment of the newest sample here)
 //! ```
@@ -11,7 +12,7 @@
 //! D need not cover all of n: it is aimed up to [`BRIDGE`] below the [`SHARE`] of n.
 //!
 //! ```text
-//! D* = max( q(n over LONG or SHORT, the lesser) - BRIDGE,  what a burst needed )
+//! D* = max( q(n over LONG or SHORT, the smaller) - BRIDGE,  required delay of a burst )
 //! ```
 //!
 //! Three memories, because paths change in three ways (the rule is our own):
@@ -19,7 +20,7 @@
 //!   cleared.
 //! - A **step down** shows when the short memory lies below the long one.
 //! - A **burst** is a step up that reverts within [`BURST_MAX`]. A single burst is forgotten after
-//!   [`BURST_MEMORY_LEAST`]. The need of recurring bursts is kept from one to the next, without the
+//!   [`BURST_MEMORY_LEAST`]. The delay of recurring bursts is kept from one to the next, without the
 //!   bridge, because packets are missing within a burst too.
 //!
 //! The bridge covers jitter. A path without jitter gets none, and keeps the whole bridge for a change.
@@ -36,14 +37,14 @@ pub const BRIDGE: Span = Span::from_millis(12);
 /// The bridge of a short path, where the bridge is most of the delay.
 const BRIDGE_SHORT: Span = Span::from_micros(11_300);
 
-/// A path counts as short up to the first need and as long from the second on, with a linear blend
+/// A path counts as short up to the first delay and as long from the second on, with a linear blend
 /// between.
 const SHORT_PATH: [Span; 2] = [Span::from_millis(15), Span::from_millis(30)];
 
 /// The bridge in multiples of the jitter spread (from the median to the [`SHARE`]).
 const BRIDGE_SPREADS: i64 = 3;
 
-/// The spread of the need on a path without jitter: from the median to the [`SHARE`] of a packet interval of 4 ms.
+/// The spread of the required delay on a path without jitter: from the median to the [`SHARE`] of a packet interval of 4 ms.
 const PACKET_SPREAD_US: i64 = 1840;
 
 /// The share of the time that D and the bridge together are to cover.
@@ -73,7 +74,7 @@ const BURST_MEMORY_GAPS: i64 = 3;
 /// Bursts farther apart than this do not recur.
 const BURST_MEMORY_MOST: Span = Span::from_millis(30_000);
 
-/// The margin above a burst's need: about every second burst is a little worse than the one before.
+/// The margin above the required delay of a burst: about every second burst is a little worse than the one before.
 const BURST_MARGIN_US: i64 = 5000;
 
 /// Intervals remembered. At 250 Hz the long memory needs 1000; a faster stream is remembered for a
@@ -83,10 +84,10 @@ const INTERVALS_MAX: usize = 2048;
 /// The minimum weight of an interval: packets that arrive together have no time between them.
 const INTERVAL_MIN_US: i64 = 1;
 
-/// The bridge of a path with this need and this spread of it, microseconds.
-fn bridge(need_us: i64, spread_us: i64) -> i64 {
+/// The bridge of a path with this required delay and spread, microseconds.
+fn bridge(required_us: i64, spread_us: i64) -> i64 {
     let [short, long] = SHORT_PATH.map(Span::as_micros);
-    let part = (long - need_us).clamp(0, long - short);
+    let part = (long - required_us).clamp(0, long - short);
     let least = BRIDGE_SHORT.as_micros() * part / (long - short);
     (BRIDGE_SPREADS * (spread_us - PACKET_SPREAD_US)).clamp(least, BRIDGE.as_micros())
 }
@@ -100,7 +101,7 @@ struct Interval {
     to_us: i64,
 }
 
-/// A rise of the need that may be a burst.
+/// A rise of the required delay that may be a burst.
 #[derive(Debug, Clone, Copy)]
 struct Rise {
     began: ServerTime,
@@ -115,40 +116,40 @@ struct Bursts {
     ended: ServerTime,
     /// How long they are remembered.
     memory: Span,
-    /// The largest need among them, while it is remembered.
-    need_us: Option<i64>,
+    /// Their largest required delay, while it is remembered.
+    required_us: Option<i64>,
 }
 
 impl Bursts {
-    /// A burst ended, with this need.
-    fn note(before: Option<Self>, need_us: i64, now: ServerTime) -> Self {
+    /// A burst ended, with this required delay.
+    fn note(before: Option<Self>, required_us: i64, now: ServerTime) -> Self {
         let recurring = before.filter(|b| now - b.ended <= BURST_MEMORY_MOST);
         let Some(before) = recurring else {
             return Self {
                 ended: now,
                 memory: BURST_MEMORY_LEAST,
-                need_us: Some(need_us),
+                required_us: Some(required_us),
             };
         };
         let gap = Span::from_micros(BURST_MEMORY_GAPS * (now - before.ended).as_micros());
         Self {
             ended: now,
             memory: before.memory.max(gap).min(BURST_MEMORY_MOST),
-            need_us: before.need_us.max(Some(need_us)),
+            required_us: before.required_us.max(Some(required_us)),
         }
     }
 
     /// Forgets expired bursts.
     fn forget(&mut self, now: ServerTime) {
         if now - self.ended > self.memory {
-            self.need_us = None;
+            self.required_us = None;
         }
     }
 }
 
 /// The D that a site needs so that the timeline can bridge the rest.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Need {
+pub(super) struct BridgedDelay {
     /// The newest sample and its age on arrival.
     newest: Option<(ServerTime, Span)>,
     last_arrival: ServerTime,
@@ -160,7 +161,7 @@ pub(super) struct Need {
     since_sorted: u32,
 }
 
-impl Need {
+impl BridgedDelay {
     /// Notes motion whose newest sample had this age on arrival, after the lateness of its sender and
     /// server, `taken_off`, was subtracted. Returns `true` when the path has just become slower: report
     /// at once.
@@ -179,7 +180,7 @@ impl Need {
         if generated <= newest {
             return false;
         }
-        // The need just before its arrival, had its oldest news left in time.
+        // The required delay just before its arrival, had its oldest news left in time.
         let oldest = generated - newest + taken_off - motion.late.oldest + age;
         let interval = Interval {
             until: arrival,
@@ -226,7 +227,7 @@ impl Need {
         let recent = self
             .intervals
             .range(self.intervals.len() - STEP_PACKETS + 1..);
-        // The need is smallest just after an arrival.
+        // The required delay is smallest just after an arrival.
         let least = recent.map(|i| i.from_us).min().unwrap_or(0);
         if least <= settled_us + STEP_US {
             return false;
@@ -263,7 +264,7 @@ impl Need {
         }
     }
 
-    /// The need from the memories, before the bridge is subtracted.
+    /// The required delay from the memories, before the bridge is subtracted.
     fn settle(&mut self, now: ServerTime) -> i64 {
         if let Some(bursts) = &mut self.bursts {
             bursts.forget(now);
@@ -276,9 +277,9 @@ impl Need {
         settled_us
     }
 
-    /// The quantile of the need over time within a memory.
+    /// The quantile of the required delay over time within a memory.
     fn quantile(&self, now: ServerTime, memory: Span, share: f64) -> i64 {
-        // Within an interval the need rises linearly: its time above a level x is to - x.
+        // Within an interval the required delay rises linearly: its time above a level x is to - x.
         let mut ends: Vec<(i64, i64)> = Vec::with_capacity(2 * self.intervals.len());
         let mut total = 0;
         for i in self.intervals.iter().rev() {
@@ -308,7 +309,7 @@ impl Need {
     /// D*, microseconds; `None` before two packets.
     pub(super) fn wanted_us(&self) -> Option<i64> {
         let settled = self.settled_us? - self.bridge_us;
-        let burst = self.bursts.and_then(|b| b.need_us);
+        let burst = self.bursts.and_then(|b| b.required_us);
         let burst = burst.map_or(0, |us| us + BURST_MARGIN_US);
         Some(settled.max(burst).max(0))
     }
