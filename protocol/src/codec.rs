@@ -1,5 +1,5 @@
 //! Messages of the operations stream as bytes: length-prefixed frames around bincode. The only
-//! file that names bincode.
+//! file that uses bincode.
 
 use std::marker::PhantomData;
 
@@ -13,7 +13,7 @@ use crate::request::{ClientMessage, ServerMessage};
 /// The largest frame after the handshake in bytes. It holds the longest stroke twice.
 pub const FRAME_MAX_BYTES: usize = 64 * 1024;
 
-/// The largest frame before anybody is known, bytes: a hello is at most some hundred.
+/// The largest frame before the hello is accepted, bytes: a hello has at most some hundred.
 pub const HELLO_MAX_BYTES: usize = 4 * 1024;
 
 /// Bytes of the length prefix of a frame (u32, little endian).

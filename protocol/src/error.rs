@@ -2,8 +2,8 @@
 
 use crate::handshake::PROTOCOL_VERSION;
 
-/// Something on the wire that this protocol does not allow. It can at worst close the one session
-/// it arrived on.
+/// A violation of the protocol on the wire. It closes at most the one session
+/// that it arrived on.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ProtocolError {
     /// The stream does not begin with the magic bytes.
@@ -14,7 +14,7 @@ pub enum ProtocolError {
         /// The first four bytes that arrived.
         found: [u8; 4],
     },
-    /// Both speak palpate, in different versions.
+    /// Both sides use palpate, in different versions.
     #[error(
         "the other side speaks protocol version {theirs}, this program speaks version {PROTOCOL_VERSION}; use the same release on both sides"
     )]
@@ -70,7 +70,7 @@ pub enum ProtocolError {
         /// The number of the baseline.
         sequence: u32,
     },
-    /// A datagram of another life of the session.
+    /// A datagram of another incarnation of the session.
     #[error(
         "a datagram of another epoch: its low bits are {low_bits}, the session is in epoch {expected}"
     )]
@@ -112,7 +112,7 @@ pub enum ProtocolError {
         /// The state of the session.
         state: &'static str,
     },
-    /// The numbered operations have a hole.
+    /// A numbered operation is missing.
     #[error("operation {found} arrived where operation {expected} was due; rejoin the session")]
     OperationGap {
         /// The number that was due.

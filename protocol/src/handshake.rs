@@ -44,7 +44,7 @@ pub const SEAT_KEPT: Span = Span::from_millis(60_000);
 /// The fixed bytes that come before everything else.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Preamble {
-    /// The version that the sender speaks.
+    /// The sender's version.
     pub version: u16,
     /// From the server: 0 accepts, 1 refuses and a sentence follows. From a client: 0.
     pub status: u16,
@@ -94,7 +94,7 @@ pub enum Role {
 }
 
 impl Role {
-    /// All roles, in the order in which they are listed to people.
+    /// All roles, in display order.
     pub const ALL: [Self; 4] = [
         Self::Instructor,
         Self::Trainee,
@@ -102,7 +102,7 @@ impl Role {
         Self::Recorder,
     ];
 
-    /// The word for this role in links and on screens.
+    /// The name of this role in links and on screens.
     pub const fn word(self) -> &'static str {
         match self {
             Self::Instructor => "instructor",
@@ -156,7 +156,7 @@ impl Subscription {
     /// Both, in display order.
     pub const ALL: [Self; 2] = [Self::Full, Self::Thin];
 
-    /// The word for it on command lines and screens.
+    /// Its name on command lines and screens.
     pub const fn word(self) -> &'static str {
         match self {
             Self::Full => "full",
@@ -195,7 +195,7 @@ impl FromStr for Subscription {
 pub struct Hello {
     /// The participant's name as shown to the other participants, at most [`NAME_MAX_BYTES`].
     pub name: String,
-    /// The role asked for; the grant must allow it.
+    /// The requested role; the grant must allow it.
     pub role: Role,
     /// The secret from the join link.
     pub grant: Grant,
@@ -342,13 +342,13 @@ pub enum RefusalReason {
         "the grant in the join link does not allow the role {role}; ask the host for a new link"
     )]
     BadGrant {
-        /// The role asked for.
+        /// The requested role.
         role: Role,
     },
     /// Another participant has this name.
     #[error("a participant named \"{name}\" is already in the session; choose another name")]
     NameTaken {
-        /// The name asked for.
+        /// The requested name.
         name: String,
     },
     /// The name is empty, too long or has control characters.
@@ -359,7 +359,7 @@ pub enum RefusalReason {
         "the role {role} needs a tool with a radius between 0.1 mm and 100 mm, and with the length and width of its kind (at most 500 mm)"
     )]
     BadTool {
-        /// The role asked for.
+        /// The requested role.
         role: Role,
     },
     /// A thin subscription for a role with a tool.
@@ -368,7 +368,7 @@ pub enum RefusalReason {
          a round trip old; join with the subscription full, or as a spectator"
     )]
     ThinTool {
-        /// The role asked for.
+        /// The requested role.
         role: Role,
     },
     /// The seat is gone or the token belongs to another seat; the client does not learn which.

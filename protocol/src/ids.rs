@@ -22,8 +22,8 @@ macro_rules! id {
 }
 
 id! {
-    /// One participant of one session. Numbers are not given twice within a session, so that an
-    /// operation's author stays known after they left.
+    /// One participant of one session. Numbers are not reused within a session, so that an
+    /// operation's author stays known after leaving.
     ParticipantId(u16), "#{}"
 }
 
@@ -39,7 +39,7 @@ id! {
 }
 
 id! {
-    /// The place of an operation in the session's log: the first is 0 and none is left out.
+    /// The position of an operation in the session's log: consecutive, from 0.
     OperationId(u64), "operation {}"
 }
 

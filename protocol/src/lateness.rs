@@ -12,16 +12,16 @@
 
 use crate::{ServerTime, Span};
 
-/// Largest lateness that a datagram can claim. Older motion is not sent.
+/// Largest lateness that a datagram can report. Older motion is not sent.
 pub const LATENESS_MAX: Span = Span::from_millis(2000);
 
-/// Resolution of a claim on the wire, rounded down.
+/// Resolution of reported lateness on the wire, rounded down.
 pub const LATENESS_STEP: Span = Span::from_millis(1);
 
-/// A claim about the oldest news is repeated for this long, so that a lost datagram does not take it along.
+/// Reported lateness of the oldest news is repeated for this long, so that it survives a lost datagram.
 const REPEAT: Span = Span::from_millis(100);
 
-/// How late machines made the samples of a track, beyond their regular batches and rounds.
+/// The lateness of a track's samples that machines caused, beyond regular batches and rounds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Lateness {
     /// Lateness of the newest sample.
@@ -83,7 +83,7 @@ pub(crate) struct Repeated {
 }
 
 impl Repeated {
-    /// The claim of a track that leaves now.
+    /// The reported lateness of a track that leaves now.
     pub(crate) fn claim(&mut self, late: Lateness, now: ServerTime) -> Lateness {
         // A clock that was set back leaves the end far ahead.
         let is_over = now >= self.until || self.until - now > REPEAT;
@@ -120,7 +120,7 @@ const SETTLING_PART: i64 = 4;
 /// Measures how long datagrams may have waited for a stalled receiver.
 ///
 /// Calling order, with one monotonic clock: [`waits`](Self::waits) before the receiver waits,
-/// [`wake`](Self::wake) when it goes on, [`handle_datagram`](Self::handle_datagram) for every datagram, and
+/// [`wake`](Self::wake) when it continues, [`handle_datagram`](Self::handle_datagram) for every datagram, and
 /// [`handle_empty`](Self::handle_empty) when no datagram is left.
 ///
 /// A running receiver wakes at its deadline at the latest. Past the deadline it was stalled, and a
@@ -136,7 +136,7 @@ pub struct StallWatch {
     watch_until: Span,
 }
 
-/// A time in which the receiver did not run.
+/// A stall of the receiver.
 #[derive(Debug, Clone, Copy)]
 struct Stall {
     /// The queue was empty then.
@@ -157,7 +157,7 @@ impl StallWatch {
         wait
     }
 
-    /// The receiver goes on.
+    /// The receiver continues.
     pub fn wake(&mut self, now: Span) {
         let Some(deadline) = self.deadline.take() else {
             return;
@@ -318,7 +318,7 @@ mod tests {
         assert_eq!(watch.waits(ms(12), ms(100)), WATCH_PERIOD);
         watch.wake(ms(250));
         assert_eq!(watch.handle_datagram(ms(250)), ms(238));
-        // The receiver does something else before the queue is empty.
+        // The receiver is busy elsewhere before the queue is empty.
         watch.waits(ms(251), Span::ZERO);
         watch.wake(ms(251));
         assert_eq!(watch.handle_datagram(ms(251)), ms(239));

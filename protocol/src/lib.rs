@@ -9,7 +9,7 @@
 //! | kind | carries | how |
 //! | --- | --- | --- |
 //! | operations | handshake, cuts, joins, compensation | length-prefixed frames on one ordered stream, numbered |
-//! | motion | tool samples, displacement corrections, clock probes | datagrams of at most [`DATAGRAM_MAX_BYTES`], packed by hand |
+//! | motion | tool samples, displacement corrections, clock probes | datagrams of at most [`DATAGRAM_MAX_BYTES`] |
 //!
 //! Where to look: [`handshake`] and [`link`] for joining, [`operation`] and [`request`] for ordered
 //! messages, [`datagram`] for messages that may be lost, [`session`] for the two state machines,

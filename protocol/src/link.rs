@@ -118,7 +118,7 @@ impl fmt::Display for JoinLink {
 /// The errors of a join link.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LinkError {
-    /// Not a palpate link at all.
+    /// Not a palpate link.
     #[error(
         "a join link begins with \"{SCHEME}\", and this one with \"{found}\"; copy the whole link that the server printed, and put it in quotes, because it has a '&'"
     )]
@@ -162,7 +162,7 @@ pub enum LinkError {
         /// The first characters of the text found.
         found: String,
     },
-    /// A key that no link has.
+    /// An unknown key.
     #[error("the join link has an unknown part \"{found}\"; it has only cert and grant")]
     Unknown {
         /// The text found.

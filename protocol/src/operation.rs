@@ -165,7 +165,7 @@ pub enum CompensationMode {
     None,
     /// One delay for the whole session.
     Fixed,
-    /// The largest delay that any participant needs, followed over time.
+    /// The largest delay estimate of all participants, adapted over time.
     Adaptive {
         /// The cap of D, microseconds. A participant with a larger estimate is notified.
         cap_us: u32,
@@ -175,7 +175,7 @@ pub enum CompensationMode {
 /// The compensation in force when a client joins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CompensationSettings {
-    /// How the delay is chosen.
+    /// The rule for the delay.
     pub mode: CompensationMode,
     /// The delay that the session began with, microseconds; later changes are operations.
     pub initial_delay_us: u32,

@@ -7,16 +7,16 @@ use crate::operation::{BladePoint, Operation, STROKE_MAX_POINTS};
 use crate::tool::ToolDescription;
 use crate::{RequestId, ServerTime, TopologyHash};
 
-/// Everything that a client writes on the operations stream after the preamble.
+/// The messages of a client on the operations stream after the preamble.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ClientMessage {
     /// The first message, once.
     Hello(Hello),
-    /// Everything later.
+    /// All later messages.
     Request(Request),
 }
 
-/// Everything that the server writes on the operations stream after the preamble.
+/// The messages of the server on the operations stream after the preamble.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ServerMessage {
     /// The answer to a hello that is accepted.
@@ -25,11 +25,11 @@ pub enum ServerMessage {
     Refused(Refused),
     /// The next operation of the log.
     Operation(Operation),
-    /// A request that will not become an operation.
+    /// The refusal of a request.
     RequestRefused(RequestRefused),
     /// The server ends this session, with a sentence; nothing follows.
     Goodbye {
-        /// Why, for people.
+        /// The reason, for people.
         sentence: String,
     },
 }
@@ -47,13 +47,13 @@ pub struct Request {
 /// The changes that a client can request.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum RequestKind {
-    /// Cut here.
+    /// Cut along a stroke.
     Cut(CutRequest),
-    /// Hold another tool.
+    /// Change the tool.
     SetTool(ToolDescription),
-    /// Go away politely.
+    /// Leave the session.
     Leave,
-    /// The artificial delay that this client needs to miss nothing.
+    /// The client's delay estimate.
     ReportDelay(DelayReport),
     /// The topology that this client has, for the server to compare.
     TopologyReport {
@@ -116,16 +116,16 @@ pub struct DelayReport {
     pub wanted_us: u32,
 }
 
-/// The answer to a request that is not done.
+/// The answer to a refused request.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RequestRefused {
-    /// Which request.
+    /// The number of the request.
     pub id: RequestId,
-    /// Why not.
+    /// The reason.
     pub reason: RequestRefusal,
 }
 
-/// Why a request is not done.
+/// The reason for refusing a request.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 pub enum RequestRefusal {
     /// The role does not allow it.

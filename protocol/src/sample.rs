@@ -1,4 +1,4 @@
-//! Where a tool was, and when.
+//! Tool samples: poses with times.
 
 use crate::lateness::Lateness;
 use crate::{ClientTime, ParticipantId, ServerTime};
@@ -32,7 +32,7 @@ impl Default for Pose {
 pub struct ToolSample<T = ServerTime> {
     /// The time of measurement.
     pub time: T,
-    /// Where the tool was.
+    /// The pose of the tool.
     pub pose: Pose,
     /// One bit per button; bit 0 is the main one.
     pub buttons: u8,
@@ -50,6 +50,6 @@ pub struct ToolTrack {
     pub participant: ParticipantId,
     /// The samples, oldest first, at most [`crate::datagram::TRACK_MAX_SAMPLES`].
     pub samples: Vec<ToolSample>,
-    /// How late machines made it, apart from the network.
+    /// The lateness that machines caused, apart from the network.
     pub late: Lateness,
 }

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub struct Span(i64);
 
 impl Span {
-    /// No time at all.
+    /// The zero span.
     pub const ZERO: Self = Self(0);
 
     /// A span of `us` microseconds.

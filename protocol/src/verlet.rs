@@ -7,7 +7,7 @@
 //! x(t+h) = 2 x(t) - x(t-h) + a h²
 //! ```
 //!
-//! is, for any s beyond the newest sample x1 with xm one window before it,
+//! gives, for any s beyond the newest sample x1 with xm one window before it,
 //!
 //! ```text
 //! EXTRAPOLATE   x(s) = x1 + (x1 - xm)/h1 · s + a/2 · s (s + h1)
@@ -59,7 +59,7 @@ pub type Vec3 = [f64; 3];
 /// The window w in seconds.
 pub const WINDOW_S: f64 = 0.010;
 
-/// The window of the parabola that is continued, seconds.
+/// The window of the extrapolated parabola, seconds.
 pub const FIT_S: f64 = 0.015;
 
 /// Time constant of the fading acceleration beyond the newest sample, seconds.

@@ -64,8 +64,8 @@ fn held<T>(run: impl FnOnce() -> T) -> (usize, T) {
     (most.max(0) as usize, out)
 }
 
-/// All that a few lost or turned bits make of some bytes: each beginning, each single bit turned, and
-/// each byte at its two ends.
+/// All small damages of some bytes: each prefix, each single bit flipped, and
+/// each byte at its two extremes.
 fn damages(good: &[u8]) -> impl Iterator<Item = Vec<u8>> {
     let begun = (0..good.len()).map(|len| good[..len].to_vec());
     let turned = (0..good.len() * 8).map(|bit| {
@@ -81,7 +81,7 @@ fn damages(good: &[u8]) -> impl Iterator<Item = Vec<u8>> {
     begun.chain(turned).chain(ends)
 }
 
-/// A message that is read is written again, and read from there as the same.
+/// A decoded message is encoded again, and decodes to the same message.
 fn check_frame<M: Message + PartialEq + std::fmt::Debug>(name: &str, body: &[u8]) -> bool {
     let (most, read) = held(|| codec::decode_body::<M>(body));
     assert!(most <= FRAME_HELD_MAX, "{name}: {most} bytes held");
@@ -90,7 +90,7 @@ fn check_frame<M: Message + PartialEq + std::fmt::Debug>(name: &str, body: &[u8]
     };
     let again = codec::encode_frame(&message).unwrap();
     let back = codec::decode_body::<M>(&again[codec::PREFIX_BYTES..]).unwrap();
-    // Not-a-number is not equal to itself, but is written alike.
+    // NaN is not equal to itself, but has the same bytes.
     assert_eq!(codec::encode_frame(&back).unwrap(), again, "{name}");
     true
 }

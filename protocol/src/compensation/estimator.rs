@@ -209,7 +209,7 @@ impl DelayEstimator {
         Span::from_micros(self.deviation_us.round() as i64)
     }
 
-    /// Whether an age far beyond D is being followed.
+    /// Whether D* follows an age far beyond D.
     pub fn in_spike(&self) -> bool {
         self.spike_us.is_some()
     }

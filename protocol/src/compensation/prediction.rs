@@ -18,7 +18,7 @@ use super::{SLEW_DOWN, SLEW_UP};
 use crate::request::DelayReport;
 use crate::{ServerTime, Span};
 
-/// Nothing is predicted farther ahead: by then a hand's tremor has turned around twice.
+/// The largest prediction horizon: by then a hand's tremor has reversed twice.
 pub const PREDICTION_MAX: Span = Span::from_millis(200);
 
 /// The number of mean deviations above the mean age. Consecutive predictions differ, so that a client
@@ -26,8 +26,8 @@ pub const PREDICTION_MAX: Span = Span::from_millis(200);
 /// deviations); longer predictions are each worse. The sum of both errors is smallest at 1 to 2.
 const DEVIATIONS: f64 = 2.0;
 
-/// How far ahead the server predicts for one client. Calling order: [`handle_report`](Self::handle_report) as reports
-/// come; [`ahead_at`](Self::ahead_at) with times that do not go back.
+/// How far ahead the server predicts for one client. Calling order: [`handle_report`](Self::handle_report) with reports
+/// and [`ahead_at`](Self::ahead_at) with times that do not go back.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Prediction {
     target_us: f64,
@@ -47,7 +47,7 @@ impl Prediction {
             f64::from(report.mean_us) + DEVIATIONS * f64::from(report.deviation_us);
         self.target_us = most_of_them_us.min(most);
         if self.known.is_none() {
-            // Nothing was predicted yet, so nothing shown can jump.
+            // Without an earlier prediction the displayed tool can not jump.
             self.known = Some((now, self.target_us));
         }
     }

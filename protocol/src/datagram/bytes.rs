@@ -1,4 +1,4 @@
-//! Bytes in and out, in little endian, with the end in view.
+//! Reads and writes little-endian bytes with bounds checks.
 
 use crate::ProtocolError;
 
@@ -69,7 +69,7 @@ impl<'a> Reader<'a> {
         self.rest
     }
 
-    /// Makes sure, before anything is allocated, that `count` items of at least `bytes` each can
+    /// Checks, before any allocation, that `count` items of at least `bytes` each can
     /// still follow.
     pub(super) fn expect_items(&self, count: usize, bytes: usize) -> Result<(), ProtocolError> {
         if self.rest.len() < count * bytes {

@@ -28,7 +28,7 @@ pub const SHORT_TIME: Span = Span::from_millis(500);
 /// epochs and neighbouring participants differ.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Tag {
-    /// The life of the session; an earlier one is refused.
+    /// The incarnation of the session; earlier ones are rejected.
     pub epoch: Epoch,
     /// The participant whose connection this is.
     pub stream: ParticipantId,
@@ -56,7 +56,7 @@ pub struct Acknowledgement {
 /// The header of every datagram, after its kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Header {
-    /// Which session and which connection.
+    /// The session and the connection.
     pub tag: Tag,
     /// Counts the datagrams of this direction.
     pub sequence: u32,

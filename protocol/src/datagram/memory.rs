@@ -107,7 +107,7 @@ impl Memory {
         self.shapes.acknowledge(sequence);
     }
 
-    /// This one was not sent, or could not be read.
+    /// Removes a datagram that was not sent, or could not be read.
     pub(super) fn forget(&mut self, sequence: u32) {
         for track in &mut self.tracks {
             track.points.forget(sequence);

@@ -66,21 +66,21 @@ pub const DELAYS_MAX: usize = 64;
 /// The content of a datagram.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Body {
-    /// Where tools were.
+    /// Tool samples.
     Motion(Vec<ToolTrack>),
-    /// Where some nodes of the tissue are.
+    /// Displacements of some nodes of the tissue.
     Corrections(Corrections),
-    /// Where all nodes in view are.
+    /// Displacements of all nodes in view.
     Displacements(Displacements),
-    /// A question for the clock.
+    /// A clock probe.
     Probe(Probe),
-    /// Its answer.
+    /// The answer to a clock probe.
     Reply(Reply),
     /// Each participant's delay estimate.
     Delays(Vec<(ParticipantId, DelayReport)>),
 }
 
-/// A client asks for the server's clock.
+/// A client's query of the server's clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Probe {
     /// Counts the probes.
@@ -89,10 +89,10 @@ pub struct Probe {
     pub client_sent: ClientTime,
 }
 
-/// The server answers.
+/// The server's answer to a probe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reply {
-    /// Which probe.
+    /// The number of the probe.
     pub id: u32,
     /// The time in the probe.
     pub client_sent: ClientTime,

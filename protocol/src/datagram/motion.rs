@@ -22,7 +22,6 @@
 //! the time of any other newest sample is coded as a number of usual batches of `BATCH` ms after the
 //! baseline (as datagrams less batches) and a remainder. Without a baseline the first tool sends the low
 //! 16 bits of its time, another one the difference to the first.
-//! much it is before the first.
 
 use super::header::nearest_time;
 use super::late::code_lateness;
@@ -36,7 +35,7 @@ use crate::{ParticipantId, ProtocolError, ToolTrack};
 /// Between two samples of the usual 1 kHz, in steps of time.
 const PERIOD: i64 = 1000 / TIME_STEP_US;
 
-/// A hand goes on for about 60 ms as it went; in steps of time.
+/// Time constant of a hand's velocity, about 60 ms, in steps of time.
 const LEAD_UNITS: i64 = 60_000 / TIME_STEP_US;
 
 /// New samples in a usual datagram.
@@ -91,7 +90,7 @@ pub(super) struct Anchor {
 }
 
 impl Anchor {
-    /// Where the tool is expected `after` steps of time after the newest sample.
+    /// The predicted pose of the tool `after` steps of time after the newest sample.
     fn ahead(&self, after: i64) -> Point {
         let after = after.clamp(0, FAR_UNITS);
         self.moved(after * LEAD_UNITS / (after + LEAD_UNITS))
@@ -104,8 +103,8 @@ impl Anchor {
     }
 }
 
-/// The point at `at`, in steps of time from the baseline's newest sample, on the parabola that leaves it
-/// with its velocity and is at `b` after `span`.
+/// The point at `at`, in steps of time from the baseline's newest sample, on the parabola that starts there
+/// with its velocity and reaches `b` after `span`.
 fn on_parabola(base: &Anchor, b: &Point, at: i64, span: i64) -> Point {
     let a = &base.newest;
     let before = (a.time - base.oldest.time).max(1);

@@ -38,9 +38,9 @@ pub(super) const POSITION_MAX: i32 = 1_600_000;
 /// A rotation in integers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Turn {
-    /// Which component is left out, 0 to 3.
+    /// The index of the omitted component, 0 to 3.
     pub(super) omitted: u8,
-    /// The others in their order, in steps.
+    /// The other components in order, in steps.
     pub(super) parts: [i32; 3],
 }
 
@@ -127,7 +127,7 @@ pub(super) fn time(t: ServerTime) -> i64 {
         .div_euclid(TIME_STEP_US)
 }
 
-/// The time of so many steps.
+/// The time at a number of steps.
 pub(super) fn time_back(steps: i64) -> ServerTime {
     ServerTime::from_micros(steps.saturating_mul(TIME_STEP_US))
 }

@@ -6,7 +6,6 @@
 //! The layout of a coded part is written once, over [`Coder`]: an encoder writes the given value and
 //! returns it; a decoder ignores the given value and returns the decoded one. After G. N. N. Martin,
 //! "Range encoding" (1979); the probabilities adapt as in LZMA.
-//! G. N. N. Martin, "Range encoding" (1979); the chances adapt as in LZMA.
 
 use crate::ProtocolError;
 
@@ -16,7 +15,7 @@ const CHANCE_BITS: u32 = 12;
 /// Adaptation rate of a probability: 1/16 of the difference, because a datagram is short.
 const FOLLOW: u32 = 4;
 
-/// Below this the range is widened by a byte.
+/// Below this the range is renormalised by a byte.
 const RANGE_MIN: u32 = 1 << 24;
 
 /// Bytes that a decoder looks ahead; as many may be missing at the end, and count as zero.

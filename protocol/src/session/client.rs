@@ -35,13 +35,13 @@ pub const PROBE_PERIOD_FIRST: Span = Span::from_millis(20);
 /// Between clock probes afterwards. They are also the client's heartbeat.
 pub const PROBE_PERIOD: Span = Span::from_millis(100);
 
-/// Between reports of the delay that this client needs.
+/// Between reports of the delay estimate.
 pub const DELAY_REPORT_PERIOD: Span = Span::from_millis(250);
 
 enum State {
-    /// The server's preamble has not come.
+    /// Waits for the server's preamble.
     Preamble(PreambleReader),
-    /// It has, the welcome has not.
+    /// Waits for the welcome.
     Hello,
     Joined(Box<Joined>),
     Closed,
@@ -49,7 +49,7 @@ enum State {
 
 #[cfg(test)]
 impl ClientSession {
-    /// The states, in the words of the document of the states.
+    /// The states, as named in STATES.md.
     pub(super) const STATES: [&str; 4] = ["Preamble", "Hello", "Joined", "Closed"];
 
     pub(super) fn state_name(&self) -> &'static str {
@@ -292,7 +292,7 @@ impl ClientSession {
         self.handle_waiting_datagram(bytes, Span::ZERO, now);
     }
 
-    /// The same of one that may have waited for `stall`, because this machine did not run
+    /// The same for a datagram that may have waited for `stall`, because this machine stalled
     /// ([`StallWatch`](crate::lateness::StallWatch)).
     pub fn handle_waiting_datagram(&mut self, bytes: &[u8], stall: Span, now: ClientTime) {
         self.follow_clock(now);
@@ -305,7 +305,7 @@ impl ClientSession {
             Body::Motion(tracks) => self.handle_motion(&datagram.header, tracks, stall, now),
             Body::Corrections(c) => self.emit(ClientEvent::Corrections(c)),
             Body::Displacements(d) => self.emit(ClientEvent::Displacements(d)),
-            // Its round trip would be that of this machine.
+            // Its round trip would include this machine's stall.
             Body::Reply(_) if stall > LONG_STALL => {}
             Body::Reply(reply) => self.handle_reply(reply, now),
             Body::Delays(list) => self.emit(ClientEvent::Delays(list)),
@@ -345,7 +345,7 @@ impl ClientSession {
                     true
                 }
                 None => {
-                    // Bounded, so that invented participants can not fill the memory.
+                    // Bounded, so that forged participants can not fill the memory.
                     if joined.newest_shown.len() < ROSTER_MAX {
                         joined.newest_shown.push((track.participant, newest));
                     }
@@ -357,7 +357,7 @@ impl ClientSession {
                 continue;
             };
             let motion = MotionArrival {
-                // Nothing is younger than the datagram that carries it.
+                // A sample is at least as old as its datagram.
                 generated: newest.min(header.generated),
                 arrived,
                 late: track.late,
@@ -382,7 +382,7 @@ impl ClientSession {
         }
     }
 
-    /// Call when the time of [`poll_timeout`](Self::poll_timeout) has come; earlier does no harm.
+    /// Call at the time of [`poll_timeout`](Self::poll_timeout); an earlier call does no harm.
     pub fn handle_timeout(&mut self, now: ClientTime) {
         self.follow_clock(now);
         match &self.state {
@@ -425,7 +425,7 @@ impl ClientSession {
         }
     }
 
-    /// The connection under the session is gone.
+    /// The connection of the session is lost.
     pub fn handle_disconnect(&mut self, why: String) {
         self.close(CloseReason::ConnectionLost(why));
     }
@@ -449,7 +449,7 @@ impl ClientSession {
         self.motion.set_deadband(deadband);
     }
 
-    /// Asks for something; the answer is an operation, or [`ClientEvent::RequestRefused`].
+    /// Sends a request; the answer is an operation, or [`ClientEvent::RequestRefused`].
     pub fn request(&mut self, kind: RequestKind) -> Result<RequestId, ProtocolError> {
         let id = RequestId(self.last_request.wrapping_add(1));
         self.send_request(Request { id, kind })?;
@@ -543,7 +543,7 @@ impl ClientSession {
         }
     }
 
-    /// How the connection does.
+    /// Statistics of the connection.
     pub fn stats(&self, now: ClientTime) -> LinkStats {
         let compensation = self
             .clock

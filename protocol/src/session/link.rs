@@ -22,12 +22,12 @@ const ACKNOWLEDGE_WITHIN: Span = Span::from_millis(40);
 /// Times of sent datagrams that are kept until they are acknowledged.
 const TIMES_KEPT_MAX: usize = 256;
 
-/// Datagrams that were thrown away, by reason.
+/// Dropped datagrams, by reason.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct NoiseCounters {
     /// Not a datagram of this protocol.
     pub malformed: u64,
-    /// Of an earlier or unknown life of the session.
+    /// Datagrams of an earlier or unknown incarnation of the session.
     pub other_epoch: u64,
     /// Datagrams of another connection, or of a kind that this side does not accept.
     pub misdirected: u64,
@@ -37,7 +37,7 @@ pub struct NoiseCounters {
     pub old: u64,
     /// Before the handshake was done.
     pub early: u64,
-    /// Differences from something that did not arrive here.
+    /// Differences to an unknown baseline.
     pub no_baseline: u64,
     /// Acknowledgements of datagrams that were never sent; the rest of such a datagram is read.
     pub false_acknowledgement: u64,
@@ -57,10 +57,10 @@ impl NoiseCounters {
     }
 }
 
-/// How the connection does.
+/// Statistics of the connection.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct LinkStats {
-    /// Datagrams made here.
+    /// Datagrams sent.
     pub sent: u64,
     /// Datagrams dropped here because they waited too long or could not be encoded.
     pub skipped: u64,

@@ -52,7 +52,7 @@ pub const HANDSHAKE_TIMEOUT: Span = Span::from_millis(10_000);
 /// The longest time between two datagrams of either side, so that silence is detected.
 pub const HEARTBEAT: Span = Span::from_millis(100);
 
-/// The most bytes of operations that may wait for one peer; beyond, it is too slow and is closed.
+/// The most bytes of operations that one peer's queue holds; beyond, the peer is too slow and is closed.
 /// It holds a thousand strokes of the longest kind.
 pub const STREAM_BACKLOG_MAX_BYTES: usize = 32 * 1024 * 1024;
 
@@ -63,7 +63,7 @@ pub const DATAGRAM_BACKLOG_MAX: usize = 64;
 /// causes more reliable events is closed.
 pub const EVENTS_MAX: usize = 4096;
 
-/// Why a session is over.
+/// The reason for the end of a session.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CloseReason {
     /// The other side violated the protocol.
@@ -75,7 +75,7 @@ pub enum CloseReason {
     /// The handshake did not finish in time.
     #[error("the handshake was not finished within {} s", HANDSHAKE_TIMEOUT.as_secs_f64())]
     HandshakeTimeout,
-    /// The server did not let this client in.
+    /// The server refused this client.
     #[error("{}", .0.sentence)]
     Refused(Refused),
     /// The participant asked to leave.
@@ -84,7 +84,7 @@ pub enum CloseReason {
     /// The server sent a farewell.
     #[error("the server ended the session: {0}")]
     Goodbye(String),
-    /// The connection under the session is gone.
+    /// The connection of the session is lost.
     #[error("the connection was lost: {0}")]
     ConnectionLost(String),
 }
@@ -94,18 +94,18 @@ pub enum CloseReason {
 pub enum ClientEvent {
     /// The handshake is done. The operations of the log follow as events.
     Welcomed(Box<Welcome>),
-    /// The next operation of the log; they come in order and without a hole.
+    /// The next operation of the log; in order and without gaps.
     Operation(Operation),
-    /// Every operation that the log held at the welcome has been given.
+    /// All operations that were in the log at the welcome have been returned.
     CaughtUp,
-    /// A request will not be done.
+    /// A request was refused.
     RequestRefused(RequestRefused),
     /// Samples of another participant's tool, oldest first; some may be repeated. For that tool's
     /// [`Timeline`](crate::timeline::Timeline).
     Motion(ToolTrack),
-    /// Where nodes of the tissue are on the server.
+    /// Displacements of some nodes on the server.
     Corrections(Corrections),
-    /// Where the nodes in view are; only for a client without a tissue of its own.
+    /// Displacements of the nodes in view; only for a client without its own tissue.
     Displacements(Displacements),
     /// Each participant's delay estimate, for display.
     Delays(Vec<(ParticipantId, DelayReport)>),
@@ -113,7 +113,7 @@ pub enum ClientEvent {
     Clock(ClockMap),
     /// The server was silent for [`SERVER_SILENCE`]: set the force to zero and display a warning.
     LinkLost,
-    /// The server is heard again.
+    /// The server's datagrams arrive again.
     LinkRestored,
     /// The session is over. It is the last event.
     Closed(CloseReason),
@@ -128,7 +128,7 @@ pub enum PeerEvent {
     Request(Request),
     /// Samples of this participant's tool.
     Motion(PeerMotion),
-    /// The delay that this participant needs, from a datagram. The same value may also come as a
+    /// This participant's delay estimate, from a datagram. The same value may also arrive as a
     /// request.
     Delay(DelayReport),
     /// The session is over. It is the last event; the tool goes away.
@@ -142,9 +142,9 @@ pub struct PeerMotion {
     pub samples: Vec<ToolSample>,
     /// When the datagram was handled.
     pub arrived: ServerTime,
-    /// How late the sender made it.
+    /// The lateness that the sender caused.
     pub late: Lateness,
-    /// How long it may have waited for a receiver that did not run.
+    /// How long it may have waited for a stalled receiver.
     pub stall: Span,
 }
 
@@ -182,13 +182,13 @@ pub struct MotionRound {
 /// A reliable, ordered message of the server to one client.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PeerMessage {
-    /// Lets the client in. Every operation of the log, from the first that it names, is sent after it.
+    /// Accepts the client. Every operation of the log, from the first that it names, is sent after it.
     Welcome(Box<Welcome>),
-    /// Does not let the client in; closes the session.
+    /// Refuses the client; closes the session.
     Refused(Refused),
     /// The next operation.
     Operation(Arc<Operation>),
-    /// Answers a request that is not done.
+    /// Refuses a request.
     RequestRefused(RequestRefused),
     /// Ends the session.
     Goodbye(String),
@@ -199,9 +199,9 @@ pub enum PeerMessage {
 pub enum PeerDatagram {
     /// The tools of all participants; the session omits the client's own tool when sending.
     Motion(Arc<MotionRound>),
-    /// Where nodes are, one piece of [`Corrections::pieces`].
+    /// Node displacements, one piece of [`Corrections::pieces`].
     Corrections(Arc<Corrections>),
-    /// Where the nodes in view are, one piece of [`Displacements::pieces`].
+    /// Displacements of the nodes in view, one piece of [`Displacements::pieces`].
     Displacements(Arc<Displacements>),
     /// The displacements of all nodes in view, for a thin subscriber; the session selects and schedules
     /// them.

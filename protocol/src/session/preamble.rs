@@ -13,7 +13,7 @@ pub(super) struct PreambleReader {
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Opening {
     pub(super) preamble: Preamble,
-    /// The sentence that a server adds when it will not go on.
+    /// The sentence of a server that refuses.
     pub(super) sentence: Option<String>,
     pub(super) left_over: usize,
 }

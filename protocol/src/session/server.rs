@@ -22,7 +22,7 @@ use crate::{OperationId, ParticipantId, ProtocolError, ServerTime, Span, ToolTra
 /// More requests than this in one second are refused with [`RequestRefusal::TooMany`].
 pub const REQUESTS_PER_SECOND_MAX: u32 = 50;
 
-/// A sample may not claim to be from farther in the future than this; such a datagram is noise.
+/// The largest time of a sample ahead of now; a later one makes the datagram noise.
 pub const FUTURE_MAX: Span = Span::from_millis(500);
 
 /// Older samples are noise, too: no site displays them, and receivers must distinguish them from new
@@ -43,7 +43,7 @@ enum State {
 
 #[cfg(test)]
 impl ServerPeer {
-    /// The states, in the words of the document of the states.
+    /// The states, as named in STATES.md.
     pub(super) const STATES: [&str; 5] = ["Preamble", "Hello", "Asked", "Joined", "Closed"];
 
     pub(super) fn state_name(&self) -> &'static str {
@@ -194,7 +194,7 @@ impl ServerPeer {
         self.handle_waiting_datagram(bytes, Span::ZERO, now);
     }
 
-    /// The same of one that may have waited for `stall`, because this machine did not run
+    /// The same for a datagram that may have waited for `stall`, because this machine stalled
     /// ([`StallWatch`](crate::lateness::StallWatch)).
     pub fn handle_waiting_datagram(&mut self, bytes: &[u8], stall: Span, now: ServerTime) {
         let Some(datagram) = self.link.accept(bytes) else {
@@ -210,11 +210,11 @@ impl ServerPeer {
         }
         match datagram.body {
             Body::Motion(tracks) => self.handle_motion(tracks, participant, stall, now),
-            // The round trip would be that of this machine; the next probe follows soon.
+            // The round trip would include this machine's stall; the next probe follows soon.
             Body::Probe(_) if stall > LONG_STALL => {}
             Body::Probe(probe) => self.handle_probe(probe, now),
             Body::Delays(list) => match list.as_slice() {
-                // A sign of life, which acknowledges.
+                // A heartbeat with an acknowledgement.
                 [] => {}
                 [(who, report)] if *who == participant => self.emit(PeerEvent::Delay(*report)),
                 _ => self.link.count_misdirected(),
@@ -260,7 +260,7 @@ impl ServerPeer {
         self.link.enqueue(Body::Reply(reply), now);
     }
 
-    /// Call when the time of [`poll_timeout`](Self::poll_timeout) has come; earlier does no harm.
+    /// Call at the time of [`poll_timeout`](Self::poll_timeout); an earlier call does no harm.
     pub fn handle_timeout(&mut self, now: ServerTime) {
         match self.state {
             State::Closed => {}
@@ -280,7 +280,7 @@ impl ServerPeer {
         }
     }
 
-    /// The connection under the session is gone.
+    /// The connection of the session is lost.
     pub fn handle_disconnect(&mut self, why: String) {
         self.close(CloseReason::ConnectionLost(why));
     }
@@ -290,7 +290,7 @@ impl ServerPeer {
         self.close(CloseReason::Left);
     }
 
-    /// The room produced more for this peer than its queue holds.
+    /// The room's messages exceed the queue of this peer.
     pub fn handle_overflow(&mut self) {
         let limit = STREAM_BACKLOG_MAX_BYTES;
         self.violation(ProtocolError::Backlog {
@@ -299,7 +299,7 @@ impl ServerPeer {
         });
     }
 
-    /// Something reliable for the client. An error closes the session; the event follows.
+    /// Sends a reliable message to the client. An error closes the session; the event follows.
     pub fn send(&mut self, message: &PeerMessage, now: ServerTime) -> Result<(), ProtocolError> {
         if matches!(self.state, State::Closed) {
             return Ok(());
@@ -364,7 +364,7 @@ impl ServerPeer {
         Ok(())
     }
 
-    /// Something that may get lost; before the welcome it is dropped.
+    /// Sends an unreliable message; before the welcome it is dropped.
     pub fn send_datagram(&mut self, datagram: &PeerDatagram, now: ServerTime) {
         let State::Joined { participant, .. } = self.state else {
             return;
@@ -381,7 +381,7 @@ impl ServerPeer {
             }
             PeerDatagram::Picture(picture) => {
                 self.picture.get_or_insert_default().show(picture);
-                // The heartbeat is due all the same: of a picture that rests nothing is sent.
+                // The heartbeat is due all the same: a picture at rest sends nothing.
                 return;
             }
             PeerDatagram::Delays(list) => {
@@ -461,7 +461,7 @@ impl ServerPeer {
         matches!(self.state, State::Closed)
     }
 
-    /// How the connection does.
+    /// Statistics of the connection.
     pub fn stats(&self) -> LinkStats {
         self.link.stats()
     }

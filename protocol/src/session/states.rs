@@ -1,4 +1,4 @@
-//! The document of the states, held against the machines.
+//! Checks STATES.md against the state machines.
 
 use super::client::ClientSession;
 use super::preamble::refusing;

@@ -83,7 +83,7 @@ impl Path {
 /// A client, a server's peer and the link between them. The server's clock is 42 s ahead.
 pub(super) struct Pair {
     pub(super) now_us: i64,
-    /// By how much the client's clock was set.
+    /// The step of the client's clock.
     pub(super) set_us: i64,
     pub(super) client: ClientSession,
     pub(super) server: ServerPeer,
@@ -184,7 +184,7 @@ impl Pair {
         self.server.send(message, self.server_now()).unwrap();
     }
 
-    /// Until the client is in, with `log` operations before it.
+    /// Runs until the client has joined, with `log` operations before it.
     pub(super) fn join(&mut self, log: u64) {
         while !matches!(self.server_events.last(), Some(PeerEvent::Hello(_))) {
             self.step();

@@ -10,7 +10,7 @@ use crate::{Pose, ServerTime, Span, ToolSample};
 /// a pause, and an acceleration across it means nothing.
 const JOINED_MAX: Span = Span::from_millis(250);
 
-/// A rotation is not carried on beyond the newest sample faster than this, rad/s.
+/// The fastest extrapolated rotation beyond the newest sample, rad/s.
 const SPIN_MAX: f64 = 20.0;
 
 #[derive(Debug, Clone)]

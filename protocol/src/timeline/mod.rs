@@ -6,7 +6,7 @@
 //! only past, gap <= G  -> EXTRAPOLATE                       G = 50 ms
 //! else                 -> HOLD, fade, flag stale
 //! a late packet        -> insert it; blend the correction linearly over 30-100 ms;
-//!                         no correction moves what is shown by more than 1 mm at once
+//!                         no correction moves the displayed tool by more than 1 mm at once
 //! ```
 //!
 //! Positions by the formulas of [`crate::verlet`]; rotations by slerp between samples and by the
@@ -94,15 +94,15 @@ pub enum Source {
 /// A tool at a moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shown {
-    /// Where it is.
+    /// Its pose.
     pub pose: Pose,
-    /// How fast it moves, m/s.
+    /// Its velocity, m/s.
     pub velocity_m_s: [f64; 3],
     /// Its buttons.
     pub buttons: u8,
-    /// How this is known.
+    /// The source of the pose.
     pub source: Source,
-    /// Whether nothing has come for longer than the gap limit: the tool must not press any more.
+    /// Whether no sample has arrived for longer than the gap limit: the tool must not press any more.
     pub stale: bool,
     /// How strongly to draw it: 1, and while it is held down to 0 within [`FADE`].
     pub opacity: f64,
@@ -146,7 +146,7 @@ impl Default for Timeline {
 }
 
 impl Timeline {
-    /// An empty timeline that goes at most `gap_limit` beyond the newest sample.
+    /// An empty timeline that extrapolates at most `gap_limit` beyond the newest sample.
     pub fn new(method: Method, gap_limit: Span) -> Self {
         Self {
             curve: Curve::new(method),
@@ -157,7 +157,7 @@ impl Timeline {
         }
     }
 
-    /// Adds a sample in its place. One for a moment that is known already is ignored.
+    /// Adds a sample in its place. A second sample of the same time is ignored.
     pub fn insert(&mut self, sample: ToolSample) {
         self.changed |= self.curve.insert(sample);
     }

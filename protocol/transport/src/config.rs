@@ -1,4 +1,4 @@
-//! The settings of quinn, measured for this traffic: its own would delay motion by a second.
+//! The settings of quinn, measured for this traffic: its defaults would delay motion by a second.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -35,7 +35,7 @@ const IDLE: Duration = Duration::from_secs(8);
 /// The longest time without a packet, so that silence is detected.
 const KEEP_ALIVE: Duration = Duration::from_millis(500);
 
-/// Incoming attempts that wait for us; quinn refuses more.
+/// Incoming attempts that wait for the server; quinn refuses more.
 const INCOMING_MAX: usize = 256;
 
 /// A packet counts as lost after this many later arrivals. The default of 3 mistakes jitter for loss.
@@ -88,7 +88,7 @@ fn session_transport() -> TransportConfig {
         .initial_rtt(Duration::from_millis(100))
         .datagram_send_buffer_size(DATAGRAM_SEND_BUFFER)
         .datagram_receive_buffer_size(Some(DATAGRAM_RECEIVE_BUFFER))
-        // Its probes of larger packets would only add to the motion's own.
+        // MTU probes would only add to the motion packets.
         .mtu_discovery_config(None)
         .enable_segmentation_offload(false)
         .congestion_controller_factory(Arc::new(FloorConfig));
@@ -142,7 +142,7 @@ pub(crate) fn server(identity: &ServerIdentity) -> Result<ServerConfig, Transpor
     let mut config = ServerConfig::with_crypto(Arc::new(quic));
     config.transport_config(Arc::new(session_transport()));
     config.max_incoming(INCOMING_MAX);
-    // Gateways forget, and people walk from one network into another.
+    // Gateways forget their mappings, and clients change networks.
     config.migration(true);
     Ok(config)
 }

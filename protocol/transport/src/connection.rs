@@ -1,4 +1,4 @@
-//! One connection: the operations stream, datagrams, figures.
+//! One connection: the operations stream, datagrams, statistics.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -13,7 +13,7 @@ use crate::rate_cap::RateCap;
 /// The longest reason that is sent when closing, bytes.
 const REASON_MAX_BYTES: usize = 200;
 
-/// How a connection does, from the transport's own counters.
+/// Statistics of a connection, from the transport's counters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct PathStats {
     /// Round trip time, smoothed.
@@ -120,12 +120,12 @@ impl Connection {
             .map_err(|source| TransportError::Bind { address, source })
     }
 
-    /// A second grip on the same connection, for receiving datagrams while the stream is used.
+    /// A second handle of the same connection, for receiving datagrams while the stream is used.
     pub(crate) fn quic(&self) -> quinn::Connection {
         self.quic.clone()
     }
 
-    /// How it does.
+    /// Its statistics.
     pub fn stats(&self) -> PathStats {
         let all = self.quic.stats();
         let path = all.path;

@@ -69,8 +69,8 @@ const ROUND_MIN: Duration = Duration::from_millis(100);
 /// Acknowledged packets without which a round is not over, for the same reason.
 const ROUND_MIN_PACKETS: u32 = 8;
 
-/// The floor returns by one doubling in this time. Faster, it would fill again and again the queue
-/// that it has just left.
+/// The floor returns by one doubling in this time. A faster return would fill the queue
+/// again and again.
 const RETURN: Duration = Duration::from_secs(2);
 
 /// ... and each failed return doubles the wait for the next one, up to this. A return fails when the
@@ -96,10 +96,10 @@ const LOSS_HEAVY: f64 = 0.1;
 /// A period with fewer bytes than this is not evaluated.
 const BREAKER_MIN_BYTES: u64 = 32 * 1024;
 
-/// Halvings of the floor at most: down to `WINDOW_MIN`.
+/// Largest number of halvings of the floor: down to `WINDOW_MIN`.
 const BACK_OFF_MAX: u32 = 3;
 
-/// Makes the controllers.
+/// The factory of the controllers.
 #[derive(Debug, Default)]
 pub(crate) struct FloorConfig;
 

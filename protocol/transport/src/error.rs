@@ -62,12 +62,12 @@ pub enum TransportError {
         /// The address that answered.
         address: SocketAddr,
     },
-    /// The connection could not be made, or is gone.
+    /// The connection could not be established, or is lost.
     #[error("the connection to {address} was lost: {detail}")]
     Lost {
         /// The other side.
         address: SocketAddr,
-        /// Why.
+        /// The reason.
         detail: String,
     },
     /// The server does not give the model to this grant.
@@ -75,7 +75,7 @@ pub enum TransportError {
         "the server does not give out the model {hash}: the grant or the model is unknown to it; ask the host for a new link"
     )]
     ModelRefused {
-        /// Which model.
+        /// The hash of the model.
         hash: palpate_protocol::ModelHash,
     },
     /// The model is larger than a client accepts.
@@ -108,7 +108,7 @@ pub(crate) fn is_goodbye(error: &quinn::ConnectionError) -> bool {
     }
 }
 
-/// A connection's end in words for people.
+/// The end of a connection, described for people.
 pub(crate) fn in_words(error: &quinn::ConnectionError) -> String {
     use quinn::ConnectionError as E;
     match error {

@@ -31,7 +31,7 @@ impl ServerIdentity {
         })
     }
 
-    /// One that was kept: certificate and PKCS #8 key, both DER. Links stay valid over a restart. Refuses a certificate
+    /// A stored identity: certificate and PKCS #8 key, both DER. Links stay valid over a restart. Refuses a certificate
     /// and a key that do not belong together.
     pub fn from_der(certificate: Vec<u8>, key: Vec<u8>) -> Result<Self, TransportError> {
         let identity = Self {

@@ -72,7 +72,7 @@ impl Server {
         })
     }
 
-    /// Where it listens, with the port that was chosen when 0 was asked for.
+    /// The address of the socket, with the port that was chosen when 0 was asked for.
     pub fn local_addr(&self) -> SocketAddr {
         self.address
     }
@@ -82,7 +82,7 @@ impl Server {
         self.accepted.lock().await.recv().await
     }
 
-    /// Closes every connection with a sentence and waits, at most two seconds, until they know.
+    /// Closes every connection with a sentence and waits at most two seconds for their acknowledgement.
     pub async fn close(&self, sentence: &str) {
         self.listener.abort();
         self.endpoint

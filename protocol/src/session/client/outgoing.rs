@@ -9,9 +9,9 @@ use crate::{ClientTime, ServerTime, ToolTrack};
 pub(super) struct Wants {
     /// A clock probe. It contains its time of departure and is therefore created then.
     pub(super) probe: bool,
-    /// A sign of life: much has arrived that was not acknowledged.
+    /// A heartbeat: many datagrams are not acknowledged yet.
     pub(super) acknowledgement: bool,
-    /// Motion has been given since the last time that there was nothing more to give.
+    /// Motion was returned since the last `None`.
     goes_on: bool,
 }
 

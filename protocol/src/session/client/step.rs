@@ -19,7 +19,7 @@ impl ClientSession {
     pub(super) fn follow_clock(&mut self, now: ClientTime) {
         self.probe_due = pulled(self.probe_due, PROBE_PERIOD, now);
         self.report_due = pulled(self.report_due, DELAY_REPORT_PERIOD, now);
-        // Nothing was heard later than now.
+        // The last arrival is not in the future.
         self.heard = self.heard.min(now);
         self.started = self.started.min(now);
         if let State::Joined(joined) = &mut self.state {
@@ -27,12 +27,12 @@ impl ClientSession {
         }
     }
 
-    /// An answer to a question for the clock.
+    /// An answer to a clock probe.
     pub(super) fn handle_reply(&mut self, reply: Reply, now: ClientTime) {
         let steps = self.clock.steps();
         let map = self.clock.handle_reply(reply, now);
         if self.clock.steps() != steps {
-            // Ages that were measured by the map that was wrong would be remembered for seconds.
+            // Ages measured with the wrong map would be remembered for seconds.
             self.delay = DelayEstimator::new(DelayRule::default());
         }
         if let Some(map) = map {

@@ -1,4 +1,4 @@
-//! A thin subscriber over a bad link: no drift, no more than its rate, and right when all rests.
+//! A thin subscriber over a bad link: no drift, a bounded rate, and exact at rest.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use super::*;
 use crate::session::tests::Pair;
 use crate::session::{ClientEvent, PeerDatagram};
 
-/// From one picture to the next, ms: 62.5 a second.
+/// Period of the pictures, ms: 62.5 a second.
 const PERIOD_MS: i64 = 16;
 
 /// A step in metres, with room for the rounding of single precision.
@@ -93,7 +93,7 @@ impl Thin {
         }
     }
 
-    /// The farthest that a node is shown from where the last picture has it, m.
+    /// The largest error of a displayed node against the last picture, m.
     fn off_m(&self) -> f32 {
         let (_, last) = self.was.last_key_value().unwrap();
         let of = |(node, at): (&u32, &[f32; 3])| {

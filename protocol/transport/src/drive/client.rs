@@ -23,11 +23,11 @@ pub enum ClientCommand {
     /// New samples of the client's own tool, oldest first. Send them about every 4 ms: four samples make
     /// a datagram, which leaves at once.
     Motion(Vec<LocalSample>),
-    /// Ask for something.
+    /// Sends a request.
     Request(RequestKind),
-    /// Ask for something under a number that the seat's owner gives.
+    /// Sends a request under a number from the caller.
     Numbered(Request),
-    /// Leave politely.
+    /// Leaves the session.
     Leave,
 }
 
@@ -43,7 +43,7 @@ pub struct ClientHandle {
     pub task: JoinHandle<()>,
 }
 
-/// Drives a client session in a task of its own. `clock` is the client's monotonic clock, the one
+/// Drives a client session in its own task. `clock` is the client's monotonic clock, the one
 /// that stamps its samples.
 pub fn spawn_client(
     connection: Connection,

@@ -21,7 +21,7 @@ use tokio::sync::{mpsc, watch};
 use crate::connection::{Connection, PathStats};
 use crate::error::is_goodbye;
 
-/// How a session does, as both layers see it.
+/// Statistics of a session, from both layers.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct DriverStats {
     /// The session's counters.
@@ -51,7 +51,7 @@ pub(crate) trait Machine: Send {
     type Event: Send;
     type Command: Send;
     fn handle_stream(&mut self, bytes: &[u8]);
-    /// A datagram that may have waited for `stall`, because this loop did not run.
+    /// Handles a datagram that may have waited for `stall`, because this loop stalled.
     fn handle_datagram(&mut self, bytes: &[u8], stall: Span);
     fn handle_timeout(&mut self);
     fn handle_disconnect(&mut self, why: String);
@@ -65,7 +65,7 @@ pub(crate) trait Machine: Send {
     /// Until the next timeout; `None` once closed.
     fn until_timeout(&self) -> Option<Duration>;
     fn is_closed(&self) -> bool;
-    /// Whether this side is done for good: it does not come back.
+    /// Whether this side ended for good and does not reconnect.
     fn leaves(&self) -> bool;
     fn stats(&self) -> LinkStats;
 }
@@ -158,7 +158,7 @@ pub(crate) async fn drive<M: Machine>(
             () = tokio::time::sleep(wait) => Moved::Time,
         };
         watch.wake(since(began));
-        // Datagrams first: a timeout must not find a peer silent that was heard.
+        // Datagrams first: a timeout must not find a peer silent whose datagrams have arrived.
         let first = match &moved {
             Moved::Datagram(Ok(bytes)) => Some(bytes),
             _ => None,
@@ -178,7 +178,7 @@ pub(crate) async fn drive<M: Machine>(
             Moved::Written(Ok(n)) => drop(outgoing.drain(..n)),
             Moved::Datagram(Err(why)) | Moved::Read(Err(why)) | Moved::Written(Err(why)) => {
                 stream_is_open = false;
-                // The connection knows better than its stream why it ended.
+                // The connection has a better reason for its end than its stream.
                 let reason = datagrams.close_reason();
                 let why = reason.as_ref().map_or(why, crate::error::in_words);
                 if reason.as_ref().is_some_and(is_goodbye) {
@@ -215,7 +215,7 @@ async fn end<M: Machine>(machine: M, connection: Connection, stats: &watch::Send
     }
 }
 
-/// Moves events towards the shell as far as there is room.
+/// Moves events to the shell while its channel has room.
 fn deliver<M: Machine>(
     machine: &mut M,
     pending: &mut VecDeque<M::Event>,

@@ -26,10 +26,10 @@ pub const DATAGRAM_QUEUE_MAX: usize = 256;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PeerId(pub u64);
 
-/// Something from one peer, for the one task that owns the room.
+/// An event of one peer, for the one task that owns the room.
 #[derive(Debug)]
 pub struct PeerInput {
-    /// From whom.
+    /// The peer.
     pub peer: PeerId,
     /// When it was read from the network.
     pub at: ServerTime,
@@ -48,12 +48,12 @@ pub struct PeerHandle {
 }
 
 impl PeerHandle {
-    /// Whom it reaches.
+    /// The peer's number.
     pub fn id(&self) -> PeerId {
         self.id
     }
 
-    /// Something reliable. `false` when the peer is gone or too slow; too slow, it is closed, and a
+    /// Sends a reliable message. `false` when the peer is gone or too slow; a slow peer is closed, and a
     /// [`PeerEvent::Closed`] follows.
     pub fn send(&self, message: PeerMessage) -> bool {
         match self.reliable.try_send(message) {
@@ -67,7 +67,7 @@ impl PeerHandle {
         }
     }
 
-    /// Something that may get lost; `false` when it was dropped, which is counted.
+    /// Sends an unreliable message; `false` when it was dropped, which is counted.
     pub fn send_datagram(&self, datagram: PeerDatagram) -> bool {
         let sent = self.datagrams.try_send(datagram).is_ok();
         self.dropped.fetch_add(u64::from(!sent), Ordering::Relaxed);

@@ -83,7 +83,7 @@ impl ThreadClass {
         Self::Background,
     ];
 
-    /// The word for it in figures.
+    /// Its name in statistics.
     pub fn word(self) -> &'static str {
         match self {
             Self::Force => "force",
@@ -119,7 +119,7 @@ impl ThreadClass {
     }
 }
 
-/// How a thread is scheduled.
+/// The scheduling of a thread.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Scheduling {
     /// Before every ordinary thread.
@@ -179,7 +179,7 @@ pub struct Membership {
 }
 
 impl Membership {
-    /// How the thread is scheduled.
+    /// The scheduling of the thread.
     pub fn scheduling(&self) -> &Scheduling {
         &self.scheduling
     }

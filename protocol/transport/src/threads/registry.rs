@@ -106,7 +106,7 @@ pub(super) fn cpu_time() -> CpuTime {
     }
 }
 
-/// The supervisor's life. It outranks every thread that it watches, and ends with the process.
+/// The supervisor's loop. It outranks every thread that it watches, and ends with the process.
 fn supervise() {
     let _ = sys::set_fifo(sys::this_thread(), super::BASE_PRIORITY + 1);
     let mut deadline_ns = sys::monotonic_ns();

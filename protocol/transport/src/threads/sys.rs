@@ -47,7 +47,7 @@ pub(super) fn monotonic_ns() -> i64 {
 mod linux {
     use super::{clock_ns, io};
 
-    /// A thread as the kernel numbers it.
+    /// The kernel's number of a thread.
     pub(in super::super) type ThreadId = libc::pid_t;
 
     /// Time slice of an ordinary thread that has to answer quickly, ns. Short slices run sooner under EEVDF; they

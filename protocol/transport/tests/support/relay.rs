@@ -279,7 +279,7 @@ impl Shared {
                     let first = under.packets.pop();
                     drop(under);
                     if let Some(Reverse(packet)) = first {
-                        // A closed port is part of the game.
+                        // A closed port is expected.
                         let _ = packet.from.send_to(&packet.bytes, packet.to);
                     }
                     under = lock(&self.under);

@@ -1,4 +1,4 @@
-//! A server, and clients that come into its sessions, over real quinn on this host.
+//! A server, and clients that join its sessions, over real quinn on this host.
 
 // Each suite needs a part of it.
 #![allow(dead_code)]
