@@ -30,7 +30,7 @@ const RATE: f64 = PICTURE_RATE_BITS_PER_S as f64 / 8.0;
 
 /// Overhead of a datagram in bytes: 40 for IPv6, 8 for UDP, 30 for QUIC's header, its authentication tag
 /// and the frame header.
-const AROUND_BYTES: usize = 78;
+const OVERHEAD_BYTES: usize = 78;
 
 /// Depth of the token bucket, s: two frames at 60 Hz, so that a late tick loses nothing.
 const SAVED_S: f64 = 1.0 / 30.0;
@@ -39,7 +39,7 @@ const SAVED_S: f64 = 1.0 / 30.0;
 const DEBT_S: f64 = 0.5;
 
 /// The smallest budget in bytes for which a datagram is started: below it the overhead dominates.
-const WORTH_BYTES: f64 = 200.0;
+const BUDGET_MIN_BYTES: f64 = 200.0;
 
 /// Size of the header, topology, time and step of a datagram with displacements, bytes.
 const HEAD_BYTES: f64 = 26.0;
@@ -52,7 +52,7 @@ const FOLLOW: f64 = 0.1;
 
 /// The most datagrams in flight: a second at twice the rate of full ones. Beyond, the oldest counts as
 /// lost.
-const ON_THE_WAY_MAX: usize = 256;
+const IN_FLIGHT_MAX: usize = 256;
 
 /// The shortest and the longest time after which an unacknowledged datagram counts as lost.
 const OVERDUE_MIN: Span = Span::from_millis(100);
@@ -126,7 +126,7 @@ pub(super) struct PictureStream {
     pieces: VecDeque<Displacements>,
     flights: VecDeque<Flight>,
     /// The token bucket in bytes; negative after overspending.
-    saved: f64,
+    budget: f64,
     filled: Option<ServerTime>,
     node_bytes: Option<f64>,
     /// The usual time from sending to acknowledgement.
@@ -144,9 +144,9 @@ impl PictureStream {
 
     /// Accounts for `bytes` of a datagram or of the stream to this subscriber.
     pub(super) fn charge(&mut self, bytes: usize) {
-        let cost = bytes + AROUND_BYTES;
+        let cost = bytes + OVERHEAD_BYTES;
         self.stats.bytes += cost as u64;
-        self.saved = (self.saved - cost as f64).max(-DEBT_S * RATE);
+        self.budget = (self.budget - cost as f64).max(-DEBT_S * RATE);
     }
 
     /// Notes acknowledged datagrams.
@@ -189,7 +189,7 @@ impl PictureStream {
             self.give_up_overdue(now);
             self.choose();
         }
-        while self.saved >= WORTH_BYTES {
+        while self.budget >= BUDGET_MIN_BYTES {
             let piece = self.pieces.pop_front()?;
             match link.encode_whole(Body::Displacements(piece), now) {
                 Ok((sequence, bytes, Body::Displacements(piece))) => {
@@ -212,7 +212,7 @@ impl PictureStream {
     fn fill(&mut self, now: ServerTime) {
         let since = self.filled.map_or(0.0, |t| (now - t).as_secs_f64());
         self.filled = Some(now);
-        self.saved = (self.saved + since.max(0.0) * RATE).min(SAVED_S * RATE);
+        self.budget = (self.budget + since.max(0.0) * RATE).min(SAVED_S * RATE);
     }
 
     fn halve(&mut self, body: Body) {
@@ -225,7 +225,7 @@ impl PictureStream {
     fn give_up_overdue(&mut self, now: ServerTime) {
         let overdue = self.overdue();
         while let Some(first) = self.flights.front() {
-            let is_lost = now - first.sent > overdue || self.flights.len() > ON_THE_WAY_MAX;
+            let is_lost = now - first.sent > overdue || self.flights.len() > IN_FLIGHT_MAX;
             if !is_lost {
                 return;
             }
@@ -275,9 +275,9 @@ impl PictureStream {
         let node_bytes = self.node_bytes.unwrap_or(NODE_BYTES_FIRST);
         let fit = |bytes: f64| ((bytes - HEAD_BYTES).max(0.0) / node_bytes) as usize;
         let whole = (fit(0.95 * DATAGRAM_MAX_BYTES as f64)).clamp(1, NODES_MAX);
-        let full = (DATAGRAM_MAX_BYTES + AROUND_BYTES) as f64;
-        let datagrams = (self.saved / full).max(0.0).floor();
-        let rest = self.saved - datagrams * full - AROUND_BYTES as f64;
+        let full = (DATAGRAM_MAX_BYTES + OVERHEAD_BYTES) as f64;
+        let datagrams = (self.budget / full).max(0.0).floor();
+        let rest = self.budget - datagrams * full - OVERHEAD_BYTES as f64;
         let room = datagrams as usize * whole + fit(rest).min(whole);
         self.stats.waiting = off.len().saturating_sub(room) as u64;
         if off.len() > room {

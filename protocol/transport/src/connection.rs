@@ -41,7 +41,7 @@ pub struct Connection {
     pub(crate) recv: RecvStream,
     cap: RateCap,
     skipped: u64,
-    taking: RateCap,
+    receiving: RateCap,
     refused: u64,
     /// A client's own endpoint lives as long as its connection.
     endpoint: Option<quinn::Endpoint>,
@@ -59,7 +59,7 @@ impl Connection {
             recv,
             cap: RateCap::sending(Instant::now()),
             skipped: 0,
-            taking: RateCap::taking(Instant::now()),
+            receiving: RateCap::receiving(Instant::now()),
             refused: 0,
             endpoint,
         }
@@ -92,8 +92,8 @@ impl Connection {
 
     /// Whether the receive cap allows a datagram of `len` bytes now. Otherwise it is counted and must be
     /// dropped.
-    pub(crate) fn takes(&mut self, len: usize) -> bool {
-        let taken = self.taking.take(len, Instant::now());
+    pub(crate) fn accepts(&mut self, len: usize) -> bool {
+        let taken = self.receiving.take(len, Instant::now());
         self.refused += u64::from(!taken);
         taken
     }

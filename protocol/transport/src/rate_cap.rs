@@ -12,15 +12,15 @@ pub(crate) const BURST_MAX: f64 = 64.0 * 1024.0;
 
 /// Bytes per second that one connection accepts. A sender within [`RATE_MAX`] never reaches it; the
 /// extra quarter covers clock errors and bunching on the path.
-pub(crate) const TAKEN_RATE_MAX: f64 = 1.25 * RATE_MAX;
+pub(crate) const RECEIVE_RATE_MAX: f64 = 1.25 * RATE_MAX;
 
 /// The largest burst in bytes: datagrams that a path held back for 0.4 s at the full rate. Older ones
 /// are useless.
-pub(crate) const TAKEN_BURST_MAX: f64 = 512.0 * 1024.0;
+pub(crate) const RECEIVE_BURST_MAX: f64 = 512.0 * 1024.0;
 
 /// The minimum cost of a received datagram, bytes: a tiny one takes nearly the work of a large one. This
 /// allows some 3,000 a second, three times the number of the largest within the send cap.
-pub(crate) const TAKEN_COST_MIN: usize = 500;
+pub(crate) const RECEIVE_COST_MIN: usize = 500;
 
 /// A bucket of bytes that fills with time.
 #[derive(Debug)]
@@ -39,8 +39,8 @@ impl RateCap {
     }
 
     /// A full token bucket for receiving.
-    pub(crate) fn taking(now: Instant) -> Self {
-        Self::new(TAKEN_RATE_MAX, TAKEN_BURST_MAX, TAKEN_COST_MIN, now)
+    pub(crate) fn receiving(now: Instant) -> Self {
+        Self::new(RECEIVE_RATE_MAX, RECEIVE_BURST_MAX, RECEIVE_COST_MIN, now)
     }
 
     fn new(rate: f64, burst: f64, cost_min: usize, now: Instant) -> Self {
@@ -92,7 +92,7 @@ mod tests {
     fn sender_at_the_cap_loses_nothing_and_sender_at_twice_the_cap_is_limited() {
         for (times, whole) in [(1.0, true), (2.0, false)] {
             let mut now = Instant::now();
-            let mut cap = RateCap::taking(now);
+            let mut cap = RateCap::receiving(now);
             let every = Duration::from_secs_f64(1100.0 / (times * RATE_MAX));
             let mut refused = 0;
             for _ in 0..20_000 {
@@ -106,8 +106,8 @@ mod tests {
     #[test]
     fn tiny_datagrams_are_limited_by_number() {
         let start = Instant::now();
-        let mut cap = RateCap::taking(start);
+        let mut cap = RateCap::receiving(start);
         let taken = passing(&mut cap, start, 1, Duration::from_micros(10));
-        assert!(taken <= (TAKEN_RATE_MAX + TAKEN_BURST_MAX) / TAKEN_COST_MIN as f64);
+        assert!(taken <= (RECEIVE_RATE_MAX + RECEIVE_BURST_MAX) / RECEIVE_COST_MIN as f64);
     }
 }

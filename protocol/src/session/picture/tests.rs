@@ -104,7 +104,7 @@ impl Thin {
 
     fn bits_per_s(&self, seconds: f64) -> f64 {
         let (datagrams, bytes) = self.pair.down.datagrams;
-        (bytes + datagrams * AROUND_BYTES as u64) as f64 * 8.0 / seconds
+        (bytes + datagrams * OVERHEAD_BYTES as u64) as f64 * 8.0 / seconds
     }
 }
 
@@ -140,7 +140,7 @@ fn rate_holds_under_overload_and_waiting_nodes_are_counted_and_sent_later() {
     let before = thin.pair.down.datagrams;
     thin.play(0, 2000, 2000);
     let (datagrams, bytes) = thin.pair.down.datagrams;
-    let cost = bytes - before.1 + (datagrams - before.0) * AROUND_BYTES as u64;
+    let cost = bytes - before.1 + (datagrams - before.0) * OVERHEAD_BYTES as u64;
     let most = RATE * (2.0 + SAVED_S) + 1200.0;
     assert!((cost as f64) < most, "{cost} of {most} B");
     assert!(

@@ -163,7 +163,7 @@ pub(crate) async fn drive<M: Machine>(
             Moved::Datagram(Ok(bytes)) => Some(bytes),
             _ => None,
         };
-        if let Some(bytes) = first.filter(|bytes| connection.takes(bytes.len())) {
+        if let Some(bytes) = first.filter(|bytes| connection.accepts(bytes.len())) {
             machine.handle_datagram(bytes, watch.handle_datagram(since(began)));
         }
         if !machine.is_closed() {
@@ -255,7 +255,7 @@ async fn drain_datagrams<M: Machine>(
         let Some(bytes) = next else {
             return watch.handle_empty(clock());
         };
-        if connection.takes(bytes.len()) {
+        if connection.accepts(bytes.len()) {
             machine.handle_datagram(&bytes, watch.handle_datagram(clock()));
         }
     }

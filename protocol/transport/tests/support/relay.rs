@@ -24,9 +24,9 @@ const PAYLOAD_MAX: usize = 2048;
 const LOOK: Duration = Duration::from_millis(50);
 
 /// Packets in flight in total; a path beyond it loses them.
-const ON_THE_WAY_MAX: usize = 100_000;
+const IN_FLIGHT_MAX: usize = 100_000;
 
-/// The properties of a path, for each direction separately.
+/// The properties of a path, equal for both directions; each has its own queue and losses.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Way {
     /// Fixed one-way delay.
@@ -254,7 +254,7 @@ impl Shared {
         due += self.way.delay + self.way.jitter.mul_f64(d.rng.random::<f64>());
         drop(d);
         let mut under = lock(&self.under);
-        if under.packets.len() >= ON_THE_WAY_MAX {
+        if under.packets.len() >= IN_FLIGHT_MAX {
             return;
         }
         under.number += 1;
