@@ -1,7 +1,7 @@
-//! Lists on the operations stream that take no more memory than what arrives.
+//! Lists on the operations stream whose memory is bounded by the bytes received.
 //!
-//! serde makes room for what a list announces, up to a megabyte, before the first entry is there: a few
-//! bytes would take so much. Here a list grows with its entries, up to the most it may have.
+//! serde reserves up to a megabyte for the announced length of a list before the first entry arrives, so
+//! that a few bytes would cost that much memory. These lists grow with their entries, up to their limit.
 
 use std::fmt;
 use std::marker::PhantomData;

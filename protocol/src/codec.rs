@@ -1,5 +1,5 @@
 //! Messages of the operations stream as bytes: length-prefixed frames around bincode. The only
-//! file that names bincode.
+//! file that uses bincode.
 
 use std::marker::PhantomData;
 
@@ -10,22 +10,22 @@ use serde::de::DeserializeOwned;
 use crate::ProtocolError;
 use crate::request::{ClientMessage, ServerMessage};
 
-/// The largest frame once a session stands, bytes. It holds the longest stroke twice.
+/// The largest frame after the handshake in bytes. It holds the longest stroke twice.
 pub const FRAME_MAX_BYTES: usize = 64 * 1024;
 
-/// The largest frame before anybody is known, bytes: a hello is at most some hundred.
+/// The largest frame before the hello is accepted, bytes: a hello has at most some hundred.
 pub const HELLO_MAX_BYTES: usize = 4 * 1024;
 
 /// Bytes of the length prefix of a frame (u32, little endian).
 pub const PREFIX_BYTES: usize = 4;
 
-/// bincode counts what it claims before it reads, so that the last small number of a full frame
-/// needs some bytes more than the frame has.
+/// bincode counts the size that it claims before it reads, so that the last small number of a full frame
+/// needs a few bytes beyond the frame.
 const DECODE_LIMIT: usize = FRAME_MAX_BYTES + 64;
 
 /// A message that travels in frames.
 pub trait Message: Serialize + DeserializeOwned {
-    /// What it is called in errors.
+    /// Its name in errors.
     const NAME: &'static str;
 }
 
@@ -74,11 +74,11 @@ pub fn decode_body<M: Message>(body: &[u8]) -> Result<M, ProtocolError> {
     Ok(message)
 }
 
-/// Puts frames together again from a stream that arrives in any pieces.
+/// Reassembles frames from a stream that arrives in arbitrary pieces.
 ///
-/// Call [`push`](Self::push) with what arrived, then [`next`](Self::next) until it gives `None`.
-/// After an error the decoder is of no more use: the session closes. It holds at most one frame of
-/// the limit plus the largest piece pushed, provided that it is drained after each push.
+/// Call [`push`](Self::push) with the received bytes, then [`next`](Self::next) until it returns `None`.
+/// After an error the decoder can not be used: the session closes. It holds at most one frame of the
+/// limit plus the largest piece pushed, provided that it is drained after each push.
 #[derive(Debug)]
 pub struct FrameDecoder<M> {
     buffer: Vec<u8>,
@@ -103,7 +103,7 @@ impl<M: Message> FrameDecoder<M> {
         self.limit = limit.min(FRAME_MAX_BYTES);
     }
 
-    /// Adds what arrived.
+    /// Appends received bytes.
     pub fn push(&mut self, bytes: &[u8]) {
         if self.read > 0 {
             self.buffer.drain(..self.read);
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_announces_too_much_is_refused_before_it_arrives() {
+    fn frame_with_excessive_length_is_rejected_before_it_arrives() {
         let mut decoder = FrameDecoder::<ClientMessage>::new(HELLO_MAX_BYTES);
         decoder.push(&(HELLO_MAX_BYTES as u32 + 1).to_le_bytes());
         let error = decoder.next().unwrap_err();
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn a_list_that_announces_too_much_is_refused() {
+    fn list_with_excessive_length_is_rejected() {
         // A cut request whose list has 2^60 points.
         let mut body = encode_frame(&longest_request())
             .unwrap()

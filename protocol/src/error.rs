@@ -1,9 +1,9 @@
-//! What can be wrong with bytes that came from somebody else.
+//! Errors in bytes from the peer.
 
 use crate::handshake::PROTOCOL_VERSION;
 
-/// Something on the wire that this protocol does not allow. It can at worst close the one session
-/// it arrived on.
+/// A violation of the protocol on the wire. It closes at most the one session
+/// that it arrived on.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ProtocolError {
     /// The stream does not begin with the magic bytes.
@@ -14,41 +14,41 @@ pub enum ProtocolError {
         /// The first four bytes that arrived.
         found: [u8; 4],
     },
-    /// Both speak palpate, in different versions.
+    /// Both sides use palpate, in different versions.
     #[error(
         "the other side speaks protocol version {theirs}, this program speaks version {PROTOCOL_VERSION}; use the same release on both sides"
     )]
     Version {
-        /// The version in the other side's preamble.
+        /// The version in the peer's preamble.
         theirs: u16,
     },
     /// A frame announces more bytes than its kind may have.
     #[error("a frame of {bytes} bytes on the operations stream, where at most {limit} are allowed")]
     FrameTooLong {
-        /// What the length prefix says, in bytes.
+        /// The length prefix in bytes.
         bytes: u64,
         /// The limit that applied, in bytes.
         limit: usize,
     },
     /// A frame's content is not a message.
-    #[error("a frame of {bytes} bytes that is not a {what}: {detail}")]
+    #[error("a frame of {bytes} bytes is not a valid {what}: {detail}")]
     BadFrame {
         /// The kind of message expected.
         what: &'static str,
         /// The length of the frame in bytes.
         bytes: usize,
-        /// What the decoder said.
+        /// The decoder's message.
         detail: String,
     },
     /// A message ended before its frame did.
-    #[error("a {what} followed by {extra} bytes that belong to nothing")]
+    #[error("a {what} is followed by {extra} extra bytes")]
     TrailingBytes {
         /// The kind of message.
         what: &'static str,
         /// How many bytes were left.
         extra: usize,
     },
-    /// A message of our own that can not be sent.
+    /// A message of this program that is too large to send.
     #[error("a {what} of {bytes} bytes is too large to send, at most {limit} are allowed")]
     TooLarge {
         /// The kind of message.
@@ -58,19 +58,19 @@ pub enum ProtocolError {
         /// The limit in bytes.
         limit: usize,
     },
-    /// A datagram that is shorter than its content says.
-    #[error("a {what} datagram ends in the middle")]
+    /// A datagram that ends before its announced content.
+    #[error("a {what} datagram is truncated")]
     DatagramTruncated {
         /// The part that was being read.
         what: &'static str,
     },
-    /// A datagram tells differences from another one that did not arrive or is forgotten.
-    #[error("a datagram tells differences from datagram {sequence}, which is not there")]
+    /// A datagram whose baseline did not arrive or is forgotten.
+    #[error("a datagram refers to the baseline {sequence}, which is unknown here")]
     NoBaseline {
-        /// The number of the other one.
+        /// The number of the baseline.
         sequence: u32,
     },
-    /// A datagram of another life of the session.
+    /// A datagram of another incarnation of the session.
     #[error(
         "a datagram of another epoch: its low bits are {low_bits}, the session is in epoch {expected}"
     )]
@@ -80,18 +80,18 @@ pub enum ProtocolError {
         /// The low bits of the epoch in the datagram.
         low_bits: u8,
     },
-    /// A datagram of somebody else's connection.
+    /// A datagram of another participant's connection.
     #[error(
         "a datagram of another participant: its low bits are {low_bits}, the connection is that of #{expected}"
     )]
     OtherStream {
-        /// The participant whose connection it is.
+        /// The participant of this connection.
         expected: u16,
         /// The low bits of the participant in the datagram.
         low_bits: u8,
     },
     /// A datagram of a kind that this version does not know.
-    #[error("a datagram of the unknown kind {kind}")]
+    #[error("a datagram has the unknown kind {kind}")]
     DatagramKind {
         /// The byte that names the kind.
         kind: u8,
@@ -109,15 +109,15 @@ pub enum ProtocolError {
     OutOfOrder {
         /// The message that arrived.
         what: &'static str,
-        /// What the session was doing.
+        /// The state of the session.
         state: &'static str,
     },
-    /// The numbered operations have a hole.
+    /// A numbered operation is missing.
     #[error("operation {found} arrived where operation {expected} was due; rejoin the session")]
     OperationGap {
         /// The number that was due.
         expected: u64,
-        /// The number that came.
+        /// The number received.
         found: u64,
     },
     /// The peer takes its operations more slowly than they are produced.

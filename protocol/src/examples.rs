@@ -1,8 +1,8 @@
-//! One message of every kind and more, with fixed numbers: the table that the byte document, the laws
-//! about damaged bytes and a fuzzer's corpus share.
+//! One message of every kind and more, with fixed numbers. The byte document, the tests on damaged bytes
+//! and a fuzzer's corpus share this table.
 //!
-//! Datagrams tell differences from each other, so they stand in the order in which they are sent, and
-//! every one counts as acknowledged before the next is written: see [`datagram_bytes`].
+//! Datagrams encode differences from earlier ones. They are listed in the order of sending, and each
+//! counts as acknowledged before the next is written: see [`datagram_bytes`].
 
 use crate::codec::encode_frame;
 use crate::datagram::{
@@ -27,12 +27,12 @@ use crate::{
     RequestId, ResumeToken, ServerTime, Span, ToolSample, ToolTrack, TopologyHash,
 };
 
-/// A message with a name that no other one here has.
+/// A message with a unique name.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Example<M> {
     /// Its name.
     pub name: &'static str,
-    /// What it says.
+    /// The message.
     pub message: M,
 }
 
@@ -333,7 +333,7 @@ pub fn datagrams() -> Vec<Example<Datagram>> {
     bodies.into_iter().enumerate().map(datagram).collect()
 }
 
-/// What the receiver of [`datagrams`] knows before each of them.
+/// The receiver's state before each datagram of [`datagrams`].
 pub fn expected() -> Expected {
     Expected {
         tag: TAG,

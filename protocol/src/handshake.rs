@@ -1,5 +1,4 @@
-//! How a participant gets in: a preamble that every version can read, then [`Hello`], then
-//! [`Welcome`] or [`Refused`].
+//! Handshake: a preamble that every version can read, then [`Hello`], then [`Welcome`] or [`Refused`].
 //!
 //! The preamble's layout never changes, whatever the version:
 //!
@@ -20,17 +19,17 @@ use crate::{
     Span, TopologyHash,
 };
 
-/// The version that this crate speaks. It grows with every change of any message.
+/// The protocol version of this crate. Every change of a message increments it.
 pub const PROTOCOL_VERSION: u16 = 5;
 
-/// What every palpate stream begins with.
+/// The first bytes of every palpate stream.
 pub const MAGIC: [u8; 4] = *b"PALP";
 
 /// Size of the fixed part of a preamble in bytes.
 pub const PREAMBLE_BYTES: usize = 8;
 
-/// The longest sentence after a server's preamble, bytes; more is cut off when sending and is an
-/// error when receiving.
+/// The longest sentence after a server's preamble in bytes. The sender truncates a longer one; the
+/// receiver rejects it.
 pub const PREAMBLE_SENTENCE_MAX_BYTES: usize = 512;
 
 /// The longest name of a participant in bytes. A longer one is refused.
@@ -39,20 +38,20 @@ pub const NAME_MAX_BYTES: usize = 64;
 /// The most participants of a session; a roster longer than this is a protocol error.
 pub const ROSTER_MAX: usize = 64;
 
-/// A seat whose connection was lost is kept so long for its participant to come back.
+/// How long the server keeps the seat of a participant whose connection was lost.
 pub const SEAT_KEPT: Span = Span::from_millis(60_000);
 
 /// The fixed bytes that come before everything else.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Preamble {
-    /// The version that the sender speaks.
+    /// The sender's version.
     pub version: u16,
-    /// From the server: 0 to go on, 1 when it will not, and a sentence follows. From a client: 0.
+    /// From the server: 0 accepts, 1 refuses and a sentence follows. From a client: 0.
     pub status: u16,
 }
 
 impl Preamble {
-    /// The preamble of this version, all well.
+    /// The accepting preamble of this version.
     pub const OURS: Self = Self {
         version: PROTOCOL_VERSION,
         status: 0,
@@ -67,7 +66,7 @@ impl Preamble {
         out
     }
 
-    /// Reads a preamble; only the magic is checked, the version is the caller's to judge.
+    /// Reads a preamble and checks only the magic; the caller checks the version.
     pub fn from_bytes(bytes: [u8; PREAMBLE_BYTES]) -> Result<Self, ProtocolError> {
         let [a, b, c, d, v0, v1, s0, s1] = bytes;
         let found = [a, b, c, d];
@@ -81,21 +80,21 @@ impl Preamble {
     }
 }
 
-/// What a participant may do in a session.
+/// The rights of a participant in a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Role {
-    /// Leads: a tool, cuts, and control over the others.
+    /// Has a tool, may cut, and controls the session.
     Instructor,
     /// Has a tool and may cut.
     Trainee,
-    /// Sees everything and touches nothing.
+    /// Sees the session and has no tool.
     Spectator,
-    /// A program that writes everything down.
+    /// A program that records the session.
     Recorder,
 }
 
 impl Role {
-    /// All roles, in the order in which they are listed to people.
+    /// All roles, in display order.
     pub const ALL: [Self; 4] = [
         Self::Instructor,
         Self::Trainee,
@@ -103,7 +102,7 @@ impl Role {
         Self::Recorder,
     ];
 
-    /// The word for this role in links and on screens.
+    /// The name of this role in links and on screens.
     pub const fn word(self) -> &'static str {
         match self {
             Self::Instructor => "instructor",
@@ -125,9 +124,9 @@ impl fmt::Display for Role {
     }
 }
 
-/// A word that names no role.
+/// The error for a word that names no role.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("\"{0}\" is no role; the roles are instructor, trainee, spectator and recorder")]
+#[error("unknown role \"{0}\"; the roles are instructor, trainee, spectator and recorder")]
 pub struct UnknownRole(pub String);
 
 impl FromStr for Role {
@@ -141,7 +140,7 @@ impl FromStr for Role {
     }
 }
 
-/// What of the tissue a participant is sent.
+/// The data about the tissue that the server sends to a participant.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize,
 )]
@@ -149,15 +148,15 @@ pub enum Subscription {
     /// Tools, operations and corrections, from which it computes the tissue itself.
     #[default]
     Full,
-    /// Where the nodes in view are; it computes nothing. For roles without a tool.
+    /// Node displacements in view; the client computes nothing. For roles without a tool.
     Thin,
 }
 
 impl Subscription {
-    /// Both, in the order in which they are listed to people.
+    /// Both, in display order.
     pub const ALL: [Self; 2] = [Self::Full, Self::Thin];
 
-    /// The word for it on command lines and screens.
+    /// Its name on command lines and screens.
     pub const fn word(self) -> &'static str {
         match self {
             Self::Full => "full",
@@ -172,11 +171,11 @@ impl fmt::Display for Subscription {
     }
 }
 
-/// A word that names no subscription.
+/// The error for a word that names no subscription.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "\"{0}\" is no subscription; there are full (this machine computes the tissue) and thin (the server \
-     sends where its surface is, for who only looks)"
+    "unknown subscription \"{0}\"; choose full (this machine computes the tissue) or thin (the server \
+     sends the surface, for roles without a tool)"
 )]
 pub struct UnknownSubscription(pub String);
 
@@ -191,27 +190,27 @@ impl FromStr for Subscription {
     }
 }
 
-/// A client's first message: who wants in, as what.
+/// A client's first message: name, role and grant.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Hello {
-    /// The participant's name as others will read it, at most [`NAME_MAX_BYTES`].
+    /// The participant's name as shown to the other participants, at most [`NAME_MAX_BYTES`].
     pub name: String,
-    /// The role asked for; the grant must allow it.
+    /// The requested role; the grant must allow it.
     pub role: Role,
     /// The secret from the join link.
     pub grant: Grant,
     /// The tool the participant will hold, for roles that have one.
     pub tool: Option<ToolDescription>,
-    /// What of the tissue it wants to be sent.
+    /// The requested subscription.
     pub subscription: Subscription,
-    /// To take a lost seat again.
+    /// Resumes a lost seat.
     pub resume: Option<Resume>,
 }
 
-/// The seat that a returning client had, and how much of the log it has.
+/// The seat of a reconnecting client and the part of the log that the client holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Resume {
-    /// Who it was.
+    /// The participant's number.
     pub participant: ParticipantId,
     /// The token from its [`Welcome`].
     pub token: ResumeToken,
@@ -219,13 +218,13 @@ pub struct Resume {
     pub next_operation: OperationId,
     /// How often the topology has changed after the operations that it has.
     pub topology_version: u32,
-    /// The topology hash after the operations that it has. A server that finds another one at this place
-    /// of its own log sends the whole log.
+    /// The topology hash after the operations that it has. A server whose log gives another hash at this
+    /// position sends the whole log.
     pub topology_hash: TopologyHash,
 }
 
 impl Resume {
-    /// The seat that a welcome gives, with nothing of the log yet, or with what was there before.
+    /// The seat from a welcome. The log position is empty or taken from `before`.
     pub fn after_welcome(welcome: &Welcome, before: Option<Self>) -> Self {
         let had = before.filter(|b| b.next_operation == welcome.first_operation);
         Self {
@@ -257,38 +256,38 @@ pub struct ModelInfo {
 /// One line of the roster.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RosterEntry {
-    /// Who.
+    /// The participant's number.
     pub participant: ParticipantId,
-    /// Their name.
+    /// The participant's name.
     pub name: String,
-    /// Their role.
+    /// The participant's role.
     pub role: Role,
-    /// Their tool, where the role has one.
+    /// The participant's tool, where the role has one.
     pub tool: Option<ToolDescription>,
 }
 
 /// The server's answer to a [`Hello`] it accepts. The log follows: first the operations from
-/// `first_operation` up to `operations_so_far`, then each new one as it happens.
+/// `first_operation` up to `operations_so_far`, then each new one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Welcome {
-    /// The newcomer's own number.
+    /// The number of the new participant.
     pub participant: ParticipantId,
     /// Carried by every datagram from now on.
     pub epoch: Epoch,
     /// The role given.
     pub role: Role,
-    /// The server's clock when this was written: a first guess, until the clock estimate locks.
+    /// The server's clock when the message was written: a first guess until the clock estimate locks.
     pub server_time: ServerTime,
     /// The model to hold.
     pub model: ModelInfo,
-    /// Who is here, the newcomer included, at most [`ROSTER_MAX`].
+    /// All participants including the new one, at most [`ROSTER_MAX`].
     #[serde(deserialize_with = "crate::bounded_list::at_most::<ROSTER_MAX, _, _>")]
     pub roster: Vec<RosterEntry>,
     /// How often the topology has changed after `operations_so_far` operations.
     pub topology_version: u32,
     /// The topology hash after `operations_so_far` operations.
     pub topology_hash: TopologyHash,
-    /// The first operation that follows: 0, except for who takes a seat again and has all before it.
+    /// The first operation that follows: 0, or the position of a resumed client.
     pub first_operation: OperationId,
     /// How many operations the log holds; those from `first_operation` on follow on the stream at once.
     pub operations_so_far: u64,
@@ -296,9 +295,9 @@ pub struct Welcome {
     pub compensation: CompensationSettings,
     /// The server's steps per second.
     pub tick_hz: u32,
-    /// When the scripts began, if they did.
+    /// The start time of the scripts, if they have started.
     pub session_started_at: Option<ServerTime>,
-    /// What takes this seat again after a lost connection, within [`SEAT_KEPT`].
+    /// The token that resumes this seat after a lost connection, within [`SEAT_KEPT`].
     pub resume_token: ResumeToken,
 }
 
@@ -307,7 +306,7 @@ pub struct Welcome {
 pub struct Refused {
     /// For programs.
     pub reason: RefusalReason,
-    /// For people: what was wrong and what to do.
+    /// For people: the cause and the remedy.
     pub sentence: String,
 }
 
@@ -319,7 +318,7 @@ impl Refused {
     }
 }
 
-/// Why a client is not let in.
+/// Why the server refuses a client.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 pub enum RefusalReason {
     /// Another version of the protocol.
@@ -335,54 +334,54 @@ pub enum RefusalReason {
         "the session is full: all {seats} seats are taken; come back when somebody has left, or ask the host to offer more (--seats, {ROSTER_MAX} at most)"
     )]
     Full {
-        /// How many there are.
+        /// The number of seats.
         seats: u16,
     },
-    /// The grant is unknown, or is for another role.
+    /// The grant is unknown or allows another role.
     #[error(
         "the grant in the join link does not allow the role {role}; ask the host for a new link"
     )]
     BadGrant {
-        /// The role asked for.
+        /// The requested role.
         role: Role,
     },
-    /// Somebody of that name is here.
-    #[error("somebody named \"{name}\" is already in the session; choose another name")]
+    /// Another participant has this name.
+    #[error("a participant named \"{name}\" is already in the session; choose another name")]
     NameTaken {
-        /// The name asked for.
+        /// The requested name.
         name: String,
     },
     /// The name is empty, too long or has control characters.
     #[error("the name must have 1 to {NAME_MAX_BYTES} bytes and no control characters")]
     BadName,
-    /// The role needs a tool and none fit was offered.
+    /// The role needs a tool and the client offered no valid one.
     #[error(
         "the role {role} needs a tool with a radius between 0.1 mm and 100 mm, and with the length and width of its kind (at most 500 mm)"
     )]
     BadTool {
-        /// The role asked for.
+        /// The requested role.
         role: Role,
     },
-    /// A thin subscription for somebody with a tool.
+    /// A thin subscription for a role with a tool.
     #[error(
         "a thin subscription has no tissue of its own to feel, and the role {role} holds a tool: what it felt would be \
          a round trip old; join with the subscription full, or as a spectator"
     )]
     ThinTool {
-        /// The role asked for.
+        /// The requested role.
         role: Role,
     },
-    /// The seat to resume is gone, or the token is another's; which of them is not told.
+    /// The seat is gone or the token belongs to another seat; the client does not learn which.
     #[error(
-        "the seat to take again has been given up, or belongs to somebody else; join again as somebody new"
+        "the seat to resume has expired or belongs to another participant; join again as a new participant"
     )]
     NoSuchSeat,
     /// The session ends or the server stops.
     #[error("the server is closing the session; try again later")]
     Closing,
-    /// So much has been done in the session that nobody can be told it all any more.
+    /// The log has reached its largest size, so that no client can receive all of it.
     #[error(
-        "the session's log is full, and nobody can join or come back any more; ask the host to save the tissue as a model and to begin a new session with it"
+        "the session's log is full, so that no client can join or reconnect; ask the host to save the tissue as a model and to begin a new session with it"
     )]
     LogFull,
 }

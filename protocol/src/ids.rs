@@ -1,4 +1,4 @@
-//! Names of things on the wire, one type per kind, so that one is never taken for another.
+//! Identifiers on the wire: one type per kind, so that the compiler keeps them apart.
 
 use std::fmt;
 
@@ -22,24 +22,24 @@ macro_rules! id {
 }
 
 id! {
-    /// One participant of one session. Numbers are not given twice within a session, so that an
-    /// operation's author stays known after they left.
+    /// One participant of one session. Numbers are not reused within a session, so that an
+    /// operation's author stays known after leaving.
     ParticipantId(u16), "#{}"
 }
 
 impl ParticipantId {
-    /// The server itself, author of what no participant asked for; participants count from 1.
+    /// The server itself: the author of operations without a requester. Participants count from 1.
     pub const SERVER: Self = Self(0);
 }
 
 id! {
-    /// Which life of a session this is: it grows whenever a server takes the session over, and
-    /// what carries an earlier one is refused.
+    /// The incarnation of a session: it grows whenever a server takes the session over. Messages with an
+    /// earlier epoch are rejected.
     Epoch(u32), "epoch {}"
 }
 
 id! {
-    /// The place of an operation in the session's log: the first is 0 and none is left out.
+    /// The position of an operation in the session's log: consecutive, from 0.
     OperationId(u64), "operation {}"
 }
 

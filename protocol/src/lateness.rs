@@ -1,4 +1,4 @@
-//! Lateness that machines cause, apart from the lateness that networks cause.
+//! Lateness that machines cause, separated from the lateness that networks cause.
 //!
 //! ```text
 //! sender    takes samples, and sends them after at most a batch       the rest is lateness of the sender
@@ -6,21 +6,22 @@
 //! receiver  handles what its socket holds as soon as it is there      the rest is a stall of the receiver
 //! ```
 //!
-//! Every track says how late its sender and the server made it ([`Lateness`], in the datagram). The receiver's own
-//! part is measured where the socket is read ([`StallWatch`]). The playout delay covers what is left: the network.
+//! Every track carries the lateness of its sender and of the server ([`Lateness`], in the datagram). The
+//! receiver's part is measured where the socket is read ([`StallWatch`]). The playout delay covers the
+//! rest: the network.
 
 use crate::{ServerTime, Span};
 
-/// Largest lateness that a datagram can claim. Older motion is not sent.
+/// Largest lateness that a datagram can report. Older motion is not sent.
 pub const LATENESS_MAX: Span = Span::from_millis(2000);
 
-/// Resolution of a claim on the wire, rounded down.
+/// Resolution of reported lateness on the wire, rounded down.
 pub const LATENESS_STEP: Span = Span::from_millis(1);
 
-/// A claim about the oldest news is repeated for this long, so that a lost datagram does not take it along.
+/// Reported lateness of the oldest news is repeated for this long, so that it survives a lost datagram.
 const REPEAT: Span = Span::from_millis(100);
 
-/// How late machines made the samples of a track, beyond their regular batches and rounds.
+/// The lateness of a track's samples that machines caused, beyond regular batches and rounds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Lateness {
     /// Lateness of the newest sample.
@@ -58,7 +59,7 @@ impl Lateness {
         .limited()
     }
 
-    /// As a datagram says it: within limits, in whole steps.
+    /// The value that a datagram carries: within limits, in whole steps.
     #[must_use]
     pub fn limited(self) -> Self {
         let step = LATENESS_STEP.as_micros();
@@ -74,7 +75,7 @@ impl Lateness {
     }
 }
 
-/// Repeats what a sender claims about the oldest news of one track.
+/// Repeats a sender's reported lateness about the oldest news of one track.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Repeated {
     until: ServerTime,
@@ -82,7 +83,7 @@ pub(crate) struct Repeated {
 }
 
 impl Repeated {
-    /// The claim of a track that leaves now.
+    /// The reported lateness of a track that leaves now.
     pub(crate) fn claim(&mut self, late: Lateness, now: ServerTime) -> Lateness {
         // A clock that was set back leaves the end far ahead.
         let is_over = now >= self.until || self.until - now > REPEAT;
@@ -109,21 +110,21 @@ const WATCH_PERIOD: Span = Span::from_millis(8);
 /// Something moves when the receiver is woken twice within this time.
 const MOTION_GAP: Span = Span::from_millis(20);
 
-/// The receiver goes on watching for so long after something moved: a sender may have stalled.
+/// The receiver keeps watching for this long after motion: a sender may have stalled.
 const WATCH_AFTER: Span = Span::from_millis(500);
 
-/// After a stall the datagrams that wait in the socket come through other tasks of this machine. They take up to one
-/// part in so many of the stall.
+/// After a stall the datagrams in the socket's queue pass through other tasks of this machine. The queue
+/// takes up to the stall divided by this to drain.
 const SETTLING_PART: i64 = 4;
 
-/// Measures how long datagrams may have waited for a receiver that did not run.
+/// Measures how long datagrams may have waited for a stalled receiver.
 ///
 /// Calling order, with one monotonic clock: [`waits`](Self::waits) before the receiver waits,
-/// [`wake`](Self::wake) when it goes on, [`handle_datagram`](Self::handle_datagram) for every datagram, and
+/// [`wake`](Self::wake) when it continues, [`handle_datagram`](Self::handle_datagram) for every datagram, and
 /// [`handle_empty`](Self::handle_empty) when no datagram is left.
 ///
-/// A receiver that runs wakes at its deadline at the latest. Past the deadline it did not run, and a datagram in its
-/// queue may have come at any time since the queue was last empty.
+/// A running receiver wakes at its deadline at the latest. Past the deadline it was stalled, and a
+/// datagram in its queue may have arrived at any time since the queue was last empty.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct StallWatch {
     /// When the queue was last seen empty.
@@ -135,12 +136,12 @@ pub struct StallWatch {
     watch_until: Span,
 }
 
-/// A time in which the receiver did not run.
+/// A stall of the receiver.
 #[derive(Debug, Clone, Copy)]
 struct Stall {
     /// The queue was empty then.
     began: Span,
-    /// What piled up is worked off by then.
+    /// The queue has drained by then.
     settled_at: Span,
 }
 
@@ -156,7 +157,7 @@ impl StallWatch {
         wait
     }
 
-    /// The receiver goes on.
+    /// The receiver continues.
     pub fn wake(&mut self, now: Span) {
         let Some(deadline) = self.deadline.take() else {
             return;
@@ -176,7 +177,8 @@ impl StallWatch {
         }
     }
 
-    /// A datagram is taken from the queue; returns how long it may have waited there because of a stall.
+    /// Notes a datagram taken from the queue; returns how long it may have waited there because of a
+    /// stall.
     pub fn handle_datagram(&self, now: Span) -> Span {
         self.stalled.map_or(Span::ZERO, |stall| now - stall.began)
     }
@@ -206,14 +208,15 @@ pub struct LocalStalls {
 /// Lateness up to this counts as none.
 const NO_STALL: Span = Span::from_millis(1);
 
-/// A stall above this is counted by [`LocalStalls::above_20_ms`], and nothing that waited for so long measures a clock.
+/// [`LocalStalls::above_20_ms`] counts longer stalls. A datagram that waited this long does not measure
+/// a clock.
 pub(crate) const LONG_STALL: Span = Span::from_millis(20);
 
 /// Classes of a [`StallCounter`], eight for every doubling.
 const CLASSES: usize = 96;
 const CLASSES_PER_OCTAVE: f64 = 8.0;
 
-/// Counts stalls by length: the first class is up to [`NO_STALL`], the others grow by a tenth each.
+/// Counts stalls by length: the first class is up to [`NO_STALL`], each next class is a tenth wider.
 #[derive(Debug, Clone)]
 pub(crate) struct StallCounter {
     classes: [u64; CLASSES],
@@ -281,11 +284,11 @@ mod tests {
     }
 
     #[test]
-    fn a_receiver_that_runs_sees_no_stall_however_long_the_network_is_silent() {
+    fn running_receiver_sees_no_stall_during_network_silence() {
         let mut watch = StallWatch::default();
         let mut now = Span::ZERO;
         for silence in [4, 4, 4, 300, 4, 4, 2000, 4] {
-            // The timer fires until a datagram comes.
+            // The timer fires until a datagram arrives.
             let until = now + ms(silence);
             loop {
                 let wait = watch.waits(now, ms(100));
@@ -304,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stall_counts_for_every_datagram_in_the_queue_and_for_none_after_it() {
+    fn stall_counts_for_queued_datagrams_only() {
         let mut watch = StallWatch::default();
         for t in [0, 4, 8, 12] {
             watch.waits(ms(t - 4), ms(100));
@@ -315,7 +318,7 @@ mod tests {
         assert_eq!(watch.waits(ms(12), ms(100)), WATCH_PERIOD);
         watch.wake(ms(250));
         assert_eq!(watch.handle_datagram(ms(250)), ms(238));
-        // The receiver does something else before the queue is empty.
+        // The receiver is busy elsewhere before the queue is empty.
         watch.waits(ms(251), Span::ZERO);
         watch.wake(ms(251));
         assert_eq!(watch.handle_datagram(ms(251)), ms(239));
@@ -331,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn a_receiver_that_is_always_late_never_takes_more_for_a_stall_than_it_slept() {
+    fn stall_of_a_late_receiver_is_at_most_its_sleep() {
         let mut watch = StallWatch::default();
         for t in (0..10_000_i64).step_by(30) {
             watch.wake(ms(t));
@@ -342,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn a_claim_is_repeated_until_a_lost_datagram_can_not_have_taken_it_along() {
+    fn reported_lateness_is_repeated_to_survive_a_loss() {
         let mut repeated = Repeated::default();
         let at = |t: i64| ServerTime::from_micros(t * 1000);
         let late = |t| Lateness {
@@ -384,7 +387,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_claim_is_within_its_limits_whatever_it_is_made_of(
+        fn reported_lateness_is_within_its_limits_for_any_input(
             newest in any::<i32>(), oldest in any::<i32>(), wait in any::<i32>(),
         ) {
             let us = |us: i32| Span::from_micros(i64::from(us));

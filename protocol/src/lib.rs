@@ -1,19 +1,19 @@
-//! The words on the wire and what they mean in time.
+//! The wire protocol, its session state machines and its timing.
 //!
-//! This crate never opens a socket, never reads a clock and never spawns: time is an argument,
-//! bytes come in through `handle_*` and leave through `poll_*`. It knows neither tissue nor
-//! devices: what it carries are plain arrays and integers, and the room and the client convert.
+//! This crate never opens a socket, never reads a clock and never spawns: time is an argument, bytes
+//! come in through `handle_*` and leave through `poll_*`. It depends neither on tissue nor on devices:
+//! messages carry plain arrays and integers, and the room and the client convert.
 //!
-//! Two kinds of traffic, of which one session state machine per peer takes care:
+//! One session state machine per peer handles two kinds of traffic:
 //!
 //! | kind | carries | how |
 //! | --- | --- | --- |
 //! | operations | handshake, cuts, joins, compensation | length-prefixed frames on one ordered stream, numbered |
-//! | motion | tool samples, displacement corrections, clock probes | datagrams of at most [`DATAGRAM_MAX_BYTES`], packed by hand |
+//! | motion | tool samples, displacement corrections, clock probes | datagrams of at most [`DATAGRAM_MAX_BYTES`] |
 //!
-//! Where to look: [`handshake`] and [`link`] for how a participant gets in, [`operation`] and
-//! [`request`] for what is ordered, [`datagram`] for what may get lost, [`session`] for the two
-//! state machines, [`clock`], [`compensation`] and [`timeline`] for the one moment everybody shares.
+//! Where to look: [`handshake`] and [`link`] for joining, [`operation`] and [`request`] for ordered
+//! messages, [`datagram`] for messages that may be lost, [`session`] for the two state machines,
+//! [`clock`], [`compensation`] and [`timeline`] for the shared time.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod bounded_list;

@@ -1,11 +1,11 @@
-//! The join link: all that a participant types.
+//! The join link: the only input that a participant needs.
 //!
 //! ```text
 //! palpate://HOST:PORT/ROLE?cert=SHA256-HEX&grant=TOKEN-HEX
 //! ```
 //!
-//! It carries the hash of the server's certificate, so that nobody else can pose as the server,
-//! and the secret that allows the role. Who holds the link can take the seat.
+//! The link carries the hash of the server's certificate, so that no other host can pose as the server,
+//! and the secret that allows the role. Any holder of the link can take the seat.
 
 use std::fmt;
 use std::str::FromStr;
@@ -41,7 +41,7 @@ impl Grant {
         HEXLOWER_PERMISSIVE.encode(&self.0)
     }
 
-    /// Compares in a time that tells nothing about where the difference is.
+    /// Compares in constant time, independent of the first difference.
     pub fn matches(&self, other: &Self) -> bool {
         is_equal(&self.0, &other.0)
     }
@@ -50,38 +50,38 @@ impl Grant {
 /// Bytes of a resume token: too many to guess.
 pub const TOKEN_BYTES: usize = 16;
 
-/// A secret that takes one seat of one session again after its connection was lost. Its bytes come from
-/// the shell, at random.
+/// A secret that resumes one seat of one session after its connection was lost. The shell supplies
+/// random bytes.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ResumeToken(pub [u8; TOKEN_BYTES]);
 
 impl ResumeToken {
-    /// Compares in a time that tells nothing about where the difference is.
+    /// Compares in constant time, independent of the first difference.
     pub fn matches(&self, other: &Self) -> bool {
         is_equal(&self.0, &other.0)
     }
 }
 
 impl fmt::Debug for ResumeToken {
-    /// Says that there is one, and not which: logs are read by many.
+    /// Prints a placeholder, not the secret, because logs are shared.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("ResumeToken(..)")
     }
 }
 
-/// Whether two secrets are the same, looking at all of both whatever the first difference is.
+/// Whether two secrets are equal, in constant time.
 fn is_equal<const N: usize>(a: &[u8; N], b: &[u8; N]) -> bool {
     a.iter().zip(b).fold(0, |acc, (a, b)| acc | (a ^ b)) == 0
 }
 
 impl fmt::Debug for Grant {
-    /// Says that there is one, and not which: logs are read by many.
+    /// Prints a placeholder, not the secret, because logs are shared.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Grant(..)")
     }
 }
 
-/// Where to go, as what, and how to know that one is there.
+/// The server's address, the role, and the hash that authenticates the server.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct JoinLink {
     /// Host name or address; an IPv6 address without its brackets.
@@ -90,7 +90,7 @@ pub struct JoinLink {
     pub port: u16,
     /// The role that the link is for.
     pub role: Role,
-    /// What the server's certificate must hash to.
+    /// The expected hash of the server's certificate.
     pub certificate: CertificateHash,
     /// The secret that allows the role.
     pub grant: Grant,
@@ -115,10 +115,10 @@ impl fmt::Display for JoinLink {
     }
 }
 
-/// What is wrong with a join link.
+/// The errors of a join link.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LinkError {
-    /// Not a palpate link at all.
+    /// Not a palpate link.
     #[error(
         "a join link begins with \"{SCHEME}\", and this one with \"{found}\"; copy the whole link that the server printed, and put it in quotes, because it has a '&'"
     )]
@@ -131,7 +131,7 @@ pub enum LinkError {
         "the join link has no HOST:PORT between \"{SCHEME}\" and the role: \"{found}\"; for example {SCHEME}192.168.1.20:4433/trainee?..."
     )]
     Host {
-        /// What stands there.
+        /// The text found.
         found: String,
     },
     /// The role is missing or unknown.
@@ -139,7 +139,7 @@ pub enum LinkError {
         "the join link names the role \"{found}\"; the roles are instructor, trainee, spectator and recorder"
     )]
     Role {
-        /// What stands there.
+        /// The text found.
         found: String,
     },
     /// A part after the question mark is missing.
@@ -159,13 +159,13 @@ pub enum LinkError {
         key: &'static str,
         /// How many digits it must have.
         digits: usize,
-        /// What stands there, its first characters.
+        /// The first characters of the text found.
         found: String,
     },
-    /// A key that no link has.
+    /// An unknown key.
     #[error("the join link has an unknown part \"{found}\"; it has only cert and grant")]
     Unknown {
-        /// What stands there.
+        /// The text found.
         found: String,
     },
 }

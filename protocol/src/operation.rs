@@ -1,4 +1,4 @@
-//! What everybody applies in the same order: the session's log.
+//! The session's log: operations that every site applies in the same order.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,65 +6,65 @@ use crate::handshake::Role;
 use crate::tool::ToolDescription;
 use crate::{OperationId, ParticipantId, ServerTime, Span, TopologyHash};
 
-/// The most blade points in one stroke. 512 points of 56 B stay below half of the largest frame;
-/// a longer stroke is refused, and the client cuts it in pieces.
+/// The most blade points in one stroke. 512 points of 56 B stay below half of the largest frame. The
+/// server refuses a longer stroke; the client cuts it in pieces.
 pub const STROKE_MAX_POINTS: usize = 512;
 
 /// One numbered entry of the log.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Operation {
-    /// Its place in the log.
+    /// Its position in the log.
     pub id: OperationId,
-    /// When it happens: sites show it at `at` + D.
+    /// The time of the operation: sites show it at `at` + D.
     pub at: ServerTime,
-    /// Who asked for it.
+    /// The participant that requested it.
     pub author: ParticipantId,
     /// The topology version that it applies to.
     pub topology_version_before: u32,
-    /// The topology version after it; the same for what changes no topology.
+    /// The topology version after it; unchanged unless the operation changes the topology.
     pub topology_version_after: u32,
-    /// The topology hash after it, to be compared with one's own.
+    /// The topology hash after it, for comparison with the replica's hash.
     pub hash_after: TopologyHash,
-    /// What is done.
+    /// The change.
     pub kind: OperationKind,
 }
 
-/// What an operation does.
+/// The change that an operation makes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum OperationKind {
     /// Cuts the tissue along a stroke.
     Cut(CutStroke),
-    /// Somebody came.
+    /// A participant joined.
     Joined {
-        /// Their number.
+        /// The participant's number.
         participant: ParticipantId,
-        /// Their name.
+        /// The participant's name.
         name: String,
-        /// Their role.
+        /// The participant's role.
         role: Role,
-        /// Their tool, where the role has one.
+        /// The participant's tool, where the role has one.
         tool: Option<ToolDescription>,
     },
-    /// Somebody went, and their tool with them.
+    /// A participant left, together with the tool.
     Left {
-        /// Their number.
+        /// The participant's number.
         participant: ParticipantId,
-        /// Why.
+        /// The cause.
         reason: LeaveReason,
     },
-    /// The connection of somebody was lost: their tool presses no more, their seat is kept.
+    /// A participant's connection was lost: the tool no longer presses, the seat is kept.
     Away {
-        /// Their number.
+        /// The participant's number.
         participant: ParticipantId,
     },
-    /// Somebody whose connection was lost is back in their seat.
+    /// A participant whose connection was lost has resumed the seat.
     Back {
-        /// Their number.
+        /// The participant's number.
         participant: ParticipantId,
     },
-    /// Somebody took another tool.
+    /// A participant changed the tool.
     ToolChanged {
-        /// Their number.
+        /// The participant's number.
         participant: ParticipantId,
         /// The new tool.
         tool: ToolDescription,
@@ -78,23 +78,23 @@ pub enum OperationKind {
     Compensation {
         /// The delay to reach, microseconds.
         delay_us: u32,
-        /// From when on it is approached, with the slew limits of
+        /// When D starts to approach it, within the slew limits of
         /// [`DelaySchedule`](crate::compensation::DelaySchedule).
         effective_at: ServerTime,
     },
-    /// The network of somebody needs more delay than the session allows: their tool presses no more,
-    /// their seat is kept, and the others no longer wait for them.
+    /// A participant was demoted, because the network needs more delay than the session allows: the tool
+    /// no longer presses, the seat is kept, and D no longer covers this participant.
     Demoted {
-        /// Their number.
+        /// The participant's number.
         participant: ParticipantId,
-        /// The delay that they need, microseconds.
+        /// The participant's delay estimate, microseconds.
         wanted_us: u32,
-        /// The largest that is waited for, microseconds.
+        /// The cap of D, microseconds.
         cap_us: u32,
     },
-    /// The network of somebody has recovered: they have their tool again.
+    /// The network of a demoted participant has recovered: the tool presses again.
     Restored {
-        /// Their number.
+        /// The participant's number.
         participant: ParticipantId,
     },
 }
@@ -102,7 +102,7 @@ pub enum OperationKind {
 /// A stroke of the blade through the tissue, in the rest frame of the model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CutStroke {
-    /// Where the blade was, in order, at most [`STROKE_MAX_POINTS`].
+    /// The poses of the blade in order, at most [`STROKE_MAX_POINTS`].
     #[serde(deserialize_with = "crate::bounded_list::at_most::<STROKE_MAX_POINTS, _, _>")]
     pub points: Vec<BladePoint>,
     /// Width of the blade in metres.
@@ -114,9 +114,9 @@ pub struct CutStroke {
 pub struct BladePoint {
     /// The tip in metres.
     pub tip_m: [f64; 3],
-    /// Unit vector from the tip out along the blade, against the depth.
+    /// Unit vector from the tip outwards along the blade.
     pub axis: [f64; 3],
-    /// How much of the blade, from the tip backwards, is in the tissue, metres.
+    /// The length of the blade inside the tissue, from the tip backwards, metres.
     pub depth_m: f64,
 }
 
@@ -143,31 +143,31 @@ impl CutStroke {
     }
 }
 
-/// Why a participant is no longer here.
+/// The reason why a participant left.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum LeaveReason {
-    /// They said so.
+    /// The participant left.
     Left,
-    /// Nothing was heard from them for the silence limit.
+    /// The participant was silent for longer than the limit.
     Silent,
-    /// They sent what the protocol does not allow.
+    /// The participant violated the protocol.
     Violation,
-    /// Their connection could not take the operations fast enough.
+    /// The participant's connection could not take the operations fast enough.
     TooSlow,
-    /// The instructor sent them away.
+    /// The instructor removed the participant.
     Removed,
 }
 
-/// How the session's artificial delay is chosen.
+/// The rule for the session's artificial delay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CompensationMode {
-    /// Everything is shown as it comes.
+    /// Every event is shown on arrival.
     None,
     /// One delay for the whole session.
     Fixed,
-    /// The largest delay that any participant needs, followed over time.
+    /// The largest delay estimate of all participants, adapted over time.
     Adaptive {
-        /// The delay never grows beyond this, microseconds; who needs more is told so.
+        /// The cap of D, microseconds. A participant with a larger estimate is notified.
         cap_us: u32,
     },
 }
@@ -175,7 +175,7 @@ pub enum CompensationMode {
 /// The compensation in force when a client joins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CompensationSettings {
-    /// How the delay is chosen.
+    /// The rule for the delay.
     pub mode: CompensationMode,
     /// The delay that the session began with, microseconds; later changes are operations.
     pub initial_delay_us: u32,

@@ -1,4 +1,4 @@
-//! What a client asks of the server, and the messages on the operations stream as a whole.
+//! A client's requests to the server, and all messages on the operations stream.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,16 +7,16 @@ use crate::operation::{BladePoint, Operation, STROKE_MAX_POINTS};
 use crate::tool::ToolDescription;
 use crate::{RequestId, ServerTime, TopologyHash};
 
-/// Everything that a client writes on the operations stream after the preamble.
+/// The messages of a client on the operations stream after the preamble.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ClientMessage {
     /// The first message, once.
     Hello(Hello),
-    /// Everything later.
+    /// All later messages.
     Request(Request),
 }
 
-/// Everything that the server writes on the operations stream after the preamble.
+/// The messages of the server on the operations stream after the preamble.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ServerMessage {
     /// The answer to a hello that is accepted.
@@ -25,11 +25,11 @@ pub enum ServerMessage {
     Refused(Refused),
     /// The next operation of the log.
     Operation(Operation),
-    /// A request that will not become an operation.
+    /// The refusal of a request.
     RequestRefused(RequestRefused),
     /// The server ends this session, with a sentence; nothing follows.
     Goodbye {
-        /// Why, for people.
+        /// The reason, for people.
         sentence: String,
     },
 }
@@ -37,23 +37,23 @@ pub enum ServerMessage {
 /// One request of a client.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Request {
-    /// Counts up from 1 for a seat, over all its connections. A number that the seat used over an earlier
-    /// connection is a repetition: what was done is not done again.
+    /// Counts up from 1 for a seat, over all its connections. A number that the seat used over an
+    /// earlier connection is a repetition, and the server does not apply it twice.
     pub id: RequestId,
-    /// What is asked for.
+    /// The requested change.
     pub kind: RequestKind,
 }
 
-/// What can be asked for.
+/// The changes that a client can request.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum RequestKind {
-    /// Cut here.
+    /// Cut along a stroke.
     Cut(CutRequest),
-    /// Hold another tool.
+    /// Change the tool.
     SetTool(ToolDescription),
-    /// Go away politely.
+    /// Leave the session.
     Leave,
-    /// The artificial delay that this client needs to miss nothing.
+    /// The client's delay estimate.
     ReportDelay(DelayReport),
     /// The topology that this client has, for the server to compare.
     TopologyReport {
@@ -105,7 +105,7 @@ pub struct TimedBladePoint {
     pub blade: BladePoint,
 }
 
-/// What one site measured about the age of the motion it receives.
+/// One site's measurement of the age of received motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct DelayReport {
     /// Mean age on arrival μ, microseconds.
@@ -116,16 +116,16 @@ pub struct DelayReport {
     pub wanted_us: u32,
 }
 
-/// The answer to a request that is not done.
+/// The answer to a refused request.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RequestRefused {
-    /// Which request.
+    /// The number of the request.
     pub id: RequestId,
-    /// Why not.
+    /// The reason.
     pub reason: RequestRefusal,
 }
 
-/// Why a request is not done.
+/// The reason for refusing a request.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 pub enum RequestRefusal {
     /// The role does not allow it.
@@ -137,18 +137,18 @@ pub enum RequestRefusal {
     /// The tissue refused the stroke.
     #[error("the stroke can not be cut: {0}")]
     CanNotCut(String),
-    /// More requests than the server takes.
+    /// The client exceeds the request rate.
     #[error("too many requests; wait a moment")]
     TooMany,
     /// The topology differs from the server's: the client must rejoin.
     #[error("your copy of the tissue differs from the server's; rejoin the session")]
     TopologyDiffers,
-    /// Who asks only watches, because of their network.
+    /// The requester is demoted, because of its network.
     #[error(
-        "your tool is lifted, because your network needs more delay than the session allows; it comes back by itself when the network has recovered"
+        "your tool is inactive, because your network needs more delay than the session allows; it becomes active again when the network has recovered"
     )]
     Demoted,
-    /// So much has been done in the session that newcomers could not be told more.
+    /// The log is so long that new participants could not receive any more of it.
     #[error(
         "the session's log is full; ask the host to save the tissue as a model and to begin a new session with it"
     )]

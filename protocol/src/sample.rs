@@ -1,4 +1,4 @@
-//! Where a tool was, and when.
+//! Tool samples: poses with times.
 
 use crate::lateness::Lateness;
 use crate::{ClientTime, ParticipantId, ServerTime};
@@ -26,13 +26,13 @@ impl Default for Pose {
     }
 }
 
-/// One sample of one tool, stamped when it was taken: in server time, or in the client's own time
-/// before it leaves that client ([`LocalSample`]).
+/// One sample of one tool with the time of its measurement: in server time, or in client time before it
+/// leaves that client ([`LocalSample`]).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ToolSample<T = ServerTime> {
-    /// When the sample was taken.
+    /// The time of measurement.
     pub time: T,
-    /// Where the tool was.
+    /// The pose of the tool.
     pub pose: Pose,
     /// One bit per button; bit 0 is the main one.
     pub buttons: u8,
@@ -46,10 +46,10 @@ pub type LocalSample = ToolSample<ClientTime>;
 /// Some samples of one participant's tool, oldest first.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ToolTrack {
-    /// Whose tool it is.
+    /// The participant that holds the tool.
     pub participant: ParticipantId,
     /// The samples, oldest first, at most [`crate::datagram::TRACK_MAX_SAMPLES`].
     pub samples: Vec<ToolSample>,
-    /// How late machines made it, apart from the network.
+    /// The lateness that machines caused, apart from the network.
     pub late: Lateness,
 }

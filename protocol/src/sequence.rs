@@ -3,7 +3,7 @@
 /// How far back a duplicate is recognised. Everything older is refused as old.
 pub const WINDOW_BITS: u32 = 64;
 
-/// What the window says about a datagram's number.
+/// The window's verdict on a datagram's number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Arrival {
     /// Newer than all before.
@@ -84,18 +84,18 @@ impl SequenceWindow {
         self.received
     }
 
-    /// How many were sent, as far as one can tell from the newest number.
+    /// The number of datagrams sent, inferred from the newest number.
     pub fn expected(&self) -> u64 {
         self.newest
             .map_or(0, |(n, _)| u64::from(n.wrapping_sub(self.first)) + 1)
     }
 
-    /// How many came more than once.
+    /// The number of duplicates.
     pub fn duplicates(&self) -> u64 {
         self.duplicates
     }
 
-    /// How many came too late to judge.
+    /// The number of datagrams that were too old for the window.
     pub fn old(&self) -> u64 {
         self.old
     }
@@ -107,7 +107,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn duplicates_and_old_numbers_are_told_apart() {
+    fn duplicates_and_old_numbers_are_distinguished() {
         let mut w = SequenceWindow::new();
         assert_eq!(w.insert(100), Arrival::New);
         assert_eq!(w.insert(102), Arrival::New);

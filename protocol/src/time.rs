@@ -1,7 +1,7 @@
-//! Points in time, one type per clock, so that a time of one clock can not be taken for another's.
+//! Points in time, one type per clock, so that the compiler keeps the clocks apart.
 //!
-//! All of them count microseconds from an origin of their own. Nothing here reads a clock: the
-//! shells do, and hand the time down as an argument.
+//! All of them count microseconds from their own origin. This crate never reads a clock: the shells do,
+//! and pass the time as an argument.
 
 use std::ops::{Add, AddAssign, Neg, Sub, SubAssign};
 
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub struct Span(i64);
 
 impl Span {
-    /// No time at all.
+    /// The zero span.
     pub const ZERO: Self = Self(0);
 
     /// A span of `us` microseconds.
@@ -27,8 +27,8 @@ impl Span {
         Self(ms * 1000)
     }
 
-    /// A span of `s` seconds, rounded to the microsecond; not-a-number becomes zero, and what is
-    /// too large for 64 bits becomes the largest span.
+    /// A span of `s` seconds, rounded to the microsecond. NaN becomes zero; a value too large for 64
+    /// bits becomes the largest span.
     pub fn from_secs_f64(s: f64) -> Self {
         Self((s * 1e6).round() as i64)
     }
@@ -140,8 +140,8 @@ macro_rules! clock_time {
 }
 
 clock_time! {
-    /// A moment on the server's clock: the time that everybody in a session shares. What is
-    /// generated, ordered and released is stamped in it.
+    /// A moment on the server's clock, the shared time of a session. Samples, operations and their
+    /// release carry it.
     ServerTime
 }
 

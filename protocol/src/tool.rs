@@ -1,4 +1,4 @@
-//! Tools as the participants tell each other of them.
+//! The description of a tool that participants exchange.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,12 +10,12 @@ pub const TOOL_LENGTH_MAX_M: f64 = 0.5;
 /// Parts of one tool at most.
 const PARTS_MAX: u32 = 2;
 
-/// A number for a part of somebody's tool, that tells the parts of all tools apart.
+/// A number for a part of a participant's tool, unique among the parts of all tools.
 pub fn part_id(who: ParticipantId, part: usize) -> u32 {
     u32::from(who.0) * PARTS_MAX + part as u32
 }
 
-/// Whose the part with this number is.
+/// The participant that owns the part with this number.
 pub fn part_owner(id: u32) -> ParticipantId {
     ParticipantId((id / PARTS_MAX) as u16)
 }
@@ -23,17 +23,17 @@ pub fn part_owner(id: u32) -> ParticipantId {
 /// Distance between the tips of open jaws, in parts of their length.
 const OPENING: f64 = 0.25;
 
-/// What a tool looks like to the others. In its own frame its tip is at the origin, which is also the pivot that a
-/// hand holds, and its handle along z.
+/// The shape of a tool as shown to other participants. In its own frame its tip, the pivot that a hand
+/// holds, is at the origin, and its handle lies along z.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ToolDescription {
-    /// What it does.
+    /// Its kind.
     pub kind: ToolKind,
     /// Radius of its tip and of its edges, m: everything within it of the tool's [parts](Self::parts) is the tool.
     pub radius_m: f64,
     /// Length, m; zero for a probe.
     pub length_m: f64,
-    /// Width, m; zero for what has none.
+    /// Width, m; zero for a kind without a width.
     pub width_m: f64,
 }
 
@@ -91,8 +91,8 @@ impl ToolDescription {
         }
     }
 
-    /// Whether the radius is between 0.1 mm and 100 mm, and length and width are what its kind has: above zero and at
-    /// most [`TOOL_LENGTH_MAX_M`], or zero.
+    /// Whether the radius is between 0.1 mm and 100 mm, and length and width fit the kind: above zero
+    /// and at most [`TOOL_LENGTH_MAX_M`], or zero.
     pub fn is_valid(&self) -> bool {
         let some = |x: f64| x > 0.0 && x <= TOOL_LENGTH_MAX_M;
         let sides = match self.kind {
@@ -103,7 +103,7 @@ impl ToolDescription {
         (1e-4..=0.1).contains(&self.radius_m) && sides
     }
 
-    /// What it is made of; `held` says whether its main button is. A grasper has two parts, every other tool one.
+    /// Its parts; `held` is the state of its main button. A grasper has two parts, every other tool one.
     pub fn parts(&self, held: bool) -> impl Iterator<Item = ToolPart> + use<> {
         let half = 0.5 * self.length_m;
         let across = [0.0, 0.5 * self.width_m, 0.0];
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tool_has_the_sides_of_its_kind() {
+    fn tool_dimensions_match_its_kind() {
         assert!(ToolDescription::probe(4e-3).is_valid());
         assert!(ToolDescription::scalpel(5e-4, 0.02).is_valid());
         assert!(tool(ToolKind::Needle, 0.05, 0.0).is_valid());
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_is_told_apart_and_its_owner_known() {
+    fn part_ids_are_unique_and_give_their_owner() {
         let ids: Vec<u32> = (0..3)
             .flat_map(|who| (0..2).map(move |part| part_id(ParticipantId(who), part)))
             .collect();

@@ -1,4 +1,4 @@
-//! Making up positions between and beyond samples.
+//! Interpolation between samples and extrapolation beyond them.
 //!
 //! A Verlet step of length h with acceleration a (Lin 2007, figs 6.8 and 6.9; the rule is
 //! reconstructed)
@@ -7,7 +7,7 @@
 //! x(t+h) = 2 x(t) - x(t-h) + a h²
 //! ```
 //!
-//! is, for any s beyond the newest sample x1 with xm one window before it,
+//! gives, for any s beyond the newest sample x1 with xm one window before it,
 //!
 //! ```text
 //! EXTRAPOLATE   x(s) = x1 + (x1 - xm)/h1 · s + a/2 · s (s + h1)
@@ -24,29 +24,32 @@
 //!
 //! # Beyond the newest sample: least squares and a fading acceleration
 //!
-//! Three samples 10 ms apart reach 20 ms back and throw all others of a 1 kHz stream away. Two errors are carried on:
-//! the parabola's for the hand's third derivative j, which grows with the reach W, and the noise σ of samples, here the
-//! rounding to 0.0125 mm on the wire, which falls with the n samples that are used. For a parabola of least squares over
-//! evenly spaced samples (its residual of a cubic is Legendre's third polynomial; its coefficients at the end of the
-//! window have the variances of the inverse normal equations for large n)
+//! Three samples 10 ms apart reach 20 ms back and discard all other samples of a 1 kHz stream. Two
+//! errors are extrapolated. The parabola's error for the hand's third derivative j grows with the reach
+//! W. The noise σ of samples, here the rounding to 0.0125 mm on the wire, falls with the number n of
+//! samples. For a least-squares parabola over evenly spaced samples (its residual of a cubic is
+//! Legendre's third polynomial; its coefficients at the end of the window have the variances of the
+//! inverse normal equations for large n)
 //!
 //! ```text
 //! j (s + 0.11 W) (s + 0.50 W) (s + 0.89 W) / 6            three samples:  j s (s + W/2) (s + W) / 6
 //! σ_v = √192 σ / (W √n)        σ_a = √720 σ / (W² √n)
 //! ```
 //!
-//! With W = 15 ms at 1 kHz the noise is that of three samples over 20 ms (of the velocity 231 σ/s for 255), and at
-//! s = 10 ms the error for j is four fifths of theirs. Between 12 and 18 ms the sum is flat; [`FIT_S`] is 15 ms.
+//! With W = 15 ms at 1 kHz the velocity noise is that of three samples over 20 ms (231 σ/s against 255),
+//! and at s = 10 ms the error for j is four fifths of theirs. Between 12 and 18 ms the sum is flat;
+//! [`FIT_S`] is 15 ms.
 //!
-//! An acceleration measured now says little of 50 ms later: physiological tremor, 8 to 12 Hz, has turned its
-//! own around by then, and a parabola goes on. Let it fade as exp(-s/τ) (the target that Singer 1970 tracks):
+//! An acceleration predicts little after 50 ms: physiological tremor, 8 to 12 Hz, has reversed by then,
+//! and a parabola continues. The acceleration therefore fades as exp(-s/τ) (the target model of Singer
+//! 1970):
 //!
 //! ```text
 //! EXTRAPOLATE   x(s) = x1 + v s + a τ² (exp(-s/τ) - 1 + s/τ)      = x1 + v s + a s²/2 - …   for s << τ
 //! ```
 //!
-//! τ = 25 ms, a quarter of a tremor's period. At 10 ms this takes an eighth off the acceleration's share, at
-//! 50 ms two fifths. Least squares and fading are reconstructions, not the source's.
+//! τ = 25 ms, a quarter of a tremor's period. This reduces the acceleration's share by an eighth at 10
+//! ms and by two fifths at 50 ms. Least squares and fading are reconstructions, not the source's.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -56,16 +59,17 @@ pub type Vec3 = [f64; 3];
 /// The window w in seconds.
 pub const WINDOW_S: f64 = 0.010;
 
-/// The window of the parabola that is continued, seconds.
+/// The window of the extrapolated parabola, seconds.
 pub const FIT_S: f64 = 0.015;
 
-/// The time within which an acceleration fades beyond the newest sample, seconds.
+/// Time constant of the fading acceleration beyond the newest sample, seconds.
 pub const FADES_S: f64 = 0.025;
 
-/// What a fit may make of the newest sample, metres: two steps of the wire. More is motion, not noise.
+/// The largest correction of the newest sample by a fit, metres: two steps of the wire. Larger residuals
+/// are motion, not noise.
 const NOISE_MAX_M: f64 = 2.5e-5;
 
-/// No hand accelerates faster, m/s²; what seems to is noise.
+/// The largest acceleration of a hand, m/s²; larger values are noise.
 pub const ACCELERATION_MAX: f64 = 50.0;
 
 /// A sample's position and time in seconds, relative to any origin.
@@ -98,7 +102,7 @@ pub fn acceleration(k0: Knot, km: Knot, k1: Knot) -> Vec3 {
     limited(a, ACCELERATION_MAX)
 }
 
-/// A vector no longer than `most`.
+/// The vector limited to length `most`.
 fn limited(a: Vec3, most: f64) -> Vec3 {
     let size = a.iter().map(|c| c * c).sum::<f64>().sqrt();
     if size > most {
@@ -119,19 +123,20 @@ pub struct Fit {
     pub a: Vec3,
 }
 
-/// The parabola of least squares through `knots`, at the moment of `here`, one of them. Nothing, if
-/// they are fewer than three moments.
+/// The least-squares parabola through `knots`, at the moment of `here`, one of them. `None` for fewer
+/// than three distinct moments.
 pub fn fit(knots: impl Iterator<Item = Knot>, here: Knot) -> Option<Fit> {
     let mut normal = Matrix3::zeros();
     let mut right = Matrix3::zeros();
     for knot in knots {
-        // In windows, and from the sample itself, so that no sum is large and none is lost in it.
+        // In units of the window and relative to the sample, so that no sum is large and no digits are
+        // lost.
         let t = (knot.t - here.t) / FIT_S;
         let row = Vector3::new(1.0, t, 0.5 * t * t);
         normal += row * row.transpose();
         right += row * Vector3::from(map2(knot.x, here.x, |x, o| x - o)).transpose();
     }
-    // Two moments make it singular; what is nearly so would be noise.
+    // Two moments make the matrix singular; a nearly singular one would amplify noise.
     if normal.determinant() < 1e-9 {
         return None;
     }
@@ -187,9 +192,9 @@ pub fn hermite(k0: Knot, k1: Knot, v0: Vec3, v1: Vec3, t: f64) -> Vec3 {
     map2(ends, slopes, |a, b| a + b)
 }
 
-/// Where the cubic of two samples and their velocities arrives: to be carried on as a [`Fit`] is. The cubic itself
-/// goes with the third power of time, and its third derivative is little but noise: 50 ms on it was 1.3 mm away from a
-/// hand of which a straight line is 0.4.
+/// The end of the cubic of two samples and their velocities, for extrapolation as a [`Fit`].
+/// Extrapolating the cubic itself amplifies its noisy third derivative: 50 ms ahead its error was 1.3
+/// mm, that of a straight line 0.4 mm.
 pub fn end_of_cubic((k0, v0): (Knot, Vec3), (k1, v1): (Knot, Vec3)) -> Fit {
     let gap = (k1.t - k0.t).max(1e-6);
     let chord = velocity(k0, k1);
@@ -226,7 +231,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_parabola_is_continued_exactly(
+        fn parabola_is_extrapolated_exactly(
             c in [-0.1_f64..0.1, -0.3_f64..0.3, -10.0_f64..10.0],
             h1 in 0.001_f64..0.02, h2 in 0.001_f64..0.02, s in 0.0_f64..0.05,
         ) {
@@ -240,7 +245,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_fit_finds_the_parabola_that_was_sampled_anyhow(
+        fn fit_recovers_a_parabola_from_any_sampling(
             c in [-0.1_f64..0.1, -0.3_f64..0.3, -10.0_f64..10.0],
             gaps in prop::collection::vec(0.001_f64..0.01, 3..20),
         ) {
@@ -257,7 +262,7 @@ mod tests {
         }
 
         #[test]
-        fn velocity_is_the_derivative_of_what_is_carried_on(
+        fn velocity_is_the_derivative_of_the_extrapolation(
             v in -0.3_f64..0.3, a in -10.0_f64..10.0, s in 0.0_f64..0.1,
         ) {
             let fit = Fit { x: [0.0; 3], v: [v; 3], a: [a; 3] };
@@ -271,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn two_moments_have_no_acceleration() {
+    fn two_samples_have_no_acceleration() {
         let k = |t: f64| Knot { t, x: [t; 3] };
         assert!(fit([k(0.0), k(-0.01)].into_iter(), k(0.0)).is_none());
     }

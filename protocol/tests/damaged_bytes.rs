@@ -1,5 +1,4 @@
-//! Whatever arrives in place of a message, what reads it gives an error or a valid message, and takes
-//! no more memory than its limit.
+//! Damaged bytes decode to an error or a valid message, and take no more memory than the limit.
 
 #![allow(clippy::unwrap_used)]
 
@@ -11,8 +10,8 @@ use palpate_protocol::datagram::{Datagram, Memory};
 use palpate_protocol::examples;
 use palpate_protocol::request::{ClientMessage, ServerMessage};
 
-/// The most bytes that reading one frame may hold at a time: the frame's own limit for what it says, as
-/// much again for a list that grows, and the words of an error.
+/// The memory limit for reading one frame in bytes: the frame's own limit for its content, the same
+/// again for a growing list, and the text of an error.
 const FRAME_HELD_MAX: usize = 3 * codec::FRAME_MAX_BYTES;
 
 /// The most bytes that reading one datagram may hold: twice 1024 nodes of 20 B, once for memory, and 64
@@ -53,7 +52,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// The most bytes that `run` holds at a time, and what it gives.
+/// The peak memory of `run` in bytes, and its result.
 fn held<T>(run: impl FnOnce() -> T) -> (usize, T) {
     let before = HELD.with(|held| {
         let (now, _) = held.get();
@@ -65,8 +64,8 @@ fn held<T>(run: impl FnOnce() -> T) -> (usize, T) {
     (most.max(0) as usize, out)
 }
 
-/// All that a few lost or turned bits make of some bytes: each beginning, each single bit turned, and
-/// each byte at its two ends.
+/// All small damages of some bytes: each prefix, each single bit flipped, and
+/// each byte at its two extremes.
 fn damages(good: &[u8]) -> impl Iterator<Item = Vec<u8>> {
     let begun = (0..good.len()).map(|len| good[..len].to_vec());
     let turned = (0..good.len() * 8).map(|bit| {
@@ -82,7 +81,7 @@ fn damages(good: &[u8]) -> impl Iterator<Item = Vec<u8>> {
     begun.chain(turned).chain(ends)
 }
 
-/// A message that is read is written again, and read from there as the same.
+/// A decoded message is encoded again, and decodes to the same message.
 fn check_frame<M: Message + PartialEq + std::fmt::Debug>(name: &str, body: &[u8]) -> bool {
     let (most, read) = held(|| codec::decode_body::<M>(body));
     assert!(most <= FRAME_HELD_MAX, "{name}: {most} bytes held");
@@ -91,13 +90,13 @@ fn check_frame<M: Message + PartialEq + std::fmt::Debug>(name: &str, body: &[u8]
     };
     let again = codec::encode_frame(&message).unwrap();
     let back = codec::decode_body::<M>(&again[codec::PREFIX_BYTES..]).unwrap();
-    // Not-a-number is not equal to itself, but is written alike.
+    // NaN is not equal to itself, but has the same bytes.
     assert_eq!(codec::encode_frame(&back).unwrap(), again, "{name}");
     true
 }
 
 #[test]
-fn a_damaged_frame_is_an_error_or_a_message_and_takes_no_more_than_its_limit() {
+fn damaged_frame_decodes_to_an_error_or_a_message_within_the_memory_limit() {
     let [client, server] = examples::frames().unwrap();
     for example in client {
         let body = &example.message[codec::PREFIX_BYTES..];
@@ -116,7 +115,7 @@ fn a_damaged_frame_is_an_error_or_a_message_and_takes_no_more_than_its_limit() {
 }
 
 #[test]
-fn a_frame_that_ends_early_is_no_message() {
+fn truncated_frame_is_an_error() {
     let [client, server] = examples::frames().unwrap();
     for example in client.iter().chain(&server) {
         let body = &example.message[codec::PREFIX_BYTES..];
@@ -125,7 +124,7 @@ fn a_frame_that_ends_early_is_no_message() {
                 codec::decode_body::<ClientMessage>(&body[..len]).is_ok(),
                 codec::decode_body::<ServerMessage>(&body[..len]).is_ok(),
             );
-            // What is cut off must not be taken for the message that it was.
+            // A truncated frame must not decode to the original message.
             let was_client = client.iter().any(|c| c.name == example.name);
             assert!(
                 !if was_client { both.0 } else { both.1 },
@@ -146,7 +145,7 @@ fn memory_after(all: &[examples::Example<Vec<u8>>], count: usize) -> Memory {
 }
 
 #[test]
-fn a_damaged_datagram_is_an_error_or_a_message_and_takes_no_more_than_its_limit() {
+fn damaged_datagram_decodes_to_an_error_or_a_message_within_the_memory_limit() {
     let all = examples::datagram_bytes().unwrap();
     for (i, example) in all.iter().enumerate() {
         for damaged in damages(&example.message) {
@@ -159,7 +158,7 @@ fn a_damaged_datagram_is_an_error_or_a_message_and_takes_no_more_than_its_limit(
                 example.name
             );
             if let Ok(datagram) = read {
-                // It can be said again: nothing is out of the range of what may be sent.
+                // It can be encoded again: every value is in the range of the wire format.
                 let again = datagram.encode(&mut Memory::default());
                 assert!(again.is_ok(), "{}: {again:?}", example.name);
             }

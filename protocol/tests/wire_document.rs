@@ -1,5 +1,5 @@
-//! The byte document is true: every example in it is what the code writes and reads, every message has
-//! one, and every kind is in its tables.
+//! Checks WIRE.md: every example matches the code, every message has an example, and every kind is in
+//! its tables.
 
 #![allow(clippy::unwrap_used)]
 
@@ -14,7 +14,7 @@ use palpate_protocol::request::{ClientMessage, RequestKind, ServerMessage};
 
 const DOCUMENT: &str = include_str!("../WIRE.md");
 
-/// Lines of examples begin so.
+/// The prefix of example lines.
 const MARK: &str = "example ";
 
 fn hex(bytes: &[u8]) -> String {
@@ -79,13 +79,13 @@ fn check_frames<M: Message + PartialEq + std::fmt::Debug>(messages: Vec<Example<
 }
 
 #[test]
-fn the_documents_frames_read_as_their_messages_and_are_written_alike() {
+fn documented_frames_decode_and_encode_exactly() {
     check_frames(examples::client_messages());
     check_frames(examples::server_messages());
 }
 
 #[test]
-fn the_documents_datagrams_read_in_their_order_and_are_written_alike() {
+fn documented_datagrams_decode_in_order_and_encode_exactly() {
     let documented = documented();
     let (mut theirs, mut ours) = (Memory::default(), Memory::default());
     for Example { name, message } in examples::datagrams() {

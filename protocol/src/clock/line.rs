@@ -1,38 +1,39 @@
-//! The line of the offset over time, from answers that were each some time on their way.
+//! The line of the clock offset over time, fitted to probe answers with unknown one-way delays.
 //!
-//! Two estimates, each the better one on other paths:
-//! - the **strip** between the fastest packets of both ways. Where packets wait in a queue now and then, its ends are
-//!   known after few of them, and what waits longer does not count.
-//! - the **mean** of all offsets, a line of least squares. Where every packet takes a little more or less (a bell, and no
-//!   edge), the fastest is an outlier and the mean of n of them is √n times surer than one.
+//! Two estimates are combined, because each is better on other paths:
+//! - The feasible **band** lies between the fastest packets of the uplink and of the downlink. Under
+//!   queueing a few fast packets determine it, and slower packets do not count.
+//! - The **mean** is a least-squares line through all offsets. Under jitter without a sharp minimum (a
+//!   normal distribution) the fastest packet is an outlier, and the mean of n packets is √n times more
+//!   precise than one.
 //!
-//! How wrong either may be shows in the answers themselves, and each counts by the inverse of its variance: for the
-//! mean the scatter over n, for the strip the distances between the fastest packets. A queue on one way draws the
-//! mean aside, but scatters it too, so that the strip counts there.
+//! Each estimate is weighted by its inverse variance. The variance of the mean is the scatter over n;
+//! that of the band follows from the distances between the fastest packets. A queue on one direction
+//! biases the mean and also increases its scatter, so that the band dominates.
 //!
-//! Over a short history any scatter looks like drift. So the slope of the mean has a price: the ratio of the scatter to
-//! what crystals drift as a rule is added to its normal equation. A burst delays several answers alike, which then count
-//! as fewer. These weights are a reconstruction of our own.
+//! Over a short history any scatter looks like drift. The slope of the mean is therefore regularised:
+//! the ratio of the scatter to the usual crystal drift is added to its normal equation. A burst delays
+//! several answers alike, which then count as fewer. These weights are our own.
 
 use std::collections::VecDeque;
 
 use super::{DRIFT_MAX, DRIFT_MIN};
 use crate::ClientTime;
 
-/// How far two crystals' rates are apart as a rule: an ordinary one is within some 30 to 50 ppm of its name. What history
-/// is short says less of the drift than this does.
+/// The usual rate difference of two crystals: an ordinary one is within 30 to 50 ppm of its nominal
+/// rate. A short history knows less about the drift than this prior.
 const DRIFT_USUAL: f64 = 40e-6;
 
-/// So many of the fastest packets of a way tell how surely its very fastest is known.
+/// The number of fastest packets per direction that determine the precision of the fastest one.
 const FASTEST: usize = 8;
 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Measurement {
     pub at: ClientTime,
     pub rtt_us: i64,
-    /// t1 - t0: the offset and the way up.
+    /// t1 - t0: the offset plus the uplink delay.
     pub above_us: i64,
-    /// t2 - t3: the offset less the way down.
+    /// t2 - t3: the offset minus the downlink delay.
     pub below_us: i64,
 }
 
@@ -43,67 +44,67 @@ impl Measurement {
     }
 }
 
-/// The widest strip between the two ways: at `origin`, on the slope.
+/// The widest feasible band between the two directions: at `origin`, with its slope.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Strip {
+pub(super) struct Band {
     pub middle_us: f64,
     width_us: f64,
     pub slope: f64,
 }
 
-/// The line of least squares through the offsets of all answers: at `origin`, on the slope.
+/// The least-squares line through the offsets of all answers: at `origin`, with its slope.
 #[derive(Debug, Clone, Copy)]
 struct Mean {
     middle_us: f64,
-    /// Of the middle of the history.
+    /// The variance at the middle of the history.
     variance_us2: f64,
     slope: f64,
 }
 
-/// The answers that an estimate rests on, oldest first.
+/// The answers that an estimate uses, oldest first.
 pub(super) struct Answers<'a> {
     pub answers: &'a VecDeque<Measurement>,
 }
 
 impl Answers<'_> {
-    /// The strip of one slope, at `origin`.
-    fn strip(&self, origin: ClientTime, slope: f64) -> Strip {
+    /// The band of one slope, at `origin`.
+    fn band(&self, origin: ClientTime, slope: f64) -> Band {
         let (mut above_us, mut below_us) = (f64::INFINITY, f64::NEG_INFINITY);
-        // Relative to one of them, so that hours of offset lose no digits.
+        // Offsets are relative to one answer, so that hours of offset lose no digits.
         let reference = self.answers.back().map_or(0, |m| m.above_us);
         for m in self.answers {
             let leaned = slope * (m.at - origin).as_micros() as f64;
             above_us = above_us.min(m.above_us.saturating_sub(reference) as f64 - leaned);
             below_us = below_us.max(m.below_us.saturating_sub(reference) as f64 - leaned);
         }
-        Strip {
+        Band {
             middle_us: reference as f64 + 0.5 * (above_us + below_us),
             width_us: above_us - below_us,
             slope,
         }
     }
 
-    /// The offset line by what is surer: the widest strip, or the mean of all answers.
-    pub(super) fn line(&self, origin: ClientTime) -> Strip {
+    /// The offset line: the band and the mean of all answers, weighted by precision.
+    pub(super) fn line(&self, origin: ClientTime) -> Band {
         let mean = self.mean_line(origin);
-        let unsure_us = self.unsure_of_fastest(origin, mean.slope);
-        let strip = self.widest_strip(origin);
-        let by_strip = 0.5 * unsure_us * unsure_us;
-        let by_mean = mean.variance_us2;
-        // Of two that know nothing against each other the strip is believed: it can not be drawn aside.
-        let share = if by_strip > 0.0 {
-            by_strip / (by_strip + by_mean)
+        let uncertainty_us = self.fastest_uncertainty(origin, mean.slope);
+        let band = self.widest_band(origin);
+        let band_variance = 0.5 * uncertainty_us * uncertainty_us;
+        let mean_variance = mean.variance_us2;
+        // With a band variance of zero the band counts alone: a queue can not bias it.
+        let share = if band_variance > 0.0 {
+            band_variance / (band_variance + mean_variance)
         } else {
             0.0
         };
-        Strip {
-            middle_us: strip.middle_us + share * (mean.middle_us - strip.middle_us),
-            slope: strip.slope + share * (mean.slope - strip.slope),
-            ..strip
+        Band {
+            middle_us: band.middle_us + share * (mean.middle_us - band.middle_us),
+            slope: band.slope + share * (mean.slope - band.slope),
+            ..band
         }
     }
 
-    /// The line of least squares through all offsets, its slope held by [`DRIFT_USUAL`].
+    /// The least-squares line through all offsets, its slope regularised by [`DRIFT_USUAL`].
     fn mean_line(&self, origin: ClientTime) -> Mean {
         let reference = self.answers.back().map_or(0, |m| m.above_us);
         let points: Vec<(f64, f64)> = (self.answers.iter())
@@ -130,7 +131,7 @@ impl Answers<'_> {
             0.0
         };
         let slope = slope.clamp(-DRIFT_MAX, DRIFT_MAX);
-        // A burst delays several answers alike: they tell as much as one, and n counts for less.
+        // A burst delays several answers alike, so that the effective n is smaller.
         let off = |p: &(f64, f64)| p.1 - x0 - free * (p.0 - t0);
         let squares: f64 = points.iter().map(|p| off(p).powi(2)).sum();
         let alike: f64 = points.windows(2).map(|w| off(&w[0]) * off(&w[1])).sum();
@@ -143,9 +144,10 @@ impl Answers<'_> {
         }
     }
 
-    /// How far the fastest packet of a way may be from the fastest that there could be: the mean distance between the
-    /// [`FASTEST`] (of an exponential tail, which every smooth one is near its end, that is its standard deviation).
-    fn unsure_of_fastest(&self, origin: ClientTime, slope: f64) -> f64 {
+    /// The distance of the fastest packet of a direction from the minimum delay: the mean distance
+    /// between the [`FASTEST`]. For an exponential tail, which every smooth tail resembles near its end,
+    /// this is the standard deviation.
+    fn fastest_uncertainty(&self, origin: ClientTime, slope: f64) -> f64 {
         let between = |of: &dyn Fn(&Measurement) -> i64, slope: f64| -> f64 {
             let reference = self.answers.back().map_or(0, of);
             let mut beyond: Vec<f64> = (self.answers.iter())
@@ -168,24 +170,25 @@ impl Answers<'_> {
         (0.5 * (up * up + down * down)).sqrt()
     }
 
-    /// The widest strip. Its width is concave in the slope (a least of straight lines less a greatest), so that thirds
-    /// find it. Its slope has no price: a burst spreads the fastest, and the price of that kept true drifts out.
-    fn widest_strip(&self, origin: ClientTime) -> Strip {
+    /// The widest band. Its width is concave in the slope (a minimum of straight lines less a maximum),
+    /// so that ternary search finds it. The slope has no prior: under bursts a prior suppressed real
+    /// drift.
+    fn widest_band(&self, origin: ClientTime) -> Band {
         const THIRDS: u32 = 18;
         let history = self.answers.back().zip(self.answers.front());
         if history.is_none_or(|(last, first)| last.at - first.at < DRIFT_MIN) {
-            return self.strip(origin, 0.0);
+            return self.band(origin, 0.0);
         }
         let (mut low, mut high) = (-DRIFT_MAX, DRIFT_MAX);
         for _ in 0..THIRDS {
             let third = (high - low) / 3.0;
             let (a, b) = (low + third, high - third);
-            if self.strip(origin, a).width_us < self.strip(origin, b).width_us {
+            if self.band(origin, a).width_us < self.band(origin, b).width_us {
                 low = a;
             } else {
                 high = b;
             }
         }
-        self.strip(origin, 0.5 * (low + high))
+        self.band(origin, 0.5 * (low + high))
     }
 }

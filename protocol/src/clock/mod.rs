@@ -1,28 +1,29 @@
-//! The server's clock as a client knows it.
+//! The client's estimate of the server's clock.
 //!
-//! A probe leaves the client at t0 and reaches the server at t1; the answer leaves at t2 and is
-//! back at t3 (t0, t3 on the client's clock, t1, t2 on the server's).
+//! A probe leaves the client at t0 and reaches the server at t1. The answer leaves at t2 and arrives at
+//! t3 (t0, t3 on the client's clock, t1, t2 on the server's).
 //!
 //! ```text
-//! r = (t3 - t0) - (t2 - t1)            time on the way, both ways
+//! r = (t3 - t0) - (t2 - t1)            round trip on the network
 //! θ = ((t1 - t0) + (t2 - t3)) / 2      offset, wrong by at most r / 2
 //! ```
 //!
-//! Queues only ever add, to either way. So the offset line θ(t) = a + ρ t lies below every
-//! `t1 - t0` and above every `t2 - t3`, and the widest strip of one slope ρ that has all of the first
-//! above it and all of the second below it touches the fastest packets of each way: its slope is the
-//! drift, its middle the offset. Each way finds its own fastest packet, where the smallest round trip
-//! needs both at once: with 5 ms of jitter the middle is five times nearer to the truth. Moon, Skelly and
-//! Towsley (INFOCOM 1999) find the skew of one way by a linear programme: the line under all delays that is
-//! nearest to them. That of both ways at once and the offset in its middle are our own. Slower packets do not
-//! touch it, so that a path may become slower and faster again. Where jitter has no edge to be touched, the mean
-//! of all answers is surer and counts instead (`line`). From the first lock on, the map never steps: what it
-//! lacks is made up at a rate of at most [`SLEW_MAX`].
+//! Queues only add delay, in either direction. The offset line θ(t) = a + ρ t therefore lies below every
+//! `t1 - t0` and above every `t2 - t3`. The widest band of one slope ρ between both sets touches the
+//! fastest packets of each direction: its slope is the drift, its middle the offset. Each direction
+//! finds its own fastest packet, where the smallest round trip needs both at once: with 5 ms of jitter
+//! the middle of the band is five times nearer to the truth. Moon, Skelly and Towsley (INFOCOM 1999)
+//! estimate the skew of one direction by a linear programme: the nearest line under all delays. Using
+//! both directions and the middle of the band is our own. Slower packets do not touch the band, so that
+//! a path may become slower and faster again. Under jitter without a sharp minimum the mean of all
+//! answers is more precise and counts instead (`line`). After the first lock the map never steps:
+//! corrections are slewed by at most [`SLEW_MAX`].
 //!
-//! A way that is always slower than the other can not be told from an offset: the bound says so. An
-//! answer that no offset within the bounds explains means that one of the two clocks was set. After
-//! [`STEP_REPLIES`] such answers the estimate begins anew, without a map until it is locked, and counts
-//! it in [`ClockEstimate::steps`]: whoever is in contact must let go, because no rate leads there.
+//! A constant asymmetry of the path can not be distinguished from an offset; the error bound includes
+//! it. An answer that no offset within the bounds explains means that one of the two clocks was set.
+//! After [`STEP_REPLIES`] such answers the estimate restarts, without a map until it is locked, and
+//! increments [`ClockEstimate::steps`]. A tool in contact must then let go, because no slew covers the
+//! step.
 
 mod line;
 
@@ -32,29 +33,29 @@ use crate::datagram::{Probe, Reply};
 use crate::{ClientTime, ServerTime, Span};
 use line::{Answers, Measurement};
 
-/// An answer that took longer is none.
+/// Answers with a longer round trip are ignored.
 pub const WINDOW: Span = Span::from_millis(4000);
 
-/// How far back the strip reaches: long, because a jitter of 1 ms over 4 s looks like 250 ppm.
+/// Length of the history: long, because a jitter of 1 ms over 4 s looks like 250 ppm.
 pub const DRIFT_WINDOW: Span = Span::from_millis(40_000);
 
-/// Steepest slope that is looked for: crystals are within 100 ppm, two of them within 200.
+/// The largest drift that is searched: crystals are within 100 ppm, two of them within 200.
 const DRIFT_MAX: f64 = 200e-6;
 
-/// How wrong the drift may be once [`DRIFT_MIN`] is there; before it is [`DRIFT_MAX`].
+/// The error bound of the drift after [`DRIFT_MIN`]; before, the bound is [`DRIFT_MAX`].
 const DRIFT_UNSURE: f64 = 30e-6;
 
-/// Answers in a row that contradict the map before a clock counts as set: one may be damaged.
+/// Consecutive contradicting answers before a clock counts as set: a single one may be damaged.
 pub const STEP_REPLIES: usize = 3;
 
-/// The least history that gives a drift; before, it counts as none.
+/// The shortest history that gives a drift; before, the drift is zero.
 const DRIFT_MIN: Span = Span::from_millis(5000);
 
-/// The largest rate of the map against the client's clock. Crystals differ by 100 ppm at most, so
-/// that it can follow any, and 500 ppm can be seen by nobody.
+/// The largest slew of the map against the client's clock. Crystals differ by 100 ppm at most, so that
+/// the map can follow any, and 500 ppm is not visible.
 pub const SLEW_MAX: f64 = 500e-6;
 
-/// What is lacking is made up within this time, if the slew allows.
+/// A correction is distributed over this time, if the slew limit allows.
 const SETTLE_US: f64 = 2e6;
 
 /// Answers before the first lock: at 20 ms between probes, 0.16 s and a round trip.
@@ -63,7 +64,7 @@ pub const LOCK_REPLIES: usize = 8;
 /// Measurements kept; at 10 Hz [`DRIFT_WINDOW`] needs 400.
 const KEPT_MAX: usize = 512;
 
-/// From a client's own clock to the server's and back, valid until the next one replaces it.
+/// The map from the client's clock to the server's and back, valid until the next one replaces it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClockMap {
     anchor: ClientTime,
@@ -73,7 +74,7 @@ pub struct ClockMap {
 }
 
 impl ClockMap {
-    /// A map that knows the truth: for a server that is its own client, and for tests.
+    /// An exact map: for a server that is its own client, and for tests.
     pub const fn exact(offset: Span) -> Self {
         Self {
             anchor: ClientTime::ZERO,
@@ -87,7 +88,7 @@ impl ClockMap {
         self.offset_us + self.rate * (t - self.anchor).as_micros() as f64
     }
 
-    /// The server's time at a moment of one's own.
+    /// The server time of a moment on the client's clock.
     pub fn to_server(&self, t: ClientTime) -> ServerTime {
         ServerTime::from_micros(
             t.as_micros()
@@ -95,16 +96,15 @@ impl ClockMap {
         )
     }
 
-    /// One's own time at a moment of the server's.
+    /// The client time of a moment on the server's clock.
     pub fn to_client(&self, t: ServerTime) -> ClientTime {
         let at_anchor = self.anchor.as_micros() as f64 + self.offset_us;
         let since = (t.as_micros() as f64 - at_anchor) / (1.0 + self.rate);
         ClientTime::from_micros(self.anchor.as_micros().saturating_add(since.round() as i64))
     }
 
-    /// How far the map can be from the truth: half of the round trip that it rests on, and what is
-    /// still to be made up. A path that is slower one way than the other can not be told from an
-    /// offset.
+    /// The error bound of the map: half of the smallest round trip plus the correction still to be
+    /// slewed. Path asymmetry can not be distinguished from an offset.
     pub fn error_bound(&self) -> Span {
         self.error_bound
     }
@@ -116,14 +116,14 @@ impl ClockMap {
 pub struct ClockEstimate {
     last_probe: u32,
     recent: VecDeque<Measurement>,
-    /// Answers in a row that contradict the map.
+    /// Consecutive answers that contradict the map.
     contradicting: Vec<Measurement>,
     map: Option<ClockMap>,
     steps: u64,
 }
 
 impl ClockEstimate {
-    /// Nothing known.
+    /// An estimate without measurements.
     pub fn new() -> Self {
         Self::default()
     }
@@ -137,8 +137,8 @@ impl ClockEstimate {
         }
     }
 
-    /// Takes an answer that arrived now. `None` until the clock is locked, and for what can not be
-    /// an answer of ours.
+    /// Takes an answer that arrived now. Returns `None` until the clock is locked, and for an answer
+    /// that does not match a probe.
     pub fn handle_reply(&mut self, reply: Reply, now: ClientTime) -> Option<ClockMap> {
         let up_and_down = (now - reply.client_sent).as_micros();
         let at_server = (reply.server_sent - reply.server_received).as_micros();
@@ -148,8 +148,8 @@ impl ClockEstimate {
             return None;
         }
         if reply.client_sent > now || rtt_us < 0 || up_and_down > WINDOW.as_micros() {
-            // Our own clock was set while the probe was on its way, or the answer is very late: it
-            // measures nothing. The next ones tell.
+            // The client's clock was set while the probe was under way, or the answer is very late: the
+            // answer measures nothing.
             return None;
         }
         let measurement = Measurement {
@@ -231,8 +231,8 @@ impl ClockEstimate {
         self.map
     }
 
-    /// How far the map can be from the truth now: every measurement bounds it, the newest by its
-    /// round trip alone, older ones also by what the drift may have done since.
+    /// The current error bound of the map: every measurement limits it. The newest does so by its round
+    /// trip alone, older ones also by the largest drift since.
     fn bound(&self, now: ClientTime, offset_us: f64, slope: f64) -> Span {
         let history = self.recent.back().zip(self.recent.front());
         let is_long = history.is_some_and(|(last, first)| last.at - first.at >= DRIFT_MIN);
@@ -246,7 +246,7 @@ impl ClockEstimate {
         Span::from_micros(least.ceil() as i64)
     }
 
-    /// How often one of the two clocks was set so far that the estimate began anew.
+    /// How often the estimate restarted because one of the two clocks was set.
     pub fn steps(&self) -> u64 {
         self.steps
     }

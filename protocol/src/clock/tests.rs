@@ -1,4 +1,4 @@
-//! What the estimate of the clock has to hold.
+//! Laws of the clock estimate.
 
 use super::*;
 use rand::{Rng, RngExt, SeedableRng};
@@ -18,7 +18,7 @@ fn run(
     run_over(seconds, drift, || rng.random_range(0..=jitter_us), check);
 }
 
-/// The same over a path that takes 30 ms and what `wait` gives, microseconds, each way.
+/// The same over a path with a one-way delay of 30 ms plus `wait` microseconds.
 fn run_over(
     seconds: i64,
     drift: f64,
@@ -95,7 +95,7 @@ fn to_client_is_the_inverse_of_to_server() {
 }
 
 #[test]
-fn an_answer_that_nobody_asked_for_is_ignored() {
+fn answer_without_a_probe_is_ignored() {
     let mut clock = ClockEstimate::new();
     let now = ClientTime::from_micros(1_000_000);
     let reply = Reply {
@@ -109,8 +109,8 @@ fn an_answer_that_nobody_asked_for_is_ignored() {
 }
 
 #[test]
-fn the_strip_is_nearer_than_the_fastest_round_trip_alone() {
-    // Two people at 10 ms of jitter: what they see of one tool is as far apart as their clocks.
+fn band_is_more_accurate_than_the_fastest_round_trip() {
+    // Two clients at 10 ms of jitter: their views of one tool differ by as much as their clocks.
     for seed in 0..8 {
         let mut rng = Pcg64::seed_from_u64(seed);
         run(&mut rng, 60, 40e-6, 10_000, |t3, _, error_us| {
@@ -122,7 +122,7 @@ fn the_strip_is_nearer_than_the_fastest_round_trip_alone() {
 }
 
 #[test]
-fn a_clock_that_is_set_by_hours_begins_the_estimate_anew_and_is_counted() {
+fn clock_set_by_hours_restarts_the_estimate_and_is_counted() {
     for step_us in [7_200_000_000_i64, -7_200_000_000] {
         let mut clock = ClockEstimate::new();
         let (mut lost, mut wrong) = (0, 0);
@@ -148,7 +148,7 @@ fn a_clock_that_is_set_by_hours_begins_the_estimate_anew_and_is_counted() {
             }
         }
         assert_eq!(clock.steps(), 1);
-        // Wrong only until the third answer says so; without a map until it is locked.
+        // The map is wrong only until the third answer; then there is none until the clock is locked.
         assert!(wrong < STEP_REPLIES as i32, "{wrong}");
         assert!(lost <= LOCK_REPLIES as i32, "{lost}");
     }
@@ -176,7 +176,7 @@ fn one_damaged_answer_changes_nothing() {
 }
 
 #[test]
-fn a_path_that_is_slower_one_way_stays_within_the_bound() {
+fn asymmetric_path_stays_within_the_bound() {
     let mut clock = ClockEstimate::new();
     for i in 0..300 {
         let probe = clock.probe(ClientTime::from_micros(i * 100_000));
@@ -197,8 +197,9 @@ fn a_path_that_is_slower_one_way_stays_within_the_bound() {
 }
 
 #[test]
-fn where_jitter_has_no_edge_the_mean_of_all_answers_is_believed() {
-    // The fastest of n of a bell of 0.5 ms is an outlier: the strip alone is wrong by up to 0.5 ms here.
+fn mean_counts_for_jitter_without_a_sharp_minimum() {
+    // The fastest of n normally distributed delays (σ 0.5 ms) is an outlier: the band alone is wrong by
+    // up to 0.5 ms here.
     let (mut worst, mut squares, mut n) = (0.0_f64, 0.0, 0);
     for seed in 0..16 {
         let mut rng = Pcg64::seed_from_u64(seed);
@@ -218,14 +219,14 @@ fn where_jitter_has_no_edge_the_mean_of_all_answers_is_believed() {
 }
 
 #[test]
-fn a_queue_that_comes_and_goes_on_one_way_does_not_draw_the_clock_aside() {
+fn intermittent_queue_on_the_uplink_does_not_bias_the_clock() {
     for seed in 0..8 {
         let mut rng = Pcg64::seed_from_u64(seed);
         let mut number = 0_u64;
         let wait = || {
             number += 1;
             let up = number % 2 == 1;
-            // Half of the time 20 ms more, on the way up alone.
+            // 20 ms more for half of the time, on the uplink only.
             let queued = up && number / 2 % 40 < 20;
             rng.random_range(0..=500) + if queued { 20_000 } else { 0 }
         };

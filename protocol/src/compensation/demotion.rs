@@ -1,43 +1,43 @@
-//! Who can no longer work with the others, because their network needs more delay than all accept.
+//! Demotion to spectator of participants whose network needs a longer delay than the cap.
 
 use super::CAP_DEFAULT;
 use crate::{ServerTime, Span};
 
-/// Beyond the cap for so long, a participant becomes a spectator: a burst of a radio link is over by
-/// then, and for that long others hold the tool still.
+/// A participant is demoted after this long beyond the cap. A burst of a radio link is over by then, and
+/// until then the other sites hold the tool still.
 pub const DEMOTE_AFTER: Span = Span::from_millis(3000);
 
-/// Below the way back for so long, they get their tool back: longer, so that a path that is sometimes
-/// good does not throw somebody in and out.
+/// A participant is restored after this long below the restore threshold: longer than [`DEMOTE_AFTER`],
+/// so that an intermittent path does not toggle the role.
 pub const RESTORE_AFTER: Span = Span::from_millis(10_000);
 
-/// The way back is this share of the cap.
+/// The restore threshold as a share of the cap.
 pub const RESTORE_SHARE: f64 = 0.9;
 
-/// A report that is older says nothing; until the next one nothing is decided.
+/// Older reports are ignored; no decision is made until the next report.
 pub const REPORT_OLD: Span = Span::from_millis(2000);
 
-/// What a participant is to be told.
+/// The server's decision about a participant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
-    /// They become a spectator: they need `wanted`, more than the `cap`.
+    /// The participant becomes a spectator: the delay estimate `wanted` is above the `cap`.
     Demote {
-        /// What they need.
+        /// The participant's delay estimate.
         wanted: Span,
-        /// What is accepted.
+        /// The largest delay of the session.
         cap: Span,
     },
-    /// Their network has recovered: they get their tool back.
+    /// The network has recovered: the participant gets the tool back.
     Restore,
 }
 
-/// The decision about one participant. Calling order: [`handle_wanted`](Self::handle_wanted) with
-/// every report, while they are a spectator too; its answer is acted on by whoever owns the roles.
+/// The decision about one participant. Calling order: [`handle_wanted`](Self::handle_wanted) with every
+/// report, also during demotion. The owner of the roles applies its result.
 #[derive(Debug, Clone)]
 pub struct Demotion {
     cap: Span,
     demoted: bool,
-    /// Since when the reports have been asking for the other state.
+    /// Since when the reports have contradicted the current role.
     since: Option<ServerTime>,
     last: Option<ServerTime>,
     demotions: u64,
@@ -50,7 +50,7 @@ impl Default for Demotion {
 }
 
 impl Demotion {
-    /// Somebody who takes part.
+    /// A participant that is not demoted.
     pub fn new(cap: Span) -> Self {
         Self {
             cap,
@@ -61,7 +61,7 @@ impl Demotion {
         }
     }
 
-    /// A report, and what follows from it.
+    /// Takes a report and returns the decision, if any.
     pub fn handle_wanted(&mut self, wanted: Span, now: ServerTime) -> Option<Verdict> {
         if self.last.is_some_and(|last| now - last > REPORT_OLD) {
             self.since = None;
@@ -97,13 +97,12 @@ impl Demotion {
         }
     }
 
-    /// Whether they are a spectator because of their network. The group's delay does not follow
-    /// them then.
+    /// Whether the participant is demoted. The group's delay then ignores their reports.
     pub fn is_demoted(&self) -> bool {
         self.demoted
     }
 
-    /// How often it came to that.
+    /// The number of demotions.
     pub fn demotions(&self) -> u64 {
         self.demotions
     }
@@ -126,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn who_needs_too_much_for_long_watches_until_the_network_has_recovered_for_longer() {
+    fn demotion_after_three_seconds_and_restoration_after_ten() {
         let mut demotion = Demotion::default();
         assert_eq!(feed(&mut demotion, 0, 2, 600), [], "a burst");
         assert_eq!(feed(&mut demotion, 2, 20, 390), []);
@@ -142,7 +141,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn nobody_is_thrown_in_and_out_faster_than_both_patiences(
+        fn role_never_toggles_faster_than_both_waiting_times(
             wanted in prop::collection::vec(0_i64..1000, 1..400),
         ) {
             let mut demotion = Demotion::default();

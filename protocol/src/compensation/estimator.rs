@@ -1,21 +1,21 @@
-//! One site's measurement of the age of what it receives.
+//! One site's measurement of the age of received motion.
 
 use std::collections::VecDeque;
 
-use super::need::Need;
+use super::bridged::BridgedDelay;
 use super::{ALPHA, PERCENTILE_WINDOW};
 use crate::lateness::Lateness;
 use crate::request::DelayReport;
 use crate::{ServerTime, Span};
 
-/// What is older or, by half a second, of the future was stamped or received by a clock that was
-/// set: it says nothing of the network. A path of ten seconds would end the session.
+/// Ages outside this range, in microseconds, mean that a clock was set: they do not measure the network.
+/// A path of ten seconds would end the session.
 const AGES: std::ops::RangeInclusive<i64> = -500_000..=10_000_000;
 
-/// The smallest age is remembered for this long, in halves.
+/// The minimum age is remembered for this long, in two halves.
 const LEAST_MEMORY: Span = Span::from_millis(4000);
 
-/// Arrivals that machines delayed do not begin a measurement for this long.
+/// For this long, arrivals that machines delayed do not start a measurement.
 const BEGIN_WITHIN: Span = Span::from_millis(1000);
 
 /// Motion that arrived, with the lateness that machines caused.
@@ -25,9 +25,9 @@ pub struct MotionArrival {
     pub generated: ServerTime,
     /// When it was handled here.
     pub arrived: ServerTime,
-    /// Lateness that its sender and the server report.
+    /// Lateness that its sender and the server reported.
     pub late: Lateness,
-    /// How long it may have waited here for a receiver that did not run.
+    /// How long it may have waited here for a stalled receiver.
     pub stall: Span,
 }
 
@@ -53,7 +53,7 @@ impl MotionArrival {
     }
 }
 
-/// The smallest age of the last [`LEAST_MEMORY`].
+/// The minimum age over the last [`LEAST_MEMORY`].
 #[derive(Debug, Clone, Copy, Default)]
 struct LeastAge {
     since: Option<ServerTime>,
@@ -61,7 +61,7 @@ struct LeastAge {
 }
 
 impl LeastAge {
-    /// Notes an age as it was measured; returns the smallest one.
+    /// Notes a measured age and returns the minimum.
     fn note(&mut self, age_us: i64, now: ServerTime) -> i64 {
         let half = Span::from_micros(LEAST_MEMORY.as_micros() / 2);
         if self.since.is_none_or(|since| (now - since).abs() >= half) {
@@ -81,14 +81,14 @@ pub enum DelayRule {
     MeanDeviation,
     /// The 98th percentile of the last [`PERCENTILE_WINDOW`] ages + packet interval.
     Percentile,
-    /// What is needed so that the timeline can bridge the rest ([`need`](super::BRIDGE)): the default, because
-    /// the other two cover nearly every packet, and pay a third more delay for what extrapolation
-    /// gives for nothing.
+    /// The delay after which the timeline can bridge the rest ([`BRIDGE`](super::BRIDGE)): the default.
+    /// The other two rules cover nearly every packet and cost a third more delay than extrapolation
+    /// needs.
     #[default]
     Bridged,
 }
 
-/// One site's measurement of the age of what it receives.
+/// One site's measurement of the age of received motion.
 #[derive(Debug, Clone)]
 pub struct DelayEstimator {
     rule: DelayRule,
@@ -100,14 +100,14 @@ pub struct DelayEstimator {
     least: LeastAge,
     spike_us: Option<f64>,
     ages_us: VecDeque<i64>,
-    need: Need,
+    bridged: BridgedDelay,
     urgent: bool,
     measured: u64,
     ignored: u64,
 }
 
 impl DelayEstimator {
-    /// Nothing measured yet.
+    /// An estimator without measurements.
     pub fn new(rule: DelayRule) -> Self {
         Self {
             rule,
@@ -119,16 +119,16 @@ impl DelayEstimator {
             least: LeastAge::default(),
             spike_us: None,
             ages_us: VecDeque::with_capacity(PERCENTILE_WINDOW),
-            need: Need::default(),
+            bridged: BridgedDelay::default(),
             urgent: false,
             measured: 0,
             ignored: 0,
         }
     }
 
-    /// Notes motion that arrived while the delay `in_force` held. The lateness that machines caused is taken off
-    /// its age, but never below the smallest age that was measured in the last seconds: a peer that claims
-    /// too much does not make its network shorter than it is. Returns the age that is left.
+    /// Notes motion that arrived while the delay `in_force` held. The lateness that machines caused is
+    /// subtracted from its age, down to the minimum age of the last seconds: an exaggerated lateness
+    /// report can not make the network seem faster. Returns the remaining age.
     pub fn handle_arrival(&mut self, motion: MotionArrival, in_force: Span) -> Span {
         let measured = (motion.arrived - motion.generated).as_micros();
         if !AGES.contains(&measured) {
@@ -137,7 +137,7 @@ impl DelayEstimator {
         }
         let arrival = motion.arrived;
         let first = *self.first_arrival.get_or_insert(arrival);
-        // Nothing is known yet that a delayed arrival could be compared with.
+        // There is no measurement yet to compare a delayed arrival with.
         if self.measured == 0 && motion.is_delayed() && (arrival - first).abs() < BEGIN_WITHIN {
             return (motion.age() - motion.stall).max(Span::ZERO);
         }
@@ -145,18 +145,17 @@ impl DelayEstimator {
         let taken_off = motion.late.newest.as_micros().min(measured - least);
         let latest = measured - taken_off;
         let earliest = (latest - motion.stall.as_micros().max(0)).max(least);
-        // Within what a stall leaves open the age is the usual one.
+        // Within the uncertainty of a stall, the usual age is assumed.
         let d = (self.mean_us as i64).clamp(earliest, latest);
         let d_us = d as f64;
         let age = Span::from_micros(d);
-        self.urgent |= (self.need).handle_arrival(&motion, Span::from_micros(taken_off), age);
+        self.urgent |= (self.bridged).handle_arrival(&motion, Span::from_micros(taken_off), age);
         if self.ages_us.len() == PERCENTILE_WINDOW {
             self.ages_us.pop_front();
         }
         self.ages_us.push_back(d);
         if let Some(last) = self.last_arrival {
-            // Packets that arrive together say nothing about the interval; gaps of a silent tool
-            // neither.
+            // Packets that arrive together and gaps of a silent tool do not measure the interval.
             let gap = (arrival - last).as_micros() as f64;
             self.interval_us += ALPHA * (gap.clamp(0.0, 50_000.0) - self.interval_us);
         }
@@ -185,8 +184,9 @@ impl DelayEstimator {
             DelayRule::MeanDeviation => self.mean_us + 4.0 * self.deviation_us,
             DelayRule::Percentile => self.percentile_us(0.98),
             DelayRule::Bridged => {
-                // One arrival says nothing: after a demotion the last motion of that participant may still come.
-                return self.need.wanted_us().map(Span::from_micros);
+                // One arrival is not enough: after a demotion, late motion of that participant may still
+                // arrive.
+                return self.bridged.wanted_us().map(Span::from_micros);
             }
         } + self.interval_us;
         let wanted = self.spike_us.map_or(settled, |spike| settled.max(spike));
@@ -209,23 +209,23 @@ impl DelayEstimator {
         Span::from_micros(self.deviation_us.round() as i64)
     }
 
-    /// Whether an age far beyond D is being followed.
+    /// Whether D* follows an age far beyond D.
     pub fn in_spike(&self) -> bool {
         self.spike_us.is_some()
     }
 
-    /// Whether the path has become slower since the last question: report it now, not at the next
-    /// period, because until D has grown everybody extrapolates.
+    /// Whether the path has become slower since the last call. Report it at once: until D has grown all
+    /// sites extrapolate.
     pub fn take_urgent(&mut self) -> bool {
         std::mem::take(&mut self.urgent) && self.rule == DelayRule::Bridged
     }
 
-    /// How many arrivals had an age that no network gives: a clock was set.
+    /// The number of arrivals with an age that no network gives: a clock was set.
     pub fn ignored(&self) -> u64 {
         self.ignored
     }
 
-    /// For the server; `None` before the first measurement.
+    /// The report for the server; `None` before the first measurement.
     pub fn report(&self) -> Option<DelayReport> {
         let us = |s: Span| u32::try_from(s.as_micros().max(0)).unwrap_or(u32::MAX);
         self.wanted().map(|wanted| DelayReport {

@@ -1,15 +1,15 @@
-//! The server's choice of D.
+//! The server's choice of the playout delay D.
 
 use super::CAP_DEFAULT;
 use crate::operation::{CompensationMode, CompensationSettings};
 use crate::request::DelayReport;
 use crate::{ParticipantId, ServerTime, Span};
 
-/// The server's choice of D for the whole group.
+/// The server's choice of the playout delay D for the whole group.
 ///
-/// Calling order: [`handle_report`](Self::handle_report) and [`remove`](Self::remove) as they
-/// come, [`poll_change`](Self::poll_change) at least every 100 ms; what it gives becomes an
-/// operation in the log, and is also given to the server's own [`DelaySchedule`](super::DelaySchedule).
+/// Calling order: [`handle_report`](Self::handle_report) and [`remove`](Self::remove) as events occur,
+/// [`poll_change`](Self::poll_change) at least every 100 ms. Its result becomes an operation in the log
+/// and also goes to the server's own [`DelaySchedule`](super::DelaySchedule).
 #[derive(Debug, Clone)]
 pub struct GroupDelay {
     mode: CompensationMode,
@@ -19,76 +19,83 @@ pub struct GroupDelay {
     floor: Floor,
 }
 
-/// What the server's own measurement and the participants' worst report have been at the least of
-/// late: in the half of [`FORESIGHT`] that runs and in the one before it.
+/// Minima of the server's own delay estimate and of the participants' worst report, over the current
+/// half of [`PREDICTION_WINDOW`] and the one before.
 ///
-/// When the way to the server becomes slower, the server sees it first: the slow samples still have
-/// to go down, and the report up. Everybody will need as much more as the server's need has grown.
+/// When an uplink becomes slower, the server measures it first: the slow samples must still travel the
+/// downlink, and the reports the uplink. Every participant's estimate will grow as much as the server's
+/// has.
 #[derive(Debug, Clone, Copy, Default)]
 struct Floor {
     since: Option<ServerTime>,
-    halves: [Option<Needs>; 2],
+    halves: [Option<Estimates>; 2],
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Needs {
+struct Estimates {
     server_us: u32,
-    others_us: u32,
+    participants_us: u32,
 }
 
-impl Needs {
+impl Estimates {
     fn least(self, other: Self) -> Self {
         Self {
             server_us: self.server_us.min(other.server_us),
-            others_us: self.others_us.min(other.others_us),
+            participants_us: self.participants_us.min(other.participants_us),
         }
     }
 }
 
 impl Floor {
-    /// What everybody will soon need, microseconds: at least what they say.
-    fn foresee(&mut self, needs: Needs, now: ServerTime) -> u32 {
-        let half = Span::from_micros(FORESIGHT.as_micros() / 2);
+    /// The predicted delay estimate of all participants, microseconds: at least the reported one.
+    fn predict(&mut self, estimates: Estimates, now: ServerTime) -> u32 {
+        let half = Span::from_micros(PREDICTION_WINDOW.as_micros() / 2);
         if self.since.is_none_or(|since| now - since >= half) {
             self.since = Some(now);
             self.halves = [None, self.halves[0]];
         }
-        self.halves[0] = Some(self.halves[0].map_or(needs, |n| n.least(needs)));
-        let least = self.halves.into_iter().flatten().fold(needs, Needs::least);
-        let rise_us = needs.server_us - least.server_us;
-        needs.others_us.max(least.others_us.saturating_add(rise_us))
+        self.halves[0] = Some(self.halves[0].map_or(estimates, |n| n.least(estimates)));
+        let least = self
+            .halves
+            .into_iter()
+            .flatten()
+            .fold(estimates, Estimates::least);
+        let rise_us = estimates.server_us - least.server_us;
+        estimates
+            .participants_us
+            .max(least.participants_us.saturating_add(rise_us))
     }
 }
 
-/// A decision of the server, to be written into the log.
+/// A decision of the server, to be appended to the log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DelayChange {
     /// The delay to reach, microseconds.
     pub delay_us: u32,
-    /// From when on.
+    /// When it takes effect.
     pub effective_at: ServerTime,
 }
 
-/// Not more often than this is D lowered, so that the log stays short.
+/// Minimum time between reductions of D, so that the log stays short.
 pub const CHANGE_PERIOD: Span = Span::from_millis(250);
 
-/// Not more often than this is D raised: sooner, because everybody extrapolates until it is.
+/// Minimum time between increases of D: shorter, because until then all sites extrapolate.
 pub const RAISE_PERIOD: Span = Span::from_millis(50);
 
-/// For so long a rise of the server's own need is added to what the others said before it: the
-/// slow samples have come to them by then, and their reports back.
-const FORESIGHT: Span = Span::from_millis(600);
+/// How long a rise of the server's own estimate is added to the earlier reports: by then the slow
+/// samples have reached the participants, and their reports the server.
+const PREDICTION_WINDOW: Span = Span::from_millis(600);
 
-/// What an operation needs beyond its way, to be sent again once on a short path.
+/// Time beyond the one-way delay that allows one retransmission of an operation on a short path.
 const LEAD_MARGIN: Span = Span::from_millis(20);
 
-/// A smaller change than this is not worth an operation. Where D is short, [`CHANGE_PART`] of it is less and counts.
+/// A smaller change is not worth an operation. Where D is short, D / [`CHANGE_PART`] is the threshold.
 pub const CHANGE_MIN: Span = Span::from_millis(2);
 
-/// The part of D, one in so many, that is worth an operation where D is short: 2 ms of 5 are not nothing.
+/// Divisor of D for the threshold where D is short: 2 ms of 5 ms matter.
 pub const CHANGE_PART: i64 = 16;
 
-/// However short D is, less is noise of the measurement.
+/// Changes below this are measurement noise, however short D is.
 const CHANGE_LEAST: Span = Span::from_micros(500);
 
 impl GroupDelay {
@@ -103,8 +110,8 @@ impl GroupDelay {
         }
     }
 
-    /// What a site needs: a participant's report, or the server's own measurement of what it
-    /// receives, under [`ParticipantId::SERVER`].
+    /// Takes a site's delay estimate: a participant's report, or the server's own measurement of
+    /// received motion, under [`ParticipantId::SERVER`].
     pub fn handle_report(&mut self, who: ParticipantId, report: DelayReport) {
         match self.wanted.iter_mut().find(|(p, _)| *p == who) {
             Some((_, wanted)) => *wanted = report.wanted_us,
@@ -112,13 +119,13 @@ impl GroupDelay {
         }
     }
 
-    /// A participant went.
+    /// Forgets a participant that left.
     pub fn remove(&mut self, who: ParticipantId) {
         self.wanted.retain(|(p, _)| *p != who);
     }
 
-    /// Whether somebody needs more than the cap: what they are shown is extrapolated or held where
-    /// it comes too late, and what they do is shown to others late.
+    /// Participants whose delay estimate is above the cap. They extrapolate or hold late motion, and the
+    /// other sites receive their motion late.
     pub fn beyond_cap(&self) -> impl Iterator<Item = ParticipantId> + '_ {
         let cap = match self.mode {
             CompensationMode::Adaptive { cap_us } => cap_us,
@@ -130,24 +137,25 @@ impl GroupDelay {
             .map(|(p, _)| *p)
     }
 
-    /// A new decision, if one is due. It takes effect `lead` from now: choose the time that an
-    /// operation needs to reach everybody, so that all change together.
+    /// Returns a new decision if one is due. It takes effect `lead` from now: choose a lead within which
+    /// an operation reaches every site, so that all sites change together.
     pub fn poll_change(&mut self, now: ServerTime, lead: Span) -> Option<DelayChange> {
         let CompensationMode::Adaptive { cap_us } = self.mode else {
             return None;
         };
-        let (server, others): (Vec<_>, Vec<_>) =
+        let (server, participants): (Vec<_>, Vec<_>) =
             (self.wanted.iter()).partition(|(p, _)| *p == ParticipantId::SERVER);
-        let most = |needs: Vec<&(ParticipantId, u32)>| needs.into_iter().map(|(_, w)| *w).max();
-        let wanted = match (most(server), most(others)) {
-            (Some(server_us), Some(others_us)) => {
-                let needs = Needs {
+        let most =
+            |estimates: Vec<&(ParticipantId, u32)>| estimates.into_iter().map(|(_, w)| *w).max();
+        let wanted = match (most(server), most(participants)) {
+            (Some(server_us), Some(participants_us)) => {
+                let estimates = Estimates {
                     server_us,
-                    others_us,
+                    participants_us,
                 };
-                self.floor.foresee(needs, now).max(server_us)
+                self.floor.predict(estimates, now).max(server_us)
             }
-            (server, others) => server.max(others)?,
+            (server, participants) => server.max(participants)?,
         }
         .min(cap_us);
         let change = i64::from(wanted) - i64::from(self.target_us);
@@ -172,10 +180,11 @@ impl GroupDelay {
         })
     }
 
-    /// A lead for [`poll_change`](Self::poll_change) that lets an operation reach everybody: what they
-    /// need covers two ways, and an operation goes one.
+    /// A lead for [`poll_change`](Self::poll_change) within which an operation reaches every site: the
+    /// delay estimates cover uplink plus downlink, an operation takes only the downlink.
     pub fn lead(&self) -> Span {
-        // One report must not put off every later change: no change takes effect before an earlier one.
+        // No change takes effect before an earlier one, so that one report must not postpone all later
+        // changes.
         let most = match self.mode {
             CompensationMode::Adaptive { cap_us } => cap_us,
             CompensationMode::None | CompensationMode::Fixed => CAP_DEFAULT.as_micros() as u32,

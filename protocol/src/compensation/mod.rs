@@ -1,60 +1,62 @@
 //! Artificial time compensation: every site shows an event stamped t at t + D.
 //!
-//! Each site measures the age of what it receives (Lin 2007, chapter 6; the rule is
+//! Each site measures the age of received motion (Lin 2007, chapter 6; the rule is
 //! reconstructed):
 //!
 //! ```text
 //! d = t_arrival - t_generated;   μ += α (d - μ);   ν += α (|d - μ| - ν)          α = 0.02
 //! D* = μ + 4ν + packet interval, or the 98th percentile of the last 200 d + interval
 //! spike mode: while d > D + 8ν, D* follows d at once; it ends when d falls below D again
-//! bridged: what the timeline can not bridge of the time since the newest sample (the default, `need`)
-//! foresight: what the way to the server gained within 600 ms is added to what the others said before it
+//! bridged: the part of the time since the newest sample that the timeline can not bridge (the default, `bridged`)
+//! prediction: the growth of the uplink age within 600 ms is added to the earlier reports of the participants
 //! group: D = max over participants, slewed by dD/dt in [-0.02, +0.25], D <= cap
 //! ```
 //!
-//! μ + 4ν is the playout delay of Ramjee, Kurose, Towsley and Schulzrinne (INFOCOM 1994, algorithm 1), with ten times
-//! their α, as packets come five times as often and a hand may not wait; their spike mode (algorithm 4) begins with a
-//! jump from one packet to the next and follows its slope, ours begins and ends at D. A percentile of past delays is
-//! Moon, Kurose and Towsley's (Multimedia Systems 6(1), 1998), over 10,000 packets there. Neither has a group, a slewed D
-//! or a timeline that bridges: those are the rules of here.
+//! μ + 4ν is the playout delay of Ramjee, Kurose, Towsley and Schulzrinne (INFOCOM 1994, algorithm 1).
+//! Our α is ten times theirs, as packets arrive five times as often and a hand may not wait. Their spike
+//! mode (algorithm 4) begins with a jump between packets and follows its slope; ours begins and ends at
+//! D. The percentile of past delays is Moon, Kurose and Towsley's (Multimedia Systems 6(1), 1998), over
+//! 10,000 packets there. The group rule, the slewed D and the bridging timeline are our own.
 //!
-//! [`Prediction`] is the other reading of the source: the server predicts, and nobody waits.
+//! [`Prediction`] is the other reading of the source: the server predicts, and no site delays.
 //!
-//! [`Demotion`] says who needs too much for too long. [`DelayEstimator`] is one site's measurement, [`GroupDelay`] the server's decision,
-//! [`DelaySchedule`] what everybody makes of the decisions: the same D at the same server time on
-//! every site, because it is a function of the operations log alone.
+//! [`DelayEstimator`] is one site's measurement, [`GroupDelay`] the server's decision. [`Demotion`]
+//! selects participants whose estimate stays above the cap. [`DelaySchedule`] turns the decisions into
+//! D: the same D at the same server time on every site, because it is a function of the operation log
+//! alone.
 
+mod bridged;
 mod demotion;
 mod estimator;
 mod group;
-mod need;
 mod prediction;
 mod schedule;
 
 use crate::Span;
 
+pub use bridged::BRIDGE;
 pub use demotion::{DEMOTE_AFTER, Demotion, REPORT_OLD, RESTORE_AFTER, RESTORE_SHARE, Verdict};
 pub use estimator::{DelayEstimator, DelayRule, MotionArrival};
 pub use group::{CHANGE_MIN, CHANGE_PART, CHANGE_PERIOD, DelayChange, GroupDelay, RAISE_PERIOD};
-pub use need::BRIDGE;
 pub use prediction::{PREDICTION_MAX, Prediction};
 pub use schedule::{CATCH_UP, DelaySchedule};
 
 /// Weight of the newest measurement in μ and ν: a memory of 50 packets, 0.2 s at 250 Hz.
 pub const ALPHA: f64 = 0.02;
 
-/// How fast D may shrink, seconds per second: a tool shown seems at most 2 % faster than it was.
+/// How fast D may shrink, seconds per second: a displayed tool moves at most 2 % faster.
 pub const SLEW_DOWN: f64 = 0.02;
 
-/// How fast D may grow, seconds per second: what is shown slows down to three quarters.
+/// How fast D may grow, seconds per second: displayed motion slows down to three quarters.
 pub const SLEW_UP: f64 = 0.25;
 
 /// The largest D of the adaptive rule unless the host raises it. With a server in the middle an age is
-/// two one-way trips: two people at 120 ms from it need 240 ms and their jitter, and 200 ms would send
-/// both away from an intercontinental session. Beyond 400 ms two people no longer work on one moment.
+/// uplink plus downlink: two participants at 120 ms from it need 240 ms plus their jitter, so that 200
+/// ms would demote both in an intercontinental session. Beyond 400 ms two people no longer work on one
+/// moment.
 pub const CAP_DEFAULT: Span = Span::from_millis(400);
 
-/// How many ages the percentile looks at; older ones are forgotten.
+/// The number of ages in the percentile window.
 pub const PERCENTILE_WINDOW: usize = 200;
 
 #[cfg(test)]

@@ -1,33 +1,33 @@
 //! The other reading of artificial time compensation: the server predicts.
 //!
-//! The source's abstract says that compensation reduces "the time discrepancy between the server and the client", which
-//! can be read in two ways. Delay equalisation, everybody showing an event stamped t at t + D, is what sessions do.
-//! Prediction is the other one (both rules are reconstructed): nobody waits, and to each client the server sends a tool
-//! as it will be when the packet arrives,
+//! The source's abstract states that compensation reduces "the time discrepancy between the server and
+//! the client", which has two readings (both rules are reconstructed). In delay equalisation every site
+//! shows an event stamped t at t + D; sessions use it. In prediction no site delays: the server
+//! extrapolates a tool to the arrival time of the packet at each client,
 //!
 //! ```text
-//! sent to client k:   x^(g + A_k)         g the newest sample's moment, A_k what such samples take to k
+//! sent to client k:   x^(g + A_k)         g the newest sample's moment, A_k the age of such samples at k
 //! A_k -> μ_k + 2ν_k   mean age and mean deviation that k reports, slewed by dA/dt in [-0.25, +0.02], A <= 200 ms
 //! ```
 //!
-//! so that the disagreement of two sites is the error of a prediction over A, where equalisation leaves what is missing
-//! beyond D. `palpate-lab run atc-predicted` compares the two: a hand of 87 mm/s and 0.1 mm of tremor can be foreseen for
-//! some ten milliseconds.
+//! so that the disagreement of two sites is the prediction error over A; under equalisation it is the
+//! motion missing beyond D. `palpate-lab run atc-predicted` compares the two: a hand of 87 mm/s and 0.1
+//! mm of tremor can be predicted for about ten milliseconds.
 
 use super::{SLEW_DOWN, SLEW_UP};
 use crate::request::DelayReport;
 use crate::{ServerTime, Span};
 
-/// Nothing is predicted farther ahead: by then a hand's tremor has turned around twice.
+/// The largest prediction horizon: by then a hand's tremor has reversed twice.
 pub const PREDICTION_MAX: Span = Span::from_millis(200);
 
-/// How many mean deviations more than the mean age: predictions differ from one to the next, so that who has to go on
-/// beyond the newest makes much of little (54 mm across an ocean at 0 of them), and farther ahead each is worse. The sum
-/// is least at 1 to 2.
+/// The number of mean deviations above the mean age. Consecutive predictions differ, so that a client
+/// that extrapolates beyond the newest amplifies their differences (54 mm across an ocean at 0
+/// deviations); longer predictions are each worse. The sum of both errors is smallest at 1 to 2.
 const DEVIATIONS: f64 = 2.0;
 
-/// How far ahead the server predicts for one client. Calling order: [`handle_report`](Self::handle_report) as reports
-/// come; [`ahead_at`](Self::ahead_at) with times that do not go back.
+/// How far ahead the server predicts for one client. Calling order: [`handle_report`](Self::handle_report) with reports
+/// and [`ahead_at`](Self::ahead_at) with times that do not go back.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Prediction {
     target_us: f64,
@@ -40,20 +40,20 @@ impl Prediction {
         Self::default()
     }
 
-    /// What a client says of the age of others' samples on their arrival.
+    /// Takes a client's report on the age of remote samples on their arrival.
     pub fn handle_report(&mut self, report: DelayReport, now: ServerTime) {
         let most = PREDICTION_MAX.as_micros() as f64;
         let most_of_them_us =
             f64::from(report.mean_us) + DEVIATIONS * f64::from(report.deviation_us);
         self.target_us = most_of_them_us.min(most);
         if self.known.is_none() {
-            // Nothing was predicted yet, so nothing shown can jump.
+            // Without an earlier prediction the displayed tool can not jump.
             self.known = Some((now, self.target_us));
         }
     }
 
-    /// How far beyond a tool's newest sample to predict at a moment: slewed, so that what is shown neither runs
-    /// backwards nor hurries, by the rates of the other reading.
+    /// The prediction horizon beyond a tool's newest sample at a moment: slewed, so that displayed
+    /// motion neither reverses nor accelerates, by the rates of the other reading.
     pub fn ahead_at(&mut self, now: ServerTime) -> Span {
         let Some((at, before_us)) = self.known else {
             return Span::ZERO;
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_predicted_for_whom_nothing_is_known_of_and_the_first_report_counts_at_once() {
+    fn no_prediction_before_the_first_report_which_counts_at_once() {
         let mut prediction = Prediction::new();
         let now = ServerTime::from_micros(7_000_000);
         assert_eq!(prediction.ahead_at(now), Span::ZERO);
@@ -89,7 +89,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_predicted_goes_forward_hurries_by_a_fiftieth_at_most_and_stays_within_the_limit(
+        fn predicted_time_advances_at_most_two_percent_faster_within_the_limit(
             reports in prop::collection::vec((0_u32..2_000_000, 1_i64..2000), 1..40),
         ) {
             let mut prediction = Prediction::new();

@@ -6,22 +6,22 @@ use super::{SLEW_DOWN, SLEW_UP};
 use crate::operation::CompensationSettings;
 use crate::{ServerTime, Span};
 
-/// D over server time, as the operations log says it.
+/// D over server time, as a function of the operation log.
 ///
-/// From `effective_at` on, D moves from where it then is towards the new value, by at most
-/// [`SLEW_UP`] and [`SLEW_DOWN`] per second. Give it every `Compensation` operation in the order of
-/// the log; ask it for any time from then on.
+/// From `effective_at` on, D moves from its current value towards the new one, by at most [`SLEW_UP`]
+/// and [`SLEW_DOWN`] per second. Give it every `Compensation` operation in the order of the log; query
+/// any later time.
 ///
-/// An operation that was long on its way comes when its change has taken effect. Whoever shows a
-/// picture gives it to [`handle_late_change`](Self::handle_late_change): the picture then goes from
-/// where it is to where the others are, and neither jumps nor runs backwards.
+/// A late operation arrives after its change has taken effect. A site with a display passes it to
+/// [`handle_late_change`](Self::handle_late_change): the displayed moment then converges to that of the
+/// other sites, and neither jumps nor runs backwards.
 #[derive(Debug, Clone)]
 pub struct DelaySchedule {
     changes: VecDeque<Change>,
     behind: Option<Behind>,
 }
 
-/// What a late change left between D as it was here and D as the log says it.
+/// The remaining difference between the local D and the log's D after a late change.
 #[derive(Debug, Clone, Copy)]
 struct Behind {
     at: ServerTime,
@@ -38,8 +38,8 @@ impl Behind {
     }
 }
 
-/// How fast a site whose change came late makes up for it, seconds per second, beside [`SLEW_UP`]:
-/// what is shown then still goes forward, at a quarter of its speed for some milliseconds.
+/// The rate at which a site corrects D after a late change, seconds per second, in addition to
+/// [`SLEW_UP`]: displayed time still advances, at a quarter of its speed for some milliseconds.
 pub const CATCH_UP: f64 = 0.5;
 
 #[derive(Debug, Clone, Copy)]
@@ -57,9 +57,9 @@ impl Change {
     }
 }
 
-/// Changes remembered, so that past moments can still be asked for. At the server's shortest
-/// period, [`RAISE_PERIOD`](super::RAISE_PERIOD), this is 3.2 s; older moments get the delay of the
-/// oldest remembered change.
+/// Changes remembered, so that past moments can be queried. At the server's shortest period,
+/// [`RAISE_PERIOD`](super::RAISE_PERIOD), this is 3.2 s; older moments get the delay of the oldest
+/// remembered change.
 const CHANGES_MAX: usize = 64;
 
 impl DelaySchedule {
@@ -77,7 +77,7 @@ impl DelaySchedule {
         }
     }
 
-    /// A `Compensation` operation. One that would take effect before its predecessor takes effect
+    /// Takes a `Compensation` operation. One that would take effect before its predecessor takes effect
     /// with it.
     pub fn handle_change(&mut self, delay_us: u32, effective_at: ServerTime) {
         let last = self.changes.back().copied();
@@ -94,8 +94,8 @@ impl DelaySchedule {
         });
     }
 
-    /// A `Compensation` operation that arrives at a site whose time is `now`, where something is
-    /// shown: D goes on from where it is, and reaches the others' by [`CATCH_UP`].
+    /// Takes a `Compensation` operation that arrives at a site with a display at time `now`: D continues
+    /// from its current value and converges to the log's D by [`CATCH_UP`].
     pub fn handle_late_change(&mut self, delay_us: u32, effective_at: ServerTime, now: ServerTime) {
         let before_us = self.delay_us(now);
         self.behind = None;

@@ -19,7 +19,7 @@ fn adaptive(initial_us: u32, cap_us: u32) -> CompensationSettings {
 }
 
 #[test]
-fn what_a_site_wants_covers_nearly_all_that_arrives() {
+fn delay_estimate_covers_nearly_all_arrivals() {
     for rule in [DelayRule::MeanDeviation, DelayRule::Percentile] {
         let mut rng = Pcg64::seed_from_u64(3);
         let mut estimator = DelayEstimator::new(rule);
@@ -46,7 +46,7 @@ fn what_a_site_wants_covers_nearly_all_that_arrives() {
 }
 
 #[test]
-fn a_spike_is_followed_at_once_and_forgotten_when_it_is_over() {
+fn spike_is_followed_at_once_and_forgotten_afterwards() {
     let mut estimator = DelayEstimator::new(DelayRule::MeanDeviation);
     let in_force = Span::from_millis(70);
     let mut t = 0;
@@ -67,7 +67,7 @@ fn a_spike_is_followed_at_once_and_forgotten_when_it_is_over() {
 }
 
 #[test]
-fn a_clock_that_is_set_by_hours_is_no_delay_and_is_counted() {
+fn clock_set_by_hours_is_not_a_delay_and_is_counted() {
     for rule in [
         DelayRule::MeanDeviation,
         DelayRule::Percentile,
@@ -95,7 +95,7 @@ fn a_clock_that_is_set_by_hours_is_no_delay_and_is_counted() {
 }
 
 #[test]
-fn what_the_way_to_the_server_gains_is_foreseen_for_everybody() {
+fn growth_of_the_uplink_delay_is_predicted_for_all_participants() {
     let mut group = GroupDelay::new(&adaptive(50_000, 400_000));
     let report = |wanted_us| DelayReport {
         wanted_us,
@@ -119,7 +119,7 @@ fn what_the_way_to_the_server_gains_is_foreseen_for_everybody() {
 }
 
 #[test]
-fn the_schedule_is_one_function_of_the_log_and_never_runs_backwards() {
+fn schedule_is_a_function_of_the_log_and_never_runs_backwards() {
     let mut schedule = DelaySchedule::new(&adaptive(50_000, 200_000));
     schedule.handle_change(150_000, at(1_000_000));
     schedule.handle_change(60_000, at(2_000_000));
@@ -142,7 +142,7 @@ fn the_schedule_is_one_function_of_the_log_and_never_runs_backwards() {
 
 proptest! {
     #[test]
-    fn changes_that_come_late_are_made_up_for_and_nothing_shown_jumps(
+    fn late_changes_are_corrected_without_jumps(
         changes in prop::collection::vec((0_u32..300, 0_i64..400, 0_i64..400), 1..12),
     ) {
         let settings = adaptive(50_000, 400_000);
@@ -172,7 +172,7 @@ proptest! {
 }
 
 #[test]
-fn the_group_follows_its_slowest_up_to_the_cap_and_names_who_is_beyond() {
+fn group_delay_follows_the_slowest_up_to_the_cap_and_lists_participants_beyond() {
     let mut group = GroupDelay::new(&adaptive(50_000, 200_000));
     let report = |wanted_us| DelayReport {
         wanted_us,
@@ -232,7 +232,7 @@ fn a_fixed_delay_stays() {
 }
 
 #[test]
-fn no_report_puts_a_change_off_by_more_than_half_the_cap() {
+fn no_report_postpones_a_change_by_more_than_half_the_cap() {
     let cap_us = 400_000;
     let mut group = GroupDelay::new(&CompensationSettings {
         mode: CompensationMode::Adaptive { cap_us },
@@ -248,7 +248,7 @@ fn no_report_puts_a_change_off_by_more_than_half_the_cap() {
 
 proptest! {
     #[test]
-    fn no_claim_of_lateness_makes_a_network_shorter_or_longer_than_it_is(
+    fn reported_lateness_keeps_the_age_within_measured_bounds(
         claims in prop::collection::vec((0_i64..3000, 0_i64..3000, 0_i64..400), 1..50),
         base_ms in 5_i64..200,
         seed in any::<u64>(),
@@ -282,14 +282,14 @@ proptest! {
 }
 
 #[test]
-fn lateness_of_the_sender_is_not_taken_for_the_network_s() {
+fn sender_lateness_does_not_count_as_network_delay() {
     let mut estimator = DelayEstimator::new(DelayRule::default());
     let mut t = 0;
     for i in 0..4000_i64 {
         // One batch of 50 leaves 200 ms late, and nothing between it and the batch before.
         let (interval_us, newest_ms, oldest_ms) = match i % 50 {
             48 => (204_000, 40, 200),
-            // It catches up with what was taken meanwhile.
+            // The queue of the stall drains.
             49 => (4000, 0, 40),
             _ => (4000, 0, 0),
         };

@@ -1,4 +1,4 @@
-//! Bytes in and out, in little endian, with the end in view.
+//! Reads and writes little-endian bytes with bounds checks.
 
 use crate::ProtocolError;
 
@@ -44,7 +44,7 @@ impl<'a> Reader<'a> {
         Self { rest: bytes, what }
     }
 
-    /// Says which part is read from here on, for errors.
+    /// Names the part that is read from here on, for errors.
     pub(super) fn part(&mut self, what: &'static str) {
         self.what = what;
     }
@@ -64,12 +64,12 @@ impl<'a> Reader<'a> {
 
     take!(u8: u8, u16: u16, u32: u32, i64: i64);
 
-    /// What has not been read.
+    /// The unread bytes.
     pub(super) fn rest(self) -> &'a [u8] {
         self.rest
     }
 
-    /// Makes sure, before anything is allocated, that `count` items of at least `bytes` each can
+    /// Checks, before any allocation, that `count` items of at least `bytes` each can
     /// still follow.
     pub(super) fn expect_items(&self, count: usize, bytes: usize) -> Result<(), ProtocolError> {
         if self.rest.len() < count * bytes {

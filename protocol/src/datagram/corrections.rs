@@ -1,13 +1,13 @@
-//! Where nodes of the tissue are, for comparison and for show. The bytes are in [`super::shape`].
+//! Node displacements, for comparison and for display. The bytes are in [`super::shape`].
 
 use super::shape::PIECE_NODES;
 use crate::ServerTime;
 
-/// Where some nodes of the tissue are, in steps of
+/// Displacements of some nodes of the tissue, in steps of
 /// [`DISPLACEMENT_STEP_M`](super::shape::DISPLACEMENT_STEP_M).
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Corrections {
-    /// The topology that the node numbers belong to; of another one they mean nothing.
+    /// The topology that the node numbers belong to.
     pub topology_version: u32,
     /// The moment that the displacements are for.
     pub view_time: ServerTime,
@@ -31,7 +31,7 @@ impl Corrections {
     }
 }
 
-/// The displacements of the nodes in view, for a client that has no tissue of its own.
+/// The displacements of the nodes in view, for a client without its own tissue.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Displacements {
     /// Step of the displacements in micrometres, up to [`super::shape::STEP_MAX_UM`]; 50 looks smooth.
@@ -40,7 +40,7 @@ pub struct Displacements {
     pub topology_version: u32,
     /// The moment that they are for.
     pub view_time: ServerTime,
-    /// Nodes in view that are off by more than a step at that moment and are not told of for want of room.
+    /// Nodes in view whose error exceeds a step at that moment and that did not fit into the rate.
     pub waiting: u32,
     /// Node and displacement from its rest position in metres; nodes ascend.
     pub nodes: Vec<(u32, [f32; 3])>,

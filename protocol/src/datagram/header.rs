@@ -1,4 +1,4 @@
-//! What every datagram begins with, as short as both ends can complete it.
+//! The header of every datagram, truncated as far as the receiver can complete it.
 
 use super::bytes::{Reader, Writer};
 use super::{KIND_MOTION, Moment, quantise};
@@ -10,25 +10,25 @@ const IS_WHOLE: u8 = 0x10;
 const EPOCH_SHIFT: u32 = 5;
 const STREAM_MASK: u8 = 0x0f;
 
-/// Bits of a number that is not whole: at 264 datagrams a second they come again after 16 s. Whoever
-/// listens does not take anything that is more than [`crate::WINDOW_BITS`] behind the newest, and
-/// QUIC nothing that is more than some hundred packets behind.
+/// Bits of a truncated sequence number: at 264 datagrams a second they repeat after 16 s. The receiver
+/// drops numbers more than [`crate::WINDOW_BITS`] behind the newest, and QUIC drops packets some hundred
+/// numbers behind.
 const SEQUENCE_BITS: u32 = 12;
 
-/// A number that is not whole may be so far from the newest that arrived: somewhat less than half of
-/// what its bits span.
+/// The largest distance of a truncated number from the newest that arrived: somewhat less than half of
+/// the range of its bits.
 pub const SHORT_SEQUENCE: u32 = 1500;
 
-/// A time that is not whole may be so far from the newest that arrived: well below half of what 16
-/// bits span at steps of 50 µs, 3.3 s.
+/// The largest distance of a truncated time from the newest that arrived: well below half of the range
+/// of 16 bits at steps of 50 µs, 3.3 s.
 pub const SHORT_TIME: Span = Span::from_millis(500);
 
-/// Which connection of which life of the session. Three bits of the epoch and four of the participant
-/// travel: QUIC keeps connections apart; this finds mistakes, as the next epoch differs from the one
-/// before, and so do neighbours.
+/// The connection and the incarnation of the session. Three bits of the epoch and four of the
+/// participant are sent. QUIC separates connections; these bits detect mistakes, because consecutive
+/// epochs and neighbouring participants differ.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Tag {
-    /// The life of the session; an earlier one is refused.
+    /// The incarnation of the session; earlier ones are rejected.
     pub epoch: Epoch,
     /// The participant whose connection this is.
     pub stream: ParticipantId,
@@ -44,7 +44,7 @@ impl Tag {
     }
 }
 
-/// What arrived from the other side.
+/// The datagrams that arrived from the other side.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Acknowledgement {
     /// The newest number that arrived.
@@ -53,25 +53,25 @@ pub struct Acknowledgement {
     pub bits: u32,
 }
 
-/// What every datagram begins with, after its kind.
+/// The header of every datagram, after its kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Header {
-    /// Which session and which connection.
+    /// The session and the connection.
     pub tag: Tag,
     /// Counts the datagrams of this direction.
     pub sequence: u32,
-    /// When the datagram was made, in server time as the sender knows it, to steps of
-    /// [`TIME_STEP_US`](super::TIME_STEP_US). Of motion: when the newest sample of its first tool
-    /// was taken, whatever is said here.
+    /// The time of creation in the sender's estimate of server time, in steps of
+    /// [`TIME_STEP_US`](super::TIME_STEP_US). For motion this field is ignored: the time is that of the
+    /// newest sample of the first tool.
     pub generated: ServerTime,
-    /// Whether number and time are sent whole: wherever they are more than [`SHORT_SEQUENCE`] or
-    /// [`SHORT_TIME`] from the newest that the other side has acknowledged.
+    /// Whether number and time are sent whole: required if they are more than [`SHORT_SEQUENCE`] or
+    /// [`SHORT_TIME`] from the newest acknowledged ones.
     pub is_whole: bool,
-    /// What arrived from the other side, in some of the datagrams.
+    /// The acknowledgement, in some of the datagrams.
     pub acknowledged: Option<Acknowledgement>,
 }
 
-/// What a receiver knows that completes a header.
+/// The receiver's state that completes a header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Expected {
     /// Its own connection.
@@ -80,7 +80,7 @@ pub struct Expected {
     pub sequence: u32,
     /// The time in the newest that arrived.
     pub generated: ServerTime,
-    /// The newest number that was sent the other way.
+    /// The newest number that was sent in the other direction.
     pub sent: u32,
 }
 
@@ -156,7 +156,7 @@ impl Header {
             if nearest(low, SEQUENCE_BITS, sequence) != sequence {
                 return Err(ProtocolError::OutOfRange {
                     what: "a whole number",
-                    detail: format!("{sequence}, whose low bits are told as {low}"),
+                    detail: format!("{sequence}, whose low bits are sent as {low}"),
                 });
             }
             (sequence, r.i64()?)

@@ -4,7 +4,7 @@ use super::range_coder::{Coder, Number};
 use crate::lateness::{LATENESS_MAX, LATENESS_STEP, Lateness};
 use crate::{ProtocolError, Span};
 
-/// Codes how late machines made a track: the newest sample, and how much later the oldest news.
+/// Codes the lateness that machines caused: of the newest sample, and the additional one of the oldest news.
 pub(super) fn code_lateness(
     c: &mut impl Coder,
     number: &mut Number,

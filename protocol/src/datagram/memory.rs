@@ -1,8 +1,9 @@
-//! What was sent or received, for differences: one for each direction of a connection at each end.
+//! Sent or received points as baselines for differences: one memory per direction of a connection at
+//! each end.
 //!
-//! A sender tells differences only from what the other side has acknowledged, so that no loss makes
-//! a later datagram unreadable; a receiver that does not have what a datagram names drops it, and
-//! does not acknowledge it: the sender finds something else within `KEPT_POINTS` datagrams.
+//! A sender encodes differences only to acknowledged datagrams, so that no loss makes a later datagram
+//! unreadable. A receiver without the named baseline drops the datagram and does not acknowledge it; the
+//! sender chooses another baseline within `KEPT_POINTS` datagrams.
 
 use std::collections::VecDeque;
 
@@ -11,8 +12,8 @@ use super::motion::Anchor;
 use super::shape::Nodes;
 use crate::ParticipantId;
 
-/// Datagrams of one tool that both ends remember: half a second of batches. What takes longer to be
-/// acknowledged is coded without a difference.
+/// Datagrams of one tool that both ends remember: half a second of batches. After a longer
+/// acknowledgement delay samples are coded without a difference.
 pub(super) const KEPT_POINTS: usize = 128;
 
 /// Datagrams with displacements that both ends remember: some frames of a whole view.
@@ -98,7 +99,7 @@ impl Default for Memory {
 }
 
 impl Memory {
-    /// The other side has this one.
+    /// Notes that the other side has this datagram.
     pub fn acknowledge(&mut self, sequence: u32) {
         for track in &mut self.tracks {
             track.points.acknowledge(sequence);
@@ -106,7 +107,7 @@ impl Memory {
         self.shapes.acknowledge(sequence);
     }
 
-    /// This one was not sent, or could not be read.
+    /// Removes a datagram that was not sent, or could not be read.
     pub(super) fn forget(&mut self, sequence: u32) {
         for track in &mut self.tracks {
             track.points.forget(sequence);
@@ -118,13 +119,13 @@ impl Memory {
         self.tracks.iter().find(|t| t.participant == participant)
     }
 
-    /// The newest that the other side has of a tool.
+    /// The newest acknowledged point of a tool.
     pub(super) fn known_point(&self, participant: ParticipantId) -> Option<(u32, Anchor)> {
         let (sequence, anchor) = self.track(participant)?.points.acknowledged().next()?;
         Some((sequence, *anchor))
     }
 
-    /// What arrived of a tool under this number.
+    /// The received point of a tool under this number.
     pub(super) fn point_at(&self, participant: ParticipantId, sequence: u32) -> Option<Anchor> {
         self.track(participant)?.points.at(sequence).copied()
     }
@@ -141,7 +142,7 @@ impl Memory {
             .position(|t| t.participant == participant);
         let at = found.unwrap_or_else(|| {
             if self.tracks.len() >= TRACKS_MAX {
-                // Whoever has been silent for longest has most likely left.
+                // The participant with the longest silence has most likely left.
                 let age = |t: &Track| sequence.wrapping_sub(t.newest);
                 let oldest = (0..self.tracks.len()).max_by_key(|i| age(&self.tracks[*i]));
                 self.tracks.swap_remove(oldest.unwrap_or(0));
@@ -157,8 +158,7 @@ impl Memory {
         self.tracks[at].points.remember(sequence, anchor);
     }
 
-    /// Of what the other side has, the newest nodes that begin closest to `first` and have the same
-    /// step.
+    /// Among the acknowledged shapes of the same step, the newest nodes that begin closest to `first`.
     pub(super) fn known_shape(&self, step_um: u16, first: u32) -> Option<(u32, &Nodes)> {
         let known = self.shapes.acknowledged();
         known

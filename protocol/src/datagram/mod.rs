@@ -1,4 +1,4 @@
-//! What may get lost: datagrams of at most [`DATAGRAM_MAX_BYTES`], packed by hand.
+//! Unreliable messages: datagrams of at most [`DATAGRAM_MAX_BYTES`], packed by hand.
 //!
 //! All integers are little endian. Every datagram begins with the header
 //!
@@ -6,14 +6,14 @@
 //! first u8 | second u8 | sequence, low 8 bits | time | newest u16, bits u32
 //! ```
 //!
-//! First: bits 0 to 2 are the kind, 3 says that an acknowledgement is there, 4 that number and time
-//! are whole, 5 to 7 are the low bits of the session's epoch. Second: bits 0 to 3 are those of the
-//! participant whose connection it is, in both directions, 4 to 7 are bits 8 to 11 of the sequence,
-//! which counts the datagrams of one direction. Time: sequence u32 and time i64 if they are whole;
-//! otherwise nothing for motion, whose body tells it, and the low 16 bits of the time for the rest; in
-//! steps of 50 µs. `newest` (low 16 bits) and `bits` acknowledge the other direction: bit i says
-//! that number `newest` - 1 - i arrived. What is cut off is what is nearest to the newest that
-//! arrived. The body follows:
+//! First byte: bits 0 to 2 are the kind, bit 3 marks an acknowledgement, bit 4 a whole number and time,
+//! bits 5 to 7 are the low bits of the session's epoch. Second byte: bits 0 to 3 are the low bits of the
+//! participant whose connection it is, in both directions; bits 4 to 7 are bits 8 to 11 of the sequence,
+//! which counts the datagrams of one direction. Time: sequence u32 and time i64 if they are whole.
+//! Otherwise motion has none, because its body contains it, and other kinds have the low 16 bits of the
+//! time; in steps of 50 µs. `newest` (low 16 bits) and `bits` acknowledge the other direction: bit i
+//! acknowledges number `newest` - 1 - i. The receiver completes truncated values to those nearest to the
+//! newest that arrived. The body follows:
 //!
 //! | kind | body |
 //! | --- | --- |
@@ -24,8 +24,7 @@
 //! | 5 delays | count u8, then {participant u16, mean u32, deviation u32, wanted u32} |
 //! | 6 displacements | those of all nodes in view, see [`shape`] |
 //!
-//! Decoders never panic, never allocate more than the datagram could hold, and refuse what follows
-//! a message.
+//! Decoders never panic, never allocate more than the datagram could hold, and reject trailing bytes.
 
 mod bytes;
 mod corrections;
@@ -50,8 +49,8 @@ pub use quantise::{POSITION_MAX_M, POSITION_STEP_M, TIME_STEP_US, as_sent};
 use crate::request::DelayReport;
 use crate::{ClientTime, ParticipantId, ProtocolError, ServerTime, ToolTrack};
 
-/// The largest datagram in bytes: below the smallest path that QUIC allows (1200 B of UDP payload)
-/// with room for its own header. What does not fit goes into the next one.
+/// The largest datagram in bytes: below the smallest path that QUIC allows (1200 B of UDP payload) with
+/// room for its own header. The rest of a message goes into the next datagram.
 pub const DATAGRAM_MAX_BYTES: usize = 1100;
 
 /// The most samples of one tool in one datagram: the newest batch of four 1 kHz samples and the
@@ -64,24 +63,24 @@ pub const TRACKS_MAX: usize = 64;
 /// The most delay reports in one datagram.
 pub const DELAYS_MAX: usize = 64;
 
-/// What a datagram says.
+/// The content of a datagram.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Body {
-    /// Where tools were.
+    /// Tool samples.
     Motion(Vec<ToolTrack>),
-    /// Where some nodes of the tissue are.
+    /// Displacements of some nodes of the tissue.
     Corrections(Corrections),
-    /// Where all nodes in view are.
+    /// Displacements of all nodes in view.
     Displacements(Displacements),
-    /// A question for the clock.
+    /// A clock probe.
     Probe(Probe),
-    /// Its answer.
+    /// The answer to a clock probe.
     Reply(Reply),
-    /// What each participant needs of the artificial delay.
+    /// Each participant's delay estimate.
     Delays(Vec<(ParticipantId, DelayReport)>),
 }
 
-/// A client asks for the server's clock.
+/// A client's query of the server's clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Probe {
     /// Counts the probes.
@@ -90,10 +89,10 @@ pub struct Probe {
     pub client_sent: ClientTime,
 }
 
-/// The server answers.
+/// The server's answer to a probe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reply {
-    /// Which probe.
+    /// The number of the probe.
     pub id: u32,
     /// The time in the probe.
     pub client_sent: ClientTime,
@@ -110,7 +109,7 @@ const KIND_REPLY: u8 = 4;
 const KIND_DELAYS: u8 = 5;
 const KIND_DISPLACEMENTS: u8 = 6;
 
-/// What a body may refer to: its own number and time.
+/// The number and time of the datagram, to which a body may refer.
 #[derive(Debug, Clone, Copy)]
 struct Moment {
     sequence: u32,
@@ -119,7 +118,7 @@ struct Moment {
     is_whole: bool,
 }
 
-/// A header and what it heads.
+/// A header with its body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Datagram {
     /// The header.
@@ -140,7 +139,7 @@ impl Body {
         }
     }
 
-    /// Two halves of what is too much for one datagram; `None` for what has no halves.
+    /// Two halves of a body that is too large for one datagram; `None` for an indivisible one.
     pub(crate) fn halves(self) -> Option<(Self, Self)> {
         match self {
             Self::Motion(mut tracks) if tracks.len() > 1 => {
@@ -164,8 +163,8 @@ impl Body {
 
 impl Datagram {
     /// The bytes on the wire; an error where a value is out of range or the whole is longer than
-    /// [`DATAGRAM_MAX_BYTES`]. `memory` is of this direction: it gives the baseline, and keeps what
-    /// this datagram says.
+    /// [`DATAGRAM_MAX_BYTES`]. `memory` is of this direction: it provides the baseline and stores the
+    /// content of this datagram.
     pub fn encode(&self, memory: &mut Memory) -> Result<Vec<u8>, ProtocolError> {
         let bytes = self.encode_any_size(memory).and_then(|out| {
             if out.len() > DATAGRAM_MAX_BYTES {
@@ -234,8 +233,8 @@ impl Datagram {
         })
     }
 
-    /// Reads one datagram, all of it. `expected` completes what the header cuts off, `memory` is of
-    /// this direction.
+    /// Reads exactly one datagram. `expected` completes truncated header fields; `memory` is of this
+    /// direction.
     pub fn decode(
         bytes: &[u8],
         expected: &Expected,

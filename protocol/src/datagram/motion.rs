@@ -1,28 +1,27 @@
 //! Tool samples in a datagram.
 //!
-//! The samples are rounded (`quantise.rs`) and the whole body is range-coded
-//! (`range_coder.rs`): count of tools
-//! minus one, then per tool
+//! The samples are rounded (`quantise.rs`) and the whole body is range-coded (`range_coder.rs`): count
+//! of tools minus one, then per tool
 //!
 //! ```text
 //! participant minus the connection's | 5 minus the number of samples
-//! how late machines made the newest sample, ms | how much later the oldest news, ms
+//! lateness that machines caused to the newest sample, ms | additional lateness of the oldest news, ms
 //! whether from a baseline; if so: how many datagrams ago it was
 //! times: of the newest, see below; then the steps back, less 1 ms each
 //! the newest sample: position, orientation, buttons, force
-//! the oldest sample and then always the middle one of what is left, against what is known by then
+//! the oldest sample and then always the middle one of the rest, relative to the samples coded before
 //! ```
 //!
-//! A baseline is a datagram that the other side has acknowledged. The newest sample is expected where
-//! the baseline's samples lead to, slowed down within `LEAD_UNITS`; the oldest one on the parabola
-//! that goes through the newest of the baseline with its velocity and through the newest (beyond
-//! `PARABOLA_UNITS` on the line through both); one between two others on the line between them. Without
-//! a baseline the newest sample is told as it is.
+//! A baseline is a datagram that the other side has acknowledged. The newest sample is predicted from
+//! the baseline's samples, with the velocity fading within `LEAD_UNITS`. The oldest one is predicted on
+//! the parabola through the newest of the baseline with its velocity and through the newest sample
+//! (beyond `PARABOLA_UNITS` on the line through both). A sample between two others is predicted on the
+//! line between them. Without a baseline the newest sample is sent without prediction.
 //!
-//! The newest sample of the first tool of a whole datagram has the time in the header. Any other with a
-//! baseline is so many usual batches of `BATCH` ms after it (told as datagrams less batches) and
-//! some rest. Without a baseline the first tool tells the low 16 bits of its time, another one how
-//! much it is before the first.
+//! The newest sample of the first tool of a whole datagram has the time in the header. With a baseline,
+//! the time of any other newest sample is coded as a number of usual batches of `BATCH` ms after the
+//! baseline (as datagrams less batches) and a remainder. Without a baseline the first tool sends the low
+//! 16 bits of its time, another one the difference to the first.
 
 use super::header::nearest_time;
 use super::late::code_lateness;
@@ -36,31 +35,31 @@ use crate::{ParticipantId, ProtocolError, ToolTrack};
 /// Between two samples of the usual 1 kHz, in steps of time.
 const PERIOD: i64 = 1000 / TIME_STEP_US;
 
-/// A hand goes on for about 60 ms as it went; in steps of time.
+/// Time constant of a hand's velocity, about 60 ms, in steps of time.
 const LEAD_UNITS: i64 = 60_000 / TIME_STEP_US;
 
 /// New samples in a usual datagram.
 pub(crate) const BATCH: usize = 4;
 
-/// Samples in a usual datagram: the last one of the batch before is repeated. What is lost with one
-/// datagram is then between two samples that are 4 ms apart, where a straight line is within
-/// a h²/8 = 2.4 µm of a hand that is accelerated by 1.2 m/s².
+/// Samples in a usual datagram: the last one of the batch before is repeated. The samples of one lost
+/// datagram then lie between two samples 4 ms apart, where a straight line is within a h²/8 = 2.4 µm of
+/// a hand that accelerates by 1.2 m/s².
 pub(crate) const USUAL_SAMPLES: usize = BATCH + 1;
 
-/// A sample between two others that is so many steps from where it is expected is told as expected:
-/// most of such differences are what rounding made. It is then at most 0.02 mm from where it was; the
-/// newest and the oldest sample are as near as their step.
+/// A sample between two others within this many steps of its prediction is sent as predicted: most such
+/// differences are rounding. Its error is then at most 0.02 mm; the newest and the oldest sample keep
+/// the accuracy of their step.
 const TOLERANCE: i32 = 1;
 
 /// The time of a usual batch, in steps.
 const BATCH_UNITS: i64 = BATCH as i64 * PERIOD;
 
-/// What is farther apart than this (in steps of time, about an hour) tells nothing about each other;
-/// products with it stay within 64 bits.
+/// Samples farther apart (in steps of time, about an hour) do not predict each other; products with the
+/// difference stay within 64 bits.
 const FAR_UNITS: i64 = 1 << 28;
 
 impl Point {
-    /// Becomes what is expected, wherever it is within [`TOLERANCE`] of it.
+    /// Replaces the point by the prediction within [`TOLERANCE`].
     fn settle(&mut self, near: &Self) {
         let settle = |parts: &mut [i32; 3], near: [i32; 3]| {
             for (x, near) in parts.iter_mut().zip(near) {
@@ -76,14 +75,14 @@ impl Point {
     }
 }
 
-/// A baseline whose velocity is older than this, in steps of time, tells nothing of the bend since then;
-/// and products with it stay within 64 bits.
+/// A baseline whose velocity is older than this, in steps of time, does not predict the curvature since
+/// then; products with it stay within 64 bits.
 const PARABOLA_UNITS: i64 = 200_000 / TIME_STEP_US;
 
-/// The samples of a baseline that tell a velocity are at most so far apart, in steps of time.
+/// The largest distance of baseline samples that give a velocity, in steps of time.
 const VELOCITY_UNITS: i64 = 50_000 / TIME_STEP_US;
 
-/// What a datagram leaves behind for differences: its newest and its oldest sample.
+/// The anchor of a datagram for later differences: its newest and its oldest sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Anchor {
     newest: Point,
@@ -91,7 +90,7 @@ pub(super) struct Anchor {
 }
 
 impl Anchor {
-    /// Where the tool is expected `after` steps of time after the newest sample.
+    /// The predicted pose of the tool `after` steps of time after the newest sample.
     fn ahead(&self, after: i64) -> Point {
         let after = after.clamp(0, FAR_UNITS);
         self.moved(after * LEAD_UNITS / (after + LEAD_UNITS))
@@ -104,8 +103,8 @@ impl Anchor {
     }
 }
 
-/// The point at `at`, in steps of time from the baseline's newest sample, on the parabola that leaves it
-/// with its velocity and is at `b` after `span`.
+/// The point at `at`, in steps of time from the baseline's newest sample, on the parabola that starts there
+/// with its velocity and reaches `b` after `span`.
 fn on_parabola(base: &Anchor, b: &Point, at: i64, span: i64) -> Point {
     let a = &base.newest;
     let before = (a.time - base.oldest.time).max(1);
@@ -150,8 +149,8 @@ fn on_line(a: &Point, b: &Point, at: i64, span: i64) -> Point {
     point
 }
 
-/// The chances of everything in a body. The first values are from a band-limited hand of 87 mm/s rms
-/// with a tremor of 0.1 mm at round trips of 20 to 200 ms.
+/// The probabilities for all symbols in a body. The initial values are from a band-limited hand of 87
+/// mm/s rms with a tremor of 0.1 mm at round trips of 20 to 200 ms.
 struct Model {
     tracks: Number,
     participant: Number,
@@ -202,7 +201,7 @@ fn refuse(what: &'static str, detail: String) -> ProtocolError {
     ProtocolError::OutOfRange { what, detail }
 }
 
-/// Codes a point that is expected at `near`; its time is known.
+/// Codes a point that is predicted at `near`; its time is known.
 fn code_point(
     c: &mut impl Coder,
     m: &mut Model,
@@ -240,8 +239,8 @@ fn code_point(
 }
 
 impl Model {
-    /// Chances for a newest sample so many steps of time after its baseline: of a quick hand it is
-    /// some 64 steps of position from where it is expected after 50 ms, and 256 after 200 ms.
+    /// Probabilities for a newest sample this many steps of time after its baseline: the prediction
+    /// error of a quick hand is some 64 steps of position after 50 ms and 256 after 200 ms.
     fn expect(&mut self, after: i64) {
         let sixteenths = after.clamp(0, FAR_UNITS) as u32 / 16;
         let bits = (u32::BITS - sixteenths.leading_zeros()).clamp(2, 12);
@@ -268,7 +267,7 @@ impl Model {
     }
 }
 
-/// A rotation as it is.
+/// A rotation without prediction.
 fn code_turn(c: &mut impl Coder, turn: Turn) -> Result<Turn, ProtocolError> {
     let omitted = c.raw(2, u32::from(turn.omitted))? as u8;
     let mut parts = [0; 3];
@@ -278,7 +277,7 @@ fn code_turn(c: &mut impl Coder, turn: Turn) -> Result<Turn, ProtocolError> {
     Ok(Turn { omitted, parts })
 }
 
-/// A point as it is; its time is known.
+/// A point without prediction; its time is known.
 fn code_whole(c: &mut impl Coder, p: Point) -> Result<Point, ProtocolError> {
     let mut out = Point {
         time: p.time,
@@ -300,12 +299,12 @@ fn code_whole(c: &mut impl Coder, p: Point) -> Result<Point, ProtocolError> {
     Ok(out)
 }
 
-/// What is known of the time of a tool's newest sample, in steps, before it is told.
+/// The prior knowledge about the time of a tool's newest sample, in steps.
 #[derive(Debug, Clone, Copy)]
-enum Told {
-    /// The header has it.
+enum TimePrior {
+    /// The header contains it.
     Whole(i64),
-    /// This is near to it.
+    /// It is close to this value.
     Near(i64),
     /// The first tool of the datagram has this one.
     First(i64),
@@ -315,13 +314,13 @@ enum Told {
 fn code_time(
     c: &mut impl Coder,
     m: &mut Model,
-    told: Told,
+    prior: TimePrior,
     baseline: Option<(i32, i64)>,
     time: i64,
 ) -> Result<i64, ProtocolError> {
     let narrow = |t: i64| t.clamp(-i64::from(i32::MAX), i64::from(i32::MAX)) as i32;
-    match (told, baseline) {
-        (Told::Whole(time), _) => Ok(time),
+    match (prior, baseline) {
+        (TimePrior::Whole(time), _) => Ok(time),
         (_, Some((ago, before))) => {
             let since = time.saturating_sub(before);
             let batches = (since + BATCH_UNITS / 2).div_euclid(BATCH_UNITS);
@@ -330,30 +329,30 @@ fn code_time(
             let rest = m.rest.code(c, narrow(since - start))?;
             Ok(before.saturating_add(start + i64::from(rest)))
         }
-        (Told::Near(near), None) => {
+        (TimePrior::Near(near), None) => {
             let low = c.raw(16, u32::from(time as u16))?;
             Ok(nearest_time(low as u16, near))
         }
-        (Told::First(first), None) => {
+        (TimePrior::First(first), None) => {
             let age = m.age.code(c, narrow(first.saturating_sub(time)))?;
             Ok(first.saturating_sub(i64::from(age)))
         }
     }
 }
 
-/// Codes the samples of one tool, oldest first; a decoder gives as many as it wants to read. The
-/// baseline comes with how many datagrams ago it was.
+/// Codes the samples of one tool, oldest first. A decoder returns as many as it reads. The baseline
+/// comes with its age in datagrams.
 fn code_points(
     c: &mut impl Coder,
     m: &mut Model,
-    told: Told,
+    prior: TimePrior,
     baseline: Option<(i32, Anchor)>,
     points: &mut [Point],
 ) -> Result<Anchor, ProtocolError> {
     let last = points.len() - 1;
     let narrow = |t: i64| t.clamp(-i64::from(i32::MAX), i64::from(i32::MAX)) as i32;
     let before = baseline.map(|(ago, anchor)| (ago, anchor.newest.time));
-    points[last].time = code_time(c, m, told, before, points[last].time)?;
+    points[last].time = code_time(c, m, prior, before, points[last].time)?;
     let baseline = baseline.map(|(_, anchor)| anchor);
     for i in (0..last).rev() {
         let step = points[i + 1].time.saturating_sub(points[i].time);
@@ -376,7 +375,7 @@ fn code_points(
         let back = points[0].time.saturating_sub(newest.time);
         let near = match &baseline {
             Some(a) if a.newest.turn.omitted == newest.turn.omitted => {
-                // The newest motion that is known: from the baseline to here.
+                // The newest known motion: from the baseline to here.
                 let span = newest.time.saturating_sub(a.newest.time);
                 if (1..FAR_UNITS).contains(&span) {
                     on_parabola(a, &newest, span + back, span)
@@ -400,7 +399,7 @@ fn code_points(
     })
 }
 
-/// Codes what lies between two that are known, the middle one first.
+/// Codes the samples between two known ones, the middle one first.
 fn code_between(
     c: &mut impl Coder,
     m: &mut Model,
@@ -425,7 +424,7 @@ fn write_track(
     c: &mut impl Coder,
     m: &mut Model,
     at: Moment,
-    told: Told,
+    prior: TimePrior,
     memory: &Memory,
     track: &ToolTrack,
 ) -> Result<Anchor, ProtocolError> {
@@ -457,14 +456,14 @@ fn write_track(
         points.push(Point::of(sample, Some(newest.turn))?);
     }
     points[count - 1] = newest;
-    code_points(c, m, told, baseline, &mut points)
+    code_points(c, m, prior, baseline, &mut points)
 }
 
 fn read_track(
     c: &mut impl Coder,
     m: &mut Model,
     at: Moment,
-    told: Told,
+    prior: TimePrior,
     memory: &Memory,
 ) -> Result<(ToolTrack, Anchor), ProtocolError> {
     let participant = i32::from(at.stream.0) + m.participant.code(c, 0)?;
@@ -488,7 +487,7 @@ fn read_track(
     };
     let mut points = [Point::default(); TRACK_MAX_SAMPLES];
     let points = &mut points[..count];
-    let anchor = code_points(c, m, told, baseline, points)?;
+    let anchor = code_points(c, m, prior, baseline, points)?;
     let samples = points.iter().map(Point::sample).collect();
     let track = ToolTrack {
         participant,
@@ -498,13 +497,13 @@ fn read_track(
     Ok((track, anchor))
 }
 
-/// What is known of the time of the next tool.
-fn told(at: Moment, first: Option<i64>) -> Told {
+/// The prior knowledge about the time of the next tool.
+fn time_prior(at: Moment, first: Option<i64>) -> TimePrior {
     let near = quantise::time(at.generated);
     match first {
-        Some(first) => Told::First(first),
-        None if at.is_whole => Told::Whole(near),
-        None => Told::Near(near),
+        Some(first) => TimePrior::First(first),
+        None if at.is_whole => TimePrior::Whole(near),
+        None => TimePrior::Near(near),
     }
 }
 
@@ -513,7 +512,7 @@ fn refuse_count(count: i64) -> ProtocolError {
     refuse("the number of tools", detail)
 }
 
-/// Writes the body, and remembers what it says.
+/// Writes the body, and remembers its content.
 pub(super) fn write(
     c: &mut impl Coder,
     at: Moment,
@@ -527,14 +526,14 @@ pub(super) fn write(
     let mut first = None;
     m.tracks.code(c, tracks.len() as i32 - 1)?;
     for track in tracks {
-        let anchor = write_track(c, &mut m, at, told(at, first), memory, track)?;
+        let anchor = write_track(c, &mut m, at, time_prior(at, first), memory, track)?;
         first = first.or(Some(anchor.newest.time));
         memory.remember_point(track.participant, at.sequence, anchor);
     }
     Ok(())
 }
 
-/// Reads the body, and remembers what it says.
+/// Reads the body, and remembers its content.
 pub(super) fn read(
     c: &mut impl Coder,
     at: Moment,
@@ -548,7 +547,7 @@ pub(super) fn read(
     let mut tracks = Vec::new();
     let mut first = None;
     for _ in 0..count {
-        let (track, anchor) = read_track(c, &mut m, at, told(at, first), memory)?;
+        let (track, anchor) = read_track(c, &mut m, at, time_prior(at, first), memory)?;
         first = first.or(Some(anchor.newest.time));
         memory.remember_point(track.participant, at.sequence, anchor);
         tracks.push(track);
@@ -564,7 +563,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_steps_stand_on_the_wire_an_expectation_is_a_place(
+        fn predictions_are_in_range_for_any_steps_on_the_wire(
             ends in [-POSITION_MAX..=POSITION_MAX, -POSITION_MAX..=POSITION_MAX, -POSITION_MAX..=POSITION_MAX],
             before in 1_i64..=VELOCITY_UNITS,
             span in 1_i64..FAR_UNITS,

@@ -1,32 +1,32 @@
 //! Real numbers as small integers.
 //!
-//! Rotations by the smallest three: of a unit quaternion (x, y, z, w) one component is left out; q
-//! and -q are the same rotation, so its sign is made positive; the others become integers. It is the
-//! largest one, unless the rotation before it left out another that is still above
-//! [`KEPT_COMPONENT`]: differences need the same one left out.
+//! Rotations use the smallest-three encoding: one component of a unit quaternion (x, y, z, w) is
+//! omitted. q and -q are the same rotation, so that its sign is made positive; the other components
+//! become integers. The largest component is omitted, unless the rotation before omitted another that is
+//! still above [`KEPT_COMPONENT`]: differences need the same omitted component.
 
 use crate::{Pose, ProtocolError, ServerTime, ToolSample};
 
-/// Step of a position in metres: an eighth of the tremor of a steady hand. With 0.02 mm what is made up for
-/// 10 ms without samples would be 0.024 mm off (rms) instead of 0.018.
+/// Step of a position in metres: an eighth of the tremor of a steady hand. With 0.02 mm the error of 10
+/// ms of extrapolation would be 0.024 mm (rms) instead of 0.018.
 pub const POSITION_STEP_M: f64 = 1.25e-5;
 
-/// The largest coordinate in metres. What is farther away is refused on both sides.
+/// The largest coordinate in metres. Both sides reject larger ones.
 pub const POSITION_MAX_M: f64 = 20.0;
 
-/// Step of the time of a sample in microseconds: a quick hand, 0.4 m/s, moves by a position step in
-/// it. What threads wake up late by is below it as a rule, and costs nothing.
+/// Step of the time of a sample in microseconds: a quick hand, 0.4 m/s, moves by a position step in it.
+/// The wake-up latency of threads is usually below it, and costs no bits.
 pub const TIME_STEP_US: i64 = 50;
 
 /// Step of a force in newtons.
 pub(super) const FORCE_STEP_N: f64 = 0.01;
 
-/// Step of a component of a quaternion. With what is left out at 0.4 or more the error of the angle
+/// Step of a component of a quaternion. With an omitted component of 0.4 or more the error of the angle
 /// is at most 2 · √3/2 · step / 0.4 = 8.7e-4 rad = 0.05°: at the end of an edge of 20 mm, as much as a
 /// step of position.
 const COMPONENT_STEP: f64 = 2e-4;
 
-/// Down to this magnitude a component may be left out that is not the largest.
+/// The smallest magnitude of an omitted component that is not the largest.
 const KEPT_COMPONENT: f64 = 0.4;
 
 /// The largest component in steps: 1, a little rounded up.
@@ -38,13 +38,13 @@ pub(super) const POSITION_MAX: i32 = 1_600_000;
 /// A rotation in integers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Turn {
-    /// Which component is left out, 0 to 3.
+    /// The index of the omitted component, 0 to 3.
     pub(super) omitted: u8,
-    /// The others in their order, in steps.
+    /// The other components in order, in steps.
     pub(super) parts: [i32; 3],
 }
 
-/// A sample in integers: what both ends know of it to the bit.
+/// A sample in integers, identical to the bit at both ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Point {
     /// Server time in steps.
@@ -60,7 +60,7 @@ pub(super) struct Point {
 }
 
 impl Point {
-    /// Rounds a sample; `near` is the rotation that it will be told apart from.
+    /// Rounds a sample; `near` is the rotation that its difference refers to.
     pub(super) fn of(sample: &ToolSample, near: Option<Turn>) -> Result<Self, ProtocolError> {
         let mut position = [0; 3];
         for (q, x) in position.iter_mut().zip(sample.pose.position_m) {
@@ -77,7 +77,7 @@ impl Point {
         })
     }
 
-    /// Makes sure that it is what a sender may send.
+    /// Checks that a sender may send it.
     pub(super) fn check(&self) -> Result<(), ProtocolError> {
         if let Some(x) = self.position.iter().find(|x| x.abs() > POSITION_MAX) {
             let x_m = f64::from(*x) * POSITION_STEP_M;
@@ -109,12 +109,13 @@ impl Point {
     }
 }
 
-/// The sample as the other side knows it: time, place, turn and force to their steps. The steps of a turn are those of
-/// its first sample in a track; later ones may leave out another part of the quaternion, with the same bound.
+/// The sample as the other side decodes it: time, position, rotation and force rounded to their steps.
+/// The steps of a rotation are those of the first sample in a track; later ones may omit another
+/// component of the quaternion, with the same bound.
 ///
 /// # Errors
 ///
-/// When it may not be sent at all: a place or a turn that is none, or too far away.
+/// An invalid or too distant position or rotation can not be sent.
 pub fn as_sent(sample: &ToolSample) -> Result<ToolSample, ProtocolError> {
     Ok(Point::of(sample, None)?.sample())
 }
@@ -126,7 +127,7 @@ pub(super) fn time(t: ServerTime) -> i64 {
         .div_euclid(TIME_STEP_US)
 }
 
-/// The time of so many steps.
+/// The time at a number of steps.
 pub(super) fn time_back(steps: i64) -> ServerTime {
     ServerTime::from_micros(steps.saturating_mul(TIME_STEP_US))
 }
@@ -145,14 +146,13 @@ fn out_of_range(what: &'static str, value: f64, limit: f64) -> ProtocolError {
     }
 }
 
-/// A value in 16 bits at a step; beyond the range it becomes the end of the range, and
-/// not-a-number becomes zero.
+/// A value in 16 bits at a step, clamped to the range; NaN becomes zero.
 pub(super) fn saturating_i16(value: f64, step: f64) -> i16 {
     (value / step).round() as i16
 }
 
 impl Turn {
-    /// Rounds a unit quaternion (x, y, z, w); an error where it is none.
+    /// Rounds a unit quaternion (x, y, z, w); an error where its length is not 1.
     fn of(q: [f64; 4], near: Option<Self>) -> Result<Self, ProtocolError> {
         let norm = q.iter().map(|c| c * c).sum::<f64>().sqrt();
         if !(0.5..2.0).contains(&norm) {

@@ -1,35 +1,35 @@
-//! An adaptive binary range coder: what is likely costs less than a bit.
+//! An adaptive binary range coder: probable symbols cost less than a bit.
 //!
 //! Compared with Rice codes on the same residuals it saves a fifth of a tool's batch and nearly half of
-//! a press at rest, because a Rice code can not spend less than one bit on a number.
+//! a press at rest, because a Rice code spends at least one bit on a number.
 //!
-//! The layout of a coded part is written once, over [`Coder`]: an encoder writes the value it is
-//! given and gives it back, a decoder ignores what it is given and gives what it reads. After
-//! G. N. N. Martin, "Range encoding" (1979); the chances adapt as in LZMA.
+//! The layout of a coded part is written once, over [`Coder`]: an encoder writes the given value and
+//! returns it; a decoder ignores the given value and returns the decoded one. After G. N. N. Martin,
+//! "Range encoding" (1979); the probabilities adapt as in LZMA.
 
 use crate::ProtocolError;
 
-/// Chances are counted in parts of 2^12.
+/// Probabilities are counted in parts of 2^12.
 const CHANCE_BITS: u32 = 12;
 
-/// How fast a chance follows what it sees: by 1/16 of the difference, because a datagram is short.
+/// Adaptation rate of a probability: 1/16 of the difference, because a datagram is short.
 const FOLLOW: u32 = 4;
 
-/// Below this the range is widened by a byte.
+/// Below this the range is renormalised by a byte.
 const RANGE_MIN: u32 = 1 << 24;
 
-/// Bytes that a decoder looks ahead; so many may be missing at the end, and are zero.
+/// Bytes that a decoder looks ahead; as many may be missing at the end, and count as zero.
 const AHEAD: usize = 4;
 
 /// Most bits of the magnitude of a [`Number`].
 const MAGNITUDE_BITS: usize = 26;
 
-/// How likely the next bit of one kind is to be 0, in parts of 4096.
+/// The probability that the next bit of one kind is 0, in parts of 4096.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Chance(u16);
 
 impl Chance {
-    /// Nothing is known.
+    /// No prior knowledge.
     pub(super) const EVEN: Self = Self(1 << (CHANCE_BITS - 1));
 
     /// A one is rare: one of 128.
@@ -58,7 +58,7 @@ pub(super) trait Coder {
     /// One bit of a kind.
     fn bit(&mut self, chance: &mut Chance, bit: bool) -> Result<bool, ProtocolError>;
 
-    /// The low `bits` bits of a number of which nothing is known.
+    /// The low `bits` bits of a number without prior knowledge.
     fn raw(&mut self, bits: u32, value: u32) -> Result<u32, ProtocolError> {
         let mut out = 0;
         for i in (0..bits).rev() {
@@ -80,7 +80,7 @@ pub(super) struct RangeEncoder {
 }
 
 impl RangeEncoder {
-    /// Appends to what is there.
+    /// Appends to the bytes of `out`.
     pub(super) fn after(out: Vec<u8>) -> Self {
         let start = out.len();
         Self {
@@ -91,7 +91,7 @@ impl RangeEncoder {
         }
     }
 
-    /// Takes a carry into the bytes that are out already.
+    /// Propagates a carry into the bytes already written.
     fn carry(&mut self) {
         if self.low >> 32 == 0 {
             return;
@@ -110,7 +110,7 @@ impl RangeEncoder {
         self.low = self.low << 8 & u64::from(u32::MAX);
     }
 
-    /// All bytes: of the numbers that end the code the one with the fewest bytes.
+    /// All bytes: the shortest number that ends the code.
     pub(super) fn finish(mut self) -> Vec<u8> {
         let end = self.low + u64::from(self.range);
         for bytes in 0..=AHEAD {
@@ -177,10 +177,10 @@ impl<'a> RangeDecoder<'a> {
         self.taken += 1;
     }
 
-    /// Nothing may follow.
+    /// Checks that no bytes follow.
     pub(super) fn finish(self) -> Result<(), ProtocolError> {
         let needed = self.taken - AHEAD;
-        // A code never ends in a zero, that would be one byte too many.
+        // A code never ends in a zero byte, which would be redundant.
         let padded = self.bytes.len() > needed && self.bytes.last() == Some(&0);
         let extra = self.bytes.len().saturating_sub(self.taken) + usize::from(padded);
         if extra == 0 {
@@ -215,8 +215,8 @@ impl Coder for RangeDecoder<'_> {
     }
 }
 
-/// A signed number that is small as a rule: the number of bits of its magnitude in ones, each with a
-/// chance of its own, then its sign with another, and the bits below the highest as they are.
+/// A signed number that is usually small: the number of bits of its magnitude in unary, each with its
+/// own probability, then its sign with another, and the bits below the highest uncoded.
 #[derive(Debug, Clone)]
 pub(super) struct Number {
     more: [Chance; MAGNITUDE_BITS],
@@ -224,7 +224,7 @@ pub(super) struct Number {
 }
 
 impl Number {
-    /// Begins with the chances, in parts of 256, that the magnitude has more than 0, 1, 2... bits;
+    /// Starts with the probabilities, in parts of 256, that the magnitude has more than 0, 1, 2... bits;
     /// the last one holds for all that follow.
     pub(super) fn new(more: &[u8]) -> Self {
         let last = more.last().copied().unwrap_or(128);
@@ -235,7 +235,7 @@ impl Number {
         }
     }
 
-    /// One that is hardly ever negative.
+    /// A number that is rarely negative.
     pub(super) fn mostly_positive(more: &[u8]) -> Self {
         Self {
             negative: Chance::RARE,
@@ -243,9 +243,9 @@ impl Number {
         }
     }
 
-    /// One like a normal distribution whose deviation has this many bits: a number of `i` bits has
-    /// more of them with the chance P(|x| >= 2^i) / P(|x| >= 2^(i-1)), and what is below or above what
-    /// was expected comes a little more often.
+    /// A number with a normal distribution whose deviation has this many bits. A number of `i` bits has
+    /// more bits with the probability P(|x| >= 2^i) / P(|x| >= 2^(i-1)); the tails are weighted slightly
+    /// higher.
     pub(super) fn around(bits: u32) -> Self {
         let more: [u8; MAGNITUDE_BITS] = std::array::from_fn(|i| match i as i32 - bits as i32 {
             ..=-4 => 249,
@@ -259,7 +259,7 @@ impl Number {
         Self::new(&more)
     }
 
-    /// Codes one. What is too large to be sent is refused.
+    /// Codes a number. A number that is too large is rejected.
     pub(super) fn code(&mut self, coder: &mut impl Coder, v: i32) -> Result<i32, ProtocolError> {
         let wanted = (u32::BITS - v.unsigned_abs().leading_zeros()) as usize;
         if wanted > MAGNITUDE_BITS {
@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thousand_zeros_cost_a_few_bytes() {
+    fn thousand_zeros_cost_few_bytes() {
         assert!(coded(&[0; 1000]).len() < 20);
     }
 

@@ -9,9 +9,9 @@
 //! per node, ascending: difference to the node before, minus one; displacement in steps
 //! ```
 //!
-//! A node that the baseline has is expected where it was, moved by as much as the node before has
-//! moved; any other where the node before is. How large a difference is expected to be is learnt
-//! within the datagram, from the one before it.
+//! A node in the baseline is predicted at its baseline displacement plus the motion of the node before;
+//! any other node at the displacement of the node before. The expected magnitude of a difference adapts
+//! within the datagram.
 
 use super::memory::Memory;
 use super::range_coder::{Chance, Coder, Number};
@@ -24,17 +24,17 @@ pub const DISPLACEMENT_STEP_M: f64 = 1e-5;
 /// The step of [`DISPLACEMENT_STEP_M`] in micrometres.
 pub(super) const FINE_STEP_UM: u16 = 10;
 
-/// The largest step of displacements, micrometres; what is coarser can be felt.
+/// The largest step of displacements, micrometres; a coarser one can be felt.
 pub const STEP_MAX_UM: u16 = 1000;
 
-/// The most nodes in one datagram; what more would fit only if it did not move.
+/// The most nodes in one datagram; more would fit only without motion.
 pub const NODES_MAX: usize = 1024;
 
-/// Nodes in a piece: short enough to fit into a datagram as a rule. A list that stays the same is
-/// divided at the same places, so that each piece finds its baseline.
+/// Nodes in a piece: usually short enough for a datagram. An unchanged list is divided at the same
+/// places, so that each piece finds its baseline.
 pub const PIECE_NODES: usize = 256;
 
-/// Classes of how large the difference before was.
+/// Classes of the magnitude of the previous difference.
 const CLASSES: usize = 6;
 
 /// Displacements in integers.
@@ -50,7 +50,7 @@ impl Nodes {
         self.list.first().map_or(0, |n| n.0)
     }
 
-    /// Rounds displacements in metres; what is larger than the range becomes its end.
+    /// Rounds displacements in metres, clamped to the range.
     pub(super) fn of(step_um: u16, nodes: &[(u32, [f32; 3])]) -> Self {
         let step = f64::from(step_um) * 1e-6;
         let round = |d: &[f32; 3]| d.map(|x| quantise::saturating_i16(f64::from(x), step));
@@ -68,19 +68,19 @@ impl Nodes {
     }
 }
 
-/// Which topology and which moment.
+/// The topology version and the time of the displacements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Frame {
     pub(super) topology_version: u32,
     pub(super) view_time: ServerTime,
-    /// Nodes in view that are off and found no room; none for corrections.
+    /// Nodes in view with an error that did not fit into the rate; 0 for corrections.
     pub(super) waiting: u32,
 }
 
-/// The most nodes that are said to wait; of more it is said that there are so many.
+/// The largest number of waiting nodes that is sent; larger numbers are clamped.
 const WAITING_MAX: u32 = (1 << 25) - 1;
 
-/// The chances of everything in a body.
+/// The probabilities for all symbols in a body.
 struct Model {
     ago: Number,
     waiting: Number,
@@ -132,7 +132,7 @@ impl Along<'_> {
     }
 }
 
-/// Codes the nodes; a decoder gives as many as it wants to read.
+/// Codes the nodes; a decoder returns as many as it reads.
 fn code_list(
     c: &mut impl Coder,
     m: &mut Model,
@@ -165,14 +165,14 @@ fn code_list(
             let bits = (32 - difference.unsigned_abs().leading_zeros()) as usize;
             classes[i] = bits.min(CLASSES - 1);
             previous[i] = value;
-            // Half of it: neighbours in the list need not be neighbours in the body.
+            // Half of it: neighbours in the list are not always neighbours in the tissue.
             moved[i] = before.map_or(0, |b| (value - b[i]) / 2);
         }
     }
     Ok(())
 }
 
-/// Writes the body, and remembers what it says.
+/// Writes the body, and remembers its content.
 pub(super) fn write(
     c: &mut impl Coder,
     at: Moment,
@@ -226,7 +226,7 @@ fn refuse_age(age: i64) -> Result<(), ProtocolError> {
     Err(refuse("the age of displacements", format!("{age} µs")))
 }
 
-/// Reads the body, and remembers what it says.
+/// Reads the body, and remembers its content.
 pub(super) fn read(
     c: &mut impl Coder,
     at: Moment,

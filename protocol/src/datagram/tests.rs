@@ -1,4 +1,4 @@
-//! What a datagram's codec promises, whatever the bytes.
+//! Laws of a datagram's codec for arbitrary bytes.
 
 use proptest::prelude::*;
 
@@ -24,7 +24,7 @@ fn header() -> Header {
     }
 }
 
-/// Without anything to tell differences from.
+/// Encodes without a baseline.
 fn encode(datagram: &Datagram) -> Result<Vec<u8>, ProtocolError> {
     datagram.encode(&mut Memory::default())
 }
@@ -112,7 +112,7 @@ fn every_kind() -> Vec<Datagram> {
 }
 
 #[test]
-fn every_kind_reads_back_as_written_up_to_its_quantum() {
+fn every_kind_round_trips_within_its_quantum() {
     for datagram in every_kind() {
         let bytes = encode(&datagram).unwrap();
         let back = decode(&bytes).unwrap();
@@ -121,7 +121,7 @@ fn every_kind_reads_back_as_written_up_to_its_quantum() {
             header.generated = tracks[0].samples.last().unwrap().time;
         }
         assert_eq!(back.header, header);
-        // Written again, it is the same to the bit.
+        // Encoding it again gives the same bits.
         assert_eq!(encode(&back).unwrap(), bytes);
     }
 }
@@ -132,7 +132,7 @@ fn every_truncation_is_an_error_or_a_valid_message() {
         let bytes = encode(&datagram).unwrap();
         for len in 0..bytes.len() {
             check(&bytes[..len]);
-            // The header is 9 bytes or more here; of a range code that ends early the rest is zeros.
+            // The header is 9 bytes or more here; a truncated range code reads as zeros.
             if len < 9 {
                 assert!(decode(&bytes[..len]).is_err(), "{len} of {}", bytes.len());
             }
@@ -141,7 +141,7 @@ fn every_truncation_is_an_error_or_a_valid_message() {
 }
 
 #[test]
-fn every_byte_too_many_is_an_error() {
+fn trailing_bytes_are_an_error() {
     for datagram in every_kind() {
         let mut bytes = encode(&datagram).unwrap();
         bytes.push(0);
@@ -154,7 +154,7 @@ fn every_byte_too_many_is_an_error() {
 }
 
 #[test]
-fn no_flipped_bit_makes_the_decoder_panic_or_give_what_is_out_of_range() {
+fn flipped_bits_never_panic_or_decode_out_of_range() {
     for datagram in every_kind() {
         let good = encode(&datagram).unwrap();
         for bit in 0..good.len() * 8 {
@@ -165,7 +165,7 @@ fn no_flipped_bit_makes_the_decoder_panic_or_give_what_is_out_of_range() {
     }
 }
 
-/// Whatever decodes is within the ranges that the types promise.
+/// Decoded values are within the ranges of their types.
 fn check(bytes: &[u8]) {
     let Ok(datagram) = decode(bytes) else {
         return;
@@ -190,7 +190,7 @@ fn check(bytes: &[u8]) {
 }
 
 #[test]
-fn what_can_not_be_sent_is_refused_and_not_sent_wrong() {
+fn encoder_rejects_values_out_of_range() {
     let send = |f: fn(&mut ToolSample)| {
         let mut track = track(1, 1, false);
         f(&mut track.samples[0]);
@@ -220,7 +220,7 @@ fn what_can_not_be_sent_is_refused_and_not_sent_wrong() {
 }
 
 #[test]
-fn corrections_of_any_length_are_divided_into_datagrams() {
+fn corrections_of_any_length_split_into_datagrams() {
     let all = nodes(1000);
     let view_time = ServerTime::from_micros(8_999_000);
     let pieces = Corrections::pieces(7, view_time, &all);
@@ -256,7 +256,7 @@ proptest! {
     }
 
     #[test]
-    fn positions_and_rotations_survive_within_their_quantum(
+    fn positions_and_rotations_round_trip_within_their_quantum(
         x in -20.0_f64..20.0,
         axis in [-1.0_f64..1.0, -1.0_f64..1.0, -1.0_f64..1.0],
         angle in -3.2_f64..3.2,

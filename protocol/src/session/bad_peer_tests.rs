@@ -1,5 +1,5 @@
-//! What a peer sends that it must not: each thing is counted under a name of its own, changes nothing, and the
-//! session goes on.
+//! Protocol violations of a peer in datagrams: each is counted by its kind and changes nothing, and the
+//! session continues.
 
 use super::tests::Pair;
 use crate::datagram::{Acknowledgement, Body, Datagram, Header, Memory, Tag};
@@ -10,7 +10,7 @@ use crate::{
     Epoch, LocalSample, ParticipantId, Pose, ServerTime, Span, ToolSample, ToolTrack, TopologyHash,
 };
 
-/// A session that stands.
+/// An established session.
 fn standing() -> Pair {
     let mut pair = Pair::new(3, 20_000, 0, 0.0);
     pair.join(0);
@@ -18,7 +18,7 @@ fn standing() -> Pair {
     pair
 }
 
-/// A heartbeat of a client with a header that somebody wrote by hand.
+/// A heartbeat of a client with a given header.
 fn heartbeat(epoch: Epoch, sequence: u32, acknowledged: Option<Acknowledgement>) -> Vec<u8> {
     let datagram = Datagram {
         header: Header {
@@ -37,7 +37,7 @@ fn heartbeat(epoch: Epoch, sequence: u32, acknowledged: Option<Acknowledgement>)
 }
 
 #[test]
-fn an_acknowledgement_of_what_was_never_sent_is_counted_and_acknowledges_nothing() {
+fn acknowledgement_of_unsent_datagrams_is_counted_and_ignored() {
     let mut pair = standing();
     let before = pair.server.stats();
     let next = pair.client.stats(pair.client_now()).sent as u32 + 1;
@@ -63,7 +63,7 @@ fn an_acknowledgement_of_what_was_never_sent_is_counted_and_acknowledges_nothing
 }
 
 #[test]
-fn datagrams_of_an_earlier_life_of_the_session_are_counted_and_not_read() {
+fn datagrams_of_an_earlier_epoch_are_counted_and_ignored() {
     let mut pair = standing();
     let events = pair.server_events.len();
     let received = pair.server.stats().received;
@@ -80,7 +80,7 @@ fn datagrams_of_an_earlier_life_of_the_session_are_counted_and_not_read() {
 }
 
 #[test]
-fn what_was_recorded_and_is_played_again_is_counted_as_seen_or_old() {
+fn replayed_datagrams_are_counted_as_duplicate_or_old() {
     let mut pair = standing();
     let now = pair.server_now();
     let first = heartbeat(Epoch(2), 100, None);
@@ -98,7 +98,7 @@ fn what_was_recorded_and_is_played_again_is_counted_as_seen_or_old() {
 }
 
 #[test]
-fn samples_that_are_seconds_old_are_counted_and_not_passed_on() {
+fn samples_seconds_old_are_counted_and_not_relayed() {
     let mut pair = standing();
     let now = pair.server_now();
     let next = pair.client.stats(pair.client_now()).sent as u32 + 1;
@@ -137,7 +137,7 @@ fn samples_that_are_seconds_old_are_counted_and_not_passed_on() {
 }
 
 #[test]
-fn a_room_that_stands_still_loses_motion_and_no_request_and_throws_nobody_out() {
+fn stalled_room_loses_motion_but_no_request_and_no_participant() {
     let mut pair = standing();
     let hash = TopologyHash(0);
     let report = RequestKind::TopologyReport { version: 0, hash };

@@ -35,13 +35,13 @@ pub const PROBE_PERIOD_FIRST: Span = Span::from_millis(20);
 /// Between clock probes afterwards. They are also the client's heartbeat.
 pub const PROBE_PERIOD: Span = Span::from_millis(100);
 
-/// Between reports of the delay that this client needs.
+/// Between reports of the delay estimate.
 pub const DELAY_REPORT_PERIOD: Span = Span::from_millis(250);
 
 enum State {
-    /// The server's preamble has not come.
+    /// Waits for the server's preamble.
     Preamble(PreambleReader),
-    /// It has, the welcome has not.
+    /// Waits for the welcome.
     Hello,
     Joined(Box<Joined>),
     Closed,
@@ -49,7 +49,7 @@ enum State {
 
 #[cfg(test)]
 impl ClientSession {
-    /// The states, in the words of the document of the states.
+    /// The states, as named in STATES.md.
     pub(super) const STATES: [&str; 4] = ["Preamble", "Hello", "Joined", "Closed"];
 
     pub(super) fn state_name(&self) -> &'static str {
@@ -69,14 +69,14 @@ struct Joined {
     catch_up: u64,
     schedule: DelaySchedule,
     newest_shown: Vec<(ParticipantId, ServerTime)>,
-    /// When somebody's tool was last heard of.
+    /// The last arrival of motion of another participant's tool.
     news_at: ClientTime,
 }
 
 /// The client's end of a session: see [`crate::session`] for the calling order.
 ///
-/// Made with a [`Hello`], it writes the preamble and the hello at once. After
-/// [`ClientEvent::Closed`] it does nothing any more.
+/// It is created with a [`Hello`] and writes the preamble and the hello at once. After
+/// [`ClientEvent::Closed`] it does nothing.
 pub struct ClientSession {
     state: State,
     decoder: FrameDecoder<ServerMessage>,
@@ -87,14 +87,14 @@ pub struct ClientSession {
     motion: MotionBatch,
     events: VecDeque<ClientEvent>,
     last_request: u32,
-    /// Where the log may go on for who takes a seat again.
+    /// The log position from which a resumed seat continues.
     resumes_at: Option<OperationId>,
     known_delay: Option<DelaySchedule>,
     started: ClientTime,
     heard: ClientTime,
     link_lost: bool,
     probe_due: ClientTime,
-    /// What is to go with the next packet.
+    /// The content for the next packet.
     wants: Wants,
     report_due: ClientTime,
 }
@@ -195,7 +195,10 @@ impl ClientSession {
                 self.emit(ClientEvent::RequestRefused(refused));
             }
             (State::Joined(_), ServerMessage::Welcome(_) | ServerMessage::Refused(_)) => {
-                return out_of_order("second answer to the hello", "the session already stands");
+                return out_of_order(
+                    "second answer to the hello",
+                    "the session is already established",
+                );
             }
             _ => return out_of_order("server message", "the hello is not answered"),
         }
@@ -269,7 +272,7 @@ impl ClientSession {
             | OperationKind::Away { participant }
             | OperationKind::Demoted { participant, .. } => {
                 joined.newest_shown.retain(|(p, _)| p != participant);
-                // What the last one needed who could be heard is needed by nobody now.
+                // The last delay estimate is void: no other participant's motion arrives.
                 if joined.newest_shown.is_empty() {
                     self.delay = DelayEstimator::new(DelayRule::default());
                 }
@@ -289,7 +292,7 @@ impl ClientSession {
         self.handle_waiting_datagram(bytes, Span::ZERO, now);
     }
 
-    /// The same of one that may have waited for `stall`, because this machine did not run
+    /// The same for a datagram that may have waited for `stall`, because this machine stalled
     /// ([`StallWatch`](crate::lateness::StallWatch)).
     pub fn handle_waiting_datagram(&mut self, bytes: &[u8], stall: Span, now: ClientTime) {
         self.follow_clock(now);
@@ -302,14 +305,14 @@ impl ClientSession {
             Body::Motion(tracks) => self.handle_motion(&datagram.header, tracks, stall, now),
             Body::Corrections(c) => self.emit(ClientEvent::Corrections(c)),
             Body::Displacements(d) => self.emit(ClientEvent::Displacements(d)),
-            // Its round trip would be that of this machine.
+            // Its round trip would include this machine's stall.
             Body::Reply(_) if stall > LONG_STALL => {}
             Body::Reply(reply) => self.handle_reply(reply, now),
             Body::Delays(list) => self.emit(ClientEvent::Delays(list)),
             Body::Probe(_) => self.link.count_misdirected(),
         }
-        // Who sends no motion would acknowledge with the next question for the clock only, too late to
-        // cover everything.
+        // A client without motion would acknowledge only with the next clock probe, too late to cover
+        // all datagrams.
         self.wants.acknowledgement |= self.link.owes_acknowledgement();
     }
 
@@ -342,7 +345,7 @@ impl ClientSession {
                     true
                 }
                 None => {
-                    // Bounded, so that invented participants can not fill the memory.
+                    // Bounded, so that forged participants can not fill the memory.
                     if joined.newest_shown.len() < ROSTER_MAX {
                         joined.newest_shown.push((track.participant, newest));
                     }
@@ -354,7 +357,7 @@ impl ClientSession {
                 continue;
             };
             let motion = MotionArrival {
-                // Nothing is younger than the datagram that carries it.
+                // A sample is at least as old as its datagram.
                 generated: newest.min(header.generated),
                 arrived,
                 late: track.late,
@@ -379,7 +382,7 @@ impl ClientSession {
         }
     }
 
-    /// Call when the time of [`poll_timeout`](Self::poll_timeout) has come; earlier does no harm.
+    /// Call at the time of [`poll_timeout`](Self::poll_timeout); an earlier call does no harm.
     pub fn handle_timeout(&mut self, now: ClientTime) {
         self.follow_clock(now);
         match &self.state {
@@ -403,7 +406,7 @@ impl ClientSession {
                 }
                 if now >= self.report_due {
                     self.report_due = now + DELAY_REPORT_PERIOD;
-                    // Who hears nobody needs nothing.
+                    // Without motion from other participants there is no delay estimate.
                     let is_fresh = now - joined.news_at <= REPORT_OLD;
                     if let Some(report) = self.delay.report().filter(|_| is_fresh) {
                         let since = self
@@ -422,39 +425,39 @@ impl ClientSession {
         }
     }
 
-    /// The connection under the session is gone.
+    /// The connection of the session is lost.
     pub fn handle_disconnect(&mut self, why: String) {
         self.close(CloseReason::ConnectionLost(why));
     }
 
-    /// The server ended the session; only the end of the connection says so.
+    /// The server ended the session with the close frame of the connection only.
     pub fn handle_goodbye(&mut self, sentence: String) {
         self.close(CloseReason::Goodbye(sentence));
     }
 
-    /// Takes one sample of one's own tool, oldest first; they leave in batches of four. A sample
-    /// that is not finite or out of range is refused and counted.
+    /// Takes one sample of the client's own tool, oldest first; samples leave in batches of four. A
+    /// sample that is not finite or out of range is rejected and counted.
     pub fn send_motion(&mut self, sample: LocalSample) {
         if !self.motion.push(sample) {
             self.link.count_refused_samples(1);
         }
     }
 
-    /// Leaves out motion that others would guess to within a deadband; `None`, as in the beginning, sends
-    /// all of it.
+    /// Omits motion that receivers predict to within a deadband; `None`, the initial setting, sends all
+    /// of it.
     pub fn set_deadband(&mut self, deadband: Option<Deadband>) {
         self.motion.set_deadband(deadband);
     }
 
-    /// Asks for something; the answer is an operation, or [`ClientEvent::RequestRefused`].
+    /// Sends a request; the answer is an operation, or [`ClientEvent::RequestRefused`].
     pub fn request(&mut self, kind: RequestKind) -> Result<RequestId, ProtocolError> {
         let id = RequestId(self.last_request.wrapping_add(1));
         self.send_request(Request { id, kind })?;
         Ok(id)
     }
 
-    /// The same under a number that is the caller's: who takes a seat again goes on counting, and asks
-    /// again under its old number what was not answered.
+    /// Sends a request with a number from the caller: a resumed client continues its numbering, and
+    /// repeats unanswered requests under their old numbers.
     pub fn send_request(&mut self, request: Request) -> Result<(), ProtocolError> {
         if !matches!(self.state, State::Joined(_)) {
             return Err(ProtocolError::OutOfOrder {
@@ -505,13 +508,13 @@ impl ClientSession {
         }
     }
 
-    /// Whether the session is over; what [`poll_stream`](Self::poll_stream) still gives is to be
-    /// sent nevertheless.
+    /// Whether the session is over. The shell still sends the rest that
+    /// [`poll_stream`](Self::poll_stream) returns.
     pub fn is_closed(&self) -> bool {
         matches!(self.state, State::Closed)
     }
 
-    /// From one's own clock to the server's; `None` until it is locked.
+    /// The map from the client's clock to the server's; `None` until it is locked.
     pub fn clock(&self) -> Option<ClockMap> {
         self.clock.map()
     }
@@ -532,7 +535,7 @@ impl ClientSession {
         }
     }
 
-    /// One's own number, once welcomed.
+    /// The client's participant number, once welcomed.
     pub fn participant(&self) -> Option<ParticipantId> {
         match &self.state {
             State::Joined(joined) => Some(joined.participant),
@@ -540,7 +543,7 @@ impl ClientSession {
         }
     }
 
-    /// How the connection does.
+    /// Statistics of the connection.
     pub fn stats(&self, now: ClientTime) -> LinkStats {
         let compensation = self
             .clock

@@ -1,10 +1,10 @@
-//! Motion that others would guess is not sent: a perceptual deadband.
+//! Perceptual deadband: motion that the receiver can predict is not sent.
 //!
-//! The other side carries a tool on beyond its newest sample ([`Timeline`]). As long as what it would
-//! show is no farther from the truth than a hand or an eye can tell, nothing needs to be said; and a
-//! datagram goes out within [`DEADBAND_HEARTBEAT`] all the same, so that silence still means that
-//! something is wrong. After the predictive deadband of Hinterseer, Hirche, Chaudhuri, Steinbach and
-//! Buss (2008); that the allowed distance grows with the motion is Weber's law.
+//! The receiver extrapolates a tool beyond its newest sample ([`Timeline`]). No datagram is needed while
+//! the extrapolation error is imperceptible to hand and eye. A datagram is still sent within
+//! [`DEADBAND_HEARTBEAT`], so that silence still indicates a fault. After the predictive deadband of
+//! Hinterseer, Hirche, Chaudhuri, Steinbach and Buss (2008); by Weber's law the threshold grows with the
+//! motion.
 
 use nalgebra::{Quaternion, UnitQuaternion};
 
@@ -13,23 +13,23 @@ use crate::datagram::motion::BATCH;
 use crate::timeline::Timeline;
 use crate::{Pose, Span, ToolSample};
 
-/// The longest silence of a tool that goes as foreseen: below the 50 ms beyond which others hold it.
+/// The longest silence of a predictable tool: below the 50 ms beyond which receivers hold it.
 pub const DEADBAND_HEARTBEAT: Span = Span::from_millis(40);
 
-/// How far from the truth others may show one's tool before they are told. What the wire rounds comes on
-/// top: a step in a sample, carried on over the heartbeat, was seen to make up to 0.22 mm.
+/// The largest extrapolation error that is not corrected. Rounding on the wire adds to it: extrapolated
+/// over the heartbeat, a step in a sample contributed up to 0.22 mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Deadband {
-    /// Distance of the tip, m, however little it moves.
+    /// Threshold for the distance of the tip, m, independent of motion.
     pub position_m: f64,
-    /// Weber's share: of the distance from where they last knew it, where that allows more.
+    /// Weber fraction: a share of the distance from the last sent position, where that allows more.
     pub share: f64,
     /// Angle, rad.
     pub angle_rad: f64,
 }
 
 impl Default for Deadband {
-    /// 0.2 mm or 5 % of the way, which is at the lower end of what is noticed, and one degree.
+    /// 0.2 mm or 5 % of the distance, at the lower end of perception, and one degree.
     fn default() -> Self {
         Self {
             position_m: 2e-4,
@@ -40,7 +40,8 @@ impl Default for Deadband {
 }
 
 impl Deadband {
-    /// Whether `shown` may stand for `truth`, `last` being the last that was told.
+    /// Whether the error of `shown` against `truth` is within the deadband; `last` is the last pose
+    /// sent.
     pub(super) fn allows(&self, truth: &Pose, shown: &Pose, last: &Pose) -> bool {
         let allowed = self.position_m.max(self.share * distance(truth, last));
         distance(truth, shown) <= allowed && angle(truth, shown) <= self.angle_rad
@@ -57,15 +58,15 @@ fn angle(a: &Pose, b: &Pose) -> f64 {
     unit(a.orientation).angle_to(&unit(b.orientation))
 }
 
-/// What the other side was told of one tool.
+/// The receiver's knowledge of one tool.
 #[derive(Debug)]
-pub(super) struct Told {
+pub(super) struct SentMotion {
     deadband: Deadband,
     timeline: Timeline,
     newest: Option<ToolSample>,
 }
 
-impl Told {
+impl SentMotion {
     pub(super) fn nothing(deadband: Deadband) -> Self {
         Self {
             deadband,
@@ -74,32 +75,32 @@ impl Told {
         }
     }
 
-    /// Whether others would guess all of a batch, and the next one may wait for its turn.
-    pub(super) fn foresees(&self, batch: &[ToolSample]) -> bool {
-        let Some(told) = &self.newest else {
+    /// Whether the receiver predicts all of a batch, so that the batch need not be sent yet.
+    pub(super) fn predicts(&self, batch: &[ToolSample]) -> bool {
+        let Some(sent) = &self.newest else {
             return false;
         };
-        let batch = batch.iter().filter(|s| s.time > told.time);
+        let batch = batch.iter().filter(|s| s.time > sent.time);
         batch.rev().take(BATCH).all(|s| {
-            let silence = s.time - told.time + Span::from_millis(BATCH as i64);
+            let silence = s.time - sent.time + Span::from_millis(BATCH as i64);
             let shown = self.timeline.foresee(s.time);
             silence <= DEADBAND_HEARTBEAT
-                && s.buttons == told.buttons
-                && shown.is_some_and(|shown| self.deadband.allows(&s.pose, &shown, &told.pose))
+                && s.buttons == sent.buttons
+                && shown.is_some_and(|shown| self.deadband.allows(&s.pose, &shown, &sent.pose))
         })
     }
 
-    /// Notes what is sent.
+    /// Notes a batch that is sent.
     pub(super) fn note(&mut self, batch: &[ToolSample]) {
-        // What others carry on is what they were told, rounding included.
+        // The receiver extrapolates from rounded samples.
         for sample in batch {
-            // What can not be sent is left out by the batch.
+            // The batch omits samples that can not be sent.
             self.timeline.insert(as_sent(sample).unwrap_or(*sample));
         }
         self.newest = batch.last().copied().or(self.newest);
     }
 
-    /// The newest moment that was told.
+    /// The newest moment that was sent.
     #[cfg(test)]
     pub(super) fn newest(&self) -> Option<crate::ServerTime> {
         self.newest.map(|s| s.time)
@@ -114,10 +115,10 @@ mod tests {
     use crate::session::tests::Pair;
     use crate::{LocalSample, ServerTime};
 
-    /// What is left to expectation between two samples, carried on over 40 ms.
+    /// The rounding of samples between two others, extrapolated over 40 ms.
     const ROUNDING_M: f64 = 3e-4;
 
-    /// The batches that arrive of ten seconds of a hand, and what the hand did, by server time in µs.
+    /// The batches received during ten seconds of a hand, and the hand's motion, by server time in µs.
     fn arrived(
         deadband: Option<Deadband>,
         slow: f64,
@@ -148,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn what_others_extrapolate_stays_within_the_deadband_and_silence_below_50_ms() {
+    fn extrapolation_error_stays_within_the_deadband_and_silence_below_50_ms() {
         let deadband = Deadband::default();
         for slow in [1.0, 0.3] {
             let (batches, truth) = arrived(Some(deadband), slow);
@@ -185,17 +186,17 @@ mod tests {
     }
 
     #[test]
-    fn a_button_is_told_at_once() {
-        let mut told = Told::nothing(Deadband::default());
+    fn button_change_is_sent_at_once() {
+        let mut sent = SentMotion::nothing(Deadband::default());
         let sample = |ms: i64| ToolSample {
             time: ServerTime::from_micros(1000 * ms),
             ..ToolSample::default()
         };
-        told.note(&[0, 1, 2, 3].map(sample));
-        assert_eq!(told.newest(), Some(sample(3).time));
+        sent.note(&[0, 1, 2, 3].map(sample));
+        assert_eq!(sent.newest(), Some(sample(3).time));
         let mut next = [4, 5, 6, 7].map(sample);
-        assert!(told.foresees(&next));
+        assert!(sent.predicts(&next));
         next[2].buttons = 1;
-        assert!(!told.foresees(&next));
+        assert!(!sent.predicts(&next));
     }
 }

@@ -1,5 +1,4 @@
-//! What both ends keep about the datagrams of their connection: numbers, losses, noise, and what
-//! waits to be sent.
+//! The datagram state of both ends of a connection: sequence numbers, losses, noise, and the send queue.
 
 use std::collections::VecDeque;
 
@@ -13,24 +12,24 @@ use crate::{
     Arrival, Epoch, ParticipantId, ProtocolError, SequenceWindow, ServerTime, Span, ToolTrack,
 };
 
-/// An acknowledgement goes along when so many datagrams have arrived since the last one: its bits
-/// cover 33, so that each number is told four times and a loss of three in a row costs nothing.
+/// An acknowledgement is sent after this many datagrams: its bits cover 33, so that each number is
+/// acknowledged four times and a loss of three in a row costs nothing.
 const ACKNOWLEDGE_EVERY: u32 = 8;
 
-/// An acknowledgement goes along at least so often, if anything has arrived.
+/// The longest time until an acknowledgement, if any datagram has arrived.
 const ACKNOWLEDGE_WITHIN: Span = Span::from_millis(40);
 
-/// Times of our datagrams that are kept until they are acknowledged.
+/// Times of sent datagrams that are kept until they are acknowledged.
 const TIMES_KEPT_MAX: usize = 256;
 
-/// Datagrams that were thrown away, by reason.
+/// Dropped datagrams, by reason.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct NoiseCounters {
     /// Not a datagram of this protocol.
     pub malformed: u64,
-    /// Of an earlier or unknown life of the session.
+    /// Datagrams of an earlier or unknown incarnation of the session.
     pub other_epoch: u64,
-    /// Of somebody else's connection, or of a kind that this side does not take.
+    /// Datagrams of another connection, or of a kind that this side does not accept.
     pub misdirected: u64,
     /// Seen before.
     pub duplicate: u64,
@@ -38,9 +37,9 @@ pub struct NoiseCounters {
     pub old: u64,
     /// Before the handshake was done.
     pub early: u64,
-    /// Differences from something that did not arrive here.
+    /// Differences to an unknown baseline.
     pub no_baseline: u64,
-    /// Acknowledgements of what was never sent; the rest of such a datagram is read.
+    /// Acknowledgements of datagrams that were never sent; the rest of such a datagram is read.
     pub false_acknowledgement: u64,
 }
 
@@ -58,26 +57,26 @@ impl NoiseCounters {
     }
 }
 
-/// How the connection does.
+/// Statistics of the connection.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct LinkStats {
-    /// Datagrams made here.
+    /// Datagrams sent.
     pub sent: u64,
-    /// Datagrams dropped here because they were not taken in time or could not be encoded.
+    /// Datagrams dropped here because they waited too long or could not be encoded.
     pub skipped: u64,
     /// Datagrams that arrived, each counted once.
     pub received: u64,
-    /// Datagrams that the other side sent, as far as the newest number tells.
+    /// Datagrams that the other side sent, inferred from the newest number.
     pub expected: u64,
-    /// Datagrams of ours that the other side has acknowledged.
+    /// Sent datagrams that the other side has acknowledged.
     pub acknowledged: u64,
-    /// Datagrams of ours up to the newest that is acknowledged.
+    /// Sent datagrams up to the newest that is acknowledged.
     pub acknowledgeable: u64,
     /// Samples that were refused when sending: stale, not finite or out of range.
     pub samples_refused: u64,
     /// Lateness that this machine caused: of datagrams received, and of motion sent.
     pub local_stalls: LocalStalls,
-    /// What was thrown away.
+    /// The rejected datagrams by kind.
     pub noise: NoiseCounters,
     /// Round trip time, the newest measured; client only.
     pub rtt: Option<Span>,
@@ -91,7 +90,7 @@ impl LinkStats {
         lost(self.received, self.expected)
     }
 
-    /// Share of our datagrams that the other side did not get, 0 to 1.
+    /// Share of the sent datagrams that the other side did not receive, 0 to 1.
     pub fn loss_out(&self) -> f64 {
         lost(self.acknowledged, self.acknowledgeable)
     }
@@ -105,20 +104,20 @@ fn lost(got: u64, of: u64) -> f64 {
     }
 }
 
-/// The datagram side of one end. Closed until [`open`](Self::open): what comes before is noise.
+/// The datagram side of one end. Closed until [`open`](Self::open): earlier datagrams are noise.
 #[derive(Debug, Default)]
 pub(super) struct Link {
     tag: Option<Tag>,
-    /// Numbers begin with 1, so that 0 can say that nothing has arrived yet.
+    /// Numbers start at 1; 0 means that nothing has arrived yet.
     last_sequence: u32,
     arrived: SequenceWindow,
     acknowledged: SequenceWindow,
     /// With the moments since which it waits.
     waiting: VecDeque<(Body, ServerTime)>,
-    /// What our datagrams said, and theirs.
+    /// Baselines from the sent datagrams and from the received ones.
     sent: Memory,
     received: Memory,
-    /// The times in our newest datagrams by number, and in the newest one that is acknowledged.
+    /// The times in the newest sent datagrams by number, and in the newest acknowledged one.
     sent_at: VecDeque<(u32, ServerTime)>,
     known_at: Option<ServerTime>,
     /// The latest time in their datagrams.
@@ -126,9 +125,9 @@ pub(super) struct Link {
     /// Datagrams that arrived since the last acknowledgement, and when that left.
     unacknowledged: u32,
     acknowledged_at: ServerTime,
-    /// Of our datagrams, those that the newest of theirs was the first to acknowledge: at most 33.
+    /// Sent datagrams that the newest received one was the first to acknowledge: at most 33.
     fresh: Vec<u32>,
-    /// What is claimed about the oldest news of every tool.
+    /// The reported lateness of the oldest news of every tool.
     claims: Vec<(ParticipantId, Repeated)>,
     stalls: StallCounter,
     stats: LinkStats,
@@ -167,8 +166,8 @@ impl Link {
                 return None;
             }
         };
-        // Whether it is new is asked before the body is read, whether it counts as arrived is said after:
-        // what can not be read must not be acknowledged, or it would become a baseline.
+        // The number is checked before the body is read and noted after: an unreadable datagram must not
+        // be acknowledged, or it would become a baseline.
         let mut arrived = self.arrived.clone();
         let arrival = arrived.insert(opened.header.sequence);
         match arrival {
@@ -196,8 +195,8 @@ impl Link {
         self.arrived = arrived;
         self.unacknowledged += 1;
         if arrival == Arrival::New {
-            // Of motion it is the time of a sample, which may be older than what came before. The
-            // other side completes its times against the latest, too.
+            // For motion it is the time of a sample, which may be older than an earlier datagram's. The
+            // other side completes its times relative to the latest, too.
             self.received_at = self.received_at.max(datagram.header.generated);
         }
         if let Some(a) = datagram.header.acknowledged {
@@ -207,7 +206,7 @@ impl Link {
     }
 
     fn note_acknowledgement(&mut self, newest: u32, bits: u32) {
-        // A peer can claim what it likes, but not about datagrams that do not exist.
+        // A peer may not acknowledge datagrams that do not exist.
         if newest == 0 || newest > self.last_sequence {
             self.stats.noise.false_acknowledgement += 1;
             return;
@@ -231,7 +230,7 @@ impl Link {
         }
     }
 
-    /// Our datagrams that the last one which was [accepted](Self::accept) was the first to acknowledge.
+    /// Sent datagrams that the last [accepted](Self::accept) one was the first to acknowledge.
     pub(super) fn fresh(&self) -> &[u32] {
         &self.fresh
     }
@@ -253,8 +252,8 @@ impl Link {
         self.stalls.add(stall);
     }
 
-    /// Adds to what waits; when full, the oldest goes: newer motion is worth more. What motion waits after
-    /// `since` is lateness that this machine causes.
+    /// Appends to the send queue. A full queue drops the oldest entry, because newer motion is more
+    /// valuable. Waiting time of motion after `since` counts as lateness of this machine.
     pub(super) fn enqueue(&mut self, body: Body, since: ServerTime) {
         self.waiting.push_back((body, since));
         if self.waiting.len() > DATAGRAM_BACKLOG_MAX {
@@ -265,7 +264,7 @@ impl Link {
         }
     }
 
-    /// The next motion of a tool says how late the oldest news is that is skipped here.
+    /// Adds the lateness of the oldest skipped news to the next motion of each skipped tool.
     fn pass_lateness_on(&mut self, skipped: &[ToolTrack], since: ServerTime) {
         for track in skipped {
             let next = self
@@ -287,7 +286,7 @@ impl Link {
         }
     }
 
-    /// The next of what waits, encoded now.
+    /// The next datagram of the send queue, encoded now.
     pub(super) fn pop(&mut self, generated: ServerTime) -> Option<Vec<u8>> {
         while let Some((mut body, since)) = self.waiting.pop_front() {
             if let Body::Motion(tracks) = &mut body {
@@ -313,7 +312,7 @@ impl Link {
         }
     }
 
-    /// A datagram of this side with its number and what it says; what is too large comes back. `None`, and
+    /// Encodes a datagram with its number and content; a body that is too large is returned. `None`, and
     /// counted, where it can not be encoded or the link is not open.
     pub(super) fn encode_whole(
         &mut self,
@@ -369,7 +368,7 @@ impl Link {
         Ok((sequence, bytes, datagram.body))
     }
 
-    /// Sends the first half now and lets the other wait; what has no halves is counted.
+    /// Sends the first half now and queues the other; an indivisible body is counted.
     fn encode_halves(&mut self, body: Body, generated: ServerTime) -> Option<Vec<u8>> {
         let Some((first, second)) = body.halves() else {
             self.stats.skipped += 1;
@@ -380,7 +379,7 @@ impl Link {
         self.encode(first, generated)
     }
 
-    /// Whether more has arrived than what is sent now and then would acknowledge in time.
+    /// Whether more datagrams have arrived than occasional traffic would acknowledge in time.
     pub(super) fn owes_acknowledgement(&self) -> bool {
         self.unacknowledged >= 2 * ACKNOWLEDGE_EVERY
     }
@@ -392,7 +391,7 @@ impl Link {
         (due && self.unacknowledged > 0).then_some(Acknowledgement { newest, bits })
     }
 
-    /// What is claimed about a tool.
+    /// The lateness reported for a tool.
     fn claim(&mut self, who: ParticipantId) -> &mut Repeated {
         let at = if let Some(at) = self.claims.iter().position(|(id, _)| *id == who) {
             at

@@ -1,7 +1,7 @@
 //! One state machine per end of a connection: bytes in, events out.
 //!
-//! [`ClientSession`] is the client's end, [`ServerPeer`] the server's end for one client. Both are
-//! pure: the shell reads the clock, owns the socket and calls, after anything that happened,
+//! [`ClientSession`] is the client's end, [`ServerPeer`] the server's end for one client. Both are pure:
+//! the shell reads the clock, owns the socket and calls, after any event,
 //!
 //! ```text
 //! handle_stream / handle_datagram / handle_timeout / a request          (one of them)
@@ -9,8 +9,8 @@
 //! then sleeps until poll_timeout
 //! ```
 //!
-//! What the peer sends wrong closes that one session, with a [`CloseReason`]; a datagram of noise
-//! is only counted, because anybody can make one arrive late, twice or cut off.
+//! A protocol violation closes that one session with a [`CloseReason`]. A noise datagram is only
+//! counted, because datagrams can arrive late, twice or truncated.
 
 mod client;
 mod deadband;
@@ -40,95 +40,95 @@ pub use link::{LinkStats, NoiseCounters};
 pub use picture::{PICTURE_RATE_BITS_PER_S, PICTURE_STEP_UM, Picture, PictureStats};
 pub use server::{FUTURE_MAX, REQUESTS_PER_SECOND_MAX, ServerPeer};
 
-/// A participant from whom nothing came for so long is gone, and its tool with it.
+/// A participant that is silent for this long is removed together with its tool.
 pub const PEER_SILENCE: Span = Span::from_millis(2000);
 
-/// A server from which nothing came for so long is given up for the moment: force goes to zero.
+/// After this silence of the server the link counts as lost for the moment: the force goes to zero.
 pub const SERVER_SILENCE: Span = Span::from_millis(1000);
 
-/// A handshake that takes longer is given up.
+/// A longer handshake is aborted.
 pub const HANDSHAKE_TIMEOUT: Span = Span::from_millis(10_000);
 
-/// A datagram at least so often from either side, so that silence means something.
+/// The longest time between two datagrams of either side, so that silence is detected.
 pub const HEARTBEAT: Span = Span::from_millis(100);
 
-/// The most bytes of operations that may wait for one peer; beyond, it is too slow and is closed.
+/// The most bytes of operations that one peer's queue holds; beyond, the peer is too slow and is closed.
 /// It holds a thousand strokes of the longest kind.
 pub const STREAM_BACKLOG_MAX_BYTES: usize = 32 * 1024 * 1024;
 
 /// The most datagrams that may wait in one session; beyond, the oldest is dropped and counted.
 pub const DATAGRAM_BACKLOG_MAX: usize = 64;
 
-/// The most events that may wait in one session between two drains. Beyond it motion makes room; a peer
-/// that causes more of what must not get lost is closed.
+/// The most events that one session queues between two drains. Beyond it motion is dropped; a peer that
+/// causes more reliable events is closed.
 pub const EVENTS_MAX: usize = 4096;
 
-/// Why a session is over.
+/// The reason for the end of a session.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CloseReason {
-    /// The other side broke the protocol.
+    /// The other side violated the protocol.
     #[error(transparent)]
     Violation(#[from] ProtocolError),
-    /// Nothing came for too long.
-    #[error("nothing was heard from the other side for {} ms", .0.as_millis_f64())]
+    /// The other side was silent for too long.
+    #[error("the other side was silent for {} ms", .0.as_millis_f64())]
     Silent(Span),
     /// The handshake did not finish in time.
     #[error("the handshake was not finished within {} s", HANDSHAKE_TIMEOUT.as_secs_f64())]
     HandshakeTimeout,
-    /// The server did not let this client in.
+    /// The server refused this client.
     #[error("{}", .0.sentence)]
     Refused(Refused),
     /// The participant asked to leave.
     #[error("the participant left")]
     Left,
-    /// The server said goodbye.
+    /// The server sent a farewell.
     #[error("the server ended the session: {0}")]
     Goodbye(String),
-    /// The connection under the session is gone.
+    /// The connection of the session is lost.
     #[error("the connection was lost: {0}")]
     ConnectionLost(String),
 }
 
-/// What a client learns from its session.
+/// An event of a client's session.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ClientEvent {
     /// The handshake is done. The operations of the log follow as events.
     Welcomed(Box<Welcome>),
-    /// The next operation of the log; they come in order and without a hole.
+    /// The next operation of the log; in order and without gaps.
     Operation(Operation),
-    /// Every operation that the log held at the welcome has been given.
+    /// All operations that were in the log at the welcome have been returned.
     CaughtUp,
-    /// A request will not be done.
+    /// A request was refused.
     RequestRefused(RequestRefused),
-    /// Samples of somebody else's tool, oldest first; some may have been given before. For that
-    /// tool's [`Timeline`](crate::timeline::Timeline).
+    /// Samples of another participant's tool, oldest first; some may be repeated. For that tool's
+    /// [`Timeline`](crate::timeline::Timeline).
     Motion(ToolTrack),
-    /// Where nodes of the tissue are on the server.
+    /// Displacements of some nodes on the server.
     Corrections(Corrections),
-    /// Where the nodes in view are; only for a client without a tissue of its own.
+    /// Displacements of the nodes in view; only for a client without its own tissue.
     Displacements(Displacements),
-    /// What each participant needs of the artificial delay, for the screen.
+    /// Each participant's delay estimate, for display.
     Delays(Vec<(ParticipantId, DelayReport)>),
     /// The clock estimate moved: the map from now on. The first one means that it is locked.
     Clock(ClockMap),
-    /// Nothing came from the server for [`SERVER_SILENCE`]: let the force go to zero, and say so.
+    /// The server was silent for [`SERVER_SILENCE`]: set the force to zero and display a warning.
     LinkLost,
-    /// The server is heard again.
+    /// The server's datagrams arrive again.
     LinkRestored,
     /// The session is over. It is the last event.
     Closed(CloseReason),
 }
 
-/// What a server learns from one client.
+/// An event of a server's session with one client.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PeerEvent {
-    /// Somebody wants in. Answer with [`PeerMessage::Welcome`] or [`PeerMessage::Refused`].
+    /// A client asks to join. Answer with [`PeerMessage::Welcome`] or [`PeerMessage::Refused`].
     Hello(Hello),
     /// A request; its numbers are within their ranges.
     Request(Request),
     /// Samples of this participant's tool.
     Motion(PeerMotion),
-    /// The delay that this participant needs, from a datagram. The same value may also come as a
+    /// This participant's delay estimate, from a datagram. The same value may also arrive as a
     /// request.
     Delay(DelayReport),
     /// The session is over. It is the last event; the tool goes away.
@@ -142,9 +142,9 @@ pub struct PeerMotion {
     pub samples: Vec<ToolSample>,
     /// When the datagram was handled.
     pub arrived: ServerTime,
-    /// How late the sender made it.
+    /// The lateness that the sender caused.
     pub late: Lateness,
-    /// How long it may have waited for a receiver that did not run.
+    /// How long it may have waited for a stalled receiver.
     pub stall: Span,
 }
 
@@ -173,40 +173,40 @@ impl PeerMotion {
 /// Motion that the server relays in one round.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MotionRound {
-    /// When the round was released. What it waits from then on, until a session sends it, is lateness of
-    /// the server.
+    /// When the round was released. Waiting time from then until sending is lateness of the server.
     pub released: ServerTime,
     /// The tools; the lateness of each is that at the release.
     pub tracks: Vec<ToolTrack>,
 }
 
-/// What a server tells one client reliably and in order.
+/// A reliable, ordered message of the server to one client.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PeerMessage {
-    /// Lets the client in. Every operation of the log, from the first that it names, is sent after it.
+    /// Accepts the client. Every operation of the log, from the first that it names, is sent after it.
     Welcome(Box<Welcome>),
-    /// Does not let the client in; closes the session.
+    /// Refuses the client; closes the session.
     Refused(Refused),
     /// The next operation.
     Operation(Arc<Operation>),
-    /// Answers a request that is not done.
+    /// Refuses a request.
     RequestRefused(RequestRefused),
     /// Ends the session.
     Goodbye(String),
 }
 
-/// What a server tells one client as long as there is room for it.
+/// A message of the server to one client that may be dropped for want of room.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PeerDatagram {
-    /// The tools of everybody; the client's own is left out when sending.
+    /// The tools of all participants; the session omits the client's own tool when sending.
     Motion(Arc<MotionRound>),
-    /// Where nodes are, one piece of [`Corrections::pieces`].
+    /// Node displacements, one piece of [`Corrections::pieces`].
     Corrections(Arc<Corrections>),
-    /// Where the nodes in view are, one piece of [`Displacements::pieces`].
+    /// Displacements of the nodes in view, one piece of [`Displacements::pieces`].
     Displacements(Arc<Displacements>),
-    /// Where all nodes in view are, for a thin subscriber: what of it is told, and when, its session chooses.
+    /// The displacements of all nodes in view, for a thin subscriber; the session selects and schedules
+    /// them.
     Picture(Arc<Picture>),
-    /// What each participant needs of the artificial delay.
+    /// Each participant's delay estimate.
     Delays(Arc<[(ParticipantId, DelayReport)]>),
 }
 

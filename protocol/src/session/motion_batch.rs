@@ -1,5 +1,5 @@
-//! One's own samples on their way into datagrams: four new ones at 250 datagrams a second of a 1 kHz
-//! device, and the last one of the four before repeated.
+//! Batches of the client's own samples: four new ones at 250 datagrams a second of a 1 kHz device, with
+//! the last one of the batch before repeated.
 
 use std::collections::VecDeque;
 
@@ -7,17 +7,17 @@ use crate::clock::ClockMap;
 use crate::datagram::POSITION_MAX_M;
 use crate::datagram::motion::{BATCH, USUAL_SAMPLES};
 use crate::lateness::Lateness;
-use crate::session::deadband::{Deadband, Told};
+use crate::session::deadband::{Deadband, SentMotion};
 use crate::{ClientTime, LocalSample, Span, ToolSample};
 
-/// The force goes along with the newest sample of every so many batches, ten times a second: it is shown and
-/// not felt by others, and would take as many bytes as the poses.
+/// One batch in this many carries the force, with its newest sample, ten times a second: other
+/// participants see and do not feel it, and it would take as many bytes as the poses.
 const FORCE_EVERY: u32 = 25;
 
-/// What waited longer than this is not sent any more: others show something newer by then.
+/// Older unsent samples are dropped: receivers display newer ones by then.
 const STALE: Span = Span::from_millis(50);
 
-/// A batch of a 1 kHz device lasts for so long.
+/// The duration of a batch of a 1 kHz device.
 const BATCH_LENGTH: Span = Span::from_millis(BATCH as i64);
 
 /// An incomplete batch goes out after this, so that a slow device is not kept waiting.
@@ -35,8 +35,8 @@ pub(super) struct MotionBatch {
     batches: u32,
     /// Newest samples of the last two batches.
     before: [Option<ClientTime>; 2],
-    /// With a deadband: what the other side was told.
-    told: Option<Told>,
+    /// With a deadband: the receiver's knowledge.
+    sent: Option<SentMotion>,
 }
 
 impl MotionBatch {
@@ -50,7 +50,7 @@ impl MotionBatch {
             .all(|x| x.abs() <= POSITION_MAX_M)
             && (0.9..1.1).contains(&norm);
         if (self.kept.back()).is_some_and(|last| last.time - sample.time > STALE) {
-            // The clock was set back. What it stamped before would hold up all that comes.
+            // The clock was set back. Samples with earlier stamps would delay all later ones.
             self.stale += std::mem::take(&mut self.unsent);
             self.kept.clear();
             self.before = [None; 2];
@@ -71,9 +71,9 @@ impl MotionBatch {
         true
     }
 
-    /// Leaves out what the other side would guess, or sends everything.
+    /// Omits motion that the receiver predicts, or sends all of it.
     pub(super) fn set_deadband(&mut self, deadband: Option<Deadband>) {
-        self.told = deadband.map(Told::nothing);
+        self.sent = deadband.map(SentMotion::nothing);
     }
 
     /// The samples for the next datagram, oldest first, if one is due, and how late they leave.
@@ -84,10 +84,10 @@ impl MotionBatch {
     ) -> Option<(Vec<ToolSample>, Lateness)> {
         loop {
             let (samples, late) = self.next_batch(now, map)?;
-            match &mut self.told {
-                Some(told) if told.foresees(&samples) => {}
-                Some(told) => {
-                    told.note(&samples);
+            match &mut self.sent {
+                Some(sent) if sent.predicts(&samples) => {}
+                Some(sent) => {
+                    sent.note(&samples);
                     return Some((samples, late));
                 }
                 None => return Some((samples, late)),

@@ -1,4 +1,4 @@
-//! Bytes that wait for the operations stream.
+//! The send queue of the operations stream.
 
 use std::collections::VecDeque;
 

@@ -1,15 +1,15 @@
-//! What a thin subscriber is told of the tissue: as much of the picture as fits into its rate.
+//! The picture stream of a thin subscriber: node displacements within a fixed rate.
 //!
 //! ```text
-//! at every picture, of each node in view
-//!   off = |where it is - what it was last told|    known or on its way: none of it counts below a step
-//!   the nodes that are farthest off go first, as many as the rate has room for; the others wait
-//! rate   a bucket that fills with 1 Mbit/s; everything to this subscriber is taken out of it
+//! at every picture, for each node in view
+//!   error = |displacement - last displacement sent|   acknowledged or in flight; below one step it counts as 0
+//!   the nodes with the largest errors go first, as many as the rate allows; the others wait
+//! rate   a token bucket that fills with 1 Mbit/s; all traffic to this subscriber is taken from it
 //! ```
 //!
-//! A node counts as known only when its datagram was acknowledged; one that is not within
-//! [twice the usual time](PictureStream::overdue) is told again. So no loss leaves anything behind: when
-//! the tissue rests, every node is within a step of where the server has it.
+//! A node counts as known only when its datagram was acknowledged. Without an acknowledgement within
+//! [twice the usual time](PictureStream::overdue) it is sent again. After losses and with the tissue at
+//! rest, every node is therefore within a step of the server's displacement.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -22,49 +22,48 @@ use crate::{ServerTime, Span};
 /// Step of a thin subscriber's displacements, µm: rounding to it moves a node by at most 0.043 mm.
 pub const PICTURE_STEP_UM: u16 = 50;
 
-/// All that a thin subscriber may cost, bits per second, with what UDP, IP and QUIC add.
+/// The total rate of a thin subscriber, bits per second, including UDP, IP and QUIC overhead.
 pub const PICTURE_RATE_BITS_PER_S: u32 = 1_000_000;
 
 /// Bytes per second of the same.
 const RATE: f64 = PICTURE_RATE_BITS_PER_S as f64 / 8.0;
 
-/// What a datagram costs beyond its own bytes: 40 for IPv6, 8 for UDP, 30 for QUIC's header, its seal and
-/// the frame around it.
-const AROUND_BYTES: usize = 78;
+/// Overhead of a datagram in bytes: 40 for IPv6, 8 for UDP, 30 for QUIC's header, its authentication tag
+/// and the frame header.
+const OVERHEAD_BYTES: usize = 78;
 
-/// The most that is saved up, s: two frames at 60 Hz, so that a late tick loses nothing.
+/// Depth of the token bucket, s: two frames at 60 Hz, so that a late tick loses nothing.
 const SAVED_S: f64 = 1.0 / 30.0;
 
-/// The longest that something large (the log at the beginning, a burst of motion) may keep the picture
-/// waiting, s.
+/// The longest time that a large message (the initial log, a burst of motion) may delay the picture, s.
 const DEBT_S: f64 = 0.5;
 
-/// Room below which no datagram is begun, bytes: what is around it would cost more than it says.
-const WORTH_BYTES: f64 = 200.0;
+/// The smallest budget in bytes for which a datagram is started: below it the overhead dominates.
+const BUDGET_MIN_BYTES: f64 = 200.0;
 
-/// Of a datagram with displacements: header, topology, time and step, bytes.
+/// Size of the header, topology, time and step of a datagram with displacements, bytes.
 const HEAD_BYTES: f64 = 26.0;
 
-/// What a node is guessed to cost before anything was sent, bytes: measured on a press.
+/// Initial estimate of bytes per node, measured on a press.
 const NODE_BYTES_FIRST: f64 = 1.3;
 
-/// How fast the guess follows.
+/// Adaptation rate of the estimate.
 const FOLLOW: f64 = 0.1;
 
-/// Datagrams whose arrival is waited for: a second at twice the rate that full ones can have. Beyond,
-/// the oldest counts as lost.
-const ON_THE_WAY_MAX: usize = 256;
+/// The most datagrams in flight: a second at twice the rate of full ones. Beyond, the oldest counts as
+/// lost.
+const IN_FLIGHT_MAX: usize = 256;
 
-/// What is not acknowledged within this counts as lost, at the least and at the most.
+/// The shortest and the longest time after which an unacknowledged datagram counts as lost.
 const OVERDUE_MIN: Span = Span::from_millis(100);
 const OVERDUE_MAX: Span = Span::from_millis(1500);
 
-/// Where the nodes in view are: all of them, whatever has been told before.
+/// The displacements of all nodes in view.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Picture {
     /// The topology that the node numbers belong to.
     pub topology_version: u32,
-    /// The moment that it is for.
+    /// The time of the displacements.
     pub view_time: ServerTime,
     /// The nodes in view, ascending.
     pub nodes: Arc<[u32]>,
@@ -72,42 +71,42 @@ pub struct Picture {
     pub displacements: Vec<[f32; 3]>,
 }
 
-/// How a picture stream does.
+/// Statistics of a picture stream.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct PictureStats {
-    /// Nodes that are off by more than a step and found no room in the newest picture.
+    /// Nodes with an error above one step that did not fit into the newest picture.
     pub waiting: u64,
-    /// Nodes told, each time counted.
+    /// Node displacements sent, repetitions included.
     pub told: u64,
-    /// Nodes that were told again because nothing was heard of the datagram.
+    /// Node displacements sent again because their datagram was not acknowledged.
     pub again: u64,
-    /// Bytes to this subscriber, with what is around them.
+    /// Bytes to this subscriber, including overhead.
     pub bytes: u64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 enum Fate {
-    /// Never told, or lost: what the other side shows is `known`.
+    /// Never sent, or lost: the client displays `known`.
     #[default]
-    Untold,
-    /// Told by the datagram of this number.
-    OnItsWay(u32),
+    Unsent,
+    /// Sent in the datagram of this number.
+    InFlight(u32),
     Known,
 }
 
-/// What is known of one node at the other side.
+/// The client's knowledge of one node.
 #[derive(Debug, Clone, Copy, Default)]
-struct Told {
-    /// What was told last, steps.
+struct SentNode {
+    /// The displacement last sent, steps.
     last: [i16; 3],
-    /// What was acknowledged last, steps.
+    /// The displacement last acknowledged, steps.
     known: [i16; 3],
-    /// Whether anything ever was.
+    /// Whether any displacement was acknowledged.
     is_known: bool,
     fate: Fate,
 }
 
-/// A datagram of which nothing has been heard yet.
+/// A datagram in flight.
 #[derive(Debug)]
 struct Flight {
     sequence: u32,
@@ -119,38 +118,38 @@ struct Flight {
 #[derive(Debug, Default)]
 pub(super) struct PictureStream {
     newest: Option<Arc<Picture>>,
-    /// Whether the newest still has to be divided.
+    /// Whether the newest picture is not yet divided into pieces.
     is_fresh: bool,
-    /// By node number; as long as the largest that was in view.
-    told: Vec<Told>,
-    /// Pieces of the newest picture that are chosen and not sent yet.
+    /// By node number; as long as the largest number that was in view.
+    sent: Vec<SentNode>,
+    /// Chosen pieces of the newest picture that are not sent yet.
     pieces: VecDeque<Displacements>,
     flights: VecDeque<Flight>,
-    /// What may still be sent, bytes; below zero where more was.
-    saved: f64,
+    /// The token bucket in bytes; negative after overspending.
+    budget: f64,
     filled: Option<ServerTime>,
     node_bytes: Option<f64>,
-    /// The usual time from sending to hearing of it.
+    /// The usual time from sending to acknowledgement.
     usual: Option<Span>,
     stats: PictureStats,
 }
 
 impl PictureStream {
-    /// A newer picture; what was not sent of the one before is chosen anew.
+    /// Takes a newer picture; the nodes to send are chosen again.
     pub(super) fn show(&mut self, picture: &Arc<Picture>) {
         self.newest = Some(Arc::clone(picture));
         self.is_fresh = true;
         self.pieces.clear();
     }
 
-    /// Something is sent to this subscriber: `bytes` of a datagram or of the stream.
+    /// Accounts for `bytes` of a datagram or of the stream to this subscriber.
     pub(super) fn charge(&mut self, bytes: usize) {
-        let cost = bytes + AROUND_BYTES;
+        let cost = bytes + OVERHEAD_BYTES;
         self.stats.bytes += cost as u64;
-        self.saved = (self.saved - cost as f64).max(-DEBT_S * RATE);
+        self.budget = (self.budget - cost as f64).max(-DEBT_S * RATE);
     }
 
-    /// The other side has these datagrams.
+    /// Notes acknowledged datagrams.
     pub(super) fn acknowledge(&mut self, sequences: &[u32], now: ServerTime) {
         for sequence in sequences {
             let Some(at) = self.flights.iter().position(|f| f.sequence == *sequence) else {
@@ -161,27 +160,28 @@ impl PictureStream {
             };
             let took = now - flight.sent;
             let usual = self.usual.get_or_insert(took);
-            // Slowly down, at once half way up: too late costs a moment, too early the same bytes twice.
+            // The estimate falls slowly and rises quickly: a late retransmission costs a moment, an
+            // early one bytes.
             let part = if took > *usual { 2 } else { 16 };
             *usual = *usual + Span::from_micros((took - *usual).as_micros() / part);
             for node in flight.nodes {
-                let told = &mut self.told[node as usize];
-                if told.fate == Fate::OnItsWay(flight.sequence) {
-                    told.fate = Fate::Known;
-                    told.known = told.last;
-                    told.is_known = true;
+                let sent = &mut self.sent[node as usize];
+                if sent.fate == Fate::InFlight(flight.sequence) {
+                    sent.fate = Fate::Known;
+                    sent.known = sent.last;
+                    sent.is_known = true;
                 }
             }
         }
     }
 
-    /// What is not heard of for so long counts as lost: twice the usual time.
+    /// The time after which an unacknowledged datagram counts as lost: twice the usual time.
     pub(super) fn overdue(&self) -> Span {
         let twice = self.usual.map_or(OVERDUE_MAX, |u| u + u);
         twice.clamp(OVERDUE_MIN, OVERDUE_MAX)
     }
 
-    /// The next datagram, if there is room for one and something to tell.
+    /// The next datagram, if the budget allows one and a node has an error.
     pub(super) fn next(&mut self, link: &mut Link, now: ServerTime) -> Option<Vec<u8>> {
         self.fill(now);
         if self.is_fresh {
@@ -189,14 +189,14 @@ impl PictureStream {
             self.give_up_overdue(now);
             self.choose();
         }
-        while self.saved >= WORTH_BYTES {
+        while self.budget >= BUDGET_MIN_BYTES {
             let piece = self.pieces.pop_front()?;
             match link.encode_whole(Body::Displacements(piece), now) {
                 Ok((sequence, bytes, Body::Displacements(piece))) => {
                     self.note_sent(sequence, bytes.len(), &piece, now);
                     return Some(bytes);
                 }
-                // Nothing else goes in, so nothing else comes out.
+                // No other body is queued here.
                 Ok(_) => return None,
                 Err(Some(body)) => self.halve(body),
                 Err(None) => {}
@@ -212,7 +212,7 @@ impl PictureStream {
     fn fill(&mut self, now: ServerTime) {
         let since = self.filled.map_or(0.0, |t| (now - t).as_secs_f64());
         self.filled = Some(now);
-        self.saved = (self.saved + since.max(0.0) * RATE).min(SAVED_S * RATE);
+        self.budget = (self.budget + since.max(0.0) * RATE).min(SAVED_S * RATE);
     }
 
     fn halve(&mut self, body: Body) {
@@ -225,7 +225,7 @@ impl PictureStream {
     fn give_up_overdue(&mut self, now: ServerTime) {
         let overdue = self.overdue();
         while let Some(first) = self.flights.front() {
-            let is_lost = now - first.sent > overdue || self.flights.len() > ON_THE_WAY_MAX;
+            let is_lost = now - first.sent > overdue || self.flights.len() > IN_FLIGHT_MAX;
             if !is_lost {
                 return;
             }
@@ -233,9 +233,9 @@ impl PictureStream {
                 return;
             };
             for node in flight.nodes {
-                let told = &mut self.told[node as usize];
-                if told.fate == Fate::OnItsWay(flight.sequence) {
-                    told.fate = Fate::Untold;
+                let sent = &mut self.sent[node as usize];
+                if sent.fate == Fate::InFlight(flight.sequence) {
+                    sent.fate = Fate::Unsent;
                     self.stats.again += 1;
                 }
             }
@@ -247,9 +247,9 @@ impl PictureStream {
         let guess = self.node_bytes.get_or_insert(each);
         *guess += FOLLOW * (each - *guess);
         for (node, displacement) in &piece.nodes {
-            let told = &mut self.told[*node as usize];
-            told.last = steps(*displacement);
-            told.fate = Fate::OnItsWay(sequence);
+            let sent = &mut self.sent[*node as usize];
+            sent.last = steps(*displacement);
+            sent.fate = Fate::InFlight(sequence);
         }
         self.stats.told += piece.nodes.len() as u64;
         self.flights.push_back(Flight {
@@ -259,25 +259,25 @@ impl PictureStream {
         });
     }
 
-    /// Chooses what of the newest picture is to be sent, and divides it into pieces for a datagram each.
+    /// Chooses the nodes of the newest picture to send, and divides them into pieces of a datagram each.
     fn choose(&mut self) {
         let Some(picture) = self.newest.clone() else {
             return;
         };
         let longest = picture.nodes.last().map_or(0, |n| *n as usize + 1);
-        if self.told.len() < longest {
-            self.told.resize(longest, Told::default());
+        if self.sent.len() < longest {
+            self.sent.resize(longest, SentNode::default());
         }
         let all = picture.nodes.iter().zip(&picture.displacements);
         let mut off: Vec<(f32, u32, [f32; 3])> = all
-            .filter_map(|(node, d)| Some((self.told[*node as usize].off(*d)?, *node, *d)))
+            .filter_map(|(node, d)| Some((self.sent[*node as usize].off(*d)?, *node, *d)))
             .collect();
         let node_bytes = self.node_bytes.unwrap_or(NODE_BYTES_FIRST);
         let fit = |bytes: f64| ((bytes - HEAD_BYTES).max(0.0) / node_bytes) as usize;
         let whole = (fit(0.95 * DATAGRAM_MAX_BYTES as f64)).clamp(1, NODES_MAX);
-        let full = (DATAGRAM_MAX_BYTES + AROUND_BYTES) as f64;
-        let datagrams = (self.saved / full).max(0.0).floor();
-        let rest = self.saved - datagrams * full - AROUND_BYTES as f64;
+        let full = (DATAGRAM_MAX_BYTES + OVERHEAD_BYTES) as f64;
+        let datagrams = (self.budget / full).max(0.0).floor();
+        let rest = self.budget - datagrams * full - OVERHEAD_BYTES as f64;
         let room = datagrams as usize * whole + fit(rest).min(whole);
         self.stats.waiting = off.len().saturating_sub(room) as u64;
         if off.len() > room {
@@ -288,7 +288,7 @@ impl PictureStream {
             off.truncate(room);
         }
         off.sort_unstable_by_key(|(_, node, _)| *node);
-        // Pieces of one length: a short one at the end would cost as much around it as a long one.
+        // Pieces of equal length: a short one at the end would cost as much overhead as a long one.
         let pieces = off.len().div_ceil(whole).max(1);
         let length = off.len().div_ceil(pieces).max(1);
         self.pieces = off
@@ -304,18 +304,18 @@ impl PictureStream {
     }
 }
 
-impl Told {
-    /// How far off a node is from what was told, in steps; `None` where it is not worth telling.
+impl SentNode {
+    /// The error of a node relative to the displacement sent, in steps; `None` below the threshold.
     fn off(&self, displacement: [f32; 3]) -> Option<f32> {
-        let (at, is_told) = match self.fate {
-            Fate::Untold => (self.known, false),
-            Fate::OnItsWay(_) | Fate::Known => (self.last, true),
+        let (at, is_sent) = match self.fate {
+            Fate::Unsent => (self.known, false),
+            Fate::InFlight(_) | Fate::Known => (self.last, true),
         };
         let step = f32::from(PICTURE_STEP_UM) * 1e-6;
         let parts = (0..3).map(|i| displacement[i] / step - f32::from(at[i]));
         let off = parts.map(|x| x * x).sum::<f32>().sqrt();
-        // Of what is not known it is not known how far off it is: it comes before what is hardly off.
-        if is_told {
+        // The error of an unknown node is unknown: it goes before nodes with small errors.
+        if is_sent {
             (off > 1.0).then_some(off)
         } else {
             Some(off + 1.0)
@@ -323,7 +323,7 @@ impl Told {
     }
 }
 
-/// A displacement in metres, in steps, as the datagram says it.
+/// A displacement in metres as steps on the wire.
 fn steps(displacement: [f32; 3]) -> [i16; 3] {
     let step = f64::from(PICTURE_STEP_UM) * 1e-6;
     displacement.map(|x| (f64::from(x) / step).round() as i16)

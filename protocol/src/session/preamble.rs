@@ -9,18 +9,18 @@ pub(super) struct PreambleReader {
     bytes: Vec<u8>,
 }
 
-/// What a whole preamble says, and how many of the last bytes given belong to what follows it.
+/// A complete preamble, and the number of the last bytes given that belong to the data after it.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Opening {
     pub(super) preamble: Preamble,
-    /// The sentence that a server adds when it will not go on.
+    /// The sentence of a server that refuses.
     pub(super) sentence: Option<String>,
     pub(super) left_over: usize,
 }
 
 impl PreambleReader {
-    /// Takes what arrived; `None` while more is needed. At most the preamble with its longest
-    /// sentence is kept.
+    /// Takes received bytes; `None` while more are needed. Keeps at most the preamble with its longest
+    /// sentence.
     pub(super) fn push(&mut self, bytes: &[u8]) -> Result<Option<Opening>, ProtocolError> {
         const WHOLE_MAX: usize = PREAMBLE_BYTES + 2 + PREAMBLE_SENTENCE_MAX_BYTES;
         let before = self.bytes.len();

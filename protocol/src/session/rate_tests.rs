@@ -1,4 +1,4 @@
-//! How much a session takes of the line.
+//! The bandwidth of a session.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -8,11 +8,11 @@ use super::tests::Pair;
 use super::*;
 use crate::{LocalSample, Pose, ServerTime, Span, ToolSample, ToolTrack};
 
-/// Bytes that QUIC adds to each datagram of ours, up and down: flags 1, connection id 3 towards the
-/// server and 0 towards the client, packet number 1, frame type and length 2, seal 16, which makes 23
-/// and 20; and an acknowledgement of its own in nearly every packet, some 7. Together as measured by
-/// the transport's example `latency` with 250 datagrams a second of 20 B up and 40 B down, from UDP
-/// payload: 29.7 and 26.8 without loss.
+/// Bytes that QUIC adds to each datagram, uplink and downlink: flags 1, connection id 3 towards the
+/// server and 0 towards the client, packet number 1, frame type and length 2, authentication tag 16,
+/// together 23 and 20; plus an acknowledgement in nearly every packet, some 7. The sums are measured by
+/// the transport's example `latency` from UDP payload with 250 datagrams a second of 20 B uplink and 40
+/// B downlink: 29.7 and 26.8 without loss.
 const QUIC_BYTES: [f64; 2] = [29.7, 26.8];
 
 /// More of them with every lost packet, per share of loss, from 32.0 and 28.7 with 5 %: then
@@ -66,7 +66,7 @@ impl Hand {
     }
 }
 
-/// Bits per second up and down with one other participant, and bytes per datagram.
+/// Bits per second uplink and downlink with one other participant, and bytes per datagram.
 fn rates(seed: u64, delay_us: i64, jitter_us: i64, loss: f64) -> ([f64; 2], [f64; 2]) {
     let mut pair = Pair::new(seed, delay_us, jitter_us, loss);
     pair.join(0);
@@ -85,7 +85,7 @@ fn rates(seed: u64, delay_us: i64, jitter_us: i64, loss: f64) -> ([f64; 2], [f64
             buttons: 0,
             force_n: Some([rng.random_range(0.0..0.3), 1.0, -2.0]),
         });
-        // What the room relays of the other: each batch with the last one before it.
+        // The room relays each batch of the other participant with the last sample before it.
         batch.push(ToolSample {
             time: ServerTime::from_micros(pair.server_now().as_micros() - 30_000) - late,
             pose: other.pose(t_s),

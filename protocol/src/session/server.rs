@@ -22,10 +22,11 @@ use crate::{OperationId, ParticipantId, ProtocolError, ServerTime, Span, ToolTra
 /// More requests than this in one second are refused with [`RequestRefusal::TooMany`].
 pub const REQUESTS_PER_SECOND_MAX: u32 = 50;
 
-/// A sample may not claim to be from farther in the future than this; such a datagram is noise.
+/// The largest time of a sample ahead of now; a later one makes the datagram noise.
 pub const FUTURE_MAX: Span = Span::from_millis(500);
 
-/// Samples that are older are noise, too: nobody shows them, and others must be able to tell them apart from new ones.
+/// Older samples are noise, too: no site displays them, and receivers must distinguish them from new
+/// ones.
 const PAST_MAX: Span = Span::from_millis(2000);
 
 enum State {
@@ -42,7 +43,7 @@ enum State {
 
 #[cfg(test)]
 impl ServerPeer {
-    /// The states, in the words of the document of the states.
+    /// The states, as named in STATES.md.
     pub(super) const STATES: [&str; 5] = ["Preamble", "Hello", "Asked", "Joined", "Closed"];
 
     pub(super) fn state_name(&self) -> &'static str {
@@ -65,7 +66,7 @@ pub struct ServerPeer {
     decoder: FrameDecoder<ClientMessage>,
     outbox: Outbox,
     link: Link,
-    /// What a thin subscriber is told of the tissue, from its first picture on.
+    /// The picture stream of a thin subscriber, from its first picture on.
     picture: Option<Box<PictureStream>>,
     events: VecDeque<PeerEvent>,
     started: ServerTime,
@@ -193,7 +194,7 @@ impl ServerPeer {
         self.handle_waiting_datagram(bytes, Span::ZERO, now);
     }
 
-    /// The same of one that may have waited for `stall`, because this machine did not run
+    /// The same for a datagram that may have waited for `stall`, because this machine stalled
     /// ([`StallWatch`](crate::lateness::StallWatch)).
     pub fn handle_waiting_datagram(&mut self, bytes: &[u8], stall: Span, now: ServerTime) {
         let Some(datagram) = self.link.accept(bytes) else {
@@ -209,11 +210,11 @@ impl ServerPeer {
         }
         match datagram.body {
             Body::Motion(tracks) => self.handle_motion(tracks, participant, stall, now),
-            // The round trip would be that of this machine; the next probe follows soon.
+            // The round trip would include this machine's stall; the next probe follows soon.
             Body::Probe(_) if stall > LONG_STALL => {}
             Body::Probe(probe) => self.handle_probe(probe, now),
             Body::Delays(list) => match list.as_slice() {
-                // A sign of life, which acknowledges.
+                // A heartbeat with an acknowledgement.
                 [] => {}
                 [(who, report)] if *who == participant => self.emit(PeerEvent::Delay(*report)),
                 _ => self.link.count_misdirected(),
@@ -259,7 +260,7 @@ impl ServerPeer {
         self.link.enqueue(Body::Reply(reply), now);
     }
 
-    /// Call when the time of [`poll_timeout`](Self::poll_timeout) has come; earlier does no harm.
+    /// Call at the time of [`poll_timeout`](Self::poll_timeout); an earlier call does no harm.
     pub fn handle_timeout(&mut self, now: ServerTime) {
         match self.state {
             State::Closed => {}
@@ -279,17 +280,17 @@ impl ServerPeer {
         }
     }
 
-    /// The connection under the session is gone.
+    /// The connection of the session is lost.
     pub fn handle_disconnect(&mut self, why: String) {
         self.close(CloseReason::ConnectionLost(why));
     }
 
-    /// The participant is gone for good; only the end of the connection says so.
+    /// The participant left for good, with the close frame of the connection only.
     pub fn handle_goodbye(&mut self) {
         self.close(CloseReason::Left);
     }
 
-    /// The room produced more for this peer than its queue holds.
+    /// The room's messages exceed the queue of this peer.
     pub fn handle_overflow(&mut self) {
         let limit = STREAM_BACKLOG_MAX_BYTES;
         self.violation(ProtocolError::Backlog {
@@ -298,7 +299,7 @@ impl ServerPeer {
         });
     }
 
-    /// Something reliable for the client. An error closes the session; the event follows.
+    /// Sends a reliable message to the client. An error closes the session; the event follows.
     pub fn send(&mut self, message: &PeerMessage, now: ServerTime) -> Result<(), ProtocolError> {
         if matches!(self.state, State::Closed) {
             return Ok(());
@@ -314,7 +315,7 @@ impl ServerPeer {
         let not_joined = |what| {
             Err(ProtocolError::OutOfOrder {
                 what,
-                state: "nobody joined",
+                state: "no participant has joined",
             })
         };
         match (message, &mut self.state) {
@@ -329,7 +330,7 @@ impl ServerPeer {
                 self.heard = now;
                 Ok(())
             }
-            (PeerMessage::Welcome(_), _) => not_joined("welcome that nobody asked for"),
+            (PeerMessage::Welcome(_), _) => not_joined("welcome without a hello"),
             (PeerMessage::Refused(refused), _) => self.refuse(refused.clone()),
             (PeerMessage::Operation(operation), State::Joined { next_operation, .. }) => {
                 if operation.id != *next_operation {
@@ -363,7 +364,7 @@ impl ServerPeer {
         Ok(())
     }
 
-    /// Something that may get lost; before the welcome it is dropped.
+    /// Sends an unreliable message; before the welcome it is dropped.
     pub fn send_datagram(&mut self, datagram: &PeerDatagram, now: ServerTime) {
         let State::Joined { participant, .. } = self.state else {
             return;
@@ -380,7 +381,7 @@ impl ServerPeer {
             }
             PeerDatagram::Picture(picture) => {
                 self.picture.get_or_insert_default().show(picture);
-                // The heartbeat is due all the same: of a picture that rests nothing is sent.
+                // The heartbeat is due all the same: a picture at rest sends nothing.
                 return;
             }
             PeerDatagram::Delays(list) => {
@@ -392,8 +393,8 @@ impl ServerPeer {
         self.heartbeat_due = now + HEARTBEAT;
     }
 
-    /// Puts the tools of the others into datagrams; one that gets too long is halved when it is
-    /// encoded.
+    /// Puts the tools of the other participants into datagrams; one that gets too long is halved when it
+    /// is encoded.
     fn enqueue_motion(&mut self, round: &MotionRound, own: ParticipantId) {
         let since = round.released;
         let others = round
@@ -454,18 +455,18 @@ impl ServerPeer {
         }
     }
 
-    /// Whether the session is over; what [`poll_stream`](Self::poll_stream) still gives is to be
-    /// sent nevertheless.
+    /// Whether the session is over. The shell still sends the rest that
+    /// [`poll_stream`](Self::poll_stream) returns.
     pub fn is_closed(&self) -> bool {
         matches!(self.state, State::Closed)
     }
 
-    /// How the connection does.
+    /// Statistics of the connection.
     pub fn stats(&self) -> LinkStats {
         self.link.stats()
     }
 
-    /// How the picture of a thin subscriber does; `None` for any other.
+    /// The statistics of a thin subscriber's picture stream; `None` for any other subscriber.
     pub fn picture_stats(&self) -> Option<PictureStats> {
         self.picture.as_ref().map(|p| p.stats())
     }
@@ -475,7 +476,7 @@ impl ServerPeer {
             return;
         }
         if self.events.len() == EVENTS_MAX {
-            // Motion makes room, the oldest first: a room that stands still is not its peers' fault.
+            // The oldest motion is dropped first: a stalled room is not the fault of its peers.
             let lossy = |e: &PeerEvent| matches!(e, PeerEvent::Motion(_) | PeerEvent::Delay(_));
             if let Some(i) = self.events.iter().position(lossy) {
                 self.events.remove(i);
@@ -496,7 +497,7 @@ impl ServerPeer {
     fn violation(&mut self, error: ProtocolError) {
         if !matches!(self.state, State::Closed | State::Preamble(_)) {
             let sentence = error.to_string();
-            // What can not be sent any more is not worth a second error.
+            // The session ends in any case; a failed farewell needs no second error.
             let _ = self.outbox.push(&ServerMessage::Goodbye { sentence });
         }
         self.close(CloseReason::Violation(error));

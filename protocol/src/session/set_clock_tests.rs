@@ -6,7 +6,7 @@ use crate::{LocalSample, Pose};
 
 const HOURS_US: i64 = 3 * 3_600_000_000;
 
-/// A session that has stood for two seconds, and whose clock is then set.
+/// A session that has run for two seconds before its clock is set.
 fn set_by(us: i64) -> Pair {
     let mut pair = Pair::new(1, 30_000, 5_000, 0.0);
     pair.join(0);
@@ -17,7 +17,7 @@ fn set_by(us: i64) -> Pair {
     pair
 }
 
-/// So many milliseconds with a hand that rests.
+/// Runs for `ms` milliseconds with a hand at rest.
 fn moved(pair: &mut Pair, ms: i64) {
     for _ in 0..ms {
         let time = pair.client_now();
@@ -31,7 +31,7 @@ fn moved(pair: &mut Pair, ms: i64) {
 }
 
 #[test]
-fn a_clock_that_is_set_by_hours_is_known_again_within_two_seconds() {
+fn clock_set_by_hours_locks_again_within_two_seconds() {
     for us in [-HOURS_US, HOURS_US] {
         let mut pair = set_by(us);
         moved(&mut pair, 2000);
@@ -43,7 +43,7 @@ fn a_clock_that_is_set_by_hours_is_known_again_within_two_seconds() {
 }
 
 #[test]
-fn motion_of_a_hand_whose_clock_is_set_comes_with_the_right_time_again() {
+fn motion_has_the_right_time_after_the_clock_is_set() {
     for us in [-HOURS_US, HOURS_US] {
         let mut pair = set_by(us);
         moved(&mut pair, 2000);
@@ -66,7 +66,7 @@ fn motion_of_a_hand_whose_clock_is_set_comes_with_the_right_time_again() {
 }
 
 #[test]
-fn a_server_that_falls_silent_after_the_clock_was_set_back_is_missed() {
+fn server_silence_is_detected_after_the_clock_is_set_back() {
     let mut pair = set_by(-HOURS_US);
     pair.steps(500);
     pair.down.loss = 1.0;

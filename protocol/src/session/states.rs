@@ -1,4 +1,4 @@
-//! The document of the states, held against the machines.
+//! Checks STATES.md against the state machines.
 
 use super::client::ClientSession;
 use super::preamble::refusing;
@@ -12,7 +12,7 @@ use crate::{ClientTime, RequestId, ServerTime, TopologyHash};
 
 const DOCUMENT: &str = include_str!("../../STATES.md");
 
-/// From, what happens, to.
+/// State, event, next state.
 type Row = [String; 3];
 
 /// The rows of the table below a heading.
@@ -187,11 +187,11 @@ fn run_peer(from: &str, what: &str) -> &'static str {
 }
 
 #[test]
-fn the_clients_session_moves_as_the_document_says() {
+fn client_session_follows_the_state_document() {
     check("Client session", &ClientSession::STATES, run_client);
 }
 
 #[test]
-fn the_servers_peer_moves_as_the_document_says() {
+fn server_peer_follows_the_state_document() {
     check("Server peer", &ServerPeer::STATES, run_peer);
 }

@@ -1,4 +1,4 @@
-//! Both ends against each other, in virtual time over a bad link.
+//! Client and server sessions connected in virtual time over a bad link.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -83,7 +83,7 @@ impl Path {
 /// A client, a server's peer and the link between them. The server's clock is 42 s ahead.
 pub(super) struct Pair {
     pub(super) now_us: i64,
-    /// By how much the client's clock was set.
+    /// The step of the client's clock.
     pub(super) set_us: i64,
     pub(super) client: ClientSession,
     pub(super) server: ServerPeer,
@@ -184,7 +184,7 @@ impl Pair {
         self.server.send(message, self.server_now()).unwrap();
     }
 
-    /// Until the client is in, with `log` operations before it.
+    /// Runs until the client has joined, with `log` operations before it.
     pub(super) fn join(&mut self, log: u64) {
         while !matches!(self.server_events.last(), Some(PeerEvent::Hello(_))) {
             self.step();
@@ -292,7 +292,7 @@ fn the_clock_is_known_within_half_the_round_trip() {
 }
 
 #[test]
-fn motion_arrives_whole_enough_to_be_shown_within_a_tenth_of_a_millimetre() {
+fn motion_over_a_bad_link_is_shown_within_a_tenth_of_a_millimetre() {
     for seed in 0..5 {
         let mut pair = Pair::new(seed, 60_000, 20_000, 0.05);
         pair.join(0);
@@ -370,7 +370,7 @@ fn noise_is_counted_and_changes_nothing() {
 }
 
 #[test]
-fn silence_ends_the_peer_after_two_seconds_and_alarms_the_client_after_one() {
+fn silence_closes_the_peer_after_two_seconds_and_warns_the_client_after_one() {
     let mut pair = Pair::new(1, 20_000, 0, 0.0);
     pair.join(0);
     pair.steps(500);
@@ -389,7 +389,7 @@ fn silence_ends_the_peer_after_two_seconds_and_alarms_the_client_after_one() {
 }
 
 #[test]
-fn a_link_that_comes_back_is_noticed() {
+fn recovered_link_is_reported() {
     let mut pair = Pair::new(1, 20_000, 0, 0.0);
     pair.join(0);
     pair.steps(500);
@@ -402,7 +402,7 @@ fn a_link_that_comes_back_is_noticed() {
 }
 
 #[test]
-fn a_client_that_breaks_the_protocol_is_told_why() {
+fn violating_client_receives_the_reason() {
     let mut pair = Pair::new(1, 20_000, 0, 0.0);
     pair.join(0);
     pair.steps(200);
@@ -422,7 +422,7 @@ fn a_client_that_breaks_the_protocol_is_told_why() {
 }
 
 #[test]
-fn too_many_requests_are_refused_and_the_session_goes_on() {
+fn excess_requests_are_refused_and_the_session_continues() {
     let mut pair = Pair::new(1, 20_000, 0, 0.0);
     pair.join(0);
     pair.steps(200);
@@ -473,7 +473,7 @@ pub(super) fn returning(next: u64) -> ClientSession {
 }
 
 #[test]
-fn who_returns_is_sent_the_log_from_where_it_stopped() {
+fn reconnected_client_receives_the_log_from_its_position() {
     let mut pair = Pair::new(1, 20_000, 5_000, 0.1);
     pair.client = returning(7);
     while !matches!(pair.server_events.last(), Some(PeerEvent::Hello(_))) {
@@ -495,7 +495,7 @@ fn who_returns_is_sent_the_log_from_where_it_stopped() {
 }
 
 #[test]
-fn a_log_that_begins_where_nobody_asked_is_a_violation() {
+fn log_from_a_position_not_requested_is_a_violation() {
     let begins = |mut client: ClientSession, first, log| {
         let frame = ServerMessage::Welcome(Box::new(welcome(first, log)));
         client.handle_stream(&Preamble::OURS.to_bytes(), ClientTime::ZERO);

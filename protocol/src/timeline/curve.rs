@@ -10,7 +10,7 @@ use crate::{Pose, ServerTime, Span, ToolSample};
 /// a pause, and an acceleration across it means nothing.
 const JOINED_MAX: Span = Span::from_millis(250);
 
-/// A rotation is not carried on beyond the newest sample faster than this, rad/s.
+/// The fastest extrapolated rotation beyond the newest sample, rad/s.
 const SPIN_MAX: f64 = 20.0;
 
 #[derive(Debug, Clone)]
@@ -55,7 +55,7 @@ impl Curve {
         true
     }
 
-    /// Pose, velocity, the sample whose buttons hold, and where it comes from.
+    /// Pose, velocity, the sample whose buttons hold, and the source of the pose.
     pub(super) fn at(&self, t: ServerTime) -> Option<(Pose, Vec3, ToolSample, Source)> {
         let after = self.samples.partition_point(|s| s.time <= t);
         let i = after.checked_sub(1)?;
@@ -104,9 +104,8 @@ impl Curve {
         (j > i && self.samples[j].time - self.samples[i].time <= JOINED_MAX).then_some(j)
     }
 
-    /// The parabola of the samples up to number `i`: those of the last [`FIT_S`], and more where that
-    /// would be fewer than three. Nothing while they reach back by less than [`WINDOW_S`], where an acceleration would
-    /// be noise.
+    /// The parabola of the samples up to number `i`: those of the last [`FIT_S`], and at least three.
+    /// `None` while they reach back by less than [`WINDOW_S`], where an acceleration would be noise.
     fn fit_before(&self, i: usize, origin: ServerTime) -> Option<Fit> {
         let newest = self.samples[i].time;
         let reach = |from: ServerTime, by: f64| {
@@ -129,7 +128,7 @@ impl Curve {
         verlet::fit(knots, self.knot(i, origin))
     }
 
-    /// The parabola of the samples from number `i` on, in the same way.
+    /// The same parabola for the samples from number `i` on.
     fn fit_after(&self, i: usize, origin: ServerTime) -> Option<Fit> {
         let (oldest, last) = (self.samples[i].time, self.samples.len() - 1);
         let reach = |from: ServerTime, by: f64| {
@@ -150,8 +149,9 @@ impl Curve {
         verlet::fit(knots, self.knot(i, origin))
     }
 
-    /// The velocities at both ends of the gap after number `i`, each from its own side: a difference across the gap
-    /// would cut off what bends within it. An end that nothing is known of has no curvature there.
+    /// The velocities at both ends of the gap after number `i`, each from its own side: a difference
+    /// across the gap would cut off the curvature within it. An end without further samples has no
+    /// curvature.
     fn slopes(&self, i: usize) -> (Vec3, Vec3) {
         let origin = self.samples[i].time;
         let chord = verlet::velocity(self.knot(i, origin), self.knot(i + 1, origin));
@@ -225,7 +225,7 @@ impl Curve {
             at / k1.t
         };
         let (q0, q1) = (unit(s0.pose.orientation), unit(s1.pose.orientation));
-        // Half a turn between two samples has no shortest way: keep the first.
+        // Half a turn between two samples has no shortest path: keep the first.
         let turn = q0.try_slerp(&q1, u, 1e-9).unwrap_or(q0);
         let (v0, v1) = (self.velocity_at(i), self.velocity_at(i + 1));
         let velocity = verlet::map2(v0, v1, |a, b| (1.0 - u) * a + u * b);

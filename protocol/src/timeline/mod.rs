@@ -1,4 +1,4 @@
-//! One tool over time, as others see it at the moment τ = now - D.
+//! One tool over time, as other sites display it at the moment τ = now - D.
 //!
 //! ```text
 //! a sample at τ        -> use it
@@ -6,7 +6,7 @@
 //! only past, gap <= G  -> EXTRAPOLATE                       G = 50 ms
 //! else                 -> HOLD, fade, flag stale
 //! a late packet        -> insert it; blend the correction linearly over 30-100 ms;
-//!                         no correction moves what is shown by more than 1 mm at once
+//!                         no correction moves the displayed tool by more than 1 mm at once
 //! ```
 //!
 //! Positions by the formulas of [`crate::verlet`]; rotations by slerp between samples and by the
@@ -23,7 +23,7 @@ use curve::Curve;
 /// The gap limit G unless another is given.
 pub const GAP_LIMIT: Span = Span::from_millis(50);
 
-/// What is held fades from full to nothing within this time.
+/// The held pose fades from full to nothing within this time.
 pub const FADE: Span = Span::from_millis(200);
 
 /// A correction is blended over this time when it is small ...
@@ -32,13 +32,13 @@ pub const BLEND_MIN: Span = Span::from_millis(30);
 /// ... and over this time when it is 10 mm or more.
 pub const BLEND_MAX: Span = Span::from_millis(100);
 
-/// The most that a correction moves what is shown from one question to the next, metres.
+/// The largest change of the displayed position by a correction between two queries, metres.
 pub const CORRECTION_STEP_MAX_M: f64 = 1e-3;
 
 /// Samples kept per tool: two seconds at 1 kHz, more than the longest delay. The oldest go first.
 pub const SAMPLES_MAX: usize = 2048;
 
-/// How missing samples are made up.
+/// The method for missing samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Method {
     /// Verlet's rule with accelerations from a window of samples.
@@ -46,12 +46,13 @@ pub enum Method {
     Verlet,
     /// Verlet's rule with the second difference from sample to sample, which multiplies their noise.
     VerletRaw,
-    /// The cubic with the velocities of both ends, which come from a window on each side; beyond the samples its
-    /// velocity and fading acceleration at the end of the last window. Between samples it is nearer than Verlet from about 20 to 30 ms on.
+    /// The cubic with the velocities of both ends, which come from a window on each side. Beyond the
+    /// samples: its velocity and fading acceleration at the end of the last window. Between samples it
+    /// is more accurate than Verlet for gaps above 20 to 30 ms.
     Hermite,
-    /// Straight lines.
+    /// Linear interpolation and extrapolation.
     Linear,
-    /// The last sample stays.
+    /// Holds the last sample.
     Hold,
 }
 
@@ -65,7 +66,7 @@ impl Method {
         Self::Hermite,
     ];
 
-    /// What it is called in tables.
+    /// Its name in tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Hold => "hold",
@@ -77,7 +78,7 @@ impl Method {
     }
 }
 
-/// Where what is shown comes from.
+/// The source of the displayed pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Source {
     /// A sample of this very moment.
@@ -86,28 +87,28 @@ pub enum Source {
     Interpolated,
     /// Beyond the newest sample, by at most the gap limit.
     Extrapolated,
-    /// Farther beyond it: the tool stands still.
+    /// Farther beyond the newest sample: the tool is held.
     Held,
 }
 
 /// A tool at a moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shown {
-    /// Where it is.
+    /// Its pose.
     pub pose: Pose,
-    /// How fast it moves, m/s.
+    /// Its velocity, m/s.
     pub velocity_m_s: [f64; 3],
     /// Its buttons.
     pub buttons: u8,
-    /// How this is known.
+    /// The source of the pose.
     pub source: Source,
-    /// Whether nothing has come for longer than the gap limit: the tool must not press any more.
+    /// Whether no sample has arrived for longer than the gap limit: the tool must not press any more.
     pub stale: bool,
     /// How strongly to draw it: 1, and while it is held down to 0 within [`FADE`].
     pub opacity: f64,
 }
 
-/// A difference between what was shown and what is now known, on its way to nothing.
+/// The difference between the displayed and the newly known pose, fading to zero.
 #[derive(Debug, Clone, Copy)]
 struct Correction {
     began: ServerTime,
@@ -120,15 +121,15 @@ struct Correction {
 struct LastShown {
     at: ServerTime,
     shown: Shown,
-    /// What the samples of that time said, without corrections.
+    /// The pose from the samples of that time, without corrections.
     raw: Pose,
     /// The correction that was in it.
     offset_m: Vec3,
 }
 
-/// One tool over time. [`insert`](Self::insert) samples as they come, late and doubled ones too;
-/// ask [`at`](Self::at) for any moment. Corrections are blended along the moments asked for, so one
-/// timeline serves one view, which asks with ascending times.
+/// One tool over time. [`insert`](Self::insert) samples in order of arrival, late and duplicate ones
+/// too; query [`at`](Self::at) for any moment. Corrections are blended along the queried moments, so
+/// that one timeline serves one view, which queries ascending times.
 #[derive(Debug, Clone)]
 pub struct Timeline {
     curve: Curve,
@@ -145,7 +146,7 @@ impl Default for Timeline {
 }
 
 impl Timeline {
-    /// An empty timeline that goes at most `gap_limit` beyond the newest sample.
+    /// An empty timeline that extrapolates at most `gap_limit` beyond the newest sample.
     pub fn new(method: Method, gap_limit: Span) -> Self {
         Self {
             curve: Curve::new(method),
@@ -156,7 +157,7 @@ impl Timeline {
         }
     }
 
-    /// Adds a sample in its place. One for a moment that is known already is ignored.
+    /// Adds a sample in its place. A second sample of the same time is ignored.
     pub fn insert(&mut self, sample: ToolSample) {
         self.changed |= self.curve.insert(sample);
     }
@@ -195,13 +196,13 @@ impl Timeline {
         Some(shown)
     }
 
-    /// Where the tool would be shown by who has these samples and had no others before; `None` before
-    /// the first one.
+    /// The pose that a site with these samples and no correction in progress displays; `None` before the
+    /// first sample.
     pub fn foresee(&self, t: ServerTime) -> Option<Pose> {
         self.raw(t).map(|shown| shown.pose)
     }
 
-    /// What the samples say, without corrections.
+    /// The pose from the samples, without corrections.
     fn raw(&self, t: ServerTime) -> Option<Shown> {
         let newest = self.curve.newest()?;
         let beyond = t - newest.time;
@@ -227,8 +228,8 @@ impl Timeline {
         })
     }
 
-    /// New samples may tell another story about the moment last shown: then the difference is
-    /// blended away from there on.
+    /// New samples may change the pose at the moment last shown: the difference is then blended away
+    /// from there on.
     fn note_correction(&mut self, t: ServerTime) {
         const MOVED_M: f64 = 1e-6;
         let Some(last) = self.last else { return };
@@ -241,7 +242,7 @@ impl Timeline {
             return;
         }
         if last.shown.opacity == 0.0 || t < last.at {
-            // Nobody saw where it was: it appears where it is.
+            // The tool was not displayed before: it appears at its pose.
             self.correction = None;
             return;
         }
@@ -283,7 +284,7 @@ fn distance(a: Vec3, b: Vec3) -> f64 {
         .sqrt()
 }
 
-/// A rotation from its components; what is none becomes no rotation.
+/// A rotation from its components; invalid ones become the identity.
 fn unit([x, y, z, w]: [f64; 4]) -> UnitQuaternion<f64> {
     UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6).unwrap_or_default()
 }

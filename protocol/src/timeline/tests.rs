@@ -68,7 +68,7 @@ fn errors(method: Method, period_us: i64, gap_us: i64, both_sides: bool) -> (f64
 }
 
 #[test]
-fn the_synthetic_hand_is_as_fast_as_the_one_in_the_table() {
+fn synthetic_hand_has_the_speed_in_the_table() {
     let n = 20_000;
     let mean = (0..n)
         .map(|i| {
@@ -110,7 +110,7 @@ fn each_method_is_as_good_as_the_prototype() {
 }
 
 #[test]
-fn a_sample_of_the_moment_is_shown_as_it_is() {
+fn sample_at_the_queried_time_is_shown_unchanged() {
     let mut timeline = Timeline::default();
     for i in 0..20 {
         timeline.insert(sample(i * 1000));
@@ -125,7 +125,7 @@ fn a_sample_of_the_moment_is_shown_as_it_is() {
 }
 
 #[test]
-fn beyond_the_gap_limit_the_tool_stands_fades_and_is_stale() {
+fn tool_is_held_fades_and_is_stale_beyond_the_gap_limit() {
     let mut timeline = Timeline::default();
     for i in 0..=20 {
         timeline.insert(sample(i * 1000));
@@ -140,11 +140,11 @@ fn beyond_the_gap_limit_the_tool_stands_fades_and_is_stale() {
     assert_eq!(at(&mut timeline, 1000).opacity, 0.0);
 }
 
-/// The methods that a session may be shown by: what is made of sample-to-sample differences leaps by itself.
+/// The methods for sessions: methods of sample-to-sample differences jump by construction.
 const STEADY: [Method; 3] = [Method::Linear, Method::Verlet, Method::Hermite];
 
 #[test]
-fn beyond_the_newest_sample_a_steady_method_begins_where_it_was() {
+fn steady_methods_extrapolate_continuously() {
     for method in STEADY {
         for (period, missing) in [(1000, 0), (4000, 0), (10_000, 0), (1000, 40)] {
             let mut timeline = Timeline::new(method, GAP_LIMIT);
@@ -164,7 +164,7 @@ fn beyond_the_newest_sample_a_steady_method_begins_where_it_was() {
 }
 
 #[test]
-fn few_samples_are_carried_on_without_wild_accelerations() {
+fn few_samples_extrapolate_without_large_accelerations() {
     for method in STEADY {
         for known in 1..20 {
             let mut timeline = Timeline::new(method, GAP_LIMIT);
@@ -184,7 +184,7 @@ fn few_samples_are_carried_on_without_wild_accelerations() {
 }
 
 #[test]
-fn late_and_lost_packets_never_make_a_step_of_a_millimetre() {
+fn late_and_lost_packets_never_cause_a_step_of_a_millimetre() {
     for (seed, method) in (0..4).flat_map(|s| STEADY.map(|m| (s, m))) {
         let mut rng = Pcg64::seed_from_u64(seed);
         let mut timeline = Timeline::new(method, GAP_LIMIT);
@@ -225,7 +225,7 @@ fn late_and_lost_packets_never_make_a_step_of_a_millimetre() {
 }
 
 #[test]
-fn a_correction_is_gone_after_its_blend() {
+fn correction_ends_after_its_blend_time() {
     let mut timeline = Timeline::default();
     for i in 0..=20 {
         timeline.insert(sample(i * 1000));
@@ -247,7 +247,7 @@ fn a_correction_is_gone_after_its_blend() {
 }
 
 #[test]
-fn a_turning_tool_is_turned_evenly_and_carried_on() {
+fn rotation_is_interpolated_evenly_and_extrapolated() {
     let turned = |t_us: i64| {
         let q =
             UnitQuaternion::from_scaled_axis(nalgebra::Vector3::z() * (t_us as f64 * 1e-6 * 3.0));
@@ -273,7 +273,7 @@ fn a_turning_tool_is_turned_evenly_and_carried_on() {
 }
 
 #[test]
-fn samples_are_bounded_and_doubles_ignored() {
+fn samples_are_bounded_and_duplicates_ignored() {
     let mut timeline = Timeline::default();
     for i in 0..10_000 {
         timeline.insert(sample(i * 1000));

@@ -4,9 +4,9 @@
 //! cargo run --release -p palpate-transport --example latency -- [--json] [--seconds N] [--seed N]
 //! ```
 //!
-//! Both ends live in this process, so that one clock stamps both; the path between them is made of
-//! UDP sockets. Every case sends at its own pace from a thread with absolute deadlines: a timer of
-//! the runtime would send late, and its lateness would look like the network's.
+//! Both ends are in this process, so that one clock stamps both; the path between them consists of UDP
+//! sockets. Every case sends at its own pace from a thread with absolute deadlines: a timer of the
+//! runtime would send late, and its lateness would look like the network's.
 
 #![allow(
     clippy::print_stdout,
@@ -29,7 +29,7 @@ use tokio::sync::mpsc;
 
 type Failure = Box<dyn std::error::Error>;
 
-/// What one case asks of the path.
+/// The load and path of one case.
 struct Case {
     name: &'static str,
     /// Ticks per second, datagrams per tick, and their bytes: down, and up.
@@ -39,7 +39,7 @@ struct Case {
     loss: f64,
 }
 
-/// The table of the design, both ways of the load, and a session as it is.
+/// The design's table with the load in both directions, and a typical session.
 const CASES: [Case; 4] = [
     Case {
         name: "250 Hz x 4 x 1100 B, 25 ms, 5 % loss",
@@ -71,10 +71,10 @@ const CASES: [Case; 4] = [
     },
 ];
 
-/// One way, in every case.
+/// One-way delay in every case.
 const DELAY: Duration = Duration::from_millis(25);
 
-/// What arrived, of one direction.
+/// The arrivals of one direction.
 #[derive(Default)]
 struct Arrived {
     latencies_ms: Vec<f64>,
@@ -113,7 +113,7 @@ fn pace(hz: f64, seconds: f64) -> mpsc::Receiver<()> {
     receiver
 }
 
-/// Sends at the pace of `load` and takes what comes, until one second after the last was sent.
+/// Sends at the pace of `load` and receives until one second after the last datagram.
 async fn run(
     mut connection: Connection,
     (hz, per_tick, bytes): (f64, usize, usize),

@@ -1,8 +1,8 @@
-//! Model transfer, on a connection of its own so that it never blocks a datagram.
+//! Model transfer, on its own connection so that it never blocks a datagram.
 //!
 //! ```text
 //! client -> server   grant 16 B | model hash u64 LE
-//! server -> client   0 | length u64 LE | the bytes          or 1, when it refuses
+//! server -> client   0 | length u64 LE | the bytes          or 1 to refuse
 //! ```
 
 use std::sync::Arc;
@@ -24,7 +24,7 @@ pub const MODEL_MAX_BYTES: u64 = 512 * 1024 * 1024;
 /// Transfers at the same time; further ones wait.
 pub(crate) const TRANSFERS_MAX: usize = 16;
 
-/// A whole transfer takes at most so long; then it is given up.
+/// The longest time for a whole transfer; then it is aborted.
 const TRANSFER_TIMEOUT: Duration = Duration::from_secs(600);
 
 const REQUEST_BYTES: usize = GRANT_BYTES + 8;
@@ -68,7 +68,7 @@ pub async fn fetch_model(
             limit: MODEL_MAX_BYTES,
         });
     }
-    // Grows with what arrives, not with what is promised.
+    // The buffer grows with the received bytes, not with the announced length.
     let mut bytes = Vec::new();
     while let Some(chunk) = recv
         .read_chunk(PIECE, true)

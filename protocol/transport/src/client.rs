@@ -1,4 +1,4 @@
-//! How a client reaches the server of a join link.
+//! Connects a client to the server of a join link.
 
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use crate::connection::Connection;
 use crate::error::in_words;
 use crate::identity::SERVER_NAME;
 
-/// Attempts before a silent address is given up; each takes about eight seconds.
+/// Attempts to reach a silent address; each takes about eight seconds.
 const ATTEMPTS: u32 = 2;
 
 /// The TLS alert "no application protocol".

@@ -1,4 +1,4 @@
-//! The settings of quinn, measured for this traffic: its own would delay motion by a second.
+//! The settings of quinn, measured for this traffic: its defaults would delay motion by a second.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,10 +15,10 @@ use crate::TransportError;
 use crate::controller::FloorConfig;
 use crate::identity::{Pinned, ServerIdentity};
 
-/// What a session's connection asks for in the TLS handshake.
+/// The ALPN of a session's connection.
 pub(crate) const ALPN_SESSION: &[u8] = b"palpate/1";
 
-/// What a model transfer's connection asks for.
+/// The ALPN of a model transfer's connection.
 pub(crate) const ALPN_BULK: &[u8] = b"palpate-bulk/1";
 
 /// Datagrams waiting inside quinn, bytes: 14 of the largest. A longer queue is only delay.
@@ -27,21 +27,21 @@ const DATAGRAM_SEND_BUFFER: usize = 16 * 1024;
 /// Datagrams that arrived and were not read, bytes; the oldest are dropped beyond.
 const DATAGRAM_RECEIVE_BUFFER: usize = 256 * 1024;
 
-/// A connection on which nothing arrives for so long is gone. The sessions notice silence much sooner;
-/// this must outlast a handshake that loses several packets in a row, each waiting twice as long as
-/// the one before (at 3 s, sessions over a path with 20 % loss often did not come about).
+/// The idle timeout of a connection. The sessions notice silence much sooner. The timeout must outlast a
+/// handshake that loses several packets in a row with doubling waits (at 3 s, sessions over a path with
+/// 20 % loss often failed to start).
 const IDLE: Duration = Duration::from_secs(8);
 
-/// Something is sent at least so often, so that silence means something.
+/// The longest time without a packet, so that silence is detected.
 const KEEP_ALIVE: Duration = Duration::from_millis(500);
 
-/// Incoming attempts that wait for us; quinn refuses more.
+/// Incoming attempts that wait for the server; quinn refuses more.
 const INCOMING_MAX: usize = 256;
 
-/// A packet counts as lost when so many later ones arrived. The default of 3 takes jitter for loss.
+/// A packet counts as lost after this many later arrivals. The default of 3 mistakes jitter for loss.
 const PACKET_THRESHOLD: u32 = 64;
 
-/// ... or when so many round trips passed. The default is 1.125.
+/// ... or after this many round trips. The default is 1.125.
 const TIME_THRESHOLD: f32 = 1.5;
 
 /// Packets that may arrive before an acknowledgement goes out alone; the time for it, 25 ms, is not changed.
@@ -50,9 +50,9 @@ const ACKNOWLEDGED_BEYOND: u32 = 12;
 /// Bytes of one stream that may arrive unread: the largest frame many times over.
 const STREAM_WINDOW: u32 = 2 * 1024 * 1024;
 
-/// The connection id in every packet towards a server, bytes; quinn's own choice is 8. It only finds
-/// the connection (the packet's seal proves who sent it), and one that is taken is drawn again: there
-/// must be many more than can be in use, or the drawing would not end. Of these there are 16 million.
+/// Length of the connection id in every packet towards a server, bytes; quinn's default is 8. It only
+/// finds the connection (the packet's authentication tag proves the sender). An id in use is drawn
+/// again, so that there must be many more than can be in use. Of these there are 16 million.
 const SERVER_ID_BYTES: usize = 3;
 
 /// ... and towards a client: it has one connection per socket and knows its packets by that.
@@ -84,11 +84,11 @@ fn session_transport() -> TransportConfig {
         .packet_threshold(PACKET_THRESHOLD)
         .ack_frequency_config(Some(acknowledge))
         .time_threshold(TIME_THRESHOLD)
-        // Half of what it is across an ocean: a lost first packet is sent again after 0.3 s.
+        // Half of an intercontinental round trip: a lost first packet is sent again after 0.3 s.
         .initial_rtt(Duration::from_millis(100))
         .datagram_send_buffer_size(DATAGRAM_SEND_BUFFER)
         .datagram_receive_buffer_size(Some(DATAGRAM_RECEIVE_BUFFER))
-        // Its probes of larger packets would only add to the motion's own.
+        // MTU probes would only add to the motion packets.
         .mtu_discovery_config(None)
         .enable_segmentation_offload(false)
         .congestion_controller_factory(Arc::new(FloorConfig));
@@ -136,13 +136,13 @@ pub(crate) fn server(identity: &ServerIdentity) -> Result<ServerConfig, Transpor
         .with_single_cert(vec![identity.certificate()], identity.key())
         .map_err(certificate_error)?;
     tls.alpn_protocols = vec![ALPN_SESSION.to_vec(), ALPN_BULK.to_vec()];
-    // What is sent before the handshake ends can be sent again by others: never for grants.
+    // Early data can be replayed by an attacker: never for grants.
     tls.max_early_data_size = 0;
     let quic = QuicServerConfig::try_from(tls).map_err(certificate_error)?;
     let mut config = ServerConfig::with_crypto(Arc::new(quic));
     config.transport_config(Arc::new(session_transport()));
     config.max_incoming(INCOMING_MAX);
-    // Gateways forget, and people walk from one network into another.
+    // Gateways forget their mappings, and clients change networks.
     config.migration(true);
     Ok(config)
 }

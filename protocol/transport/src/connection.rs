@@ -1,4 +1,4 @@
-//! One connection: the operations stream, datagrams, figures.
+//! One connection: the operations stream, datagrams, statistics.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -13,14 +13,14 @@ use crate::rate_cap::RateCap;
 /// The longest reason that is sent when closing, bytes.
 const REASON_MAX_BYTES: usize = 200;
 
-/// How a connection does, from the transport's own counters.
+/// Statistics of a connection, from the transport's counters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct PathStats {
     /// Round trip time, smoothed.
     pub rtt: Duration,
     /// Packets sent.
     pub sent_packets: u64,
-    /// Packets of ours that were lost.
+    /// Sent packets that were lost.
     pub lost_packets: u64,
     /// Bytes sent as UDP payload, with everything that QUIC adds; the headers of IP and UDP, 28 bytes
     /// a packet with IPv4, are not in it.
@@ -29,7 +29,7 @@ pub struct PathStats {
     pub received_bytes: u64,
     /// Datagrams that were not sent, because the buffer was full or the rate cap reached.
     pub skipped_datagrams: u64,
-    /// Datagrams of the other side that were dropped unread: it sent more than any of ours does.
+    /// Received datagrams that were dropped unread, because the peer exceeded the rate cap.
     pub refused_datagrams: u64,
 }
 
@@ -41,7 +41,7 @@ pub struct Connection {
     pub(crate) recv: RecvStream,
     cap: RateCap,
     skipped: u64,
-    taking: RateCap,
+    receiving: RateCap,
     refused: u64,
     /// A client's own endpoint lives as long as its connection.
     endpoint: Option<quinn::Endpoint>,
@@ -59,18 +59,18 @@ impl Connection {
             recv,
             cap: RateCap::sending(Instant::now()),
             skipped: 0,
-            taking: RateCap::taking(Instant::now()),
+            receiving: RateCap::receiving(Instant::now()),
             refused: 0,
             endpoint,
         }
     }
 
-    /// Where the other side is.
+    /// The address of the other side.
     pub fn remote_address(&self) -> SocketAddr {
         self.quic.remote_address()
     }
 
-    /// Sends some bytes on the operations stream; the number that was taken.
+    /// Sends bytes on the operations stream; returns the number accepted.
     pub async fn write(&mut self, bytes: &[u8]) -> Result<usize, String> {
         self.send.write(bytes).await.map_err(|e| e.to_string())
     }
@@ -90,15 +90,15 @@ impl Connection {
         sent
     }
 
-    /// Whether a datagram of so many bytes is taken from the other side now; if not, it is counted
-    /// and is to be dropped.
-    pub(crate) fn takes(&mut self, len: usize) -> bool {
-        let taken = self.taking.take(len, Instant::now());
+    /// Whether the receive cap allows a datagram of `len` bytes now. Otherwise it is counted and must be
+    /// dropped.
+    pub(crate) fn accepts(&mut self, len: usize) -> bool {
+        let taken = self.receiving.take(len, Instant::now());
         self.refused += u64::from(!taken);
         taken
     }
 
-    /// The next datagram, as it came. The drivers of sessions take no more than the cap.
+    /// The next datagram, without a rate cap. The drivers of sessions apply the cap.
     pub async fn read_datagram(&self) -> Result<Vec<u8>, String> {
         self.quic
             .read_datagram()
@@ -107,8 +107,8 @@ impl Connection {
             .map_err(|e| in_words(&e))
     }
 
-    /// Goes on from another socket of this host: after a change of network, when the old one is of
-    /// no use any more. The other side follows. A server's connections have no socket of their own.
+    /// Moves the connection to another socket of this host, after a change of network. The other side
+    /// follows. A server's connections have no socket of their own.
     pub fn rebind(&self) -> Result<(), TransportError> {
         let Some(endpoint) = &self.endpoint else {
             return Ok(());
@@ -120,12 +120,12 @@ impl Connection {
             .map_err(|source| TransportError::Bind { address, source })
     }
 
-    /// A second grip on the same connection, for receiving datagrams while the stream is used.
+    /// A second handle of the same connection, for receiving datagrams while the stream is used.
     pub(crate) fn quic(&self) -> quinn::Connection {
         self.quic.clone()
     }
 
-    /// How it does.
+    /// Its statistics.
     pub fn stats(&self) -> PathStats {
         let all = self.quic.stats();
         let path = all.path;
@@ -140,13 +140,13 @@ impl Connection {
         }
     }
 
-    /// Closes with a reason for people, after what was written has arrived (or half a second has
+    /// Closes with a reason for people, after the written bytes have arrived (or half a second has
     /// passed).
     pub async fn close(self, reason: &str) {
         self.end(reason, 0).await;
     }
 
-    /// The same, and the other side need not wait for this one to come back.
+    /// The same, with the code that this side does not reconnect.
     pub(crate) async fn close_for_good(self, reason: &str) {
         self.end(reason, GOODBYE).await;
     }
@@ -154,7 +154,7 @@ impl Connection {
     async fn end(mut self, reason: &str, code: u32) {
         if self.send.finish().is_ok() {
             let arrived = self.send.stopped();
-            // The peer may be gone; then there is nobody to wait for.
+            // The peer may be gone; then no acknowledgement arrives.
             let _ = tokio::time::timeout(Duration::from_millis(500), arrived).await;
         }
         let mut end = reason.len().min(REASON_MAX_BYTES);

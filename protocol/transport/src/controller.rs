@@ -1,38 +1,36 @@
-//! How many bytes may be on the way: a congestion controller for a thin, steady stream.
+//! Congestion controller for a thin, steady stream.
 //!
-//! Motion is some ten kilobytes a second that are worth nothing when late. A controller that
-//! halves its window for every lost packet makes such a stream wait behind its own caution (one
-//! second of delay at 5 % loss, measured with Cubic). Here the window W is
+//! Motion is some ten kilobytes a second and worthless when late. A controller that halves its window
+//! for every lost packet delays such a stream by its own caution (one second of delay at 5 % loss,
+//! measured with Cubic). Here the window W is
 //!
 //! ```text
-//! W = max(W_floor, W_reno)                      while the path is well, k = 0
-//! W = W_floor · (1/2)^k, at least W_min         after k rounds on a path that others need too
+//! W = max(W_floor, W_reno)                      without congestion, k = 0
+//! W = W_floor · (1/2)^k, at least W_min         after k congested rounds
 //! W = W_min                                     while the breaker is open: 40 % of 2 s of bytes lost
 //! ```
 //!
-//! A round is a round trip, at least [`ROUND_MIN`]. Its queueing delay q is `r_low` - `r_base`:
-//! the shortest round trip in it against the shortest of the last minute. The shortest, because jitter
-//! lengthens some packets and a queue lengthens all of them. A round makes k one more where
+//! A round is a round trip, at least [`ROUND_MIN`]. Its queueing delay q is `r_low` - `r_base`: the
+//! shortest round trip in it minus the shortest of the last minute. The minimum is used because jitter
+//! delays some packets and a queue delays all of them. A round increments k where
 //!
 //! ```text
-//! q > 15 ms and something was lost       a queue that overflows: loss by others' traffic and ours
+//! q > 15 ms and a packet was lost        an overflowing queue: loss by cross traffic and this stream
 //! q > r_base + 100 ms                    a queue so deep that it does not even overflow
 //! l > 10 %                               heavy loss without any queue, over 2 s
 //! ```
 //!
-//! and k becomes one less after two seconds without a queue, or later where returning failed. Loss
-//! alone below 10 % is the path's own (radio) and changes nothing, or motion would wait behind
-//! caution again. Heavy loss counts for who came when the queue was full already and does not know
-//! the path without it.
+//! and k decrements after two seconds without a queue, or later where returning failed. Loss alone below
+//! 10 % is the path's own (radio) and changes nothing, or motion would be delayed by caution again. The
+//! heavy-loss rule covers a stream that started with the queue already full and has no base delay.
 //!
-//! The floor alone would be unfair: it stands together with a cap on what the application may send
-//! ([`RateCap`]), with the back-off and with the breaker, so that a path that is truly too narrow is
-//! left to others. Measured, two sessions that send all they may and one Cubic flow on 10 Mbit/s with
-//! 64 KiB of queue: the Cubic flow gets 0.44 to 0.69 of it, each session 0.14 to 0.35. (With the
-//! floor alone the Cubic flow got 0.03.)
+//! The floor alone would be unfair. The cap on the application's rate ([`RateCap`]), the back-off and
+//! the breaker leave a path that is too narrow to other traffic. Measured with two sessions at the cap
+//! and one Cubic flow on 10 Mbit/s with 64 KiB of queue: the Cubic flow gets 0.44 to 0.69 of it, each
+//! session 0.14 to 0.35. (With the floor alone the Cubic flow got 0.03.)
 //!
-//! The rule is a reconstruction: loss counts as congestion only with a backlog, after Veno (Fu and
-//! Liew 2003); giving way to delay, after LEDBAT (RFC 6817).
+//! The rule is a reconstruction: loss counts as congestion only with a backlog, after Veno (Fu and Liew
+//! 2003); yielding to delay, after LEDBAT (RFC 6817).
 //!
 //! [`RateCap`]: crate::rate_cap::RateCap
 
@@ -49,41 +47,41 @@ const WINDOW_FLOOR: u64 = 128 * 1024;
 /// `W_min` in bytes: still 25 kB/s at 600 ms, enough for heartbeats and operations.
 const WINDOW_MIN: u64 = 16 * 1024;
 
-/// The largest window in bytes; what is larger is for the bulk connection.
+/// The largest window in bytes; larger transfers use the bulk connection.
 const WINDOW_MAX: u64 = 1024 * 1024;
 
-/// Queueing delay that is nobody's fault even without loss: schedulers, radio, a longer route.
+/// Queueing delay that is not attributed to congestion without loss: schedulers, radio, a longer route.
 const QUEUE_ALLOWED: Duration = Duration::from_millis(100);
 
 /// Queueing delay that shows, together with loss, that a queue overflows. 16 KiB at 10 Mbit/s take
 /// 13 ms; jitter of ±20 ms moves the shortest of a round by less.
 const QUEUE_SHOWN: Duration = Duration::from_millis(15);
 
-/// Below this there is no queue, and the floor returns.
+/// Below this delay the queue counts as empty, and the floor returns.
 const QUEUE_GONE: Duration = Duration::from_millis(10);
 
-/// A loss counts for so long, besides a round trip: it is noticed later than the queue that made it.
+/// How long a loss counts, besides a round trip: it is detected later than the queue that caused it.
 const LOSS_REMEMBERED: Duration = Duration::from_millis(200);
 
-/// A round lasts at least so long: 25 packets of a tool, enough for one without jitter.
+/// The shortest round: 25 packets of a tool, enough for one without jitter.
 const ROUND_MIN: Duration = Duration::from_millis(100);
 
 /// Acknowledged packets without which a round is not over, for the same reason.
 const ROUND_MIN_PACKETS: u32 = 8;
 
-/// The floor returns by one doubling in this time. Faster, it would fill again and again the queue
-/// that it has just left.
+/// The floor returns by one doubling in this time. A faster return would fill the queue
+/// again and again.
 const RETURN: Duration = Duration::from_secs(2);
 
-/// ... and each return that fails doubles the wait for the next one, up to this. It fails when the
-/// floor must give way again within [`RETURN_FAILED`].
+/// ... and each failed return doubles the wait for the next one, up to this. A return fails when the
+/// floor must be reduced again within [`RETURN_FAILED`].
 const RETURN_MAX: Duration = Duration::from_secs(16);
 
 /// See [`RETURN_MAX`].
 const RETURN_FAILED: Duration = Duration::from_secs(6);
 
-/// `r_base` is the shortest round trip of the last one to two of these. A route may become longer;
-/// until this has passed, its delay is taken for a queue.
+/// `r_base` is the shortest round trip of the last one to two of these periods. Until then, a longer
+/// route looks like a queue.
 const BASE_PERIOD: Duration = Duration::from_secs(30);
 
 /// The breaker looks at this much time at once, and stays open as long.
@@ -92,16 +90,16 @@ const BREAKER_PERIOD: Duration = Duration::from_secs(2);
 /// The share of bytes lost in a period that opens the breaker.
 const BREAKER_LOSS: f64 = 0.4;
 
-/// The share of bytes lost in a period that makes k one more. Twice what motion must stand.
+/// The share of bytes lost in a period that increments k: twice the loss that motion must tolerate.
 const LOSS_HEAVY: f64 = 0.1;
 
-/// A period with fewer bytes than this says nothing.
+/// A period with fewer bytes than this is not evaluated.
 const BREAKER_MIN_BYTES: u64 = 32 * 1024;
 
-/// Halvings of the floor at most: down to `WINDOW_MIN`.
+/// Largest number of halvings of the floor: down to `WINDOW_MIN`.
 const BACK_OFF_MAX: u32 = 3;
 
-/// Makes the controllers.
+/// The factory of the controllers.
 #[derive(Debug, Default)]
 pub(crate) struct FloorConfig;
 
@@ -171,7 +169,8 @@ struct Floor {
     /// k, and when it last grew or was seen to be needed.
     back_off: u32,
     back_off_since: Instant,
-    /// What stands for two seconds in the file's derivation, and when the floor last returned.
+    /// The current wait before the floor returns (initially two seconds), and the time of the last
+    /// return.
     return_after: Duration,
     returned_at: Option<Instant>,
     round: Round,
@@ -240,7 +239,7 @@ impl Floor {
         self.threshold = WINDOW_FLOOR;
     }
 
-    /// Takes one round trip, and ends the round if it is over.
+    /// Takes one round trip time, and ends the round if it is over.
     fn watch_delay(&mut self, now: Instant, rtt: Duration, smoothed: Duration) {
         self.base.learn(rtt, now);
         self.round.low = self.round.low.min(rtt);
@@ -258,7 +257,7 @@ impl Floor {
         if (queue > QUEUE_SHOWN && lost) || queue > base + QUEUE_ALLOWED {
             self.give_way(now);
         } else if queue > QUEUE_GONE {
-            // Others are still there; what was given way stays given.
+            // The cross traffic is still there; the window stays reduced.
             self.back_off_since = now;
         } else if now.saturating_duration_since(self.back_off_since) >= self.return_after {
             if self.back_off > 0 {
@@ -368,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn loss_without_a_queue_leaves_the_floor_however_much_the_delay_jitters() {
+    fn loss_without_a_queue_keeps_the_floor_under_any_jitter() {
         let mut now = Instant::now();
         let mut floor = Floor::new(now, 1200);
         for _ in 0..20 {
@@ -378,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn delay_without_loss_leaves_the_floor() {
+    fn delay_without_loss_keeps_the_floor() {
         let mut now = Instant::now();
         let mut floor = Floor::new(now, 1200);
         for rtt in [60, 160, 120, 60] {
@@ -388,13 +387,13 @@ mod tests {
     }
 
     #[test]
-    fn a_queue_that_overflows_takes_the_floor_which_returns_once_it_is_gone() {
+    fn overflowing_queue_removes_the_floor_until_it_drains() {
         let mut now = Instant::now();
         let mut floor = Floor::new(now, 1200);
         half_a_second(&mut floor, &mut now, |_| ms(50), 0);
         half_a_second(&mut floor, &mut now, |_| ms(90), 20);
         assert_eq!(floor.window(), WINDOW_MIN);
-        // The others' queue is still there, if not overflowing.
+        // The cross traffic's queue is still there, if not overflowing.
         for _ in 0..20 {
             half_a_second(&mut floor, &mut now, |_| ms(70), 0);
             assert_eq!(floor.window(), WINDOW_MIN);
@@ -406,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn a_deep_queue_takes_the_floor_without_any_loss() {
+    fn deep_queue_removes_the_floor_without_loss() {
         let mut now = Instant::now();
         let mut floor = Floor::new(now, 1200);
         half_a_second(&mut floor, &mut now, |_| ms(50), 0);
@@ -415,7 +414,7 @@ mod tests {
     }
 
     #[test]
-    fn a_longer_route_is_known_as_such_after_a_minute() {
+    fn longer_route_is_recognised_after_a_minute() {
         let mut now = Instant::now();
         let mut floor = Floor::new(now, 1200);
         half_a_second(&mut floor, &mut now, |_| ms(50), 0);

@@ -1,14 +1,14 @@
-//! What can go wrong between two hosts.
+//! Errors between two hosts.
 
 use std::io;
 use std::net::SocketAddr;
 
 use palpate_protocol::CertificateHash;
 
-/// What can go wrong between two hosts.
+/// An error between two hosts.
 #[derive(Debug, thiserror::Error)]
 pub enum TransportError {
-    /// The port is taken.
+    /// The port is in use.
     #[error(
         "can not listen on {address}: another program already does; stop it, or choose another port (port 0 takes any free one)"
     )]
@@ -23,7 +23,7 @@ pub enum TransportError {
     Bind {
         /// The address.
         address: SocketAddr,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The host in a join link has no address.
@@ -33,41 +33,41 @@ pub enum TransportError {
     Resolve {
         /// The host.
         host: String,
-        /// What the system said.
+        /// The error of the operating system.
         detail: String,
     },
-    /// Nobody answered.
+    /// The server did not answer.
     #[error(
         "no answer from {address}; is the server running there, and does the network let UDP to this port pass?"
     )]
     NoAnswer {
-        /// Where nobody answered.
+        /// The address without an answer.
         address: SocketAddr,
     },
-    /// Another server, or somebody who poses as the server, answered.
+    /// Another server, or an impostor, answered.
     #[error(
         "the server at {address} has the certificate {found}, but the join link asks for {expected}: it is another server, or the link is old; ask the host for a new link"
     )]
     WrongCertificate {
-        /// Who answered.
+        /// The address that answered.
         address: SocketAddr,
         /// The hash in the link.
         expected: CertificateHash,
         /// The hash of the certificate that was shown.
         found: CertificateHash,
     },
-    /// What answered speaks QUIC but not palpate.
+    /// The server that answered speaks QUIC but not palpate.
     #[error("the server at {address} does not speak palpate; check host and port of the join link")]
     NotPalpate {
-        /// Who answered.
+        /// The address that answered.
         address: SocketAddr,
     },
-    /// The connection could not be made, or is gone.
+    /// The connection could not be established, or is lost.
     #[error("the connection to {address} was lost: {detail}")]
     Lost {
         /// The other side.
         address: SocketAddr,
-        /// Why.
+        /// The reason.
         detail: String,
     },
     /// The server does not give the model to this grant.
@@ -75,7 +75,7 @@ pub enum TransportError {
         "the server does not give out the model {hash}: the grant or the model is unknown to it; ask the host for a new link"
     )]
     ModelRefused {
-        /// Which model.
+        /// The hash of the model.
         hash: palpate_protocol::ModelHash,
     },
     /// The model is larger than a client accepts.
@@ -91,13 +91,13 @@ pub enum TransportError {
     /// The certificate can not be made or used.
     #[error("the certificate can not be used: {0}")]
     Certificate(String),
-    /// A message of our own can not be sent.
+    /// A message of this program can not be sent.
     #[error(transparent)]
     Protocol(#[from] palpate_protocol::ProtocolError),
 }
 
-/// How an end of a connection says that it does not come back: the farewell on the stream may be lost with
-/// the stream. Any other end may be made good by a new connection.
+/// The close code of an end that does not reconnect: the farewell on the stream may be lost with the
+/// stream. After any other code the client may reconnect.
 pub(crate) const GOODBYE: u32 = 1;
 
 /// Whether the other side ended a connection for good.
@@ -108,16 +108,16 @@ pub(crate) fn is_goodbye(error: &quinn::ConnectionError) -> bool {
     }
 }
 
-/// A connection's end in words for people.
+/// The end of a connection, described for people.
 pub(crate) fn in_words(error: &quinn::ConnectionError) -> String {
     use quinn::ConnectionError as E;
     match error {
-        E::TimedOut => "nothing was heard from the other side for too long".to_owned(),
+        E::TimedOut => "the other side was silent for too long".to_owned(),
         E::ApplicationClosed(close) if !close.reason.is_empty() => {
             String::from_utf8_lossy(&close.reason).into_owned()
         }
         E::Reset => "the other side was restarted".to_owned(),
-        E::LocallyClosed => "it was closed here".to_owned(),
+        E::LocallyClosed => "this side closed it".to_owned(),
         other => other.to_string(),
     }
 }

@@ -1,4 +1,4 @@
-//! Who a server is: a self-signed certificate, known by its hash in the join link.
+//! A server's identity: a self-signed certificate, known by its hash in the join link.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 
 use crate::{TransportError, config};
 
-/// The name in the certificate. Nobody relies on it: the hash is what counts.
+/// The name in the certificate. It proves nothing: clients check the hash.
 pub(crate) const SERVER_NAME: &str = "palpate";
 
 /// A self-signed certificate (ECDSA P-256) and its key.
@@ -31,7 +31,7 @@ impl ServerIdentity {
         })
     }
 
-    /// One that was kept: certificate and PKCS #8 key, both DER. Links stay valid over a restart. Refuses a certificate
+    /// A stored identity: certificate and PKCS #8 key, both DER. Links stay valid over a restart. Refuses a certificate
     /// and a key that do not belong together.
     pub fn from_der(certificate: Vec<u8>, key: Vec<u8>) -> Result<Self, TransportError> {
         let identity = Self {
@@ -137,7 +137,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_kept_identity_is_the_same_host_and_a_mixed_one_is_refused() {
+    fn stored_identity_is_reused_and_a_mixed_one_is_rejected() {
         let identity = ServerIdentity::generate().unwrap();
         let (certificate, key) = identity.to_der();
         let kept = ServerIdentity::from_der(certificate.clone(), key.clone()).unwrap();

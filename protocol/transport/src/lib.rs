@@ -1,7 +1,7 @@
 //! Drives a protocol session over quinn and tokio.
 //!
-//! This crate never decides anything about tissue, and it alone names quinn. A shell gives it a
-//! clock and channels:
+//! This crate contains no tissue logic, and is the only one that uses quinn. A shell gives it a clock
+//! and channels:
 //!
 //! ```text
 //! client   connect(&link) -> Connection;        spawn_client(connection, session, clock) -> ClientHandle
@@ -11,7 +11,7 @@
 //!
 //! [`threads`] schedules the threads of every program that has a session.
 //!
-//! TLS 1.3 always. A client knows its server by the hash of the certificate in the join link.
+//! TLS 1.3 always. A client authenticates its server by the hash of the certificate in the join link.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod bulk;

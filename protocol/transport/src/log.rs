@@ -3,8 +3,9 @@
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::prelude::*;
 
-/// Starts the log: `PALPATE_LOG` says how much, else `RUST_LOG`, else `default`. Directives are those of
-/// [`Targets`], such as `debug` or `warn,palpate_room=trace`; without effect where a log has been started already.
+/// Starts the log with the directives in `PALPATE_LOG`, else `RUST_LOG`, else `default`. Directives are
+/// those of [`Targets`], such as `debug` or `warn,palpate_room=trace`; without effect where a log has
+/// been started already.
 pub fn start_log(default: LevelFilter) {
     let wish = |name: &str| std::env::var(name).ok()?.parse::<Targets>().ok();
     let filter = wish("PALPATE_LOG")

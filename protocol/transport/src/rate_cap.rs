@@ -1,26 +1,26 @@
-//! The caps on datagrams: on what the application sends, and on what is taken from the other side.
+//! Rate caps on datagrams, for sending and for receiving.
 
 use std::time::Instant;
 
-/// Bytes per second and connection, 10 Mbit/s: a thousand of the largest datagrams with an eighth
-/// to spare, ten times what a thin subscriber needs. Beyond it datagrams are skipped. Whether the
-/// path takes as much is for the congestion controller to find.
+/// Bytes per second and connection, 10 Mbit/s: a thousand of the largest datagrams plus an eighth, ten
+/// times the rate of a thin subscriber. Datagrams beyond it are skipped. The congestion controller finds
+/// the path's capacity.
 pub(crate) const RATE_MAX: f64 = 1_250_000.0;
 
 /// Bytes that may go at once: one frame of corrections of a pressed region.
 pub(crate) const BURST_MAX: f64 = 64.0 * 1024.0;
 
-/// Bytes per second that are taken from one connection. Who keeps to [`RATE_MAX`] never meets it;
-/// the quarter more is for clocks and for what the path bunches.
-pub(crate) const TAKEN_RATE_MAX: f64 = 1.25 * RATE_MAX;
+/// Bytes per second that one connection accepts. A sender within [`RATE_MAX`] never reaches it; the
+/// extra quarter covers clock errors and bunching on the path.
+pub(crate) const RECEIVE_RATE_MAX: f64 = 1.25 * RATE_MAX;
 
-/// Bytes that are taken at once: what a path held back for 0.4 s at the full rate. More is too old
-/// to be worth anything.
-pub(crate) const TAKEN_BURST_MAX: f64 = 512.0 * 1024.0;
+/// The largest burst in bytes: datagrams that a path held back for 0.4 s at the full rate. Older ones
+/// are useless.
+pub(crate) const RECEIVE_BURST_MAX: f64 = 512.0 * 1024.0;
 
-/// What a datagram costs at least when taken, bytes: a tiny one makes nearly the work of a large
-/// one. This allows some 3,000 a second, three times what the send cap allows of the largest.
-pub(crate) const TAKEN_COST_MIN: usize = 500;
+/// The minimum cost of a received datagram, bytes: a tiny one takes nearly the work of a large one. This
+/// allows some 3,000 a second, three times the number of the largest within the send cap.
+pub(crate) const RECEIVE_COST_MIN: usize = 500;
 
 /// A bucket of bytes that fills with time.
 #[derive(Debug)]
@@ -33,14 +33,14 @@ pub(crate) struct RateCap {
 }
 
 impl RateCap {
-    /// A full bucket for what is sent.
+    /// A full token bucket for sending.
     pub(crate) fn sending(now: Instant) -> Self {
         Self::new(RATE_MAX, BURST_MAX, 0, now)
     }
 
-    /// A full bucket for what is taken.
-    pub(crate) fn taking(now: Instant) -> Self {
-        Self::new(TAKEN_RATE_MAX, TAKEN_BURST_MAX, TAKEN_COST_MIN, now)
+    /// A full token bucket for receiving.
+    pub(crate) fn receiving(now: Instant) -> Self {
+        Self::new(RECEIVE_RATE_MAX, RECEIVE_BURST_MAX, RECEIVE_COST_MIN, now)
     }
 
     fn new(rate: f64, burst: f64, cost_min: usize, now: Instant) -> Self {
@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn no_second_carries_more_than_the_rate_and_one_burst() {
+    fn any_second_carries_at_most_the_rate_and_one_burst() {
         let start = Instant::now();
         let mut cap = RateCap::sending(start);
         let bytes = passing(&mut cap, start, 1100, Duration::from_micros(50));
@@ -89,10 +89,10 @@ mod tests {
     }
 
     #[test]
-    fn who_sends_what_it_may_is_taken_whole_and_who_sends_twice_that_is_not() {
+    fn sender_at_the_cap_loses_nothing_and_sender_at_twice_the_cap_is_limited() {
         for (times, whole) in [(1.0, true), (2.0, false)] {
             let mut now = Instant::now();
-            let mut cap = RateCap::taking(now);
+            let mut cap = RateCap::receiving(now);
             let every = Duration::from_secs_f64(1100.0 / (times * RATE_MAX));
             let mut refused = 0;
             for _ in 0..20_000 {
@@ -104,10 +104,10 @@ mod tests {
     }
 
     #[test]
-    fn tiny_datagrams_are_taken_by_number_not_by_size() {
+    fn tiny_datagrams_are_limited_by_number() {
         let start = Instant::now();
-        let mut cap = RateCap::taking(start);
+        let mut cap = RateCap::receiving(start);
         let taken = passing(&mut cap, start, 1, Duration::from_micros(10));
-        assert!(taken <= (TAKEN_RATE_MAX + TAKEN_BURST_MAX) / TAKEN_COST_MIN as f64);
+        assert!(taken <= (RECEIVE_RATE_MAX + RECEIVE_BURST_MAX) / RECEIVE_COST_MIN as f64);
     }
 }

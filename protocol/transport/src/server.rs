@@ -17,14 +17,14 @@ use crate::error::GOODBYE;
 use crate::identity::ServerIdentity;
 use crate::{TransportError, bulk};
 
-/// Gives the bytes of a model to who holds a grant; `None` refuses. It must not block.
+/// Returns the bytes of a model to the holder of a grant; `None` refuses. It must not block.
 pub type ModelSource = Arc<dyn Fn(Grant, ModelHash) -> Option<Arc<[u8]>> + Send + Sync>;
 
 /// Handshakes at the same time; more are refused.
 const HANDSHAKES_MAX: usize = 256;
 
-/// With so many handshakes under way, an address must prove that it is real (QUIC Retry) before
-/// any work is done for it.
+/// From this number of pending handshakes on, an address must prove that it is real (QUIC Retry) before
+/// the server does any work for it.
 const HANDSHAKES_UNVALIDATED_MAX: usize = 16;
 
 /// Sessions that wait for the shell to accept them; further ones wait in their handshake.
@@ -72,7 +72,7 @@ impl Server {
         })
     }
 
-    /// Where it listens, with the port that was chosen when 0 was asked for.
+    /// The address of the socket, with the port that was chosen when 0 was asked for.
     pub fn local_addr(&self) -> SocketAddr {
         self.address
     }
@@ -82,7 +82,7 @@ impl Server {
         self.accepted.lock().await.recv().await
     }
 
-    /// Closes every connection with a sentence and waits, at most two seconds, until they know.
+    /// Closes every connection with a sentence and waits at most two seconds for their acknowledgement.
     pub async fn close(&self, sentence: &str) {
         self.listener.abort();
         self.endpoint

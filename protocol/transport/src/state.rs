@@ -38,7 +38,7 @@ pub fn open_private(path: &Path) -> io::Result<File> {
     Ok(file)
 }
 
-/// Refuses a file that others may read, and all but regular files.
+/// Rejects a file that other users may read, and all but regular files.
 pub fn check_private(file: &File) -> io::Result<()> {
     let metadata = file.metadata()?;
     if !metadata.is_file() {
@@ -75,8 +75,8 @@ fn private() -> OpenOptions {
     options
 }
 
-/// Writes a private file whole. With `replace` it takes the place of the one before; without, a file that is there stays
-/// and the error is [`ErrorKind::AlreadyExists`]. A reader never finds a part of it.
+/// Writes a private file atomically. With `replace` it replaces an earlier file; without, an existing
+/// file stays and the error is [`ErrorKind::AlreadyExists`]. A reader never sees a partial file.
 pub fn write_private(path: &Path, content: &[u8], replace: bool) -> io::Result<()> {
     let (beside, mut file) = create_beside(path)?;
     let mut put = || {
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn private_files_are_for_their_owner_alone_and_never_in_part() {
+    fn private_files_are_owner_only_and_written_atomically() {
         let folder = folder();
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
         assert_eq!(mode(&folder), 0o700);

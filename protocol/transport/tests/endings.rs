@@ -1,4 +1,5 @@
-//! How a connection ends is told apart by both ends, also where the farewell on the stream is lost with the stream.
+//! Both ends distinguish how a connection ended, even if the farewell on the stream is lost with the
+//! stream.
 #![allow(clippy::unwrap_used)]
 
 #[path = "support/session.rs"]
@@ -14,10 +15,10 @@ use session::{
 };
 use tokio::sync::mpsc;
 
-/// The code with which both ends say that they do not come back (WIRE.md).
+/// The close code of an end that does not reconnect (WIRE.md).
 const GOODBYE: u32 = 1;
 
-/// A server with one client in, whose end of it is kept.
+/// A server with one joined client; returns the server's handle of it.
 async fn one_is_in() -> (Server, PeerHandle, ClientHandle) {
     let (server, link) = serve();
     let (sender, mut inbox) = mpsc::channel(1024);
@@ -40,7 +41,7 @@ async fn ending(client: &mut ClientHandle) -> CloseReason {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_host_that_ends_the_session_is_told_from_one_that_is_gone() {
+async fn ended_session_is_distinguished_from_a_lost_host() {
     let (server, _peer, mut client) = one_is_in().await;
     server.close("the host has ended it").await;
     let reason = ending(&mut client).await;
@@ -58,7 +59,7 @@ async fn a_host_that_ends_the_session_is_told_from_one_that_is_gone() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn who_leaves_for_good_is_told_from_who_may_come_back() {
+async fn leaving_client_is_distinguished_from_a_lost_one() {
     for (code, leaves) in [(GOODBYE, true), (0, false), (2, false)] {
         let (server, _, identity) = serve_as();
         let (sender, mut inbox) = mpsc::channel(64);

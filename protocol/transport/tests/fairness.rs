@@ -1,4 +1,4 @@
-//! Nobody starves: two sessions that send all they may and a bulk flow share a narrow path.
+//! Fairness: two sessions at the rate cap and a bulk flow share a narrow path.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 #[path = "support/relay.rs"]
@@ -23,10 +23,10 @@ const BOTTLENECK: f64 = 1_250_000.0;
 /// Bytes that wait before the bottleneck; further ones are dropped (tail drop).
 const QUEUE: f64 = 64.0 * 1024.0;
 
-/// The path without its queue, one way.
+/// One-way delay of the path without its queue.
 const DELAY: Duration = Duration::from_millis(20);
 
-/// How long the shares are counted, after everybody has found their pace.
+/// How long the shares are counted, after all flows have reached a steady state.
 const COUNTED: Duration = Duration::from_secs(9);
 const SETTLING: Duration = Duration::from_secs(3);
 
@@ -44,7 +44,7 @@ impl Count {
     }
 }
 
-/// As many of the largest datagrams as the connection takes, for ever.
+/// Sends the largest datagrams at the rate cap, for ever.
 async fn press(mut connection: Connection) {
     loop {
         while connection.send_datagram(vec![7; 1100]) {}
@@ -62,7 +62,7 @@ async fn count_datagrams(connection: Connection, count: Count) {
 async fn sessions(server: &Server, link: &JoinLink, counts: &[Count; 2]) {
     for count in counts {
         let mut client = connect(link).await.unwrap();
-        // A stream exists for the other side with its first byte.
+        // A stream becomes visible to the other side with its first byte.
         client.write(&[0]).await.unwrap();
         let served = server.accept().await.unwrap();
         tokio::spawn(press(served));
@@ -70,7 +70,7 @@ async fn sessions(server: &Server, link: &JoinLink, counts: &[Count; 2]) {
     }
 }
 
-/// quinn as it comes, with Cubic: a sender of an endless stream, and where it listens.
+/// quinn with its default Cubic: a sender of an endless stream, and its address.
 fn bulk_sender() -> (Endpoint, CertificateDer<'static>) {
     let made = rcgen::generate_simple_self_signed(["bulk".to_owned()]).unwrap();
     let certificate = made.cert.der().clone();
@@ -162,11 +162,11 @@ fn fair([bulk, first, second]: [f64; 3]) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_bulk_flow_that_comes_later_keeps_a_third_of_the_bottleneck() {
+async fn later_bulk_flow_gets_a_third_of_the_bottleneck() {
     fair(shares(false).await);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn sessions_that_come_later_leave_a_third_to_the_bulk_flow() {
+async fn later_sessions_leave_a_third_to_the_bulk_flow() {
     fair(shares(true).await);
 }

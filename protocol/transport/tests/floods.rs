@@ -1,4 +1,4 @@
-//! A peer that sends more than it may is heard no more than others, and harms nobody.
+//! A peer above its rate is capped and does not harm other peers.
 #![allow(clippy::unwrap_used)]
 
 #[path = "support/session.rs"]
@@ -15,13 +15,13 @@ use quinn::Connection;
 use session::{PATIENCE, hello, serve_as, unbound};
 use tokio::sync::mpsc;
 
-/// What one connection may send, bytes per second; twice as much is sent here.
+/// The rate cap of one connection, bytes per second; the flood sends twice as much.
 const MAY: f64 = 1_250_000.0;
 
 /// How long it floods.
 const FLOOD: Duration = Duration::from_secs(2);
 
-/// The inbox of a room, and what its peers put into it.
+/// The inbox of a room, and the events of its peers.
 struct Room {
     server: Server,
     link: JoinLink,
@@ -52,7 +52,7 @@ impl Room {
         spawn_peer(connection, PeerId(id), clock, self.sender.clone())
     }
 
-    /// Waits until this peer has introduced itself; nobody may be closed meanwhile.
+    /// Waits until this peer has introduced itself; no peer may be closed meanwhile.
     async fn hears_hello_of(&mut self, id: u64) {
         loop {
             let input = tokio::time::timeout(PATIENCE, self.inbox.recv()).await;
@@ -66,7 +66,7 @@ impl Room {
     }
 }
 
-/// Sends datagrams of `len` bytes, so many a second, for [`FLOOD`]; how many.
+/// Sends datagrams of `len` bytes at `per_second` for [`FLOOD`]; returns their number.
 async fn flood(connection: &Connection, len: usize, per_second: f64) -> u64 {
     let start = Instant::now();
     let mut sent = 0;
@@ -81,8 +81,8 @@ async fn flood(connection: &Connection, len: usize, per_second: f64) -> u64 {
     sent
 }
 
-/// One peer floods while another comes; then the first goes on as if nothing had been.
-async fn a_flood_is_capped_and_harms_nobody(len: usize, per_second: f64) {
+/// One peer floods while another joins; then the first continues undisturbed.
+async fn flood_is_capped_and_harms_no_other_peer(len: usize, per_second: f64) {
     let mut room = Room::open();
     let (_endpoint, bad) = unbound(&room.server, &room.identity).await;
     let (mut send, mut recv) = bad.open_bi().await.unwrap();
@@ -126,11 +126,11 @@ async fn a_flood_is_capped_and_harms_nobody(len: usize, per_second: f64) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn who_sends_twice_what_it_may_is_cut_to_the_cap_and_stays_in_the_session() {
-    a_flood_is_capped_and_harms_nobody(1100, 2.0 * MAY / 1100.0).await;
+async fn sender_at_twice_the_cap_is_limited_and_stays_in_the_session() {
+    flood_is_capped_and_harms_no_other_peer(1100, 2.0 * MAY / 1100.0).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_flood_of_tiny_datagrams_is_cut_by_their_number() {
-    a_flood_is_capped_and_harms_nobody(1, 20_000.0).await;
+async fn flood_of_tiny_datagrams_is_limited_by_number() {
+    flood_is_capped_and_harms_no_other_peer(1, 20_000.0).await;
 }

@@ -97,7 +97,7 @@ async fn a_session_goes_from_hello_to_leave() {
             assert_eq!(
                 track.participant,
                 ParticipantId(2),
-                "one's own tool is left out"
+                "the own tool is omitted"
             );
             break;
         }
@@ -123,7 +123,7 @@ async fn a_session_goes_from_hello_to_leave() {
 }
 
 #[tokio::test]
-async fn another_certificate_is_refused_with_both_hashes() {
+async fn wrong_certificate_is_rejected_with_both_hashes() {
     let (_server, mut link) = serve();
     link.certificate = CertificateHash([1; 32]);
     let error = connect(&link).await.err().unwrap();
@@ -135,7 +135,7 @@ async fn another_certificate_is_refused_with_both_hashes() {
 }
 
 #[tokio::test]
-async fn a_client_of_another_version_is_told_which_one_the_server_speaks() {
+async fn client_of_another_version_receives_the_server_version() {
     let (server, link) = serve();
     let (sender, mut receiver) = mpsc::channel(16);
     let mut connection = connect(&link).await.unwrap();
@@ -168,7 +168,7 @@ async fn a_client_of_another_version_is_told_which_one_the_server_speaks() {
 }
 
 #[tokio::test]
-async fn a_server_of_another_version_is_named_in_the_refusal() {
+async fn error_names_the_version_of_another_server() {
     let (server, link) = serve();
     let mut client = join(&link, "new", Instant::now()).await;
     let mut old = server.accept().await.unwrap();
@@ -191,7 +191,7 @@ async fn a_server_of_another_version_is_named_in_the_refusal() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn noise_harms_nobody_and_is_counted() {
+async fn noise_is_counted_and_harms_no_session() {
     let (server, link) = serve();
     let (sender, mut receiver) = mpsc::channel(1024);
     let inbox = (sender, Instant::now());
@@ -224,7 +224,7 @@ async fn noise_harms_nobody_and_is_counted() {
     }
     tokio::time::sleep(Duration::from_millis(700)).await;
     assert!(bad_peer.stats().link.noise.early > 0);
-    // The other one goes on.
+    // The other session continues.
     assert!(good_peer.send(operation(1)));
     loop {
         if let ClientEvent::Operation(o) = next_event(&mut good).await
@@ -236,7 +236,7 @@ async fn noise_harms_nobody_and_is_counted() {
 }
 
 #[tokio::test]
-async fn a_model_comes_whole_to_who_holds_the_grant() {
+async fn model_is_delivered_to_the_holder_of_the_grant() {
     let (_server, link) = serve();
     let mut last = (0, 0);
     let bytes = fetch_model(&link, MODEL, |done, total| last = (done, total))
@@ -256,7 +256,7 @@ async fn a_model_comes_whole_to_who_holds_the_grant() {
 }
 
 #[tokio::test]
-async fn a_taken_port_is_named() {
+async fn port_in_use_is_named() {
     let (server, _) = serve();
     let identity = ServerIdentity::generate().unwrap();
     let models: ModelSource = Arc::new(|_, _| None);
@@ -268,7 +268,7 @@ async fn a_taken_port_is_named() {
 }
 
 #[tokio::test]
-async fn a_silent_address_is_given_up_with_a_sentence() {
+async fn silent_address_gives_a_readable_error() {
     let socket = tokio::net::UdpSocket::bind(ANY_PORT).await.unwrap();
     let (_server, mut link) = serve();
     link.port = socket.local_addr().unwrap().port();
@@ -302,7 +302,7 @@ async fn numbers_pass(
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_client_that_goes_on_from_another_socket_keeps_its_datagrams_and_its_stream() {
+async fn client_on_a_new_socket_keeps_its_datagrams_and_stream() {
     let (server, link) = serve();
     let mut client = connect(&link).await.unwrap();
     client.write(b"one").await.unwrap();
@@ -323,7 +323,7 @@ async fn a_client_that_goes_on_from_another_socket_keeps_its_datagrams_and_its_s
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_session_goes_on_when_the_gateway_between_changes_its_port() {
+async fn session_survives_a_port_change_of_the_gateway() {
     let (server, mut link) = serve();
     let path = Relay::start(
         &[server.local_addr()],
@@ -378,7 +378,7 @@ async fn a_session_goes_on_when_the_gateway_between_changes_its_port() {
 }
 
 #[tokio::test]
-async fn who_is_refused_and_reads_nothing_does_not_keep_the_task() {
+async fn refused_client_that_reads_nothing_does_not_keep_the_task() {
     /// More than the windows of both ends take: 8 MB of names.
     const OPERATIONS: u64 = 4000;
     let (server, link) = serve();
@@ -414,7 +414,7 @@ async fn who_is_refused_and_reads_nothing_does_not_keep_the_task() {
         next_input(&mut inbox).await.event,
         PeerEvent::Closed(CloseReason::Violation(_))
     ));
-    // The connection stands, and nothing of it was read; the task ends nevertheless.
+    // The connection is open, and nothing was read from it; the task ends nevertheless.
     let ended = async {
         while peer.send(operation(OPERATIONS)) {
             tokio::time::sleep(Duration::from_millis(20)).await;

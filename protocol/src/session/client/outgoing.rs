@@ -4,19 +4,19 @@ use super::{ClientSession, State};
 use crate::datagram::Body;
 use crate::{ClientTime, ServerTime, ToolTrack};
 
-/// What is to go out besides motion.
+/// Pending datagrams other than motion.
 #[derive(Debug, Default)]
 pub(super) struct Wants {
-    /// A question for the clock, which says when it leaves and so is made then.
+    /// A clock probe. It contains its time of departure and is therefore created then.
     pub(super) probe: bool,
-    /// A sign of life: much has arrived that was not acknowledged.
+    /// A heartbeat: many datagrams are not acknowledged yet.
     pub(super) acknowledgement: bool,
-    /// Motion has been given since the last time that there was nothing more to give.
+    /// Motion was returned since the last `None`.
     goes_on: bool,
 }
 
 impl ClientSession {
-    /// The next datagram, made from what is newest now.
+    /// The next datagram, with the newest content.
     pub fn poll_datagram(&mut self, now: ClientTime) -> Option<Vec<u8>> {
         self.follow_clock(now);
         let State::Joined(joined) = &self.state else {
@@ -40,8 +40,8 @@ impl ClientSession {
             }
         }
         self.link.count_refused_samples(self.motion.take_stale());
-        // The batch that collects goes within milliseconds, and what leaves with it shares its packet. Where a
-        // few samples stay behind in every batch, the rest goes after what has just been sent.
+        // The collecting batch leaves within milliseconds and shares its packet with these datagrams.
+        // Where a few samples remain in every batch, the other datagrams follow the last one sent.
         let with_motion = std::mem::take(&mut self.wants.goes_on);
         if self.motion.collects() && !with_motion {
             return None;
@@ -51,7 +51,7 @@ impl ClientSession {
         rest
     }
 
-    /// What is not motion.
+    /// The next datagram other than motion.
     fn next_of_rest(&mut self, now: ClientTime, generated: ServerTime) -> Option<Vec<u8>> {
         if std::mem::take(&mut self.wants.probe) {
             let probe = self.clock.probe(now);

@@ -1,12 +1,12 @@
-//! What a session goes on with that takes a seat again.
+//! The state that a resumed session continues with.
 
 use super::ClientSession;
 use crate::compensation::DelaySchedule;
 use crate::handshake::Welcome;
 
 impl ClientSession {
-    /// Goes on with D as it was known before, if the log goes on too. A welcome only says where D is: a change
-    /// that was on its way when the connection broke is not in the log a second time, and D would stay
+    /// Continues with the earlier schedule of D, if the log continues too. A welcome contains only the
+    /// current D. A pending change from before the lost connection is not sent again, and D would stay
     /// halfway until the next one.
     pub fn go_on_with(&mut self, schedule: DelaySchedule) {
         self.known_delay = Some(schedule);
@@ -31,7 +31,7 @@ mod tests {
     use crate::{ClientTime, ServerTime, Span};
 
     #[test]
-    fn who_returns_goes_on_towards_the_delay_that_was_on_its_way() {
+    fn resumed_session_continues_a_pending_delay_change() {
         let at = |ms: i64| ServerTime::from_micros(ms * 1000);
         let mut known = DelaySchedule::new(&welcome(0, 0).compensation);
         known.handle_change(300_000, at(1000));

@@ -1,4 +1,4 @@
-//! A thin subscriber over a bad link: no drift, no more than its rate, and right when all rests.
+//! A thin subscriber over a bad link: no drift, a bounded rate, and exact at rest.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use super::*;
 use crate::session::tests::Pair;
 use crate::session::{ClientEvent, PeerDatagram};
 
-/// From one picture to the next, ms: 62.5 a second.
+/// Period of the pictures, ms: 62.5 a second.
 const PERIOD_MS: i64 = 16;
 
 /// A step in metres, with room for the rounding of single precision.
@@ -33,9 +33,9 @@ struct Thin {
     pair: Pair,
     side: u32,
     nodes: Arc<[u32]>,
-    /// What the pictures said, by their moments.
+    /// The pictures, by their times.
     was: BTreeMap<ServerTime, Vec<[f32; 3]>>,
-    /// What the client shows.
+    /// The client's displayed displacements.
     shown: BTreeMap<u32, (ServerTime, [f32; 3])>,
     worst_m: f32,
 }
@@ -47,7 +47,7 @@ impl Thin {
         Self {
             pair,
             side,
-            // Every other number: those between are inside.
+            // Every other number: the nodes between are inside.
             nodes: (0..side * side).map(|n| 2 * n + 1).collect(),
             was: BTreeMap::new(),
             shown: BTreeMap::new(),
@@ -55,7 +55,7 @@ impl Thin {
         }
     }
 
-    /// Shows pictures for so long; the dent rests from `rests` on.
+    /// Shows pictures for `ms` milliseconds; the dent rests from `rests` on.
     fn play(&mut self, from_ms: i64, ms: i64, rests: i64) {
         for t in from_ms..from_ms + ms {
             if t % PERIOD_MS == 0 {
@@ -93,7 +93,7 @@ impl Thin {
         }
     }
 
-    /// The farthest that a node is shown from where the last picture has it, m.
+    /// The largest error of a displayed node against the last picture, m.
     fn off_m(&self) -> f32 {
         let (_, last) = self.was.last_key_value().unwrap();
         let of = |(node, at): (&u32, &[f32; 3])| {
@@ -104,7 +104,7 @@ impl Thin {
 
     fn bits_per_s(&self, seconds: f64) -> f64 {
         let (datagrams, bytes) = self.pair.down.datagrams;
-        (bytes + datagrams * AROUND_BYTES as u64) as f64 * 8.0 / seconds
+        (bytes + datagrams * OVERHEAD_BYTES as u64) as f64 * 8.0 / seconds
     }
 }
 
@@ -117,7 +117,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(8))]
 
     #[test]
-    fn no_loss_leaves_anything_behind_and_what_is_shown_is_what_was_once_told(
+    fn losses_leave_no_error_at_rest_and_only_sent_displacements_are_shown(
         seed in 0_u64..1000,
         delay_us in 1_000_i64..150_000,
         jitter_us in 0_i64..20_000,
@@ -134,13 +134,13 @@ proptest! {
 }
 
 #[test]
-fn the_rate_is_kept_when_more_moves_than_fits_and_what_waits_is_counted_and_comes() {
-    // 62,500 nodes that all move: ten times what fits.
+fn rate_holds_under_overload_and_waiting_nodes_are_counted_and_sent_later() {
+    // 62,500 nodes that all move: ten times the capacity.
     let mut thin = Thin::new(1, 250, 20_000, 5_000, 0.02);
     let before = thin.pair.down.datagrams;
     thin.play(0, 2000, 2000);
     let (datagrams, bytes) = thin.pair.down.datagrams;
-    let cost = bytes - before.1 + (datagrams - before.0) * AROUND_BYTES as u64;
+    let cost = bytes - before.1 + (datagrams - before.0) * OVERHEAD_BYTES as u64;
     let most = RATE * (2.0 + SAVED_S) + 1200.0;
     assert!((cost as f64) < most, "{cost} of {most} B");
     assert!(
@@ -153,17 +153,17 @@ fn the_rate_is_kept_when_more_moves_than_fits_and_what_waits_is_counted_and_come
 }
 
 #[test]
-fn the_farthest_off_go_first() {
+fn nodes_with_the_largest_error_are_sent_first() {
     let mut thin = Thin::new(1, 250, 1_000, 0, 0.0);
     thin.play(0, 3000, 0);
     assert!(thin.off_m() < STEP_M);
-    // A deep dent at once: within a tenth of a second what is far off is there, and the rest follows.
+    // A sudden deep dent: its large errors are sent within a tenth of a second, then the rest.
     thin.play(400, 100, 400);
     assert!(thin.off_m() < 1e-3, "{}", thin.off_m());
 }
 
 #[test]
-fn a_picture_that_rests_costs_next_to_nothing() {
+fn picture_at_rest_costs_almost_nothing() {
     let mut thin = Thin::new(1, 60, 20_000, 0, 0.0);
     thin.play(0, 2000, 500);
     thin.pair.down.datagrams = (0, 0);

@@ -17,23 +17,23 @@ const COMMANDS_MAX: usize = 256;
 /// Events that may wait for the shell; beyond, the session drops motion first.
 const EVENTS_MAX: usize = 1024;
 
-/// What the shell tells the task that drives a client session.
+/// A command of the shell to the task that drives a client session.
 #[derive(Debug)]
 pub enum ClientCommand {
-    /// New samples of one's own tool, oldest first. Send them about every 4 ms: four samples make
+    /// New samples of the client's own tool, oldest first. Send them about every 4 ms: four samples make
     /// a datagram, which leaves at once.
     Motion(Vec<LocalSample>),
-    /// Ask for something.
+    /// Sends a request.
     Request(RequestKind),
-    /// Ask for something under a number that the seat's owner gives.
+    /// Sends a request under a number from the caller.
     Numbered(Request),
-    /// Leave politely.
+    /// Leaves the session.
     Leave,
 }
 
 /// A client session that runs in a task. Dropping `commands` leaves the session.
 pub struct ClientHandle {
-    /// Bounded; use `try_send` next to a real-time thread and drop what does not fit.
+    /// Bounded; use `try_send` next to a real-time thread and drop the rest.
     pub commands: mpsc::Sender<ClientCommand>,
     /// Bounded; the last event is [`ClientEvent::Closed`].
     pub events: mpsc::Receiver<ClientEvent>,
@@ -43,7 +43,7 @@ pub struct ClientHandle {
     pub task: JoinHandle<()>,
 }
 
-/// Drives a client session in a task of its own. `clock` is the client's monotonic clock, the one
+/// Drives a client session in its own task. `clock` is the client's monotonic clock, the one
 /// that stamps its samples.
 pub fn spawn_client(
     connection: Connection,

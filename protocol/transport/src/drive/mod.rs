@@ -1,10 +1,11 @@
 //! The loop that drives one session over one connection, the same for both ends.
 //!
-//! Per turn: everything that the machine has to say is sent (datagrams first, made just in time),
-//! then the loop sleeps until the first of: stream bytes, a datagram, room in the stream, room in
-//! the events channel, a command, the machine's deadline. Nothing in it blocks the datagrams.
+//! Each turn sends all pending output of the session machine (datagrams first, encoded just in time).
+//! The loop then sleeps until the first of: stream bytes, a datagram, room in the stream, room in the
+//! events channel, a command, the machine's deadline. Nothing in it blocks the datagrams.
 //!
-//! Every turn empties the queue of datagrams, so that a [`StallWatch`] knows how long they may have waited for it.
+//! Every turn empties the datagram queue, so that a [`StallWatch`] knows how long they may have waited
+//! in it.
 
 pub(crate) mod client;
 pub(crate) mod peer;
@@ -20,12 +21,12 @@ use tokio::sync::{mpsc, watch};
 use crate::connection::{Connection, PathStats};
 use crate::error::is_goodbye;
 
-/// How a session does, as both layers see it.
+/// Statistics of a session, from both layers.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct DriverStats {
-    /// What the session counted.
+    /// The session's counters.
     pub link: LinkStats,
-    /// What the transport counted.
+    /// The transport's counters.
     pub path: PathStats,
 }
 
@@ -41,8 +42,8 @@ const DATAGRAMS_PER_TURN: usize = 64;
 /// The figures are renewed this often.
 const STATS_PERIOD: Duration = Duration::from_millis(100);
 
-/// What a session that is over still has to say is sent for so long: a farewell over a bad network. Who
-/// reads nothing would otherwise keep the task, and as many bytes as a session may hold, for good.
+/// How long a closed session may still send: a farewell over a bad network. Without the limit, a peer
+/// that reads nothing would keep the task and its queued bytes for good.
 const FAREWELL_MAX: Duration = Duration::from_secs(2);
 
 /// A session state machine together with its clock.
@@ -50,11 +51,11 @@ pub(crate) trait Machine: Send {
     type Event: Send;
     type Command: Send;
     fn handle_stream(&mut self, bytes: &[u8]);
-    /// A datagram that may have waited for `stall`, because this loop did not run.
+    /// Handles a datagram that may have waited for `stall`, because this loop stalled.
     fn handle_datagram(&mut self, bytes: &[u8], stall: Span);
     fn handle_timeout(&mut self);
     fn handle_disconnect(&mut self, why: String);
-    /// The other side is done for good, and says so with the end of the connection.
+    /// The other side ended the connection for good, by its close code.
     fn handle_goodbye(&mut self, sentence: String);
     /// `None`: the shell has dropped its end.
     fn handle_command(&mut self, command: Option<Self::Command>);
@@ -64,7 +65,7 @@ pub(crate) trait Machine: Send {
     /// Until the next timeout; `None` once closed.
     fn until_timeout(&self) -> Option<Duration>;
     fn is_closed(&self) -> bool;
-    /// Whether this side is done for good: it does not come back.
+    /// Whether this side ended for good and does not reconnect.
     fn leaves(&self) -> bool;
     fn stats(&self) -> LinkStats;
 }
@@ -73,7 +74,7 @@ pub(crate) trait Machine: Send {
 pub(crate) trait Commands<C>: Send {
     /// `None` once the shell has dropped its end. Cancelling it loses nothing.
     fn next(&mut self) -> impl Future<Output = Option<C>> + Send;
-    /// What is there already.
+    /// The next command that is already queued.
     fn try_next(&mut self) -> Option<C>;
 }
 
@@ -87,7 +88,7 @@ impl<C: Send> Commands<C> for mpsc::Receiver<C> {
     }
 }
 
-/// What moved the loop.
+/// The event that woke the loop.
 enum Moved<C> {
     Read(Result<Option<usize>, String>),
     Written(Result<usize, String>),
@@ -157,12 +158,12 @@ pub(crate) async fn drive<M: Machine>(
             () = tokio::time::sleep(wait) => Moved::Time,
         };
         watch.wake(since(began));
-        // Datagrams first: a timeout must not find a peer silent that was heard.
+        // Datagrams first: a timeout must not find a peer silent whose datagrams have arrived.
         let first = match &moved {
             Moved::Datagram(Ok(bytes)) => Some(bytes),
             _ => None,
         };
-        if let Some(bytes) = first.filter(|bytes| connection.takes(bytes.len())) {
+        if let Some(bytes) = first.filter(|bytes| connection.accepts(bytes.len())) {
             machine.handle_datagram(bytes, watch.handle_datagram(since(began)));
         }
         if !machine.is_closed() {
@@ -177,7 +178,7 @@ pub(crate) async fn drive<M: Machine>(
             Moved::Written(Ok(n)) => drop(outgoing.drain(..n)),
             Moved::Datagram(Err(why)) | Moved::Read(Err(why)) | Moved::Written(Err(why)) => {
                 stream_is_open = false;
-                // The connection knows better than its stream why it ended.
+                // The connection has a better reason for its end than its stream.
                 let reason = datagrams.close_reason();
                 let why = reason.as_ref().map_or(why, crate::error::in_words);
                 if reason.as_ref().is_some_and(is_goodbye) {
@@ -214,7 +215,7 @@ async fn end<M: Machine>(machine: M, connection: Connection, stats: &watch::Send
     }
 }
 
-/// Moves events towards the shell as far as there is room.
+/// Moves events to the shell while its channel has room.
 fn deliver<M: Machine>(
     machine: &mut M,
     pending: &mut VecDeque<M::Event>,
@@ -237,7 +238,7 @@ fn deliver<M: Machine>(
     }
 }
 
-/// Takes what else has already arrived.
+/// Handles the datagrams that have already arrived.
 async fn drain_datagrams<M: Machine>(
     machine: &mut M,
     connection: &mut Connection,
@@ -254,7 +255,7 @@ async fn drain_datagrams<M: Machine>(
         let Some(bytes) = next else {
             return watch.handle_empty(clock());
         };
-        if connection.takes(bytes.len()) {
+        if connection.accepts(bytes.len()) {
             machine.handle_datagram(&bytes, watch.handle_datagram(clock()));
         }
     }

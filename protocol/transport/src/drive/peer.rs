@@ -1,8 +1,8 @@
-//! One peer of a server in a task.
+//! The task that drives one peer of a server.
 //!
-//! One task of the shell owns the room; every peer's task sends what it learns into the one bounded
-//! inbox of that task, and the room reaches every peer through a [`PeerHandle`] that never blocks:
-//! datagrams are dropped when their queue is full, and a peer whose reliable queue is full is closed.
+//! One task of the shell owns the room. Every peer's task sends its events into the one bounded inbox of
+//! that task. The room reaches every peer through a [`PeerHandle`] that never blocks: a full datagram
+//! queue drops datagrams, and a peer with a full reliable queue is closed.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -15,8 +15,8 @@ use tokio::sync::{mpsc, watch};
 use crate::connection::Connection;
 use crate::drive::{Commands, DriverStats, Machine, drive};
 
-/// Reliable messages that may wait for a peer's task: the longest log that a room greets anybody with,
-/// 18,000 operations, and what else it says meanwhile. Beyond it the peer is closed.
+/// Capacity of a peer's reliable queue: the longest log that a room sends to a new participant, 18,000
+/// operations, plus messages meanwhile. Beyond it the peer is closed.
 pub const RELIABLE_QUEUE_MAX: usize = 20_000;
 
 /// Datagrams that may wait for a peer's task; beyond it they are dropped and counted.
@@ -26,14 +26,14 @@ pub const DATAGRAM_QUEUE_MAX: usize = 256;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PeerId(pub u64);
 
-/// Something from one peer, for the one task that owns the room.
+/// An event of one peer, for the one task that owns the room.
 #[derive(Debug)]
 pub struct PeerInput {
-    /// From whom.
+    /// The peer.
     pub peer: PeerId,
-    /// When it was taken off the wire.
+    /// When it was read from the network.
     pub at: ServerTime,
-    /// What.
+    /// The event.
     pub event: PeerEvent,
 }
 
@@ -48,12 +48,12 @@ pub struct PeerHandle {
 }
 
 impl PeerHandle {
-    /// Whom it reaches.
+    /// The peer's number.
     pub fn id(&self) -> PeerId {
         self.id
     }
 
-    /// Something reliable. `false` when the peer is gone or too slow; too slow, it is closed, and a
+    /// Sends a reliable message. `false` when the peer is gone or too slow; a slow peer is closed, and a
     /// [`PeerEvent::Closed`] follows.
     pub fn send(&self, message: PeerMessage) -> bool {
         match self.reliable.try_send(message) {
@@ -67,7 +67,7 @@ impl PeerHandle {
         }
     }
 
-    /// Something that may get lost; `false` when it was dropped, which is counted.
+    /// Sends an unreliable message; `false` when it was dropped, which is counted.
     pub fn send_datagram(&self, datagram: PeerDatagram) -> bool {
         let sent = self.datagrams.try_send(datagram).is_ok();
         self.dropped.fetch_add(u64::from(!sent), Ordering::Relaxed);
@@ -82,8 +82,8 @@ impl PeerHandle {
     }
 }
 
-/// Drives one peer in a task of its own; what it learns goes into the one bounded `inbox` of all
-/// peers. `clock` is the server's clock.
+/// Drives one peer in its own task and sends its events into the one bounded `inbox` of all peers.
+/// `clock` is the server's clock.
 pub fn spawn_peer(
     connection: Connection,
     id: PeerId,
@@ -115,7 +115,7 @@ pub fn spawn_peer(
     }
 }
 
-/// What the room tells a peer's task.
+/// A command of the room to a peer's task.
 enum PeerCommand {
     Reliable(PeerMessage),
     Datagram(PeerDatagram),

@@ -74,7 +74,7 @@ impl Limit {
         if self.left_us > 0 {
             return Span::ZERO;
         }
-        // So many replenishments until something is left.
+        // The replenishments until the budget is positive.
         let more = -self.left_us / self.runtime_us;
         let ends_us = self.ends_us.unwrap_or(now_us) + more * self.period_us;
         Span::from_micros((ends_us - now_us).max(0))
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn an_overrun_is_paid_for_by_resting() {
+    fn overrun_is_followed_by_rest() {
         let mut budget = CpuBudget::new(RUNTIME, PERIOD);
         budget.charge(0, Span::ZERO);
         // 9 ms of work are 4.5 runtimes: the first and those of the periods that end at 4, 8, 12 and 16 ms pay for it.
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn idle_time_pays_for_no_later_overrun() {
+    fn idle_time_gives_no_credit() {
         let mut budget = CpuBudget::new(RUNTIME, PERIOD);
         budget.charge(0, Span::ZERO);
         let rest = budget.charge(1_009_000, Span::from_micros(9000));
@@ -120,7 +120,7 @@ mod tests {
     proptest! {
         /// The law of a hard reservation, over every interval between two turns.
         #[test]
-        fn no_interval_holds_more_than_its_share_and_one_overrun(
+        fn any_interval_holds_at_most_its_share_and_one_overrun(
             work in prop::collection::vec((0_i64..20_000, 0_i64..10_000), 1..200),
         ) {
             let mut budget = CpuBudget::new(RUNTIME, PERIOD);

@@ -9,11 +9,12 @@
 //! background   views, cuts, model building, statistics   ordinary   none
 //! ```
 //!
-//! The base is 80 under `SCHED_FIFO`, or the limit `RLIMIT_RTPRIO` of the user where that is lower. A thread without
-//! permission keeps ordinary priority, never less, and asks for short time slices instead (EEVDF, Linux 6.12 and later).
-//! A supervisor thread enforces the budgets: a real-time thread that has spent its budget runs at ordinary priority until
-//! the budget is replenished ([`CpuBudget`]), so that no fault of a thread can stop the machine. Loops of our own also
-//! charge their budget themselves and sleep.
+//! The base is 80 under `SCHED_FIFO`, or the limit `RLIMIT_RTPRIO` of the user where that is lower. A
+//! thread without permission keeps ordinary priority, never less, and asks for short time slices instead
+//! (EEVDF, Linux 6.12 and later). A supervisor thread enforces the budgets: a real-time thread that has
+//! spent its budget runs at ordinary priority until the budget is replenished ([`CpuBudget`]), so that
+//! no faulty thread can stop the machine. The loops of this project also charge their own budget and
+//! sleep.
 //!
 //! The registry is one per process, as threads and their priorities are.
 
@@ -46,7 +47,7 @@ pub fn without_real_time() {
     ASKS_FOR_REAL_TIME.store(false, Ordering::Relaxed);
 }
 
-/// What a thread does, from the most to the least urgent.
+/// The class of a thread, from the most to the least urgent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum ThreadClass {
     /// The 1 kHz loop between device and contact model.
@@ -82,7 +83,7 @@ impl ThreadClass {
         Self::Background,
     ];
 
-    /// The word for it in figures.
+    /// Its name in statistics.
     pub fn word(self) -> &'static str {
         match self {
             Self::Force => "force",
@@ -118,7 +119,7 @@ impl ThreadClass {
     }
 }
 
-/// How a thread is scheduled.
+/// The scheduling of a thread.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Scheduling {
     /// Before every ordinary thread.
@@ -126,7 +127,7 @@ pub enum Scheduling {
         /// The priority under `SCHED_FIFO`.
         priority: i32,
     },
-    /// Like every other thread of the user.
+    /// Ordinary priority, like every other thread of the user.
     Ordinary {
         /// Why real-time priority was refused; `None` where the class does not ask for it.
         refused: Option<String>,
@@ -178,7 +179,7 @@ pub struct Membership {
 }
 
 impl Membership {
-    /// How the thread is scheduled.
+    /// The scheduling of the thread.
     pub fn scheduling(&self) -> &Scheduling {
         &self.scheduling
     }
@@ -187,7 +188,7 @@ impl Membership {
 impl Drop for Membership {
     fn drop(&mut self) {
         registry::remove(self.thread);
-        // Whatever runs on this thread afterwards belongs to no class.
+        // Later work on this thread belongs to no class.
         let _ = sys::set_ordinary(self.thread);
     }
 }
@@ -203,7 +204,7 @@ pub fn join(class: ThreadClass) {
     std::mem::forget(enter(class));
 }
 
-/// Takes the calling thread out of its class: for the exit hook of a thread pool.
+/// Removes the calling thread from its class: for the exit hook of a thread pool.
 pub fn leave() {
     registry::remove(sys::this_thread());
 }
@@ -284,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn a_refusal_names_cause_effect_and_remedy() {
+    fn rejection_names_cause_effect_and_remedy() {
         let refused = Scheduling::Ordinary {
             refused: Some("Operation not permitted".to_owned()),
         };
@@ -309,7 +310,8 @@ mod tests {
         }
     }
 
-    /// The fallback itself, whoever runs the test: the thread is put where a refusal puts it.
+    /// The fallback independent of the user's rights: the thread is put where a rejected request puts
+    /// it.
     #[cfg(target_os = "linux")]
     #[test]
     fn a_thread_without_permission_has_ordinary_priority() {
@@ -323,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_of_a_class_is_counted_there_while_it_runs_and_after_its_end() {
+    fn cpu_time_counts_for_the_class_during_and_after_a_thread() {
         let before = cpu_time();
         let burn = || {
             let began = worked_ns();

@@ -11,7 +11,7 @@ const STEP_US: i64 = 100;
 struct Loop {
     class: ThreadClass,
     period_us: i64,
-    /// CPU time that one turn takes.
+    /// CPU time of one turn.
     work_us: i64,
     budget: CpuBudget,
     next_us: i64,
@@ -112,7 +112,7 @@ proptest! {
 /// The machine of the demo with a solver and a view per trainee: both solvers keep 250 Hz while views want far more
 /// than there is.
 #[test]
-fn views_that_want_too_much_cost_the_solvers_nothing() {
+fn overloaded_views_do_not_slow_the_solvers() {
     let mut loops = vec![
         Loop::new(ThreadClass::Force, 1_000, 100),
         Loop::new(ThreadClass::Force, 1_000, 100),

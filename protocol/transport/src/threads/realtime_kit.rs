@@ -1,7 +1,8 @@
-//! Real-time priority from RealtimeKit, the system service that desktops offer to users without privileges.
+//! Real-time priority from RealtimeKit, the system service that desktops offer to users without
+//! privileges.
 //!
-//! The service refuses a process that could run for ever, so the limit `RLIMIT_RTTIME` is set first; the supervisor
-//! keeps threads far below it.
+//! The service rejects a process that could run for ever, so that the limit `RLIMIT_RTTIME` is set
+//! first; the supervisor keeps threads far below it.
 
 use std::io;
 

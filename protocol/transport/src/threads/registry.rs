@@ -8,10 +8,11 @@ use palpate_protocol::Span;
 use super::sys::{self, ThreadId};
 use super::{CpuBudget, CpuTime, Scheduling, ThreadClass};
 
-/// How often the supervisor looks. A thread that runs wild takes the processor for so long at most.
+/// The supervisor's period: the longest time that a runaway thread can occupy the processor.
 const WATCH_PERIOD_NS: i64 = 10_000_000;
 
-/// Budgets are enforced over so many of their periods: what a loop charges itself evens out within them.
+/// Budgets are enforced over this many of their periods: a loop that charges itself evens out within
+/// them.
 const ENFORCED_PERIODS: i64 = 10;
 
 static REGISTRY: Mutex<Registry> = Mutex::new(Registry {
@@ -105,7 +106,7 @@ pub(super) fn cpu_time() -> CpuTime {
     }
 }
 
-/// The supervisor's life. It outranks every thread that it watches, and ends with the process.
+/// The supervisor's loop. It outranks every thread that it watches, and ends with the process.
 fn supervise() {
     let _ = sys::set_fifo(sys::this_thread(), super::BASE_PRIORITY + 1);
     let mut deadline_ns = sys::monotonic_ns();
@@ -122,13 +123,14 @@ fn supervise() {
 }
 
 impl Enforced {
-    /// Charges what the thread has used, takes its priority away where the budget is spent, and gives it back.
+    /// Charges the thread's CPU time, removes its priority when the budget is spent, and restores it
+    /// later.
     fn look(&mut self, id: ThreadId, now_ns: i64) {
         let Some(cpu_ns) = sys::thread_cpu_ns(id) else {
             return;
         };
         if self.rests_until_ns.is_some_and(|until| now_ns >= until) {
-            // What it has used at ordinary priority was everybody's to give.
+            // CPU time at ordinary priority is not charged.
             self.charged_ns = cpu_ns;
             if sys::set_fifo(id, self.priority).is_ok() {
                 self.rests_until_ns = None;
@@ -153,7 +155,7 @@ mod tests {
 
     /// Needs the permission that it tests; without it there is nothing to enforce.
     #[test]
-    fn a_real_time_thread_that_never_sleeps_loses_its_priority_and_gets_it_back() {
+    fn busy_real_time_thread_loses_and_regains_its_priority() {
         let seen = std::thread::spawn(|| {
             let membership = enter(ThreadClass::Network);
             if !matches!(membership.scheduling(), Scheduling::RealTime { .. }) {

@@ -1,6 +1,6 @@
-//! Calls into the system for clocks and scheduling, with all `unsafe` of this crate.
+//! System calls for clocks and scheduling, with all `unsafe` of this crate.
 //!
-//! On systems other than Linux scheduling is left alone and the CPU time of threads is not known.
+//! On systems other than Linux scheduling is unchanged and the CPU time of threads is unknown.
 
 use std::io;
 
@@ -47,7 +47,7 @@ pub(super) fn monotonic_ns() -> i64 {
 mod linux {
     use super::{clock_ns, io};
 
-    /// A thread as the kernel numbers it.
+    /// The kernel's number of a thread.
     pub(in super::super) type ThreadId = libc::pid_t;
 
     /// Time slice of an ordinary thread that has to answer quickly, ns. Short slices run sooner under EEVDF; they
@@ -55,7 +55,7 @@ mod linux {
     const SHORT_SLICE_NS: u64 = 500_000;
 
     pub(in super::super) fn this_thread() -> ThreadId {
-        // SAFETY: the call takes nothing and only returns a number.
+        // SAFETY: the call takes no arguments and only returns a number.
         unsafe { libc::gettid() }
     }
 
@@ -77,8 +77,8 @@ mod linux {
             tv_nsec: deadline_ns.rem_euclid(1_000_000_000) as _,
         };
         loop {
-            // SAFETY: `t` is a valid timespec that lives across the call, which only reads it; the
-            // remaining time is not asked for, and a null pointer says so.
+            // SAFETY: `t` is a valid timespec that lives across the call, which only reads it; the null
+            // pointer means that the remaining time is not requested.
             let result = unsafe {
                 libc::clock_nanosleep(
                     libc::CLOCK_MONOTONIC,
@@ -97,7 +97,7 @@ mod linux {
     /// without `SCHED_FIFO`, and a refusal changes nothing else.
     pub(in super::super) fn tighten_timers() {
         const SLACK_NS: libc::c_ulong = 1000;
-        // SAFETY: this option takes one integer and touches no memory of ours.
+        // SAFETY: this option takes one integer and accesses no memory of this process.
         let _ = unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, SLACK_NS) };
     }
 
@@ -113,7 +113,7 @@ mod linux {
         Ok(())
     }
 
-    /// Gives a thread ordinary priority; it does not interrupt others when it wakes.
+    /// Gives a thread ordinary priority; it does not preempt other threads when it wakes.
     pub(in super::super) fn set_background(thread: ThreadId) -> io::Result<()> {
         set_policy(thread, libc::SCHED_BATCH, 0)
     }
@@ -164,8 +164,8 @@ mod linux {
             runtime: SHORT_SLICE_NS,
             ..SchedAttr::default()
         };
-        // SAFETY: `attributes` has the layout of the kernel's structure, says its size, and lives across the call,
-        // which only reads it.
+        // SAFETY: `attributes` has the layout of the kernel's structure, contains its size, and lives
+        // across the call, which only reads it.
         let _ = unsafe {
             libc::syscall(
                 libc::SYS_sched_setattr,

@@ -20,14 +20,14 @@ pub struct CpuTime {
 pub struct CpuUsage {
     /// Processor cores used by the process, on average.
     pub cores: f64,
-    /// Of that, by thread class; `other` has threads without a class.
+    /// The share of each thread class; `other` has threads without a class.
     pub classes: BTreeMap<String, f64>,
     /// Length of the interval in s.
     pub seconds: f64,
 }
 
 impl CpuTime {
-    /// What was used since an earlier moment.
+    /// The usage since an earlier moment.
     #[must_use]
     pub fn since(&self, before: &Self) -> Self {
         let less = |(class, ns): (&ThreadClass, &i64)| {

@@ -1,9 +1,9 @@
-//! A path between clients and servers, made of UDP sockets on this host: fixed delay,
-//! independent loss from a seed, a bottleneck with a finite queue, and a gateway that can change
-//! the port from which the server sees its clients.
+//! A path between clients and servers, made of UDP sockets on this host: fixed delay, independent loss
+//! from a seed, a bottleneck with a finite queue, and a gateway that can change the port from which the
+//! server sees its clients.
 //!
-//! Deadlines are absolute and kept by one thread on a condition variable; a timer of a runtime
-//! under load would add its own jitter to what is measured.
+//! One thread keeps absolute deadlines on a condition variable; a timer of a loaded runtime would add
+//! its own jitter to the measurement.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -20,16 +20,16 @@ use rand_pcg::Pcg64Mcg;
 /// The largest UDP payload that is carried, bytes.
 const PAYLOAD_MAX: usize = 2048;
 
-/// How often a receiving thread looks whether it shall end.
+/// How often a receiving thread checks for the end.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Packets on the way in all; a path that holds more loses them.
-const ON_THE_WAY_MAX: usize = 100_000;
+/// Packets in flight in total; a path beyond it loses them.
+const IN_FLIGHT_MAX: usize = 100_000;
 
-/// What a path does to packets, in each direction alike and apart.
+/// The properties of a path, equal for both directions; each has its own queue and losses.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Way {
-    /// Fixed delay, one way.
+    /// Fixed one-way delay.
     pub(crate) delay: Duration,
     /// Further delay, evenly distributed from nothing to this; packets may overtake.
     pub(crate) jitter: Duration,
@@ -54,7 +54,7 @@ impl Way {
     }
 }
 
-/// One packet on its way. Ordered by when it is due, then by when it came.
+/// One packet in flight. Ordered by due time, then by arrival.
 struct Packet {
     due: Instant,
     number: u64,
@@ -123,7 +123,7 @@ fn socket() -> Arc<UdpSocket> {
 }
 
 impl Relay {
-    /// One path, shared by everybody, to every one of `servers`.
+    /// One path, shared by all clients, to every one of `servers`.
     pub(crate) fn start(servers: &[SocketAddr], way: Way) -> Self {
         let direction = |n: u64| {
             Mutex::new(Direction {
@@ -158,8 +158,8 @@ impl Relay {
         &self.addresses
     }
 
-    /// The gateway forgets its table: from the next packet on, the server sees every client at
-    /// another port, and what is sent to the old one goes nowhere.
+    /// The gateway forgets its table: from the next packet on, the server sees every client at another
+    /// port, and packets to the old one are lost.
     #[allow(dead_code, reason = "not every user of this file changes addresses")]
     pub(crate) fn forget(&self) {
         lock(&self.shared.table).clear();
@@ -254,7 +254,7 @@ impl Shared {
         due += self.way.delay + self.way.jitter.mul_f64(d.rng.random::<f64>());
         drop(d);
         let mut under = lock(&self.under);
-        if under.packets.len() >= ON_THE_WAY_MAX {
+        if under.packets.len() >= IN_FLIGHT_MAX {
             return;
         }
         under.number += 1;
@@ -279,7 +279,7 @@ impl Shared {
                     let first = under.packets.pop();
                     drop(under);
                     if let Some(Reverse(packet)) = first {
-                        // A closed port is part of the game.
+                        // A closed port is expected.
                         let _ = packet.from.send_to(&packet.bytes, packet.to);
                     }
                     under = lock(&self.under);

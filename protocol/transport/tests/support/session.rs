@@ -1,4 +1,4 @@
-//! A server, and clients that come into its sessions, over real quinn on this host.
+//! A server, and clients that join its sessions, over real quinn on this host.
 
 // Each suite needs a part of it.
 #![allow(dead_code)]
@@ -158,7 +158,8 @@ pub(crate) async fn admit(
     (peer, client)
 }
 
-/// A connection like a client's, without what ours does at its ends and without its cap on what it sends.
+/// A connection like a client's, without the project's session handling and without the cap on its
+/// sending rate.
 pub(crate) async fn unbound(server: &Server, identity: &ServerIdentity) -> (Endpoint, Connection) {
     let mut roots = rustls::RootCertStore::empty();
     roots.add(identity.to_der().0.into()).unwrap();
@@ -179,7 +180,7 @@ pub(crate) async fn unbound(server: &Server, identity: &ServerIdentity) -> (Endp
     (endpoint, connection)
 }
 
-/// What a client of ours says first: enough to be let in.
+/// A client's first bytes: enough to be admitted.
 pub(crate) fn opening(name: &str) -> Vec<u8> {
     let mut session = ClientSession::new(hello(name), ClientTime::ZERO).unwrap();
     std::iter::from_fn(|| session.poll_stream())

@@ -1,98 +1,99 @@
-//! What a delay must cover: how far the moment shown is from the newest sample, over time.
+//! The delay estimate: the distance of the displayed moment from the newest sample, over time.
 //!
-//! A packet's age says how old a sample is when it comes. What a site shows in between rests on a
-//! sample that grows older until the next one comes, so that the site needs, at every moment t,
+//! A packet's age is the age of a sample on arrival. Until the next one arrives the newest sample grows
+//! older. At every moment t the site requires the delay
 //!
 //! ```text
 //! n(t) = t - (moment of the newest sample here)
 //! ```
 //!
-//! With D >= n nothing is made up; with D < n the timeline goes n - D beyond its newest sample.
-//! That is nearly free for a few milliseconds (`verlet`: 0.02 mm rms at 10 ms), so that D need not
-//! cover everything: it is aimed [`BRIDGE`] or less below the [`SHARE`] of n.
+//! With D >= n nothing is extrapolated; with D < n the timeline extrapolates by n - D beyond its newest
+//! sample. A few milliseconds of extrapolation are nearly free (`verlet`: 0.02 mm rms at 10 ms), so that
+//! D need not cover all of n: it is aimed up to [`BRIDGE`] below the [`SHARE`] of n.
 //!
 //! ```text
-//! D* = max( q(n over LONG or SHORT, the lesser) - BRIDGE,  what a burst needed )
+//! D* = max( q(n over LONG or SHORT, the smaller) - BRIDGE,  required delay of a burst )
 //! ```
 //!
-//! Three memories, because paths change in three ways (the rule is of our own making):
-//! - a **step up** shows in a few packets that are all beyond what D can bridge: the memory of what was before
-//!   them is cleared;
-//! - a **step down** shows when the short memory lies below the long one;
-//! - a **burst** is a step up that is taken back within [`BURST_MAX`]. One alone is forgotten after
-//!   [`BURST_MEMORY_LEAST`]. Where bursts recur, their need is kept from one to the next, without
-//!   counting on the bridge, because packets are missing within a burst too.
+//! Three memories, because paths change in three ways (the rule is our own):
+//! - A **step up** shows in a few packets that are all beyond the bridge of D: the memory before them is
+//!   cleared.
+//! - A **step down** shows when the short memory lies below the long one.
+//! - A **burst** is a step up that reverts within [`BURST_MAX`]. A single burst is forgotten after
+//!   [`BURST_MEMORY_LEAST`]. The delay of recurring bursts is kept from one to the next, without the
+//!   bridge, because packets are missing within a burst too.
 //!
-//! The bridge is spent on jitter: a path without jitter gets none, so that it has the whole bridge left when it changes.
+//! The bridge covers jitter. A path without jitter gets none, and keeps the whole bridge for a change.
 
 use std::collections::VecDeque;
 
 use super::estimator::MotionArrival;
 use crate::{ServerTime, Span};
 
-/// The farthest beyond the newest sample that the rule lets the timeline go at the edge of its
+/// The longest extrapolation beyond the newest sample that the rule plans for at the edge of its
 /// `SHARE`.
 pub const BRIDGE: Span = Span::from_millis(12);
 
-/// The bridge of a short path: there it is most of the delay, and such a path gains little at once.
+/// The bridge of a short path, where the bridge is most of the delay.
 const BRIDGE_SHORT: Span = Span::from_micros(11_300);
 
-/// A path counts as short up to the first need, and not at all from the second on; in between by parts.
+/// A path counts as short up to the first delay and as long from the second on, with a linear blend
+/// between.
 const SHORT_PATH: [Span; 2] = [Span::from_millis(15), Span::from_millis(30)];
 
-/// The bridge in spreads of jitter (from the median to the [`SHARE`]).
+/// The bridge in multiples of the jitter spread (from the median to the [`SHARE`]).
 const BRIDGE_SPREADS: i64 = 3;
 
-/// The spread of the need on a path without jitter: from the median to the [`SHARE`] of a packet interval of 4 ms.
+/// The spread of the required delay on a path without jitter: from the median to the [`SHARE`] of a packet interval of 4 ms.
 const PACKET_SPREAD_US: i64 = 1840;
 
-/// The share of the time in which D and the bridge together are to be enough.
+/// The share of the time that D and the bridge together are to cover.
 const SHARE: f64 = 0.96;
 
-/// The long memory: as many packets as give a steady quantile of jitter.
+/// The long memory: enough packets for a steady quantile of jitter.
 const LONG: Span = Span::from_millis(4000);
 
-/// The short memory: what it lies below the long one is a step down.
+/// The short memory: its distance below the long one is a step down.
 const SHORT: Span = Span::from_millis(700);
 
-/// Packets in a row, all later than anything bridged, that make a step up.
+/// Consecutive packets, all later than the bridge covers, that make a step up.
 const STEP_PACKETS: usize = 3;
 
-/// A step up is one when all of [`STEP_PACKETS`] are so much above the long memory's quantile.
+/// The distance of all [`STEP_PACKETS`] above the long memory's quantile that makes a step up.
 const STEP_US: i64 = 6000;
 
-/// A rise that lasts longer is no burst but how the path now is.
+/// A longer rise is the new state of the path, not a burst.
 const BURST_MAX: Span = Span::from_millis(1200);
 
-/// A burst alone is remembered for so long.
+/// How long a single burst is remembered.
 const BURST_MEMORY_LEAST: Span = Span::from_millis(2000);
 
-/// Bursts that recur are remembered for so many times the longest time between two of them.
+/// Recurring bursts are remembered for this multiple of the longest time between two of them.
 const BURST_MEMORY_GAPS: i64 = 3;
 
-/// Bursts that are farther apart do not recur.
+/// Bursts farther apart than this do not recur.
 const BURST_MEMORY_MOST: Span = Span::from_millis(30_000);
 
-/// A burst's need and so much more: the next one is a little worse as often as not.
+/// The margin above the required delay of a burst: about every second burst is a little worse than the one before.
 const BURST_MARGIN_US: i64 = 5000;
 
-/// Intervals remembered; at 250 Hz the long memory needs 1000, and a stream that is faster is
-/// remembered for a shorter time.
+/// Intervals remembered. At 250 Hz the long memory needs 1000; a faster stream is remembered for a
+/// shorter time.
 const INTERVALS_MAX: usize = 2048;
 
-/// The least time that an interval counts for: packets that come together show nothing in between.
+/// The minimum weight of an interval: packets that arrive together have no time between them.
 const INTERVAL_MIN_US: i64 = 1;
 
-/// The bridge of a path with this need and this spread of it, microseconds.
-fn bridge(need_us: i64, spread_us: i64) -> i64 {
+/// The bridge of a path with this required delay and spread, microseconds.
+fn bridge(required_us: i64, spread_us: i64) -> i64 {
     let [short, long] = SHORT_PATH.map(Span::as_micros);
-    let part = (long - need_us).clamp(0, long - short);
+    let part = (long - required_us).clamp(0, long - short);
     let least = BRIDGE_SHORT.as_micros() * part / (long - short);
     (BRIDGE_SPREADS * (spread_us - PACKET_SPREAD_US)).clamp(least, BRIDGE.as_micros())
 }
 
-/// What was needed from one packet to the next: from the age of the first on its arrival up to
-/// that age and the time between them.
+/// The delay estimate from one packet to the next: from the age of the first on its arrival up to that
+/// age plus the time between them.
 #[derive(Debug, Clone, Copy)]
 struct Interval {
     until: ServerTime,
@@ -100,7 +101,7 @@ struct Interval {
     to_us: i64,
 }
 
-/// A rise of the need that may be a burst.
+/// A rise of the required delay that may be a burst.
 #[derive(Debug, Clone, Copy)]
 struct Rise {
     began: ServerTime,
@@ -115,40 +116,40 @@ struct Bursts {
     ended: ServerTime,
     /// How long they are remembered.
     memory: Span,
-    /// The most that one of them needed, while it is remembered.
-    need_us: Option<i64>,
+    /// Their largest required delay, while it is remembered.
+    required_us: Option<i64>,
 }
 
 impl Bursts {
-    /// A burst ended, with this need.
-    fn note(before: Option<Self>, need_us: i64, now: ServerTime) -> Self {
+    /// A burst ended, with this required delay.
+    fn note(before: Option<Self>, required_us: i64, now: ServerTime) -> Self {
         let recurring = before.filter(|b| now - b.ended <= BURST_MEMORY_MOST);
         let Some(before) = recurring else {
             return Self {
                 ended: now,
                 memory: BURST_MEMORY_LEAST,
-                need_us: Some(need_us),
+                required_us: Some(required_us),
             };
         };
         let gap = Span::from_micros(BURST_MEMORY_GAPS * (now - before.ended).as_micros());
         Self {
             ended: now,
             memory: before.memory.max(gap).min(BURST_MEMORY_MOST),
-            need_us: before.need_us.max(Some(need_us)),
+            required_us: before.required_us.max(Some(required_us)),
         }
     }
 
-    /// What is no longer remembered is forgotten.
+    /// Forgets expired bursts.
     fn forget(&mut self, now: ServerTime) {
         if now - self.ended > self.memory {
-            self.need_us = None;
+            self.required_us = None;
         }
     }
 }
 
-/// What a site needs of D so that the timeline can bridge the rest.
+/// The D that a site needs so that the timeline can bridge the rest.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Need {
+pub(super) struct BridgedDelay {
     /// The newest sample and its age on arrival.
     newest: Option<(ServerTime, Span)>,
     last_arrival: ServerTime,
@@ -160,10 +161,10 @@ pub(super) struct Need {
     since_sorted: u32,
 }
 
-impl Need {
-    /// Notes motion of which the newest sample had this age when it arrived, without what machines made of it:
-    /// so much was `taken_off` for its sender and the server.
-    /// `true` when the path has just become slower: worth a report at once.
+impl BridgedDelay {
+    /// Notes motion whose newest sample had this age on arrival, after the lateness of its sender and
+    /// server, `taken_off`, was subtracted. Returns `true` when the path has just become slower: report
+    /// at once.
     pub(super) fn handle_arrival(
         &mut self,
         motion: &MotionArrival,
@@ -179,14 +180,14 @@ impl Need {
         if generated <= newest {
             return false;
         }
-        // Just before its arrival, had its oldest news left in time.
+        // The required delay just before its arrival, had its oldest news left in time.
         let oldest = generated - newest + taken_off - motion.late.oldest + age;
         let interval = Interval {
             until: arrival,
             from_us: age_before.as_micros(),
             to_us: oldest.max(age).max(age_before).as_micros(),
         };
-        // A tool that was silent needed nothing.
+        // A silent tool needs no delay.
         let silent = arrival - self.last_arrival > LONG || generated - newest > LONG;
         self.newest = Some((generated, age));
         self.last_arrival = self.last_arrival.max(arrival);
@@ -196,7 +197,7 @@ impl Need {
         self.remember(interval);
         let stepped = self.note_step(arrival);
         self.note_burst(arrival);
-        // Quantiles of a thousand intervals for every packet would be spent for nothing.
+        // Quantiles over a thousand intervals for every packet would be wasted.
         self.since_sorted += 1;
         if stepped || self.since_sorted >= 8 || self.settled_us.is_none() {
             self.since_sorted = 0;
@@ -215,7 +216,7 @@ impl Need {
         self.intervals.push_back(interval);
     }
 
-    /// A step up: the last packets are all later than the memory says, by more than jitter.
+    /// A step up: the last packets are all later than the memory predicts, by more than jitter.
     fn note_step(&mut self, now: ServerTime) -> bool {
         let Some(settled_us) = self.settled_us else {
             return false;
@@ -226,7 +227,7 @@ impl Need {
         let recent = self
             .intervals
             .range(self.intervals.len() - STEP_PACKETS + 1..);
-        // Just after an arrival the need is at its least.
+        // The required delay is smallest just after an arrival.
         let least = recent.map(|i| i.from_us).min().unwrap_or(0);
         if least <= settled_us + STEP_US {
             return false;
@@ -236,7 +237,7 @@ impl Need {
         let first = self.intervals.len() - STEP_PACKETS;
         self.intervals.drain(..first);
         let peak_us = self.intervals.iter().map(|i| i.to_us).max().unwrap_or(0);
-        // The interval that waited for the step is longer than any after it.
+        // The interval that ended with the step is longer than any after it.
         self.intervals.pop_front();
         self.rise = Some(Rise {
             began,
@@ -246,7 +247,7 @@ impl Need {
         true
     }
 
-    /// A rise that ends soon was a burst; one that stays is how the path now is.
+    /// A rise that ends soon was a burst; a lasting one is the new state of the path.
     fn note_burst(&mut self, now: ServerTime) {
         let Some(mut rise) = self.rise else { return };
         let Some(last) = self.intervals.back() else {
@@ -263,7 +264,7 @@ impl Need {
         }
     }
 
-    /// What the memories say, the bridge not yet taken off.
+    /// The required delay from the memories, before the bridge is subtracted.
     fn settle(&mut self, now: ServerTime) -> i64 {
         if let Some(bursts) = &mut self.bursts {
             bursts.forget(now);
@@ -276,9 +277,9 @@ impl Need {
         settled_us
     }
 
-    /// The need that is not exceeded for a share of the time within a memory.
+    /// The quantile of the required delay over time within a memory.
     fn quantile(&self, now: ServerTime, memory: Span, share: f64) -> i64 {
-        // Within an interval the need rises evenly: its time above a level x is to - x.
+        // Within an interval the required delay rises linearly: its time above a level x is to - x.
         let mut ends: Vec<(i64, i64)> = Vec::with_capacity(2 * self.intervals.len());
         let mut total = 0;
         for i in self.intervals.iter().rev() {
@@ -308,7 +309,7 @@ impl Need {
     /// D*, microseconds; `None` before two packets.
     pub(super) fn wanted_us(&self) -> Option<i64> {
         let settled = self.settled_us? - self.bridge_us;
-        let burst = self.bursts.and_then(|b| b.need_us);
+        let burst = self.bursts.and_then(|b| b.required_us);
         let burst = burst.map_or(0, |us| us + BURST_MARGIN_US);
         Some(settled.max(burst).max(0))
     }
