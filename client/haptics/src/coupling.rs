@@ -1,12 +1,12 @@
 //! The virtual coupling of tissue and device, for 3 and for 6 degrees of freedom.
 //!
-//! Texts couple the device to a virtual tool by a spring, which is then in series with the tissue: 400 N/m behind a
-//! coupling of 1000 N/m is felt as 286 N/m, and newtons depend on the device. Here the solved forces are given as they
-//! are, and what is limited is the SLOPE with which they follow the hand between two solves. So a stiff contact comes to
-//! its full force a few milliseconds later, and never to another one.
+//! The textbook coupling connects the device to a proxy by a spring in series with the tissue: 400 N/m behind a
+//! coupling of 1000 N/m feels like 286 N/m, and forces depend on the device. Here the solved forces are rendered
+//! unchanged, and only the SLOPE with which they follow the hand between two solves is limited. A stiff contact
+//! reaches its full force a few milliseconds later.
 //!
-//! What a sampled loop can follow is a cap on stiffness ([`StiffnessCap`]). With several places, and for a device that
-//! turns the hand, the stiffness is the matrix that takes a small motion (dx, dθ) to the change of (F, T):
+//! The limit is a stiffness cap for sampled loops ([`StiffnessCap`]). With several contact points, and for a device
+//! that renders torque, the stiffness is the matrix that maps a small motion (dx, dθ) to the change of (F, T):
 //!
 //! ```text
 //! K = Σ J_iᵀ (a_i n_i n_iᵀ + c_i (I − n_i n_iᵀ)) J_i  +  C gᵀ / N0  +  G
@@ -15,26 +15,26 @@
 //! G = Σ (r_i · f_i) I − (r_i f_iᵀ + f_i r_iᵀ) / 2     held forces on levers that turn; on dθ only
 //! ```
 //!
-//! Millimetres and radians are compared by a length ℓ: dθ counts as ℓ dθ, T as T/ℓ, and the largest stretch of K in that
-//! metric must not be more than the cap. ℓ is that of a grip: a hand that holds a handle in two places, each ℓ away from
-//! the pivot, damps its rotation with b ℓ² when it damps its motion with b, so the cap of the rotation is cap ℓ². Where K
-//! is too stiff, the slopes of all places are lowered by one factor, so that the tool neither tilts nor leans by it. One
-//! place at the pivot has the cap of a point.
+//! A length ℓ makes translation and rotation comparable: dθ counts as ℓ dθ, T as T/ℓ, and the largest eigenvalue of
+//! K in that metric must not exceed the cap. ℓ is the grip: a hand that holds a handle at two points, each ℓ from
+//! the pivot, damps translation with b and rotation with b ℓ², so the cap of the rotation is cap ℓ². Where K is too
+//! stiff, one common factor lowers the slopes of all contact points, so that the tool does not tilt. One contact
+//! point at the pivot has the cap of a point.
 //!
-//! A device that renders no torque is one with an endless ℓ: only the part on dx is left, as no torque comes back that
-//! could close a loop, however the hand turns the tool.
+//! A device without torque has an infinite ℓ: only the translational part is left, because no rotation closes a
+//! loop.
 
 use nalgebra::{Matrix3, Matrix6, SymmetricEigen, Vector6};
 
 use crate::{CONTACTS_MAX, ContactModel, StiffnessCap};
 
-/// How far beyond the cap counts as at it: what the rounding of eigenvalues is not worth a lower slope.
+/// Relative tolerance of the cap, for rounding of eigenvalues.
 const ROUNDING: f64 = 1e-9;
 
 /// Sweeps of the eigenvalue iteration, several times what a 6 x 6 matrix needs.
 const SWEEPS_MAX: usize = 200;
 
-/// With which stiffness the force of a place follows the hand between two solves, N/m.
+/// Stiffness with which the force of a contact point follows the hand between two solves, N/m.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Slope {
     /// Along the normal.

@@ -1,13 +1,13 @@
-//! One tick of the 1 kHz loop: from the newest contact model and the newest sample to a wrench
-//! that is safe for the hand.
+//! One tick of the 1 kHz loop: from the newest contact model and the newest sample to a wrench that is safe for the
+//! hand.
 //!
-//! This crate never allocates, locks, logs or waits, never reads a clock and never talks to a
-//! device: [`Chain::tick`] takes the time and a sample and gives a wrench. There is nothing to lock: a chain owns all its
-//! state, a contact model is plain data that whoever calls it hands over whole (the client through a triple buffer).
+//! This crate never allocates, locks, logs, waits, reads a clock or accesses a device. [`Chain::tick`] takes the
+//! time and a sample and returns a wrench. A chain owns all its state; the caller passes each contact model by
+//! value (the client through a triple buffer).
 //!
-//! Signs: every force and torque is the one ON THE TOOL, and so on the hand. Normals point out of the
-//! tissue, so that a pressed tool has a positive normal force. Forces are newtons throughout, torques newton metres
-//! about the tool's pivot, along the scene's axes; there is no gain to tune by feel.
+//! Signs: every force and torque is the one ON THE TOOL, and so on the hand. Normals point out of the tissue, so
+//! that a pressed tool has a positive normal force. Forces are in newtons, torques in newton metres about the
+//! tool's pivot, along the scene's axes, without a tuning gain.
 //!
 //! The order of the stages, one file each:
 //!
@@ -17,7 +17,7 @@
 //!   -> clamp to the device's continuous force and its torque -> soft start x watchdog -> passivity -> slew limit
 //! ```
 //!
-//! The slew limit is last, so that no stage and no fault can make a step that reaches the hand.
+//! The slew limit is last, so that no stage and no fault can make a step at the hand.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
