@@ -1,4 +1,4 @@
-//! The places of the tool together: what each of them feels, summed to a wrench about the pivot.
+//! All contact points of the tool, summed to a wrench about the pivot.
 
 use nalgebra::Vector3;
 use palpate_device::{Pose, Wrench};
@@ -8,14 +8,14 @@ use crate::blend::{Blend, Felt};
 use crate::motion::Motion;
 use crate::{CONTACTS_MAX, Friction, FrictionConfig, Grip};
 
-/// Stick and slip of every place, and where the tool was.
+/// Stick-slip state of every contact point, and the last pose of the tool.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Places {
     frictions: [Friction; CONTACTS_MAX],
     last: Option<Pose>,
 }
 
-/// What places do: any of them may stick while others slide.
+/// Contact states of the tool: some contact points may stick while others slide.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Grips {
     pub(crate) sticks: bool,
@@ -36,7 +36,7 @@ impl Places {
         }
     }
 
-    /// Every place lets go. For broken paths (a bad sample).
+    /// Resets every contact point to no contact. For broken paths (a bad sample).
     pub(crate) fn reset(&mut self) {
         for friction in &mut self.frictions {
             friction.reset();
@@ -72,7 +72,8 @@ impl Places {
         }
     }
 
-    /// Lets every place stick or slip; tells `each` with the force across its normal, N. The couple, N·m.
+    /// Advances the friction of every contact point; calls `each` with its tangential force. Returns the couple,
+    /// N·m.
     fn rub(
         &mut self,
         blend: &Blend,
