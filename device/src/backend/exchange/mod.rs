@@ -1,8 +1,7 @@
-//! Between our loop and a driver's own thread, for devices that run on another clock.
+//! Lock-free link between the haptic loop and a driver's own thread, for devices that run on another clock.
 //!
-//! Neither waits for the other: what is newest is handed over in a triple buffer, and what comes too late is noticed by
-//! whoever needs it. The loop has a time to go by; the driver's thread counts its own turns, so that neither reads a
-//! clock.
+//! Two triple buffers carry the newest values, and neither side waits. The loop detects late states by its time;
+//! the driver's thread counts its turns, so neither reads a clock.
 //!
 //! ```text
 //! loop    --newest Order-->  driver's thread     no new one for some turns: the force fades

@@ -1,4 +1,4 @@
-//! The two ends of an exchange.
+//! The two ends of the link.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use triple_buffer::{Input, Output, triple_buffer};
@@ -10,19 +10,19 @@ use crate::{
     Wrench, Written,
 };
 
-/// News older than this give no force, µs.
+/// A state older than this gives no force, µs.
 const LATE_US: i64 = 50_000;
 
-/// A device without news for so long counts as unplugged, µs.
+/// A device without a new state for so long counts as unplugged, µs.
 const GONE_US: i64 = 500_000;
 
-/// How long forces ramp up after they were enabled, µs.
+/// Ramp time of the force after enabling, µs.
 const RAMP_US: i64 = 200_000;
 
-/// The code of a write that was refused because the device has not been heard of.
+/// Code of a write that was rejected because no state has arrived yet.
 const NOT_HEARD: Rejection = Rejection::Driver { code: -1 };
 
-/// What a driver's thread has heard from the device.
+/// The newest state of the device, from the driver's thread.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::backend) struct News {
     /// m, in the frame of all drivers.
@@ -36,14 +36,14 @@ pub(in crate::backend) struct News {
     pub(in crate::backend) calibration: Calibration,
     /// Whether its motors have power.
     pub(in crate::backend) powered: bool,
-    /// Of what the loop wrote before it stood still, so much is left; see [`Share::since`] for what it wrote since.
+    /// The rendered fraction of the loop's last order before the fade; see [`Share::since`] for later orders.
     pub(in crate::backend) share: Share,
     /// The driver knows that the device is gone.
     pub(in crate::backend) lost: Option<DeviceFault>,
 }
 
 impl News {
-    /// Of a device that rests in its origin.
+    /// The state of a device at rest in its origin.
     pub(in crate::backend) fn at_rest() -> Self {
         Self {
             pose: Pose {
@@ -62,14 +62,14 @@ impl News {
     }
 }
 
-/// What the loop wants of the device.
+/// The newest command of the loop to the device.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::backend) struct Order {
-    /// To be rendered, ramp and limits included.
+    /// The wrench to render, with ramp and limits applied.
     pub(in crate::backend) wrench: Wrench,
     /// Whether the motors may push.
     pub(in crate::backend) on: bool,
-    /// The share that the loop had heard of, and went on from.
+    /// The fraction that the loop already applied.
     heard: Share,
 }
 
@@ -82,7 +82,7 @@ impl Order {
     };
 }
 
-/// Makes the two ends. The driver's thread fades forces as `fade` says.
+/// Creates the two ends. The driver's thread fades forces by `fade`.
 pub(in crate::backend) fn between(fade: Fade) -> (Remote, DriverEnd) {
     let (news_in, news_out) = triple_buffer(&News::at_rest());
     let (orders_in, orders_out) = triple_buffer(&Order::OFF);
@@ -111,7 +111,7 @@ pub(in crate::backend) struct DriverEnd {
 }
 
 impl DriverEnd {
-    /// Hands the newest news over.
+    /// Publishes the newest state.
     pub(in crate::backend) fn tell(&mut self, news: News) {
         self.news.write(News {
             share: self.fade.share(),
@@ -119,14 +119,14 @@ impl DriverEnd {
         });
     }
 
-    /// The device was told to render nothing, or is gone: what was ordered until now is no longer meant. The loop learns
-    /// of it with the next news.
+    /// The device got a zero force, or is gone: all earlier orders are void. The next state reports this to the
+    /// loop.
     pub(in crate::backend) fn cut(&mut self) {
         self.orders.update();
         self.fade.cut();
     }
 
-    /// What to render in this turn; once per turn.
+    /// The order to render in this turn; call once per turn.
     pub(in crate::backend) fn order(&mut self) -> Order {
         let is_renewed = self.orders.update();
         let newest = *self.orders.output_buffer();
@@ -138,37 +138,37 @@ impl DriverEnd {
     }
 }
 
-/// The loop's end: all of the one trait that does not depend on the device.
+/// The loop's end: the part of [`HapticDevice`](crate::HapticDevice) that does not depend on the device.
 #[derive(Debug)]
 pub(in crate::backend) struct Remote {
     motors: Motors,
     news: Output<News>,
     orders: Input<Order>,
     heard_at: Option<DeviceTime>,
-    /// The share that was known when the last wrench was handed over.
+    /// The fraction known when the last wrench was written.
     heard_share: Share,
     is_late: bool,
 }
 
 impl Remote {
-    /// The motors, as the trait sees them.
+    /// The motors, as the trait reports them.
     pub(in crate::backend) fn motors(&self) -> &Motors {
         &self.motors
     }
 
-    /// What is rendered now, as far as the newest news tell.
+    /// The rendered wrench by the newest state.
     pub(in crate::backend) fn rendered(&self) -> Wrench {
         let part = self.last().share.since(self.heard_share);
         self.motors.rendered().scaled(part)
     }
 
-    /// The newest news, and whether they are newer than those of the last call.
+    /// The newest state, and whether it is newer than that of the last call.
     pub(in crate::backend) fn hear(&mut self) -> (News, bool) {
         let is_new = self.news.update();
         (*self.news.output_buffer(), is_new)
     }
 
-    /// The last news that were heard.
+    /// The last received state.
     pub(in crate::backend) fn last(&self) -> &News {
         self.news.output_buffer()
     }
@@ -204,7 +204,7 @@ impl Remote {
         Ok(())
     }
 
-    /// The newest news as a sample, whose time is that of the first reading that saw them.
+    /// The newest state as a sample, stamped by the first reading that received it.
     pub(in crate::backend) fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
         let now = self.motors.tell(now)?;
         let (news, is_new) = self.hear();
@@ -244,7 +244,7 @@ impl Remote {
         })
     }
 
-    /// Hands a wrench over.
+    /// Publishes a wrench.
     pub(in crate::backend) fn write(
         &mut self,
         now: DeviceTime,
@@ -272,7 +272,7 @@ impl Remote {
         written
     }
 
-    /// No force, motors off, and nothing more; whether it was open until now.
+    /// Zero force, motors off, for good; returns whether it was open.
     pub(in crate::backend) fn close(&mut self) -> bool {
         self.orders.write(Order::OFF);
         self.motors.close()
@@ -314,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn news_that_stay_out_take_the_force_away_and_then_the_device() {
+    fn missing_states_stop_the_force_and_then_report_unplugged() {
         let (mut remote, mut end, caps) = pushed();
         let heard = 299_000;
         assert!(remote.read(at(heard + LATE_US)).unwrap().faults.is_empty());
@@ -331,14 +331,14 @@ mod tests {
         assert_eq!(gone, Err(DeviceFault::Unplugged));
         assert_eq!(end.order(), Order::OFF);
         assert_eq!(remote.enable(true), Err(DeviceFault::Unplugged));
-        // Back again.
+        // The states arrive again.
         end.tell(News::at_rest());
         assert!(remote.read(at(heard + GONE_US + 2000)).is_ok());
         assert_eq!(remote.enable(true), Ok(()));
     }
 
     #[test]
-    fn what_the_driver_knows_to_be_lost_is_said_at_once() {
+    fn a_device_lost_by_the_driver_is_reported_at_once() {
         let (mut remote, mut end, _) = pushed();
         end.tell(News {
             lost: Some(DeviceFault::Unplugged),
@@ -349,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_without_power_or_place_gets_no_force() {
+    fn a_device_without_power_or_position_gets_no_force() {
         let (mut remote, mut end, _) = pushed();
         end.tell(News {
             powered: false,
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_that_forbids_force_takes_it_away_before_anybody_writes() {
+    fn a_fault_removes_the_force_before_the_next_write() {
         let (mut remote, mut end, _) = pushed();
         end.tell(News {
             faults: Faults::EMERGENCY_STOP,
@@ -380,13 +380,13 @@ mod tests {
     }
 
     #[test]
-    fn a_loop_that_stands_still_leaves_no_force() {
+    fn a_stopped_loop_leaves_no_force() {
         let (mut remote, mut end, _) = pushed();
         let forces: Vec<f64> = (0..60).map(|_| end.order().wrench.force.norm()).collect();
         assert!(forces[..15].iter().all(|n| *n == 3.0));
         assert!(forces[45..].iter().all(|n| *n == 0.0));
         assert!(forces.windows(2).all(|w| w[0] - w[1] < 0.16));
-        // And it learns of it with the next news.
+        // The loop gets this with the next state.
         assert_eq!(remote.rendered(), push());
         end.tell(News::at_rest());
         remote.read(at(301_000)).unwrap();
@@ -394,14 +394,14 @@ mod tests {
     }
 
     #[test]
-    fn what_was_ordered_before_a_cut_is_not_rendered_after_it() {
+    fn an_order_from_before_a_cut_is_not_rendered() {
         let (mut remote, mut end, caps) = pushed();
         end.cut();
         assert!((0..30).all(|_| end.order().wrench == Wrench::ZERO));
-        // Nor what a loop orders that has not heard of it.
+        // Nor is an order of a loop that does not know of the cut.
         let _ = remote.write(at(300_000), push(), &caps);
         assert_eq!(end.order().wrench, Wrench::ZERO);
-        // The loop learns of it and goes on from nothing; what it writes then is rendered.
+        // The loop learns of the cut and continues from zero; its next order is rendered.
         end.tell(News::at_rest());
         remote.read(at(301_000)).unwrap();
         assert_eq!(remote.rendered(), Wrench::ZERO);
@@ -411,7 +411,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_loop_orders_that_has_heard_of_a_fade_is_not_faded_again() {
+    fn an_order_that_contains_the_fade_is_not_faded_again() {
         let (mut remote, mut end, caps) = pushed();
         while end.order().wrench.force.norm() > 1.5 + 1e-9 {}
         end.tell(News::at_rest());
@@ -422,7 +422,7 @@ mod tests {
         assert_eq!((remote.rendered(), end.order().wrench), (less, less));
     }
 
-    /// A loop that goes on from what is rendered, by its own steps of at most `STEP_N`.
+    /// A loop that continues from the rendered force, in steps of at most `STEP_N`.
     struct Loop {
         remote: Remote,
         caps: DeviceCaps,
@@ -436,7 +436,7 @@ mod tests {
 
     impl Loop {
         fn turn(&mut self, towards: f64) {
-            // So little that news which stay out are still believed: what comes then is another law.
+            // The step is short, so the last state stays valid: timeouts are tested elsewhere.
             self.us += 1;
             self.remote.read(at(self.us)).unwrap();
             let there = self.remote.rendered().force.y;
@@ -451,7 +451,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_turns_of_loop_and_driver_change_the_force_by_more_than_the_loops_own_steps(
+        fn the_rendered_force_changes_by_at_most_one_step_of_the_loop(
             turns in prop::collection::vec((0..3_u8, -3.0..3.0_f64, 1..30_u32), 1..60),
         ) {
             let (remote, mut end, caps) = pushed();
@@ -460,7 +460,7 @@ mod tests {
             let mut driver = |end: &mut DriverEnd, orders: &mut u32| {
                 let now = end.order().wrench.force.y;
                 let change = (now - before).abs();
-                // Without a new order it only ever fades.
+                // Without a new order the force only fades.
                 let is_fade = *orders == 0 && now.abs() <= f64::abs(before) && now * before >= 0.0;
                 let is_step = change <= f64::from(*orders) * STEP_N + 1e-9;
                 (before, *orders) = (now, 0);
