@@ -1,4 +1,4 @@
-//! The device behind the one trait.
+//! The driver as a [`HapticDevice`](crate::HapticDevice).
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,7 +16,7 @@ use crate::{
     Workspace, Wrench, Written,
 };
 
-/// Messages without a new force before it fades, and those that it fades for: 20 ms each, when the loop has stopped and a
+/// Messages without a new force before it fades, and for the fade: 20 ms each when the loop has stopped and a
 /// message goes out every 2 ms.
 const FADE: Fade = Fade::new(10, 10);
 
@@ -36,7 +36,7 @@ impl Haply {
         let found = message.found();
         let chosen = &found[choose("haply", HINT, &found, which)?];
         let (mut remote, mut end) = between(FADE);
-        // Until it has a place that can be, the loop hears nothing.
+        // Until the device has a valid position, the loop gets no state.
         let news = message.news(&chosen.id, &News::at_rest());
         if let Some(news) = news {
             end.tell(news);
@@ -69,7 +69,7 @@ impl Haply {
         Ok(device)
     }
 
-    /// Lets the next message go out now. It waits for nobody.
+    /// Triggers the next message, without waiting.
     fn nudge(&self) {
         if let Some(talk) = &self.talk {
             talk.thread().unpark();
@@ -84,8 +84,8 @@ fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<
         .map_err(|why| HaplyError::Thread(why.to_string()))
 }
 
-/// What an Inverse3 can do. The service does not tell; the forces are modest ones for a desktop device, and the box is wide
-/// enough for either hand. Whoever has the maker's data sheet can widen them here.
+/// Capabilities of an Inverse3. The service does not report them; the forces are modest for a desktop device, and
+/// the box fits either hand. Widen them here by the maker's data sheet.
 fn caps(name: &str, id: &str, has_grip: bool) -> DeviceCaps {
     DeviceCaps {
         name: format!("{name}, {id}"),
@@ -140,7 +140,7 @@ impl HapticDevice for Haply {
         self.remote.rendered()
     }
 
-    /// Zero, then the end of the conversation.
+    /// Zero force, then the end of the connection.
     fn close(&mut self) {
         self.remote.close();
         self.leave.store(true, Ordering::Release);

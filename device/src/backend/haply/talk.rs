@@ -1,4 +1,4 @@
-//! The conversation of states and forces, on a thread of its own.
+//! The connection for states and forces, on its own thread.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,19 +11,19 @@ use super::message::{Message, Spelling, force};
 use crate::DeviceFault;
 use crate::backend::exchange::{DriverEnd, News, Order};
 
-/// How long the loop's next force is waited for.
+/// Wait for the loop's next force.
 const IDLE: Duration = Duration::from_millis(2);
 
-/// How long an answer is waited for. Whatever force was asked for, zero is sent then, without an answer.
+/// Wait for an answer. After it, zero force is sent without an answer.
 const ANSWER: Duration = Duration::from_millis(50);
 
-/// Answers that may be owed before the service counts as gone: half a second of them.
+/// Maximum number of outstanding answers before the service counts as gone: half a second.
 const OWED_MAX: u32 = 10;
 
-/// How long to wait before a service that went away is looked for again.
+/// Time until a lost service is tried again.
 const AGAIN: Duration = Duration::from_secs(1);
 
-/// The conversation.
+/// The connection's thread.
 pub(super) struct Talk {
     pub(super) url: String,
     pub(super) id: String,
@@ -34,18 +34,18 @@ pub(super) struct Talk {
     pub(super) leave: Arc<AtomicBool>,
 }
 
-/// Why the conversation ended.
+/// The connection has ended.
 struct Over;
 
 impl Talk {
-    /// Holds it until it is told to leave, and begins it again when it breaks. It ends with a force of zero.
+    /// Runs until the stop flag is set, and reconnects after a loss. The last message is zero force.
     pub(super) fn hold(mut self, link: Link) {
         let mut watch = Watch::default();
         let mut next = Some(link);
         while let Some(mut link) = next.take() {
             link.wait_at_most(ANSWER);
             let ended = self.exchanges(&mut link, &mut watch);
-            // Also after a break: whoever is silent may still listen.
+            // Also after a loss: a service that sends nothing may still receive.
             let _ = self.send(&mut link, &Order::OFF);
             if ended.is_ok() {
                 link.receive();
@@ -59,15 +59,15 @@ impl Talk {
                 ..self.news
             });
             next = self.begin_again();
-            // What the loop wrote before it had heard of the loss is not meant for the new conversation.
+            // Orders from before the loop knew of the loss are void on the new connection.
             self.end.cut();
         }
     }
 
-    /// Exchanges messages until it is told to leave.
+    /// Exchanges messages until the stop flag is set.
     fn exchanges(&mut self, link: &mut Link, watch: &mut Watch) -> Result<(), Over> {
         while !self.leave.load(Ordering::Acquire) {
-            // Whoever writes or leaves ends the wait.
+            // The loop unparks this thread by a write or by closing.
             std::thread::park_timeout(IDLE);
             let order = self.end.order();
             self.exchange(link, &order, watch)?;
@@ -75,7 +75,7 @@ impl Talk {
         Ok(())
     }
 
-    /// Another conversation, as soon as the service knows the device again; `None` when it is told to leave.
+    /// A new connection, once the service lists the device again; `None` when the stop flag is set.
     fn begin_again(&mut self) -> Option<Link> {
         while !self.leave.load(Ordering::Acquire) {
             if let Ok((link, message)) = inventory(&self.url)
@@ -85,7 +85,7 @@ impl Talk {
                 self.alarms.is_back();
                 return Some(link);
             }
-            // Orders go on, and nobody takes them: the loop nudges this thread with each.
+            // Each order of the loop unparks this thread, so the wait is split.
             for _ in 0..AGAIN.as_millis() {
                 std::thread::park_timeout(Duration::from_millis(1));
                 if self.leave.load(Ordering::Acquire) {
@@ -96,7 +96,7 @@ impl Talk {
         None
     }
 
-    /// Sends an order and waits for its answer, and for those that are owed from before.
+    /// Sends an order and waits for its answer, and for outstanding ones.
     fn exchange(&mut self, link: &mut Link, order: &Order, watch: &mut Watch) -> Result<(), Over> {
         self.send(link, order)?;
         let mut owed = 1;
@@ -123,7 +123,7 @@ impl Talk {
         link.send(text).map_err(|_| Over)
     }
 
-    /// Hands over what an answer says. One that can not be read is none: news that stay out are noticed by the loop.
+    /// Publishes the state in an answer. An invalid answer is ignored: the loop detects missing states.
     fn hear(&mut self, text: &str, watch: &mut Watch) {
         let Ok(message) = Message::read(text) else {
             return;
