@@ -1,4 +1,4 @@
-//! The device behind the one trait.
+//! The driver as a [`HapticDevice`](crate::HapticDevice).
 
 use std::ffi::CString;
 use std::path::Path;
@@ -18,11 +18,11 @@ use crate::{
     Workspace, Wrench, Written,
 };
 
-/// Turns of the servo thread without a new force before it fades, and those that it fades for: 20 ms each, at a
-/// thousand a second.
+/// Turns of the servo thread without a new force before it fades, and for the fade: 20 ms each, at a thousand a
+/// second.
 const FADE: Fade = Fade::new(20, 20);
 
-/// How often the servo thread's answer is waited for, for a millisecond or so each time.
+/// Number of waits for the servo thread's answer, of about a millisecond each.
 const PATIENCE: u32 = 1000;
 
 /// An open Touch or Phantom.
@@ -45,7 +45,7 @@ impl OpenHaptics {
         let api = Arc::new(Api::load(library)?);
         let handle = init(&api, name)?;
         api.switch(parameter::MAX_FORCE_CLAMPING, true);
-        // Off until somebody enables them; the library may have them on.
+        // Forces stay off until they are enabled; the library may have them on.
         api.switch(parameter::FORCE_OUTPUT, false);
         let caps = caps(&api);
         let style = api.integer(parameter::CALIBRATION_STYLE) as u32;
@@ -84,7 +84,7 @@ impl OpenHaptics {
         }
     }
 
-    /// Waits until the servo thread has done something, or does not come any more.
+    /// Waits until the servo thread has done something, or has stopped.
     fn wait(&self, mut is_done: impl FnMut(&Servo) -> bool) {
         let Some(servo) = &self.servo else { return };
         for _ in 0..PATIENCE {
@@ -126,7 +126,7 @@ pub(super) fn init(api: &Api, name: Option<&str>) -> Result<Handle, OpenHapticsE
     }
 }
 
-/// Errors of questions that this model has no answer to.
+/// Removes errors of queries that this model does not support.
 fn drain(api: &Api) {
     for _ in 0..64 {
         if api.error().is_none() {
@@ -135,13 +135,13 @@ fn drain(api: &Api) {
     }
 }
 
-/// What the default device is called in the maker's setup program.
+/// Name of the default device in the maker's setup program.
 pub(super) fn called(name: Option<&str>) -> &str {
     name.unwrap_or("Default Device")
 }
 
-/// What the device says it can do. Where it says nothing that can be, it is taken for a Touch: 3.3 N for a moment, 0.88 N
-/// held, 160 x 120 x 70 mm (its maker's data sheet).
+/// Capabilities reported by the device. Invalid values are replaced by those of a Touch: 3.3 N peak, 0.88 N
+/// continuous, 160 x 120 x 70 mm (its maker's data sheet).
 fn caps(api: &Api) -> DeviceCaps {
     let asked = |of: u32, unit: f64, range: std::ops::RangeInclusive<f64>, touch: f64| {
         let said = api.doubles(of)[0] * unit;
@@ -190,7 +190,7 @@ impl HapticDevice for OpenHaptics {
         if !done() {
             return Err(DeviceFault::Unplugged);
         }
-        // The news of that turn come with its end.
+        // The state of that turn arrives at its end.
         for _ in 0..PATIENCE {
             if self.remote.hear().1 {
                 break;
@@ -231,7 +231,7 @@ impl HapticDevice for OpenHaptics {
         self.remote.rendered()
     }
 
-    /// Zero, then forces off, then the scheduler, then the device.
+    /// Writes zero, switches forces off, stops the scheduler, then closes the device.
     fn close(&mut self) {
         self.remote.close();
         // The servo thread's last turn writes zero and switches forces off.
@@ -240,7 +240,7 @@ impl HapticDevice for OpenHaptics {
         if let Some(servo) = self.servo.take() {
             self.api.make_current(self.handle);
             if !servo.has_ended() {
-                // A servo thread that does not come any more: zero from here.
+                // The servo thread has stopped: write zero from this thread.
                 servo.unschedule();
                 self.api.begin(self.handle);
                 self.api.set(parameter::FORCE, [0.0; 3]);
@@ -249,7 +249,7 @@ impl HapticDevice for OpenHaptics {
             self.api.switch(parameter::FORCE_OUTPUT, false);
             servo.stop();
             self.api.disable_device(self.handle);
-            // The next one to open a device would be told of them.
+            // Otherwise the next opened device would report them.
             drain(&self.api);
         }
     }

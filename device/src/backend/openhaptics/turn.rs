@@ -9,24 +9,24 @@ use super::{frame, parameter};
 use crate::backend::exchange::{DriverEnd, News, Order};
 use crate::{Buttons, Calibration, DeviceFault};
 
-/// Errors that are asked for after one frame. The library keeps a list; what is left comes with the next.
+/// Errors read after one frame. The library keeps a list; the rest is read after the next.
 const ERRORS_MAX: usize = 32;
 
-/// Turns between two questions whether the device still knows where it is.
+/// Turns between two calibration checks.
 const CALIBRATION_EVERY: u32 = 100;
 
-/// What the driver tells the servo thread besides forces.
+/// Requests of the driver to the servo thread besides forces.
 #[derive(Debug, Default)]
 pub(super) struct Wishes {
-    /// End with zero.
+    /// End with zero force.
     pub(super) leave: AtomicBool,
-    /// Calibrate once more.
+    /// Number of requested calibrations.
     pub(super) calibrate: AtomicU32,
-    /// So often that was done.
+    /// Number of calibrations done.
     pub(super) calibrated: AtomicU32,
 }
 
-/// The servo thread's own.
+/// State of the servo thread.
 pub(super) struct Turner {
     api: Arc<Api>,
     handle: Handle,
@@ -40,7 +40,7 @@ pub(super) struct Turner {
 }
 
 impl Turner {
-    /// For a device that was opened, with its forces off; `style` is how it can be calibrated.
+    /// For an open device with forces off; `style` is its calibration style.
     pub(super) fn new(
         api: Arc<Api>,
         handle: Handle,
@@ -61,7 +61,7 @@ impl Turner {
         }
     }
 
-    /// One turn; whether there is to be another.
+    /// Runs one turn; returns whether to continue.
     pub(super) fn turn(&mut self) -> bool {
         let leaves = self.wishes.leave.load(Ordering::Acquire);
         let mut order = self.end.order();
@@ -79,7 +79,7 @@ impl Turner {
         !leaves
     }
 
-    /// Asks how far the device knows where it is, and calibrates it when that is due.
+    /// Checks the calibration, and calibrates on request.
     fn calibrate(&mut self) {
         let asked = self.wishes.calibrate.load(Ordering::Acquire);
         let is_asked = asked != self.wishes.calibrated.load(Ordering::Acquire);
@@ -109,7 +109,7 @@ impl Turner {
             [m[0], m[1], m[2]]
         };
         self.news.pose = frame::pose(&self.api.doubles(parameter::TRANSFORM));
-        // The transform's last column is the same place; the position is what the header calls so.
+        // The transform's last column is the same position; the header names this parameter the position.
         self.news.pose.position = frame::metres(three(parameter::POSITION));
         self.news.velocity = frame::metres(three(parameter::VELOCITY));
         self.news.angular_velocity = frame::turned(three(parameter::ANGULAR_VELOCITY));
@@ -117,7 +117,7 @@ impl Turner {
     }
 
     fn write(&mut self, order: &Order) {
-        // Zero first, then off; on, then force.
+        // Zero before off; on before force.
         if order.on && !self.is_on {
             self.api.switch(parameter::FORCE_OUTPUT, true);
         }
@@ -129,10 +129,10 @@ impl Turner {
         self.is_on = order.on;
     }
 
-    /// Takes the force away after a turn that went wrong, wherever it did.
+    /// Removes the force after a turn that failed at any point.
     pub(super) fn rescue(api: &Api, handle: Handle) {
         api.make_current(handle);
-        // The end of the frame that was left open, and another: where none was open the first end is one more error.
+        // Ends the open frame, and one more: without an open frame the first end only adds an error.
         for _ in 0..2 {
             api.set(parameter::FORCE, [0.0; 3]);
             api.end(handle);
@@ -142,7 +142,7 @@ impl Turner {
         api.end(handle);
     }
 
-    /// What the library has to say of this frame.
+    /// Evaluates the library's errors of this frame.
     fn judge(&mut self) {
         let mut errors = Errors::default();
         for _ in 0..ERRORS_MAX {

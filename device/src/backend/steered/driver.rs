@@ -1,4 +1,4 @@
-//! The thread that listens to a device, so that the force loop never waits for one.
+//! The thread that reads a device, so that the force loop never waits for it.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -11,21 +11,21 @@ use thiserror::Error;
 use super::Controls;
 use super::controls::Teller;
 
-/// How long the thread listens before it looks whether a cue changed, or the device is closed: half of the shortest
-/// time between two changes of a cue.
+/// Wait for a message between two checks of the cue and of the stop flag: half of the minimum time between two
+/// changes of a cue.
 const PATIENCE: Duration = Duration::from_millis(16);
 
-/// How often an unplugged device is looked for.
+/// Period of the search for an unplugged device.
 pub const REOPEN_EVERY: Duration = Duration::from_millis(500);
 
-/// What a device had to say.
+/// Result of a wait for a device.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum News {
-    /// Nothing, all the time that was waited.
+    /// No message in time.
     Quiet,
-    /// What the hand does now.
+    /// The present controls.
     Controls(Controls),
-    /// Something that makes no sense.
+    /// An invalid message.
     Garbled,
 }
 
@@ -34,19 +34,19 @@ pub enum News {
 #[error("the device does not answer any more")]
 pub struct Gone;
 
-/// Where deflections come from. It lives on a thread of its own and may wait there.
+/// Source of deflections. It lives on its own thread and may wait there.
 pub trait Source: Send {
-    /// Waits at most `patience` for what the hand does.
+    /// Waits at most `patience` for the next message.
     fn listen(&mut self, patience: Duration) -> Result<News, Gone>;
 
-    /// Looks once, without waiting, for the device that was gone; whether it is back.
+    /// Looks once, without waiting, for the lost device; returns whether it is back.
     fn reopen(&mut self) -> bool;
 
-    /// Gives the hand a hint of this strength, 0 to 1, until the next call, where the hardware can.
+    /// Sets the strength of the cue, 0 to 1, until the next call, where the hardware supports it.
     fn hint(&mut self, _strength: f32) {}
 }
 
-/// The strength of a hint, 0 to 1, on its way to the driver's thread.
+/// The strength of a cue, 0 to 1, passed to the driver's thread.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Hint(Arc<AtomicU32>);
 
@@ -63,7 +63,7 @@ impl Hint {
 /// The thread, while it runs.
 #[derive(Debug)]
 pub(super) struct Driver {
-    /// Its end is the sign to stop.
+    /// Dropping it stops the thread.
     keep: Option<mpsc::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -84,11 +84,11 @@ impl Driver {
         })
     }
 
-    /// Ends the thread, which lets go of the device. A second call does nothing.
+    /// Ends the thread, which releases the device. A second call does nothing.
     pub(super) fn stop(&mut self) {
         self.keep = None;
         if let Some(thread) = self.thread.take() {
-            // If it panicked, the device has been called unplugged already.
+            // After a panic, the device already counts as unplugged.
             let _ = thread.join();
         }
     }
@@ -119,7 +119,7 @@ fn run(mut source: Box<dyn Source>, mut teller: Teller, hint: &Hint, keep: &mpsc
                     }
                 }
                 teller.present(true);
-                // Whatever it was told before, it has forgotten.
+                // The device has lost its earlier cue.
                 hinted = 0.0;
             }
         }
