@@ -10,8 +10,8 @@
 //!
 //! ```text
 //! K = Σ J_iᵀ (a_i n_i n_iᵀ + c_i (I − n_i n_iᵀ)) J_i  +  C gᵀ / N0  +  G
-//! J_i = [I, −[r_i]×]                  a_i, c_i slopes along and across the normal of place i, r_i its lever
-//! g = Σ a_i J_iᵀ n_i                  how what presses (N0 at the solve) changes: the couple C follows it
+//! J_i = [I, −[r_i]×]                  a_i, c_i slopes along and across the normal of contact i, r_i its lever
+//! g = Σ a_i J_iᵀ n_i                  gradient of the total normal force (N0 at the solve), which scales C
 //! G = Σ (r_i · f_i) I − (r_i f_iᵀ + f_i r_iᵀ) / 2     held forces on levers that turn; on dθ only
 //! ```
 //!
@@ -62,7 +62,7 @@ impl Coupling {
         Self { cap, grip_m }
     }
 
-    /// The slopes of all places of `model`, zero where nothing touches. Neither allocates nor waits.
+    /// The slopes of all contact points of `model`, zero for inactive ones. Neither allocates nor waits.
     pub fn slopes(&self, model: &ContactModel) -> [Slope; CONTACTS_MAX] {
         let mut slopes = [Slope::default(); CONTACTS_MAX];
         for (slope, touch) in slopes.iter_mut().zip(&model.touches) {
@@ -81,7 +81,7 @@ impl Coupling {
         slopes
     }
 
-    /// The largest stretch of K in the metric of the grip with these slopes, N/m, from above.
+    /// Upper bound of the largest eigenvalue of K in the metric of the grip with these slopes, N/m.
     pub fn stretch(&self, model: &ContactModel, slopes: &[Slope; CONTACTS_MAX]) -> f64 {
         self.followed(model, slopes) + self.held(model)
     }
@@ -97,7 +97,7 @@ impl Coupling {
         }
     }
 
-    /// The part that grows with the slopes: places and couple.
+    /// The part that grows with the slopes: contact points and couple.
     fn followed(&self, model: &ContactModel, slopes: &[Slope; CONTACTS_MAX]) -> f64 {
         let (mut k, mut g, mut pressed) = (Matrix6::zeros(), Vector6::zeros(), 0.0);
         for (touch, slope) in model.touches.iter().zip(slopes) {
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn one_place_at_the_pivot_has_the_cap_of_a_point() {
+    fn one_contact_point_at_the_pivot_has_the_cap_of_a_point() {
         for coupling in couplings() {
             for k in [3.0, 300.0, 999.0, 1000.0, 1001.0, 1e5] {
                 let slender = Matrix3::from_diagonal(&Vector3::new(0.3 * k, 0.4 * k, k));
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn sixteen_places_are_no_stiffer_than_one() {
+    fn sixteen_contact_points_are_no_stiffer_than_one() {
         let mut model = ContactModel::FREE;
         model.touches = [touch(Vector3::zeros(), Vector3::z(), 1.0, 800.0); CONTACTS_MAX];
         for coupling in couplings() {
@@ -230,17 +230,17 @@ mod tests {
     }
 
     #[test]
-    fn a_long_lever_is_followed_less_by_who_feels_torque() {
+    fn torque_rendering_lowers_the_slope_of_a_long_lever() {
         let at = touch(Vector3::new(0.1, 0.0, 0.0), Vector3::z(), 0.0, 900.0);
         let model = ContactModel::single(at);
         let [forces, wrenches] = couplings().map(|c| c.slopes(&model)[0].along);
         assert_eq!(forces, 900.0);
-        // A lever of two grips: one direction is stretched by 1 + 2².
+        // A lever of twice the grip: the stiffness in one direction is scaled by 1 + 2².
         assert!((wrenches - 200.0).abs() < 1e-6, "{wrenches} N/m");
     }
 
     #[test]
-    fn forces_that_turn_with_the_tool_leave_less_to_follow() {
+    fn forces_that_turn_with_the_tool_lower_the_slopes() {
         // 4 N outwards at 50 mm turn back like 0.2 N·m/rad: 80 N/m at the grip.
         let at = touch(Vector3::new(GRIP, 0.0, 0.0), Vector3::x(), 4.0, 0.0);
         let [forces, wrenches] = couplings().map(|c| c.held(&ContactModel::single(at)));
@@ -269,7 +269,7 @@ mod tests {
         })
     }
 
-    /// The change of (F, T/ℓ) by a small motion, written down place by place, without the couple.
+    /// The change of (F, T/ℓ) for a small motion, summed over the contact points, without the couple.
     fn stiffness(model: &ContactModel, slopes: &[Slope; CONTACTS_MAX]) -> Matrix6<f64> {
         Matrix6::from_fn(|i, j| {
             let unit = |k: usize| Vector6::from_fn(|m, _| f64::from(u8::from(m == k)));
@@ -291,7 +291,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_motion_is_followed_more_stiffly_than_the_cap(model in models()) {
+        fn no_motion_is_stiffer_than_the_cap(model in models()) {
             for coupling in couplings() {
                 let slopes = coupling.slopes(&model);
                 prop_assert!(coupling.stretch(&model, &slopes) <= 1000.0 * (1.0 + 1e-6)

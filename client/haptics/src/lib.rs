@@ -13,7 +13,7 @@
 //!
 //! ```text
 //! not-a-number check -> contact model, blended (blend, law) with slopes that hand and device can follow (coupling)
-//!   -> stick-slip friction of every place (friction), all of them summed to a wrench about the pivot (places)
+//!   -> stick-slip friction of every contact point (friction), summed to a wrench about the pivot (contact_points)
 //!   -> clamp to the device's continuous force and its torque -> soft start x watchdog -> passivity -> slew limit
 //! ```
 //!

@@ -187,7 +187,7 @@ fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
             laws::off_is_zero,
         ),
         law(
-            "enabling ramps up to what is written",
+            "enabling ramps up to the written wrench",
             forced,
             laws::enabling_ramps,
         ),
@@ -207,7 +207,7 @@ fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
             laws::axes_agree,
         ),
         law(
-            "the motors get what is said to be rendered",
+            "the motors get the reported force",
             forced.and(when(hooks.at_motors.is_some(), "")),
             laws::motors_get_it,
         ),
@@ -222,7 +222,7 @@ fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
             laws::no_motors_no_force,
         ),
         law(
-            "a plug that is pulled ends force and is said",
+            "a pulled plug ends the force and is reported",
             when(hooks.unplug.is_some(), ""),
             laws::unplugging_is_said,
         ),
@@ -232,7 +232,7 @@ fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
             laws::closing_is_final,
         ),
         law(
-            "nothing is left or taken amiss on the maker's side",
+            "the maker's side reports nothing amiss",
             when(hooks.amiss.is_some(), ""),
             laws::nothing_amiss,
         ),

@@ -196,7 +196,7 @@ pub enum ScriptError {
         key: &'static str,
         /// Its value.
         value: f64,
-        /// What it must be.
+        /// The rule it violates.
         rule: &'static str,
     },
     /// No way point at all.
@@ -212,7 +212,7 @@ pub enum ScriptError {
         number: usize,
         /// Its time.
         t_s: f64,
-        /// What it must be.
+        /// The rule it violates.
         rule: &'static str,
     },
     /// A repeated script that does not end where it begins.

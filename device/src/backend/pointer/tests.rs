@@ -128,7 +128,7 @@ fn a_pointer_of_60_hz_gives_a_steady_velocity() {
     }
     let ripple = speeds.iter().map(|s| (s / v - 1.0).abs());
     let most = ripple.fold(0.0, f64::max);
-    // The first harmonic's 2 w²/(w² + W²), and what the others add.
+    // The first harmonic's 2 w²/(w² + W²), plus the other harmonics.
     assert!((0.04..0.08).contains(&most), "{most}");
 }
 
