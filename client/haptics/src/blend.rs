@@ -36,7 +36,7 @@ const BLEND_MIN: Span = Span::from_millis(1);
 /// The contact laws of all contact points of one model.
 #[derive(Debug, Clone, Copy)]
 struct Laws {
-    places: [Law; CONTACTS_MAX],
+    points: [Law; CONTACTS_MAX],
     /// C, N·m.
     couple: Vector3<f64>,
     /// Sum of the normal forces for which C holds, N.
@@ -45,21 +45,21 @@ struct Laws {
 
 impl Laws {
     const FREE: Self = Self {
-        places: [Law::FREE; CONTACTS_MAX],
+        points: [Law::FREE; CONTACTS_MAX],
         couple: Vector3::new(0.0, 0.0, 0.0),
         pressed: 0.0,
     };
 
     fn of(model: &ContactModel, coupling: &Coupling) -> Self {
         let slopes = coupling.slopes(model);
-        let mut places = [Law::FREE; CONTACTS_MAX];
+        let mut points = [Law::FREE; CONTACTS_MAX];
         let mut pressed = 0.0;
         for i in 0..CONTACTS_MAX {
-            places[i] = Law::of(model, i, &slopes[i]);
-            pressed += places[i].pressed_at_solve();
+            points[i] = Law::of(model, i, &slopes[i]);
+            pressed += points[i].pressed_at_solve();
         }
         Self {
-            places,
+            points,
             couple: model.couple,
             pressed,
         }
@@ -79,7 +79,7 @@ impl Laws {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Felt {
     /// Its index on the tool.
-    pub(crate) place: usize,
+    pub(crate) index: usize,
     /// From the pivot, m, along the scene's axes.
     pub(crate) lever: Vector3<f64>,
     /// Force along the normal, N; negative only where tissue squeezes from two sides.
@@ -124,7 +124,7 @@ impl Blend {
         }
         self.old = self.mixture(now, &motion.held());
         self.new = Laws::of(model, &self.coupling);
-        for (old, new) in self.old.places.iter().zip(&mut self.new.places) {
+        for (old, new) in self.old.points.iter().zip(&mut self.new.points) {
             new.face_as(old);
         }
         self.length = (model.solved_at - self.model.solved_at).clamp(BLEND_MIN, BLEND_MAX);
@@ -142,30 +142,30 @@ impl Blend {
     ) -> Vector3<f64> {
         let (a, b) = self.weights(now);
         let (mut pressed_old, mut pressed_new) = (0.0, 0.0);
-        for place in 0..CONTACTS_MAX {
-            let (old, new) = (&self.old.places[place], &self.new.places[place]);
+        for index in 0..CONTACTS_MAX {
+            let (old, new) = (&self.old.points[index], &self.new.points[index]);
             if !(old.touches || new.touches) {
                 continue;
             }
             let said = [old.say(motion), new.say(motion)];
             pressed_old += said[0].pressed;
             pressed_new += said[1].pressed;
-            each(self.mix(now, place, said));
+            each(self.mix(now, index, said));
         }
         self.old.couple_at(pressed_old) * a + self.new.couple_at(pressed_new) * b
     }
 
     /// The interpolated response of a contact point to the two laws.
-    fn mix(&self, now: ClientTime, place: usize, [said_old, said_new]: [Said; 2]) -> Felt {
-        let (old, new) = (&self.old.places[place], &self.new.places[place]);
+    fn mix(&self, now: ClientTime, index: usize, [said_old, said_new]: [Said; 2]) -> Felt {
+        let (old, new) = (&self.old.points[index], &self.new.points[index]);
         let (a, b) = self.weights(now);
-        let (a_t, b_t) = self.weights_of_touching(now, place);
+        let (a_t, b_t) = self.weights_of_touching(now, index);
         let mix_t = |old: f64, new: f64| a_t * old + b_t * new;
         let squeeze = a * old.squeeze + b * new.squeeze;
         let normal_force = a * said_old.normal_force + b * said_new.normal_force;
         let normal = old.normal * a_t + new.normal * b_t;
         Felt {
-            place,
+            index,
             lever: said_old.lever * a_t + said_new.lever * b_t,
             normal_force,
             contact: Contact {
@@ -187,10 +187,10 @@ impl Blend {
     }
 
     /// The same among active laws only: an inactive contact point has no surface to interpolate.
-    fn weights_of_touching(&self, now: ClientTime, place: usize) -> (f64, f64) {
+    fn weights_of_touching(&self, now: ClientTime, index: usize) -> (f64, f64) {
         match (
-            self.old.places[place].touches,
-            self.new.places[place].touches,
+            self.old.points[index].touches,
+            self.new.points[index].touches,
         ) {
             (true, false) => (1.0, 0.0),
             (false, _) => (0.0, 1.0),
@@ -203,7 +203,7 @@ impl Blend {
         let (a, b) = self.weights(now);
         let mut laws = Laws::FREE;
         let couple = self.feel(now, held, |felt| {
-            let (old, new) = (&self.old.places[felt.place], &self.new.places[felt.place]);
+            let (old, new) = (&self.old.points[felt.index], &self.new.points[felt.index]);
             let contact = felt.contact;
             let law = Law {
                 touches: contact.pressed > 0.0,
@@ -218,7 +218,7 @@ impl Blend {
                 mu_dynamic: contact.mu_dynamic,
                 ..Law::FREE
             };
-            laws.places[felt.place] = law.moved_to(&held.pose(), felt.lever);
+            laws.points[felt.index] = law.moved_to(&held.pose(), felt.lever);
             laws.pressed += contact.pressed;
         });
         laws.couple = couple;
@@ -438,7 +438,7 @@ mod tests {
         blend.take(&first, at(9_000), &o);
         for (us, expected) in [(9_000, 2.0), (11_000, 1.0), (13_000, 0.0)] {
             let mut of = [0.0; CONTACTS_MAX];
-            blend.feel(at(us), &o, |felt| of[felt.place] = felt.normal_force);
+            blend.feel(at(us), &o, |felt| of[felt.index] = felt.normal_force);
             assert!((of[0] - expected).abs() < 1e-12, "{us}: {} N", of[0]);
             assert!(
                 (of[7] - (2.0 - expected)).abs() < 1e-12,

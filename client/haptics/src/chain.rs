@@ -4,9 +4,9 @@ use palpate_device::{DeviceCaps, Faults, Pose, Sample, Wrench};
 use palpate_protocol::{ClientTime, Span};
 
 use crate::blend::Blend;
+use crate::contact_points::{ContactPoints, Grips};
 use crate::motion::Motion;
 use crate::passivity::{Given, Seen};
-use crate::places::{Grips, Places};
 use crate::watchdog::Watched;
 use crate::{
     ContactModel, Counters, Coupling, EnergyObserver, Events, FrictionConfig, LinkGuard, Passivity,
@@ -112,7 +112,7 @@ pub struct Chain {
     link: LinkGuard,
     watchdog: Watchdog,
     blend: Blend,
-    places: Places,
+    contact_points: ContactPoints,
     /// `None` when switched off.
     passivity: Option<Passivity>,
     slew: WrenchSlew,
@@ -166,7 +166,7 @@ impl Chain {
             link: LinkGuard::new(&config.watchdog, flush),
             watchdog: Watchdog::new(config.watchdog, flush),
             blend: Blend::new(coupling),
-            places: Places::new(config.friction),
+            contact_points: ContactPoints::new(config.friction),
             passivity: config
                 .passivity
                 .then(|| Passivity::new(slew.force.step(), slew.torque.step(), config.period)),
@@ -252,7 +252,7 @@ impl Chain {
             return self.without_force(now, dt, events);
         }
         let motion = Motion::of(sample);
-        let was_touching = self.places.grips().any();
+        let was_touching = self.contact_points.grips().any();
         if model.is_usable() {
             if self.blend.take(model, now, &motion) {
                 self.solved_at = self.in_own_time(model.solved_at, now);
@@ -260,9 +260,9 @@ impl Chain {
         } else {
             events.set(Events::BAD_MODEL, true);
         }
-        let wrench = self.places.tick(&self.blend, now, dt, &motion);
+        let wrench = self.contact_points.tick(&self.blend, now, dt, &motion);
         let touches = wrench != Wrench::ZERO;
-        note_grips(&mut events, was_touching, self.places.grips());
+        note_grips(&mut events, was_touching, self.contact_points.grips());
         let felt = self.told(&wrench);
         let there = self.clamp(&wrench, &mut events);
         let [trusted, open] = self.gains(now, dt, &sample.pose, &mut events);
@@ -436,7 +436,7 @@ impl Chain {
     }
 
     fn without_force(&mut self, now: ClientTime, dt: Span, mut events: Events) -> Tick {
-        self.places.reset();
+        self.contact_points.reset();
         self.observer.interrupt();
         if let Some(passivity) = &mut self.passivity {
             passivity.interrupt();

@@ -70,9 +70,9 @@ impl Law {
         mu_dynamic: 0.0,
     };
 
-    /// The law of contact point `place` of a model, with the slope `slope`.
-    pub(crate) fn of(model: &ContactModel, place: usize, slope: &Slope) -> Self {
-        let touch = &model.touches[place];
+    /// The law of contact point `index` of a model, with the slope `slope`.
+    pub(crate) fn of(model: &ContactModel, index: usize, slope: &Slope) -> Self {
+        let touch = &model.touches[index];
         if !touch.touches {
             return Self::FREE;
         }

@@ -24,6 +24,7 @@
 mod blend;
 mod chain;
 mod contact;
+mod contact_points;
 mod coupling;
 mod energy;
 mod events;
@@ -32,7 +33,6 @@ mod law;
 mod limits;
 mod motion;
 mod passivity;
-mod places;
 mod soft_start;
 mod touch;
 mod watchdog;

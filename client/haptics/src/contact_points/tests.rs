@@ -5,7 +5,7 @@ use palpate_device::{DeviceCaps, Pose, Workspace, Wrench};
 use palpate_protocol::{ClientTime, Span};
 use proptest::prelude::*;
 
-use super::Places;
+use super::ContactPoints;
 use crate::blend::Blend;
 use crate::energy::turned;
 use crate::motion::Motion;
@@ -60,7 +60,7 @@ fn line(n: usize, length: f64, force: f64, k: f64) -> ContactModel {
 /// A tool whose contact points have accepted `model` at the solved pose.
 struct Tool {
     blend: Blend,
-    places: Places,
+    contact_points: ContactPoints,
     tick: i64,
 }
 
@@ -68,7 +68,7 @@ impl Tool {
     fn touched(model: &ContactModel) -> Self {
         let mut tool = Self {
             blend: Blend::new(coupling()),
-            places: Places::new(FrictionConfig::default()),
+            contact_points: ContactPoints::new(FrictionConfig::default()),
             tick: 0,
         };
         tool.take(model);
@@ -86,7 +86,8 @@ impl Tool {
 
     fn tick(&mut self, motion: &Motion) -> Wrench {
         self.tick += 1;
-        self.places.tick(&self.blend, at(self.tick), MS, motion)
+        self.contact_points
+            .tick(&self.blend, at(self.tick), MS, motion)
     }
 }
 
@@ -123,7 +124,7 @@ fn block_on_slope(n: usize, share: f64) -> (f64, bool) {
         v += (push + air + Vector3::x() * (mass * g * alpha.sin())) * (dt / mass);
         v.z = 0.0;
         x += v * dt;
-        slipped |= tool.places.grips().slips;
+        slipped |= tool.contact_points.grips().slips;
     }
     (x.norm(), slipped)
 }
@@ -359,7 +360,7 @@ proptest! {
             };
             tool.tick += 1;
             let mut worst = f64::NEG_INFINITY;
-            tool.places.rub(&tool.blend, at(tool.tick), MS, &motion, |felt, across| {
+            tool.contact_points.rub(&tool.blend, at(tool.tick), MS, &motion, |felt, across| {
                 let limit = MU[0] * felt.contact.pressed;
                 worst = worst.max(across.norm() - limit);
                 worst = worst.max(across.dot(&felt.contact.normal).abs() - 1e-9);

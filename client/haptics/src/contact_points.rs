@@ -10,7 +10,7 @@ use crate::{CONTACTS_MAX, Friction, FrictionConfig, Grip};
 
 /// Stick-slip state of every contact point, and the last pose of the tool.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Places {
+pub(crate) struct ContactPoints {
     frictions: [Friction; CONTACTS_MAX],
     last: Option<Pose>,
 }
@@ -28,7 +28,7 @@ impl Grips {
     }
 }
 
-impl Places {
+impl ContactPoints {
     pub(crate) fn new(config: FrictionConfig) -> Self {
         Self {
             frictions: [Friction::new(config); CONTACTS_MAX],
@@ -85,10 +85,10 @@ impl Places {
         let last = self.last.replace(motion.pose()).unwrap_or(motion.pose());
         let mut is_felt = [false; CONTACTS_MAX];
         let couple = blend.feel(now, motion, |felt| {
-            is_felt[felt.place] = true;
+            is_felt[felt.index] = true;
             let moved = motion.moved_since(&last, &felt.lever);
             let v = motion.velocity_at(&felt.lever);
-            let across = self.frictions[felt.place].tick(&felt.contact, &moved, &v, dt);
+            let across = self.frictions[felt.index].tick(&felt.contact, &moved, &v, dt);
             each(&felt, across);
         });
         for (friction, is_felt) in self.frictions.iter_mut().zip(is_felt) {
