@@ -2,7 +2,7 @@
 //!
 //! A model arrives every 4 to 10 ms. Tissue is nonlinear, so at the tool's present pose the new model gives another
 //! force than the old one. Over the interval between the two solves the normal force of each contact point is
-//! interpolated between the two contact laws (`law`):
+//! interpolated between the two contact laws (`contact_law`):
 //!
 //! ```text
 //! N(x) = (1 − w) N_old(x) + w N_new(x),   w from 0 to 1
@@ -23,7 +23,7 @@
 use nalgebra::Vector3;
 use palpate_protocol::{ClientTime, Span};
 
-use crate::law::{Law, Said};
+use crate::contact_law::{Law, Response};
 use crate::motion::Motion;
 use crate::{CONTACTS_MAX, Contact, ContactModel, Coupling};
 
@@ -56,7 +56,7 @@ impl Laws {
         let mut pressed = 0.0;
         for i in 0..CONTACTS_MAX {
             points[i] = Law::of(model, i, &slopes[i]);
-            pressed += points[i].pressed_at_solve();
+            pressed += points[i].total_normal_force_at_solve();
         }
         Self {
             points,
@@ -77,7 +77,7 @@ impl Laws {
 
 /// One active contact point, at the present pose.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Felt {
+pub(crate) struct ActiveContact {
     /// Its index on the tool.
     pub(crate) index: usize,
     /// From the pivot, m, along the scene's axes.
@@ -125,7 +125,7 @@ impl Blend {
         self.old = self.mixture(now, &motion.held());
         self.new = Laws::of(model, &self.coupling);
         for (old, new) in self.old.points.iter().zip(&mut self.new.points) {
-            new.face_as(old);
+            new.align_normal(old);
         }
         self.length = (model.solved_at - self.model.solved_at).clamp(BLEND_MIN, BLEND_MAX);
         self.began = now;
@@ -134,11 +134,11 @@ impl Blend {
     }
 
     /// Calls `each` for every active contact point of a tool in `motion`, in order; returns the couple, N·m.
-    pub(crate) fn feel(
+    pub(crate) fn for_each_contact(
         &self,
         now: ClientTime,
         motion: &Motion,
-        mut each: impl FnMut(Felt),
+        mut each: impl FnMut(ActiveContact),
     ) -> Vector3<f64> {
         let (a, b) = self.weights(now);
         let (mut pressed_old, mut pressed_new) = (0.0, 0.0);
@@ -147,26 +147,31 @@ impl Blend {
             if !(old.touches || new.touches) {
                 continue;
             }
-            let said = [old.say(motion), new.say(motion)];
-            pressed_old += said[0].pressed;
-            pressed_new += said[1].pressed;
-            each(self.mix(now, index, said));
+            let responses = [old.evaluate(motion), new.evaluate(motion)];
+            pressed_old += responses[0].pressed;
+            pressed_new += responses[1].pressed;
+            each(self.mix(now, index, responses));
         }
         self.old.couple_at(pressed_old) * a + self.new.couple_at(pressed_new) * b
     }
 
     /// The interpolated response of a contact point to the two laws.
-    fn mix(&self, now: ClientTime, index: usize, [said_old, said_new]: [Said; 2]) -> Felt {
+    fn mix(
+        &self,
+        now: ClientTime,
+        index: usize,
+        [response_old, response_new]: [Response; 2],
+    ) -> ActiveContact {
         let (old, new) = (&self.old.points[index], &self.new.points[index]);
         let (a, b) = self.weights(now);
         let (a_t, b_t) = self.weights_of_touching(now, index);
         let mix_t = |old: f64, new: f64| a_t * old + b_t * new;
         let squeeze = a * old.squeeze + b * new.squeeze;
-        let normal_force = a * said_old.normal_force + b * said_new.normal_force;
+        let normal_force = a * response_old.normal_force + b * response_new.normal_force;
         let normal = old.normal * a_t + new.normal * b_t;
-        Felt {
+        ActiveContact {
             index,
-            lever: said_old.lever * a_t + said_new.lever * b_t,
+            lever: response_old.lever * a_t + response_new.lever * b_t,
             normal_force,
             contact: Contact {
                 normal: normal.try_normalize(0.1).unwrap_or(new.normal),
@@ -202,7 +207,7 @@ impl Blend {
     fn mixture(&self, now: ClientTime, held: &Motion) -> Laws {
         let (a, b) = self.weights(now);
         let mut laws = Laws::FREE;
-        let couple = self.feel(now, held, |felt| {
+        let couple = self.for_each_contact(now, held, |felt| {
             let (old, new) = (&self.old.points[felt.index], &self.new.points[felt.index]);
             let contact = felt.contact;
             let law = Law {
@@ -218,7 +223,7 @@ impl Blend {
                 mu_dynamic: contact.mu_dynamic,
                 ..Law::FREE
             };
-            laws.points[felt.index] = law.moved_to(&held.pose(), felt.lever);
+            laws.points[felt.index] = law.relinearised_at(&held.pose(), felt.lever);
             laws.pressed += contact.pressed;
         });
         laws.couple = couple;
@@ -232,7 +237,7 @@ mod tests {
     use palpate_protocol::{ClientTime, Span};
     use proptest::prelude::*;
 
-    use super::{Blend, Felt};
+    use super::{ActiveContact, Blend};
     use crate::motion::Motion;
     use crate::{CONTACTS_MAX, ContactModel, Coupling, StiffnessCap, Touch};
 
@@ -275,14 +280,16 @@ mod tests {
     /// Normal force of the only contact point, N.
     fn normal_force(blend: &Blend, us: i64, motion: &Motion) -> f64 {
         let mut sum = 0.0;
-        blend.feel(at(us), motion, |felt: Felt| sum += felt.normal_force);
+        blend.for_each_contact(at(us), motion, |felt: ActiveContact| {
+            sum += felt.normal_force
+        });
         sum
     }
 
     /// Force and torque of all contact points without friction.
     fn wrench(blend: &Blend, us: i64, motion: &Motion) -> (Vector3<f64>, Vector3<f64>) {
         let (mut force, mut torque) = (Vector3::zeros(), Vector3::zeros());
-        let couple = blend.feel(at(us), motion, |felt: Felt| {
+        let couple = blend.for_each_contact(at(us), motion, |felt: ActiveContact| {
             let push = felt.contact.normal * felt.normal_force;
             force += push;
             torque += felt.lever.cross(&push);
@@ -438,7 +445,7 @@ mod tests {
         blend.take(&first, at(9_000), &o);
         for (us, expected) in [(9_000, 2.0), (11_000, 1.0), (13_000, 0.0)] {
             let mut of = [0.0; CONTACTS_MAX];
-            blend.feel(at(us), &o, |felt| of[felt.index] = felt.normal_force);
+            blend.for_each_contact(at(us), &o, |felt| of[felt.index] = felt.normal_force);
             assert!((of[0] - expected).abs() < 1e-12, "{us}: {} N", of[0]);
             assert!(
                 (of[7] - (2.0 - expected)).abs() < 1e-12,

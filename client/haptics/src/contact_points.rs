@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use palpate_device::{Pose, Wrench};
 use palpate_protocol::{ClientTime, Span};
 
-use crate::blend::{Blend, Felt};
+use crate::blend::{ActiveContact, Blend};
 use crate::motion::Motion;
 use crate::{CONTACTS_MAX, Friction, FrictionConfig, Grip};
 
@@ -61,7 +61,7 @@ impl ContactPoints {
         motion: &Motion,
     ) -> Wrench {
         let (mut force, mut torque) = (Vector3::zeros(), Vector3::zeros());
-        let couple = self.rub(blend, now, dt, motion, |felt, across| {
+        let couple = self.advance_friction(blend, now, dt, motion, |felt, across| {
             let push = felt.contact.normal * felt.normal_force + across;
             force += push;
             torque += felt.lever.cross(&push);
@@ -74,25 +74,25 @@ impl ContactPoints {
 
     /// Advances the friction of every contact point; calls `each` with its tangential force. Returns the couple,
     /// N·m.
-    fn rub(
+    fn advance_friction(
         &mut self,
         blend: &Blend,
         now: ClientTime,
         dt: Span,
         motion: &Motion,
-        mut each: impl FnMut(&Felt, Vector3<f64>),
+        mut each: impl FnMut(&ActiveContact, Vector3<f64>),
     ) -> Vector3<f64> {
         let last = self.last.replace(motion.pose()).unwrap_or(motion.pose());
-        let mut is_felt = [false; CONTACTS_MAX];
-        let couple = blend.feel(now, motion, |felt| {
-            is_felt[felt.index] = true;
+        let mut is_active = [false; CONTACTS_MAX];
+        let couple = blend.for_each_contact(now, motion, |felt| {
+            is_active[felt.index] = true;
             let moved = motion.moved_since(&last, &felt.lever);
             let v = motion.velocity_at(&felt.lever);
             let across = self.frictions[felt.index].tick(&felt.contact, &moved, &v, dt);
             each(&felt, across);
         });
-        for (friction, is_felt) in self.frictions.iter_mut().zip(is_felt) {
-            if !is_felt {
+        for (friction, is_active) in self.frictions.iter_mut().zip(is_active) {
+            if !is_active {
                 friction.reset();
             }
         }

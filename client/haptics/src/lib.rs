@@ -12,7 +12,7 @@
 //! The order of the stages, one file each:
 //!
 //! ```text
-//! not-a-number check -> contact model, blended (blend, law) with slopes that hand and device can follow (coupling)
+//! not-a-number check -> contact model, blended (blend, contact_law) with slopes that hand and device can follow (coupling)
 //!   -> stick-slip friction of every contact point (friction), summed to a wrench about the pivot (contact_points)
 //!   -> clamp to the device's continuous force and its torque -> soft start x watchdog -> passivity -> slew limit
 //! ```
@@ -24,12 +24,12 @@
 mod blend;
 mod chain;
 mod contact;
+mod contact_law;
 mod contact_points;
 mod coupling;
 mod energy;
 mod events;
 mod friction;
-mod law;
 mod limits;
 mod motion;
 mod passivity;

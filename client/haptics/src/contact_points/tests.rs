@@ -360,7 +360,7 @@ proptest! {
             };
             tool.tick += 1;
             let mut worst = f64::NEG_INFINITY;
-            tool.contact_points.rub(&tool.blend, at(tool.tick), MS, &motion, |felt, across| {
+            tool.contact_points.advance_friction(&tool.blend, at(tool.tick), MS, &motion, |felt, across| {
                 let limit = MU[0] * felt.contact.pressed;
                 worst = worst.max(across.norm() - limit);
                 worst = worst.max(across.dot(&felt.contact.normal).abs() - 1e-9);

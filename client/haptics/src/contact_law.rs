@@ -43,7 +43,7 @@ pub(crate) struct Law {
 
 /// Response of a law at a pose.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Said {
+pub(crate) struct Response {
     /// The lever now, m, along the scene's axes.
     pub(crate) lever: Vector3<f64>,
     /// N, N.
@@ -96,7 +96,7 @@ impl Law {
 
     /// Flips the normal to the side of `old`. The solver's choice of side at a squeezed contact is arbitrary, and
     /// two opposite normals can not be interpolated.
-    pub(crate) fn face_as(&mut self, old: &Self) {
+    pub(crate) fn align_normal(&mut self, old: &Self) {
         let both = self.squeeze > 0.0 && old.squeeze > 0.0 && old.touches && self.touches;
         if both && old.normal.dot(&self.normal) < 0.0 {
             (self.normal, self.value, self.gradient) = (-self.normal, -self.value, -self.gradient);
@@ -104,15 +104,15 @@ impl Law {
     }
 
     /// Total normal force at the solve, N.
-    pub(crate) fn pressed_at_solve(&self) -> f64 {
+    pub(crate) fn total_normal_force_at_solve(&self) -> f64 {
         self.value.max(-self.squeeze).abs() + self.squeeze
     }
 
     /// The response to a tool in `motion`.
-    pub(crate) fn say(&self, motion: &Motion) -> Said {
+    pub(crate) fn evaluate(&self, motion: &Motion) -> Response {
         let lever = motion.turn * self.on_tool;
         if !self.touches {
-            return Said {
+            return Response {
                 lever,
                 normal_force: 0.0,
                 pressed: 0.0,
@@ -131,7 +131,7 @@ impl Law {
         let bound = spring.abs() + self.squeeze;
         let damper = self.damping * self.normal.dot(&motion.velocity_at(&lever));
         let normal_force = (spring - damper.clamp(-bound, bound)).max(floor);
-        Said {
+        Response {
             lever,
             normal_force,
             pressed: normal_force.abs() + self.squeeze,
@@ -140,7 +140,7 @@ impl Law {
 
     /// The gradient at a held pose, N/m: zero where one side has lost contact.
     pub(crate) fn slope_at(&self, held: &Motion) -> Vector3<f64> {
-        if self.say(held).normal_force > -self.squeeze {
+        if self.evaluate(held).normal_force > -self.squeeze {
             self.gradient
         } else {
             Vector3::zeros()
@@ -148,7 +148,7 @@ impl Law {
     }
 
     /// The same contact point relinearised at `pose`, with its `lever` (m, scene's axes) there.
-    pub(crate) fn moved_to(self, pose: &Pose, lever: Vector3<f64>) -> Self {
+    pub(crate) fn relinearised_at(self, pose: &Pose, lever: Vector3<f64>) -> Self {
         Self {
             at: pose.position,
             lever,
@@ -189,11 +189,11 @@ mod tests {
 
     #[test]
     fn a_squeezed_contact_is_held_from_both_sides() {
-        let said = |z| law(2.0, 0.0).say(&at(z, 0.0));
-        assert!((said(0.001).normal_force - 0.5).abs() < 1e-12);
-        assert!((said(0.004).normal_force + 1.0).abs() < 1e-12);
-        assert!((said(0.03).normal_force + 2.0).abs() < 1e-12);
-        assert!((said(0.002).pressed - 2.0).abs() < 1e-12);
+        let responses = |z| law(2.0, 0.0).evaluate(&at(z, 0.0));
+        assert!((responses(0.001).normal_force - 0.5).abs() < 1e-12);
+        assert!((responses(0.004).normal_force + 1.0).abs() < 1e-12);
+        assert!((responses(0.03).normal_force + 2.0).abs() < 1e-12);
+        assert!((responses(0.002).pressed - 2.0).abs() < 1e-12);
     }
 
     #[test]
@@ -208,7 +208,7 @@ mod tests {
             turn: UnitQuaternion::new(Vector3::new(0.0, 0.01, 0.0)),
             ..at(0.0, 0.0)
         };
-        assert!((offset.say(&turned).normal_force - 1.5).abs() < 1e-4);
+        assert!((offset.evaluate(&turned).normal_force - 1.5).abs() < 1e-4);
     }
 
     proptest! {
@@ -216,8 +216,8 @@ mod tests {
         fn a_one_sided_contact_never_pulls(
             z in -0.05f64..0.05, vz in -1.0f64..1.0, b in 0.0f64..50.0, s in 0.0f64..3.0,
         ) {
-            prop_assert!(law(0.0, b).say(&at(z, vz)).normal_force >= 0.0);
-            prop_assert!(law(s, b).say(&at(z, vz)).normal_force >= -s);
+            prop_assert!(law(0.0, b).evaluate(&at(z, vz)).normal_force >= 0.0);
+            prop_assert!(law(s, b).evaluate(&at(z, vz)).normal_force >= -s);
         }
     }
 }
