@@ -6,7 +6,7 @@ use palpate_protocol::{ClientTime, Span};
 use crate::blend::Blend;
 use crate::contact_points::{ContactPoints, Grips};
 use crate::motion::Motion;
-use crate::passivity::{Given, Seen};
+use crate::passivity::{ControllerOutput, ToolState};
 use crate::watchdog::Watched;
 use crate::{
     ContactModel, Counters, Coupling, EnergyObserver, Events, FrictionConfig, LinkGuard, Passivity,
@@ -263,7 +263,7 @@ impl Chain {
         let wrench = self.contact_points.tick(&self.blend, now, dt, &motion);
         let touches = wrench != Wrench::ZERO;
         note_grips(&mut events, was_touching, self.contact_points.grips());
-        let felt = self.told(&wrench);
+        let felt = self.felt_wrench(&wrench);
         let there = self.clamp(&wrench, &mut events);
         let [trusted, open] = self.gains(now, dt, &sample.pose, &mut events);
         let felt = felt.scaled(trusted * open);
@@ -272,8 +272,8 @@ impl Chain {
             if sample.faults.contains(Faults::TIME_JUMP) {
                 passivity.interrupt();
             }
-            passivity.hear(model.others_j);
-            passivity.observe(&Seen {
+            passivity.set_others_work(model.others_j);
+            passivity.observe(&ToolState {
                 pose: sample.pose,
                 v: motion.v,
                 w: motion.w,
@@ -283,11 +283,11 @@ impl Chain {
             });
         }
         let target = there.scaled(trusted * open);
-        let wrench = self.take_away(self.rendered(target), &motion, &mut events);
+        let wrench = self.passivate(self.rendered(target), &motion, &mut events);
         let wrench = self.limit_change(&wrench, &mut events);
-        let counted = self.counted(wrench, &target);
+        let counted = self.accounted_wrench(wrench, &target);
         if let Some(passivity) = &mut self.passivity {
-            passivity.give(Given {
+            passivity.record(ControllerOutput {
                 pose: sample.pose,
                 wrench: counted,
                 withheld: there.scaled(1.0 - open),
@@ -337,7 +337,7 @@ impl Chain {
     }
 
     /// `wrench` limited for [`Tick::felt`].
-    fn told(&self, wrench: &Wrench) -> Wrench {
+    fn felt_wrench(&self, wrench: &Wrench) -> Wrench {
         let [force_n, torque_nm] = self.felt_limits;
         Wrench {
             force: clamp_force(wrench.force, force_n).0,
@@ -373,7 +373,7 @@ impl Chain {
     /// The wrench that the work accounting uses for the output `given`. On a device without torque it includes the
     /// torque of `target`: tilting a tool into tissue takes work against that torque, even if the hand does not
     /// feel it. Otherwise the controller would see work that no hand has done.
-    fn counted(&self, given: Wrench, target: &Wrench) -> Wrench {
+    fn accounted_wrench(&self, given: Wrench, target: &Wrench) -> Wrench {
         let torque = if self.torque_limit_nm.is_some() {
             given.torque
         } else {
@@ -412,7 +412,7 @@ impl Chain {
     }
 
     /// `wrench` after the passivity controller.
-    fn take_away(&self, wrench: Wrench, motion: &Motion, events: &mut Events) -> Wrench {
+    fn passivate(&self, wrench: Wrench, motion: &Motion, events: &mut Events) -> Wrench {
         let Some(passivity) = &self.passivity else {
             return wrench;
         };

@@ -45,7 +45,7 @@ pub use energy::EnergyObserver;
 pub use events::{Counters, Events};
 pub use friction::{Contact, Friction, FrictionConfig, Grip};
 pub use limits::{Slew, StiffnessCap, WrenchSlew, clamp_force};
-pub use passivity::{Given, Passivity, Seen};
+pub use passivity::{ControllerOutput, Passivity, ToolState};
 pub use soft_start::SoftStart;
 pub use touch::{MINDLIN, Touch};
 pub use watchdog::{LinkGuard, Watchdog, WatchdogConfig};

@@ -58,23 +58,23 @@ const LIGHTEST_KG: f64 = 0.08;
 /// its own axis a stylus is lighter by far, but there the motor and the gear turn with it.
 const LIGHTEST_KG_M2: f64 = 4e-5;
 /// Time constant of the tank's decay without contact, s.
-const FORGETS_S: f64 = 0.1;
+const DECAY_S: f64 = 0.1;
 /// Above any hand's speed, m/s: such a sample is a glitch, and its apparent work is ignored.
-const JUMPS_M_S: f64 = 20.0;
+const JUMP_M_S: f64 = 20.0;
 /// Above any hand's angular velocity, rad/s.
-const JUMPS_RAD_S: f64 = 100.0;
+const JUMP_RAD_S: f64 = 100.0;
 /// Maximum depth of a press on elastic tissue, m.
 const DEPTH_M: f64 = 0.05;
 /// The same for a rotation, rad: that depth at the end of an equally long lever.
 const TURN_RAD: f64 = 1.0;
 /// Sampling times of two simultaneous ramps. A ramp has at most 50 ticks, and its work is smooth.
-const MOMENTS: usize = 16;
+const RAMP_SAMPLES: usize = 16;
 /// Bisections of the common factor: to a millionth.
-const HALVINGS: usize = 20;
+const BISECTIONS: usize = 20;
 
 /// State of a tool at the beginning of a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Seen {
+pub struct ToolState {
     /// Position and orientation.
     pub pose: Pose,
     /// Velocity, m/s.
@@ -91,7 +91,7 @@ pub struct Seen {
 
 /// Output to a tool in a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Given {
+pub struct ControllerOutput {
     /// Position and orientation.
     pub pose: Pose,
     /// The wrench that acts until the next tick.
@@ -113,18 +113,18 @@ pub struct Passivity {
     step_nm: f64,
     tank_j: f64,
     /// The output of the last tick.
-    last: Option<Given>,
+    last: Option<ControllerOutput>,
     /// Velocity and angular velocity then, m/s and rad/s.
     speeds: Option<[Vector3<f64>; 2]>,
     /// Accelerations since, m/s² and rad/s².
     speeding_up: [Vector3<f64>; 2],
     /// Net work of the other participants since this contact began, J; never below zero. Their earlier work may be
     /// taken back only by themselves.
-    lent_j: f64,
+    others_tank_j: f64,
     /// Net work that the hand would have done against the withheld wrench, J.
-    kept_j: f64,
+    withheld_j: f64,
     /// Capacity of each of them, J.
-    room_j: f64,
+    capacity_j: f64,
     /// The last reported work of the other participants.
     others_j: Option<f64>,
 }
@@ -140,9 +140,9 @@ impl Passivity {
             last: None,
             speeds: None,
             speeding_up: [Vector3::zeros(); 2],
-            lent_j: 0.0,
-            kept_j: 0.0,
-            room_j: 0.0,
+            others_tank_j: 0.0,
+            withheld_j: 0.0,
+            capacity_j: 0.0,
             others_j: None,
         }
     }
@@ -159,50 +159,57 @@ impl Passivity {
     }
 
     /// Reports the net work of the other participants on the tissue since they joined, J.
-    pub fn hear(&mut self, others_j: f64) {
+    pub fn set_others_work(&mut self, others_j: f64) {
         let before = self.others_j.replace(others_j).unwrap_or(others_j);
-        self.lent_j = (self.lent_j + others_j - before).max(0.0);
+        self.others_tank_j = (self.others_tank_j + others_j - before).max(0.0);
     }
 
     /// Accounts for the motion of the tool since the last tick.
-    pub fn observe(&mut self, seen: &Seen) {
+    pub fn observe(&mut self, seen: &ToolState) {
         let there = &seen.there;
         let room = RESERVE_J + there.force.norm() * DEPTH_M + there.torque.norm() * TURN_RAD;
-        self.room_j = room.max(self.room_j * self.left_of(FORGETS_S));
+        self.capacity_j = room.max(self.capacity_j * self.decay(DECAY_S));
         let dt_s = seen.dt.as_secs_f64().max(self.period_s);
         let [v, w] = self
             .speeds
             .replace([seen.v, seen.w])
             .unwrap_or([seen.v, seen.w]);
         self.speeding_up = [(seen.v - v) / dt_s, (seen.w - w) / dt_s];
-        match self.last.filter(|last| is_a_way(last, &seen.pose, dt_s)) {
+        match self
+            .last
+            .filter(|last| is_plausible_motion(last, &seen.pose, dt_s))
+        {
             Some(last) => {
                 self.tank_j -= work(&last.wrench, &last.pose, &seen.pose);
-                let kept = self.kept_j - work(&last.withheld, &last.pose, &seen.pose);
-                self.kept_j = kept.max(0.0);
+                let kept = self.withheld_j - work(&last.withheld, &last.pose, &seen.pose);
+                self.withheld_j = kept.max(0.0);
                 if last.withheld == Wrench::ZERO {
-                    self.tank_j += std::mem::take(&mut self.kept_j);
+                    self.tank_j += std::mem::take(&mut self.withheld_j);
                 }
             }
             // The motion is unknown. The tissue is assumed to store the energy of a spring with this force.
             None if there.force.norm() > 0.0 => {
                 let n = there.force.norm();
                 let stored = 0.5 * n * n / seen.stiffness_n_per_m.max(1.0);
-                self.kept_j = self.kept_j.max(stored);
+                self.withheld_j = self.withheld_j.max(stored);
             }
             None => {}
         }
         // The work that other participants have done on this hand is paid from their tank.
-        let debt = (-self.tank_j).max(0.0).min(self.lent_j);
+        let debt = (-self.tank_j).max(0.0).min(self.others_tank_j);
         self.tank_j += debt;
-        self.lent_j -= debt;
-        for account in [&mut self.tank_j, &mut self.lent_j, &mut self.kept_j] {
-            *account = account.min(self.room_j);
+        self.others_tank_j -= debt;
+        for account in [
+            &mut self.tank_j,
+            &mut self.others_tank_j,
+            &mut self.withheld_j,
+        ] {
+            *account = account.min(self.capacity_j);
         }
     }
 
     /// Decay factor of one tick for the time constant `s` seconds.
-    fn left_of(&self, s: f64) -> f64 {
+    fn decay(&self, s: f64) -> f64 {
         1.0 - self.period_s / s
     }
 
@@ -215,7 +222,7 @@ impl Passivity {
         v: &Vector3<f64>,
         w: &Vector3<f64>,
     ) -> (Wrench, bool) {
-        let there = (self.tank_j + self.lent_j + self.kept_j - RESERVE_J).max(0.0);
+        let there = (self.tank_j + self.others_tank_j + self.withheld_j - RESERVE_J).max(0.0);
         // The condition applies to the wrench of this tick, not to the target of the slew limit.
         let next = slew.peek(target);
         if next.torque == Vector3::zeros() && slew.torque.now() == Vector3::zeros() {
@@ -271,13 +278,13 @@ impl Passivity {
                     LIGHTEST_KG_M2,
                 ),
             ];
-            Ramp::spend_together(&ramps) <= there
+            Ramp::max_joint_work(&ramps) <= there
         };
         if is_there(1.0) {
             return 1.0;
         }
         let (mut enough, mut too_much) = (0.0, 1.0);
-        for _ in 0..HALVINGS {
+        for _ in 0..BISECTIONS {
             let middle = 0.5 * (enough + too_much);
             if is_there(middle) {
                 enough = middle;
@@ -319,10 +326,10 @@ impl Passivity {
     }
 
     /// Records the output that acts until the next tick.
-    pub fn give(&mut self, given: Given) {
+    pub fn record(&mut self, given: ControllerOutput) {
         if !given.touches {
             // Debts decay too: a hand off the tissue owes it nothing for long.
-            self.tank_j *= self.left_of(FORGETS_S);
+            self.tank_j *= self.decay(DECAY_S);
         }
         self.last = Some(given);
     }
@@ -343,7 +350,7 @@ struct Ramp {
 
 impl Ramp {
     /// Its work after `t_s` seconds, J.
-    fn has_done(&self, t_s: f64) -> f64 {
+    fn work_after(&self, t_s: f64) -> f64 {
         let left = (1.0 - t_s / self.lasts_s).max(0.0);
         let impulse = self.impulse * (1.0 - left * left);
         let faster = 0.5 * self.speeding_up * t_s.min(self.lasts_s);
@@ -351,21 +358,21 @@ impl Ramp {
     }
 
     /// The maximum of the joint work of two ramps over time, J.
-    fn spend_together([a, b]: &[Self; 2]) -> f64 {
+    fn max_joint_work([a, b]: &[Self; 2]) -> f64 {
         let lasts_s = a.lasts_s.max(b.lasts_s);
-        (1..=MOMENTS)
-            .map(|i| lasts_s * i as f64 / MOMENTS as f64)
-            .map(|t_s| a.has_done(t_s) + b.has_done(t_s))
+        (1..=RAMP_SAMPLES)
+            .map(|i| lasts_s * i as f64 / RAMP_SAMPLES as f64)
+            .map(|t_s| a.work_after(t_s) + b.work_after(t_s))
             .fold(0.0, f64::max)
     }
 }
 
 /// Whether a hand can have moved from `last` to `pose` in `dt_s` seconds. A rotation without torque costs no work
 /// and is not checked.
-fn is_a_way(last: &Given, pose: &Pose, dt_s: f64) -> bool {
+fn is_plausible_motion(last: &ControllerOutput, pose: &Pose, dt_s: f64) -> bool {
     let turns = last.wrench.torque != Vector3::zeros() || last.withheld.torque != Vector3::zeros();
-    (pose.position - last.pose.position).norm() <= JUMPS_M_S * dt_s
-        && (!turns || turned(&last.pose, pose).norm() <= JUMPS_RAD_S * dt_s)
+    (pose.position - last.pose.position).norm() <= JUMP_M_S * dt_s
+        && (!turns || turned(&last.pose, pose).norm() <= JUMP_RAD_S * dt_s)
 }
 
 #[cfg(test)]

@@ -5,14 +5,14 @@ use palpate_device::{Pose, Wrench};
 use palpate_protocol::Span;
 use proptest::prelude::*;
 
-use super::{Given, LIGHTEST_KG, LIGHTEST_KG_M2, Passivity, Seen};
+use super::{ControllerOutput, LIGHTEST_KG, LIGHTEST_KG_M2, Passivity, ToolState};
 use crate::{Slew, WrenchSlew};
 
 const STEP: f64 = 0.6;
 const STEP_NM: f64 = 0.03;
 
-fn seen(x: &Vector3<f64>, there_n: f64) -> Seen {
-    Seen {
+fn seen(x: &Vector3<f64>, there_n: f64) -> ToolState {
+    ToolState {
         pose: Pose::at(*x),
         v: Vector3::zeros(),
         w: Vector3::zeros(),
@@ -22,8 +22,8 @@ fn seen(x: &Vector3<f64>, there_n: f64) -> Seen {
     }
 }
 
-fn given(x: Vector3<f64>, force: Vector3<f64>, touches: bool) -> Given {
-    Given {
+fn given(x: Vector3<f64>, force: Vector3<f64>, touches: bool) -> ControllerOutput {
+    ControllerOutput {
         pose: Pose::at(x),
         wrench: Wrench::from_force(force),
         withheld: Wrench::ZERO,
@@ -73,14 +73,14 @@ fn a_force_may_stop_the_hand_but_not_throw_it_back() {
 fn work_of_other_participants_may_push_a_resting_hand() {
     let mut p = passivity();
     let force = Vector3::new(0.0, 0.0, 2.0);
-    p.hear(5.0);
+    p.set_others_work(5.0);
     assert!(
         limit(&p, force, &Vector3::zeros()).1,
         "they began before this hand came"
     );
-    p.hear(5.01);
+    p.set_others_work(5.01);
     assert_eq!(limit(&p, force, &Vector3::zeros()), (force, false));
-    p.hear(5.0);
+    p.set_others_work(5.0);
     assert!(
         limit(&p, force, &Vector3::zeros()).1,
         "they have taken it back"
@@ -102,7 +102,7 @@ fn a_spring_returns_its_stored_energy() {
         p.observe(&seen(&x, force.z));
         let (may, limited) = limit(&p, force, &v);
         assert!(!limited || tenth <= 20, "{may:?} of {force:?} at {tenth}");
-        p.give(given(x, may, true));
+        p.record(given(x, may, true));
         before = tenth;
     }
     assert!(
@@ -116,23 +116,23 @@ fn a_spring_returns_its_stored_energy() {
 fn stored_energy_decays_after_the_contact() {
     let mut p = passivity();
     let at = |z: f64| Vector3::new(0.0, 0.0, z);
-    p.give(given(at(0.0), at(5.0), true));
+    p.record(given(at(0.0), at(5.0), true));
     p.observe(&seen(&at(-0.01), 5.0));
     assert!((p.stored_j() - 0.05).abs() < 1e-12);
-    p.give(given(at(-0.01), Vector3::zeros(), false));
+    p.record(given(at(-0.01), Vector3::zeros(), false));
     assert!(
         p.stored_j() > 0.049,
         "one tick without contact keeps the energy"
     );
     for _ in 0..1000 {
-        p.give(given(at(-0.01), Vector3::zeros(), false));
+        p.record(given(at(-0.01), Vector3::zeros(), false));
     }
     assert!(p.stored_j() < 1e-5);
     // Friction fills the tank only up to the depth of a press.
-    p.give(given(at(0.0), at(1.0), true));
+    p.record(given(at(0.0), at(1.0), true));
     for i in 1..1000 {
         p.observe(&seen(&at(-0.01 * f64::from(i)), 1.0));
-        p.give(given(at(-0.01 * f64::from(i)), at(1.0), true));
+        p.record(given(at(-0.01 * f64::from(i)), at(1.0), true));
     }
     assert!(p.stored_j() < 0.06, "{} J", p.stored_j());
 }
@@ -141,14 +141,14 @@ fn stored_energy_decays_after_the_contact() {
 fn work_against_withheld_forces_is_credited() {
     let mut p = passivity();
     let at = |z: f64| Vector3::new(0.0, 0.0, z);
-    p.give(Given {
+    p.record(ControllerOutput {
         withheld: Wrench::from_force(at(2.0)),
         ..given(at(0.0), Vector3::zeros(), true)
     });
     p.observe(&seen(&at(-0.01), 2.0));
     assert_eq!(limit(&p, at(2.0), &Vector3::zeros()), (at(2.0), false));
     // A hand that moves out again meanwhile has put nothing in.
-    p.give(Given {
+    p.record(ControllerOutput {
         withheld: Wrench::from_force(at(2.0)),
         ..given(at(-0.01), Vector3::zeros(), true)
     });
@@ -163,16 +163,16 @@ fn work_against_withheld_forces_is_credited() {
 fn a_gap_in_contact_or_a_glitch_keeps_stored_energy() {
     let at = |z: f64| Vector3::new(0.0, 0.0, z);
     let mut p = passivity();
-    p.give(given(at(0.0), at(4.0), true));
+    p.record(given(at(0.0), at(4.0), true));
     p.observe(&seen(&at(-0.01), 4.0));
-    p.give(given(at(-0.01), Vector3::zeros(), false));
+    p.record(given(at(-0.01), Vector3::zeros(), false));
     p.observe(&seen(&at(-0.01), 0.0));
     assert!(
         p.stored_j() > 0.03,
         "{} J after a tick without contact",
         p.stored_j()
     );
-    p.give(given(at(-0.01), at(4.0), true));
+    p.record(given(at(-0.01), at(4.0), true));
     p.observe(&seen(&at(0.2), 0.0));
     assert!(p.stored_j() > 0.03, "{} J after a glitch", p.stored_j());
 }
@@ -183,18 +183,18 @@ fn a_hand_moved_by_other_participants_owes_nothing() {
     // alone.
     let at = |z: f64| Vector3::new(0.0, 0.0, z);
     let mut p = passivity();
-    p.hear(0.0);
+    p.set_others_work(0.0);
     for i in 0..10 {
-        p.hear(0.025 * f64::from(i + 1));
-        p.give(given(at(5e-3 * f64::from(i)), at(4.0), true));
+        p.set_others_work(0.025 * f64::from(i + 1));
+        p.record(given(at(5e-3 * f64::from(i)), at(4.0), true));
         p.observe(&seen(&at(5e-3 * f64::from(i + 1)), 4.0));
     }
     assert!(p.stored_j() >= 0.0, "{} J", p.stored_j());
     // Without a payer, the debt decays within a second off the tissue.
-    p.give(given(at(0.0), at(4.0), true));
+    p.record(given(at(0.0), at(4.0), true));
     p.observe(&seen(&at(0.015), 4.0));
     for _ in 0..1000 {
-        p.give(given(at(0.0), Vector3::zeros(), false));
+        p.record(given(at(0.0), Vector3::zeros(), false));
         p.observe(&seen(&at(0.0), 0.0));
     }
     assert!(p.stored_j() > -1e-5, "{} J", p.stored_j());
@@ -225,16 +225,16 @@ fn screwed(z: f64, angle: f64) -> Pose {
     }
 }
 
-fn given_wrench(pose: Pose, wrench: Wrench) -> Given {
-    Given {
+fn given_wrench(pose: Pose, wrench: Wrench) -> ControllerOutput {
+    ControllerOutput {
         pose,
         wrench,
         ..given(Vector3::zeros(), Vector3::zeros(), true)
     }
 }
 
-fn seen_wrench(pose: Pose, there: Wrench) -> Seen {
-    Seen {
+fn seen_wrench(pose: Pose, there: Wrench) -> ToolState {
+    ToolState {
         pose,
         there,
         ..seen(&Vector3::zeros(), 0.0)
@@ -274,7 +274,7 @@ fn a_torsion_spring_returns_its_stored_energy() {
         p.observe(&seen_wrench(screwed(0.0, angle), wrench));
         let (may, limited) = p.limit(&quick(), &wrench, &Vector3::zeros(), &w);
         assert!(!limited || step <= 40, "{may:?} of {wrench:?} at {step}");
-        p.give(given_wrench(screwed(0.0, angle), may));
+        p.record(given_wrench(screwed(0.0, angle), may));
         before = step;
     }
     assert!((0.0..2e-3).contains(&p.stored_j()), "{} J", p.stored_j());
@@ -283,11 +283,11 @@ fn a_torsion_spring_returns_its_stored_energy() {
 #[test]
 fn an_implausible_rotation_is_not_charged() {
     let mut p = passivity();
-    p.give(given_wrench(screwed(0.0, 0.0), screw(0.0, 0.3)));
+    p.record(given_wrench(screwed(0.0, 0.0), screw(0.0, 0.3)));
     p.observe(&seen_wrench(screwed(0.0, -0.05), screw(0.0, 0.3)));
     let stored = p.stored_j();
     assert!((stored - 0.015).abs() < 1e-12, "{stored} J");
-    p.give(given_wrench(screwed(0.0, -0.05), screw(0.0, 0.3)));
+    p.record(given_wrench(screwed(0.0, -0.05), screw(0.0, 0.3)));
     p.observe(&seen_wrench(screwed(0.0, 1.5), screw(0.0, 0.3)));
     assert_eq!(p.stored_j(), stored);
 }
@@ -302,7 +302,7 @@ proptest! {
         let mut slew = WrenchSlew { force: Slew::new(STEP), torque: Slew::new(STEP_NM) };
         let mut p = passivity();
         let (mut z, mut angle, mut work, mut most) = (0.0, 0.0, 0.0, [0.0f64; 2]);
-        p.give(given_wrench(screwed(z, angle), Wrench::ZERO));
+        p.record(given_wrench(screwed(z, angle), Wrench::ZERO));
         for (speed, rate, ticks, force, torque) in ways {
             let target = screw(force, torque);
             for _ in 0..ticks {
@@ -311,7 +311,7 @@ proptest! {
                 let w = Vector3::new(0.0, 0.0, rate);
                 let (may, _) = p.limit(&slew, &target, &v, &w);
                 let (wrench, _) = slew.towards(&may);
-                p.give(given_wrench(screwed(z, angle), wrench));
+                p.record(given_wrench(screwed(z, angle), wrench));
                 z += speed * 1e-3;
                 angle += rate * 1e-3;
                 work -= (wrench.force.z * speed + wrench.torque.z * rate) * 1e-3;
@@ -334,13 +334,13 @@ proptest! {
         let (mut p, mut slew) = (passivity(), Slew::new(STEP));
         let (mut z, mut work, mut most) = (0.0, 0.0, 0.0f64);
         let along = |z: f64| Vector3::new(0.0, 0.0, z);
-        p.give(given(along(z), Vector3::zeros(), false));
+        p.record(given(along(z), Vector3::zeros(), false));
         for (speed, ticks, target) in ways {
             for _ in 0..ticks {
                 p.observe(&seen(&along(z), target));
                 let (may, limited) = limit(&p, slew.peek(along(target)), &along(speed));
                 let (force, _) = slew.towards(if limited { may } else { along(target) });
-                p.give(given(along(z), force, true));
+                p.record(given(along(z), force, true));
                 z += speed * 1e-3;
                 work -= force.z * speed * 1e-3;
                 most = most.max(force.z);
