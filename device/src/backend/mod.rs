@@ -4,12 +4,12 @@
 //! [`Placed`](crate::Placed) transforms it into the scene.
 
 pub mod dhd;
-mod exchange;
 pub mod five_dof;
 mod found;
 pub mod gamepad;
 pub mod haply;
 mod library;
+mod mailbox;
 pub mod openhaptics;
 pub mod pointer;
 pub mod replay;

@@ -9,8 +9,8 @@ use nalgebra::Vector3;
 use super::alarms::{Alarms, listen};
 use super::talk::Talk;
 use super::{HINT, HaplyError, Service, inventory};
-use crate::backend::exchange::{Fade, News, Remote, between};
 use crate::backend::found::choose;
+use crate::backend::mailbox::{DeviceState, Fade, LoopEnd, mailbox};
 use crate::{
     Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice, Sample,
     Workspace, Wrench, Written,
@@ -23,7 +23,7 @@ const FADE: Fade = Fade::new(10, 10);
 /// An open Inverse3.
 #[derive(Debug)]
 pub struct Haply {
-    remote: Remote,
+    loop_end: LoopEnd,
     caps: DeviceCaps,
     leave: Arc<AtomicBool>,
     talk: Option<JoinHandle<()>>,
@@ -35,15 +35,15 @@ impl Haply {
         let (link, message) = inventory(&service.simulation)?;
         let found = message.found();
         let chosen = &found[choose("haply", HINT, &found, which)?];
-        let (mut remote, mut end) = between(FADE);
+        let (mut loop_end, mut end) = mailbox(FADE);
         // Until the device has a valid position, the loop gets no state.
-        let news = message.news(&chosen.id, &News::at_rest());
-        if let Some(news) = news {
-            end.tell(news);
+        let device_state = message.device_state(&chosen.id, &DeviceState::at_rest());
+        if let Some(device_state) = device_state {
+            end.publish(device_state);
         }
-        remote.hear();
+        loop_end.receive();
         let mut device = Self {
-            remote,
+            loop_end,
             caps: caps(&chosen.name, &chosen.id, message.has_grip()),
             leave: Arc::default(),
             talk: None,
@@ -61,7 +61,7 @@ impl Haply {
             id: chosen.id.clone(),
             spelling: message.spelling(),
             end,
-            news: news.unwrap_or_else(News::at_rest),
+            device_state: device_state.unwrap_or_else(DeviceState::at_rest),
             alarms,
             leave: Arc::clone(&device.leave),
         };
@@ -109,7 +109,7 @@ impl HapticDevice for Haply {
     }
 
     fn calibration(&self) -> Calibration {
-        self.remote.last().calibration
+        self.loop_end.last().calibration
     }
 
     fn clock(&self) -> ClockOwner {
@@ -117,32 +117,32 @@ impl HapticDevice for Haply {
     }
 
     fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
-        let enabled = self.remote.enable(on);
+        let enabled = self.loop_end.enable(on);
         self.nudge();
         enabled
     }
 
     fn force_state(&self) -> ForceState {
-        self.remote.motors().state()
+        self.loop_end.motors().state()
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        self.remote.read(now)
+        self.loop_end.read(now)
     }
 
     fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
-        let written = self.remote.write(now, wrench, &self.caps);
+        let written = self.loop_end.write(now, wrench, &self.caps);
         self.nudge();
         written
     }
 
     fn rendered(&self) -> Wrench {
-        self.remote.rendered()
+        self.loop_end.rendered()
     }
 
     /// Zero force, then the end of the connection.
     fn close(&mut self) {
-        self.remote.close();
+        self.loop_end.close();
         self.leave.store(true, Ordering::Release);
         for thread in [self.talk.take(), self.events.take()].into_iter().flatten() {
             thread.thread().unpark();

@@ -4,8 +4,8 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::backend::exchange::News;
 use crate::backend::found::Found;
+use crate::backend::mailbox::DeviceState;
 use crate::{Buttons, Calibration, DeviceFault};
 
 /// JSON key of a force.
@@ -175,25 +175,25 @@ impl Message {
     /// State of device `id`; missing fields keep their value in `before`. Faults are not included.
     ///
     /// `None` for a message without a valid position of the device.
-    pub(super) fn news(&self, id: &str, before: &News) -> Option<News> {
+    pub(super) fn device_state(&self, id: &str, before: &DeviceState) -> Option<DeviceState> {
         let Some(device) = self.devices().iter().find(|d| d.device_id == id) else {
-            return Some(News {
+            return Some(DeviceState {
                 lost: Some(DeviceFault::Unplugged),
                 ..*before
             });
         };
         let state = device.state.as_ref()?;
-        let mut news = News {
+        let mut device_state = DeviceState {
             lost: None,
             velocity: state
                 .cursor_velocity
                 .map_or_else(Vector3::zeros, Into::into),
             ..*before
         };
-        news.pose.position = state.cursor_position?.into();
+        device_state.pose.position = state.cursor_position?.into();
         if let Some(status) = &device.status {
-            news.powered = status.power_supply.unwrap_or(true);
-            news.calibration = match status.calibrated {
+            device_state.powered = status.power_supply.unwrap_or(true);
+            device_state.calibration = match status.calibrated {
                 Some(false) => Calibration::NeedsUser,
                 _ => Calibration::Done,
             };
@@ -203,13 +203,14 @@ impl Message {
                 let turn = Quaternion::new(turn.w, turn.x, turn.y, turn.z);
                 // A sleeping grip reports a zero quaternion.
                 if (0.5..2.0).contains(&turn.norm()) {
-                    news.pose.orientation = UnitQuaternion::new_normalize(turn);
+                    device_state.pose.orientation = UnitQuaternion::new_normalize(turn);
                 }
             }
-            news.buttons = buttons(grip);
+            device_state.buttons = buttons(grip);
         }
-        let is_number = news.pose.is_finite() && news.velocity.iter().all(|c| c.is_finite());
-        is_number.then_some(news)
+        let is_number =
+            device_state.pose.is_finite() && device_state.velocity.iter().all(|c| c.is_finite());
+        is_number.then_some(device_state)
     }
 }
 
@@ -239,7 +240,7 @@ mod tests {
     use nalgebra::Vector3;
     use proptest::prelude::*;
 
-    use super::{Message, News, Spelling, force};
+    use super::{DeviceState, Message, Spelling, force};
     use crate::{Buttons, Calibration, DeviceFault};
 
     /// An inventory of version 3.4.
@@ -257,15 +258,22 @@ mod tests {
             message.found()[0].to_string(),
             "04BA (Haply inverse3, right-handed)"
         );
-        let news = message.news("04BA", &News::at_rest()).unwrap();
-        assert_eq!(news.pose.position, Vector3::new(0.078, -0.148, 0.143));
-        assert_eq!(news.velocity.z, -0.04);
-        assert!((news.pose.orientation * Vector3::x() + Vector3::x()).norm() < 1e-12);
+        let device_state = message
+            .device_state("04BA", &DeviceState::at_rest())
+            .unwrap();
         assert_eq!(
-            (news.buttons, news.calibration),
+            device_state.pose.position,
+            Vector3::new(0.078, -0.148, 0.143)
+        );
+        assert_eq!(device_state.velocity.z, -0.04);
+        assert!((device_state.pose.orientation * Vector3::x() + Vector3::x()).norm() < 1e-12);
+        assert_eq!(
+            (device_state.buttons, device_state.calibration),
             (Buttons::PRIMARY, Calibration::NeedsUser)
         );
-        let gone = message.news("049D", &News::at_rest()).unwrap();
+        let gone = message
+            .device_state("049D", &DeviceState::at_rest())
+            .unwrap();
         assert_eq!(gone.lost, Some(DeviceFault::Unplugged));
     }
 
@@ -276,16 +284,21 @@ mod tests {
             "orientation":{"x":0,"y":0,"z":0,"w":0},"buttons":{"a":false,"b":true,"c":true}}}]}"#;
         let message = Message::read(text).unwrap();
         assert_eq!(message.spelling(), Spelling::Vector);
-        let news = message.news("049D", &News::at_rest()).unwrap();
-        assert_eq!(news.buttons, Buttons::from_bits(0b110));
-        assert_eq!(news.pose.orientation, News::at_rest().pose.orientation);
+        let device_state = message
+            .device_state("049D", &DeviceState::at_rest())
+            .unwrap();
+        assert_eq!(device_state.buttons, Buttons::from_bits(0b110));
+        assert_eq!(
+            device_state.pose.orientation,
+            DeviceState::at_rest().pose.orientation
+        );
     }
 
     #[test]
     fn an_invalid_state_is_ignored() {
         let no_place = r#"{"inverse3":[{"device_id":"1","state":{}}]}"#;
         let message = Message::read(no_place).unwrap();
-        assert_eq!(message.news("1", &News::at_rest()), None);
+        assert_eq!(message.device_state("1", &DeviceState::at_rest()), None);
         for (text, word) in [
             ("", "EOF"),
             ("[]", "begins with"),
@@ -313,7 +326,7 @@ mod tests {
             let _ = Message::read(&text);
             let cut = OLD.char_indices().map(|(i, _)| i).take_while(|i| *i < cut).last().unwrap_or(0);
             if let Ok(message) = Message::read(&OLD[..cut]) {
-                let _ = message.news("04BA", &News::at_rest());
+                let _ = message.device_state("04BA", &DeviceState::at_rest());
             }
         }
     }

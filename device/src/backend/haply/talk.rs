@@ -9,7 +9,7 @@ use super::inventory;
 use super::link::{Link, Received};
 use super::message::{Message, Spelling, force};
 use crate::DeviceFault;
-use crate::backend::exchange::{DriverEnd, News, Order};
+use crate::backend::mailbox::{DeviceState, DriverEnd, Order};
 
 /// Wait for the loop's next force.
 const IDLE: Duration = Duration::from_millis(2);
@@ -29,7 +29,7 @@ pub(super) struct Talk {
     pub(super) id: String,
     pub(super) spelling: Spelling,
     pub(super) end: DriverEnd,
-    pub(super) news: News,
+    pub(super) device_state: DeviceState,
     pub(super) alarms: Arc<Alarms>,
     pub(super) leave: Arc<AtomicBool>,
 }
@@ -54,9 +54,9 @@ impl Talk {
             }
             link.close();
             self.end.cut();
-            self.end.tell(News {
+            self.end.publish(DeviceState {
                 lost: Some(DeviceFault::Unplugged),
-                ..self.news
+                ..self.device_state
             });
             next = self.begin_again();
             // Orders from before the loop knew of the loss are void on the new connection.
@@ -128,14 +128,14 @@ impl Talk {
         let Ok(message) = Message::read(text) else {
             return;
         };
-        let Some(mut news) = message.news(&self.id, &self.news) else {
+        let Some(mut device_state) = message.device_state(&self.id, &self.device_state) else {
             return;
         };
-        news.faults = watch.look(&self.alarms);
+        device_state.faults = watch.look(&self.alarms);
         if self.alarms.is_gone() {
-            news.lost = Some(DeviceFault::Unplugged);
+            device_state.lost = Some(DeviceFault::Unplugged);
         }
-        self.news = news;
-        self.end.tell(news);
+        self.device_state = device_state;
+        self.end.publish(device_state);
     }
 }

@@ -12,7 +12,7 @@ use super::error::OpenHapticsError;
 use super::sys::{Api, Handle, Servo};
 use super::turn::{Turner, Wishes};
 use super::{frame, parameter};
-use crate::backend::exchange::{Fade, Remote, between};
+use crate::backend::mailbox::{Fade, LoopEnd, mailbox};
 use crate::{
     Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice, Sample,
     Workspace, Wrench, Written,
@@ -32,7 +32,7 @@ pub struct OpenHaptics {
     handle: Handle,
     servo: Option<Servo>,
     wishes: Arc<Wishes>,
-    remote: Remote,
+    loop_end: LoopEnd,
     caps: DeviceCaps,
 }
 
@@ -50,7 +50,7 @@ impl OpenHaptics {
         let caps = caps(&api);
         let style = api.integer(parameter::CALIBRATION_STYLE) as u32;
         drain(&api);
-        let (remote, end) = between(FADE);
+        let (loop_end, end) = mailbox(FADE);
         let wishes = Arc::new(Wishes::default());
         let mut turner = Turner::new(Arc::clone(&api), handle, end, Arc::clone(&wishes), style);
         let rescued = Arc::clone(&api);
@@ -64,12 +64,12 @@ impl OpenHaptics {
             handle,
             servo: Some(servo),
             wishes,
-            remote,
+            loop_end,
             caps,
         };
         let mut heard = false;
         for _ in 0..PATIENCE {
-            heard = device.remote.hear().1;
+            heard = device.loop_end.receive().1;
             if heard {
                 break;
             }
@@ -175,15 +175,15 @@ impl HapticDevice for OpenHaptics {
     }
 
     fn calibration(&self) -> Calibration {
-        self.remote.last().calibration
+        self.loop_end.last().calibration
     }
 
     /// Lets the library calibrate the device; put the stylus into its inkwell first, where it has one.
     fn calibrate(&mut self) -> Result<Calibration, DeviceFault> {
-        if !self.remote.motors().is_open() {
+        if !self.loop_end.motors().is_open() {
             return Err(DeviceFault::Closed);
         }
-        self.remote.halt();
+        self.loop_end.halt();
         let wish = self.wishes.calibrate.fetch_add(1, Ordering::AcqRel) + 1;
         let done = || self.wishes.calibrated.load(Ordering::Acquire) == wish;
         self.wait(|_| done());
@@ -192,7 +192,7 @@ impl HapticDevice for OpenHaptics {
         }
         // The state of that turn arrives at its end.
         for _ in 0..PATIENCE {
-            if self.remote.hear().1 {
+            if self.loop_end.receive().1 {
                 break;
             }
             std::thread::park_timeout(Duration::from_millis(1));
@@ -208,32 +208,32 @@ impl HapticDevice for OpenHaptics {
         if on && self.has_panicked() {
             return Err(DeviceFault::Driver { code: -1 });
         }
-        self.remote.enable(on)
+        self.loop_end.enable(on)
     }
 
     fn force_state(&self) -> ForceState {
-        self.remote.motors().state()
+        self.loop_end.motors().state()
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
         if self.has_panicked() {
-            self.remote.halt();
+            self.loop_end.halt();
             return Err(DeviceFault::Driver { code: -1 });
         }
-        self.remote.read(now)
+        self.loop_end.read(now)
     }
 
     fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
-        self.remote.write(now, wrench, &self.caps)
+        self.loop_end.write(now, wrench, &self.caps)
     }
 
     fn rendered(&self) -> Wrench {
-        self.remote.rendered()
+        self.loop_end.rendered()
     }
 
     /// Writes zero, switches forces off, stops the scheduler, then closes the device.
     fn close(&mut self) {
-        self.remote.close();
+        self.loop_end.close();
         // The servo thread's last turn writes zero and switches forces off.
         self.wishes.leave.store(true, Ordering::Release);
         self.wait(Servo::has_ended);

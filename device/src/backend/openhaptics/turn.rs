@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use super::error::Errors;
 use super::sys::{Api, Handle};
 use super::{frame, parameter};
-use crate::backend::exchange::{DriverEnd, News, Order};
+use crate::backend::mailbox::{DeviceState, DriverEnd, Order};
 use crate::{Buttons, Calibration, DeviceFault};
 
 /// Errors read after one frame. The library keeps a list; the rest is read after the next.
@@ -33,7 +33,7 @@ pub(super) struct Turner {
     end: DriverEnd,
     wishes: Arc<Wishes>,
     style: u32,
-    news: News,
+    device_state: DeviceState,
     is_on: bool,
     is_lost: bool,
     until_checked: u32,
@@ -54,7 +54,7 @@ impl Turner {
             end,
             wishes,
             style,
-            news: News::at_rest(),
+            device_state: DeviceState::at_rest(),
             is_on: false,
             is_lost: false,
             until_checked: 0,
@@ -75,7 +75,7 @@ impl Turner {
         self.write(&order);
         self.api.end(self.handle);
         self.judge();
-        self.end.tell(self.news);
+        self.end.publish(self.device_state);
         !leaves
     }
 
@@ -95,7 +95,7 @@ impl Turner {
             self.api.update_calibration(self.style);
             state = self.api.check_calibration();
         }
-        self.news.calibration = match state {
+        self.device_state.calibration = match state {
             parameter::CALIBRATION_OK => Calibration::Done,
             parameter::CALIBRATION_NEEDS_UPDATE => Calibration::InProgress,
             _ => Calibration::NeedsUser,
@@ -108,12 +108,12 @@ impl Turner {
             let m = self.api.doubles(of);
             [m[0], m[1], m[2]]
         };
-        self.news.pose = frame::pose(&self.api.doubles(parameter::TRANSFORM));
+        self.device_state.pose = frame::pose(&self.api.doubles(parameter::TRANSFORM));
         // The transform's last column is the same position; the header names this parameter the position.
-        self.news.pose.position = frame::metres(three(parameter::POSITION));
-        self.news.velocity = frame::metres(three(parameter::VELOCITY));
-        self.news.angular_velocity = frame::turned(three(parameter::ANGULAR_VELOCITY));
-        self.news.buttons = Buttons::from_bits(self.api.integer(parameter::BUTTONS) as u32);
+        self.device_state.pose.position = frame::metres(three(parameter::POSITION));
+        self.device_state.velocity = frame::metres(three(parameter::VELOCITY));
+        self.device_state.angular_velocity = frame::turned(three(parameter::ANGULAR_VELOCITY));
+        self.device_state.buttons = Buttons::from_bits(self.api.integer(parameter::BUTTONS) as u32);
     }
 
     fn write(&mut self, order: &Order) {
@@ -149,14 +149,14 @@ impl Turner {
             let Some(code) = self.api.error() else { break };
             errors.add(code);
         }
-        let pose = &self.news.pose;
+        let pose = &self.device_state.pose;
         let is_number = pose.is_finite()
-            && (self.news.velocity + self.news.angular_velocity)
+            && (self.device_state.velocity + self.device_state.angular_velocity)
                 .iter()
                 .all(|c| c.is_finite());
         self.is_lost = errors.lost || !is_number;
-        self.news.faults = errors.faults;
-        self.news.lost = match (errors.lost, is_number) {
+        self.device_state.faults = errors.faults;
+        self.device_state.lost = match (errors.lost, is_number) {
             (true, _) => Some(DeviceFault::Unplugged),
             (_, false) => Some(DeviceFault::Driver { code: 0 }),
             _ => None,

@@ -13,14 +13,14 @@ impl Share {
     /// The full force.
     pub(in crate::backend) const FULL: Self = Self { left: 1.0, outs: 0 };
 
-    /// The fraction to render, 0 to 1, of a force whose loop already applied the fraction `heard`.
-    pub(in crate::backend) fn since(self, heard: Self) -> f64 {
-        if self.outs != heard.outs {
+    /// The fraction to render, 0 to 1, of a force whose loop already applied the fraction `known`.
+    pub(in crate::backend) fn since(self, known: Self) -> f64 {
+        if self.outs != known.outs {
             0.0
-        } else if heard.left <= self.left {
+        } else if known.left <= self.left {
             1.0
         } else {
-            self.left / heard.left
+            self.left / known.left
         }
     }
 }
@@ -56,11 +56,11 @@ impl Fade {
         }
     }
 
-    /// The fraction to render in this turn, 0 to 1, of a force whose loop already applied the fraction `heard`.
-    pub(in crate::backend) fn turn(&mut self, is_renewed: bool, heard: Share) -> f64 {
+    /// The fraction to render in this turn, 0 to 1, of a force whose loop already applied the fraction `known`.
+    pub(in crate::backend) fn turn(&mut self, is_renewed: bool, known: Share) -> f64 {
         if is_renewed {
             self.missed = 0;
-            if self.share().since(heard) >= 1.0 {
+            if self.share().since(known) >= 1.0 {
                 self.left = (self.left + 1).min(self.turns);
             }
         } else {
@@ -70,7 +70,7 @@ impl Fade {
                 self.outs = self.outs.wrapping_add(u32::from(self.left == 0));
             }
         }
-        self.share().since(heard)
+        self.share().since(known)
     }
 
     /// The force was removed at once; renewed orders recover as after a fade.
@@ -133,10 +133,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_sequence_of_orders_makes_a_step(news in prop::collection::vec(any::<bool>(), 1..300)) {
+        fn no_sequence_of_orders_makes_a_step(device_state in prop::collection::vec(any::<bool>(), 1..300)) {
             let mut fade = Fade::new(3, 10);
             let mut before = 1.0;
-            for is_renewed in news {
+            for is_renewed in device_state {
                 fade.turn(is_renewed, fade.share());
                 let share = fade.share().left;
                 prop_assert!((0.0..=1.0).contains(&share));

@@ -4,12 +4,12 @@
 //! the driver's thread counts its turns, so neither reads a clock.
 //!
 //! ```text
-//! loop    --newest Order-->  driver's thread     no new one for some turns: the force fades
-//! loop    <--newest News---  driver's thread     none for 50 ms: no force; none for 500 ms: unplugged
+//! loop    --newest order-->   driver's thread     no new one for some turns: the force fades
+//! loop    <--newest state---  driver's thread     none for 50 ms: no force; none for 500 ms: unplugged
 //! ```
 
+mod ends;
 mod fade;
-mod remote;
 
+pub(super) use ends::{DeviceState, DriverEnd, LoopEnd, Order, mailbox};
 pub(super) use fade::{Fade, Share};
-pub(super) use remote::{DriverEnd, News, Order, Remote, between};
