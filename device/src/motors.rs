@@ -45,7 +45,7 @@ impl Motors {
     }
 
     /// Advances the time to `now`, never backwards; an error after closing.
-    pub(crate) fn tell(&mut self, now: DeviceTime) -> Result<DeviceTime, DeviceFault> {
+    pub(crate) fn advance_to(&mut self, now: DeviceTime) -> Result<DeviceTime, DeviceFault> {
         if !self.open {
             return Err(DeviceFault::Closed);
         }
@@ -160,7 +160,7 @@ mod tests {
         motors.enable(true).unwrap();
         assert_eq!(motors.take(at(0), push(1.0), &caps), Ok((push(1.0), false)));
         assert_eq!(motors.rendered(), Wrench::ZERO);
-        motors.tell(at(1000)).unwrap();
+        motors.advance_to(at(1000)).unwrap();
         assert_eq!(
             (motors.rendered(), motors.state()),
             (push(1.0), ForceState::On)
@@ -176,7 +176,7 @@ mod tests {
             Err(Rejection::Closed)
         );
         assert_eq!(motors.enable(true), Err(DeviceFault::Closed));
-        assert_eq!(motors.tell(at(4000)), Err(DeviceFault::Closed));
+        assert_eq!(motors.advance_to(at(4000)), Err(DeviceFault::Closed));
     }
 
     proptest! {
@@ -193,7 +193,7 @@ mod tests {
                 match call {
                     0 => motors.enable(n > 0.0).unwrap(),
                     1 => motors.stop(),
-                    2 => motors.tell(now).map(|_| ()).unwrap(),
+                    2 => motors.advance_to(now).map(|_| ()).unwrap(),
                     _ => { let _ = motors.take(now, push(n), &caps); }
                 }
                 let rendered = motors.rendered().force.norm();

@@ -172,7 +172,7 @@ impl HapticDevice for Dhd {
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        let now = self.motors.tell(now)?;
+        let now = self.motors.advance_to(now)?;
         match self.sense(now) {
             Ok(sample) if sample.is_finite() => Ok(sample),
             Ok(_) => {

@@ -194,7 +194,7 @@ impl<P: Port> HapticDevice for FiveDof<P> {
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        let now = self.motors.tell(now)?;
+        let now = self.motors.advance_to(now)?;
         let counts = match self.port.counts(now) {
             Ok(counts) => counts,
             Err(fault) => {
@@ -244,7 +244,7 @@ impl<P: Port> HapticDevice for FiveDof<P> {
     }
 
     fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
-        if self.motors.tell(now).is_err() {
+        if self.motors.advance_to(now).is_err() {
             return Written::Rejected(Rejection::Closed);
         }
         if let Err(why) = self.motors.ready() {

@@ -13,7 +13,7 @@ use crate::Faults;
 const WAIT: Duration = Duration::from_millis(100);
 
 /// Time until a service without an event channel is tried again.
-const AGAIN: Duration = Duration::from_secs(2);
+const RETRY_AFTER: Duration = Duration::from_secs(2);
 
 /// Number of messages for which a momentary event counts: a quarter to half a second.
 const MOMENT: u32 = 250;
@@ -47,7 +47,7 @@ impl Alarms {
     }
 
     /// Applies an event if it concerns device `id`.
-    fn hear(&self, id: &str, text: &str) {
+    fn apply(&self, id: &str, text: &str) {
         // Unknown events are ignored.
         let Ok(event) = serde_json::from_str::<Event>(text) else {
             return;
@@ -126,7 +126,7 @@ pub(super) fn listen(url: &str, id: &str, alarms: &Arc<Alarms>, leave: &AtomicBo
             link.wait_at_most(WAIT);
             while !leave.load(Ordering::Acquire) {
                 match link.receive() {
-                    Received::Text(text) => alarms.hear(id, &text),
+                    Received::Text(text) => alarms.apply(id, &text),
                     Received::Nothing => {}
                     Received::Unfit(_) | Received::Closed(_) => break,
                 }
@@ -134,7 +134,7 @@ pub(super) fn listen(url: &str, id: &str, alarms: &Arc<Alarms>, leave: &AtomicBo
             link.close();
         }
         if !leave.load(Ordering::Acquire) {
-            std::thread::park_timeout(AGAIN);
+            std::thread::park_timeout(RETRY_AFTER);
         }
     }
 }
@@ -155,7 +155,7 @@ mod tests {
     fn events_become_faults_for_as_long_as_they_last() {
         let (alarms, mut watch) = (Alarms::default(), Watch::default());
         let mut after = |text: String| {
-            alarms.hear("049D", &text);
+            alarms.apply("049D", &text);
             watch.look(&alarms)
         };
         assert_eq!(
@@ -194,8 +194,8 @@ mod tests {
     #[test]
     fn a_new_connection_clears_lasting_alarms() {
         let (alarms, mut watch) = (Alarms::default(), Watch::default());
-        alarms.hear("049D", &event("ebrake_triggered", "error", "049D"));
-        alarms.hear("049D", &event("fod_stage_changed", "warning", "049D"));
+        alarms.apply("049D", &event("ebrake_triggered", "error", "049D"));
+        alarms.apply("049D", &event("fod_stage_changed", "warning", "049D"));
         let both = Faults::EMERGENCY_STOP.with(Faults::OVER_FORCE);
         assert_eq!(watch.look(&alarms), both);
         alarms.begin();
@@ -205,17 +205,17 @@ mod tests {
     #[test]
     fn a_disconnected_device_is_gone_until_it_is_back() {
         let alarms = Alarms::default();
-        alarms.hear(
+        alarms.apply(
             "1",
             r#"{"name":"device-disconnected","data":{"device_id":"1"}}"#,
         );
         assert!(alarms.is_gone());
-        alarms.hear(
+        alarms.apply(
             "1",
             r#"{"name":"device-connected","data":{"device_id":"1"}}"#,
         );
         assert!(!alarms.is_gone());
-        alarms.hear(
+        alarms.apply(
             "1",
             r#"{"name":"device-disconnected","data":{"device_id":"1"}}"#,
         );

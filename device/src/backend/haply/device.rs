@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 use nalgebra::Vector3;
 
 use super::alarms::{Alarms, listen};
-use super::talk::Talk;
+use super::session::Session;
 use super::{HINT, HaplyError, Service, inventory};
 use crate::backend::found::choose;
 use crate::backend::mailbox::{DeviceState, Fade, LoopEnd, mailbox};
@@ -26,7 +26,7 @@ pub struct Haply {
     loop_end: LoopEnd,
     caps: DeviceCaps,
     leave: Arc<AtomicBool>,
-    talk: Option<JoinHandle<()>>,
+    session: Option<JoinHandle<()>>,
     events: Option<JoinHandle<()>>,
 }
 
@@ -46,7 +46,7 @@ impl Haply {
             loop_end,
             caps: caps(&chosen.name, &chosen.id, message.has_grip()),
             leave: Arc::default(),
-            talk: None,
+            session: None,
             events: None,
         };
         let alarms: Arc<Alarms> = Arc::default();
@@ -56,7 +56,7 @@ impl Haply {
             let listening = move || listen(&url, &id, &alarms, &leave);
             device.events = Some(spawn("haply events", listening)?);
         }
-        let talk = Talk {
+        let session = Session {
             url: service.simulation.clone(),
             id: chosen.id.clone(),
             spelling: message.spelling(),
@@ -65,14 +65,14 @@ impl Haply {
             alarms,
             leave: Arc::clone(&device.leave),
         };
-        device.talk = Some(spawn("haply", move || talk.hold(link))?);
+        device.session = Some(spawn("haply", move || session.run(link))?);
         Ok(device)
     }
 
     /// Triggers the next message, without waiting.
     fn nudge(&self) {
-        if let Some(talk) = &self.talk {
-            talk.thread().unpark();
+        if let Some(session) = &self.session {
+            session.thread().unpark();
         }
     }
 }
@@ -144,7 +144,10 @@ impl HapticDevice for Haply {
     fn close(&mut self) {
         self.loop_end.close();
         self.leave.store(true, Ordering::Release);
-        for thread in [self.talk.take(), self.events.take()].into_iter().flatten() {
+        for thread in [self.session.take(), self.events.take()]
+            .into_iter()
+            .flatten()
+        {
             thread.thread().unpark();
             // A thread that panicked is over as well, and the service ends its session with it.
             let _ = thread.join();

@@ -24,7 +24,7 @@ mod device;
 mod error;
 mod link;
 mod message;
-mod talk;
+mod session;
 
 pub use device::Haply;
 pub use error::HaplyError;

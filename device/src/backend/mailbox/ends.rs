@@ -206,7 +206,7 @@ impl LoopEnd {
 
     /// The newest state as a sample, stamped by the first reading that received it.
     pub(in crate::backend) fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        let now = self.motors.tell(now)?;
+        let now = self.motors.advance_to(now)?;
         let (device_state, is_new) = self.receive();
         let heard_at = match self.heard_at {
             Some(at) if !is_new => at,

@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 
 use super::error::OpenHapticsError;
 use super::sys::{Api, Handle, Servo};
-use super::turn::{Turner, Wishes};
+use super::turn::{Requests, Turner};
 use super::{frame, parameter};
 use crate::backend::mailbox::{Fade, LoopEnd, mailbox};
 use crate::{
@@ -31,7 +31,7 @@ pub struct OpenHaptics {
     api: Arc<Api>,
     handle: Handle,
     servo: Option<Servo>,
-    wishes: Arc<Wishes>,
+    requests: Arc<Requests>,
     loop_end: LoopEnd,
     caps: DeviceCaps,
 }
@@ -51,8 +51,8 @@ impl OpenHaptics {
         let style = api.integer(parameter::CALIBRATION_STYLE) as u32;
         drain(&api);
         let (loop_end, end) = mailbox(FADE);
-        let wishes = Arc::new(Wishes::default());
-        let mut turner = Turner::new(Arc::clone(&api), handle, end, Arc::clone(&wishes), style);
+        let requests = Arc::new(Requests::default());
+        let mut turner = Turner::new(Arc::clone(&api), handle, end, Arc::clone(&requests), style);
         let rescued = Arc::clone(&api);
         let servo = Servo::start(
             Arc::clone(&api),
@@ -63,7 +63,7 @@ impl OpenHaptics {
             api,
             handle,
             servo: Some(servo),
-            wishes,
+            requests,
             loop_end,
             caps,
         };
@@ -184,8 +184,8 @@ impl HapticDevice for OpenHaptics {
             return Err(DeviceFault::Closed);
         }
         self.loop_end.halt();
-        let wish = self.wishes.calibrate.fetch_add(1, Ordering::AcqRel) + 1;
-        let done = || self.wishes.calibrated.load(Ordering::Acquire) == wish;
+        let wish = self.requests.calibrate.fetch_add(1, Ordering::AcqRel) + 1;
+        let done = || self.requests.calibrated.load(Ordering::Acquire) == wish;
         self.wait(|_| done());
         if !done() {
             return Err(DeviceFault::Unplugged);
@@ -235,7 +235,7 @@ impl HapticDevice for OpenHaptics {
     fn close(&mut self) {
         self.loop_end.close();
         // The servo thread's last turn writes zero and switches forces off.
-        self.wishes.leave.store(true, Ordering::Release);
+        self.requests.leave.store(true, Ordering::Release);
         self.wait(Servo::has_ended);
         if let Some(servo) = self.servo.take() {
             self.api.make_current(self.handle);

@@ -17,7 +17,7 @@ const CALIBRATION_EVERY: u32 = 100;
 
 /// Requests of the driver to the servo thread besides forces.
 #[derive(Debug, Default)]
-pub(super) struct Wishes {
+pub(super) struct Requests {
     /// End with zero force.
     pub(super) leave: AtomicBool,
     /// Number of requested calibrations.
@@ -31,7 +31,7 @@ pub(super) struct Turner {
     api: Arc<Api>,
     handle: Handle,
     end: DriverEnd,
-    wishes: Arc<Wishes>,
+    requests: Arc<Requests>,
     style: u32,
     device_state: DeviceState,
     is_on: bool,
@@ -45,14 +45,14 @@ impl Turner {
         api: Arc<Api>,
         handle: Handle,
         end: DriverEnd,
-        wishes: Arc<Wishes>,
+        requests: Arc<Requests>,
         style: u32,
     ) -> Self {
         Self {
             api,
             handle,
             end,
-            wishes,
+            requests,
             style,
             device_state: DeviceState::at_rest(),
             is_on: false,
@@ -63,7 +63,7 @@ impl Turner {
 
     /// Runs one turn; returns whether to continue.
     pub(super) fn turn(&mut self) -> bool {
-        let leaves = self.wishes.leave.load(Ordering::Acquire);
+        let leaves = self.requests.leave.load(Ordering::Acquire);
         let mut order = self.end.order();
         if leaves || self.is_lost {
             order = Order::OFF;
@@ -81,8 +81,8 @@ impl Turner {
 
     /// Checks the calibration, and calibrates on request.
     fn calibrate(&mut self) {
-        let asked = self.wishes.calibrate.load(Ordering::Acquire);
-        let is_asked = asked != self.wishes.calibrated.load(Ordering::Acquire);
+        let asked = self.requests.calibrate.load(Ordering::Acquire);
+        let is_asked = asked != self.requests.calibrated.load(Ordering::Acquire);
         if !is_asked && self.until_checked > 0 {
             self.until_checked -= 1;
             return;
@@ -100,7 +100,7 @@ impl Turner {
             parameter::CALIBRATION_NEEDS_UPDATE => Calibration::InProgress,
             _ => Calibration::NeedsUser,
         };
-        self.wishes.calibrated.store(asked, Ordering::Release);
+        self.requests.calibrated.store(asked, Ordering::Release);
     }
 
     fn read(&mut self) {

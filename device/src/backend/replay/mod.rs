@@ -80,7 +80,7 @@ impl HapticDevice for Replay {
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        let now = self.motors.tell(now)?;
+        let now = self.motors.advance_to(now)?;
         let t_s = self.start.script_s(now);
         let (moment, velocity, angular_velocity) = self.motion.at(t_s, &mut self.near);
         Ok(Sample {

@@ -145,7 +145,7 @@ impl HapticDevice for SimHand {
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        let now = self.motors.tell(now)?;
+        let now = self.motors.advance_to(now)?;
         let faults = self.advance();
         let script = self.body.script().pose(self.start.script_s(now));
         Ok(Sample {
@@ -171,7 +171,7 @@ impl HapticDevice for SimHand {
             return Written::Rejected(why);
         }
         // The old force acts until now. The next reading reports a jump of time.
-        if self.motors.tell(now).is_ok() {
+        if self.motors.advance_to(now).is_ok() {
             self.advance();
         }
         match self.motors.take(now, wrench, &self.caps) {

@@ -50,13 +50,13 @@ pub(super) struct State {
 }
 
 /// The driver thread's end.
-pub(super) struct Teller {
+pub(super) struct Publisher {
     state: State,
     line: Input<State>,
 }
 
 /// A triple buffer from a driver's thread to the force loop.
-pub(super) fn line() -> (Teller, Output<State>) {
+pub(super) fn line() -> (Publisher, Output<State>) {
     let state = State {
         controls: Controls::NEUTRAL,
         present: true,
@@ -64,12 +64,12 @@ pub(super) fn line() -> (Teller, Output<State>) {
         garbled: 0,
     };
     let (line, heard) = triple_buffer(&state);
-    (Teller { state, line }, heard)
+    (Publisher { state, line }, heard)
 }
 
-impl Teller {
+impl Publisher {
     /// Publishes the present controls, changed or not.
-    pub(super) fn tell(&mut self, controls: Controls) {
+    pub(super) fn publish(&mut self, controls: Controls) {
         self.state.controls = controls;
         self.state.heard += 1;
         self.line.write(self.state);
@@ -89,7 +89,7 @@ impl Teller {
     }
 }
 
-impl Drop for Teller {
+impl Drop for Publisher {
     /// A thread that ended, even by a panic, no longer knows the controls.
     fn drop(&mut self) {
         self.present(false);

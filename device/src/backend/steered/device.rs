@@ -102,9 +102,9 @@ impl Steered {
     /// Steers a tool in `space` by the controls of `source`; the source gets its own thread.
     pub fn open(source: Box<dyn Source>, kind: Kind, space: &Space) -> Result<Self, OpenError> {
         let steering = Steering::new(kind.rate, space.workspace, space.start)?;
-        let (teller, states) = line();
+        let (publisher, states) = line();
         let hint = Hint::default();
-        let driver = Driver::spawn(source, teller, hint.clone())
+        let driver = Driver::spawn(source, publisher, hint.clone())
             .map_err(|e| OpenError::Thread(e.to_string()))?;
         Ok(Self {
             caps: DeviceCaps {

@@ -9,7 +9,7 @@ use std::time::Duration;
 use thiserror::Error;
 
 use super::Controls;
-use super::controls::Teller;
+use super::controls::Publisher;
 
 /// Wait for a message between two checks of the cue and of the stop flag: half of the minimum time between two
 /// changes of a cue.
@@ -71,13 +71,13 @@ pub(super) struct Driver {
 impl Driver {
     pub(super) fn spawn(
         source: Box<dyn Source>,
-        teller: Teller,
+        publisher: Publisher,
         hint: Hint,
     ) -> std::io::Result<Self> {
         let (keep, kept) = mpsc::channel();
         let thread = std::thread::Builder::new()
             .name("device".to_owned())
-            .spawn(move || run(source, teller, &hint, &kept))?;
+            .spawn(move || run(source, publisher, &hint, &kept))?;
         Ok(Self {
             keep: Some(keep),
             thread: Some(thread),
@@ -100,16 +100,21 @@ impl Drop for Driver {
     }
 }
 
-fn run(mut source: Box<dyn Source>, mut teller: Teller, hint: &Hint, keep: &mpsc::Receiver<()>) {
+fn run(
+    mut source: Box<dyn Source>,
+    mut publisher: Publisher,
+    hint: &Hint,
+    keep: &mpsc::Receiver<()>,
+) {
     let mut hinted = 0.0;
     let goes_on = |patience| keep.recv_timeout(patience) == Err(RecvTimeoutError::Timeout);
     while goes_on(Duration::ZERO) {
         match source.listen(PATIENCE) {
             Ok(News::Quiet) => {}
-            Ok(News::Controls(controls)) if controls.is_finite() => teller.tell(controls),
-            Ok(News::Controls(_) | News::Garbled) => teller.garbled(),
+            Ok(News::Controls(controls)) if controls.is_finite() => publisher.publish(controls),
+            Ok(News::Controls(_) | News::Garbled) => publisher.garbled(),
             Err(Gone) => {
-                teller.present(false);
+                publisher.present(false);
                 loop {
                     if !goes_on(REOPEN_EVERY) {
                         return;
@@ -118,7 +123,7 @@ fn run(mut source: Box<dyn Source>, mut teller: Teller, hint: &Hint, keep: &mpsc
                         break;
                     }
                 }
-                teller.present(true);
+                publisher.present(true);
                 // The device has lost its earlier cue.
                 hinted = 0.0;
             }

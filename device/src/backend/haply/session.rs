@@ -18,13 +18,13 @@ const IDLE: Duration = Duration::from_millis(2);
 const ANSWER: Duration = Duration::from_millis(50);
 
 /// Maximum number of outstanding answers before the service counts as gone: half a second.
-const OWED_MAX: u32 = 10;
+const OUTSTANDING_MAX: u32 = 10;
 
 /// Time until a lost service is tried again.
-const AGAIN: Duration = Duration::from_secs(1);
+const RETRY_AFTER: Duration = Duration::from_secs(1);
 
 /// The connection's thread.
-pub(super) struct Talk {
+pub(super) struct Session {
     pub(super) url: String,
     pub(super) id: String,
     pub(super) spelling: Spelling,
@@ -35,16 +35,16 @@ pub(super) struct Talk {
 }
 
 /// The connection has ended.
-struct Over;
+struct Ended;
 
-impl Talk {
+impl Session {
     /// Runs until the stop flag is set, and reconnects after a loss. The last message is zero force.
-    pub(super) fn hold(mut self, link: Link) {
+    pub(super) fn run(mut self, link: Link) {
         let mut watch = Watch::default();
         let mut next = Some(link);
         while let Some(mut link) = next.take() {
             link.wait_at_most(ANSWER);
-            let ended = self.exchanges(&mut link, &mut watch);
+            let ended = self.run_session(&mut link, &mut watch);
             // Also after a loss: a service that sends nothing may still receive.
             let _ = self.send(&mut link, &Order::OFF);
             if ended.is_ok() {
@@ -58,14 +58,14 @@ impl Talk {
                 lost: Some(DeviceFault::Unplugged),
                 ..self.device_state
             });
-            next = self.begin_again();
+            next = self.reconnect();
             // Orders from before the loop knew of the loss are void on the new connection.
             self.end.cut();
         }
     }
 
     /// Exchanges messages until the stop flag is set.
-    fn exchanges(&mut self, link: &mut Link, watch: &mut Watch) -> Result<(), Over> {
+    fn run_session(&mut self, link: &mut Link, watch: &mut Watch) -> Result<(), Ended> {
         while !self.leave.load(Ordering::Acquire) {
             // The loop unparks this thread by a write or by closing.
             std::thread::park_timeout(IDLE);
@@ -76,7 +76,7 @@ impl Talk {
     }
 
     /// A new connection, once the service lists the device again; `None` when the stop flag is set.
-    fn begin_again(&mut self) -> Option<Link> {
+    fn reconnect(&mut self) -> Option<Link> {
         while !self.leave.load(Ordering::Acquire) {
             if let Ok((link, message)) = inventory(&self.url)
                 && message.found().iter().any(|f| f.id == self.id)
@@ -86,7 +86,7 @@ impl Talk {
                 return Some(link);
             }
             // Each order of the loop unparks this thread, so the wait is split.
-            for _ in 0..AGAIN.as_millis() {
+            for _ in 0..RETRY_AFTER.as_millis() {
                 std::thread::park_timeout(Duration::from_millis(1));
                 if self.leave.load(Ordering::Acquire) {
                     return None;
@@ -97,34 +97,34 @@ impl Talk {
     }
 
     /// Sends an order and waits for its answer, and for outstanding ones.
-    fn exchange(&mut self, link: &mut Link, order: &Order, watch: &mut Watch) -> Result<(), Over> {
+    fn exchange(&mut self, link: &mut Link, order: &Order, watch: &mut Watch) -> Result<(), Ended> {
         self.send(link, order)?;
-        let mut owed = 1;
-        while owed > 0 {
+        let mut outstanding = 1;
+        while outstanding > 0 {
             match link.receive() {
                 Received::Text(text) => {
-                    owed -= 1;
-                    self.hear(&text, watch);
+                    outstanding -= 1;
+                    self.apply(&text, watch);
                 }
                 Received::Nothing if self.leave.load(Ordering::Acquire) => return Ok(()),
-                Received::Nothing if owed < OWED_MAX => {
+                Received::Nothing if outstanding < OUTSTANDING_MAX => {
                     self.send(link, &Order::OFF)?;
                     self.end.cut();
-                    owed += 1;
+                    outstanding += 1;
                 }
-                Received::Nothing | Received::Unfit(_) | Received::Closed(_) => return Err(Over),
+                Received::Nothing | Received::Unfit(_) | Received::Closed(_) => return Err(Ended),
             }
         }
         Ok(())
     }
 
-    fn send(&self, link: &mut Link, order: &Order) -> Result<(), Over> {
+    fn send(&self, link: &mut Link, order: &Order) -> Result<(), Ended> {
         let text = force(&self.id, self.spelling, order.wrench.force);
-        link.send(text).map_err(|_| Over)
+        link.send(text).map_err(|_| Ended)
     }
 
     /// Publishes the state in an answer. An invalid answer is ignored: the loop detects missing states.
-    fn hear(&mut self, text: &str, watch: &mut Watch) {
+    fn apply(&mut self, text: &str, watch: &mut Watch) {
         let Ok(message) = Message::read(text) else {
             return;
         };
