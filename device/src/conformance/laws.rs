@@ -270,7 +270,7 @@ pub(super) fn no_motors_no_force(bench: &mut Bench<'_, '_>) -> Verdict {
 }
 
 /// The motors get the force that the device reports as rendered, within a delay of a twentieth of a second.
-pub(super) fn motors_get_it(bench: &mut Bench<'_, '_>) -> Verdict {
+pub(super) fn motors_get_the_reported_force(bench: &mut Bench<'_, '_>) -> Verdict {
     let wrench = bench.gentle(2);
     bench.tick(bench.ticks_in(0.5), wrench)?;
     let said = bench.device.rendered().force.norm();
@@ -284,7 +284,7 @@ pub(super) fn motors_get_it(bench: &mut Bench<'_, '_>) -> Verdict {
 
 /// A plug pulled under force: within a second the driver reports it and removes the force on its side; it rejects
 /// writes and does not enable forces again.
-pub(super) fn unplugging_is_said(bench: &mut Bench<'_, '_>) -> Verdict {
+pub(super) fn unplugging_is_reported(bench: &mut Bench<'_, '_>) -> Verdict {
     let forced = bench.device.caps().dof_out > 0;
     let wrench = bench.gentle(1);
     if forced {
@@ -355,7 +355,7 @@ pub(super) fn closing_is_final(bench: &mut Bench<'_, '_>) -> Verdict {
 }
 
 /// The maker's side reports no violation: frames and calls in order, no error left unread.
-pub(super) fn nothing_amiss(bench: &mut Bench<'_, '_>) -> Verdict {
+pub(super) fn no_violations(bench: &mut Bench<'_, '_>) -> Verdict {
     let amiss = bench.amiss();
     ensure(amiss.is_empty(), || amiss.join("; "))
 }

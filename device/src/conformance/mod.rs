@@ -209,7 +209,7 @@ fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
         law(
             "the motors get the reported force",
             forced.and(when(hooks.at_motors.is_some(), "")),
-            laws::motors_get_it,
+            laws::motors_get_the_reported_force,
         ),
         law(
             "disabling renders zero at once",
@@ -224,7 +224,7 @@ fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
         law(
             "a pulled plug ends the force and is reported",
             when(hooks.unplug.is_some(), ""),
-            laws::unplugging_is_said,
+            laws::unplugging_is_reported,
         ),
         law(
             "closing renders zero and ends every call",
@@ -234,7 +234,7 @@ fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
         law(
             "the maker's side reports nothing amiss",
             when(hooks.amiss.is_some(), ""),
-            laws::nothing_amiss,
+            laws::no_violations,
         ),
     ]
 }
