@@ -82,14 +82,14 @@ impl Coupling {
     }
 
     /// Upper bound of the largest eigenvalue of K in the metric of the grip with these slopes, N/m.
-    pub fn stretch(&self, model: &ContactModel, slopes: &[Slope; CONTACTS_MAX]) -> f64 {
-        self.followed(model, slopes) + self.held(model)
+    pub fn stiffness_bound(&self, model: &ContactModel, slopes: &[Slope; CONTACTS_MAX]) -> f64 {
+        self.slope_stiffness(model, slopes) + self.geometric_stiffness(model)
     }
 
     /// The factor that brings the slopes within the cap, 0 to 1.
     fn share(&self, model: &ContactModel, slopes: &[Slope; CONTACTS_MAX]) -> f64 {
-        let followed = self.followed(model, slopes);
-        let left = self.cap.n_per_m() - self.held(model);
+        let followed = self.slope_stiffness(model, slopes);
+        let left = self.cap.n_per_m() - self.geometric_stiffness(model);
         if followed <= left * (1.0 + ROUNDING) {
             1.0
         } else {
@@ -98,7 +98,7 @@ impl Coupling {
     }
 
     /// The part that grows with the slopes: contact points and couple.
-    fn followed(&self, model: &ContactModel, slopes: &[Slope; CONTACTS_MAX]) -> f64 {
+    fn slope_stiffness(&self, model: &ContactModel, slopes: &[Slope; CONTACTS_MAX]) -> f64 {
         let (mut k, mut g, mut pressed) = (Matrix6::zeros(), Vector6::zeros(), 0.0);
         for (touch, slope) in model.touches.iter().zip(slopes) {
             if !touch.touches {
@@ -126,7 +126,7 @@ impl Coupling {
     }
 
     /// The part that does not: forces held on levers that turn.
-    fn held(&self, model: &ContactModel) -> f64 {
+    fn geometric_stiffness(&self, model: &ContactModel) -> f64 {
         let mut g = Matrix6::zeros();
         for t in model.touching() {
             let pushed = t.normal * t.normal.dot(&t.f0);
@@ -243,7 +243,8 @@ mod tests {
     fn forces_that_turn_with_the_tool_lower_the_slopes() {
         // 4 N outwards at 50 mm turn back like 0.2 N·m/rad: 80 N/m at the grip.
         let at = touch(Vector3::new(GRIP, 0.0, 0.0), Vector3::x(), 4.0, 0.0);
-        let [forces, wrenches] = couplings().map(|c| c.held(&ContactModel::single(at)));
+        let [forces, wrenches] =
+            couplings().map(|c| c.geometric_stiffness(&ContactModel::single(at)));
         assert_eq!(forces, 0.0);
         assert!((wrenches - 80.0).abs() < 1e-9, "{wrenches} N/m");
     }
@@ -294,7 +295,7 @@ mod tests {
         fn no_motion_is_stiffer_than_the_cap(model in models()) {
             for coupling in couplings() {
                 let slopes = coupling.slopes(&model);
-                prop_assert!(coupling.stretch(&model, &slopes) <= 1000.0 * (1.0 + 1e-6)
+                prop_assert!(coupling.stiffness_bound(&model, &slopes) <= 1000.0 * (1.0 + 1e-6)
                     || slopes.iter().all(|s| s.along == 0.0));
             }
             let slopes = couplings()[1].slopes(&model);
