@@ -1,10 +1,10 @@
-//! What every driver with motors does before a wrench reaches them: clamp it, and ramp up after enabling.
+//! Clamps a wrench before it reaches the motors, and ramps it up after enabling.
 
 use nalgebra::Vector3;
 
 use crate::{DeviceCaps, DeviceTime, ForceState, Wrench};
 
-/// `wrench` within the limits of a device, and whether they changed it. Neither part is turned.
+/// `wrench` clamped to the limits of a device, and whether it was changed. The directions are kept.
 pub(crate) fn clamp_wrench(wrench: Wrench, caps: &DeviceCaps) -> (Wrench, bool) {
     let within = |v: Vector3<f64>, limit: f64| {
         let n = v.norm();
@@ -19,7 +19,7 @@ pub(crate) fn clamp_wrench(wrench: Wrench, caps: &DeviceCaps) -> (Wrench, bool) 
     (Wrench { force, torque }, a || b)
 }
 
-/// The ramp of motors that were enabled: it begins with the first write.
+/// The ramp after enabling: it begins with the first write.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Ramp {
     length_us: i64,
@@ -37,7 +37,7 @@ impl Ramp {
         }
     }
 
-    /// Motors that were enabled and have not been written to.
+    /// Motors that were enabled and have no write yet.
     pub(crate) const fn on(length_us: i64) -> Self {
         Self {
             enabled: true,
@@ -49,12 +49,12 @@ impl Ramp {
         !self.enabled
     }
 
-    /// Something is written at `now`.
+    /// A write at `now` begins the ramp.
     pub(crate) fn begin(&mut self, now: DeviceTime) {
         self.from.get_or_insert(now);
     }
 
-    /// The share of what is written that is rendered at `now`, 0 to 1.
+    /// The rendered fraction of a write at `now`, 0 to 1.
     pub(crate) fn gain(&self, now: DeviceTime) -> f64 {
         match self.from {
             Some(from) if self.enabled => {

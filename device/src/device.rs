@@ -1,11 +1,11 @@
-//! The one trait of a haptic device, and what a device says of itself.
+//! The haptic device trait, and the capabilities of a device.
 
 use nalgebra::Vector3;
 use thiserror::Error;
 
 use crate::{DeviceTime, Sample, Wrench};
 
-/// The box in which a device can follow the hand, in the frame of the scene.
+/// The reachable box of a device, in the frame of the scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Workspace {
     /// The corner with the smallest coordinates, m.
@@ -21,58 +21,59 @@ impl Workspace {
     }
 }
 
-/// What a device can do. All of it is positive and finite; force, torque and stiffness are zero where it renders none.
+/// Capabilities of a device. All values are positive and finite; force, torque and stiffness are zero where the
+/// device renders none.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DeviceCaps {
-    /// What to call it to the user.
+    /// Name for the user.
     pub name: String,
     /// Degrees of freedom it senses, 1 to 7 (a gripper is the seventh).
     pub dof_in: u8,
     /// Degrees of freedom it renders, 0 to 7; 0 for an input device without motors.
     pub dof_out: u8,
-    /// Where it can follow the hand.
+    /// Reachable box.
     pub workspace: Workspace,
-    /// The largest force for a moment, N.
+    /// Peak force, N.
     pub max_force_n: f64,
-    /// The largest force it can hold, N. The haptic chain clamps to this one.
+    /// Continuous force, N. The haptic chain clamps to this one.
     pub continuous_force_n: f64,
-    /// The largest torque, N·m; zero where it renders none.
+    /// Maximum torque, N·m; zero for a device without torque.
     pub max_torque_nm: f64,
-    /// The largest stiffness it renders stably, N/m.
+    /// Maximum stable stiffness, N/m.
     pub max_stiffness_n_per_m: f64,
-    /// How often it is to be read and written, Hz.
+    /// Rate of reads and writes, Hz.
     pub rate_hz: f64,
 }
 
-/// How far a device knows where it is.
+/// Calibration state of a device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Calibration {
-    /// It always knows: absolute encoders, or no hardware at all.
+    /// Always calibrated: absolute encoders, or no hardware at all.
     NotNeeded,
-    /// Poses are trusted.
+    /// Poses are valid.
     Done,
     /// The user must do something first (put the stylus in its inkwell, hold it still).
     NeedsUser,
-    /// It is finding its reference now.
+    /// Calibration is running.
     InProgress,
 }
 
 impl Calibration {
-    /// Whether poses can be trusted.
+    /// Whether poses are valid.
     pub const fn is_ready(self) -> bool {
         matches!(self, Self::NotNeeded | Self::Done)
     }
 }
 
-/// Whose clock drives a device. Real drivers differ in this more than in anything else; the loop that drives them does
-/// not: a driver of a device with a clock of its own has a thread for it, which hands the newest over.
+/// Owner of the clock that drives a device. A driver of a device with a clock of its own has a thread for it, which
+/// exchanges the newest values with the loop, so the loop is the same for all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum ClockOwner {
-    /// We read and write whenever we want to.
+    /// The loop reads and writes at any time.
     Ours,
     /// The driver calls back at its own rate.
     DeviceCallback,
-    /// The device answers each message with one message: whoever writes is the clock.
+    /// The device answers each message with one message: the sender is the clock.
     ReplyPerMessage,
 }
 
@@ -81,13 +82,13 @@ pub enum ClockOwner {
 pub enum ForceState {
     /// The motors are off; every write is rejected.
     Off,
-    /// The motors were just enabled and the driver scales what it is given up from zero.
+    /// The motors were just enabled, and the driver scales writes up from zero.
     Ramping,
-    /// What is written is rendered.
+    /// Writes are rendered.
     On,
 }
 
-/// What became of a wrench. A driver's own ramp after enabling is not a saturation.
+/// Result of a write. A driver's own ramp after enabling is not a saturation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[must_use]
 pub enum Written {
@@ -95,14 +96,14 @@ pub enum Written {
     Applied,
     /// It was clamped before the device saw it.
     Saturated {
-        /// What is rendered instead.
+        /// The rendered wrench.
         applied: Wrench,
     },
-    /// It was refused, and the device renders zero.
+    /// It was rejected, and the device renders zero.
     Rejected(Rejection),
 }
 
-/// Why a wrench was refused.
+/// Reason for rejecting a wrench.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Error)]
 pub enum Rejection {
     /// A number of the wrench is not finite.
@@ -111,21 +112,21 @@ pub enum Rejection {
     /// Forces are off.
     #[error("forces are off; enable them before writing")]
     ForcesOff,
-    /// The device renders no force at all.
+    /// The device has no motors.
     #[error("this device renders no force")]
     NoMotors,
     /// The device was closed.
     #[error("the device is closed")]
     Closed,
-    /// The device did not take it.
-    #[error("the device did not take the wrench (driver code {code})")]
+    /// The device rejected it.
+    #[error("the device rejected the wrench (driver code {code})")]
     Driver {
         /// The driver's own code.
         code: i32,
     },
 }
 
-/// Why a device could not be read or switched.
+/// Reason for a failed read or switch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Error)]
 pub enum DeviceFault {
     /// The device was closed.
@@ -137,7 +138,7 @@ pub enum DeviceFault {
     /// Its motors have no power.
     #[error("the device's motors have no power; plug in its power supply")]
     NoPower,
-    /// The device does not know where it is.
+    /// The device is not calibrated.
     #[error("the device is not calibrated; follow its maker's procedure, then try again")]
     NotCalibrated,
     /// The driver reported an error.
@@ -148,34 +149,32 @@ pub enum DeviceFault {
     },
 }
 
-/// A haptic device. Constructors belong to the backends; everything after that is here.
+/// A haptic device, once opened by its backend.
 ///
-/// The calling order: [`enable_forces`](Self::enable_forces), then in every tick one
-/// [`read`](Self::read) and one [`write`](Self::write) (of a device that renders no force
-/// [`cue`](Self::cue)) with times that do not run backwards, and
-/// [`close`](Self::close) at the end. Neither `read` nor `write` allocates, locks or logs, and
-/// neither panics.
+/// The calling order: [`enable_forces`](Self::enable_forces), then in every tick one [`read`](Self::read) and one
+/// [`write`](Self::write) (for a device without motors [`cue`](Self::cue)) with times that do not run backwards,
+/// and [`close`](Self::close) at the end. Neither `read` nor `write` allocates, locks, logs or panics.
 ///
-/// Whoever calls them at the rate of [`DeviceCaps::rate_hz`] may rely on the following, whoever's [`clock`](Self::clock)
-/// drives the device. Neither waits for the device longer than one call of its driver takes: where the clock is not ours,
-/// `read` gives what came last, and [`Sample::time`] says since when it is known. What came last and is older than
-/// 50 ms carries [`Faults::COMMUNICATION`](crate::Faults::COMMUNICATION), and after half a second reading is an error.
-/// A wrench stands for as long as the loop goes on: a driver with a thread of its own takes it away by itself when
-/// nobody has written for some tens of milliseconds.
+/// The following holds for a caller at [`DeviceCaps::rate_hz`] and for every owner of the [`clock`](Self::clock).
+/// Neither call waits longer than one call of the driver takes. If the clock is not the loop's, `read` returns the
+/// newest state, and [`Sample::time`] is the time of its arrival. A state older than 50 ms carries
+/// [`Faults::COMMUNICATION`](crate::Faults::COMMUNICATION); after half a second `read` returns an error. A wrench
+/// stands while the loop runs: a driver with its own thread fades it after some tens of milliseconds without a
+/// write.
 pub trait HapticDevice: Send {
-    /// What it can do; constant for as long as it is open.
+    /// Capabilities; constant while the device is open.
     fn caps(&self) -> &DeviceCaps;
 
-    /// Whether its poses can be trusted.
+    /// Calibration state.
     fn calibration(&self) -> Calibration;
 
-    /// Does what calibration this program can do, in the posture that the driver asks for, and gives the state
-    /// after it. A device whose maker has a program for that only says where it stands.
+    /// Runs the calibration that this program supports, in the posture that the driver requires, and returns the
+    /// state after it. A device that its maker's program calibrates only returns its state.
     fn calibrate(&mut self) -> Result<Calibration, DeviceFault> {
         Ok(self.calibration())
     }
 
-    /// Whose clock drives it.
+    /// Owner of the clock that drives it.
     fn clock(&self) -> ClockOwner;
 
     /// Switches the motors. Off is immediate and writes zero first; on may ramp
@@ -185,22 +184,21 @@ pub trait HapticDevice: Send {
     /// Whether the motors may push.
     fn force_state(&self) -> ForceState;
 
-    /// Where the tool is at `now`.
+    /// State of the tool at `now`.
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault>;
 
     /// Renders `wrench` from `now` until the next write. A wrench that is not finite is
     /// [`Written::Rejected`] and the device renders zero.
     fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written;
 
-    /// Tells a device that renders no force what the tool would be pushed with, once per tick and in place of
-    /// [`write`](Self::write). It is a hint and no force: a driver may let its hardware shake, and most do nothing. Like
-    /// the others it neither allocates nor waits.
+    /// Passes the force on the tool to a device without motors, once per tick and in place of
+    /// [`write`](Self::write). It is a cue, not a force: a driver may rumble, and most do nothing. It neither
+    /// allocates nor waits.
     fn cue(&mut self, _now: DeviceTime, _felt: &Wrench) {}
 
-    /// What the device renders now, as far as its driver knows: after clamps and ramps. A driver whose
-    /// device takes its force away by itself (a watchdog of its own, motors that were cut) gives here
-    /// what is left from that moment on: the loop goes on from there, and what it does not know it can
-    /// not keep from becoming a blow.
+    /// The wrench that the device renders now, after clamps and ramps, as far as its driver knows. A driver whose
+    /// device reduces force by itself (its own watchdog, motors without power) returns the rest from that moment
+    /// on. The loop continues from there, so that no step follows.
     fn rendered(&self) -> Wrench;
 
     /// Writes zero, then closes. A second call does nothing.

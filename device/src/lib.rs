@@ -1,16 +1,16 @@
-//! What a haptic device is, one folder per driver, and a simulated hand that is always there.
+//! The haptic device trait, one folder per driver, and a simulated hand without hardware.
 //!
-//! This crate never knows tissue or network, never reads a clock (time is an argument) and never
-//! decides a force: it says where the hand is and hands a wrench to the motors.
+//! This crate has no access to tissue, network or a clock (time is an argument) and computes no force: it reports
+//! the pose of the hand and passes a wrench to the motors.
 //!
-//! - [`HapticDevice`] is the one trait; [`DeviceCaps`] says what a device can do, [`ClockOwner`]
-//!   whose clock drives it.
-//! - [`backend::sim`] is a hand model that follows a [`Script`] and feels our force; [`backend::five_dof`] the device
-//!   of 2007, with its kinematics and simulated boards.
-//! - [`backend::haply`], [`backend::openhaptics`] and [`backend::dhd`] drive what people own, through the service or the
-//!   library that their makers give them.
-//! - [`backend::spacemouse`], [`backend::gamepad`] and [`backend::pointer`] steer a tool and render no force; they are told
-//!   what it would feel ([`HapticDevice::cue`]).
+//! - [`HapticDevice`] is the trait; [`DeviceCaps`] lists the capabilities of a device, [`ClockOwner`] the owner of
+//!   its clock.
+//! - [`backend::sim`] is a hand model that follows a [`Script`] and responds to force; [`backend::five_dof`] the
+//!   device of 2007, with its kinematics and simulated boards.
+//! - [`backend::haply`], [`backend::openhaptics`] and [`backend::dhd`] drive commercial devices through their
+//!   makers' service or library.
+//! - [`backend::spacemouse`], [`backend::gamepad`] and [`backend::pointer`] steer a tool and render no force;
+//!   [`HapticDevice::cue`] passes them the force on the tool.
 //! - [`conformance`] is the suite that every backend passes.
 //!
 //! Units are SI: metres, seconds, kilograms, newtons, newton metres, radians. Millimetres appear

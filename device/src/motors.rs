@@ -1,24 +1,24 @@
-//! What every driver with motors has to say of closed devices, forces that are off, ramps and limits.
+//! State of the motors, common to all drivers: closed, off, ramp and limits.
 
 use crate::clamp::{Ramp, clamp_wrench};
 use crate::{DeviceCaps, DeviceFault, DeviceTime, ForceState, Rejection, Wrench};
 
-/// A driver's motors as the one trait sees them: off until enabled, zero until written to, closed for good.
+/// A driver's motors as the trait reports them: off until enabled, zero until written, closed for good.
 ///
-/// It decides what may reach the motors and never touches them: the driver renders what [`take`](Self::take) and
-/// [`rendered`](Self::rendered) give.
+/// It limits the output and never accesses the hardware: the driver renders the results of [`take`](Self::take) and
+/// [`rendered`](Self::rendered).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Motors {
     ramp_us: i64,
     ramp: Ramp,
     written: Wrench,
-    /// The last time anybody told the device.
+    /// The latest time passed to the device.
     now: DeviceTime,
     open: bool,
 }
 
 impl Motors {
-    /// Motors that are off, of a device that is open; enabled ones scale forces up for `ramp_us`, µs.
+    /// Motors of an open device, off; after enabling, forces ramp up over `ramp_us`, µs.
     pub(crate) const fn new(ramp_us: i64) -> Self {
         Self {
             ramp_us,
@@ -29,7 +29,7 @@ impl Motors {
         }
     }
 
-    /// Whether the device was not closed.
+    /// Whether the device is open.
     pub(crate) const fn is_open(&self) -> bool {
         self.open
     }
@@ -39,13 +39,13 @@ impl Motors {
         self.ramp.is_off()
     }
 
-    /// The last time anybody told the device.
+    /// The latest time passed to the device.
     pub(crate) const fn now(&self) -> DeviceTime {
         self.now
     }
 
-    /// It is `now`, or as late as it was when time runs backwards; an error of a device that was closed.
-    pub(crate) fn tell(&mut self, now: DeviceTime) -> Result<DeviceTime, DeviceFault> {
+    /// Advances the time to `now`, never backwards; an error after closing.
+    pub(crate) fn advance_to(&mut self, now: DeviceTime) -> Result<DeviceTime, DeviceFault> {
         if !self.open {
             return Err(DeviceFault::Closed);
         }
@@ -53,7 +53,7 @@ impl Motors {
         Ok(self.now)
     }
 
-    /// Switches on or off, in both cases from zero.
+    /// Switches on or off, starting from zero.
     pub(crate) fn enable(&mut self, on: bool) -> Result<(), DeviceFault> {
         if !self.open {
             return Err(DeviceFault::Closed);
@@ -65,7 +65,7 @@ impl Motors {
         Ok(())
     }
 
-    /// Zero, and off.
+    /// Zero force, motors off.
     pub(crate) fn stop(&mut self) {
         self.ramp = Ramp::off(self.ramp_us);
         self.written = Wrench::ZERO;
@@ -76,7 +76,7 @@ impl Motors {
         self.ramp.state(self.now)
     }
 
-    /// Whether anything may be written at all.
+    /// Whether a write is accepted.
     pub(crate) fn ready(&self) -> Result<(), Rejection> {
         if !self.open {
             Err(Rejection::Closed)
@@ -87,8 +87,8 @@ impl Motors {
         }
     }
 
-    /// Takes a wrench that is written at `now`: what may be rendered of it, before the ramp, and whether the limits
-    /// changed it. What is refused leaves zero.
+    /// Accepts a wrench written at `now`: returns its clamped value before the ramp, and whether it was clamped. A
+    /// rejected wrench leaves zero.
     pub(crate) fn take(
         &mut self,
         now: DeviceTime,
@@ -107,22 +107,22 @@ impl Motors {
         Ok((within, clamped))
     }
 
-    /// The driver found that it renders this and no more.
+    /// The driver renders only this wrench.
     pub(crate) fn render_only(&mut self, wrench: Wrench) {
         self.written = wrench;
     }
 
-    /// What is rendered now, ramp included.
+    /// The rendered wrench, with the ramp.
     pub(crate) fn rendered(&self) -> Wrench {
         self.written.scaled(self.gain())
     }
 
-    /// The share of what is written that is rendered now, 0 to 1.
+    /// The rendered fraction of a write, 0 to 1.
     pub(crate) fn gain(&self) -> f64 {
         self.ramp.gain(self.now)
     }
 
-    /// Zero, off, and closed for good; whether it was open until now.
+    /// Zero force, motors off, closed for good; returns whether it was open.
     pub(crate) fn close(&mut self) -> bool {
         self.stop();
         std::mem::replace(&mut self.open, false)
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_refused_leaves_zero() {
+    fn a_rejected_wrench_leaves_zero() {
         let (caps, at) = (caps(), DeviceTime::from_micros);
         let mut motors = Motors::new(1000);
         assert_eq!(
@@ -160,7 +160,7 @@ mod tests {
         motors.enable(true).unwrap();
         assert_eq!(motors.take(at(0), push(1.0), &caps), Ok((push(1.0), false)));
         assert_eq!(motors.rendered(), Wrench::ZERO);
-        motors.tell(at(1000)).unwrap();
+        motors.advance_to(at(1000)).unwrap();
         assert_eq!(
             (motors.rendered(), motors.state()),
             (push(1.0), ForceState::On)
@@ -176,12 +176,12 @@ mod tests {
             Err(Rejection::Closed)
         );
         assert_eq!(motors.enable(true), Err(DeviceFault::Closed));
-        assert_eq!(motors.tell(at(4000)), Err(DeviceFault::Closed));
+        assert_eq!(motors.advance_to(at(4000)), Err(DeviceFault::Closed));
     }
 
     proptest! {
         #[test]
-        fn no_order_of_calls_renders_more_than_the_limit_or_with_motors_off(
+        fn no_call_order_exceeds_the_limit_or_renders_with_motors_off(
             calls in prop::collection::vec((0..4_u8, -50.0..50.0_f64, 0..400_i64), 1..60),
         ) {
             let caps = caps();
@@ -193,7 +193,7 @@ mod tests {
                 match call {
                     0 => motors.enable(n > 0.0).unwrap(),
                     1 => motors.stop(),
-                    2 => motors.tell(now).map(|_| ()).unwrap(),
+                    2 => motors.advance_to(now).map(|_| ()).unwrap(),
                     _ => { let _ = motors.take(now, push(n), &caps); }
                 }
                 let rendered = motors.rendered().force.norm();

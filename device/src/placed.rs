@@ -1,4 +1,4 @@
-//! A device somewhere in the scene: on a table the tool moves about a point that is the device's own.
+//! Placement of a device in the scene.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -7,13 +7,13 @@ use crate::{
     Sample, Workspace, Wrench, Written,
 };
 
-/// Where a device's frame is in the scene. It moves and turns and does not scale: a millimetre of the hand is one of
-/// the tool, and a newton is a newton.
+/// Pose of a device's frame in the scene. It has no scale: a millimetre of the hand is a millimetre of the tool,
+/// and newtons are unchanged.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placement {
-    /// Turns what the device says into the scene.
+    /// Rotation from the device's frame to the scene's.
     pub turn: UnitQuaternion<f64>,
-    /// Where the device's origin is, m.
+    /// Position of the device's origin, m.
     pub origin: Vector3<f64>,
 }
 
@@ -28,7 +28,7 @@ impl Default for Placement {
 }
 
 impl Placement {
-    /// Turned so, with the device's `point` (m) at `at` (m) in the scene.
+    /// The placement with rotation `turn` and the device's `point` (m) at `at` (m) in the scene.
     pub fn with(turn: UnitQuaternion<f64>, point: Vector3<f64>, at: Vector3<f64>) -> Self {
         Self {
             turn,
@@ -36,7 +36,7 @@ impl Placement {
         }
     }
 
-    /// A pose of the device in the scene.
+    /// Transforms a pose from the device's frame to the scene's.
     pub fn to_scene(&self, pose: &Pose) -> Pose {
         Pose {
             position: self.turn * pose.position + self.origin,
@@ -44,7 +44,7 @@ impl Placement {
         }
     }
 
-    /// A pose of the scene as the device would have it.
+    /// Transforms a pose from the scene's frame to the device's.
     pub fn to_device(&self, pose: &Pose) -> Pose {
         let back = self.turn.inverse();
         Pose {
@@ -72,7 +72,7 @@ impl Placement {
     }
 }
 
-/// A device with its place in the scene; everything it says and is told is in the scene's frame.
+/// A device with its placement; all its inputs and outputs are in the scene's frame.
 #[derive(Debug)]
 pub struct Placed<D> {
     device: D,
@@ -81,7 +81,7 @@ pub struct Placed<D> {
 }
 
 impl<D: HapticDevice> Placed<D> {
-    /// Puts a device somewhere.
+    /// A device at a placement.
     pub fn new(device: D, placement: Placement) -> Self {
         let mut caps = device.caps().clone();
         caps.workspace = placement.around(&caps.workspace);
@@ -97,7 +97,7 @@ impl<D: HapticDevice> Placed<D> {
         &self.device
     }
 
-    /// Where it is.
+    /// Its placement.
     pub fn placement(&self) -> &Placement {
         &self.placement
     }
@@ -207,7 +207,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn there_and_back_is_where_it_was(
+        fn to_device_inverts_to_scene(
             turn in prop::array::uniform3(-3.0..3.0f64), origin in prop::array::uniform3(-1.0..1.0f64),
             at in prop::array::uniform3(-1.0..1.0f64), turned in prop::array::uniform3(-3.0..3.0f64),
         ) {

@@ -1,10 +1,10 @@
-//! What a device says in one reading, and what it is told to render.
+//! Input and output of a device: samples and wrenches.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::DeviceTime;
 
-/// Where the tool is and how it is turned, in the frame of the scene.
+/// Position and orientation of the tool, in the frame of the scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
     /// Position of the tool's tip, m.
@@ -14,7 +14,7 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// The pose at `position` (m), not turned.
+    /// The pose at `position` (m), with identity orientation.
     pub fn at(position: Vector3<f64>) -> Self {
         Self {
             position,
@@ -107,26 +107,26 @@ impl Buttons {
     }
 }
 
-/// What a device reports as wrong while it still answers, one bit each.
+/// Faults that a device reports while it still answers, one bit each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct Faults(u32);
 
 impl Faults {
-    /// Nothing is wrong.
+    /// No fault.
     pub const NONE: Self = Self(0);
     /// The time between two readings was too long to follow; the pose may have jumped.
     pub const TIME_JUMP: Self = Self(1);
-    /// The motors are warm: the device may soon limit itself.
+    /// The motors are warm: the device may soon limit its force.
     pub const MOTORS_WARM: Self = Self(1 << 1);
     /// The tool is outside the workspace.
     pub const OUT_OF_WORKSPACE: Self = Self(1 << 2);
-    /// More force was asked for than the device can give, and it protected itself.
+    /// The requested force exceeded the device's limit, and it protected itself.
     pub const OVER_FORCE: Self = Self(1 << 3);
     /// The link to the device lost a message.
     pub const COMMUNICATION: Self = Self(1 << 4);
     /// The emergency stop is pressed.
     pub const EMERGENCY_STOP: Self = Self(1 << 5);
-    /// The pose can not be trusted: the device is not calibrated, or its readings contradict.
+    /// The pose is invalid: the device is not calibrated, or its readings contradict each other.
     pub const UNTRUSTED_POSE: Self = Self(1 << 6);
 
     const STOPPING: u32 = Self::OVER_FORCE.0
@@ -139,7 +139,7 @@ impl Faults {
         self.0
     }
 
-    /// Whether nothing is wrong.
+    /// Whether there is no fault.
     pub const fn is_empty(self) -> bool {
         self.0 == 0
     }
@@ -155,19 +155,18 @@ impl Faults {
         Self(self.0 | other.0)
     }
 
-    /// Whether any of them forbids force: what the device says of itself or of the hand can no
-    /// longer be trusted.
+    /// Whether any of them forbids force, because the device's state or the hand's is unknown.
     pub const fn forbid_force(self) -> bool {
         self.0 & Self::STOPPING != 0
     }
 }
 
-/// One reading of a device. It is plain data and crosses threads whole.
+/// One reading of a device; plain data that is copied between threads.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
-    /// When the reading was true, on the device's clock.
+    /// Time of the reading, on the device's clock.
     pub time: DeviceTime,
-    /// Where the tool is.
+    /// Pose of the tool.
     pub pose: Pose,
     /// Velocity of the tip, m/s.
     pub velocity: Vector3<f64>,
@@ -177,7 +176,7 @@ pub struct Sample {
     pub buttons: Buttons,
     /// Opening of a gripper from 0 (shut) to 1 (open); `None` for a tool without one.
     pub gripper: Option<f64>,
-    /// What is wrong.
+    /// The faults.
     pub faults: Faults,
 }
 
@@ -214,7 +213,7 @@ mod tests {
     use crate::DeviceTime;
 
     #[test]
-    fn one_bad_number_anywhere_is_seen() {
+    fn is_finite_detects_any_non_finite_number() {
         let good = Sample::resting(DeviceTime::ZERO, Pose::default());
         assert!(good.is_finite());
         for field in 0..4 {

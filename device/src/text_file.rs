@@ -1,7 +1,7 @@
-//! A text file that somebody names, read within a bound.
+//! Reads a text file of bounded size.
 //!
-//! What is no regular file is not opened: a pipe would wait for a writer that may never come, and a device has no
-//! length to be looked at before it fills the memory. A file that grows while it is read ends at the bound too.
+//! Only regular files are opened: a pipe would wait for a writer, and a device has no length to check before
+//! reading. A file that grows meanwhile is also cut off at the bound.
 
 use std::fs::{File, metadata};
 use std::io::{Error, ErrorKind, Read as _};
@@ -9,16 +9,16 @@ use std::path::Path;
 
 use thiserror::Error as ThisError;
 
-/// Why a text was not read. Who shows it says which file, and what it should have been.
+/// Reason for not reading a text. The caller adds the file's name and the expected content.
 #[derive(Debug, ThisError)]
 pub enum TextFileError {
-    /// It is no file, or the system does not give it.
+    /// Not a regular file, or the system can not read it.
     #[error(transparent)]
     Read(#[from] Error),
-    /// It has more bytes than are taken.
+    /// More bytes than the bound.
     #[error("it has {bytes} bytes")]
     TooLarge {
-        /// Its size, or how many were read of one that says none.
+        /// Its size, or the number of bytes read where the system reports none.
         bytes: u64,
     },
 }
@@ -48,7 +48,7 @@ pub fn read(path: &Path, bytes_max: u64) -> Result<String, TextFileError> {
     String::from_utf8(text).map_err(|e| {
         let valid = &e.as_bytes()[..e.utf8_error().valid_up_to()];
         let line = valid.split(|b| *b == b'\n').count();
-        no_file(&format!("line {line} is no text in UTF-8"))
+        no_file(&format!("line {line} is not UTF-8 text"))
     })
 }
 
@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_file_is_not_opened() {
+    fn only_regular_files_are_opened() {
         let dir = tempfile::tempdir().unwrap();
         let said = read(dir.path(), 5).unwrap_err().to_string();
         assert!(said.contains("is a folder"), "{said}");

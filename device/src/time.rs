@@ -2,8 +2,8 @@
 
 /// A moment on the clock that drives one device, in microseconds from an origin of its own.
 ///
-/// A device whose clock is ours ([`ClockOwner::Ours`](crate::ClockOwner::Ours)) is given this
-/// time with every call; it must not run backwards.
+/// A device on the loop's clock ([`ClockOwner::Ours`](crate::ClockOwner::Ours)) gets this time with every call; it
+/// must not run backwards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct DeviceTime(i64);
 

@@ -1,4 +1,4 @@
-//! The conformance suite fails for a driver that breaks a law: otherwise passing it says nothing.
+//! The conformance suite fails for a driver that violates a law.
 
 #![allow(clippy::unwrap_used)]
 
@@ -45,7 +45,7 @@ struct Buggy {
     world: Arc<World>,
 }
 
-/// What is behind the driver's back.
+/// State behind the driver.
 #[derive(Default)]
 struct World {
     unplugged: AtomicBool,
@@ -147,7 +147,7 @@ impl HapticDevice for Buggy {
     }
 }
 
-/// What the suite says of a driver with `bug`, with a plug to pull or without.
+/// The suite's report on a driver with `bug`, with a plug to pull or without.
 fn report_of(bug: Bug, has_plug: bool) -> Report {
     let script = Script::resting_probe(Vector3::new(0.2, 0.0, 0.0), 0.004).unwrap();
     let hand = SimHand::new(script, ScriptStart::not_yet());
@@ -190,7 +190,7 @@ fn report_of(bug: Bug, has_plug: bool) -> Report {
 /// The laws that `bug` breaks.
 fn broken_by(bug: Bug) -> Vec<&'static str> {
     let is_broken = |o: &Outcome| matches!(o, Outcome::Failed(_));
-    // Closing under force is seen where nobody pulled the plug before.
+    // Closing under force is observed only if the plug was not pulled before.
     [true, false]
         .iter()
         .flat_map(|&has_plug| report_of(bug, has_plug).rows().to_vec())
@@ -227,7 +227,7 @@ fn each_bug_breaks_the_law_it_should() {
     }
 }
 
-/// A pointer that claims to push, or that moves when it is only told.
+/// A pointer that claims to render force, or that moves on a cue.
 struct Eager {
     pointer: Pointer,
     _view: PointerHandle,
@@ -278,7 +278,7 @@ impl HapticDevice for Eager {
 }
 
 #[test]
-fn a_device_without_motors_that_pushes_all_the_same_is_caught() {
+fn a_force_on_a_device_without_motors_is_caught() {
     for applies in [true, false] {
         let half = Vector3::repeat(0.1);
         let workspace = Workspace {

@@ -1,4 +1,4 @@
-//! The driver for devices of Force Dimension and the Falcon, against a stand-in for their maker's library.
+//! The driver for devices of Force Dimension and the Falcon, against a mock of their maker's library.
 
 #![allow(clippy::unwrap_used)]
 
@@ -28,10 +28,10 @@ const SYSTEM_TYPE: u32 = 7;
 const MILLIMETRES: u32 = 8;
 const SWAPS_AXES: u32 = 9;
 const HALF_FORCE: u32 = 10;
-/// Turning a knob that is not there is taken amiss.
+/// An unknown knob counts as a violation.
 const UNKNOWN: u32 = 99;
 
-/// What the stand-in took amiss.
+/// Number of violations that the mock counted.
 const WRONG: u32 = 0;
 
 fn mock() -> Mock {
@@ -57,7 +57,7 @@ fn force(mock: &Mock) -> [f64; 3] {
     [3, 4, 5].map(|i| mock.get(i))
 }
 
-/// Writes `wrench` for so many milliseconds from `from` on.
+/// Writes `wrench` for `ms` milliseconds from `from` on.
 fn hold(device: &mut Dhd, from: i64, ms: i64, wrench: Wrench) {
     for i in 0..ms {
         device.read(at(from + i)).unwrap();
@@ -65,7 +65,7 @@ fn hold(device: &mut Dhd, from: i64, ms: i64, wrench: Wrench) {
     }
 }
 
-/// What the suite says of the driver over a stand-in whose knobs were turned.
+/// The suite's report on the driver with a mock whose knobs are set.
 fn suite(mock: &Mock) -> Report {
     let mut device = open(mock);
     let mut ms = 0;
@@ -94,7 +94,7 @@ fn suite(mock: &Mock) -> Report {
 }
 
 #[test]
-fn it_passes_the_suite_and_the_library_takes_nothing_amiss() {
+fn it_passes_the_suite_without_violations_at_the_library() {
     let report = suite(&mock());
     let rows = report.rows();
     assert!(
@@ -105,7 +105,7 @@ fn it_passes_the_suite_and_the_library_takes_nothing_amiss() {
 }
 
 #[test]
-fn the_suite_sees_what_the_library_does_wrong() {
+fn the_suite_detects_faults_of_the_library() {
     for (knob, value, word) in [
         (POSITION_ERROR, 2.0, "poses are metres"),
         (NOT_A_NUMBER, 1.0, "poses are metres"),
@@ -142,7 +142,7 @@ fn forces_and_poses_are_in_one_frame_and_in_metres_and_newtons() {
     let mock = mock();
     let mut device = open(&mock);
     device.enable_forces(true).unwrap();
-    // Right and away from the user: in the library's frame that is y and minus x.
+    // The force right and away from the user is y and minus x in the library's frame.
     hold(&mut device, 0, 3000, push(2.0, 1.0, 0.0));
     let [x, y, z] = force(&mock);
     assert!((x + 1.0).abs() < 1e-12 && (y - 2.0).abs() < 1e-12 && z.abs() < 1e-12);
@@ -158,7 +158,7 @@ fn forces_and_poses_are_in_one_frame_and_in_metres_and_newtons() {
 }
 
 #[test]
-fn one_and_two_are_no_errors_and_what_is_below_zero_is() {
+fn only_negative_results_are_errors() {
     let mock = mock();
     let mut device = open(&mock);
     device.enable_forces(true).unwrap();
@@ -180,7 +180,7 @@ fn one_and_two_are_no_errors_and_what_is_below_zero_is() {
 }
 
 #[test]
-fn a_plug_that_is_pulled_ends_force_and_is_said() {
+fn a_pulled_plug_removes_the_force_and_is_reported() {
     let mock = mock();
     let mut device = open(&mock);
     device.enable_forces(true).unwrap();
@@ -194,7 +194,7 @@ fn a_plug_that_is_pulled_ends_force_and_is_said() {
     assert_eq!(force(&mock), [0.0; 3]);
     let written = device.write(at(401), push(0.0, 2.0, 0.0));
     assert_eq!(written, Written::Rejected(Rejection::ForcesOff));
-    // Back again: forces have to be asked for, and ramp.
+    // After replugging, forces must be enabled again, and ramp.
     mock.set(POSITION_ERROR, 0.0);
     assert!(device.read(at(402)).is_ok());
     device.enable_forces(true).unwrap();
@@ -209,7 +209,7 @@ fn a_plug_that_is_pulled_ends_force_and_is_said() {
 }
 
 #[test]
-fn a_device_that_does_not_know_its_place_gives_no_force_until_it_is_calibrated() {
+fn an_uncalibrated_device_renders_no_force() {
     let mock = mock();
     mock.set(INITIALISED, 0.0);
     let mut device = open(&mock);
@@ -226,7 +226,7 @@ fn a_device_that_does_not_know_its_place_gives_no_force_until_it_is_calibrated()
     assert_eq!(mock.get(6), 0.0, "its own control was left on");
     assert_eq!(device.read(at(1)).unwrap().faults, Faults::NONE);
     device.enable_forces(true).unwrap();
-    // Whoever loses its place later is noticed within a tenth of a second.
+    // A later loss of calibration is detected within a tenth of a second.
     mock.set(INITIALISED, 0.0);
     let noticed = (2..103).any(|ms| {
         let sample = device.read(at(ms)).unwrap();
@@ -258,7 +258,7 @@ fn several_devices_are_listed_and_one_is_chosen_by_its_serial_number() {
 }
 
 #[test]
-fn a_device_that_is_in_use_is_said() {
+fn a_device_in_use_is_reported() {
     let mock = mock();
     mock.set(OPEN_ERROR, 20.0);
     let refused = dhd::open(Some(&mock.file()), None).unwrap_err().to_string();
@@ -279,7 +279,7 @@ fn a_falcon_has_no_wrist_and_less_force() {
 }
 
 #[test]
-fn what_is_wrong_with_the_library_is_one_sentence_with_the_file() {
+fn errors_of_the_library_name_the_file() {
     // By name: this machine has none.
     if let Err(missing) = dhd::open(None, None) {
         let text = missing.to_string();

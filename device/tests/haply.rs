@@ -1,4 +1,4 @@
-//! The driver for the Inverse3, against a stand-in for its maker's service.
+//! The driver for the Inverse3, against a mock of its maker's service.
 
 #![allow(clippy::unwrap_used)]
 
@@ -15,7 +15,7 @@ use palpate_device::{
     Buttons, Calibration, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Sample, Wrench,
 };
 
-/// A device, its service, and a time that goes on by a millisecond per message.
+/// A device, its service, and a time that advances by a millisecond per message.
 struct Bench {
     fake: Fake,
     device: Haply,
@@ -42,7 +42,7 @@ impl Bench {
         sample
     }
 
-    /// Ticks until something is seen, a second at most.
+    /// Ticks until `is_seen`, for a second at most.
     fn until(&mut self, wrench: Wrench, is_seen: impl Fn(&Result<Sample, DeviceFault>) -> bool) {
         let seen = (0..1000).any(|_| {
             let sample = self.tick(wrench);
@@ -62,7 +62,7 @@ impl Bench {
         bench
     }
 
-    /// What the service was last told, after a few messages more.
+    /// The last force that the service received, after a few more messages.
     fn force(&self) -> [f64; 3] {
         self.fake.hears(4);
         self.fake.with(|t| t.force)
@@ -73,7 +73,7 @@ fn push() -> Wrench {
     Wrench::from_force(Vector3::new(2.0, 0.0, 0.0))
 }
 
-/// What the suite says of the driver over a service that `is_told` something after opening.
+/// The suite's report on the driver, with a service that `is_told` changes after opening.
 fn suite(is_new: bool, is_told: impl FnOnce(&mut Told)) -> Report {
     let Bench {
         fake,
@@ -102,7 +102,7 @@ fn suite(is_new: bool, is_told: impl FnOnce(&mut Told)) -> Report {
 }
 
 #[test]
-fn it_passes_the_suite_with_both_spellings_and_the_service_refuses_nothing() {
+fn it_passes_the_suite_with_both_spellings_without_violations() {
     for is_new in [true, false] {
         let report = suite(is_new, |_| ());
         let rows = report.rows();
@@ -115,7 +115,7 @@ fn it_passes_the_suite_with_both_spellings_and_the_service_refuses_nothing() {
 }
 
 #[test]
-fn the_suite_sees_what_the_service_does_wrong() {
+fn the_suite_detects_faults_of_the_service() {
     type Tell = fn(&mut Told);
     let cases: [(Tell, &str); 7] = [
         (|t| t.manners = Manners::WithoutDevice, "poses are metres"),
@@ -124,7 +124,7 @@ fn the_suite_sees_what_the_service_does_wrong() {
         (|t| t.calibrated = false, "enabling ramps"),
         (|t| t.way = |[x, y, z]| [y, x, z], "along its own axis"),
         (|t| t.way = |f| f.map(|n| n / 2.0), "motors get"),
-        // From now on it wants the other spelling.
+        // From now on it expects the other spelling.
         (|t| t.is_new = false, "amiss"),
     ];
     for (i, (is_told, word)) in cases.into_iter().enumerate() {
@@ -151,7 +151,7 @@ fn poses_are_metres_in_the_frame_of_the_service_and_the_grip_turns_them() {
 }
 
 #[test]
-fn the_service_is_told_zero_before_the_conversation_ends() {
+fn the_last_order_before_closing_is_zero() {
     let mut bench = Bench::pushed(false);
     bench.device.close();
     assert_eq!(
@@ -161,14 +161,14 @@ fn the_service_is_told_zero_before_the_conversation_ends() {
 }
 
 #[test]
-fn a_loop_that_stands_still_leaves_no_force() {
+fn a_stopped_loop_leaves_no_force() {
     let bench = Bench::pushed(true);
     bench.fake.hears(40);
     assert_eq!(bench.force(), [0.0; 3]);
 }
 
 #[test]
-fn bad_manners_end_the_force_and_are_said_and_good_ones_bring_the_device_back() {
+fn a_misbehaving_service_stops_the_force_and_a_good_one_restores_the_device() {
     for manners in [
         Manners::Silent,
         Manners::Garbage,
@@ -181,7 +181,7 @@ fn bad_manners_end_the_force_and_are_said_and_good_ones_bring_the_device_back() 
     ] {
         let mut bench = Bench::pushed(true);
         bench.fake.with(|t| t.manners = manners);
-        // First no force; then no device.
+        // First the force stops; then the device is gone.
         bench.until(push(), |s| match s {
             Ok(sample) => sample.faults.forbid_force(),
             Err(_) => true,
@@ -195,11 +195,11 @@ fn bad_manners_end_the_force_and_are_said_and_good_ones_bring_the_device_back() 
             "{manners:?}"
         );
         let stands = bench.fake.with(|t| t.force != [0.0; 3]);
-        // Whoever hung up or was hung up on was told nothing more; such a service lets go by itself.
+        // A closed connection carries no more orders; such a service releases the force by itself.
         let over = matches!(manners, Manners::HangsUp | Manners::Huge);
         assert!(!stands || over, "{manners:?} left a force standing");
         if manners == Manners::Half {
-            // The rest of that message never comes.
+            // The rest of that message never arrives.
             continue;
         }
         bench.fake.with(|t| t.manners = Manners::Good);
@@ -212,7 +212,7 @@ fn bad_manners_end_the_force_and_are_said_and_good_ones_bring_the_device_back() 
 }
 
 #[test]
-fn events_of_safety_are_faults_of_the_device_they_are_about() {
+fn safety_events_are_faults_of_their_device() {
     let mut bench = Bench::pushed(true);
     bench.fake.event("04BA", "ebrake_triggered", "error");
     bench.fake.event("049D", "stall_detected", "warning");
@@ -230,7 +230,7 @@ fn events_of_safety_are_faults_of_the_device_they_are_about() {
 }
 
 #[test]
-fn a_device_without_power_or_place_gets_no_force() {
+fn a_device_without_power_or_position_gets_no_force() {
     let mut bench = Bench::new(true);
     bench.fake.with(|t| t.powered = false);
     bench.fake.hears(4);
@@ -278,7 +278,7 @@ fn several_devices_are_listed_and_one_is_chosen_by_its_id() {
 }
 
 #[test]
-fn what_is_wrong_with_the_service_is_one_sentence() {
+fn errors_of_the_service_are_one_sentence() {
     let at = |url: String| {
         let service = Service {
             simulation: url,

@@ -1,4 +1,4 @@
-//! Reading and writing the devices that people own allocates nothing, on the thread that does it.
+//! Reads and writes of commercial devices allocate nothing on the calling thread.
 
 #![allow(clippy::unwrap_used)]
 
@@ -22,7 +22,7 @@ thread_local! {
 struct Counting;
 
 fn note() {
-    // A thread that is being torn down has no counter any more, and none is needed.
+    // A thread in teardown has no counter, and needs none.
     let _ = CALLS.try_with(|c| c.set(c.get() + 1));
 }
 
@@ -45,8 +45,8 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Allocations in a thousand ticks under force, a lost device and a refused wrench among them. The time between ticks is
-/// the caller's.
+/// Allocations in a thousand ticks under force, including a lost device and a rejected wrench. The caller controls
+/// the time between ticks.
 fn allocations(device: &mut dyn HapticDevice, mut between: impl FnMut(i64)) -> u64 {
     device.enable_forces(true).unwrap();
     let mut calls = 0;

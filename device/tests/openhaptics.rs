@@ -1,4 +1,4 @@
-//! The driver for Touch and Phantom, against a stand-in for their maker's library.
+//! The driver for Touch and Phantom, against a mock of their maker's library.
 
 #![allow(clippy::unwrap_used)]
 
@@ -25,13 +25,13 @@ const MICROMETRES: u32 = 9;
 const SWAPS_AXES: u32 = 10;
 const HALF_FORCE: u32 = 11;
 const ERRORS_PER_FRAME: u32 = 12;
-/// Turning a knob that is not there is taken amiss.
+/// An unknown knob counts as a violation.
 const UNKNOWN: u32 = 99;
 
-/// How many errors nobody has asked for.
+/// Number of unread errors.
 const ERRORS: u32 = 9;
 
-/// What the stand-in took amiss.
+/// Number of violations that the mock counted.
 const WRONG: u32 = 0;
 
 fn mock() -> Mock {
@@ -41,7 +41,7 @@ fn mock() -> Mock {
         .copy()
 }
 
-/// An open device whose servo thread makes turns only when it is told to.
+/// An open device whose servo thread makes turns only on request.
 fn open(mock: &Mock) -> OpenHaptics {
     let device = openhaptics::open(Some(&mock.file()), None).unwrap();
     mock.set(RUNS_FREELY, 0.0);
@@ -67,7 +67,7 @@ fn wrongs(mock: &Mock) -> Vec<String> {
         .collect()
 }
 
-/// Writes `wrench` for so many milliseconds, a turn of the servo thread each.
+/// Writes `wrench` for the given milliseconds, with one turn of the servo thread each.
 fn hold(device: &mut OpenHaptics, mock: &Mock, ms: std::ops::Range<i64>, wrench: Wrench) {
     for ms in ms {
         mock.set(STEP, 1.0);
@@ -76,13 +76,13 @@ fn hold(device: &mut OpenHaptics, mock: &Mock, ms: std::ops::Range<i64>, wrench:
     }
 }
 
-/// Closing waits for the servo thread, which needs to run for that.
+/// Closing waits for the servo thread, so that thread must run.
 fn close(mut device: OpenHaptics, mock: &Mock) {
     mock.set(RUNS_FREELY, 1.0);
     device.close();
 }
 
-/// What the suite says of the driver over a stand-in whose knobs were turned after opening.
+/// The suite's report on the driver with a mock whose knobs are set after opening.
 fn suite(mock: &Mock, turn_knobs: impl Fn(&Mock)) -> Report {
     let mut device = open(mock);
     turn_knobs(mock);
@@ -97,7 +97,7 @@ fn suite(mock: &Mock, turn_knobs: impl Fn(&Mock)) -> Report {
     let mut amiss = || {
         let mut amiss = wrongs(mock);
         if mock.get(ERRORS) > 0.0 {
-            amiss.push(format!("{} errors that nobody asked for", mock.get(ERRORS)));
+            amiss.push(format!("{} unread errors", mock.get(ERRORS)));
         }
         amiss
     };
@@ -113,7 +113,7 @@ fn suite(mock: &Mock, turn_knobs: impl Fn(&Mock)) -> Report {
 }
 
 #[test]
-fn it_passes_the_suite_and_the_library_takes_nothing_amiss() {
+fn it_passes_the_suite_without_violations_at_the_library() {
     let report = suite(&mock(), |_| ());
     let rows = report.rows();
     assert!(
@@ -124,7 +124,7 @@ fn it_passes_the_suite_and_the_library_takes_nothing_amiss() {
 }
 
 #[test]
-fn the_suite_sees_what_the_library_does_wrong() {
+fn the_suite_detects_faults_of_the_library() {
     for (knob, value, word) in [
         (NOT_A_NUMBER, 1.0, "poses are metres"),
         (MICROMETRES, 1.0, "poses are metres"),
@@ -132,13 +132,13 @@ fn the_suite_sees_what_the_library_does_wrong() {
         (CALIBRATION, f64::from(0x5002), "enabling ramps"),
         (SWAPS_AXES, 1.0, "along its own axis"),
         (HALF_FORCE, 1.0, "motors get"),
-        // More errors than are ever asked for.
+        // More errors than the driver reads.
         (ERRORS_PER_FRAME, 100.0, "amiss"),
         (UNKNOWN, 0.0, "amiss"),
     ] {
         let mock = mock();
         let report = suite(&mock, |mock| {
-            // The calibration is asked for every hundred turns.
+            // The driver checks the calibration every hundred turns.
             mock.set(knob, value);
             mock.set(STEP, 101.0);
         });
@@ -148,7 +148,7 @@ fn the_suite_sees_what_the_library_does_wrong() {
 }
 
 #[test]
-fn zero_comes_first_then_off_then_the_scheduler_then_the_device() {
+fn closing_writes_zero_then_off_then_stops_scheduler_and_device() {
     let mock = mock();
     let mut device = open(&mock);
     device.enable_forces(true).unwrap();
@@ -165,12 +165,12 @@ fn zero_comes_first_then_off_then_the_scheduler_then_the_device() {
 }
 
 #[test]
-fn a_servo_thread_that_does_not_come_any_more_is_closed_without() {
+fn closing_works_without_a_running_servo_thread() {
     let mock = mock();
     let mut device = open(&mock);
     device.enable_forces(true).unwrap();
     hold(&mut device, &mock, 0..400, push(0.8, 0.0, 0.0));
-    // It stands still from here on.
+    // It stops here.
     device.close();
     let log = mock.log();
     assert_eq!(
@@ -185,7 +185,7 @@ fn forces_and_poses_are_in_one_frame_and_in_metres_and_newtons() {
     let mock = mock();
     let mut device = open(&mock);
     device.enable_forces(true).unwrap();
-    // Right, away from the user and up: in the library's axes that is x, minus z and y.
+    // The force right, away from the user and up is x, minus z and y in the library's axes.
     hold(&mut device, &mock, 0..3000, push(0.4, 0.3, 0.2));
     assert!((force(&mock) - Vector3::new(0.4, 0.2, -0.3)).norm() < 1e-12);
     let sample = device.read(at(3000)).unwrap();
@@ -201,12 +201,12 @@ fn forces_and_poses_are_in_one_frame_and_in_metres_and_newtons() {
 }
 
 #[test]
-fn a_loop_that_stands_still_leaves_no_force() {
+fn a_stopped_loop_leaves_no_force() {
     let mock = mock();
     let mut device = open(&mock);
     device.enable_forces(true).unwrap();
     hold(&mut device, &mock, 0..400, push(0.8, 0.0, 0.0));
-    // The servo thread goes on, and nobody writes.
+    // The servo thread continues without writes of the loop.
     mock.set(STEP, 19.0);
     assert_eq!(force(&mock).x, 0.8);
     mock.set(STEP, 22.0);
@@ -215,7 +215,7 @@ fn a_loop_that_stands_still_leaves_no_force() {
 }
 
 #[test]
-fn a_servo_thread_that_stays_out_takes_the_force_away_and_then_the_device() {
+fn a_stopped_servo_thread_stops_the_force_and_then_reports_unplugged() {
     let mock = mock();
     let mut device = open(&mock);
     device.enable_forces(true).unwrap();
@@ -230,7 +230,7 @@ fn a_servo_thread_that_stays_out_takes_the_force_away_and_then_the_device() {
 }
 
 #[test]
-fn a_plug_that_is_pulled_ends_force_at_once_and_is_said() {
+fn a_pulled_plug_removes_the_force_at_once_and_is_reported() {
     let mock = mock();
     let mut device = open(&mock);
     device.enable_forces(true).unwrap();
@@ -253,7 +253,7 @@ fn a_plug_that_is_pulled_ends_force_at_once_and_is_said() {
 }
 
 #[test]
-fn errors_become_faults_and_all_of_them_are_asked_for() {
+fn errors_become_faults_and_are_all_read() {
     let mock = mock();
     let mut device = open(&mock);
     for (code, fault) in [
@@ -268,7 +268,7 @@ fn errors_become_faults_and_all_of_them_are_asked_for() {
         assert_eq!(mock.get(9), 0.0, "{code:#x} was left in the list");
     }
     mock.set(EACH_FRAME, 0.0);
-    // A list without an end holds nobody up.
+    // An endless list of errors does not block the turn.
     mock.set(FLOODS, 1.0);
     mock.set(STEP, 1.0);
     assert_eq!(device.read(at(2)).unwrap().faults, Faults::OVER_FORCE);
@@ -283,7 +283,7 @@ fn errors_become_faults_and_all_of_them_are_asked_for() {
 }
 
 #[test]
-fn a_model_that_does_not_know_what_it_is_asked_every_frame_gets_its_force() {
+fn unsupported_queries_do_not_stop_the_force() {
     let mock = mock();
     let mut device = open(&mock);
     mock.set(EACH_FRAME, f64::from(0x0100));
@@ -295,7 +295,7 @@ fn a_model_that_does_not_know_what_it_is_asked_every_frame_gets_its_force() {
 }
 
 #[test]
-fn a_device_that_does_not_know_its_place_gives_no_force_until_it_is_calibrated() {
+fn an_uncalibrated_device_renders_no_force() {
     let mock = mock();
     mock.set(CALIBRATION, f64::from(0x5002));
     let mut device = openhaptics::open(Some(&mock.file()), None).unwrap();
@@ -316,7 +316,7 @@ fn a_device_that_does_not_know_its_place_gives_no_force_until_it_is_calibrated()
 }
 
 #[test]
-fn a_device_is_opened_by_its_name_and_what_is_refused_is_said_with_it() {
+fn a_device_is_opened_by_name_and_errors_contain_the_name() {
     let mock = mock();
     let found = openhaptics::find(Some(&mock.file()), Some("Left Device")).unwrap();
     assert_eq!(found.id, "Left Device");
@@ -338,7 +338,7 @@ fn a_device_is_opened_by_its_name_and_what_is_refused_is_said_with_it() {
 }
 
 #[test]
-fn what_is_wrong_with_the_library_is_one_sentence_with_the_file() {
+fn errors_of_the_library_name_the_file() {
     if let Err(missing) = openhaptics::open(None, None) {
         let text = missing.to_string();
         assert!(

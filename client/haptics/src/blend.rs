@@ -1,72 +1,71 @@
-//! From one contact model to the next without a step.
+//! Interpolates from one contact model to the next without a force step.
 //!
-//! A model arrives every 4 to 10 ms, and tissue is not linear: at the tool's present pose the
-//! new one says other forces than the old one. Over the time between the two solves the normal
-//! force of each place therefore goes from the one law (`law`) to the other:
+//! A model arrives every 4 to 10 ms. Tissue is nonlinear, so at the tool's present pose the new model gives another
+//! force than the old one. Over the interval between the two solves the normal force of each contact point is
+//! interpolated between the two contact laws (`contact_law`):
 //!
 //! ```text
 //! N(x) = (1 − w) N_old(x) + w N_new(x),   w from 0 to 1
 //! ```
 //!
-//! A place that is new grows from nothing, one that is gone fades to it, and levers and normals go along with them. All
-//! laws follow the tool, so the blend delays what is new in a model by at most one interval, and never the
-//! answer to a motion. When a third model comes before the blend is over, the mixture of the
-//! moment becomes the old law: it starts at exactly the force that was given.
+//! A new contact point grows from zero, an ended one fades to zero; levers and normals are interpolated too. Both
+//! laws follow the tool, so the blend delays the change of model by at most one interval and never the response to
+//! a motion. If a third model arrives during the blend, the present mixture becomes the old law, so the force is
+//! continuous.
 //!
-//! The couple of a model counts with the share of what pressed at its solve and presses now, at most one: a tool that
-//! comes off is not twisted.
+//! The couple of a model is scaled by the ratio of the present normal force to that at its solve, at most one: a
+//! tool that lifts off gets no residual torque.
 //!
-//! Only the normal part of a model is used here; what acts along the surface is friction's own
-//! (see `friction`), and a frictionless surface has none. With a constant k the normal force of a place is a
-//! function of one coordinate, so it creates no energy, whatever the path.
+//! Only the normal part of a model is used here; tangential forces come from the friction stage (`friction`). With
+//! a constant k the normal force of a contact point is a function of one coordinate, so it creates no energy on any
+//! path.
 
 use nalgebra::Vector3;
 use palpate_protocol::{ClientTime, Span};
 
-use crate::law::{Law, Said};
+use crate::contact_law::{Law, Response};
 use crate::motion::Motion;
 use crate::{CONTACTS_MAX, Contact, ContactModel, Coupling};
 
-/// The longest blend. Models further apart than this are late, and what a late model says is
-/// wanted soon.
+/// Maximum blend time. Models further apart are late, and the newest one should take effect soon.
 pub const BLEND_MAX: Span = Span::from_millis(10);
 
-/// The shortest blend: one tick.
+/// Minimum blend time: one tick.
 const BLEND_MIN: Span = Span::from_millis(1);
 
-/// The laws of all places of one model.
+/// The contact laws of all contact points of one model.
 #[derive(Debug, Clone, Copy)]
 struct Laws {
-    places: [Law; CONTACTS_MAX],
+    points: [Law; CONTACTS_MAX],
     /// C, N·m.
     couple: Vector3<f64>,
-    /// What presses in all places where C holds, N.
+    /// Sum of the normal forces for which C holds, N.
     pressed: f64,
 }
 
 impl Laws {
     const FREE: Self = Self {
-        places: [Law::FREE; CONTACTS_MAX],
+        points: [Law::FREE; CONTACTS_MAX],
         couple: Vector3::new(0.0, 0.0, 0.0),
         pressed: 0.0,
     };
 
     fn of(model: &ContactModel, coupling: &Coupling) -> Self {
         let slopes = coupling.slopes(model);
-        let mut places = [Law::FREE; CONTACTS_MAX];
+        let mut points = [Law::FREE; CONTACTS_MAX];
         let mut pressed = 0.0;
         for i in 0..CONTACTS_MAX {
-            places[i] = Law::of(model, i, &slopes[i]);
-            pressed += places[i].pressed_at_solve();
+            points[i] = Law::of(model, i, &slopes[i]);
+            pressed += points[i].total_normal_force_at_solve();
         }
         Self {
-            places,
+            points,
             couple: model.couple,
             pressed,
         }
     }
 
-    /// The couple where `pressed` newtons press, N·m.
+    /// The couple at a total normal force of `pressed` newtons, N·m.
     fn couple_at(&self, pressed: f64) -> Vector3<f64> {
         if self.pressed > 0.0 {
             self.couple * (pressed / self.pressed).min(1.0)
@@ -76,20 +75,20 @@ impl Laws {
     }
 }
 
-/// One place that touches, at the present pose.
+/// One active contact point, at the present pose.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Felt {
-    /// Its number on the tool.
-    pub(crate) place: usize,
+pub(crate) struct ActiveContact {
+    /// Its index on the tool.
+    pub(crate) index: usize,
     /// From the pivot, m, along the scene's axes.
     pub(crate) lever: Vector3<f64>,
     /// Force along the normal, N; negative only where tissue squeezes from two sides.
     pub(crate) normal_force: f64,
-    /// What friction has to know.
+    /// Input of the friction stage.
     pub(crate) contact: Contact,
 }
 
-/// The contacts at the present pose, smooth over arrivals of models.
+/// The contacts at the present pose, continuous over model arrivals.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Blend {
     coupling: Coupling,
@@ -112,12 +111,12 @@ impl Blend {
         }
     }
 
-    /// The newest model that was taken.
+    /// The model that was accepted last.
     pub(crate) fn model(&self) -> &ContactModel {
         &self.model
     }
 
-    /// Takes `model`, which is usable, if it is a new one; whether it was.
+    /// Accepts `model`, which is usable, if it is new; returns whether it was.
     pub(crate) fn take(&mut self, model: &ContactModel, now: ClientTime, motion: &Motion) -> bool {
         let id = |m: &ContactModel| (m.topology_version, m.solved_at);
         if id(model) == id(&self.model) {
@@ -125,8 +124,8 @@ impl Blend {
         }
         self.old = self.mixture(now, &motion.held());
         self.new = Laws::of(model, &self.coupling);
-        for (old, new) in self.old.places.iter().zip(&mut self.new.places) {
-            new.face_as(old);
+        for (old, new) in self.old.points.iter().zip(&mut self.new.points) {
+            new.align_normal(old);
         }
         self.length = (model.solved_at - self.model.solved_at).clamp(BLEND_MIN, BLEND_MAX);
         self.began = now;
@@ -134,40 +133,45 @@ impl Blend {
         true
     }
 
-    /// Tells `each` place that touches a tool in `motion`, in their order; the couple, N·m.
-    pub(crate) fn feel(
+    /// Calls `each` for every active contact point of a tool in `motion`, in order; returns the couple, N·m.
+    pub(crate) fn for_each_contact(
         &self,
         now: ClientTime,
         motion: &Motion,
-        mut each: impl FnMut(Felt),
+        mut each: impl FnMut(ActiveContact),
     ) -> Vector3<f64> {
         let (a, b) = self.weights(now);
         let (mut pressed_old, mut pressed_new) = (0.0, 0.0);
-        for place in 0..CONTACTS_MAX {
-            let (old, new) = (&self.old.places[place], &self.new.places[place]);
+        for index in 0..CONTACTS_MAX {
+            let (old, new) = (&self.old.points[index], &self.new.points[index]);
             if !(old.touches || new.touches) {
                 continue;
             }
-            let said = [old.say(motion), new.say(motion)];
-            pressed_old += said[0].pressed;
-            pressed_new += said[1].pressed;
-            each(self.mix(now, place, said));
+            let responses = [old.evaluate(motion), new.evaluate(motion)];
+            pressed_old += responses[0].pressed;
+            pressed_new += responses[1].pressed;
+            each(self.mix(now, index, responses));
         }
         self.old.couple_at(pressed_old) * a + self.new.couple_at(pressed_new) * b
     }
 
-    /// What is felt in a `place` where the two laws say so.
-    fn mix(&self, now: ClientTime, place: usize, [said_old, said_new]: [Said; 2]) -> Felt {
-        let (old, new) = (&self.old.places[place], &self.new.places[place]);
+    /// The interpolated response of a contact point to the two laws.
+    fn mix(
+        &self,
+        now: ClientTime,
+        index: usize,
+        [response_old, response_new]: [Response; 2],
+    ) -> ActiveContact {
+        let (old, new) = (&self.old.points[index], &self.new.points[index]);
         let (a, b) = self.weights(now);
-        let (a_t, b_t) = self.weights_of_touching(now, place);
+        let (a_t, b_t) = self.weights_of_touching(now, index);
         let mix_t = |old: f64, new: f64| a_t * old + b_t * new;
         let squeeze = a * old.squeeze + b * new.squeeze;
-        let normal_force = a * said_old.normal_force + b * said_new.normal_force;
+        let normal_force = a * response_old.normal_force + b * response_new.normal_force;
         let normal = old.normal * a_t + new.normal * b_t;
-        Felt {
-            place,
-            lever: said_old.lever * a_t + said_new.lever * b_t,
+        ActiveContact {
+            index,
+            lever: response_old.lever * a_t + response_new.lever * b_t,
             normal_force,
             contact: Contact {
                 normal: normal.try_normalize(0.1).unwrap_or(new.normal),
@@ -180,18 +184,18 @@ impl Blend {
         }
     }
 
-    /// Shares of the old and the new law.
+    /// Weights of the old and the new law.
     fn weights(&self, now: ClientTime) -> (f64, f64) {
         let w = (now - self.began).as_secs_f64() / self.length.as_secs_f64();
         let w = w.clamp(0.0, 1.0);
         (1.0 - w, w)
     }
 
-    /// The same among laws that touch: a free place has no surface to mix in.
-    fn weights_of_touching(&self, now: ClientTime, place: usize) -> (f64, f64) {
+    /// The same among active laws only: an inactive contact point has no surface to interpolate.
+    fn weights_of_touching(&self, now: ClientTime, index: usize) -> (f64, f64) {
         match (
-            self.old.places[place].touches,
-            self.new.places[place].touches,
+            self.old.points[index].touches,
+            self.new.points[index].touches,
         ) {
             (true, false) => (1.0, 0.0),
             (false, _) => (0.0, 1.0),
@@ -199,12 +203,12 @@ impl Blend {
         }
     }
 
-    /// The laws that are in force at `now`, around the pose that is `held`, as one.
+    /// The interpolated laws at `now`, relinearised around the pose `held`.
     fn mixture(&self, now: ClientTime, held: &Motion) -> Laws {
         let (a, b) = self.weights(now);
         let mut laws = Laws::FREE;
-        let couple = self.feel(now, held, |felt| {
-            let (old, new) = (&self.old.places[felt.place], &self.new.places[felt.place]);
+        let couple = self.for_each_contact(now, held, |felt| {
+            let (old, new) = (&self.old.points[felt.index], &self.new.points[felt.index]);
             let contact = felt.contact;
             let law = Law {
                 touches: contact.pressed > 0.0,
@@ -219,7 +223,7 @@ impl Blend {
                 mu_dynamic: contact.mu_dynamic,
                 ..Law::FREE
             };
-            laws.places[felt.place] = law.moved_to(&held.pose(), felt.lever);
+            laws.points[felt.index] = law.relinearised_at(&held.pose(), felt.lever);
             laws.pressed += contact.pressed;
         });
         laws.couple = couple;
@@ -233,7 +237,7 @@ mod tests {
     use palpate_protocol::{ClientTime, Span};
     use proptest::prelude::*;
 
-    use super::{Blend, Felt};
+    use super::{ActiveContact, Blend};
     use crate::motion::Motion;
     use crate::{CONTACTS_MAX, ContactModel, Coupling, StiffnessCap, Touch};
 
@@ -273,17 +277,19 @@ mod tests {
         resting(Vector3::new(0.0, 0.0, z), Vector3::zeros())
     }
 
-    /// Normal force of the only place, N.
+    /// Normal force of the only contact point, N.
     fn normal_force(blend: &Blend, us: i64, motion: &Motion) -> f64 {
         let mut sum = 0.0;
-        blend.feel(at(us), motion, |felt: Felt| sum += felt.normal_force);
+        blend.for_each_contact(at(us), motion, |felt: ActiveContact| {
+            sum += felt.normal_force
+        });
         sum
     }
 
-    /// Force and torque of all places without friction.
+    /// Force and torque of all contact points without friction.
     fn wrench(blend: &Blend, us: i64, motion: &Motion) -> (Vector3<f64>, Vector3<f64>) {
         let (mut force, mut torque) = (Vector3::zeros(), Vector3::zeros());
-        let couple = blend.feel(at(us), motion, |felt: Felt| {
+        let couple = blend.for_each_contact(at(us), motion, |felt: ActiveContact| {
             let push = felt.contact.normal * felt.normal_force;
             force += push;
             torque += felt.lever.cross(&push);
@@ -314,7 +320,7 @@ mod tests {
         (c.clone(), c.clone(), c).prop_map(|(x, y, z)| Vector3::new(x, y, z))
     }
 
-    /// Models of tools that are touched here and there.
+    /// Models of tools with a random set of active contact points.
     fn models() -> impl Strategy<Value = ContactModel> {
         let touch = (
             vector(0.1),
@@ -348,7 +354,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn an_arriving_model_changes_nothing_in_its_first_tick(
+        fn a_new_model_changes_no_force_in_its_first_tick(
             arrivals in proptest::collection::vec((1i64..12, models(), vector(0.01), vector(0.3)), 2..12),
         ) {
             let mut blend = Blend::new(coupling());
@@ -378,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn a_squeezed_place_is_led_alike_whichever_of_its_sides_the_normal_is_from() {
+    fn squeezed_contact_is_independent_of_the_sign_of_its_normal() {
         let squeezed = |us, normal| ContactModel {
             solved_at: at(us),
             radius: 0.01,
@@ -402,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn the_new_model_holds_after_one_interval() {
+    fn the_new_model_applies_fully_after_one_interval() {
         let (mut blend, o) = (Blend::new(coupling()), height(0.0));
         blend.take(&model(4_000, 0.0, 1.0, 500.0), at(4_500), &o);
         blend.take(&model(8_000, 0.0, 3.0, 500.0), at(18_500), &o);
@@ -412,7 +418,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_model_again_starts_no_new_blend() {
+    fn a_repeated_model_starts_no_new_blend() {
         let (mut blend, o) = (Blend::new(coupling()), height(0.0));
         let m = model(4_000, 0.0, 2.0, 500.0);
         blend.take(&m, at(5_000), &o);
@@ -421,7 +427,7 @@ mod tests {
     }
 
     #[test]
-    fn beyond_its_reach_the_law_grows_no_further() {
+    fn the_law_saturates_beyond_its_reach() {
         let mut blend = Blend::new(coupling());
         blend.take(&model(4_000, 0.0, 1.0, 500.0), at(5_000), &height(0.0));
         assert!((normal_force(&blend, 60_000, &height(-0.01)) - 6.0).abs() < 1e-9);
@@ -429,17 +435,17 @@ mod tests {
     }
 
     #[test]
-    fn a_place_that_goes_fades_and_one_that_comes_grows_over_one_interval() {
+    fn contact_points_fade_out_and_in_over_one_interval() {
         let (mut blend, o) = (Blend::new(coupling()), height(0.0));
         let mut first = model(4_000, 0.0, 2.0, 500.0);
         blend.take(&first, at(5_000), &o);
-        // The same force in another place, 4 ms later.
+        // The same force at another contact point, 4 ms later.
         first.touches.swap(0, 7);
         first.solved_at = at(8_000);
         blend.take(&first, at(9_000), &o);
         for (us, expected) in [(9_000, 2.0), (11_000, 1.0), (13_000, 0.0)] {
             let mut of = [0.0; CONTACTS_MAX];
-            blend.feel(at(us), &o, |felt| of[felt.place] = felt.normal_force);
+            blend.for_each_contact(at(us), &o, |felt| of[felt.index] = felt.normal_force);
             assert!((of[0] - expected).abs() < 1e-12, "{us}: {} N", of[0]);
             assert!(
                 (of[7] - (2.0 - expected)).abs() < 1e-12,
@@ -450,12 +456,12 @@ mod tests {
     }
 
     #[test]
-    fn the_couple_goes_with_what_presses() {
+    fn the_couple_scales_with_the_normal_force() {
         let mut blend = Blend::new(coupling());
         let mut pressed = model(4_000, 0.0, 2.0, 500.0);
         pressed.couple = Vector3::new(0.1, 0.0, 0.0);
         blend.take(&pressed, at(5_000), &height(0.0));
-        // 2 N are half at 2 mm and gone at 4 mm; deeper the couple stays what it was.
+        // The 2 N are halved at 2 mm and zero at 4 mm; a deeper pose leaves the couple unchanged.
         for (z, share) in [
             (-0.002, 1.0),
             (0.0, 1.0),

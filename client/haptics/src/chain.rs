@@ -1,32 +1,30 @@
-//! The tick: the stages in their order, and nothing else.
+//! The tick: all stages in order.
 
 use palpate_device::{DeviceCaps, Faults, Pose, Sample, Wrench};
 use palpate_protocol::{ClientTime, Span};
 
 use crate::blend::Blend;
+use crate::contact_points::{ContactPoints, Grips};
 use crate::motion::Motion;
-use crate::passivity::{Given, Seen};
-use crate::places::{Grips, Places};
+use crate::passivity::{ControllerOutput, ToolState};
 use crate::watchdog::Watched;
 use crate::{
     ContactModel, Counters, Coupling, EnergyObserver, Events, FrictionConfig, LinkGuard, Passivity,
     Slew, SoftStart, StiffnessCap, Watchdog, WatchdogConfig, WrenchSlew, clamp_force,
 };
 
-/// How long the slew limit may need to empty the largest force, or torque. A limit so high that it
-/// would need longer raises the slew limit instead, because the watchdog's times count to zero
-/// force at the hand.
+/// Maximum time in which the slew limit empties the largest force or torque. A larger force limit raises the slew
+/// rate instead, because the watchdog's times count to zero force at the hand.
 const FLUSH_MAX: Span = Span::from_millis(50);
 
-/// The longest time between two ticks that counts towards getting force back: after a pause of
-/// the thread no ramp is skipped.
+/// Maximum time between two ticks that counts towards recovery: a pause of the thread skips no ramp.
 const DT_UP_MAX: Span = Span::from_millis(10);
 
-/// How far from the origin, in m, and how fast, in m/s and rad/s, a tool may be. A sample beyond is as broken
-/// as one that is not a number: sums of such numbers could overflow, and stay in the state.
+/// Maximum distance from the origin, in m, and maximum speed, in m/s and rad/s. A sample beyond is as faulty as a
+/// non-finite one: sums could overflow and persist in the state.
 const SAMPLE_MAX: f64 = 1e3;
 
-/// How far from one the length of a sample's quaternion may be. Levers would be stretched by what is beyond.
+/// Maximum deviation of a quaternion's norm from one. Larger deviations would scale the levers.
 const QUATERNION_OFF: f64 = 1e-3;
 
 /// The constants of the chain.
@@ -34,31 +32,31 @@ const QUATERNION_OFF: f64 = 1e-3;
 pub struct ChainConfig {
     /// The tick's period T.
     pub period: Span,
-    /// Damping of device and hand that stiffness is capped by (b in 2 b / T), N·s/m. 0.5 is a
-    /// light desktop device held loosely.
+    /// Damping of device and hand in the stiffness cap (b in 2 b / T), N·s/m. 0.5 is a light desktop device held
+    /// loosely.
     pub damping_ns_per_m: f64,
-    /// How far from the pivot a hand holds the handle and damps its rotation (ℓ of the
-    /// [`Coupling`]), m, above zero. A handle held like a pen rests at the fingertips and in the web between thumb and
-    /// hand, some 100 mm apart (our estimate): 50 mm to each side of the middle.
+    /// Distance from the pivot at which a hand holds the handle and damps its rotation (ℓ of the [`Coupling`]), m,
+    /// above zero. A pen grip rests at the fingertips and in the web of the thumb, some 100 mm apart (our
+    /// estimate): 50 mm to each side of the middle.
     pub grip_m: f64,
-    /// The largest force, N, where the device's continuous force is larger.
+    /// Maximum force, N, where the device's continuous force is larger.
     pub force_max_n: f64,
-    /// The largest torque, N·m, where the device's is larger: 30 N at the end of a grip.
+    /// Maximum torque, N·m, where the device's is larger: 30 N at the end of a grip.
     pub torque_max_nm: f64,
-    /// How fast the force may change, N/s. 600 is 30 N over 50 ms: a firm press into bone is
-    /// rendered as it is, a step is not.
+    /// Slew rate of the force, N/s. 600 is 30 N over 50 ms: a firm press into bone is unaffected, a step is
+    /// limited.
     pub slew_n_per_s: f64,
-    /// How fast the torque may change, N·m/s: twice as fast as 600 N/s at the end of a grip, so that 1 N·m is emptied
-    /// in the time of 10 N. A handle turns more readily than it moves, and the longer a torque takes to be taken away,
-    /// the less of it may be given; see [`Passivity`].
+    /// Slew rate of the torque, N·m/s: twice 600 N/s at the end of a grip, so that 1 N·m is emptied in the time of
+    /// 10 N. A handle turns more readily than it moves, and a slower removal of torque lowers the torque that may
+    /// be rendered; see [`Passivity`].
     pub slew_nm_per_s: f64,
     /// Length of the soft start.
     pub soft_start: Span,
-    /// Stick and slip.
+    /// Stick-slip friction.
     pub friction: FrictionConfig,
-    /// What takes force away.
+    /// Fading of forces whose source is lost.
     pub watchdog: WatchdogConfig,
-    /// Whether the passivity controller works. Off for measurements of what it is good for.
+    /// Whether the passivity controller is active. Off for measurements of its effect.
     pub passivity: bool,
 }
 
@@ -80,16 +78,16 @@ impl Default for ChainConfig {
     }
 }
 
-/// What a tick gives.
+/// Output of a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tick {
-    /// What to write to the device; always finite.
+    /// The wrench to write to the device; always finite.
     pub wrench: Wrench,
-    /// What the tissue does to the tool, about its pivot, as far as the contact model can be believed, up to
-    /// [`ChainConfig::force_max_n`] and [`ChainConfig::torque_max_nm`]; always finite. It is for those who can not render it: a device without motors
-    /// hints at it, a view draws it. Nothing of it protects a hand, so it is never to be written.
+    /// Wrench of the tissue on the tool about its pivot, faded with the validity of the contact model, up to
+    /// [`ChainConfig::force_max_n`] and [`ChainConfig::torque_max_nm`]; always finite. A device without motors
+    /// shows it as a cue, a view draws it. It bypasses the hand's protection, so never write it to a device.
     pub felt: Wrench,
-    /// What happened.
+    /// Events of this tick.
     pub events: Events,
     /// Age of the contact model that was used.
     pub contact_age: Span,
@@ -97,34 +95,34 @@ pub struct Tick {
 
 /// The 1 kHz chain that protects the hand.
 ///
-/// In every tick call exactly one of [`tick`](Self::tick) and, when the device could not be read,
-/// [`tick_without_sample`](Self::tick_without_sample), and write the wrench. What the device renders
-/// instead is said with [`goes_on_from`](Self::goes_on_from) or [`cut_to`](Self::cut_to).
+/// In every tick call exactly one of [`tick`](Self::tick) and, after a failed read,
+/// [`tick_without_sample`](Self::tick_without_sample), then write the wrench. Report a different rendered wrench
+/// with [`goes_on_from`](Self::goes_on_from) or [`cut_to`](Self::cut_to).
 ///
-/// Times should not run backwards. Where one does, the chain's own time goes on by one period, and
-/// what it knows is as old as it was: a clock that was put back keeps no old force alive.
+/// Times should not run backwards. If one does, the chain's own time advances by one period and ages are kept: a
+/// clock that was set back keeps no old force alive.
 #[derive(Debug, Clone)]
 pub struct Chain {
     force_limit_n: f64,
-    /// `None` for a device that renders none.
+    /// `None` for a device without torque.
     torque_limit_nm: Option<f64>,
-    /// The largest force and torque that are told of without being written, N and N·m.
+    /// Maximum force and torque of [`Tick::felt`], N and N·m.
     felt_limits: [f64; 2],
     soft_start: SoftStart,
     link: LinkGuard,
     watchdog: Watchdog,
     blend: Blend,
-    places: Places,
-    /// `None` when it is switched off.
+    contact_points: ContactPoints,
+    /// `None` when switched off.
     passivity: Option<Passivity>,
     slew: WrenchSlew,
     observer: EnergyObserver,
     counters: Counters,
     period: Span,
     last_tick: Option<ClientTime>,
-    /// How far the chain's own time is ahead of the clock that it is given; more after every step back.
+    /// Lead of the chain's own time over the given clock; grows with every step back.
     ahead: Span,
-    /// The same before the last of them, for models that were stamped before it.
+    /// The same before the last step back, for models that were stamped before it.
     ahead_before: Span,
     /// When the model in use was solved, in the chain's own time.
     solved_at: ClientTime,
@@ -168,7 +166,7 @@ impl Chain {
             link: LinkGuard::new(&config.watchdog, flush),
             watchdog: Watchdog::new(config.watchdog, flush),
             blend: Blend::new(coupling),
-            places: Places::new(config.friction),
+            contact_points: ContactPoints::new(config.friction),
             passivity: config
                 .passivity
                 .then(|| Passivity::new(slew.force.step(), slew.torque.step(), config.period)),
@@ -183,37 +181,37 @@ impl Chain {
         }
     }
 
-    /// The largest force it gives, N.
+    /// The force limit, N.
     pub fn force_limit_n(&self) -> f64 {
         self.force_limit_n
     }
 
-    /// The largest torque it gives, N·m; zero for a device that renders none.
+    /// The torque limit, N·m; zero for a device without torque.
     pub fn torque_limit_nm(&self) -> f64 {
         self.torque_limit_nm.unwrap_or(0.0)
     }
 
-    /// The largest change of force per tick, N.
+    /// The slew limit of the force, N per tick.
     pub fn slew_step_n(&self) -> f64 {
         self.slew.force.step()
     }
 
-    /// The largest change of torque per tick, N·m.
+    /// The slew limit of the torque, N·m per tick.
     pub fn slew_step_nm(&self) -> f64 {
         self.slew.torque.step()
     }
 
-    /// What happened so far.
+    /// Event counters since the start.
     pub fn counters(&self) -> &Counters {
         &self.counters
     }
 
-    /// The link to the session was lost: force goes to zero in 100 ms.
+    /// The session link was lost: force fades to zero in 100 ms.
     pub fn link_lost(&mut self, now: ClientTime) {
         self.link.lose(self.own_time(now));
     }
 
-    /// The link is back: force comes back over the soft start.
+    /// The link is back: force returns over the soft start.
     pub fn link_restored(&mut self, now: ClientTime) {
         if self.link.is_lost() {
             let gain = self.link.restore(self.own_time(now));
@@ -221,9 +219,8 @@ impl Chain {
         }
     }
 
-    /// The device renders `wrench` and not the one it was given last, because it clamped that or lost
-    /// some of it. What follows goes on from there: nothing steps when the device takes more again,
-    /// and the work that is counted is what was done.
+    /// The device renders `wrench` instead of the last output, because it clamped or lost part of it. Slew limit
+    /// and work accounting continue from `wrench`, so no step follows when the device recovers.
     pub fn goes_on_from(&mut self, wrench: &Wrench) {
         let limits = [self.force_limit_n, self.torque_limit_nm()];
         let [force, torque] = [(wrench.force, limits[0]), (wrench.torque, limits[1])]
@@ -237,9 +234,9 @@ impl Chain {
         }
     }
 
-    /// The device took its force away by itself, down to `rest`: it refused a wrench, its motors are
-    /// off, or a watchdog of its own acted. As [`goes_on_from`](Self::goes_on_from), and the force
-    /// comes back over the soft start, as after every other fault.
+    /// The device reduced its force by itself to `rest`: it rejected a wrench, its motors are off, or its own
+    /// watchdog acted. As [`goes_on_from`](Self::goes_on_from), and the force returns over the soft start, as after
+    /// every fault.
     pub fn cut_to(&mut self, rest: &Wrench) {
         self.goes_on_from(rest);
         self.soft_start.lower_to(0.0);
@@ -255,7 +252,7 @@ impl Chain {
             return self.without_force(now, dt, events);
         }
         let motion = Motion::of(sample);
-        let was_touching = self.places.grips().any();
+        let was_touching = self.contact_points.grips().any();
         if model.is_usable() {
             if self.blend.take(model, now, &motion) {
                 self.solved_at = self.in_own_time(model.solved_at, now);
@@ -263,10 +260,10 @@ impl Chain {
         } else {
             events.set(Events::BAD_MODEL, true);
         }
-        let wrench = self.places.tick(&self.blend, now, dt, &motion);
+        let wrench = self.contact_points.tick(&self.blend, now, dt, &motion);
         let touches = wrench != Wrench::ZERO;
-        note_grips(&mut events, was_touching, self.places.grips());
-        let felt = self.told(&wrench);
+        note_grips(&mut events, was_touching, self.contact_points.grips());
+        let felt = self.felt_wrench(&wrench);
         let there = self.clamp(&wrench, &mut events);
         let [trusted, open] = self.gains(now, dt, &sample.pose, &mut events);
         let felt = felt.scaled(trusted * open);
@@ -275,8 +272,8 @@ impl Chain {
             if sample.faults.contains(Faults::TIME_JUMP) {
                 passivity.interrupt();
             }
-            passivity.hear(model.others_j);
-            passivity.observe(&Seen {
+            passivity.set_others_work(model.others_j);
+            passivity.observe(&ToolState {
                 pose: sample.pose,
                 v: motion.v,
                 w: motion.w,
@@ -286,11 +283,11 @@ impl Chain {
             });
         }
         let target = there.scaled(trusted * open);
-        let wrench = self.take_away(self.rendered(target), &motion, &mut events);
+        let wrench = self.passivate(self.rendered(target), &motion, &mut events);
         let wrench = self.limit_change(&wrench, &mut events);
-        let counted = self.counted(wrench, &target);
+        let counted = self.accounted_wrench(wrench, &target);
         if let Some(passivity) = &mut self.passivity {
-            passivity.give(Given {
+            passivity.record(ControllerOutput {
                 pose: sample.pose,
                 wrench: counted,
                 withheld: there.scaled(1.0 - open),
@@ -301,7 +298,7 @@ impl Chain {
         self.finish(now, wrench, felt, events)
     }
 
-    /// One tick for which the device gave no sample: the force goes to zero.
+    /// One tick for which the device gave no sample: the force fades to zero.
     pub fn tick_without_sample(&mut self, now: ClientTime) -> Tick {
         let (now, dt) = self.step_time(now);
         let mut events = Events::NONE;
@@ -309,15 +306,15 @@ impl Chain {
         self.without_force(now, dt, events)
     }
 
-    /// `now` in the chain's own time, which never runs backwards.
+    /// `now` in the chain's own monotonic time.
     fn own_time(&self, now: ClientTime) -> ClientTime {
         let own = now + self.ahead;
         self.last_tick
             .map_or(own, |last| own.max(last + self.ahead))
     }
 
-    /// When a model was solved that is taken at `own` in the chain's own time: one that seems to come from the future was
-    /// stamped before the clock was put back.
+    /// Solve time in the chain's own time of a model accepted at `own`. A model from the future was stamped before
+    /// the clock was set back.
     fn in_own_time(&self, solved_at: ClientTime, own: ClientTime) -> ClientTime {
         if solved_at + self.ahead > own {
             solved_at + self.ahead_before
@@ -326,7 +323,7 @@ impl Chain {
         }
     }
 
-    /// The chain's own time at `now`, and what of it has passed since the last tick.
+    /// The chain's own time at `now`, and the time since the last tick.
     fn step_time(&mut self, now: ClientTime) -> (ClientTime, Span) {
         let last = self.last_tick.unwrap_or(now);
         let before = last + self.ahead;
@@ -339,8 +336,8 @@ impl Chain {
         (own, own - before)
     }
 
-    /// What is told of `wrench` to those who can not render it.
-    fn told(&self, wrench: &Wrench) -> Wrench {
+    /// `wrench` limited for [`Tick::felt`].
+    fn felt_wrench(&self, wrench: &Wrench) -> Wrench {
         let [force_n, torque_nm] = self.felt_limits;
         Wrench {
             force: clamp_force(wrench.force, force_n).0,
@@ -348,10 +345,10 @@ impl Chain {
         }
     }
 
-    /// What the device can hold of `wrench`. A torque that it does not render goes with the force.
+    /// `wrench` clamped to the device. A torque that the device can not render is scaled with the force.
     fn clamp(&self, wrench: &Wrench, events: &mut Events) -> Wrench {
         let (force, saturated) = clamp_force(wrench.force, self.force_limit_n);
-        // A device without motors is not asked for more than it has.
+        // A device without motors is never saturated.
         events.set(Events::SATURATED, saturated && self.force_limit_n > 0.0);
         let Some(limit_nm) = self.torque_limit_nm else {
             let n = wrench.force.norm();
@@ -364,7 +361,7 @@ impl Chain {
         Wrench { force, torque }
     }
 
-    /// What the device renders of `wrench`.
+    /// The part of `wrench` that the device renders.
     fn rendered(&self, wrench: Wrench) -> Wrench {
         if self.torque_limit_nm.is_some() {
             wrench
@@ -373,10 +370,10 @@ impl Chain {
         }
     }
 
-    /// What the work of a hand is counted with that is `given` so much: on a device that renders no torque, with that of
-    /// the `target`, too. Who presses tissue by tilting a tool works against that torque, whether he feels it or not,
-    /// and would otherwise be taken for one whom the tissue pushes with work that nobody has done.
-    fn counted(&self, given: Wrench, target: &Wrench) -> Wrench {
+    /// The wrench that the work accounting uses for the output `given`. On a device without torque it includes the
+    /// torque of `target`: tilting a tool into tissue takes work against that torque, even if the hand does not
+    /// feel it. Otherwise the controller would see work that no hand has done.
+    fn accounted_wrench(&self, given: Wrench, target: &Wrench) -> Wrench {
         let torque = if self.torque_limit_nm.is_some() {
             given.torque
         } else {
@@ -388,7 +385,7 @@ impl Chain {
         }
     }
 
-    /// The watchdog's gain, and that of soft start and link.
+    /// Gain of the watchdog, and gain of soft start and link guard.
     fn gains(&mut self, now: ClientTime, dt: Span, pose: &Pose, events: &mut Events) -> [f64; 2] {
         let dt_up = dt.min(DT_UP_MAX);
         let model = self.blend.model();
@@ -414,8 +411,8 @@ impl Chain {
         [gain, link * soft]
     }
 
-    /// What of `wrench` the passivity controller leaves.
-    fn take_away(&self, wrench: Wrench, motion: &Motion, events: &mut Events) -> Wrench {
+    /// `wrench` after the passivity controller.
+    fn passivate(&self, wrench: Wrench, motion: &Motion, events: &mut Events) -> Wrench {
         let Some(passivity) = &self.passivity else {
             return wrench;
         };
@@ -425,7 +422,7 @@ impl Chain {
     }
 
     fn limit_change(&mut self, target: &Wrench, events: &mut Events) -> Wrench {
-        debug_assert!(target.is_finite(), "what came in was checked");
+        debug_assert!(target.is_finite(), "the inputs were checked");
         let before = self.slew.now();
         let (wrench, [forced, turned]) = self.slew.towards(target);
         events.set(Events::SLEWED, forced);
@@ -439,13 +436,13 @@ impl Chain {
     }
 
     fn without_force(&mut self, now: ClientTime, dt: Span, mut events: Events) -> Tick {
-        self.places.reset();
+        self.contact_points.reset();
         self.observer.interrupt();
         if let Some(passivity) = &mut self.passivity {
             passivity.interrupt();
         }
         self.soft_start.lower_to(0.0);
-        // The gains behind age and radius go on, as if the tool stayed where it was.
+        // The gains for age and radius continue, as if the tool stayed in place.
         let pose = self.blend.model().pose();
         self.gains(now, dt, &pose, &mut events);
         self.soft_start.lower_to(0.0);
@@ -468,7 +465,7 @@ impl Chain {
     }
 }
 
-/// The slew limit of a force or torque that is `limit` at most: `per_s`, or as fast as it takes to empty it in time.
+/// The slew limit of a force or torque limited to `limit`: `per_s`, or faster to empty it within `FLUSH_MAX`.
 fn slew_of(limit: f64, per_s: f64, period: Span) -> Slew {
     Slew::new(per_s.max(limit / FLUSH_MAX.as_secs_f64()) * period.as_secs_f64())
 }

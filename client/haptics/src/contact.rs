@@ -1,21 +1,22 @@
-//! What the haptic loop knows of the tissue between two solves.
+//! The local contact model that the haptic loop evaluates between two solves.
 //!
 //! The solver relaxes the tissue around the tool a few hundred times a second; the loop needs forces and torques a
-//! thousand times a second, at poses that were not solved. Around the solved pose (x0, R0) each place i that touches is
-//! moved, at the pose (x, R) and the velocities v and ω, by
+//! thousand times a second, at other poses. Around the solved pose (x0, R0) each active contact point i is
+//! displaced, at the pose (x, R) and the velocities v and ω, by
 //!
 //! ```text
 //! d_i = x − x0 + (R R0ᵀ − I) r_i,     v_i = v + ω × (R R0ᵀ r_i)         r_i the lever at the solve
 //! ```
 //!
-//! and pushes the tool with a force that is linear in both along its normal ([`Touch`]), and rubs it with stick-slip
-//! friction across it. Of these forces f on the tool come
+//! Its normal force on the tool is linear in both ([`Touch`]); its tangential force is stick-slip friction. The
+//! forces f on the tool sum to
 //!
 //! ```text
 //! F = Σ f_i,     T = Σ (R R0ᵀ r_i) × f_i + C        about the pivot
 //! ```
 //!
-//! with C what the places leave over of the solved torque. A model of one place at the pivot is the force of a point.
+//! with C the solved torque that the contact points do not explain. A model of one contact point at the pivot is a
+//! point contact.
 
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 use palpate_device::Pose;
@@ -24,34 +25,33 @@ use palpate_protocol::ClientTime;
 use crate::Touch;
 use crate::touch::{COEFFICIENT_MAX, FORCE_MAX_N};
 
-/// Contacts in one model, and so places on one tool. A line of 16 stations or a plate of 4 by 4 cells gives forces and
-/// torques as one of half as many does (within 2 %, which `places` tests); a model has 3 KB, which are copied whole
+/// Maximum number of contact points of a tool. A line of 16 stations or a plate of 4 by 4 cells gives the same
+/// forces and torques as half as many within 2 % (tested in `contact_points`). A model has 3 KB, which are copied
 /// between threads.
 pub const CONTACTS_MAX: usize = 16;
 
-/// The tissue as the tool feels it near one solved pose. Plain data, copied between threads.
+/// The tissue near one solved pose of the tool. Plain data, copied between threads.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ContactModel {
-    /// Version of the topology that was solved; it changes with every cut.
+    /// Topology version of the solve; every cut changes it.
     pub topology_version: u32,
-    /// When it was solved. A new value means a new model.
+    /// Solve time. A new value means a new model.
     pub solved_at: ClientTime,
-    /// Position of the tool's pivot at the solve (x0), m: that of [`Sample::pose`](palpate_device::Sample)
-    /// which was solved, not a point of the surface.
+    /// Position of the tool's pivot at the solve (x0), m: that of the solved
+    /// [`Sample::pose`](palpate_device::Sample), not a point of the surface.
     pub x0: Vector3<f64>,
     /// Orientation of the tool at the solve (R0).
     pub turn0: UnitQuaternion<f64>,
-    /// The places of the tool, by their number on it.
+    /// The contact points of the tool, by their index on it.
     pub touches: [Touch; CONTACTS_MAX],
-    /// What is left of the solved torque about the pivot beyond Σ r × f0 (C), N·m. It counts in proportion to what
-    /// presses, and so is gone when the tool comes off.
+    /// Remainder of the solved torque about the pivot beyond Σ r × f0 (C), N·m. It scales with the normal force, so
+    /// it vanishes when the tool lifts off.
     pub couple: Vector3<f64>,
-    /// How far the pivot, and each place that touches, may be from where they were and the linear law be believed, m.
-    /// Further away the force fades, so give it at least what a hand moves between two models: 0.5 m/s times 10 ms is
-    /// 5 mm.
+    /// Radius of validity of the linear law, for the pivot and each active contact point, m. The force fades beyond
+    /// it. Choose at least the travel of a hand between two models: 0.5 m/s times 10 ms is 5 mm.
     pub radius: f64,
-    /// What others have put into the tissue since they began, less what they have got back, J. It may come back
-    /// to this hand; see [`Passivity`](crate::Passivity).
+    /// Net work of the other participants on the tissue since they joined, J. It may return to this hand; see
+    /// [`Passivity`](crate::Passivity).
     pub others_j: f64,
 }
 
@@ -77,7 +77,7 @@ impl ContactModel {
         }
     }
 
-    /// A tool that is touched in its first place only, of [`FREE`](Self::FREE) in all else.
+    /// A tool with one active contact point, its first; otherwise [`FREE`](Self::FREE).
     pub const fn single(touch: Touch) -> Self {
         let mut touches = [Touch::NONE; CONTACTS_MAX];
         touches[0] = touch;
@@ -87,12 +87,12 @@ impl ContactModel {
         }
     }
 
-    /// Whether anything touches at all; when not, there is no force.
+    /// Whether any contact point is active; without one there is no force.
     pub fn in_contact(&self) -> bool {
         self.touches.iter().any(|t| t.touches)
     }
 
-    /// The places that touch.
+    /// The active contact points.
     pub fn touching(&self) -> impl Iterator<Item = &Touch> {
         self.touches.iter().filter(|t| t.touches)
     }
@@ -110,7 +110,7 @@ impl ContactModel {
             + self.couple
     }
 
-    /// Stiffness along the normals of all places that touch, one beside the other, N/m.
+    /// Sum of the normal stiffnesses of all active contact points, N/m.
     pub fn normal_stiffness(&self) -> f64 {
         self.touching().map(Touch::normal_stiffness).sum()
     }
@@ -123,7 +123,7 @@ impl ContactModel {
         }
     }
 
-    /// Whether a tool at `pose` has left the radius: its pivot, or a place that touches.
+    /// Whether the pivot or an active contact point of a tool at `pose` has left the radius of validity.
     pub fn is_left_at(&self, pose: &Pose) -> bool {
         let moved = pose.position - self.x0;
         let turned = pose.orientation * self.turn0.inverse();
@@ -133,10 +133,10 @@ impl ContactModel {
                 .any(|t| (moved + (turned * t.lever - t.lever)).norm() > self.radius)
     }
 
-    /// Whether the loop may use it: finite, unit normals, no negative coefficient, nothing beyond
-    /// all measure. A model that is not is never taken, and the one before it ages.
+    /// Whether the loop may use the model: finite, unit normals, no negative coefficient, within the magnitude
+    /// bounds. The chain rejects any other model, and the previous one ages.
     pub fn is_usable(&self) -> bool {
-        // A comparison with a number that is none is false.
+        // A comparison with NaN is false.
         self.x0.iter().all(|c| c.abs() <= COEFFICIENT_MAX)
             && (self.turn0.coords.norm() - 1.0).abs() < 1e-3
             && self.couple.iter().all(|c| c.abs() <= FORCE_MAX_N)
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_model_with_one_bad_number_is_not_usable() {
+    fn a_model_with_one_invalid_number_is_not_usable() {
         assert!(pressed().is_usable() && ContactModel::FREE.is_usable());
         let n = f64::NAN;
         let bad_touches = [
@@ -208,7 +208,7 @@ mod tests {
             },
         ];
         for bad in bad_touches {
-            // Whichever place it is.
+            // At any contact point.
             for place in [0, CONTACTS_MAX - 1] {
                 let mut model = pressed();
                 model.touches[place] = bad;
@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tool_that_turns_on_the_spot_leaves_with_its_far_end() {
+    fn turning_in_place_leaves_the_radius_at_the_far_contact_point() {
         let mut model = pressed();
         model.touches[3] = Touch {
             lever: Vector3::new(0.1, 0.0, 0.0),
@@ -252,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn the_solved_torque_is_that_of_the_places_and_the_couple() {
+    fn the_solved_torque_is_that_of_the_contact_points_and_the_couple() {
         let mut model = pressed();
         model.touches[0].lever.x = 0.1;
         model.couple.z = 0.3;

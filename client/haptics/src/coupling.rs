@@ -1,40 +1,40 @@
 //! The virtual coupling of tissue and device, for 3 and for 6 degrees of freedom.
 //!
-//! Texts couple the device to a virtual tool by a spring, which is then in series with the tissue: 400 N/m behind a
-//! coupling of 1000 N/m is felt as 286 N/m, and newtons depend on the device. Here the solved forces are given as they
-//! are, and what is limited is the SLOPE with which they follow the hand between two solves. So a stiff contact comes to
-//! its full force a few milliseconds later, and never to another one.
+//! The textbook coupling connects the device to a proxy by a spring in series with the tissue: 400 N/m behind a
+//! coupling of 1000 N/m feels like 286 N/m, and forces depend on the device. Here the solved forces are rendered
+//! unchanged, and only the SLOPE with which they follow the hand between two solves is limited. A stiff contact
+//! reaches its full force a few milliseconds later.
 //!
-//! What a sampled loop can follow is a cap on stiffness ([`StiffnessCap`]). With several places, and for a device that
-//! turns the hand, the stiffness is the matrix that takes a small motion (dx, dθ) to the change of (F, T):
+//! The limit is a stiffness cap for sampled loops ([`StiffnessCap`]). With several contact points, and for a device
+//! that renders torque, the stiffness is the matrix that maps a small motion (dx, dθ) to the change of (F, T):
 //!
 //! ```text
 //! K = Σ J_iᵀ (a_i n_i n_iᵀ + c_i (I − n_i n_iᵀ)) J_i  +  C gᵀ / N0  +  G
-//! J_i = [I, −[r_i]×]                  a_i, c_i slopes along and across the normal of place i, r_i its lever
-//! g = Σ a_i J_iᵀ n_i                  how what presses (N0 at the solve) changes: the couple C follows it
+//! J_i = [I, −[r_i]×]                  a_i, c_i slopes along and across the normal of contact i, r_i its lever
+//! g = Σ a_i J_iᵀ n_i                  gradient of the total normal force (N0 at the solve), which scales C
 //! G = Σ (r_i · f_i) I − (r_i f_iᵀ + f_i r_iᵀ) / 2     held forces on levers that turn; on dθ only
 //! ```
 //!
-//! Millimetres and radians are compared by a length ℓ: dθ counts as ℓ dθ, T as T/ℓ, and the largest stretch of K in that
-//! metric must not be more than the cap. ℓ is that of a grip: a hand that holds a handle in two places, each ℓ away from
-//! the pivot, damps its rotation with b ℓ² when it damps its motion with b, so the cap of the rotation is cap ℓ². Where K
-//! is too stiff, the slopes of all places are lowered by one factor, so that the tool neither tilts nor leans by it. One
-//! place at the pivot has the cap of a point.
+//! A length ℓ makes translation and rotation comparable: dθ counts as ℓ dθ, T as T/ℓ, and the largest eigenvalue of
+//! K in that metric must not exceed the cap. ℓ is the grip: a hand that holds a handle at two points, each ℓ from
+//! the pivot, damps translation with b and rotation with b ℓ², so the cap of the rotation is cap ℓ². Where K is too
+//! stiff, one common factor lowers the slopes of all contact points, so that the tool does not tilt. One contact
+//! point at the pivot has the cap of a point.
 //!
-//! A device that renders no torque is one with an endless ℓ: only the part on dx is left, as no torque comes back that
-//! could close a loop, however the hand turns the tool.
+//! A device without torque has an infinite ℓ: only the translational part is left, because no rotation closes a
+//! loop.
 
 use nalgebra::{Matrix3, Matrix6, SymmetricEigen, Vector6};
 
 use crate::{CONTACTS_MAX, ContactModel, StiffnessCap};
 
-/// How far beyond the cap counts as at it: what the rounding of eigenvalues is not worth a lower slope.
+/// Relative tolerance of the cap, for rounding of eigenvalues.
 const ROUNDING: f64 = 1e-9;
 
 /// Sweeps of the eigenvalue iteration, several times what a 6 x 6 matrix needs.
 const SWEEPS_MAX: usize = 200;
 
-/// With which stiffness the force of a place follows the hand between two solves, N/m.
+/// Stiffness with which the force of a contact point follows the hand between two solves, N/m.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Slope {
     /// Along the normal.
@@ -62,7 +62,7 @@ impl Coupling {
         Self { cap, grip_m }
     }
 
-    /// The slopes of all places of `model`, zero where nothing touches. Neither allocates nor waits.
+    /// The slopes of all contact points of `model`, zero for inactive ones. Neither allocates nor waits.
     pub fn slopes(&self, model: &ContactModel) -> [Slope; CONTACTS_MAX] {
         let mut slopes = [Slope::default(); CONTACTS_MAX];
         for (slope, touch) in slopes.iter_mut().zip(&model.touches) {
@@ -81,15 +81,15 @@ impl Coupling {
         slopes
     }
 
-    /// The largest stretch of K in the metric of the grip with these slopes, N/m, from above.
-    pub fn stretch(&self, model: &ContactModel, slopes: &[Slope; CONTACTS_MAX]) -> f64 {
-        self.followed(model, slopes) + self.held(model)
+    /// Upper bound of the largest eigenvalue of K in the metric of the grip with these slopes, N/m.
+    pub fn stiffness_bound(&self, model: &ContactModel, slopes: &[Slope; CONTACTS_MAX]) -> f64 {
+        self.slope_stiffness(model, slopes) + self.geometric_stiffness(model)
     }
 
     /// The factor that brings the slopes within the cap, 0 to 1.
     fn share(&self, model: &ContactModel, slopes: &[Slope; CONTACTS_MAX]) -> f64 {
-        let followed = self.followed(model, slopes);
-        let left = self.cap.n_per_m() - self.held(model);
+        let followed = self.slope_stiffness(model, slopes);
+        let left = self.cap.n_per_m() - self.geometric_stiffness(model);
         if followed <= left * (1.0 + ROUNDING) {
             1.0
         } else {
@@ -97,8 +97,8 @@ impl Coupling {
         }
     }
 
-    /// The part that grows with the slopes: places and couple.
-    fn followed(&self, model: &ContactModel, slopes: &[Slope; CONTACTS_MAX]) -> f64 {
+    /// The part that grows with the slopes: contact points and couple.
+    fn slope_stiffness(&self, model: &ContactModel, slopes: &[Slope; CONTACTS_MAX]) -> f64 {
         let (mut k, mut g, mut pressed) = (Matrix6::zeros(), Vector6::zeros(), 0.0);
         for (touch, slope) in model.touches.iter().zip(slopes) {
             if !touch.touches {
@@ -126,7 +126,7 @@ impl Coupling {
     }
 
     /// The part that does not: forces held on levers that turn.
-    fn held(&self, model: &ContactModel) -> f64 {
+    fn geometric_stiffness(&self, model: &ContactModel) -> f64 {
         let mut g = Matrix6::zeros();
         for t in model.touching() {
             let pushed = t.normal * t.normal.dot(&t.f0);
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn one_place_at_the_pivot_has_the_cap_of_a_point() {
+    fn one_contact_point_at_the_pivot_has_the_cap_of_a_point() {
         for coupling in couplings() {
             for k in [3.0, 300.0, 999.0, 1000.0, 1001.0, 1e5] {
                 let slender = Matrix3::from_diagonal(&Vector3::new(0.3 * k, 0.4 * k, k));
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn sixteen_places_are_no_stiffer_than_one() {
+    fn sixteen_contact_points_are_no_stiffer_than_one() {
         let mut model = ContactModel::FREE;
         model.touches = [touch(Vector3::zeros(), Vector3::z(), 1.0, 800.0); CONTACTS_MAX];
         for coupling in couplings() {
@@ -230,20 +230,21 @@ mod tests {
     }
 
     #[test]
-    fn a_long_lever_is_followed_less_by_who_feels_torque() {
+    fn torque_rendering_lowers_the_slope_of_a_long_lever() {
         let at = touch(Vector3::new(0.1, 0.0, 0.0), Vector3::z(), 0.0, 900.0);
         let model = ContactModel::single(at);
         let [forces, wrenches] = couplings().map(|c| c.slopes(&model)[0].along);
         assert_eq!(forces, 900.0);
-        // A lever of two grips: one direction is stretched by 1 + 2².
+        // A lever of twice the grip: the stiffness in one direction is scaled by 1 + 2².
         assert!((wrenches - 200.0).abs() < 1e-6, "{wrenches} N/m");
     }
 
     #[test]
-    fn forces_that_turn_with_the_tool_leave_less_to_follow() {
+    fn forces_that_turn_with_the_tool_lower_the_slopes() {
         // 4 N outwards at 50 mm turn back like 0.2 N·m/rad: 80 N/m at the grip.
         let at = touch(Vector3::new(GRIP, 0.0, 0.0), Vector3::x(), 4.0, 0.0);
-        let [forces, wrenches] = couplings().map(|c| c.held(&ContactModel::single(at)));
+        let [forces, wrenches] =
+            couplings().map(|c| c.geometric_stiffness(&ContactModel::single(at)));
         assert_eq!(forces, 0.0);
         assert!((wrenches - 80.0).abs() < 1e-9, "{wrenches} N/m");
     }
@@ -269,7 +270,7 @@ mod tests {
         })
     }
 
-    /// The change of (F, T/ℓ) by a small motion, written down place by place, without the couple.
+    /// The change of (F, T/ℓ) for a small motion, summed over the contact points, without the couple.
     fn stiffness(model: &ContactModel, slopes: &[Slope; CONTACTS_MAX]) -> Matrix6<f64> {
         Matrix6::from_fn(|i, j| {
             let unit = |k: usize| Vector6::from_fn(|m, _| f64::from(u8::from(m == k)));
@@ -291,10 +292,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_motion_is_followed_more_stiffly_than_the_cap(model in models()) {
+        fn no_motion_is_stiffer_than_the_cap(model in models()) {
             for coupling in couplings() {
                 let slopes = coupling.slopes(&model);
-                prop_assert!(coupling.stretch(&model, &slopes) <= 1000.0 * (1.0 + 1e-6)
+                prop_assert!(coupling.stiffness_bound(&model, &slopes) <= 1000.0 * (1.0 + 1e-6)
                     || slopes.iter().all(|s| s.along == 0.0));
             }
             let slopes = couplings()[1].slopes(&model);

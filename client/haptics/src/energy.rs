@@ -1,13 +1,13 @@
-//! The energy that crosses the handle, observed and not yet acted upon.
+//! Observes the energy that crosses the handle, without acting on it.
 //!
 //! ```text
 //! E_k = E_(k−1) − F_(k−1) · (x_k − x_(k−1)) − T_(k−1) · θ_k
 //! ```
 //!
-//! with θ the rotation vector from the last orientation to this one. F and T are held from tick to tick, so the sum is
-//! exact for what the device renders (for the torque: of a turn about one axis, which a turn of a millisecond is).
-//! Positive: the hand has put energy in. A passive environment never lets it fall below zero (Hannaford and Ryu
-//! 2002); how far it does is a measure of how active the loop is.
+//! with θ the rotation vector from the last orientation to this one. F and T are held from tick to tick, so the sum
+//! is exact for the rendered wrench (for the torque, if the turn of a tick is about one axis). Positive: the hand
+//! has put energy in. A passive environment never lets it fall below zero (Hannaford and Ryu 2002); its minimum
+//! measures the activity of the loop.
 
 use nalgebra::Vector3;
 use palpate_device::{Pose, Wrench};
@@ -17,7 +17,7 @@ pub(crate) fn turned(from: &Pose, to: &Pose) -> Vector3<f64> {
     from.orientation.rotation_to(&to.orientation).scaled_axis()
 }
 
-/// What a held wrench does on the way from one pose to the other, J.
+/// Work of a held wrench from one pose to the other, J.
 pub(crate) fn work(wrench: &Wrench, from: &Pose, to: &Pose) -> f64 {
     let moving = wrench.force.dot(&(to.position - from.position));
     if wrench.torque == Vector3::zeros() {
@@ -27,7 +27,7 @@ pub(crate) fn work(wrench: &Wrench, from: &Pose, to: &Pose) -> f64 {
     }
 }
 
-/// Sums the energy the hand puts in.
+/// Sums the energy that the hand puts in.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct EnergyObserver {
     energy_j: f64,
@@ -36,7 +36,7 @@ pub struct EnergyObserver {
 }
 
 impl EnergyObserver {
-    /// The tool is at `pose` and will be pushed and turned by `wrench` until the next call.
+    /// The tool is at `pose`, and `wrench` acts on it until the next call.
     pub fn observe(&mut self, pose: Pose, wrench: Wrench) {
         if let Some((before, held)) = &self.last {
             self.energy_j -= work(held, before, &pose);
@@ -45,14 +45,14 @@ impl EnergyObserver {
         self.last = Some((pose, wrench));
     }
 
-    /// What pushes and turns the tool until the next call is `wrench`, and not what was said.
+    /// Replaces the wrench of the last call by the rendered one.
     pub fn correct(&mut self, wrench: Wrench) {
         if let Some((_, last)) = &mut self.last {
             *last = wrench;
         }
     }
 
-    /// The path is broken (a bad sample); the sum goes on from the next call.
+    /// The path is broken (a bad sample); the sum continues from the next call.
     pub fn interrupt(&mut self) {
         self.last = None;
     }
@@ -76,7 +76,7 @@ mod tests {
     use super::EnergyObserver;
 
     #[test]
-    fn a_held_spring_gives_back_more_than_it_was_given() {
+    fn a_sampled_spring_returns_more_energy_than_it_received() {
         // K = 1000 N/m pressed 10 mm and released in steps of 1 mm: K/2 * steps * step².
         let mut e = EnergyObserver::default();
         for x in (0_i32..=10).chain((0..10).rev()) {
@@ -88,14 +88,14 @@ mod tests {
     }
 
     #[test]
-    fn a_held_torque_works_by_the_angle_it_is_turned_through() {
+    fn work_of_a_held_torque_is_torque_times_angle() {
         let mut e = EnergyObserver::default();
         let axis = Vector3::new(1.0, 2.0, -1.0).normalize();
         let wrench = Wrench {
             force: Vector3::zeros(),
             torque: axis * 0.3,
         };
-        // The hand turns against it, from an orientation that has nothing to do with the axis.
+        // The hand turns against it, from an orientation unrelated to the axis.
         let start = UnitQuaternion::new(Vector3::new(0.4, 0.0, 1.1));
         for step in 0..=50 {
             let orientation = UnitQuaternion::new(axis * (-0.01 * f64::from(step))) * start;

@@ -1,39 +1,39 @@
-//! What happened in a tick, and how often.
+//! Events of a tick and their counters.
 
-/// What happened in one tick, one bit each.
+/// Events of one tick, one bit each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct Events(u16);
 
 impl Events {
-    /// Nothing in particular.
+    /// No event.
     pub const NONE: Self = Self(0);
-    /// The force was clamped to what the device can hold.
+    /// The force was clamped to the device's limit.
     pub const SATURATED: Self = Self(1);
     /// The change of force was limited.
     pub const SLEWED: Self = Self(1 << 1);
-    /// The contact model is old and fades.
+    /// The contact model is old and its force fades.
     pub const STALE: Self = Self(1 << 2);
     /// The tool is outside the contact model's radius.
     pub const LEFT_RADIUS: Self = Self(1 << 3);
-    /// The sample held a number that is not finite, and gave no force.
+    /// The sample held a non-finite number; the force fades.
     pub const BAD_SAMPLE: Self = Self(1 << 4);
-    /// The contact model was not usable, and was not taken.
+    /// The contact model was not usable and was rejected.
     pub const BAD_MODEL: Self = Self(1 << 5);
-    /// The tool came off the tissue in this tick, with every place of it.
+    /// The last active contact point lost contact in this tick.
     pub const RELEASED: Self = Self(1 << 6);
-    /// A place of the tool sticks to the tissue.
+    /// A contact point sticks to the tissue.
     pub const STICK: Self = Self(1 << 7);
-    /// A place of the tool slides over the tissue. Others may stick in the same tick.
+    /// A contact point slides over the tissue. Others may stick in the same tick.
     pub const SLIP: Self = Self(1 << 8);
-    /// The device is at fault and gets no force.
+    /// The device reports a fault; the force fades.
     pub const FAULTED: Self = Self(1 << 9);
     /// The link is lost and the force fades.
     pub const LINK_LOST: Self = Self(1 << 10);
-    /// The soft start is not over.
+    /// The soft start is in progress.
     pub const SOFT_START: Self = Self(1 << 11);
-    /// Force was taken away, as the hand would have got more work back than it has put in.
+    /// The passivity controller reduced the force.
     pub const PASSIVATED: Self = Self(1 << 12);
-    /// The torque was clamped to what the device can hold.
+    /// The torque was clamped to the device's limit.
     pub const TORQUE_SATURATED: Self = Self(1 << 13);
     /// The change of torque was limited.
     pub const TORQUE_SLEWED: Self = Self(1 << 14);
@@ -43,12 +43,12 @@ impl Events {
         self.0
     }
 
-    /// Whether all of `other` happened.
+    /// Whether all events of `other` are set.
     pub const fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }
 
-    /// Adds `other` when `it_happened`.
+    /// Sets `other` when `it_happened`.
     pub(crate) fn set(&mut self, other: Self, it_happened: bool) {
         if it_happened {
             self.0 |= other.0;
@@ -56,7 +56,7 @@ impl Events {
     }
 }
 
-/// How many ticks had each event, and the extremes of a run.
+/// Number of ticks with each event, and the extremes of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Counters {
     /// All ticks.
@@ -99,7 +99,7 @@ pub struct Counters {
     pub max_delta_torque_nm: f64,
     /// Largest torque, N·m.
     pub max_torque_nm: f64,
-    /// Smallest energy the hand had put in since the start, J; see
+    /// Minimum of the energy that the hand has put in since the start, J; see
     /// [`EnergyObserver`](crate::EnergyObserver).
     pub min_energy_j: f64,
 }

@@ -1,9 +1,9 @@
-//! Stick-slip friction of one place.
+//! Stick-slip friction of one contact point.
 //!
-//! While it STICKS, the tool is tied to the material by the tangential spring of the tissue; while
-//! it SLIPS, the tie is dragged along so that it pulls with the dynamic coefficient. With e the
-//! stretch of the tie (tangential, m), k its stiffness, N what presses, w the tangential
-//! velocity, Δx how far the place has moved since the last tick:
+//! In STICK the tool is tied to the material by the tangential spring of the tissue (the tie). In SLIP the tie is
+//! dragged along, so that it pulls with the dynamic coefficient. With e the stretch of the tie (tangential, m), k
+//! its stiffness, N the normal force, w the tangential velocity, Δx the motion of the contact point since the last
+//! tick:
 //!
 //! ```text
 //! e ← P_t (e + Δx)                                   P_t = I − n nᵀ
@@ -12,25 +12,25 @@
 //!        to STICK when |w| < v0 and |f_t| < η μd N for the dwell time
 //! ```
 //!
-//! Two coefficients and a tie are Lin 2007, chapter 4; the velocity band, the η and the dwell
-//! are ours, so that noise in the velocity does not make the contact chatter.
+//! The two coefficients and the tie are from Lin 2007, chapter 4. The velocity band, η and the dwell time are ours
+//! and prevent chatter from velocity noise.
 //!
-//! A solver's stiffness goes up and down by a fifth from model to model, so the tie's own follows that of the tissue in
-//! [`FOLLOWS_IN_S`], and at once to within [`FORGIVES`] of it. What a tool feels is then what the tissue is on the mean: a
-//! tie that kept the largest of all until the tissue's was a fifth below was stiffer by that fifth or not, as chance had it.
+//! A solver's stiffness varies by a fifth from model to model, so the tie's stiffness follows it with the time
+//! constant [`FOLLOWS_IN_S`], and at once to within the ratio [`FORGIVES`]. The tool then feels the mean stiffness
+//! of the tissue.
 //!
-//! Energy: shortening e by da along itself loses k e·da. A stiffness that changes keeps the force: rising, it saves what
-//! shortens e; falling, it spends that, and where nothing is saved it keeps k e² and loses force. So the tie never gives
-//! back more than was put in, and a stiffness that only goes up and down takes nothing from a tool that sticks.
+//! Energy: shortening e by da along itself loses k e·da. A change of stiffness keeps the force: a rise saves the
+//! energy that shortens e, a fall spends it. Without saved energy, a fall keeps k e² and loses force. The tie is
+//! therefore passive, and a fluctuating stiffness costs a sticking tool nothing.
 
 use nalgebra::Vector3;
 use palpate_protocol::Span;
 
-/// The smaller of the stiffness of tie and tissue is at least this share of the larger.
+/// Minimum ratio of the smaller to the larger stiffness of tie and tissue.
 const FORGIVES: f64 = 0.8;
 
-/// Time constant in which the stiffness of the tie follows that of the tissue, s: some twenty models, and a tenth of a
-/// stroke.
+/// Time constant with which the stiffness of the tie follows that of the tissue, s: some twenty models, and a tenth
+/// of a stroke.
 const FOLLOWS_IN_S: f64 = 0.1;
 
 /// The constants of stick and slip.
@@ -54,12 +54,12 @@ impl Default for FrictionConfig {
     }
 }
 
-/// One contact as friction sees it.
+/// Input of the friction stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
     /// Unit normal, out of the tissue.
     pub normal: Vector3<f64>,
-    /// What presses there from all sides (N), N, never negative.
+    /// Normal force, summed over all sides (N), N, never negative.
     pub pressed: f64,
     /// Tangential stiffness of the tissue, N/m.
     pub stiffness: f64,
@@ -71,18 +71,18 @@ pub struct Contact {
     pub mu_dynamic: f64,
 }
 
-/// What the tool does on the surface.
+/// Contact state of the tool.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Grip {
-    /// It does not touch.
+    /// No contact.
     Free,
-    /// It sticks.
+    /// Stick.
     Stick,
-    /// It slides.
+    /// Slip.
     Slip,
 }
 
-/// The state of stick and slip.
+/// State of the stick-slip model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Friction {
     config: FrictionConfig,
@@ -91,7 +91,7 @@ pub struct Friction {
     stretch: Vector3<f64>,
     /// The tie's stiffness (k), N/m.
     stiffness: f64,
-    /// What a rising stiffness has taken from the tie and no falling one has given back, J.
+    /// Energy saved by rising stiffness and not yet spent by falling stiffness, J.
     saved_j: f64,
     slow_for: Span,
 }
@@ -109,18 +109,18 @@ impl Friction {
         }
     }
 
-    /// What the tool does.
+    /// The contact state.
     pub fn grip(&self) -> Grip {
         self.grip
     }
 
-    /// Lets go: the next contact starts without stretch. For broken paths (a bad sample).
+    /// Resets to no contact: the next contact starts without stretch. For broken paths (a bad sample).
     pub fn reset(&mut self) {
         *self = Self::new(self.config);
     }
 
-    /// One tick, `dt` after the last: the place has moved by `moved` (m) since and moves with `v` (m/s). The
-    /// tangential force on the tool, N.
+    /// One tick, `dt` after the last: the contact point has moved by `moved` (m) and moves with `v` (m/s). Returns
+    /// the tangential force on the tool, N.
     pub fn tick(
         &mut self,
         contact: &Contact,
@@ -146,7 +146,7 @@ impl Friction {
         }
     }
 
-    /// The stiffness of the tie comes nearer to that of the tissue.
+    /// Moves the stiffness of the tie towards that of the tissue.
     fn follow(&mut self, tissue: f64, dt: Span) {
         let dt_s = dt.as_secs_f64();
         let nearer = self.stiffness + (tissue - self.stiffness) * dt_s / (FOLLOWS_IN_S + dt_s);
@@ -192,7 +192,7 @@ impl Friction {
         force
     }
 
-    /// Shortens the tie to what dynamic friction holds; its pull, N.
+    /// Shortens the tie to the limit of dynamic friction; returns its force, N.
     fn drag(&mut self, contact: &Contact) -> Vector3<f64> {
         let longest = contact.mu_dynamic * contact.pressed / self.stiffness;
         let n = self.stretch.norm();
@@ -218,7 +218,7 @@ mod tests {
 
     const MS: Span = Span::from_millis(1);
 
-    /// A place by where it is, not by how far it has come.
+    /// A contact point given by its position instead of its displacement.
     struct Friction(super::Friction, Option<Vector3<f64>>);
 
     impl Friction {
@@ -275,16 +275,16 @@ mod tests {
     }
 
     #[test]
-    fn on_a_slope_it_sticks_below_the_static_angle_and_slips_above() {
+    fn a_block_sticks_below_the_static_angle_and_slips_above() {
         let (moved, slipped) = block_on_slope(0.95);
-        // Stuck: only the tie has stretched, by μs N / k at the most.
+        // Stuck: only the tie has stretched, by at most μs N / k.
         assert!(!slipped && moved < 0.5 * 0.2 * 9.81 / 300.0, "{moved} m");
         let (moved, slipped) = block_on_slope(1.05);
         assert!(slipped && moved > 0.1, "{moved} m");
     }
 
     #[test]
-    fn a_dragged_tool_feels_dynamic_friction() {
+    fn a_sliding_tool_feels_dynamic_friction() {
         let mut friction = Friction::new(FrictionConfig::default());
         let v = Vector3::new(0.05, 0.0, 0.0);
         let mut f = Vector3::zeros();
@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn it_sticks_again_only_after_the_dwell() {
+    fn it_sticks_again_only_after_the_dwell_time() {
         let mut friction = Friction::new(FrictionConfig::default());
         let v = Vector3::new(0.05, 0.0, 0.0);
         let mut x = Vector3::zeros();
@@ -304,7 +304,7 @@ mod tests {
             x += v * 1e-3;
             friction.tick(&pressed(2.0), &x, &v, MS);
         }
-        // Back by a little less than the tie, then still: f_t is small and the tool is slow.
+        // Back by slightly less than the tie, then at rest: f_t is small and the tool is slow.
         x -= Vector3::x() * (0.35 * 2.0 / 300.0 * 0.9);
         let still = Vector3::zeros();
         for tick in 1..=5 {
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stiffness_that_changes_gives_the_tie_no_energy() {
+    fn changing_stiffness_adds_no_energy_to_the_tie() {
         let still = Vector3::zeros();
         let x = Vector3::new(0.002, 0.0, 0.0);
         // The energy of the tie: |f|² / 2k.
@@ -342,14 +342,14 @@ mod tests {
     }
 
     #[test]
-    fn a_stiffness_that_goes_up_and_down_takes_little_from_a_tool_that_sticks() {
+    fn fluctuating_stiffness_costs_a_sticking_tool_little_force() {
         let still = Vector3::zeros();
         let x = Vector3::new(0.002, 0.0, 0.0);
         let mut friction = Friction::new(FrictionConfig::default());
         friction.tick(&pressed(5.0), &still, &still, MS);
         let first = friction.tick(&pressed(5.0), &x, &still, MS);
         for i in 0..20_000_u32 {
-            // A fifth up and down, anew every four ticks, as models are.
+            // A fifth up and down, changed every four ticks, as models are.
             let up = f64::from((i / 4).wrapping_mul(2_654_435_761) >> 16) / 65_536.0;
             let contact = Contact {
                 stiffness: 300.0 * (0.8 + 0.4 * up),
@@ -365,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn leaving_the_surface_lets_go_of_the_tie() {
+    fn leaving_the_surface_resets_the_tie() {
         let mut friction = Friction::new(FrictionConfig::default());
         let still = Vector3::zeros();
         friction.tick(&pressed(2.0), &still, &still, MS);
@@ -390,7 +390,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_tie_that_follows_the_tissue_is_given_no_energy_and_no_force(
+        fn following_the_tissue_adds_no_energy_and_no_force(
             steps in proptest::collection::vec((10.0f64..3000.0, -1.0f64..1.0, 1i64..50), 1..100),
         ) {
             let mut friction = super::Friction { stiffness: 300.0, ..super::Friction::new(FrictionConfig::default()) };
@@ -434,13 +434,13 @@ mod tests {
                 let contact = Contact { damping: 0.0, ..pressed(n) };
                 let f = friction.tick(&contact, x, &v, MS) + Vector3::z() * n;
                 if let Some((last, force)) = before {
-                    // The trapezium is exact for a linear spring; a held force would add the
-                    // energy of the sampling, which is not the law's.
+                    // The trapezium is exact for a linear spring; a held force would add the energy of the
+                    // sampling.
                     work += 0.5 * (f + force).dot(&(x - last));
                 }
                 before = Some((*x, f));
             }
-            // The kinks of the one-sided law and of the cone: k δ² / 8 each, with δ = 0.2 mm.
+            // Tolerance for the kinks of the one-sided law and of the cone: k δ² / 8 each, with δ = 0.2 mm.
             let tolerance = path.len() as f64 * 400.0 * 4e-8 / 8.0 * 1e-2 + 1e-6;
             prop_assert!(work <= tolerance, "the tool gained {work} J over {} steps", path.len());
         }

@@ -1,38 +1,38 @@
-//! One tick of the 1 kHz loop: from the newest contact model and the newest sample to a wrench
-//! that is safe for the hand.
+//! One tick of the 1 kHz loop: from the newest contact model and the newest sample to a wrench that is safe for the
+//! hand.
 //!
-//! This crate never allocates, locks, logs or waits, never reads a clock and never talks to a
-//! device: [`Chain::tick`] takes the time and a sample and gives a wrench. There is nothing to lock: a chain owns all its
-//! state, a contact model is plain data that whoever calls it hands over whole (the client through a triple buffer).
+//! This crate never allocates, locks, logs, waits, reads a clock or accesses a device. [`Chain::tick`] takes the
+//! time and a sample and returns a wrench. A chain owns all its state; the caller passes each contact model by
+//! value (the client through a triple buffer).
 //!
-//! Signs: every force and torque is the one ON THE TOOL, and so on the hand. Normals point out of the
-//! tissue, so that a pressed tool has a positive normal force. Forces are newtons throughout, torques newton metres
-//! about the tool's pivot, along the scene's axes; there is no gain to tune by feel.
+//! Signs: every force and torque is the one ON THE TOOL, and so on the hand. Normals point out of the tissue, so
+//! that a pressed tool has a positive normal force. Forces are in newtons, torques in newton metres about the
+//! tool's pivot, along the scene's axes, without a tuning gain.
 //!
 //! The order of the stages, one file each:
 //!
 //! ```text
-//! not-a-number check -> contact model, blended (blend, law) with slopes that hand and device can follow (coupling)
-//!   -> stick-slip friction of every place (friction), all of them summed to a wrench about the pivot (places)
+//! not-a-number check -> contact model, blended (blend, contact_law) with slopes that hand and device can follow (coupling)
+//!   -> stick-slip friction of every contact point (friction), summed to a wrench about the pivot (contact_points)
 //!   -> clamp to the device's continuous force and its torque -> soft start x watchdog -> passivity -> slew limit
 //! ```
 //!
-//! The slew limit is last, so that no stage and no fault can make a step that reaches the hand.
+//! The slew limit is last, so that no stage and no fault can make a step at the hand.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod blend;
 mod chain;
 mod contact;
+mod contact_law;
+mod contact_points;
 mod coupling;
 mod energy;
 mod events;
 mod friction;
-mod law;
 mod limits;
 mod motion;
 mod passivity;
-mod places;
 mod soft_start;
 mod touch;
 mod watchdog;
@@ -45,7 +45,7 @@ pub use energy::EnergyObserver;
 pub use events::{Counters, Events};
 pub use friction::{Contact, Friction, FrictionConfig, Grip};
 pub use limits::{Slew, StiffnessCap, WrenchSlew, clamp_force};
-pub use passivity::{Given, Passivity, Seen};
+pub use passivity::{ControllerOutput, Passivity, ToolState};
 pub use soft_start::SoftStart;
 pub use touch::{MINDLIN, Touch};
 pub use watchdog::{LinkGuard, Watchdog, WatchdogConfig};

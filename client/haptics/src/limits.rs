@@ -1,4 +1,4 @@
-//! The plain limits: stiffness, force, and change of force.
+//! Limits of stiffness, force and slew rate.
 
 use nalgebra::Vector3;
 use palpate_device::{DeviceCaps, Wrench};
@@ -6,15 +6,15 @@ use palpate_protocol::Span;
 
 /// The largest stiffness the loop renders, N/m.
 ///
-/// A sampled spring K held for a period T behind a device of damping b is passive while
-/// K <= 2 b / T (Colgate and Schenkel 1997). What is stiffer keeps its solved force but is
-/// followed with this slope between two solves.
+/// A sampled spring K held for a period T behind a device of damping b is passive while K <= 2 b / T (Colgate and
+/// Schenkel 1997). A stiffer contact keeps its solved force but follows the hand with this slope between two
+/// solves.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StiffnessCap(f64);
 
 impl StiffnessCap {
-    /// The smaller of what the device claims and 2 b / T, with `damping_ns_per_m` = b. A device without motors
-    /// claims nothing; what it is told of the force is capped by the second alone.
+    /// The smaller of the device's limit and 2 b / T, with `damping_ns_per_m` = b. A device without motors has no
+    /// limit of its own, so only 2 b / T applies.
     pub fn new(caps: &DeviceCaps, damping_ns_per_m: f64, period: Span) -> Self {
         let stable = 2.0 * damping_ns_per_m / period.as_secs_f64();
         Self(if caps.dof_out == 0 {
@@ -35,7 +35,7 @@ impl StiffnessCap {
     }
 }
 
-/// `force` (or a torque) shortened to `limit`, in the same unit, and whether it was too long. The direction stays.
+/// `force` (or a torque) shortened to `limit`, in the same unit, and whether it was longer. The direction is kept.
 pub fn clamp_force(force: Vector3<f64>, limit: f64) -> (Vector3<f64>, bool) {
     let n = force.norm();
     if n > limit {
@@ -66,26 +66,26 @@ impl Slew {
         self.step
     }
 
-    /// What the last tick gave, N or N·m.
+    /// The output of the last tick, N or N·m.
     pub fn now(&self) -> Vector3<f64> {
         self.now
     }
 
-    /// What stands at the device is `now` (N or N·m), whatever it was given: the next step is from there.
-    /// One that is not finite counts as none.
+    /// Replaces the state by the rendered value `now` (N or N·m); the next step starts there. A non-finite value
+    /// counts as zero.
     pub fn begin_at(&mut self, now: Vector3<f64>) {
         let is_finite = now.iter().all(|c| c.is_finite());
         self.now = if is_finite { now } else { Vector3::zeros() };
     }
 
-    /// Where [`towards`](Self::towards) would get in this tick, N or N·m.
+    /// The next output towards `target` without a state change, N or N·m.
     pub fn peek(&self, target: Vector3<f64>) -> Vector3<f64> {
         let mut ahead = *self;
         ahead.towards(target).0
     }
 
-    /// Goes towards `target`; where it gets to, and whether the step was too long. A target that
-    /// is not finite counts as none, for this stage is the last before the hand.
+    /// Steps towards `target`; returns the output and whether the step was limited. A non-finite target counts as
+    /// zero, because this is the last stage before the hand.
     pub fn towards(&mut self, target: Vector3<f64>) -> (Vector3<f64>, bool) {
         let is_finite = target.iter().all(|c| c.is_finite());
         let target = if is_finite { target } else { Vector3::zeros() };
@@ -95,7 +95,7 @@ impl Slew {
     }
 }
 
-/// The last stage: what the hand is given never changes by more than its two steps per tick.
+/// The last stage: limits the change of force and torque per tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WrenchSlew {
     /// Of the force.
@@ -105,7 +105,7 @@ pub struct WrenchSlew {
 }
 
 impl WrenchSlew {
-    /// What the last tick gave.
+    /// The output of the last tick.
     pub fn now(&self) -> Wrench {
         Wrench {
             force: self.force.now(),
@@ -113,14 +113,13 @@ impl WrenchSlew {
         }
     }
 
-    /// What stands at the device is `wrench`, whatever it was given: the next steps are from there. What of it is not
-    /// finite counts as none.
+    /// Replaces the state by the rendered `wrench`; the next steps start there. Non-finite parts count as zero.
     pub fn begin_at(&mut self, wrench: &Wrench) {
         self.force.begin_at(wrench.force);
         self.torque.begin_at(wrench.torque);
     }
 
-    /// Where [`towards`](Self::towards) would get in this tick.
+    /// The next output towards `target` without a state change.
     pub fn peek(&self, target: &Wrench) -> Wrench {
         Wrench {
             force: self.force.peek(target.force),
@@ -128,7 +127,7 @@ impl WrenchSlew {
         }
     }
 
-    /// Goes towards `target`; where it gets to, and whether the step of the force and that of the torque was too long.
+    /// Steps towards `target`; returns the output, and whether the force and the torque were limited.
     pub fn towards(&mut self, target: &Wrench) -> (Wrench, [bool; 2]) {
         let (force, forced) = self.force.towards(target.force);
         let (torque, turned) = self.torque.towards(target.torque);
@@ -164,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn the_smaller_of_device_and_damping_caps_stiffness() {
+    fn stiffness_is_capped_by_the_smaller_of_device_and_damping() {
         let ms = Span::from_millis(1);
         assert_eq!(StiffnessCap::new(&caps(3000.0), 0.5, ms).apply(1e5), 1000.0);
         assert_eq!(StiffnessCap::new(&caps(700.0), 0.5, ms).apply(1e5), 700.0);
@@ -172,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn a_target_that_is_not_a_number_counts_as_no_force() {
+    fn a_non_finite_target_counts_as_zero() {
         let mut slew = Slew::new(0.5);
         slew.towards(Vector3::x());
         for bad in [f64::NAN, f64::INFINITY] {
@@ -183,7 +182,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_clamp_never_turns_and_never_lengthens(x in -50.0f64..50.0, y in -50.0f64..50.0) {
+        fn a_clamp_keeps_the_direction_and_never_lengthens(x in -50.0f64..50.0, y in -50.0f64..50.0) {
             let f = Vector3::new(x, y, 1.0);
             let (c, limited) = clamp_force(f, 8.0);
             prop_assert!(c.norm() <= 8.0 + 1e-12 && c.norm() <= f.norm() + 1e-12);

@@ -1,4 +1,4 @@
-//! Where the tool is and how it moves, as the stages see it.
+//! Pose and velocity of the tool, the input of the stages.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use palpate_device::{Pose, Sample};
@@ -42,12 +42,12 @@ impl Motion {
         }
     }
 
-    /// Velocity of what is `lever` (m, scene's axes) away from the pivot, m/s.
+    /// Velocity of the point at `lever` (m, scene's axes) from the pivot, m/s.
     pub(crate) fn velocity_at(&self, lever: &Vector3<f64>) -> Vector3<f64> {
         self.v + self.w.cross(lever)
     }
 
-    /// How far what is `lever` (m, scene's axes, now) away from the pivot has come from the pose `before`, m.
+    /// Displacement since the pose `before` of the point at `lever` (m, scene's axes, now) from the pivot, m.
     pub(crate) fn moved_since(&self, before: &Pose, lever: &Vector3<f64>) -> Vector3<f64> {
         let lever_before = before.orientation * (self.turn.inverse() * lever);
         (self.x - before.position) + (lever - lever_before)
@@ -62,7 +62,7 @@ mod tests {
     use super::Motion;
 
     #[test]
-    fn a_place_moves_with_the_tool_it_is_on() {
+    fn a_contact_point_moves_with_its_tool() {
         // A quarter turn about z in a second, and 1 m/s along x.
         let quarter = std::f64::consts::FRAC_PI_2;
         let w = Vector3::new(0.0, 0.0, quarter);

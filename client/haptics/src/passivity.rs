@@ -1,6 +1,6 @@
 //! The passivity controller: the hand never gets more work back than it has put into a contact.
 //!
-//! A tank holds what the hand has put in and not got back (Hannaford and Ryu 2002, their observer):
+//! An energy tank holds the net work of the hand (the observer of Hannaford and Ryu 2002):
 //!
 //! ```text
 //! E_k = E_(k−1) − F_(k−1) · (x_k − x_(k−1)) − M_(k−1) · θ_k     F and M are held from tick to tick, so this is exact
@@ -8,40 +8,39 @@
 //!
 //! with M the torque and θ the rotation vector between the two orientations.
 //!
-//! Their controller adds a damper when E falls below zero. A damper is a force of its own, as large as velocity is noisy,
-//! and the slew limit, which comes after, would let it come too late. Here force is only ever taken away, and before
-//! the tank is empty. To take F away takes |F|/δ ticks, δ being the slew limit's step; meanwhile it pushes with the
-//! impulse J, and what it pushes is no lighter than m and moves with v along it. So there must be
+//! Their controller adds a damper when E falls below zero. Its force is as noisy as the velocity, and the slew
+//! limit behind it would delay it. This controller only ever reduces force, and does so before the tank is empty.
+//! Removing F takes |F|/δ ticks, with δ the step of the slew limit. Meanwhile F exerts the impulse J on a mass of
+//! at least m that moves with v along it. So there must be
 //!
 //! ```text
 //! E_k - E_0 >= J v + J²/(2 m)        J = T (|F| + |F|²/(2 δ)),  T the period
 //! ```
 //!
-//! which is solved for |F|. With a torque M its own impulse L = T (|M| + |M|²/(2 ε)), ε being its step, on the inertia I
-//! of the lightest handle, turning with ω along it, is added, and one factor is looked for by which both are multiplied,
-//! so that a wrench keeps the line it acts along:
+//! which is solved for |F|. A torque M has its own impulse L = T (|M| + |M|²/(2 ε)), with ε its step, on the
+//! inertia I of the lightest handle, turning with ω along it. A line search finds one factor for both, so that a
+//! wrench keeps its line of action:
 //!
 //! ```text
 //! E_k - E_0 >= J v + J²/(2 m) + L ω + L²/(2 I)      at any time while they are taken away
 //! ```
 //!
-//! At any time, because the two ramps have not the same length: what a fast press is going to pay at the end, a torque
-//! could have spent before. And an arm that is speeding the handle up (a, never below zero) does so until the ramps
-//! are over; a light handle on a stiff arm turns so quickly that this counts. (Of a handle whose pivot is its middle of
-//! mass, as that of a gimbal with a balanced stylus nearly is.)
+//! The condition holds at any time, because the two ramps differ in length: a torque must not spend early the
+//! energy that a fast press returns only at the end. An accelerating arm (a, never below zero) keeps accelerating
+//! the handle until the ramps end; this matters for a light handle on a stiff arm. The pivot is assumed at the
+//! centre of mass, as nearly is the case for a gimbal with a balanced stylus.
 //!
-//! A spring stores |F|²/(2 K): it never comes near while |F| < 2 (δ/T) √(m/K), or 17 N for
-//! 400 N/m. So soft tissue is rendered as it is, and a wall that the delay of a solver makes lively loses force
-//! before it can throw the hand back.
+//! A spring stores |F|²/(2 K), so the limit is inactive while |F| < 2 (δ/T) √(m/K), or 17 N for 400 N/m. Soft
+//! tissue is rendered unchanged. A wall that is active because of the solver's delay loses force before it can
+//! throw the hand back.
 //!
-//! Others who press on the same tissue put work into it, too, and this hand may well be pushed by them: what they have
-//! put in, less what they have got back, counts as well ([`ContactModel::others_j`](crate::ContactModel)), and pays for
-//! what they have moved this hand by.
+//! Other participants who press on the same tissue put work into it, too, and may push this hand. Their net work
+//! counts as well ([`ContactModel::others_j`](crate::ContactModel)), and pays for the work they do on this hand.
 //!
-//! What is stored, or owed, ends with the contact, not at once, as a model without contact may come between two with
-//! one: a tool that has come off has got back all that an elastic tissue owes. Nor does the tank hold more than the
-//! force over the depth of any press, so what friction has taken up is not spent on a later oscillation. Where nothing
-//! is known of the way here (a fault, a jump) the tissue is believed to store what a spring does, |F|²/(2 K).
+//! Stored energy and debts decay after the contact, not at once, because a model without contact may arrive between
+//! two with one: a tool off an elastic tissue has got back all its work. The tank holds at most the force over the
+//! depth of any press, so that work lost to friction can not feed a later oscillation. After an unobserved motion
+//! (a fault, a jump) the tissue is assumed to store the energy of a spring, |F|²/(2 K).
 
 use nalgebra::Vector3;
 use palpate_device::{Pose, Wrench};
@@ -50,63 +49,61 @@ use palpate_protocol::Span;
 use crate::WrenchSlew;
 use crate::energy::{turned, work};
 
-/// Energy that must be earned before any is given back, J: what 0.06 N have moved by 0.3 mm, less than a hand tells.
-/// It covers a hand that is faster at the end of a tick than at its beginning.
+/// Reserve that must be earned before energy is returned, J: 0.06 N over 0.3 mm, below what a hand can feel. It
+/// covers a hand that accelerates within a tick.
 const RESERVE_J: f64 = 1e-5;
-/// m: a little less than the lightest thing that a force acts on, kg: a device's handle of 0.1 kg when the hand has let
-/// go of it.
+/// m: slightly below the smallest mass that a force acts on, kg: a device's handle of 0.1 kg without a hand.
 const LIGHTEST_KG: f64 = 0.08;
 /// I: a little less than the inertia of that handle about its pivot, kg·m²: a rod of 0.1 kg and 80 mm has 5.3e-5. About
 /// its own axis a stylus is lighter by far, but there the motor and the gear turn with it.
 const LIGHTEST_KG_M2: f64 = 4e-5;
-/// Time in which what is stored falls to a third when nothing is touched, s.
-const FORGETS_S: f64 = 0.1;
-/// Faster than any hand, m/s: such a sample is a glitch, and nobody has done the work that it seems to have taken.
-const JUMPS_M_S: f64 = 20.0;
-/// Turns faster than any hand, rad/s.
-const JUMPS_RAD_S: f64 = 100.0;
-/// The deepest press that an elastic tissue gives back, m.
+/// Time constant of the tank's decay without contact, s.
+const DECAY_S: f64 = 0.1;
+/// Above any hand's speed, m/s: such a sample is a glitch, and its apparent work is ignored.
+const JUMP_M_S: f64 = 20.0;
+/// Above any hand's angular velocity, rad/s.
+const JUMP_RAD_S: f64 = 100.0;
+/// Maximum depth of a press on elastic tissue, m.
 const DEPTH_M: f64 = 0.05;
-/// The same of a turn, rad: that depth at the end of a lever as long.
+/// The same for a rotation, rad: that depth at the end of an equally long lever.
 const TURN_RAD: f64 = 1.0;
-/// Moments of two ramps that are looked at. A ramp has at most 50 ticks, and what it does is smooth.
-const MOMENTS: usize = 16;
-/// Halvings in the search for the common factor: to a millionth.
-const HALVINGS: usize = 20;
+/// Sampling times of two simultaneous ramps. A ramp has at most 50 ticks, and its work is smooth.
+const RAMP_SAMPLES: usize = 16;
+/// Bisections of the common factor: to a millionth.
+const BISECTIONS: usize = 20;
 
-/// What is known of a tool at the beginning of a tick.
+/// State of a tool at the beginning of a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Seen {
-    /// Where it is, and how it is turned.
+pub struct ToolState {
+    /// Position and orientation.
     pub pose: Pose,
-    /// How fast it moves, m/s.
+    /// Velocity, m/s.
     pub v: Vector3<f64>,
-    /// How fast it turns, rad/s.
+    /// Angular velocity, rad/s.
     pub w: Vector3<f64>,
     /// Time since the last tick.
     pub dt: Span,
-    /// What the tissue pushes and turns it with there, before anything is taken away.
+    /// Wrench of the tissue there, before any reduction.
     pub there: Wrench,
     /// Stiffness of the tissue there, N/m.
     pub stiffness_n_per_m: f64,
 }
 
-/// What a tool is given in a tick.
+/// Output to a tool in a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Given {
-    /// Where it is, and how it is turned.
+pub struct ControllerOutput {
+    /// Position and orientation.
     pub pose: Pose,
-    /// What pushes and turns it until the next tick.
+    /// The wrench that acts until the next tick.
     pub wrench: Wrench,
-    /// What the soft start and a lost link keep from it. A hand that presses meanwhile works against nothing, and
-    /// finds the force there when they are over: what it would have put in, less what it would have got back, is
-    /// counted as put in.
+    /// The part that the soft start and a lost link withhold. A hand that presses meanwhile works against nothing,
+    /// but feels the full force afterwards, so its work against the withheld wrench is credited.
     pub withheld: Wrench,
-    /// Whether it touches anything at all.
+    /// Whether any contact point is active.
     pub touches: bool,
 }
 
-/// Takes force away that would give the hand more work than it has put in.
+/// Reduces a force that would give the hand more work than it has put in.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Passivity {
     period_s: f64,
@@ -115,25 +112,25 @@ pub struct Passivity {
     /// ε, N·m per tick.
     step_nm: f64,
     tank_j: f64,
-    /// What was given in the last tick.
-    last: Option<Given>,
-    /// How fast it moved and turned then, m/s and rad/s.
+    /// The output of the last tick.
+    last: Option<ControllerOutput>,
+    /// Velocity and angular velocity then, m/s and rad/s.
     speeds: Option<[Vector3<f64>; 2]>,
-    /// How both have changed since, m/s² and rad/s².
+    /// Accelerations since, m/s² and rad/s².
     speeding_up: [Vector3<f64>; 2],
-    /// What others have put in beside this contact and not got back, J. What they had put in before is theirs to
-    /// take back: it is never below zero.
-    lent_j: f64,
-    /// What the hand would have put in while forces were withheld, less what it would have got back, J.
-    kept_j: f64,
-    /// The most that each of them may hold, J.
-    room_j: f64,
-    /// What others had put in when it was last heard of.
+    /// Net work of the other participants since this contact began, J; never below zero. Their earlier work may be
+    /// taken back only by themselves.
+    others_tank_j: f64,
+    /// Net work that the hand would have done against the withheld wrench, J.
+    withheld_j: f64,
+    /// Capacity of each of them, J.
+    capacity_j: f64,
+    /// The last reported work of the other participants.
     others_j: Option<f64>,
 }
 
 impl Passivity {
-    /// In front of a slew limit of `step_n` newtons and `step_nm` newton metres per tick of `period`.
+    /// A controller in front of a slew limit of `step_n` newtons and `step_nm` newton metres per tick of `period`.
     pub fn new(step_n: f64, step_nm: f64, period: Span) -> Self {
         Self {
             period_s: period.as_secs_f64(),
@@ -143,74 +140,81 @@ impl Passivity {
             last: None,
             speeds: None,
             speeding_up: [Vector3::zeros(); 2],
-            lent_j: 0.0,
-            kept_j: 0.0,
-            room_j: 0.0,
+            others_tank_j: 0.0,
+            withheld_j: 0.0,
+            capacity_j: 0.0,
             others_j: None,
         }
     }
 
-    /// What the hand has put in and not got back, J.
+    /// Net work that the hand has put in, J.
     pub fn stored_j(&self) -> f64 {
         self.tank_j
     }
 
-    /// The path is broken (a bad sample): what was stored stays, and nothing is known of the work since.
+    /// The path is broken (a bad sample): stored energy stays, and the work since is unknown.
     pub fn interrupt(&mut self) {
         self.last = None;
         self.speeds = None;
     }
 
-    /// Others have put so much into the tissue since they began, less what they have got back, J.
-    pub fn hear(&mut self, others_j: f64) {
+    /// Reports the net work of the other participants on the tissue since they joined, J.
+    pub fn set_others_work(&mut self, others_j: f64) {
         let before = self.others_j.replace(others_j).unwrap_or(others_j);
-        self.lent_j = (self.lent_j + others_j - before).max(0.0);
+        self.others_tank_j = (self.others_tank_j + others_j - before).max(0.0);
     }
 
-    /// The tool has moved.
-    pub fn observe(&mut self, seen: &Seen) {
+    /// Accounts for the motion of the tool since the last tick.
+    pub fn observe(&mut self, seen: &ToolState) {
         let there = &seen.there;
         let room = RESERVE_J + there.force.norm() * DEPTH_M + there.torque.norm() * TURN_RAD;
-        self.room_j = room.max(self.room_j * self.left_of(FORGETS_S));
+        self.capacity_j = room.max(self.capacity_j * self.decay(DECAY_S));
         let dt_s = seen.dt.as_secs_f64().max(self.period_s);
         let [v, w] = self
             .speeds
             .replace([seen.v, seen.w])
             .unwrap_or([seen.v, seen.w]);
         self.speeding_up = [(seen.v - v) / dt_s, (seen.w - w) / dt_s];
-        match self.last.filter(|last| is_a_way(last, &seen.pose, dt_s)) {
+        match self
+            .last
+            .filter(|last| is_plausible_motion(last, &seen.pose, dt_s))
+        {
             Some(last) => {
                 self.tank_j -= work(&last.wrench, &last.pose, &seen.pose);
-                let kept = self.kept_j - work(&last.withheld, &last.pose, &seen.pose);
-                self.kept_j = kept.max(0.0);
+                let kept = self.withheld_j - work(&last.withheld, &last.pose, &seen.pose);
+                self.withheld_j = kept.max(0.0);
                 if last.withheld == Wrench::ZERO {
-                    self.tank_j += std::mem::take(&mut self.kept_j);
+                    self.tank_j += std::mem::take(&mut self.withheld_j);
                 }
             }
-            // Nothing is known of the way here. The tissue stores what a spring does that pushes like this.
+            // The motion is unknown. The tissue is assumed to store the energy of a spring with this force.
             None if there.force.norm() > 0.0 => {
                 let n = there.force.norm();
                 let stored = 0.5 * n * n / seen.stiffness_n_per_m.max(1.0);
-                self.kept_j = self.kept_j.max(stored);
+                self.withheld_j = self.withheld_j.max(stored);
             }
             None => {}
         }
-        // What others have moved this hand by, they have paid for.
-        let debt = (-self.tank_j).max(0.0).min(self.lent_j);
+        // The work that other participants have done on this hand is paid from their tank.
+        let debt = (-self.tank_j).max(0.0).min(self.others_tank_j);
         self.tank_j += debt;
-        self.lent_j -= debt;
-        for account in [&mut self.tank_j, &mut self.lent_j, &mut self.kept_j] {
-            *account = account.min(self.room_j);
+        self.others_tank_j -= debt;
+        for account in [
+            &mut self.tank_j,
+            &mut self.others_tank_j,
+            &mut self.withheld_j,
+        ] {
+            *account = account.min(self.capacity_j);
         }
     }
 
-    /// What a tick leaves of something that falls to a third in `s` seconds.
-    fn left_of(&self, s: f64) -> f64 {
+    /// Decay factor of one tick for the time constant `s` seconds.
+    fn decay(&self, s: f64) -> f64 {
         1.0 - self.period_s / s
     }
 
-    /// As much of `target` as may be aimed at by a `slew` limit for a tool that moves with `v` (m/s) and turns with `w`
-    /// (rad/s), and whether that is less. Its line of action stays.
+    /// Reduces `target` for a `slew` limit and a tool that moves with `v` (m/s) and turns with `w` (rad/s); returns
+    /// whether it was reduced. Its line of action is kept.
     pub fn limit(
         &self,
         slew: &WrenchSlew,
@@ -218,8 +222,8 @@ impl Passivity {
         v: &Vector3<f64>,
         w: &Vector3<f64>,
     ) -> (Wrench, bool) {
-        let there = (self.tank_j + self.lent_j + self.kept_j - RESERVE_J).max(0.0);
-        // What counts is the wrench of this tick, not the one that it is on the way to.
+        let there = (self.tank_j + self.others_tank_j + self.withheld_j - RESERVE_J).max(0.0);
+        // The condition applies to the wrench of this tick, not to the target of the slew limit.
         let next = slew.peek(target);
         if next.torque == Vector3::zeros() && slew.torque.now() == Vector3::zeros() {
             let share = self.share_of_force(&next.force, v, there);
@@ -233,7 +237,7 @@ impl Passivity {
         (target.scaled(share), share < 1.0)
     }
 
-    /// The factor of a force alone, where `there` joules may be given.
+    /// The factor of a force alone, for a budget of `there` joules.
     fn share_of_force(&self, force: &Vector3<f64>, v: &Vector3<f64>, there: f64) -> f64 {
         let n = force.norm();
         if n == 0.0 {
@@ -246,9 +250,8 @@ impl Passivity {
         most / n
     }
 
-    /// The same of force and torque: a share of `target` on the way to which they do not need more, next to one at which
-    /// they do. On the way to nothing at all, the force or the torque may still be more than there is for: that was
-    /// paid for when it was given.
+    /// The common factor of force and torque: the largest share of `target` within the budget. Even at a target of
+    /// zero the force or torque may exceed the budget; it was paid for when it was rendered.
     fn share_of_both(
         &self,
         slew: &WrenchSlew,
@@ -275,13 +278,13 @@ impl Passivity {
                     LIGHTEST_KG_M2,
                 ),
             ];
-            Ramp::spend_together(&ramps) <= there
+            Ramp::max_joint_work(&ramps) <= there
         };
         if is_there(1.0) {
             return 1.0;
         }
         let (mut enough, mut too_much) = (0.0, 1.0);
-        for _ in 0..HALVINGS {
+        for _ in 0..BISECTIONS {
             let middle = 0.5 * (enough + too_much);
             if is_there(middle) {
                 enough = middle;
@@ -292,8 +295,8 @@ impl Passivity {
         enough
     }
 
-    /// How a force (or torque) on something that weighs `inertia`, moves with `v` and speeds up is taken away by a slew
-    /// limit of `step` per tick.
+    /// The ramp by which a slew limit of `step` per tick removes a force (or torque) from a body of `inertia` that
+    /// moves with `v` and accelerates.
     fn ramp(
         &self,
         force: &Vector3<f64>,
@@ -313,8 +316,8 @@ impl Passivity {
         }
     }
 
-    /// What pushes the tool until the next tick is `force` (N), and not what was given: the device has clamped it, or
-    /// taken it away. So is what turns it `torque` (N·m), where the device renders any.
+    /// Replaces the output of the last tick by the rendered `force` (N) and, for a device with torque, `torque`
+    /// (N·m): the device has clamped or removed it.
     pub fn correct(&mut self, force: Vector3<f64>, torque: Option<Vector3<f64>>) {
         if let Some(last) = &mut self.last {
             last.wrench.force = force;
@@ -322,22 +325,22 @@ impl Passivity {
         }
     }
 
-    /// What is given until the next tick.
-    pub fn give(&mut self, given: Given) {
+    /// Records the output that acts until the next tick.
+    pub fn record(&mut self, given: ControllerOutput) {
         if !given.touches {
-            // Debts, too: a hand that is off the tissue owes it nothing for long.
-            self.tank_j *= self.left_of(FORGETS_S);
+            // Debts decay too: a hand off the tissue owes it nothing for long.
+            self.tank_j *= self.decay(DECAY_S);
         }
         self.last = Some(given);
     }
 }
 
-/// A force, or torque, that is taken away evenly.
+/// A force, or torque, that decreases linearly to zero.
 struct Ramp {
     lasts_s: f64,
-    /// What it gives until it is gone, N·s or N·m·s.
+    /// Its impulse until zero, N·s or N·m·s.
     impulse: f64,
-    /// Of what it acts on, along it, m/s or rad/s.
+    /// Velocity of the body along it, m/s or rad/s.
     speed: f64,
     /// By an arm, m/s² or rad/s².
     speeding_up: f64,
@@ -346,30 +349,30 @@ struct Ramp {
 }
 
 impl Ramp {
-    /// What it has done after `t_s` seconds, J.
-    fn has_done(&self, t_s: f64) -> f64 {
+    /// Its work after `t_s` seconds, J.
+    fn work_after(&self, t_s: f64) -> f64 {
         let left = (1.0 - t_s / self.lasts_s).max(0.0);
         let impulse = self.impulse * (1.0 - left * left);
         let faster = 0.5 * self.speeding_up * t_s.min(self.lasts_s);
         impulse * (self.speed + faster) + impulse * impulse / (2.0 * self.inertia)
     }
 
-    /// The most that two have done together at any time, J.
-    fn spend_together([a, b]: &[Self; 2]) -> f64 {
+    /// The maximum of the joint work of two ramps over time, J.
+    fn max_joint_work([a, b]: &[Self; 2]) -> f64 {
         let lasts_s = a.lasts_s.max(b.lasts_s);
-        (1..=MOMENTS)
-            .map(|i| lasts_s * i as f64 / MOMENTS as f64)
-            .map(|t_s| a.has_done(t_s) + b.has_done(t_s))
+        (1..=RAMP_SAMPLES)
+            .map(|i| lasts_s * i as f64 / RAMP_SAMPLES as f64)
+            .map(|t_s| a.work_after(t_s) + b.work_after(t_s))
             .fold(0.0, f64::max)
     }
 }
 
-/// Whether a hand can have come from `last` to `pose` in `dt_s` seconds. How a tool turned that nothing turned costs no
-/// work, and does not count.
-fn is_a_way(last: &Given, pose: &Pose, dt_s: f64) -> bool {
+/// Whether a hand can have moved from `last` to `pose` in `dt_s` seconds. A rotation without torque costs no work
+/// and is not checked.
+fn is_plausible_motion(last: &ControllerOutput, pose: &Pose, dt_s: f64) -> bool {
     let turns = last.wrench.torque != Vector3::zeros() || last.withheld.torque != Vector3::zeros();
-    (pose.position - last.pose.position).norm() <= JUMPS_M_S * dt_s
-        && (!turns || turned(&last.pose, pose).norm() <= JUMPS_RAD_S * dt_s)
+    (pose.position - last.pose.position).norm() <= JUMP_M_S * dt_s
+        && (!turns || turned(&last.pose, pose).norm() <= JUMP_RAD_S * dt_s)
 }
 
 #[cfg(test)]

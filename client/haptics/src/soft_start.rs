@@ -1,5 +1,5 @@
-//! Soft start: force grows from nothing, so that a hand that begins inside the tissue, or comes
-//! back after a fault, is not hit.
+//! Soft start: force ramps up from zero, so that a hand that begins inside the tissue, or returns after a fault, is
+//! not hit.
 
 use palpate_protocol::Span;
 
@@ -22,12 +22,12 @@ impl SoftStart {
         self.gain
     }
 
-    /// Begins again from `gain`, if it is higher now.
+    /// Lowers the gain to `gain`, if it is higher.
     pub fn lower_to(&mut self, gain: f64) {
         self.gain = self.gain.min(gain.max(0.0));
     }
 
-    /// The gain.
+    /// The present gain.
     pub fn gain(&self) -> f64 {
         self.gain
     }
@@ -40,7 +40,7 @@ mod tests {
     use super::SoftStart;
 
     #[test]
-    fn full_force_takes_the_whole_ramp_and_begins_again_from_where_it_is_put() {
+    fn full_force_takes_the_whole_ramp_and_lower_to_restarts_it() {
         let mut s = SoftStart::new(Span::from_millis(1000));
         for _ in 0..500 {
             s.advance(Span::from_millis(1));

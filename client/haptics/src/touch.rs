@@ -1,20 +1,19 @@
-//! One place of a tool at which tissue touches it.
+//! One contact point of a tool.
 //!
-//! Around the pose that was solved the force on the tool there is linear in how far the place has moved from where it
-//! was (d) and in how fast it moves (v):
+//! Around the solved pose its force on the tool is linear in its displacement (d) and its velocity (v):
 //!
 //! ```text
 //! f(d, v) = f0 − K d − B v
 //! ```
 //!
-//! with K symmetric positive semidefinite, so that moving deeper raises the push outwards. (Texts that write F0 + K d
-//! mean the derivative of the force, which is −K here.)
+//! with K symmetric positive semidefinite, so that deeper contact raises the outward force. (Texts that write F0 +
+//! K d mean the derivative of the force, which is −K here.)
 
 use nalgebra::{Matrix3, Vector3};
 
-/// The largest component of a place's force, N, or of a torque, N·m, and the largest of its coefficients (stiffness in
-/// N/m, damping in N·s/m, lengths in m) in [`COEFFICIENT_MAX`]. A solver that says more has diverged, and sums of such
-/// numbers could overflow; the model is refused.
+/// Maximum component of a contact force, N, or of a torque, N·m; [`COEFFICIENT_MAX`] bounds the coefficients
+/// (stiffness in N/m, damping in N·s/m, lengths in m). Larger values come from a diverged solver, and their sums
+/// could overflow; the model is rejected.
 pub(crate) const FORCE_MAX_N: f64 = 1e6;
 
 /// Ratio of the tangential to the normal stiffness of a contact that sticks to an incompressible half-space (Mindlin 1949:
@@ -24,30 +23,30 @@ pub const MINDLIN: f64 = 2.0 / 3.0;
 /// See [`FORCE_MAX_N`].
 pub(crate) const COEFFICIENT_MAX: f64 = 1e9;
 
-/// One place of a tool at which tissue touches it, as it was when it was solved. Its position in
-/// [`ContactModel::touches`](crate::ContactModel::touches) is the place's number ON THE TOOL (a station along a line, a
-/// cell of a plate), so that it is the same contact from model to model, and its friction goes on.
+/// One contact point of a tool, as solved. Its position in [`ContactModel::touches`](crate::ContactModel::touches)
+/// is its index ON THE TOOL (a station along a line, a cell of a plate), so that its friction state persists from
+/// model to model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Touch {
-    /// Whether it touches at all. When not, nothing else of it counts.
+    /// Whether the contact point is active. If not, no other field counts.
     pub touches: bool,
-    /// From the tool's pivot (the position of [`Sample::pose`](palpate_device::Sample)) to the place, m, along the
-    /// scene's axes.
+    /// Lever from the tool's pivot (the position of [`Sample::pose`](palpate_device::Sample)) to the contact point,
+    /// m, along the scene's axes.
     pub lever: Vector3<f64>,
-    /// Force on the tool there (f0), N, without friction. The loop uses its part along the normal; what acts along the
-    /// surface is the friction stage's.
+    /// Force on the tool there (f0), N, without friction. The loop uses its normal part; tangential forces come
+    /// from the friction stage.
     pub f0: Vector3<f64>,
-    /// This place's own part of the stiffness (K), N/m, symmetric positive semidefinite. The loop uses it along the
-    /// normal.
+    /// Stiffness of this contact point alone (K), N/m, symmetric positive semidefinite. The loop uses its normal
+    /// part.
     pub stiffness: Matrix3<f64>,
-    /// Stiffness across the normal against a tool that sticks (`k_t`), N/m.
+    /// Tangential stiffness against a sticking tool (`k_t`), N/m.
     pub tangential_stiffness: f64,
     /// Damping B, N·s/m.
     pub damping: f64,
     /// Unit normal of the surface, out of the tissue.
     pub normal: Vector3<f64>,
-    /// What presses there from all sides, N, at least |f0|. Friction is in proportion to it: a needle in its channel is
-    /// pressed from two sides that cancel in f0.
+    /// Normal force summed over all sides, N, at least |f0|. Friction is proportional to it: the two sides of a
+    /// needle's channel cancel in f0.
     pub pressed_n: f64,
     /// Coefficient of static friction.
     pub mu_static: f64,
@@ -56,7 +55,7 @@ pub struct Touch {
 }
 
 impl Touch {
-    /// A place that nothing touches.
+    /// An inactive contact point.
     pub const NONE: Self = Self {
         touches: false,
         lever: Vector3::new(0.0, 0.0, 0.0),
@@ -70,8 +69,9 @@ impl Touch {
         mu_dynamic: 0.0,
     };
 
-    /// A touch at the pivot itself, pressed from one side with `f0` (N) along the unit `normal` against `stiffness`
-    /// (N/m), without damping and friction. Its tangential stiffness is [`MINDLIN`] times that along the normal.
+    /// A contact point at the pivot, pressed from one side with `f0` (N) along the unit `normal` against
+    /// `stiffness` (N/m), without damping and friction. Its tangential stiffness is [`MINDLIN`] times the normal
+    /// one.
     pub fn at_pivot(f0: Vector3<f64>, stiffness: Matrix3<f64>, normal: Vector3<f64>) -> Self {
         let at = Self {
             touches: true,
@@ -87,14 +87,13 @@ impl Touch {
         }
     }
 
-    /// The linear law when the place has moved by `d` (m) and moves with `v` (m/s), N: not yet one-sided, not yet with
-    /// friction.
+    /// The linear law at the displacement `d` (m) and velocity `v` (m/s), N, neither one-sided nor with friction.
     pub fn linear_force(&self, d: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
         self.f0 - self.stiffness * d - self.damping * v
     }
 
-    /// What presses from two sides and cancels in f0 (s), N: it stays while the place touches, and only friction feels
-    /// it.
+    /// Normal force that cancels in f0 between two sides (s), N. It persists while the contact point is active, and
+    /// only friction uses it.
     pub fn squeeze_n(&self) -> f64 {
         (self.pressed_n - self.f0.norm()).max(0.0)
     }
@@ -104,9 +103,9 @@ impl Touch {
         self.normal.dot(&(self.stiffness * self.normal)).max(0.0)
     }
 
-    /// Whether the loop may use it: finite, a unit normal, no negative coefficient, nothing beyond all measure.
+    /// Whether the loop may use it: finite, a unit normal, no negative coefficient, within the bounds.
     pub(crate) fn is_usable(&self) -> bool {
-        // A comparison with a number that is none is false.
+        // A comparison with NaN is false.
         let scalars = [
             self.damping,
             self.mu_static,
@@ -138,20 +137,20 @@ mod tests {
     }
 
     #[test]
-    fn deeper_is_a_stronger_push_outwards() {
+    fn deeper_contact_raises_the_outward_force() {
         let deeper = pressed().linear_force(&Vector3::new(0.0, 0.0, -0.001), &Vector3::zeros());
         assert!((deeper.z - 2.4).abs() < 1e-12);
     }
 
     #[test]
-    fn across_the_normal_it_is_two_thirds_of_that_along_it() {
+    fn tangential_stiffness_is_two_thirds_of_the_normal_one() {
         let m = pressed();
         assert!((m.normal_stiffness() - 400.0).abs() < 1e-9);
         assert!((m.tangential_stiffness - 800.0 / 3.0).abs() < 1e-9);
     }
 
     #[test]
-    fn what_presses_from_one_side_squeezes_nothing() {
+    fn a_one_sided_contact_has_no_squeeze() {
         assert_eq!(pressed().squeeze_n(), 0.0);
         let needle = Touch {
             pressed_n: 5.0,

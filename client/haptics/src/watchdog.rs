@@ -1,24 +1,22 @@
-//! What takes the force away when its source is gone: an old contact model, a tool that left the
-//! model's radius, a lost link. Each is a gain from 1 to 0, never a step.
+//! Fades the force when its source is lost: an old contact model, a tool outside the model's radius, a lost link.
+//! Each is a gain that falls from 1 to 0 without a step.
 //!
-//! The times count from the loss of the source to zero force AT THE HAND. The slew limit behind
-//! these gains may lag by the time it needs to empty the largest force (`flush`), so each gain
-//! reaches zero that much earlier.
+//! The times count from the loss of the source to zero force AT THE HAND. The slew limit behind these gains may lag
+//! by the time it needs to empty the largest force (`flush`), so each gain reaches zero that much earlier.
 
 use palpate_protocol::{ClientTime, Span};
 
-/// When forces fade.
+/// Fade times.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WatchdogConfig {
-    /// Age of a contact model at which its force begins to fade. Models come every 4 to 10 ms, so
-    /// several have been missed by then; a solver that was only delayed by a busy machine is
-    /// back before.
+    /// Age of a contact model at which its force begins to fade. Models come every 4 to 10 ms, so several are
+    /// missing by then; a solver on a busy machine recovers earlier.
     pub stale_from: Span,
     /// Age of a contact model at which the force is zero.
     pub stale_zero: Span,
     /// Time outside the radius of validity after which the gain is zero.
     pub left_zero: Span,
-    /// Time a faded gain needs to come back once its source is there again.
+    /// Time in which a faded gain recovers once its source is back.
     pub recover: Span,
     /// Time after the loss of the link at which the force is zero.
     pub link_zero: Span,
@@ -36,10 +34,10 @@ impl Default for WatchdogConfig {
     }
 }
 
-/// A model solved this far in the future was stamped with another clock, and counts as stale.
+/// Maximum solve time ahead of now. A later model was stamped by another clock, and counts as stale.
 const FUTURE_MAX: Span = Span::from_millis(10);
 
-/// Fades the force of a contact model that is old or was left behind.
+/// Fades the force of a contact model that is old or whose radius the tool has left.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Watchdog {
     config: WatchdogConfig,
@@ -49,7 +47,7 @@ pub struct Watchdog {
     inside: f64,
 }
 
-/// What the watchdog saw in one tick.
+/// Result of the watchdog in one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Watched {
     pub(crate) gain: f64,
@@ -69,9 +67,8 @@ impl Watchdog {
         }
     }
 
-    /// One tick: the model's `age`, whether the tool `is_outside` its radius, whether it is in
-    /// contact at all, the time since the last tick, and the part of it that may count for
-    /// recovering.
+    /// One tick: the model's `age`, whether the tool `is_outside` its radius, whether it is in contact, the time
+    /// since the last tick, and the part of it that counts towards recovery.
     pub(crate) fn advance(
         &mut self,
         age: Span,
@@ -130,12 +127,12 @@ impl LinkGuard {
         }
     }
 
-    /// The link was lost at `now`; a second loss does not begin again.
+    /// The link was lost at `now`; a second loss does not restart the fade.
     pub fn lose(&mut self, now: ClientTime) {
         self.lost_at.get_or_insert(now);
     }
 
-    /// The link is back; the gain it had come down to at `now`.
+    /// The link is back; returns the gain at `now`.
     pub fn restore(&mut self, now: ClientTime) -> f64 {
         let gain = self.gain(now);
         self.lost_at = None;
@@ -182,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tool_outside_the_radius_loses_force_within_its_time() {
+    fn a_tool_outside_the_radius_loses_force_in_time() {
         let mut w = Watchdog::new(WatchdogConfig::default(), Span::ZERO);
         let mut gain = 1.0;
         for _ in 0..51 {

@@ -1,4 +1,4 @@
-//! The laws of the whole chain, on a virtual clock.
+//! Laws of the whole chain, on a virtual clock.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -10,7 +10,7 @@ use palpate_haptics::{Chain, ChainConfig, ContactModel, Events, Tick, Touch};
 use palpate_protocol::ClientTime;
 use proptest::prelude::*;
 
-/// Virtual time begins here, as a machine that has been up for a while.
+/// Start of virtual time, as on a machine that has been up for a while.
 const BOOT_US: i64 = 40_000_000;
 
 fn ms(ms: i64) -> ClientTime {
@@ -43,8 +43,8 @@ fn touch(force: f64, k: f64) -> Touch {
     }
 }
 
-/// Pressed with `force` N against 300 N/m, as solved at `at`. Somebody else puts a watt into the tissue: a force that
-/// comes from nowhere would be taken away.
+/// A contact pressed with `force` N against 300 N/m, solved at `at`. Another participant puts 1 W into the tissue,
+/// because the controller would reduce a force without work.
 fn pressed(at: ClientTime, force: f64) -> ContactModel {
     ContactModel {
         topology_version: 1,
@@ -101,7 +101,7 @@ fn force_is_zero_150_ms_after_the_last_solve() {
 }
 
 #[test]
-fn a_model_that_is_not_finite_is_as_good_as_none() {
+fn a_non_finite_model_is_rejected() {
     let (mut chain, t0) = holding(8.0);
     let at_rest = sample(Vector3::zeros());
     let bad = |t| {
@@ -109,13 +109,13 @@ fn a_model_that_is_not_finite_is_as_good_as_none() {
         model.touches[0].f0 = Vector3::repeat(f64::NAN);
         model
     };
-    // The last good one was solved up to 4 ms before.
+    // The last valid one was solved up to 4 ms before.
     fades(|t| chain.tick(ms(t0 + t), &at_rest, &bad(t0 + t)), 150);
     assert!(chain.counters().bad_models > 0);
 }
 
 #[test]
-fn a_device_without_motors_gets_no_force_and_is_told_what_it_would_be() {
+fn a_device_without_motors_gets_no_force_but_the_felt_wrench() {
     let mut caps = hand(vec![WayPoint::new(0.0, Vector3::zeros())])
         .caps()
         .clone();
@@ -125,7 +125,7 @@ fn a_device_without_motors_gets_no_force_and_is_told_what_it_would_be() {
     caps.max_stiffness_n_per_m = 0.0;
     let mut chain = Chain::new(ChainConfig::default(), &caps);
     let deeper = Vector3::new(0.0, 0.0, -2e-3);
-    // Pressed at a place 30 mm to the right of the pivot.
+    // Pressed at a contact point 30 mm to the right of the pivot.
     let pressed = |at, force| {
         let mut model = pressed(at, force);
         model.touches[0].lever = Vector3::new(0.03, 0.0, 0.0);
@@ -140,10 +140,10 @@ fn a_device_without_motors_gets_no_force_and_is_told_what_it_would_be() {
     let Wrench { force, torque } = tick(2000, Vector3::zeros()).felt;
     assert!((force.z - 4.0).abs() < 1e-9);
     assert!((torque - Vector3::new(0.0, -0.12, 0.0)).norm() < 1e-9);
-    // It follows the tool between two models as a force does: 300 N/m.
+    // The felt wrench follows the tool between two models as a force does: 300 N/m.
     let blended = (2001..2050).map(|t| tick(t, deeper));
     assert!((blended.last().unwrap().felt.force.z - 4.6).abs() < 1e-6);
-    // And an old model is no more believed than for a hand.
+    // An old model fades as for a hand.
     let old = pressed(ms(2048), 4.0);
     let last = (2050..2300).map(|t| chain.tick(ms(t), &sample(deeper), &old));
     let felt: Vec<f64> = last.map(|tick| tick.felt.force.norm()).collect();
@@ -151,7 +151,7 @@ fn a_device_without_motors_gets_no_force_and_is_told_what_it_would_be() {
 }
 
 #[test]
-fn a_lost_link_takes_the_force_away_in_100_ms() {
+fn a_lost_link_fades_the_force_in_100_ms() {
     for force in [0.5, 4.0, 10.0, 50.0] {
         let (mut chain, t0) = holding(force);
         chain.link_lost(ms(t0));
@@ -187,7 +187,7 @@ fn a_restored_link_brings_force_back_over_the_soft_start() {
 }
 
 #[test]
-fn a_tool_that_leaves_the_radius_loses_the_force() {
+fn a_tool_outside_the_radius_loses_the_force() {
     let (mut chain, t0) = holding(3.0);
     let far = sample(Vector3::new(0.0, 0.0, -0.03));
     for t in t0..t0 + 80 {
@@ -203,7 +203,7 @@ fn a_tool_that_leaves_the_radius_loses_the_force() {
 }
 
 #[test]
-fn a_faulty_sample_takes_the_force_away_and_is_counted() {
+fn a_faulty_sample_fades_the_force_and_is_counted() {
     let nan = sample(Vector3::new(f64::NAN, 0.0, 0.0));
     let stopped = Sample {
         faults: Faults::EMERGENCY_STOP,
@@ -222,8 +222,8 @@ fn a_faulty_sample_takes_the_force_away_and_is_counted() {
 }
 
 #[test]
-fn who_presses_while_forces_are_withheld_feels_them_afterwards() {
-    // 10 mm deep in 300 ms, within the soft start; then a lost link while the hand goes 4 mm deeper.
+fn a_press_against_withheld_forces_is_felt_afterwards() {
+    // Pressed 10 mm deep in 300 ms, within the soft start; then a lost link while the hand goes 4 mm deeper.
     let mut chain = chain();
     let alone = |t: i64, x: &Vector3<f64>| {
         let mut model = ContactModel {
@@ -256,13 +256,13 @@ fn who_presses_while_forces_are_withheld_feels_them_afterwards() {
         (last - 4.2).abs() < 1e-6,
         "{last} N after the link came back"
     );
-    // But for the first ticks, in which nothing is earned yet.
+    // Except in the first ticks, before any energy is earned.
     let passivated = chain.counters().passivated;
     assert!(passivated < 10, "{passivated} ticks");
 }
 
 #[test]
-fn the_soft_start_takes_its_second() {
+fn the_soft_start_takes_one_second() {
     let mut chain = chain();
     for t in 0..=1000 {
         let tick = chain.tick(ms(t), &sample(Vector3::zeros()), &pressed(ms(t), 6.0));
@@ -278,7 +278,7 @@ fn a_pause_of_the_thread_skips_no_ramp() {
     for t in 0..100 {
         chain.tick(ms(t), &sample(Vector3::zeros()), &pressed(ms(t), 6.0));
     }
-    // A second away: of the soft start 10 ms have passed.
+    // After a pause of a second, the soft start has advanced by 10 ms.
     let mut last = Vector3::zeros();
     for t in 1100..1120 {
         let tick = chain.tick(ms(t), &sample(Vector3::zeros()), &pressed(ms(t), 6.0));
@@ -288,10 +288,10 @@ fn a_pause_of_the_thread_skips_no_ramp() {
 }
 
 #[test]
-fn a_clock_that_is_put_back_keeps_no_old_force_alive() {
+fn a_clock_set_back_keeps_no_old_force_alive() {
     let at_rest = sample(Vector3::zeros());
     for back_ms in [1, 5, 9, 40, 5000] {
-        // The solver is gone.
+        // Without new models.
         let (mut chain, t0) = holding(8.0);
         let last = pressed(ms(t0), 8.0);
         chain.tick(ms(t0), &at_rest, &last);
@@ -300,7 +300,7 @@ fn a_clock_that_is_put_back_keeps_no_old_force_alive() {
             zero_at > 75,
             "{zero_at} ms after a step of {back_ms} ms back"
         );
-        // So is the force when the last model was on its way meanwhile.
+        // The same with the last model in flight meanwhile.
         let (mut chain, t0) = holding(8.0);
         let mut left = 8.0;
         for t in 1..=150 {
@@ -308,12 +308,12 @@ fn a_clock_that_is_put_back_keeps_no_old_force_alive() {
             left = tick.wrench.force.norm();
         }
         assert_eq!(left, 0.0, "after a step of {back_ms} ms back");
-        // The link is, and was lost before the clock was put back; the solver is well.
+        // A link that was lost before the clock was set back; the solver is running.
         let (mut chain, t0) = holding(8.0);
         chain.link_lost(ms(t0));
         chain.tick(ms(t0), &at_rest, &pressed(ms(t0), 8.0));
         let model = |t| ContactModel {
-            // Who presses does not notice the clock.
+            // A pressing hand does not notice the clock.
             others_j: pressed(ms(t0 + t), 8.0).others_j,
             ..pressed(ms(t0 + t - back_ms), 8.0)
         };
@@ -339,7 +339,7 @@ fn after_a_step_of_the_clock_new_models_are_felt_as_before() {
 }
 
 #[test]
-fn the_next_step_begins_at_what_the_device_renders() {
+fn the_next_step_begins_at_the_rendered_wrench() {
     let at_rest = sample(Vector3::zeros());
     for there in [0.0, 2.5] {
         let (mut chain, t0) = holding(8.0);
@@ -351,7 +351,7 @@ fn the_next_step_begins_at_what_the_device_renders() {
             (z - there - chain.slew_step_n()).abs() < 1e-9,
             "{z} N from {there} N"
         );
-        // And after a cut over the soft start as well.
+        // After a cut, the force returns over the soft start as well.
         let (mut chain, t0) = holding(8.0);
         chain.cut_to(&rendered);
         let mut last = 0.0;
@@ -367,11 +367,15 @@ fn the_next_step_begins_at_what_the_device_renders() {
     let (mut chain, _) = holding(8.0);
     chain.goes_on_from(&Wrench::from_force(Vector3::repeat(f64::NAN)));
     let tick = chain.tick_without_sample(ms(2000));
-    assert_eq!(tick.wrench, Wrench::ZERO, "no number is no force");
+    assert_eq!(
+        tick.wrench,
+        Wrench::ZERO,
+        "a non-finite wrench counts as zero"
+    );
 }
 
 #[test]
-fn numbers_beyond_all_measure_leave_nothing_behind() {
+fn numbers_out_of_bounds_leave_no_state() {
     let (mut chain, t0) = holding(3.0);
     let big = f64::MAX;
     let mut wild = [t0, t0 + 1, t0 + 2].map(|t| pressed(ms(t), 3.0));
@@ -399,7 +403,7 @@ fn numbers_beyond_all_measure_leave_nothing_behind() {
 }
 
 #[test]
-fn the_force_never_exceeds_what_the_device_can_hold() {
+fn the_force_never_exceeds_the_device_limit() {
     let (chain, _) = holding(500.0);
     assert!(chain.counters().saturated > 900);
     assert!(chain.counters().max_force_n <= 10.0 + 1e-12);
@@ -411,9 +415,8 @@ fn stiffening(depth: f64) -> (f64, f64) {
     (200.0 * d + 2e4 * d * d, 200.0 + 4e4 * d)
 }
 
-/// A press of 12 mm in half a second, with models every `interval` ms that arrive `delay` ms
-/// after their sample; the largest change of force per tick that the chain gave, and the largest
-/// difference to the tissue's own force, both N.
+/// A press of 12 mm in half a second, with models every `interval` ms that arrive `delay` ms after their sample.
+/// Returns the largest change of force per tick, and the largest error against the tissue's force, both N.
 fn press(interval: i64, delay: i64) -> (f64, f64) {
     let mut hand = hand(vec![
         WayPoint::new(1.5, Vector3::new(0.0, 0.0, 0.002)),
@@ -453,7 +456,7 @@ fn press(interval: i64, delay: i64) -> (f64, f64) {
         before = given.force;
     }
     assert_eq!(chain.counters().saturated + chain.counters().stale, 0);
-    // The hand puts in some 30 mJ on the way down. A passive chain never has it give more.
+    // The hand puts in some 30 mJ on the way down. A passive chain never returns more.
     let min_j = chain.counters().min_energy_j;
     assert!(min_j > -1e-4, "the hand got {min_j} J out of nothing");
     (step, error)
@@ -461,7 +464,7 @@ fn press(interval: i64, delay: i64) -> (f64, f64) {
 
 #[test]
 fn models_at_250_hz_give_a_smooth_press() {
-    // The fastest the tissue itself changes: about 680 N/m at 12 mm, times 0.05 m/s, times 1 ms.
+    // The tissue itself changes by at most about 680 N/m at 12 mm, times 0.05 m/s, times 1 ms.
     let (step, error) = press(4, 2);
     println!("250 Hz: largest step {step:.4} N, largest error {error:.4} N");
     assert!(step < 0.06, "a step of {step} N");
@@ -472,7 +475,7 @@ fn models_at_250_hz_give_a_smooth_press() {
     assert!(error < 0.4, "an error of {error} N");
 }
 
-/// One tick of a run in which everything can break.
+/// One tick of a run with random faults.
 #[derive(Debug, Clone)]
 struct Moment {
     dt_us: i64,

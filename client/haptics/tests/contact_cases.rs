@@ -1,4 +1,4 @@
-//! What happens to a tool, through the whole chain: free, pushed, pulled at, stuck, sliding, turned; on a virtual clock.
+//! Contact cases through the whole chain on a virtual clock: free, pushed, pulled, stuck, sliding, turning.
 
 #![allow(clippy::unwrap_used)]
 
@@ -38,7 +38,7 @@ fn sample(x: Vector3<f64>, turn: Vector3<f64>) -> Sample {
     Sample::resting(DeviceTime::ZERO, pose)
 }
 
-/// A foundation of `k` N/m below z = 0, as a line of `n` stations over 40 mm along the tool's x feels it whose middle is
+/// A foundation of `k` N/m below z = 0, under a line of `n` stations over 40 mm along the tool's x, whose middle is
 /// `beside` (m) the pivot.
 fn tissue(at: ClientTime, pose: &Pose, n: usize, beside: f64, k: f64) -> ContactModel {
     let mut model = ContactModel {
@@ -89,7 +89,7 @@ impl Led {
         led
     }
 
-    /// To `x` (m), turned by `turn` (rotation vector, rad), in `ticks`; the last of them.
+    /// Moves to `x` (m), turned by `turn` (rotation vector, rad), in `ticks`; returns the last of them.
     fn to(&mut self, ticks: i64, x: Vector3<f64>, turn: Vector3<f64>) -> Tick {
         let from = self.at;
         let mut last = None;
@@ -128,7 +128,7 @@ fn a_free_tool_feels_nothing() {
 }
 
 #[test]
-fn a_push_is_felt_in_newtons_and_by_its_distance_from_the_pivot() {
+fn a_push_gives_its_force_and_the_torque_of_its_lever() {
     type Line = fn(ClientTime, &Pose) -> ContactModel;
     let lines: [(Line, f64); 4] = [
         (|t, p| tissue(t, p, 1, 0.0, 400.0), 0.0),
@@ -148,7 +148,7 @@ fn a_push_is_felt_in_newtons_and_by_its_distance_from_the_pivot() {
 }
 
 #[test]
-fn the_torque_ends_with_what_the_device_has_and_one_without_gets_none() {
+fn torque_is_clamped_to_the_device_and_zero_without_torque() {
     let pressed = |caps: &DeviceCaps| {
         let mut led = Led::new(caps, |t, p| tissue(t, p, 8, 0.1, 400.0));
         led.to(200, at(0.0, -0.008), LEVEL);
@@ -175,8 +175,8 @@ fn the_torque_ends_with_what_the_device_has_and_one_without_gets_none() {
 }
 
 #[test]
-fn a_press_by_tilting_is_felt_on_a_device_without_torque_too() {
-    // The pivot stays where it is, 5 mm above; the line beside it comes down by 12 mm.
+fn a_press_by_tilting_is_felt_on_a_device_without_torque() {
+    // The pivot stays 5 mm above; the line beside it is lowered by 12 mm.
     for caps in [caps(3, 0.0), caps(6, 1.0)] {
         let mut led = Led::new(&caps, |t, p| tissue(t, p, 4, 0.06, 400.0));
         led.to(300, at(0.0, 0.005), Vector3::new(0.0, 0.2, 0.0));
@@ -192,8 +192,8 @@ fn a_press_by_tilting_is_felt_on_a_device_without_torque_too() {
 }
 
 #[test]
-fn tissue_that_would_pull_lets_go() {
-    // It clings: what was solved at the surface pushes by nothing, and a little above would pull.
+fn adhesive_tissue_never_pulls() {
+    // An adhesive model: zero force at the surface, and a pull above.
     let mut led = Led::new(&caps(6, 1.0), |t, p| {
         let mut model = tissue(t, p, 4, 0.0, 400.0);
         for touch in &mut model.touches[..4] {
@@ -235,7 +235,7 @@ fn a_tool_sticks_until_it_slides_with_the_dynamic_coefficient() {
 }
 
 #[test]
-fn a_line_that_is_turned_about_one_end_sticks_there_and_slides_at_the_other() {
+fn a_line_turned_about_one_end_sticks_there_and_slides_at_the_other() {
     let mut led = Led::new(&caps(6, 1.0), |t, p| tissue(t, p, 16, 0.02, 400.0));
     led.to(200, at(0.0, -0.005), LEVEL);
     let both = led.to(100, at(0.0, -0.005), Vector3::new(0.0, 0.0, 0.12));
@@ -244,7 +244,7 @@ fn a_line_that_is_turned_about_one_end_sticks_there_and_slides_at_the_other() {
 }
 
 #[test]
-fn faults_take_force_and_torque_away_alike() {
+fn faults_fade_force_and_torque_alike() {
     let pressed = || {
         let mut led = Led::new(&caps(6, 1.0), |t, p| tissue(t, p, 8, 0.05, 400.0));
         led.to(200, at(0.0, -0.01), LEVEL);
@@ -279,7 +279,7 @@ fn faults_take_force_and_torque_away_alike() {
 }
 
 #[test]
-fn a_turn_that_is_no_turn_is_a_bad_sample() {
+fn an_invalid_quaternion_is_a_bad_sample() {
     let mut led = Led::new(&caps(6, 1.0), |t, p| tissue(t, p, 8, 0.05, 400.0));
     let mut stretched = sample(at(0.0, -0.01), LEVEL);
     stretched.pose.orientation.as_mut_unchecked().coords *= 1.1;
@@ -293,7 +293,7 @@ fn a_turn_that_is_no_turn_is_a_bad_sample() {
 }
 
 #[test]
-fn one_station_of_a_line_is_a_point_through_the_whole_chain() {
+fn a_line_of_one_station_equals_a_point_through_the_chain() {
     for caps in [caps(3, 0.0), caps(6, 1.0)] {
         let mut point = Led::new(&caps, |t, p| tissue(t, p, 1, 0.0, 700.0));
         let mut station = Led::new(&caps, |t, p| {
@@ -311,7 +311,7 @@ fn one_station_of_a_line_is_a_point_through_the_whole_chain() {
 
 proptest! {
     #[test]
-    fn no_model_of_many_places_makes_a_step_of_force_or_torque(
+    fn no_model_makes_a_step_of_force_or_torque(
         run in proptest::collection::vec(
             (-0.02f64..0.01, -0.3f64..0.3, 0usize..=CONTACTS_MAX, -0.1f64..0.1, any::<u8>()), 1..300,
         ),

@@ -1,4 +1,4 @@
-//! A tick allocates nothing: ten thousand of them, the simulated devices included, are counted.
+//! No tick allocates: ten thousand ticks are counted, with the simulated devices.
 
 #![allow(clippy::unwrap_used)]
 
@@ -54,7 +54,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// What a line of `contacts` stations along the tool's y feels of 400 N/m below z = 0.
+/// Contact model of a line of `contacts` stations along the tool's y on 400 N/m below z = 0.
 fn tissue(us: i64, pose: &Pose, contacts: usize) -> ContactModel {
     let mut model = ContactModel {
         topology_version: 1,
@@ -77,7 +77,7 @@ fn tissue(us: i64, pose: &Pose, contacts: usize) -> ContactModel {
             damping: 0.5 * share,
             mu_static: 0.4,
             mu_dynamic: 0.3,
-            // Stiffer than can be followed: the slopes of all have to be lowered.
+            // Stiffer than the cap: all slopes have to be lowered.
             ..Touch::at_pivot(
                 f0,
                 Matrix3::from_diagonal_element(4000.0 * share),
@@ -105,7 +105,7 @@ fn script() -> Script {
     Script::new(tool, tremor, ways, true).unwrap()
 }
 
-/// Ten thousand ticks with faults; the calls of the allocator, and what the chain counted.
+/// Ten thousand ticks with faults; returns the allocator calls and the chain's counters.
 fn ticks(device: &mut dyn HapticDevice, contacts: usize) -> (u64, Counters) {
     device.enable_forces(true).unwrap();
     let mut chain = Chain::new(ChainConfig::default(), device.caps());
@@ -178,7 +178,7 @@ fn ten_thousand_ticks_allocate_nothing() {
     }
 }
 
-/// A hand that pushes down for ever.
+/// A hand that pushes down without end.
 struct Pushes;
 
 impl Source for Pushes {

@@ -1,9 +1,8 @@
-//! A simulated hand against contacts that are late: what it gains with the controller off, and that it gains nothing with
-//! it on.
+//! A simulated hand against delayed contacts: it gains energy with the controller off, and none with it on.
 //!
 //! The hand is a mass with a damper, pulled against the surface by a soft spring, and free to bounce. The contact
-//! model is of where the tool was a delay ago: its force and stiffness are true there. Between two models the chain
-//! follows the capped stiffness, so what is stiffer comes late; that is what throws the hand back.
+//! model is exact for the tool's pose a delay ago. Between two models the chain follows the capped stiffness, so a
+//! stiffer contact responds late and throws the hand back.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -48,7 +47,7 @@ fn caps() -> DeviceCaps {
     }
 }
 
-/// Runs a case; what the chain counted, and the largest force in the last second.
+/// Runs a case; returns the chain's counters, and the largest force in the last second.
 fn run(case: Case, controlled: bool) -> (Counters, f64) {
     let config = ChainConfig {
         passivity: controlled,
@@ -61,7 +60,7 @@ fn run(case: Case, controlled: bool) -> (Counters, f64) {
     for tick in 0..TICKS {
         path.push(x);
         let now = ClientTime::from_micros(1_000_000 + 1000 * tick as i64);
-        // Models of every fourth tick, as they were a delay ago.
+        // Models of every fourth tick, with the delay.
         let solved = tick.saturating_sub(case.delay) / 4 * 4;
         let x0 = path[solved];
         let depth = (-x0).max(0.0);
@@ -83,7 +82,7 @@ fn run(case: Case, controlled: bool) -> (Counters, f64) {
         if tick + 1000 > TICKS {
             last = last.max(force);
         }
-        // The arm behind the hand: 3 N and 100 N/m towards 10 mm below the surface, once it begins.
+        // The arm behind the hand: 3 N and 100 N/m towards 10 mm below the surface, once the contact begins.
         for _ in 0..(1e-3 / SUB_STEP) as usize {
             let pull = if tick < BEGINS {
                 -50.0 * (x - 0.01)
@@ -117,7 +116,7 @@ fn cases() -> Vec<Case> {
 }
 
 #[test]
-fn a_hand_gains_nothing_with_the_controller_and_much_without() {
+fn a_hand_gains_energy_only_without_the_controller() {
     let (mut worst, mut without, mut lively) = (f64::INFINITY, f64::INFINITY, 0);
     for case in cases() {
         let (on, last) = run(case, true);

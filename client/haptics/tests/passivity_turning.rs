@@ -1,9 +1,9 @@
-//! A simulated rigid hand on a device that renders torques, against lines that are late: what it gains with the
-//! controller off, and that it gains nothing with it on.
+//! A simulated rigid hand on a device with torque, against delayed line contacts: it gains energy with the
+//! controller off, and none with it on.
 //!
-//! The hand is a mass and an inertia about the pivot with dampers, drawn onto the surface and out of level by soft
-//! springs, some of which sweep, and free to bounce and to rock. The contact model is of how the tool was a delay ago, as in the test of the
-//! hand that does not turn.
+//! The hand is a mass and an inertia about the pivot with dampers. Soft springs, some of which sweep, pull it onto
+//! the surface and out of level; it is free to bounce and to rock. The contact model is exact for the tool's pose a
+//! delay ago.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -17,10 +17,10 @@ const SUB_STEPS: usize = 10;
 /// Ticks of a run, and the first one of contact: the soft start is over by then.
 const TICKS: usize = 4000;
 const BEGINS: usize = 1100;
-/// Length of the line, m, and how far its middle is beside the pivot.
+/// Length of the line, and offset of its middle from the pivot, m.
 const LENGTH: f64 = 0.06;
 const BESIDE: f64 = 0.01;
-/// A hand damps its rotation as at this distance from the pivot, m.
+/// Effective distance from the pivot at which a hand damps rotation, m.
 const GRIP: f64 = 0.05;
 
 #[derive(Debug, Clone, Copy)]
@@ -55,7 +55,7 @@ fn caps() -> DeviceCaps {
     }
 }
 
-/// The tissue's answer to a tool at `pose`: a foundation below z = 0.
+/// The contact model of a tool at `pose`: a foundation below z = 0.
 fn solved(case: &Case, pose: &Pose, at: ClientTime) -> ContactModel {
     let mut model = ContactModel {
         topology_version: 1,
@@ -83,7 +83,7 @@ fn solved(case: &Case, pose: &Pose, at: ClientTime) -> ContactModel {
     model
 }
 
-/// Runs a case; what the chain counted, and the mean force in the last half second, N.
+/// Runs a case; returns the chain's counters, and the mean force in the last half second, N.
 fn run(case: Case, controlled: bool) -> (Counters, f64) {
     let config = ChainConfig {
         passivity: controlled,
@@ -115,7 +115,7 @@ fn run(case: Case, controlled: bool) -> (Counters, f64) {
         } else {
             (-0.01, Vector3::new(0.0, 0.1, 0.1), -2.0)
         };
-        // Where the tool is rubbed, it also sweeps and rocks.
+        // With friction, it also sweeps and rocks.
         let s = if case.mu > 0.0 {
             1e-3 * tick as f64
         } else {
@@ -164,7 +164,7 @@ fn cases() -> Vec<Case> {
 }
 
 #[test]
-fn a_hand_that_turns_gains_nothing_with_the_controller_and_much_without() {
+fn a_turning_hand_gains_energy_only_without_the_controller() {
     let (mut worst, mut without, mut lively) = (f64::INFINITY, f64::INFINITY, 0);
     let mut torque = 0.0_f64;
     for case in cases() {
@@ -179,7 +179,7 @@ fn a_hand_that_turns_gains_nothing_with_the_controller_and_much_without() {
         without = without.min(off.min_energy_j);
         lively += usize::from(off.min_energy_j < -1e-3);
         torque = torque.max(on.max_torque_nm);
-        // Soft tissue is rendered as it is: 3 N less 100 N/m against 300 N/m, and the tilt.
+        // Soft tissue is rendered unchanged: 3 N less 100 N/m against 300 N/m, and the tilt.
         if case.stiffness == 300.0 && case.damping > 0.0 && case.delay <= 5 {
             assert!((2.0..2.6).contains(&held), "{held} N of {case:?}");
         }

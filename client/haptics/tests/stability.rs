@@ -1,5 +1,5 @@
-//! A held spring with delay: how stiff it can be, from discrete eigenvalues, and that the chain
-//! keeps below it.
+//! A held spring with delay: its maximum stiffness from discrete eigenvalues, and a test that the chain stays below
+//! it.
 //!
 //! The device is a mass m with damping b; the spring reads a position that is d ticks old and
 //! holds its force for a period T:
@@ -79,9 +79,8 @@ fn the_stiffest_stable_spring_falls_with_delay_as_measured() {
     }
 }
 
-/// The device of damping `b` on the chain's spring of `k` N/m about a held force of 5 N, started
-/// 10 µm off; the amplitude in the last tenth of 20 s over that of the first, and the force's
-/// largest step.
+/// The device of damping `b` on the chain's spring of `k` N/m about a held force of 5 N, started 10 µm off. Returns
+/// the amplitude in the last tenth of 20 s over that of the first, and the largest force step.
 fn growth(b: f64, k: f64, assumed_b: f64) -> f64 {
     let half = Vector3::repeat(0.1);
     let caps = DeviceCaps {
@@ -100,7 +99,7 @@ fn growth(b: f64, k: f64, assumed_b: f64) -> f64 {
     };
     let config = ChainConfig {
         damping_ns_per_m: assumed_b,
-        // It is the spring's own stability that is looked at, not who saves it.
+        // Without the controller, the spring's own stability is measured.
         passivity: false,
         ..ChainConfig::default()
     };
@@ -124,7 +123,7 @@ fn growth(b: f64, k: f64, assumed_b: f64) -> f64 {
         sample.velocity.z = v;
         let f = chain.tick(now, &sample, &model).wrench.force.z - 5.0;
         if t < 2000 {
-            // The soft start: somebody holds the device.
+            // During the soft start the device is held.
             (x, v) = (1e-5, 0.0);
             continue;
         }

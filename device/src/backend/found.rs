@@ -1,17 +1,17 @@
-//! Devices that are plugged in, and which of them is meant.
+//! Plugged-in devices, and the choice of one of them.
 
 use std::fmt;
 
 use thiserror::Error;
 
-/// A device that a driver sees.
+/// A device that a driver has found.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Found {
-    /// What tells it from others of its kind: `haply:049D` means the one with the id `049D`.
+    /// Identifier among the devices of its kind: `haply:049D` selects the one with the id `049D`.
     pub id: String,
-    /// What it calls itself.
+    /// The device's own name.
     pub name: String,
-    /// Whether it can be opened, as far as that is known; another program may use it.
+    /// Whether it can be opened, as far as known; another program may use it.
     pub is_free: bool,
 }
 
@@ -21,42 +21,42 @@ impl fmt::Display for Found {
     }
 }
 
-/// Why it is not clear which device is meant.
+/// Reason why the choice of a device fails.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum Choice {
-    /// None is plugged in.
+    /// No device is plugged in.
     #[error("no device of the kind {kind} is plugged in: {hint}")]
     None {
-        /// The driver's word.
+        /// The driver's name.
         kind: &'static str,
-        /// What to look at.
+        /// Remedy.
         hint: &'static str,
     },
-    /// There are several.
-    #[error("{} devices of the kind {kind} are plugged in: {}; say which, as in {kind}:{}", found.len(),
+    /// Several devices are plugged in.
+    #[error("{} devices of the kind {kind} are plugged in: {}; choose one, as in {kind}:{}", found.len(),
             list(found), found[0].id)]
     Several {
-        /// The driver's word.
+        /// The driver's name.
         kind: &'static str,
         /// All of them; never empty.
         found: Vec<Found>,
     },
-    /// There are others.
+    /// The requested device is not plugged in, but others are.
     #[error("no device {kind}:{which} is plugged in; there is {}", list(found))]
     NoSuch {
-        /// The driver's word.
+        /// The driver's name.
         kind: &'static str,
-        /// What was asked for.
+        /// The requested id.
         which: String,
-        /// What there is; never empty.
+        /// The devices found; never empty.
         found: Vec<Found>,
     },
-    /// Two have the same id.
+    /// Two devices have the same id.
     #[error("{count} devices of the kind {kind} have the id {which}; unplug all but one")]
     Alike {
-        /// The driver's word.
+        /// The driver's name.
         kind: &'static str,
-        /// What was asked for.
+        /// The requested id.
         which: String,
         /// How many.
         count: usize,
@@ -68,8 +68,8 @@ fn list(found: &[Found]) -> String {
     all.join(", ")
 }
 
-/// The place in `found` of the device that is meant: without an id the only one, or the only one that is free. Where
-/// there is but one and it is not free, it is meant all the same, and opening it says why it is not.
+/// Index in `found` of the selected device: without an id, the only device, or the only free one. A single device
+/// that is not free is still selected, so that opening it reports the reason.
 pub(super) fn choose(
     kind: &'static str,
     hint: &'static str,
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn a_choice_is_made_only_where_there_is_no_doubt() {
+    fn only_an_unambiguous_choice_succeeds() {
         let pick = |ids: &[&str], which| choose("haply", "look", &found(ids), which);
         assert_eq!(pick(&["049D"], None), Ok(0));
         assert_eq!(pick(&["049D", "04BA"], Some("04ba")), Ok(1));
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn the_only_free_one_is_meant_and_the_only_one_even_where_it_is_not_free() {
+    fn the_only_free_device_or_the_only_device_is_selected() {
         let pick = |free: &[bool], which| {
             let mut all = found(&["0", "1", "2"][..free.len()]);
             for (device, is_free) in all.iter_mut().zip(free) {
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn doubts_are_said_with_all_devices_and_the_words_to_type() {
+    fn an_ambiguous_choice_lists_all_devices_and_the_syntax() {
         let all = found(&["049D", "04BA"]);
         let several = choose("haply", "look", &all, None).unwrap_err().to_string();
         assert!(

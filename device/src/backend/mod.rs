@@ -1,15 +1,15 @@
-//! One folder per driver, and what drivers share; `steered` is that of those which steer a tool.
+//! One folder per driver, and shared parts; `steered` is shared by the drivers that steer a tool.
 //!
-//! A driver's own frame is x to the right, y away from the user and z up, with the origin where the maker has it;
-//! [`Placed`](crate::Placed) puts it into the scene.
+//! A driver's own frame is x to the right, y away from the user and z up, with the maker's origin;
+//! [`Placed`](crate::Placed) transforms it into the scene.
 
 pub mod dhd;
-mod exchange;
 pub mod five_dof;
 mod found;
 pub mod gamepad;
 pub mod haply;
 mod library;
+mod mailbox;
 pub mod openhaptics;
 pub mod pointer;
 pub mod replay;

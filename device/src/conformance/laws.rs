@@ -1,4 +1,4 @@
-//! The laws, one function each; an error says how the device broke it.
+//! The laws, one function each; an error describes the violation.
 
 use nalgebra::Vector3;
 
@@ -269,8 +269,8 @@ pub(super) fn no_motors_no_force(bench: &mut Bench<'_, '_>) -> Verdict {
     Ok(())
 }
 
-/// The motors get what the device says it renders. What is on its way may be as old as a twentieth of a second.
-pub(super) fn motors_get_it(bench: &mut Bench<'_, '_>) -> Verdict {
+/// The motors get the force that the device reports as rendered, within a delay of a twentieth of a second.
+pub(super) fn motors_get_the_reported_force(bench: &mut Bench<'_, '_>) -> Verdict {
     let wrench = bench.gentle(2);
     bench.tick(bench.ticks_in(0.5), wrench)?;
     let said = bench.device.rendered().force.norm();
@@ -282,9 +282,9 @@ pub(super) fn motors_get_it(bench: &mut Bench<'_, '_>) -> Verdict {
     bench.expect_zero_at_motors()
 }
 
-/// A plug that is pulled under force: the driver says so within a second, takes the force away on its side, takes no
-/// more, and does not switch on again.
-pub(super) fn unplugging_is_said(bench: &mut Bench<'_, '_>) -> Verdict {
+/// A plug pulled under force: within a second the driver reports it and removes the force on its side; it rejects
+/// writes and does not enable forces again.
+pub(super) fn unplugging_is_reported(bench: &mut Bench<'_, '_>) -> Verdict {
     let forced = bench.device.caps().dof_out > 0;
     let wrench = bench.gentle(1);
     if forced {
@@ -354,8 +354,8 @@ pub(super) fn closing_is_final(bench: &mut Bench<'_, '_>) -> Verdict {
     })
 }
 
-/// Frames in their order, calls in theirs, and no error left unasked for, as the maker's side has it.
-pub(super) fn nothing_amiss(bench: &mut Bench<'_, '_>) -> Verdict {
+/// The maker's side reports no violation: frames and calls in order, no error left unread.
+pub(super) fn no_violations(bench: &mut Bench<'_, '_>) -> Verdict {
     let amiss = bench.amiss();
     ensure(amiss.is_empty(), || amiss.join("; "))
 }

@@ -1,12 +1,11 @@
-//! The suite that every backend passes, as code that runs against any device.
+//! The conformance suite of all backends, as code that runs against any device.
 //!
-//! The caller gives the clock, so that the same suite runs on virtual time (tests) and on real
-//! hardware. It moves no further than a fifth of the continuous force, except for the one write
-//! that must be clamped; hold the tool, or let it lie, while it runs on hardware.
+//! The caller supplies the clock, so the same suite runs on virtual time (tests) and on hardware. It uses at most a
+//! fifth of the continuous force, except for the one write that must be clamped; hold the tool, or let it lie,
+//! while it runs on hardware.
 //!
-//! What happens at the motors it sees through [`Hooks`], where the caller has some: a stand-in for a
-//! device or its maker's library does, and so may a force gauge. What no hook shows (that a panic stays on
-//! this side of a C callback) each backend tests at its own port.
+//! [`Hooks`] observe the motors, where the caller has some: a mock of a device or its maker's library, or a force
+//! gauge. Each backend tests at its own port the laws without a hook, such as a panic in a C callback.
 
 mod laws;
 
@@ -14,7 +13,7 @@ use std::fmt;
 
 use crate::{DeviceTime, HapticDevice};
 
-/// What the suite may expect.
+/// Assumptions of the suite.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Options {
     /// The tool is free and a force moves it, as a simulated hand's does. Without it the test of
@@ -22,7 +21,7 @@ pub struct Options {
     pub moves_under_force: bool,
 }
 
-/// How one law came out.
+/// Result of one law.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Outcome {
     /// It holds.
@@ -33,7 +32,7 @@ pub enum Outcome {
     Failed(String),
 }
 
-/// One law and how it came out.
+/// One law and its result.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Row {
     /// The law.
@@ -49,12 +48,12 @@ pub struct Report {
 }
 
 impl Report {
-    /// Every law in the order it was tried.
+    /// The results in the order of the tests.
     pub fn rows(&self) -> &[Row] {
         &self.rows
     }
 
-    /// Whether no law is broken.
+    /// Whether no law is violated.
     pub fn passed(&self) -> bool {
         !self
             .rows
@@ -78,14 +77,14 @@ impl fmt::Display for Report {
 
 type Verdict = Result<(), String>;
 
-/// What the caller sees and does behind the driver's back. All of it is optional: without a hook its laws are left out.
+/// Observation and faults outside the driver. All hooks are optional; laws that need a missing hook are left out.
 #[derive(Default)]
 pub struct Hooks<'a> {
     /// Pulls the plug, for good. It is called once, late, under force.
     pub unplug: Option<&'a mut dyn FnMut()>,
-    /// The force that the motors got last, N.
+    /// The last force that the motors got, N.
     pub at_motors: Option<&'a mut dyn FnMut() -> f64>,
-    /// What the maker's side took amiss until now: calls out of order, frames left open, errors that nobody asked for.
+    /// Violations that the maker's side counted so far: calls out of order, frames left open, errors left unread.
     pub amiss: Option<&'a mut dyn FnMut() -> Vec<String>>,
 }
 
@@ -97,8 +96,8 @@ struct Bench<'a, 'h> {
     is_unplugged: bool,
 }
 
-/// Runs the suite and closes the device. `clock` gives the time of the next tick, once per call;
-/// on hardware it waits for it.
+/// Runs the suite and closes the device. `clock` returns the time of the next tick, once per call; on hardware it
+/// waits until then.
 pub fn run(
     device: &mut dyn HapticDevice,
     clock: &mut dyn FnMut() -> DeviceTime,
@@ -107,7 +106,7 @@ pub fn run(
     run_with(device, clock, options, Hooks::default())
 }
 
-/// The same, with eyes and hands behind the driver's back.
+/// The same, with hooks outside the driver.
 pub fn run_with(
     device: &mut dyn HapticDevice,
     clock: &mut dyn FnMut() -> DeviceTime,
@@ -148,7 +147,7 @@ pub fn run_with(
     Report { rows }
 }
 
-/// A law, why it is left out (nothing is said where the reason is empty), and its test.
+/// A law, the reason for skipping it (no row where the reason is empty), and its test.
 struct Law {
     words: &'static str,
     applies: Result<(), &'static str>,
@@ -158,7 +157,7 @@ struct Law {
 /// All laws in the order they are tried.
 fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
     let when = |holds: bool, why| if holds { Ok(()) } else { Err(why) };
-    // Of a device without motors one row says so for all of them.
+    // For a device without motors, one row covers all of them.
     let forced = when(has_motors, "");
     let moves = forced.and(when(options.moves_under_force, "the tool may be held"));
     let law = |words, applies, check| Law {
@@ -188,7 +187,7 @@ fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
             laws::off_is_zero,
         ),
         law(
-            "enabling ramps up to what is written",
+            "enabling ramps up to the written wrench",
             forced,
             laws::enabling_ramps,
         ),
@@ -208,9 +207,9 @@ fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
             laws::axes_agree,
         ),
         law(
-            "the motors get what is said to be rendered",
+            "the motors get the reported force",
             forced.and(when(hooks.at_motors.is_some(), "")),
-            laws::motors_get_it,
+            laws::motors_get_the_reported_force,
         ),
         law(
             "disabling renders zero at once",
@@ -223,9 +222,9 @@ fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
             laws::no_motors_no_force,
         ),
         law(
-            "a plug that is pulled ends force and is said",
+            "a pulled plug ends the force and is reported",
             when(hooks.unplug.is_some(), ""),
-            laws::unplugging_is_said,
+            laws::unplugging_is_reported,
         ),
         law(
             "closing renders zero and ends every call",
@@ -233,9 +232,9 @@ fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
             laws::closing_is_final,
         ),
         law(
-            "nothing is left or taken amiss on the maker's side",
+            "the maker's side reports nothing amiss",
             when(hooks.amiss.is_some(), ""),
-            laws::nothing_amiss,
+            laws::no_violations,
         ),
     ]
 }

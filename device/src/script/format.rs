@@ -1,4 +1,4 @@
-//! The file of a script: millimetres and TOML outside, metres and [`Script`] inside.
+//! The file format of a script: millimetres and TOML in the file, metres and [`Script`] in memory.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -154,7 +154,7 @@ fn unit([w, x, y, z]: [f64; 4]) -> Option<UnitQuaternion<f64>> {
     let q = Quaternion::new(w, x, y, z);
     let off = (q.norm() - 1.0).abs();
     if off <= 1e-12 {
-        // As exact as a file can be; normalising would change its last digit at every reading.
+        // Kept as in the file; normalising would change its last digit at every load.
         return Some(UnitQuaternion::new_unchecked(q));
     }
     (off <= 0.01).then(|| UnitQuaternion::from_quaternion(q))
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_key_is_refused_with_its_line_and_the_nearest_known_one() {
+    fn an_unknown_key_is_rejected_with_its_line_and_the_nearest_key() {
         let e = Script::from_toml(&example().replace("radius_mm", "radios_mm")).unwrap_err();
         let text = e.to_string();
         assert!(
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn a_blade_without_a_length_gets_the_usual_one_and_a_probe_none() {
+    fn a_blade_has_a_default_length_and_a_probe_none() {
         let blade = Script::from_toml(&example().replace("\"probe\"", "\"blade\"")).unwrap();
         assert_eq!(blade.tool().length_m, 0.02);
         let e = Script::from_toml(&example().replace("# length_mm", "length_mm")).unwrap_err();
@@ -277,7 +277,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn writing_and_reading_gives_the_same_script(
+        fn a_script_survives_a_write_and_read(
             steps in proptest::collection::vec(
                 ((0.001f64..3.0, -0.5f64..0.5, -0.5f64..0.5), (any::<bool>(), any::<bool>(), -3.0f64..3.0)),
                 1..20

@@ -49,26 +49,25 @@ use crate::{Placement, Pose};
 pub use motion::ScriptPose;
 pub use tool::{Tool, ToolKind};
 
-/// Way points in one script. A point per millisecond for 100 s fits; more is refused, because a
+/// Maximum number of way points in a script: one per millisecond for 100 s. The limit bounds memory, because a
 /// script is read whole.
 pub const WAYS_MAX: usize = 100_000;
 
-/// Bytes of a script file. More is refused before it is parsed.
+/// Maximum size of a script file, bytes. A larger file is rejected before parsing.
 pub const SCRIPT_BYTES_MAX: u64 = 16 << 20;
 
-/// How far from the origin a way point may be, m. What is farther was most probably written in
-/// another unit, and is refused.
+/// Maximum distance of a way point from the origin, m. A larger one is most probably in another unit.
 pub const POSITION_MAX_M: f64 = 10.0;
 
-/// How far apart the first and the last way point of a repeated script may be, m; more would be a
-/// jump of the hand at every repetition.
+/// Maximum distance between the first and the last way point of a repeated script, m; a larger one would be a jump
+/// of the hand at every repetition.
 pub const REPEAT_GAP_MAX_M: f64 = 1e-4;
 
-/// The hand that is pulled along a script.
+/// The hand that a script pulls along.
 ///
-/// The defaults are a choice, not a measurement: a light grip (0.3 kg that move with the tool,
-/// 5.8 Hz, damping ratio 0.55), loose enough that tissue of 100 to 1000 N/m pushes it back
-/// visibly and stiff enough that it follows a script within a millimetre or two.
+/// The defaults are a choice, not a measurement: a light grip (0.3 kg that move with the tool, 5.8 Hz, damping
+/// ratio 0.55). Tissue of 100 to 1000 N/m pushes it back visibly, and it follows a script within a millimetre or
+/// two.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hand {
     /// Mass that moves with the tool, kg.
@@ -96,7 +95,7 @@ impl Default for Hand {
     }
 }
 
-/// How a way point is reached from the one before it.
+/// Interpolation from the previous way point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Ease {
     /// Rest to rest, as a hand moves.
@@ -109,15 +108,15 @@ pub enum Ease {
 /// One way point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WayPoint {
-    /// When the script is here, s.
+    /// Time, s.
     pub t_s: f64,
-    /// Where the tip is, m.
+    /// Position of the tip, m.
     pub position: Vector3<f64>,
-    /// How the tool is turned.
+    /// Orientation of the tool.
     pub orientation: UnitQuaternion<f64>,
     /// Whether the primary button is held from here on.
     pub button: bool,
-    /// How this point is reached.
+    /// Interpolation towards this point.
     pub ease: Ease,
 }
 
@@ -162,7 +161,7 @@ impl WayPoint {
     }
 }
 
-/// Why a script was refused.
+/// Reason for rejecting a script.
 #[derive(Debug, Error)]
 pub enum ScriptError {
     /// The file could not be read.
@@ -170,7 +169,7 @@ pub enum ScriptError {
     Read {
         /// The file.
         path: String,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
     /// The file is too large.
@@ -187,17 +186,17 @@ pub enum ScriptError {
     /// Another format, or another version of it.
     #[error("format is \"{found}\", but this program reads \"palpate-script/1\"")]
     Format {
-        /// What the file says.
+        /// The format in the file.
         found: String,
     },
-    /// A value of `[tool]` or `[hand]` that can not be.
+    /// An invalid value of `[tool]` or `[hand]`.
     #[error("{key} = {value}: {rule}")]
     Value {
         /// The key with its table.
         key: &'static str,
         /// Its value.
         value: f64,
-        /// What it must be.
+        /// The rule it violates.
         rule: &'static str,
     },
     /// No way point at all.
@@ -206,14 +205,14 @@ pub enum ScriptError {
     /// More way points than the bound.
     #[error("the script has {0} way points; {WAYS_MAX} are the most")]
     TooManyWays(usize),
-    /// A way point that can not be.
+    /// An invalid way point.
     #[error("way point {number} (at {t_s} s): {rule}")]
     Way {
         /// Which, the first being 1.
         number: usize,
         /// Its time.
         t_s: f64,
-        /// What it must be.
+        /// The rule it violates.
         rule: &'static str,
     },
     /// A repeated script that does not end where it begins.
@@ -227,7 +226,7 @@ pub enum ScriptError {
     },
 }
 
-/// Where a simulated hand wants to be, over time. Valid by construction.
+/// The motion of a simulated hand over time. Valid by construction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Script {
     tool: Tool,
@@ -237,7 +236,7 @@ pub struct Script {
 }
 
 impl Script {
-    /// A script from its parts; refuses what a file would be refused for.
+    /// A script from its parts; rejects the same errors as a file.
     pub fn new(
         tool: Tool,
         hand: Hand,
@@ -282,7 +281,7 @@ impl Script {
         Self::from_toml(&text)
     }
 
-    /// What the hand holds.
+    /// The tool in the hand.
     pub fn tool(&self) -> Tool {
         self.tool
     }
@@ -311,7 +310,7 @@ impl Script {
         (around.0 + around.1) * 0.5
     }
 
-    /// The same script as a device sees it that stands there in the scene.
+    /// The same script in the frame of a device with this placement.
     pub fn seen_from(&self, placement: &Placement) -> Result<Self, ScriptError> {
         let moved = |way: &WayPoint| {
             let pose = placement.to_device(&Pose {
@@ -328,7 +327,7 @@ impl Script {
         Self::new(self.tool, self.hand, ways, self.repeat)
     }
 
-    /// The time of the last way point, s. A repeated script goes on after it.
+    /// The time of the last way point, s. A repeated script continues after it.
     pub fn end_s(&self) -> f64 {
         self.ways[self.ways.len() - 1].t_s
     }
@@ -457,7 +456,7 @@ mod tests {
     }
 
     #[test]
-    fn positions_beyond_ten_metres_or_not_finite_are_refused() {
+    fn positions_beyond_ten_metres_or_not_finite_are_rejected() {
         for x in [10.1, f64::NAN, f64::INFINITY] {
             let e = Script::new(probe(), Hand::default(), ways(&[(0.0, x)]), false).unwrap_err();
             assert!(matches!(e, ScriptError::Way { number: 1, .. }), "{x}: {e}");
@@ -480,7 +479,7 @@ mod tests {
     }
 
     #[test]
-    fn a_hand_that_could_not_be_integrated_is_refused() {
+    fn a_hand_outside_the_stable_range_is_rejected() {
         for hand in [
             Hand {
                 mass_kg: 0.0,

@@ -5,10 +5,10 @@ use nalgebra::{UnitQuaternion, Vector3};
 use super::{Ease, Script, WayPoint};
 use crate::Pose;
 
-/// Where a script is at one moment, and how it moves.
+/// Pose and velocity of a script at one moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScriptPose {
-    /// Where.
+    /// Position and orientation.
     pub pose: Pose,
     /// Velocity of the tip, m/s.
     pub velocity: Vector3<f64>,
@@ -33,8 +33,8 @@ impl ScriptPose {
 }
 
 impl Script {
-    /// Where the script is at `t_s` seconds. It takes any time, also a negative one; a time that
-    /// is not a number counts as before the first way point. Does not allocate.
+    /// The script at `t_s` seconds. Any time is valid, also a negative one; NaN counts as before the first way
+    /// point. Does not allocate.
     pub fn pose(&self, t_s: f64) -> ScriptPose {
         let ways = self.ways();
         let (first, last) = (&ways[0], &ways[ways.len() - 1]);
@@ -43,10 +43,10 @@ impl Script {
         } else {
             t_s
         };
-        // The first way point that is later than t_s; the piece before it is under way.
+        // The first way point later than t_s; the segment before it is active.
         let next = ways.partition_point(|way| way.t_s <= t_s);
         if next == 0 || t_s.is_nan() {
-            // Nobody holds a button before the script begins.
+            // No button is held before the script begins.
             return ScriptPose {
                 button: false,
                 ..ScriptPose::resting(first)
@@ -59,7 +59,7 @@ impl Script {
     }
 }
 
-/// The motion from one way point to the next at `t_s` between them.
+/// The motion between two way points at `t_s`.
 fn between(from: &WayPoint, to: &WayPoint, t_s: f64) -> ScriptPose {
     let duration = to.t_s - from.t_s;
     let u = (t_s - from.t_s) / duration;
@@ -72,7 +72,7 @@ fn between(from: &WayPoint, to: &WayPoint, t_s: f64) -> ScriptPose {
     };
     let ds_dt = ds_du / duration;
     let path = to.position - from.position;
-    // The shorter way round, as one axis and one angle.
+    // The shorter rotation, as one axis and one angle.
     let turn = from.orientation.rotation_to(&to.orientation).scaled_axis();
     ScriptPose {
         pose: Pose {

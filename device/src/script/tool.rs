@@ -1,15 +1,15 @@
-//! What the hand of a script holds.
+//! The tool in the hand of a script.
 
 use serde::{Deserialize, Serialize};
 
 use super::ScriptError;
 
-/// Length of a blade's edge where the file names none, mm: about that of a number 10 blade.
+/// Default length of a blade's edge, mm: about that of a number 10 blade.
 const BLADE_LENGTH_MM: f64 = 20.0;
 /// Longest tool, m.
 const LENGTH_MAX_M: f64 = 0.5;
 
-/// What the hand holds. In its own frame the tip of a tool is at the origin and its handle along z.
+/// Kind of tool. In its own frame the tip is at the origin and the handle along z.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum ToolKind {
     /// A ball that presses.
@@ -33,7 +33,7 @@ pub struct Tool {
     pub radius_m: f64,
     /// Length of the blade's edge, the needle, the plate or the jaws, m; zero for a probe.
     pub length_m: f64,
-    /// Width of the plate or the jaws, m; zero for what has none.
+    /// Width of the plate or the jaws, m; zero for the other kinds.
     pub width_m: f64,
 }
 
@@ -58,7 +58,7 @@ impl Tool {
         }
     }
 
-    /// Whether its numbers are those of its kind.
+    /// Checks the numbers against the kind.
     pub(super) fn check(&self) -> Result<(), ScriptError> {
         let refuse = |key, value_m: f64, rule| {
             Err(ScriptError::Value {

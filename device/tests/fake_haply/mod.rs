@@ -1,5 +1,5 @@
-//! A stand-in for the Haply service: it answers every message with one state, notes what it was told, and misbehaves when
-//! a test says so. Its Inverse3 is 0.1 kg on a spring, one millisecond per message.
+//! A mock of the Haply service: it answers every message with one state, records orders, and misbehaves on request.
+//! Its Inverse3 is 0.1 kg on a spring, one millisecond per message.
 
 // Each test program uses a part of it.
 #![allow(dead_code)]
@@ -15,17 +15,17 @@ use palpate_device::backend::haply::Service;
 use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket};
 
-/// What it does with a message.
+/// Reaction to a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Manners {
     Good,
     /// No answer.
     Silent,
-    /// An answer that is no JSON.
+    /// An answer that is not JSON.
     Garbage,
-    /// JSON that is no state.
+    /// JSON without a state.
     NoState,
-    /// A place that is no number.
+    /// A non-finite position.
     NotANumber,
     /// A state without the device.
     WithoutDevice,
@@ -33,11 +33,11 @@ pub(crate) enum Manners {
     Huge,
     /// The beginning of an answer.
     Half,
-    /// It ends the conversation without a word.
+    /// It closes the connection without a closing handshake.
     HangsUp,
 }
 
-/// What it knows.
+/// State of the mock.
 pub(crate) struct Told {
     pub(crate) manners: Manners,
     /// Spelled as since 3.5.
@@ -48,14 +48,14 @@ pub(crate) struct Told {
     /// Messages that were answered.
     pub(crate) answered: u64,
     pub(crate) heard: u64,
-    /// The last force that it could read, N.
+    /// The last valid force, N.
     pub(crate) force: [f64; 3],
     pub(crate) most_n: f64,
     /// Numbers per metre.
     pub(crate) unit: f64,
-    /// What becomes of a force on its way to the motors.
+    /// Change of a force on its way to the motors.
     pub(crate) way: fn([f64; 3]) -> [f64; 3],
-    /// What a real service would refuse.
+    /// Violations that a real service would reject.
     pub(crate) wrong: Vec<String>,
     events: Vec<String>,
     x: [f64; 3],
@@ -94,7 +94,7 @@ impl Told {
         message
     }
 
-    /// Takes an order, and lives for a millisecond.
+    /// Applies an order and advances by a millisecond.
     fn hear(&mut self, text: &str) {
         self.heard += 1;
         match self.order(text) {
@@ -136,7 +136,7 @@ impl Shared {
     }
 }
 
-/// The service, on ports of its own.
+/// The service, on its own ports.
 pub(crate) struct Fake {
     shared: Arc<Shared>,
     pub(crate) service: Service,
@@ -173,7 +173,7 @@ impl Fake {
             addresses.push(listener.local_addr().unwrap());
             let shared = Arc::clone(&shared);
             threads.push(std::thread::spawn(move || {
-                // One conversation at a time, as many as come.
+                // One connection at a time, any number in sequence.
                 while let Ok((stream, _)) = listener.accept() {
                     if shared.leave.load(Ordering::Acquire) {
                         return;
@@ -194,14 +194,14 @@ impl Fake {
         }
     }
 
-    /// Looks at what it knows, or changes it.
+    /// Reads or changes the state.
     pub(crate) fn with<T>(&self, f: impl FnOnce(&mut Told) -> T) -> T {
         let done = f(&mut self.shared.lock());
         self.shared.changed.notify_all();
         done
     }
 
-    /// Waits until it has heard `n` more messages, for a second at most.
+    /// Waits for `n` more messages, for a second at most.
     pub(crate) fn hears(&self, n: u64) {
         let told = self.shared.lock();
         let until = told.heard + n;
@@ -213,7 +213,7 @@ impl Fake {
         );
     }
 
-    /// Waits until it has answered once more, for as long as a service takes that answers at all.
+    /// Waits for one more answer, up to the time in which a service answers.
     pub(crate) fn answers(&self) {
         let told = self.shared.lock();
         let until = told.answered + 1;
@@ -225,7 +225,7 @@ impl Fake {
         );
     }
 
-    /// Tells an event of the device.
+    /// Sends an event of the device.
     pub(crate) fn event(&self, id: &str, safety: &str, level: &str) {
         let data = json!({ "device_family": "inverse", "device_id": id, "safety_type": safety });
         let event = json!({ "name": "device-safety-triggered", "level": level, "data": data });
@@ -302,7 +302,7 @@ fn states(shared: &Shared, stream: TcpStream) {
     }
 }
 
-/// Whether the conversation goes on.
+/// Whether the connection continues.
 fn answer_so(socket: &mut WebSocket<TcpStream>, manners: Manners, mut answer: Value) -> bool {
     let text = match manners {
         Manners::Good => answer.to_string(),
@@ -311,7 +311,7 @@ fn answer_so(socket: &mut WebSocket<TcpStream>, manners: Manners, mut answer: Va
         Manners::NoState => r#"{"error":"internal"}"#.to_owned(),
         Manners::NotANumber => {
             answer["inverse3"][0]["state"]["cursor_position"]["x"] = json!(1e308);
-            // Text that a careless program writes for what is no number.
+            // Text that a careless program writes for NaN.
             answer
                 .to_string()
                 .replace("1e308", "1e999")
@@ -320,7 +320,7 @@ fn answer_so(socket: &mut WebSocket<TcpStream>, manners: Manners, mut answer: Va
         Manners::WithoutDevice => r#"{"inverse3":[]}"#.to_owned(),
         Manners::Huge => format!("{{\"inverse3\":[],\"more\":\"{}\"}}", "x".repeat(1 << 20)),
         Manners::Half => {
-            // A text frame that promises 1000 bytes and has ten.
+            // A text frame that announces 1000 bytes and has ten.
             let _ = socket.get_mut().write_all(&[0x81, 126, 0x03, 0xe8]);
             let _ = socket.get_mut().write_all(b"{\"inverse3");
             return true;

@@ -1,12 +1,12 @@
-//! A stand-in for libdrd with the same C functions, compiled when a test runs. It has one effector of 0.1 kg on a
-//! spring, notes every call that matters, and counts what a real device would take amiss.
+//! A mock of libdrd with the same C functions, compiled when a test runs. It has one effector of 0.1 kg on a
+//! spring, logs relevant calls, and counts violations that a real device would report.
 
 #![allow(non_snake_case)]
 
 use std::ffi::c_char;
 use std::sync::Mutex;
 
-/// Numbers that a test sets, by `mock_set`.
+/// Parameters that a test sets, by `mock_set`.
 #[derive(Clone, Copy)]
 struct Knobs {
     devices: i32,
@@ -14,7 +14,7 @@ struct Knobs {
     position_error: i32,
     /// Force fails with this code.
     force_error: i32,
-    /// What a good call returns: 0, 1 (time guard) or 2 (saturated).
+    /// Result of a successful call: 0, 1 (time guard) or 2 (saturated).
     returns: i32,
     initialised: bool,
     not_a_number: bool,
@@ -78,7 +78,7 @@ impl State {
         }
     }
 
-    /// A call for the open device has to say -1.
+    /// A call for the open device must use -1.
     fn called(&mut self, id: i32) {
         if !self.open || id != -1 {
             self.wrong += 1;
@@ -91,7 +91,7 @@ impl State {
         -1
     }
 
-    /// A millisecond under the force.
+    /// Advances by a millisecond under the force.
     fn step(&mut self) {
         for i in 0..3 {
             let force = if self.on { self.force[i] } else { 0.0 };
@@ -177,7 +177,7 @@ pub extern "C" fn drdOpenID(index: i32) -> i32 {
 pub extern "C" fn drdClose(id: i32) -> i32 {
     with(|s| {
         s.called(id);
-        // Without a plug it can not be told anything, and holds nothing.
+        // Without a plug the mock receives no calls, and renders no force.
         if s.on || s.force != [0.0; 3] && s.knobs.force_error == 0 {
             s.wrong += 1;
             s.note("wrong: closed with forces on");

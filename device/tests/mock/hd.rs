@@ -1,6 +1,6 @@
-//! A stand-in for libHD with the same C functions, compiled when a test runs. A servo thread calls back, freely or
-//! when a test says so; the effector is 0.1 kg on a spring. It notes calls, and counts what a real device or the real
-//! library would take amiss.
+//! A mock of libHD with the same C functions, compiled when a test runs. A servo thread calls back, freely or on
+//! request; the effector is 0.1 kg on a spring. It logs calls, and counts violations that a real device or library
+//! would report.
 
 #![allow(non_snake_case)]
 
@@ -43,7 +43,7 @@ struct State {
     in_turn: bool,
     steps: u64,
     turns: u64,
-    // What a test looks at.
+    // Observed by tests.
     wrong: u32,
     most_n: f64,
     log: String,
@@ -98,7 +98,7 @@ impl State {
         self.note(&format!("wrong: {why}"));
     }
 
-    /// Within a frame of the device that was made current.
+    /// Checks for a frame of the current device.
     fn within(&mut self, what: &str) {
         if !self.in_frame || self.current != HANDLE {
             self.wrong(&format!("{what} outside of a frame"));
@@ -127,7 +127,7 @@ impl State {
     }
 }
 
-/// Whether the servo thread is to make a turn; `None` when it is to leave.
+/// Whether the servo thread makes a turn; `None` when it is to leave.
 fn next_turn() -> Option<(Callback, usize)> {
     let mut s = lock();
     loop {
@@ -317,7 +317,7 @@ pub extern "system" fn hdDisable(capability: u32) {
 
 /// # Safety
 ///
-/// `out` has room for what the parameter has: 16 doubles for a transform.
+/// `out` has room for the parameter's values: 16 doubles for a transform.
 #[no_mangle]
 pub unsafe extern "system" fn hdGetDoublev(parameter: u32, out: *mut f64) {
     let mut s = lock();
@@ -352,7 +352,7 @@ pub unsafe extern "system" fn hdGetDoublev(parameter: u32, out: *mut f64) {
 
 /// # Safety
 ///
-/// `out` has room for what the parameter has.
+/// `out` has room for the parameter's values.
 #[no_mangle]
 pub unsafe extern "system" fn hdGetIntegerv(parameter: u32, out: *mut i32) {
     let mut s = lock();

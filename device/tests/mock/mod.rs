@@ -1,5 +1,5 @@
-//! Stand-ins for makers' libraries: compiled once per test program, and copied for every test, so that each has one with
-//! a memory of its own.
+//! Mocks of makers' libraries: compiled once per test program, and copied for every test, so that each has its own
+//! memory.
 
 // Each test program uses a part of it.
 #![allow(dead_code)]
@@ -7,7 +7,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// A stand-in that a test talks to behind the driver's back.
+/// A mock that a test controls outside the driver.
 pub(crate) struct Mock {
     loaded: libloading::Library,
     folder: tempfile::TempDir,
@@ -17,7 +17,7 @@ pub(crate) struct Mock {
 impl Mock {
     /// Compiles `source`, a file beside this one, with flags of its own (`--cfg lacks_buttons`).
     pub(crate) fn compiled(source: &str, name: &'static str, flags: &[&str]) -> Self {
-        // In the target's own folder: what a test program keeps to its end is not tidied up.
+        // In the target's own folder, because the folder of a static is never removed.
         let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
         let file = folder.path().join(name);
         let source = Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -49,7 +49,7 @@ impl Mock {
         Self::load(folder, name)
     }
 
-    /// One more with the same functions.
+    /// Another copy with separate memory.
     pub(crate) fn copy(&self) -> Self {
         let folder = tempfile::tempdir().unwrap();
         std::fs::copy(self.file(), folder.path().join(self.name)).unwrap();
@@ -66,12 +66,12 @@ impl Mock {
         }
     }
 
-    /// Where it is.
+    /// Its path.
     pub(crate) fn file(&self) -> PathBuf {
         self.folder.path().join(self.name)
     }
 
-    /// Turns a knob.
+    /// Sets a knob.
     pub(crate) fn set(&self, knob: u32, value: f64) {
         // SAFETY: the type is that of `mock_set` in every stand-in.
         let set = unsafe { self.loaded.get::<extern "C" fn(u32, f64)>("mock_set") }.unwrap();
@@ -85,7 +85,7 @@ impl Mock {
         get(what)
     }
 
-    /// What it noted, line by line.
+    /// Its log, line by line.
     pub(crate) fn log(&self) -> Vec<String> {
         // SAFETY: the type is that of `mock_log` in every stand-in.
         let log = unsafe {

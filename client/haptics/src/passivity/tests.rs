@@ -1,18 +1,18 @@
-//! The laws of the controller by itself.
+//! Laws of the passivity controller alone.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use palpate_device::{Pose, Wrench};
 use palpate_protocol::Span;
 use proptest::prelude::*;
 
-use super::{Given, LIGHTEST_KG, LIGHTEST_KG_M2, Passivity, Seen};
+use super::{ControllerOutput, LIGHTEST_KG, LIGHTEST_KG_M2, Passivity, ToolState};
 use crate::{Slew, WrenchSlew};
 
 const STEP: f64 = 0.6;
 const STEP_NM: f64 = 0.03;
 
-fn seen(x: &Vector3<f64>, there_n: f64) -> Seen {
-    Seen {
+fn seen(x: &Vector3<f64>, there_n: f64) -> ToolState {
+    ToolState {
         pose: Pose::at(*x),
         v: Vector3::zeros(),
         w: Vector3::zeros(),
@@ -22,8 +22,8 @@ fn seen(x: &Vector3<f64>, there_n: f64) -> Seen {
     }
 }
 
-fn given(x: Vector3<f64>, force: Vector3<f64>, touches: bool) -> Given {
-    Given {
+fn given(x: Vector3<f64>, force: Vector3<f64>, touches: bool) -> ControllerOutput {
+    ControllerOutput {
         pose: Pose::at(x),
         wrench: Wrench::from_force(force),
         withheld: Wrench::ZERO,
@@ -35,7 +35,7 @@ fn passivity() -> Passivity {
     Passivity::new(STEP, STEP_NM, Span::from_millis(1))
 }
 
-/// One that gets everywhere in a tick.
+/// A slew limit that reaches any target in one tick.
 fn quick() -> WrenchSlew {
     WrenchSlew {
         force: Slew::new(1e9),
@@ -43,7 +43,7 @@ fn quick() -> WrenchSlew {
     }
 }
 
-/// What may be given of a force alone.
+/// The controller's limit of a force alone.
 fn limit(p: &Passivity, force: Vector3<f64>, v: &Vector3<f64>) -> (Vector3<f64>, bool) {
     let (may, limited) = p.limit(&quick(), &Wrench::from_force(force), v, &Vector3::zeros());
     assert_eq!(may.torque, Vector3::zeros());
@@ -51,10 +51,10 @@ fn limit(p: &Passivity, force: Vector3<f64>, v: &Vector3<f64>) -> (Vector3<f64>,
 }
 
 #[test]
-fn what_stops_the_hand_is_given_and_what_would_throw_it_back_is_not() {
+fn a_force_may_stop_the_hand_but_not_throw_it_back() {
     let p = passivity();
     let force = Vector3::new(0.0, 0.0, 7.0);
-    // 80 g at 0.5 m/s take 40 mN·s to stop: what a force of 7 N gives while it is taken away.
+    // Stopping 80 g at 0.5 m/s takes 40 mN·s: the impulse of 7 N while it is removed.
     assert_eq!(
         limit(&p, force, &Vector3::new(0.1, 0.0, -0.5)),
         (force, false)
@@ -70,17 +70,17 @@ fn what_stops_the_hand_is_given_and_what_would_throw_it_back_is_not() {
 }
 
 #[test]
-fn what_others_put_in_may_push_a_hand_that_rests() {
+fn work_of_other_participants_may_push_a_resting_hand() {
     let mut p = passivity();
     let force = Vector3::new(0.0, 0.0, 2.0);
-    p.hear(5.0);
+    p.set_others_work(5.0);
     assert!(
         limit(&p, force, &Vector3::zeros()).1,
         "they began before this hand came"
     );
-    p.hear(5.01);
+    p.set_others_work(5.01);
     assert_eq!(limit(&p, force, &Vector3::zeros()), (force, false));
-    p.hear(5.0);
+    p.set_others_work(5.0);
     assert!(
         limit(&p, force, &Vector3::zeros()).1,
         "they have taken it back"
@@ -88,9 +88,9 @@ fn what_others_put_in_may_push_a_hand_that_rests() {
 }
 
 #[test]
-fn a_spring_gives_back_what_it_stores() {
-    // 500 N/m, 10 mm and back at 100 mm/s: 25 mJ. Held from tick to tick it would give back a tenth of a millimetre's
-    // work more than it took; nothing is taken away but in the last two.
+fn a_spring_returns_its_stored_energy() {
+    // A spring of 500 N/m, 10 mm and back at 100 mm/s: 25 mJ. Held from tick to tick it would return a tenth of a
+    // millimetre's work more than it took; only the last two tenths are limited.
     let mut p = passivity();
     let way = (0..=100).chain((0..100).rev());
     let mut before: i32 = 0;
@@ -102,7 +102,7 @@ fn a_spring_gives_back_what_it_stores() {
         p.observe(&seen(&x, force.z));
         let (may, limited) = limit(&p, force, &v);
         assert!(!limited || tenth <= 20, "{may:?} of {force:?} at {tenth}");
-        p.give(given(x, may, true));
+        p.record(given(x, may, true));
         before = tenth;
     }
     assert!(
@@ -113,39 +113,42 @@ fn a_spring_gives_back_what_it_stores() {
 }
 
 #[test]
-fn what_a_contact_has_stored_ends_with_it() {
+fn stored_energy_decays_after_the_contact() {
     let mut p = passivity();
     let at = |z: f64| Vector3::new(0.0, 0.0, z);
-    p.give(given(at(0.0), at(5.0), true));
+    p.record(given(at(0.0), at(5.0), true));
     p.observe(&seen(&at(-0.01), 5.0));
     assert!((p.stored_j() - 0.05).abs() < 1e-12);
-    p.give(given(at(-0.01), Vector3::zeros(), false));
-    assert!(p.stored_j() > 0.049, "a tick is no end");
+    p.record(given(at(-0.01), Vector3::zeros(), false));
+    assert!(
+        p.stored_j() > 0.049,
+        "one tick without contact keeps the energy"
+    );
     for _ in 0..1000 {
-        p.give(given(at(-0.01), Vector3::zeros(), false));
+        p.record(given(at(-0.01), Vector3::zeros(), false));
     }
     assert!(p.stored_j() < 1e-5);
-    // And friction fills it no further than a press is deep.
-    p.give(given(at(0.0), at(1.0), true));
+    // Friction fills the tank only up to the depth of a press.
+    p.record(given(at(0.0), at(1.0), true));
     for i in 1..1000 {
         p.observe(&seen(&at(-0.01 * f64::from(i)), 1.0));
-        p.give(given(at(-0.01 * f64::from(i)), at(1.0), true));
+        p.record(given(at(-0.01 * f64::from(i)), at(1.0), true));
     }
     assert!(p.stored_j() < 0.06, "{} J", p.stored_j());
 }
 
 #[test]
-fn what_was_withheld_while_the_hand_pressed_is_there_when_it_is_over() {
+fn work_against_withheld_forces_is_credited() {
     let mut p = passivity();
     let at = |z: f64| Vector3::new(0.0, 0.0, z);
-    p.give(Given {
+    p.record(ControllerOutput {
         withheld: Wrench::from_force(at(2.0)),
         ..given(at(0.0), Vector3::zeros(), true)
     });
     p.observe(&seen(&at(-0.01), 2.0));
     assert_eq!(limit(&p, at(2.0), &Vector3::zeros()), (at(2.0), false));
-    // Who goes out again meanwhile has put nothing in.
-    p.give(Given {
+    // A hand that moves out again meanwhile has put nothing in.
+    p.record(ControllerOutput {
         withheld: Wrench::from_force(at(2.0)),
         ..given(at(-0.01), Vector3::zeros(), true)
     });
@@ -157,47 +160,48 @@ fn what_was_withheld_while_the_hand_pressed_is_there_when_it_is_over() {
 }
 
 #[test]
-fn neither_a_model_without_contact_nor_a_glitch_takes_what_is_stored() {
+fn a_gap_in_contact_or_a_glitch_keeps_stored_energy() {
     let at = |z: f64| Vector3::new(0.0, 0.0, z);
     let mut p = passivity();
-    p.give(given(at(0.0), at(4.0), true));
+    p.record(given(at(0.0), at(4.0), true));
     p.observe(&seen(&at(-0.01), 4.0));
-    p.give(given(at(-0.01), Vector3::zeros(), false));
+    p.record(given(at(-0.01), Vector3::zeros(), false));
     p.observe(&seen(&at(-0.01), 0.0));
     assert!(
         p.stored_j() > 0.03,
         "{} J after a tick without contact",
         p.stored_j()
     );
-    p.give(given(at(-0.01), at(4.0), true));
+    p.record(given(at(-0.01), at(4.0), true));
     p.observe(&seen(&at(0.2), 0.0));
     assert!(p.stored_j() > 0.03, "{} J after a glitch", p.stored_j());
 }
 
 #[test]
-fn a_hand_that_others_have_moved_owes_nothing() {
-    // Ten times 5 mm up at 4 N, paid for by who pushed; then off the tissue, and pressed by this hand alone.
+fn a_hand_moved_by_other_participants_owes_nothing() {
+    // Ten times 5 mm up at 4 N, paid for by the other participant; then off the tissue, and pressed by this hand
+    // alone.
     let at = |z: f64| Vector3::new(0.0, 0.0, z);
     let mut p = passivity();
-    p.hear(0.0);
+    p.set_others_work(0.0);
     for i in 0..10 {
-        p.hear(0.025 * f64::from(i + 1));
-        p.give(given(at(5e-3 * f64::from(i)), at(4.0), true));
+        p.set_others_work(0.025 * f64::from(i + 1));
+        p.record(given(at(5e-3 * f64::from(i)), at(4.0), true));
         p.observe(&seen(&at(5e-3 * f64::from(i + 1)), 4.0));
     }
     assert!(p.stored_j() >= 0.0, "{} J", p.stored_j());
-    // And with nobody to pay for it, a second off the tissue is enough.
-    p.give(given(at(0.0), at(4.0), true));
+    // Without a payer, the debt decays within a second off the tissue.
+    p.record(given(at(0.0), at(4.0), true));
     p.observe(&seen(&at(0.015), 4.0));
     for _ in 0..1000 {
-        p.give(given(at(0.0), Vector3::zeros(), false));
+        p.record(given(at(0.0), Vector3::zeros(), false));
         p.observe(&seen(&at(0.0), 0.0));
     }
     assert!(p.stored_j() > -1e-5, "{} J", p.stored_j());
 }
 
 #[test]
-fn after_a_gap_the_tissue_is_believed() {
+fn after_a_gap_the_tissue_is_assumed_to_store_a_springs_energy() {
     let mut p = passivity();
     let force = Vector3::new(0.0, 0.0, 3.0);
     p.interrupt();
@@ -221,16 +225,16 @@ fn screwed(z: f64, angle: f64) -> Pose {
     }
 }
 
-fn given_wrench(pose: Pose, wrench: Wrench) -> Given {
-    Given {
+fn given_wrench(pose: Pose, wrench: Wrench) -> ControllerOutput {
+    ControllerOutput {
         pose,
         wrench,
         ..given(Vector3::zeros(), Vector3::zeros(), true)
     }
 }
 
-fn seen_wrench(pose: Pose, there: Wrench) -> Seen {
-    Seen {
+fn seen_wrench(pose: Pose, there: Wrench) -> ToolState {
+    ToolState {
         pose,
         there,
         ..seen(&Vector3::zeros(), 0.0)
@@ -238,7 +242,7 @@ fn seen_wrench(pose: Pose, there: Wrench) -> Seen {
 }
 
 #[test]
-fn force_and_torque_are_taken_away_by_one_factor_and_no_more_than_needed() {
+fn force_and_torque_are_reduced_by_one_minimal_factor() {
     let still = Vector3::zeros();
     for stored in [1e-4, 1e-3, 1e-2] {
         for (force, torque) in [(7.0, 0.3), (7.0, 0.01), (0.0, 0.3), (0.5, 0.6)] {
@@ -259,8 +263,8 @@ fn force_and_torque_are_taken_away_by_one_factor_and_no_more_than_needed() {
 }
 
 #[test]
-fn a_spring_of_torsion_gives_back_what_it_stores() {
-    // 0.5 N·m/rad, 0.4 rad and back at 2 rad/s: 40 mJ.
+fn a_torsion_spring_returns_its_stored_energy() {
+    // A torsion spring of 0.5 N·m/rad, 0.4 rad and back at 2 rad/s: 40 mJ.
     let mut p = passivity();
     let mut before: i32 = 0;
     for step in (0..=200).chain((0..200).rev()) {
@@ -270,27 +274,27 @@ fn a_spring_of_torsion_gives_back_what_it_stores() {
         p.observe(&seen_wrench(screwed(0.0, angle), wrench));
         let (may, limited) = p.limit(&quick(), &wrench, &Vector3::zeros(), &w);
         assert!(!limited || step <= 40, "{may:?} of {wrench:?} at {step}");
-        p.give(given_wrench(screwed(0.0, angle), may));
+        p.record(given_wrench(screwed(0.0, angle), may));
         before = step;
     }
     assert!((0.0..2e-3).contains(&p.stored_j()), "{} J", p.stored_j());
 }
 
 #[test]
-fn a_turn_that_no_hand_makes_is_not_charged() {
+fn an_implausible_rotation_is_not_charged() {
     let mut p = passivity();
-    p.give(given_wrench(screwed(0.0, 0.0), screw(0.0, 0.3)));
+    p.record(given_wrench(screwed(0.0, 0.0), screw(0.0, 0.3)));
     p.observe(&seen_wrench(screwed(0.0, -0.05), screw(0.0, 0.3)));
     let stored = p.stored_j();
     assert!((stored - 0.015).abs() < 1e-12, "{stored} J");
-    p.give(given_wrench(screwed(0.0, -0.05), screw(0.0, 0.3)));
+    p.record(given_wrench(screwed(0.0, -0.05), screw(0.0, 0.3)));
     p.observe(&seen_wrench(screwed(0.0, 1.5), screw(0.0, 0.3)));
     assert_eq!(p.stored_j(), stored);
 }
 
 proptest! {
     #[test]
-    fn along_any_way_and_turn_no_more_is_gained_than_one_ramp_of_each(
+    fn gain_on_any_path_with_rotation_is_at_most_one_ramp_of_force_and_torque(
         ways in proptest::collection::vec(
             (-0.4..0.4f64, -8.0..8.0f64, 1usize..40, 0.0..20.0f64, -0.5..0.5f64), 1..60,
         ),
@@ -298,7 +302,7 @@ proptest! {
         let mut slew = WrenchSlew { force: Slew::new(STEP), torque: Slew::new(STEP_NM) };
         let mut p = passivity();
         let (mut z, mut angle, mut work, mut most) = (0.0, 0.0, 0.0, [0.0f64; 2]);
-        p.give(given_wrench(screwed(z, angle), Wrench::ZERO));
+        p.record(given_wrench(screwed(z, angle), Wrench::ZERO));
         for (speed, rate, ticks, force, torque) in ways {
             let target = screw(force, torque);
             for _ in 0..ticks {
@@ -307,7 +311,7 @@ proptest! {
                 let w = Vector3::new(0.0, 0.0, rate);
                 let (may, _) = p.limit(&slew, &target, &v, &w);
                 let (wrench, _) = slew.towards(&may);
-                p.give(given_wrench(screwed(z, angle), wrench));
+                p.record(given_wrench(screwed(z, angle), wrench));
                 z += speed * 1e-3;
                 angle += rate * 1e-3;
                 work -= (wrench.force.z * speed + wrench.torque.z * rate) * 1e-3;
@@ -322,21 +326,21 @@ proptest! {
 
 proptest! {
     #[test]
-    fn along_any_path_no_more_is_gained_than_one_ramp_gives(
+    fn gain_on_any_path_is_at_most_one_ramp(
         ways in proptest::collection::vec((-0.4..0.4f64, 1usize..40, 0.0..20.0f64), 1..60),
     ) {
-        // The tool is moved, whatever pushes it, and the force wants to be anything: no hand can do worse. One that
-        // turns at once finds the force still there, as the slew limit lets nothing fall at once, but only once.
+        // The tool follows any path whatever the force, and the target is arbitrary: the worst case of a hand. A
+        // reversal still meets the force, because the slew limit removes it gradually, but only once.
         let (mut p, mut slew) = (passivity(), Slew::new(STEP));
         let (mut z, mut work, mut most) = (0.0, 0.0, 0.0f64);
         let along = |z: f64| Vector3::new(0.0, 0.0, z);
-        p.give(given(along(z), Vector3::zeros(), false));
+        p.record(given(along(z), Vector3::zeros(), false));
         for (speed, ticks, target) in ways {
             for _ in 0..ticks {
                 p.observe(&seen(&along(z), target));
                 let (may, limited) = limit(&p, slew.peek(along(target)), &along(speed));
                 let (force, _) = slew.towards(if limited { may } else { along(target) });
-                p.give(given(along(z), force, true));
+                p.record(given(along(z), force, true));
                 z += speed * 1e-3;
                 work -= force.z * speed * 1e-3;
                 most = most.max(force.z);

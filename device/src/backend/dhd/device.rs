@@ -1,4 +1,4 @@
-//! The device behind the one trait.
+//! The driver as a [`HapticDevice`](crate::HapticDevice).
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
@@ -11,13 +11,13 @@ use crate::{
     HapticDevice, Pose, Rejection, Sample, Wrench, Written,
 };
 
-/// How long the driver scales forces up after they were enabled, µs.
+/// Ramp time of the force after enabling, µs.
 const RAMP_US: i64 = 200_000;
 
 /// The angle of an open gripper, rad: 30 degrees for omega.7 and sigma.7.
 const GRIPPER_OPEN_RAD: f64 = std::f64::consts::PI / 6.0;
 
-/// Readings between two questions whether the device still knows where it is: a tenth of a second of them.
+/// Readings between two calibration checks: every tenth of a second.
 const CALIBRATION_EVERY: u32 = 100;
 
 /// An open device of Force Dimension, or a Falcon.
@@ -47,7 +47,7 @@ impl Dhd {
         }
     }
 
-    /// Zero, then the motors off; both are tried, whatever comes of the first.
+    /// Writes zero, then switches the motors off; tries both even if the first fails.
     fn stop(&mut self) -> Result<(), Code> {
         self.motors.stop();
         let zero = self.api.push(&Wrench::ZERO);
@@ -95,7 +95,7 @@ impl Dhd {
         })
     }
 
-    /// Renders what the motors hold, ramp included; whether a motor is at its limit.
+    /// Renders the output of the motors, with the ramp; returns whether a motor is saturated.
     fn render(&self) -> Result<bool, Code> {
         let rendered = self.motors.rendered();
         let back = frame().inverse();
@@ -140,7 +140,7 @@ impl HapticDevice for Dhd {
         }
         self.stop()?;
         let done = self.api.initialise();
-        // Its own control leaves the motors on.
+        // The library's own control leaves the motors on.
         self.stop()?;
         self.knows_place = self.api.is_initialised();
         done?;
@@ -172,7 +172,7 @@ impl HapticDevice for Dhd {
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        let now = self.motors.tell(now)?;
+        let now = self.motors.advance_to(now)?;
         match self.sense(now) {
             Ok(sample) if sample.is_finite() => Ok(sample),
             Ok(_) => {
@@ -180,7 +180,7 @@ impl HapticDevice for Dhd {
                 Err(DeviceFault::Driver { code: 0 })
             }
             Err(code) => {
-                // What is wrong has been said; the device may be gone, and then this fails as well.
+                // The error is already reported; stopping may also fail, because the device may be gone.
                 let _ = self.stop();
                 Err(code.into())
             }
@@ -198,7 +198,7 @@ impl HapticDevice for Dhd {
             Err(why) => return Written::Rejected(why),
         };
         match self.render() {
-            // A motor at its limit renders less, and the library does not say how much.
+            // A saturated motor renders less, and the library does not report how much.
             Ok(limited) if clamped || limited => Written::Saturated { applied },
             Ok(_) => Written::Applied,
             Err(code) => {
@@ -214,7 +214,7 @@ impl HapticDevice for Dhd {
 
     fn close(&mut self) {
         if self.motors.is_open() {
-            // A device that did not take the first zero may take the second.
+            // A device that missed the first zero may take the second.
             if self.stop().is_err() {
                 let _ = self.stop();
             }
@@ -237,7 +237,7 @@ mod tests {
     use super::frame;
 
     #[test]
-    fn right_stays_right_up_stays_up_and_towards_the_user_is_minus_y() {
+    fn the_frame_maps_right_up_and_towards_the_user() {
         let frame = frame();
         assert_eq!(frame * Vector3::y(), Vector3::x());
         assert_eq!(frame * Vector3::z(), Vector3::z());

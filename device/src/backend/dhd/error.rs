@@ -1,4 +1,4 @@
-//! What the library calls wrong.
+//! Errors of the library.
 
 use thiserror::Error;
 
@@ -9,21 +9,21 @@ use crate::{DeviceFault, Rejection};
 /// Why a device of Force Dimension or a Falcon can not be opened.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum DhdError {
-    /// The maker's library is missing or unfit.
+    /// The maker's library is missing or unusable.
     #[error(transparent)]
     Library(#[from] LibraryError),
-    /// None is plugged in, or it is not clear which is meant.
+    /// No device is plugged in, or the choice is ambiguous.
     #[error(transparent)]
     Choice(#[from] Choice),
-    /// The library refused.
+    /// The library reported an error.
     #[error(
-        "the maker's library does not {what}: {words} (its code {code}); look at cable and power, close other programs \
+        "the maker's library failed to {what}: {words} (its code {code}); look at cable and power, close other programs \
              that use the device, and see that you may use USB devices"
     )]
     Refused {
-        /// What it was to do.
+        /// The failed operation.
         what: &'static str,
-        /// What it says.
+        /// The library's text.
         words: String,
         /// Its code, from `dhdc.h`.
         code: i32,

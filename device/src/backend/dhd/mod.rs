@@ -1,13 +1,13 @@
 //! Devices of Force Dimension (delta, omega, sigma) and the Novint Falcon, through their maker's library.
 //!
-//! The library is `libdrd`, with `libdhd` in it; the SDK is free for owners at forcedimension.com and not built in: it is
-//! loaded when a device is opened. Its calls return at once, so our clock drives it. It speaks metres, newtons and
-//! radians.
+//! The library is `libdrd`, with `libdhd` in it. The SDK is free for owners at forcedimension.com and not built in:
+//! it is loaded when a device is opened. Its calls return at once, so our clock drives it. Its units are metres,
+//! newtons and radians.
 //!
-//! Its frame is x towards the user, y to the right and z up; [`Dhd`] speaks of x to the right, y away from the user and z
-//! up, as all drivers here.
+//! Its frame is x towards the user, y to the right and z up. [`Dhd`] uses x to the right, y away from the user and
+//! z up, as all drivers here.
 //!
-//! A device has to find its reference after it got power. [`calibrate`](crate::HapticDevice::calibrate) lets it: it then
+//! A device needs calibration after power-on. [`calibrate`](crate::HapticDevice::calibrate) starts it: the device
 //! moves by itself for some seconds, so keep hands off.
 
 mod device;
@@ -23,17 +23,17 @@ pub use error::DhdError;
 use self::sys::Api;
 use super::found::{Found, choose};
 
-/// What to look at when none is found.
+/// Remedy when no device is found.
 const HINT: &str = "look at its cable and power, and see that you may use USB devices (the SDK's manual has a udev rule)";
 
-/// The devices that are plugged in. Each is opened for a moment, without force, to ask for its name; one that another
-/// program uses is listed by its number.
+/// Lists the plugged-in devices. Each is opened for a moment, without force, to read its name; a device in use by
+/// another program is listed by its number.
 ///
-/// `library` is the file to load; without one the system looks for it.
+/// `library` is the file to load; without one the system's search path applies.
 ///
 /// # Errors
 ///
-/// When the library is missing or unfit.
+/// When the library is missing or unusable.
 pub fn find(library: Option<&Path>) -> Result<Vec<Found>, DhdError> {
     list(&Api::load(library)?)
 }
@@ -66,7 +66,7 @@ fn name_of(api: &Api, index: usize) -> Found {
 ///
 /// # Errors
 ///
-/// When the library is missing or unfit, none or several are plugged in, or the device does not open.
+/// When the library is missing or unusable, none or several devices are plugged in, or the device does not open.
 pub fn open(library: Option<&Path>, which: Option<&str>) -> Result<Dhd, DhdError> {
     let api = Api::load(library)?;
     let found = list(&api)?;

@@ -1,8 +1,8 @@
-//! What the devices that the library drives can do.
+//! Limits of the device models that the library drives.
 //!
-//! The library tells what a device is and not what it can do. Forces, stiffnesses and reach are those that CHAI3D's public
-//! table has for these models; its maker states them as what the devices hold, so moments get no more. A model that is not
-//! listed is taken for the weakest.
+//! The library reports the model but not its limits. Forces, stiffnesses and reach come from CHAI3D's public table.
+//! The maker states the forces as continuous, so the peak force equals it. An unlisted model gets the limits of the
+//! weakest.
 
 use nalgebra::Vector3;
 
@@ -13,7 +13,7 @@ use crate::{DeviceCaps, Workspace};
 struct Limits {
     /// N.
     force_n: f64,
-    /// N·m; zero where it has no motors for it.
+    /// N·m; zero for an axis without motors.
     torque_nm: f64,
     /// N/m.
     stiffness_n_per_m: f64,
@@ -30,7 +30,7 @@ const fn limits(force_n: f64, torque_nm: f64, stiffness_n_per_m: f64, reach_m: f
     }
 }
 
-/// By the numbers of `dhdGetSystemType`.
+/// By the value of `dhdGetSystemType`.
 fn of(system_type: i32) -> Limits {
     match system_type {
         // delta.3, with its number of before 3.0; delta.6
@@ -46,8 +46,8 @@ fn of(system_type: i32) -> Limits {
     }
 }
 
-/// What a device of this type can do, in its own frame. The half width of the box in which it can be is half as much
-/// again as its reach: what the table calls reach is where it renders well.
+/// Capabilities of a device of this type, in its own frame. The half width of the workspace box is 1.5 times the
+/// table's reach, within which it renders well.
 pub(super) fn caps(
     system_type: i32,
     name: String,
@@ -78,7 +78,7 @@ mod tests {
     use super::{caps, of};
 
     #[test]
-    fn an_unknown_model_is_never_pushed_harder_than_a_known_one() {
+    fn an_unknown_model_has_the_weakest_limits() {
         let unknown = of(9999);
         for known in [31, 33, 35, 60, 63, 64, 104, 106] {
             assert!(unknown.force_n <= of(known).force_n);

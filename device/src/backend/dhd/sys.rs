@@ -1,8 +1,8 @@
-//! The C functions of libdrd and libdhd behind safe ones.
+//! Safe wrappers of the C functions of libdrd and libdhd.
 //!
-//! Types and numbers are those of the public headers `dhdc.h` and `drdc.h` (SDK 3.7 to 3.17). A device's number is a C
-//! `char` there; it is passed as an `int`, which holds it on every machine. After opening, all calls go to -1, the device
-//! that was opened last: the number that opening returns is another one in some releases.
+//! Types and numbers are those of the public headers `dhdc.h` and `drdc.h` (SDK 3.7 to 3.17). A device's number is
+//! a C `char` there; it is passed as an `int`, which holds it on every machine. After opening, all calls use -1,
+//! the device opened last, because some releases return another number from opening.
 
 use std::ffi::{CStr, c_char, c_int, c_uint};
 use std::path::Path;
@@ -13,7 +13,7 @@ use super::error::Code;
 use crate::Wrench;
 use crate::backend::library::{Library, LibraryError, Wanted};
 
-/// The library on this system, and how it is got.
+/// The library's names on this system, and how to install it.
 const WANTED: Wanted = Wanted {
     what: "the Force Dimension SDK (libdrd)",
     names: if cfg!(windows) {
@@ -34,7 +34,7 @@ type Int = unsafe extern "system" fn(c_int) -> c_int;
 type Bool = unsafe extern "system" fn(c_int) -> bool;
 type Three = unsafe extern "system" fn(*mut f64, *mut f64, *mut f64, c_int) -> c_int;
 
-/// The functions that are called, and the library they are in.
+/// The used functions, and the library that contains them.
 pub(super) struct Api {
     count: unsafe extern "system" fn() -> c_int,
     open: Int,
@@ -57,7 +57,7 @@ pub(super) struct Api {
     is_initialised: Bool,
     initialise: Int,
     stop: unsafe extern "system" fn(bool, c_int) -> c_int,
-    // The last field: what is above points into it.
+    // The last field: the fields above point into it.
     _library: Library,
 }
 
@@ -68,7 +68,7 @@ impl std::fmt::Debug for Api {
 }
 
 impl Api {
-    /// Loads the library and finds all functions.
+    /// Loads the library and resolves all functions.
     pub(super) fn load(file: Option<&Path>) -> Result<Self, LibraryError> {
         let library = WANTED.load(file)?;
         // SAFETY: every type is that of the function in the public headers, and the library lives as long as `Self`.
@@ -100,8 +100,8 @@ impl Api {
         }
     }
 
-    /// An error is below zero. One above is none: 1 says that the same value was read within a control period, 2 that a
-    /// motor is at its limit.
+    /// Negative results are errors. Positive ones are not: 1 marks the same value within a control period, 2 a
+    /// saturated motor.
     fn checked(&self, returned: c_int) -> Result<c_int, Code> {
         if returned < 0 {
             // SAFETY: takes nothing and returns a number.
@@ -111,19 +111,19 @@ impl Api {
         }
     }
 
-    /// What the library says of its last error.
+    /// The library's text for its last error.
     pub(super) fn last_words(&self) -> String {
         // SAFETY: takes nothing and returns a text of the library's own, or null.
         text(unsafe { (self.last_words)() })
     }
 
-    /// How many devices are plugged in.
+    /// Number of plugged-in devices.
     pub(super) fn count(&self) -> Result<usize, Code> {
         // SAFETY: takes nothing and returns a number.
         self.checked(unsafe { (self.count)() }).map(|n| n as usize)
     }
 
-    /// Opens device `index`; from now on it is the one that all other calls mean.
+    /// Opens device `index`; all other calls now refer to it.
     pub(super) fn open(&self, index: usize) -> Result<(), Code> {
         // SAFETY: takes a number.
         self.checked(unsafe { (self.open)(index as c_int) })
@@ -132,23 +132,23 @@ impl Api {
 
     /// Closes it.
     pub(super) fn close(&self) {
-        // SAFETY: takes a number. What it says is of no use any more.
+        // SAFETY: takes a number. The result no longer matters.
         let _ = unsafe { (self.close)(LAST) };
     }
 
-    /// Which model it is, in the numbers of the header.
+    /// The model, in the numbers of the header.
     pub(super) fn system_type(&self) -> c_int {
         // SAFETY: takes a number.
         unsafe { (self.system_type)(LAST) }
     }
 
-    /// What it calls itself.
+    /// The device's name.
     pub(super) fn name(&self) -> String {
         // SAFETY: takes a number and returns a text of the library's own, or null.
         text(unsafe { (self.system_name)(LAST) })
     }
 
-    /// Its serial number, where it has one. Releases differ in how wide the number is; it is written to the beginning.
+    /// Its serial number, if any. Releases differ in the width of the number; it is written to the beginning.
     pub(super) fn serial(&self) -> Option<u32> {
         let mut number: c_uint = 0;
         // SAFETY: the pointer is valid for four bytes; the widest release writes four.
@@ -164,22 +164,22 @@ impl Api {
         Ok(Vector3::from(v))
     }
 
-    /// Where the effector is, m, in the device's own frame.
+    /// Position of the effector, m, in the device's own frame.
     pub(super) fn position(&self) -> Result<Vector3<f64>, Code> {
         self.three(self.position)
     }
 
-    /// How fast it goes, m/s.
+    /// Velocity, m/s.
     pub(super) fn velocity(&self) -> Result<Vector3<f64>, Code> {
         self.three(self.velocity)
     }
 
-    /// How fast it turns, rad/s.
+    /// Angular velocity, rad/s.
     pub(super) fn turning(&self) -> Result<Vector3<f64>, Code> {
         self.three(self.turning)
     }
 
-    /// How it is turned.
+    /// Orientation.
     pub(super) fn turn(&self) -> Result<Matrix3<f64>, Code> {
         let mut rows = [[0.0; 3]; 3];
         // SAFETY: a valid pointer to nine doubles, row after row.
@@ -193,7 +193,7 @@ impl Api {
         unsafe { (self.buttons)(LAST) }
     }
 
-    /// Whether it knows how it is turned.
+    /// Whether the device senses orientation.
     pub(super) fn has_wrist(&self) -> bool {
         // SAFETY: takes a number.
         unsafe { (self.has_wrist)(LAST) }
@@ -205,7 +205,7 @@ impl Api {
         unsafe { (self.has_gripper)(LAST) }
     }
 
-    /// How far the gripper is open, rad.
+    /// Opening of the gripper, rad.
     pub(super) fn gripper(&self) -> Result<f64, Code> {
         let mut rad = 0.0;
         // SAFETY: a valid pointer to a double.
@@ -213,7 +213,8 @@ impl Api {
         Ok(rad)
     }
 
-    /// Force (N) and torque (N·m) in the device's own frame, no force on the gripper; whether a motor is at its limit.
+    /// Sets force (N) and torque (N·m) in the device's own frame, and no force on the gripper; returns whether a
+    /// motor is saturated.
     pub(super) fn push(&self, wrench: &Wrench) -> Result<bool, Code> {
         let (f, t) = (wrench.force, wrench.torque);
         // SAFETY: takes numbers.
@@ -228,13 +229,13 @@ impl Api {
             .map(|_| ())
     }
 
-    /// Whether it knows where it is.
+    /// Whether the device is calibrated.
     pub(super) fn is_initialised(&self) -> bool {
         // SAFETY: takes a number.
         unsafe { (self.is_initialised)(LAST) }
     }
 
-    /// Lets it find its reference; it moves by itself, for some seconds.
+    /// Calibrates; the device moves by itself for some seconds.
     pub(super) fn initialise(&self) -> Result<(), Code> {
         // SAFETY: takes a number.
         let done = self.checked(unsafe { (self.initialise)(LAST) });

@@ -13,7 +13,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-/// Left or right, as the one who holds the probe sees it.
+/// Left or right, as seen by the user.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Side {
     /// At y > 0.
@@ -51,12 +51,12 @@ pub struct Arm {
 }
 
 impl Arm {
-    /// r: how far out it reaches from its first axis, m; below zero where it has folded through it.
+    /// r: reach from its first axis, m; negative where it has folded through it.
     pub fn reach(&self, angles: &Angles) -> f64 {
         self.upper_m * angles.y.sin() + self.lower_m * angles.z.cos()
     }
 
-    /// Where it ends, m (4.5, 4.6).
+    /// Position of its end, m (4.5, 4.6).
     pub fn end(&self, angles: &Angles) -> Vector3<f64> {
         let r = self.reach(angles);
         Vector3::new(
@@ -80,22 +80,21 @@ impl Arm {
         ])
     }
 
-    /// The Jacobian's determinant, m³: `r L1 L2 cos(θ2 + θ3)`. It is zero where the arm can not push in some
-    /// direction: with its end on the first axis, or with its links in line.
+    /// The Jacobian's determinant, m³: `r L1 L2 cos(θ2 + θ3)`. It is zero in singular postures: with the end on the
+    /// first axis, or with the links in line.
     pub fn determinant(&self, angles: &Angles) -> f64 {
         self.reach(angles) * self.upper_m * self.lower_m * (angles.y + angles.z).cos()
     }
 
-    /// How far it is from a singular posture: the determinant's size in parts of
-    /// `L1 L2 (L1 + L2)`, which it can not exceed.
+    /// Distance from a singular posture: the determinant's magnitude relative to its bound `L1 L2 (L1 + L2)`.
     pub fn manipulability(&self, angles: &Angles) -> f64 {
         let most = (self.upper_m + self.lower_m) * self.upper_m * self.lower_m;
         self.determinant(angles).abs() / most
     }
 
-    /// The angles that put its end at `end` (m), of the posture that it works in: in front of its first axis, with
-    /// the lower link bent upwards against the upper one, cos(θ2 + θ3) >= 0. Angles are within a half turn of zero.
-    /// `None` when that is out of reach, or on the first axis, where θ1 could be anything.
+    /// Inverse kinematics: the angles that put its end at `end` (m), with the end in front of its first axis and
+    /// the lower link bent upwards, cos(θ2 + θ3) >= 0. Angles are within a half turn of zero. `None` out of reach,
+    /// or on the first axis, where θ1 is undefined.
     pub fn angles(&self, end: &Vector3<f64>) -> Option<Angles> {
         let (x, y) = (end.x, end.y - self.side.sign() * self.offset_m);
         let (r, z) = (x.hypot(y), end.z);
@@ -107,7 +106,7 @@ impl Arm {
         if !cosine.is_finite() || r == 0.0 {
             return None;
         }
-        // Against the line to the end the upper link is turned back by what the lower one adds.
+        // The angle between the upper link and the line to the end.
         let ahead = (lower * cosine).atan2(upper + lower * sine);
         let upper_at = z.atan2(r) - ahead;
         let second = wrap(upper_at + std::f64::consts::FRAC_PI_2);

@@ -1,4 +1,4 @@
-//! The device behind the one trait: counts become a pose, a wrench becomes codes.
+//! The driver as a [`HapticDevice`](crate::HapticDevice): counts become a pose, a wrench becomes codes.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -15,38 +15,38 @@ use crate::{
     Pose, Rejection, Sample, Wrench, Written,
 };
 
-/// By how much the ends' distance may differ from the probe's length, m. Six readings give five independent
-/// numbers; the sixth says whether they can be true. A count at all six motors is 0.3 mm.
+/// Tolerance of the distance between the two ends against the probe's length, m. Six readings give five independent
+/// numbers; the sixth is a consistency check. One count at all six motors is 0.3 mm.
 pub const PROBE_TOLERANCE_M: f64 = 2e-3;
 
-/// How long the driver scales forces up after they were enabled, µs.
+/// Ramp time of the force after enabling, µs.
 const RAMP_US: i64 = 200_000;
 
-/// What the device is made of.
+/// Parts of the device.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Config {
     /// Lengths of arms and probe.
     pub linkage: Linkage,
     /// The encoders, all alike.
     pub encoder: Encoder,
-    /// The way from a code to a torque, alike for all motors.
+    /// Conversion from a code to a torque, alike for all motors.
     pub drive: Drive,
-    /// The largest force that is asked of it, N, for a moment and held.
+    /// Maximum force, N, peak and continuous.
     pub force_n: [f64; 2],
-    /// The largest torque about the pivot, N·m.
+    /// Maximum torque about the pivot, N·m.
     pub torque_nm: f64,
-    /// The stiffness it renders stably, N/m.
+    /// Maximum stable stiffness.
     pub stiffness_n_per_m: f64,
 }
 
-/// How often a wrench could not be rendered as it was asked for.
+/// Number of wrenches that were rendered only in part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Counts {
-    /// Torques faded beside a singular posture.
+    /// Torques faded near a singular posture.
     pub singular: u64,
-    /// A motor's limit shortened them.
+    /// Torques reduced by a motor's limit.
     pub saturated: u64,
-    /// The probe's length was wrong.
+    /// Inconsistent length of the probe.
     pub untrusted: u64,
 }
 
@@ -69,7 +69,7 @@ impl<P: Port> FiveDof<P> {
     ///
     /// # Errors
     ///
-    /// When the arms of this linkage can hold the probe nowhere.
+    /// When the arms of this linkage can not hold the probe at any position.
     pub fn open(port: P, config: Config) -> Result<Self, OutOfReach> {
         let middle = Middle::of(&config.linkage)?;
         let caps = DeviceCaps {
@@ -96,7 +96,7 @@ impl<P: Port> FiveDof<P> {
         })
     }
 
-    /// How often what was not rendered.
+    /// Counters of partly rendered wrenches.
     pub fn counts(&self) -> Counts {
         self.counts
     }
@@ -111,20 +111,20 @@ impl<P: Port> FiveDof<P> {
         &self.port
     }
 
-    /// Lets `torques` act; zero when the boards do not take them.
+    /// Applies `torques`; sets zero when the boards do not take them.
     fn drive(&mut self, torques: &[Vector3<f64>; 2]) -> Result<(), PortFault> {
         let drive = self.config.drive;
         let codes = six(|arm, k| drive.code(torques[arm][k]));
         self.port.command(self.motors.now(), codes)
     }
 
-    /// Zero on the motors, and forces off. The boards may not have heard of it when this is an error.
+    /// Zero torque, forces off. After an error the boards may not have received it.
     fn stop(&mut self) -> Result<(), PortFault> {
         self.motors.stop();
         self.drive(&[Vector3::zeros(); 2])
     }
 
-    /// What the motors would have to do for the wrench at the present posture.
+    /// Motor torques for the wrench at the present posture.
     fn torques(&self, wrench: &Wrench) -> Torques {
         let limit = self.config.drive.limit_nm();
         torques(&self.config.linkage, &self.angles, wrench, limit)
@@ -158,15 +158,15 @@ impl<P: Port> HapticDevice for FiveDof<P> {
         }
     }
 
-    /// Takes the present posture for that of calibration: the probe in the middle of the workspace, along y. Hold it
-    /// in its rest while this is called.
+    /// Takes the present posture as the calibration posture: the probe in the middle of the workspace, along y.
+    /// Hold it in its rest meanwhile.
     fn calibrate(&mut self) -> Result<Calibration, DeviceFault> {
         if !self.motors.is_open() {
             return Err(DeviceFault::Closed);
         }
         let (encoder, at) = (self.config.encoder, self.middle.angles);
         let counts = six(|arm, k| encoder.count(at[arm][k]));
-        // Codes of the posture of before would push in another direction.
+        // Codes computed for the old posture would push in another direction.
         self.stop()?;
         self.port.home(counts)?;
         self.angles = at;
@@ -194,11 +194,11 @@ impl<P: Port> HapticDevice for FiveDof<P> {
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        let now = self.motors.tell(now)?;
+        let now = self.motors.advance_to(now)?;
         let counts = match self.port.counts(now) {
             Ok(counts) => counts,
             Err(fault) => {
-                // What is wrong has been said; the next zero is tried with the next reading or order.
+                // The error is already reported; the next reading or order tries zero again.
                 let _ = self.stop();
                 return Err(fault.into());
             }
@@ -214,7 +214,7 @@ impl<P: Port> HapticDevice for FiveDof<P> {
         let linkage = &self.config.linkage;
         let probe = linkage.probe(&self.angles);
         let mut faults = Faults::NONE;
-        // Not a number is not within it.
+        // NaN is outside the tolerance.
         let sound = (probe.length_m - linkage.probe_m()).abs() <= PROBE_TOLERANCE_M;
         let homed = self.calibration().is_ready();
         if !(sound && homed) {
@@ -244,13 +244,13 @@ impl<P: Port> HapticDevice for FiveDof<P> {
     }
 
     fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
-        if self.motors.tell(now).is_err() {
+        if self.motors.advance_to(now).is_err() {
             return Written::Rejected(Rejection::Closed);
         }
         if let Err(why) = self.motors.ready() {
             return self.refuse(why);
         }
-        // Nobody can render a torque about the probe's own axis.
+        // The device can not render a torque about the probe's own axis.
         let axis = self.config.linkage.probe(&self.angles).axis.into_inner();
         let about_itself = wrench.torque.dot(&axis);
         let possible = Wrench {

@@ -5,35 +5,35 @@ use thiserror::Error;
 
 use super::arm::{Angles, Arm, Side};
 
-/// The probe: its middle and where it points.
+/// The probe: its middle and its direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Probe {
     /// The pivot P between the two ends, m (4.7).
     pub pivot: Vector3<f64>,
     /// From the right end to the left one (4.8).
     pub axis: Unit<Vector3<f64>>,
-    /// Distance of the two ends, m. Of a sound device it is the length of the probe.
+    /// Distance between the two ends, m. On a consistent device it is the length of the probe.
     pub length_m: f64,
 }
 
 impl Probe {
-    /// The turn of the tool: none when the probe points along y, and else the shortest to where it points. How
-    /// far it is turned about itself no motor knows.
+    /// Orientation of the tool: identity along y, otherwise the shortest rotation to the axis. No motor measures
+    /// the rotation about the axis.
     pub fn orientation(&self) -> UnitQuaternion<f64> {
-        // Against y every axis across it will do.
+        // For the direction opposite to y every perpendicular axis is valid.
         UnitQuaternion::rotation_between(&Vector3::y_axis(), &self.axis).unwrap_or_else(|| {
             UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
         })
     }
 }
 
-/// A place that an arm can not come to.
+/// A position out of an arm's reach.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error("the {} arm can not reach ({:.1}, {:.1}, {:.1}) mm", name(*.side), .end.x * 1e3, .end.y * 1e3, .end.z * 1e3)]
 pub struct OutOfReach {
     /// Which arm.
     pub side: Side,
-    /// Where it would have to end, m.
+    /// The requested position of its end, m.
     pub end: Vector3<f64>,
 }
 
@@ -44,7 +44,7 @@ fn name(side: Side) -> &'static str {
     }
 }
 
-/// A length of the linkage that can not be.
+/// An invalid length of the linkage.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[error("{what} is {mm} mm; it has to be above 0 and at most {LENGTH_MAX_M} m")]
 pub struct BadLength {
@@ -65,8 +65,8 @@ pub struct Linkage {
 }
 
 impl Default for Linkage {
-    /// That of 2007: L0 = 80, L1 = 150, L2 = 180 and a probe of 30 mm. Figure 4.1 gives the left arm an upper link of
-    /// 180 mm, probably by mistake; whoever has one so makes the linkage with [`Linkage::new`].
+    /// The device of 2007: L0 = 80, L1 = 150, L2 = 180 and a probe of 30 mm. Figure 4.1 gives the left arm an upper
+    /// link of 180 mm, probably by mistake; use [`Linkage::new`] for such a device.
     fn default() -> Self {
         let arm = |side| Arm {
             side,
@@ -149,7 +149,7 @@ impl Linkage {
         ])
     }
 
-    /// How far both arms are from a singular posture, 0 to 1.
+    /// The smaller manipulability of both arms, 0 to 1.
     pub fn manipulability(&self, angles: &[Angles; 2]) -> f64 {
         let of = |a: usize| self.arms[a].manipulability(&angles[a]);
         of(0).min(of(1))

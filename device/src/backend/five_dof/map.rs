@@ -1,4 +1,4 @@
-//! Where the probe can be held: the middle of the reach, the workspace in it, and maps for pictures.
+//! Reachable poses of the probe: the middle of the reach, the workspace, and manipulability maps.
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 
@@ -8,15 +8,15 @@ use crate::Workspace;
 
 /// How far the probe may be tilted out of y everywhere in the workspace, rad.
 pub const TILT_RAD: f64 = 0.52;
-/// Manipulability that is left everywhere in the workspace: twice that at which torques begin to fade.
+/// Minimum manipulability in the workspace: twice the value at which torques begin to fade.
 const LEFT: f64 = 0.1;
-/// Steps that halve the size of the workspace.
+/// Bisections of the workspace's size.
 const ROUNDS: usize = 24;
 
-/// The posture of calibration, and what is around it.
+/// The calibration posture and its workspace.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Middle {
-    /// Where the pivot is, m.
+    /// Position of the pivot, m.
     pub pivot: Vector3<f64>,
     /// The angles there, rad, with the probe along y.
     pub angles: [Angles; 2],
@@ -29,7 +29,7 @@ impl Middle {
     ///
     /// # Errors
     ///
-    /// When one of the arms can not come there.
+    /// When an arm can not reach it.
     pub fn of(linkage: &Linkage) -> Result<Self, OutOfReach> {
         // Each end turns in from its own axis; the pivot is in the middle of the two.
         let [left, right] = linkage.arms();
@@ -64,7 +64,7 @@ impl Middle {
         Ok(middle)
     }
 
-    /// The cube, m.
+    /// The workspace cube, m.
     pub fn workspace(&self) -> Workspace {
         let half = Vector3::repeat(self.half_m);
         Workspace {
@@ -73,7 +73,7 @@ impl Middle {
         }
     }
 
-    /// Whether the probe can be held all over the cube, tilted every way.
+    /// Whether the probe can be held everywhere in the cube, at every tilt.
     fn is_sound(&self, linkage: &Linkage) -> bool {
         let offsets = [-1.0, -0.5, 0.0, 0.5, 1.0];
         offsets.iter().all(|x| {
@@ -98,7 +98,7 @@ fn tilted() -> impl Iterator<Item = Unit<Vector3<f64>>> {
     std::iter::once(Vector3::y_axis()).chain((0..8).map(tilt))
 }
 
-/// How far from singular the device is with its pivot at `at` (m) and the probe along `axis`; zero out of reach.
+/// Manipulability with the pivot at `at` (m) and the probe along `axis`; zero out of reach.
 pub fn manipulability(linkage: &Linkage, at: &Vector3<f64>, axis: &Unit<Vector3<f64>>) -> f64 {
     linkage
         .angles(at, axis)

@@ -1,11 +1,11 @@
 //! The 5-DOF device of 2007: two arms of three motors each, and a probe between their ends.
 //!
-//! Forces are rendered along all three axes, torques about the two axes across the probe. What is in the source
-//! (Zhu 2003, and a dissertation of 2007) is the mechanism, the lengths and the encoders; limits of the motors,
-//! inertias and the posture of calibration are not, so whoever builds one gives them ([`Config`]), and the simulated
-//! boards ([`Rig`]) have their own, named as such.
+//! Forces are rendered along all three axes, torques about the two axes across the probe. The sources (Zhu 2003,
+//! and a dissertation of 2007) give the mechanism, the lengths and the encoders. Motor limits, inertias and the
+//! calibration posture are not published: a builder supplies them in [`Config`], and the simulated boards ([`Rig`])
+//! use assumed values.
 //!
-//! - [`Arm`] and [`Linkage`]: angles to places and back, Jacobian, singular postures.
+//! - [`Arm`] and [`Linkage`]: forward and inverse kinematics, Jacobian, singular postures.
 //! - [`torques`]: a wrench on the probe to torques of the motors.
 //! - [`Encoder`], [`Drive`]: counts and codes; [`Port`]: the boards that carry them.
 //! - [`FiveDof`]: all of it as a [`HapticDevice`](crate::HapticDevice).

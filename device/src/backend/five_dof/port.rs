@@ -1,4 +1,4 @@
-//! What the device is connected to: six counters in, six converters out.
+//! The boards of the device: six counters in, six converters out.
 
 use thiserror::Error;
 
@@ -7,8 +7,8 @@ use crate::{Buttons, DeviceFault, DeviceTime};
 /// Numbers for the six motors: θ1, θ2, θ3 of the left arm, then those of the right arm.
 pub type Six = [i32; 6];
 
-/// The boards between this program and the device. A real one writes to their registers; both calls return within
-/// a small part of a millisecond.
+/// The boards between this program and the device. A real port accesses their registers; both calls return within a
+/// small part of a millisecond.
 pub trait Port: Send {
     /// The counters of the encoders.
     fn counts(&mut self, now: DeviceTime) -> Result<Six, PortFault>;
@@ -27,11 +27,11 @@ pub trait Port: Send {
     /// Sets the counters to these numbers: the arms stand in the posture of calibration.
     fn home(&mut self, counts: Six) -> Result<(), PortFault>;
 
-    /// Lets go of the boards, with zero on the converters. A second call does nothing.
+    /// Releases the boards, with zero on the converters. A second call does nothing.
     fn close(&mut self);
 }
 
-/// Why a board did not do what it was told.
+/// Failure of a board.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum PortFault {
     /// It does not answer.

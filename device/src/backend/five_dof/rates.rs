@@ -1,11 +1,11 @@
-//! How fast angles change, from counts that are seldom new.
+//! Angular rates from coarsely quantised counts.
 //!
-//! At 10 mm/s an encoder of 2000 lines gives a new count every tenth of a second at the shoulder: a difference between two
-//! readings is zero or far too much. Adaptive windowing (Janabi-Sharifi, Hayward and Chen 2000, IEEE Trans. Control
-//! Systems Technology 8) goes back as far as a straight line explains every count in between within one count: long
-//! while slow, short while fast, so it is as smooth as the counts allow and late by no more.
+//! At 10 mm/s an encoder of 2000 lines gives a new count every tenth of a second at the shoulder, so the difference
+//! of two readings is zero or far too large. Adaptive windowing (Janabi-Sharifi, Hayward and Chen 2000, IEEE Trans.
+//! Control Systems Technology 8) uses the longest window in which a line fits every count within one count: long at
+//! low speed, short at high speed.
 
-/// Readings that are remembered: 32 ms at 1 kHz.
+/// Length of the history: 32 ms at 1 kHz.
 const WINDOW: usize = 32;
 
 /// The rate of one angle.
@@ -32,12 +32,13 @@ impl Rate {
         }
     }
 
-    /// Forgets what was read: the next reading has nothing to do with it.
+    /// Clears the history: the next reading is unrelated to it.
     pub(super) fn clear(&mut self) {
         self.len = 0;
     }
 
-    /// Takes a reading at `time` (s) and gives the rate, rad/s. A time that is not after the last one changes nothing.
+    /// Adds a reading at `time` (s) and returns the rate, rad/s. A time that is not after the last one changes
+    /// nothing.
     pub(super) fn read(&mut self, time: f64, angle: f64) -> f64 {
         if self.len == 0 || time > self.times[self.newest] {
             self.newest = (self.newest + 1) % WINDOW;

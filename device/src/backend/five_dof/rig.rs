@@ -1,4 +1,4 @@
-//! The boards, motors and links of a 5-DOF device that is not there, and the hand that holds it.
+//! Simulated boards, motors and links of a 5-DOF device, and the hand that holds it.
 //!
 //! With q the six angles, I the inertias of the axes, m the hand's mass, `J_P` the pivot's Jacobian, c(q) the square of
 //! the ends' distance less that of the probe:
@@ -7,9 +7,9 @@
 //! M q'' = τ - b q' + J_Lᵀ h_L + J_Rᵀ h_R - m J_Pᵀ (dJ_P/dt) q' + Gᵀ λ      M = diag(I) + m J_Pᵀ J_P,  G = ∂c/∂q
 //! ```
 //!
-//! h is what the hand does to the two ends: a spring and a damper to the script at the pivot, and another pair that
-//! turns the probe. The probe's length is kept by projecting rates and angles after each sub-step, so it never drifts.
-//! Inertias, friction and the hand's grip are invented, not measured.
+//! h are the hand's forces on the two ends: a spring and a damper to the script at the pivot, and another pair that
+//! turns the probe. Projection of rates and angles after each sub-step keeps the probe's length without drift.
+//! Inertias, friction and the hand's grip are assumed, not measured.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI32, Ordering};
@@ -27,16 +27,16 @@ use crate::{Buttons, DeviceTime, Script, Wrench};
 
 /// The sub-step, µs.
 const SUB_STEP_US: i64 = 250;
-/// The longest pause between two calls that is integrated through, µs; after a longer one the hand is where its script is.
+/// Maximum pause between two calls that is integrated, µs; after a longer one the hand is placed on its script.
 const CATCH_UP_MAX_US: i64 = 1_000_000;
-/// Rounds that bring the ends back to the probe's length after a sub-step.
+/// Iterations of the length projection after a sub-step.
 const PROJECTIONS: usize = 2;
 
 type Vector6 = SVector<f64, 6>;
 type Matrix6 = SMatrix<f64, 6, 6>;
 type Matrix36 = SMatrix<f64, 3, 6>;
 
-/// What is invented about a device that is not there.
+/// Assumed parameters of the simulated device.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RigConfig {
     /// Inertia of motor and link about each axis of an arm, kg·m².
@@ -61,7 +61,7 @@ impl Default for RigConfig {
     }
 }
 
-/// Breaks simulated boards from outside, to see what becomes of it.
+/// Injects faults into simulated boards.
 #[derive(Debug, Clone, Default)]
 pub struct Sabotage(Arc<AtomicI32>);
 
@@ -105,7 +105,7 @@ pub struct Rig {
     angles: Vector6,
     rates: Vector6,
     torque_nm: Vector6,
-    /// What counters say more than the encoders' true count.
+    /// Offset of the counters from the encoders' true count.
     offset: Six,
     homed: bool,
     integrated_to: Option<DeviceTime>,
@@ -117,7 +117,7 @@ impl Rig {
     ///
     /// # Errors
     ///
-    /// When the script begins where the arms can not come to.
+    /// When the script begins out of the arms' reach.
     pub fn new(
         device: &Config,
         config: RigConfig,
@@ -146,7 +146,7 @@ impl Rig {
         Ok(rig)
     }
 
-    /// The same with counters that stand at zero wherever the arms are, as after switching on.
+    /// The same with counters at zero in any posture, as after power-on.
     #[must_use]
     pub fn not_homed(mut self) -> Self {
         let true_counts = self.true_counts();
@@ -155,7 +155,7 @@ impl Rig {
         self
     }
 
-    /// What breaks it.
+    /// The fault injector.
     pub fn sabotage(&self) -> Sabotage {
         self.sabotage.clone()
     }
@@ -174,7 +174,7 @@ impl Rig {
         std::array::from_fn(|j| self.encoder.count(self.angles[j]))
     }
 
-    /// Lets everything live until `now`.
+    /// Integrates until `now`.
     fn advance(&mut self, now: DeviceTime) {
         let Some(mut at) = self.integrated_to else {
             self.integrated_to = Some(now.plus_micros(-now.as_micros().rem_euclid(SUB_STEP_US)));
@@ -191,7 +191,7 @@ impl Rig {
         self.integrated_to = Some(at);
     }
 
-    /// Puts everything where the script is.
+    /// Places everything on the script.
     fn jump(&mut self, now: DeviceTime) {
         let target = self.script.pose(self.start.script_s(now)).pose;
         let axis = target.orientation * Vector3::y_axis();
@@ -217,14 +217,14 @@ impl Rig {
         }
         let mass = self.script.hand().mass_kg;
         let j = pivot_jacobian(&self.linkage, &self.angles);
-        // The hand's mass goes round a curve: what that takes is (dJ/dt) q'.
+        // Centripetal force of the hand's mass: the term with (dJ/dt) q'.
         let later = pivot_jacobian(&self.linkage, &(self.angles + self.rates * h));
         load -= j.tr_mul(&((later - j) * self.rates)) * (mass / h);
         let mut inertia = j.tr_mul(&j) * mass;
         for k in 0..6 {
             inertia[(k, k)] += self.config.inertia_kg_m2[k % 3];
         }
-        // An inertia is positive, whatever the posture.
+        // The inertia matrix is positive definite in every posture.
         let Some(inverse) = inertia.try_inverse() else {
             return;
         };
@@ -232,7 +232,7 @@ impl Rig {
         self.keep_length(&inverse, h);
     }
 
-    /// Takes the part of the rates out that would change the probe's length, moves, and mends what is left of it.
+    /// Projects the rates onto constant probe length, moves, and corrects the remaining error.
     fn keep_length(&mut self, inverse: &Matrix6, h: f64) {
         let (g, _) = self.length(&self.angles);
         let along = inverse * g;
@@ -245,7 +245,7 @@ impl Rig {
         }
     }
 
-    /// G, and by how much the square of the ends' distance is wrong, m².
+    /// G, and the error of the squared distance between the ends, m².
     fn length(&self, q: &Vector6) -> (Vector6, f64) {
         let angles = split(q);
         let [left, right] = self.linkage.ends(&angles);
@@ -256,7 +256,7 @@ impl Rig {
         (g, across.norm_squared() - probe * probe)
     }
 
-    /// What the hand does to the two ends, N.
+    /// The hand's forces on the two ends, N.
     fn hand(&self, at: DeviceTime, angles: &[Angles; 2]) -> [Vector3<f64>; 2] {
         let target = self.script.pose(self.start.script_s(at));
         let (shake, rate) = self.tremor.at(at.as_secs_f64());
@@ -272,7 +272,7 @@ impl Rig {
     }
 }
 
-/// How the pivot moves with all six angles.
+/// Jacobian of the pivot for all six angles.
 fn pivot_jacobian(linkage: &Linkage, q: &Vector6) -> Matrix36 {
     let angles = split(q);
     let mut j = Matrix36::zeros();
@@ -302,7 +302,7 @@ impl Port for Rig {
     fn command(&mut self, now: DeviceTime, codes: Six) -> Result<(), PortFault> {
         self.advance(now);
         if let Err(fault) = self.sabotage.check() {
-            // Converters without their board give nothing.
+            // Converters without their board output nothing.
             self.torque_nm = Vector6::zeros();
             return Err(fault);
         }

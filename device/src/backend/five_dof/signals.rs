@@ -1,4 +1,4 @@
-//! What crosses the cables: counts of the encoders, and codes for the converters that drive the motors.
+//! Signals of the boards: counts of the encoders, and codes for the converters that drive the motors.
 
 use thiserror::Error;
 
@@ -9,11 +9,9 @@ pub struct Encoder {
     gear: f64,
 }
 
-/// An encoder that can not be.
+/// Invalid parameters of an encoder.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
-#[error(
-    "an encoder of {lines} lines behind a gear of {gear}; both have to be there, and the gear finite"
-)]
+#[error("invalid encoder: {lines} lines, gear {gear}; both must be non-zero, and the gear finite")]
 pub struct BadEncoder {
     lines: u32,
     gear: f64,
@@ -45,20 +43,20 @@ impl Encoder {
         std::f64::consts::TAU / (4.0 * f64::from(self.lines) * self.gear)
     }
 
-    /// The angle of a link (rad) whose counter is at `count`, from where it was at zero.
+    /// The angle of a link (rad) at `count`, relative to the zero of its counter.
     pub fn angle(&self, count: i32) -> f64 {
         f64::from(count) * self.step_rad()
     }
 
-    /// What the counter of a link at this angle (rad) shows: the last line it has passed.
+    /// Count of a link at this angle (rad): the last line it has passed.
     pub fn count(&self, angle: f64) -> i32 {
         (angle / self.step_rad()).floor() as i32
     }
 }
 
-/// The way from a digital code to a torque of the link: converter, amplifier, motor and gear.
+/// Conversion from a digital code to a torque of the link: converter, amplifier, motor and gear.
 ///
-/// There is no default: the limits of the motors of 2007 are not known, and a wrong one is felt.
+/// There is no default, because the limits of the motors of 2007 are unknown and a wrong one can be felt.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Drive {
     torque_per_volt_nm: f64,
@@ -67,17 +65,17 @@ pub struct Drive {
     limit_nm: f64,
 }
 
-/// A drive that can not be.
+/// Invalid parameters of a drive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum BadDrive {
-    /// A number is not above zero, or none.
-    #[error("{0} has to be above 0 and finite")]
+    /// A number is not positive, or not finite.
+    #[error("{0} must be above 0 and finite")]
     NotPositive(&'static str),
-    /// A converter of so many bits does not exist.
-    #[error("a converter of {0} bits; 8 to 24 are known")]
+    /// Unsupported width of the converter.
+    #[error("unsupported converter of {0} bits; use 8 to 24")]
     Bits(u32),
-    /// The converter can not reach the limit.
-    #[error("the limit of the torque is beyond what the converter gives at its full scale")]
+    /// The limit exceeds the converter's full scale.
+    #[error("the torque limit exceeds the converter's full scale; lower the limit")]
     OutOfScale,
 }
 
@@ -129,18 +127,18 @@ impl Drive {
         self.torque_per_volt_nm * self.full_scale_v / codes
     }
 
-    /// The code for a torque (N·m) of a link, never for more than the limit; zero for what is no number.
+    /// The code for a torque (N·m) of a link, clamped to the limit; zero for NaN.
     pub fn code(&self, nm: f64) -> i32 {
         let within = if nm.is_nan() {
             0.0
         } else {
             nm.clamp(-self.limit_nm, self.limit_nm)
         };
-        // Towards zero, so that no code gives more than was asked for.
+        // Rounded towards zero, so that no code exceeds the requested torque.
         (within / self.step_nm()) as i32
     }
 
-    /// The torque (N·m) of a link that a code gives.
+    /// The torque (N·m) of a link for a code.
     pub fn torque(&self, code: i32) -> f64 {
         f64::from(code.clamp(-self.code_max(), self.code_max())) * self.step_nm()
     }

@@ -1,5 +1,5 @@
-//! The whole device without hardware: invented motors, simulated boards, and the hand of a script that is put into
-//! the middle of its workspace.
+//! The whole simulated device: assumed motors, simulated boards, and a scripted hand moved to the middle of the
+//! workspace.
 
 use nalgebra::Vector3;
 use thiserror::Error;
@@ -9,7 +9,7 @@ use super::{Config, Drive, Encoder, FiveDof, Linkage, Middle, OutOfReach, Rig, R
 use crate::backend::sim::ScriptStart;
 use crate::{Placed, Placement, Script, ScriptError};
 
-/// Why a script can not be followed with this device.
+/// Reason why this device can not follow a script.
 #[derive(Debug, Error)]
 pub enum Unsuited {
     /// A way point is outside of the workspace.
@@ -45,13 +45,13 @@ pub enum Unsuited {
     /// The script can not be moved into the device's frame.
     #[error(transparent)]
     Script(#[from] ScriptError),
-    /// The arms do not come there.
+    /// Out of the arms' reach.
     #[error(transparent)]
     OutOfReach(#[from] OutOfReach),
 }
 
-/// The linkage and the encoders of 2007 with invented motors: 1.5 N·m behind converters of 12 bits, and a force of 8 N
-/// for a moment and 4 N held.
+/// The linkage and the encoders of 2007 with assumed motors: 1.5 N·m behind converters of 12 bits, and a force of 8
+/// N peak and 4 N continuous.
 pub fn invented() -> Config {
     Config {
         linkage: Linkage::default(),
@@ -63,9 +63,9 @@ pub fn invented() -> Config {
     }
 }
 
-/// The simulated device in the hand of a script of the scene. It stands so that the tool is upright in it at the first way
-/// point, and that the middle of the script is in the middle of the workspace. How the script turns the tool about
-/// the probe after that is lost, as no motor knows of it.
+/// The simulated device, held by a script of the scene. Its frame makes the tool upright at the first way point and
+/// puts the middle of the script into the middle of the workspace. Later rotation about the probe is lost, as no
+/// motor measures it.
 pub fn simulated(script: &Script, start: ScriptStart) -> Result<Placed<FiveDof<Rig>>, Unsuited> {
     let config = invented();
     let middle = Middle::of(&config.linkage)?;
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_that_it_can_not_follow_is_refused_with_the_way_point() {
+    fn an_infeasible_script_is_rejected_with_its_way_point() {
         let far = vec![
             WayPoint::new(0.0, Vector3::zeros()),
             WayPoint::new(2.5, Vector3::new(0.3, 0.0, 0.0)),

@@ -8,8 +8,8 @@
 //! τ   = blockdiag(J_L, J_R)ᵀ (f_L, f_R)
 //! ```
 //!
-//! A torque about the probe's own axis can not be rendered by two forces on that axis: this is what is missing to the
-//! sixth degree of freedom.
+//! Two forces on the probe's axis can not produce a torque about it, so the device lacks the sixth degree of
+//! freedom.
 
 use nalgebra::Vector3;
 
@@ -17,26 +17,26 @@ use super::arm::Angles;
 use super::linkage::{Linkage, Probe};
 use crate::Wrench;
 
-/// Manipulability below which torques fade, down to none where the arm is singular. There the motors would hold the
-/// links and the hand feel something else than was asked for. With the lengths
-/// of 2007 a twentieth is 5 degrees from links in line at a reach of 180 mm, or an end 17 mm from the arm's first axis.
+/// Manipulability below which torques fade, to zero in a singular posture. There the motors would load the links
+/// instead of the hand. With the lengths of 2007, 0.05 is 5 degrees from links in line at a reach of 180 mm, or an
+/// end 17 mm from the arm's first axis.
 pub const SINGULAR: f64 = 0.05;
 
-/// Torques of the motors, N·m, and what became of the wrench on the way.
+/// Torques of the motors, N·m, and how far they render the wrench.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Torques {
     /// Of the left arm's motors and the right arm's.
     pub nm: [Vector3<f64>; 2],
-    /// The part of what was asked for that they render, 0 to 1.
+    /// The rendered fraction of the wrench, 0 to 1.
     pub share: f64,
-    /// Whether they faded because an arm is close to a singular posture.
+    /// Whether they faded near a singular posture.
     pub singular: bool,
-    /// Whether a motor's limit shortened them.
+    /// Whether a motor's limit reduced them.
     pub saturated: bool,
 }
 
-/// Forces on the left end of the probe and on the right one, N, that together are this wrench about its pivot, but
-/// for the torque about its axis.
+/// Forces on the left and the right end of the probe, N, equivalent to this wrench about its pivot except for the
+/// torque about its axis.
 pub fn end_forces(probe: &Probe, wrench: &Wrench) -> [Vector3<f64>; 2] {
     let axis = probe.axis.into_inner();
     let across = wrench.torque - axis * wrench.torque.dot(&axis);
@@ -45,11 +45,11 @@ pub fn end_forces(probe: &Probe, wrench: &Wrench) -> [Vector3<f64>; 2] {
     [half + turning, half - turning]
 }
 
-/// Torques that render `wrench` on the probe, none of them above `limit_nm`. What has to be shortened is shortened
-/// everywhere by the same factor, so that force and torque keep their directions.
+/// Torques that render `wrench` on the probe, each at most `limit_nm`. One common factor reduces all of them, so
+/// that force and torque keep their directions.
 pub fn torques(linkage: &Linkage, angles: &[Angles; 2], wrench: &Wrench, limit_nm: f64) -> Torques {
     let probe = linkage.probe(angles);
-    // Where the two ends meet there is no axis to push about.
+    // Coincident ends define no axis.
     let apart = Probe {
         length_m: probe.length_m.max(0.1 * linkage.probe_m()),
         ..probe

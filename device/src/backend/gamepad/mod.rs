@@ -1,4 +1,4 @@
-//! Gamepads: sticks steer the tool, triggers shut a gripper, and the pad shakes where the tool touches something.
+//! Gamepads: sticks steer the tool, triggers close a gripper, and rumble signals contact.
 //!
 //! | | the tool |
 //! | --- | --- |
@@ -12,10 +12,10 @@
 //! | right button of the four, left shoulder | the second button |
 //! | left and upper button of the four, select, start | buttons 3 to 6 |
 //!
-//! The shoulders double the two main buttons, because the thumbs are on the sticks. Rumble is a hint of contact and no
-//! force, so the device renders none: see [`Rumble`] for its law.
+//! The shoulders double the two main buttons, because the thumbs are on the sticks. Rumble is a cue, not a force,
+//! so the device renders none: see [`Rumble`] for its law.
 //!
-//! - [`PadEvent`], [`Pad`]: what happens on a gamepad, and what the hand does after it.
+//! - [`PadEvent`], [`Pad`]: events of a gamepad, and the resulting controls.
 //! - [`Port`]: where events come from. The hardware's port is built with the feature `gamepad`.
 
 mod pad;
@@ -32,19 +32,19 @@ pub use pad::{Axis, Key, Pad, PadEvent, Trigger};
 #[cfg(feature = "gamepad")]
 pub use system::open;
 
-/// What a gamepad is connected to.
+/// Source of gamepad events.
 pub trait Port: Send {
-    /// Waits at most `patience` for what happens next.
+    /// Waits at most `patience` for the next event.
     fn event(&mut self, patience: Duration) -> Result<Option<PadEvent>, Gone>;
 
-    /// Looks once, without waiting, for the gamepad that was gone; whether it is back.
+    /// Looks once, without waiting, for the lost gamepad; returns whether it is back.
     fn reopen(&mut self) -> bool;
 
     /// Shakes with this strength, 0 to 1, until the next call; nothing on pads without motors.
     fn rumble(&mut self, strength: f32);
 }
 
-/// How sticks become speeds: their middle is less true than that of a cap.
+/// Rate control of sticks: their centre is less exact than that of a 6-DOF cap.
 pub fn rate() -> RateControl {
     RateControl {
         dead_zone: 0.15,
@@ -63,7 +63,7 @@ pub fn over(
         name,
         // Position, turn and gripper.
         dof_in: 7,
-        // A stick that is held still says nothing.
+        // A stick that is held still sends no events.
         silence_max_us: None,
         rate,
         rumble: Some(Rumble::default()),
@@ -75,7 +75,7 @@ pub fn over(
     Steered::open(Box::new(listener), kind, space)
 }
 
-/// A port and what happened there.
+/// A port and the state of its gamepad.
 struct Listener<P> {
     port: P,
     pad: Pad,

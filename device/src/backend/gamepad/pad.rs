@@ -1,11 +1,11 @@
-//! What the hand does to a gamepad, put together from events.
+//! State of a gamepad, accumulated from events.
 
 use nalgebra::Vector3;
 
 use crate::Buttons;
 use crate::backend::steered::Controls;
 
-/// An axis of a stick, or of a cross that says where it is pressed as a stick does.
+/// An axis of a stick, or of a cross that reports like a stick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Axis {
     /// The left stick, to the right.
@@ -34,7 +34,7 @@ pub enum Trigger {
     Right,
 }
 
-/// A button, named by its place, because what is printed on it differs.
+/// A button, named by its position, because labels differ.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Key {
     /// The lower one of the four.
@@ -66,18 +66,18 @@ pub enum Key {
 /// The number of [`Key`]s.
 const KEYS: usize = 12;
 
-/// Something happens on a gamepad.
+/// An event of a gamepad.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PadEvent {
-    /// A stick is at this place along one axis, −1 to 1.
+    /// Position of a stick along one axis, −1 to 1.
     Stick(Axis, f64),
-    /// A trigger is pressed so far, 0 to 1.
+    /// Position of a trigger, 0 to 1.
     Trigger(Trigger, f64),
-    /// A button is held, or no longer.
+    /// A button is pressed or released.
     Key(Key, bool),
 }
 
-/// A gamepad as it is held.
+/// State of a gamepad.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Pad {
     sticks: [f64; AXES],
@@ -85,13 +85,13 @@ pub struct Pad {
     keys: [bool; KEYS],
 }
 
-/// A place that is no number.
+/// A non-finite position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("the gamepad gave a place that is no number")]
+#[error("the gamepad reported a non-finite position; unplug it and plug it in again")]
 pub struct NoNumber;
 
 impl Pad {
-    /// Takes an event in. A number out of range counts as the end of the range.
+    /// Applies an event. A number out of range is clamped.
     pub fn take(&mut self, event: PadEvent) -> Result<(), NoNumber> {
         match event {
             PadEvent::Stick(_, place) | PadEvent::Trigger(_, place) if place.is_nan() => {
@@ -106,11 +106,11 @@ impl Pad {
         Ok(())
     }
 
-    /// What the hand does.
+    /// The present controls.
     pub fn controls(&self) -> Controls {
         let stick = |axis: Axis| self.sticks[axis as usize];
         let held = |key: Key| self.keys[key as usize];
-        // A cross is four buttons or two axes, and the other of the two rests.
+        // A cross reports four buttons or two axes; the other kind stays neutral.
         let cross = |axis, plus, minus| {
             let buttons = f64::from(i8::from(held(plus)) - i8::from(held(minus)));
             (buttons + stick(axis)).clamp(-1.0, 1.0)

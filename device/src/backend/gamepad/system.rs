@@ -1,4 +1,4 @@
-//! The hardware's port: gamepads by the crate gilrs, which knows how the sticks of some thousand of them are wired.
+//! The hardware's port: gamepads through the crate gilrs, which knows the layouts of some thousand models.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ const WHAT: &str = "gamepad";
 
 /// Steers a tool in `space` with the first gamepad that is connected.
 pub fn open(rate: RateControl, space: &Space) -> Result<Steered, OpenError> {
-    // Its own filters have a dead zone per stick; there is one for all axes together behind this.
+    // No filters of gilrs: they have a dead zone per stick; rate control has one for all axes together.
     let builder = GilrsBuilder::new().with_default_filters(false);
     let mut library = builder.build().map_err(|e| OpenError::Library {
         what: WHAT,
@@ -83,13 +83,13 @@ impl Port for Pads {
 
     fn rumble(&mut self, strength: f32) {
         if let Some(shake) = &self.shake {
-            // Nothing is lost with a hint.
+            // A failed cue is harmless.
             let _ = shake.set_gain(strength);
         }
     }
 }
 
-/// What an event means here; `None` where it means nothing.
+/// The corresponding event; `None` for events without a meaning here.
 fn translated(event: EventType) -> Option<PadEvent> {
     match event {
         EventType::AxisChanged(axis, place, _) => {
@@ -144,7 +144,7 @@ mod tests {
     use crate::backend::gamepad::Key;
 
     #[test]
-    fn what_is_called_a_trigger_first_is_a_shoulder() {
+    fn the_first_trigger_of_gilrs_is_a_shoulder() {
         assert_eq!(key(Button::RightTrigger), Some(Key::RightShoulder));
         assert_eq!(key(Button::RightTrigger2), None);
         assert_eq!(key(Button::Mode), None);

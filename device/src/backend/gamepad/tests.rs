@@ -1,4 +1,4 @@
-//! The pad on events, and behind a port that is a script.
+//! Tests of the gamepad on events, and behind a scripted port.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -59,7 +59,7 @@ fn sticks_push_right_away_and_up_and_turn_clockwise_to_the_right() {
 }
 
 #[test]
-fn the_cross_tilts_the_top_of_the_tool_where_it_points() {
+fn the_cross_tilts_the_top_of_the_tool_in_its_direction() {
     let top = |key| {
         let twist = after(&[PadEvent::Key(key, true)]).twist;
         UnitQuaternion::from_scaled_axis(twist * 0.1) * Vector3::z()
@@ -77,7 +77,7 @@ fn the_cross_tilts_the_top_of_the_tool_where_it_points() {
 }
 
 #[test]
-fn either_trigger_shuts_the_gripper() {
+fn either_trigger_closes_the_gripper() {
     let squeeze = |l, r| {
         let events = [
             PadEvent::Trigger(Trigger::Left, l),
@@ -99,7 +99,7 @@ fn shoulders_and_face_buttons_are_the_two_main_buttons() {
         for key in keys {
             assert_eq!(after(&[PadEvent::Key(key, true)]).buttons, button);
         }
-        // One of the two let go is not the other one.
+        // Releasing one of the two does not release the other.
         let three = [
             PadEvent::Key(keys[0], true),
             PadEvent::Key(keys[1], true),
@@ -126,7 +126,7 @@ fn events() -> impl Strategy<Value = Vec<PadEvent>> {
 
 proptest! {
     #[test]
-    fn no_event_leads_out_of_range(events in events()) {
+    fn no_event_leaves_the_range(events in events()) {
         let mut pad = Pad::default();
         for event in events {
             let _ = pad.take(event);
@@ -231,7 +231,7 @@ fn it_passes_the_conformance_suite() {
 }
 
 #[test]
-fn a_stick_that_is_held_leads_on_and_one_that_rests_off_its_middle_does_not() {
+fn a_held_stick_moves_the_tool_but_an_offset_rest_does_not() {
     let mut bench = pad(
         &[
             PadEvent::Stick(Axis::LeftY, 1.0),
@@ -248,7 +248,7 @@ fn a_stick_that_is_held_leads_on_and_one_that_rests_off_its_middle_does_not() {
 }
 
 #[test]
-fn contact_shakes_the_pad_and_is_no_force() {
+fn contact_rumbles_without_force() {
     let mut bench = pad(&[], false);
     let felt = Wrench::from_force(Vector3::new(5.0, 0.0, 0.0));
     for ms in 0..100 {
@@ -264,7 +264,7 @@ fn contact_shakes_the_pad_and_is_no_force() {
 }
 
 #[test]
-fn a_place_that_is_no_number_is_a_fault_and_moves_nothing() {
+fn a_non_finite_position_is_a_fault_and_moves_nothing() {
     let mut bench = pad(&[PadEvent::Stick(Axis::LeftX, f64::NAN)], false);
     let sample = bench.device.read(at(0)).unwrap();
     assert!(sample.faults.contains(Faults::COMMUNICATION));
@@ -272,7 +272,7 @@ fn a_place_that_is_no_number_is_a_fault_and_moves_nothing() {
 }
 
 #[test]
-fn a_pad_that_is_switched_off_is_said_and_comes_back_with_its_sticks_at_rest() {
+fn a_switched_off_pad_is_reported_and_returns_neutral() {
     let mut bench = pad(
         &[
             PadEvent::Stick(Axis::LeftX, 1.0),

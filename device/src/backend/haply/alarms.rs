@@ -1,4 +1,4 @@
-//! Safety events: a conversation of their own, in which only the service speaks.
+//! Safety events: a separate connection on which only the service sends.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -9,50 +9,50 @@ use serde::Deserialize;
 use super::link::{Link, Received};
 use crate::Faults;
 
-/// How long an event is waited for before it is looked whether to leave.
+/// Wait for an event between two checks of the stop flag.
 const WAIT: Duration = Duration::from_millis(100);
 
-/// How long to wait before a service that does not speak of events is asked again.
-const AGAIN: Duration = Duration::from_secs(2);
+/// Time until a service without an event channel is tried again.
+const RETRY_AFTER: Duration = Duration::from_secs(2);
 
-/// Messages for which something that happened once counts: a quarter to half a second.
+/// Number of messages for which a momentary event counts: a quarter to half a second.
 const MOMENT: u32 = 250;
 
-/// What is wrong now, as far as the service has said.
+/// Present faults, as reported by the service.
 #[derive(Debug, Default)]
 pub(super) struct Alarms {
     brake: AtomicBool,
     stage: AtomicBool,
     gone: AtomicBool,
-    /// Things that happened once.
+    /// Momentary events.
     happened: AtomicU32,
 }
 
 impl Alarms {
-    /// Whether the service said that the device is gone.
+    /// Whether the service reported the device as gone.
     pub(super) fn is_gone(&self) -> bool {
         self.gone.load(Ordering::Acquire)
     }
 
-    /// The service lists the device again: that it went is over, whether or not anybody heard it come back.
+    /// The service lists the device again, which ends a disconnection even if the event was missed.
     pub(super) fn is_back(&self) {
         self.gone.store(false, Ordering::Release);
     }
 
-    /// A new conversation begins. What lasted in the old one may have ended while nobody listened; a service that
-    /// restarted knows nothing of it, and one that still means it says so again.
+    /// A new connection begins with no alarms. The end of an old alarm may have been missed, and a service repeats
+    /// those that persist.
     fn begin(&self) {
         self.brake.store(false, Ordering::Release);
         self.stage.store(false, Ordering::Release);
     }
 
-    /// Takes an event to heart if it is about device `id`.
-    fn hear(&self, id: &str, text: &str) {
-        // What can not be read is none of the events that are known.
+    /// Applies an event if it concerns device `id`.
+    fn apply(&self, id: &str, text: &str) {
+        // Unknown events are ignored.
         let Ok(event) = serde_json::from_str::<Event>(text) else {
             return;
         };
-        // An event without a device is about all of them.
+        // An event without a device concerns all of them.
         if event.data.device_id.as_deref().is_some_and(|of| of != id) {
             return;
         }
@@ -73,7 +73,7 @@ impl Alarms {
     }
 }
 
-/// The thread of the states looks at the alarms once per message.
+/// Evaluates the alarms once per message, on the thread of the states.
 #[derive(Debug, Default)]
 pub(super) struct Watch {
     seen: u32,
@@ -81,7 +81,7 @@ pub(super) struct Watch {
 }
 
 impl Watch {
-    /// What the alarms mean for this message.
+    /// The faults of this message.
     pub(super) fn look(&mut self, alarms: &Alarms) -> Faults {
         let happened = alarms.happened.load(Ordering::Acquire);
         if happened == self.seen {
@@ -117,8 +117,8 @@ struct About {
     safety_type: Option<String>,
 }
 
-/// Listens until it is told to leave. A service of before 3.5 has no events; it is asked again now and then, as it may
-/// have been replaced by a newer one.
+/// Receives events until `leave` is set. A service before 3.5 has no events; it is tried again from time to time,
+/// because a newer one may have replaced it.
 pub(super) fn listen(url: &str, id: &str, alarms: &Arc<Alarms>, leave: &AtomicBool) {
     while !leave.load(Ordering::Acquire) {
         if let Ok(mut link) = Link::open(url) {
@@ -126,7 +126,7 @@ pub(super) fn listen(url: &str, id: &str, alarms: &Arc<Alarms>, leave: &AtomicBo
             link.wait_at_most(WAIT);
             while !leave.load(Ordering::Acquire) {
                 match link.receive() {
-                    Received::Text(text) => alarms.hear(id, &text),
+                    Received::Text(text) => alarms.apply(id, &text),
                     Received::Nothing => {}
                     Received::Unfit(_) | Received::Closed(_) => break,
                 }
@@ -134,7 +134,7 @@ pub(super) fn listen(url: &str, id: &str, alarms: &Arc<Alarms>, leave: &AtomicBo
             link.close();
         }
         if !leave.load(Ordering::Acquire) {
-            std::thread::park_timeout(AGAIN);
+            std::thread::park_timeout(RETRY_AFTER);
         }
     }
 }
@@ -155,7 +155,7 @@ mod tests {
     fn events_become_faults_for_as_long_as_they_last() {
         let (alarms, mut watch) = (Alarms::default(), Watch::default());
         let mut after = |text: String| {
-            alarms.hear("049D", &text);
+            alarms.apply("049D", &text);
             watch.look(&alarms)
         };
         assert_eq!(
@@ -192,10 +192,10 @@ mod tests {
     }
 
     #[test]
-    fn what_lasted_in_a_conversation_ends_with_the_next_one() {
+    fn a_new_connection_clears_lasting_alarms() {
         let (alarms, mut watch) = (Alarms::default(), Watch::default());
-        alarms.hear("049D", &event("ebrake_triggered", "error", "049D"));
-        alarms.hear("049D", &event("fod_stage_changed", "warning", "049D"));
+        alarms.apply("049D", &event("ebrake_triggered", "error", "049D"));
+        alarms.apply("049D", &event("fod_stage_changed", "warning", "049D"));
         let both = Faults::EMERGENCY_STOP.with(Faults::OVER_FORCE);
         assert_eq!(watch.look(&alarms), both);
         alarms.begin();
@@ -203,19 +203,19 @@ mod tests {
     }
 
     #[test]
-    fn a_device_that_is_disconnected_is_gone_until_it_is_back() {
+    fn a_disconnected_device_is_gone_until_it_is_back() {
         let alarms = Alarms::default();
-        alarms.hear(
+        alarms.apply(
             "1",
             r#"{"name":"device-disconnected","data":{"device_id":"1"}}"#,
         );
         assert!(alarms.is_gone());
-        alarms.hear(
+        alarms.apply(
             "1",
             r#"{"name":"device-connected","data":{"device_id":"1"}}"#,
         );
         assert!(!alarms.is_gone());
-        alarms.hear(
+        alarms.apply(
             "1",
             r#"{"name":"device-disconnected","data":{"device_id":"1"}}"#,
         );

@@ -1,4 +1,4 @@
-//! The device behind the one trait.
+//! The driver as a [`HapticDevice`](crate::HapticDevice).
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,26 +7,26 @@ use std::thread::JoinHandle;
 use nalgebra::Vector3;
 
 use super::alarms::{Alarms, listen};
-use super::talk::Talk;
+use super::session::Session;
 use super::{HINT, HaplyError, Service, inventory};
-use crate::backend::exchange::{Fade, News, Remote, between};
 use crate::backend::found::choose;
+use crate::backend::mailbox::{DeviceState, Fade, LoopEnd, mailbox};
 use crate::{
     Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice, Sample,
     Workspace, Wrench, Written,
 };
 
-/// Messages without a new force before it fades, and those that it fades for: 20 ms each, when the loop has stopped and a
+/// Messages without a new force before it fades, and for the fade: 20 ms each when the loop has stopped and a
 /// message goes out every 2 ms.
 const FADE: Fade = Fade::new(10, 10);
 
 /// An open Inverse3.
 #[derive(Debug)]
 pub struct Haply {
-    remote: Remote,
+    loop_end: LoopEnd,
     caps: DeviceCaps,
     leave: Arc<AtomicBool>,
-    talk: Option<JoinHandle<()>>,
+    session: Option<JoinHandle<()>>,
     events: Option<JoinHandle<()>>,
 }
 
@@ -35,18 +35,18 @@ impl Haply {
         let (link, message) = inventory(&service.simulation)?;
         let found = message.found();
         let chosen = &found[choose("haply", HINT, &found, which)?];
-        let (mut remote, mut end) = between(FADE);
-        // Until it has a place that can be, the loop hears nothing.
-        let news = message.news(&chosen.id, &News::at_rest());
-        if let Some(news) = news {
-            end.tell(news);
+        let (mut loop_end, mut end) = mailbox(FADE);
+        // Until the device has a valid position, the loop gets no state.
+        let device_state = message.device_state(&chosen.id, &DeviceState::at_rest());
+        if let Some(device_state) = device_state {
+            end.publish(device_state);
         }
-        remote.hear();
+        loop_end.receive();
         let mut device = Self {
-            remote,
+            loop_end,
             caps: caps(&chosen.name, &chosen.id, message.has_grip()),
             leave: Arc::default(),
-            talk: None,
+            session: None,
             events: None,
         };
         let alarms: Arc<Alarms> = Arc::default();
@@ -56,23 +56,23 @@ impl Haply {
             let listening = move || listen(&url, &id, &alarms, &leave);
             device.events = Some(spawn("haply events", listening)?);
         }
-        let talk = Talk {
+        let session = Session {
             url: service.simulation.clone(),
             id: chosen.id.clone(),
             spelling: message.spelling(),
             end,
-            news: news.unwrap_or_else(News::at_rest),
+            device_state: device_state.unwrap_or_else(DeviceState::at_rest),
             alarms,
             leave: Arc::clone(&device.leave),
         };
-        device.talk = Some(spawn("haply", move || talk.hold(link))?);
+        device.session = Some(spawn("haply", move || session.run(link))?);
         Ok(device)
     }
 
-    /// Lets the next message go out now. It waits for nobody.
+    /// Triggers the next message, without waiting.
     fn nudge(&self) {
-        if let Some(talk) = &self.talk {
-            talk.thread().unpark();
+        if let Some(session) = &self.session {
+            session.thread().unpark();
         }
     }
 }
@@ -84,8 +84,8 @@ fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<
         .map_err(|why| HaplyError::Thread(why.to_string()))
 }
 
-/// What an Inverse3 can do. The service does not tell; the forces are modest ones for a desktop device, and the box is wide
-/// enough for either hand. Whoever has the maker's data sheet can widen them here.
+/// Capabilities of an Inverse3. The service does not report them; the forces are modest for a desktop device, and
+/// the box fits either hand. Widen them here by the maker's data sheet.
 fn caps(name: &str, id: &str, has_grip: bool) -> DeviceCaps {
     DeviceCaps {
         name: format!("{name}, {id}"),
@@ -109,7 +109,7 @@ impl HapticDevice for Haply {
     }
 
     fn calibration(&self) -> Calibration {
-        self.remote.last().calibration
+        self.loop_end.last().calibration
     }
 
     fn clock(&self) -> ClockOwner {
@@ -117,34 +117,37 @@ impl HapticDevice for Haply {
     }
 
     fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
-        let enabled = self.remote.enable(on);
+        let enabled = self.loop_end.enable(on);
         self.nudge();
         enabled
     }
 
     fn force_state(&self) -> ForceState {
-        self.remote.motors().state()
+        self.loop_end.motors().state()
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        self.remote.read(now)
+        self.loop_end.read(now)
     }
 
     fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
-        let written = self.remote.write(now, wrench, &self.caps);
+        let written = self.loop_end.write(now, wrench, &self.caps);
         self.nudge();
         written
     }
 
     fn rendered(&self) -> Wrench {
-        self.remote.rendered()
+        self.loop_end.rendered()
     }
 
-    /// Zero, then the end of the conversation.
+    /// Zero force, then the end of the connection.
     fn close(&mut self) {
-        self.remote.close();
+        self.loop_end.close();
         self.leave.store(true, Ordering::Release);
-        for thread in [self.talk.take(), self.events.take()].into_iter().flatten() {
+        for thread in [self.session.take(), self.events.take()]
+            .into_iter()
+            .flatten()
+        {
             thread.thread().unpark();
             // A thread that panicked is over as well, and the service ends its session with it.
             let _ = thread.join();

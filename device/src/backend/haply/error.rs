@@ -4,48 +4,50 @@ use thiserror::Error;
 
 use crate::backend::found::Choice;
 
-/// Why an Inverse3 can not be opened: a sentence each, for people.
+/// Reason why an Inverse3 can not be opened, as a sentence for users.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum HaplyError {
-    /// The address is none.
-    #[error("{0:?} is no address of a Haply service; it looks like ws://localhost:10001")]
+    /// An invalid address.
+    #[error("invalid address of a Haply service: {0:?}; use a form like ws://localhost:10001")]
     Address(String),
-    /// Nobody listens there.
+    /// No server listens there.
     #[error(
         "no Haply service answers at {url} ({why}): install the Haply Hub or the Haply Inverse Service from haply.co, and start it"
     )]
     NotRunning {
-        /// Where it was looked for.
+        /// The address tried.
         url: String,
-        /// What the system said.
+        /// The system's error.
         why: String,
     },
-    /// Somebody else listens there.
-    #[error("what answers at {url} is no WebSocket ({why}); is another program on that port?")]
+    /// Another kind of server listens there.
+    #[error(
+        "the server at {url} is not a WebSocket server ({why}); is another program on that port?"
+    )]
     NoWebSocket {
-        /// Where it was looked for.
+        /// The address tried.
         url: String,
-        /// What was wrong.
+        /// The error.
         why: String,
     },
-    /// It says nothing.
-    #[error("the Haply service at {url} says nothing; restart it")]
+    /// The service sends no message.
+    #[error("the Haply service at {url} sends nothing; restart it")]
     Silent {
-        /// Where it listens.
+        /// Its address.
         url: String,
     },
-    /// It says something else.
-    #[error("what the service at {url} says is not the inventory of a Haply service: {why}")]
+    /// The service sends another kind of message.
+    #[error("the service at {url} does not send the inventory of a Haply service: {why}")]
     Unfit {
-        /// Where it listens.
+        /// Its address.
         url: String,
-        /// What is wrong with it.
+        /// The error in the message.
         why: String,
     },
-    /// None is plugged in, or it is not clear which is meant.
+    /// No device is plugged in, or the choice is ambiguous.
     #[error(transparent)]
     Choice(#[from] Choice),
-    /// The system gave no thread.
+    /// The system could not start a thread.
     #[error("the system did not start a thread for the Haply service: {0}")]
     Thread(String),
 }

@@ -11,29 +11,29 @@ use tungstenite::{Message, Utf8Bytes, WebSocket};
 
 use super::HaplyError;
 
-/// How long a connection is tried. The service is on this machine: where it is not, that is known at once.
+/// Timeout of a connection attempt. The service runs on this machine, so a failure shows at once.
 const CONNECT: Duration = Duration::from_millis(300);
 
-/// How long anything is waited for that the other side has to say or take.
+/// Timeout of a reply or a send.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// The largest message that is taken, bytes. An inventory of ten devices has 20,000; a larger one closes the conversation.
+/// Maximum message size, bytes. An inventory of ten devices has 20,000; a larger message ends the connection.
 const MESSAGE_MAX: usize = 256 * 1024;
 
-/// The open conversation.
+/// The open connection.
 pub(super) struct Link {
     socket: WebSocket<TcpStream>,
 }
 
-/// What came.
+/// Result of a receive.
 pub(super) enum Received {
     /// A text.
     Text(Utf8Bytes),
-    /// Nothing in time. It may still come.
+    /// Timeout. A text may still arrive.
     Nothing,
-    /// Something that ends the conversation: too large, or no WebSocket.
+    /// A message that ends the connection: too large, or not a WebSocket message.
     Unfit(String),
-    /// The other side ended it.
+    /// The service closed the connection.
     Closed(String),
 }
 
@@ -63,9 +63,9 @@ impl Link {
         }
     }
 
-    /// From now on, how long [`receive`](Self::receive) waits.
+    /// Sets the timeout of [`receive`](Self::receive).
     pub(super) fn wait_at_most(&self, wait: Duration) {
-        // The system refuses a time of zero, and no other.
+        // The system rejects only a timeout of zero.
         let _ = self.socket.get_ref().set_read_timeout(Some(wait));
     }
 
@@ -81,12 +81,12 @@ impl Link {
             return match self.socket.read() {
                 Ok(Message::Text(text)) => Received::Text(text),
                 Ok(Message::Close(_)) | Err(Error::ConnectionClosed | Error::AlreadyClosed) => {
-                    Received::Closed("it ended the conversation".to_owned())
+                    Received::Closed("the service closed the connection".to_owned())
                 }
                 Ok(Message::Binary(_)) => {
-                    Received::Unfit("it sends bytes instead of text".to_owned())
+                    Received::Unfit("the service sent a binary message instead of text".to_owned())
                 }
-                // Pings are answered by the library.
+                // The library answers pings.
                 Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_)) => continue,
                 Err(Error::Io(why)) if is_late(why.kind()) => Received::Nothing,
                 Err(Error::Io(why)) => Received::Closed(why.to_string()),
@@ -95,14 +95,14 @@ impl Link {
         }
     }
 
-    /// Says goodbye.
+    /// Closes the connection.
     pub(super) fn close(mut self) {
         let _ = self.socket.close(None);
         let _ = self.socket.flush();
     }
 }
 
-/// What systems say when nothing came in time.
+/// Error kinds of a timeout.
 fn is_late(kind: ErrorKind) -> bool {
     matches!(
         kind,

@@ -1,14 +1,14 @@
-//! The service's messages, as its maker's documentation of versions 3.0 to 3.5 has them.
+//! The service's messages, by its maker's documentation of versions 3.0 to 3.5.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::backend::exchange::News;
 use crate::backend::found::Found;
+use crate::backend::mailbox::DeviceState;
 use crate::{Buttons, Calibration, DeviceFault};
 
-/// How a force is spelled.
+/// JSON key of a force.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Spelling {
     /// Since 3.5.
@@ -17,7 +17,7 @@ pub(super) enum Spelling {
     Values,
 }
 
-/// A message of the service: all devices with their states, and at first with what they are.
+/// A message of the service: all devices with their states, and their descriptions in the first one.
 #[derive(Debug, Deserialize)]
 pub(super) struct Message {
     #[serde(default)]
@@ -113,7 +113,7 @@ struct Abc {
 }
 
 impl Message {
-    /// Reads one; the error says what is wrong with it, and how it begins.
+    /// Parses a message; an error contains the reason and the beginning of the message.
     pub(super) fn read(text: &str) -> Result<Self, String> {
         let message: Self = serde_json::from_str(text).map_err(|why| {
             let begins: String = text.chars().take(60).collect();
@@ -142,14 +142,15 @@ impl Message {
                     Some(hand) => format!("Haply {kind}, {hand}-handed"),
                     None => format!("Haply {kind}"),
                 },
-                // The service does not say whether others use it.
+                // The service does not report use by other programs.
                 is_free: true,
             }
         };
         self.devices().iter().map(found).collect()
     }
 
-    /// How this service spells forces: sessions have numbers, and devices a control mode, since both spell `vector`.
+    /// The spelling of forces by this service: sessions have numbers, and devices a control mode, since both use
+    /// `vector`.
     pub(super) fn spelling(&self) -> Spelling {
         let has_mode = |d: &Inverse3| d.state.as_ref().is_some_and(|s| s.control_mode.is_some());
         if self.session_id.is_some() || self.devices().iter().any(has_mode) {
@@ -159,7 +160,7 @@ impl Message {
         }
     }
 
-    /// Whether a grip tells how the tool is turned.
+    /// Whether a grip reports the orientation of the tool.
     pub(super) fn has_grip(&self) -> bool {
         self.grip().is_some()
     }
@@ -171,28 +172,28 @@ impl Message {
             .find(|g| g.orientation.is_some())
     }
 
-    /// What it says of device `id`; what it does not say stays as it was in `before`. Faults are not in it.
+    /// State of device `id`; missing fields keep their value in `before`. Faults are not included.
     ///
-    /// `None` for a message in which the device has no place that can be.
-    pub(super) fn news(&self, id: &str, before: &News) -> Option<News> {
+    /// `None` for a message without a valid position of the device.
+    pub(super) fn device_state(&self, id: &str, before: &DeviceState) -> Option<DeviceState> {
         let Some(device) = self.devices().iter().find(|d| d.device_id == id) else {
-            return Some(News {
+            return Some(DeviceState {
                 lost: Some(DeviceFault::Unplugged),
                 ..*before
             });
         };
         let state = device.state.as_ref()?;
-        let mut news = News {
+        let mut device_state = DeviceState {
             lost: None,
             velocity: state
                 .cursor_velocity
                 .map_or_else(Vector3::zeros, Into::into),
             ..*before
         };
-        news.pose.position = state.cursor_position?.into();
+        device_state.pose.position = state.cursor_position?.into();
         if let Some(status) = &device.status {
-            news.powered = status.power_supply.unwrap_or(true);
-            news.calibration = match status.calibrated {
+            device_state.powered = status.power_supply.unwrap_or(true);
+            device_state.calibration = match status.calibrated {
                 Some(false) => Calibration::NeedsUser,
                 _ => Calibration::Done,
             };
@@ -200,15 +201,16 @@ impl Message {
         if let Some(grip) = self.grip() {
             if let Some(turn) = grip.orientation {
                 let turn = Quaternion::new(turn.w, turn.x, turn.y, turn.z);
-                // One of no length is what a grip says that sleeps.
+                // A sleeping grip reports a zero quaternion.
                 if (0.5..2.0).contains(&turn.norm()) {
-                    news.pose.orientation = UnitQuaternion::new_normalize(turn);
+                    device_state.pose.orientation = UnitQuaternion::new_normalize(turn);
                 }
             }
-            news.buttons = buttons(grip);
+            device_state.buttons = buttons(grip);
         }
-        let is_number = news.pose.is_finite() && news.velocity.iter().all(|c| c.is_finite());
-        is_number.then_some(news)
+        let is_number =
+            device_state.pose.is_finite() && device_state.velocity.iter().all(|c| c.is_finite());
+        is_number.then_some(device_state)
     }
 }
 
@@ -222,7 +224,7 @@ fn buttons(grip: &GripState) -> Buttons {
     )
 }
 
-/// The message that lets device `id` render `force`, N.
+/// The command by which device `id` renders `force`, N.
 pub(super) fn force(id: &str, spelling: Spelling, force: Vector3<f64>) -> String {
     let xyz = json!({ "x": force.x, "y": force.y, "z": force.z });
     let command = match spelling {
@@ -238,10 +240,10 @@ mod tests {
     use nalgebra::Vector3;
     use proptest::prelude::*;
 
-    use super::{Message, News, Spelling, force};
+    use super::{DeviceState, Message, Spelling, force};
     use crate::{Buttons, Calibration, DeviceFault};
 
-    /// The shape of an inventory of version 3.4.
+    /// An inventory of version 3.4.
     const OLD: &str = r#"{"inverse3":[{"device_id":"04BA","config":{"type":"inverse3","handedness":"right"},
         "state":{"cursor_position":{"x":0.078,"y":-0.148,"z":0.143},"cursor_velocity":{"x":-0.01,"y":0.0,"z":-0.04},
         "mode":"idle"},"status":{"calibrated":false,"power_supply":true,"ready":true}}],
@@ -256,15 +258,22 @@ mod tests {
             message.found()[0].to_string(),
             "04BA (Haply inverse3, right-handed)"
         );
-        let news = message.news("04BA", &News::at_rest()).unwrap();
-        assert_eq!(news.pose.position, Vector3::new(0.078, -0.148, 0.143));
-        assert_eq!(news.velocity.z, -0.04);
-        assert!((news.pose.orientation * Vector3::x() + Vector3::x()).norm() < 1e-12);
+        let device_state = message
+            .device_state("04BA", &DeviceState::at_rest())
+            .unwrap();
         assert_eq!(
-            (news.buttons, news.calibration),
+            device_state.pose.position,
+            Vector3::new(0.078, -0.148, 0.143)
+        );
+        assert_eq!(device_state.velocity.z, -0.04);
+        assert!((device_state.pose.orientation * Vector3::x() + Vector3::x()).norm() < 1e-12);
+        assert_eq!(
+            (device_state.buttons, device_state.calibration),
             (Buttons::PRIMARY, Calibration::NeedsUser)
         );
-        let gone = message.news("049D", &News::at_rest()).unwrap();
+        let gone = message
+            .device_state("049D", &DeviceState::at_rest())
+            .unwrap();
         assert_eq!(gone.lost, Some(DeviceFault::Unplugged));
     }
 
@@ -275,16 +284,21 @@ mod tests {
             "orientation":{"x":0,"y":0,"z":0,"w":0},"buttons":{"a":false,"b":true,"c":true}}}]}"#;
         let message = Message::read(text).unwrap();
         assert_eq!(message.spelling(), Spelling::Vector);
-        let news = message.news("049D", &News::at_rest()).unwrap();
-        assert_eq!(news.buttons, Buttons::from_bits(0b110));
-        assert_eq!(news.pose.orientation, News::at_rest().pose.orientation);
+        let device_state = message
+            .device_state("049D", &DeviceState::at_rest())
+            .unwrap();
+        assert_eq!(device_state.buttons, Buttons::from_bits(0b110));
+        assert_eq!(
+            device_state.pose.orientation,
+            DeviceState::at_rest().pose.orientation
+        );
     }
 
     #[test]
-    fn what_can_not_be_is_no_news() {
+    fn an_invalid_state_is_ignored() {
         let no_place = r#"{"inverse3":[{"device_id":"1","state":{}}]}"#;
         let message = Message::read(no_place).unwrap();
-        assert_eq!(message.news("1", &News::at_rest()), None);
+        assert_eq!(message.device_state("1", &DeviceState::at_rest()), None);
         for (text, word) in [
             ("", "EOF"),
             ("[]", "begins with"),
@@ -297,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn forces_have_both_spellings() {
+    fn forces_are_written_in_both_spellings() {
         let there = Vector3::new(1.0, -2.0, 0.5);
         assert_eq!(
             force("049D", Spelling::Vector, there),
@@ -308,11 +322,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_text_stops_it(text in ".{0,200}", cut in 0..400_usize) {
+        fn no_text_panics(text in ".{0,200}", cut in 0..400_usize) {
             let _ = Message::read(&text);
             let cut = OLD.char_indices().map(|(i, _)| i).take_while(|i| *i < cut).last().unwrap_or(0);
             if let Ok(message) = Message::read(&OLD[..cut]) {
-                let _ = message.news("04BA", &News::at_rest());
+                let _ = message.device_state("04BA", &DeviceState::at_rest());
             }
         }
     }

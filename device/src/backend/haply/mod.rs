@@ -1,14 +1,15 @@
-//! The Haply Inverse3, through its maker's service on this machine.
+//! The Haply Inverse3, through its maker's local service.
 //!
-//! The Haply Inverse Service comes with the Haply Hub (haply.co) or alone, runs in the background and speaks JSON over two
-//! WebSockets: on port 10001 it answers every message with one state, so that whoever sends is the clock; on port 10020
-//! it tells safety events. It has x to the right, y away from the user and z up, metres, metres per second and newtons. The
-//! force is spelled `vector` since version 3.5, and `values` before; which of them is meant shows in the first message.
+//! The Haply Inverse Service comes with the Haply Hub (haply.co) or alone, runs in the background and exchanges
+//! JSON over two WebSockets. On port 10001 it answers every message with one state, so that the sender is the
+//! clock. On port 10020 it sends safety events. Its frame is x to the right, y away from the user and z up, in
+//! metres, metres per second and newtons. The key of the force is `vector` since version 3.5, and `values` before;
+//! the first message shows which.
 //!
-//! Two threads of the driver's own hold these conversations; [`Haply`] hands over what is newest and never waits.
-//! A message goes out when the loop has written, and every 2 ms when it has not.
+//! Two threads of the driver own these connections; [`Haply`] exchanges the newest values with them and never
+//! waits. A message goes out after each write of the loop, and every 2 ms without one.
 //!
-//! | the service says | it becomes |
+//! | the service sends | it becomes |
 //! | --- | --- |
 //! | `ebrake_triggered`, until `ebrake_released` | [`Faults::EMERGENCY_STOP`](crate::Faults::EMERGENCY_STOP) |
 //! | `fod_stage_changed` as a warning, until it comes as no warning | [`Faults::OVER_FORCE`](crate::Faults::OVER_FORCE) |
@@ -16,14 +17,14 @@
 //! | a state without the device, `device-disconnected` | [`DeviceFault::Unplugged`](crate::DeviceFault::Unplugged) |
 //! | no state, or none that can be read, for 50 ms | [`Faults::COMMUNICATION`](crate::Faults::COMMUNICATION) and no force |
 //!
-//! Turns and buttons are those of the first VerseGrip that the service knows, wireless ones first.
+//! Orientation and buttons are those of the first VerseGrip that the service lists, wireless ones first.
 
 mod alarms;
 mod device;
 mod error;
 mod link;
 mod message;
-mod talk;
+mod session;
 
 pub use device::Haply;
 pub use error::HaplyError;
@@ -51,14 +52,14 @@ impl Default for Service {
     }
 }
 
-/// What to look at when none is found.
+/// Remedy when no device is found.
 const HINT: &str = "look at its cable and power supply, and whether the Haply Hub shows it";
 
 /// The devices that the service knows.
 ///
 /// # Errors
 ///
-/// When no service answers, or with something else than its inventory.
+/// When no service answers, or its answer is not an inventory.
 pub fn find(service: &Service) -> Result<Vec<Found>, HaplyError> {
     Ok(inventory(&service.simulation)?.1.found())
 }
@@ -67,12 +68,12 @@ pub fn find(service: &Service) -> Result<Vec<Found>, HaplyError> {
 ///
 /// # Errors
 ///
-/// When no service answers, or with something else than its inventory, and when none or several devices are plugged in.
+/// When no service answers, or its answer is not an inventory, and when none or several devices are plugged in.
 pub fn open(service: &Service, which: Option<&str>) -> Result<Haply, HaplyError> {
     Haply::open(service, which)
 }
 
-/// A conversation and its first message, which the service begins with.
+/// A connection and its first message, which the service sends unasked.
 fn inventory(url: &str) -> Result<(Link, Message), HaplyError> {
     let mut link = Link::open(url)?;
     let unfit = |why: String| HaplyError::Unfit {

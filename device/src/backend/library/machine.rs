@@ -1,9 +1,9 @@
-//! For which processor a library is, from the first bytes of its file (ELF, PE and Mach-O, as their formats say).
+//! The processor of a library, from the first bytes of its file (ELF, PE and Mach-O, by their formats).
 
-/// So many bytes of a file are looked at. The header of a PE file stands behind a stub that is shorter than this.
+/// Number of bytes read from a file. The header of a PE file follows a stub that is shorter than this.
 pub(super) const HEAD_BYTES: u64 = 1024;
 
-/// The processor in the words of [`std::env::consts::ARCH`]; `None` for what is no library, or for several processors.
+/// The processor in the words of [`std::env::consts::ARCH`]; `None` for other files, and for several processors.
 pub(super) fn of(head: &[u8]) -> Option<&'static str> {
     match head.get(..4)? {
         [0x7f, b'E', b'L', b'F'] => Some(of_elf(head)),
@@ -17,7 +17,7 @@ pub(super) fn of(head: &[u8]) -> Option<&'static str> {
     }
 }
 
-/// Byte 5 is the order of bytes, the half word at 18 the processor.
+/// Byte 5 is the byte order, the half word at 18 the processor.
 fn of_elf(head: &[u8]) -> &'static str {
     let bytes = [18, 19].map(|i| head.get(i).copied().unwrap_or_default());
     let number = if head.get(5) == Some(&2) {
@@ -38,7 +38,7 @@ fn of_elf(head: &[u8]) -> &'static str {
     }
 }
 
-/// The word at 60 is the place of the header, whose fifth and sixth bytes are the processor.
+/// The word at 60 is the offset of the header, whose fifth and sixth bytes are the processor.
 fn of_pe(head: &[u8]) -> Option<&'static str> {
     let at = u32_at(head, 60)? as usize;
     let header = head.get(at..at.checked_add(6)?)?;
@@ -91,7 +91,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_file_stops_it(
+        fn no_file_panics(
             start in prop::sample::select(vec![&b"MZ"[..], b"\x7fELF", b"\xcf\xfa\xed\xfe", b""]),
             rest in prop::collection::vec(any::<u8>(), 0..200),
         ) {

@@ -1,6 +1,6 @@
-//! Libraries that a device's maker gives to its owner: found and loaded when a device is opened, never built in.
+//! Libraries of device makers: found and loaded when a device is opened, never built in.
 //!
-//! Every way in which that fails is one sentence with the file, what is wrong with it, and what to do.
+//! Every error is one sentence with the file, the cause, and the remedy.
 
 mod machine;
 pub(super) mod sys;
@@ -12,7 +12,7 @@ use thiserror::Error;
 
 pub(super) use sys::Library;
 
-/// Where systems keep libraries. The loader has its own list; these are looked through to say why it found nothing.
+/// Library folders of systems. The loader has its own list; these are searched to explain its failure.
 const FOLDERS: [&str; 7] = [
     "/usr/lib",
     "/usr/lib64",
@@ -23,25 +23,25 @@ const FOLDERS: [&str; 7] = [
     "/usr/lib/i386-linux-gnu",
 ];
 
-/// Why a maker's library can not be used.
+/// Reason why a maker's library can not be used.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum LibraryError {
-    /// The loader knows none of its names.
+    /// The loader finds none of its names.
     #[error("{what} is not installed: the system finds none of {names}. {how}")]
     NotInstalled {
         /// The maker's software.
         what: &'static str,
         /// The names that were tried.
         names: String,
-        /// How it is got.
+        /// How to install it.
         how: &'static str,
     },
-    /// The file that was named is not there, or can not be read.
+    /// The named file does not exist, or can not be read.
     #[error("the library {} can not be read: {why}", file.display())]
     Unreadable {
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// The system's error.
         why: String,
     },
     /// It was built for another processor.
@@ -57,12 +57,12 @@ pub enum LibraryError {
         /// The processor of this program.
         needs: &'static str,
     },
-    /// The loader refused it.
+    /// The loader rejected it.
     #[error("the library {} can not be loaded: {why}", file.display())]
     Refused {
         /// The file.
         file: PathBuf,
-        /// What the loader said: a library that it needs in turn is missing, or it is no library.
+        /// The loader's error: a library that it depends on is missing, or the file is not a library.
         why: String,
     },
     /// It lacks a function.
@@ -75,7 +75,7 @@ pub enum LibraryError {
         file: PathBuf,
         /// The function.
         symbol: &'static str,
-        /// How a newer one is got.
+        /// How to install a newer one.
         how: &'static str,
     },
 }
@@ -87,12 +87,12 @@ pub(super) struct Wanted {
     pub(super) what: &'static str,
     /// The library's names on this system, the newest first.
     pub(super) names: &'static [&'static str],
-    /// How it is got: a whole sentence.
+    /// How to install it: a whole sentence.
     pub(super) how: &'static str,
 }
 
 impl Wanted {
-    /// Loads it from `file`, or from wherever the system's loader finds it.
+    /// Loads it from `file`, or by the loader's search path.
     pub(super) fn load(self, file: Option<&Path>) -> Result<Library, LibraryError> {
         match file {
             Some(file) => self.load_file(file),
@@ -120,7 +120,7 @@ impl Wanted {
         if let Some((file, why)) = refused {
             return Err(LibraryError::Refused { file, why });
         }
-        // A loader passes over files for another processor as if they were not there.
+        // A loader skips files for another processor without an error.
         for folder in FOLDERS {
             for name in self.names {
                 let file = Path::new(folder).join(name);
@@ -137,18 +137,18 @@ impl Wanted {
     }
 }
 
-/// Whether a loader's refusal means that there is no library `name`, and not that one was found and is broken.
+/// Whether a loader's error means that the library `name` is missing, rather than present but broken.
 fn is_absent(name: &str, why: &str) -> bool {
     let says_so = ["No such file", "no such file", "not found", "not be found"];
-    // What is missing stands before the first colon, and may be a newer one of the same name that `name` needs.
-    // Some loaders say words of their own before it: `dlopen(NAME, flags)`, `Error loading shared library NAME`.
+    // The missing file stands before the first colon, and may be a newer dependency of the same name. Some loaders
+    // put their own words before it: `dlopen(NAME, flags)`, `Error loading shared library NAME`.
     let missing = why.split([':', ',']).next().unwrap_or(why);
     let is_it = missing.rsplit(['/', '(', ' ']).next() == name.rsplit('/').next();
     let about_it = is_it || !why.contains(".so") && !why.contains(".dylib");
     about_it && says_so.iter().any(|words| why.contains(words))
 }
 
-/// Whether `file` is there and not for another processor.
+/// Whether `file` exists and is not for another processor.
 fn fits(file: &Path) -> Result<(), LibraryError> {
     let mut head = Vec::new();
     std::fs::File::open(file)
@@ -172,7 +172,7 @@ mod tests {
     use super::is_absent;
 
     #[test]
-    fn a_missing_library_is_told_from_a_broken_one() {
+    fn a_missing_library_is_distinguished_from_a_broken_one() {
         let absent = "libHD.so: cannot open shared object file: No such file or directory";
         assert!(is_absent("libHD.so", absent));
         let needs = "libdrd.so.3: cannot open shared object file: No such file or directory";

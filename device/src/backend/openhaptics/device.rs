@@ -1,4 +1,4 @@
-//! The device behind the one trait.
+//! The driver as a [`HapticDevice`](crate::HapticDevice).
 
 use std::ffi::CString;
 use std::path::Path;
@@ -10,19 +10,19 @@ use nalgebra::Vector3;
 
 use super::error::OpenHapticsError;
 use super::sys::{Api, Handle, Servo};
-use super::turn::{Turner, Wishes};
+use super::turn::{Requests, Turner};
 use super::{frame, parameter};
-use crate::backend::exchange::{Fade, Remote, between};
+use crate::backend::mailbox::{Fade, LoopEnd, mailbox};
 use crate::{
     Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice, Sample,
     Workspace, Wrench, Written,
 };
 
-/// Turns of the servo thread without a new force before it fades, and those that it fades for: 20 ms each, at a
-/// thousand a second.
+/// Turns of the servo thread without a new force before it fades, and for the fade: 20 ms each, at a thousand a
+/// second.
 const FADE: Fade = Fade::new(20, 20);
 
-/// How often the servo thread's answer is waited for, for a millisecond or so each time.
+/// Number of waits for the servo thread's answer, of about a millisecond each.
 const PATIENCE: u32 = 1000;
 
 /// An open Touch or Phantom.
@@ -31,8 +31,8 @@ pub struct OpenHaptics {
     api: Arc<Api>,
     handle: Handle,
     servo: Option<Servo>,
-    wishes: Arc<Wishes>,
-    remote: Remote,
+    requests: Arc<Requests>,
+    loop_end: LoopEnd,
     caps: DeviceCaps,
 }
 
@@ -45,14 +45,14 @@ impl OpenHaptics {
         let api = Arc::new(Api::load(library)?);
         let handle = init(&api, name)?;
         api.switch(parameter::MAX_FORCE_CLAMPING, true);
-        // Off until somebody enables them; the library may have them on.
+        // Forces stay off until they are enabled; the library may have them on.
         api.switch(parameter::FORCE_OUTPUT, false);
         let caps = caps(&api);
         let style = api.integer(parameter::CALIBRATION_STYLE) as u32;
         drain(&api);
-        let (remote, end) = between(FADE);
-        let wishes = Arc::new(Wishes::default());
-        let mut turner = Turner::new(Arc::clone(&api), handle, end, Arc::clone(&wishes), style);
+        let (loop_end, end) = mailbox(FADE);
+        let requests = Arc::new(Requests::default());
+        let mut turner = Turner::new(Arc::clone(&api), handle, end, Arc::clone(&requests), style);
         let rescued = Arc::clone(&api);
         let servo = Servo::start(
             Arc::clone(&api),
@@ -63,13 +63,13 @@ impl OpenHaptics {
             api,
             handle,
             servo: Some(servo),
-            wishes,
-            remote,
+            requests,
+            loop_end,
             caps,
         };
         let mut heard = false;
         for _ in 0..PATIENCE {
-            heard = device.remote.hear().1;
+            heard = device.loop_end.receive().1;
             if heard {
                 break;
             }
@@ -84,7 +84,7 @@ impl OpenHaptics {
         }
     }
 
-    /// Waits until the servo thread has done something, or does not come any more.
+    /// Waits until the servo thread has done something, or has stopped.
     fn wait(&self, mut is_done: impl FnMut(&Servo) -> bool) {
         let Some(servo) = &self.servo else { return };
         for _ in 0..PATIENCE {
@@ -126,7 +126,7 @@ pub(super) fn init(api: &Api, name: Option<&str>) -> Result<Handle, OpenHapticsE
     }
 }
 
-/// Errors of questions that this model has no answer to.
+/// Removes errors of queries that this model does not support.
 fn drain(api: &Api) {
     for _ in 0..64 {
         if api.error().is_none() {
@@ -135,13 +135,13 @@ fn drain(api: &Api) {
     }
 }
 
-/// What the default device is called in the maker's setup program.
+/// Name of the default device in the maker's setup program.
 pub(super) fn called(name: Option<&str>) -> &str {
     name.unwrap_or("Default Device")
 }
 
-/// What the device says it can do. Where it says nothing that can be, it is taken for a Touch: 3.3 N for a moment, 0.88 N
-/// held, 160 x 120 x 70 mm (its maker's data sheet).
+/// Capabilities reported by the device. Invalid values are replaced by those of a Touch: 3.3 N peak, 0.88 N
+/// continuous, 160 x 120 x 70 mm (its maker's data sheet).
 fn caps(api: &Api) -> DeviceCaps {
     let asked = |of: u32, unit: f64, range: std::ops::RangeInclusive<f64>, touch: f64| {
         let said = api.doubles(of)[0] * unit;
@@ -175,24 +175,24 @@ impl HapticDevice for OpenHaptics {
     }
 
     fn calibration(&self) -> Calibration {
-        self.remote.last().calibration
+        self.loop_end.last().calibration
     }
 
     /// Lets the library calibrate the device; put the stylus into its inkwell first, where it has one.
     fn calibrate(&mut self) -> Result<Calibration, DeviceFault> {
-        if !self.remote.motors().is_open() {
+        if !self.loop_end.motors().is_open() {
             return Err(DeviceFault::Closed);
         }
-        self.remote.halt();
-        let wish = self.wishes.calibrate.fetch_add(1, Ordering::AcqRel) + 1;
-        let done = || self.wishes.calibrated.load(Ordering::Acquire) == wish;
+        self.loop_end.halt();
+        let wish = self.requests.calibrate.fetch_add(1, Ordering::AcqRel) + 1;
+        let done = || self.requests.calibrated.load(Ordering::Acquire) == wish;
         self.wait(|_| done());
         if !done() {
             return Err(DeviceFault::Unplugged);
         }
-        // The news of that turn come with its end.
+        // The state of that turn arrives at its end.
         for _ in 0..PATIENCE {
-            if self.remote.hear().1 {
+            if self.loop_end.receive().1 {
                 break;
             }
             std::thread::park_timeout(Duration::from_millis(1));
@@ -208,39 +208,39 @@ impl HapticDevice for OpenHaptics {
         if on && self.has_panicked() {
             return Err(DeviceFault::Driver { code: -1 });
         }
-        self.remote.enable(on)
+        self.loop_end.enable(on)
     }
 
     fn force_state(&self) -> ForceState {
-        self.remote.motors().state()
+        self.loop_end.motors().state()
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
         if self.has_panicked() {
-            self.remote.halt();
+            self.loop_end.halt();
             return Err(DeviceFault::Driver { code: -1 });
         }
-        self.remote.read(now)
+        self.loop_end.read(now)
     }
 
     fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
-        self.remote.write(now, wrench, &self.caps)
+        self.loop_end.write(now, wrench, &self.caps)
     }
 
     fn rendered(&self) -> Wrench {
-        self.remote.rendered()
+        self.loop_end.rendered()
     }
 
-    /// Zero, then forces off, then the scheduler, then the device.
+    /// Writes zero, switches forces off, stops the scheduler, then closes the device.
     fn close(&mut self) {
-        self.remote.close();
+        self.loop_end.close();
         // The servo thread's last turn writes zero and switches forces off.
-        self.wishes.leave.store(true, Ordering::Release);
+        self.requests.leave.store(true, Ordering::Release);
         self.wait(Servo::has_ended);
         if let Some(servo) = self.servo.take() {
             self.api.make_current(self.handle);
             if !servo.has_ended() {
-                // A servo thread that does not come any more: zero from here.
+                // The servo thread has stopped: write zero from this thread.
                 servo.unschedule();
                 self.api.begin(self.handle);
                 self.api.set(parameter::FORCE, [0.0; 3]);
@@ -249,7 +249,7 @@ impl HapticDevice for OpenHaptics {
             self.api.switch(parameter::FORCE_OUTPUT, false);
             servo.stop();
             self.api.disable_device(self.handle);
-            // The next one to open a device would be told of them.
+            // Otherwise the next opened device would report them.
             drain(&self.api);
         }
     }

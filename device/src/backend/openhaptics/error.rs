@@ -1,4 +1,4 @@
-//! What the library calls wrong, in the numbers of the public header `hdDefines.h`.
+//! Errors of the library, in the numbers of the public header `hdDefines.h`.
 
 use thiserror::Error;
 
@@ -8,37 +8,35 @@ use crate::backend::library::LibraryError;
 /// Why a Touch or Phantom can not be opened.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum OpenHapticsError {
-    /// The maker's library is missing or unfit.
+    /// The maker's library is missing or unusable.
     #[error(transparent)]
     Library(#[from] LibraryError),
-    /// A name with a zero in it.
-    #[error(
-        "the name {0:?} can not be that of a device; give it as it stands in the maker's setup program"
-    )]
+    /// A name with a NUL character.
+    #[error("invalid device name {0:?}; use the name in the maker's setup program")]
     Name(String),
-    /// The library refused.
+    /// The library reported an error.
     #[error(
         "the device {name} can not be opened: {words} (code {code:#06x}); look at cable and power, and see in the maker's \
          setup program that a device of this name is set up and paired"
     )]
     Refused {
-        /// The name it was asked for by.
+        /// The requested name.
         name: String,
-        /// What the library says.
+        /// The library's text.
         words: String,
         /// Its code.
         code: u32,
     },
-    /// The library's thread does not call.
-    #[error("the device {name} was opened and says nothing; unplug it, plug it in and try again")]
+    /// The library's servo thread does not call back.
+    #[error("the device {name} was opened but sends no state; unplug it, plug it in and try again")]
     Silent {
-        /// The name it was asked for by.
+        /// The requested name.
         name: String,
     },
 }
 
-/// A parameter, value, operation or type that this model does not know. Whoever asks a model of three degrees of freedom
-/// for turns gets one each frame, and the frame is as good as without the question.
+/// Unknown parameter, value, operation or type of this model. A query for orientation on a model of three degrees
+/// of freedom causes one per frame, and the frame is still valid.
 const INVALID: std::ops::RangeInclusive<u32> = 0x0100..=0x0103;
 const WARM_MOTORS: u32 = 0x0200;
 const FORCE_ERRORS: std::ops::RangeInclusive<u32> = 0x0201..=0x0204;
@@ -54,7 +52,7 @@ pub(super) struct Errors {
 }
 
 impl Errors {
-    /// One more.
+    /// Adds an error.
     pub(super) fn add(&mut self, code: u32) {
         match code {
             code if INVALID.contains(&code) => {}
@@ -80,14 +78,14 @@ mod tests {
     }
 
     #[test]
-    fn what_a_model_does_not_know_is_no_fault_and_hides_none() {
+    fn unsupported_queries_are_no_fault_and_hide_none() {
         assert_eq!(of(0x0100..=0x0103), Errors::default());
         assert_eq!(of([0x0100, 0x0201]).faults, Faults::OVER_FORCE);
         assert!(of([0x0100, 0x0302]).lost);
     }
 
     #[test]
-    fn what_is_not_known_here_forbids_force() {
+    fn unknown_errors_forbid_force() {
         for code in [0x0104, 0x0301, 0x0900] {
             assert!(of([code]).faults.forbid_force(), "{code:#x}");
         }

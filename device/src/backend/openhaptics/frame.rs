@@ -1,7 +1,7 @@
-//! Between the library's numbers and ours.
+//! Conversion between the library's units and axes and ours.
 //!
-//! It has x to the right, y up and z towards the user, in millimetres; all drivers here have y away from the user and z
-//! up, in metres.
+//! The library has x to the right, y up and z towards the user, in millimetres; all drivers here have y away from
+//! the user and z up, in metres.
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
@@ -18,22 +18,22 @@ fn axes() -> Rotation3<f64> {
     ))
 }
 
-/// A direction or a rate, units as they are.
+/// A direction or a rate; units are unchanged.
 pub(super) fn turned(v: [f64; 3]) -> Vector3<f64> {
     axes() * Vector3::from(v)
 }
 
-/// A length in mm as one in m.
+/// Converts mm to m.
 pub(super) fn metres(v: [f64; 3]) -> Vector3<f64> {
     turned(v) * MM
 }
 
-/// A force of ours in the library's axes, N.
+/// A force in the library's axes, N.
 pub(super) fn back(v: Vector3<f64>) -> [f64; 3] {
     (axes().inverse() * v).into()
 }
 
-/// A transform of 16 numbers, column after column.
+/// A pose from 16 numbers in column order.
 pub(super) fn pose(m: &[f64; 16]) -> Pose {
     let turn =
         Rotation3::from_matrix_unchecked(Matrix3::from_fn(|row, column| m[4 * column + row]));
@@ -44,7 +44,7 @@ pub(super) fn pose(m: &[f64; 16]) -> Pose {
     }
 }
 
-/// A box of two corners in mm; `None` for what is none.
+/// A workspace from two corners in mm; `None` if invalid.
 pub(super) fn workspace(m: &[f64; 16]) -> Option<Workspace> {
     let (a, b) = (metres([m[0], m[1], m[2]]), metres([m[3], m[4], m[5]]));
     let (min, max) = (a.inf(&b), a.sup(&b));
@@ -59,7 +59,7 @@ mod tests {
     use super::{back, metres, pose, turned, workspace};
 
     #[test]
-    fn right_up_and_towards_the_user_become_right_up_and_minus_away() {
+    fn the_axes_map_right_up_and_towards_the_user() {
         assert_eq!(turned([1.0, 0.0, 0.0]), Vector3::x());
         assert_eq!(turned([0.0, 1.0, 0.0]), Vector3::z());
         assert_eq!(turned([0.0, 0.0, 1.0]), -Vector3::y());
@@ -70,7 +70,7 @@ mod tests {
 
     #[test]
     fn a_transform_is_read_column_after_column() {
-        // A quarter turn about the library's y: its x axis goes to -z, away from the user.
+        // A quarter turn about the library's y: its x axis maps to -z, away from the user.
         let m = [
             0.0, 0.0, -1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 10.0, 20.0, 30.0, 1.0,
         ];

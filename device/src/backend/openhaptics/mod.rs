@@ -1,13 +1,13 @@
 //! Touch and Phantom devices, through their maker's library `libHD` (OpenHaptics).
 //!
-//! The library comes with the maker's developer edition and is not built in: it is loaded when a device is opened. It
-//! calls back from a servo thread of its own, a thousand times a second, so its clock drives the device: the callback
-//! reads, writes the newest force and hands the newest state over; [`OpenHaptics`] never waits for it. A force that our
-//! loop has not renewed for 20 turns fades to nothing in 20 more.
+//! The library comes with the maker's developer edition and is not built in: it is loaded when a device is opened.
+//! Its servo thread calls back a thousand times a second, so its clock drives the device. The callback reads,
+//! writes the newest force and publishes the newest state; [`OpenHaptics`] never waits for it. A force without
+//! renewal for 20 turns fades to zero in 20 more.
 //!
-//! Devices have the names that the maker's setup program gave them; without a name the default one is meant. One device
-//! per program is driven, as the library has one scheduler. Forces along the three axes are rendered, torques of the 6-DOF
-//! models are not.
+//! Devices have the names of the maker's setup program; without a name the default one is opened. The library has
+//! one scheduler, so one device per program is driven. Forces along the three axes are rendered, torques of the
+//! 6-DOF models are not.
 
 mod device;
 mod error;
@@ -24,13 +24,14 @@ pub use error::OpenHapticsError;
 use self::sys::Api;
 use super::found::Found;
 
-/// The device of this name, or the default one: opened for a moment, without force. The library has no list of them.
+/// Finds the device of this name, or the default one: opened for a moment, without force. The library has no list
+/// of devices.
 ///
-/// `library` is the file to load; without one the system looks for it.
+/// `library` is the file to load; without one the system's search path applies.
 ///
 /// # Errors
 ///
-/// When the library is missing or unfit, or the device does not open.
+/// When the library is missing or unusable, or the device does not open.
 pub fn find(library: Option<&Path>, name: Option<&str>) -> Result<Found, OpenHapticsError> {
     let api = Api::load(library)?;
     let handle = device::init(&api, name)?;
@@ -47,7 +48,7 @@ pub fn find(library: Option<&Path>, name: Option<&str>) -> Result<Found, OpenHap
 ///
 /// # Errors
 ///
-/// When the library is missing or unfit, or the device does not open or says nothing.
+/// When the library is missing or unusable, or the device does not open or sends no state.
 pub fn open(library: Option<&Path>, name: Option<&str>) -> Result<OpenHaptics, OpenHapticsError> {
     OpenHaptics::open(library, name)
 }

@@ -36,7 +36,7 @@ pub(super) const FORCE_OUTPUT: u32 = 0x4000;
 /// Whether forces beyond the limit are clamped, instead of being an error that switches them off.
 pub(super) const MAX_FORCE_CLAMPING: u32 = 0x4001;
 
-/// It knows where it is.
+/// The device is calibrated.
 pub(super) const CALIBRATION_OK: u32 = 0x5000;
-/// It has found a better reference, and takes it when it is told to.
+/// The device has found a better reference, and applies it on request.
 pub(super) const CALIBRATION_NEEDS_UPDATE: u32 = 0x5001;

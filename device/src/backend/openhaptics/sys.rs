@@ -1,4 +1,4 @@
-//! The C functions of libHD behind safe ones, and the callback on the library's servo thread.
+//! Safe wrappers of the C functions of libHD, and the callback on the library's servo thread.
 //!
 //! Types and numbers are those of the public headers `hd.h`, `hdDevice.h`, `hdScheduler.h` and `hdDefines.h` (3.x): handles
 //! and enumerations are 32 bits, truth values one byte, an error is a struct of 12 bytes that is returned by value.
@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::backend::library::{Library, LibraryError, Wanted};
 
-/// The library on this system, and how it is got.
+/// The library's names on this system, and how to install it.
 const WANTED: Wanted = Wanted {
     what: "OpenHaptics (libHD)",
     names: if cfg!(windows) {
@@ -40,7 +40,7 @@ struct ErrorInfo {
 type Callback = extern "system" fn(*mut c_void) -> c_uint;
 type Number = unsafe extern "system" fn(c_uint);
 
-/// Which device, in the library's words.
+/// The library's device number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Handle(c_uint);
 
@@ -48,11 +48,11 @@ pub(super) struct Handle(c_uint);
 const INVALID: c_uint = 0xffff_ffff;
 /// The middle of the priorities.
 const PRIORITY: c_ushort = 32_767;
-/// What a callback returns to be called no more, and to be called again.
+/// Results of a callback: stop, and call again.
 const DONE: c_uint = 0;
 const CONTINUE: c_uint = 1;
 
-/// The functions that are called, and the library they are in.
+/// The used functions, and the library that contains them.
 pub(super) struct Api {
     init: unsafe extern "system" fn(*const c_char) -> c_uint,
     disable_device: Number,
@@ -73,7 +73,7 @@ pub(super) struct Api {
     unschedule: unsafe extern "system" fn(c_ulong),
     check_calibration: unsafe extern "system" fn() -> c_uint,
     update_calibration: Number,
-    // The last field: what is above points into it.
+    // The last field: the fields above point into it.
     _library: Library,
 }
 
@@ -84,7 +84,7 @@ impl std::fmt::Debug for Api {
 }
 
 impl Api {
-    /// Loads the library and finds all functions.
+    /// Loads the library and resolves all functions.
     pub(super) fn load(file: Option<&Path>) -> Result<Self, LibraryError> {
         let library = WANTED.load(file)?;
         // SAFETY: every type is that of the function in the public headers, and the library lives as long as `Self`.
@@ -114,7 +114,7 @@ impl Api {
         }
     }
 
-    /// Opens the device of this name, or the default one; it is the current one then.
+    /// Opens the device of this name, or the default one, and makes it current.
     pub(super) fn init(&self, name: Option<&CString>) -> Option<Handle> {
         let name = name.map_or(std::ptr::null(), |n| n.as_ptr());
         // SAFETY: null, or a text that ends with a zero and lives through the call.
@@ -128,19 +128,19 @@ impl Api {
         unsafe { (self.disable_device)(handle.0) }
     }
 
-    /// What is asked and set from now on, on this thread, is meant for this device.
+    /// Makes this device current: later calls on this thread apply to it.
     pub(super) fn make_current(&self, handle: Handle) {
         // SAFETY: takes a number.
         unsafe { (self.make_current)(handle.0) }
     }
 
-    /// Begins a frame: what is asked within it belongs to one moment.
+    /// Begins a frame: its queries refer to one moment.
     pub(super) fn begin(&self, handle: Handle) {
         // SAFETY: takes a number.
         unsafe { (self.begin)(handle.0) }
     }
 
-    /// Ends it: what was set within it goes to the device.
+    /// Ends a frame: its settings are sent to the device.
     pub(super) fn end(&self, handle: Handle) {
         // SAFETY: takes a number.
         unsafe { (self.end)(handle.0) }
@@ -153,7 +153,7 @@ impl Api {
         unsafe { function(capability) }
     }
 
-    /// Numbers of a parameter; those it does not have stay 0.
+    /// Numbers of a parameter; unused entries stay 0.
     pub(super) fn doubles(&self, parameter: u32) -> [f64; 16] {
         let mut numbers = [0.0; 16];
         // SAFETY: 16 doubles are what the widest parameter, a transform, writes.
@@ -163,7 +163,7 @@ impl Api {
 
     /// A whole number of a parameter.
     pub(super) fn integer(&self, parameter: u32) -> i32 {
-        // Encoder values would be six; nothing that is asked here has more than one.
+        // Encoder values would be six; the parameters used here have one.
         let mut numbers: [c_int; 16] = [0; 16];
         // SAFETY: a valid pointer to more numbers than any parameter has.
         unsafe { (self.integers)(parameter, numbers.as_mut_ptr()) };
@@ -182,26 +182,26 @@ impl Api {
         unsafe { (self.set_doubles)(parameter, numbers.as_ptr()) }
     }
 
-    /// The oldest error that nobody has asked for yet.
+    /// The oldest unread error.
     pub(super) fn error(&self) -> Option<u32> {
         // SAFETY: takes nothing and returns plain numbers.
         let info = unsafe { (self.error)() };
         (info.code != 0).then_some(info.code)
     }
 
-    /// What the library says of a code.
+    /// The library's text for a code.
     pub(super) fn words(&self, code: u32) -> String {
         // SAFETY: takes a number, gives null or a text of the library's own.
         text(unsafe { (self.error_text)(code) })
     }
 
-    /// How far the current device knows where it is.
+    /// Calibration state of the current device.
     pub(super) fn check_calibration(&self) -> u32 {
         // SAFETY: takes nothing and returns a number.
         unsafe { (self.check_calibration)() }
     }
 
-    /// Calibrates the current device in one of the ways it has.
+    /// Calibrates the current device by one of its styles.
     pub(super) fn update_calibration(&self, style: u32) {
         // SAFETY: takes a number.
         unsafe { (self.update_calibration)(style) }
@@ -218,20 +218,20 @@ fn text(words: *const c_char) -> String {
     words.to_string_lossy().into_owned()
 }
 
-/// What the library's servo thread calls: whether it wants to be called again.
+/// Callback of the library's servo thread; returns whether to call it again.
 pub(super) type Turn = Box<dyn FnMut() -> bool + Send>;
 
-/// What is called once when a turn panicked: it takes the force away.
+/// Callback after a panic in a turn: it removes the force.
 pub(super) type Rescue = Box<dyn FnMut() + Send>;
 
-/// Behind the pointer that the library hands back.
+/// Target of the pointer that the library passes to the callback.
 struct Turns {
     turn: Turn,
     rescue: Rescue,
     end: Arc<End>,
 }
 
-/// How the servo thread's turns ended.
+/// End of the servo thread's turns.
 #[derive(Debug, Default)]
 struct End {
     ended: AtomicBool,
@@ -245,7 +245,7 @@ extern "system" fn trampoline(data: *mut c_void) -> c_uint {
     if one_turn(turns) { CONTINUE } else { DONE }
 }
 
-/// One turn. A panic stays on this side of the C function, and ends the turns.
+/// Runs one turn. A panic does not cross the C function, and ends the turns.
 fn one_turn(turns: &mut Turns) -> bool {
     if turns.end.ended.load(Ordering::Acquire) {
         return false;
@@ -263,7 +263,7 @@ fn one_turn(turns: &mut Turns) -> bool {
     again
 }
 
-/// The library's scheduler with one callback in it.
+/// The library's scheduler with one callback.
 #[derive(Debug)]
 pub(super) struct Servo {
     api: Arc<Api>,
@@ -277,7 +277,7 @@ pub(super) struct Servo {
 unsafe impl Send for Servo {}
 
 impl Servo {
-    /// Starts the scheduler; `turn` is called on its thread until it says no, about once per millisecond.
+    /// Starts the scheduler; its thread calls `turn` about once per millisecond, until `turn` returns false.
     pub(super) fn start(api: Arc<Api>, turn: Turn, rescue: Rescue) -> Self {
         let end = Arc::new(End::default());
         let turns = Box::into_raw(Box::new(Turns {
@@ -298,23 +298,23 @@ impl Servo {
         }
     }
 
-    /// Whether there are no turns any more.
+    /// Whether the turns have ended.
     pub(super) fn has_ended(&self) -> bool {
         self.end.ended.load(Ordering::Acquire)
     }
 
-    /// Whether that was for a panic.
+    /// Whether a panic ended them.
     pub(super) fn has_panicked(&self) -> bool {
         self.end.panicked.load(Ordering::Acquire)
     }
 
-    /// Takes the turns out of the scheduler, after the last was waited for and did not come.
+    /// Removes the callback from the scheduler, after the wait for its last turn timed out.
     pub(super) fn unschedule(&self) {
         // SAFETY: the number that scheduling gave.
         unsafe { (self.api.unschedule)(self.job) };
     }
 
-    /// Stops the scheduler, after `turn` was told to say no and given time for it.
+    /// Stops the scheduler, after `turn` was asked to return false and had time for it.
     pub(super) fn stop(self) {
         let has_ended = self.has_ended();
         // SAFETY: takes nothing. It returns when the servo thread has left.
@@ -324,8 +324,7 @@ impl Servo {
             // comes.
             drop(unsafe { Box::from_raw(self.turns) });
         } else {
-            // A thread that did not come back in time may still be within its turn. What it uses stays: some hundred
-            // bytes, and the library.
+            // A late thread may still be within its turn. Its data are leaked: some hundred bytes, and the library.
             std::mem::forget(Arc::clone(&self.api));
         }
     }
@@ -338,7 +337,7 @@ mod tests {
 
     use super::{CONTINUE, DONE, End, ErrorInfo, Turns, trampoline};
 
-    /// What the callback returned for each of `n` calls.
+    /// Results of the callback for `n` calls.
     fn called(turn: super::Turn, n: usize) -> (Vec<u32>, Arc<End>) {
         let end = Arc::new(End::default());
         let rescued = Arc::new(AtomicU32::new(0));
@@ -359,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_never_crosses_the_c_boundary_and_takes_the_force_away() {
+    fn a_panic_stays_in_the_callback_and_removes_the_force() {
         let mut n = 0;
         let turn = move || {
             n += 1;
@@ -372,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_that_says_no_is_the_last() {
+    fn a_turn_that_returns_false_is_the_last() {
         let (returned, end) = called(Box::new(|| false), 2);
         assert_eq!(returned, [DONE, DONE]);
         assert!(!end.panicked.load(Ordering::Acquire));

@@ -6,64 +6,64 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use super::error::Errors;
 use super::sys::{Api, Handle};
 use super::{frame, parameter};
-use crate::backend::exchange::{DriverEnd, News, Order};
+use crate::backend::mailbox::{DeviceState, DriverEnd, Order};
 use crate::{Buttons, Calibration, DeviceFault};
 
-/// Errors that are asked for after one frame. The library keeps a list; what is left comes with the next.
+/// Errors read after one frame. The library keeps a list; the rest is read after the next.
 const ERRORS_MAX: usize = 32;
 
-/// Turns between two questions whether the device still knows where it is.
+/// Turns between two calibration checks.
 const CALIBRATION_EVERY: u32 = 100;
 
-/// What the driver tells the servo thread besides forces.
+/// Requests of the driver to the servo thread besides forces.
 #[derive(Debug, Default)]
-pub(super) struct Wishes {
-    /// End with zero.
+pub(super) struct Requests {
+    /// End with zero force.
     pub(super) leave: AtomicBool,
-    /// Calibrate once more.
+    /// Number of requested calibrations.
     pub(super) calibrate: AtomicU32,
-    /// So often that was done.
+    /// Number of calibrations done.
     pub(super) calibrated: AtomicU32,
 }
 
-/// The servo thread's own.
+/// State of the servo thread.
 pub(super) struct Turner {
     api: Arc<Api>,
     handle: Handle,
     end: DriverEnd,
-    wishes: Arc<Wishes>,
+    requests: Arc<Requests>,
     style: u32,
-    news: News,
+    device_state: DeviceState,
     is_on: bool,
     is_lost: bool,
     until_checked: u32,
 }
 
 impl Turner {
-    /// For a device that was opened, with its forces off; `style` is how it can be calibrated.
+    /// For an open device with forces off; `style` is its calibration style.
     pub(super) fn new(
         api: Arc<Api>,
         handle: Handle,
         end: DriverEnd,
-        wishes: Arc<Wishes>,
+        requests: Arc<Requests>,
         style: u32,
     ) -> Self {
         Self {
             api,
             handle,
             end,
-            wishes,
+            requests,
             style,
-            news: News::at_rest(),
+            device_state: DeviceState::at_rest(),
             is_on: false,
             is_lost: false,
             until_checked: 0,
         }
     }
 
-    /// One turn; whether there is to be another.
+    /// Runs one turn; returns whether to continue.
     pub(super) fn turn(&mut self) -> bool {
-        let leaves = self.wishes.leave.load(Ordering::Acquire);
+        let leaves = self.requests.leave.load(Ordering::Acquire);
         let mut order = self.end.order();
         if leaves || self.is_lost {
             order = Order::OFF;
@@ -75,14 +75,14 @@ impl Turner {
         self.write(&order);
         self.api.end(self.handle);
         self.judge();
-        self.end.tell(self.news);
+        self.end.publish(self.device_state);
         !leaves
     }
 
-    /// Asks how far the device knows where it is, and calibrates it when that is due.
+    /// Checks the calibration, and calibrates on request.
     fn calibrate(&mut self) {
-        let asked = self.wishes.calibrate.load(Ordering::Acquire);
-        let is_asked = asked != self.wishes.calibrated.load(Ordering::Acquire);
+        let asked = self.requests.calibrate.load(Ordering::Acquire);
+        let is_asked = asked != self.requests.calibrated.load(Ordering::Acquire);
         if !is_asked && self.until_checked > 0 {
             self.until_checked -= 1;
             return;
@@ -95,12 +95,12 @@ impl Turner {
             self.api.update_calibration(self.style);
             state = self.api.check_calibration();
         }
-        self.news.calibration = match state {
+        self.device_state.calibration = match state {
             parameter::CALIBRATION_OK => Calibration::Done,
             parameter::CALIBRATION_NEEDS_UPDATE => Calibration::InProgress,
             _ => Calibration::NeedsUser,
         };
-        self.wishes.calibrated.store(asked, Ordering::Release);
+        self.requests.calibrated.store(asked, Ordering::Release);
     }
 
     fn read(&mut self) {
@@ -108,16 +108,16 @@ impl Turner {
             let m = self.api.doubles(of);
             [m[0], m[1], m[2]]
         };
-        self.news.pose = frame::pose(&self.api.doubles(parameter::TRANSFORM));
-        // The transform's last column is the same place; the position is what the header calls so.
-        self.news.pose.position = frame::metres(three(parameter::POSITION));
-        self.news.velocity = frame::metres(three(parameter::VELOCITY));
-        self.news.angular_velocity = frame::turned(three(parameter::ANGULAR_VELOCITY));
-        self.news.buttons = Buttons::from_bits(self.api.integer(parameter::BUTTONS) as u32);
+        self.device_state.pose = frame::pose(&self.api.doubles(parameter::TRANSFORM));
+        // The transform's last column is the same position; the header names this parameter the position.
+        self.device_state.pose.position = frame::metres(three(parameter::POSITION));
+        self.device_state.velocity = frame::metres(three(parameter::VELOCITY));
+        self.device_state.angular_velocity = frame::turned(three(parameter::ANGULAR_VELOCITY));
+        self.device_state.buttons = Buttons::from_bits(self.api.integer(parameter::BUTTONS) as u32);
     }
 
     fn write(&mut self, order: &Order) {
-        // Zero first, then off; on, then force.
+        // Zero before off; on before force.
         if order.on && !self.is_on {
             self.api.switch(parameter::FORCE_OUTPUT, true);
         }
@@ -129,10 +129,10 @@ impl Turner {
         self.is_on = order.on;
     }
 
-    /// Takes the force away after a turn that went wrong, wherever it did.
+    /// Removes the force after a turn that failed at any point.
     pub(super) fn rescue(api: &Api, handle: Handle) {
         api.make_current(handle);
-        // The end of the frame that was left open, and another: where none was open the first end is one more error.
+        // Ends the open frame, and one more: without an open frame the first end only adds an error.
         for _ in 0..2 {
             api.set(parameter::FORCE, [0.0; 3]);
             api.end(handle);
@@ -142,21 +142,21 @@ impl Turner {
         api.end(handle);
     }
 
-    /// What the library has to say of this frame.
+    /// Evaluates the library's errors of this frame.
     fn judge(&mut self) {
         let mut errors = Errors::default();
         for _ in 0..ERRORS_MAX {
             let Some(code) = self.api.error() else { break };
             errors.add(code);
         }
-        let pose = &self.news.pose;
+        let pose = &self.device_state.pose;
         let is_number = pose.is_finite()
-            && (self.news.velocity + self.news.angular_velocity)
+            && (self.device_state.velocity + self.device_state.angular_velocity)
                 .iter()
                 .all(|c| c.is_finite());
         self.is_lost = errors.lost || !is_number;
-        self.news.faults = errors.faults;
-        self.news.lost = match (errors.lost, is_number) {
+        self.device_state.faults = errors.faults;
+        self.device_state.lost = match (errors.lost, is_number) {
             (true, _) => Some(DeviceFault::Unplugged),
             (_, false) => Some(DeviceFault::Driver { code: 0 }),
             _ => None,

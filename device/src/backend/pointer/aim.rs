@@ -1,37 +1,36 @@
-//! Where the tool is meant to be, after what happened to the pointer.
+//! Target pose of the tool, from pointer events.
 //!
-//! The tool is under the pointer, at the depth that it had: it moves in the plane that lies across the view through it.
-//! The wheel moves it along the line of sight. With [`Modifiers::FINE`] it moves a part of that way, with
-//! [`Modifiers::TURN`] it turns instead, and comes off the pointer in both; it is under it again after the pointer left
-//! the view and came back.
+//! The tool is under the pointer at its present depth: it moves in the plane across the view. The wheel moves it
+//! along the line of sight. [`Modifiers::FINE`] scales the movement down, and [`Modifiers::TURN`] turns the tool
+//! instead; both offset it from the pointer. The offset ends when the pointer leaves the view and returns.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::{Modifiers, PointerEvent, View};
 use crate::{Buttons, Pose, Workspace};
 
-/// The part of a movement that counts while [`Modifiers::FINE`] is held.
+/// Scale of movements while [`Modifiers::FINE`] is held.
 pub const FINE: f64 = 0.2;
 
-/// How far the tool turns while [`Modifiers::TURN`] is held, rad per metre on the view plane: a turn in 31 cm. A metre
-/// of wheel rolls it as far.
+/// Rotation while [`Modifiers::TURN`] is held, rad per metre on the view plane: a turn in 31 cm. A metre of wheel
+/// rolls the tool by the same angle.
 pub const TURN_RAD_PER_M: f64 = 20.0;
 
-/// What a pointer wants of a tool.
+/// Target pose of a pointer.
 #[derive(Debug, Clone)]
 pub struct Aim {
     workspace: Workspace,
     goal: Pose,
     buttons: Buttons,
-    /// The point under the pointer at the tool's depth, m; `None` while the pointer is elsewhere. It may be outside the
-    /// workspace: whoever comes back from there finds the tool under the pointer.
+    /// The point under the pointer at the tool's depth, m; `None` outside the view. It may be outside the
+    /// workspace, so that a pointer that returns finds the tool under it.
     under: Option<Vector3<f64>>,
-    /// How far the tool is off that point, m.
+    /// Offset of the tool from that point, m.
     off: Vector3<f64>,
 }
 
 impl Aim {
-    /// A tool at `start`, or the place of the workspace nearest to it, with the pointer elsewhere.
+    /// A tool at `start`, clamped to the workspace, with the pointer outside the view.
     pub fn new(workspace: Workspace, start: Pose) -> Self {
         Self {
             workspace,
@@ -45,7 +44,7 @@ impl Aim {
         }
     }
 
-    /// Where the tool is meant to be.
+    /// The target pose.
     pub fn goal(&self) -> &Pose {
         &self.goal
     }
@@ -55,20 +54,19 @@ impl Aim {
         self.buttons
     }
 
-    /// The pointer is gone: no button is held, and the tool is meant to be at `here`.
+    /// The pointer is gone: no button is held, and the target becomes `here`.
     pub fn leave(&mut self, here: Pose) {
         self.goal = here;
         self.buttons = Buttons::NONE;
         self.under = None;
     }
 
-    /// Takes in an event whose numbers can be, with the pointer at `at` in the view. It presses no button unless
-    /// `may_press`.
+    /// Applies a valid event with the pointer at `at` in the view. It presses no button unless `may_press`.
     pub fn take(&mut self, event: &PointerEvent, at: [f64; 2], may_press: bool) {
         self.buttons = if may_press {
             event.buttons
         } else {
-            // What was held and still is.
+            // Buttons that were held and still are.
             Buttons::from_bits(event.buttons.bits() & self.buttons.bits())
         };
         let view = &event.view;
@@ -88,7 +86,7 @@ impl Aim {
         }
         if turns {
             self.off -= moved;
-            // To the right turns about what is up, up about what is to the left, as if the pointer rolled it.
+            // The rotation of a ball rolled by the pointer: right turns about up, up turns about left.
             let by = view.up * moved.dot(&view.right) - view.right * moved.dot(&view.up)
                 + view.forward() * event.wheel_m;
             let turn = UnitQuaternion::from_scaled_axis(by * (TURN_RAD_PER_M * share));
@@ -99,7 +97,7 @@ impl Aim {
         }
         let free = under + self.off;
         let goal = within(&self.workspace, free);
-        // A wheel that is turned on at the wall must not have to be turned back as far.
+        // Wheel motion beyond the wall is dropped, so that the reverse motion acts at once.
         let beyond = view.depth(&free) - view.depth(&goal);
         if beyond * wheel > 0.0 {
             let back = beyond.clamp(-wheel.abs(), wheel.abs());
@@ -114,7 +112,7 @@ fn within(workspace: &Workspace, point: Vector3<f64>) -> Vector3<f64> {
     point.sup(&workspace.min).inf(&workspace.max)
 }
 
-/// A depth that can be seen: nothing behind the eye can, and close to it a movement would be none.
+/// A visible depth: in front of the eye, and far enough that movements have an effect.
 fn in_sight(view: &View, depth: f64) -> f64 {
     view.eye_m.map_or(depth, |eye| depth.max(-0.9 * eye))
 }

@@ -1,4 +1,4 @@
-//! The device behind the one trait.
+//! The driver as a [`HapticDevice`](crate::HapticDevice).
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,31 +13,32 @@ use crate::{
     HapticDevice, Pose, Rejection, Sample, Workspace, Wrench, Written,
 };
 
-/// An event this old presses no button any more, µs: the loop was held up, and whoever pressed meant another moment.
+/// Age of an event after which it presses no button, µs: the loop was held up, and the press referred to another
+/// moment.
 const OLD_US: i64 = 500_000;
 
-/// The longest step of the follower, µs; a longer pause is several.
+/// Maximum step of the follower, µs; a longer pause is split.
 const STEP_MAX_US: i64 = 1000;
 
-/// The longest pause between two readings that is followed through, µs. After a longer one the tool is where it was,
-/// at rest, and the sample carries [`Faults::TIME_JUMP`].
+/// Maximum pause between two readings that is integrated, µs. After a longer one the tool keeps its pose, at rest,
+/// and the sample carries [`Faults::TIME_JUMP`].
 const PAUSE_MAX_US: i64 = 100_000;
 
-/// What a pointer may do with a tool.
+/// Limits of a tool under a pointer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PointerConfig {
-    /// Where the tool may go.
+    /// Reachable box.
     pub workspace: Workspace,
-    /// Where it is at first.
+    /// Initial pose.
     pub start: Pose,
-    /// The fastest it moves, m/s, 0.001 to 2.
+    /// Maximum speed, m/s, 0.001 to 2.
     pub speed_m_per_s: f64,
-    /// The fastest it turns, rad/s, 0.01 to 20.
+    /// Maximum angular speed, rad/s, 0.01 to 20.
     pub turn_rad_per_s: f64,
 }
 
 impl PointerConfig {
-    /// In this workspace from `start` on, no faster than a hand is led over tissue: 0.4 m/s, 4 rad/s.
+    /// A pointer in this workspace from `start` on, no faster than a hand over tissue: 0.4 m/s, 4 rad/s.
     pub fn new(workspace: Workspace, start: Pose) -> Self {
         Self {
             workspace,
@@ -48,22 +49,22 @@ impl PointerConfig {
     }
 }
 
-/// Why there can be no such pointer.
+/// Reason for rejecting a configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum BadPointer {
-    /// A speed that can not be.
+    /// An invalid speed.
     #[error("{what} of the pointer is {found}, and must be a number from {least} to {most}")]
     Speed {
-        /// Which.
+        /// Its name.
         what: &'static str,
-        /// What it is.
+        /// Its value.
         found: f64,
-        /// The smallest it may be.
+        /// The minimum.
         least: f64,
-        /// The largest it may be.
+        /// The maximum.
         most: f64,
     },
-    /// The start or the workspace is not made of numbers, or the workspace is inside out.
+    /// The start or the workspace is not finite, or the workspace is inverted.
     #[error("the pointer's workspace or start is not a box and a pose of finite numbers")]
     Place,
 }
@@ -76,14 +77,14 @@ pub struct Pointer {
     follower: Follower,
     events: Consumer<PointerEvent>,
     counters: Arc<Counters>,
-    /// The time of the last event that was heeded.
+    /// The time of the last accepted event.
     last: DeviceTime,
     now: Option<DeviceTime>,
     open: bool,
 }
 
 impl Pointer {
-    /// A tool under a pointer, and where a view hands in what happens to that.
+    /// A tool under a pointer, and the handle by which a view sends events.
     pub fn new(config: &PointerConfig) -> Result<(Self, PointerHandle), BadPointer> {
         for (what, found, least, most) in [
             ("speed_m_per_s", config.speed_m_per_s, 1e-3, 2.0),
@@ -128,15 +129,15 @@ impl Pointer {
         Ok((pointer, handle))
     }
 
-    /// Takes in what came since the last reading. A button that was pressed and let go again in between is held in this
-    /// reading: what it held on the way, and whether something was left out.
+    /// Applies the events since the last reading. Returns the buttons held at any time in between, so that a short
+    /// click counts, and whether events were rejected.
     fn hear(&mut self, now: DeviceTime) -> (Buttons, Faults) {
         let count = |c: &AtomicU64| {
             c.fetch_add(1, Ordering::Relaxed);
         };
         let mut held = Buttons::NONE;
         let mut faults = Faults::NONE;
-        // No more than fit: a view that floods the line does not hold up the loop.
+        // Bounded, so that a flood of events does not hold up the loop.
         for _ in 0..EVENTS_MAX {
             let Ok(event) = self.events.pop() else {
                 break;
@@ -216,7 +217,7 @@ impl HapticDevice for Pointer {
                 self.follower.step(self.aim.goal(), h);
             }
         }
-        // What rounding adds to the sum of a path within the box.
+        // Rounding may leave the box by a little.
         let mut pose = *self.follower.pose();
         let Workspace { min, max } = self.caps.workspace;
         pose.position = pose.position.sup(&min).inf(&max);

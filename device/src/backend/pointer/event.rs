@@ -1,13 +1,13 @@
-//! What happens to a pointer, and the view in which it happens.
+//! Pointer events, and the view in which they occur.
 
 use nalgebra::Vector3;
 
 use crate::{Buttons, DeviceTime};
 
-/// How far from the origin anything of an event may be, m. Beyond it is as good as no number.
+/// Maximum distance from the origin of any value of an event, m. A larger one is invalid.
 const FAR_M: f64 = 1e3;
 
-/// How a view looks at the scene.
+/// Geometry of a view on the scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct View {
     /// A point of the view plane, m: the middle of the picture.
@@ -16,18 +16,18 @@ pub struct View {
     pub right: Vector3<f64>,
     /// Up in the picture; a unit vector across `right`.
     pub up: Vector3<f64>,
-    /// How far before the view plane the eye is, m, in a view with perspective; `None` for one without.
+    /// Distance of the eye in front of the view plane, m, in perspective; `None` for a parallel view.
     pub eye_m: Option<f64>,
 }
 
 impl View {
-    /// The direction in which it looks.
+    /// The viewing direction.
     pub fn forward(&self) -> Vector3<f64> {
         self.up.cross(&self.right)
     }
 
-    /// The line of sight through a place on the view plane (m to the right, m up): a point of it, and its direction
-    /// per metre of depth.
+    /// The line of sight through a position on the view plane (m to the right, m up): a point of it, and its
+    /// direction per metre of depth.
     pub fn sight(&self, at: [f64; 2]) -> (Vector3<f64>, Vector3<f64>) {
         let on_plane = self.right * at[0] + self.up * at[1];
         let along = match self.eye_m {
@@ -37,13 +37,13 @@ impl View {
         (self.centre + on_plane, along)
     }
 
-    /// The point at `depth_m` behind the view plane that is seen at this place.
+    /// The point at `depth_m` behind the view plane that is seen at `at`.
     pub fn point(&self, at: [f64; 2], depth_m: f64) -> Vector3<f64> {
         let (from, along) = self.sight(at);
         from + along * depth_m
     }
 
-    /// How far behind the view plane a point is, m.
+    /// Depth of a point behind the view plane, m.
     pub fn depth(&self, point: &Vector3<f64>) -> f64 {
         (point - self.centre).dot(&self.forward())
     }
@@ -58,16 +58,16 @@ impl View {
     }
 }
 
-/// Keys that change what a movement means, one bit each.
+/// Modifier keys, one bit each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct Modifiers(u8);
 
 impl Modifiers {
     /// None.
     pub const NONE: Self = Self(0);
-    /// Movements and wheel count a part ([`FINE`](super::FINE)).
+    /// Movements and wheel are scaled by [`FINE`](super::FINE).
     pub const FINE: Self = Self(1);
-    /// Movements turn the tool and leave it where it is; the wheel rolls it about the line of sight.
+    /// Movements turn the tool in place; the wheel rolls it about the line of sight.
     pub const TURN: Self = Self(1 << 1);
 
     /// These and `other`.
@@ -82,26 +82,26 @@ impl Modifiers {
     }
 }
 
-/// Something happens to the pointer, or to a key that stands for a button.
+/// An event of the pointer, or of a key that acts as a button.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PointerEvent {
-    /// When, on the clock that the device is read with.
+    /// Time, on the device's clock.
     pub time: DeviceTime,
-    /// How the view looked at the scene then.
+    /// The view at that time.
     pub view: View,
-    /// Where the pointer is on the view plane, m to the right and m up of its centre; `None` when it left the view, or
-    /// when what it did was cancelled: then the tool stays where it is and no button is held.
+    /// Position on the view plane, m to the right and m up of its centre. `None` after leaving the view or a
+    /// cancelled gesture: the tool keeps its pose and no button is held.
     pub at: Option<[f64; 2]>,
-    /// How far the wheel turned since the last event, as depth: m away from the viewer.
+    /// Wheel motion since the last event, as depth: m away from the viewer.
     pub wheel_m: f64,
-    /// The buttons held, those of the mouse and keys that stand for them.
+    /// The buttons held, from the mouse and from keys that act as buttons.
     pub buttons: Buttons,
     /// The modifiers held.
     pub modifiers: Modifiers,
 }
 
 impl PointerEvent {
-    /// Whether every number can be; one that leaves needs none.
+    /// Whether every number is valid; an event that leaves needs none.
     pub fn is_sound(&self) -> bool {
         self.at.is_none_or(|at| {
             at.iter().all(|c| c.abs() <= FAR_M)

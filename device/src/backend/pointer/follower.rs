@@ -1,7 +1,7 @@
-//! How a tool gets where the pointer wants it.
+//! Smooth motion of the tool towards the pointer's target.
 //!
-//! Pointers speak 60 to 1000 times a second, and jump. First the *lead* r goes to the goal in a straight line, no
-//! faster than V; the tool x follows it as a critically damped second-order system:
+//! Pointers send 60 to 1000 events a second, with jumps. First the *lead* r moves to the goal in a straight line,
+//! at most at speed V; the tool x follows it as a critically damped second-order system:
 //!
 //! ```text
 //! |r'| <= V
@@ -11,29 +11,29 @@
 //! In one step r is a line, and then e = x - r + 2 r'/w obeys e'' + 2 w e' + w² e = 0, which is solved exactly:
 //! e(t) = (e0 + (e0' + w e0) t) exp(-w t).
 //!
-//! - x is r weighted with w² t exp(-w t), which is positive and has the sum 1. So the tool stays in every box that the lead
-//!   stays in, is no faster than V, and does not overshoot.
-//! - Position and velocity are continuous whatever the pointer does.
-//! - Behind a steady pointer the tool is late by 2/w = 33 ms.
-//! - A pointer of 60 Hz gives a velocity whose first harmonic is 2 w²/(w² + W²) = 5 % of it (W = 2 pi 60 /s); with the
-//!   others it is between 7 % less and 5 % more than the pointer's.
+//! - x is r weighted with w² t exp(-w t), which is positive and has the integral 1. The tool therefore stays in
+//!   every box of the lead, is no faster than V, and does not overshoot.
+//! - Position and velocity are continuous for any input.
+//! - Behind a steady pointer the tool lags by 2/w = 33 ms.
+//! - A pointer of 60 Hz causes a velocity ripple whose first harmonic is 2 w²/(w² + W²) = 5 % (W = 2 pi 60 /s);
+//!   with the other harmonics the velocity is between 7 % less and 5 % more than the pointer's.
 //!
-//! Turns are followed in the same way, as the rotation vector from the lead's turn to the tool's. That is exact about
-//! one axis; about several it is off by the second order of the angle between the two, at most 2 V/w.
+//! Rotations are followed in the same way, as the rotation vector from the lead's orientation to the tool's. This
+//! is exact about one axis; about several the error is of second order in the angle between the two, at most 2 V/w.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::Pose;
 
-/// How closely the tool follows (w), 1/s.
+/// Rate of the follower (w), 1/s.
 pub const RATE_PER_S: f64 = 60.0;
 
-/// A tool on the way to its goal.
+/// A tool in motion to its goal.
 #[derive(Debug, Clone)]
 pub struct Follower {
-    /// The fastest it moves (V), m/s.
+    /// Maximum speed (V), m/s.
     speed: f64,
-    /// The fastest it turns, rad/s.
+    /// Maximum angular speed, rad/s.
     turn: f64,
     lead: Pose,
     pose: Pose,
@@ -54,12 +54,12 @@ impl Follower {
         }
     }
 
-    /// Where the tool is.
+    /// Pose of the tool.
     pub fn pose(&self) -> &Pose {
         &self.pose
     }
 
-    /// What it follows.
+    /// The lead.
     pub fn lead(&self) -> &Pose {
         &self.lead
     }
@@ -74,14 +74,14 @@ impl Follower {
         self.angular_velocity
     }
 
-    /// Stops it where it is.
+    /// Stops it at its present pose.
     pub fn halt(&mut self) {
         self.lead = self.pose;
         self.velocity = Vector3::zeros();
         self.angular_velocity = Vector3::zeros();
     }
 
-    /// Goes on towards `goal` for `h` seconds.
+    /// Advances towards `goal` by `h` seconds.
     pub fn step(&mut self, goal: &Pose, h: f64) {
         if h <= 0.0 {
             return;
@@ -105,13 +105,13 @@ impl Follower {
     }
 }
 
-/// `v`, no longer than `most`.
+/// `v`, shortened to at most `most`.
 fn limited(v: Vector3<f64>, most: f64) -> Vector3<f64> {
     let n = v.norm();
     if n > most { v * (most / n) } else { v }
 }
 
-/// What x - r and x' are after `h` seconds, in which r moves at `lead`.
+/// x - r and x' after `h` seconds with the lead at velocity `lead`.
 fn followed(
     away: Vector3<f64>,
     velocity: Vector3<f64>,
@@ -128,7 +128,7 @@ fn followed(
     (away, velocity)
 }
 
-/// Products of many unit quaternions are none, unless they are made so.
+/// Normalises: products of many unit quaternions drift.
 fn normal(q: UnitQuaternion<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::new_normalize(q.into_inner())
 }

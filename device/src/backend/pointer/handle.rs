@@ -1,4 +1,4 @@
-//! The view's end of the line.
+//! The view's end of the event queue.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -8,20 +8,20 @@ use thiserror::Error;
 
 use super::PointerEvent;
 
-/// Events on their way: at 1000 a second, the most that mice send, a quarter of a second. A loop that is away for
-/// longer loses the newest, which are counted; what it finds then is too old to press anything with.
+/// Capacity of the queue: a quarter of a second at 1000 events a second, the maximum of mice. If the loop pauses
+/// longer, the newest events are lost and counted; the older ones are too old to press a button.
 pub const EVENTS_MAX: usize = 256;
 
-/// What became of events so far.
+/// Counters of events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct PointerCounts {
-    /// Heeded.
+    /// Accepted.
     pub heeded: u64,
-    /// Left out, because a number in them can not be.
+    /// Rejected, because a number is invalid.
     pub unsound: u64,
-    /// Left out, because a later one had come before.
+    /// Rejected, because a later event came first.
     pub out_of_order: u64,
-    /// Heeded in part, because they were too old: they let go and press nothing.
+    /// Accepted in part: too old events release buttons but press none.
     pub old: u64,
 }
 
@@ -33,15 +33,15 @@ pub(super) struct Counters {
     pub(super) old: AtomicU64,
 }
 
-/// There is no room for another event: the device is not read.
+/// The queue is full: the device is not read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 #[error(
-    "the pointer's events are not heeded: {EVENTS_MAX} wait already; the force loop is held up or over"
+    "the pointer's event queue is full ({EVENTS_MAX} events); the force loop is held up or has ended"
 )]
 pub struct PointerFull;
 
-/// Where a view hands in what happens to the pointer. While there is none the device counts as unplugged, so a view
-/// whose own connection comes and goes (a page that is loaded again) keeps it, and says that the pointer left.
+/// Sender of pointer events. Without it the device counts as unplugged. A view whose connection comes and goes (a
+/// reloaded page) keeps it, and sends that the pointer left.
 #[derive(Debug)]
 pub struct PointerHandle {
     events: Producer<PointerEvent>,
@@ -49,12 +49,12 @@ pub struct PointerHandle {
 }
 
 impl PointerHandle {
-    /// Hands in an event. It never waits.
+    /// Sends an event, without waiting.
     pub fn send(&mut self, event: PointerEvent) -> Result<(), PointerFull> {
         self.events.push(event).map_err(|_| PointerFull)
     }
 
-    /// What became of the events so far.
+    /// Counters of the events so far.
     pub fn counts(&self) -> PointerCounts {
         let count = |c: &AtomicU64| c.load(Ordering::Relaxed);
         PointerCounts {
@@ -66,7 +66,7 @@ impl PointerHandle {
     }
 }
 
-/// A line from a view to a device.
+/// A queue from a view to a device.
 pub(super) fn line() -> (PointerHandle, Consumer<PointerEvent>, Arc<Counters>) {
     let (events, heard) = RingBuffer::new(EVENTS_MAX);
     let counters = Arc::<Counters>::default();

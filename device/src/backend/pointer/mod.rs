@@ -1,12 +1,11 @@
-//! Mouse and keyboard through a view: the tool is where the pointer is, and no force.
+//! Mouse and keyboard through a view: the tool follows the pointer, without force.
 //!
-//! A view hands over what happens to the pointer ([`PointerEvent`]) on a [`PointerHandle`]; nothing in it locks or
-//! waits. The device makes poses of it at the loop's own rate. It renders no force; a view shows the force as
-//! an arrow.
+//! A view sends pointer events ([`PointerEvent`]) through a [`PointerHandle`], without locks or waits. The device
+//! converts them to poses at the loop's rate. It renders no force; a view shows the force as an arrow.
 //!
-//! - [`View`], [`PointerEvent`]: where the pointer is, in the frame of the scene.
-//! - [`Aim`]: where the tool is meant to be after it.
-//! - [`Follower`]: how it gets there, smoothly and no faster than it may.
+//! - [`View`], [`PointerEvent`]: position of the pointer, in the frame of the scene.
+//! - [`Aim`]: the target pose of the tool.
+//! - [`Follower`]: smooth motion to the target within the speed limits.
 //! - [`Pointer`]: all of it as a [`HapticDevice`](crate::HapticDevice).
 
 mod aim;

@@ -75,7 +75,7 @@ fn the_tool_comes_to_rest_under_the_pointer() {
 }
 
 #[test]
-fn in_perspective_it_is_where_the_line_of_sight_crosses_its_depth() {
+fn in_perspective_the_tool_is_on_the_line_of_sight_at_its_depth() {
     let (mut device, mut handle) = pointer();
     let view = View {
         centre: Vector3::new(0.0, -0.5, 0.0),
@@ -128,12 +128,12 @@ fn a_pointer_of_60_hz_gives_a_steady_velocity() {
     }
     let ripple = speeds.iter().map(|s| (s / v - 1.0).abs());
     let most = ripple.fold(0.0, f64::max);
-    // The first harmonic's 2 w²/(w² + W²), and what the others add.
+    // The first harmonic's 2 w²/(w² + W²), plus the other harmonics.
     assert!((0.04..0.08).contains(&most), "{most}");
 }
 
 #[test]
-fn behind_a_steady_pointer_it_is_late_by_two_time_constants() {
+fn the_tool_lags_a_steady_pointer_by_two_time_constants() {
     let (mut device, mut handle) = pointer();
     let v = 0.1;
     let mut sample = Sample::resting(at(0), Pose::default());
@@ -143,12 +143,12 @@ fn behind_a_steady_pointer_it_is_late_by_two_time_constants() {
         sample = device.read(at(ms * 1000)).unwrap();
     }
     let late_s = (v * 0.799 - sample.pose.position.x) / v;
-    // The step in which an event is heard is the lead's, too.
+    // The step that receives an event also moves the lead.
     assert!((late_s - 2.0 / RATE_PER_S).abs() < 1e-3, "{late_s} s");
 }
 
 #[test]
-fn when_events_stop_or_the_pointer_leaves_the_tool_stays_put() {
+fn without_events_or_pointer_the_tool_stays_in_place() {
     let (mut device, mut handle) = pointer();
     let pressed = PointerEvent {
         buttons: Buttons::PRIMARY,
@@ -166,7 +166,7 @@ fn when_events_stop_or_the_pointer_leaves_the_tool_stays_put() {
     let stopped = run(&mut device, 101, 500);
     assert_eq!(stopped.buttons, Buttons::NONE);
     assert!(stopped.velocity.norm() < 1e-6);
-    // No farther than the way of the delay.
+    // At most the distance of the lag.
     let on = stopped.pose.position.x - from.pose.position.x;
     assert!(
         (0.0..=0.4 * 2.0 / RATE_PER_S + 1e-3).contains(&on),
@@ -177,7 +177,7 @@ fn when_events_stop_or_the_pointer_leaves_the_tool_stays_put() {
 }
 
 #[test]
-fn a_click_between_two_readings_is_held_in_one() {
+fn a_click_between_two_readings_appears_in_one() {
     let (mut device, mut handle) = pointer();
     let down = PointerEvent {
         buttons: Buttons::PRIMARY,
@@ -190,7 +190,7 @@ fn a_click_between_two_readings_is_held_in_one() {
 }
 
 #[test]
-fn what_can_not_be_is_left_out_counted_and_said_once() {
+fn invalid_events_are_rejected_counted_and_reported_once() {
     let (mut device, mut handle) = pointer();
     let good = event(0, 0.0, 0.0);
     let bad = [
@@ -232,7 +232,7 @@ fn what_can_not_be_is_left_out_counted_and_said_once() {
 }
 
 #[test]
-fn an_old_event_lets_go_and_presses_nothing() {
+fn an_old_event_releases_but_presses_no_button() {
     let (mut device, mut handle) = pointer();
     let with = |us, bits| PointerEvent {
         buttons: Buttons::from_bits(bits),
@@ -248,7 +248,7 @@ fn an_old_event_lets_go_and_presses_nothing() {
 }
 
 #[test]
-fn a_line_that_nobody_reads_is_full_and_says_so() {
+fn an_unread_queue_reports_that_it_is_full() {
     let (_device, mut handle) = pointer();
     for i in 0..EVENTS_MAX {
         handle.send(event(i as i64, 0.0, 0.0)).unwrap();
@@ -267,7 +267,7 @@ fn without_a_view_the_device_is_unplugged_and_at_rest() {
 }
 
 #[test]
-fn fine_movements_count_a_part_and_turns_leave_the_tool_where_it_is() {
+fn fine_scales_movements_and_turn_keeps_the_position() {
     let (mut device, mut handle) = pointer();
     handle.send(event(0, 0.0, 0.0)).unwrap();
     let held = |us, x, modifiers| PointerEvent {
@@ -280,11 +280,11 @@ fn fine_movements_count_a_part_and_turns_leave_the_tool_where_it_is() {
     handle.send(held(400_000, 0.07, Modifiers::TURN)).unwrap();
     let turned = run(&mut device, 400, 1000);
     assert!((turned.pose.position - fine.pose.position).norm() < 1e-6);
-    // 20 mm to the right: what faces the viewer goes to the right.
+    // A movement of 20 mm to the right turns the front of the tool to the right.
     let expected = UnitQuaternion::from_scaled_axis(Vector3::z() * 0.4);
     assert!(turned.pose.orientation.angle_to(&expected) < 1e-6);
     assert!((turned.pose.orientation * -Vector3::y()).x > 0.0);
-    // Let go, it moves on from there; back in the view after it left, it is under the pointer.
+    // After release it moves on from there; after leaving and re-entering the view it is under the pointer.
     handle.send(event(1_000_000, 0.08, 0.0)).unwrap();
     let on = run(&mut device, 1000, 1600);
     assert!((on.pose.position.x - 0.02).abs() < 1e-6);
@@ -299,7 +299,7 @@ fn fine_movements_count_a_part_and_turns_leave_the_tool_where_it_is() {
 }
 
 #[test]
-fn beyond_the_wall_the_pointer_finds_its_tool_again_and_the_wheel_at_once() {
+fn a_pointer_back_from_beyond_the_wall_finds_its_tool() {
     let (mut device, mut handle) = pointer();
     handle.send(event(0, 0.3, 0.0)).unwrap();
     let at_wall = run(&mut device, 0, 900);
@@ -360,7 +360,7 @@ fn events() -> impl Strategy<Value = Vec<(PointerEvent, i64)>> {
 
 proptest! {
     #[test]
-    fn no_pointer_leads_the_tool_out_of_its_box_or_faster_than_it_may(run in events()) {
+    fn no_pointer_moves_the_tool_out_of_its_box_or_above_its_speed(run in events()) {
         let config = PointerConfig::new(room(), Pose::default());
         let (mut device, mut handle) = Pointer::new(&config).unwrap();
         let mut now = 0;

@@ -1,7 +1,7 @@
-//! A recorded motion, replayed: the hand goes its way whatever pushes it.
+//! Replays a recorded motion, independent of forces.
 //!
-//! It is for comparisons: the same path against other tissues, solvers and networks. Forces are taken, clamped and kept
-//! for whoever records them; they move nothing.
+//! It serves comparisons: the same path against other tissues, solvers and networks. Forces are accepted, clamped
+//! and kept for recording; they move nothing.
 
 mod motion;
 #[cfg(test)]
@@ -18,7 +18,7 @@ use crate::{
 
 pub use motion::{Moment, Motion, MotionError};
 
-/// How long forces ramp up after they were enabled, µs.
+/// Ramp time of the force after enabling, µs.
 const RAMP_US: i64 = 100_000;
 
 /// The device that replays.
@@ -32,7 +32,7 @@ pub struct Replay {
 }
 
 impl Replay {
-    /// Replays `motion` from `start` on, with the force limits of a desktop device: 20 N for a moment, 10 N held.
+    /// Replays `motion` from `start` on, with the force limits of a desktop device: 20 N peak, 10 N continuous.
     pub fn new(motion: Motion, start: ScriptStart) -> Self {
         let half = Vector3::repeat(crate::script::POSITION_MAX_M);
         Self {
@@ -80,7 +80,7 @@ impl HapticDevice for Replay {
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        let now = self.motors.tell(now)?;
+        let now = self.motors.advance_to(now)?;
         let t_s = self.start.script_s(now);
         let (moment, velocity, angular_velocity) = self.motion.at(t_s, &mut self.near);
         Ok(Sample {

@@ -1,4 +1,4 @@
-//! A motion as it was recorded: where the tool was, over time.
+//! A recorded motion: poses of the tool over time.
 
 use std::path::Path;
 
@@ -10,37 +10,37 @@ use crate::script::POSITION_MAX_M;
 use crate::text_file::{self, TextFileError};
 use crate::{Buttons, Pose};
 
-/// The largest file that is read: hours at a kilohertz.
+/// Maximum size of a file: hours at a kilohertz.
 const BYTES_MAX: u64 = 1 << 30;
 /// The longest motion, s: a day. Later times are more likely milliseconds.
 const LONGEST_S: f64 = 86_400.0;
-/// Faster than any hand, m/s.
+/// Above any hand's speed, m/s.
 const FASTEST_M_S: f64 = 100.0;
-/// What the column of time may also be called: so the laboratory's tables of hands do.
+/// Alternative name of the time column, used by the laboratory's tables of hands.
 const TIME_ALSO: &str = "time_s";
-/// Columns of a table: time and place, which every row has; how the tool is turned, and the buttons.
+/// Columns of a table: time and position, required in every row; orientation and buttons, optional.
 const COLUMNS: [&str; 9] = [
     "t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "buttons",
 ];
 
-/// One moment of a motion.
+/// One sample of a motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Moment {
     /// Since the motion began, s.
     pub t_s: f64,
-    /// Where the tool was.
+    /// Pose of the tool.
     pub pose: Pose,
     /// The buttons held from here on.
     pub buttons: Buttons,
 }
 
-/// A recorded motion: at least two moments, in order of time.
+/// A recorded motion: at least two samples, in order of time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Motion {
     moments: Vec<Moment>,
 }
 
-/// Why a file is no motion.
+/// Reason for rejecting a file.
 #[derive(Debug, Error)]
 pub enum MotionError {
     /// It can not be read.
@@ -48,10 +48,10 @@ pub enum MotionError {
     Read {
         /// The file.
         path: String,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// It is too large to be one.
+    /// It is too large.
     #[error("{path} has {bytes} bytes; a motion has at most {BYTES_MAX}")]
     TooLarge {
         /// The file.
@@ -59,32 +59,32 @@ pub enum MotionError {
         /// Its size.
         bytes: u64,
     },
-    /// It is no recording.
+    /// It is not a recording.
     #[error("this is no recording of a session (JSON with a list \"haptic\"): {0}")]
     Json(#[from] serde_json::Error),
-    /// The first line of a table is not what it should be.
+    /// The first line of a table is invalid.
     #[error(
         "line 1 should name the columns: t_s (or time_s),x_m,y_m,z_m, and if they are known qw,qx,qy,qz and buttons; it is \
          \"{0}\""
     )]
     Header(String),
-    /// A row of a table is wrong.
+    /// A row of a table is invalid.
     #[error("line {line}: {what}")]
     Row {
         /// Which, from 1.
         line: usize,
-        /// What is wrong.
+        /// The error.
         what: String,
     },
-    /// There is nothing to be replayed.
+    /// Too few samples.
     #[error("a motion needs two moments or more; here is {0}")]
     TooShort(usize),
-    /// A moment that can not be.
+    /// An invalid sample.
     #[error("moment {number}: {what}")]
     Moment {
         /// Which, from 1.
         number: usize,
-        /// What is wrong.
+        /// The error.
         what: &'static str,
     },
 }
@@ -100,7 +100,7 @@ struct Recording {
 struct Point {
     t_us: i64,
     position_m: [f64; 3],
-    /// x, y, z, w; older recordings do not tell it, nor the buttons.
+    /// x, y, z, w; older recordings contain neither it nor the buttons.
     #[serde(default = "not_turned")]
     orientation: [f64; 4],
     #[serde(default)]
@@ -174,7 +174,7 @@ impl Motion {
         }
     }
 
-    /// From the JSON of a recorded session: its hand's path, from where its script began.
+    /// From the JSON of a recorded session: the hand's path from the start of its script.
     pub fn from_recording(text: &str) -> Result<Self, MotionError> {
         let recording: Recording = serde_json::from_str(without_mark(text))?;
         let moment = |(k, p): (usize, &Point)| {
@@ -220,7 +220,7 @@ impl Motion {
                 .map(|cell| {
                     let cell = cell.trim();
                     cell.parse::<f64>()
-                        .map_err(|_| wrong(format!("\"{cell}\" is no number")))
+                        .map_err(|_| wrong(format!("\"{cell}\" is not a number")))
                 })
                 .collect::<Result<Vec<f64>, MotionError>>()?;
             if row.len() != names.len() {
@@ -242,15 +242,15 @@ impl Motion {
         self.moments[self.moments.len() - 1].t_s
     }
 
-    /// The tool at `t_s`, with its velocity (m/s) and its angular velocity (rad/s): between two moments along the cubic
-    /// through them whose velocities are those of the neighbours; at rest before the first and after the last.
-    /// `near` is where the last search ended, and where this one begins.
+    /// The tool at `t_s`, with its velocity (m/s) and its angular velocity (rad/s): between two samples by cubic
+    /// Hermite interpolation with finite-difference velocities; at rest before the first and after the last. `near`
+    /// is the index at which the last search ended and this one begins.
     pub fn at(&self, t_s: f64, near: &mut usize) -> (Moment, Vector3<f64>, Vector3<f64>) {
         let m = &self.moments;
         let still = Vector3::zeros();
         let last = m.len() - 1;
         if t_s <= 0.0 || t_s.is_nan() {
-            // Nobody holds a button before the motion begins.
+            // No button is held before the motion begins.
             let buttons = if t_s == 0.0 {
                 m[0].buttons
             } else {
@@ -275,7 +275,7 @@ impl Motion {
         let (va, vb) = (self.velocity(i) * h, self.velocity(i + 1) * h);
         let (pa, pb) = (a.pose.position, b.pose.position);
         let by = pb - pa;
-        // Hermite's cubic, from pa on.
+        // Hermite's cubic, starting at pa.
         let (c2, c3) = (by * 3.0 - va * 2.0 - vb, va + vb - by * 2.0);
         let position = pa + (va + (c2 + c3 * s) * s) * s;
         let velocity = (va + (c2 * 2.0 + c3 * (3.0 * s)) * s) / h;
@@ -296,7 +296,7 @@ impl Motion {
         (moment, velocity, turn / h)
     }
 
-    /// Velocity at a moment: the slope between its neighbours, and none at the ends.
+    /// Velocity at a sample: the slope between its neighbours, and zero at the ends.
     fn velocity(&self, i: usize) -> Vector3<f64> {
         let m = &self.moments;
         if i == 0 || i + 1 == m.len() {
@@ -306,7 +306,7 @@ impl Motion {
     }
 }
 
-/// Without the byte order mark that some programs begin a text with.
+/// Removes the byte order mark that some programs write.
 fn without_mark(text: &str) -> &str {
     text.strip_prefix('\u{feff}').unwrap_or(text)
 }

@@ -28,7 +28,7 @@ fn it_passes_the_conformance_suite() {
 }
 
 #[test]
-fn it_goes_its_way_whatever_pushes_it() {
+fn forces_do_not_change_the_motion() {
     // Recorded every 4 ms, as sessions are.
     let path = |t: f64| Vector3::new(0.02 * (3.0 * t).sin(), 0.0, 0.01 * (5.0 * t).cos());
     let points: Vec<_> = (0..500)
@@ -44,7 +44,7 @@ fn it_goes_its_way_whatever_pushes_it() {
         let now = DeviceTime::from_micros(7_000_000 + 1000 * i);
         let sample = device.read(now).unwrap();
         let t = 1e-3 * i as f64;
-        // At its ends a motion is at rest; the path is not.
+        // A motion is at rest at its ends; the path is not.
         if (8..1980).contains(&i) {
             assert!((sample.pose.position - path(t)).norm() < 1e-6, "at {t} s");
             let slope = (path(t + 1e-5) - path(t - 1e-5)) / 2e-5;
@@ -88,7 +88,7 @@ fn a_table_is_a_motion() {
     let text = "\u{feff}t_s, x_m, y_m, z_m, qw, qx, qy, qz, buttons\n\
                 10, 0, 0, 0, 1, 0, 0, 0, 1\r\n\n10.5, 0.1, 0, 0, 0, 0, 0, 2, 1\n";
     let motion = Motion::from_table(text).unwrap();
-    // The laboratory's tables of hands call the time so.
+    // The laboratory's tables of hands use another name for the time.
     let theirs = text.replace("t_s", "time_s");
     assert_eq!(Motion::from_table(&theirs).unwrap(), motion);
     let mut near = 0;
@@ -104,13 +104,13 @@ fn a_table_is_a_motion() {
 }
 
 #[test]
-fn what_is_wrong_with_a_table_is_said_with_its_line() {
+fn errors_of_a_table_contain_the_line() {
     for (text, said) in [
         ("", "line 1 should name the columns"),
         ("x,y\n1,2", "line 1 should name the columns"),
         (
             "t_s,x_m,y_m,z_m\n0,0,0,0\n1,0,zero,0",
-            "line 3: \"zero\" is no number",
+            "line 3: \"zero\" is not a number",
         ),
         ("t_s,x_m,y_m,z_m\n0,0,0", "line 2: 3 numbers in 4 columns"),
         (
@@ -143,9 +143,9 @@ proptest! {
         let _ = Motion::from_recording(&text);
     }
 
-    /// However times are asked for, the answer is the same.
+    /// The result does not depend on the order of queries.
     #[test]
-    fn where_the_search_begins_does_not_matter(
+    fn the_start_of_the_search_does_not_matter(
         steps in proptest::collection::vec((3e-3..0.1f64, -0.1..0.1f64), 2..40),
         asked in proptest::collection::vec(-0.5..5.0f64, 1..40),
     ) {

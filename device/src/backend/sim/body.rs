@@ -8,9 +8,8 @@
 //! v ← v + h (k (p − x) + c (w − v) + F) / m,    x ← x + h v      (semi-implicit Euler)
 //! ```
 //!
-//! h is fixed and its points are multiples of h on the device's clock, so that the moments of
-//! reading do not change the motion. It is stable while h² k / m + h c / m < 2, which the bounds
-//! of a script's `[hand]` keep by a wide margin.
+//! h is fixed and its points are multiples of h on the device's clock, so that the times of reading do not change
+//! the motion. It is stable while h² k / m + h c / m < 2; the bounds of a script's `[hand]` keep a wide margin.
 
 use nalgebra::Vector3;
 
@@ -77,7 +76,7 @@ impl Body {
         Faults::NONE
     }
 
-    /// Where the tip is at `now`, carried on from the last integration point at its velocity.
+    /// Position of the tip at `now`, extrapolated from the last integration point at its velocity.
     pub(super) fn position_at(&self, now: DeviceTime) -> Vector3<f64> {
         let rest_us = self.integrated_to.map_or(0, |at| now.micros_since(at));
         self.position + self.velocity * (rest_us as f64 * 1e-6)
@@ -95,7 +94,7 @@ impl Body {
         self.integrated_to = Some(at);
     }
 
-    /// Where the script's end of the spring is, and its velocity.
+    /// Position and velocity of the script's end of the spring.
     fn target(&self, at: DeviceTime, start: &ScriptStart) -> (Vector3<f64>, Vector3<f64>) {
         let script = self.script.pose(start.script_s(at));
         let (shake, rate) = self.tremor.at(at.as_secs_f64());

@@ -1,7 +1,7 @@
-//! A simulated hand: it follows a [`Script`] through a spring and feels our force.
+//! A simulated hand: it follows a [`Script`] through a spring and responds to force.
 //!
-//! It needs no hardware and is always built. The same script, start and sequence of reads and
-//! writes give the same bits.
+//! It needs no hardware and is always built. The same script, start and sequence of reads and writes give
+//! bit-identical results.
 
 mod body;
 mod tremor;
@@ -20,26 +20,23 @@ use crate::{
     HapticDevice, Sample, Script, Workspace, Wrench, Written,
 };
 
-/// How long the simulated driver scales forces up after they were enabled, µs. Short, because the
-/// haptic chain has a soft start of its own; it is there so that users of the trait meet a driver
-/// that ramps.
+/// Ramp time of the force after enabling, µs. It is short, because the haptic chain has its own soft start; it
+/// exists so that users of the trait meet a driver with a ramp.
 pub const ENABLE_RAMP_US: i64 = 100_000;
 
-/// The longest pause between two readings that the hand is integrated through, µs: 4000 sub-steps
-/// or about 0.2 ms of computing. After a longer one the hand is put on its script, moving with
-/// it, and the sample carries [`Faults::TIME_JUMP`].
+/// Maximum pause between two readings that is integrated, µs: 4000 sub-steps or about 0.2 ms of computing. After a
+/// longer one the hand is placed on its script, with its velocity, and the sample carries [`Faults::TIME_JUMP`].
 pub const CATCH_UP_MAX_US: i64 = 1_000_000;
 
-/// When a script begins, shared between the hand (which may already be held by the real-time
-/// thread) and whoever learns the moment later. Until then the hand rests at the first way point
-/// and feels force.
+/// Start time of a script, shared between the hand (on the real-time thread) and the thread that sets it later.
+/// Until then the hand rests at the first way point and responds to force.
 #[derive(Debug, Clone)]
 pub struct ScriptStart(Arc<AtomicI64>);
 
 impl ScriptStart {
     const NOT_YET: i64 = i64::MAX;
 
-    /// A start that is not known yet.
+    /// An unknown start.
     pub fn not_yet() -> Self {
         Self(Arc::new(AtomicI64::new(Self::NOT_YET)))
     }
@@ -55,7 +52,7 @@ impl ScriptStart {
         self.0.store(at.as_micros(), Ordering::Release);
     }
 
-    /// When the script begins, if that is known.
+    /// Start time, if known.
     pub fn get(&self) -> Option<DeviceTime> {
         let us = self.0.load(Ordering::Acquire);
         (us != Self::NOT_YET).then(|| DeviceTime::from_micros(us))
@@ -78,8 +75,8 @@ pub struct SimHand {
 }
 
 impl SimHand {
-    /// A hand at the first way point of `script`, with the force limits of a desktop device:
-    /// 20 N for a moment, 10 N held, 3000 N/m, 1 kHz. Its workspace is where a script may go.
+    /// A hand at the first way point of `script`, with the force limits of a desktop device: 20 N peak, 10 N
+    /// continuous, 3000 N/m, 1 kHz. Its workspace is the range of a script.
     pub fn new(script: Script, start: ScriptStart) -> Self {
         let half = Vector3::repeat(POSITION_MAX_M);
         let caps = DeviceCaps {
@@ -99,7 +96,7 @@ impl SimHand {
         Self::with_caps(script, start, caps)
     }
 
-    /// The same hand behind other limits.
+    /// The same hand with other limits.
     pub fn with_caps(script: Script, start: ScriptStart, caps: DeviceCaps) -> Self {
         Self {
             caps,
@@ -114,12 +111,12 @@ impl SimHand {
         self.body.script()
     }
 
-    /// When its script begins; a clone of this sets it from another thread.
+    /// Start time of its script; a clone of this sets it from another thread.
     pub fn start(&self) -> &ScriptStart {
         &self.start
     }
 
-    /// Lets the hand live until now under the force it is given.
+    /// Integrates the hand until now under the applied force.
     fn advance(&mut self) -> Faults {
         let (now, force) = (self.motors.now(), self.motors.rendered().force);
         self.body.advance(now, &self.start, force)
@@ -148,7 +145,7 @@ impl HapticDevice for SimHand {
     }
 
     fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        let now = self.motors.tell(now)?;
+        let now = self.motors.advance_to(now)?;
         let faults = self.advance();
         let script = self.body.script().pose(self.start.script_s(now));
         Ok(Sample {
@@ -173,8 +170,8 @@ impl HapticDevice for SimHand {
         if let Err(why) = self.motors.ready() {
             return Written::Rejected(why);
         }
-        // The old force acts until now. A jump of time shows in the next reading.
-        if self.motors.tell(now).is_ok() {
+        // The old force acts until now. The next reading reports a jump of time.
+        if self.motors.advance_to(now).is_ok() {
             self.advance();
         }
         match self.motors.take(now, wrench, &self.caps) {
@@ -282,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn before_the_start_it_rests_at_the_first_way_point_and_still_feels_force() {
+    fn before_the_start_it_rests_at_the_first_way_point_and_responds_to_force() {
         let start = ScriptStart::not_yet();
         let mut hand = SimHand::new(press(0.0), start.clone());
         hand.enable_forces(true).unwrap();
@@ -311,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn when_it_is_read_hardly_matters() {
+    fn the_times_of_reading_hardly_matter() {
         // The integration points do not depend on the readings.
         let mut often = SimHand::new(press(0.0), ScriptStart::at(at(0)));
         let mut rarely = SimHand::new(press(0.0), ScriptStart::at(at(0)));
@@ -329,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn after_a_long_pause_it_is_on_its_script_and_says_so() {
+    fn after_a_long_pause_it_is_on_its_script_with_a_fault() {
         let mut hand = SimHand::new(press(0.0), ScriptStart::at(at(0)));
         assert_eq!(hand.read(at(0)).unwrap().faults, Faults::NONE);
         let after = hand.read(at(CATCH_UP_MAX_US + 500_000)).unwrap();

@@ -1,4 +1,4 @@
-//! What the hand does to the cap, put together from messages.
+//! State of the cap, accumulated from messages.
 
 use nalgebra::Vector3;
 
@@ -10,14 +10,14 @@ use crate::backend::steered::Controls;
 pub struct Cap(Controls);
 
 impl Default for Cap {
-    /// Nobody touches it.
+    /// No deflection.
     fn default() -> Self {
         Self(Controls::NEUTRAL)
     }
 }
 
 impl Cap {
-    /// Takes a message in; what the hand does now.
+    /// Applies a message; returns the present controls.
     pub fn take(&mut self, report: Report) -> Controls {
         match report {
             Report::Push(push) => self.0.push = to_scene(push),

@@ -1,4 +1,4 @@
-//! Which devices these are.
+//! Supported devices.
 
 /// Vendors: 3Dconnexion since 2013, and Logitech, to whom it belonged before.
 pub const VENDORS: [u16; 2] = [0x256f, 0x046d];
@@ -33,11 +33,11 @@ const PRODUCTS: [(u16, u16, &str); 23] = [
     (0x256f, 0xc658, "SpaceMouse Wireless"),
 ];
 
-/// What the device with these ids is called, when its messages are those of a 6-DOF mouse.
+/// Name of the device with these ids, if it sends the messages of a 6-DOF mouse.
 ///
-/// Logitech makes a thousand other things, so only the listed ones count there. What 3Dconnexion itself sells and
-/// calls a multi-axis controller is one, known or not; its ordinary mice are none. `usage` is page and usage of the
-/// interface, where the system tells them.
+/// Logitech makes many other products, so only the listed ones count. A product of 3Dconnexion counts if it is a
+/// multi-axis controller, listed or not; its ordinary mice do not. `usage` is page and usage of the interface,
+/// where the system reports them.
 pub fn known(vendor: u16, product: u16, usage: Option<(u16, u16)>) -> Option<&'static str> {
     if !VENDORS.contains(&vendor) || usage.is_some_and(|usage| usage != MULTI_AXIS) {
         return None;

@@ -1,8 +1,8 @@
 //! 6-DOF mice of 3Dconnexion: a cap that is pushed and twisted steers the tool; no force.
 //!
-//! - [`Report`]: what one message of the device says; [`Cap`]: what follows from all of them.
-//! - [`known`]: which devices these are.
-//! - [`Port`]: where the messages come from. The hardware's port is built with the feature `spacemouse`.
+//! - [`Report`]: one message of the device; [`Cap`]: the state after all of them.
+//! - [`known`]: the supported devices.
+//! - [`Port`]: source of the messages. The hardware's port is built with the feature `spacemouse`.
 //!
 //! The device's own axes are x to the right, y towards the user and z down; deflections are turned half about x into
 //! the scene's: x to the right, y away and z up. That is a rotation, so twists turn along with pushes.
@@ -24,20 +24,20 @@ pub use report::{BadReport, FULL, REPORT_BYTES_MAX, Report};
 #[cfg(feature = "spacemouse")]
 pub use system::open;
 
-/// A cap that is held repeats itself every 8 to 16 ms (measured by others on a SpaceNavigator and a SpaceMouse
-/// Wireless); one that was not heard of for so long is out of reach, µs.
+/// A held cap repeats its message every 8 to 16 ms (published measurements of a SpaceNavigator and a SpaceMouse
+/// Wireless); a longer silence means that it is out of reach, µs.
 pub const SILENCE_MAX_US: i64 = 250_000;
 
-/// What a 6-DOF mouse is connected to.
+/// Source of messages of a 6-DOF mouse.
 pub trait Port: Send {
-    /// Waits at most `patience` for the next message and writes it to `into`; how long it is, 0 for none.
+    /// Waits at most `patience` for the next message and writes it to `into`; returns its length, 0 for none.
     fn report(
         &mut self,
         into: &mut [u8; REPORT_BYTES_MAX],
         patience: Duration,
     ) -> Result<usize, Gone>;
 
-    /// Looks once, without waiting, for the device that was gone; whether it is back.
+    /// Looks once, without waiting, for the lost device; returns whether it is back.
     fn reopen(&mut self) -> bool;
 }
 
@@ -62,7 +62,7 @@ pub fn over(
     Steered::open(Box::new(listener), kind, space)
 }
 
-/// A port and what was heard there.
+/// A port and the state of its cap.
 struct Listener<P> {
     port: P,
     cap: Cap,

@@ -1,6 +1,6 @@
 //! One message of a 6-DOF mouse.
 //!
-//! The first byte says what it is; numbers are 16 bits, the lower byte first:
+//! The first byte is the kind; numbers are 16 bits, the lower byte first:
 //!
 //! | first byte | then | from |
 //! | --- | --- | --- |
@@ -9,16 +9,16 @@
 //! | 2 | three numbers: rotation | older devices, after each 1 |
 //! | 3 | one to four bytes: a bit per button | all |
 //!
-//! Others (0x17, the battery) say nothing about the hand. Read from the report descriptors of a SpaceNavigator and a
-//! SpaceMouse Wireless, and from what these were seen to send.
+//! Other messages (0x17, the battery) do not concern the hand. Sources: report descriptors and captured messages of
+//! a SpaceNavigator and a SpaceMouse Wireless.
 
 use nalgebra::Vector3;
 use thiserror::Error;
 
 use crate::Buttons;
 
-/// The number of a full deflection, both ways: the logical range of the report descriptors. Caps that are pushed hard
-/// go beyond.
+/// Value of a full deflection, both ways: the logical range of the report descriptors. Caps under a hard push
+/// exceed it.
 pub const FULL: f64 = 350.0;
 
 /// The longest message that is read, bytes; a USB device at full speed sends no longer one.
@@ -27,14 +27,14 @@ pub const REPORT_BYTES_MAX: usize = 64;
 /// The most buttons, in bytes.
 const BUTTON_BYTES_MAX: usize = 4;
 
-/// What a message says, in the device's own axes; 1 is a full deflection.
+/// Content of a message, in the device's own axes; 1 is a full deflection.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Report {
     /// The cap is pushed.
     Push(Vector3<f64>),
     /// The cap is twisted.
     Twist(Vector3<f64>),
-    /// Both in one.
+    /// Both in one message.
     Both {
         /// How it is pushed.
         push: Vector3<f64>,
@@ -45,7 +45,7 @@ pub enum Report {
     Buttons(Buttons),
 }
 
-/// A message that ends before it has said what it began to say.
+/// A truncated message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 #[error("message {id} of the 6-DOF mouse has {found} bytes, and needs {needed}")]
 pub struct BadReport {
@@ -58,7 +58,7 @@ pub struct BadReport {
 }
 
 impl Report {
-    /// What `bytes` say; `None` when it is nothing about the hand.
+    /// Parses `bytes`; `None` for a message that does not concern the hand.
     pub fn parse(bytes: &[u8]) -> Result<Option<Self>, BadReport> {
         let Some((&id, rest)) = bytes.split_first() else {
             return Err(BadReport {
@@ -75,8 +75,7 @@ impl Report {
         Ok(match id {
             1 => {
                 let push = numbers(rest).ok_or(short(7))?;
-                // Some systems fill a message up to the length of the longest; what is too short for a rotation is
-                // no part of one.
+                // Some systems pad a message to the maximum length; fewer bytes than a rotation are padding.
                 Some(match rest.get(6..).and_then(numbers) {
                     Some(twist) => Self::Both { push, twist },
                     None => Self::Push(push),

@@ -1,4 +1,4 @@
-//! The hardware's port: raw HID reports, by the crate hidapi. On Linux without a library of the system.
+//! The hardware's port: raw HID reports, through the crate hidapi. On Linux without a system library.
 
 use std::ffi::CString;
 use std::time::Duration;
@@ -10,7 +10,7 @@ use crate::backend::steered::{OpenError, RateControl, Space, Steered};
 
 const WHAT: &str = "6-DOF mouse";
 
-/// What to do where the system keeps raw devices to itself.
+/// Remedy where the system restricts raw devices.
 const PERMISSION: &str = "on Linux a udev rule gives it to whoever sits at the machine: put the line \
      KERNEL==\"hidraw*\", ATTRS{idVendor}==\"256f\", TAG+=\"uaccess\" (and the same with 046d for older devices) into \
      /etc/udev/rules.d/70-spacemouse.rules, and plug it in again";
@@ -41,7 +41,7 @@ struct Found {
 }
 
 fn find(api: &mut HidApi) -> Option<Found> {
-    // A list that can not be made anew is empty: nothing is there, as far as anybody can tell.
+    // A failed refresh of the list counts as no device.
     api.reset_devices().ok()?;
     for vendor in VENDORS {
         api.add_devices(vendor, 0).ok()?;
@@ -50,7 +50,7 @@ fn find(api: &mut HidApi) -> Option<Found> {
 }
 
 fn found(info: &DeviceInfo) -> Option<Found> {
-    // Old systems tell neither page nor usage.
+    // Old systems report neither page nor usage.
     let usage = Some((info.usage_page(), info.usage())).filter(|u| *u != (0, 0));
     let name = known(info.vendor_id(), info.product_id(), usage)?;
     Some(Found {
@@ -80,7 +80,7 @@ impl Port for Hid {
     }
 
     fn reopen(&mut self) -> bool {
-        // Any known mouse will do: who plugs in another one wants to go on with it.
+        // Any known mouse is accepted, so that another one can replace it.
         let device = find(&mut self.api).and_then(|found| self.api.open_path(&found.path).ok());
         self.device = device;
         self.device.is_some()

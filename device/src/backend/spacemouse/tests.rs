@@ -1,4 +1,4 @@
-//! The mouse on byte sequences, and behind a port that is a script.
+//! Tests of the mouse on byte sequences, and behind a scripted port.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -11,7 +11,7 @@ use super::{BadReport, Cap, Gone, MULTI_AXIS, Port, REPORT_BYTES_MAX, Report, kn
 use crate::backend::steered::{Controls, RateControl, Space, Steered};
 use crate::{Buttons, DeviceFault, DeviceTime, Faults, HapticDevice, Pose, Workspace, conformance};
 
-/// What the hand does after these messages.
+/// The controls after these messages.
 fn after(messages: &[&[u8]]) -> Controls {
     let mut cap = Cap::default();
     let mut controls = Controls::NEUTRAL;
@@ -56,13 +56,13 @@ fn a_twist_turns_as_the_hand_does() {
 
 #[test]
 fn the_captured_twist_of_a_space_navigator_is_read() {
-    // Seen on the wire: 0xffe2 is -30 about the second axis.
+    // Captured message: 0xffe2 is -30 about the second axis.
     let twist = after(&[&[2, 0, 0, 0xe2, 0xff, 0, 0]]).twist;
     assert!((twist - Vector3::new(0.0, 30.0 / 350.0, 0.0)).norm() < 1e-15);
 }
 
 #[test]
-fn old_and_new_devices_say_the_same_in_two_messages_and_in_one() {
+fn two_messages_of_old_devices_equal_one_of_new_devices() {
     let (push, twist) = (one(1, 0, ALL), one(2, 2, BACK));
     let mut both = [0; 13];
     both[..7].copy_from_slice(&push);
@@ -71,7 +71,7 @@ fn old_and_new_devices_say_the_same_in_two_messages_and_in_one() {
 }
 
 #[test]
-fn each_message_leaves_what_it_does_not_speak_of() {
+fn a_message_keeps_the_state_it_does_not_contain() {
     let controls = after(&[
         &one(1, 0, ALL),
         &[3, 0x03, 0x00],
@@ -91,7 +91,7 @@ fn each_message_leaves_what_it_does_not_speak_of() {
 }
 
 #[test]
-fn a_cap_that_is_pushed_beyond_its_range_is_pushed_all_the_way() {
+fn a_push_beyond_the_range_is_clamped() {
     assert_eq!(after(&[&one(1, 0, [0xff, 0x7f])]).push.x, 1.0);
     assert_eq!(after(&[&one(1, 0, [0x00, 0x80])]).push.x, -1.0);
 }
@@ -107,7 +107,7 @@ proptest! {
     }
 
     #[test]
-    fn a_message_cut_short_says_less_or_is_refused(
+    fn a_truncated_message_is_shorter_or_rejected(
         numbers in prop::array::uniform12(any::<u8>()), id in 1..=2u8, cut in 0..13usize,
     ) {
         let whole: Vec<u8> = [id].into_iter().chain(numbers).collect();
@@ -125,7 +125,7 @@ proptest! {
 }
 
 #[test]
-fn mice_of_three_axes_are_not_taken_for_those_of_six() {
+fn ordinary_mice_are_not_6_dof_mice() {
     assert_eq!(known(0x046d, 0xc626, None), Some("SpaceNavigator"));
     assert_eq!(
         known(0x256f, 0xc635, Some(MULTI_AXIS)),
@@ -159,7 +159,7 @@ impl Port for Wire {
             if self.pulled {
                 return Err(Gone);
             }
-            // Nothing comes; what is waited for is the time.
+            // No message arrives; the wait takes the time.
             let _ = self.plug.recv_timeout(patience);
             return Ok(0);
         };
@@ -177,7 +177,7 @@ impl Port for Wire {
     }
 }
 
-/// A mouse that has said all of this, what tells that it said it, and the plug.
+/// A mouse that has sent all messages, a signal for that, and its plug.
 fn mouse(messages: &[&[u8]], pulled: bool) -> (Steered, Receiver<()>, Sender<Vec<Vec<u8>>>) {
     let ((read, was_read), (plug, plugged)) = (channel(), channel());
     let wire = Wire {
@@ -216,7 +216,7 @@ fn it_passes_the_conformance_suite() {
 }
 
 #[test]
-fn a_held_cap_moves_the_tool_and_one_that_falls_silent_does_not() {
+fn a_held_cap_moves_the_tool_but_a_silent_one_does_not() {
     let (mut device, _read, _plug) = mouse(&[&one(1, 2, BACK), &[3, 1, 0]], false);
     for ms in 0..200 {
         device.read(at(ms)).unwrap();
@@ -240,7 +240,7 @@ fn garbage_on_the_wire_is_a_fault_and_moves_nothing() {
 }
 
 #[test]
-fn a_pulled_plug_is_said_and_the_mouse_is_taken_back() {
+fn a_pulled_plug_is_reported_and_the_mouse_reconnects() {
     let (mut device, read, plug) = mouse(&[&one(1, 0, ALL)], true);
     while device.read(at(0)).is_ok() {
         std::thread::yield_now();
@@ -251,7 +251,7 @@ fn a_pulled_plug_is_said_and_the_mouse_is_taken_back() {
     for ms in 2..300 {
         device.read(at(ms)).unwrap();
     }
-    // The push of before is forgotten.
+    // The push from before is cleared.
     let sample = device.read(at(300)).unwrap();
     assert!(sample.velocity.y > 0.0 && sample.velocity.x == 0.0);
 }

@@ -1,25 +1,25 @@
-//! What the hand does, on its way from the driver's thread to the force loop.
+//! Controls of the hand, passed from the driver's thread to the force loop.
 
 use nalgebra::Vector3;
 use triple_buffer::{Input, Output, triple_buffer};
 
 use crate::Buttons;
 
-/// What a hand does to a cap or to sticks. Plain data that crosses threads whole.
+/// Deflections of a cap or of sticks. Plain data that is copied between threads.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Controls {
-    /// How far it pushes along the scene's axes: x to the right, y away from the hand, z up; 1 is all the way.
+    /// Push along the scene's axes: x to the right, y away from the hand, z up; 1 is full deflection.
     pub push: Vector3<f64>,
-    /// How far it twists about the same axes, right-handed; 1 is all the way.
+    /// Twist about the same axes, right-handed; 1 is full deflection.
     pub twist: Vector3<f64>,
     /// The buttons held.
     pub buttons: Buttons,
-    /// Opening of a gripper from 0 (shut) to 1 (open), where there is something to shut it with.
+    /// Opening of a gripper from 0 (shut) to 1 (open), where the device has a control for it.
     pub gripper: Option<f64>,
 }
 
 impl Controls {
-    /// Nothing is touched.
+    /// No deflection.
     pub const NEUTRAL: Self = Self {
         push: Vector3::new(0.0, 0.0, 0.0),
         twist: Vector3::new(0.0, 0.0, 0.0),
@@ -37,26 +37,26 @@ impl Controls {
     }
 }
 
-/// All that the driver's thread has to say.
+/// State published by the driver's thread.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct State {
     pub(super) controls: Controls,
-    /// Whether the device is there.
+    /// Whether the device is connected.
     pub(super) present: bool,
-    /// Messages about the deflection so far.
+    /// Number of messages about the deflection so far.
     pub(super) heard: u64,
-    /// Messages so far that made no sense.
+    /// Number of invalid messages so far.
     pub(super) garbled: u64,
 }
 
-/// The end of the driver's thread.
-pub(super) struct Teller {
+/// The driver thread's end.
+pub(super) struct Publisher {
     state: State,
     line: Input<State>,
 }
 
-/// A line from a driver's thread to the force loop, on which the newest state is always at hand.
-pub(super) fn line() -> (Teller, Output<State>) {
+/// A triple buffer from a driver's thread to the force loop.
+pub(super) fn line() -> (Publisher, Output<State>) {
     let state = State {
         controls: Controls::NEUTRAL,
         present: true,
@@ -64,24 +64,24 @@ pub(super) fn line() -> (Teller, Output<State>) {
         garbled: 0,
     };
     let (line, heard) = triple_buffer(&state);
-    (Teller { state, line }, heard)
+    (Publisher { state, line }, heard)
 }
 
-impl Teller {
-    /// The hand does something else now, or still the same.
-    pub(super) fn tell(&mut self, controls: Controls) {
+impl Publisher {
+    /// Publishes the present controls, changed or not.
+    pub(super) fn publish(&mut self, controls: Controls) {
         self.state.controls = controls;
         self.state.heard += 1;
         self.line.write(self.state);
     }
 
-    /// Something came that made no sense.
+    /// Counts an invalid message.
     pub(super) fn garbled(&mut self) {
         self.state.garbled += 1;
         self.line.write(self.state);
     }
 
-    /// The device is there, or is not; nobody touches it in the moment in which that changes.
+    /// The device was connected or lost; the deflection becomes neutral.
     pub(super) fn present(&mut self, present: bool) {
         self.state.present = present;
         self.state.controls = Controls::NEUTRAL;
@@ -89,8 +89,8 @@ impl Teller {
     }
 }
 
-impl Drop for Teller {
-    /// A thread that ended, if by a panic, no longer knows what the hand does.
+impl Drop for Publisher {
+    /// A thread that ended, even by a panic, no longer knows the controls.
     fn drop(&mut self) {
         self.present(false);
     }

@@ -1,4 +1,4 @@
-//! The device behind the one trait.
+//! The driver as a [`HapticDevice`](crate::HapticDevice).
 
 use nalgebra::Vector3;
 use thiserror::Error;
@@ -13,61 +13,61 @@ use crate::{
     Pose, Rejection, Sample, Workspace, Wrench, Written,
 };
 
-/// Where a tool may go and where it begins.
+/// Workspace and initial pose of a tool.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Space {
-    /// The box it stays in.
+    /// Reachable box.
     pub workspace: Workspace,
-    /// Where it is at first.
+    /// Initial pose.
     pub start: Pose,
 }
 
-/// What kind of device it is.
+/// Properties of the kind of device.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Kind {
-    /// What to call it to the user.
+    /// Name for the user.
     pub name: String,
     /// Degrees of freedom it senses.
     pub dof_in: u8,
-    /// A deflection of which nothing was heard for so long counts as none, µs. For devices that repeat themselves
-    /// while they are held: the last word of one that is out of reach must not lead the tool on. `None` for those
-    /// that speak only when something changes.
+    /// Silence after which a deflection counts as zero, µs, for devices that repeat themselves while they are held:
+    /// the last message of a device out of reach must not move the tool on. `None` for those that send only
+    /// changes.
     pub silence_max_us: Option<i64>,
-    /// How deflections become speeds.
+    /// Map from deflection to speed.
     pub rate: RateControl,
-    /// How a force becomes a hint, for hardware that shakes.
+    /// Map from force to rumble, for hardware with it.
     pub rumble: Option<Rumble>,
 }
 
-/// Why a device that steers can not be opened.
+/// Reason why a steering device can not be opened.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum OpenError {
-    /// None is there.
+    /// No device is connected.
     #[error("no {what} is connected; plug one in, or switch it on, and try again")]
     NotFound {
-        /// What was looked for.
+        /// The kind of device.
         what: &'static str,
     },
-    /// One is there, and the system does not give it.
-    #[error("the {name} is there and can not be opened: {why}")]
+    /// A device is connected, but the system denies access.
+    #[error("the {name} is connected but can not be opened: {why}")]
     Refused {
-        /// What it is called.
+        /// Its name.
         name: String,
-        /// What the system said, and what to do.
+        /// The system's error, and the remedy.
         why: String,
     },
-    /// The library that finds them does not work here.
-    #[error("{what}s can not be looked for on this system: {why}")]
+    /// The library that lists the devices does not work here.
+    #[error("can not search for {what}s on this system: {why}")]
     Library {
-        /// What was looked for.
+        /// The kind of device.
         what: &'static str,
-        /// What it said.
+        /// The library's error.
         why: String,
     },
-    /// The parameters can not be.
+    /// Invalid parameters.
     #[error("{0}")]
     Rate(String),
-    /// The system gave no thread.
+    /// The system could not start a thread.
     #[error("the system did not start a thread for the device: {0}")]
     Thread(String),
 }
@@ -78,10 +78,10 @@ impl From<BadRate> for OpenError {
     }
 }
 
-/// A tool that is steered, as a device. It senses and renders no force.
+/// A steered tool as a device. It senses and renders no force.
 ///
-/// An unplugged device is looked for ([`REOPEN_EVERY`](super::REOPEN_EVERY)); until it is back every reading is
-/// [`DeviceFault::Unplugged`], and then the tool goes on from where it was, from rest and with no button held.
+/// After a loss the driver looks for the device ([`REOPEN_EVERY`](super::REOPEN_EVERY)). Until it is back every
+/// reading is [`DeviceFault::Unplugged`]; then the tool continues from its pose, at rest and with no button held.
 #[derive(Debug)]
 pub struct Steered {
     caps: DeviceCaps,
@@ -99,12 +99,12 @@ pub struct Steered {
 }
 
 impl Steered {
-    /// Steers a tool in `space` with what `source` says; the source gets a thread of its own.
+    /// Steers a tool in `space` by the controls of `source`; the source gets its own thread.
     pub fn open(source: Box<dyn Source>, kind: Kind, space: &Space) -> Result<Self, OpenError> {
         let steering = Steering::new(kind.rate, space.workspace, space.start)?;
-        let (teller, states) = line();
+        let (publisher, states) = line();
         let hint = Hint::default();
-        let driver = Driver::spawn(source, teller, hint.clone())
+        let driver = Driver::spawn(source, publisher, hint.clone())
             .map_err(|e| OpenError::Thread(e.to_string()))?;
         Ok(Self {
             caps: DeviceCaps {
@@ -132,7 +132,7 @@ impl Steered {
         })
     }
 
-    /// Messages of the device so far that made no sense.
+    /// Number of invalid messages so far.
     pub fn garbled(&self) -> u64 {
         self.garbled
     }

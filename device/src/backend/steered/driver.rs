@@ -1,4 +1,4 @@
-//! The thread that listens to a device, so that the force loop never waits for one.
+//! The thread that reads a device, so that the force loop never waits for it.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -9,23 +9,23 @@ use std::time::Duration;
 use thiserror::Error;
 
 use super::Controls;
-use super::controls::Teller;
+use super::controls::Publisher;
 
-/// How long the thread listens before it looks whether a cue changed, or the device is closed: half of the shortest
-/// time between two changes of a cue.
+/// Wait for a message between two checks of the cue and of the stop flag: half of the minimum time between two
+/// changes of a cue.
 const PATIENCE: Duration = Duration::from_millis(16);
 
-/// How often an unplugged device is looked for.
+/// Period of the search for an unplugged device.
 pub const REOPEN_EVERY: Duration = Duration::from_millis(500);
 
-/// What a device had to say.
+/// Result of a wait for a device.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum News {
-    /// Nothing, all the time that was waited.
+    /// No message in time.
     Quiet,
-    /// What the hand does now.
+    /// The present controls.
     Controls(Controls),
-    /// Something that makes no sense.
+    /// An invalid message.
     Garbled,
 }
 
@@ -34,19 +34,19 @@ pub enum News {
 #[error("the device does not answer any more")]
 pub struct Gone;
 
-/// Where deflections come from. It lives on a thread of its own and may wait there.
+/// Source of deflections. It lives on its own thread and may wait there.
 pub trait Source: Send {
-    /// Waits at most `patience` for what the hand does.
+    /// Waits at most `patience` for the next message.
     fn listen(&mut self, patience: Duration) -> Result<News, Gone>;
 
-    /// Looks once, without waiting, for the device that was gone; whether it is back.
+    /// Looks once, without waiting, for the lost device; returns whether it is back.
     fn reopen(&mut self) -> bool;
 
-    /// Gives the hand a hint of this strength, 0 to 1, until the next call, where the hardware can.
+    /// Sets the strength of the cue, 0 to 1, until the next call, where the hardware supports it.
     fn hint(&mut self, _strength: f32) {}
 }
 
-/// The strength of a hint, 0 to 1, on its way to the driver's thread.
+/// The strength of a cue, 0 to 1, passed to the driver's thread.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Hint(Arc<AtomicU32>);
 
@@ -63,7 +63,7 @@ impl Hint {
 /// The thread, while it runs.
 #[derive(Debug)]
 pub(super) struct Driver {
-    /// Its end is the sign to stop.
+    /// Dropping it stops the thread.
     keep: Option<mpsc::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -71,24 +71,24 @@ pub(super) struct Driver {
 impl Driver {
     pub(super) fn spawn(
         source: Box<dyn Source>,
-        teller: Teller,
+        publisher: Publisher,
         hint: Hint,
     ) -> std::io::Result<Self> {
         let (keep, kept) = mpsc::channel();
         let thread = std::thread::Builder::new()
             .name("device".to_owned())
-            .spawn(move || run(source, teller, &hint, &kept))?;
+            .spawn(move || run(source, publisher, &hint, &kept))?;
         Ok(Self {
             keep: Some(keep),
             thread: Some(thread),
         })
     }
 
-    /// Ends the thread, which lets go of the device. A second call does nothing.
+    /// Ends the thread, which releases the device. A second call does nothing.
     pub(super) fn stop(&mut self) {
         self.keep = None;
         if let Some(thread) = self.thread.take() {
-            // If it panicked, the device has been called unplugged already.
+            // After a panic, the device already counts as unplugged.
             let _ = thread.join();
         }
     }
@@ -100,16 +100,21 @@ impl Drop for Driver {
     }
 }
 
-fn run(mut source: Box<dyn Source>, mut teller: Teller, hint: &Hint, keep: &mpsc::Receiver<()>) {
+fn run(
+    mut source: Box<dyn Source>,
+    mut publisher: Publisher,
+    hint: &Hint,
+    keep: &mpsc::Receiver<()>,
+) {
     let mut hinted = 0.0;
     let goes_on = |patience| keep.recv_timeout(patience) == Err(RecvTimeoutError::Timeout);
     while goes_on(Duration::ZERO) {
         match source.listen(PATIENCE) {
             Ok(News::Quiet) => {}
-            Ok(News::Controls(controls)) if controls.is_finite() => teller.tell(controls),
-            Ok(News::Controls(_) | News::Garbled) => teller.garbled(),
+            Ok(News::Controls(controls)) if controls.is_finite() => publisher.publish(controls),
+            Ok(News::Controls(_) | News::Garbled) => publisher.garbled(),
             Err(Gone) => {
-                teller.present(false);
+                publisher.present(false);
                 loop {
                     if !goes_on(REOPEN_EVERY) {
                         return;
@@ -118,8 +123,8 @@ fn run(mut source: Box<dyn Source>, mut teller: Teller, hint: &Hint, keep: &mpsc
                         break;
                     }
                 }
-                teller.present(true);
-                // Whatever it was told before, it has forgotten.
+                publisher.present(true);
+                // The device has lost its earlier cue.
                 hinted = 0.0;
             }
         }

@@ -1,12 +1,12 @@
-//! A tool that is steered: the hand deflects a cap or a stick, and the tool moves at a speed that follows from it.
+//! A steered tool: the deflection of a cap or a stick sets the velocity of the tool (rate control).
 //!
-//! What the drivers of such devices share. A [`Source`] waits for what the hand does, on a thread of its own; the
-//! deflections cross over to the force loop without a lock ([`Controls`]), and [`Steering`] makes a pose of them.
+//! The shared part of such drivers. A [`Source`] waits for the hand's controls on its own thread; a lock-free
+//! buffer passes them to the force loop ([`Controls`]), and [`Steering`] integrates them to a pose.
 //!
 //! - [`RateControl`], [`Steering`]: deflection to speed, speed to pose, within a workspace.
-//! - [`Source`], [`News`]: what a driver brings.
+//! - [`Source`], [`News`]: the part of each driver.
 //! - [`Steered`]: all of it as a [`HapticDevice`](crate::HapticDevice) that renders no force. Where the hardware
-//!   rumbles, the force on the tool comes back as a hint ([`Rumble`]).
+//!   rumbles, the force on the tool becomes a cue ([`Rumble`]).
 
 mod controls;
 mod device;

@@ -1,8 +1,8 @@
-//! A force that can not be rendered becomes a hint: how strongly the motors of a gamepad shake.
+//! Rumble of a gamepad as a cue for a force that can not be rendered.
 
 use crate::{DeviceTime, Wrench};
 
-/// The shortest time between two changes, µs: 30 a second. Motors with an unbalanced mass need longer than that to
+/// Minimum time between two changes, µs: 30 a second. Motors with an unbalanced mass need longer than that to
 /// change their speed.
 const CHANGE_EVERY_US: i64 = 33_333;
 
@@ -13,9 +13,9 @@ const CHANGE_EVERY_US: i64 = 33_333;
 /// s = s0 + (1 - s0) min(1, |F| / full)    elsewhere
 /// ```
 ///
-/// with the largest |F| since the last change, so that a short touch is not missed. It is a reconstruction: there is no
-/// source for it. A motor does not turn at all below some tenth of its voltage, hence s0. It is a hint and no
-/// force; it has no direction, and nothing of it is rendered as newtons.
+/// with the largest |F| since the last change, so that a short touch is not missed. The law is our own. A motor
+/// does not turn at all below some tenth of its voltage, hence s0. The cue has no direction and is not a force in
+/// newtons.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rumble {
     /// Below this the tool counts as free, N.
@@ -38,7 +38,7 @@ impl Default for Rumble {
 }
 
 impl Rumble {
-    /// The strength for a force of `force_n`, 0 to 1; 0 for what is no number.
+    /// The strength for a force of `force_n`, 0 to 1; 0 for NaN.
     pub fn strength(&self, force_n: f64) -> f64 {
         if !(force_n >= self.onset_n && force_n.is_finite()) {
             return 0.0;
@@ -47,7 +47,7 @@ impl Rumble {
     }
 }
 
-/// When to say what.
+/// Limits the rate of changes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Shaker {
     law: Rumble,
@@ -64,9 +64,9 @@ impl Shaker {
         }
     }
 
-    /// The force on the tool at `now`; the strength, when it is time for one.
+    /// Adds the force on the tool at `now`; returns the strength when a change is due.
     pub(super) fn feel(&mut self, now: DeviceTime, felt: &Wrench) -> Option<f64> {
-        // The larger of the two, and never what is no number.
+        // The larger of the two, and never NaN.
         self.peak_n = self.peak_n.max(felt.force.norm());
         if self
             .said_at
@@ -95,7 +95,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn more_force_never_shakes_less_and_never_beyond_one(a in -1.0..50.0f64, b in -1.0..50.0f64) {
+        fn strength_is_monotonic_and_at_most_one(a in -1.0..50.0f64, b in -1.0..50.0f64) {
             let law = Rumble::default();
             let (less, more) = (law.strength(a.min(b)), law.strength(a.max(b)));
             prop_assert!(less <= more && (0.0..=1.0).contains(&less) && (0.0..=1.0).contains(&more));
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn a_free_tool_and_a_force_that_is_no_number_do_not_shake() {
+    fn a_free_tool_and_a_nan_force_do_not_rumble() {
         let law = Rumble::default();
         assert_eq!(law.strength(0.04), 0.0);
         assert!(law.strength(0.05) > 0.15);
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn strengths_change_thirty_times_a_second_at_most_and_miss_no_touch() {
+    fn strength_changes_at_most_thirty_times_a_second_and_misses_no_touch() {
         let mut shaker = Shaker::new(Rumble::default());
         let mut said = Vec::new();
         for tick in 0..1000 {
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn a_force_that_is_no_number_does_not_stay() {
+    fn a_nan_force_leaves_no_state() {
         let mut shaker = Shaker::new(Rumble::default());
         assert_eq!(shaker.feel(DeviceTime::ZERO, &push(f64::NAN)), Some(0.0));
         let later = DeviceTime::from_micros(CHANGE_EVERY_US);

@@ -1,4 +1,4 @@
-//! Rate control: how far the hand deflects says how fast the tool moves.
+//! Rate control: the deflection sets the velocity of the tool.
 //!
 //! ```text
 //! m  = 0                               where |d| <= z            d: deflection, z: dead zone
@@ -9,29 +9,29 @@
 //! x' = v
 //! ```
 //!
-//! The dead zone is one of the whole vector, so it turns no direction. Between two steps u is constant and the rest is
-//! solved exactly. Velocity is continuous, whatever the deflection does, and so position has no corner.
+//! The dead zone applies to the norm of the vector, so directions are kept. Between two steps u is constant and the
+//! rest is solved exactly. Velocity is continuous for any deflection, and so position has no corner.
 //!
-//! Beside a wall with the room r before it, v/r = q obeys q' <= (q - 1/(2 T))² as long as u <= r/(4 T): it comes close to 1/(2 T)
-//! from below and never passes it. So the tool comes to rest at the wall by itself, without a jump of velocity; the
-//! clamp of the position behind it is there for rounding.
+//! At a distance r from a wall, v/r = q obeys q' <= (q - 1/(2 T))² as long as u <= r/(4 T): it approaches 1/(2 T)
+//! from below. The tool therefore comes to rest at the wall without a jump of velocity; the clamp of the position
+//! is only for rounding.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
 
 use crate::{DeviceTime, Faults, Pose, Workspace};
 
-/// The longest pause between two readings that is steered through, µs. Nobody watched the tool in a longer one, so it
-/// stays where it was and begins from rest, and the sample carries [`Faults::TIME_JUMP`].
+/// Maximum pause between two readings that is integrated, µs. After a longer one the tool keeps its pose, at rest,
+/// and the sample carries [`Faults::TIME_JUMP`].
 pub const PAUSE_MAX_US: i64 = 100_000;
 
-/// The longest step, µs. Walls are looked for once per step.
+/// Maximum step, µs. Walls are checked once per step.
 const STEP_MAX_US: i64 = 1000;
 
-/// How deflections become speeds.
+/// Map from deflection to speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RateControl {
-    /// The part of the full deflection in which nothing moves, 0 to 0.9.
+    /// Dead zone as a fraction of the full deflection, 0 to 0.9.
     pub dead_zone: f64,
     /// The exponent of the curve from there to full deflection, 1 (a line) to 4 (fine around the middle).
     pub exponent: f64,
@@ -39,12 +39,13 @@ pub struct RateControl {
     pub speed_m_per_s: f64,
     /// Angular speed at full deflection, rad/s, up to 10.
     pub turn_rad_per_s: f64,
-    /// Time constant with which velocity follows, s, 0.01 to 0.5. The tool lags by as much.
+    /// Time constant of the velocity, s, 0.01 to 0.5. The tool lags by the same time.
     pub follow_s: f64,
 }
 
 impl Default for RateControl {
-    /// A tool for tissue: 80 mm/s and a third of a turn per second at the most, half a tenth of a second behind.
+    /// A tool for tissue: 80 mm/s and a third of a turn per second at full deflection, with a lag of half a tenth
+    /// of a second.
     fn default() -> Self {
         Self {
             dead_zone: 0.08,
@@ -56,22 +57,22 @@ impl Default for RateControl {
     }
 }
 
-/// A number of [`RateControl`] that can not be.
+/// An invalid number of [`RateControl`].
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error("{what} of the rate control is {found}, and must be a number from {least} to {most}")]
 pub struct BadRate {
-    /// Which.
+    /// Its name.
     pub what: &'static str,
-    /// What it is.
+    /// Its value.
     pub found: f64,
-    /// The smallest it may be.
+    /// The minimum.
     pub least: f64,
-    /// The largest it may be.
+    /// The maximum.
     pub most: f64,
 }
 
 impl RateControl {
-    /// Whether all of it can be.
+    /// Checks the range of every number.
     pub fn check(&self) -> Result<(), BadRate> {
         for (what, found, least, most) in [
             ("dead_zone", self.dead_zone, 0.0, 0.9),
@@ -92,7 +93,7 @@ impl RateControl {
         Ok(())
     }
 
-    /// The deflection `d` behind dead zone and curve: between 0 and 1 long, and nothing for what is no number.
+    /// The deflection `d` after dead zone and curve: a norm of 0 to 1, and zero for NaN.
     pub fn shape(&self, d: &Vector3<f64>) -> Vector3<f64> {
         let n = d.norm();
         if !(n > self.dead_zone && n.is_finite()) {
@@ -115,7 +116,7 @@ pub struct Steering {
 }
 
 impl Steering {
-    /// A tool at rest at `start`, or at the place of the workspace that is nearest to it.
+    /// A tool at rest at `start`, clamped to the workspace.
     pub fn new(rate: RateControl, workspace: Workspace, start: Pose) -> Result<Self, BadRate> {
         rate.check()?;
         let within = start.position.sup(&workspace.min).inf(&workspace.max);
@@ -132,7 +133,7 @@ impl Steering {
         })
     }
 
-    /// Where the tool is.
+    /// Pose of the tool.
     pub fn pose(&self) -> &Pose {
         &self.pose
     }
@@ -147,14 +148,14 @@ impl Steering {
         self.angular_velocity
     }
 
-    /// Stops the tool where it is at `now`.
+    /// Stops the tool at `now`, at its present pose.
     pub fn halt(&mut self, now: DeviceTime) {
         self.now = Some(now);
         self.velocity = Vector3::zeros();
         self.angular_velocity = Vector3::zeros();
     }
 
-    /// Lets the tool move until `now`, deflected by `push` and `twist` all the time.
+    /// Integrates the tool until `now` with the constant deflection `push` and `twist`.
     pub fn advance(
         &mut self,
         now: DeviceTime,
@@ -195,7 +196,7 @@ impl Steering {
         let turned = turn_at * h + ahead * (t * (1.0 - left));
         self.angular_velocity = turn_at + ahead * left;
         let turned = UnitQuaternion::from_scaled_axis(turned) * self.pose.orientation;
-        // Ten million products of unit quaternions are not one.
+        // Normalises: ten million products of unit quaternions drift.
         self.pose.orientation = UnitQuaternion::new_normalize(turned.into_inner());
     }
 }

@@ -1,4 +1,4 @@
-//! The laws of steering, and a device whose source is a script.
+//! Laws of steering, and tests of a device with a scripted source.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
@@ -50,7 +50,7 @@ fn full_deflection_reaches_its_speed_along_its_own_axis() {
 }
 
 #[test]
-fn in_the_dead_zone_nothing_moves_and_behind_it_speed_begins_at_zero() {
+fn speed_is_zero_in_the_dead_zone_and_continuous_beyond() {
     let rate = RateControl::default();
     let d = Vector3::new(0.6, -0.8, 0.0);
     assert_eq!(rate.shape(&(d * 0.08)), Vector3::zeros());
@@ -65,7 +65,7 @@ fn in_the_dead_zone_nothing_moves_and_behind_it_speed_begins_at_zero() {
 }
 
 #[test]
-fn when_it_is_read_hardly_matters() {
+fn the_times_of_reading_hardly_matter() {
     let push = Vector3::new(0.4, 0.0, -0.7);
     let (mut often, mut rarely) = (steering(), steering());
     for us in (0..=300_000).step_by(500) {
@@ -85,7 +85,7 @@ fn when_it_is_read_hardly_matters() {
 }
 
 #[test]
-fn a_pause_moves_nothing_and_is_said() {
+fn a_pause_moves_nothing_and_is_reported() {
     let push = Vector3::new(1.0, 0.0, 0.0);
     let mut tool = steering();
     for ms in 0..200 {
@@ -98,7 +98,7 @@ fn a_pause_moves_nothing_and_is_said() {
 }
 
 #[test]
-fn a_rate_that_can_not_be_is_named() {
+fn an_invalid_rate_is_rejected_by_name() {
     let rate = RateControl {
         follow_s: f64::NAN,
         ..RateControl::default()
@@ -119,7 +119,7 @@ fn deflections() -> impl Strategy<Value = Vec<(Vector3<f64>, i64)>> {
 
 proptest! {
     #[test]
-    fn no_hand_leaves_the_workspace_or_makes_the_velocity_jump(run in deflections(), follow_s in 0.02..0.2f64) {
+    fn no_input_leaves_the_workspace_or_makes_the_velocity_jump(run in deflections(), follow_s in 0.02..0.2f64) {
         let rate = RateControl { follow_s, speed_m_per_s: 0.5, ..RateControl::default() };
         let mut tool = Steering::new(rate, room(), Pose::default()).unwrap();
         let mut now = 0;
@@ -134,7 +134,7 @@ proptest! {
                 // Not at the walls either.
                 prop_assert!((tool.velocity() - v).norm() <= most(rate.speed_m_per_s));
                 prop_assert!((tool.angular_velocity() - w).norm() <= most(rate.turn_rad_per_s));
-                // And what it says of its velocity is how it moves.
+                // The reported velocity is the derivative of the position.
                 let moved = (tool.pose().position - x) * 1e3;
                 prop_assert!((moved - v).norm() <= most(rate.speed_m_per_s));
             }
@@ -142,14 +142,14 @@ proptest! {
     }
 }
 
-/// What the script tells the driver's thread to do.
+/// Request of the script to the driver's thread.
 enum Order {
     Say(News),
     Vanish,
     Panic,
 }
 
-/// A source that follows orders and tells when it waits for the next one: what it said before has crossed over then.
+/// A source that follows requests and signals each wait for the next one: earlier messages have arrived by then.
 struct Scripted {
     orders: Receiver<Order>,
     waits: Sender<()>,
@@ -220,7 +220,7 @@ impl Bench {
         }
     }
 
-    /// Gives an order and waits until it is done.
+    /// Sends a request and waits until it is done.
     fn order(&self, order: Order) {
         self.orders.send(order).unwrap();
         self.waits.recv().unwrap();
@@ -242,7 +242,7 @@ fn it_passes_the_conformance_suite() {
     let Bench {
         mut device, orders, ..
     } = Bench::new(None);
-    // A thread that waits for an order can not be closed.
+    // A thread that waits for a request can not be closed.
     drop(orders);
     let mut us = 0;
     let mut clock = || {
@@ -254,7 +254,7 @@ fn it_passes_the_conformance_suite() {
 }
 
 #[test]
-fn what_the_hand_does_reaches_the_sample() {
+fn controls_of_the_hand_reach_the_sample() {
     let mut bench = Bench::new(None);
     bench.push(1.0);
     for ms in 0..300 {
@@ -270,7 +270,7 @@ fn what_the_hand_does_reaches_the_sample() {
 }
 
 #[test]
-fn a_device_that_falls_silent_stops_the_tool_and_keeps_its_buttons() {
+fn a_silent_device_stops_the_tool_and_keeps_its_buttons() {
     let mut bench = Bench::new(Some(250_000));
     bench.push(1.0);
     let speed = |device: &mut Steered, from: i64, to: i64| {
@@ -303,7 +303,7 @@ fn garbage_is_a_fault_once_and_moves_nothing() {
 }
 
 #[test]
-fn an_unplugged_device_says_so_and_goes_on_from_rest_when_it_is_back() {
+fn an_unplugged_device_is_reported_and_resumes_from_rest() {
     let mut bench = Bench::new(None);
     bench.push(1.0);
     for ms in 0..100 {
@@ -311,7 +311,7 @@ fn an_unplugged_device_says_so_and_goes_on_from_rest_when_it_is_back() {
     }
     let before = bench.device.read(at(100_000)).unwrap();
     bench.orders.send(Order::Vanish).unwrap();
-    // The thread goes on in its own time.
+    // The thread runs asynchronously.
     while bench.device.read(at(100_000)).is_ok() {
         std::thread::yield_now();
     }
@@ -339,7 +339,7 @@ fn a_driver_that_panics_is_an_unplugged_device() {
 }
 
 #[test]
-fn a_force_is_hinted_at_and_the_hint_ends_with_the_device() {
+fn a_force_becomes_a_cue_that_ends_with_the_device() {
     let mut bench = Bench::new(None);
     let felt = Wrench::from_force(Vector3::new(0.0, 3.0, 4.0));
     bench.device.cue(at(0), &felt);

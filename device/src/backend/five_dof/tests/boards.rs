@@ -1,4 +1,4 @@
-//! The device on simulated boards: the suite, statics through the whole way, and what happens when boards fail.
+//! Tests of the device on simulated boards: conformance, statics, and faults of the boards.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -66,7 +66,7 @@ fn it_passes_the_conformance_suite() {
 }
 
 #[test]
-fn a_force_is_held_by_the_hand_where_its_spring_says() {
+fn a_force_deflects_the_hands_spring_as_expected() {
     let mut device = resting();
     device.enable_forces(true).unwrap();
     for axis in 0..3 {
@@ -75,14 +75,14 @@ fn a_force_is_held_by_the_hand_where_its_spring_says() {
         let wrench = Wrench::from_force(force);
         let from = 4000 * axis as i64;
         let sample = hold(&mut device, from, 4000, wrench);
-        // Through codes of 12 bits and counts: 2 N against 400 N/m.
+        // With codes of 12 bits and quantised counts: 2 N against 400 N/m.
         let wrong = sample.pose.position - middle() - force / 400.0;
         assert!(wrong.norm() < 3e-4, "{wrong:?} m off along axis {axis}");
     }
 }
 
 #[test]
-fn a_torque_turns_the_probe_and_one_about_its_axis_does_not() {
+fn a_torque_turns_the_probe_except_about_its_axis() {
     let mut device = resting();
     device.enable_forces(true).unwrap();
     let torque = |torque| Wrench {
@@ -117,7 +117,7 @@ fn a_steady_motion_is_read_with_its_velocity() {
 }
 
 #[test]
-fn a_tilted_probe_is_read_as_it_is_held() {
+fn a_tilted_probe_is_read_with_its_tilt() {
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.3, 0.0, -0.2));
     let mut device = FiveDof::open(rig(script(turn, middle())), invented()).unwrap();
     for i in 0..200 {
@@ -128,7 +128,7 @@ fn a_tilted_probe_is_read_as_it_is_held() {
 }
 
 #[test]
-fn without_calibration_there_is_no_force_and_no_trust() {
+fn without_calibration_there_is_no_force() {
     let rig = rig(script(UnitQuaternion::identity(), middle())).not_homed();
     let mut device = FiveDof::open(rig, invented()).unwrap();
     assert_eq!(device.calibration(), Calibration::NeedsUser);
@@ -181,7 +181,7 @@ impl Port for Skipping {
 }
 
 #[test]
-fn a_cable_that_is_pulled_stops_the_motors_and_is_said() {
+fn a_pulled_cable_stops_the_motors_and_is_reported() {
     let rig = rig(script(UnitQuaternion::identity(), middle()));
     let sabotage = rig.sabotage();
     let mut device = FiveDof::open(rig, invented()).unwrap();
@@ -201,7 +201,7 @@ fn a_cable_that_is_pulled_stops_the_motors_and_is_said() {
         device.read(at(502_000)),
         Err(DeviceFault::Driver { code: 7 })
     );
-    // Plugged in again, it is read, and gives no force until it is told to.
+    // After replugging it is read, and stays without force until forces are enabled.
     sabotage.mend();
     assert!(device.read(at(503_000)).is_ok());
     assert_eq!(
@@ -212,7 +212,7 @@ fn a_cable_that_is_pulled_stops_the_motors_and_is_said() {
 }
 
 #[test]
-fn torques_that_motors_can_not_give_are_shortened_and_counted() {
+fn torques_beyond_the_motor_limit_are_reduced_and_counted() {
     let mut weak = invented();
     weak.drive = Drive::new(0.02, 10.0, 12, 0.1).unwrap();
     let rig = Rig::new(
@@ -234,7 +234,7 @@ fn torques_that_motors_can_not_give_are_shortened_and_counted() {
 }
 
 #[test]
-fn a_count_is_a_quarter_of_a_line_and_a_code_never_too_much() {
+fn a_count_is_a_quarter_line_and_a_code_never_exceeds_the_torque() {
     let encoder = Encoder::default();
     assert_eq!(encoder.count(std::f64::consts::TAU + 1e-9), 8000);
     assert!((encoder.angle(2000) - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
@@ -254,7 +254,7 @@ fn a_count_is_a_quarter_of_a_line_and_a_code_never_too_much() {
 }
 
 #[test]
-fn rates_are_smooth_while_slow_and_prompt_while_fast() {
+fn rates_are_smooth_at_low_speed_and_prompt_at_high_speed() {
     let step = Encoder::default().step_rad();
     let read = |speed: f64, ms: i32| {
         let mut rate = Rate::new(step);

@@ -1,4 +1,4 @@
-//! Angles, places, forces: against differences, virtual work and the equations written out once more.
+//! Kinematics and statics against finite differences, virtual work and the equations in another form.
 
 use nalgebra::{Unit, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -44,7 +44,7 @@ fn posture(rng: &mut Pcg64Mcg, linkage: &Linkage) -> [Angles; 2] {
 }
 
 #[test]
-fn the_jacobian_is_what_differences_show() {
+fn the_jacobian_equals_finite_differences() {
     let mut rng = Pcg64Mcg::seed_from_u64(1);
     for _ in 0..POSES {
         let linkage = linkage(&mut rng);
@@ -53,7 +53,7 @@ fn the_jacobian_is_what_differences_show() {
             let exact = arm.jacobian(&q);
             for k in 0..3 {
                 let mut by = Vector3::zeros();
-                // Of the fourth order, so that the step may be long enough to round little.
+                // Fourth-order differences allow a step long enough for small rounding errors.
                 by[k] = 1e-3;
                 let slope = ((arm.end(&(q + by)) - arm.end(&(q - by))) * 8.0
                     - (arm.end(&(q + by * 2.0)) - arm.end(&(q - by * 2.0))))
@@ -67,7 +67,7 @@ fn the_jacobian_is_what_differences_show() {
 }
 
 #[test]
-fn motors_do_the_work_that_the_probe_does() {
+fn motor_work_equals_probe_work() {
     let mut rng = Pcg64Mcg::seed_from_u64(2);
     for _ in 0..POSES {
         let linkage = linkage(&mut rng);
@@ -102,7 +102,7 @@ fn motors_do_the_work_that_the_probe_does() {
 }
 
 #[test]
-fn forces_on_the_ends_are_the_wrench_but_for_the_torque_about_the_axis() {
+fn end_forces_equal_the_wrench_except_about_the_axis() {
     let mut rng = Pcg64Mcg::seed_from_u64(3);
     for _ in 0..1000 {
         let linkage = Linkage::default();
@@ -127,7 +127,7 @@ fn forces_on_the_ends_are_the_wrench_but_for_the_torque_about_the_axis() {
 }
 
 #[test]
-fn angles_come_back_from_where_they_lead() {
+fn inverse_kinematics_inverts_forward_kinematics() {
     let mut rng = Pcg64Mcg::seed_from_u64(4);
     for _ in 0..POSES {
         let linkage = linkage(&mut rng);
@@ -141,7 +141,7 @@ fn angles_come_back_from_where_they_lead() {
 }
 
 #[test]
-fn the_probe_is_held_where_it_was_asked_for() {
+fn the_probe_reaches_the_requested_pose() {
     let mut rng = Pcg64Mcg::seed_from_u64(5);
     let linkage = Linkage::default();
     let middle = Middle::of(&linkage).unwrap();
@@ -183,7 +183,7 @@ fn each_arm_has_its_own_lengths() {
 }
 
 #[test]
-fn a_length_that_can_not_be_is_named() {
+fn an_invalid_length_is_rejected_by_name() {
     for (bad, named) in [
         ([0.08, -0.1, 0.18], "L1 of the right arm is -100 mm"),
         ([0.08, 0.15, f64::NAN], "L2 of the right arm"),
@@ -195,7 +195,7 @@ fn a_length_that_can_not_be_is_named() {
 }
 
 #[test]
-fn what_is_out_of_reach_is_said() {
+fn a_position_out_of_reach_is_reported() {
     let linkage = Linkage::default();
     let far = Vector3::new(0.5, 0.0, -0.15);
     let error = linkage.angles(&far, &Vector3::y_axis()).unwrap_err();
@@ -210,7 +210,7 @@ fn what_is_out_of_reach_is_said() {
 }
 
 #[test]
-fn torques_fade_beside_singular_postures_and_stay_within_the_limit() {
+fn torques_fade_near_singular_postures_and_stay_within_the_limit() {
     let mut rng = Pcg64Mcg::seed_from_u64(6);
     let linkage = Linkage::default();
     let mut singular = 0;
@@ -236,7 +236,7 @@ fn torques_fade_beside_singular_postures_and_stay_within_the_limit() {
 }
 
 #[test]
-fn the_workspace_is_reached_tilted_and_away_from_singular_postures() {
+fn the_workspace_is_reachable_at_every_tilt() {
     let linkage = Linkage::default();
     let middle = Middle::of(&linkage).unwrap();
     assert!(middle.half_m > 0.03, "{} m", middle.half_m);

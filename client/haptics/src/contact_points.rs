@@ -1,21 +1,21 @@
-//! The places of the tool together: what each of them feels, summed to a wrench about the pivot.
+//! All contact points of the tool, summed to a wrench about the pivot.
 
 use nalgebra::Vector3;
 use palpate_device::{Pose, Wrench};
 use palpate_protocol::{ClientTime, Span};
 
-use crate::blend::{Blend, Felt};
+use crate::blend::{ActiveContact, Blend};
 use crate::motion::Motion;
 use crate::{CONTACTS_MAX, Friction, FrictionConfig, Grip};
 
-/// Stick and slip of every place, and where the tool was.
+/// Stick-slip state of every contact point, and the last pose of the tool.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Places {
+pub(crate) struct ContactPoints {
     frictions: [Friction; CONTACTS_MAX],
     last: Option<Pose>,
 }
 
-/// What places do: any of them may stick while others slide.
+/// Contact states of the tool: some contact points may stick while others slide.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Grips {
     pub(crate) sticks: bool,
@@ -28,7 +28,7 @@ impl Grips {
     }
 }
 
-impl Places {
+impl ContactPoints {
     pub(crate) fn new(config: FrictionConfig) -> Self {
         Self {
             frictions: [Friction::new(config); CONTACTS_MAX],
@@ -36,7 +36,7 @@ impl Places {
         }
     }
 
-    /// Every place lets go. For broken paths (a bad sample).
+    /// Resets every contact point to no contact. For broken paths (a bad sample).
     pub(crate) fn reset(&mut self) {
         for friction in &mut self.frictions {
             friction.reset();
@@ -61,7 +61,7 @@ impl Places {
         motion: &Motion,
     ) -> Wrench {
         let (mut force, mut torque) = (Vector3::zeros(), Vector3::zeros());
-        let couple = self.rub(blend, now, dt, motion, |felt, across| {
+        let couple = self.advance_friction(blend, now, dt, motion, |felt, across| {
             let push = felt.contact.normal * felt.normal_force + across;
             force += push;
             torque += felt.lever.cross(&push);
@@ -72,26 +72,27 @@ impl Places {
         }
     }
 
-    /// Lets every place stick or slip; tells `each` with the force across its normal, N. The couple, N·m.
-    fn rub(
+    /// Advances the friction of every contact point; calls `each` with its tangential force. Returns the couple,
+    /// N·m.
+    fn advance_friction(
         &mut self,
         blend: &Blend,
         now: ClientTime,
         dt: Span,
         motion: &Motion,
-        mut each: impl FnMut(&Felt, Vector3<f64>),
+        mut each: impl FnMut(&ActiveContact, Vector3<f64>),
     ) -> Vector3<f64> {
         let last = self.last.replace(motion.pose()).unwrap_or(motion.pose());
-        let mut is_felt = [false; CONTACTS_MAX];
-        let couple = blend.feel(now, motion, |felt| {
-            is_felt[felt.place] = true;
+        let mut is_active = [false; CONTACTS_MAX];
+        let couple = blend.for_each_contact(now, motion, |felt| {
+            is_active[felt.index] = true;
             let moved = motion.moved_since(&last, &felt.lever);
             let v = motion.velocity_at(&felt.lever);
-            let across = self.frictions[felt.place].tick(&felt.contact, &moved, &v, dt);
+            let across = self.frictions[felt.index].tick(&felt.contact, &moved, &v, dt);
             each(&felt, across);
         });
-        for (friction, is_felt) in self.frictions.iter_mut().zip(is_felt) {
-            if !is_felt {
+        for (friction, is_active) in self.frictions.iter_mut().zip(is_active) {
+            if !is_active {
                 friction.reset();
             }
         }

@@ -1,4 +1,4 @@
-//! The two ends of an exchange.
+//! The two ends of the link.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use triple_buffer::{Input, Output, triple_buffer};
@@ -10,21 +10,21 @@ use crate::{
     Wrench, Written,
 };
 
-/// News older than this give no force, µs.
+/// A state older than this gives no force, µs.
 const LATE_US: i64 = 50_000;
 
-/// A device without news for so long counts as unplugged, µs.
+/// A device without a new state for so long counts as unplugged, µs.
 const GONE_US: i64 = 500_000;
 
-/// How long forces ramp up after they were enabled, µs.
+/// Ramp time of the force after enabling, µs.
 const RAMP_US: i64 = 200_000;
 
-/// The code of a write that was refused because the device has not been heard of.
-const NOT_HEARD: Rejection = Rejection::Driver { code: -1 };
+/// Code of a write that was rejected because no state has arrived yet.
+const NO_STATE: Rejection = Rejection::Driver { code: -1 };
 
-/// What a driver's thread has heard from the device.
+/// The newest state of the device, from the driver's thread.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::backend) struct News {
+pub(in crate::backend) struct DeviceState {
     /// m, in the frame of all drivers.
     pub(in crate::backend) pose: Pose,
     /// m/s.
@@ -36,14 +36,14 @@ pub(in crate::backend) struct News {
     pub(in crate::backend) calibration: Calibration,
     /// Whether its motors have power.
     pub(in crate::backend) powered: bool,
-    /// Of what the loop wrote before it stood still, so much is left; see [`Share::since`] for what it wrote since.
+    /// The rendered fraction of the loop's last order before the fade; see [`Share::since`] for later orders.
     pub(in crate::backend) share: Share,
     /// The driver knows that the device is gone.
     pub(in crate::backend) lost: Option<DeviceFault>,
 }
 
-impl News {
-    /// Of a device that rests in its origin.
+impl DeviceState {
+    /// The state of a device at rest in its origin.
     pub(in crate::backend) fn at_rest() -> Self {
         Self {
             pose: Pose {
@@ -62,15 +62,15 @@ impl News {
     }
 }
 
-/// What the loop wants of the device.
+/// The newest command of the loop to the device.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::backend) struct Order {
-    /// To be rendered, ramp and limits included.
+    /// The wrench to render, with ramp and limits applied.
     pub(in crate::backend) wrench: Wrench,
     /// Whether the motors may push.
     pub(in crate::backend) on: bool,
-    /// The share that the loop had heard of, and went on from.
-    heard: Share,
+    /// The fraction that the loop already applied.
+    known: Share,
 }
 
 impl Order {
@@ -78,59 +78,59 @@ impl Order {
     pub(in crate::backend) const OFF: Self = Self {
         wrench: Wrench::ZERO,
         on: false,
-        heard: Share::FULL,
+        known: Share::FULL,
     };
 }
 
-/// Makes the two ends. The driver's thread fades forces as `fade` says.
-pub(in crate::backend) fn between(fade: Fade) -> (Remote, DriverEnd) {
-    let (news_in, news_out) = triple_buffer(&News::at_rest());
+/// Creates the two ends. The driver's thread fades forces by `fade`.
+pub(in crate::backend) fn mailbox(fade: Fade) -> (LoopEnd, DriverEnd) {
+    let (state_in, state_out) = triple_buffer(&DeviceState::at_rest());
     let (orders_in, orders_out) = triple_buffer(&Order::OFF);
-    let remote = Remote {
+    let loop_end = LoopEnd {
         motors: Motors::new(RAMP_US),
-        news: news_out,
+        device_state: state_out,
         orders: orders_in,
         heard_at: None,
-        heard_share: Share::FULL,
+        known_share: Share::FULL,
         is_late: false,
     };
     let end = DriverEnd {
-        news: news_in,
+        device_state: state_in,
         orders: orders_out,
         fade,
     };
-    (remote, end)
+    (loop_end, end)
 }
 
 /// The driver's end.
 #[derive(Debug)]
 pub(in crate::backend) struct DriverEnd {
-    news: Input<News>,
+    device_state: Input<DeviceState>,
     orders: Output<Order>,
     fade: Fade,
 }
 
 impl DriverEnd {
-    /// Hands the newest news over.
-    pub(in crate::backend) fn tell(&mut self, news: News) {
-        self.news.write(News {
+    /// Publishes the newest state.
+    pub(in crate::backend) fn publish(&mut self, device_state: DeviceState) {
+        self.device_state.write(DeviceState {
             share: self.fade.share(),
-            ..news
+            ..device_state
         });
     }
 
-    /// The device was told to render nothing, or is gone: what was ordered until now is no longer meant. The loop learns
-    /// of it with the next news.
+    /// The device got a zero force, or is gone: all earlier orders are void. The next state reports this to the
+    /// loop.
     pub(in crate::backend) fn cut(&mut self) {
         self.orders.update();
         self.fade.cut();
     }
 
-    /// What to render in this turn; once per turn.
+    /// The order to render in this turn; call once per turn.
     pub(in crate::backend) fn order(&mut self) -> Order {
         let is_renewed = self.orders.update();
         let newest = *self.orders.output_buffer();
-        let part = self.fade.turn(is_renewed, newest.heard);
+        let part = self.fade.turn(is_renewed, newest.known);
         Order {
             wrench: newest.wrench.scaled(part),
             ..newest
@@ -138,39 +138,39 @@ impl DriverEnd {
     }
 }
 
-/// The loop's end: all of the one trait that does not depend on the device.
+/// The loop's end: the part of [`HapticDevice`](crate::HapticDevice) that does not depend on the device.
 #[derive(Debug)]
-pub(in crate::backend) struct Remote {
+pub(in crate::backend) struct LoopEnd {
     motors: Motors,
-    news: Output<News>,
+    device_state: Output<DeviceState>,
     orders: Input<Order>,
     heard_at: Option<DeviceTime>,
-    /// The share that was known when the last wrench was handed over.
-    heard_share: Share,
+    /// The fraction known when the last wrench was written.
+    known_share: Share,
     is_late: bool,
 }
 
-impl Remote {
-    /// The motors, as the trait sees them.
+impl LoopEnd {
+    /// The motors, as the trait reports them.
     pub(in crate::backend) fn motors(&self) -> &Motors {
         &self.motors
     }
 
-    /// What is rendered now, as far as the newest news tell.
+    /// The rendered wrench by the newest state.
     pub(in crate::backend) fn rendered(&self) -> Wrench {
-        let part = self.last().share.since(self.heard_share);
+        let part = self.last().share.since(self.known_share);
         self.motors.rendered().scaled(part)
     }
 
-    /// The newest news, and whether they are newer than those of the last call.
-    pub(in crate::backend) fn hear(&mut self) -> (News, bool) {
-        let is_new = self.news.update();
-        (*self.news.output_buffer(), is_new)
+    /// The newest state, and whether it is newer than that of the last call.
+    pub(in crate::backend) fn receive(&mut self) -> (DeviceState, bool) {
+        let is_new = self.device_state.update();
+        (*self.device_state.output_buffer(), is_new)
     }
 
-    /// The last news that were heard.
-    pub(in crate::backend) fn last(&self) -> &News {
-        self.news.output_buffer()
+    /// The last received state.
+    pub(in crate::backend) fn last(&self) -> &DeviceState {
+        self.device_state.output_buffer()
     }
 
     /// No force, motors off.
@@ -188,12 +188,12 @@ impl Remote {
         if !on {
             return Ok(());
         }
-        let (news, _) = self.hear();
-        match news.lost {
+        let (device_state, _) = self.receive();
+        match device_state.lost {
             Some(why) => return Err(why),
             None if self.is_late => return Err(DeviceFault::Unplugged),
-            None if !news.powered => return Err(DeviceFault::NoPower),
-            None if !news.calibration.is_ready() => return Err(DeviceFault::NotCalibrated),
+            None if !device_state.powered => return Err(DeviceFault::NoPower),
+            None if !device_state.calibration.is_ready() => return Err(DeviceFault::NotCalibrated),
             None => {}
         }
         self.motors.enable(true)?;
@@ -204,10 +204,10 @@ impl Remote {
         Ok(())
     }
 
-    /// The newest news as a sample, whose time is that of the first reading that saw them.
+    /// The newest state as a sample, stamped by the first reading that received it.
     pub(in crate::backend) fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        let now = self.motors.tell(now)?;
-        let (news, is_new) = self.hear();
+        let now = self.motors.advance_to(now)?;
+        let (device_state, is_new) = self.receive();
         let heard_at = match self.heard_at {
             Some(at) if !is_new => at,
             _ => now,
@@ -215,15 +215,15 @@ impl Remote {
         self.heard_at = Some(heard_at);
         let age_us = now.micros_since(heard_at);
         self.is_late = age_us > LATE_US;
-        if news.lost.is_some() || age_us > GONE_US {
+        if device_state.lost.is_some() || age_us > GONE_US {
             self.halt();
-            return Err(news.lost.unwrap_or(DeviceFault::Unplugged));
+            return Err(device_state.lost.unwrap_or(DeviceFault::Unplugged));
         }
-        let mut faults = news.faults;
+        let mut faults = device_state.faults;
         if self.is_late {
             faults = faults.with(Faults::COMMUNICATION);
         }
-        if !news.calibration.is_ready() {
+        if !device_state.calibration.is_ready() {
             faults = faults.with(Faults::UNTRUSTED_POSE);
         }
         if faults.forbid_force() && !self.motors.are_off() {
@@ -235,16 +235,16 @@ impl Remote {
         }
         Ok(Sample {
             time: heard_at,
-            pose: news.pose,
-            velocity: news.velocity,
-            angular_velocity: news.angular_velocity,
-            buttons: news.buttons,
+            pose: device_state.pose,
+            velocity: device_state.velocity,
+            angular_velocity: device_state.angular_velocity,
+            buttons: device_state.buttons,
             gripper: None,
             faults,
         })
     }
 
-    /// Hands a wrench over.
+    /// Publishes a wrench.
     pub(in crate::backend) fn write(
         &mut self,
         now: DeviceTime,
@@ -255,24 +255,24 @@ impl Remote {
         let written = match taken {
             Ok(_) if self.is_late => {
                 self.motors.render_only(Wrench::ZERO);
-                Written::Rejected(NOT_HEARD)
+                Written::Rejected(NO_STATE)
             }
             Ok((_, false)) => Written::Applied,
             Ok((applied, true)) => Written::Saturated { applied },
             Err(why) => Written::Rejected(why),
         };
         if self.motors.ready().is_ok() {
-            self.heard_share = self.last().share;
+            self.known_share = self.last().share;
             self.orders.write(Order {
                 wrench: self.motors.rendered(),
                 on: true,
-                heard: self.heard_share,
+                known: self.known_share,
             });
         }
         written
     }
 
-    /// No force, motors off, and nothing more; whether it was open until now.
+    /// Zero force, motors off, for good; returns whether it was open.
     pub(in crate::backend) fn close(&mut self) -> bool {
         self.orders.write(Order::OFF);
         self.motors.close()
@@ -284,25 +284,27 @@ mod tests {
     use nalgebra::Vector3;
     use proptest::prelude::*;
 
-    use super::{DriverEnd, Fade, GONE_US, LATE_US, NOT_HEARD, News, Order, Remote, between};
+    use super::{
+        DeviceState, DriverEnd, Fade, GONE_US, LATE_US, LoopEnd, NO_STATE, Order, mailbox,
+    };
     use crate::backend::sim::{ScriptStart, SimHand};
     use crate::{
         Calibration, DeviceCaps, DeviceFault, DeviceTime, Faults, HapticDevice, Script, Wrench,
         Written,
     };
 
-    fn pushed() -> (Remote, DriverEnd, DeviceCaps) {
+    fn pushed() -> (LoopEnd, DriverEnd, DeviceCaps) {
         let script = Script::resting_probe(Vector3::zeros(), 4e-3).unwrap();
         let caps = SimHand::new(script, ScriptStart::not_yet()).caps().clone();
-        let (mut remote, mut end) = between(Fade::new(20, 20));
-        remote.enable(true).unwrap();
+        let (mut loop_end, mut end) = mailbox(Fade::new(20, 20));
+        loop_end.enable(true).unwrap();
         for ms in 0..300 {
-            end.tell(News::at_rest());
-            remote.read(at(ms * 1000)).unwrap();
-            let _ = remote.write(at(ms * 1000), push(), &caps);
+            end.publish(DeviceState::at_rest());
+            loop_end.read(at(ms * 1000)).unwrap();
+            let _ = loop_end.write(at(ms * 1000), push(), &caps);
         }
         assert_eq!(end.order().wrench, push());
-        (remote, end, caps)
+        (loop_end, end, caps)
     }
 
     fn at(us: i64) -> DeviceTime {
@@ -314,117 +316,123 @@ mod tests {
     }
 
     #[test]
-    fn news_that_stay_out_take_the_force_away_and_then_the_device() {
-        let (mut remote, mut end, caps) = pushed();
-        let heard = 299_000;
-        assert!(remote.read(at(heard + LATE_US)).unwrap().faults.is_empty());
-        let late = remote.read(at(heard + LATE_US + 1)).unwrap();
+    fn missing_states_stop_the_force_and_then_report_unplugged() {
+        let (mut loop_end, mut end, caps) = pushed();
+        let known = 299_000;
+        assert!(
+            loop_end
+                .read(at(known + LATE_US))
+                .unwrap()
+                .faults
+                .is_empty()
+        );
+        let late = loop_end.read(at(known + LATE_US + 1)).unwrap();
         assert!(late.faults.contains(Faults::COMMUNICATION));
-        assert_eq!(late.time, at(heard));
-        let written = remote.write(at(heard + LATE_US + 1), push(), &caps);
-        assert_eq!(written, Written::Rejected(NOT_HEARD));
+        assert_eq!(late.time, at(known));
+        let written = loop_end.write(at(known + LATE_US + 1), push(), &caps);
+        assert_eq!(written, Written::Rejected(NO_STATE));
         assert_eq!(
-            (remote.motors().rendered(), end.order().wrench),
+            (loop_end.motors().rendered(), end.order().wrench),
             (Wrench::ZERO, Wrench::ZERO)
         );
-        let gone = remote.read(at(heard + GONE_US + 1));
+        let gone = loop_end.read(at(known + GONE_US + 1));
         assert_eq!(gone, Err(DeviceFault::Unplugged));
         assert_eq!(end.order(), Order::OFF);
-        assert_eq!(remote.enable(true), Err(DeviceFault::Unplugged));
-        // Back again.
-        end.tell(News::at_rest());
-        assert!(remote.read(at(heard + GONE_US + 2000)).is_ok());
-        assert_eq!(remote.enable(true), Ok(()));
+        assert_eq!(loop_end.enable(true), Err(DeviceFault::Unplugged));
+        // The states arrive again.
+        end.publish(DeviceState::at_rest());
+        assert!(loop_end.read(at(known + GONE_US + 2000)).is_ok());
+        assert_eq!(loop_end.enable(true), Ok(()));
     }
 
     #[test]
-    fn what_the_driver_knows_to_be_lost_is_said_at_once() {
-        let (mut remote, mut end, _) = pushed();
-        end.tell(News {
+    fn a_device_lost_by_the_driver_is_reported_at_once() {
+        let (mut loop_end, mut end, _) = pushed();
+        end.publish(DeviceState {
             lost: Some(DeviceFault::Unplugged),
-            ..News::at_rest()
+            ..DeviceState::at_rest()
         });
-        assert_eq!(remote.read(at(300_000)), Err(DeviceFault::Unplugged));
+        assert_eq!(loop_end.read(at(300_000)), Err(DeviceFault::Unplugged));
         assert_eq!(end.order(), Order::OFF);
     }
 
     #[test]
-    fn a_device_without_power_or_place_gets_no_force() {
-        let (mut remote, mut end, _) = pushed();
-        end.tell(News {
+    fn a_device_without_power_or_position_gets_no_force() {
+        let (mut loop_end, mut end, _) = pushed();
+        end.publish(DeviceState {
             powered: false,
-            ..News::at_rest()
+            ..DeviceState::at_rest()
         });
-        assert_eq!(remote.enable(true), Err(DeviceFault::NoPower));
-        end.tell(News {
+        assert_eq!(loop_end.enable(true), Err(DeviceFault::NoPower));
+        end.publish(DeviceState {
             calibration: Calibration::NeedsUser,
-            ..News::at_rest()
+            ..DeviceState::at_rest()
         });
-        assert_eq!(remote.enable(true), Err(DeviceFault::NotCalibrated));
-        let sample = remote.read(at(300_000)).unwrap();
+        assert_eq!(loop_end.enable(true), Err(DeviceFault::NotCalibrated));
+        let sample = loop_end.read(at(300_000)).unwrap();
         assert!(sample.faults.contains(Faults::UNTRUSTED_POSE));
     }
 
     #[test]
-    fn a_fault_that_forbids_force_takes_it_away_before_anybody_writes() {
-        let (mut remote, mut end, _) = pushed();
-        end.tell(News {
+    fn a_fault_removes_the_force_before_the_next_write() {
+        let (mut loop_end, mut end, _) = pushed();
+        end.publish(DeviceState {
             faults: Faults::EMERGENCY_STOP,
-            ..News::at_rest()
+            ..DeviceState::at_rest()
         });
-        remote.read(at(300_000)).unwrap();
+        loop_end.read(at(300_000)).unwrap();
         assert_eq!(
-            (remote.motors().rendered(), end.order().wrench),
+            (loop_end.motors().rendered(), end.order().wrench),
             (Wrench::ZERO, Wrench::ZERO)
         );
     }
 
     #[test]
-    fn a_loop_that_stands_still_leaves_no_force() {
-        let (mut remote, mut end, _) = pushed();
+    fn a_stopped_loop_leaves_no_force() {
+        let (mut loop_end, mut end, _) = pushed();
         let forces: Vec<f64> = (0..60).map(|_| end.order().wrench.force.norm()).collect();
         assert!(forces[..15].iter().all(|n| *n == 3.0));
         assert!(forces[45..].iter().all(|n| *n == 0.0));
         assert!(forces.windows(2).all(|w| w[0] - w[1] < 0.16));
-        // And it learns of it with the next news.
-        assert_eq!(remote.rendered(), push());
-        end.tell(News::at_rest());
-        remote.read(at(301_000)).unwrap();
-        assert_eq!(remote.rendered(), Wrench::ZERO);
+        // The loop gets this with the next state.
+        assert_eq!(loop_end.rendered(), push());
+        end.publish(DeviceState::at_rest());
+        loop_end.read(at(301_000)).unwrap();
+        assert_eq!(loop_end.rendered(), Wrench::ZERO);
     }
 
     #[test]
-    fn what_was_ordered_before_a_cut_is_not_rendered_after_it() {
-        let (mut remote, mut end, caps) = pushed();
+    fn an_order_from_before_a_cut_is_not_rendered() {
+        let (mut loop_end, mut end, caps) = pushed();
         end.cut();
         assert!((0..30).all(|_| end.order().wrench == Wrench::ZERO));
-        // Nor what a loop orders that has not heard of it.
-        let _ = remote.write(at(300_000), push(), &caps);
+        // Nor is an order of a loop that does not know of the cut.
+        let _ = loop_end.write(at(300_000), push(), &caps);
         assert_eq!(end.order().wrench, Wrench::ZERO);
-        // The loop learns of it and goes on from nothing; what it writes then is rendered.
-        end.tell(News::at_rest());
-        remote.read(at(301_000)).unwrap();
-        assert_eq!(remote.rendered(), Wrench::ZERO);
+        // The loop learns of the cut and continues from zero; its next order is rendered.
+        end.publish(DeviceState::at_rest());
+        loop_end.read(at(301_000)).unwrap();
+        assert_eq!(loop_end.rendered(), Wrench::ZERO);
         let step = push().scaled(0.2);
-        let _ = remote.write(at(301_000), step, &caps);
-        assert_eq!((remote.rendered(), end.order().wrench), (step, step));
+        let _ = loop_end.write(at(301_000), step, &caps);
+        assert_eq!((loop_end.rendered(), end.order().wrench), (step, step));
     }
 
     #[test]
-    fn what_a_loop_orders_that_has_heard_of_a_fade_is_not_faded_again() {
-        let (mut remote, mut end, caps) = pushed();
+    fn an_order_that_contains_the_fade_is_not_faded_again() {
+        let (mut loop_end, mut end, caps) = pushed();
         while end.order().wrench.force.norm() > 1.5 + 1e-9 {}
-        end.tell(News::at_rest());
-        remote.read(at(330_000)).unwrap();
-        assert!((remote.rendered().force.norm() - 1.5).abs() < 1e-9);
+        end.publish(DeviceState::at_rest());
+        loop_end.read(at(330_000)).unwrap();
+        assert!((loop_end.rendered().force.norm() - 1.5).abs() < 1e-9);
         let less = push().scaled(0.3);
-        let _ = remote.write(at(330_000), less, &caps);
-        assert_eq!((remote.rendered(), end.order().wrench), (less, less));
+        let _ = loop_end.write(at(330_000), less, &caps);
+        assert_eq!((loop_end.rendered(), end.order().wrench), (less, less));
     }
 
-    /// A loop that goes on from what is rendered, by its own steps of at most `STEP_N`.
+    /// A loop that continues from the rendered force, in steps of at most `STEP_N`.
     struct Loop {
-        remote: Remote,
+        loop_end: LoopEnd,
         caps: DeviceCaps,
         us: i64,
         /// N, along the push.
@@ -436,14 +444,14 @@ mod tests {
 
     impl Loop {
         fn turn(&mut self, towards: f64) {
-            // So little that news which stay out are still believed: what comes then is another law.
+            // The step is short, so the last state stays valid: timeouts are tested elsewhere.
             self.us += 1;
-            self.remote.read(at(self.us)).unwrap();
-            let there = self.remote.rendered().force.y;
+            self.loop_end.read(at(self.us)).unwrap();
+            let there = self.loop_end.rendered().force.y;
             self.stands = there + (towards - there).clamp(-STEP_N, STEP_N);
             let wrench = Wrench::from_force(Vector3::new(0.0, self.stands, 0.0));
             assert_eq!(
-                self.remote.write(at(self.us), wrench, &self.caps),
+                self.loop_end.write(at(self.us), wrench, &self.caps),
                 Written::Applied
             );
         }
@@ -451,20 +459,20 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_turns_of_loop_and_driver_change_the_force_by_more_than_the_loops_own_steps(
+        fn the_rendered_force_changes_by_at_most_one_step_of_the_loop(
             turns in prop::collection::vec((0..3_u8, -3.0..3.0_f64, 1..30_u32), 1..60),
         ) {
-            let (remote, mut end, caps) = pushed();
-            let mut hand = Loop { remote, caps, us: 300_000, stands: 3.0 };
+            let (loop_end, mut end, caps) = pushed();
+            let mut hand = Loop { loop_end, caps, us: 300_000, stands: 3.0 };
             let (mut before, mut orders) = (3.0, 0);
             let mut driver = |end: &mut DriverEnd, orders: &mut u32| {
                 let now = end.order().wrench.force.y;
                 let change = (now - before).abs();
-                // Without a new order it only ever fades.
+                // Without a new order the force only fades.
                 let is_fade = *orders == 0 && now.abs() <= f64::abs(before) && now * before >= 0.0;
                 let is_step = change <= f64::from(*orders) * STEP_N + 1e-9;
                 (before, *orders) = (now, 0);
-                end.tell(News::at_rest());
+                end.publish(DeviceState::at_rest());
                 is_fade || is_step
             };
             for (who, towards, times) in turns {

@@ -1,13 +1,13 @@
-//! The one-sided law of one place between two solves.
+//! The one-sided contact law of one contact point between two solves.
 //!
 //! ```text
 //! N(d, v) = max(−s, φ + g · d − B n·v),     |B n·v| <= |φ + g · d| + s
 //! ```
 //!
-//! with φ the normal force at the solve, g = −k n its gradient, d how far the place has moved since. What is pressed
-//! from one side has s = 0 and is only ever pushed. What tissue squeezes from two sides, by s beyond what shows in φ (a
-//! needle in its channel), is held from both until one of them has come off: the second can push it back by s, no
-//! more. In proportion to |N| + s it is rubbed.
+//! with φ the normal force at the solve, g = −k n its gradient, d the motion of the contact point since. A contact
+//! pressed from one side has s = 0 and never pulls. Tissue that squeezes from two sides (a needle in its channel)
+//! carries s beyond φ and holds the tool bilaterally, until one side loses contact. The second side can push back
+//! with at most s. Friction is proportional to |N| + s.
 
 use nalgebra::Vector3;
 use palpate_device::Pose;
@@ -15,21 +15,21 @@ use palpate_device::Pose;
 use crate::motion::Motion;
 use crate::{ContactModel, coupling::Slope};
 
-/// One law, with all that friction needs there.
+/// One law, with the input of its friction.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Law {
     pub(crate) touches: bool,
     /// The pivot at the solve, m.
     pub(crate) at: Vector3<f64>,
-    /// From there to the place, m, along the scene's axes.
+    /// Lever from there to the contact point, m, along the scene's axes.
     pub(crate) lever: Vector3<f64>,
-    /// The same along the tool's.
+    /// The same along the tool's axes.
     pub(crate) on_tool: Vector3<f64>,
     /// φ, N.
     pub(crate) value: f64,
     /// g, N/m.
     pub(crate) gradient: Vector3<f64>,
-    /// |d| beyond this counts as this, m.
+    /// |d| saturates at this distance, m.
     pub(crate) reach: f64,
     pub(crate) normal: Vector3<f64>,
     pub(crate) damping: f64,
@@ -41,9 +41,9 @@ pub(crate) struct Law {
     pub(crate) mu_dynamic: f64,
 }
 
-/// What a law says at a pose.
+/// Response of a law at a pose.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Said {
+pub(crate) struct Response {
     /// The lever now, m, along the scene's axes.
     pub(crate) lever: Vector3<f64>,
     /// N, N.
@@ -53,7 +53,7 @@ pub(crate) struct Said {
 }
 
 impl Law {
-    /// That of a place which nothing touches.
+    /// The response of an inactive contact point.
     pub(crate) const FREE: Self = Self {
         touches: false,
         at: Vector3::new(0.0, 0.0, 0.0),
@@ -70,9 +70,9 @@ impl Law {
         mu_dynamic: 0.0,
     };
 
-    /// That of the `place` of a model, followed with `slope`.
-    pub(crate) fn of(model: &ContactModel, place: usize, slope: &Slope) -> Self {
-        let touch = &model.touches[place];
+    /// The law of contact point `index` of a model, with the slope `slope`.
+    pub(crate) fn of(model: &ContactModel, index: usize, slope: &Slope) -> Self {
+        let touch = &model.touches[index];
         if !touch.touches {
             return Self::FREE;
         }
@@ -94,25 +94,25 @@ impl Law {
         }
     }
 
-    /// Says the same along the side that `old` is felt from: which of its two sides a squeezed place has its normal from
-    /// is nobody's choice, and a mixture of the two would be none.
-    pub(crate) fn face_as(&mut self, old: &Self) {
+    /// Flips the normal to the side of `old`. The solver's choice of side at a squeezed contact is arbitrary, and
+    /// two opposite normals can not be interpolated.
+    pub(crate) fn align_normal(&mut self, old: &Self) {
         let both = self.squeeze > 0.0 && old.squeeze > 0.0 && old.touches && self.touches;
         if both && old.normal.dot(&self.normal) < 0.0 {
             (self.normal, self.value, self.gradient) = (-self.normal, -self.value, -self.gradient);
         }
     }
 
-    /// What presses at the solve, N.
-    pub(crate) fn pressed_at_solve(&self) -> f64 {
+    /// Total normal force at the solve, N.
+    pub(crate) fn total_normal_force_at_solve(&self) -> f64 {
         self.value.max(-self.squeeze).abs() + self.squeeze
     }
 
-    /// N and what goes with it for a tool in `motion`.
-    pub(crate) fn say(&self, motion: &Motion) -> Said {
+    /// The response to a tool in `motion`.
+    pub(crate) fn evaluate(&self, motion: &Motion) -> Response {
         let lever = motion.turn * self.on_tool;
         if !self.touches {
-            return Said {
+            return Response {
                 lever,
                 normal_force: 0.0,
                 pressed: 0.0,
@@ -127,28 +127,28 @@ impl Law {
         };
         let floor = -self.squeeze;
         let spring = (self.value + self.gradient.dot(&within)).max(floor);
-        // Bounded by what presses, so that touching and leaving are not steps.
+        // Bounded by the normal force, so that contact begins and ends without a step.
         let bound = spring.abs() + self.squeeze;
         let damper = self.damping * self.normal.dot(&motion.velocity_at(&lever));
         let normal_force = (spring - damper.clamp(-bound, bound)).max(floor);
-        Said {
+        Response {
             lever,
             normal_force,
             pressed: normal_force.abs() + self.squeeze,
         }
     }
 
-    /// The gradient at a pose that is held, N/m: none where one side has come off.
+    /// The gradient at a held pose, N/m: zero where one side has lost contact.
     pub(crate) fn slope_at(&self, held: &Motion) -> Vector3<f64> {
-        if self.say(held).normal_force > -self.squeeze {
+        if self.evaluate(held).normal_force > -self.squeeze {
             self.gradient
         } else {
             Vector3::zeros()
         }
     }
 
-    /// The same place as if it had been solved at `pose`, with its `lever` (m, scene's axes) there.
-    pub(crate) fn moved_to(self, pose: &Pose, lever: Vector3<f64>) -> Self {
+    /// The same contact point relinearised at `pose`, with its `lever` (m, scene's axes) there.
+    pub(crate) fn relinearised_at(self, pose: &Pose, lever: Vector3<f64>) -> Self {
         Self {
             at: pose.position,
             lever,
@@ -188,36 +188,36 @@ mod tests {
     }
 
     #[test]
-    fn what_is_squeezed_from_two_sides_is_held_from_both() {
-        let said = |z| law(2.0, 0.0).say(&at(z, 0.0));
-        assert!((said(0.001).normal_force - 0.5).abs() < 1e-12);
-        assert!((said(0.004).normal_force + 1.0).abs() < 1e-12);
-        assert!((said(0.03).normal_force + 2.0).abs() < 1e-12);
-        assert!((said(0.002).pressed - 2.0).abs() < 1e-12);
+    fn a_squeezed_contact_is_held_from_both_sides() {
+        let responses = |z| law(2.0, 0.0).evaluate(&at(z, 0.0));
+        assert!((responses(0.001).normal_force - 0.5).abs() < 1e-12);
+        assert!((responses(0.004).normal_force + 1.0).abs() < 1e-12);
+        assert!((responses(0.03).normal_force + 2.0).abs() < 1e-12);
+        assert!((responses(0.002).pressed - 2.0).abs() < 1e-12);
     }
 
     #[test]
-    fn a_place_at_a_lever_is_pressed_by_turning() {
+    fn rotation_presses_a_contact_point_on_a_lever() {
         let offset = Law {
             lever: Vector3::new(0.1, 0.0, 0.0),
             on_tool: Vector3::new(0.1, 0.0, 0.0),
             ..law(0.0, 0.0)
         };
-        // 0.01 rad about +y takes the end of a lever along x down by a millimetre.
+        // A turn of 0.01 rad about +y lowers the end of a lever along x by a millimetre.
         let turned = Motion {
             turn: UnitQuaternion::new(Vector3::new(0.0, 0.01, 0.0)),
             ..at(0.0, 0.0)
         };
-        assert!((offset.say(&turned).normal_force - 1.5).abs() < 1e-4);
+        assert!((offset.evaluate(&turned).normal_force - 1.5).abs() < 1e-4);
     }
 
     proptest! {
         #[test]
-        fn a_place_pressed_from_one_side_never_pulls(
+        fn a_one_sided_contact_never_pulls(
             z in -0.05f64..0.05, vz in -1.0f64..1.0, b in 0.0f64..50.0, s in 0.0f64..3.0,
         ) {
-            prop_assert!(law(0.0, b).say(&at(z, vz)).normal_force >= 0.0);
-            prop_assert!(law(s, b).say(&at(z, vz)).normal_force >= -s);
+            prop_assert!(law(0.0, b).evaluate(&at(z, vz)).normal_force >= 0.0);
+            prop_assert!(law(s, b).evaluate(&at(z, vz)).normal_force >= -s);
         }
     }
 }

@@ -1,51 +1,51 @@
-//! What a driver's thread makes of a force that is not renewed.
+//! Fades a force that the haptic loop no longer renews.
 
-/// How much of a force is left.
+/// The rendered fraction of a force.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::backend) struct Share {
     /// 0 to 1.
     left: f64,
-    /// So often there was nothing left. It tells a zero that was heard of from one that came after.
+    /// Number of complete fade-outs. It separates a reported zero from a later one.
     outs: u32,
 }
 
 impl Share {
-    /// All of it.
+    /// The full force.
     pub(in crate::backend) const FULL: Self = Self { left: 1.0, outs: 0 };
 
-    /// What is rendered, 0 to 1, of a force whose loop had `heard` of a share and went on from there.
-    pub(in crate::backend) fn since(self, heard: Self) -> f64 {
-        if self.outs != heard.outs {
+    /// The fraction to render, 0 to 1, of a force whose loop already applied the fraction `known`.
+    pub(in crate::backend) fn since(self, known: Self) -> f64 {
+        if self.outs != known.outs {
             0.0
-        } else if heard.left <= self.left {
+        } else if known.left <= self.left {
             1.0
         } else {
-            self.left / heard.left
+            self.left / known.left
         }
     }
 }
 
-/// The share of a force that is rendered: it falls when the loop has not renewed the force for some turns, and comes
-/// back as slowly.
+/// The rendered fraction of a force. It falls when the loop has not renewed the force for some turns, and recovers
+/// at the same rate.
 ///
-/// A turn is one exchange with the device, which is a millisecond for the devices that are driven like that.
+/// A turn is one exchange with the device: a millisecond for these devices.
 ///
-/// The loop goes on from what is rendered as soon as it has heard the share, so what it orders then has the share in it
-/// already. Each order says what its loop had heard; of that, only what was lost since is taken away, as
-/// [`Share::since`] says, and the share comes back only once the loop has heard how low it is. So nothing that is rendered
-/// changes by more than the loop's own step when it is back.
+/// The loop continues from the rendered force once the fraction is reported, so its next orders already contain it.
+/// Each order carries the fraction known to its loop; only the loss since then is applied ([`Share::since`]). The
+/// fraction recovers only after the loop knows how low it is. The rendered force therefore never changes by more
+/// than the loop's own step.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::backend) struct Fade {
     hold: u32,
     turns: u32,
     missed: u32,
-    /// Of `turns`, so many are rendered.
+    /// Rendered part of `turns`.
     left: u32,
     outs: u32,
 }
 
 impl Fade {
-    /// Full for `hold` turns without news, then zero within `turns` more.
+    /// Full for `hold` turns without a new order, then zero within `turns` more.
     pub(in crate::backend) const fn new(hold: u32, turns: u32) -> Self {
         Self {
             hold,
@@ -56,11 +56,11 @@ impl Fade {
         }
     }
 
-    /// What is rendered in this turn, 0 to 1, of a force whose loop had `heard` of a share.
-    pub(in crate::backend) fn turn(&mut self, is_renewed: bool, heard: Share) -> f64 {
+    /// The fraction to render in this turn, 0 to 1, of a force whose loop already applied the fraction `known`.
+    pub(in crate::backend) fn turn(&mut self, is_renewed: bool, known: Share) -> f64 {
         if is_renewed {
             self.missed = 0;
-            if self.share().since(heard) >= 1.0 {
+            if self.share().since(known) >= 1.0 {
                 self.left = (self.left + 1).min(self.turns);
             }
         } else {
@@ -70,16 +70,16 @@ impl Fade {
                 self.outs = self.outs.wrapping_add(u32::from(self.left == 0));
             }
         }
-        self.share().since(heard)
+        self.share().since(known)
     }
 
-    /// The force was taken away at once; what is renewed from now on comes back as after a fade.
+    /// The force was removed at once; renewed orders recover as after a fade.
     pub(in crate::backend) const fn cut(&mut self) {
         self.left = 0;
         self.outs = self.outs.wrapping_add(1);
     }
 
-    /// The share of the last turn.
+    /// The fraction of the last turn.
     pub(in crate::backend) fn share(&self) -> Share {
         Share {
             left: f64::from(self.left) / f64::from(self.turns),
@@ -95,7 +95,7 @@ mod tests {
     use super::{Fade, Share};
 
     #[test]
-    fn a_force_that_nobody_renews_is_gone_after_hold_and_fade_and_never_sooner_than_hold() {
+    fn a_force_without_renewal_fades_after_hold() {
         let mut fade = Fade::new(20, 20);
         let shares: Vec<f64> = (0..60).map(|_| fade.turn(false, Share::FULL)).collect();
         assert!(shares[..20].iter().all(|s| *s == 1.0));
@@ -103,20 +103,20 @@ mod tests {
     }
 
     #[test]
-    fn after_a_cut_nothing_is_rendered_of_what_was_made_without_having_heard_of_it() {
+    fn an_order_from_before_a_cut_renders_nothing() {
         let mut fade = Fade::new(20, 20);
         fade.cut();
         assert!((0..60).all(|_| fade.turn(false, Share::FULL) == 0.0));
         assert!((0..60).all(|_| fade.turn(true, Share::FULL) == 0.0));
         let first = fade.share();
         assert_eq!(fade.turn(true, first), 1.0);
-        // Heard of the first cut and not of the second.
+        // This order knows of the first cut and not of the second.
         fade.cut();
         assert_eq!(fade.turn(true, first), 0.0);
     }
 
     #[test]
-    fn a_share_comes_back_as_slowly_as_it_went_once_it_was_heard_of() {
+    fn a_known_fraction_recovers_at_the_fade_rate() {
         let mut fade = Fade::new(20, 20);
         while fade.share().left > 0.5 {
             fade.turn(false, Share::FULL);
@@ -133,10 +133,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_news_whatever_makes_a_step(news in prop::collection::vec(any::<bool>(), 1..300)) {
+        fn no_sequence_of_orders_makes_a_step(device_state in prop::collection::vec(any::<bool>(), 1..300)) {
             let mut fade = Fade::new(3, 10);
             let mut before = 1.0;
-            for is_renewed in news {
+            for is_renewed in device_state {
                 fade.turn(is_renewed, fade.share());
                 let share = fade.share().left;
                 prop_assert!((0.0..=1.0).contains(&share));

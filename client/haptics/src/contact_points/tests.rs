@@ -1,11 +1,11 @@
-//! The laws of several contacts at once, without what protects the hand behind them.
+//! Laws of several simultaneous contact points, without the limits of the chain.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use palpate_device::{DeviceCaps, Pose, Workspace, Wrench};
 use palpate_protocol::{ClientTime, Span};
 use proptest::prelude::*;
 
-use super::Places;
+use super::ContactPoints;
 use crate::blend::Blend;
 use crate::energy::turned;
 use crate::motion::Motion;
@@ -37,8 +37,8 @@ fn at(tick: i64) -> ClientTime {
     ClientTime::from_micros(1_000_000 + 1000 * tick)
 }
 
-/// A line of `n` stations over `length` (m) along x, pressed onto the plane z = 0 with `force` (N) in all, where the
-/// tissue has `k` N/m in all.
+/// A line of `n` stations over `length` (m) along x, pressed onto the plane z = 0 with `force` (N) in total, on
+/// tissue of `k` N/m in total.
 fn line(n: usize, length: f64, force: f64, k: f64) -> ContactModel {
     let mut model = ContactModel {
         radius: 1.0,
@@ -57,10 +57,10 @@ fn line(n: usize, length: f64, force: f64, k: f64) -> ContactModel {
     model
 }
 
-/// A tool whose places have taken over `model` where it was solved.
+/// A tool whose contact points have accepted `model` at the solved pose.
 struct Tool {
     blend: Blend,
-    places: Places,
+    contact_points: ContactPoints,
     tick: i64,
 }
 
@@ -68,7 +68,7 @@ impl Tool {
     fn touched(model: &ContactModel) -> Self {
         let mut tool = Self {
             blend: Blend::new(coupling()),
-            places: Places::new(FrictionConfig::default()),
+            contact_points: ContactPoints::new(FrictionConfig::default()),
             tick: 0,
         };
         tool.take(model);
@@ -86,7 +86,8 @@ impl Tool {
 
     fn tick(&mut self, motion: &Motion) -> Wrench {
         self.tick += 1;
-        self.places.tick(&self.blend, at(self.tick), MS, motion)
+        self.contact_points
+            .tick(&self.blend, at(self.tick), MS, motion)
     }
 }
 
@@ -99,8 +100,8 @@ fn rest(pose: &Pose) -> Motion {
     }
 }
 
-/// A block of 0.2 kg that rests on `n` stations of a slope whose angle grows slowly to tan α = `share` μs; how far it
-/// has moved after 4 s, m, and whether any station ever slipped.
+/// A block of 0.2 kg on `n` stations of a slope whose angle grows slowly to tan α = `share` μs. Returns its
+/// displacement after 4 s, m, and whether any station ever slipped.
 fn block_on_slope(n: usize, share: f64) -> (f64, bool) {
     let (mass, g, dt) = (0.2, 9.81, 1e-3);
     let mut tool = Tool::touched(&line(n, 0.06, mass * g, 300.0));
@@ -123,17 +124,17 @@ fn block_on_slope(n: usize, share: f64) -> (f64, bool) {
         v += (push + air + Vector3::x() * (mass * g * alpha.sin())) * (dt / mass);
         v.z = 0.0;
         x += v * dt;
-        slipped |= tool.places.grips().slips;
+        slipped |= tool.contact_points.grips().slips;
     }
     (x.norm(), slipped)
 }
 
 #[test]
-fn on_a_slope_a_line_sticks_below_the_static_angle_and_slips_above() {
+fn a_line_sticks_below_the_static_angle_and_slips_above() {
     for n in [1, 8, 16] {
         let (moved, slipped) = block_on_slope(n, 0.95);
         assert!(
-            // Two thirds of the stiffness along the normal hold it.
+            // The tangential stiffness is two thirds of the normal one.
             !slipped && moved < MU[0] * 0.2 * 9.81 / 200.0,
             "{n}: {moved} m"
         );
@@ -143,14 +144,14 @@ fn on_a_slope_a_line_sticks_below_the_static_angle_and_slips_above() {
 }
 
 #[test]
-fn a_line_across_its_middle_turns_nothing_and_one_beside_it_turns_by_its_distance() {
+fn torque_of_a_line_is_force_times_offset_of_its_middle() {
     for n in [1, 4, 15, 16] {
         let centred = line(n, 0.04, 2.0, 400.0);
         let mut beside = centred;
         for touch in &mut beside.touches {
             touch.lever.x += 0.02;
         }
-        // Where it was solved, and 3 mm deeper.
+        // At the solved pose, and 3 mm deeper.
         for z in [0.0, -0.003] {
             let motion = rest(&Pose::at(Vector3::new(0.0, 0.0, z)));
             let felt = Tool::touched(&centred).tick(&motion);
@@ -165,7 +166,7 @@ fn a_line_across_its_middle_turns_nothing_and_one_beside_it_turns_by_its_distanc
 }
 
 #[test]
-fn a_line_that_is_tilted_is_turned_back() {
+fn a_tilted_line_has_a_restoring_torque() {
     // A foundation of k per length l turns a line back by k l²/12 per radian.
     let mut tool = Tool::touched(&line(16, 0.06, 4.0, 400.0));
     let tilted = Pose {
@@ -182,8 +183,8 @@ fn a_line_that_is_tilted_is_turned_back() {
 }
 
 #[test]
-fn a_line_turned_on_the_spot_is_rubbed_against_its_turn() {
-    // So stiff that the ties are short beside the arms that drag them round.
+fn friction_opposes_a_line_turning_in_place() {
+    // So stiff that the ties are short against their levers.
     let mut tool = Tool::touched(&line(16, 0.06, 4.0, 16e3));
     let (mut felt, w) = (Wrench::ZERO, Vector3::new(0.0, 0.0, 1.0));
     for tick in 0..600 {
@@ -209,7 +210,7 @@ fn a_line_turned_on_the_spot_is_rubbed_against_its_turn() {
 }
 
 #[test]
-fn a_needle_that_is_squeezed_holds_though_nothing_pushes_it() {
+fn a_squeezed_needle_sticks_without_a_net_force() {
     // Ten stations along x, each squeezed by 0.3 N from two sides that cancel.
     let mut model = line(10, 0.05, 0.0, 1000.0);
     for touch in &mut model.touches[..10] {
@@ -232,7 +233,7 @@ fn a_needle_that_is_squeezed_holds_though_nothing_pushes_it() {
         (last.x + MU[1] * 3.0).abs() < 1e-9,
         "{last:?} while it slides"
     );
-    // And it is led from both sides.
+    // It is held from both sides.
     for z in [1e-3, -1e-3] {
         let mut tool = Tool::touched(&model);
         let aside = rest(&Pose::at(Vector3::new(0.0, 0.0, z)));
@@ -242,7 +243,7 @@ fn a_needle_that_is_squeezed_holds_though_nothing_pushes_it() {
 }
 
 #[test]
-fn one_station_of_a_line_is_a_point() {
+fn a_line_of_one_station_equals_a_point() {
     let point = line(1, 0.0, 2.0, 400.0);
     let mut station = point;
     station.touches.swap(0, 5);
@@ -258,8 +259,8 @@ fn one_station_of_a_line_is_a_point() {
     }
 }
 
-/// A hollow of 40 mm radius with a foundation of `k` N/m per station, pressed by a line that is tilted: some stations
-/// touch, others do not.
+/// A hollow of 40 mm radius with a foundation of `k` N/m per station, pressed by a tilted line: only some stations
+/// are in contact.
 fn in_a_hollow(n: usize, pose: &Pose, k: f64) -> ContactModel {
     let mut model = ContactModel {
         x0: pose.position,
@@ -285,7 +286,7 @@ fn in_a_hollow(n: usize, pose: &Pose, k: f64) -> ContactModel {
 }
 
 #[test]
-fn twice_the_stations_change_the_force_by_less_than_two_percent() {
+fn doubling_the_stations_changes_the_force_by_less_than_two_percent() {
     let tilt = UnitQuaternion::new(Vector3::new(0.0, 0.15, 0.0));
     for z in [0.0, -0.002, -0.006] {
         let pose = Pose {
@@ -339,7 +340,7 @@ fn step() -> impl Strategy<Value = (f64, f64, f64, f64, f64, f64)> {
 
 proptest! {
     #[test]
-    fn every_place_is_rubbed_within_its_own_cone(
+    fn friction_of_every_contact_point_is_within_its_cone(
         steps in proptest::collection::vec(step(), 1..200),
         n in 1..=CONTACTS_MAX,
         squeeze in 0.0f64..1.0,
@@ -359,7 +360,7 @@ proptest! {
             };
             tool.tick += 1;
             let mut worst = f64::NEG_INFINITY;
-            tool.places.rub(&tool.blend, at(tool.tick), MS, &motion, |felt, across| {
+            tool.contact_points.advance_friction(&tool.blend, at(tool.tick), MS, &motion, |felt, across| {
                 let limit = MU[0] * felt.contact.pressed;
                 worst = worst.max(across.norm() - limit);
                 worst = worst.max(across.dot(&felt.contact.normal).abs() - 1e-9);
@@ -370,11 +371,11 @@ proptest! {
     }
 
     #[test]
-    fn a_closed_path_of_moves_and_turns_creates_no_energy(
+    fn a_closed_path_with_rotation_creates_no_energy(
         steps in proptest::collection::vec(step(), 1..400),
         n in 1..=CONTACTS_MAX,
     ) {
-        // 400 N/m, pressed by 2 mm in the beginning: the path presses, slides, tilts and leaves.
+        // Stiffness 400 N/m, pressed by 2 mm at the start: the path presses, slides, tilts and leaves.
         let mut tool = Tool::touched(&line(n, 0.06, 0.8, 400.0));
         let (mut work, mut before) = (0.0, None::<(Pose, Wrench)>);
         let path = closed_path(&steps);
@@ -387,7 +388,8 @@ proptest! {
             }
             before = Some((*pose, felt));
         }
-        // The kinks of the one-sided law and of the cone, as for one place; a lever of 30 mm moves by as much again.
+        // Tolerance for the kinks of the one-sided law and of the cone, as for one contact point; a lever of 30 mm
+        // moves by as much again.
         let tolerance = path.len() as f64 * 400.0 * 1.6e-7 / 8.0 * 1e-2 + 1e-6;
         prop_assert!(work <= tolerance, "the tool gained {work} J over {} steps", path.len());
     }
