@@ -19,7 +19,7 @@ use palpate_tissue::{
     Budget, CutOutcome, Model, Reaction, Shape, Solver, SolverState, Successor, Tool, Topology,
 };
 
-use crate::ahead::{Ahead, MadeCut, ReadyCut, ReplicaError, Retired, cut_as_told};
+use crate::ahead::{Ahead, MadeCut, ReadyCut, ReplicaError, Retired, cut_checked};
 use crate::felt::{contact_model, unusable};
 use crate::roster::{ToolAt, gather};
 use crate::thin::ThinView;
@@ -207,7 +207,7 @@ impl Replica {
             return Ok(None);
         }
         if let Some(thin) = &mut self.thin {
-            let outcome = cut_as_told(&mut self.topology, operation)?;
+            let outcome = cut_checked(&mut self.topology, operation)?;
             if let Some(outcome) = outcome {
                 thin.follow(&self.topology, &outcome);
             }

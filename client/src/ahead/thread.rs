@@ -1,4 +1,4 @@
-//! The thread that makes cuts while the replica's goes on serving the hand.
+//! The cut worker: prepares cuts while the replica's thread serves the hand.
 
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 
@@ -6,7 +6,7 @@ use palpate_transport::threads::{self, ThreadClass};
 
 use super::{Ahead, CutNews, CutOrder, ReplicaError};
 
-/// A thread that makes cuts in the order of the log. It ends with this.
+/// A thread that prepares cuts in log order. Dropping this ends it.
 pub(crate) struct AheadThread {
     orders: Sender<CutOrder>,
     news: Receiver<Result<CutNews, ReplicaError>>,
@@ -22,13 +22,12 @@ impl AheadThread {
         Ok(Self { orders, news })
     }
 
-    /// Has something done.
+    /// Sends an order to the worker.
     pub(crate) fn order(&self, order: CutOrder) -> Result<(), ReplicaError> {
         self.orders.send(order).map_err(|_| ended())
     }
 
-    /// The next result, if there is one; an error when the thread has ended by itself, so that no operation waits for
-    /// ever.
+    /// The next result, if any. An error if the thread has stopped, so that no operation waits forever.
     pub(crate) fn poll(&self) -> Result<Option<CutNews>, ReplicaError> {
         match self.news.try_recv() {
             Ok(news) => news.map(Some),
@@ -60,7 +59,7 @@ fn serve(
         let Some(news) = ahead.work().transpose() else {
             continue;
         };
-        // After an error the copy is not the session's any more.
+        // After an error the replica differs from the session.
         let is_last = news.is_err();
         if tell.send(news).is_err() || is_last {
             return;
