@@ -7,11 +7,11 @@
 //! ```text
 //! replica   --Make(operation)-->    build topology and solver structure
 //!           <--Made(room)--
-//! --Prepare(state)-->     continue a copy of the hand's state on the new topology, and solve
-//! --Follow(tools)-->      ... for the newest tools, at every step of the hand
+//!           --Prepare(state)-->     continue a copy of the hand's state on the new topology, and solve
+//!           --Follow(tools)-->      ... for the newest tools, at every step of the hand
 //!           --HandOver-->
-//! <--Ready(cut)--         due: the replica exchanges the hand's side
-//! --Retire(old)-->        free memory on the worker
+//!           <--Ready(cut)--         due: the replica exchanges the hand's side
+//!           --Retire(old)-->        free memory on the worker
 //! ```
 //!
 //! A cut that is late is applied as soon as it is ready. Until then the hand uses the old topology.
