@@ -13,11 +13,11 @@ use palpate_transport::threads::{self, ThreadClass};
 
 use crate::convert::tool_description;
 use crate::devices::{self, DeviceChoice, Guide};
-use crate::lifeline::Condition;
 use crate::motion::MotionThread;
 use crate::network::{Joining, Network};
 use crate::reach::Reach;
 use crate::realtime::{HapticHandle, RealtimeConfig, monotonic_now, spawn};
+use crate::reconnect::Condition;
 use crate::recording::{HAPTIC_POINTS_MAX, Recording};
 use crate::seat::KeptSeat;
 use crate::session::Session;

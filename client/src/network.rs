@@ -17,8 +17,8 @@ use tokio::sync::{mpsc as async_mpsc, watch};
 
 use crate::ClientError;
 use crate::inbox::Inbox;
-use crate::lifeline::{Condition, Farewell, Reconnect};
 use crate::realtime::{monotonic_now, sleep_until};
+use crate::reconnect::{Condition, Farewell, Reconnect};
 use crate::requests::Requests;
 use crate::seat::KeptSeat;
 

@@ -10,10 +10,10 @@ use palpate_transport::threads::{self, CpuTime, Scheduling};
 
 use crate::ending::{Ending, conclude};
 use crate::join::Parts;
-use crate::lifeline::Condition;
 use crate::motion::MotionThread;
 use crate::network::Network;
 use crate::realtime::{HapticHandle, LoopSummary, TracePoint, monotonic_now, sleep_until};
+use crate::reconnect::Condition;
 use crate::recording::{HapticPoint, Recording};
 use crate::solve::{End, Part, Progress, Solved};
 use crate::status::{Figures, HandFigures, Status};
