@@ -19,10 +19,10 @@ use crate::reach::Reach;
 use crate::realtime::{HapticHandle, RealtimeConfig, monotonic_now, spawn};
 use crate::reconnect::Condition;
 use crate::recording::{HAPTIC_POINTS_MAX, Recording};
+use crate::replica_thread::{Hand, ReplicaThread, Work, record_every};
 use crate::seat::KeptSeat;
 use crate::session::Session;
 use crate::site::Site;
-use crate::solve::{Hand, ReplicaThread, Work, record_every};
 use crate::status::{Status, fetch_progress};
 use crate::{ClientError, JoinOptions, Summary};
 

@@ -15,7 +15,7 @@ use crate::network::Network;
 use crate::realtime::{HapticHandle, LoopSummary, TracePoint, monotonic_now, sleep_until};
 use crate::reconnect::Condition;
 use crate::recording::{HapticPoint, Recording};
-use crate::solve::{End, Part, Progress, Solved};
+use crate::replica_thread::{End, Part, Progress, ReplicaSummary};
 use crate::status::{Figures, HandFigures, Status};
 use crate::{ClientError, JoinOptions, Summary};
 
@@ -219,7 +219,7 @@ impl Summary {
         };
     }
 
-    fn take_solved(&mut self, solved: &Solved) {
+    fn take_solved(&mut self, solved: &ReplicaSummary) {
         self.topology_version = solved.topology_version;
         self.topology_hash.clone_from(&solved.topology_hash);
         self.operations = solved.counters.operations;

@@ -7,7 +7,7 @@ use palpate_protocol::{ClientTime, Span};
 
 use crate::StatusKind;
 use crate::network::Progress as FetchProgress;
-use crate::solve::Part;
+use crate::replica_thread::Part;
 
 /// Update period on a terminal: short enough to see force changes.
 const ON_TERMINAL: Span = Span::from_millis(250);

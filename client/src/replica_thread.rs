@@ -125,7 +125,7 @@ pub(crate) enum End {
 }
 
 /// Results of the thread.
-pub(crate) struct Solved {
+pub(crate) struct ReplicaSummary {
     pub(crate) counters: SiteCounters,
     pub(crate) thin: Option<ThinCounters>,
     pub(crate) topology_version: u32,
@@ -144,7 +144,7 @@ pub(crate) struct Solved {
 pub(crate) struct ReplicaThread {
     stop: Arc<AtomicBool>,
     progress: Arc<Mutex<Progress>>,
-    thread: JoinHandle<Solved>,
+    thread: JoinHandle<ReplicaSummary>,
 }
 
 impl ReplicaThread {
@@ -196,7 +196,7 @@ impl ReplicaThread {
     }
 
     /// Stops the thread. `None` if it panicked.
-    pub(crate) fn stop(self) -> Option<Solved> {
+    pub(crate) fn stop(self) -> Option<ReplicaSummary> {
         self.stop.store(true, Ordering::Release);
         self.thread.join().ok()
     }
@@ -508,10 +508,10 @@ impl Turns {
         progress.end.clone_from(&self.end);
     }
 
-    fn finish(self) -> Solved {
+    fn finish(self) -> ReplicaSummary {
         let topology = self.work.site.replica().topology();
         let since = |first: ClientTime| (monotonic_now() - first).as_secs_f64();
-        Solved {
+        ReplicaSummary {
             counters: self.work.site.counters(),
             thin: self.work.site.replica().thin_view().map(ThinView::counters),
             topology_version: topology.version(),
