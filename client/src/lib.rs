@@ -18,11 +18,11 @@
 
 pub mod ahead;
 pub mod cli;
+mod contact_model;
 pub mod convert;
 mod devices;
 mod ending;
 mod error;
-mod felt;
 mod history;
 mod inbox;
 mod join;

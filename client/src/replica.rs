@@ -20,7 +20,7 @@ use palpate_tissue::{
 };
 
 use crate::ahead::{Ahead, MadeCut, ReadyCut, ReplicaError, Retired, cut_checked};
-use crate::felt::{contact_model, unusable};
+use crate::contact_model::{contact_model, unusable};
 use crate::roster::{ToolAt, gather};
 use crate::thin::ThinView;
 use crate::view::{View, ViewCut};

@@ -34,7 +34,7 @@ use palpate_tissue::{Budget, Model, Shape};
 
 use anew::Anew;
 use cutting::Cuts;
-use hand::Felt;
+use hand::LastSolve;
 use resync::Resync;
 
 pub use resync::{DRIFT_MAX_M, RESYNCS_MAX};
@@ -136,7 +136,7 @@ pub struct Site {
     is_detached: bool,
     cuts: Cuts,
     /// `None` before the first solve of this replica.
-    felt: Option<Felt>,
+    last_solve: Option<LastSolve>,
     /// Updates for a detached view.
     view_news: VecDeque<ViewNews>,
     /// Expected topology after the initial log.
@@ -179,7 +179,7 @@ impl Site {
             deferred: VecDeque::new(),
             is_detached: false,
             cuts: Cuts::default(),
-            felt: None,
+            last_solve: None,
             view_news: VecDeque::new(),
             expected: Some((welcome.topology_version, welcome.topology_hash)),
             unreported: None,

@@ -166,7 +166,7 @@ impl Site {
         self.is_detached = false;
         self.unreported = None;
         self.cuts = Cuts::default();
-        self.felt = None;
+        self.last_solve = None;
         self.view_news = VecDeque::new();
         (self.counters.operations, self.counters.cuts) = (0, 0);
         self.counters.resyncs += 1;

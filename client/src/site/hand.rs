@@ -23,7 +23,7 @@ const OTHER_MOVED_M: f64 = 0.3e-3;
 const SOLVE_WITHIN: Span = Span::from_millis(20);
 
 /// The latest haptic solve.
-pub(super) struct Felt {
+pub(super) struct LastSolve {
     at: ClientTime,
     /// The tools of the solve, moved since if they touched nothing.
     own: Option<ToolAt>,
@@ -33,7 +33,7 @@ pub(super) struct Felt {
     unsettled: bool,
 }
 
-impl Felt {
+impl LastSolve {
     /// Whether another solve would give a force that is equal within perception. Tools without contact are moved in
     /// the replica.
     fn holds(
@@ -97,20 +97,20 @@ impl Site {
         };
         // Copying the state for a cut has used the time of this step.
         let is_spent = self.cuts.take_captured();
-        if let Some(felt) = &mut self.felt {
-            if felt.holds(now, own.as_ref(), &others, &mut self.replica) {
-                felt.model.solved_at = now;
-                return Some(felt.model);
+        if let Some(last) = &mut self.last_solve {
+            if last.holds(now, own.as_ref(), &others, &mut self.replica) {
+                last.model.solved_at = now;
+                return Some(last.model);
             }
             let version = self.replica.topology().version();
-            if is_spent && felt.model.topology_version == version {
-                return Some(felt.model);
+            if is_spent && last.model.topology_version == version {
+                return Some(last.model);
             }
         }
         let model = self.replica.haptic_step(now, own.as_ref(), &others, budget);
         self.counters.haptic_solves += 1;
         self.lead_cut();
-        self.felt = Some(Felt {
+        self.last_solve = Some(LastSolve {
             at: now,
             own,
             others,
