@@ -80,7 +80,7 @@ enum Over {
     /// The connection is lost.
     Lost(String),
     /// The replica needs a resync.
-    Anew(String),
+    Resync(String),
 }
 
 impl Reconnect<'_> {
@@ -93,7 +93,7 @@ impl Reconnect<'_> {
                     return Farewell::Final;
                 }
                 Over::Lost(why) => (why, true),
-                Over::Anew(why) => (why, false),
+                Over::Resync(why) => (why, false),
             };
             // A goodbye would release the seat.
             handle.task.abort();
@@ -135,7 +135,7 @@ impl Reconnect<'_> {
                 },
                 Some(why) = self.rejoin.recv() => {
                     self.request_whole_log();
-                    return Over::Anew(why);
+                    return Over::Resync(why);
                 }
                 Ok(()) = handle.stats.changed() => {
                     self.stats.send_replace(*handle.stats.borrow_and_update());

@@ -8,11 +8,11 @@
 //!
 //! It reads no clock: every call passes the time.
 
-mod anew;
 mod applying;
 mod cutting;
 mod grid;
 mod hand;
+mod rejoin;
 mod resync;
 mod thin;
 
@@ -32,9 +32,9 @@ use palpate_protocol::{
 };
 use palpate_tissue::{Budget, Model, Shape};
 
-use anew::Anew;
 use cutting::Cuts;
 use hand::LastSolve;
+use rejoin::ResyncState;
 use resync::Resync;
 
 pub use resync::{DRIFT_MAX_M, RESYNCS_MAX};
@@ -150,7 +150,7 @@ pub struct Site {
     applied: VecDeque<OperationRecord>,
     closed: Option<CloseReason>,
     resync: Resync,
-    anew: Anew,
+    resync_state: ResyncState,
     rejoin: Option<String>,
     /// The first operation that is not recorded yet.
     unrecorded: u64,
@@ -190,7 +190,7 @@ impl Site {
             applied: VecDeque::new(),
             closed: None,
             resync: Resync::default(),
-            anew: Anew::No,
+            resync_state: ResyncState::Idle,
             rejoin: None,
             unrecorded: 0,
             counters: SiteCounters::default(),
@@ -199,11 +199,11 @@ impl Site {
 
     /// Processes a session event.
     pub fn handle_event(&mut self, event: ClientEvent, now: ClientTime) -> Result<(), SiteError> {
-        if self.is_of_the_old(&event) {
+        if self.is_from_old_connection(&event) {
             return Ok(());
         }
         let result = self.take_event(event, now);
-        self.or_anew(result, now)
+        self.or_resync(result, now)
     }
 
     fn take_event(&mut self, event: ClientEvent, now: ClientTime) -> Result<(), SiteError> {
@@ -212,7 +212,7 @@ impl Site {
             ClientEvent::CaughtUp => {
                 if let Some((version, hash)) = self.expected.take() {
                     self.compare(version, hash)?;
-                    self.end_anew();
+                    self.end_resync();
                     self.report_topology(version, hash);
                 }
             }

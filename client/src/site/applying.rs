@@ -21,7 +21,7 @@ impl Site {
                 if let Some((version, hash)) = self.unreported.take_if(|_| is_all) {
                     self.report_topology(version, hash);
                 }
-                self.or_anew(result, now)
+                self.or_resync(result, now)
             }
             None => Ok(()),
         }

@@ -47,7 +47,7 @@ pub(super) enum Verdict {
     /// No action.
     GoOn,
     /// Request a resync.
-    Anew,
+    Resync,
     /// A resync would be due, but the limit is reached; reported once.
     TooOften,
 }
@@ -76,7 +76,7 @@ impl Resync {
         }
         self.drifting = None;
         if self.may_resync(now) {
-            return Verdict::Anew;
+            return Verdict::Resync;
         }
         if std::mem::replace(&mut self.was_refused, true) {
             Verdict::GoOn
@@ -131,7 +131,7 @@ mod tests {
     fn asked(resync: &mut Resync, from_ms: i64, until_ms: i64, max_m: f64) -> Vec<i64> {
         let times = (from_ms..until_ms).step_by(100);
         times
-            .filter(|t| resync.handle_drift(view(*t), max_m, at(*t)) == Verdict::Anew)
+            .filter(|t| resync.handle_drift(view(*t), max_m, at(*t)) == Verdict::Resync)
             .collect()
     }
 
@@ -176,7 +176,7 @@ mod tests {
             for (i, max_m) in drifts.into_iter().enumerate() {
                 let t = i as i64 * 100;
                 // Values are mostly beyond the limit, so that requests occur.
-                if resync.handle_drift(view(t), max_m + 0.49e-3, at(t)) == Verdict::Anew {
+                if resync.handle_drift(view(t), max_m + 0.49e-3, at(t)) == Verdict::Resync {
                     resync.note(at(t));
                     made.push(t);
                 }

@@ -8,12 +8,12 @@ const DOCUMENT: &str = include_str!("../../../protocol/STATES.md");
 const STATES: [&str; 4] = ["Same", "Asked", "Applying", "Ended"];
 
 fn state_of(site: &Site, result: &Result<(), SiteError>) -> &'static str {
-    match (result, site.anew) {
+    match (result, site.resync_state) {
         (Err(SiteError::Again(_)), _) => "Ended",
         (Err(error), _) => panic!("{error}"),
-        (Ok(()), Anew::No) => "Same",
-        (Ok(()), Anew::Asked) => "Asked",
-        (Ok(()), Anew::Applying) => "Applying",
+        (Ok(()), ResyncState::Idle) => "Same",
+        (Ok(()), ResyncState::Asked) => "Asked",
+        (Ok(()), ResyncState::Applying) => "Applying",
     }
 }
 

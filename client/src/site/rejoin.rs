@@ -22,9 +22,9 @@ use crate::view::Drift;
 
 /// Progress of a resync.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Anew {
+pub(super) enum ResyncState {
     /// No resync.
-    No,
+    Idle,
     /// The log was requested; further events belong to the old connection.
     Asked,
     /// The log is being applied.
@@ -39,7 +39,7 @@ impl Site {
 
     /// Whether a resync is in progress, during which there is no force.
     pub fn is_resyncing(&self) -> bool {
-        self.anew != Anew::No
+        self.resync_state != ResyncState::Idle
     }
 
     /// Number of resyncs. Objects taken from the site before belong to an old replica.
@@ -49,12 +49,12 @@ impl Site {
 
     /// Handles a failure of the cut worker: the replica differs from the session.
     pub fn handle_broken(&mut self, error: ReplicaError, now: ClientTime) -> Result<(), SiteError> {
-        self.or_anew(Err(error.into()), now)
+        self.or_resync(Err(error.into()), now)
     }
 
     /// Whether an event belongs to the old connection and is ignored.
-    pub(super) fn is_of_the_old(&self, event: &ClientEvent) -> bool {
-        self.anew == Anew::Asked
+    pub(super) fn is_from_old_connection(&self, event: &ClientEvent) -> bool {
+        self.resync_state == ResyncState::Asked
             && !matches!(
                 event,
                 ClientEvent::Welcomed(_)
@@ -66,13 +66,13 @@ impl Site {
     }
 
     /// Converts a difference from the server into a resync, if one is allowed.
-    pub(super) fn or_anew(
+    pub(super) fn or_resync(
         &mut self,
         result: Result<(), SiteError>,
         now: ClientTime,
     ) -> Result<(), SiteError> {
         let Err(error) = result else { return Ok(()) };
-        if self.anew == Anew::Asked && !matches!(error, SiteError::Thread(_)) {
+        if self.resync_state == ResyncState::Asked && !matches!(error, SiteError::Thread(_)) {
             // The replica in error is discarded already, and a resync requested.
             return Ok(());
         }
@@ -82,15 +82,15 @@ impl Site {
         if !self.resync.handle_difference(now) {
             return Err(SiteError::Again(error.to_string()));
         }
-        self.ask_anew(error.to_string());
+        self.request_resync(error.to_string());
         Ok(())
     }
 
-    fn ask_anew(&mut self, why: String) {
+    fn request_resync(&mut self, why: String) {
         self.notice(format!(
             "your replica differs from the server; resync without force: {why}"
         ));
-        self.anew = Anew::Asked;
+        self.resync_state = ResyncState::Asked;
         self.resync.restart();
         self.rejoin = Some(why);
     }
@@ -115,9 +115,9 @@ impl Site {
         }
         match self.resync.handle_drift(view_time, drift.max_m, now) {
             Verdict::GoOn => {}
-            Verdict::Anew => {
+            Verdict::Resync => {
                 let (is, may) = (drift.max_m * 1e3, DRIFT_MAX_M * 1e3);
-                self.ask_anew(format!("the view differs by {is:.2} mm, more than {may} mm for 1 s"));
+                self.request_resync(format!("the view differs by {is:.2} mm, more than {may} mm for 1 s"));
             }
             Verdict::TooOften => self.notice(format!(
                 "your replica differs from the server by {:.2} mm after {RESYNCS_MAX} resyncs in {} s; rejoin the session",
@@ -135,9 +135,9 @@ impl Site {
     ) -> Result<(), SiteError> {
         let had = self.counters.operations + self.deferred.len() as u64;
         let first = welcome.first_operation;
-        if first.0 == 0 && (had > 0 || self.anew == Anew::Asked) {
-            self.begin_anew(welcome, now);
-        } else if self.anew == Anew::Asked {
+        if first.0 == 0 && (had > 0 || self.resync_state == ResyncState::Asked) {
+            self.begin_resync(welcome, now);
+        } else if self.resync_state == ResyncState::Asked {
             // This connection was resumed for another reason; the requested one follows.
             return Ok(());
         } else if first.0 != had {
@@ -150,7 +150,7 @@ impl Site {
         Ok(())
     }
 
-    fn begin_anew(&mut self, welcome: &Welcome, now: ClientTime) {
+    fn begin_resync(&mut self, welcome: &Welcome, now: ClientTime) {
         let model = Arc::clone(self.replica.topology().model());
         self.replica = if self.is_thin() {
             Replica::thin(model)
@@ -170,14 +170,14 @@ impl Site {
         self.view_news = VecDeque::new();
         (self.counters.operations, self.counters.cuts) = (0, 0);
         self.counters.resyncs += 1;
-        self.anew = Anew::Applying;
+        self.resync_state = ResyncState::Applying;
         self.rejoin = None;
         self.resync.note(now);
     }
 
     /// The initial log is applied and the topology matches.
-    pub(super) fn end_anew(&mut self) {
-        if std::mem::replace(&mut self.anew, Anew::No) != Anew::No {
+    pub(super) fn end_resync(&mut self) {
+        if std::mem::replace(&mut self.resync_state, ResyncState::Idle) != ResyncState::Idle {
             self.notice("resync complete: your replica matches the server".to_owned());
         }
     }
