@@ -16,7 +16,6 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
-pub mod ahead;
 pub mod cli;
 mod contact_model;
 pub mod convert;
@@ -29,6 +28,7 @@ mod join;
 mod motion;
 mod network;
 mod options;
+pub mod prefetch;
 mod reach;
 pub mod realtime;
 mod reconnect;

@@ -19,8 +19,8 @@ use palpate_tissue::{
     Budget, CutOutcome, Model, Reaction, Shape, Solver, SolverState, Successor, Tool, Topology,
 };
 
-use crate::ahead::{Ahead, MadeCut, ReadyCut, ReplicaError, Retired, cut_checked};
 use crate::contact_model::{contact_model, unusable};
+use crate::prefetch::{MadeCut, Prefetch, ReadyCut, ReplicaError, Retired, cut_checked};
 use crate::roster::{ToolAt, gather};
 use crate::thin::ThinView;
 use crate::view::{View, ViewCut};
@@ -188,10 +188,14 @@ impl Replica {
     }
 
     /// The cut worker's state, from the current topology on. `None` without a hand and a view.
-    pub fn ahead(&self) -> Option<Ahead> {
+    pub fn prefetch(&self) -> Option<Prefetch> {
         let hand = || Some(self.haptic.as_ref()?.solver.follower());
         let follower = self.view.as_ref().map(View::follower).or_else(hand)?;
-        Some(Ahead::new(&self.topology, follower, self.haptic.is_some()))
+        Some(Prefetch::new(
+            &self.topology,
+            follower,
+            self.haptic.is_some(),
+        ))
     }
 
     /// Applies an operation now; only a cut changes the tissue. On success version and hash match the operation; on
@@ -208,10 +212,10 @@ impl Replica {
             }
             return Ok(None);
         }
-        let mut ahead = self.ahead().ok_or_else(|| ReplicaError::Ended {
+        let mut prefetch = self.prefetch().ok_or_else(|| ReplicaError::Ended {
             operation: operation.id.to_string(),
         })?;
-        Ok(ahead.make(operation)?.and_then(|made| self.follow(made)))
+        Ok(prefetch.make(operation)?.and_then(|made| self.follow(made)))
     }
 
     /// Adopts a cut now.

@@ -21,8 +21,8 @@ use triple_buffer::{Input, Output};
 
 use crate::SolveTimes;
 use crate::StartAt;
-use crate::ahead::AheadThread;
 use crate::inbox::Inbox;
+use crate::prefetch::CutWorker;
 use crate::reach::Reach;
 use crate::realtime::{Frame, compute_alone, device_time, monotonic_now, sleep_until, worked};
 use crate::recording::{Recording, VIEW_HZ};
@@ -220,7 +220,7 @@ fn histogram() -> Histogram<u32> {
 }
 
 struct Helpers {
-    cuts: AheadThread,
+    cuts: CutWorker,
     view: ViewThread,
 }
 
@@ -319,10 +319,10 @@ impl Turns {
     /// Exchanges orders and results with the helpers.
     fn consult(&mut self) -> Result<(), SiteError> {
         let site = &mut self.work.site;
-        if let Some((ahead, view)) = site.detach() {
+        if let Some((prefetch, view)) = site.detach() {
             let failed = |error: std::io::Error| SiteError::Thread(error.to_string());
             self.helpers = Some(Helpers {
-                cuts: AheadThread::spawn(ahead).map_err(failed)?,
+                cuts: CutWorker::spawn(prefetch).map_err(failed)?,
                 view: ViewThread::spawn(view).map_err(failed)?,
             });
         }

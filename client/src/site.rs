@@ -39,7 +39,7 @@ use resync::Resync;
 
 pub use resync::{DRIFT_MAX_M, RESYNCS_MAX};
 
-use crate::ahead::{Ahead, ReplicaError};
+use crate::prefetch::{Prefetch, ReplicaError};
 use crate::recording::OperationRecord;
 use crate::replica::Replica;
 use crate::roster::{Roster, ToolAt};
@@ -297,15 +297,15 @@ impl Site {
     /// Moves cut worker and view to other threads, once, when the initial log is applied. The cut worker takes orders
     /// from [`poll_cut_order`](Self::poll_cut_order) and returns results to [`handle_cut`](Self::handle_cut). The
     /// view takes [`poll_view_news`](Self::poll_view_news) and [`next_view`](Self::next_view).
-    pub fn detach(&mut self) -> Option<(Ahead, View)> {
+    pub fn detach(&mut self) -> Option<(Prefetch, View)> {
         let is_under_way = self.expected.is_some() || self.is_resyncing();
         if is_under_way || self.is_detached || self.deferred.iter().any(cutting::is_cut) {
             return None;
         }
-        let ahead = self.replica.ahead()?;
+        let prefetch = self.replica.prefetch()?;
         let view = self.replica.detach_view()?;
         self.is_detached = true;
-        Some((ahead, view))
+        Some((prefetch, view))
     }
 
     /// The next update for a detached view.

@@ -187,7 +187,7 @@ fn cut_fails_when_worker_has_stopped() {
     let mut replica = Replica::new(tissue(), false);
     let cut = operation(&mut replica);
     let view = replica.detach_view();
-    assert!(view.is_some() && replica.ahead().is_none());
+    assert!(view.is_some() && replica.prefetch().is_none());
     assert!(matches!(
         replica.apply(&cut).err(),
         Some(ReplicaError::Ended { .. })

@@ -7,7 +7,7 @@ use palpate_protocol::{ServerTime, Span};
 use palpate_tissue::SolverState;
 
 use super::{DEFERRED_MAX, Site, ViewNews};
-use crate::ahead::{CutNews, CutOrder, ReadyCut};
+use crate::prefetch::{CutNews, CutOrder, ReadyCut};
 use crate::replica::HAPTIC_PERIOD;
 
 /// Lead time before the due time at which the hand's side is prepared for a cut. On 57,000 nodes it takes half of
@@ -55,12 +55,12 @@ pub(super) fn is_cut(operation: &Operation) -> bool {
 }
 
 impl Site {
-    /// The next order to the [cut worker](crate::ahead::Ahead).
+    /// The next order to the [cut worker](crate::prefetch::Prefetch).
     pub fn poll_cut_order(&mut self) -> Option<CutOrder> {
         self.cuts.orders.pop_front()
     }
 
-    /// Processes a result of the [cut worker](crate::ahead::Ahead).
+    /// Processes a result of the [cut worker](crate::prefetch::Prefetch).
     pub fn handle_cut(&mut self, news: CutNews) {
         match news {
             CutNews::Made(room) => self.cuts.rooms.push_back(room),

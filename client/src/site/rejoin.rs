@@ -15,7 +15,7 @@ use palpate_protocol::{ClientTime, ServerTime};
 use super::cutting::Cuts;
 use super::resync::{DRIFT_MAX_M, DRIFT_PATIENCE, RESYNCS_MAX, Verdict, WINDOW};
 use super::{Site, SiteError};
-use crate::ahead::ReplicaError;
+use crate::prefetch::ReplicaError;
 use crate::replica::Replica;
 use crate::roster::Roster;
 use crate::view::Drift;

@@ -101,7 +101,7 @@ fn welcome(model: &Arc<Model>) -> Welcome {
 /// A pressing hand, its site and its cut worker, which runs only when the test allows it.
 struct Bench {
     site: Site,
-    ahead: Ahead,
+    prefetch: Prefetch,
     view: View,
     now: ClientTime,
     is_working: bool,
@@ -117,10 +117,10 @@ impl Bench {
         ] {
             site.handle_event(event, now).unwrap();
         }
-        let (ahead, view) = site.detach().unwrap();
+        let (prefetch, view) = site.detach().unwrap();
         Self {
             site,
-            ahead,
+            prefetch,
             view,
             now,
             is_working: true,
@@ -140,8 +140,8 @@ impl Bench {
     /// One step of the hand, 4 ms later. Returns its model and the number of bricks visited.
     fn turn(&mut self) -> (ContactModel, usize) {
         self.now = self.now + Span::from_millis(4);
-        while self.is_working && self.ahead.can_work() {
-            if let Some(news) = self.ahead.work().unwrap() {
+        while self.is_working && self.prefetch.can_work() {
+            if let Some(news) = self.prefetch.work().unwrap() {
                 self.site.handle_cut(news);
             }
         }
@@ -158,7 +158,7 @@ impl Bench {
         };
         let model = self.site.haptic_step(self.now, pose, 0, budget).unwrap();
         while let Some(order) = self.site.poll_cut_order() {
-            self.ahead.order(order);
+            self.prefetch.order(order);
         }
         while let Some(news) = self.site.poll_view_news() {
             if let crate::site::ViewNews::Cut(cut) = news {

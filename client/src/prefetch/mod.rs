@@ -16,7 +16,7 @@
 //!
 //! A cut that is late is applied as soon as it is ready. Until then the hand uses the old topology.
 
-mod thread;
+mod cut_worker;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -26,7 +26,7 @@ use palpate_tissue::{
     Budget, CutOutcome, Follower, SolverState, Successor, Tool, Topology, TopologyHash, cut,
 };
 
-pub(crate) use thread::AheadThread;
+pub(crate) use cut_worker::CutWorker;
 
 use crate::convert::tissue_stroke;
 use crate::replica::{HAPTIC_TOLERANCE, ITERATIONS, Side};
@@ -134,7 +134,7 @@ struct Preparation {
 /// The topology ahead of the replica's, and the hand's side on it.
 ///
 /// Calling order: [`order`](Self::order) for every order; [`work`](Self::work) while [`can_work`](Self::can_work).
-pub struct Ahead {
+pub struct Prefetch {
     topology: Arc<Topology>,
     follower: Follower,
     has_hand: bool,
@@ -143,7 +143,7 @@ pub struct Ahead {
     preparation: Option<Preparation>,
 }
 
-impl Ahead {
+impl Prefetch {
     pub(crate) fn new(topology: &Arc<Topology>, follower: Follower, has_hand: bool) -> Self {
         Self {
             topology: Arc::clone(topology),

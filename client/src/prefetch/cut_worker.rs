@@ -4,20 +4,20 @@ use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 
 use palpate_transport::threads::{self, ThreadClass};
 
-use super::{Ahead, CutNews, CutOrder, ReplicaError};
+use super::{CutNews, CutOrder, Prefetch, ReplicaError};
 
 /// A thread that prepares cuts in log order. Dropping this ends it.
-pub(crate) struct AheadThread {
+pub(crate) struct CutWorker {
     orders: Sender<CutOrder>,
     news: Receiver<Result<CutNews, ReplicaError>>,
 }
 
-impl AheadThread {
-    pub(crate) fn spawn(ahead: Ahead) -> std::io::Result<Self> {
+impl CutWorker {
+    pub(crate) fn spawn(prefetch: Prefetch) -> std::io::Result<Self> {
         let (orders, ordered) = channel();
         let (tell, news) = channel();
         threads::spawn(ThreadClass::Background, "cuts", move || {
-            serve(ahead, &ordered, &tell);
+            serve(prefetch, &ordered, &tell);
         })?;
         Ok(Self { orders, news })
     }
@@ -44,19 +44,19 @@ fn ended() -> ReplicaError {
 }
 
 fn serve(
-    mut ahead: Ahead,
+    mut prefetch: Prefetch,
     ordered: &Receiver<CutOrder>,
     tell: &Sender<Result<CutNews, ReplicaError>>,
 ) {
     loop {
-        if !ahead.can_work() {
+        if !prefetch.can_work() {
             let Ok(order) = ordered.recv() else { return };
-            ahead.order(order);
+            prefetch.order(order);
         }
         for order in ordered.try_iter() {
-            ahead.order(order);
+            prefetch.order(order);
         }
-        let Some(news) = ahead.work().transpose() else {
+        let Some(news) = prefetch.work().transpose() else {
             continue;
         };
         // After an error the replica differs from the session.
