@@ -14,7 +14,7 @@ mod grid;
 mod hand;
 mod rejoin;
 mod resync;
-mod thin;
+mod thin_site;
 
 use std::collections::VecDeque;
 use std::sync::Arc;

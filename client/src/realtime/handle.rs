@@ -7,8 +7,8 @@ use std::thread::JoinHandle;
 use hdrhistogram::Histogram;
 use triple_buffer::Output;
 
+use super::haptic_thread::Control;
 use super::stats::LoopStats;
-use super::thread::Control;
 use super::trace::Trace;
 use palpate_transport::threads::Scheduling;
 

@@ -17,20 +17,20 @@ mod alone;
 mod clock;
 mod hand_loop;
 mod handle;
+mod haptic_thread;
 #[cfg(test)]
 mod input_tests;
 mod pace;
 mod stats;
 #[cfg(test)]
 mod tests;
-mod thread;
 mod trace;
 
 pub(crate) use alone::compute_alone;
 pub use clock::{device_time, monotonic_now, sleep_until, worked};
 pub use hand_loop::{DeviceCounts, ENABLE_EVERY, Frame, HandLoop, Turned, Wishes};
 pub use handle::{HapticHandle, LoopSummary};
+pub use haptic_thread::{HapticPorts, RealtimeConfig, SpawnError, spawn};
 pub use pace::Pace;
 pub use stats::{LoopStats, Percentiles};
-pub use thread::{HapticPorts, RealtimeConfig, SpawnError, spawn};
 pub use trace::{Trace, TracePoint};

@@ -3,7 +3,7 @@
 //! It is separate from the [`Replica`](crate::Replica), so that a view of many milliseconds never delays the hand.
 //! Pure: no thread, no clock.
 
-mod thread;
+mod view_thread;
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use palpate_tissue::{
     Budget, CutOutcome, Follower, Shape, StepReport, Successor, Tool, Topology, Vec3,
 };
 
-pub(crate) use thread::{Order, ViewReport, ViewThread, record};
+pub(crate) use view_thread::{Order, ViewReport, ViewThread, record};
 
 use crate::history::History;
 use crate::replica::Side;
