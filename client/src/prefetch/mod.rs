@@ -1,7 +1,7 @@
 //! Prefetch of cuts: cuts are prepared ahead of their due time.
 //!
 //! An operation arrives one delay D before its due time. Preparing a cut takes tens of milliseconds: topology,
-//! bricks, multigrid levels, forces, and some steps until the hand's solver has settled. The hand's thread has 2 ms.
+//! bricks, multigrid levels, forces, and some steps until the hand's solver has settled. The hand's thread has 4 ms.
 //! The cut worker prepares everything; the hand's thread only exchanges pointers:
 //!
 //! ```text
