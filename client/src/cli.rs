@@ -13,10 +13,10 @@ use palpate_transport::state::state_folder;
 use crate::devices::{self, DeviceChoice, DevicesArguments, Sources};
 use crate::{ClientError, JoinOptions, StartAt, StatusKind, Summary, run as join};
 
-/// The longest run that can be asked for, s: a day. A larger number is more likely milliseconds.
+/// Maximum duration, s: one day. A larger number is probably in milliseconds.
 const DURATION_MAX_S: f64 = 86_400.0;
 
-/// What `--help` shows at its end.
+/// Examples at the end of `--help`.
 const EXAMPLES: &str = "\
 Examples:
   Join with the link that the server printed (in quotes: it has a '&'), with a scripted hand:
@@ -88,49 +88,50 @@ enum Command {
     /// Join a session
     #[command(after_help = EXAMPLES)]
     Join(JoinArguments),
-    /// List the devices that this program drives, test, calibrate or draw one
+    /// List, test, calibrate or plot haptic devices
     Devices(DevicesArguments),
 }
 
 #[derive(clap::Args)]
 struct JoinArguments {
-    /// The join link, as the server printed it; put it in quotes
+    /// The join link printed by the server; quote it
     link: String,
-    /// The name that others see
+    /// The name shown to other participants
     #[arg(long, default_value_t = default_name())]
     name: String,
-    /// The device to hold, for roles with a tool: one that `devices` lists (haply, or haply:ID where there are several),
-    /// or auto: what moves the tool decides, and without --script and --motion the best that is plugged in
+    /// The device to hold, for roles with a tool: an entry of `devices` (haply, or haply:ID if several are
+    /// connected), or auto: sim with --script, replay with --motion, otherwise the best connected device
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     device: DeviceChoice,
-    /// What the simulated hand does, with or without a simulated device in it (a TOML file)
+    /// Script of the simulated hand, used with or without a simulated device (a TOML file)
     #[arg(long, value_name = "FILE")]
     script: Option<PathBuf>,
-    /// A recorded motion for the device replay: what --record wrote (.json), or a table of moments (.csv), whose columns
-    /// stand below. The tool is that of --script then, or a ball of 8 mm radius
+    /// A recorded motion for the device replay: a file of --record (.json) or a table (.csv, columns below). The tool
+    /// is that of --script, or a ball of 8 mm radius
     #[arg(long, value_name = "FILE")]
     motion: Option<PathBuf>,
-    /// When the script or the motion starts: at joining, or with the session (see `palpate-server host --start-when`)
+    /// When the script or the motion starts: on joining, or with the session (see `palpate-server host --start-when`)
     #[arg(long, value_name = "MOMENT", value_enum, default_value = "joining")]
     at: StartAt,
-    /// What of the tissue to be sent: full (tools and cuts; this machine computes the tissue) or thin (where its surface is,
-    /// 60 times a second, within 0.05 mm and 1 Mbit/s; this machine computes nothing). Thin is for spectators
+    /// Tissue data to subscribe to: full (tools and cuts; this machine computes the tissue) or thin (surface
+    /// displacements, 60 times a second, within 0.05 mm and 1 Mbit/s; this machine computes nothing). Thin is for
+    /// spectators
     #[arg(long, value_name = "full|thin", default_value = "full")]
     subscription: Subscription,
-    /// Leave after so many seconds; without it, stay until the session ends or Ctrl-C
+    /// Leave after this number of seconds; default: stay until the session ends or Ctrl-C
     #[arg(long, value_name = "S", value_parser = seconds)]
     duration: Option<Duration>,
-    /// Try for so many seconds to come back when the connection is lost; the server keeps the seat for 60
+    /// Try to reconnect for this number of seconds after a lost connection; the server keeps the seat for 60
     #[arg(long, value_name = "S", value_parser = seconds, default_value = "60")]
     reconnect: Duration,
-    /// Keep no seat on this disk: after a crash the server then refuses this name for 60 s. Without this option the seat is
-    /// kept in `$XDG_STATE_HOME/palpate` or `~/.local/state/palpate` until this program leaves
+    /// Do not store the seat on disk: after a crash the server then rejects this name for 60 s. By default the seat
+    /// is stored in `$XDG_STATE_HOME/palpate` or `~/.local/state/palpate` until this program leaves
     #[arg(long)]
     forget_seat: bool,
     /// Write the summary as one JSON object to standard output
     #[arg(long)]
     json: bool,
-    /// Write what was felt and seen to this file, as JSON
+    /// Write forces and views to this file, as JSON
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
     /// Do not ask for real-time priority for the force loop
@@ -169,7 +170,7 @@ fn default_name() -> String {
     std::env::var("USER")
         .ok()
         .filter(|name| palpate_protocol::handshake::name_is_valid(name))
-        // A name is one participant's, and two on one machine are not to be in each other's way.
+        // Names are unique in a session; the process id separates two clients on one machine.
         .unwrap_or_else(|| format!("guest-{}", std::process::id()))
 }
 
@@ -182,12 +183,12 @@ fn seconds(text: &str) -> Result<Duration, String> {
     }
 }
 
-/// The whole program. `args` begins with the program's name.
+/// Runs the whole program. `args` begins with the program's name.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     let arguments = match Arguments::try_parse_from(args) {
         Ok(arguments) => arguments,
         Err(error) => {
-            // Where nobody reads, nothing is to be said.
+            // A closed output stream is no error here.
             let _ = error.print();
             return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
         }
@@ -202,7 +203,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     }
 }
 
-/// Says how a run ended, and gives the exit code for it.
+/// Prints the outcome of a run and returns its exit code.
 fn report(outcome: &Result<Summary, ClientError>, json: bool) -> ExitCode {
     let summary = match outcome {
         Ok(summary) => Some(summary),
@@ -216,7 +217,7 @@ fn report(outcome: &Result<Summary, ClientError>, json: bool) -> ExitCode {
         };
         let mut out = std::io::stdout().lock();
         match writeln!(out, "{text}").and_then(|()| out.flush()) {
-            // A reader that has seen enough and closed its end is no mistake.
+            // A reader may close the pipe early.
             Err(e) if e.kind() != ErrorKind::BrokenPipe => {
                 complain(&format!("the summary can not be printed: {e}"));
                 return ExitCode::FAILURE;
@@ -234,7 +235,7 @@ fn report(outcome: &Result<Summary, ClientError>, json: bool) -> ExitCode {
 }
 
 fn complain(sentence: &str) {
-    // Nothing is left to be told if standard error is gone.
+    // A closed standard error is ignored.
     let _ = writeln!(std::io::stderr(), "palpate-client: {sentence}");
 }
 
@@ -245,7 +246,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_command_line_is_consistent_and_teaches() {
+    fn help_names_every_option() {
         Arguments::command().debug_assert();
         let help = Arguments::command().render_help().to_string();
         for word in ["Examples:", "palpate-script/1", "recorder", "PALPATE_LOG"] {
@@ -254,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn options_reach_the_run() {
+    fn options_are_passed_to_the_run() {
         let line = "palpate-client join L --name Ada --script s.toml --duration 2.5 --json --no-realtime --subscription thin";
         let Command::Join(arguments) = Arguments::parse_from(line.split(' ')).command else {
             panic!("join was asked for");
@@ -268,14 +269,14 @@ mod tests {
     }
 
     #[test]
-    fn a_duration_that_can_not_be_is_refused() {
+    fn invalid_durations_are_rejected() {
         for text in ["0", "-1", "nan", "1e9", "soon"] {
             assert!(seconds(text).is_err(), "{text}");
         }
     }
 
     #[test]
-    fn a_link_that_is_none_ends_with_exit_code_2() {
+    fn invalid_link_exits_with_code_2() {
         let line = ["palpate-client", "join", "http://x"].map(OsString::from);
         assert_eq!(
             format!("{:?}", run(line)),

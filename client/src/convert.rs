@@ -1,4 +1,4 @@
-//! Between the words of the wire, the device and the tissue.
+//! Conversions between the types of the protocol, the device and the tissue.
 
 use nalgebra::{Quaternion, UnitQuaternion};
 use palpate_device::script::{Tool as ScriptTool, ToolKind as ScriptToolKind};
@@ -9,7 +9,7 @@ use palpate_tissue::Vec3;
 
 use crate::realtime::Frame;
 
-/// A stroke of the wire as the tissue takes it.
+/// A protocol stroke as a tissue stroke.
 pub fn tissue_stroke(stroke: &CutStroke) -> palpate_tissue::CutStroke {
     palpate_tissue::CutStroke {
         points: stroke.points.iter().map(tissue_blade).collect(),
@@ -25,8 +25,8 @@ fn tissue_blade(p: &BladePoint) -> palpate_tissue::BladePoint {
     }
 }
 
-/// The blade of a tool at `pose`, for the wire: its edge lies along the tool's own z axis, from the
-/// tip up; the axis points that way, against the depth, as the tissue wants it.
+/// The blade of a tool at `pose`, for the protocol. Its edge lies along the tool's z axis, from the tip up; the axis
+/// points up, against the depth, as the tissue expects.
 pub fn wire_blade(pose: &Pose, length_m: f64) -> BladePoint {
     BladePoint {
         tip_m: pose.position_m,
@@ -35,13 +35,13 @@ pub fn wire_blade(pose: &Pose, length_m: f64) -> BladePoint {
     }
 }
 
-/// The rotation of a pose of the wire; of one that is none, no rotation.
+/// The rotation of a protocol pose; identity if the quaternion is invalid.
 pub(crate) fn orientation(pose: &Pose) -> UnitQuaternion<f64> {
     let [x, y, z, w] = pose.orientation;
     UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6).unwrap_or_default()
 }
 
-/// The tool of a script, as others see it.
+/// The tool of a script, as a protocol description.
 pub fn tool_description(tool: &ScriptTool) -> ToolDescription {
     ToolDescription {
         kind: match tool.kind {
@@ -57,7 +57,7 @@ pub fn tool_description(tool: &ScriptTool) -> ToolDescription {
     }
 }
 
-/// A tick of the force loop as a sample for the session. The wire has room for eight buttons.
+/// A tick of the force loop as a protocol sample, which holds eight buttons.
 pub fn local_sample(frame: &Frame) -> LocalSample {
     let q = frame.sample.pose.orientation;
     LocalSample {
@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_top_of_an_upright_blade_is_above_its_tip() {
+    fn top_of_upright_blade_is_above_its_tip() {
         let pose = Pose {
             position_m: [0.01, 0.02, 0.03],
             ..Pose::IDENTITY
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn a_blade_turned_about_x_leans() {
+    fn blade_rotated_about_x_leans() {
         let half = std::f64::consts::FRAC_PI_4;
         let pose = Pose {
             orientation: [half.sin(), 0.0, 0.0, half.cos()],

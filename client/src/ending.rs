@@ -1,23 +1,23 @@
-//! How a run ended, and whether that is as it should be.
+//! How a run ended, and whether that is an error.
 
 use palpate_protocol::session::CloseReason;
 
 use crate::realtime::LoopSummary;
 use crate::{ClientError, Summary};
 
-/// Why the main thread stopped looking.
+/// Why the main thread stopped supervising.
 pub(crate) enum Ending {
-    /// The participant wanted it so.
+    /// The participant left.
     Wish(String),
-    /// The session is over.
+    /// The session ended.
     Closed(CloseReason),
-    /// The copy is not the server's.
+    /// The replica differs from the server.
     Diverged(String),
-    /// One of our threads broke.
+    /// A thread of this program panicked.
     Panicked(&'static str),
 }
 
-/// What an ending means.
+/// Converts an ending into the result of the run.
 pub(crate) fn conclude(
     ending: Ending,
     mut summary: Summary,
@@ -28,7 +28,7 @@ pub(crate) fn conclude(
         Box::new(std::mem::take(&mut summary))
     };
     if let Some(panic) = haptics.and_then(|h| h.panicked.as_ref()) {
-        let detail = format!("the force loop failed and the force was taken away: {panic}");
+        let detail = format!("the force loop panicked and the force was set to zero: {panic}");
         let summary = end(detail.clone());
         return Err(ClientError::Broken { detail, summary });
     }
@@ -38,11 +38,11 @@ pub(crate) fn conclude(
             Ok(*end(reason.to_string()))
         }
         Ending::Closed(CloseReason::ConnectionLost(detail)) => {
-            let summary = end(format!("the server is gone: {detail}"));
+            let summary = end(format!("connection to the server lost: {detail}"));
             Err(ClientError::ServerLost { detail, summary })
         }
         Ending::Diverged(detail) => {
-            let summary = end(format!("the copy of the tissue differs: {detail}"));
+            let summary = end(format!("the replica differs from the server: {detail}"));
             Err(ClientError::Diverged { detail, summary })
         }
         Ending::Closed(reason) => {
@@ -51,7 +51,7 @@ pub(crate) fn conclude(
             Err(ClientError::Broken { detail, summary })
         }
         Ending::Panicked(which) => {
-            let detail = format!("the {which} failed; this is a fault of the program");
+            let detail = format!("the {which} panicked; this is a bug in the program");
             let summary = end(detail.clone());
             Err(ClientError::Broken { detail, summary })
         }

@@ -1,4 +1,4 @@
-//! Why a run did not end as it should.
+//! Errors of a run.
 
 use std::path::PathBuf;
 
@@ -12,113 +12,115 @@ use palpate_transport::TransportError;
 use crate::realtime::SpawnError;
 use crate::{DeviceError, Summary};
 
-/// Why a run did not end as it should: one sentence each, for people.
+/// Error of a run, with a message for the user.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
-    /// The join link can not be read.
+    /// The join link is invalid.
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// The script can not be used.
+    /// The script is invalid.
     #[error("the script {}: {source}", path.display())]
     Script {
-        /// Its file.
+        /// Path of the script.
         path: PathBuf,
-        /// What is wrong, and where.
+        /// Error and its position.
         source: ScriptError,
     },
     /// The motion can not be replayed.
     #[error("the motion {}: {source}", path.display())]
     Motion {
-        /// Its file.
+        /// Path of the motion.
         path: PathBuf,
-        /// What is wrong, and where.
+        /// Error and its position.
         source: MotionError,
     },
-    /// A role with a tool and nothing that moves it.
+    /// A role with a tool, without a device.
     #[error(
-        "the role {0} holds a tool, no device for it is plugged in (`palpate-client devices` says what is missing), and the \
-         simulated hand needs a script to follow: add --script FILE, or --motion FILE to replay a recorded motion"
+        "the role {0} holds a tool, but no haptic device is connected (see `palpate-client devices`); connect one, \
+         add --script FILE for a simulated hand, or --motion FILE to replay a recorded motion"
     )]
     NoScript(Role),
     /// A thin subscription for a role with a tool.
     #[error(
-        "--subscription thin has no tissue of its own to feel, and the role {0} holds a tool: what it felt would be a round \
-         trip old; leave the option out, or join with a spectator's link"
+        "--subscription thin computes no contact forces, but the role {0} holds a tool; remove the option, or join with a \
+         spectator link"
     )]
     ThinTool(Role),
     /// The device can not be opened.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// The server can not be reached, or is another one.
+    /// The server is unreachable, or its certificate differs.
     #[error(transparent)]
     Transport(#[from] TransportError),
-    /// The name or the tool can not be sent.
+    /// The name or the tool can not be encoded.
     #[error(transparent)]
     Protocol(#[from] ProtocolError),
-    /// The server does not let this participant in.
-    #[error("the server did not let you in: {0}")]
+    /// The server rejected this participant.
+    #[error("the server rejected you: {0}")]
     Refused(String),
-    /// The session ended before it began.
+    /// The session ended while joining.
     #[error("the session ended while joining: {0}")]
     EndedWhileJoining(String),
-    /// What arrived is not the model that the session runs on.
+    /// The hash of the received model differs from the session's.
     #[error(
         "the model arrived damaged: its hash is {found}, the session's is {expected}; join again"
     )]
     ModelDamaged {
-        /// The session's.
+        /// Hash in the session.
         expected: ModelHash,
-        /// Of what arrived.
+        /// Hash of the received bytes.
         found: ModelHash,
     },
     /// The model can not be decoded.
-    #[error("the session's model can not be used: {0}")]
+    #[error("invalid session model: {0}")]
     Model(#[from] FileError),
     /// The force loop did not start.
     #[error(transparent)]
     Haptics(#[from] SpawnError),
-    /// The system gave no thread, or no runtime for the network.
-    #[error("the system did not start a thread: {0}")]
+    /// The operating system failed to start a thread or the network runtime.
+    #[error("cannot start a thread: {0}")]
     System(#[from] std::io::Error),
-    /// There is no recording to be written there; told before anybody is bothered.
+    /// The recording's path is not writable; checked before joining.
     #[error("--record {0}")]
     RecordPlace(WriteError),
     /// The recording can not be written.
     #[error("the recording {source}")]
     Record {
-        /// Its file, and what the system said.
+        /// File and error of the operating system.
         source: WriteError,
-        /// The run up to its end.
+        /// Summary of the whole run.
         summary: Box<Summary>,
     },
-    /// The server is gone. The force was ramped to zero.
-    #[error("the server is gone ({detail}); the force was taken away. Join again when it is back")]
+    /// The server is unreachable. The force was ramped to zero.
+    #[error(
+        "lost the connection to the server ({detail}); the force was set to zero. Join again once the server is reachable"
+    )]
     ServerLost {
-        /// What was seen.
+        /// Observed cause.
         detail: String,
-        /// The run up to here.
+        /// Summary up to this point.
         summary: Box<Summary>,
     },
-    /// The copy of the tissue is not the server's.
-    #[error("your copy of the tissue differs from the server's ({detail}); join again")]
+    /// The replica differs from the server.
+    #[error("your replica differs from the server ({detail}); join again")]
     Diverged {
-        /// Where.
+        /// The difference.
         detail: String,
-        /// The run up to here.
+        /// Summary up to this point.
         summary: Box<Summary>,
     },
-    /// The session broke in a way that should not be.
-    #[error("the session was broken off: {detail}")]
+    /// An internal fault ended the session.
+    #[error("internal error: {detail}")]
     Broken {
-        /// What was wrong.
+        /// Description of the fault.
         detail: String,
-        /// The run up to here.
+        /// Summary up to this point.
         summary: Box<Summary>,
     },
 }
 
 impl ClientError {
-    /// The run up to the error, where there was one.
+    /// The summary up to the error, if the session had begun.
     pub fn summary(&self) -> Option<&Summary> {
         match self {
             Self::ServerLost { summary, .. }
@@ -129,7 +131,7 @@ impl ClientError {
         }
     }
 
-    /// 2 where what was typed is wrong, 1 otherwise.
+    /// 2 for invalid arguments, 1 otherwise.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Link(_)

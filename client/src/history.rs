@@ -1,5 +1,4 @@
-//! Where the nodes of the view were during the last second, to compare with what the server says
-//! of a past moment.
+//! Node displacements of the views of the last second, for comparison with the server's corrections.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -7,34 +6,32 @@ use std::sync::Arc;
 use palpate_protocol::ServerTime;
 use palpate_tissue::{Shape, Vec3};
 
-/// Views remembered: one second at 250 Hz. A correction for an older view is ignored.
+/// Number of views kept: one second at 250 Hz. Corrections of older views are ignored.
 pub(crate) const HISTORY_VIEWS_MAX: usize = 256;
 
-/// Nodes remembered per view, 16 B each: 32 MiB in all if every view were different. Of nodes beyond
-/// the last one remembered nothing is known, and corrections of them are ignored.
+/// Nodes kept per view, 16 B each: 32 MiB in all if every view differs. Corrections of further nodes are ignored.
 const NODES_MAX: usize = 8192;
 
-/// A displacement below this counts as none, m.
+/// Displacements below this are not kept, m.
 const MOVED_M: f64 = 0.01e-3;
 
 struct Past {
     s: ServerTime,
     topology_version: u32,
-    /// Nodes that moved, ascending.
+    /// Displaced nodes, ascending.
     nodes: Arc<[(u32, [f32; 3])]>,
 }
 
-/// Where the nodes were in the last views.
+/// Displacements of the latest views.
 #[derive(Default)]
 pub(crate) struct History {
     views: VecDeque<Past>,
-    /// Nodes that were corrected, and the moment when that was put right: what is known of earlier
-    /// moments says nothing new.
+    /// Corrected nodes and the time of correction: a later correction of an earlier view repeats the same difference.
     corrected: HashMap<u32, ServerTime>,
 }
 
 impl History {
-    /// Remembers a view. With `changed` = false it is the same as the one before, at no cost.
+    /// Stores a view. `changed` = false repeats the one before at no cost.
     pub(crate) fn push(&mut self, s: ServerTime, version: u32, shape: &Shape, changed: bool) {
         let same = self
             .views
@@ -55,15 +52,14 @@ impl History {
         });
     }
 
-    /// The nodes of the view of exactly this moment, if it is remembered.
+    /// The nodes of the view at exactly this time, if it is kept.
     pub(crate) fn at(&self, s: ServerTime, version: u32) -> Option<Known> {
         let i = self.views.binary_search_by_key(&s, |v| v.s).ok()?;
         let view = &self.views[i];
         (view.topology_version == version).then(|| Known(Arc::clone(&view.nodes)))
     }
 
-    /// Whether what the server says of `node` at `s` is news; if so, it counts as put right with the
-    /// newest view.
+    /// Whether a correction of `node` at `s` is new. If so, the node counts as corrected in the newest view.
     pub(crate) fn is_news(&mut self, node: u32, s: ServerTime) -> bool {
         let Some(newest) = self.views.back().map(|v| v.s) else {
             return false;
@@ -75,7 +71,7 @@ impl History {
         true
     }
 
-    /// A cut numbers nodes anew.
+    /// Clears the history: a cut renumbers the nodes.
     pub(crate) fn clear(&mut self) {
         self.views.clear();
         self.corrected.clear();
@@ -86,7 +82,7 @@ impl History {
 pub(crate) struct Known(Arc<[(u32, [f32; 3])]>);
 
 impl Known {
-    /// Displacement of a node, m; `None` where it was not remembered.
+    /// Displacement of a node, m; `None` if it was not kept.
     pub(crate) fn displacement(&self, node: u32) -> Option<Vec3> {
         match self.0.binary_search_by_key(&node, |(n, _)| *n) {
             Ok(i) => Some(Vec3::from(self.0[i].1.map(f64::from))),
@@ -124,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn a_past_view_is_known_node_by_node_and_only_for_its_topology() {
+    fn history_returns_nodes_of_matching_topology_only() {
         let mut history = History::default();
         history.push(at(0), 0, &shape(10, 3), true);
         history.push(at(4000), 0, &shape(10, 4), true);
@@ -137,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_is_put_right_once_per_view_and_not_for_every_word_about_the_past() {
+    fn node_is_corrected_once_per_view() {
         let mut history = History::default();
         for i in 0..10 {
             history.push(at(i * 4000), 0, &shape(10, 3), false);
@@ -149,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn it_does_not_grow() {
+    fn history_is_bounded() {
         let mut history = History::default();
         for i in 0..1000 {
             history.push(at(i * 4000), 0, &shape(4, 0), i == 0);

@@ -1,29 +1,29 @@
-//! What the session told, waiting for the replica.
+//! Queue of session events for the replica.
 //!
-//! The network task never waits for the replica: it puts events here. What may get lost gets lost
-//! first; what must not is bounded so generously that only a replica that stands still reaches it.
+//! The network task puts events here and never waits for the replica. Lossy events are dropped first. The bound for
+//! reliable events is reached only by a replica that has stalled.
 
 use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use palpate_protocol::session::ClientEvent;
 
-/// With so many events waiting, motion and corrections are dropped: about ten seconds of eight
-/// tools, while a model is decoded or a long log is applied.
+/// Queue length from which motion and corrections are dropped: about ten seconds of eight tools, while a model is
+/// decoded or a long log is applied.
 const LOSSY_MAX: usize = 20_000;
 
-/// Events that may wait at all, about a hundred thousand operations. Beyond, the session is given
-/// up, because a hole in the log can not be closed again.
+/// Maximum queue length, about a hundred thousand operations. Beyond it the session ends, because a gap in the log
+/// can not be repaired.
 const EVENTS_MAX: usize = 120_000;
 
-/// Events on their way from the network to the replica.
+/// Events between the network and the replica.
 #[derive(Debug, Default)]
 pub(crate) struct Inbox {
     events: Mutex<VecDeque<ClientEvent>>,
 }
 
 impl Inbox {
-    /// Puts an event in; `false` when there is no room for one that must not get lost.
+    /// Queues an event; `false` if there is no room for a reliable event.
     pub(crate) fn push(&self, event: ClientEvent) -> bool {
         let mut events = self.lock();
         let may_get_lost = matches!(
@@ -41,13 +41,13 @@ impl Inbox {
         true
     }
 
-    /// Everything that waits, oldest first.
+    /// All queued events, oldest first.
     pub(crate) fn take(&self) -> VecDeque<ClientEvent> {
         std::mem::take(&mut *self.lock())
     }
 
     fn lock(&self) -> MutexGuard<'_, VecDeque<ClientEvent>> {
-        // A queue is whole between any two statements that hold the lock.
+        // Every statement leaves the queue consistent.
         self.events.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn motion_gets_lost_before_operations() {
+    fn motion_is_dropped_before_operations() {
         let inbox = Inbox::default();
         for _ in 0..LOSSY_MAX + 5 {
             assert!(inbox.push(ClientEvent::Motion(ToolTrack::default())));

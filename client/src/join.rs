@@ -1,4 +1,4 @@
-//! A run from the join link to the summary.
+//! One run, from the join link to the summary.
 
 use std::sync::Arc;
 
@@ -13,20 +13,20 @@ use palpate_transport::threads::{self, ThreadClass};
 
 use crate::convert::tool_description;
 use crate::devices::{self, DeviceChoice, Guide};
-use crate::lifeline::Condition;
 use crate::motion::MotionThread;
 use crate::network::{Joining, Network};
 use crate::reach::Reach;
 use crate::realtime::{HapticHandle, RealtimeConfig, monotonic_now, spawn};
+use crate::reconnect::Condition;
 use crate::recording::{HAPTIC_POINTS_MAX, Recording};
+use crate::replica_thread::{Hand, ReplicaThread, Work, record_every};
 use crate::seat::KeptSeat;
 use crate::session::Session;
 use crate::site::Site;
-use crate::solve::{Hand, ReplicaThread, Work, record_every};
 use crate::status::{Status, fetch_progress};
 use crate::{ClientError, JoinOptions, Summary};
 
-/// Joins a session and stays until it ends, the duration is over or `stop` is set.
+/// Joins a session and stays until it ends, the duration has passed or `stop` is set.
 pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
     let link: JoinLink = options.link.parse()?;
     let is_thin = options.subscription == Subscription::Thin;
@@ -39,7 +39,7 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
     let guide = Guide::load(options, link.role)?;
     let mut held = None;
     if let Some(guide) = &guide {
-        // What can not be opened is said before anybody is bothered.
+        // Device errors appear before the server is contacted.
         let mut device = open(options, guide, ScriptStart::not_yet())?;
         if guide.is_opened_once() {
             held = Some(device);
@@ -98,7 +98,7 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
     session.finish(ending)
 }
 
-/// Opens the device that was asked for.
+/// Opens the requested device.
 fn open(
     options: &JoinOptions,
     guide: &Guide,
@@ -111,12 +111,12 @@ fn open(
     Ok(devices::open(&choice, guide, start, &options.sources)?)
 }
 
-/// The threads of a session, beside the network's.
+/// The threads of a session, except the network's.
 pub(crate) struct Parts {
     pub(crate) haptics: Option<HapticHandle>,
     pub(crate) motion: Option<MotionThread>,
     pub(crate) replica: ReplicaThread,
-    /// What the device calls itself.
+    /// Name reported by the device.
     pub(crate) device: String,
 }
 
@@ -187,7 +187,7 @@ impl Parts {
     }
 }
 
-/// Builds on all processors as a background thread, without delaying sessions that run on this machine.
+/// Runs `work` on all processors at background priority, so that sessions on this machine are not delayed.
 fn in_background<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     let pool = rayon::ThreadPoolBuilder::new()
         .start_handler(|_| threads::join(ThreadClass::Background))
@@ -227,11 +227,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_recording_that_can_not_be_is_said_before_anybody_is_bothered() {
+    fn invalid_recording_path_is_rejected_before_joining() {
         let dir = tempfile::tempdir().unwrap();
         let link = JoinLink {
             host: "127.0.0.1".into(),
-            // Nobody answers there.
+            // No server listens on this port.
             port: 9,
             role: Role::Spectator,
             certificate: CertificateHash([0; 32]),

@@ -1,45 +1,45 @@
-//! The participant's program: a device at 1 kHz, a copy of the tissue, and the session.
+//! The participant's program: a device at 1 kHz, a replica of the tissue, and the session.
 //!
-//! This crate never decides what is cut (the server does), never sends a force over the network
-//! (it computes its own from its copy of the tissue), and never lets the network hold up the hand.
+//! The server alone decides cuts. Each client computes forces from its own replica, so no force crosses the network
+//! and the network never delays the hand.
 //!
 //! ```text
-//! haptics thread   realtime   reads the device, writes the force                 1 kHz
-//! motion thread    motion     the hand's samples to the session and the replica  250 Hz
-//! replica thread   site       other hands, operations, two shapes of the tissue  250 Hz
-//! network thread   network    drives the session; nothing in it waits for the replica
-//! main thread      join       status line, signals, the end
+//! haptics thread   realtime        reads the device, writes the force                  1 kHz
+//! motion thread    motion          sends the hand's samples to session and replica     250 Hz
+//! replica thread   replica_thread  other tools, operations, two shapes of the tissue   250 Hz
+//! network thread   network         drives the session; never waits for the replica
+//! main thread      join            status line, signals, shutdown
 //! ```
 //!
-//! [`run`] is the whole program as a function; [`Replica`], [`Site`] and what they stand on are pure
-//! (no thread, no clock), so that a laboratory can run them in virtual time.
+//! [`run`] is the whole program as a function. [`Replica`], [`Site`] and their parts are pure (no thread, no clock),
+//! so that tests can run them in virtual time.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
-pub mod ahead;
 pub mod cli;
+mod contact_model;
 pub mod convert;
 mod devices;
 mod ending;
 mod error;
-mod felt;
 mod history;
 mod inbox;
 mod join;
-mod lifeline;
 mod motion;
 mod network;
 mod options;
+pub mod prefetch;
 mod reach;
 pub mod realtime;
+mod reconnect;
 pub mod recording;
 pub mod replica;
+mod replica_thread;
 pub mod requests;
 pub mod roster;
 mod seat;
 mod session;
 pub mod site;
-mod solve;
 mod status;
 pub mod stroke;
 mod summary;

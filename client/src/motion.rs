@@ -1,7 +1,6 @@
-//! The motion thread: what the hand did, to the session and to the replica, every 4 ms.
+//! The motion thread: sends the hand's samples to session and replica every 4 ms.
 //!
-//! It is a thread of its own because neither a long solve nor a busy network task may make the hand
-//! look late to the others.
+//! A separate thread keeps samples on time despite long solves and a busy network task.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -15,14 +14,14 @@ use tokio::sync::mpsc;
 use crate::convert::local_sample;
 use crate::realtime::{Frame, monotonic_now, sleep_until};
 
-/// From one handing over to the next: four samples of 1 kHz, which fill a datagram.
+/// Transfer period: four samples of 1 kHz, which fill a datagram.
 const PERIOD: Span = Span::from_millis(4);
 
-/// Samples on their way to the replica: four seconds. While it is busy for longer, the newest are
-/// lost to its own view of the hand (and counted); the others have them.
+/// Samples queued for the replica: four seconds. If it stalls longer, the newest are dropped and counted; the other
+/// participants still receive them.
 const OWN_SAMPLES_MAX: usize = 4096;
 
-/// The thread, while it runs.
+/// The running thread.
 pub(crate) struct MotionThread {
     stop: Arc<AtomicBool>,
     dropped: Arc<AtomicU64>,
@@ -30,7 +29,7 @@ pub(crate) struct MotionThread {
 }
 
 impl MotionThread {
-    /// Starts it; gives the samples for the replica.
+    /// Starts the thread and returns the samples for the replica.
     pub(crate) fn spawn(
         frames: rtrb::Consumer<Frame>,
         commands: mpsc::Sender<ClientCommand>,
@@ -49,7 +48,7 @@ impl MotionThread {
             let mut deadline = monotonic_now();
             while !stopped.load(Ordering::Acquire) {
                 pump.turn();
-                // After a pause the missed turns are one.
+                // Missed periods are skipped.
                 deadline = (deadline + PERIOD).max(monotonic_now());
                 sleep_until(deadline);
             }
@@ -62,11 +61,11 @@ impl MotionThread {
         Ok((running, own_out))
     }
 
-    /// Ends it; the samples that found no room.
+    /// Stops the thread and returns the number of dropped samples.
     pub(crate) fn stop(self) -> u64 {
         self.stop.store(true, Ordering::Release);
         if self.thread.join().is_err() {
-            tracing::error!("the motion thread ended by a panic");
+            tracing::error!("the motion thread panicked");
         }
         self.dropped.load(Ordering::Relaxed)
     }

@@ -1,4 +1,4 @@
-//! The network thread: gets in, fetches the model, and drives the session to its end.
+//! The network thread: joins, fetches the model, and drives the session to its end.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
@@ -17,60 +17,60 @@ use tokio::sync::{mpsc as async_mpsc, watch};
 
 use crate::ClientError;
 use crate::inbox::Inbox;
-use crate::lifeline::{Condition, Farewell, Lifeline};
 use crate::realtime::{monotonic_now, sleep_until};
+use crate::reconnect::{Condition, Farewell, Reconnect};
 use crate::requests::Requests;
 use crate::seat::KeptSeat;
 
-/// Commands that may wait for the network thread: a second of motion.
+/// Commands queued for the network thread: one second of motion.
 const COMMANDS_MAX: usize = 256;
 
-/// How soon a wish to stop is noticed.
+/// Polling period of the stop flag.
 const STOP_POLL: Duration = Duration::from_millis(50);
 
-/// How long leaving politely may wait for room in the queue of commands.
+/// Maximum time that leaving waits for room in the command queue.
 const LEAVE_PATIENCE: Span = Span::from_millis(500);
 
-/// Between two attempts to leave.
+/// Retry period of leaving.
 const LEAVE_RETRY: Span = Span::from_millis(5);
 
-/// Before a model is fetched again whose connection was lost.
+/// Delay before fetching a model again after a lost connection.
 const FETCH_AGAIN: Duration = Duration::from_millis(500);
 
-/// Told how much of the model has arrived: bytes, of bytes.
+/// Callback for the progress of the model: bytes received, bytes in total.
 pub(crate) type Progress = Box<dyn FnMut(u64, u64) + Send>;
 
-/// A session that stands, with the model that it runs on.
+/// An established session with its model.
 pub(crate) struct Network {
-    /// What the server said first.
+    /// Welcome of the server.
     pub(crate) welcome: Box<Welcome>,
-    /// The bytes of the model file, their hash compared.
+    /// Bytes of the model file; their hash is verified.
     pub(crate) model: Vec<u8>,
-    /// To the session.
+    /// Commands to the session.
     pub(crate) commands: async_mpsc::Sender<ClientCommand>,
-    /// Takes why the log is wanted from its beginning.
+    /// Accepts the reason for a resync from the whole log.
     pub(crate) rejoin: async_mpsc::Sender<String>,
-    /// What the session told.
+    /// Events of the session.
     pub(crate) inbox: Arc<Inbox>,
-    /// Newest figures.
+    /// Newest statistics.
     pub(crate) stats: watch::Receiver<DriverStats>,
-    /// Whether there is a connection.
+    /// State of the connection.
     pub(crate) condition: watch::Receiver<Condition>,
     thread: JoinHandle<()>,
-    /// Set when the thread ended as it should, after its last event.
+    /// Set when the thread ends normally, after its last event.
     ended: Arc<AtomicBool>,
 }
 
-/// Where and how to join.
+/// Parameters of joining.
 pub(crate) struct Joining {
     pub(crate) link: JoinLink,
     pub(crate) hello: Hello,
-    /// Where the seat is kept beyond this run.
+    /// Seat that is kept beyond this run.
     pub(crate) kept: Option<KeptSeat>,
-    /// How long to try to come back when the connection is lost.
+    /// How long to try to reconnect.
     pub(crate) reconnect: Duration,
     pub(crate) stop: Arc<AtomicBool>,
-    /// Whether SIGINT and SIGTERM set `stop` from now on.
+    /// Whether SIGINT and SIGTERM set `stop`.
     pub(crate) catch_signals: bool,
 }
 
@@ -85,12 +85,12 @@ struct Opened {
 }
 
 impl Network {
-    /// Joins: returns when the session stands and the model is here.
+    /// Joins; returns once the session is established and the model has arrived.
     pub(crate) fn open(joining: Joining, progress: Progress) -> Result<Self, ClientError> {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()?;
-        let (tell, told) = mpsc::sync_channel(1);
+        let (sender, report) = mpsc::sync_channel(1);
         let ended = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&ended);
         let thread = threads::spawn(ThreadClass::Network, "network", move || {
@@ -98,12 +98,12 @@ impl Network {
                 if joining.catch_signals {
                     tokio::spawn(watch_signals(Arc::clone(&joining.stop)));
                 }
-                live(joining, progress, &tell).await;
+                live(joining, progress, &sender).await;
             });
             ends.store(true, Ordering::Release);
         })?;
-        let opened = told.recv().unwrap_or_else(|_| {
-            let sentence = "the network thread ended before its time".to_owned();
+        let opened = report.recv().unwrap_or_else(|_| {
+            let sentence = "the network thread panicked".to_owned();
             Err(ClientError::EndedWhileJoining(sentence))
         })?;
         Ok(Self {
@@ -119,12 +119,12 @@ impl Network {
         })
     }
 
-    /// Whether the thread ended before its time, by a panic.
+    /// Whether the thread panicked.
     pub(crate) fn is_broken(&self) -> bool {
         self.thread.is_finished() && !self.ended.load(Ordering::Acquire)
     }
 
-    /// Leaves politely, if the session still stands, and waits for the thread.
+    /// Leaves the session with a goodbye, if it is connected, and waits for the thread.
     pub(crate) fn leave(self) -> DriverStats {
         let give_up = monotonic_now() + LEAVE_PATIENCE;
         while let Err(async_mpsc::error::TrySendError::Full(_)) =
@@ -138,17 +138,17 @@ impl Network {
         }
         drop(self.commands);
         if self.thread.join().is_err() {
-            tracing::error!("the network thread ended by a panic");
+            tracing::error!("the network thread panicked");
         }
         *self.stats.borrow()
     }
 }
 
-/// The thread's life: join, tell, pump.
+/// Body of the thread: join, report, serve.
 async fn live(
     joining: Joining,
     progress: Progress,
-    tell: &mpsc::SyncSender<Result<Opened, ClientError>>,
+    sender: &mpsc::SyncSender<Result<Opened, ClientError>>,
 ) {
     let (link, stop) = (&joining.link, &*joining.stop);
     let stopped = || ClientError::EndedWhileJoining("you stopped it".to_owned());
@@ -159,12 +159,12 @@ async fn live(
     };
     let (handle, welcome) = match joined {
         Ok(joined) => joined,
-        // Main has gone when this fails; then nobody is left to be told.
+        // A failure means that the main thread has gone.
         Err(error) => {
             if let Some(kept) = kept.filter(KeptSeat::is_empty) {
                 kept.forget();
             }
-            return drop(tell.send(Err(error)));
+            return drop(sender.send(Err(error)));
         }
     };
     let inbox = Arc::new(Inbox::default());
@@ -173,7 +173,7 @@ async fn live(
     let (rejoin, rejoin_receiver) = async_mpsc::channel(1);
     let (stats_sender, stats) = watch::channel(DriverStats::default());
     let (condition_sender, condition) = watch::channel(Condition::default());
-    let lifeline = Lifeline {
+    let reconnect = Reconnect {
         link,
         hello,
         seat: Resume::after_welcome(&welcome, None),
@@ -187,15 +187,15 @@ async fn live(
         condition: condition_sender,
         is_lost: false,
     };
-    // The session is kept standing from now on: one that is lost while the model comes is made anew too.
-    let session = lifeline.run(handle);
+    // From here on a connection that is lost during the download is also resumed.
+    let session = reconnect.run(handle);
     tokio::pin!(session);
     let fetched = tokio::select! {
         fetched = fetch(link, welcome.model.hash, progress, joining.reconnect) => fetched,
-        _ = &mut session => return drop(tell.send(Err(ended(&inbox)))),
+        _ = &mut session => return drop(sender.send(Err(ended(&inbox)))),
         () = until(stop) => Err(stopped()),
     };
-    let told = match fetched {
+    let report = match fetched {
         Ok(model) => Ok(Opened {
             welcome,
             model,
@@ -205,14 +205,14 @@ async fn live(
             stats,
             condition,
         }),
-        // Without an end for commands the session is left.
+        // Closing the command channel leaves the session.
         Err(error) => {
             drop(commands);
             Err(error)
         }
     };
-    // When nobody is left to be told, what was to be told is dropped, and the session left as well.
-    drop(tell.send(told));
+    // Without a main thread the result is dropped and the session left.
+    drop(sender.send(report));
     if session.await == Farewell::Final
         && let Some(kept) = kept
     {
@@ -220,7 +220,7 @@ async fn live(
     }
 }
 
-/// Takes the seat of an earlier run that did not end as it should, or else a new one.
+/// Resumes the seat of an earlier run that crashed, or takes a new one.
 async fn take_seat(
     link: &JoinLink,
     hello: &Hello,
@@ -248,21 +248,20 @@ async fn take_seat(
     Ok(joined)
 }
 
-/// Ends the session for the replica when the thread ends by a panic, so that no force is felt of a copy
-/// that nobody keeps true any more.
+/// Ends the session for the replica when the thread panics, so that no force of an outdated replica is rendered.
 struct LastWord(Arc<Inbox>);
 
 impl Drop for LastWord {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            let sentence = "the network thread failed; this is a fault of the program";
+            let sentence = "the network thread panicked; this is a bug in the program";
             let reason = CloseReason::ConnectionLost(sentence.to_owned());
             self.0.push(ClientEvent::Closed(reason));
         }
     }
 }
 
-/// Why a session ended while the model came.
+/// Why the session ended during the download.
 fn ended(inbox: &Inbox) -> ClientError {
     let why = match inbox.take().pop_back() {
         Some(ClientEvent::Closed(reason)) => reason.to_string(),
@@ -271,7 +270,7 @@ fn ended(inbox: &Inbox) -> ClientError {
     ClientError::EndedWhileJoining(why)
 }
 
-/// Connects and is let in; who comes back with the artificial delay as it was known.
+/// Connects and joins. A resuming participant keeps its artificial delay.
 pub(crate) async fn join(
     link: &JoinLink,
     hello: Hello,
@@ -289,7 +288,7 @@ pub(crate) async fn join(
             Some(ClientEvent::Closed(reason)) => return Err(not_joined(reason)),
             Some(_) => {}
             None => {
-                let sentence = "the connection ended without a word".to_owned();
+                let sentence = "the connection ended without a reason".to_owned();
                 return Err(ClientError::EndedWhileJoining(sentence));
             }
         }
@@ -299,13 +298,13 @@ pub(crate) async fn join(
 fn not_joined(reason: CloseReason) -> ClientError {
     match reason {
         CloseReason::Refused(refused) => ClientError::Refused(refused.sentence),
-        // Before the welcome this is the sentence after a server's preamble.
+        // Before the welcome a goodbye carries the reason for the rejection.
         CloseReason::Goodbye(sentence) => ClientError::Refused(sentence),
         other => ClientError::EndedWhileJoining(other.to_string()),
     }
 }
 
-/// Fetches the model, again and again while connections are lost and `patience` lasts.
+/// Fetches the model; retries lost connections until `patience` is over.
 async fn fetch(
     link: &JoinLink,
     expected: ModelHash,
@@ -319,7 +318,7 @@ async fn fetch(
             Err(error @ (TransportError::Lost { .. } | TransportError::NoAnswer { .. }))
                 if tokio::time::Instant::now() < give_up =>
             {
-                tracing::info!(%error, "the model is fetched again");
+                tracing::info!(%error, "fetching the model again");
                 tokio::time::sleep(FETCH_AGAIN).await;
             }
             Err(error) => return Err(error.into()),
@@ -339,7 +338,7 @@ async fn until(stop: &AtomicBool) {
     }
 }
 
-/// The first signal asks for a polite end, which takes a second or two.
+/// The first signal requests a clean shutdown, which takes a second or two.
 #[cfg(unix)]
 async fn watch_signals(stop: Arc<AtomicBool>) {
     use tokio::signal::unix::{SignalKind, signal};
@@ -347,7 +346,7 @@ async fn watch_signals(stop: Arc<AtomicBool>) {
         signal(SignalKind::interrupt()),
         signal(SignalKind::terminate()),
     ) else {
-        tracing::warn!("signals can not be caught; Ctrl-C will not leave politely");
+        tracing::warn!("cannot catch signals; Ctrl-C will not leave the session cleanly");
         return;
     };
     tokio::select! {
@@ -369,7 +368,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_network_that_fails_ends_the_session_and_one_that_ends_says_nothing() {
+    fn panic_of_network_thread_closes_session() {
         let inbox = Arc::new(Inbox::default());
         drop(LastWord(Arc::clone(&inbox)));
         assert!(inbox.take().is_empty());

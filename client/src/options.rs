@@ -1,4 +1,4 @@
-//! What a participant asks for.
+//! Options of a run.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -21,59 +21,57 @@ pub enum StatusKind {
     Stderr,
 }
 
-/// The moment at which a script, or a replayed motion, starts.
+/// When a script or a replayed motion starts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
 pub enum StartAt {
     /// As soon as this participant has joined and has the tissue.
     #[default]
     Joining,
-    /// With the session: at the same moment for every participant, once the tools that the host waits for are there.
+    /// With the session: at the same time for all participants, once the host's required tools have joined.
     Session,
 }
 
-/// All that [`run`](crate::run) has to know.
+/// Options of [`run`](crate::run).
 #[derive(Debug, Clone)]
 pub struct JoinOptions {
     /// The join link as the server printed it.
     pub link: String,
-    /// The name that others see.
+    /// The name shown to other participants.
     pub name: String,
-    /// Whether this machine computes the tissue, or is sent where its surface is.
+    /// Whether this machine computes the tissue or receives surface displacements.
     pub subscription: Subscription,
     /// The device to hold, for roles with a tool.
     pub device: DeviceKind,
-    /// Which of several devices of a kind, as `devices` lists it.
+    /// Device id as listed by `devices`.
     pub device_id: Option<String>,
-    /// Where makers' services and libraries are.
+    /// Vendor services and libraries.
     pub sources: Sources,
-    /// What a simulated hand does, with or without a simulated device.
+    /// Script of the simulated hand, used with or without a simulated device.
     pub script: Option<PathBuf>,
-    /// A recorded motion for a device that replays it; the tool is the script's then, or a ball of 8 mm.
+    /// A recorded motion to replay; the tool is the script's, or a ball of 8 mm radius.
     pub motion: Option<PathBuf>,
     /// When the script or the motion starts.
     pub start_at: StartAt,
-    /// Leave after this time; without it stay until the session ends.
+    /// Leave after this time; `None` stays until the session ends.
     pub duration: Option<Duration>,
-    /// For how long to try to come back when the connection is lost; the server keeps the seat for
-    /// [`SEAT_KEPT`].
+    /// How long to try to reconnect after a lost connection; the server keeps the seat for [`SEAT_KEPT`].
     pub reconnect: Duration,
-    /// The folder where the seat is kept while the run lasts, so that a run that follows a crash takes it again at once.
-    /// `None` keeps nothing.
+    /// Folder of the seat file, with which a run after a crash resumes its seat. `None` keeps nothing.
     pub state: Option<PathBuf>,
-    /// Where to write the [`Recording`](crate::Recording) at the end.
+    /// Path of the [`Recording`](crate::Recording), written at the end.
     pub record: Option<PathBuf>,
     /// Whether to ask for real-time priority.
     pub realtime: bool,
-    /// Whether SIGINT and SIGTERM end the run politely. Off for programs with signals of their own.
+    /// Whether SIGINT and SIGTERM end the run cleanly. Off for programs that handle signals themselves.
     pub catch_signals: bool,
-    /// Where the progress goes.
+    /// Output of the progress.
     pub status: StatusKind,
-    /// Set it from another thread to leave politely.
+    /// Set from another thread to leave cleanly.
     pub stop: Arc<AtomicBool>,
 }
 
 impl JoinOptions {
-    /// Joins with a link and a name; the rest as a program that links this library wants it.
+    /// Joins with a link and a name; the other options suit a program that links this library.
     pub fn new(link: impl Into<String>, name: impl Into<String>) -> Self {
         Self {
             link: link.into(),

@@ -1,4 +1,4 @@
-//! How near a tool that touches nothing comes to the tissue.
+//! Smallest distance of a tool that touched nothing to the tissue.
 
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{LocalSample, ParticipantId};
@@ -7,13 +7,13 @@ use palpate_tissue::{Clearance, Topology, Vec3};
 use crate::convert::orientation;
 use crate::roster::ToolAt;
 
-/// Distance between two kept poses, m. Fine enough for a report in tenths of a millimetre.
+/// Distance between two kept poses, m: fine enough for a report in tenths of a millimetre.
 const STEP_M: f64 = 5e-4;
 
-/// Poses that are kept. Beyond it every second one goes and the step doubles.
+/// Maximum number of poses. Beyond it every second one is dropped and the step doubles.
 const POSES_MAX: usize = 8192;
 
-/// The path of a tool until it touches the tissue for the first time.
+/// The path of a tool until its first contact.
 #[derive(Debug)]
 pub(crate) struct Reach {
     tool: ToolDescription,
@@ -22,7 +22,7 @@ pub(crate) struct Reach {
 }
 
 impl Reach {
-    /// Follows a tool that has not moved yet.
+    /// Starts the path of a tool.
     pub(crate) fn new(tool: ToolDescription) -> Self {
         Self {
             tool,
@@ -31,7 +31,7 @@ impl Reach {
         }
     }
 
-    /// Notes where the tool is.
+    /// Adds a pose of the tool.
     pub(crate) fn note(&mut self, sample: &LocalSample) {
         let at = Vec3::from(sample.pose.position_m);
         let is_near = |last: &LocalSample| {
@@ -53,7 +53,7 @@ impl Reach {
         self.path.push(*sample);
     }
 
-    /// The smallest distance to the surface at rest in mm, below zero inside the tissue; `None` when nothing moved.
+    /// The smallest distance to the surface at rest in mm, negative inside the tissue; `None` without any pose.
     pub(crate) fn nearest_mm(&self, topology: &Topology) -> Option<f64> {
         if self.path.is_empty() {
             return None;
@@ -65,7 +65,7 @@ impl Reach {
                 description: self.tool,
                 position: sample.pose.position_m.into(),
                 orientation: orientation(&sample.pose),
-                // A blade that cuts does not touch, but its distance counts.
+                // A cutting blade makes no contact, but its distance counts.
                 buttons: 0,
                 stale: false,
             };
@@ -87,7 +87,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_nearest_pose_of_a_long_path_counts() {
+    fn nearest_pose_of_long_path_is_kept() {
         let topology = Topology::new(Arc::new(block([4, 4, 4], 4e-3, &Material::default(), 1)));
         let mut reach = Reach::new(ToolDescription::probe(2e-3));
         assert_eq!(reach.nearest_mm(&topology), None);

@@ -1,73 +1,72 @@
-//! What a run looked like, written as JSON for comparisons between sites.
+//! Recording of a run as JSON, for comparisons between sites.
 //!
-//! Everything is bounded; what found no room is counted in [`Dropped`].
+//! All lists are bounded; [`Dropped`] counts the excess.
 
 use nalgebra::Vector3;
 use palpate_device::{Buttons, Pose};
 use palpate_protocol::operation::CutStroke;
 use serde::{Deserialize, Serialize};
 
-/// Points of the hand's path: 20 minutes of every fourth tick. Later ones are dropped and counted.
+/// Maximum points of the hand: 20 minutes of every fourth tick. Later ones are dropped and counted.
 pub const HAPTIC_POINTS_MAX: usize = 300_000;
 
-/// Views: 20 minutes at [`VIEW_HZ`]. Later ones are dropped and counted.
+/// Maximum views: 20 minutes at [`VIEW_HZ`]. Later ones are dropped and counted.
 pub const VIEWS_MAX: usize = 60_000;
 
-/// Nodes of all views together, 16 B each. Later views come without nodes, and are counted.
+/// Maximum nodes of all views together, 16 B each. Later views have no nodes and are counted.
 pub const VIEW_NODES_MAX: usize = 4_000_000;
 
-/// Views recorded per second, at most: every n-th of the common grid, the same ones at every site.
+/// Maximum recording rate of views, Hz: every n-th of the common grid, the same ones at every site.
 pub const VIEW_HZ: u32 = 50;
 
-/// Nodes of one view. When more moved, those with the smallest [`node_rank`] are kept, so that all
-/// sites keep the same ones.
+/// Maximum nodes per view. If more moved, those with the smallest [`node_rank`] are kept, the same at every site.
 pub const NODES_PER_VIEW_MAX: usize = 512;
 
-/// A node is recorded when its displacement is larger than this, mm.
+/// Minimum displacement of a recorded node, mm.
 pub const NODE_MOVED_MM: f64 = 0.05;
 
-/// Operations: the log of a long session. Later ones are dropped and counted.
+/// Maximum operations: the log of a long session. Later ones are dropped and counted.
 pub const OPERATIONS_MAX: usize = 100_000;
 
-/// One run of one participant. Times in µs; `t_us`, `shown_us` and `applied_us` on the machine's
-/// monotonic clock, `s_us` and `at_us` on the server's.
+/// One run of one participant. Times in µs: `t_us`, `shown_us` and `applied_us` on the machine's monotonic clock,
+/// `s_us` and `at_us` on the server's.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Recording {
     /// The participant's name.
     pub name: String,
     /// The participant's number.
     pub participant: u16,
-    /// The word for the role.
+    /// Word of the role.
     pub role: String,
-    /// When the script began, on the monotonic clock; `None` when it did not.
+    /// Start of the script on the monotonic clock; `None` if it did not start.
     pub script_started_us: Option<i64>,
     /// The hand: every fourth tick of the force loop.
     pub haptic: Vec<HapticPoint>,
-    /// What was shown.
+    /// Displayed views.
     pub views: Vec<ViewRecord>,
-    /// What was applied, in order.
+    /// Applied operations, in order.
     pub operations: Vec<OperationRecord>,
-    /// What found no room.
+    /// Counts of dropped items.
     pub dropped: Dropped,
 }
 
-/// The hand at one moment.
+/// The hand at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct HapticPoint {
-    /// When, monotonic.
+    /// Time, monotonic.
     pub t_us: i64,
-    /// Where the tool was, m.
+    /// Position of the tool, m.
     pub position_m: [f64; 3],
-    /// How it was turned: x, y, z, w of a unit quaternion.
+    /// Orientation of the tool: x, y, z, w of a unit quaternion.
     pub orientation: [f64; 4],
-    /// The buttons that were held, one bit each; bit 0 cuts.
+    /// Held buttons, one bit each; bit 0 cuts.
     pub buttons: u32,
     /// The force on the tool, N.
     pub force_n: [f64; 3],
 }
 
 impl HapticPoint {
-    /// A point of a sample of the device, and the force (N) on the tool then.
+    /// A point from a sample of the device and the force on the tool, N.
     pub fn new(t_us: i64, pose: &Pose, buttons: Buttons, force_n: Vector3<f64>) -> Self {
         let q = pose.orientation;
         Self {
@@ -80,16 +79,16 @@ impl HapticPoint {
     }
 }
 
-/// One view of the table.
+/// One view.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct ViewRecord {
-    /// The moment that it shows, server time.
+    /// Time that it shows, server clock.
     pub s_us: i64,
-    /// When it became visible, monotonic.
+    /// Time of display, monotonic.
     pub shown_us: i64,
-    /// The artificial delay D then.
+    /// Artificial delay D at that time.
     pub delay_us: i64,
-    /// Everybody's tool, one's own included.
+    /// All tools, including this participant's own.
     pub tools: Vec<ToolRecord>,
     /// Node number and displacement x, y, z in mm.
     pub nodes: Vec<(u32, f32, f32, f32)>,
@@ -100,49 +99,48 @@ pub struct ViewRecord {
 /// A tool in a view.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ToolRecord {
-    /// Whose.
+    /// Participant that holds it.
     pub participant: u16,
-    /// Where, m.
+    /// Position, m.
     pub position_m: [f64; 3],
-    /// Whether nothing has come from it for too long.
+    /// Whether its newest sample is too old.
     pub stale: bool,
 }
 
-/// An operation that was applied.
+/// An applied operation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OperationRecord {
-    /// Its place in the log.
+    /// Index in the log.
     pub id: u64,
-    /// What it did, in one word.
+    /// Kind of operation, one word.
     pub kind: String,
-    /// When it happens, server time.
+    /// Due time, server clock.
     pub at_us: i64,
-    /// When it was applied here, monotonic.
+    /// Time of application here, monotonic.
     pub applied_us: i64,
-    /// Version of the topology after it.
+    /// Topology version after it.
     pub version: u32,
-    /// Hash of the topology after it, 16 hexadecimal digits.
+    /// Topology hash after it, 16 hexadecimal digits.
     pub hash: String,
     /// The stroke of a cut, in the rest frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stroke: Option<CutStroke>,
 }
 
-/// What found no room.
+/// Counts of dropped items.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Dropped {
     /// Points of the hand.
     pub haptic: u64,
     /// Views.
     pub views: u64,
-    /// Views that lost their nodes.
+    /// Views without their nodes.
     pub view_nodes: u64,
     /// Operations.
     pub operations: u64,
 }
 
-/// Sorts nodes in an order that has nothing to do with where they are: the finaliser of `SplitMix64`
-/// (Steele, Lea and Flood 2014).
+/// Pseudo-random order of nodes, independent of position: the finaliser of `SplitMix64` (Steele, Lea and Flood 2014).
 pub fn node_rank(node: u32) -> u64 {
     let mut z = u64::from(node).wrapping_add(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -175,7 +173,7 @@ impl Recording {
     }
 }
 
-/// The nodes of a view to record: those that moved, and of too many the same ones everywhere.
+/// The nodes of a view to record: those that moved, limited to the same ones at every site.
 pub fn choose_nodes(moved: impl Iterator<Item = (u32, [f64; 3])>) -> Vec<(u32, f32, f32, f32)> {
     let mut chosen: Vec<(u32, [f64; 3])> = moved
         .map(|(n, u)| (n, u.map(|c| c * 1e3)))
@@ -195,26 +193,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_too_many_nodes_every_site_keeps_the_same() {
+    fn every_site_keeps_the_same_nodes() {
         let all = || (0..5000u32).map(|n| (n, [1e-3, 0.0, 0.0]));
         let a = choose_nodes(all());
         let b = choose_nodes(all().collect::<Vec<_>>().into_iter().rev());
         assert_eq!(a.len(), NODES_PER_VIEW_MAX);
         assert_eq!(a, b);
-        // A few more nodes elsewhere change a few of the chosen ones.
+        // A few more nodes elsewhere change a few of the selected ones.
         let more = choose_nodes(all().chain((9000..9050).map(|n| (n, [1e-3, 0.0, 0.0]))));
         let kept = more.iter().filter(|r| a.contains(r)).count();
         assert!(kept > NODES_PER_VIEW_MAX * 9 / 10, "{kept}");
     }
 
     #[test]
-    fn nodes_that_hardly_moved_are_left_out_and_the_rest_is_in_millimetres() {
+    fn small_displacements_are_omitted_and_unit_is_mm() {
         let moved = [(7, [0.0, 0.0, -2e-3]), (8, [0.0, 4e-5, 0.0])];
         assert_eq!(choose_nodes(moved.into_iter()), [(7, 0.0, 0.0, -2.0)]);
     }
 
     #[test]
-    fn what_finds_no_room_is_counted() {
+    fn dropped_items_are_counted() {
         let mut recording = Recording::default();
         let view = || ViewRecord {
             nodes: vec![(1, 0.0, 0.0, 0.0); 10],
@@ -228,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_reads_back_as_written() {
+    fn recording_round_trips_through_json() {
         let mut recording = Recording::default();
         let view = ViewRecord {
             nodes: vec![(3, 0.5, -1.0, 2.0)],

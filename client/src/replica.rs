@@ -1,12 +1,12 @@
-//! One's own copy of the tissue: two shapes over one topology.
+//! The client's replica of the tissue: two shapes over one topology.
 //!
 //! ```text
-//! haptic shape   own tool now, the others at the moment s that everybody sees   -> contact model
-//! view shape     everybody's tool at s, one's own too                           -> what is seen
+//! haptic shape   own tool now, other tools at the common time s   -> contact model
+//! view shape     all tools at s                                   -> picture
 //! ```
 //!
-//! Equilibrium is quasi-static, so a shape is a function of topology and contacts: sites that apply
-//! the same operations and solve for the same moments see the same. Pure: no thread, no clock.
+//! The equilibrium is quasi-static, so a shape is a function of topology and contacts. Sites that apply the same
+//! operations and solve for the same times have equal shapes. Pure: no thread, no clock.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -19,26 +19,25 @@ use palpate_tissue::{
     Budget, CutOutcome, Model, Reaction, Shape, Solver, SolverState, Successor, Tool, Topology,
 };
 
-use crate::ahead::{Ahead, MadeCut, ReadyCut, ReplicaError, Retired, cut_as_told};
-use crate::felt::{contact_model, unusable};
+use crate::contact_model::{contact_model, unusable};
+use crate::prefetch::{MadeCut, Prefetch, ReadyCut, ReplicaError, Retired, cut_checked};
 use crate::roster::{ToolAt, gather};
 use crate::thin::ThinView;
 use crate::view::{View, ViewCut};
 
-/// From one solve of the hand's tissue to the next, and the CPU time after which a solve begins no further iteration.
-/// Iterations are better made within a solve than in two: each solve gathers contacts and selects the active set anew. The
-/// limit is CPU time, because on a busy machine elapsed time would end solves before they converge.
+/// Period of the hand's solves, and the CPU time after which a solve starts no further iteration. Iterations within
+/// one solve are cheaper than a second solve, which gathers contacts and selects the active set again. The limit is
+/// CPU time, because elapsed time would end solves early on a busy machine.
 pub const HAPTIC_PERIOD: Span = Span::from_millis(4);
 
-/// Iterations at most; most solves end when the forces are steady.
+/// Maximum number of iterations; most solves end earlier with steady forces.
 pub(crate) const ITERATIONS: usize = 4;
 
-/// Residual at which the hand's solve ends: the force is then within a percent or two. Less is not asked for of what is
-/// near a tool alone. With 3e-2 a line that was dragged at 50 mm/s over a thigh felt a force that was 6 % off instead
-/// of 4 %.
+/// Residual at which the hand's solve ends; the force error is then 1 to 2 %. The limit also holds near a
+/// single tool: with 3e-2, dragging at 50 mm/s over a thigh had a force error of 6 % instead of 4 %.
 pub(crate) const HAPTIC_TOLERANCE: f64 = 2e-2;
 
-/// The budget of a solve of what a hand feels; `stop` ends it after [`HAPTIC_PERIOD`] of CPU time.
+/// Budget of a haptic solve; `stop` ends it after [`HAPTIC_PERIOD`] of CPU time.
 pub fn hand_budget(stop: &mut dyn FnMut() -> bool) -> Budget<'_> {
     Budget {
         near: true,
@@ -62,7 +61,7 @@ impl Side {
         }
     }
 
-    /// A second side of the same topology.
+    /// A second side on the same topology.
     pub(crate) fn another(&self, topology: &Topology) -> Self {
         Self {
             shape: Shape::rest(topology),
@@ -70,7 +69,7 @@ impl Side {
         }
     }
 
-    /// Continues the state of another side on the topology as a cut left it.
+    /// Continues the state of another side on the topology after a cut.
     pub(crate) fn resume(
         state: SolverState,
         topology: &Topology,
@@ -81,7 +80,7 @@ impl Side {
         Self { shape, solver }
     }
 
-    /// Takes a cut over; the shape must be whole.
+    /// Adopts a cut; the shape must be complete.
     pub(crate) fn succeed(
         &mut self,
         topology: &Topology,
@@ -93,25 +92,23 @@ impl Side {
     }
 }
 
-/// One's own copy of the tissue.
-///
-/// Calling order: [`apply`](Self::apply) every operation in the order of the log; between them
-/// [`haptic_step`](Self::haptic_step) as often as wanted. The view may be taken away with
-/// [`detach_view`](Self::detach_view), to be solved elsewhere.
+/// The client's replica of the tissue. Calling order: [`apply`](Self::apply) for every operation in log order; in
+/// between [`haptic_step`](Self::haptic_step) at any rate. [`detach_view`](Self::detach_view) moves the view to
+/// another thread.
 pub struct Replica {
     topology: Arc<Topology>,
-    /// `None` for who only looks.
+    /// `None` for spectators.
     haptic: Option<Box<Side>>,
-    /// `None` when it is elsewhere, or for who is thin.
+    /// `None` if it is detached, or for a thin subscriber.
     view: Option<View>,
-    /// What is shown to who has no tissue that is computed; then nothing of the above is there.
+    /// View of a thin subscriber; `haptic` and `view` are then `None`.
     thin: Option<ThinView>,
     tools: Vec<Tool>,
     others: Others,
 }
 
 impl Replica {
-    /// The uncut tissue; `with_hand` = false is for spectators and saves half the work.
+    /// A replica of the uncut tissue; `with_hand` = false suits spectators and saves half the work.
     pub fn new(model: Arc<Model>, with_hand: bool) -> Self {
         let topology = Arc::new(Topology::new(model));
         let view = View::new(&topology);
@@ -125,7 +122,7 @@ impl Replica {
         }
     }
 
-    /// The uncut tissue for a thin subscriber: cuts are made, nothing is solved.
+    /// A replica for a thin subscriber: it applies cuts and solves nothing.
     pub fn thin(model: Arc<Model>) -> Self {
         let topology = Arc::new(Topology::new(model));
         Self {
@@ -138,12 +135,12 @@ impl Replica {
         }
     }
 
-    /// What a thin subscriber shows; `None` for who computes the tissue.
+    /// The view of a thin subscriber; `None` for a full subscriber.
     pub fn thin_view(&self) -> Option<&ThinView> {
         self.thin.as_ref()
     }
 
-    /// The same, to tell it news.
+    /// The same, mutable.
     pub fn thin_view_mut(&mut self) -> Option<&mut ThinView> {
         self.thin.as_mut()
     }
@@ -153,73 +150,75 @@ impl Replica {
         &self.topology
     }
 
-    /// What the hand feels; `None` for who only looks.
+    /// The haptic shape; `None` for spectators.
     pub fn haptic_shape(&self) -> Option<&Shape> {
         self.haptic.as_ref().map(|h| &h.shape)
     }
 
-    /// Bricks that the hand's last step visited: what it cost, whatever the machine.
+    /// Bricks visited by the latest haptic step, a machine-independent measure of cost.
     pub fn haptic_bricks(&self) -> Option<usize> {
         self.haptic.as_ref().map(|h| h.solver.report().visits[0])
     }
 
-    /// Relative residual of the latest solve of what the hand feels; `None` for who only looks.
+    /// Relative residual of the latest haptic solve; `None` for spectators.
     pub fn haptic_residual(&self) -> Option<f64> {
         let side = self.haptic.as_ref()?;
         Some(side.solver.report().residual)
     }
 
-    /// Whether forces changed in the latest iteration of what the hand feels, or a cut has just changed it.
+    /// Whether forces changed in the latest haptic iteration, or a cut has just been adopted.
     pub(crate) fn is_unsettled(&self) -> bool {
         let solver = self.haptic.as_ref().map(|side| &side.solver);
         solver.is_some_and(|s| s.is_settling() || !s.report().steady)
     }
 
-    /// What is seen; `None` when it is elsewhere.
+    /// The view; `None` if it is detached.
     pub fn view(&self) -> Option<&View> {
         self.view.as_ref()
     }
 
-    /// The same, to solve or correct it.
+    /// The same, mutable.
     pub fn view_mut(&mut self) -> Option<&mut View> {
         self.view.as_mut()
     }
 
-    /// Takes the view out. Whoever holds it must give it every cut from now on.
+    /// Takes the view out. The caller must pass it every later cut.
     pub fn detach_view(&mut self) -> Option<View> {
         self.view.take()
     }
 
-    /// What makes cuts ahead of this copy, from the topology of now on. `None` when neither a hand nor a
-    /// view is here that knows it.
-    pub fn ahead(&self) -> Option<Ahead> {
+    /// The cut worker's state, from the current topology on. `None` without a hand and a view.
+    pub fn prefetch(&self) -> Option<Prefetch> {
         let hand = || Some(self.haptic.as_ref()?.solver.follower());
         let follower = self.view.as_ref().map(View::follower).or_else(hand)?;
-        Some(Ahead::new(&self.topology, follower, self.haptic.is_some()))
+        Some(Prefetch::new(
+            &self.topology,
+            follower,
+            self.haptic.is_some(),
+        ))
     }
 
-    /// Applies an operation here and now; only a cut changes anything. Afterwards version and hash
-    /// are the operation's, or it is an error and nothing has changed. What a view elsewhere has to take
-    /// over is given back.
+    /// Applies an operation now; only a cut changes the tissue. On success version and hash match the operation; on
+    /// error nothing has changed. Returns the cut for a detached view.
     pub fn apply(&mut self, operation: &Operation) -> Result<Option<ViewCut>, ReplicaError> {
-        // What makes cuts costs milliseconds to set up: not for who joins or leaves.
+        // Setting up a cut costs milliseconds; other operations skip it.
         if !matches!(operation.kind, OperationKind::Cut(_)) {
             return Ok(None);
         }
         if let Some(thin) = &mut self.thin {
-            let outcome = cut_as_told(&mut self.topology, operation)?;
+            let outcome = cut_checked(&mut self.topology, operation)?;
             if let Some(outcome) = outcome {
                 thin.follow(&self.topology, &outcome);
             }
             return Ok(None);
         }
-        let mut ahead = self.ahead().ok_or_else(|| ReplicaError::Ended {
+        let mut prefetch = self.prefetch().ok_or_else(|| ReplicaError::Ended {
             operation: operation.id.to_string(),
         })?;
-        Ok(ahead.make(operation)?.and_then(|made| self.follow(made)))
+        Ok(prefetch.make(operation)?.and_then(|made| self.follow(made)))
     }
 
-    /// Follows a cut here and now.
+    /// Adopts a cut now.
     fn follow(&mut self, made: MadeCut) -> Option<ViewCut> {
         self.topology = made.topology;
         if let Some((side, successor)) = self.haptic.as_mut().zip(made.hand) {
@@ -241,27 +240,27 @@ impl Replica {
     }
 
     /// Copies the state of the hand's side, to be continued on the topology of the next cut. Returns the tools of its
-    /// last step; `None` without a hand.
+    /// latest step; `None` without a hand.
     pub fn capture(&mut self, state: &mut SolverState) -> Option<Vec<Tool>> {
         let side = self.haptic.as_mut()?;
         side.solver.capture(&side.shape, state);
         Some(self.tools.clone())
     }
 
-    /// The tools of the hand's last step.
+    /// Tools of the latest haptic step.
     pub fn tools(&self) -> &[Tool] {
         &self.tools
     }
 
-    /// Exchanges topology and hand's side for those of the next cut of the log, as [`ahead`](Self::ahead) has prepared
-    /// them. It computes and frees nothing.
+    /// Exchanges topology and hand's side for the prepared next cut of the log. It computes and frees nothing.
     pub fn exchange(&mut self, ready: ReadyCut) -> (Box<ViewCut>, Retired) {
         let topology = std::mem::replace(&mut self.topology, ready.topology);
         let hand = ready.hand.and_then(|side| self.haptic.replace(side));
         (ready.view, Retired { topology, hand })
     }
 
-    /// Moves a tool that touched nothing in the latest solve, without another one. Returns whether it touches nothing now.
+    /// Moves a tool that touched nothing in the latest solve, without a solve. Returns whether it still touches
+    /// nothing.
     pub(crate) fn move_free(&mut self, tool: &ToolAt) -> bool {
         let (Some(side), topology) = (&mut self.haptic, &self.topology) else {
             return false;
@@ -270,9 +269,9 @@ impl Replica {
         parts.all(|part| side.solver.move_free(topology, &side.shape, &part))
     }
 
-    /// Solves what the hand feels: one's `own` tool where it is `now`, the others where everybody
-    /// sees them. A tool that does not press gives a model without contact. A solve that was thrown
-    /// away gives a model that is not usable: the force loop counts it and lets the last one age.
+    /// Solves the haptic shape: the `own` tool at its position `now`, the other tools at their common time. Without
+    /// contact the model is free. A failed solve gives an unusable model: the force loop counts it and ages the last
+    /// one.
     pub fn haptic_step(
         &mut self,
         now: ClientTime,
@@ -307,18 +306,17 @@ impl Replica {
     }
 }
 
-/// What other hands have put into the tissue.
+/// Energy that other hands have put into the tissue.
 #[derive(Debug, Default)]
 struct Others {
-    /// Less what they have got back, J.
+    /// Net energy, J.
     work_j: f64,
-    /// What was felt at each of them.
+    /// Latest reaction on each of them.
     last: BTreeMap<u32, Reaction>,
 }
 
 impl Others {
-    /// Adds what they did since the last solve: the mean of the two forces over the way between, and of the two
-    /// torques over the turn.
+    /// Adds the work since the last solve: mean force times displacement, and mean torque times rotation.
     fn note<'a>(&mut self, reactions: impl Iterator<Item = &'a Reaction>) {
         let mut now = BTreeMap::new();
         for r in reactions {

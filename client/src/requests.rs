@@ -1,8 +1,8 @@
-//! Requests that are not answered yet, so that none is lost with a connection.
+//! Unanswered requests, kept so that none is lost with a connection.
 //!
-//! A seat's requests are counted over all its connections. What was not answered when one broke is asked
-//! again under its old number, and the server does nothing twice. A cut or a change of the tool is
-//! answered by its operation in the log or by a refusal; both come in the order in which was asked.
+//! Requests of a seat are numbered across its connections. Unanswered requests are sent again with their old number,
+//! and the server executes each number once. A cut or a change of tool is answered by its operation in the log or by
+//! a refusal, in request order.
 
 use std::collections::VecDeque;
 
@@ -11,24 +11,24 @@ use palpate_protocol::request::{Request, RequestKind, RequestRefusal, RequestRef
 use palpate_protocol::session::ClientEvent;
 use palpate_protocol::{OperationId, ParticipantId, RequestId};
 
-/// Requests kept at most: as many as a server takes in a second, and some. Beyond, the oldest is given up.
+/// Maximum number of kept requests: a little more than a server accepts per second. Beyond it the oldest is dropped.
 const KEPT_MAX: usize = 64;
 
-/// Bits of a number that count the requests of one run: at 60 a second these are three days.
+/// Bits that count the requests of one run: three days at 60 per second.
 const RUN_BITS: u32 = 24;
 
-/// What one seat asked for.
+/// Requests of one seat.
 #[derive(Debug, Clone)]
 pub struct Requests {
     me: ParticipantId,
     last: RequestId,
     open: VecDeque<Request>,
-    /// The first operation of the log that was not seen: those that are sent again answer nothing.
+    /// The first log operation not seen yet; repeated operations answer nothing.
     unseen: OperationId,
 }
 
 impl Requests {
-    /// Nothing asked for yet.
+    /// Starts without requests.
     pub fn new(me: ParticipantId) -> Self {
         Self {
             me,
@@ -38,8 +38,8 @@ impl Requests {
         }
     }
 
-    /// Numbers requests above those that an earlier run in the same seat may have used: the server takes a number that it
-    /// knows from an earlier connection for a repetition.
+    /// Numbers requests above those of earlier runs in the same seat: the server treats a known number from an
+    /// earlier connection as a repetition.
     #[must_use]
     pub fn of_run(self, run: u8) -> Self {
         Self {
@@ -48,7 +48,7 @@ impl Requests {
         }
     }
 
-    /// Numbers a request, and keeps it until it is answered if it is one whose loss a person would feel.
+    /// Numbers a request. It is kept until answered if the user would notice its loss.
     pub fn number(&mut self, kind: RequestKind) -> Request {
         self.last = RequestId(self.last.0.wrapping_add(1));
         let id = self.last;
@@ -62,14 +62,14 @@ impl Requests {
         request
     }
 
-    /// Whether a refusal is of something whose loss a person would feel. That a report was refused because of
-    /// too many requests is nobody's concern: the next one tells more.
+    /// Whether the user would notice the refused request. A refused report is ignored, because the next one replaces
+    /// it.
     pub fn is_felt(&self, refused: &RequestRefused) -> bool {
         refused.reason == RequestRefusal::TopologyDiffers
             || self.open.iter().any(|r| r.id == refused.id)
     }
 
-    /// Notes what is an answer.
+    /// Processes an event that may answer a request.
     pub fn handle_event(&mut self, event: &ClientEvent) {
         match event {
             ClientEvent::RequestRefused(refused) => self.open.retain(|r| r.id != refused.id),
@@ -98,12 +98,12 @@ impl Requests {
         }
     }
 
-    /// What is to be asked again over a new connection, oldest first.
+    /// Requests to repeat on a new connection, oldest first.
     pub fn unanswered(&self) -> Vec<Request> {
         self.open.iter().cloned().collect()
     }
 
-    /// Gives up what is not answered; how many those were.
+    /// Drops all unanswered requests and returns their number.
     pub fn give_up(&mut self) -> u64 {
         let lost = self.open.len() as u64;
         self.open.clear();
@@ -111,7 +111,7 @@ impl Requests {
     }
 }
 
-/// Whether a person would feel its loss; reports are made again anyway.
+/// Whether the user would notice its loss; reports are repeated anyway.
 pub(crate) fn is_felt(kind: &RequestKind) -> bool {
     matches!(kind, RequestKind::Cut(_) | RequestKind::SetTool(_))
 }
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn two_runs_in_one_seat_use_no_number_twice() {
+    fn runs_in_one_seat_use_distinct_numbers() {
         let numbers = |run: u8| {
             let mut requests = Requests::new(ME).of_run(run);
             (0..1000).map(move |_| requests.number(cut()).id)
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn a_log_that_is_sent_again_answers_nothing_a_second_time() {
+    fn repeated_log_answers_nothing() {
         let mut requests = Requests::new(ME);
         requests.number(cut());
         requests.handle_event(&done(0, ME));
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn what_nobody_would_feel_is_numbered_and_not_kept() {
+    fn reports_are_numbered_and_not_kept() {
         let mut requests = Requests::new(ME);
         let hash = TopologyHash(0);
         requests.number(RequestKind::TopologyReport { version: 0, hash });
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn a_refused_report_is_told_only_where_it_says_that_the_copy_differs() {
+    fn refused_report_is_shown_only_for_topology_difference() {
         let mut requests = Requests::new(ME);
         let hash = TopologyHash(0);
         let report = requests.number(RequestKind::TopologyReport { version: 0, hash });
@@ -203,12 +203,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_left_is_what_was_not_answered_whatever_the_answers(
+        fn unanswered_requests_remain(
             answers in prop::collection::vec(any::<Option<bool>>(), 0..40),
         ) {
             let mut requests = Requests::new(ME);
             let ids: Vec<RequestId> = answers.iter().map(|_| requests.number(cut()).id).collect();
-            // Up to the first that is not answered a server has come.
+            // The server has processed requests up to the first unanswered one.
             let answered = answers.iter().take_while(|a| a.is_some()).count();
             let mut operations = 0;
             for (id, done_or_not) in ids.iter().zip(&answers).take(answered) {

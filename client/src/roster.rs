@@ -1,4 +1,4 @@
-//! Who is in the session, and where their tools are at a moment.
+//! Participants of the session, and the poses of their tools at a time.
 
 use std::collections::BTreeMap;
 
@@ -12,19 +12,19 @@ use palpate_tissue::{Form, Tool, Vec3};
 
 use crate::convert::orientation;
 
-/// What is made up from samples older than this is no longer what the server has: twice what the
-/// artificial delay leaves to be bridged.
+/// Age of samples from which an extrapolated pose differs from the server's: twice the gap that the artificial delay
+/// leaves.
 const BRIDGED_MAX: Span = Span::from_micros(2 * BRIDGE.as_micros());
 
-/// Whose newest sample is older than this is silent, and not slow.
+/// Age of the newest sample from which a participant counts as silent instead of slow.
 const SILENT: Span = Span::from_millis(2000);
 
-/// A tool at a moment, with all that the tissue has to know of it.
+/// A tool at one time, with all data that the tissue needs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ToolAt {
-    /// Whose it is.
+    /// Participant that holds it.
     pub participant: ParticipantId,
-    /// What it is.
+    /// Kind and size.
     pub description: ToolDescription,
     /// Position of its tip, m.
     pub position: Vec3,
@@ -32,33 +32,33 @@ pub struct ToolAt {
     pub orientation: UnitQuaternion<f64>,
     /// One bit per button; bit 0 is the main one.
     pub buttons: u8,
-    /// Whether nothing has come from it for too long.
+    /// Whether its newest sample is too old.
     pub stale: bool,
 }
 
-/// A turn counts as the way of a point so far from the pivot, m: the far end of a long tool.
+/// Lever that converts a rotation into a distance, m: the length of a long tool.
 const LEVER_M: f64 = 0.05;
 
 impl ToolAt {
-    /// Whether it is the same tool in the same state.
+    /// Whether both are the same tool in the same state.
     pub fn is_alike(&self, other: &Self) -> bool {
         let state = |t: &Self| (t.participant, t.description, t.buttons, t.stale);
         state(self) == state(other)
     }
 
-    /// Whether it is the same tool in the same state, and has moved by less than `way_m` from where `other` is.
+    /// Whether both are the same tool in the same state, less than `way_m` apart.
     pub fn is_within(&self, other: &Self, way_m: f64) -> bool {
         let moved = (self.position - other.position).norm()
             + LEVER_M * self.orientation.angle_to(&other.orientation);
         self.is_alike(other) && moved < way_m
     }
 
-    /// Whether it is a blade that cuts now: its main button is held.
+    /// Whether it is a cutting blade: its main button is held.
     pub fn is_cutting(&self) -> bool {
         self.description.kind == ToolKind::Scalpel && self.buttons & 1 == 1
     }
 
-    /// The parts of the tool as the tissue feels them; none while it cuts, or is stale, or is no place at all.
+    /// Contact geometry of the tool; empty if it cuts, is stale or has an invalid pose.
     pub fn contacts(&self) -> impl Iterator<Item = Tool> + '_ {
         let held = self.buttons & 1 == 1;
         let parts = self.description.parts(held).enumerate();
@@ -78,7 +78,7 @@ impl ToolAt {
     }
 }
 
-/// The tools that touch, as the tissue takes them.
+/// Collects the tools that can make contact, in the tissue's format.
 pub(crate) fn gather<'a>(into: &mut Vec<Tool>, tools: impl Iterator<Item = &'a ToolAt>) {
     into.clear();
     into.extend(tools.flat_map(ToolAt::contacts));
@@ -89,31 +89,31 @@ struct Seat {
     name: String,
     role: Role,
     tool: Option<ToolDescription>,
-    /// Whether the tool is lifted for everybody, because its owner's network is too slow.
-    lifted: bool,
-    /// Asked on the common grid, for the view.
+    /// Whether the participant is demoted: the tool is inactive, because the participant's network is too slow.
+    demoted: bool,
+    /// Timeline for the view, queried on the common grid.
     seen: Timeline,
-    /// Asked between its points too, for the hand. Corrections are blended along the moments asked
-    /// for, so each has its own.
+    /// Timeline for the hand, queried at any time. Corrections are blended along the queried times, so each use has
+    /// its own.
     felt: Timeline,
 }
 
 impl Seat {
-    /// The tool, unless it is lifted.
-    fn tool_down(&self) -> Option<ToolDescription> {
-        self.tool.filter(|_| !self.lifted)
+    /// The tool, unless its participant is demoted.
+    fn active_tool(&self) -> Option<ToolDescription> {
+        self.tool.filter(|_| !self.demoted)
     }
 }
 
-/// Everybody in the session, in the order of their numbers: the same order at every site, because
-/// tools press in the order in which they are listed.
+/// All participants, ordered by number. The order is the same at every site, because contacts are solved in list
+/// order.
 #[derive(Debug, Clone, Default)]
 pub struct Roster {
     seats: BTreeMap<ParticipantId, Seat>,
 }
 
 impl Roster {
-    /// Those in a welcome.
+    /// The roster of a welcome.
     pub fn new(entries: &[RosterEntry]) -> Self {
         let mut roster = Self::default();
         for entry in entries {
@@ -122,8 +122,8 @@ impl Roster {
         roster
     }
 
-    /// Somebody came. Who is known already keeps their tool's past. Beyond [`ROSTER_MAX`] nobody is
-    /// taken; no server lets more in.
+    /// Adds a participant. A known participant keeps the tool's timeline. Entries beyond [`ROSTER_MAX`] are ignored;
+    /// no server admits more.
     pub fn join(&mut self, entry: RosterEntry) {
         if let Some(seat) = self.seats.get_mut(&entry.participant) {
             (seat.name, seat.role, seat.tool) = (entry.name, entry.role, entry.tool);
@@ -132,7 +132,7 @@ impl Roster {
                 name: entry.name,
                 role: entry.role,
                 tool: entry.tool,
-                lifted: false,
+                demoted: false,
                 seen: Timeline::default(),
                 felt: Timeline::default(),
             };
@@ -140,38 +140,38 @@ impl Roster {
         }
     }
 
-    /// Somebody went, and their tool with them.
+    /// Removes a participant.
     pub fn leave(&mut self, who: ParticipantId) {
         self.seats.remove(&who);
     }
 
-    /// The connection of somebody was lost: their tool is nowhere until it is heard of again.
+    /// Clears the timelines of a disconnected participant: the tool is inactive until its next sample.
     pub fn lose(&mut self, who: ParticipantId) {
         if let Some(seat) = self.seats.get_mut(&who) {
             (seat.seen, seat.felt) = (Timeline::default(), Timeline::default());
         }
     }
 
-    /// The tool of somebody is lifted for everybody, or set down again.
-    pub fn lift(&mut self, who: ParticipantId, lifted: bool) {
+    /// Demotes a participant or restores the tool.
+    pub fn set_demoted(&mut self, who: ParticipantId, demoted: bool) {
         if let Some(seat) = self.seats.get_mut(&who) {
-            seat.lifted = lifted;
+            seat.demoted = demoted;
         }
     }
 
-    /// Whether somebody's tool is lifted.
-    pub fn is_lifted(&self, who: ParticipantId) -> bool {
-        self.seats.get(&who).is_some_and(|seat| seat.lifted)
+    /// Whether a participant is demoted.
+    pub fn is_demoted(&self, who: ParticipantId) -> bool {
+        self.seats.get(&who).is_some_and(|seat| seat.demoted)
     }
 
-    /// Somebody took another tool.
+    /// Changes the tool of a participant.
     pub fn change_tool(&mut self, who: ParticipantId, tool: ToolDescription) {
         if let Some(seat) = self.seats.get_mut(&who) {
             seat.tool = Some(tool);
         }
     }
 
-    /// A sample of somebody's tool; of who is not here it is ignored.
+    /// Adds a sample of a participant's tool; unknown participants are ignored.
     pub fn insert(&mut self, who: ParticipantId, sample: ToolSample) {
         if let Some(seat) = self.seats.get_mut(&who) {
             seat.seen.insert(sample);
@@ -179,55 +179,55 @@ impl Roster {
         }
     }
 
-    /// Every tool at a moment of the common grid. Ask with ascending times: late news are blended
-    /// from one to the next.
+    /// All tools at a time of the common grid. Query in ascending order: late samples are blended in from one query
+    /// to the next.
     pub fn tools_seen_at(&mut self, s: ServerTime) -> Vec<ToolAt> {
         let at = |(who, seat): (&ParticipantId, &mut Seat)| {
             let shown = seat.seen.at(s)?;
-            Some(placed(*who, seat.tool_down()?, &shown))
+            Some(placed(*who, seat.active_tool()?, &shown))
         };
         self.seats.iter_mut().filter_map(at).collect()
     }
 
-    /// Whether somebody's tool at a moment is made up from samples that are too old: then the view differs
-    /// from the server's because of the network. Who is silent for longer presses nowhere.
+    /// Whether a tool's pose at `s` is extrapolated from samples that are too old, so that the view differs from the
+    /// server's because of the network. Silent participants have no active tool.
     pub fn is_made_up(&self, s: ServerTime) -> bool {
-        let others = self.seats.values().filter(|seat| !seat.lifted);
+        let others = self.seats.values().filter(|seat| !seat.demoted);
         let mut newest = others.filter_map(|seat| seat.seen.newest());
         newest.any(|newest| (BRIDGED_MAX..SILENT).contains(&(s - newest)))
     }
 
-    /// The tools of all but `me` at any moment, for what the hand feels. Ask with ascending times.
+    /// The tools of all participants but `me` at any time, for the haptic shape. Query in ascending order.
     pub fn tools_felt_at(&mut self, s: ServerTime, me: ParticipantId) -> Vec<ToolAt> {
         let at = |(who, seat): (&ParticipantId, &mut Seat)| {
             let shown = seat.felt.at(s)?;
-            Some(placed(*who, seat.tool_down()?, &shown))
+            Some(placed(*who, seat.active_tool()?, &shown))
         };
         let others = self.seats.iter_mut().filter(|(who, _)| **who != me);
         others.filter_map(at).collect()
     }
 
-    /// The tool that somebody holds; `None` while it is lifted.
+    /// The tool of a participant; `None` while demoted.
     pub fn tool_of(&self, who: ParticipantId) -> Option<ToolDescription> {
-        self.seats.get(&who)?.tool_down()
+        self.seats.get(&who)?.active_tool()
     }
 
-    /// The name of somebody, for people.
+    /// Display name of a participant.
     pub fn name_of(&self, who: ParticipantId) -> Option<&str> {
         self.seats.get(&who).map(|s| s.name.as_str())
     }
 
-    /// How many are here.
+    /// Number of participants.
     pub fn len(&self) -> usize {
         self.seats.len()
     }
 
-    /// Whether nobody is here.
+    /// Whether the roster is empty.
     pub fn is_empty(&self) -> bool {
         self.seats.is_empty()
     }
 
-    /// How many of those here have a tool.
+    /// Number of participants with a tool.
     pub fn tools(&self) -> usize {
         self.seats.values().filter(|s| s.role.has_tool()).count()
     }
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn a_blade_with_its_button_held_does_not_press() {
+    fn cutting_blade_makes_no_contact() {
         let mut roster = Roster::new(&[entry(1, ToolKind::Scalpel), entry(2, ToolKind::Probe)]);
         for who in [1, 2] {
             roster.insert(ParticipantId(who), sample(0, 1));
@@ -284,21 +284,21 @@ mod tests {
     }
 
     #[test]
-    fn a_lifted_tool_is_nowhere_and_back_when_it_is_set_down() {
+    fn demoted_tool_is_inactive_until_restored() {
         let (me, at) = (ParticipantId(1), ServerTime::from_micros(500));
         let mut roster = Roster::new(&[entry(1, ToolKind::Probe)]);
         for us in [0, 1000] {
             roster.insert(me, sample(us, 0));
         }
-        roster.lift(me, true);
+        roster.set_demoted(me, true);
         assert!(roster.tools_seen_at(at).is_empty() && roster.tool_of(me).is_none());
         assert!(roster.tools_felt_at(at, ParticipantId(2)).is_empty());
-        roster.lift(me, false);
+        roster.set_demoted(me, false);
         assert_eq!(roster.tools_seen_at(at).len(), 1);
     }
 
     #[test]
-    fn a_tool_that_is_not_heard_of_does_not_press_and_one_that_left_is_gone() {
+    fn silent_tool_makes_no_contact_and_left_participant_is_removed() {
         let mut roster = Roster::new(&[entry(1, ToolKind::Probe)]);
         roster.insert(ParticipantId(1), sample(0, 0));
         let late = roster.tools_seen_at(ServerTime::from_micros(300_000));

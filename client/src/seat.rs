@@ -1,8 +1,8 @@
-//! The seat of a run, kept on the disk: a run that follows a crash takes it again at once.
+//! The seat of a run, stored on disk, so that a run after a crash resumes it at once.
 //!
-//! There is one file per server, role and name. The run that holds the seat holds a lock on it, so a second program of the
-//! same name does not take the seat of one that still runs; the system frees the lock when a program dies. A file that
-//! can not be read or written costs the convenience and never the session.
+//! There is one file per server, role and name. A running client holds a lock on its file, so a second client of the
+//! same name can not take its seat. The operating system releases the lock when the program ends. File errors never
+//! end the session; the seat is then not kept.
 
 use std::fs::File;
 use std::io::{self, Read as _, Seek as _, Write as _};
@@ -13,24 +13,24 @@ use palpate_protocol::{JoinLink, OperationId, ParticipantId, ResumeToken, Topolo
 use palpate_transport::state::{make_private_folder, open_private};
 use serde::{Deserialize, Serialize};
 
-/// The format of the file.
+/// Format identifier of the file.
 const FORMAT: &str = "palpate-seat/1";
 
-/// Bytes of a file. More was not written by this program.
+/// Maximum file size, bytes. A larger file was not written by this program.
 const BYTES_MAX: u64 = 4096;
 
-/// The content of the file.
+/// Content of the file.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Kept {
     format: String,
     participant: ParticipantId,
     token: ResumeToken,
-    /// Runs that have used this seat before the newest one.
+    /// Number of runs in this seat before the current one.
     run: u8,
 }
 
-/// A seat on the disk, locked for this run.
+/// A stored seat, locked for this run.
 pub(crate) struct KeptSeat {
     path: PathBuf,
     file: File,
@@ -38,14 +38,14 @@ pub(crate) struct KeptSeat {
 }
 
 impl KeptSeat {
-    /// Locks the file for a seat. `None` where another program holds it, or where nothing can be kept.
+    /// Locks the file of a seat. `None` if another program holds it, or if it can not be written.
     pub(crate) fn open(state: &Path, link: &JoinLink, hello: &Hello) -> Option<Self> {
         let folder = state.join("seats");
         let path = folder.join(file_name(link, hello));
         let opened = make_private_folder(&folder).and_then(|()| Self::lock(path.clone()));
         opened
             .inspect_err(|error| {
-                tracing::warn!(%error, path = %path.display(), "the seat is not kept on this disk");
+                tracing::warn!(%error, path = %path.display(), "cannot store the seat on this disk");
             })
             .ok()
     }
@@ -55,7 +55,7 @@ impl KeptSeat {
         file.try_lock()?;
         let mut text = String::new();
         (&mut file).take(BYTES_MAX).read_to_string(&mut text)?;
-        // What a crash left half written is no seat.
+        // A file that a crash left incomplete holds no seat.
         let kept = serde_json::from_str::<Kept>(&text).ok();
         Ok(Self {
             path,
@@ -64,12 +64,12 @@ impl KeptSeat {
         })
     }
 
-    /// The number of this run among those in the same seat.
+    /// Index of this run among those in the same seat.
     pub(crate) fn run(&self) -> u8 {
         self.kept.as_ref().map_or(0, |kept| kept.run)
     }
 
-    /// Begins another run in the kept seat, if there is one, with nothing of the log.
+    /// Starts another run in the stored seat, if any, without operations of the log.
     pub(crate) fn begin_run(&mut self) -> Option<Resume> {
         let kept = self.kept.as_mut()?;
         let Some(run) = kept.run.checked_add(1) else {
@@ -88,7 +88,7 @@ impl KeptSeat {
         Some(resume)
     }
 
-    /// Keeps a new seat.
+    /// Stores a new seat.
     pub(crate) fn keep(&mut self, welcome: &Welcome) {
         self.kept = Some(Kept {
             format: FORMAT.to_owned(),
@@ -99,25 +99,25 @@ impl KeptSeat {
         self.write();
     }
 
-    /// Whether there is a seat to keep the file for.
+    /// Whether the file holds no seat.
     pub(crate) fn is_empty(&self) -> bool {
         self.kept.is_none()
     }
 
-    /// Forgets a seat that is gone, and keeps the lock for the next one.
+    /// Forgets a released seat, and keeps the lock for the next one.
     pub(crate) fn clear(&mut self) {
         self.kept = None;
         self.write();
     }
 
-    /// Removes the file: the server has given up the seat.
+    /// Removes the file after the server released the seat.
     pub(crate) fn forget(self) {
         if let Err(error) = std::fs::remove_file(&self.path) {
-            tracing::warn!(%error, path = %self.path.display(), "the kept seat can not be removed");
+            tracing::warn!(%error, path = %self.path.display(), "cannot remove the stored seat");
         }
     }
 
-    /// Writes in place: the lock belongs to this file.
+    /// Writes in place, because the lock belongs to this file.
     fn write(&mut self) {
         let text = self
             .kept
@@ -129,12 +129,12 @@ impl KeptSeat {
             .and_then(|()| self.file.set_len(0))
             .and_then(|()| self.file.write_all(text.unwrap_or_default().as_bytes()));
         if let Err(error) = written {
-            tracing::warn!(%error, path = %self.path.display(), "the seat can not be kept");
+            tracing::warn!(%error, path = %self.path.display(), "cannot store the seat");
         }
     }
 }
 
-/// A name for the file that tells nothing and has no character that a path could not have.
+/// A file name that hides the link and has only valid characters.
 fn file_name(link: &JoinLink, hello: &Hello) -> String {
     let seat = format!(
         "{}\n{}\n{}\n{}\n{}",
@@ -171,7 +171,7 @@ mod tests {
         KeptSeat::open(state, &link, &hello)
     }
 
-    /// Keeps a seat as a run does that is let in.
+    /// Stores a seat as a joining run does.
     fn sit(kept: &mut KeptSeat) {
         kept.kept = Some(Kept {
             format: FORMAT.to_owned(),
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_after_a_crash_takes_the_seat_and_each_run_is_another() {
+    fn run_after_crash_resumes_seat_with_new_run_number() {
         let dir = tempfile::tempdir().unwrap();
         let mut first = seat(dir.path(), "ann").unwrap();
         assert!(first.begin_run().is_none());
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn a_seat_is_for_its_owner_alone_and_is_gone_after_leaving() {
+    fn seat_file_is_private_and_removed_on_leaving() {
         let dir = tempfile::tempdir().unwrap();
         let mut kept = seat(dir.path(), "ann").unwrap();
         sit(&mut kept);
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_file_is_no_seat_and_no_error() {
+    fn damaged_file_is_ignored() {
         let dir = tempfile::tempdir().unwrap();
         let mut kept = seat(dir.path(), "ann").unwrap();
         sit(&mut kept);

@@ -1,4 +1,4 @@
-//! A session that stands: looked after until it is over, then ended in order.
+//! A running session: supervised until it is over, then shut down in order.
 
 use std::path::Path;
 use std::sync::atomic::Ordering;
@@ -10,30 +10,30 @@ use palpate_transport::threads::{self, CpuTime, Scheduling};
 
 use crate::ending::{Ending, conclude};
 use crate::join::Parts;
-use crate::lifeline::Condition;
 use crate::motion::MotionThread;
 use crate::network::Network;
 use crate::realtime::{HapticHandle, LoopSummary, TracePoint, monotonic_now, sleep_until};
+use crate::reconnect::Condition;
 use crate::recording::{HapticPoint, Recording};
-use crate::solve::{End, Part, Progress, Solved};
+use crate::replica_thread::{End, Part, Progress, ReplicaSummary};
 use crate::status::{Figures, HandFigures, Status};
 use crate::{ClientError, JoinOptions, Summary};
 
-/// How often the main thread looks around.
+/// Polling period of the main thread.
 const LOOK_AROUND: Span = Span::from_millis(50);
 
-/// A session that stands.
+/// A running session.
 pub(crate) struct Session<'a> {
     pub(crate) options: &'a JoinOptions,
     pub(crate) network: Network,
     pub(crate) parts: Parts,
     pub(crate) status: Status,
-    /// How the connection did when it was last looked at.
+    /// State of the connection at the last poll.
     pub(crate) seen: Condition,
     pub(crate) began: ClientTime,
-    /// CPU time of the program when the session began.
+    /// CPU time of the program at the start of the session.
     pub(crate) cpu_began: CpuTime,
-    /// Bytes that had come from the server when the status line was last written, and when that was.
+    /// Bytes received and time, as of the last status line.
     pub(crate) came: (u64, ClientTime),
 }
 
@@ -56,14 +56,14 @@ impl Session<'_> {
         }
     }
 
-    /// Looks after everything until it is over.
+    /// Supervises all threads until the session is over.
     pub(crate) fn supervise(&mut self) -> Ending {
         loop {
             let now = monotonic_now();
             let progress = self.parts.replica.progress();
             if let Some(haptics) = &self.parts.haptics {
-                // Of a copy that differs no force is believed.
-                haptics.set_link_lost(progress.link_lost || progress.part == Part::Resyncs);
+                // No force of a replica that differs from the server's is rendered.
+                haptics.set_link_lost(progress.link_lost || progress.part == Part::Resyncing);
                 if !haptics.is_running() {
                     return Ending::Panicked("force loop");
                 }
@@ -82,7 +82,7 @@ impl Session<'_> {
             if !self.parts.replica.is_running() {
                 return Ending::Panicked("solver");
             }
-            self.look_at_connection();
+            self.report_connection();
             if self.options.stop.load(Ordering::Acquire) {
                 return Ending::Wish("you left".to_owned());
             }
@@ -104,24 +104,24 @@ impl Session<'_> {
         }
     }
 
-    /// Says when the connection is lost and when it is back.
-    fn look_at_connection(&mut self) {
+    /// Reports a lost or restored connection.
+    fn report_connection(&mut self) {
         let now = self.network.condition.borrow().clone();
         if now == self.seen {
             return;
         }
         if now.returns > self.seen.returns {
-            self.status.say("back in the session, in the same seat");
+            self.status.say("reconnected, in the same seat");
         }
         if let Some(why) = now.lost.as_ref().filter(|_| self.seen.lost.is_none()) {
             self.status.say(&format!(
-                "the connection is lost ({why}); there is no force until it is back, which is tried for {} s",
+                "connection lost ({why}); no force; trying to reconnect for {} s",
                 self.options.reconnect.as_secs_f64()
             ));
         }
         if now.requests_lost > self.seen.requests_lost {
             self.status.say(
-                "what you asked for (a cut, another tool) was lost with the connection; do it again",
+                "your request (a cut or a change of tool) was lost with the connection; please repeat it",
             );
         }
         self.seen = now;
@@ -140,7 +140,7 @@ impl Session<'_> {
         let link = stats.link;
         let now = monotonic_now();
         let (bytes, since) = std::mem::replace(&mut self.came, (stats.path.received_bytes, now));
-        // Fewer than before are those of another connection.
+        // A smaller count than before belongs to another connection.
         let came = stats.path.received_bytes.saturating_sub(bytes);
         let seconds = (now - since).as_secs_f64().max(1e-3);
         Figures {
@@ -158,7 +158,7 @@ impl Session<'_> {
         }
     }
 
-    /// Takes the force away first, then ends everything, then adds up.
+    /// Fades the force first, then stops all threads, then collects the summary.
     pub(crate) fn finish(mut self, ending: Ending) -> Result<Summary, ClientError> {
         self.status.close();
         let progress = self.parts.replica.progress();
@@ -175,7 +175,7 @@ impl Session<'_> {
             realtime: "no force loop".to_owned(),
             ..Summary::default()
         };
-        // Before the threads end, so that what follows does not count.
+        // Measured before the threads end, so that the shutdown does not count.
         summary.cpu = threads::cpu_time().usage_since(&self.cpu_began);
         let haptics = self.parts.haptics.map(HapticHandle::stop);
         if let Some(dropped) = self.parts.motion.map(MotionThread::stop) {
@@ -219,7 +219,7 @@ impl Summary {
         };
     }
 
-    fn take_solved(&mut self, solved: &Solved) {
+    fn take_solved(&mut self, solved: &ReplicaSummary) {
         self.topology_version = solved.topology_version;
         self.topology_hash.clone_from(&solved.topology_hash);
         self.operations = solved.counters.operations;
@@ -240,7 +240,7 @@ impl Summary {
     }
 }
 
-/// Writes the recording. An error of the run itself is more important than one of the file.
+/// Writes the recording. An error of the run takes precedence over one of the file.
 fn write_recording(
     path: &Path,
     mut recording: Recording,

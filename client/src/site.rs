@@ -1,21 +1,20 @@
-//! One participant's site as a pure machine: what the session says and the hand does comes in, what
-//! is felt and what is seen comes out.
+//! One participant's site as a pure state machine: session events and hand samples in, contact models and views out.
 //!
 //! ```text
-//! D(t)   artificial delay, from the operations log        s = t - D(t)   the moment that is seen
-//! the view is solved on the common grid s = k / tick_hz, so that all sites solve for the same moments
-//! an operation stamped `at` is applied when s >= at, or at once when it comes later than that
+//! D(t)   artificial delay, from the operation log        s = t - D(t)   the displayed time
+//! the view is solved on the common grid s = k / tick_hz, so all sites solve for the same times
+//! an operation stamped `at` is applied when s >= at, or at once if it arrives later
 //! ```
 //!
-//! It reads no clock: every call is given the time.
+//! It reads no clock: every call passes the time.
 
-mod anew;
 mod applying;
 mod cutting;
 mod grid;
 mod hand;
+mod rejoin;
 mod resync;
-mod thin;
+mod thin_site;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -33,14 +32,14 @@ use palpate_protocol::{
 };
 use palpate_tissue::{Budget, Model, Shape};
 
-use anew::Anew;
 use cutting::Cuts;
-use hand::Felt;
+use hand::LastSolve;
+use rejoin::ResyncState;
 use resync::Resync;
 
 pub use resync::{DRIFT_MAX_M, RESYNCS_MAX};
 
-use crate::ahead::{Ahead, ReplicaError};
+use crate::prefetch::{Prefetch, ReplicaError};
 use crate::recording::OperationRecord;
 use crate::replica::Replica;
 use crate::roster::{Roster, ToolAt};
@@ -49,79 +48,76 @@ use crate::view::{View, ViewCut};
 
 pub use grid::{grid_index, grid_moment};
 
-/// Operations that wait for their moment. They wait for D, 0.2 s, so this is never reached; beyond
-/// it the oldest is applied early.
+/// Maximum number of operations waiting for their due time. They wait for D, 0.2 s, so the limit is never reached in
+/// practice; beyond it the oldest is applied early.
 const DEFERRED_MAX: usize = 4096;
 
-/// Drift is not counted so soon after the first view: a copy that has just joined is still on its
-/// way to the shape that the others have.
+/// Time after the first view without drift checks: a new replica still converges to the shape of the other sites.
 const SETTLING: Span = Span::from_millis(1000);
 
-/// The session can not go on at this site.
+/// Error that ends the session at this site.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SiteError {
-    /// The copy of the tissue is not the server's.
+    /// The replica differs from the server.
     #[error(transparent)]
     Diverged(#[from] ReplicaError),
-    /// It was not from the beginning, or the server says so.
+    /// The replica differed from the start, or the server reports a difference.
     #[error("{0}")]
     Differs(String),
-    /// It differs again, after it was made anew.
-    #[error("it was made anew from the server's log, and differs again: {0}")]
+    /// The replica differs again after a resync.
+    #[error("the replica differs again after a resync: {0}")]
     Again(String),
-    /// Cuts can not be made, or views not be solved.
-    #[error("a thread for cuts or views could not be used: {0}")]
+    /// The cut worker or the view thread failed.
+    #[error("the cut worker or the view thread failed: {0}")]
     Thread(String),
 }
 
-/// A view that is to be solved.
+/// A view to be solved.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ViewFrame {
-    /// The moment that it shows.
+    /// The time that it shows.
     pub s: ServerTime,
-    /// Its number on the common grid: s = k / `tick_hz`.
+    /// Its index on the common grid: s = k / `tick_hz`.
     pub k: i64,
-    /// The artificial delay with which it is shown.
+    /// The artificial delay of the view.
     pub delay: Span,
-    /// Everybody's tool at that moment.
+    /// All tools at that time.
     pub tools: Vec<ToolAt>,
 }
 
-/// What a view elsewhere has to be told, in this order.
+/// Updates for a detached view, in order.
 pub enum ViewNews {
-    /// A cut to take over.
+    /// A cut to adopt.
     Cut(Box<ViewCut>),
-    /// What the server says of a past view.
+    /// Corrections of a past view.
     Corrections(Corrections),
 }
 
-/// What a site counted.
+/// Counters of a site.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct SiteCounters {
     /// Operations applied.
     pub operations: u64,
     /// Cuts among them.
     pub cuts: u64,
-    /// Requests to cut that the server refused.
+    /// Cut requests that the server rejected.
     pub cuts_refused: u64,
-    /// Moments of the common grid that were left out.
+    /// Skipped points of the common grid.
     pub views_skipped: u64,
-    /// Nodes that were corrected.
+    /// Corrected nodes.
     pub corrected_nodes: u64,
-    /// Farthest that a node was from where the server had it, m.
+    /// Largest distance between a node and its position at the server, m.
     pub drift_max_m: f64,
-    /// How often the copy was made anew from the server's log.
+    /// Number of resyncs from the server's log.
     pub resyncs: u64,
-    /// How often one's own tool was lifted because of the network.
+    /// Number of demotions of this participant.
     pub demotions: u64,
-    /// Solves of what the hand feels.
+    /// Haptic solves.
     pub haptic_solves: u64,
 }
 
-/// One participant's site.
-///
-/// Calling order: [`handle_event`](Self::handle_event) and [`handle_own`](Self::handle_own) as they
-/// come; then [`advance`](Self::advance), [`haptic_step`](Self::haptic_step) and
+/// One participant's site. Calling order: [`handle_event`](Self::handle_event) and [`handle_own`](Self::handle_own)
+/// as they arrive; then [`advance`](Self::advance), [`haptic_step`](Self::haptic_step) and
 /// [`view_step`](Self::view_step) every few milliseconds; then the `poll_*` until `None`.
 pub struct Site {
     me: ParticipantId,
@@ -130,22 +126,22 @@ pub struct Site {
     schedule: DelaySchedule,
     clock: Option<ClockMap>,
     tick_hz: i64,
-    /// The newest view's place on the grid.
+    /// Grid index of the newest view.
     last_k: Option<i64>,
     first_view: Option<ServerTime>,
-    /// The newest view in which tools were made up, because the network was too slow.
+    /// The newest view with poses extrapolated too far, because a network was too slow.
     made_up: Option<ServerTime>,
     deferred: VecDeque<Operation>,
-    /// Whether cuts are made elsewhere, ahead of their moment.
+    /// Whether the cut worker and the view thread run elsewhere.
     is_detached: bool,
     cuts: Cuts,
-    /// `None` before the first solve of this copy.
-    felt: Option<Felt>,
-    /// What the view has to be told, where it is elsewhere.
+    /// `None` before the first solve of this replica.
+    last_solve: Option<LastSolve>,
+    /// Updates for a detached view.
     view_news: VecDeque<ViewNews>,
-    /// What the topology must be when the log of the beginning is applied.
+    /// Expected topology after the initial log.
     expected: Option<(u32, TopologyHash)>,
-    /// The newest topology of which the server was not told.
+    /// The newest topology that was not reported to the server.
     unreported: Option<(u32, TopologyHash)>,
     strokes: Option<StrokeCollector>,
     started: Option<ServerTime>,
@@ -154,16 +150,16 @@ pub struct Site {
     applied: VecDeque<OperationRecord>,
     closed: Option<CloseReason>,
     resync: Resync,
-    anew: Anew,
+    resync_state: ResyncState,
     rejoin: Option<String>,
-    /// The first operation that was not given to the recording.
+    /// The first operation that is not recorded yet.
     unrecorded: u64,
     counters: SiteCounters,
 }
 
 impl Site {
-    /// A site after its welcome, with the uncut model. `blade_length_m` is that of one's own blade,
-    /// if one holds a blade.
+    /// A site after its welcome, with the uncut model. `blade_length_m` is the length of this participant's blade, if
+    /// any.
     pub fn new(welcome: &Welcome, model: Arc<Model>, blade_length_m: Option<f64>) -> Self {
         let replica = Replica::new(model, welcome.role.has_tool());
         Self::with(welcome, replica, blade_length_m)
@@ -183,7 +179,7 @@ impl Site {
             deferred: VecDeque::new(),
             is_detached: false,
             cuts: Cuts::default(),
-            felt: None,
+            last_solve: None,
             view_news: VecDeque::new(),
             expected: Some((welcome.topology_version, welcome.topology_hash)),
             unreported: None,
@@ -194,20 +190,20 @@ impl Site {
             applied: VecDeque::new(),
             closed: None,
             resync: Resync::default(),
-            anew: Anew::No,
+            resync_state: ResyncState::Idle,
             rejoin: None,
             unrecorded: 0,
             counters: SiteCounters::default(),
         }
     }
 
-    /// Something from the session.
+    /// Processes a session event.
     pub fn handle_event(&mut self, event: ClientEvent, now: ClientTime) -> Result<(), SiteError> {
-        if self.is_of_the_old(&event) {
+        if self.is_from_old_connection(&event) {
             return Ok(());
         }
         let result = self.take_event(event, now);
-        self.or_anew(result, now)
+        self.or_resync(result, now)
     }
 
     fn take_event(&mut self, event: ClientEvent, now: ClientTime) -> Result<(), SiteError> {
@@ -216,7 +212,7 @@ impl Site {
             ClientEvent::CaughtUp => {
                 if let Some((version, hash)) = self.expected.take() {
                     self.compare(version, hash)?;
-                    self.end_anew();
+                    self.end_resync();
                     self.report_topology(version, hash);
                 }
             }
@@ -228,17 +224,17 @@ impl Site {
                 }
                 reason => {
                     self.counters.cuts_refused += 1;
-                    self.notice(format!("the server refused {}: {reason}", refused.id));
+                    self.notice(format!("the server rejected {}: {reason}", refused.id));
                 }
             },
-            // One's own samples come from the hand itself.
+            // This participant's samples come from the hand itself.
             ClientEvent::Motion(track) if track.participant != self.me => {
                 for sample in track.samples {
                     self.roster.insert(track.participant, sample);
                 }
             }
             ClientEvent::Displacements(news) => self.handle_picture(news, now),
-            // Who is thin has nothing to correct.
+            // A thin subscriber has nothing to correct.
             ClientEvent::Corrections(_) if self.is_thin() => {}
             ClientEvent::Corrections(corrections) => {
                 if let Some(view) = self.replica.view_mut() {
@@ -251,8 +247,8 @@ impl Site {
                 }
             }
             ClientEvent::Clock(map) => self.take_clock(map, now),
-            ClientEvent::LinkLost => self.notice("nothing comes from the server".to_owned()),
-            ClientEvent::LinkRestored => self.notice("the server is back".to_owned()),
+            ClientEvent::LinkLost => self.notice("no packets from the server".to_owned()),
+            ClientEvent::LinkRestored => self.notice("the server is reachable again".to_owned()),
             ClientEvent::Closed(reason) => self.closed = Some(reason),
             ClientEvent::Welcomed(welcome) => self.handle_return(&welcome, now)?,
             ClientEvent::Motion(_) | ClientEvent::Delays(_) => {}
@@ -266,15 +262,14 @@ impl Site {
                 delay_us,
                 effective_at,
             } => match self.clock.map(|c| c.to_server(now)) {
-                // What the log tells of before is not late.
+                // Operations of the initial log are not late.
                 Some(here) if self.expected.is_none() => {
                     (self.schedule).handle_late_change(*delay_us, *effective_at, here);
                 }
                 _ => self.schedule.handle_change(*delay_us, *effective_at),
             },
             OperationKind::Started { at } => self.started = Some(*at),
-            // A seat first, so that the samples that follow find it; its tool shows from its first
-            // sample on.
+            // The seat is added at once, so that samples find it. Its tool appears with its first sample.
             OperationKind::Joined {
                 participant,
                 name,
@@ -299,27 +294,26 @@ impl Site {
         Ok(())
     }
 
-    /// Lets cuts be made and views be solved elsewhere from now on: gives what does it, once, when the
-    /// log of the beginning is applied. Give the first what [`poll_cut_order`](Self::poll_cut_order) gives, and tell
-    /// [`handle_cut`](Self::handle_cut) what comes of it; give the second what
-    /// [`poll_view_news`](Self::poll_view_news) and [`next_view`](Self::next_view) give.
-    pub fn detach(&mut self) -> Option<(Ahead, View)> {
+    /// Moves cut worker and view to other threads, once, when the initial log is applied. The cut worker takes orders
+    /// from [`poll_cut_order`](Self::poll_cut_order) and returns results to [`handle_cut`](Self::handle_cut). The
+    /// view takes [`poll_view_news`](Self::poll_view_news) and [`next_view`](Self::next_view).
+    pub fn detach(&mut self) -> Option<(Prefetch, View)> {
         let is_under_way = self.expected.is_some() || self.is_resyncing();
         if is_under_way || self.is_detached || self.deferred.iter().any(cutting::is_cut) {
             return None;
         }
-        let ahead = self.replica.ahead()?;
+        let prefetch = self.replica.prefetch()?;
         let view = self.replica.detach_view()?;
         self.is_detached = true;
-        Some((ahead, view))
+        Some((prefetch, view))
     }
 
-    /// The next that the view has to be told.
+    /// The next update for a detached view.
     pub fn poll_view_news(&mut self) -> Option<ViewNews> {
         self.view_news.pop_front()
     }
 
-    /// A sample of one's own tool.
+    /// Adds a sample of this participant's tool.
     pub fn handle_own(&mut self, sample: &LocalSample) {
         let Some(map) = self.clock else { return };
         let time = map.to_server(sample.time);
@@ -339,14 +333,13 @@ impl Site {
         }
     }
 
-    /// The moment that is to be seen now, and D. `None` until the clock is known.
+    /// The displayed time s and the delay D. `None` until the clock offset is known.
     pub fn moment(&self, now: ClientTime) -> Option<(ServerTime, Span)> {
         let t = self.clock?.to_server(now);
         Some((self.schedule.shown_at(t), self.schedule.delay_at(t)))
     }
 
-    /// The newest moment of the common grid that is to be seen now; `None` when it was given already.
-    /// Moments that were missed are counted.
+    /// The newest grid point to display; `None` if it was returned already. Skipped points are counted.
     pub fn next_view(&mut self, now: ClientTime) -> Option<ViewFrame> {
         let (s, delay) = self.moment_shown(now)?;
         let k = grid_index(s, self.tick_hz);
@@ -376,7 +369,7 @@ impl Site {
         })
     }
 
-    /// Solves [`next_view`](Self::next_view), where the view is here.
+    /// Solves [`next_view`](Self::next_view), unless the view is detached.
     pub fn view_step(&mut self, now: ClientTime, budget: Budget<'_>) -> Option<ViewFrame> {
         let frame = self.next_view(now)?;
         if self.is_thin() {
@@ -387,7 +380,7 @@ impl Site {
         Some(frame)
     }
 
-    /// What was seen last and the version of its topology; `None` where the view is elsewhere.
+    /// The latest shape of the view and its topology version; `None` if the view is detached.
     pub fn seen(&self) -> Option<(&Shape, u32)> {
         if let Some(thin) = self.replica.thin_view() {
             return Some((thin.shape(), self.replica.topology().version()));
@@ -401,62 +394,62 @@ impl Site {
         self.requests.pop_front()
     }
 
-    /// The next sentence for the status line.
+    /// The next message for the status line.
     pub fn poll_notice(&mut self) -> Option<String> {
         self.notices.pop_front()
     }
 
-    /// The next operation that was applied.
+    /// The next applied operation.
     pub fn poll_applied(&mut self) -> Option<OperationRecord> {
         self.applied.pop_front()
     }
 
-    /// Why the session is over, once it is.
+    /// Reason why the session closed, if it did.
     pub fn closed(&self) -> Option<&CloseReason> {
         self.closed.as_ref()
     }
 
-    /// When scripts began or begin, on one's own clock; `None` while that is not known.
+    /// Start of the scripts, on the client's clock; `None` if unknown.
     pub fn script_start(&self) -> Option<ClientTime> {
         Some(self.clock?.to_client(self.started?))
     }
 
-    /// The newest map to the server's clock.
+    /// The newest clock map to the server.
     pub fn clock(&self) -> Option<ClockMap> {
         self.clock
     }
 
-    /// Whether the operations of the beginning are still being applied.
+    /// Whether the initial log is still being applied.
     pub fn is_catching_up(&self) -> bool {
         self.expected.is_some()
     }
 
-    /// One's own copy of the tissue.
+    /// The replica of the tissue.
     pub fn replica(&self) -> &Replica {
         &self.replica
     }
 
-    /// Who is here.
+    /// The participants.
     pub fn roster(&self) -> &Roster {
         &self.roster
     }
 
-    /// What was counted.
+    /// The counters.
     pub fn counters(&self) -> SiteCounters {
         self.counters
     }
 
-    /// Whether one's own tool is lifted because of the network.
+    /// Whether this participant is demoted because of the network.
     pub fn is_watching(&self) -> bool {
-        self.roster.is_lifted(self.me)
+        self.roster.is_demoted(self.me)
     }
 
     fn own_tool(&self) -> Option<ToolDescription> {
         self.roster.tool_of(self.me)
     }
 
-    /// What somebody does. The log of the beginning tells no news: who is here is said otherwise, and a copy that is
-    /// made anew repeats what was said.
+    /// Notice of a participant's action. The initial log and a resync give none, because the roster already contains
+    /// them.
     fn notice_of(&mut self, who: ParticipantId, what: &str) {
         if self.expected.is_some() {
             return;
@@ -467,7 +460,7 @@ impl Site {
     }
 
     fn notice(&mut self, sentence: String) {
-        /// Sentences that wait for the status line; older ones are of no interest any more.
+        /// Maximum number of queued messages; older ones are dropped.
         const NOTICES_MAX: usize = 64;
         if self.notices.len() == NOTICES_MAX {
             self.notices.pop_front();

@@ -1,4 +1,4 @@
-//! The status line while a session runs.
+//! The status line of a running session.
 
 use std::io::{IsTerminal, Write};
 
@@ -7,22 +7,22 @@ use palpate_protocol::{ClientTime, Span};
 
 use crate::StatusKind;
 use crate::network::Progress as FetchProgress;
-use crate::solve::Part;
+use crate::replica_thread::Part;
 
-/// How often the line is rewritten on a terminal: often enough to see a force change.
+/// Update period on a terminal: short enough to see force changes.
 const ON_TERMINAL: Span = Span::from_millis(250);
 
-/// How often a line is written elsewhere: a log that can still be read after an hour.
+/// Output period elsewhere: a log stays readable after an hour.
 const ELSEWHERE: Span = Span::from_millis(3000);
 
-/// A model below this size arrives before a bar could be read, bytes.
+/// Minimum model size for a progress bar, bytes; smaller models arrive too soon.
 const BAR_FROM_BYTES: u64 = 256 * 1024;
 
-/// The figures of one moment.
+/// Figures of one status line.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Figures {
     pub(crate) seconds: f64,
-    /// `None` for who only looks.
+    /// `None` for spectators.
     pub(crate) hand: Option<HandFigures>,
     pub(crate) rtt_ms: Option<f64>,
     pub(crate) loss: f64,
@@ -31,13 +31,13 @@ pub(crate) struct Figures {
     pub(crate) topology_version: u32,
     pub(crate) link_lost: bool,
     pub(crate) part: Part,
-    /// Everything that comes from the server, kbit/s of UDP payload.
+    /// Received data, kbit/s of UDP payload.
     pub(crate) down_kbit_s: f64,
-    /// Nodes that wait for room at the server; `None` where the tissue is computed here.
+    /// Nodes queued at the server; `None` for a full subscription.
     pub(crate) thin_waiting: Option<u32>,
 }
 
-/// The figures of the force loop.
+/// Figures of the force loop.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct HandFigures {
     pub(crate) rate_hz: f64,
@@ -62,10 +62,10 @@ impl Figures {
             ""
         };
         let part = match self.part {
-            Part::Takes => "",
-            Part::CatchesUp => " | catching up",
-            Part::Resyncs => " | RESYNC, no force",
-            Part::Watches => " | WATCHING, the network is too slow",
+            Part::Participating => "",
+            Part::CatchingUp => " | catching up",
+            Part::Resyncing => " | RESYNC, no force",
+            Part::Demoted => " | WATCHING, the network is too slow",
         };
         let subscription = match self.thin_waiting {
             None => format!("full {:.0} kbit/s", self.down_kbit_s),
@@ -105,19 +105,19 @@ impl Status {
         }
     }
 
-    /// A sentence on a line of its own.
+    /// Prints a message on its own line.
     pub(crate) fn say(&mut self, sentence: &str) {
         let start = if self.is_open { "\r\x1b[2K" } else { "" };
         self.is_open = false;
         self.write(&format!("{start}{sentence}\n"));
     }
 
-    /// Whether it is time for a line.
+    /// Whether the next line is due.
     pub(crate) fn is_due(&self, now: ClientTime) -> bool {
         self.kind != StatusKind::Quiet && now >= self.due
     }
 
-    /// The line, in place on a terminal.
+    /// Prints the line, in place on a terminal.
     pub(crate) fn show(&mut self, figures: &Figures, now: ClientTime) {
         let period = if self.on_terminal {
             ON_TERMINAL
@@ -133,7 +133,7 @@ impl Status {
         }
     }
 
-    /// Leaves the line behind.
+    /// Ends the line.
     pub(crate) fn close(&mut self) {
         if std::mem::take(&mut self.is_open) {
             self.write("\n");
@@ -141,7 +141,7 @@ impl Status {
     }
 
     fn write(&self, text: &str) {
-        // A status that nobody reads any more is no reason to end a session.
+        // A closed output stream does not end the session.
         match self.kind {
             StatusKind::Quiet => {}
             StatusKind::Stdout => {
@@ -155,7 +155,7 @@ impl Status {
     }
 }
 
-/// A bar on standard error while the model comes; only on a terminal.
+/// Progress bar of the model on standard error; only on a terminal.
 pub(crate) fn fetch_progress(kind: StatusKind) -> FetchProgress {
     if kind == StatusKind::Quiet {
         return Box::new(|_, _| {});
@@ -183,7 +183,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_line_says_what_the_hand_wants_to_know_and_nothing_of_a_hand_that_is_not_there() {
+    fn status_line_shows_hand_figures_only_with_a_hand() {
         let mut figures = Figures {
             hand: Some(HandFigures {
                 rate_hz: 1000.0,
@@ -209,7 +209,7 @@ mod tests {
         let line = figures.line();
         assert!(line.contains("thin 812 kbit/s, 31 nodes wait"), "{line}");
         assert!(!line.contains("Hz") && line.contains("LINK LOST"), "{line}");
-        for (part, word) in [(Part::Resyncs, "RESYNC"), (Part::Watches, "WATCHING")] {
+        for (part, word) in [(Part::Resyncing, "RESYNC"), (Part::Demoted, "WATCHING")] {
             figures.part = part;
             assert!(figures.line().contains(word), "{}", figures.line());
         }

@@ -1,4 +1,4 @@
-//! The path of one's own blade while its button is held, made into a request to cut.
+//! Converts the path of the own blade, while its button is held, into cut requests.
 
 use palpate_protocol::operation::STROKE_MAX_POINTS;
 use palpate_protocol::request::{CutRequest, TimedBladePoint};
@@ -6,12 +6,11 @@ use palpate_protocol::{Pose, ServerTime};
 
 use crate::convert::wire_blade;
 
-/// Between points of a stroke, m: a fifth of the finest lattice in use (4 mm), so that the swept
-/// surface is as smooth as the lattice can follow. Smaller only makes the request longer.
+/// Spacing of stroke points, m: a fifth of the finest lattice (4 mm), so that the swept surface is as smooth as the
+/// lattice resolves. A smaller spacing only lengthens the request.
 pub const POINT_SPACING_M: f64 = 0.75e-3;
 
-/// The last point of a stroke is where the button was released, if it is at least so far from the
-/// point before, m; nearer, the two have no direction between them.
+/// Minimum distance of the release point from the point before, m; closer points define no direction.
 const LAST_STEP_MIN_M: f64 = 0.1e-3;
 
 /// Width of the wound, m: that of a scalpel.
@@ -22,12 +21,12 @@ pub const WIDTH_M: f64 = 0.5e-3;
 pub struct StrokeCollector {
     length_m: f64,
     points: Vec<TimedBladePoint>,
-    /// Where the blade was last, whether that became a point or not.
+    /// The latest blade pose, whether or not it became a point.
     last: Option<TimedBladePoint>,
 }
 
 impl StrokeCollector {
-    /// For a blade whose edge is `length_m` long.
+    /// For a blade with an edge of `length_m`.
     pub fn new(length_m: f64) -> Self {
         Self {
             length_m,
@@ -36,13 +35,13 @@ impl StrokeCollector {
         }
     }
 
-    /// Where the blade was at a moment, and whether its button was held. Gives a stroke when it is
-    /// released, and a piece of one, to be continued, when that is as long as a request may be.
+    /// Adds a blade pose and the state of its button. Returns a stroke on release, or a piece of a stroke at the
+    /// maximum length of a request.
     pub fn push(&mut self, time: ServerTime, pose: &Pose, pressed: bool) -> Option<CutRequest> {
         if !pressed {
             return self.finish();
         }
-        // A better estimate of the clock may set it back by a little; the path has one order.
+        // A better clock estimate may step back a little; stroke times must ascend.
         let time = self.last.map_or(time, |l| time.max(l.time));
         let point = TimedBladePoint {
             time,
@@ -76,7 +75,7 @@ impl StrokeCollector {
         {
             points.push(end);
         }
-        // One point sweeps nothing: the blade was pressed and not moved.
+        // A single point sweeps no surface.
         (points.len() >= 2).then_some(CutRequest {
             points,
             width_m: WIDTH_M,
@@ -105,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stroke_is_thinned_ends_where_it_was_released_and_is_valid() {
+    fn stroke_is_thinned_and_ends_at_release_point() {
         let mut strokes = StrokeCollector::new(0.02);
         for t in 0..=1000 {
             assert_eq!(strokes.push(ms(t), &at(0.0205 * t as f64), true), None);
@@ -126,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn a_blade_that_does_not_move_cuts_nothing() {
+    fn resting_blade_cuts_nothing() {
         let mut strokes = StrokeCollector::new(0.02);
         for t in 0..100 {
             strokes.push(ms(t), &at(0.0), true);
@@ -135,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_stroke_goes_out_in_pieces_that_share_a_point() {
+    fn pieces_of_long_stroke_share_a_point() {
         let mut strokes = StrokeCollector::new(0.02);
         let mut pieces: Vec<CutRequest> = (0..2000)
             .filter_map(|t| strokes.push(ms(t), &at(t as f64), true))
@@ -149,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_is_set_back_does_not_disorder_the_stroke() {
+    fn stroke_times_ascend_when_clock_is_set_back() {
         let mut strokes = StrokeCollector::new(0.02);
         for (i, t) in [10, 12, 11, 13].into_iter().enumerate() {
             strokes.push(ms(t), &at(i as f64), true);

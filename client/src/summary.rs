@@ -1,4 +1,4 @@
-//! The figures of a run at its end, for people and as one JSON object.
+//! Summary of a run, as text and as one JSON object.
 
 use std::fmt;
 
@@ -8,20 +8,20 @@ use serde::{Deserialize, Serialize};
 
 use crate::realtime::{DeviceCounts, LoopStats, Percentiles};
 
-/// The figures of a run.
+/// Summary of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// The participant's name.
     pub name: String,
-    /// The word for the role.
+    /// Word of the role.
     pub role: String,
     /// The word for what of the tissue was sent: full or thin.
     #[serde(default)]
     pub subscription: String,
-    /// Everything that came from the server over the last connection, without the model, kbit/s of UDP payload.
+    /// Data received over the last connection, without the model, kbit/s of UDP payload.
     #[serde(default)]
     pub down_kbit_s: f64,
-    /// The most nodes that waited at the server for room; `None` where the tissue was computed here.
+    /// Maximum number of nodes queued at the server; `None` for a full subscription.
     #[serde(default)]
     pub nodes_waiting_max: Option<u32>,
     /// The participant's number.
@@ -30,84 +30,84 @@ pub struct Summary {
     pub ticks: u64,
     /// Ticks per second.
     pub rate_hz: f64,
-    /// How late ticks began.
+    /// Lateness of ticks.
     pub lateness_us: Lateness,
-    /// Deadlines of the force loop that were skipped.
+    /// Skipped deadlines of the force loop.
     pub missed: u64,
-    /// Round trip time, the newest; `None` when it was never measured.
+    /// Latest round-trip time; `None` if it was never measured.
     pub rtt_ms: Option<f64>,
-    /// Share of the server's datagrams that did not arrive, 0 to 1.
+    /// Loss of the server's datagrams, 0 to 1.
     pub loss: f64,
     /// The artificial delay D at the end.
     pub compensation_ms: f64,
-    /// Version of one's own topology.
+    /// Version of the client's topology.
     pub topology_version: u32,
-    /// Hash of one's own topology, 16 hexadecimal digits.
+    /// Hash of the client's topology, 16 hexadecimal digits.
     pub topology_hash: String,
-    /// Operations applied, those of the log at the beginning included.
+    /// Applied operations, including the initial log.
     pub operations: u64,
     /// Cuts among them.
     pub cuts: u64,
-    /// How far the estimate of the server's clock can be wrong.
+    /// Error bound of the clock offset.
     pub clock_error_bound_ms: Option<f64>,
-    /// Solves of the shape that the hand feels.
+    /// Solves of the haptic shape.
     pub haptic_solves: u64,
-    /// How long they took.
+    /// Their duration.
     pub haptic_solve_ms: SolveTimes,
-    /// Solves of the shape that everybody sees.
+    /// Solves of the view shape.
     pub view_solves: u64,
-    /// How long they took.
+    /// Their duration.
     pub view_ms: SolveTimes,
-    /// Moments of the common grid that were skipped because the machine was behind.
+    /// Skipped points of the common grid.
     pub views_skipped: u64,
-    /// Nodes that the server said were elsewhere by more than a twentieth of a millimetre.
+    /// Nodes corrected because they differed from the server's by more than 0.05 mm.
     pub corrected_nodes: u64,
-    /// Farthest that a node was from where the server had it.
+    /// Largest distance between a node and its position at the server.
     pub drift_mm_max: f64,
-    /// The largest force.
+    /// Largest force, N.
     pub force_max_n: f64,
-    /// Smallest distance in mm between the tool and the tissue at rest, for a tool that touched nothing; below zero where
+    /// Smallest distance in mm between the tool and the tissue at rest, for a tool that touched nothing; negative if
     /// the tool stayed inside the tissue.
     #[serde(default)]
     pub nearest_mm: Option<f64>,
-    /// What the force loop met.
+    /// Events of the force loop.
     pub events: EventCounts,
-    /// Cuts that the server refused.
+    /// Cut requests rejected by the server.
     pub cuts_refused: u64,
-    /// What the device calls itself; "none" for who only looks.
+    /// Name reported by the device; "none" for spectators.
     pub device: String,
-    /// How the force loop was scheduled, in a sentence.
+    /// Scheduling of the force loop.
     pub realtime: String,
-    /// Mean use of the processor over the session, by thread class.
+    /// Mean processor use in the session, by thread class.
     #[serde(default)]
     pub cpu: CpuUsage,
-    /// How often the connection was lost and made anew.
+    /// Number of reconnects.
     pub reconnects: u64,
-    /// How often the copy of the tissue was made anew from the server's log, because it differed.
+    /// Number of resyncs from the server's log.
     #[serde(default)]
     pub resyncs: u64,
-    /// How often the tool was lifted because the network needed more delay than the session allows.
+    /// Number of demotions, because the network needed more delay than the session allows.
     #[serde(default)]
     pub demotions: u64,
-    /// Requests that were lost with a connection; each was said.
+    /// Requests lost with a connection; each was reported.
     #[serde(default)]
     pub requests_lost: u64,
-    /// Length of the run, from the first view on.
+    /// Duration from the first view.
     pub seconds: f64,
-    /// How it ended, in a sentence.
+    /// How the session ended.
     pub ended: String,
 }
 
-/// Percentiles of how late ticks began, µs.
+/// Percentiles of lateness, µs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Lateness {
-    /// Half were earlier.
+    /// Median.
     pub p50: u64,
-    /// 99 of 100 were earlier.
+    /// 99th percentile.
     pub p99: u64,
-    /// 999 of 1000 were earlier.
+    /// 99.9th percentile.
     pub p999: u64,
-    /// The latest.
+    /// Maximum.
     pub max: u64,
 }
 
@@ -122,45 +122,45 @@ impl From<Percentiles> for Lateness {
     }
 }
 
-/// Percentiles of how long solves took, ms.
+/// Percentiles of solve times, ms.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct SolveTimes {
-    /// Half were shorter.
+    /// Median.
     pub p50: f64,
-    /// 99 of 100 were shorter.
+    /// 99th percentile.
     pub p99: f64,
 }
 
-/// Ticks in which something happened.
+/// Number of ticks with each event.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct EventCounts {
     /// In contact.
     pub in_contact: u64,
-    /// Clamped to what the device can hold.
+    /// Force clamped to the device's limit.
     pub saturated: u64,
-    /// The change of force was limited.
+    /// Force change limited.
     pub slewed: u64,
-    /// Force was taken away, as the hand would have got more work back than it has put in.
+    /// Force removed by the passivity controller, because the hand would have received more energy than it supplied.
     #[serde(default)]
     pub passivated: u64,
-    /// The contact model was old.
+    /// The contact model was too old.
     pub stale: u64,
     /// The tool was outside the contact model's radius.
     pub left_radius: u64,
-    /// The sample was no number.
+    /// The sample was NaN.
     pub bad_samples: u64,
     /// The contact model was not usable.
     pub bad_models: u64,
-    /// The device was at fault.
+    /// Device fault.
     pub faulted: u64,
     /// The link was lost.
     pub link_lost: u64,
     /// Largest change of force between two ticks, N.
     pub max_delta_force_n: f64,
-    /// Clamped to the torque that the device can hold.
+    /// Torque clamped to the device's limit.
     #[serde(default)]
     pub torque_saturated: u64,
-    /// The change of torque was limited.
+    /// Torque change limited.
     #[serde(default)]
     pub torque_slewed: u64,
     /// Largest torque, N·m; zero on a device that renders none.
@@ -169,15 +169,15 @@ pub struct EventCounts {
     /// Largest change of torque between two ticks, N·m.
     #[serde(default)]
     pub max_delta_torque_nm: f64,
-    /// Smallest energy the hand had put in, J.
+    /// Minimum of the passivity observer: net energy supplied by the hand, J.
     pub min_energy_j: f64,
-    /// Wrenches that the device refused.
+    /// Wrenches rejected by the device.
     #[serde(default)]
     pub device_rejected: u64,
-    /// Times that the device took its force away by itself.
+    /// Times that the device dropped its force.
     #[serde(default)]
     pub device_cuts: u64,
-    /// Samples that found no room on their way to the network.
+    /// Samples dropped on their way to the network.
     pub frames_dropped: u64,
 }
 
@@ -208,7 +208,7 @@ impl EventCounts {
 }
 
 impl Summary {
-    /// Takes over what the force loop says of itself.
+    /// Adds the statistics of the force loop.
     pub(crate) fn take_loop(&mut self, stats: &LoopStats) {
         self.ticks = stats.ticks;
         self.rate_hz = stats.rate_hz;
@@ -219,7 +219,7 @@ impl Summary {
     }
 }
 
-/// The sentence for a tool that touched nothing.
+/// Message for a tool that touched nothing.
 fn untouched(nearest_mm: f64) -> String {
     if nearest_mm < 0.0 {
         format!(
@@ -236,7 +236,7 @@ fn untouched(nearest_mm: f64) -> String {
 }
 
 impl fmt::Display for Summary {
-    /// What a person wants to know at the end, one thing per line.
+    /// Text summary, one topic per line.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let ms = |v: Option<f64>| v.map_or("unknown".to_owned(), |v| format!("{v:.1} ms"));
         writeln!(

@@ -1,16 +1,16 @@
-//! The tissue as a thin subscriber shows it: nothing is computed here, the server says where its surface is.
+//! View of a thin subscriber: nothing is computed here; the server sends surface displacements.
 //!
 //! ```text
-//! waiting  what arrived, until its moment is shown: so pictures that came early or late follow each other as
-//!          they were, and what is not lost is shown at the moment that it is of
-//! told     by node: the newest of it, its moment and its topology
-//! shown    what was told, of nodes that the own topology has; a node that a cut has doubled is shown where
-//!          the one is that it came from, until it is told of itself
-//! lag      how far the pictures are behind the common moment s: the way from the server to here
+//! waiting  received displacements, until their time is displayed (jitter buffer): early and late ones
+//!          keep their order, and each is displayed at its own time
+//! told     per node: newest displacement, its time and its topology version
+//! shown    displacements of nodes of the own topology; a node doubled by a cut
+//!          uses its origin's displacement until its own arrives
+//! lag      delay of the displacements behind the common time s: the downlink delay
 //! ```
 //!
-//! Tools are shown `lag` before s, so that they touch the tissue that is shown with them. A cut is applied
-//! when it arrives: the pictures that follow it are of the cut tissue. Pure: no thread, no clock.
+//! Tools are displayed `lag` before s, so that they touch the displayed tissue. A cut is applied on arrival, because
+//! later displacements refer to the cut tissue. Pure: no thread, no clock.
 
 use std::collections::VecDeque;
 
@@ -18,32 +18,32 @@ use palpate_protocol::datagram::Displacements;
 use palpate_protocol::{ServerTime, Span};
 use palpate_tissue::{CutOutcome, Shape, Topology, Vec3};
 
-/// How fast the lag comes down again after a late picture: by 1/256 of the difference per piece, some
-/// 2 s at 120 pieces a second. It goes up at once.
+/// Decay of the lag after a late datagram: 1/256 of the difference per datagram, about 2 s at 120 datagrams per
+/// second. It rises at once.
 const LAG_FORGETS: i64 = 256;
 
-/// A lag beyond this is not waited for: the tools would be shown as if they stood still.
+/// Maximum lag: beyond it tools would appear to stand still.
 const LAG_MAX: Span = Span::from_millis(1000);
 
-/// Pieces of pictures that wait for their moment: the longest lag of them, two a frame at 60 Hz, and as
-/// many again. Beyond, the oldest is shown early.
+/// Capacity of the jitter buffer: maximum lag at two datagrams per frame and 60 Hz, doubled. Beyond it the oldest is
+/// displayed early.
 const WAITING_MAX: usize = 256;
 
-/// A node has at most as many doubles as cells around it.
+/// Maximum number of copies of a node: one per adjacent cell.
 const CORNERS: usize = 8;
 
-/// What a thin view counted.
+/// Counters of a thin view.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ThinCounters {
-    /// Nodes told, each time counted.
+    /// Received node displacements.
     pub told: u64,
-    /// Nodes that were told late, after something newer of them.
+    /// Displacements that arrived after a newer one of the same node.
     pub late: u64,
-    /// Nodes that no topology of this model can have.
+    /// Node numbers that no topology of this model can have.
     pub unknown: u64,
-    /// Nodes that wait at the server for room, as of the newest picture.
+    /// Nodes queued at the server, as of the newest datagram.
     pub waiting: u32,
-    /// The most that ever waited.
+    /// Maximum of `waiting`.
     pub waiting_max: u32,
 }
 
@@ -54,19 +54,17 @@ struct Told {
     displacement: Vec3,
 }
 
-/// What is shown.
-///
-/// Calling order: [`tell`](Self::tell) as displacements come, [`follow`](Self::follow) every cut in the
-/// order of the log, [`advance`](Self::advance) to each moment that is shown.
+/// The view of a thin subscriber. Calling order: [`tell`](Self::tell) for displacements on arrival,
+/// [`follow`](Self::follow) for every cut in log order, [`advance`](Self::advance) to each displayed time.
 #[derive(Debug)]
 pub struct ThinView {
     topology_version: u32,
     shape: Shape,
-    /// What arrived and is not shown yet, by its moment, oldest first.
+    /// Received displacements that are not displayed yet, by time, oldest first.
     waiting: VecDeque<Displacements>,
-    /// By node number, as far as anything was told.
+    /// Newest displacement by node number.
     told: Vec<Option<Told>>,
-    /// Nodes that the model can have at most, however it is cut.
+    /// Maximum number of nodes of the model, however it is cut.
     nodes_max: usize,
     newest: Option<ServerTime>,
     lag: Span,
@@ -88,7 +86,7 @@ impl ThinView {
         }
     }
 
-    /// What the server says; `s` is the common moment when it arrived, if that is known.
+    /// Receives displacements; `s` is the common time of arrival, if known.
     pub fn tell(&mut self, news: Displacements, s: Option<ServerTime>) {
         if self.newest.is_none_or(|newest| news.view_time >= newest) {
             self.newest = Some(news.view_time);
@@ -107,7 +105,7 @@ impl ThinView {
         }
     }
 
-    /// Comes to the moment that is shown next.
+    /// Advances to the next displayed time.
     pub fn advance(&mut self, shown: ServerTime) {
         while self.waiting.front().is_some_and(|w| w.view_time <= shown) {
             self.take_first();
@@ -145,8 +143,8 @@ impl ThinView {
         self.show(node);
     }
 
-    /// Shows what was told of a node, if it is of this topology or of one before: numbers stay what they
-    /// are, so what was said before a cut is true after it.
+    /// Displays the newest displacement of a node, if its topology is not newer than this one. Cuts keep node
+    /// numbers, so older displacements stay valid.
     fn show(&mut self, node: usize) {
         let told = self.told.get(node).copied().flatten();
         let told = told.filter(|t| t.topology_version <= self.topology_version);
@@ -161,8 +159,8 @@ impl ThinView {
         self.lag = behind.max(self.lag - less);
     }
 
-    /// Takes a cut over. Where rest positions moved, the displacements of before stay until others are
-    /// told: what is shown of a node is always something that the server said.
+    /// Adopts a cut. Nodes whose rest positions moved keep their displacements until new ones arrive: every displayed
+    /// value comes from the server.
     pub fn follow(&mut self, topology: &Topology, outcome: &CutOutcome) {
         self.topology_version = topology.version();
         let shown = &mut self.shape.displacement;
@@ -174,17 +172,17 @@ impl ThinView {
         }
     }
 
-    /// The shape that is shown.
+    /// The displayed shape.
     pub fn shape(&self) -> &Shape {
         &self.shape
     }
 
-    /// How far it is behind the common moment.
+    /// Delay behind the common time.
     pub fn lag(&self) -> Span {
         self.lag
     }
 
-    /// What was counted.
+    /// The counters.
     pub fn counters(&self) -> ThinCounters {
         self.counters
     }

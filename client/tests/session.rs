@@ -435,7 +435,7 @@ fn a_copy_that_differs_again_ends_the_session() {
     assert!(
         error
             .to_string()
-            .contains("your copy of the tissue differs"),
+            .contains("your replica differs from the server"),
         "{error}"
     );
     assert!(error.to_string().contains("differs again"), "{error}");

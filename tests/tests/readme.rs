@@ -136,7 +136,7 @@ fn every_command_works_as_printed() {
         let said = String::from_utf8_lossy(&out.stderr);
         if is_join && !command.contains("--script") && !command.contains("--motion") {
             assert!(
-                said.contains("no device for it is plugged in"),
+                said.contains("no haptic device is connected"),
                 "{typed}: {said}"
             );
             continue;

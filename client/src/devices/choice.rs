@@ -1,4 +1,4 @@
-//! A device as it is written on the command line: a kind, and which of several.
+//! Device argument of the command line: a kind, and an optional device id.
 
 use std::str::FromStr;
 
@@ -10,7 +10,7 @@ use super::DeviceKind;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct DeviceChoice {
     pub(crate) kind: DeviceKind,
-    /// As `devices` lists it.
+    /// Device id as listed by `devices`.
     pub(crate) which: Option<String>,
 }
 
@@ -25,19 +25,16 @@ impl FromStr for DeviceChoice {
         let kind = DeviceKind::from_str(word, false).map_err(|_| {
             let words: Vec<&str> = DeviceKind::ALL.iter().map(|(k, _)| k.word()).collect();
             format!(
-                "there is no device {word}; there are auto, {}",
+                "unknown device `{word}`; known devices: auto, {}",
                 words.join(", ")
             )
         })?;
         match which {
-            Some(_) if kind.is_steered() => Err(format!(
-                "of {word} the first that is connected is taken; leave out what follows the colon"
-            )),
-            Some(_) if !kind.is_owned() => Err(format!(
-                "of {word} there is one; leave out what follows the colon"
-            )),
+            Some(_) if !kind.is_owned() => {
+                Err(format!("{word} takes no device id; remove \":ID\""))
+            }
             Some("") => Err(format!(
-                "which {word} is meant stands after the colon, as `devices` lists it"
+                "empty device id after \"{word}:\"; use an id listed by `palpate-client devices`"
             )),
             which => Ok(Self {
                 kind,
@@ -52,7 +49,7 @@ mod tests {
     use super::{DeviceChoice, DeviceKind};
 
     #[test]
-    fn a_choice_is_a_kind_and_which_of_several() {
+    fn choice_is_kind_and_optional_id() {
         let parsed = |text: &str| text.parse::<DeviceChoice>();
         let haply = |which: Option<&str>| DeviceChoice {
             kind: DeviceKind::Haply,
@@ -62,9 +59,9 @@ mod tests {
         assert_eq!(parsed("haply:049D"), Ok(haply(Some("049D"))));
         let named = parsed("openhaptics:Left Device").unwrap();
         assert_eq!(named.which.as_deref(), Some("Left Device"));
-        assert!(parsed("haply:").unwrap_err().contains("after the colon"));
-        assert!(parsed("sim:1").unwrap_err().contains("there is one"));
-        assert!(parsed("gamepad:1").unwrap_err().contains("the first"));
+        assert!(parsed("haply:").unwrap_err().contains("empty device id"));
+        assert!(parsed("sim:1").unwrap_err().contains("no device id"));
+        assert!(parsed("gamepad:1").unwrap_err().contains("no device id"));
         let unknown = parsed("joystick").unwrap_err();
         assert!(
             unknown.contains("openhaptics") && unknown.contains("auto"),

@@ -15,13 +15,13 @@ use serde_json::json;
 use super::{DeviceChoice, DeviceKind, Guide, Sources, open, owned, plot};
 use crate::realtime::{device_time, monotonic_now, sleep_until};
 
-/// From tick to tick while hardware is tested.
+/// Tick period while hardware is tested.
 const TICK: Span = Span::from_millis(1);
 
-/// The width of a device's word in the list.
+/// Column width of the device word in the list.
 const WORD: usize = 12;
 
-/// What `devices --help` shows at its end.
+/// Examples at the end of `devices --help`.
 const EXAMPLES: &str = "\
 Examples:
   Which devices this program drives, and what they can do:
@@ -46,43 +46,43 @@ pub(crate) struct DevicesArguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// List them (the same as without a word)
+    /// List devices (default)
     List {
-        /// Print them as one JSON object
+        /// Print the list as one JSON object
         #[arg(long)]
         json: bool,
     },
-    /// Run the suite that every haptic device has to pass, and print its table
+    /// Run the conformance suite of haptic devices and print its table
     Test {
-        /// Which device; haply:ID where there are several
+        /// The device; haply:ID if several are connected
         device: DeviceChoice,
         /// Print the table as one JSON object
         #[arg(long)]
         json: bool,
     },
-    /// Do the calibration that this program can do, and say what is left to you
+    /// Run the automatic part of the calibration and print the remaining manual steps
     Calibrate {
-        /// Which device; haply:ID where there are several
+        /// The device; haply:ID if several are connected
         device: DeviceChoice,
     },
-    /// Draw where a device can go (SVG)
+    /// Plot the workspace of a device (SVG)
     Plot {
-        /// Which device
+        /// The device
         device: Plotted,
-        /// The folder to write to; it is made when it is not there
+        /// Output folder; created if it does not exist
         #[arg(short, long, value_name = "DIR")]
         output: PathBuf,
     },
 }
 
-/// Devices with a linkage to be drawn.
+/// Devices with a plottable linkage.
 #[derive(Clone, Copy, ValueEnum)]
 enum Plotted {
     /// The 5-DOF device of 2007
     FiveDof,
 }
 
-/// The command. Errors are said on standard error.
+/// Runs the command. Errors are printed on standard error.
 pub(crate) fn run(arguments: DevicesArguments) -> ExitCode {
     let done = match arguments.command.unwrap_or(Command::List { json: false }) {
         Command::List { json } => list(json),
@@ -96,28 +96,26 @@ pub(crate) fn run(arguments: DevicesArguments) -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(why) => {
-            // Nothing is left to be told if standard error is gone.
+            // A closed standard error is ignored.
             let _ = writeln!(std::io::stderr(), "palpate-client: {why}");
             ExitCode::FAILURE
         }
     }
 }
 
-/// Done, or a sentence that says why not.
+/// Success, or an error message.
 type Done = Result<(), String>;
 
-/// Writes to standard output; a reader that went away wants no more.
+/// Writes to standard output; a closed pipe is no error.
 fn say(text: &str) -> Done {
     let mut out = std::io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
-        Err(e) if e.kind() != ErrorKind::BrokenPipe => {
-            Err(format!("the result can not be printed: {e}"))
-        }
+        Err(e) if e.kind() != ErrorKind::BrokenPipe => Err(format!("cannot print the result: {e}")),
         _ => Ok(()),
     }
 }
 
-/// A device that rests, or lies there.
+/// A device at rest.
 fn at_rest(choice: &DeviceChoice) -> Result<Box<dyn HapticDevice>, String> {
     let sources = Sources::from_environment();
     let guide = if choice.kind.is_held() {
@@ -137,7 +135,7 @@ fn list(json: bool) -> Done {
         let choice = DeviceChoice { kind, which: None };
         let opened = match &found {
             Err(why) => Err(why.clone()),
-            // Nothing is to be opened where it is not clear which.
+            // With several devices the choice is ambiguous, so none is opened.
             Ok(_) if several => Ok(None),
             Ok(_) => at_rest(&choice).map(Some),
         };
@@ -172,7 +170,7 @@ fn list(json: bool) -> Done {
     }
 }
 
-/// A device that is there, or several of a kind, for a program.
+/// One present device, or several of a kind, as JSON.
 fn as_row(
     kind: DeviceKind,
     sentence: &str,
@@ -203,7 +201,7 @@ fn as_row(
     row
 }
 
-/// The same for people.
+/// The same as text.
 fn as_text(
     kind: DeviceKind,
     sentence: &str,
@@ -225,7 +223,7 @@ fn as_text(
     lines.concat()
 }
 
-/// What it can push with.
+/// Force capabilities.
 fn forces(caps: &DeviceCaps) -> String {
     if caps.dof_out == 0 {
         return format!("{} degrees of freedom, no force", caps.dof_in);
@@ -241,7 +239,7 @@ fn forces(caps: &DeviceCaps) -> String {
     )
 }
 
-/// The shortest side of what it can reach, m.
+/// Shortest side of the workspace, m.
 fn side_m(device: &dyn HapticDevice) -> f64 {
     let workspace = device.caps().workspace;
     (workspace.max - workspace.min).min()
@@ -274,7 +272,7 @@ fn test(choice: &DeviceChoice, json: bool) -> Done {
             sleep_until(due);
             return device_time(monotonic_now());
         }
-        // No hardware is behind the others, so time may run as fast as it can.
+        // Simulated devices need no real time.
         us += 1000;
         DeviceTime::from_micros(us)
     };
@@ -290,7 +288,7 @@ fn test(choice: &DeviceChoice, json: bool) -> Done {
     if report.passed() {
         Ok(())
     } else {
-        Err(format!("{} breaks a law of haptic devices", kind.word()))
+        Err(format!("{} fails the conformance suite", kind.word()))
     }
 }
 

@@ -1,4 +1,4 @@
-//! What moves a device (a script, a motion or a hand), and the tool that it carries.
+//! Source of a device's motion (a script, a recording or a user's hand), and the tool that it carries.
 
 use nalgebra::Vector3;
 use palpate_device::backend::replay::{Moment, Motion, MotionError};
@@ -10,29 +10,29 @@ use palpate_tissue::Model;
 use super::{DeviceKind, Hold, input, owned};
 use crate::{ClientError, JoinOptions};
 
-/// The tool of a motion without a script: a ball of 8 mm radius.
+/// Tool of a recorded motion without a script: a ball of 8 mm radius.
 const BALL: Tool = Tool::probe(8e-3);
 
-/// What moves a device, and what it carries.
+/// Source of motion and tool of a device.
 #[derive(Debug, Clone)]
 pub(crate) struct Guide {
     pub(crate) tool: Tool,
     pub(crate) moves: Moves,
 }
 
-/// What moves a device.
+/// Source of motion of a device.
 #[derive(Debug, Clone)]
 pub(crate) enum Moves {
-    /// A hand that follows it.
+    /// A simulated hand follows the script.
     Script(Script),
-    /// The device itself was there.
+    /// The device replays the recording.
     Motion(Motion),
-    /// Whoever holds it.
+    /// The user holds the device.
     Held(Hold),
 }
 
 impl Guide {
-    /// What was asked for; `None` for a role that only looks.
+    /// Loads script or motion as requested; `None` for a role without a tool.
     pub(crate) fn load(options: &JoinOptions, role: Role) -> Result<Option<Self>, ClientError> {
         if !role.has_tool() {
             return Ok(None);
@@ -50,7 +50,7 @@ impl Guide {
         let asked = options.device;
         let held = match (&options.motion, &script) {
             (None, _) if asked.is_held() => Some(asked),
-            // What renders force comes before what does not.
+            // Devices with force feedback take precedence.
             (None, None) if asked == DeviceKind::Auto => {
                 owned::best(&options.sources).or_else(input::best)
             }
@@ -79,7 +79,7 @@ impl Guide {
         Ok(Some(guide))
     }
 
-    /// A device in somebody's own hand. A script only says which tool it is, and where.
+    /// A device in the user's hand. A script then only gives the tool and its initial pose.
     pub(crate) fn held(script: Option<&Script>, kind: DeviceKind) -> Self {
         Self {
             tool: script.map_or(BALL, Script::tool),
@@ -87,20 +87,20 @@ impl Guide {
         }
     }
 
-    /// Whether a device is opened once for a whole session: one with motors may calibrate then, and who holds it waits.
-    /// Any other is opened to see that it can be, closed, and opened again when it is known where it is.
+    /// Whether a device is opened once per session. A motorised device may calibrate then, and its user waits. Other
+    /// devices are opened as a check, closed, and opened again when their position is known.
     pub(crate) fn is_opened_once(&self) -> bool {
         matches!(&self.moves, Moves::Held(hold) if hold.kind.is_owned())
     }
 
-    /// Tells a hand where the tissue is.
+    /// Places a held device relative to the tissue.
     pub(crate) fn find_place(&mut self, model: &Model) {
         if let Moves::Held(hold) = &mut self.moves {
             hold.find_place(model);
         }
     }
 
-    /// A device that was opened once, put into the scene.
+    /// A device that was opened once, placed in the scene.
     pub(crate) fn placed(&self, device: Box<dyn HapticDevice>) -> Box<dyn HapticDevice> {
         match &self.moves {
             Moves::Held(hold) => hold.placed(device),
@@ -108,7 +108,7 @@ impl Guide {
         }
     }
 
-    /// One at rest in the origin, by a script or a motion.
+    /// A guide at rest in the origin, by a script or a motion.
     pub(crate) fn at_rest(recorded: bool) -> Result<Self, String> {
         let script = || -> Result<Script, ScriptError> {
             Script::resting_probe(Vector3::zeros(), BALL.radius_m)

@@ -1,4 +1,4 @@
-//! A device in somebody's own hand: where its tool begins, and what it can reach of the scene.
+//! A device in the user's hand: initial tool position and reach in the scene.
 
 use nalgebra::Vector3;
 use palpate_device::backend::steered::Space;
@@ -7,31 +7,31 @@ use palpate_tissue::Model;
 
 use super::DeviceKind;
 
-/// How far above the tissue a tool begins that no script places, m. The smallest workspace reaches 40 mm down from its
-/// middle.
+/// Initial height of a tool above the tissue without a script, m. The smallest workspace reaches 40 mm below its
+/// centre.
 const ABOVE_M: f64 = 0.02;
 
-/// How far beyond the tissue a steered tool may go, m.
+/// Distance beyond the tissue that a steered tool may reach, m.
 const MARGIN_M: f64 = 0.1;
 
-/// How far a steered tool may go from where it begins, m, while nobody knows of any tissue.
+/// Reach of a steered tool around its initial position before the tissue is known, m.
 const AROUND_M: f64 = 0.2;
 
-/// A box, as its lowest and its highest corner, m.
+/// A box: lowest and highest corner, m.
 type Extent = (Vector3<f64>, Vector3<f64>);
 
-/// Which device somebody holds, and where it is put.
+/// A held device and its placement.
 #[derive(Debug, Clone)]
 pub(crate) struct Hold {
-    /// The device: the one that was asked for, or the best that is here.
+    /// The requested device, or the best connected one.
     pub(crate) kind: DeviceKind,
-    /// Where the script begins, and the box around its way points.
+    /// Initial pose of the script, and the bounding box of its way points.
     script: Option<(Pose, Extent)>,
     tissue: Option<Extent>,
 }
 
 impl Hold {
-    /// A script does not move it: it only says where it is.
+    /// A script does not move a held device; it only places it.
     pub(crate) fn new(kind: DeviceKind, script: Option<&Script>) -> Self {
         Self {
             kind,
@@ -48,14 +48,14 @@ impl Hold {
         }
     }
 
-    /// The tissue that it is to reach, which is not known before the session's model is here.
+    /// Sets the tissue to reach; known once the session's model has arrived.
     pub(crate) fn find_place(&mut self, model: &Model) {
         let nodes = || model.nodes.iter().copied();
         self.tissue = nodes().next().map(|first| extent(first, nodes()));
     }
 
-    /// Where a device that can not go everywhere has the middle of its workspace, m: in the middle of the script's way
-    /// points, or a little above the tissue.
+    /// Centre of the workspace of a device with limited reach, m: the centre of the script's way points, or a little
+    /// above the tissue.
     fn middle(&self) -> Vector3<f64> {
         match self.script {
             Some((_, (min, max))) => (min + max) / 2.0,
@@ -70,7 +70,7 @@ impl Hold {
         })
     }
 
-    /// Puts a device with motors, whose workspace is as large as it is, where it reaches the tissue.
+    /// Places a motorised device, whose workspace is fixed, so that it reaches the tissue.
     pub(crate) fn placed(&self, device: Box<dyn HapticDevice>) -> Box<dyn HapticDevice> {
         let workspace = device.caps().workspace;
         let middle = (workspace.min + workspace.max) / 2.0;
@@ -78,8 +78,8 @@ impl Hold {
         Box::new(Placed::new(device, placement))
     }
 
-    /// Where a tool may go that is steered and has no end of its own: all around the tissue, from where the script
-    /// begins or from a little above.
+    /// Space of a steered tool without limits of its own: all around the tissue, from the script's initial pose or
+    /// from a little above.
     pub(super) fn space(&self) -> Space {
         let start = self
             .script
@@ -98,7 +98,7 @@ impl Hold {
     }
 }
 
-/// The box around `first` and the rest.
+/// The bounding box of `first` and the rest.
 fn extent(first: Vector3<f64>, rest: impl Iterator<Item = Vector3<f64>>) -> Extent {
     rest.fold((first, first), |(min, max), p| (min.inf(&p), max.sup(&p)))
 }
@@ -117,7 +117,7 @@ mod tests {
         block([10, 10, 6], 4e-3, &Material::default(), 1)
     }
 
-    /// Begins far away, and goes 20 mm from there.
+    /// A script that begins far away and moves 20 mm.
     fn script() -> Script {
         let begins = Vector3::new(2.0, 0.0, 0.0);
         let ways = vec![
@@ -133,7 +133,7 @@ mod tests {
         hold
     }
 
-    /// Above the middle of the tissue, worked out once more.
+    /// Above the middle of the tissue, computed independently.
     fn above() -> Vector3<f64> {
         let nodes = tissue().nodes;
         let side = |axis: usize, least: bool| {
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_with_motors_reaches_the_tissue_wherever_its_own_origin_is() {
+    fn motorised_device_reaches_tissue_for_any_device_origin() {
         let at_rest = Script::resting_probe(Vector3::zeros(), 4e-3).unwrap();
         let start = ScriptStart::not_yet;
         let mut caps = SimHand::new(at_rest.clone(), start()).caps().clone();
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn a_steered_tool_begins_above_the_tissue_and_can_go_all_around_it() {
+    fn steered_tool_starts_above_tissue_and_reaches_around_it() {
         let space = found(DeviceKind::Gamepad, None).space();
         assert!((space.start.position - above()).norm() < 1e-12);
         let margin = Vector3::repeat(0.99 * MARGIN_M);
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_says_where_a_steered_tool_begins_and_that_is_within_its_reach() {
+    fn script_start_is_within_reach_of_steered_tool() {
         let script = script();
         let space = found(DeviceKind::SpaceMouse, Some(&script)).space();
         let first = &script.ways()[0];
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn before_any_tissue_is_known_a_steered_tool_has_room_to_be_opened() {
+    fn steered_tool_opens_before_tissue_is_known() {
         let space = Hold::new(DeviceKind::Gamepad, None).space();
         assert!(space.workspace.contains(&space.start.position));
     }

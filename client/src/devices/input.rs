@@ -1,14 +1,14 @@
-//! Devices that a hand steers: opening what this program was built with.
+//! Steered input devices: opening those that this program was built with.
 
 use palpate_device::HapticDevice;
 use palpate_device::backend::steered::Space;
 
 use super::{DeviceError, DeviceKind, Hold};
 
-/// The kinds that can be looked for, the best first: a 6-DOF mouse turns the tool about every axis at once.
+/// Kinds that can be searched for, best first: a 6-DOF mouse rotates the tool about every axis at once.
 const KINDS: [DeviceKind; 2] = [DeviceKind::SpaceMouse, DeviceKind::Gamepad];
 
-/// The best kind of which one is connected. To know it is to open it: there is nothing else that these say of themselves.
+/// The best kind with a connected device. These devices can only be detected by opening them.
 pub(super) fn best() -> Option<DeviceKind> {
     KINDS.into_iter().find(|kind| {
         let opened = open(*kind, &Hold::new(*kind, None).space());
@@ -16,7 +16,7 @@ pub(super) fn best() -> Option<DeviceKind> {
     })
 }
 
-/// Opens the first device of this kind that is connected, and steers a tool in `space` with it.
+/// Opens the first connected device of this kind, which then steers a tool in `space`.
 pub(super) fn open(kind: DeviceKind, space: &Space) -> Result<Box<dyn HapticDevice>, DeviceError> {
     match kind {
         DeviceKind::Pointer => Err(DeviceError::NeedsView),
@@ -30,7 +30,7 @@ pub(super) fn open(kind: DeviceKind, space: &Space) -> Result<Box<dyn HapticDevi
             use palpate_device::backend::gamepad;
             Ok(Box::new(gamepad::open(gamepad::rate(), space)?))
         }
-        // Without a feature nothing asks where the tool may go.
+        // Without these features `space` is unused.
         other => {
             let _ = space;
             Err(DeviceError::BuiltWithout(other.word()))

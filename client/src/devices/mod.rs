@@ -1,4 +1,4 @@
-//! The devices that this program drives: which there are, opening one, and what is done with one outside of a session.
+//! The supported haptic devices: their kinds, opening one, and commands outside of a session.
 
 mod choice;
 mod command;
@@ -22,7 +22,7 @@ pub(crate) use guide::{Guide, Moves};
 pub(crate) use hold::Hold;
 pub use owned::{OwnedError, Sources};
 
-/// The kinds of devices that this program drives.
+/// Kinds of supported devices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DeviceKind {
@@ -30,9 +30,9 @@ pub enum DeviceKind {
     Auto,
     /// A simulated hand that follows a script and feels the force.
     Sim,
-    /// The 5-DOF device of 2007 on simulated boards, in the hand of a script.
+    /// The simulated 5-DOF device of 2007, in the hand of a script.
     FiveDof,
-    /// A recorded motion, whatever pushes it.
+    /// A recorded motion that ignores forces.
     Replay,
     /// A Haply Inverse3.
     Haply,
@@ -46,15 +46,15 @@ pub enum DeviceKind {
     #[value(name = "spacemouse")]
     #[serde(rename = "spacemouse")]
     SpaceMouse,
-    /// A gamepad: its sticks move the tool, and it shakes at contact.
+    /// A gamepad: its sticks move the tool, and it rumbles at contact.
     Gamepad,
     /// Mouse and keyboard, through a view.
     Pointer,
 }
 
 impl DeviceKind {
-    /// All that this program knows, with a sentence each: what follows a file, then what a hand holds, with force
-    /// before without.
+    /// All kinds with a description: first those that follow a file, then those that a hand holds, with force before
+    /// without.
     pub const ALL: [(Self, &'static str); 9] = [
         (
             Self::Sim,
@@ -66,7 +66,7 @@ impl DeviceKind {
         ),
         (
             Self::Replay,
-            "a recorded motion (--motion FILE) that goes its way whatever pushes it",
+            "a recorded motion (--motion FILE) that ignores forces",
         ),
         (
             Self::Dhd,
@@ -91,7 +91,7 @@ impl DeviceKind {
         ),
     ];
 
-    /// The word for it on the command line.
+    /// The command line word.
     pub const fn word(self) -> &'static str {
         match self {
             Self::Auto => "auto",
@@ -107,7 +107,7 @@ impl DeviceKind {
         }
     }
 
-    /// Whether it is a device with motors that somebody owns: there may be none, or several.
+    /// Whether it is a commercial motorised device, of which none or several may be connected.
     pub(crate) const fn is_owned(self) -> bool {
         matches!(self, Self::Haply | Self::OpenHaptics | Self::Dhd)
     }
@@ -117,16 +117,15 @@ impl DeviceKind {
         matches!(self, Self::SpaceMouse | Self::Gamepad | Self::Pointer)
     }
 
-    /// Whether a hand of flesh and blood moves it, and neither script nor motion.
+    /// Whether the user's hand moves it, instead of a script or a recording.
     pub(crate) const fn is_held(self) -> bool {
         self.is_owned() || self.is_steered()
     }
 
-    /// The device that is meant: of `auto`, the best that is present and can be moved so.
+    /// Resolves `auto` to the best present device that suits the guide.
     pub(crate) fn chosen(self, guide: &Guide) -> Self {
         match (self, &guide.moves) {
-            // Whoever gives a script or a motion asks for a hand that is not his own; without a device in it it is the
-            // truest one. A device that is plugged in moves only for whoever holds it.
+            // A script or a motion needs a simulated hand. A connected device moves only in its user's hand.
             (Self::Auto, Moves::Script(_)) => Self::Sim,
             (Self::Auto, Moves::Motion(_)) => Self::Replay,
             (Self::Auto, Moves::Held(hold)) => hold.kind,
@@ -135,33 +134,33 @@ impl DeviceKind {
     }
 }
 
-/// Why a device can not be opened.
+/// Reason why a device can not be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum DeviceError {
-    /// The script can not be followed with it.
+    /// The device can not follow the script.
     #[error("the device five-dof can not follow this script: {0}")]
     FiveDof(#[from] five_dof::Unsuited),
-    /// It is not there, or not to be had.
+    /// It is not connected or not available.
     #[error(transparent)]
     Owned(#[from] OwnedError),
-    /// The same of one that steers.
+    /// The same for a steered device.
     #[error(transparent)]
     Input(#[from] OpenError),
-    /// Something else moves it.
+    /// A different source moves it.
     #[error("the device {device} is moved by {moves}: give {option} FILE, and not {instead}")]
     MovedOtherwise {
         /// The device.
         device: &'static str,
-        /// What moves it.
+        /// Its source of motion.
         moves: &'static str,
-        /// The option for that.
+        /// The option for that source.
         option: &'static str,
-        /// What was given.
+        /// The option that was given.
         instead: &'static str,
     },
-    /// A hand moves it.
+    /// The user's hand moves it.
     #[error(
-        "the device {0} is moved by your own hand: leave out --motion (a --script only says which tool it is, and where)"
+        "the device {0} is moved by your own hand: leave out --motion (a --script only gives its tool and initial pose)"
     )]
     HandMoved(&'static str),
     /// It needs a view.
@@ -174,8 +173,8 @@ pub enum DeviceError {
     BuiltWithout(&'static str),
 }
 
-/// Opens a device that is moved by its guide. One with motors that somebody holds is where its maker has it:
-/// [`Hold::placed`] puts it into the scene.
+/// Opens a device with its guide. A held motorised device stays in its own frame until [`Hold::placed`] places it in
+/// the scene.
 pub(crate) fn open(
     choice: &DeviceChoice,
     guide: &Guide,
@@ -222,14 +221,14 @@ mod tests {
 
     use super::{DeviceChoice, DeviceError, DeviceKind, Guide, ScriptStart, Sources, open};
 
-    /// What comes of opening one of this kind, wherever makers have their files.
+    /// Result of opening a device of this kind without vendor files.
     fn opened(kind: DeviceKind, guide: &Guide) -> Result<Box<dyn HapticDevice>, DeviceError> {
         let choice = DeviceChoice { kind, which: None };
         open(&choice, guide, ScriptStart::not_yet(), &Sources::default())
     }
 
     #[test]
-    fn a_device_has_one_word_everywhere() {
+    fn device_word_is_the_same_everywhere() {
         for (kind, _) in DeviceKind::ALL {
             assert_eq!(DeviceKind::from_str(kind.word(), false), Ok(kind));
             let json = serde_json::to_value(kind).unwrap();
@@ -238,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn what_this_program_was_built_without_is_said_with_what_to_do() {
+    fn missing_feature_error_names_the_feature() {
         for (kind, built) in [
             (DeviceKind::SpaceMouse, cfg!(feature = "spacemouse")),
             (DeviceKind::Gamepad, cfg!(feature = "gamepad")),
@@ -256,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motion_does_not_move_what_a_hand_holds() {
+    fn motion_is_rejected_for_held_devices() {
         let guide = Guide::at_rest(true).unwrap();
         for (kind, _) in DeviceKind::ALL.into_iter().filter(|(k, _)| k.is_held()) {
             let said = opened(kind, &guide).err().unwrap().to_string();

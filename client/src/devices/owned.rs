@@ -1,4 +1,4 @@
-//! Devices that people own: where their maker's services and libraries are, which are plugged in, and opening one.
+//! Commercial haptic devices: location of vendor services and libraries, detection and opening.
 
 use std::path::PathBuf;
 
@@ -8,27 +8,27 @@ use palpate_device::backend::{Found, dhd, openhaptics};
 
 use super::DeviceKind;
 
-/// The kinds of devices that people own, the best first: more degrees of freedom and more force.
+/// Kinds of commercial devices, best first: more degrees of freedom and more force.
 const KINDS: [DeviceKind; 3] = [DeviceKind::Dhd, DeviceKind::Haply, DeviceKind::OpenHaptics];
 
-/// Where makers' services and libraries are, when not where they usually are.
+/// Vendor services and libraries, if not in their usual places.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Sources {
     /// The Haply service.
     pub haply: Service,
-    /// The file of libHD; `None` lets the system look for it.
+    /// The file of libHD; `None` uses the system's search path.
     pub libhd: Option<PathBuf>,
     /// The file of libdrd.
     pub libdrd: Option<PathBuf>,
 }
 
 impl Sources {
-    /// As `PALPATE_HAPLY` (`ws://host:port`), `PALPATE_LIBHD` and `PALPATE_LIBDRD` say.
+    /// Reads `PALPATE_HAPLY` (`ws://host:port`), `PALPATE_LIBHD` and `PALPATE_LIBDRD`.
     pub fn from_environment() -> Self {
         let file = |name| std::env::var_os(name).map(PathBuf::from);
         let mut haply = Service::default();
         if let Ok(url) = std::env::var("PALPATE_HAPLY") {
-            // Events come from the same host, on the port that the maker gave them.
+            // Events come from the same host, on the vendor's fixed port.
             let host = url.rsplit_once(':').map(|(host, _)| host);
             haply.events = host.map(|host| format!("{host}:10020"));
             haply.simulation = url;
@@ -41,7 +41,7 @@ impl Sources {
     }
 }
 
-/// Why such a device can not be opened.
+/// Reason why a commercial device can not be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OwnedError {
     /// An Inverse3.
@@ -55,7 +55,7 @@ pub enum OwnedError {
     Dhd(#[from] dhd::DhdError),
 }
 
-/// The devices of this kind that are plugged in; none of a kind that nobody owns.
+/// Connected devices of this kind; none if it is not a commercial kind.
 pub(crate) fn find(kind: DeviceKind, sources: &Sources) -> Result<Vec<Found>, OwnedError> {
     Ok(match kind {
         DeviceKind::Haply => haply::find(&sources.haply)?,
@@ -65,18 +65,18 @@ pub(crate) fn find(kind: DeviceKind, sources: &Sources) -> Result<Vec<Found>, Ow
     })
 }
 
-/// The best kind of which one device is plugged in and free. Where nothing is installed that is known in a moment.
+/// The best kind with exactly one free device. Without vendor software this returns at once.
 pub(super) fn best(sources: &Sources) -> Option<DeviceKind> {
     let is_there = |kind: &DeviceKind| find(*kind, sources).is_ok_and(|found| is_one_free(&found));
     KINDS.into_iter().find(is_there)
 }
 
-/// Whether one can be opened without saying which.
+/// Whether a device can be opened without an id.
 fn is_one_free(found: &[Found]) -> bool {
     found.iter().filter(|f| f.is_free).count() == 1
 }
 
-/// Opens the device of this kind with this id, or the only one; `None` for a kind that nobody owns.
+/// Opens the device of this kind with this id, or the only one; `None` if it is not a commercial kind.
 pub(super) fn open(
     kind: DeviceKind,
     which: Option<&str>,
@@ -97,11 +97,11 @@ mod tests {
 
     use super::{KINDS, Sources, best, find, is_one_free, open};
 
-    /// A place where nothing is installed.
+    /// Sources without any vendor software.
     fn nowhere() -> Sources {
         Sources {
             haply: Service {
-                // The port of nothing: discarded since 1983.
+                // The discard port, where no service listens.
                 simulation: "ws://127.0.0.1:9".to_owned(),
                 events: None,
             },
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_kind_is_taken_by_itself_only_where_one_device_is_free() {
+    fn kind_without_id_requires_exactly_one_free_device() {
         let of = |free: &[bool]| {
             let found = |is_free: &bool| Found {
                 id: String::new(),
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn where_nothing_is_installed_each_kind_says_what_is_missing() {
+    fn each_kind_reports_missing_vendor_software() {
         assert_eq!(best(&nowhere()), None);
         for (kind, word) in KINDS.into_iter().zip(["libdrd", "haply.co", "libHD"]) {
             let why = find(kind, &nowhere()).unwrap_err().to_string();

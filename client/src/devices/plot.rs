@@ -1,4 +1,4 @@
-//! Pictures of where a device can go, as SVG.
+//! Workspace plots as SVG.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -7,32 +7,32 @@ use nalgebra::{Unit, UnitQuaternion, Vector3};
 use palpate_device::backend::five_dof::{Linkage, Middle, SINGULAR, TILT_RAD, manipulability};
 use palpate_tissue::write_file;
 
-/// Side of a cell of a map, m.
+/// Side of a map cell, m.
 const CELL_M: f64 = 2.5e-3;
 /// Pixels per metre.
 const SCALE: f64 = 1000.0;
-/// Colours from the smallest manipulability to the largest, without what is singular (viridis).
+/// Colours of increasing manipulability, without the singular range (viridis).
 const COLOURS: [&str; 8] = [
     "#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0da39", "#fde725",
 ];
-/// Manipulability at which the last colour ends; with the lengths of 2007 it is 0.71 at most.
+/// Manipulability of the last colour; with the lengths of 2007 the maximum is 0.71.
 const MOST: f64 = 0.71;
-/// Where the arms fold or stretch.
+/// Colour of singular configurations: the arms fold or stretch.
 const SINGULAR_COLOUR: &str = "#c9c9c9";
 
-/// A plane through the reach of the device.
+/// A plane section of the workspace.
 struct Section {
     title: String,
-    /// Names of the axes across and up.
+    /// Names of the horizontal and the vertical axis.
     across: &'static str,
     up: &'static str,
-    /// From, to, m.
+    /// Range of each axis: from, to, m.
     range: [[f64; 2]; 2],
     axis: Unit<Vector3<f64>>,
     place: fn(f64, f64, &Middle) -> Vector3<f64>,
 }
 
-/// Draws the workspace of the 5-DOF device; the file that was written.
+/// Plots the workspace of the 5-DOF device and returns the path of the file.
 pub(super) fn five_dof(folder: &Path) -> Result<PathBuf, String> {
     let linkage = Linkage::default();
     let middle = Middle::of(&linkage).map_err(|e| e.to_string())?;
@@ -68,7 +68,7 @@ pub(super) fn five_dof(folder: &Path) -> Result<PathBuf, String> {
     let path = folder.join("five-dof-workspace.svg");
     std::fs::create_dir_all(folder)
         .and_then(|()| write_file(&path, text).map_err(|e| e.source))
-        .map_err(|e| format!("{} can not be written: {e}", path.display()))?;
+        .map_err(|e| format!("cannot write {}: {e}", path.display()))?;
     Ok(path)
 }
 
@@ -108,7 +108,7 @@ fn span([from, to]: [f64; 2]) -> f64 {
     (to - from) * SCALE
 }
 
-/// One section with its axes; runs of cells of one colour are one rectangle.
+/// One section with its axes; a run of cells of one colour is one rectangle.
 fn map(out: &mut String, linkage: &Linkage, middle: &Middle, section: &Section, at: [f64; 2]) {
     let [left, top] = at;
     let [across, up] = section.range;

@@ -1,10 +1,10 @@
-//! Solvers that stay on their own thread.
+//! Single-threaded solvers.
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-/// Keeps parallel loops of the calling thread on that thread while the returned pool lives. A solver with real-time
-/// priority must not wait for threads without, and its budget must count all of its work. `None` where the thread is
-/// a pool's already.
+/// Keeps parallel loops of the calling thread on that thread while the returned pool lives. A real-time solver must
+/// not wait for ordinary threads, and its CPU budget must cover all of its work. `None` if the thread already belongs
+/// to a pool.
 pub(crate) fn compute_alone() -> Option<ThreadPool> {
     let pool = ThreadPoolBuilder::new().num_threads(1).use_current_thread();
     pool.build().ok()
@@ -17,7 +17,7 @@ mod tests {
     use super::compute_alone;
 
     #[test]
-    fn parallel_loops_stay_on_the_calling_thread() {
+    fn parallel_loops_run_on_calling_thread() {
         std::thread::spawn(|| {
             let pool = compute_alone();
             assert!(pool.is_some());

@@ -1,27 +1,26 @@
-//! The client's clock: the machine's monotonic one, in microseconds.
+//! The client's clock: the machine's monotonic clock, in microseconds.
 
 use palpate_device::DeviceTime;
 use palpate_protocol::{ClientTime, Span};
 use palpate_transport::threads;
 
-/// Now on the machine's monotonic clock. On Linux it counts from the boot and not from the start
-/// of this process, so that times of several clients on one machine can be compared.
+/// Current time of the machine's monotonic clock. On Linux it counts from boot, so that times of several clients on
+/// one machine are comparable.
 pub fn monotonic_now() -> ClientTime {
     ClientTime::from_micros(threads::monotonic_ns() / 1000)
 }
 
-/// Time that this thread has worked: unlike the time that has passed, it does not run while others
-/// have the processor. Only differences mean anything.
+/// CPU time of this thread. Only differences are meaningful.
 pub fn worked() -> Span {
     Span::from_micros(threads::worked_ns() / 1000)
 }
 
-/// Sleeps until `deadline` on the clock of [`monotonic_now`]; not at all when it has passed.
+/// Sleeps until `deadline` on the clock of [`monotonic_now`]; returns at once if it has passed.
 pub fn sleep_until(deadline: ClientTime) {
     threads::sleep_until_ns(deadline.as_micros().saturating_mul(1000));
 }
 
-/// A moment of this clock as the device is given it: a device whose clock is ours runs on it.
+/// A time of this clock for a device that runs on it.
 pub fn device_time(now: ClientTime) -> DeviceTime {
     DeviceTime::from_micros(now.as_micros())
 }
@@ -33,7 +32,7 @@ mod tests {
     use super::{monotonic_now, sleep_until, worked};
 
     #[test]
-    fn the_clock_does_not_run_backwards_and_sleep_reaches_its_deadline() {
+    fn clock_is_monotonic_and_sleep_reaches_deadline() {
         let mut last = monotonic_now();
         for _ in 0..20 {
             let deadline = last + Span::from_micros(200);
@@ -45,7 +44,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_that_sleeps_does_not_work() {
+    fn sleeping_uses_no_cpu_time() {
         let (began, at) = (worked(), monotonic_now());
         sleep_until(at + Span::from_millis(30));
         assert!(

@@ -1,13 +1,12 @@
-//! What the haptic thread does in one turn: read, compute, write. No thread, no clock.
+//! One tick of the haptic thread: read, compute, write. No thread, no clock.
 //!
-//! The thread drives it with the machine's time, the laboratory with a virtual one, so that what is
-//! tried with every fault there is, is what users run. Whatever happens, what the device renders
-//! changes by no more than the chain's slew limit per turn, as far as it is ours to decide:
+//! The haptic thread drives it with the machine's clock, tests with a virtual one, so fault tests run the production
+//! code. As far as this program decides, the rendered force changes by at most the slew-rate limit per tick:
 //!
-//! - what the device clamps, refuses or takes away by itself is told to the chain, which goes on from
-//!   what stands at the device and not from what it was asked for;
-//! - a sample that is no number goes no further than the chain;
-//! - a clock that is put back neither stops the device's time nor keeps an old force alive.
+//! - the chain continues from the force that the device renders, even if the device clamped, refused or dropped the
+//!   requested force;
+//! - a NaN sample stops at the chain;
+//! - a clock that is set back neither stops the device's time nor keeps an old force alive.
 
 use palpate_device::{
     DeviceTime, Faults, ForceState, HapticDevice, Pose, Rejection, Sample, Wrench, Written,
@@ -17,37 +16,35 @@ use palpate_protocol::{ClientTime, Span};
 
 use super::clock::device_time;
 
-/// How often a device whose forces are off is asked to switch them on again: a board that failed once may be back, and
-/// a device that was not calibrated may be now.
+/// Retry period for enabling forces: a failed board may have recovered, and a device may have been calibrated.
 pub const ENABLE_EVERY: Span = Span::from_millis(1000);
 
-/// After a stop is asked for, the ticks the force has to come down before the device is closed
-/// all the same. The chain needs 100.
+/// Ticks after a stop until the device is closed even under force. The chain needs 100 to fade it.
 const STOP_TICKS_MAX: u32 = 150;
 
-/// What a device renders is compared with what stood there to so many newtons.
+/// Tolerance when comparing the rendered with the written force, N.
 const SAME_N: f64 = 1e-9;
 
-/// One tick as others see it. It crosses threads whole.
+/// One tick as seen by other threads; it is passed as a whole.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame {
-    /// When the tick was, on the client's clock.
+    /// Time of the tick, on the client's clock.
     pub time: ClientTime,
-    /// What the device said; after a failed reading, or one that is no number, the last good sample,
-    /// with [`Faults::UNTRUSTED_POSE`].
+    /// Sample of the device. After a failed or NaN reading it is the last good sample, with
+    /// [`Faults::UNTRUSTED_POSE`].
     pub sample: Sample,
-    /// What was written to the device; zero for one that renders no force.
+    /// Wrench written to the device; zero for one that renders no force.
     pub wrench: Wrench,
-    /// What the tissue does to the tool, for those who show it: see [`Tick::felt`].
+    /// Contact force on the tool, for display: see [`Tick::felt`].
     pub felt: Wrench,
-    /// What happened.
+    /// Events of the tick.
     pub events: Events,
-    /// Age of the contact model that was used.
+    /// Age of the contact model in use.
     pub contact_age: Span,
 }
 
 impl Frame {
-    /// Before the first tick.
+    /// The frame before the first tick.
     pub fn before(now: ClientTime) -> Self {
         Self {
             time: now,
@@ -60,44 +57,43 @@ impl Frame {
     }
 }
 
-/// What the rest of the program wants of the loop.
+/// Commands of the program to the loop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Wishes {
     /// The link to the session is lost: the force fades within 100 ms.
     pub link_lost: bool,
-    /// The loop is to end: the force fades as when the link is lost.
+    /// Stop the loop: the force fades as after a lost link.
     pub stop: bool,
 }
 
-/// What the loop met beside what the chain counts.
+/// Device events, in addition to the counters of the chain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct DeviceCounts {
-    /// Times that the device could not be read, or its forces not be switched on.
+    /// Failures to read the device or to enable its forces.
     pub faults: u64,
-    /// Wrenches that it clamped.
+    /// Wrenches clamped by the device.
     pub saturated: u64,
-    /// Wrenches that it refused while its forces were on; where they are off it refuses each one.
+    /// Wrenches rejected by the device while its forces were on. With forces off it rejects all of them.
     pub rejected: u64,
-    /// Times that it took its force away by itself, between two writes.
+    /// Times that the device dropped its force between two writes.
     pub cuts: u64,
-    /// Times that the machine's clock was put back.
+    /// Times that the machine's clock was set back.
     pub clock_put_back: u64,
 }
 
-/// What a turn gives.
+/// Result of a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Turned {
-    /// The tick.
+    /// Data of the tick.
     pub frame: Frame,
-    /// Whether its sample is one of this tick, and may go to others.
+    /// Whether the sample is new, and may go to other participants.
     pub is_good: bool,
-    /// Whether a stop has done its work: the device can be closed.
+    /// Whether the force has faded after a stop: the device can be closed.
     pub is_over: bool,
 }
 
-/// A device and its chain. The calling order: [`begin`](Self::begin), then
-/// [`turn`](Self::turn) a thousand times a second, and [`close`](Self::close) at the end.
-/// `turn` does not allocate, lock, log or wait.
+/// A device and its haptic chain. Calling order: [`begin`](Self::begin), then [`turn`](Self::turn) a thousand times a
+/// second, and [`close`](Self::close) at the end. `turn` does not allocate, lock, log or wait.
 pub struct HandLoop {
     device: Box<dyn HapticDevice>,
     chain: Chain,
@@ -105,17 +101,17 @@ pub struct HandLoop {
     last: Frame,
     link_is_lost: bool,
     ticks_to_stop: u32,
-    /// How far the device's time is ahead of the machine's clock; more after every step back.
+    /// Offset of the device's time from the machine's clock; it grows each time the clock is set back.
     ahead: Span,
-    /// When forces may be asked for again, in the device's time.
+    /// Earliest time to enable forces again, in the device's time.
     enable_at: DeviceTime,
-    /// What the device rendered right after the last write.
+    /// Wrench rendered right after the last write.
     stands: Wrench,
     counts: DeviceCounts,
 }
 
 impl HandLoop {
-    /// A loop of `period` that has not begun.
+    /// A loop of `period` that has not started.
     pub fn new(device: Box<dyn HapticDevice>, chain: Chain, period: Span, now: ClientTime) -> Self {
         Self {
             device,
@@ -136,12 +132,12 @@ impl HandLoop {
         &self.chain
     }
 
-    /// What it met so far.
+    /// Device events so far.
     pub fn counts(&self) -> DeviceCounts {
         self.counts
     }
 
-    /// Switches the motors on.
+    /// Enables the forces.
     pub fn begin(&mut self) {
         if self.device.enable_forces(true).is_err() {
             self.counts.faults += 1;
@@ -153,7 +149,7 @@ impl HandLoop {
         self.device.close();
     }
 
-    /// One turn at `now` on the client's clock, with the newest `model` of the tissue.
+    /// One tick at `now` on the client's clock, with the newest contact `model`.
     pub fn turn(&mut self, now: ClientTime, wishes: Wishes, model: &ContactModel) -> Turned {
         let at = self.device_now(now);
         self.steer(now, wishes);
@@ -163,7 +159,7 @@ impl HandLoop {
             Ok(sample) if self.forces_are_off() => {
                 self.chain.cut_to(&Wrench::ZERO);
                 self.enable_again(at);
-                // The chain judges the sample, which goes to others, and makes no force of one with such a fault.
+                // The chain checks this sample and renders no force for it.
                 let faults = sample.faults.with(Faults::UNTRUSTED_POSE);
                 let tick = self.chain.tick(now, &Sample { faults, ..sample }, model);
                 (tick, judged(&tick, sample))
@@ -198,8 +194,8 @@ impl HandLoop {
         }
     }
 
-    /// `now` in the device's time, which goes on by a period where the machine's clock is put back:
-    /// devices are promised that their time does not run backwards.
+    /// `now` in the device's time. It advances by one period if the machine's clock is set back, because device time
+    /// must not run backwards.
     fn device_now(&mut self, now: ClientTime) -> DeviceTime {
         let last = self.last.time;
         if now < last {
@@ -209,7 +205,7 @@ impl HandLoop {
         device_time(now + self.ahead)
     }
 
-    /// A stop fades the force as a lost link does.
+    /// A stop fades the force like a lost link.
     fn steer(&mut self, now: ClientTime, wishes: Wishes) {
         let lost = wishes.link_lost || wishes.stop;
         if lost && !self.link_is_lost {
@@ -220,8 +216,8 @@ impl HandLoop {
         self.link_is_lost = lost;
     }
 
-    /// Sees whether the device has taken force away since the last write, as one with a watchdog of
-    /// its own does while this program stands still. To go on from what was written then would be a blow.
+    /// Detects a force that the device dropped since the last write, for example by its own watchdog while this
+    /// program stalled. Continuing from the written force would give a force jump.
     fn notice_cut(&mut self) {
         let there = self.device.rendered();
         let lost = self.stands.force.norm() - there.force.norm();
@@ -238,14 +234,14 @@ impl HandLoop {
         self.device.caps().dof_out > 0 && self.device.force_state() == ForceState::Off
     }
 
-    /// While a driver brings its forces up, the soft start waits: the two together would be steeper than the slew limit.
+    /// The soft start waits while a driver ramps up its forces: both ramps together would exceed the slew-rate limit.
     fn wait_for_ramp(&mut self) {
         if self.device.force_state() == ForceState::Ramping {
             self.chain.cut_to(&self.device.rendered());
         }
     }
 
-    /// A device without motors is only told what the tool would feel.
+    /// A device without motors receives the contact force for display only.
     fn write(&mut self, at: DeviceTime, tick: &Tick) {
         if self.device.caps().dof_out == 0 {
             self.device.cue(at, &tick.felt);
@@ -265,7 +261,7 @@ impl HandLoop {
         self.stands = self.device.rendered();
     }
 
-    /// Asks for forces again, now and then. Until they are on the chain gives none, and its soft start begins after.
+    /// Retries to enable forces. Until then the chain renders none, and its soft start begins afterwards.
     fn enable_again(&mut self, at: DeviceTime) {
         if at >= self.enable_at {
             self.enable_at = at.plus_micros(ENABLE_EVERY.as_micros());
@@ -281,7 +277,7 @@ impl HandLoop {
     }
 }
 
-/// The sample, unless the chain found in this tick that it can not be.
+/// The sample, unless the chain rejected it in this tick.
 fn judged(tick: &Tick, sample: Sample) -> Option<Sample> {
     let is_bad = tick.events.contains(Events::BAD_SAMPLE);
     (!is_bad).then_some(sample)
@@ -304,11 +300,11 @@ mod tests {
 
     const MS: Span = Span::from_millis(1);
 
-    /// What a device is told to do, and what it does.
+    /// Commands to the test device, and its observed state.
     #[derive(Default)]
     struct Orders {
         refuses: bool,
-        /// m, added to the place that it says.
+        /// Offset added to the reported position, m.
         astray: f64,
         is_off: bool,
         renders: Wrench,
@@ -369,7 +365,7 @@ mod tests {
     }
 
     impl Run {
-        /// Two seconds into a contact of 6 N that somebody else presses against the tool.
+        /// Two seconds into a contact of 6 N that another tool presses against this one.
         fn pressed() -> Self {
             let script = Script::resting_probe(Vector3::zeros(), 0.004).unwrap();
             let caps = SimHand::new(script, ScriptStart::not_yet()).caps().clone();
@@ -408,7 +404,7 @@ mod tests {
             self.orders.lock().unwrap().renders.force.z
         }
 
-        /// The largest step that is rendered in so many turns.
+        /// The largest rendered force step within this number of ticks.
         fn largest_step(&mut self, turns: usize) -> f64 {
             let mut largest = 0.0_f64;
             for _ in 0..turns {
@@ -421,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn after_a_refused_write_the_force_comes_back_from_nothing() {
+    fn force_restarts_from_zero_after_rejected_write() {
         let mut run = Run::pressed();
         run.orders.lock().unwrap().refuses = true;
         run.turn();
@@ -434,7 +430,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_whose_own_watchdog_has_cut_the_force_gets_no_blow_when_we_are_back() {
+    fn device_watchdog_cut_is_followed_by_soft_start() {
         let mut run = Run::pressed();
         run.us += 300_000;
         run.orders.lock().unwrap().renders = Wrench::ZERO;
@@ -445,7 +441,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pose_that_is_no_number_goes_no_further() {
+    fn nan_pose_is_rejected() {
         let mut run = Run::pressed();
         run.orders.lock().unwrap().astray = f64::NAN;
         let turned = run.turn();
@@ -458,7 +454,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pose_that_can_not_be_goes_no_further_while_forces_are_off() {
+    fn impossible_pose_is_rejected_with_forces_off() {
         let mut run = Run::pressed();
         run.orders.lock().unwrap().is_off = true;
         assert!(run.turn().is_good);
@@ -473,7 +469,7 @@ mod tests {
     }
 
     #[test]
-    fn writes_while_forces_are_off_are_not_counted_as_refused_and_the_force_comes_back_slowly() {
+    fn writes_with_forces_off_are_not_counted_and_force_returns_slowly() {
         let mut run = Run::pressed();
         run.orders.lock().unwrap().is_off = true;
         for _ in 0..500 {
@@ -487,7 +483,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_is_put_back_is_not_passed_on_to_the_device() {
+    fn device_time_is_monotonic_when_clock_is_set_back() {
         let mut run = Run::pressed();
         run.us -= 5_000_000;
         let step = run.largest_step(500);

@@ -1,4 +1,4 @@
-//! The rest of the program's hold on the haptic thread.
+//! Handle of the haptic thread for the rest of the program.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -7,29 +7,29 @@ use std::thread::JoinHandle;
 use hdrhistogram::Histogram;
 use triple_buffer::Output;
 
+use super::haptic_thread::Control;
 use super::stats::LoopStats;
-use super::thread::Control;
 use super::trace::Trace;
 use palpate_transport::threads::Scheduling;
 
-/// The whole run.
+/// Summary of the whole run.
 pub struct LoopSummary {
-    /// The figures at the end.
+    /// Final statistics.
     pub stats: LoopStats,
     /// How the thread was scheduled.
     pub scheduling: Scheduling,
-    /// How long after their deadlines ticks began, µs.
+    /// Lateness of ticks, µs.
     pub lateness_us: Histogram<u32>,
-    /// How long ticks took, µs.
+    /// Computing time of ticks, µs.
     pub work_us: Histogram<u32>,
-    /// The path and the force.
+    /// Recorded poses and forces.
     pub trace: Trace,
-    /// What a panic on the thread said; the force was taken away and the device closed. `None`
-    /// is as it should be.
+    /// Message of a panic on the thread, after which the force was set to zero and the device closed. `None` if the
+    /// thread ended normally.
     pub panicked: Option<String>,
 }
 
-/// Steers the haptic thread. Dropping it stops the thread as [`stop`](Self::stop) does.
+/// Controls the haptic thread. Dropping it stops the thread like [`stop`](Self::stop).
 pub struct HapticHandle {
     control: Arc<Control>,
     stats: Output<LoopStats>,
@@ -52,28 +52,28 @@ impl HapticHandle {
         }
     }
 
-    /// How the thread is scheduled, with a sentence for the user where that is not as wanted.
+    /// Scheduling of the thread, with an explanation if it is not as requested.
     pub fn scheduling(&self) -> &Scheduling {
         &self.scheduling
     }
 
-    /// The newest figures; the thread publishes them four times a second.
+    /// The newest statistics; the thread publishes them four times a second.
     pub fn stats(&mut self) -> LoopStats {
         *self.stats.read()
     }
 
-    /// Whether the thread lives. It ends early only by a panic, and the summary then says so.
+    /// Whether the thread runs. It ends early only by a panic, which the summary reports.
     pub fn is_running(&self) -> bool {
         self.thread.as_ref().is_some_and(|t| !t.is_finished())
     }
 
-    /// The link to the session is lost (the force fades within 100 ms) or is back (the force
-    /// returns over the soft start).
+    /// Reports that the link to the session is lost (the force fades within 100 ms) or back (the force returns by the
+    /// soft start).
     pub fn set_link_lost(&self, lost: bool) {
         self.control.link_lost.store(lost, Ordering::Release);
     }
 
-    /// Whether ticks go into the trace.
+    /// Whether ticks are recorded in the trace.
     pub fn set_recording(&self, on: bool) {
         self.control.recording.store(on, Ordering::Release);
     }
@@ -85,7 +85,7 @@ impl HapticHandle {
             .thread
             .take()
             .expect("only stop and drop take it, and both are last");
-        // `run` catches panics of loop and device; what is left is ours.
+        // `run` catches panics of loop and device.
         thread.join().expect("the haptic thread catches its panics")
     }
 }
@@ -96,7 +96,7 @@ impl Drop for HapticHandle {
         if let Some(thread) = self.thread.take()
             && thread.join().is_err()
         {
-            tracing::error!("the haptic thread ended by a panic");
+            tracing::error!("the haptic thread panicked");
         }
     }
 }

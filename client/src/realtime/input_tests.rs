@@ -1,4 +1,4 @@
-//! A device without motors in the loop: the tool moves and cuts, and no force is written.
+//! A device without motors in the loop: the tool moves and cuts without any written force.
 
 #![allow(clippy::unwrap_used)]
 
@@ -13,7 +13,7 @@ use super::{RealtimeConfig, device_time, monotonic_now, spawn};
 use crate::convert::local_sample;
 use crate::stroke::StrokeCollector;
 
-/// A contact of 3 N, solved now.
+/// A current contact of 3 N.
 fn contact() -> ContactModel {
     ContactModel {
         topology_version: 1,
@@ -27,7 +27,7 @@ fn contact() -> ContactModel {
     }
 }
 
-/// From above, with the main button held unless `x` is not given.
+/// An event from above; the main button is held if `x` is given.
 fn event(x: Option<f64>) -> PointerEvent {
     PointerEvent {
         time: device_time(monotonic_now()),
@@ -45,7 +45,7 @@ fn event(x: Option<f64>) -> PointerEvent {
 }
 
 #[test]
-fn a_pointer_moves_and_cuts_in_the_loop_and_the_force_is_only_told() {
+fn pointer_moves_and_cuts_without_rendering_force() {
     let half = Vector3::repeat(0.2);
     let workspace = Workspace {
         min: -half,
@@ -65,10 +65,10 @@ fn a_pointer_moves_and_cuts_in_the_loop_and_the_force_is_only_told() {
     let mut collector = StrokeCollector::new(0.02);
     let mut stroke: Option<CutRequest> = None;
     let (mut felt_n, mut farthest): (f64, f64) = (0.0, 0.0);
-    // A bound against a thread that never gets there, far above what any machine needs.
+    // Bound on the wait for the thread, far above the needs of any machine.
     for _ in 0..10_000 {
         ports.models.write(contact());
-        // The button is let go once the tool has come far enough.
+        // The button is released once the tool has come far enough.
         handle
             .send(event((farthest < 0.05).then_some(0.06)))
             .unwrap();

@@ -1,7 +1,7 @@
 //! The real-time thread: a device, the haptic chain and a clock, a thousand times a second.
 //!
-//! The thread never allocates, locks, logs or waits for anybody once it runs; what goes in and
-//! out passes through wait-free buffers of fixed size:
+//! The running thread never allocates, locks, logs or waits for another thread. Data passes through wait-free buffers
+//! of fixed size:
 //!
 //! ```text
 //! solver  --newest ContactModel-->  thread  --newest Frame-->  solver, view
@@ -9,28 +9,28 @@
 //!                                   thread  --LoopStats, 4 Hz-->  status line
 //! ```
 //!
-//! [`spawn`] starts it, [`HapticHandle`] steers it, [`HapticHandle::stop`] ramps the force down,
-//! closes the device and hands out the [`LoopSummary`]. What a turn does is [`HandLoop`], which
-//! knows neither thread nor clock, on the grid of [`Pace`].
+//! [`spawn`] starts it, [`HapticHandle`] controls it. [`HapticHandle::stop`] ramps the force down, closes the device
+//! and returns the [`LoopSummary`]. One tick is [`HandLoop::turn`], which knows neither thread nor clock, on the grid
+//! of [`Pace`].
 
 mod alone;
 mod clock;
 mod hand_loop;
 mod handle;
+mod haptic_thread;
 #[cfg(test)]
 mod input_tests;
 mod pace;
 mod stats;
 #[cfg(test)]
 mod tests;
-mod thread;
 mod trace;
 
 pub(crate) use alone::compute_alone;
 pub use clock::{device_time, monotonic_now, sleep_until, worked};
 pub use hand_loop::{DeviceCounts, ENABLE_EVERY, Frame, HandLoop, Turned, Wishes};
 pub use handle::{HapticHandle, LoopSummary};
+pub use haptic_thread::{HapticPorts, RealtimeConfig, SpawnError, spawn};
 pub use pace::Pace;
 pub use stats::{LoopStats, Percentiles};
-pub use thread::{HapticPorts, RealtimeConfig, SpawnError, spawn};
 pub use trace::{Trace, TracePoint};

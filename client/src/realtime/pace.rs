@@ -1,11 +1,9 @@
-//! When the next tick is due.
+//! Deadlines of the ticks.
 
 use palpate_protocol::{ClientTime, Span};
 
-/// Absolute deadlines on a fixed grid. A tick that ends after later deadlines skips them: a late
-/// loop goes on at the next point of the grid and never bursts to catch up, because two ticks at
-/// once would give the hand one force for two moments. Nor does it wait for a clock that was put
-/// back: then the grid begins anew.
+/// Absolute deadlines on a fixed grid. A tick that ends after later deadlines skips them: a burst of ticks would give
+/// the hand one force for two times. If the clock is set back, the grid restarts.
 #[derive(Debug, Clone, Copy)]
 pub struct Pace {
     period: Span,
@@ -23,17 +21,17 @@ impl Pace {
         }
     }
 
-    /// When the next tick is due.
+    /// Deadline of the next tick.
     pub fn deadline(&self) -> ClientTime {
         self.deadline
     }
 
-    /// Deadlines that were skipped so far.
+    /// Number of deadlines skipped so far.
     pub fn missed(&self) -> u64 {
         self.missed
     }
 
-    /// The tick of the present deadline ended at `now`.
+    /// Ends the current tick at `now`.
     pub fn done(&mut self, now: ClientTime) {
         self.deadline = self.deadline + self.period;
         let over = (now - self.deadline).as_micros();
@@ -57,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn a_loop_in_time_keeps_its_grid_whatever_the_lateness_of_each_tick() {
+    fn punctual_loop_keeps_its_grid() {
         let mut pace = Pace::new(at(500), Span::from_millis(1));
         for i in 1..100 {
             assert_eq!(pace.deadline(), at(500 + i * 1000));
@@ -67,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn a_late_loop_skips_to_the_next_point_of_the_grid() {
+    fn late_loop_skips_to_next_deadline() {
         let mut pace = Pace::new(at(0), Span::from_millis(1));
         pace.done(at(4_300));
         assert_eq!((pace.deadline(), pace.missed()), (at(5_000), 3));
@@ -76,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_is_put_back_is_not_waited_for() {
+    fn grid_restarts_when_clock_is_set_back() {
         let mut pace = Pace::new(at(9_000_000), Span::from_millis(1));
         pace.done(at(9_001_100));
         pace.done(at(4_000_000));

@@ -1,4 +1,4 @@
-//! How well the loop keeps its time, and what it met.
+//! Timing statistics and event counts of the loop.
 
 use hdrhistogram::Histogram;
 use palpate_haptics::Counters;
@@ -6,19 +6,19 @@ use palpate_protocol::{ClientTime, Span};
 
 use super::hand_loop::DeviceCounts;
 
-/// The longest lateness or computing time that is told apart, µs; longer ones count as this.
+/// Upper bound of the histograms, µs; longer times count as this.
 const MAX_US: u64 = 10_000_000;
 
 /// Percentiles of a time, µs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Percentiles {
-    /// Half of the ticks were below.
+    /// Median.
     pub p50: u64,
-    /// 99 of 100 were below.
+    /// 99th percentile.
     pub p99: u64,
-    /// 999 of 1000 were below.
+    /// 99.9th percentile.
     pub p999: u64,
-    /// The largest.
+    /// Maximum.
     pub max: u64,
 }
 
@@ -34,7 +34,7 @@ impl Percentiles {
     }
 }
 
-/// The loop so far.
+/// Statistics of the loop so far.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct LoopStats {
     /// Ticks done.
@@ -43,23 +43,23 @@ pub struct LoopStats {
     pub seconds: f64,
     /// Ticks per second since the loop began, Hz.
     pub rate_hz: f64,
-    /// How long after its deadline a tick began, µs.
+    /// Delay of ticks after their deadlines, µs.
     pub lateness_us: Percentiles,
-    /// How long a tick took: reading, computing, writing, handing over, µs.
+    /// Duration of ticks: reading, computing, writing, transfer, µs.
     pub work_us: Percentiles,
     /// Deadlines that were skipped.
     pub missed: u64,
     /// The force of the last tick, N.
     pub force_n: f64,
-    /// What the chain met; its largest change of force per tick among it.
+    /// Counters of the chain, including its largest force change per tick.
     pub counters: Counters,
-    /// What the device did beside rendering.
+    /// Events of the device.
     pub device: DeviceCounts,
-    /// Frames that found the ring to the network full and were dropped.
+    /// Frames dropped because the ring to the network was full.
     pub frames_dropped: u64,
 }
 
-/// Collects the figures of the loop. Allocates when it is made and never after.
+/// Collects statistics. Allocates on creation only.
 pub(super) struct Meter {
     began: ClientTime,
     lateness: Histogram<u32>,
@@ -81,14 +81,14 @@ impl Meter {
         }
     }
 
-    /// A tick that was due at `deadline`, began at `woke` and ended at `done`.
+    /// Records a tick with its deadline, its begin `woke` and its end `done`.
     pub(super) fn record(&mut self, deadline: ClientTime, woke: ClientTime, done: ClientTime) {
         self.lateness.saturating_record(micros(woke - deadline));
         self.work.saturating_record(micros(done - woke));
         self.stats.ticks += 1;
     }
 
-    /// The figures as of `now`. A few microseconds of computing: call it a few times a second.
+    /// The statistics as of `now`. It takes a few microseconds: call it a few times a second.
     pub(super) fn snapshot(&mut self, now: ClientTime, missed: u64) -> LoopStats {
         let seconds = (now - self.began).as_secs_f64();
         self.stats.seconds = seconds;
@@ -103,7 +103,7 @@ impl Meter {
         self.stats
     }
 
-    /// The histograms of lateness and of computing time, µs.
+    /// The histograms of lateness and computing time, µs.
     pub(super) fn into_histograms(self) -> (Histogram<u32>, Histogram<u32>) {
         (self.lateness, self.work)
     }
@@ -120,7 +120,7 @@ mod tests {
     use super::Meter;
 
     #[test]
-    fn percentiles_are_those_of_what_was_recorded() {
+    fn percentiles_match_recorded_times() {
         let at = ClientTime::from_micros;
         let mut meter = Meter::new(at(0));
         for i in 0..1000 {

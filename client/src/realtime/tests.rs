@@ -1,4 +1,4 @@
-//! The thread as a whole. Nothing here asserts how fast it is: a busy machine is no failure.
+//! Tests of the whole thread. They assert no timing, because the machine may be busy.
 
 #![allow(clippy::unwrap_used)]
 
@@ -15,7 +15,7 @@ use palpate_haptics::{Chain, ChainConfig, ContactModel, Touch};
 
 use super::{Frame, HapticHandle, HapticPorts, RealtimeConfig, monotonic_now, spawn};
 
-/// What a device that is watched did.
+/// Observations of a test device.
 #[derive(Default)]
 struct Diary {
     written: Vec<Wrench>,
@@ -23,7 +23,7 @@ struct Diary {
     written_after_close: bool,
 }
 
-/// A device at rest at the origin that can be told to fail.
+/// A device at rest at the origin that fails on command.
 struct Watched {
     caps: DeviceCaps,
     clock: ClockOwner,
@@ -73,7 +73,7 @@ impl HapticDevice for Watched {
         self.reads += 1;
         assert!(self.panics_at != Some(self.reads), "the driver's own bug");
         if self.fails_at.contains(&self.reads) {
-            // As drivers do: a board that failed gives no force until it is told to.
+            // Like a driver: a failed board gives no force until it is enabled again.
             self.forces = ForceState::Off;
             return Err(DeviceFault::Unplugged);
         }
@@ -93,7 +93,7 @@ impl HapticDevice for Watched {
     }
 }
 
-/// A contact of 3 N, solved now, that somebody else presses against the tool with a watt.
+/// A current contact of 3 N from another tool, with a power of 1 W.
 fn contact() -> ContactModel {
     let now = monotonic_now();
     ContactModel {
@@ -111,7 +111,7 @@ fn contact() -> ContactModel {
 
 fn start(device: impl HapticDevice + 'static) -> (HapticHandle, HapticPorts) {
     let chain = Chain::new(ChainConfig::default(), device.caps());
-    // Without real-time priority: the tests of one run share the machine.
+    // Ordinary priority: tests share the machine.
     let config = RealtimeConfig {
         real_time: false,
         ..RealtimeConfig::default()
@@ -119,10 +119,10 @@ fn start(device: impl HapticDevice + 'static) -> (HapticHandle, HapticPorts) {
     spawn(Box::new(device), chain, config).unwrap()
 }
 
-/// Keeps the contact fresh until `is_enough`; the frames of the ring on the way.
+/// Keeps the contact current until `is_enough`; returns the frames of the ring.
 fn press_until(ports: &mut HapticPorts, mut is_enough: impl FnMut(&Frame) -> bool) -> Vec<Frame> {
     let mut frames = Vec::new();
-    // A bound against a thread that never gets there, far above what any machine needs.
+    // Bound on the wait for the thread, far above the needs of any machine.
     for _ in 0..20_000 {
         ports.models.write(contact());
         while let Ok(frame) = ports.frames.pop() {
@@ -144,7 +144,7 @@ fn assert_no_step(written: &[Wrench]) {
 }
 
 #[test]
-fn a_published_contact_is_felt_and_a_stop_fades_it_before_the_device_closes() {
+fn contact_is_rendered_and_stop_fades_it_before_closing() {
     let (device, diary) = Watched::new();
     let (handle, mut ports) = start(device);
     let frames = press_until(&mut ports, |f| f.wrench.force.z > 1.0);
@@ -164,7 +164,7 @@ fn a_published_contact_is_felt_and_a_stop_fades_it_before_the_device_closes() {
 }
 
 #[test]
-fn a_device_that_does_not_answer_gets_no_force_and_the_loop_goes_on() {
+fn silent_device_gets_no_force_and_loop_continues() {
     let (mut device, diary) = Watched::new();
     device.fails_at = 600..700;
     let (handle, mut ports) = start(device);
@@ -175,7 +175,7 @@ fn a_device_that_does_not_answer_gets_no_force_and_the_loop_goes_on() {
     });
     let summary = handle.stop();
     assert_eq!(summary.stats.device.faults, 100);
-    // And one tick in which forces are switched on again, as the driver has switched them off.
+    // One more tick passes while forces are enabled again.
     assert_eq!(summary.stats.counters.faulted, 101);
     let diary = diary.lock().unwrap();
     assert_no_step(&diary.written);
@@ -189,7 +189,7 @@ fn a_device_that_does_not_answer_gets_no_force_and_the_loop_goes_on() {
 }
 
 #[test]
-fn a_panic_of_a_driver_ends_the_thread_and_closes_the_device() {
+fn driver_panic_ends_thread_and_closes_device() {
     let (mut device, diary) = Watched::new();
     device.panics_at = Some(50);
     let (handle, _ports) = start(device);
@@ -202,7 +202,7 @@ fn a_panic_of_a_driver_ends_the_thread_and_closes_the_device() {
 }
 
 #[test]
-fn a_lost_link_takes_the_force_and_a_found_one_gives_it_back() {
+fn lost_link_fades_force_and_restored_link_returns_it() {
     let (device, diary) = Watched::new();
     let (handle, mut ports) = start(device);
     press_until(&mut ports, |f| f.wrench.force.z > 1.0);
@@ -217,7 +217,7 @@ fn a_lost_link_takes_the_force_and_a_found_one_gives_it_back() {
 }
 
 #[test]
-fn a_reader_that_is_away_loses_frames_and_not_the_loop() {
+fn stalled_reader_loses_frames_only() {
     let (device, diary) = Watched::new();
     let (handle, ports) = start(device);
     while diary.lock().unwrap().written.len() < 400 {
@@ -229,7 +229,7 @@ fn a_reader_that_is_away_loses_frames_and_not_the_loop() {
 }
 
 #[test]
-fn a_simulated_hand_begins_its_script_when_the_session_does() {
+fn simulated_hand_starts_script_with_session() {
     use palpate_device::script::{Hand, Tool, WayPoint};
     let tool = Tool::probe(0.004);
     let ways = vec![
@@ -260,7 +260,7 @@ fn press_free_until(ports: &mut HapticPorts, mut is_enough: impl FnMut(&Frame) -
 }
 
 #[test]
-fn a_device_with_a_clock_of_its_own_is_driven_like_any_other() {
+fn device_with_own_clock_is_driven_alike() {
     for clock in [ClockOwner::DeviceCallback, ClockOwner::ReplyPerMessage] {
         let (mut device, _diary) = Watched::new();
         device.clock = clock;

@@ -1,4 +1,4 @@
-//! The path and the force of a run, kept for plots and comparisons.
+//! Recorded poses and forces of a run, for plots and comparisons.
 
 use nalgebra::Vector3;
 use palpate_device::{Buttons, Pose};
@@ -8,19 +8,19 @@ use palpate_protocol::ClientTime;
 /// One recorded tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TracePoint {
-    /// When.
+    /// Time of the tick.
     pub time: ClientTime,
-    /// Where the tool was.
+    /// Pose of the tool.
     pub pose: Pose,
     /// The buttons that were held.
     pub buttons: Buttons,
     /// Force on the tool, N.
     pub force: Vector3<f64>,
-    /// What happened in the tick.
+    /// Events of the tick.
     pub events: Events,
 }
 
-/// Every n-th tick of a run, in memory that is reserved beforehand.
+/// Every n-th tick of a run, in preallocated memory.
 #[derive(Debug, Clone, Default)]
 pub struct Trace {
     points: Vec<TracePoint>,
@@ -31,7 +31,7 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// Room for `capacity` points, one of `every` ticks; `every` = 0 records nothing.
+    /// Capacity for `capacity` points, one per `every` ticks; `every` = 0 records nothing.
     pub(super) fn new(every: u32, capacity: usize) -> Self {
         let capacity = if every == 0 { 0 } else { capacity };
         Self {
@@ -43,7 +43,7 @@ impl Trace {
         }
     }
 
-    /// Records `point` if it is its turn and there is room. Never allocates.
+    /// Records every n-th `point` while there is room. Never allocates.
     pub(super) fn record(&mut self, point: TracePoint) {
         if self.every == 0 {
             return;
@@ -60,12 +60,12 @@ impl Trace {
         }
     }
 
-    /// The points in the order of time.
+    /// The points in chronological order.
     pub fn points(&self) -> &[TracePoint] {
         &self.points
     }
 
-    /// Points that found no room: the end of the run is missing by so many.
+    /// Number of points lost at the end of the run for lack of room.
     pub fn lost(&self) -> u64 {
         self.lost
     }
@@ -81,7 +81,7 @@ mod tests {
     use super::{Trace, TracePoint};
 
     #[test]
-    fn every_fourth_tick_is_kept_until_the_room_is_used_up() {
+    fn every_fourth_tick_is_recorded_until_full() {
         let mut trace = Trace::new(4, 10);
         for i in 0..100 {
             trace.record(TracePoint {

@@ -40,7 +40,7 @@ fn thorough() -> Budget<'static> {
 }
 
 fn seen(replica: &mut Replica) -> &mut View {
-    replica.view_mut().expect("nobody took it")
+    replica.view_mut().expect("not detached")
 }
 
 fn at(k: i64) -> ServerTime {
@@ -71,7 +71,7 @@ fn operation(replica: &mut Replica) -> Operation {
 }
 
 #[test]
-fn a_press_gives_a_force_outwards_and_a_model_the_loop_can_use() {
+fn pressing_gives_outward_force_and_usable_model() {
     let mut replica = Replica::new(tissue(), true);
     let now = ClientTime::from_micros(5);
     let own = tool(1, 5.0 * CELL, 3e-3);
@@ -95,7 +95,7 @@ fn a_press_gives_a_force_outwards_and_a_model_the_loop_can_use() {
 }
 
 #[test]
-fn a_blade_that_cuts_feels_nothing() {
+fn cutting_blade_has_no_force() {
     let mut replica = Replica::new(tissue(), true);
     let mut own = tool(1, 5.0 * CELL, 3e-3);
     own.description = ToolDescription::scalpel(6e-3, 0.02);
@@ -106,7 +106,7 @@ fn a_blade_that_cuts_feels_nothing() {
 }
 
 #[test]
-fn another_tool_beside_ones_own_changes_what_is_felt() {
+fn nearby_tool_changes_the_force() {
     let mut replica = Replica::new(tissue(), true);
     let own = tool(1, 4.0 * CELL, 3e-3);
     let alone = replica.haptic_step(ClientTime::ZERO, Some(&own), &[], thorough());
@@ -116,7 +116,7 @@ fn another_tool_beside_ones_own_changes_what_is_felt() {
 }
 
 #[test]
-fn two_replicas_that_solve_for_the_same_moments_have_equal_shapes() {
+fn replicas_with_equal_inputs_have_equal_shapes() {
     let run = |with_hand: bool| {
         let mut replica = Replica::new(tissue(), with_hand);
         for k in 0..30 {
@@ -140,7 +140,7 @@ fn two_replicas_that_solve_for_the_same_moments_have_equal_shapes() {
 }
 
 #[test]
-fn a_cut_applied_everywhere_gives_equal_hashes_and_shapes_follow() {
+fn cut_gives_equal_hashes_on_all_replicas() {
     let mut a = Replica::new(tissue(), true);
     let mut b = Replica::new(tissue(), false);
     let tools = [tool(1, 5.0 * CELL, 3e-3)];
@@ -165,7 +165,7 @@ fn a_cut_applied_everywhere_gives_equal_hashes_and_shapes_follow() {
 }
 
 #[test]
-fn an_operation_with_another_result_is_an_error_that_says_which() {
+fn different_hash_is_reported_with_the_operation() {
     let mut replica = Replica::new(tissue(), true);
     let good = operation(&mut replica);
     let bad = Operation {
@@ -174,7 +174,7 @@ fn an_operation_with_another_result_is_an_error_that_says_which() {
     };
     let error = replica.apply(&bad).err().expect("another result");
     assert!(error.to_string().contains("operation 0"), "{error}");
-    // Nothing has happened to this copy.
+    // The replica is unchanged.
     replica.apply(&good).unwrap();
     assert!(matches!(
         replica.apply(&good),
@@ -183,11 +183,11 @@ fn an_operation_with_another_result_is_an_error_that_says_which() {
 }
 
 #[test]
-fn a_cut_that_nothing_here_can_make_is_an_error_and_not_forgotten() {
+fn cut_fails_when_worker_has_stopped() {
     let mut replica = Replica::new(tissue(), false);
     let cut = operation(&mut replica);
     let view = replica.detach_view();
-    assert!(view.is_some() && replica.ahead().is_none());
+    assert!(view.is_some() && replica.prefetch().is_none());
     assert!(matches!(
         replica.apply(&cut).err(),
         Some(ReplicaError::Ended { .. })
@@ -196,8 +196,8 @@ fn a_cut_that_nothing_here_can_make_is_an_error_and_not_forgotten() {
 }
 
 #[test]
-fn what_another_hand_puts_in_and_gets_back_is_counted() {
-    // A tool against 400 N/m along z: in by 10 mm, and out again, in steps of a millimetre.
+fn energy_of_other_hands_is_tracked() {
+    // A tool against 400 N/m along z: 10 mm in and out, in steps of 1 mm.
     let reaction = |depth: f64| Reaction {
         tool: 7,
         force: Vec3::new(0.0, 0.0, 400.0 * depth),
@@ -226,14 +226,14 @@ fn what_another_hand_puts_in_and_gets_back_is_counted() {
         others.note([reaction(1e-3 * f64::from(mm))].iter());
     }
     assert!(others.work_j.abs() < 1e-12, "{} J", others.work_j);
-    // Who was away in between has done nothing on the way.
+    // A tool without contact in between has done no work.
     others.note([].iter());
     others.note([reaction(0.01)].iter());
     assert!(others.work_j.abs() < 1e-12);
 }
 
 #[test]
-fn a_plate_that_leans_and_open_jaws_are_felt_in_many_places_with_a_torque() {
+fn tilted_plate_and_open_jaws_give_several_contacts_and_torque() {
     let turn = UnitQuaternion::from_axis_angle(&Vec3::y_axis(), 0.1);
     let plate = ToolDescription {
         kind: ToolKind::Plate,
@@ -263,9 +263,9 @@ fn a_plate_that_leans_and_open_jaws_are_felt_in_many_places_with_a_torque() {
     };
     assert!(plate.touching().count() >= 2);
     assert!(plate.turn0.angle_to(&turn) < 1e-9);
-    // The end at +x is deeper and is pushed up: about -y.
+    // The end at +x is deeper and is pushed up: the torque is about -y.
     assert!(plate.torque().y < -1e-5, "{}", plate.torque());
-    // One jaw's tip on either side of the pivot: what the one turns the other turns back.
+    // One jaw's tip on either side of the pivot: their torques cancel.
     let sides = [1.0, -1.0].map(|s| jaws.touching().filter(|t| s * t.lever.x > 0.0).count());
     assert!(sides[0] > 0 && sides[1] > 0, "{sides:?}");
     assert!(jaws.force().z > 0.0 && jaws.torque().y.abs() < 1e-3 * jaws.force().z);

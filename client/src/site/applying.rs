@@ -1,4 +1,4 @@
-//! Operations of the log, each in the moment in which everybody sees it.
+//! Applying operations of the log at their due time.
 
 use palpate_protocol::operation::OperationKind;
 use palpate_protocol::request::RequestKind;
@@ -9,19 +9,19 @@ use super::{Site, SiteError};
 use crate::recording::OperationRecord;
 
 impl Site {
-    /// Applies what has become due.
+    /// Applies all operations that are due.
     pub fn advance(&mut self, now: ClientTime) -> Result<(), SiteError> {
         match self.moment(now).filter(|_| !self.is_resyncing()) {
             Some((s, _)) => {
                 self.prepare_cut(s);
                 let result = self.apply_until(Some(s), now);
                 let is_all = result.is_ok() && self.deferred.front().is_none_or(|o| o.at > s);
-                // One report for all that was due: the server takes fifty requests in a second, and who comes
-                // back to a hundred cuts is to have some left for what the hand asks.
+                // One report covers all due operations: the server accepts 50 requests per second, and a client that
+                // replays a hundred cuts must leave some for the hand.
                 if let Some((version, hash)) = self.unreported.take_if(|_| is_all) {
                     self.report_topology(version, hash);
                 }
-                self.or_anew(result, now)
+                self.or_resync(result, now)
             }
             None => Ok(()),
         }
@@ -40,8 +40,7 @@ impl Site {
         Ok(())
     }
 
-    /// Applies the first operation that waits. Returns whether it could: a cut that is still being
-    /// made holds up what follows it.
+    /// Applies the first waiting operation. Returns whether it could: a cut in preparation blocks its successors.
     pub(super) fn apply_first(&mut self, now: ClientTime) -> Result<bool, SiteError> {
         let Some(operation) = self.deferred.front() else {
             return Ok(false);
@@ -61,7 +60,7 @@ impl Site {
             OperationKind::Cut(_) => {
                 self.counters.cuts += 1;
                 if self.expected.is_none() {
-                    // That they are one's own was compared just now.
+                    // The operation's version and hash were verified above.
                     self.unreported =
                         Some((operation.topology_version_after, operation.hash_after));
                 }
@@ -111,7 +110,7 @@ impl Site {
             }
         };
         if operation.id.0 < self.unrecorded {
-            // A copy that is made anew repeats what is recorded already.
+            // A resync repeats recorded operations.
             return Ok(true);
         }
         self.unrecorded = operation.id.0 + 1;
@@ -122,7 +121,7 @@ impl Site {
             at_us: operation.at.as_micros(),
             applied_us: now.as_micros(),
             version: topology.version(),
-            // Only a cut changes it, and what it changed it to was compared.
+            // Only a cut changes the hash, and its hash was verified.
             hash: operation.hash_after.to_string(),
             stroke: match &operation.kind {
                 OperationKind::Cut(stroke) => Some(stroke.clone()),
@@ -138,36 +137,36 @@ impl Site {
             return Ok(());
         }
         Err(SiteError::Differs(format!(
-            "after the log of the beginning it has version {} and hash {}, the server's has version {version} and hash {hash}",
+            "after replaying the log the client has version {} and hash {}, the server version {version} and hash {hash}",
             topology.version(),
             topology.hash()
         )))
     }
 
-    /// Somebody's tool is lifted: their network is too slow for the session.
+    /// Demotes a participant whose network is too slow for the session.
     fn demote(&mut self, who: ParticipantId, wanted_us: u32, cap_us: u32) {
-        // Samples that come when it is set down again begin anew.
+        // After the demotion the timeline starts with new samples.
         self.roster.lose(who);
-        self.roster.lift(who, true);
+        self.roster.set_demoted(who, true);
         if who == self.me {
             self.counters.demotions += 1;
             self.notice(format!(
-                "your network needs {:.0} ms of delay, and the session waits for {:.0}: your tool is lifted and you watch, \
-                 in your seat, until the network has recovered",
+                "your network needs {:.0} ms of delay, but the session allows {:.0} ms: your tool is inactive \
+                 and you are a spectator until the network recovers",
                 f64::from(wanted_us) * 1e-3,
                 f64::from(cap_us) * 1e-3
             ));
         } else {
-            self.notice_of(who, "watches for now: the network there is too slow");
+            self.notice_of(who, "is demoted to spectator: the network is too slow");
         }
     }
 
     fn restore(&mut self, who: ParticipantId) {
-        self.roster.lift(who, false);
+        self.roster.set_demoted(who, false);
         if who == self.me {
-            self.notice("your network has recovered: your tool is back".to_owned());
+            self.notice("your network has recovered: your tool is active again".to_owned());
         } else {
-            self.notice_of(who, "takes part again");
+            self.notice_of(who, "participates again");
         }
     }
 

@@ -1,4 +1,4 @@
-//! Cuts that are made elsewhere, from their arrival to their due time.
+//! Prefetched cuts, from their arrival to their due time.
 
 use std::collections::VecDeque;
 
@@ -7,44 +7,44 @@ use palpate_protocol::{ServerTime, Span};
 use palpate_tissue::SolverState;
 
 use super::{DEFERRED_MAX, Site, ViewNews};
-use crate::ahead::{CutNews, CutOrder, ReadyCut};
+use crate::prefetch::{CutNews, CutOrder, ReadyCut};
 use crate::replica::HAPTIC_PERIOD;
 
-/// Time before its due time from which on the hand's side is prepared for a cut. On 57,000 nodes it takes half of
-/// that; what is prepared earlier has to follow the tools for longer.
+/// Lead time before the due time at which the hand's side is prepared for a cut. On 57,000 nodes it takes half of
+/// that; an earlier copy would follow the tools for longer.
 const PREPARE_AHEAD: Span = Span::from_millis(60);
 
-/// Progress of the first cut that waits.
+/// Progress of the first waiting cut.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 enum Stage {
-    /// It is being made, or its due time is far away.
+    /// The cut is in preparation, or its due time is far away.
     #[default]
     Waits,
-    /// The hand's side is being prepared, and follows the tools.
+    /// The hand's side is in preparation and follows the tools.
     Follows,
-    /// It was asked for.
+    /// The hand-over was requested.
     Asked,
 }
 
-/// Cuts between the log and the machine that makes them.
+/// Cuts between the log and the cut worker.
 #[derive(Default)]
 pub(super) struct Cuts {
     orders: VecDeque<CutOrder>,
-    /// Memory for a state of the hand, one for each cut that is made.
+    /// Memory for the hand's solver state, one per prepared cut.
     rooms: VecDeque<Box<SolverState>>,
     stage: Stage,
-    /// Whether the hand's side has just been copied.
+    /// Whether the hand's state has just been copied.
     captured: bool,
     ready: VecDeque<ReadyCut>,
 }
 
 impl Cuts {
-    /// Has a cut made.
+    /// Orders a cut.
     pub(super) fn make(&mut self, operation: &Operation) {
         self.orders.push_back(CutOrder::Make(operation.clone()));
     }
 
-    /// Whether the hand's side has been copied since the last question.
+    /// Whether the hand's state has been copied since the last call.
     pub(super) fn take_captured(&mut self) -> bool {
         std::mem::take(&mut self.captured)
     }
@@ -55,12 +55,12 @@ pub(super) fn is_cut(operation: &Operation) -> bool {
 }
 
 impl Site {
-    /// The next order for [`Ahead`](crate::ahead::Ahead).
+    /// The next order to the [cut worker](crate::prefetch::Prefetch).
     pub fn poll_cut_order(&mut self) -> Option<CutOrder> {
         self.cuts.orders.pop_front()
     }
 
-    /// A result of [`Ahead`](crate::ahead::Ahead).
+    /// Processes a result of the [cut worker](crate::prefetch::Prefetch).
     pub fn handle_cut(&mut self, news: CutNews) {
         match news {
             CutNews::Made(room) => self.cuts.rooms.push_back(room),
@@ -68,7 +68,7 @@ impl Site {
         }
     }
 
-    /// Has the hand's side prepared for the first cut that waits, in time for its due time.
+    /// Orders the hand's side of the first waiting cut, in time for its due time.
     pub(super) fn prepare_cut(&mut self, s: ServerTime) {
         if !self.is_detached {
             return;
@@ -90,7 +90,7 @@ impl Site {
                     cuts.captured = true;
                 }
             }
-            // It comes with the next step.
+            // The cut arrives with the next step.
             Stage::Follows if is_near(HAPTIC_PERIOD) => {
                 cuts.orders.push_back(CutOrder::HandOver);
                 cuts.stage = Stage::Asked;
@@ -99,7 +99,7 @@ impl Site {
         }
     }
 
-    /// Passes on where the tools of the hand's newest step are.
+    /// Sends the tools of the hand's newest step to the cut worker.
     pub(super) fn lead_cut(&mut self) {
         if self.cuts.stage == Stage::Follows {
             let tools = self.replica.tools().to_vec();
@@ -107,7 +107,7 @@ impl Site {
         }
     }
 
-    /// Applies the first cut that waits. Returns whether it is ready.
+    /// Applies the first waiting cut. Returns whether it was ready.
     pub(super) fn exchange(&mut self) -> bool {
         let Some(ready) = self.cuts.ready.pop_front() else {
             return false;

@@ -1,7 +1,7 @@
-//! What the hand feels, and when it is solved again.
+//! Haptic solves of the site: contact model of the own tool, and the decision when to solve again.
 //!
-//! Between two solves the force loop follows the solved stiffness, so that a solve is worth its work only after a tool
-//! has moved, the topology has changed, or while forces have not settled. A model of which all that still holds is
+//! Between two solves the force loop extrapolates with the solved stiffness. A new solve is needed only after a tool
+//! has moved, after the topology has changed, or while forces have not settled. Otherwise the contact model is
 //! renewed without a solve.
 
 use palpate_haptics::ContactModel;
@@ -12,28 +12,29 @@ use super::Site;
 use crate::replica::Replica;
 use crate::roster::ToolAt;
 
-/// The tool of this hand is solved for again after it has moved so far, m. The linear law is then off by less than the solver.
+/// Movement of this hand's tool that triggers a solve, m. The error of the linear law is then below that of the
+/// solver.
 const OWN_MOVED_M: f64 = 0.15e-3;
 
-/// Another tool is solved for again after it has moved so far, m: the tissue between smooths its effect on this hand.
+/// Movement of another tool that triggers a solve, m; the tissue in between smooths its effect on this hand.
 const OTHER_MOVED_M: f64 = 0.3e-3;
 
-/// From one solve to the next at most: what is far from the tools relaxes over many.
+/// Maximum time between two solves: tissue far from the tools relaxes over many solves.
 const SOLVE_WITHIN: Span = Span::from_millis(20);
 
-/// The newest solve of the hand's side.
-pub(super) struct Felt {
+/// The latest haptic solve.
+pub(super) struct LastSolve {
     at: ClientTime,
-    /// The tools as they were solved for, or moved since without touching anything.
+    /// The tools of the solve, moved since if they touched nothing.
     own: Option<ToolAt>,
     others: Vec<ToolAt>,
     model: ContactModel,
-    /// Whether it has to be solved again whatever moves.
+    /// Whether the next step must solve in any case.
     unsettled: bool,
 }
 
-impl Felt {
-    /// Whether another solve would give the same, as far as a hand can tell. Tools that touch nothing are moved in
+impl LastSolve {
+    /// Whether another solve would give a force that is equal within perception. Tools without contact are moved in
     /// the replica.
     fn holds(
         &mut self,
@@ -72,8 +73,8 @@ impl Felt {
 }
 
 impl Site {
-    /// What the hand feels with its tool at `pose`, solved if anything has changed since the last solve; `None` for
-    /// who has no hand.
+    /// The contact model of the tool at `pose`, solved if anything has changed since the last solve; `None` for
+    /// spectators.
     pub fn haptic_step(
         &mut self,
         now: ClientTime,
@@ -94,22 +95,22 @@ impl Site {
             Some((s, _)) => self.roster.tools_felt_at(s, self.me),
             None => Vec::new(),
         };
-        // The copy for a cut has taken this turn's time.
+        // Copying the state for a cut has used the time of this step.
         let is_spent = self.cuts.take_captured();
-        if let Some(felt) = &mut self.felt {
-            if felt.holds(now, own.as_ref(), &others, &mut self.replica) {
-                felt.model.solved_at = now;
-                return Some(felt.model);
+        if let Some(last) = &mut self.last_solve {
+            if last.holds(now, own.as_ref(), &others, &mut self.replica) {
+                last.model.solved_at = now;
+                return Some(last.model);
             }
             let version = self.replica.topology().version();
-            if is_spent && felt.model.topology_version == version {
-                return Some(felt.model);
+            if is_spent && last.model.topology_version == version {
+                return Some(last.model);
             }
         }
         let model = self.replica.haptic_step(now, own.as_ref(), &others, budget);
         self.counters.haptic_solves += 1;
         self.lead_cut();
-        self.felt = Some(Felt {
+        self.last_solve = Some(LastSolve {
             at: now,
             own,
             others,

@@ -1,67 +1,66 @@
-//! When one's own copy is to be made anew from the server's log.
+//! Policy for resyncs from the server's log.
 //!
 //! ```text
-//! a node of the view off by > 0.05 mm    the correction is blended in (view.rs)        always
-//! by > 0.5 mm in every comparison of 1 s the corrections do not help: a new copy       at most 3 in 60 s
-//! another topology                       a new copy at once; again within 60 s: the end
+//! a node of the view off by > 0.05 mm          blend the correction in (view.rs)         always
+//! off by > 0.5 mm in all comparisons of 1 s    corrections do not converge: resync       at most 3 in 60 s
+//! another topology                             resync at once; again within 60 s: end the session
 //! ```
 //!
-//! The rule is of our own making. Pure: no clock.
+//! Pure: no clock.
 
 use std::collections::VecDeque;
 
 use palpate_protocol::{ClientTime, ServerTime, Span};
 
-/// A node farther from where the server has it is beyond what corrections may leave, m: five times what
-/// two views may disagree by.
+/// Node distance from the server beyond which corrections have failed, m: five times the allowed difference of two
+/// views.
 pub const DRIFT_MAX_M: f64 = 0.5e-3;
 
-/// So long the corrections may try. They take three tenths of a difference away, ten times a second:
-/// after 1 s what they can take away is below a thirtieth.
+/// Time for corrections to converge. They remove 0.3 of a difference ten times a second, so after 1 s less than 1/30
+/// of it remains.
 pub(super) const DRIFT_PATIENCE: Span = Span::from_millis(1000);
 
-/// Two comparisons that lie farther apart are not one after the other: five of the server's rounds.
+/// Maximum gap within a series of comparisons: five of the server's correction rounds.
 const COMPARED_WITHIN: Span = Span::from_millis(500);
 
-/// Copies made anew in `WINDOW` at most. Each costs the whole log and a second without force; what three
-/// did not cure, a fourth does not either.
+/// Maximum number of resyncs in `WINDOW`. Each costs a replay of the log and a second without force; a fourth is as
+/// unlikely to help as the three before.
 pub const RESYNCS_MAX: usize = 3;
 
-/// What [`RESYNCS_MAX`] is counted in. A topology that differs for the second time in it is a fault that
-/// repeats itself.
+/// Period of [`RESYNCS_MAX`]. A second topology difference within it indicates a reproducible fault.
 pub(super) const WINDOW: Span = Span::from_millis(60_000);
 
-/// The decision about one site's copy.
+/// Resync decisions of one site.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Resync {
-    /// The first and the newest view of a row of comparisons that all were beyond the limit.
+    /// First and newest view of a series of comparisons beyond the limit.
     drifting: Option<(ServerTime, ServerTime)>,
-    /// When a copy was made anew; at most [`RESYNCS_MAX`].
+    /// Times of resyncs; at most [`RESYNCS_MAX`].
     made: VecDeque<ClientTime>,
     differed: Option<ClientTime>,
     was_refused: bool,
 }
 
-/// What is to be done.
+/// Decision after a comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Verdict {
-    /// Nothing.
+    /// No action.
     GoOn,
-    /// Make the copy anew.
-    Anew,
-    /// It would be time to, but that was done too often; said once.
+    /// Request a resync.
+    Resync,
+    /// A resync would be due, but the limit is reached; reported once.
     TooOften,
 }
 
 impl Resync {
-    /// The view of a moment was so far from the server's, m.
+    /// Processes a comparison of the view at `view_time`: the largest distance to the server, m.
     pub(super) fn handle_drift(
         &mut self,
         view: ServerTime,
         max_m: f64,
         now: ClientTime,
     ) -> Verdict {
-        // What is no number is beyond every limit.
+        // NaN exceeds every limit.
         if max_m <= DRIFT_MAX_M {
             self.drifting = None;
             return Verdict::GoOn;
@@ -77,7 +76,7 @@ impl Resync {
         }
         self.drifting = None;
         if self.may_resync(now) {
-            return Verdict::Anew;
+            return Verdict::Resync;
         }
         if std::mem::replace(&mut self.was_refused, true) {
             Verdict::GoOn
@@ -86,19 +85,19 @@ impl Resync {
         }
     }
 
-    /// The topology is not the server's. Whether a new copy may be made of it; else it is the end.
+    /// Handles a different topology. Returns whether a resync is allowed; otherwise the session ends.
     pub(super) fn handle_difference(&mut self, now: ClientTime) -> bool {
         let is_again = self.differed.is_some_and(|at| now - at < WINDOW);
         self.differed = Some(now);
         !is_again
     }
 
-    /// What was compared until now says nothing of what comes.
+    /// Discards the series of comparisons.
     pub(super) fn restart(&mut self) {
         self.drifting = None;
     }
 
-    /// A copy was made anew.
+    /// Counts a resync.
     pub(super) fn note(&mut self, now: ClientTime) {
         self.restart();
         if self.made.len() == RESYNCS_MAX {
@@ -128,16 +127,16 @@ mod tests {
         ClientTime::from_micros(ms * 1000)
     }
 
-    /// Comparisons ten times a second; when it asked for a new copy.
+    /// Feeds comparisons ten times a second; returns the times of resync requests.
     fn asked(resync: &mut Resync, from_ms: i64, until_ms: i64, max_m: f64) -> Vec<i64> {
         let times = (from_ms..until_ms).step_by(100);
         times
-            .filter(|t| resync.handle_drift(view(*t), max_m, at(*t)) == Verdict::Anew)
+            .filter(|t| resync.handle_drift(view(*t), max_m, at(*t)) == Verdict::Resync)
             .collect()
     }
 
     #[test]
-    fn a_drift_that_lasts_for_a_second_asks_and_one_that_corrections_cure_does_not() {
+    fn drift_of_one_second_requests_resync() {
         let mut resync = Resync::default();
         assert_eq!(asked(&mut resync, 0, 1000, 0.6e-3), [0; 0]);
         assert_eq!(asked(&mut resync, 1000, 1100, 0.4e-3), [0; 0]);
@@ -146,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn comparisons_far_apart_are_no_row() {
+    fn distant_comparisons_form_no_series() {
         let mut resync = Resync::default();
         for t in (0..60_000).step_by(600) {
             assert_eq!(resync.handle_drift(view(t), 1.0, at(t)), Verdict::GoOn);
@@ -154,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn a_topology_that_differs_twice_in_a_minute_is_the_end() {
+    fn second_topology_difference_in_window_ends_session() {
         let mut resync = Resync::default();
         assert!(resync.handle_difference(at(0)));
         assert!(!resync.handle_difference(at(59_999)));
@@ -162,22 +161,22 @@ mod tests {
     }
 
     #[test]
-    fn a_number_that_is_none_is_a_drift() {
+    fn nan_drift_exceeds_limit() {
         let mut resync = Resync::default();
         assert_eq!(asked(&mut resync, 0, 1100, f64::NAN), [1000]);
     }
 
     proptest! {
         #[test]
-        fn in_no_minute_are_there_more_than_the_limit(
+        fn resyncs_per_window_are_limited(
             drifts in prop::collection::vec(0.0_f64..3e-3, 10..3000),
         ) {
             let mut resync = Resync::default();
             let mut made: Vec<i64> = Vec::new();
             for (i, max_m) in drifts.into_iter().enumerate() {
                 let t = i as i64 * 100;
-                // Mostly beyond the limit, or nothing would be asked for.
-                if resync.handle_drift(view(t), max_m + 0.49e-3, at(t)) == Verdict::Anew {
+                // Values are mostly beyond the limit, so that requests occur.
+                if resync.handle_drift(view(t), max_m + 0.49e-3, at(t)) == Verdict::Resync {
                     resync.note(at(t));
                     made.push(t);
                 }

@@ -1,4 +1,4 @@
-//! The document of the states, held against a site's copy.
+//! Checks a site's transitions against the state table of the protocol document.
 
 use super::tests::*;
 use super::*;
@@ -8,12 +8,12 @@ const DOCUMENT: &str = include_str!("../../../protocol/STATES.md");
 const STATES: [&str; 4] = ["Same", "Asked", "Applying", "Ended"];
 
 fn state_of(site: &Site, result: &Result<(), SiteError>) -> &'static str {
-    match (result, site.anew) {
+    match (result, site.resync_state) {
         (Err(SiteError::Again(_)), _) => "Ended",
         (Err(error), _) => panic!("{error}"),
-        (Ok(()), Anew::No) => "Same",
-        (Ok(()), Anew::Asked) => "Asked",
-        (Ok(()), Anew::Applying) => "Applying",
+        (Ok(()), ResyncState::Idle) => "Same",
+        (Ok(()), ResyncState::Asked) => "Asked",
+        (Ok(()), ResyncState::Applying) => "Applying",
     }
 }
 
@@ -28,8 +28,7 @@ fn return_at(first: u64) -> ClientEvent {
     }))
 }
 
-/// A cut that makes another topology than the log says; it is applied when its moment has come, or at
-/// once while the log of the beginning is applied.
+/// A cut whose topology differs from the log's. It is applied at its due time, or at once during the initial log.
 fn other_cut(site: &mut Site) -> Result<(), SiteError> {
     site.handle_event(cut_of(TopologyHash(1)), ms(2010))?;
     site.advance(ms(2020))
@@ -100,7 +99,7 @@ fn run(from: &str, what: &str) -> &'static str {
 }
 
 #[test]
-fn a_copy_moves_as_the_document_says() {
+fn replica_transitions_match_documented_table() {
     let section = DOCUMENT.split("## Copy\n").nth(1).unwrap();
     let lines = section.lines().filter(|l| l.starts_with('|')).skip(2);
     let rows: Vec<Vec<&str>> = lines

@@ -68,7 +68,7 @@ pub(super) fn welcome(delay_us: u32) -> Welcome {
     }
 }
 
-/// A site with a clock that is 5 s behind the server's.
+/// A site whose clock is 5 s behind the server's.
 pub(super) fn site(delay_us: u32) -> Site {
     let mut site = Site::new(&welcome(delay_us), model(), Some(0.02));
     let map = ClockMap::exact(Span::from_millis(5000));
@@ -114,7 +114,7 @@ fn own(t: i64, x: f64, pressed: bool) -> LocalSample {
 }
 
 #[test]
-fn every_point_of_the_grid_is_solved_once_and_the_newest_one_when_behind() {
+fn each_grid_point_is_solved_once_and_late_sites_skip_to_newest() {
     let mut site = site(50_000);
     let first = site.view_step(ms(101), budget()).unwrap();
     // 5101 - 50 = 5051 ms; the grid has a point every 4 ms.
@@ -129,7 +129,7 @@ fn every_point_of_the_grid_is_solved_once_and_the_newest_one_when_behind() {
 }
 
 #[test]
-fn the_grid_holds_for_rates_that_do_not_divide_a_second() {
+fn grid_works_for_rates_that_do_not_divide_a_second() {
     for hz in [30, 60, 250, 333] {
         for us in (0..200_000).step_by(997) {
             let s = ServerTime::from_micros(us);
@@ -143,7 +143,7 @@ fn the_grid_holds_for_rates_that_do_not_divide_a_second() {
 }
 
 #[test]
-fn both_tools_are_seen_where_they_were_at_the_same_moment() {
+fn tools_in_a_view_are_from_the_same_time() {
     let mut site = site(20_000);
     for t in 0..100 {
         site.handle_own(&own(t, t as f64 * 1e-4, false));
@@ -169,7 +169,7 @@ fn both_tools_are_seen_where_they_were_at_the_same_moment() {
 }
 
 #[test]
-fn who_left_is_seen_until_the_moment_of_leaving_is_seen() {
+fn left_participant_is_shown_until_its_leave_time() {
     let mut site = site(50_000);
     let left = OperationKind::Left {
         participant: OTHER,
@@ -188,7 +188,7 @@ fn who_left_is_seen_until_the_moment_of_leaving_is_seen() {
 }
 
 #[test]
-fn a_script_starts_at_the_servers_moment_on_ones_own_clock() {
+fn script_start_is_converted_to_client_clock() {
     let mut site = site(0);
     assert_eq!(site.script_start(), None);
     let at = ServerTime::from_micros(6_000_000);
@@ -201,7 +201,7 @@ fn a_script_starts_at_the_servers_moment_on_ones_own_clock() {
 }
 
 #[test]
-fn a_released_blade_asks_for_a_cut_and_a_refusal_is_said() {
+fn released_blade_requests_cut_and_refusal_is_reported() {
     let mut site = site(0);
     for t in 0..50 {
         site.handle_own(&own(t, t as f64 * 2e-4, true));
@@ -228,7 +228,7 @@ fn a_released_blade_asks_for_a_cut_and_a_refusal_is_said() {
 }
 
 #[test]
-fn another_beginning_than_the_servers_is_made_anew_once_and_then_is_an_error() {
+fn initial_difference_causes_one_resync_then_error() {
     let other = Welcome {
         topology_hash: TopologyHash(1),
         ..welcome(0)
@@ -266,7 +266,7 @@ pub(super) fn cut_of(hash_after: TopologyHash) -> ClientEvent {
     })
 }
 
-/// The hash after [`cut_of`], as an untouched copy finds it.
+/// The hash after [`cut_of`], as an unmodified replica computes it.
 pub(super) fn hash_of_the_cut() -> TopologyHash {
     let ClientEvent::Operation(operation) = cut_of(TopologyHash(0)) else {
         unreachable!()
@@ -280,16 +280,16 @@ pub(super) fn hash_of_the_cut() -> TopologyHash {
 }
 
 #[test]
-fn a_copy_that_differs_after_a_cut_comes_back_equal_from_the_log() {
+fn resync_restores_replica_after_different_cut() {
     let truth = hash_of_the_cut();
     let mut site = site(0);
     tell(&mut site, cut_of(TopologyHash(1)), 110);
     site.advance(ms(120)).unwrap();
-    assert!(site.is_resyncing(), "no force is believed");
+    assert!(site.is_resyncing(), "no force during a resync");
     let why = site.poll_rejoin().unwrap();
     assert!(why.contains("the server's is 0000000000000001"), "{why}");
     assert_eq!(site.poll_rejoin(), None, "asked for once");
-    // What still comes of the old connection is nothing to the new copy.
+    // Further events of the old connection do not affect the new replica.
     tell(
         &mut site,
         operation(1, 5130, OperationKind::Back { participant: OTHER }),
@@ -313,7 +313,7 @@ fn a_copy_that_differs_after_a_cut_comes_back_equal_from_the_log() {
 }
 
 #[test]
-fn a_view_that_stays_beyond_the_limit_is_made_anew_and_one_that_watches_is_not() {
+fn lasting_drift_causes_resync_unless_demoted() {
     let mut site = site(0);
     let drift = Drift {
         max_m: 2.0 * DRIFT_MAX_M,
@@ -345,7 +345,7 @@ fn a_view_that_stays_beyond_the_limit_is_made_anew_and_one_that_watches_is_not()
 }
 
 #[test]
-fn a_log_that_does_not_go_on_after_a_return_is_asked_for_from_its_beginning() {
+fn log_gap_after_reconnect_causes_resync() {
     let mut site = site(0);
     tell(
         &mut site,
@@ -358,15 +358,15 @@ fn a_log_that_does_not_go_on_after_a_return_is_asked_for_from_its_beginning() {
         ..welcome(0)
     };
     tell(&mut site, ClientEvent::Welcomed(Box::new(further)), 30);
-    assert!(site.poll_rejoin().unwrap().contains("begins again with"));
-    // A server that sends the whole log by itself is taken at its word.
+    assert!(site.poll_rejoin().unwrap().contains("resumes at"));
+    // The site accepts a server that sends the whole log unasked.
     tell(&mut site, ClientEvent::Welcomed(Box::new(welcome(0))), 40);
     tell(&mut site, ClientEvent::CaughtUp, 41);
     assert!(!site.is_resyncing() && site.counters().resyncs == 1);
 }
 
 #[test]
-fn a_lifted_hand_feels_nothing_and_asks_as_before() {
+fn demoted_hand_has_no_force_until_restored() {
     let mut site = site(0);
     let at = palpate_device::Pose {
         position: nalgebra::Vector3::new(0.0121, 0.0119, 0.013),
@@ -394,7 +394,7 @@ fn a_lifted_hand_feels_nothing_and_asks_as_before() {
 }
 
 #[test]
-fn a_hand_that_rests_is_not_solved_again_and_one_that_moves_is() {
+fn resting_hand_is_not_solved_again() {
     let mut site = site(0);
     let at = |depth_mm: f64| palpate_device::Pose {
         position: nalgebra::Vector3::new(0.0121, 0.0119, 0.013 - 1e-3 * depth_mm),
@@ -406,7 +406,7 @@ fn a_hand_that_rests_is_not_solved_again_and_one_that_moves_is() {
         assert!(model.in_contact() && model.solved_at == ms(t));
         site.counters().haptic_solves - before
     };
-    // Until forces are steady every turn is solved.
+    // Every step solves until the forces are steady.
     let begun: u64 = (0..100).map(|k| solves(&mut site, 4 * k, 0.0)).sum();
     assert!((20..100).contains(&begun), "{begun}");
     let resting: Vec<u64> = (100..110).map(|k| solves(&mut site, 4 * k, 0.0)).collect();
@@ -416,12 +416,12 @@ fn a_hand_that_rests_is_not_solved_again_and_one_that_moves_is() {
         solves(&mut site, 4 * k, 0.17);
     }
     let small: u64 = (200..210).map(|k| solves(&mut site, 4 * k, 0.25)).sum();
-    // One of them changes the force, and another one follows it.
+    // One solve changes the force, and another one follows.
     assert!(small <= 4, "{small} after less than 0.15 mm");
 }
 
 #[test]
-fn who_only_looks_has_no_contact_model() {
+fn spectator_has_no_contact_model() {
     let welcome = Welcome {
         role: Role::Spectator,
         ..welcome(0)
@@ -434,7 +434,7 @@ fn who_only_looks_has_no_contact_model() {
 }
 
 #[test]
-fn the_hand_feels_others_between_the_points_of_the_grid() {
+fn haptic_shape_follows_other_tools_between_grid_points() {
     let slow = Welcome {
         tick_hz: 10,
         ..welcome(0)
@@ -465,12 +465,12 @@ fn the_hand_feels_others_between_the_points_of_the_grid() {
 }
 
 #[test]
-fn a_view_goes_on_at_once_when_a_clock_that_was_set_ahead_is_known_again() {
+fn view_continues_after_clock_correction() {
     const HOURS_MS: i64 = 3 * 3_600_000;
     let mut site = site(0);
     site.handle_own(&own(1000, 0.01, false));
     assert!(site.next_view(ms(1000)).is_some());
-    // Set ahead: until the session has found out, the old map leads hours ahead.
+    // Clock set ahead: until the session detects it, the old map is hours ahead.
     let ahead = |t: i64| t + HOURS_MS;
     site.handle_own(&own(ahead(1004), 0.01, false));
     let wrong = site.next_view(ms(ahead(1004))).expect("a view");
@@ -481,12 +481,15 @@ fn a_view_goes_on_at_once_when_a_clock_that_was_set_ahead_is_known_again() {
     let right = site.next_view(ms(ahead(1404))).expect("a view at once");
     assert_eq!(right.s, ServerTime::from_micros(6_404_000));
     let tool = right.tools.iter().find(|t| t.participant == ME);
-    assert!(tool.is_some_and(|t| !t.stale), "one's own tool goes on too");
+    assert!(
+        tool.is_some_and(|t| !t.stale),
+        "the own tool also continues"
+    );
     assert!(site.next_view(ms(ahead(1408))).is_some());
 }
 
 #[test]
-fn a_copy_that_is_asked_for_anew_is_not_asked_for_twice() {
+fn resync_is_requested_once() {
     let mut site = site(0);
     tell(&mut site, cut_of(TopologyHash(1)), 110);
     site.advance(ms(120)).unwrap();
@@ -501,7 +504,7 @@ fn a_copy_that_is_asked_for_anew_is_not_asked_for_twice() {
 }
 
 #[test]
-fn many_cuts_at_once_are_one_report_of_the_last() {
+fn simultaneous_cuts_give_one_topology_report() {
     let mut topology = palpate_tissue::Topology::new(model());
     let mut site = site(0);
     for (id, y) in [0.0045, 0.0105, 0.0165].into_iter().enumerate() {
@@ -530,7 +533,7 @@ fn many_cuts_at_once_are_one_report_of_the_last() {
 }
 
 #[test]
-fn who_computes_no_tissue_computes_none_after_beginning_anew() {
+fn thin_site_stays_thin_after_resync() {
     let mut site = Site::thin(&welcome(0), model(), None);
     tell(&mut site, ClientEvent::CaughtUp, 0);
     let further = Welcome {
@@ -547,7 +550,7 @@ fn who_computes_no_tissue_computes_none_after_beginning_anew() {
 }
 
 #[test]
-fn who_came_before_is_no_news_and_who_comes_is() {
+fn only_new_participants_give_notices() {
     let joined = |id: u64| {
         let kind = OperationKind::Joined {
             participant: ParticipantId(id as u16 + 3),

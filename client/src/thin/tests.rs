@@ -45,7 +45,7 @@ fn z(view: &ThinView, node: u32) -> f64 {
 }
 
 #[test]
-fn the_newest_that_was_told_of_a_node_is_shown_in_whatever_order_it_comes() {
+fn newest_displacement_is_shown_for_any_arrival_order() {
     let topology = topology();
     let mut view = ThinView::new(&topology);
     view.tell(news(0, 2000, &[(3, 2.0), (4, 2.0)]), None);
@@ -57,7 +57,7 @@ fn the_newest_that_was_told_of_a_node_is_shown_in_whatever_order_it_comes() {
 }
 
 #[test]
-fn what_arrives_is_shown_at_its_own_moment_and_too_much_of_it_early() {
+fn displacements_are_shown_at_their_time_or_early_on_overflow() {
     let topology = topology();
     let mut view = ThinView::new(&topology);
     view.tell(news(0, 3000, &[(3, 3.0)]), None);
@@ -75,7 +75,7 @@ fn what_arrives_is_shown_at_its_own_moment_and_too_much_of_it_early() {
 }
 
 #[test]
-fn what_comes_before_its_cut_waits_for_it_and_a_doubled_node_begins_where_it_came_from() {
+fn displacement_waits_for_its_cut_and_doubled_node_inherits() {
     let mut topology = topology();
     let mut view = ThinView::new(&topology);
     let before = topology.node_count() as u32;
@@ -86,14 +86,14 @@ fn what_comes_before_its_cut_waits_for_it_and_a_doubled_node_begins_where_it_cam
     view.tell(news(1, 2000, &[(0, 3.0), (new + 1, 4.0)]), None);
     view.advance(ServerTime::from_micros(2000));
     assert_eq!(view.shape().displacement.len(), before as usize);
-    assert!((z(&view, 0) - 0.5).abs() < 1e-9, "of a topology to come");
+    assert!((z(&view, 0) - 0.5).abs() < 1e-9, "newer topology");
     view.follow(&topology, &outcome);
     assert_eq!(view.shape().displacement.len(), topology.node_count());
     assert_eq!([0, new, new + 1].map(|n| z(&view, n)), [3.0, 1.0, 4.0]);
 }
 
 #[test]
-fn a_node_that_no_topology_of_the_model_can_have_is_counted_and_takes_no_memory() {
+fn impossible_node_is_counted_and_takes_no_memory() {
     let topology = topology();
     let mut view = ThinView::new(&topology);
     view.tell(news(0, 0, &[(1, 1.0), (33_000_000, 1.0)]), None);
@@ -103,7 +103,7 @@ fn a_node_that_no_topology_of_the_model_can_have_is_counted_and_takes_no_memory(
 }
 
 #[test]
-fn tools_are_shown_as_far_back_as_the_latest_picture_and_catch_up_slowly() {
+fn tools_lag_with_latest_datagram_and_recover_slowly() {
     let topology = topology();
     let mut view = ThinView::new(&topology);
     let mut at = |s_us: i64, behind_us: i64| {

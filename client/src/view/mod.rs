@@ -1,9 +1,9 @@
-//! The tissue as everybody sees it: solved for the common moments, compared with what the server says.
+//! The view of the tissue: solved at common times, and compared with the server's corrections.
 //!
-//! It is a machine of its own beside the [`Replica`](crate::Replica), so that a view, which may take
-//! many milliseconds, never keeps a hand waiting. Pure: no thread (that is in `thread`), no clock.
+//! It is separate from the [`Replica`](crate::Replica), so that a view of many milliseconds never delays the hand.
+//! Pure: no thread, no clock.
 
-mod thread;
+mod view_thread;
 
 use std::sync::Arc;
 
@@ -13,42 +13,40 @@ use palpate_tissue::{
     Budget, CutOutcome, Follower, Shape, StepReport, Successor, Tool, Topology, Vec3,
 };
 
-pub(crate) use thread::{Order, ViewReport, ViewThread, record};
+pub(crate) use view_thread::{Order, ViewReport, ViewThread, record};
 
 use crate::history::History;
 use crate::replica::Side;
 use crate::roster::{ToolAt, gather};
 
-/// A node this far from where the server has it is corrected, m; below it sites are alike.
+/// Node distance from the server that triggers a correction, m; smaller differences are tolerated.
 pub const DRIFT_TOLERATED_M: f64 = 0.05e-3;
 
-/// Part of the difference that a correction takes away at once. The equilibrium does the rest; more
-/// would show as a twitch.
+/// Fraction of the difference that one correction removes. The equilibrium removes the rest; a larger fraction would
+/// be visible as a twitch.
 const BLEND: f64 = 0.3;
 
-/// Residual at which the view's solve ends. Finer than the hand's, because sites are compared.
+/// Residual at which the view's solve ends.
 pub const VIEW_TOLERANCE: f64 = 2e-2;
 
-/// How far the view was from what the server said.
+/// Difference of a view from the server.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Drift {
-    /// The farthest node, m.
+    /// Largest node distance, m.
     pub max_m: f64,
-    /// Nodes that were corrected.
+    /// Corrected nodes.
     pub nodes: usize,
 }
 
-/// A cut, for the view to take over.
+/// A cut for the view.
 pub struct ViewCut {
     pub(crate) topology: Arc<Topology>,
     pub(crate) outcome: CutOutcome,
     pub(crate) successor: Successor,
 }
 
-/// What everybody sees.
-///
-/// Calling order: [`take`](Self::take) every cut in the order of the log; between them
-/// [`step`](Self::step) with ascending moments, and [`correct`](Self::correct) as news come.
+/// The view of the tissue. Calling order: [`take`](Self::take) for every cut in log order; in between
+/// [`step`](Self::step) with ascending times, and [`correct`](Self::correct) on corrections.
 pub struct View {
     topology: Arc<Topology>,
     side: Side,
@@ -68,7 +66,7 @@ impl View {
         }
     }
 
-    /// A side of the same topology for a hand.
+    /// A side on the same topology for a hand.
     pub(crate) fn another_side(&self) -> Side {
         self.side.another(&self.topology)
     }
@@ -77,17 +75,17 @@ impl View {
         self.side.solver.follower()
     }
 
-    /// The shape that is seen.
+    /// The shape of the view.
     pub fn shape(&self) -> &Shape {
         &self.side.shape
     }
 
-    /// The topology that it is seen of.
+    /// The topology of the view.
     pub fn topology(&self) -> &Topology {
         &self.topology
     }
 
-    /// Takes a cut over.
+    /// Adopts a cut.
     pub fn take(&mut self, cut: ViewCut) {
         self.topology = cut.topology;
         self.side
@@ -95,7 +93,7 @@ impl View {
         self.history.clear();
     }
 
-    /// Solves what everybody sees at the moment `s`.
+    /// Solves the view at time `s`.
     pub fn step(&mut self, s: ServerTime, tools: &[ToolAt], budget: Budget<'_>) -> &StepReport {
         gather(&mut self.tools, tools.iter());
         let side = &mut self.side;
@@ -108,8 +106,8 @@ impl View {
         side.solver.report()
     }
 
-    /// Compares a past view with what the server says of it, and blends the difference into the
-    /// present one. `None` when that view is not remembered or was of another topology.
+    /// Compares a past view with the server's corrections, and blends the difference into the present one. `None` if
+    /// that view is not kept or has another topology.
     pub fn correct(&mut self, corrections: &Corrections) -> Option<Drift> {
         if corrections.topology_version != self.topology.version() {
             return None;

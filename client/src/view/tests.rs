@@ -40,13 +40,13 @@ fn at(k: i64) -> ServerTime {
 }
 
 #[test]
-fn corrections_shrink_a_planted_difference_and_report_it() {
+fn corrections_shrink_and_report_a_difference() {
     let tools = [tool(1, 5.0 * CELL, 3e-3)];
     let mut server = view();
     let mut client = view();
     server.step(at(0), &tools, thorough());
     client.step(at(0), &tools, thorough());
-    // A difference that no tool explains.
+    // A difference that no contact explains.
     let planted: Vec<u32> = (300..310).collect();
     for &n in &planted {
         client.side.shape.displacement[n as usize] += Vec3::new(1e-3, 0.0, 0.0);
@@ -80,7 +80,7 @@ fn corrections_shrink_a_planted_difference_and_report_it() {
         };
         assert!((away(&client, n) - rest * before).abs() < 1e-6);
     }
-    // The same news twice changes nothing more.
+    // A repeated correction changes nothing.
     assert_eq!(client.correct(&corrections).unwrap().nodes, 0);
     let other_version = Corrections {
         topology_version: 1,

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use clap::Args;
 use nalgebra::Vector3;
-use palpate_client::ahead::{Ahead, CutNews, CutOrder};
+use palpate_client::prefetch::{CutNews, CutOrder, Prefetch};
 use palpate_client::realtime::worked;
 use palpate_client::replica::{HAPTIC_PERIOD, hand_budget};
 use palpate_client::site::{SiteError, ViewNews};
@@ -353,7 +353,7 @@ fn welcome(topology: &Topology, delay: Span) -> Welcome {
 
 /// The cut worker, as if on a thread of its own.
 struct Worker {
-    ahead: Ahead,
+    ahead: Prefetch,
     /// Result of the latest piece of work, and when it is there.
     news: Option<CutNews>,
     busy_until: ClientTime,
@@ -361,7 +361,7 @@ struct Worker {
 }
 
 impl Worker {
-    fn new(ahead: Ahead) -> Self {
+    fn new(ahead: Prefetch) -> Self {
         Self {
             ahead,
             news: None,

@@ -16,8 +16,8 @@ mod table;
 use std::sync::Arc;
 
 use palpate_client::Replica;
-use palpate_client::ahead::ReplicaError;
 use palpate_client::convert::tissue_stroke;
+use palpate_client::prefetch::ReplicaError;
 use palpate_client::recording::Recording;
 use palpate_device::{DeviceFault, Script};
 use palpate_protocol::operation::{BladePoint, CutStroke, Operation, OperationKind};

@@ -1,4 +1,4 @@
-//! The thread: it waits, lets the [`HandLoop`] take a turn, and hands over what came of it.
+//! The thread: it waits for a deadline, runs one tick of the [`HandLoop`], and publishes the results.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -18,25 +18,24 @@ use super::pace::Pace;
 use super::stats::{LoopStats, Meter};
 use super::trace::{Trace, TracePoint};
 
-/// How often the statistics are published.
+/// Publishing period of the statistics.
 const STATS_EVERY: Span = Span::from_millis(250);
 
-/// How the thread runs.
+/// Configuration of the thread.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RealtimeConfig {
-    /// From tick to tick; the same as the chain's.
+    /// Tick period; equal to the chain's.
     pub period: Span,
-    /// Whether the thread asks for the real-time priority of its class.
+    /// Whether the thread requests the real-time priority of its class.
     pub real_time: bool,
-    /// Frames in the ring to the network: 256 is a quarter of a second, and a network task that
-    /// is away for longer loses the newest (counted) rather than holding up the loop.
+    /// Frames in the ring to the network. 256 hold a quarter of a second; if the network task stalls longer, the
+    /// newest are dropped and counted.
     pub ring_frames: usize,
-    /// Of how many ticks one is recorded in the trace; 0 records none.
+    /// Every n-th tick is recorded in the trace; 0 records none.
     pub trace_every: u32,
-    /// Points of the trace: 30,000 are 120 s of every fourth tick, or 1.9 MB.
+    /// Capacity of the trace: 30,000 points are 120 s of every fourth tick, or 1.9 MB.
     pub trace_points_max: usize,
-    /// Whether the trace begins with the loop, or waits for
-    /// [`HapticHandle::set_recording`].
+    /// Whether the trace starts at once, or waits for [`HapticHandle::set_recording`].
     pub recording: bool,
 }
 
@@ -53,34 +52,34 @@ impl Default for RealtimeConfig {
     }
 }
 
-/// The ends of the thread's buffers. Each goes to the one thread that uses it.
+/// The ends of the thread's buffers, each for one thread.
 pub struct HapticPorts {
     /// The solver writes the newest contact model here.
     pub models: Input<ContactModel>,
     /// The newest frame, for the solver.
     pub newest: Output<Frame>,
-    /// The newest frame once more, for the view.
+    /// The newest frame, for the view.
     pub newest_for_view: Output<Frame>,
     /// Every frame with a good reading, for the network.
     pub frames: rtrb::Consumer<Frame>,
 }
 
-/// Why the thread did not start.
+/// Reason why the thread did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum SpawnError {
-    /// The system gave no thread.
-    #[error("the system did not start the haptic thread: {0}")]
+    /// Error of the operating system.
+    #[error("cannot start the haptic thread: {0}")]
     System(#[from] std::io::Error),
 }
 
-/// What the handle tells the thread.
+/// Shared flags from the handle to the thread.
 pub(super) struct Control {
     pub(super) stop: AtomicBool,
     pub(super) link_lost: AtomicBool,
     pub(super) recording: AtomicBool,
 }
 
-/// Starts the haptic thread. It enables the device's forces, and closes the device at its end.
+/// Starts the haptic thread, which enables the device's forces and closes the device at its end.
 pub fn spawn(
     device: Box<dyn HapticDevice>,
     chain: Chain,
@@ -123,7 +122,7 @@ pub fn spawn(
             haptic_loop.run(config.period, membership.scheduling().clone())
         })?;
     let scheduling = told.recv().unwrap_or(Scheduling::Ordinary {
-        refused: Some("the haptic thread ended before it began".to_owned()),
+        refused: Some("the haptic thread ended before its first tick".to_owned()),
     });
     let handle = HapticHandle::new(control, stats_out, thread, scheduling);
     let ports = HapticPorts {
@@ -152,7 +151,7 @@ impl HapticLoop {
         let began = clock::monotonic_now();
         self.meter = Meter::new(began);
         let mut pace = Pace::new(began, period);
-        // Neither a panic of ours nor one of a driver may leave a force standing.
+        // Force must not persist after a panic of the loop or of a driver.
         let outcome = catch_unwind(AssertUnwindSafe(|| self.live(&mut pace)));
         let closed = catch_unwind(AssertUnwindSafe(|| self.hand.close()));
         let panicked = outcome.and(closed).err().map(|p| message_of(p.as_ref()));
@@ -169,7 +168,7 @@ impl HapticLoop {
         }
     }
 
-    /// From enabled forces to zero force.
+    /// Runs from enabling the forces until they have faded to zero.
     fn live(&mut self, pace: &mut Pace) {
         self.hand.begin();
         let mut publish_at = pace.deadline() + STATS_EVERY;
@@ -182,7 +181,7 @@ impl HapticLoop {
             let done = clock::monotonic_now();
             self.meter.record(deadline, woke, done);
             pace.done(done);
-            // A clock that was put back makes no status line wait.
+            // A clock that is set back must not delay the status line.
             if done >= publish_at || publish_at - done > STATS_EVERY {
                 publish_at = done + STATS_EVERY;
                 let stats = self.meter.snapshot(done, pace.missed());
@@ -194,7 +193,7 @@ impl HapticLoop {
         }
     }
 
-    /// What the handle wants.
+    /// The current commands of the handle.
     fn wishes(&self) -> Wishes {
         Wishes {
             link_lost: self.control.link_lost.load(Ordering::Acquire),
@@ -224,7 +223,7 @@ impl HapticLoop {
     }
 }
 
-/// What a panic said.
+/// The message of a panic.
 fn message_of(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic.downcast_ref::<&str>().copied();
     let text = text.or_else(|| panic.downcast_ref::<String>().map(String::as_str));

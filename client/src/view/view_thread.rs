@@ -1,4 +1,4 @@
-//! The thread that solves what is seen, while the replica's serves the hand.
+//! The thread that solves the view, while the replica's thread serves the hand.
 
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
@@ -13,26 +13,25 @@ use crate::realtime::{compute_alone, monotonic_now, worked};
 use crate::recording::{ToolRecord, ViewRecord, choose_nodes};
 use crate::site::ViewFrame;
 
-/// Iterations of one view: as many as the server makes of the same moment.
+/// Iterations per view: the same number as the server's.
 const ITERATIONS: usize = 1;
 
-/// Work on one view. Work and not time that passes: on a crowded machine a solve would otherwise be
-/// given up before it began.
+/// CPU time limit of one view. With elapsed time a busy machine would end a solve before it began.
 const WORK: Span = Span::from_millis(5);
 
-/// What the thread is to do, in this order.
+/// Orders to the thread, in order.
 pub(crate) enum Order {
-    /// Take a cut over.
+    /// Adopt a cut.
     Cut(Box<ViewCut>),
-    /// Compare with what the server says.
+    /// Compare a past view with the server.
     Correct(Corrections),
-    /// Solve this view; give its record if asked for.
+    /// Solve this view; record it if true.
     Show(ViewFrame, bool),
 }
 
-/// What came of it.
+/// Results of the thread.
 pub(crate) enum ViewReport {
-    /// The view of this moment was so far from what the server says.
+    /// Difference of the view at this time from the server.
     Compared(ServerTime, Drift),
     /// A view was solved.
     Shown {
@@ -42,12 +41,12 @@ pub(crate) enum ViewReport {
     },
 }
 
-/// A thread that solves views. It ends with this.
+/// The view thread. Dropping this ends it.
 pub(crate) struct ViewThread {
-    // Before the thread, so that it is gone when that is waited for.
+    // Declared before the thread, so that dropping closes the channel before the join.
     orders: Option<Sender<Order>>,
     reports: Receiver<ViewReport>,
-    /// Views ordered and not yet shown.
+    /// Ordered views that are not solved yet.
     open: usize,
     thread: Option<JoinHandle<()>>,
 }
@@ -68,12 +67,12 @@ impl ViewThread {
         })
     }
 
-    /// Whether it is still at the last view.
+    /// Whether an ordered view is still in progress.
     pub(crate) fn is_busy(&self) -> bool {
         self.open > 0
     }
 
-    /// Has something done. Whether there is anybody to do it.
+    /// Sends an order. Returns whether the thread still runs.
     pub(crate) fn order(&mut self, order: Order) -> bool {
         let shows = matches!(order, Order::Show(..));
         let told = self
@@ -84,7 +83,7 @@ impl ViewThread {
         told
     }
 
-    /// The next report, if there is one; an error when the thread has ended by itself.
+    /// The next report, if any; an error if the thread has stopped.
     pub(crate) fn poll(&mut self) -> Result<Option<ViewReport>, ViewEnded> {
         match self.reports.try_recv() {
             Ok(report) => {
@@ -99,7 +98,7 @@ impl ViewThread {
     }
 }
 
-/// The thread has ended, by a panic.
+/// The thread has panicked.
 #[derive(Debug)]
 pub(crate) struct ViewEnded;
 
@@ -107,7 +106,7 @@ impl Drop for ViewThread {
     fn drop(&mut self) {
         self.orders = None;
         if let Some(thread) = self.thread.take() {
-            // A panic there has been told on standard error already.
+            // A panic has already been printed on standard error.
             let _ = thread.join();
         }
     }
@@ -153,7 +152,7 @@ fn show(view: &mut View, frame: &ViewFrame, is_recorded: bool) -> ViewReport {
     }
 }
 
-/// What is shown of a moment, for a recording.
+/// Recording of a view.
 pub(crate) fn record(frame: &ViewFrame, shape: &Shape, topology_version: u32) -> ViewRecord {
     let moved = shape.displacement.iter().enumerate();
     ViewRecord {

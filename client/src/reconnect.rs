@@ -1,4 +1,4 @@
-//! The connection of a session that stands: pumped while it lives, made anew when it is lost.
+//! The connection of a session: serves it while it lasts, and reconnects when it is lost.
 
 use std::time::Duration;
 
@@ -16,37 +16,35 @@ use crate::inbox::Inbox;
 use crate::network::join;
 use crate::requests::{Requests, is_felt};
 
-/// A session that says its link is lost is given up so much later: the server then has given up the
-/// connection too, and waits for a new one.
+/// Time after the session's `LinkLost` before the client reconnects. The server has then also dropped the connection.
 const SILENCE_MAX: Duration = Duration::from_secs(1);
 
-/// Before the first attempt to come back; doubled for every further one.
+/// Delay before the first attempt to reconnect; doubled for every further one.
 const WAIT_FIRST: Duration = Duration::from_millis(250);
 
-/// The longest wait between two attempts.
+/// Maximum delay between two attempts.
 const WAIT_MAX: Duration = Duration::from_secs(8);
 
-/// One attempt at most. Packets of a handshake are repeated after 0.3, 0.6, 1.2 s: beyond that a new
-/// handshake is sooner heard than an old one.
+/// Timeout of one attempt. Handshake packets are retransmitted after 0.3, 0.6 and 1.2 s; beyond that a new handshake
+/// succeeds sooner.
 const ATTEMPT_MAX: Duration = Duration::from_secs(4);
 
-/// What was asked for so long ago is not asked again: the hand has gone on, and the tissue may lie
-/// elsewhere.
+/// Maximum age of requests that are sent again. Older ones are dropped, because hand and tissue have moved on.
 const REPEAT_WITHIN: Duration = Duration::from_secs(10);
 
-/// How the connection does, for the status line.
+/// State of the connection, for the status line.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Condition {
-    /// Why it is lost, while it is.
+    /// Cause while the connection is lost.
     pub(crate) lost: Option<String>,
-    /// How often it was made anew.
+    /// Number of reconnects.
     pub(crate) returns: u64,
-    /// Requests that were not sent, because there was no connection, or that were not answered in time.
+    /// Requests that were dropped without a connection, or not answered in time.
     pub(crate) requests_lost: u64,
 }
 
-/// What a connection needs to be made anew, and the ends that outlive it.
-pub(crate) struct Lifeline<'a> {
+/// State to reconnect a session, and the channel ends that outlive a connection.
+pub(crate) struct Reconnect<'a> {
     pub(crate) link: &'a JoinLink,
     pub(crate) hello: Hello,
     pub(crate) seat: Resume,
@@ -54,39 +52,39 @@ pub(crate) struct Lifeline<'a> {
     pub(crate) patience: Duration,
     pub(crate) inbox: &'a Inbox,
     pub(crate) commands: mpsc::Receiver<ClientCommand>,
-    /// Says why the log is wanted from its beginning.
+    /// Receives the reason when the site needs a resync from the whole log.
     pub(crate) rejoin: mpsc::Receiver<String>,
     pub(crate) requests: Requests,
-    /// The artificial delay as the log says it.
+    /// The artificial delay, from the log.
     pub(crate) delay: DelaySchedule,
     pub(crate) stats: watch::Sender<DriverStats>,
     pub(crate) condition: watch::Sender<Condition>,
     pub(crate) is_lost: bool,
 }
 
-/// Whether the seat of a session that is over can be taken again.
+/// Whether a later run can resume the seat of a session that is over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Farewell {
-    /// The server has given up the seat.
+    /// The server has released the seat.
     Final,
-    /// The server may keep the seat: it was not reached again.
+    /// The server may still hold the seat: it was not reached again.
     Open,
 }
 
-/// Why a connection is pumped no more.
+/// Why serving a connection stopped.
 enum Over {
-    /// The session is over, and the inbox knows.
+    /// The session is over; the inbox has the event.
     Ended,
-    /// The participant goes.
+    /// The participant leaves.
     Leaving,
-    /// Only the connection is lost.
+    /// The connection is lost.
     Lost(String),
-    /// The copy of the tissue is to be made anew.
-    Anew(String),
+    /// The replica needs a resync.
+    Resync(String),
 }
 
-impl Lifeline<'_> {
-    /// Keeps the session standing until it is over.
+impl Reconnect<'_> {
+    /// Serves the session until it is over.
     pub(crate) async fn run(mut self, mut handle: ClientHandle) -> Farewell {
         loop {
             let (why, is_lost) = match self.pump(&mut handle).await {
@@ -95,19 +93,19 @@ impl Lifeline<'_> {
                     return Farewell::Final;
                 }
                 Over::Lost(why) => (why, true),
-                Over::Anew(why) => (why, false),
+                Over::Resync(why) => (why, false),
             };
-            // Leaving politely would give up the seat.
+            // A goodbye would release the seat.
             handle.task.abort();
-            match self.come_back(why, is_lost).await {
+            match self.reconnect(why, is_lost).await {
                 Some(again) => handle = again,
                 None => return Farewell::Open,
             }
         }
     }
 
-    /// Reasons for a copy made anew that still wait, when it is about to be: a second one helps nobody.
-    fn forget_wishes(&mut self) {
+    /// Discards queued resync reasons when a resync is about to start anyway.
+    fn discard_reasons(&mut self) {
         while self.rejoin.try_recv().is_ok() {}
     }
 
@@ -136,20 +134,20 @@ impl Lifeline<'_> {
                     None => return Over::Leaving,
                 },
                 Some(why) = self.rejoin.recv() => {
-                    self.want_everything();
-                    return Over::Anew(why);
+                    self.request_whole_log();
+                    return Over::Resync(why);
                 }
                 Ok(()) = handle.stats.changed() => {
                     self.stats.send_replace(*handle.stats.borrow_and_update());
                 }
                 () = silence => {
-                    return Over::Lost("nothing was heard from the server for 2 s".to_owned());
+                    return Over::Lost("no packet from the server for 2 s".to_owned());
                 }
             }
         }
     }
 
-    /// Notes an event and puts it into the inbox.
+    /// Records an event and queues it in the inbox.
     fn take(&mut self, event: Option<ClientEvent>) -> Option<Over> {
         let lost = |reason: &CloseReason| {
             matches!(
@@ -158,7 +156,7 @@ impl Lifeline<'_> {
             )
         };
         let event = match event {
-            None => return Some(Over::Lost("the session ended without a word".to_owned())),
+            None => return Some(Over::Lost("the session ended without a reason".to_owned())),
             Some(ClientEvent::Closed(reason)) if lost(&reason) => {
                 return Some(Over::Lost(reason.to_string()));
             }
@@ -178,13 +176,13 @@ impl Lifeline<'_> {
         }
         let is_last = matches!(event, ClientEvent::Closed(_));
         if !self.inbox.push(event) {
-            self.close("the operations came faster than this machine applies them".to_owned());
+            self.close("the inbox is full: this machine applies operations too slowly".to_owned());
             return Some(Over::Ended);
         }
         is_last.then_some(Over::Ended)
     }
 
-    /// Notes what the next connection goes on with.
+    /// Records the operation from which the next connection resumes.
     fn note(&mut self, operation: &Operation) {
         self.seat.note(operation);
         if let OperationKind::ToolChanged { participant, tool } = operation.kind
@@ -207,33 +205,34 @@ impl Lifeline<'_> {
                 room.send(ClientCommand::Numbered(self.requests.number(kind)));
             }
             (ClientCommand::Request(kind), Err(mpsc::error::TrySendError::Closed(()))) => {
-                // Nothing goes over this connection any more; it is asked again with the next one.
+                // This connection is over; the request is repeated on the next one.
                 self.requests.number(kind);
             }
             (ClientCommand::Request(kind), Err(mpsc::error::TrySendError::Full(()))) => {
-                // A number that is jumped over would count as done, when a later one has come.
+                // A skipped number would count as done once a later one arrives.
                 if is_felt(&kind) {
-                    tracing::warn!("the session does not take requests");
+                    tracing::warn!("the command queue of the session is full");
                     self.condition.send_modify(|c| c.requests_lost += 1);
                 }
             }
             (command, Ok(room)) => room.send(command),
-            // Motion is worth nothing later.
+            // Late motion is worthless.
             (_, Err(_)) => {}
         }
     }
 
-    /// Takes the seat with nothing in hand, so that the whole log comes again.
-    fn want_everything(&mut self) {
-        self.forget_wishes();
+    /// Resumes the seat without any operation, so that the server sends the whole log.
+    fn request_whole_log(&mut self) {
+        self.discard_reasons();
         self.seat.next_operation = OperationId(0);
         self.seat.topology_version = 0;
         self.seat.topology_hash = TopologyHash(0);
     }
 
-    /// Takes the seat again; `None` when that failed for good, and the inbox knows, or nobody wants it.
-    async fn come_back(&mut self, why: String, is_lost: bool) -> Option<ClientHandle> {
-        tracing::info!(why, is_lost, "the connection is made anew");
+    /// Reconnects and resumes the seat. `None` when the attempt failed for good (the inbox has the event) or the
+    /// participant leaves.
+    async fn reconnect(&mut self, why: String, is_lost: bool) -> Option<ClientHandle> {
+        tracing::info!(why, is_lost, "reconnecting");
         let began = Instant::now();
         let give_up = began + self.patience;
         let (mut wait, mut last) = (WAIT_FIRST, None);
@@ -258,9 +257,7 @@ impl Lifeline<'_> {
             if wait > Duration::ZERO && Instant::now() >= give_up {
                 let tried = self.patience.as_secs_f64();
                 let last = last.map_or(String::new(), |l| format!(": {l}"));
-                self.close(format!(
-                    "{why}; it could not be reached again within {tried} s{last}"
-                ));
+                self.close(format!("{why}; reconnecting failed for {tried} s{last}"));
                 return None;
             }
             let hello = Hello {
@@ -288,14 +285,14 @@ impl Lifeline<'_> {
                 Some(Ok(Err(ClientError::Transport(
                     error @ TransportError::WrongCertificate { .. },
                 )))) => {
-                    // No repetition makes another host the one of the link.
+                    // Retrying can not fix a wrong certificate.
                     self.close(error.to_string());
                     return None;
                 }
                 Some(Ok(Err(error))) => last = Some(error.to_string()),
                 Some(Err(_)) => last = Some("no answer".to_owned()),
             }
-            // What was to be made anew now is lost.
+            // During a resync the connection was not lost before; now it is.
             self.lose(&why);
             wait = (2 * wait).clamp(WAIT_FIRST, WAIT_MAX);
         }
@@ -309,7 +306,7 @@ impl Lifeline<'_> {
             .send_modify(|c| c.lost = Some(why.to_owned()));
     }
 
-    /// Asks again for what was not answered, or says that it is lost.
+    /// Repeats unanswered requests, or counts them as lost.
     fn ask_again(&mut self, handle: &ClientHandle, away: Duration) {
         if away > REPEAT_WITHIN {
             let lost = self.requests.give_up();
@@ -317,14 +314,14 @@ impl Lifeline<'_> {
             return;
         }
         for request in self.requests.unanswered() {
-            // The commands of a new session have room for more than are kept.
+            // A new session's command queue has room for all of them.
             let _ = handle.commands.try_send(ClientCommand::Numbered(request));
         }
     }
 
     fn welcome_back(&mut self, welcome: Box<Welcome>) {
         if welcome.first_operation == OperationId(0) {
-            self.forget_wishes();
+            self.discard_reasons();
             self.delay = DelaySchedule::new(&welcome.compensation);
         }
         self.seat = Resume::after_welcome(&welcome, Some(self.seat));
@@ -337,15 +334,15 @@ impl Lifeline<'_> {
         });
     }
 
-    /// The last event always finds room.
+    /// The inbox always accepts the last event.
     fn close(&self, why: String) {
         let reason = CloseReason::ConnectionLost(why);
         self.inbox.push(ClientEvent::Closed(reason));
     }
 }
 
-/// Does something while there is no connection: motion is dropped, requests that a person made are counted. `None` when the
-/// participant leaves meanwhile.
+/// Runs `work` without a connection: motion is dropped and the participant's requests are counted as lost. `None`
+/// when the participant leaves meanwhile.
 async fn while_away<T>(
     commands: &mut mpsc::Receiver<ClientCommand>,
     condition: &watch::Sender<Condition>,
@@ -366,12 +363,12 @@ async fn while_away<T>(
     }
 }
 
-/// Dropping the commands leaves the session, if it still stands.
+/// Dropping the commands leaves the session, if it is still connected.
 async fn end(mut handle: ClientHandle) {
     drop(handle.commands);
     handle.events.close();
     if handle.task.await.is_err() {
-        tracing::error!("the task of the session ended by a panic");
+        tracing::error!("the session task panicked");
     }
 }
 
@@ -391,8 +388,11 @@ mod tests {
         }))
     }
 
-    /// A lifeline, told nothing yet, and the end for reasons.
-    fn lifeline<'a>(link: &'a JoinLink, inbox: &'a Inbox) -> (Lifeline<'a>, mpsc::Sender<String>) {
+    /// A fresh reconnecter and the sender of resync reasons.
+    fn reconnect<'a>(
+        link: &'a JoinLink,
+        inbox: &'a Inbox,
+    ) -> (Reconnect<'a>, mpsc::Sender<String>) {
         let (rejoin, reasons) = mpsc::channel(1);
         let hello = Hello {
             name: "ann".to_owned(),
@@ -409,7 +409,7 @@ mod tests {
             topology_version: 1,
             topology_hash: TopologyHash(1),
         };
-        let lifeline = Lifeline {
+        let reconnect = Reconnect {
             link,
             hello,
             seat,
@@ -426,7 +426,7 @@ mod tests {
             condition: watch::channel(Condition::default()).0,
             is_lost: false,
         };
-        (lifeline, rejoin)
+        (reconnect, rejoin)
     }
 
     fn link() -> JoinLink {
@@ -440,9 +440,9 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_request_that_finds_no_room_is_said_to_be_lost_and_takes_no_number() {
+    async fn rejected_request_is_counted_and_takes_no_number() {
         let (link, inbox) = (link(), Inbox::default());
-        let (mut lifeline, _) = lifeline(&link, &inbox);
+        let (mut reconnect, _) = reconnect(&link, &inbox);
         let (commands, mut taken) = mpsc::channel(1);
         let handle = ClientHandle {
             commands,
@@ -454,30 +454,30 @@ mod tests {
             Ok(ClientCommand::Numbered(request)) => Some(request.id.0),
             _ => None,
         };
-        lifeline.pass_on(&handle, cut());
-        lifeline.pass_on(&handle, cut());
-        assert_eq!(lifeline.condition.borrow().requests_lost, 1);
+        reconnect.pass_on(&handle, cut());
+        reconnect.pass_on(&handle, cut());
+        assert_eq!(reconnect.condition.borrow().requests_lost, 1);
         assert_eq!(number(), Some(1));
-        lifeline.pass_on(&handle, cut());
-        assert_eq!(number(), Some(2), "no number is jumped over");
+        reconnect.pass_on(&handle, cut());
+        assert_eq!(number(), Some(2), "no number is skipped");
         drop(taken);
-        lifeline.pass_on(&handle, cut());
-        let open: Vec<u32> = lifeline
+        reconnect.pass_on(&handle, cut());
+        let open: Vec<u32> = reconnect
             .requests
             .unanswered()
             .iter()
             .map(|r| r.id.0)
             .collect();
-        assert_eq!(open, [1, 2, 3], "a connection that is over is waited out");
+        assert_eq!(open, [1, 2, 3], "requests outlive their connection");
     }
 
     #[test]
-    fn a_reason_that_waits_while_everything_comes_anyway_is_forgotten() {
+    fn queued_resync_reason_is_discarded_by_resync() {
         let (link, inbox) = (link(), Inbox::default());
-        let (mut lifeline, rejoin) = lifeline(&link, &inbox);
+        let (mut reconnect, rejoin) = reconnect(&link, &inbox);
         rejoin.try_send("it drifts".to_owned()).unwrap();
-        lifeline.want_everything();
-        assert!(lifeline.rejoin.try_recv().is_err());
-        assert_eq!(lifeline.seat.next_operation, OperationId(0));
+        reconnect.request_whole_log();
+        assert!(reconnect.rejoin.try_recv().is_err());
+        assert_eq!(reconnect.seat.next_operation, OperationId(0));
     }
 }

@@ -1,4 +1,4 @@
-//! Laws of a cut at a site whose cut worker is elsewhere, in virtual time.
+//! Laws of prefetched cuts, in virtual time.
 
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ use crate::view::View;
 const CELL: f64 = 4e-3;
 const ME: ParticipantId = ParticipantId(1);
 const RADIUS_M: f64 = 8e-3;
-/// Time from arrival to due time, ms.
+/// Delay from arrival to due time, ms.
 const DELAY_MS: i64 = 40;
 
 fn tissue() -> Arc<Model> {
@@ -39,7 +39,7 @@ fn tissue() -> Arc<Model> {
     Arc::new(block([32, 16, 8], CELL, &material, 1))
 }
 
-/// Cuts across the block, far from where the hand presses.
+/// Cuts across the block, far from the contact of the hand.
 fn cuts(model: &Arc<Model>) -> Vec<Operation> {
     let mut topology = Topology::new(Arc::clone(model));
     let cut_at = |topology: &mut Topology, id: u64, x: f64| {
@@ -98,10 +98,10 @@ fn welcome(model: &Arc<Model>) -> Welcome {
     }
 }
 
-/// A hand that presses, its site and its cut worker, which works only when it is let.
+/// A pressing hand, its site and its cut worker, which runs only when the test allows it.
 struct Bench {
     site: Site,
-    ahead: Ahead,
+    prefetch: Prefetch,
     view: View,
     now: ClientTime,
     is_working: bool,
@@ -117,17 +117,17 @@ impl Bench {
         ] {
             site.handle_event(event, now).unwrap();
         }
-        let (ahead, view) = site.detach().unwrap();
+        let (prefetch, view) = site.detach().unwrap();
         Self {
             site,
-            ahead,
+            prefetch,
             view,
             now,
             is_working: true,
         }
     }
 
-    /// A cut arrives now; everybody sees this moment [`DELAY_MS`] later.
+    /// Delivers a cut now; its due time is [`DELAY_MS`] later.
     fn arrive(&mut self, cut: &Operation) {
         let operation = Operation {
             at: ServerTime::from_micros(self.now.as_micros()),
@@ -137,11 +137,11 @@ impl Bench {
         self.site.handle_event(event, self.now).unwrap();
     }
 
-    /// One turn of the hand, 4 ms later. Gives its model and the bricks that it visited.
+    /// One step of the hand, 4 ms later. Returns its model and the number of bricks visited.
     fn turn(&mut self) -> (ContactModel, usize) {
         self.now = self.now + Span::from_millis(4);
-        while self.is_working && self.ahead.can_work() {
-            if let Some(news) = self.ahead.work().unwrap() {
+        while self.is_working && self.prefetch.can_work() {
+            if let Some(news) = self.prefetch.work().unwrap() {
                 self.site.handle_cut(news);
             }
         }
@@ -158,7 +158,7 @@ impl Bench {
         };
         let model = self.site.haptic_step(self.now, pose, 0, budget).unwrap();
         while let Some(order) = self.site.poll_cut_order() {
-            self.ahead.order(order);
+            self.prefetch.order(order);
         }
         while let Some(news) = self.site.poll_view_news() {
             if let crate::site::ViewNews::Cut(cut) = news {
@@ -173,7 +173,7 @@ impl Bench {
     }
 }
 
-/// The hand sinks in for 0.1 s, then it slides along the block at 10 mm/s.
+/// The hand indents for 0.1 s, then slides along the block at 10 mm/s.
 fn at(now: ClientTime) -> Vec3 {
     let t = now.as_micros() as f64 * 1e-6;
     let depth = 6e-3 * (t / 0.1).min(1.0);
@@ -181,11 +181,11 @@ fn at(now: ClientTime) -> Vec3 {
     Vec3::new(x, 8.0 * CELL, 8.0 * CELL + RADIUS_M - depth)
 }
 
-/// The converged force on a tool that has gone the way of the hand, on the topology after so many of these cuts.
+/// The converged force on a tool that followed the hand's path, on the topology after these cuts.
 fn converged(model: &Arc<Model>, cuts: &[Operation], now: ClientTime) -> Vec3 {
     let mut topology = Arc::new(Topology::new(Arc::clone(model)));
     for operation in cuts {
-        cut_as_told(&mut topology, operation).unwrap();
+        cut_checked(&mut topology, operation).unwrap();
     }
     let mut solver = Solver::new(&topology);
     let mut shape = Shape::rest(&topology);
@@ -200,7 +200,7 @@ fn converged(model: &Arc<Model>, cuts: &[Operation], now: ClientTime) -> Vec3 {
 }
 
 #[test]
-fn a_late_cut_lets_the_hand_go_on_with_the_old_topology() {
+fn hand_uses_old_topology_until_late_cut_is_ready() {
     let model = tissue();
     let cuts = cuts(&model);
     let mut bench = Bench::new(&model);
@@ -226,7 +226,7 @@ fn a_late_cut_lets_the_hand_go_on_with_the_old_topology() {
 }
 
 #[test]
-fn a_cut_is_applied_at_its_due_time_and_not_before() {
+fn cut_is_applied_at_its_due_time() {
     let model = tissue();
     let cuts = cuts(&model);
     let mut bench = Bench::new(&model);
@@ -245,7 +245,7 @@ fn a_cut_is_applied_at_its_due_time_and_not_before() {
 }
 
 #[test]
-fn cuts_that_arrive_together_are_all_applied_in_their_order() {
+fn simultaneous_cuts_are_applied_in_log_order() {
     let model = tissue();
     let cuts = cuts(&model);
     let mut bench = Bench::new(&model);
@@ -260,9 +260,9 @@ fn cuts_that_arrive_together_are_all_applied_in_their_order() {
     assert_eq!(hash.0, cuts[1].hash_after.0);
 }
 
-/// The steps around an exchange compute no more than others do: no force is left to be computed by the hand.
+/// The steps around an exchange visit no more bricks than other steps.
 #[test]
-fn an_exchange_leaves_no_work_to_the_hand() {
+fn exchange_adds_no_work_to_hand_steps() {
     let model = tissue();
     let cuts = cuts(&model);
     let mut bench = Bench::new(&model);
@@ -279,10 +279,10 @@ fn an_exchange_leaves_no_work_to_the_hand() {
     assert_eq!(bench.version(), 1);
 }
 
-/// A cut far from the contact changes the force by no more than the two converged solutions differ, and the
+/// A cut far from the contact changes the force by at most the difference of the two converged solutions plus the
 /// tolerance of the hand's steps.
 #[test]
-fn the_force_is_continuous_over_a_cut_beside_the_contact() {
+fn force_is_continuous_across_distant_cut() {
     let model = tissue();
     let cuts = cuts(&model);
     let mut bench = Bench::new(&model);

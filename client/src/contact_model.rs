@@ -1,24 +1,23 @@
-//! From what the solver says of one's own tool to what the force loop has to know until the next solve.
+//! Contact model of the force loop, from the solver's reaction on the tool.
 
 use palpate_haptics::{CONTACTS_MAX, ContactModel, MINDLIN, Touch};
 use palpate_protocol::ClientTime;
 use palpate_tissue::{Place, Reaction, Vec3};
 
-/// How far from the solved position the force law is believed, m: half a metre per second for 16
-/// ms, four periods of the solver. Smaller lets the force fade in fast strokes, larger believes a
-/// linear law where the tissue is none.
+/// Validity radius of the contact model, m: 0.5 m/s for 16 ms, four periods of the solver. A smaller radius fades the
+/// force in fast strokes; a larger one extrapolates a linear law too far.
 pub(crate) const MODEL_RADIUS_M: f64 = 8e-3;
 
-/// Damping of the contact in parts of its normal stiffness, s: 1 ms takes the ring out of a hand
-/// against tissue and is not felt.
+/// Ratio of contact damping to normal stiffness, s. 1 ms suppresses oscillation of a hand against tissue and is not
+/// perceptible.
 const DAMPING_S: f64 = 1e-3;
 
-/// Damping of all contacts together at most, N·s/m: well below what a 0.1 kg handle at 1 kHz turns into
-/// oscillation (2 m / T is 200).
+/// Maximum total damping of all contacts, N·s/m: well below the stability limit 2 m / T = 200 of a 0.1 kg handle at 1
+/// kHz.
 const DAMPING_MAX_NS_PER_M: f64 = 2.0;
 
-/// The model of a tool made of these parts, which share its pivot. The linear law stands where the solver computed the
-/// forces: at the tool, unless that jumped and the proxy is still on its way.
+/// Contact model of a tool with these parts, which share its pivot. The linear law is centred where the solver
+/// computed the forces: at the tool, unless the tool jumped and the proxy still follows.
 pub(crate) fn contact_model(
     now: ClientTime,
     topology_version: u32,
@@ -34,7 +33,7 @@ pub(crate) fn contact_model(
         radius: MODEL_RADIUS_M,
         ..free
     };
-    // The places of a tool of two parts: the first half is one's, the second the other's.
+    // The contact points of a tool of two parts: the first half belongs to the first part.
     let of_part = CONTACTS_MAX / parts.len().clamp(1, CONTACTS_MAX);
     let mut torque = Vec3::zeros();
     let pressing = parts.iter().filter(|r| r.contacts > 0).count().max(1) as f64;
@@ -57,11 +56,11 @@ pub(crate) fn contact_model(
     model
 }
 
-/// Ratio of the tangent stiffness of a contact to its secant stiffness F / δ, with δ the mean indentation over the pressure:
-/// that of a sphere on an elastic half-space (Hertz 1882). A contact of constant area has 1.
+/// Ratio of tangent to secant stiffness F / δ of a contact, with δ the pressure-weighted mean indentation: the value
+/// of a sphere on an elastic half-space (Hertz 1882). A contact of constant area has 1.
 const TANGENT_OF_SECANT: f64 = 1.2;
 
-/// What a place feels that carries `share` of all that presses.
+/// The contact point that carries `share` of the total pressure.
 fn touch(reaction: &Reaction, place: &Place, share: f64, from_pivot: Vec3) -> Touch {
     let stiffness = reaction.stiffness * share;
     let along = place.normal.dot(&(stiffness * place.normal)).max(0.0);
@@ -79,7 +78,7 @@ fn touch(reaction: &Reaction, place: &Place, share: f64, from_pivot: Vec3) -> To
     }
 }
 
-/// Two places that are one to the force loop.
+/// Merges two contact points into one.
 fn both(a: &Touch, b: &Touch) -> Touch {
     let sum = a.pressed_n + b.pressed_n;
     let [p, q] = [a.pressed_n / sum, b.pressed_n / sum];
@@ -98,7 +97,7 @@ fn both(a: &Touch, b: &Touch) -> Touch {
     }
 }
 
-/// A model that the force loop does not take.
+/// A model that the force loop rejects.
 pub(crate) fn unusable(free: &ContactModel) -> ContactModel {
     ContactModel {
         couple: Vec3::repeat(f64::NAN),
@@ -146,9 +145,9 @@ mod tests {
     }
 
     proptest! {
-        /// Nothing of the solver's force, torque and stiffness is lost on the way, whatever the number of parts.
+        /// Force, torque and stiffness of the solver are preserved for any number of parts.
         #[test]
-        fn force_torque_and_stiffness_are_all_of_the_solvers(
+        fn contact_model_preserves_force_torque_and_stiffness(
             parts in proptest::collection::vec(
                 proptest::collection::vec((prop::array::uniform3(-0.05..0.05f64), prop::array::uniform3(0.1..2.0f64)), 1..16),
                 1..3,
@@ -176,20 +175,20 @@ mod tests {
     }
 
     #[test]
-    fn the_tie_of_friction_follows_from_the_indentation_and_not_from_what_was_learned() {
+    fn tangential_stiffness_follows_from_indentation_alone() {
         let learned = |k: f64| Reaction {
             stiffness: Matrix3::from_diagonal_element(k),
             ..reaction(vec![place(0, Vec3::zeros(), Vec3::z() * 0.2)])
         };
         let tie =
             |r: &Reaction| contact_model(ClientTime::ZERO, 1, &[r]).touches[0].tangential_stiffness;
-        // 0.22 N press 2 mm deep.
+        // 0.22 N at an indentation of 2 mm.
         assert!((tie(&learned(30.0)) - 88.0).abs() < 1e-9);
         assert_eq!(tie(&learned(30.0)), tie(&learned(60.0)));
     }
 
     #[test]
-    fn a_tool_that_nothing_touches_is_free() {
+    fn tool_without_contact_is_free() {
         let nothing = Reaction {
             contacts: 0,
             ..reaction(vec![place(0, Vec3::zeros(), Vec3::z())])

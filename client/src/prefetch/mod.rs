@@ -1,22 +1,22 @@
-//! Cuts, made ahead of the moment in which they are applied.
+//! Prefetch of cuts: cuts are prepared ahead of their due time.
 //!
-//! An operation arrives D before its due time. Making a cut takes tens of milliseconds: the topology, the bricks and
-//! levels, every force, and some steps until a hand's solver is settled again. The thread of the hand has 2 ms. So all of
-//! it is done by a machine beside the replica, and the hand's thread only exchanges pointers:
+//! An operation arrives one delay D before its due time. Preparing a cut takes tens of milliseconds: topology,
+//! bricks, multigrid levels, forces, and some steps until the hand's solver has settled. The hand's thread has 4 ms.
+//! The cut worker prepares everything; the hand's thread only exchanges pointers:
 //!
 //! ```text
-//! replica   --Make(operation)-->    the topology and its structure are made
+//! replica   --Make(operation)-->    build topology and solver structure
 //!           <--Made(room)--
-//!           --Prepare(state)-->     a copy of the hand's state is continued on the new topology, and solved
-//!           --Follow(tools)-->      ... for the newest tools, in every step of the hand
+//!           --Prepare(state)-->     continue a copy of the hand's state on the new topology, and solve
+//!           --Follow(tools)-->      ... for the newest tools, at every step of the hand
 //!           --HandOver-->
-//!           <--Ready(cut)--         due: the replica exchanges its hand's side
-//!           --Retire(old)-->        memory is freed here as well
+//!           <--Ready(cut)--         due: the replica exchanges the hand's side
+//!           --Retire(old)-->        free memory on the worker
 //! ```
 //!
-//! A cut that is not ready at its due time is applied when it is; until then the hand goes on with the old topology.
+//! A cut that is late is applied as soon as it is ready. Until then the hand uses the old topology.
 
-mod thread;
+mod cut_worker;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -26,115 +26,115 @@ use palpate_tissue::{
     Budget, CutOutcome, Follower, SolverState, Successor, Tool, Topology, TopologyHash, cut,
 };
 
-pub(crate) use thread::AheadThread;
+pub(crate) use cut_worker::CutWorker;
 
 use crate::convert::tissue_stroke;
 use crate::replica::{HAPTIC_TOLERANCE, ITERATIONS, Side};
 use crate::view::ViewCut;
 
-/// Cuts whose topology may be made before the first of them is applied: each holds two solvers' memory.
+/// Maximum number of cuts prepared in advance: each holds the memory of two solvers.
 const MADE_MAX: usize = 2;
 
-/// Why an operation can not be applied: this copy is not the session's.
+/// Reason why an operation can not be applied: this replica differs from the session's tissue.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ReplicaError {
     /// The operation is for another topology.
     #[error("{operation} is for topology version {expected}, this one has version {found}")]
     Version {
-        /// Which.
+        /// Operation id.
         operation: String,
-        /// What it is for.
+        /// Topology version required by the operation.
         expected: u32,
-        /// What is here.
+        /// Topology version of this replica.
         found: u32,
     },
-    /// The cut can not be made here.
+    /// The cut failed on this replica.
     #[error("{operation} can not be applied: {why}")]
     Cut {
-        /// Which.
+        /// Operation id.
         operation: String,
-        /// What the tissue said.
+        /// Error of the tissue crate.
         why: String,
     },
-    /// The result is another.
+    /// The resulting topology hash differs from the server's.
     #[error("after {operation} the topology hash is {found}, the server's is {expected}")]
     Hash {
-        /// Which.
+        /// Operation id.
         operation: String,
-        /// The server's.
+        /// Hash of the server.
         expected: palpate_protocol::TopologyHash,
-        /// One's own.
+        /// Hash of this replica.
         found: TopologyHash,
     },
     /// The cut worker has stopped.
     #[error("{operation} can not be applied: the cut worker has stopped; rejoin the session")]
     Ended {
-        /// Which.
+        /// Operation id.
         operation: String,
     },
 }
 
-/// Work for the machine that makes cuts.
+/// Orders to the cut worker.
 pub enum CutOrder {
-    /// Make the cut of an operation, in the order of the log.
+    /// Make the cut of an operation, in log order.
     Make(Operation),
-    /// Continue the hand's side on the topology of the first cut that is made: its state, and its tools.
+    /// Continue the hand's state and tools on the topology of the first prepared cut.
     Prepare(Box<SolverState>, Vec<Tool>),
-    /// The tools of the hand's newest step.
+    /// Tools of the hand's newest step.
     Follow(Vec<Tool>),
-    /// Hand the first cut over as soon as it is settled.
+    /// Hand over the first cut as soon as it has settled.
     HandOver,
-    /// Free what a cut replaced.
+    /// Free the memory that a cut replaced.
     Retire(Retired),
 }
 
-/// Result of the machine that makes cuts.
+/// Results of the cut worker.
 pub enum CutNews {
-    /// The topology of the next cut is made; memory for the state of the hand's side.
+    /// The topology of the next cut is built; carries memory for the hand's solver state.
     Made(Box<SolverState>),
     /// The next cut is ready to be applied.
     Ready(ReadyCut),
 }
 
-/// A cut with its topology, before any solver has taken it over.
+/// A cut with its topology, before any solver has adopted it.
 pub(crate) struct MadeCut {
     pub(crate) topology: Arc<Topology>,
     pub(crate) outcome: CutOutcome,
-    /// For the side of the hand, if there is one.
+    /// For the hand's side, if this replica has one.
     pub(crate) hand: Option<Successor>,
     pub(crate) view: Successor,
 }
 
-/// A cut, ready to be applied.
+/// A cut that is ready to be applied.
 pub struct ReadyCut {
     pub(crate) topology: Arc<Topology>,
-    /// The side of the hand, solved, if there is one.
+    /// ReplicaSummary hand's side, if this replica has one.
     pub(crate) hand: Option<Box<Side>>,
     pub(crate) view: Box<ViewCut>,
 }
 
-/// Memory that a cut replaced. To free it takes milliseconds, so it is not done on the thread of the hand.
+/// Memory that a cut replaced. Freeing it takes milliseconds, so the worker does it.
 pub struct Retired {
     pub(crate) topology: Arc<Topology>,
     pub(crate) hand: Option<Box<Side>>,
 }
 
-/// The side of the hand, on its way to the topology of the first of the cuts that are made.
+/// The hand's side, being moved to the topology of the first prepared cut.
 struct Preparation {
-    /// What it continues, until it does.
+    /// State to continue; `None` once it is continued.
     state: Option<Box<SolverState>>,
     side: Option<Box<Side>>,
     tools: Vec<Tool>,
     is_settled: bool,
-    /// Whether the tools are those of the last step.
+    /// Whether the latest step used the newest tools.
     is_current: bool,
     is_wanted: bool,
 }
 
-/// The topology ahead of a replica's, and the side of its hand.
+/// The topology ahead of the replica's, and the hand's side on it.
 ///
-/// Calling order: [`order`](Self::order) as orders come; [`work`](Self::work) while it [can](Self::can_work).
-pub struct Ahead {
+/// Calling order: [`order`](Self::order) for every order; [`work`](Self::work) while [`can_work`](Self::can_work).
+pub struct Prefetch {
     topology: Arc<Topology>,
     follower: Follower,
     has_hand: bool,
@@ -143,7 +143,7 @@ pub struct Ahead {
     preparation: Option<Preparation>,
 }
 
-impl Ahead {
+impl Prefetch {
     pub(crate) fn new(topology: &Arc<Topology>, follower: Follower, has_hand: bool) -> Self {
         Self {
             topology: Arc::clone(topology),
@@ -155,7 +155,7 @@ impl Ahead {
         }
     }
 
-    /// Takes an order; nothing of it is done before [`work`](Self::work).
+    /// Queues an order; [`work`](Self::work) executes it.
     pub fn order(&mut self, order: CutOrder) {
         match order {
             CutOrder::Make(operation) => self.operations.push_back(operation),
@@ -184,7 +184,7 @@ impl Ahead {
         }
     }
 
-    /// Whether there is anything to do before the next order.
+    /// Whether there is work before the next order.
     pub fn can_work(&self) -> bool {
         match &self.preparation {
             Some(p) => p.can_step() || p.is_wanted,
@@ -192,8 +192,8 @@ impl Ahead {
         }
     }
 
-    /// Does the next piece of work, of tens of milliseconds at most. After an error the copy is not the session's any
-    /// more.
+    /// Does the next piece of work, tens of milliseconds at most. After an error the replica differs from the
+    /// session.
     pub fn work(&mut self) -> Result<Option<CutNews>, ReplicaError> {
         let Some(preparation) = &mut self.preparation else {
             return self.make_next();
@@ -202,7 +202,7 @@ impl Ahead {
             if let Some(made) = self.made.front_mut() {
                 preparation.step(made);
             } else {
-                // It was ordered before anything was made.
+                // The order came before any cut was made.
                 self.preparation = None;
             }
         } else if preparation.is_wanted {
@@ -228,10 +228,10 @@ impl Ahead {
         Ok(Some(CutNews::Made(Box::new(self.follower.room()))))
     }
 
-    /// Makes the cut of an operation, in the order of the log. `None` when it is none: nothing else
-    /// changes the tissue. Version and hash are then the operation's, or it is an error.
+    /// Makes the cut of an operation, in log order. `None` for other operations. An error if version or hash differ
+    /// from the operation's.
     pub(crate) fn make(&mut self, operation: &Operation) -> Result<Option<MadeCut>, ReplicaError> {
-        let Some(outcome) = cut_as_told(&mut self.topology, operation)? else {
+        let Some(outcome) = cut_checked(&mut self.topology, operation)? else {
             return Ok(None);
         };
         self.follower.follow(&self.topology, &outcome.touched);
@@ -246,7 +246,8 @@ impl Ahead {
 }
 
 impl Preparation {
-    /// Whether a step would bring the side nearer to its equilibrium. One that is wanted follows no further.
+    /// Whether a step would bring the side nearer to equilibrium. A side that is to be handed over follows no further
+    /// tools.
     fn can_step(&self) -> bool {
         !self.is_settled || !(self.is_current || self.is_wanted)
     }
@@ -275,7 +276,7 @@ impl Preparation {
         side.solver
             .step(topology, &mut side.shape, &self.tools, budget);
         self.is_current = true;
-        // A step without a tool that touches anything has nothing to settle.
+        // Without a contact there is nothing to settle.
         self.is_settled = !side.solver.is_settling();
     }
 }
@@ -294,9 +295,9 @@ impl MadeCut {
     }
 }
 
-/// Makes the cut of an operation in a topology. `None` when it is none; version and hash are then the
-/// operation's, or it is an error.
-pub(crate) fn cut_as_told(
+/// Makes the cut of an operation in a topology. `None` for other operations. An error if version or hash differ from
+/// the operation's.
+pub(crate) fn cut_checked(
     topology: &mut Arc<Topology>,
     operation: &Operation,
 ) -> Result<Option<CutOutcome>, ReplicaError> {

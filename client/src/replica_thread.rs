@@ -1,8 +1,7 @@
-//! The replica thread: it lets a [`Site`] live in real time.
+//! The replica thread: runs a [`Site`] in real time.
 //!
-//! Every 4 ms: take what the session said and what the hand did, apply what is due, solve what the
-//! hand feels, hand over. Two threads work for it: one makes cuts ahead of their moment, one solves what
-//! is to be seen.
+//! Every 4 ms it takes session events and hand samples, applies due operations, solves the haptic shape, and
+//! publishes the results. Two helper threads prepare cuts and solve the view.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -22,8 +21,8 @@ use triple_buffer::{Input, Output};
 
 use crate::SolveTimes;
 use crate::StartAt;
-use crate::ahead::AheadThread;
 use crate::inbox::Inbox;
+use crate::prefetch::CutWorker;
 use crate::reach::Reach;
 use crate::realtime::{Frame, compute_alone, device_time, monotonic_now, sleep_until, worked};
 use crate::recording::{Recording, VIEW_HZ};
@@ -32,26 +31,26 @@ use crate::site::{Site, SiteCounters, SiteError, ViewNews};
 use crate::thin::{ThinCounters, ThinView};
 use crate::view::{Order, ViewReport, ViewThread, record};
 
-/// Longest solve that is told apart, µs.
+/// Upper bound of the solve time histogram, µs.
 const SOLVE_MAX_US: u64 = 1_000_000;
 
-/// Sentences that wait to be said: everybody of a full session joins within a moment.
+/// Maximum number of queued notices: a full session may join at once.
 const NOTICES_MAX: usize = 64;
 
-/// What the thread works with.
+/// Inputs of the thread.
 pub(crate) struct Work {
     pub(crate) site: Site,
     pub(crate) inbox: Arc<Inbox>,
     pub(crate) commands: mpsc::Sender<ClientCommand>,
-    /// Told why the log is wanted from its beginning.
+    /// Requests a resync, with the reason.
     pub(crate) rejoin: mpsc::Sender<String>,
-    /// `None` for who only looks.
+    /// `None` for spectators.
     pub(crate) hand: Option<Hand>,
-    /// Starts the script of the simulated hand, and the moment for it.
+    /// Start signal of the simulated hand's script, and the requested start.
     pub(crate) script: Option<(ScriptStart, StartAt)>,
-    /// Until the tool touches something.
+    /// Recorded until the first contact of the tool.
     pub(crate) reach: Option<Reach>,
-    /// Of how many points of the grid one is recorded; `None` records nothing.
+    /// Every n-th grid point is recorded; `None` records nothing.
     pub(crate) record_every: Option<i64>,
     pub(crate) recording: Recording,
 }
@@ -63,35 +62,35 @@ pub(crate) struct Hand {
     pub(crate) own: rtrb::Consumer<LocalSample>,
 }
 
-/// What part one has in the session.
+/// State of the participant in the session.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) enum Part {
-    /// One takes part.
+    /// Participating normally.
     #[default]
-    Takes,
-    /// The log of the beginning is being applied.
-    CatchesUp,
-    /// The copy is being made anew: no force of it is believed.
-    Resyncs,
-    /// The tool is lifted, because the network is too slow.
-    Watches,
+    Participating,
+    /// The initial log is being applied.
+    CatchingUp,
+    /// A resync is in progress: no force is rendered.
+    Resyncing,
+    /// The tool is inactive, because the network is too slow.
+    Demoted,
 }
 
 impl Part {
     fn of(site: &Site) -> Self {
         if site.is_resyncing() {
-            Self::Resyncs
+            Self::Resyncing
         } else if site.is_catching_up() {
-            Self::CatchesUp
+            Self::CatchingUp
         } else if site.is_watching() {
-            Self::Watches
+            Self::Demoted
         } else {
-            Self::Takes
+            Self::Participating
         }
     }
 }
 
-/// What the rest of the program sees of the thread while it runs.
+/// State of the thread, for the main thread.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Progress {
     pub(crate) counters: SiteCounters,
@@ -101,11 +100,11 @@ pub(crate) struct Progress {
     pub(crate) here: usize,
     pub(crate) link_lost: bool,
     pub(crate) part: Part,
-    /// Not yet said to a person, oldest first.
+    /// Notices to display, oldest first.
     pub(crate) notices: VecDeque<String>,
-    /// What a thin view counted; `None` where the tissue is computed.
+    /// Counters of a thin view; `None` for a full subscription.
     pub(crate) thin: Option<ThinCounters>,
-    /// The end of the session, once it has come.
+    /// End of the session, once it has come.
     pub(crate) end: Option<End>,
 }
 
@@ -125,8 +124,8 @@ pub(crate) enum End {
     Diverged(String),
 }
 
-/// What the thread leaves behind.
-pub(crate) struct Solved {
+/// Results of the thread.
+pub(crate) struct ReplicaSummary {
     pub(crate) counters: SiteCounters,
     pub(crate) thin: Option<ThinCounters>,
     pub(crate) topology_version: u32,
@@ -136,16 +135,16 @@ pub(crate) struct Solved {
     pub(crate) view_solves: u64,
     pub(crate) view_ms: SolveTimes,
     pub(crate) seconds: f64,
-    /// Of a tool that touched nothing; below zero inside the tissue.
+    /// For a tool that touched nothing; negative inside the tissue.
     pub(crate) nearest_mm: Option<f64>,
     pub(crate) recording: Recording,
 }
 
-/// The thread, while it runs.
+/// The running thread.
 pub(crate) struct ReplicaThread {
     stop: Arc<AtomicBool>,
     progress: Arc<Mutex<Progress>>,
-    thread: JoinHandle<Solved>,
+    thread: JoinHandle<ReplicaSummary>,
 }
 
 impl ReplicaThread {
@@ -165,7 +164,7 @@ impl ReplicaThread {
             end: None,
         };
         let stopped = Arc::clone(&stop);
-        // A spectator has no force that a late solve could take away.
+        // A spectator has no force, so a late solve does no harm.
         let class = if turns.work.hand.is_some() {
             ThreadClass::HandSolver
         } else {
@@ -183,7 +182,7 @@ impl ReplicaThread {
         })
     }
 
-    /// How it does.
+    /// The current state; takes the notices.
     pub(crate) fn progress(&self) -> Progress {
         let mut progress = lock(&self.progress);
         let now = progress.clone();
@@ -191,20 +190,20 @@ impl ReplicaThread {
         now
     }
 
-    /// Whether it lives; it ends early only by a panic.
+    /// Whether the thread runs; it ends early only by a panic.
     pub(crate) fn is_running(&self) -> bool {
         !self.thread.is_finished()
     }
 
-    /// Ends it. `None` when it ended by a panic.
-    pub(crate) fn stop(self) -> Option<Solved> {
+    /// Stops the thread. `None` if it panicked.
+    pub(crate) fn stop(self) -> Option<ReplicaSummary> {
         self.stop.store(true, Ordering::Release);
         self.thread.join().ok()
     }
 }
 
 fn lock(progress: &Mutex<Progress>) -> MutexGuard<'_, Progress> {
-    // Every field is whole between any two statements that hold the lock.
+    // Every statement leaves the fields consistent.
     progress.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -221,15 +220,15 @@ fn histogram() -> Histogram<u32> {
 }
 
 struct Helpers {
-    cuts: AheadThread,
+    cuts: CutWorker,
     view: ViewThread,
 }
 
 struct Turns {
     work: Work,
-    /// Who work for this thread, once the log of the beginning is applied.
+    /// Helper threads, once the initial log is applied.
     helpers: Option<Helpers>,
-    /// The copies that were made anew before the one that the helpers work for.
+    /// Number of resyncs before the replica of the helpers.
     resyncs: u64,
     progress: Arc<Mutex<Progress>>,
     haptic_us: Histogram<u32>,
@@ -252,7 +251,7 @@ impl Turns {
             let (now, cpu) = (monotonic_now(), worked());
             let rest = budget.charge(now.as_micros(), cpu - charged);
             charged = cpu;
-            // After a long solve the missed turns are one.
+            // Missed periods after a long solve are skipped.
             deadline = (deadline + HAPTIC_PERIOD).max(now + rest);
             sleep_until(deadline);
         }
@@ -285,7 +284,7 @@ impl Turns {
             }
             self.work.site.handle_event(event, monotonic_now())?;
             if self.work.site.resyncs() != self.resyncs {
-                // They know the old copy; what they still make of it is nobody's.
+                // The helpers work on the old replica; their results are discarded.
                 self.resyncs = self.work.site.resyncs();
                 self.helpers = None;
             }
@@ -295,7 +294,7 @@ impl Turns {
         self.order_cuts()
     }
 
-    /// Passes the site's orders on to the thread that makes cuts.
+    /// Passes the site's orders to the cut worker.
     fn order_cuts(&mut self) -> Result<(), SiteError> {
         let (site, Some(helpers)) = (&mut self.work.site, &self.helpers) else {
             return Ok(());
@@ -309,21 +308,21 @@ impl Turns {
         Ok(())
     }
 
-    /// Has a copy that differs made anew: asks who keeps the connection for the log.
+    /// Passes a resync request to the network thread.
     fn rejoin(&mut self) {
         if let Some(why) = self.work.site.poll_rejoin() {
-            // There is room for the one that is open; when nobody listens, the end is on its way.
+            // The channel holds one request; if the receiver has gone, the session is ending.
             let _ = self.work.rejoin.try_send(why);
         }
     }
 
-    /// Tells the helpers what there is to do, and the site what they did.
+    /// Exchanges orders and results with the helpers.
     fn consult(&mut self) -> Result<(), SiteError> {
         let site = &mut self.work.site;
-        if let Some((ahead, view)) = site.detach() {
+        if let Some((prefetch, view)) = site.detach() {
             let failed = |error: std::io::Error| SiteError::Thread(error.to_string());
             self.helpers = Some(Helpers {
-                cuts: AheadThread::spawn(ahead).map_err(failed)?,
+                cuts: CutWorker::spawn(prefetch).map_err(failed)?,
                 view: ViewThread::spawn(view).map_err(failed)?,
             });
         }
@@ -335,13 +334,13 @@ impl Turns {
                 Ok(Some(news)) => site.handle_cut(news),
                 Ok(None) => break,
                 Err(error) => {
-                    // It has nothing more to say.
+                    // The worker has stopped.
                     self.helpers = None;
                     return site.handle_broken(error, monotonic_now());
                 }
             }
         }
-        let ended = |_| SiteError::Thread("it has ended".to_owned());
+        let ended = |_| SiteError::Thread("the view thread has stopped".to_owned());
         while let Some(report) = helpers.view.poll().map_err(ended)? {
             match report {
                 ViewReport::Compared(s, drift) => site.handle_drift(s, drift, monotonic_now()),
@@ -375,7 +374,7 @@ impl Turns {
         }
     }
 
-    /// Starts the script. Until the start of a session is over it follows the estimate of the clock; then it stands.
+    /// Starts the script. Before its start the time follows the clock estimate; afterwards it is fixed.
     fn start_script(&mut self) {
         let Some((script, start)) = &self.work.script else {
             return;
@@ -386,7 +385,7 @@ impl Turns {
         }
         let at = match start {
             StartAt::Session => self.work.site.script_start(),
-            // The log of the beginning is applied, and the clock says when a sample was taken.
+            // The initial log must be applied, and the clock offset known to stamp samples.
             StartAt::Joining => {
                 (self.helpers.is_some() && self.work.site.clock().is_some()).then_some(now)
             }
@@ -408,14 +407,14 @@ impl Turns {
         let budget = hand_budget(&mut stop);
         let buttons = (sample.buttons.bits() & 0xff) as u8;
         let pose = sample.pose;
-        let is_believed = !self.link_lost && !self.work.site.is_resyncing();
+        let is_trusted = !self.link_lost && !self.work.site.is_resyncing();
         let solves = self.work.site.counters().haptic_solves;
         if let Some(mut model) = self.work.site.haptic_step(began, pose, buttons, budget) {
             if model.touching().next().is_some() {
                 self.work.reach = None;
             }
-            if !is_believed {
-                take_away(&mut model);
+            if !is_trusted {
+                remove_force(&mut model);
             }
             hand.models.write(model);
             if self.work.site.counters().haptic_solves > solves {
@@ -424,7 +423,7 @@ impl Turns {
         }
     }
 
-    /// Has the newest view solved, unless the last one is not done yet.
+    /// Orders the newest view, unless the last one is still in progress.
     fn view(&mut self) {
         if self.work.site.is_thin() {
             return self.thin_view();
@@ -448,7 +447,7 @@ impl Turns {
         }
     }
 
-    /// Shows what the server said: there is nothing to solve.
+    /// Shows the received surface; there is nothing to solve.
     fn thin_view(&mut self) {
         let Some(frame) = self.work.site.next_view(monotonic_now()) else {
             return;
@@ -464,7 +463,7 @@ impl Turns {
         }
     }
 
-    /// Requests to the session, applied operations to the recording.
+    /// Sends requests to the session and applied operations to the recording.
     fn hand_over(&mut self) {
         while let Some(request) = self.work.site.poll_request() {
             let is_cut = matches!(request, RequestKind::Cut(_));
@@ -477,7 +476,8 @@ impl Turns {
                 .try_send(ClientCommand::Request(request))
                 .is_ok();
             if is_cut && !sent {
-                lock(&self.progress).note("a cut could not be sent".to_owned());
+                lock(&self.progress)
+                    .note("your cut could not be sent; please repeat it".to_owned());
             }
         }
         while let Some(operation) = self.work.site.poll_applied() {
@@ -488,7 +488,7 @@ impl Turns {
     }
 
     fn publish(&mut self) {
-        // The main thread has ordinary priority and may be off the processor with the lock: the next turn publishes.
+        // The main thread has ordinary priority and may be preempted with the lock held: the next step publishes.
         let Some(mut progress) = try_lock(&self.progress) else {
             return;
         };
@@ -508,10 +508,10 @@ impl Turns {
         progress.end.clone_from(&self.end);
     }
 
-    fn finish(self) -> Solved {
+    fn finish(self) -> ReplicaSummary {
         let topology = self.work.site.replica().topology();
         let since = |first: ClientTime| (monotonic_now() - first).as_secs_f64();
-        Solved {
+        ReplicaSummary {
             counters: self.work.site.counters(),
             thin: self.work.site.replica().thin_view().map(ThinView::counters),
             topology_version: topology.version(),
@@ -527,13 +527,13 @@ impl Turns {
     }
 }
 
-/// Takes away what the hand would feel of a copy that is being made anew, or of which the server has not been
-/// heard. The main thread tells the force loop so too, but it may wait for whoever reads its sentences.
-fn take_away(model: &mut ContactModel) {
+/// Removes the force of a replica under resync, or without contact to the server. The main thread also informs the
+/// force loop, but it may block on output.
+fn remove_force(model: &mut ContactModel) {
     *model = ContactModel::free_at(model.solved_at, model.topology_version);
 }
 
-/// Of how many points of a grid of `tick_hz` one is recorded.
+/// Every n-th grid point of rate `tick_hz` is recorded.
 pub(crate) fn record_every(tick_hz: u32) -> i64 {
     i64::from(tick_hz.div_ceil(VIEW_HZ).max(1))
 }
@@ -558,7 +558,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_a_copy_that_is_not_believed_the_hand_feels_nothing() {
+    fn contact_model_without_trust_has_no_force() {
         let mut model = ContactModel::single(Touch {
             touches: true,
             ..Touch::NONE
@@ -566,7 +566,7 @@ mod tests {
         model.solved_at = ClientTime::from_micros(7);
         model.topology_version = 3;
         assert!(model.in_contact());
-        take_away(&mut model);
+        remove_force(&mut model);
         assert!(!model.in_contact());
         assert_eq!(model.solved_at, ClientTime::from_micros(7));
         assert_eq!(model.topology_version, 3);

@@ -1,9 +1,8 @@
-//! One's own copy, made anew from the server's log in the same seat.
+//! Resync: rebuilds the replica from the server's log, in the same seat.
 //!
-//! The site says that it wants the log from its beginning ([`Site::poll_rejoin`]) and hears nothing of
-//! what still comes of the old one; whoever owns the connection takes the seat again with no operation
-//! in hand; with the welcome the site begins with the uncut model, as when it joined. Until the log is
-//! applied there is no force ([`Site::is_resyncing`]).
+//! The site requests the whole log with [`Site::poll_rejoin`] and ignores further events of the old connection. The
+//! connection's owner resumes the seat without any operation. The next welcome resets the site to the uncut model.
+//! Until the log is applied there is no force ([`Site::is_resyncing`]).
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -16,47 +15,46 @@ use palpate_protocol::{ClientTime, ServerTime};
 use super::cutting::Cuts;
 use super::resync::{DRIFT_MAX_M, DRIFT_PATIENCE, RESYNCS_MAX, Verdict, WINDOW};
 use super::{Site, SiteError};
-use crate::ahead::ReplicaError;
+use crate::prefetch::ReplicaError;
 use crate::replica::Replica;
 use crate::roster::Roster;
 use crate::view::Drift;
 
-/// Where a copy stands that is being made anew.
+/// Progress of a resync.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Anew {
-    /// It is not.
-    No,
-    /// The log is asked for; what comes meanwhile is of the old connection.
+pub(super) enum ResyncState {
+    /// No resync.
+    Idle,
+    /// The log was requested; further events belong to the old connection.
     Asked,
-    /// It is being applied.
+    /// The log is being applied.
     Applying,
 }
 
 impl Site {
-    /// Why the log is wanted from its beginning, once per time: take the seat again without an operation
-    /// in hand.
+    /// The reason for a resync, once per request: resume the seat without any operation.
     pub fn poll_rejoin(&mut self) -> Option<String> {
         self.rejoin.take()
     }
 
-    /// Whether the copy is being made anew: there is to be no force.
+    /// Whether a resync is in progress, during which there is no force.
     pub fn is_resyncing(&self) -> bool {
-        self.anew != Anew::No
+        self.resync_state != ResyncState::Idle
     }
 
-    /// How often the copy was made anew. What was taken out of the site before belongs to an old copy.
+    /// Number of resyncs. Objects taken from the site before belong to an old replica.
     pub fn resyncs(&self) -> u64 {
         self.counters.resyncs
     }
 
-    /// Cuts could not be made ahead: the copy is not the session's.
+    /// Handles a failure of the cut worker: the replica differs from the session.
     pub fn handle_broken(&mut self, error: ReplicaError, now: ClientTime) -> Result<(), SiteError> {
-        self.or_anew(Err(error.into()), now)
+        self.or_resync(Err(error.into()), now)
     }
 
-    /// Whether an event is of the old connection, and nothing to a copy that is to be made anew.
-    pub(super) fn is_of_the_old(&self, event: &ClientEvent) -> bool {
-        self.anew == Anew::Asked
+    /// Whether an event belongs to the old connection and is ignored.
+    pub(super) fn is_from_old_connection(&self, event: &ClientEvent) -> bool {
+        self.resync_state == ResyncState::Asked
             && !matches!(
                 event,
                 ClientEvent::Welcomed(_)
@@ -67,15 +65,15 @@ impl Site {
             )
     }
 
-    /// A copy that differs is made anew, if that may help.
-    pub(super) fn or_anew(
+    /// Converts a difference from the server into a resync, if one is allowed.
+    pub(super) fn or_resync(
         &mut self,
         result: Result<(), SiteError>,
         now: ClientTime,
     ) -> Result<(), SiteError> {
         let Err(error) = result else { return Ok(()) };
-        if self.anew == Anew::Asked && !matches!(error, SiteError::Thread(_)) {
-            // The copy that this is about is given up already, and a new one asked for.
+        if self.resync_state == ResyncState::Asked && !matches!(error, SiteError::Thread(_)) {
+            // The replica in error is discarded already, and a resync requested.
             return Ok(());
         }
         if matches!(error, SiteError::Thread(_) | SiteError::Again(_)) {
@@ -84,20 +82,20 @@ impl Site {
         if !self.resync.handle_difference(now) {
             return Err(SiteError::Again(error.to_string()));
         }
-        self.ask_anew(error.to_string());
+        self.request_resync(error.to_string());
         Ok(())
     }
 
-    fn ask_anew(&mut self, why: String) {
+    fn request_resync(&mut self, why: String) {
         self.notice(format!(
-            "your copy of the tissue differs from the server's and is made anew, without force meanwhile: {why}"
+            "your replica differs from the server; resync without force: {why}"
         ));
-        self.anew = Anew::Asked;
+        self.resync_state = ResyncState::Asked;
         self.resync.restart();
         self.rejoin = Some(why);
     }
 
-    /// The view of a moment was so far from what the server says.
+    /// Processes the drift of a past view from the server.
     pub fn handle_drift(&mut self, view_time: ServerTime, drift: Drift, now: ClientTime) {
         self.counters.corrected_nodes += drift.nodes as u64;
         let is_settled = self
@@ -111,25 +109,25 @@ impl Site {
         let is_made_up = self
             .made_up
             .is_some_and(|made_up| view_time - made_up < DRIFT_PATIENCE);
-        if is_made_up || self.roster.is_lifted(self.me) {
-            // A network that is too slow shows tools elsewhere; a new copy would not help.
+        if is_made_up || self.roster.is_demoted(self.me) {
+            // Poses of a slow network cause this drift; a resync would not help.
             return self.resync.restart();
         }
         match self.resync.handle_drift(view_time, drift.max_m, now) {
             Verdict::GoOn => {}
-            Verdict::Anew => {
+            Verdict::Resync => {
                 let (is, may) = (drift.max_m * 1e3, DRIFT_MAX_M * 1e3);
-                self.ask_anew(format!("it is off by {is:.2} mm, more than {may} mm for 1 s"));
+                self.request_resync(format!("the view differs by {is:.2} mm, more than {may} mm for 1 s"));
             }
             Verdict::TooOften => self.notice(format!(
-                "your copy of the tissue is off by {:.2} mm; it was made anew {RESYNCS_MAX} times in {} s, which did not help",
+                "your replica differs from the server by {:.2} mm after {RESYNCS_MAX} resyncs in {} s; rejoin the session",
                 drift.max_m * 1e3,
                 WINDOW.as_secs_f64()
             )),
         }
     }
 
-    /// The connection was made anew: the log goes on where it stopped, or begins again and the copy with it.
+    /// Processes a resumed connection: the log continues, or begins again with a resync.
     pub(super) fn handle_return(
         &mut self,
         welcome: &Welcome,
@@ -137,14 +135,14 @@ impl Site {
     ) -> Result<(), SiteError> {
         let had = self.counters.operations + self.deferred.len() as u64;
         let first = welcome.first_operation;
-        if first.0 == 0 && (had > 0 || self.anew == Anew::Asked) {
-            self.begin_anew(welcome, now);
-        } else if self.anew == Anew::Asked {
-            // A connection that was made anew for another reason; the one that is asked for comes.
+        if first.0 == 0 && (had > 0 || self.resync_state == ResyncState::Asked) {
+            self.begin_resync(welcome, now);
+        } else if self.resync_state == ResyncState::Asked {
+            // This connection was resumed for another reason; the requested one follows.
             return Ok(());
         } else if first.0 != had {
             return Err(SiteError::Differs(format!(
-                "it has {had} operations of the log, and the server begins again with {first}"
+                "the client has {had} operations of the log, but the server resumes at {first}"
             )));
         } else if self.expected.is_some() {
             self.expected = Some((welcome.topology_version, welcome.topology_hash));
@@ -152,7 +150,7 @@ impl Site {
         Ok(())
     }
 
-    fn begin_anew(&mut self, welcome: &Welcome, now: ClientTime) {
+    fn begin_resync(&mut self, welcome: &Welcome, now: ClientTime) {
         let model = Arc::clone(self.replica.topology().model());
         self.replica = if self.is_thin() {
             Replica::thin(model)
@@ -168,19 +166,19 @@ impl Site {
         self.is_detached = false;
         self.unreported = None;
         self.cuts = Cuts::default();
-        self.felt = None;
+        self.last_solve = None;
         self.view_news = VecDeque::new();
         (self.counters.operations, self.counters.cuts) = (0, 0);
         self.counters.resyncs += 1;
-        self.anew = Anew::Applying;
+        self.resync_state = ResyncState::Applying;
         self.rejoin = None;
         self.resync.note(now);
     }
 
-    /// The log of the beginning is applied, and the same.
-    pub(super) fn end_anew(&mut self) {
-        if std::mem::replace(&mut self.anew, Anew::No) != Anew::No {
-            self.notice("your copy of the tissue is the server's again".to_owned());
+    /// The initial log is applied and the topology matches.
+    pub(super) fn end_resync(&mut self) {
+        if std::mem::replace(&mut self.resync_state, ResyncState::Idle) != ResyncState::Idle {
+            self.notice("resync complete: your replica matches the server".to_owned());
         }
     }
 }

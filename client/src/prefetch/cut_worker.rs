@@ -1,34 +1,33 @@
-//! The thread that makes cuts while the replica's goes on serving the hand.
+//! The cut worker: prepares cuts while the replica's thread serves the hand.
 
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 
 use palpate_transport::threads::{self, ThreadClass};
 
-use super::{Ahead, CutNews, CutOrder, ReplicaError};
+use super::{CutNews, CutOrder, Prefetch, ReplicaError};
 
-/// A thread that makes cuts in the order of the log. It ends with this.
-pub(crate) struct AheadThread {
+/// A thread that prepares cuts in log order. Dropping this ends it.
+pub(crate) struct CutWorker {
     orders: Sender<CutOrder>,
     news: Receiver<Result<CutNews, ReplicaError>>,
 }
 
-impl AheadThread {
-    pub(crate) fn spawn(ahead: Ahead) -> std::io::Result<Self> {
+impl CutWorker {
+    pub(crate) fn spawn(prefetch: Prefetch) -> std::io::Result<Self> {
         let (orders, ordered) = channel();
         let (tell, news) = channel();
         threads::spawn(ThreadClass::Background, "cuts", move || {
-            serve(ahead, &ordered, &tell);
+            serve(prefetch, &ordered, &tell);
         })?;
         Ok(Self { orders, news })
     }
 
-    /// Has something done.
+    /// Sends an order to the worker.
     pub(crate) fn order(&self, order: CutOrder) -> Result<(), ReplicaError> {
         self.orders.send(order).map_err(|_| ended())
     }
 
-    /// The next result, if there is one; an error when the thread has ended by itself, so that no operation waits for
-    /// ever.
+    /// The next result, if any. An error if the thread has stopped, so that no operation waits forever.
     pub(crate) fn poll(&self) -> Result<Option<CutNews>, ReplicaError> {
         match self.news.try_recv() {
             Ok(news) => news.map(Some),
@@ -45,22 +44,22 @@ fn ended() -> ReplicaError {
 }
 
 fn serve(
-    mut ahead: Ahead,
+    mut prefetch: Prefetch,
     ordered: &Receiver<CutOrder>,
     tell: &Sender<Result<CutNews, ReplicaError>>,
 ) {
     loop {
-        if !ahead.can_work() {
+        if !prefetch.can_work() {
             let Ok(order) = ordered.recv() else { return };
-            ahead.order(order);
+            prefetch.order(order);
         }
         for order in ordered.try_iter() {
-            ahead.order(order);
+            prefetch.order(order);
         }
-        let Some(news) = ahead.work().transpose() else {
+        let Some(news) = prefetch.work().transpose() else {
             continue;
         };
-        // After an error the copy is not the session's any more.
+        // After an error the replica differs from the session.
         let is_last = news.is_err();
         if tell.send(news).is_err() || is_last {
             return;

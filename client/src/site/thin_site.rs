@@ -1,4 +1,4 @@
-//! What is different at a site that computes no tissue.
+//! Site of a thin subscriber, which computes no tissue.
 
 use std::sync::Arc;
 
@@ -12,18 +12,18 @@ use crate::replica::Replica;
 use crate::thin::ThinView;
 
 impl Site {
-    /// A site that computes no tissue, for a thin subscription. Only a laboratory gives it a blade, for a
-    /// hand that moves and feels nothing.
+    /// A site that computes no tissue, for a thin subscription. Only simulated sessions give it a blade, whose hand
+    /// has no force.
     pub fn thin(welcome: &Welcome, model: Arc<Model>, blade_length_m: Option<f64>) -> Self {
         Self::with(welcome, Replica::thin(model), blade_length_m)
     }
 
-    /// Whether it computes no tissue.
+    /// Whether this site computes no tissue.
     pub fn is_thin(&self) -> bool {
         self.replica.thin_view().is_some()
     }
 
-    /// Where the server has the surface. For who computes the tissue it is no news.
+    /// Passes surface displacements to the thin view; full subscribers ignore them.
     pub(super) fn handle_picture(&mut self, news: Displacements, now: ClientTime) {
         let s = self.moment(now).map(|(s, _)| s);
         if let Some(thin) = self.replica.thin_view_mut() {
@@ -31,8 +31,7 @@ impl Site {
         }
     }
 
-    /// The moment that a view shows now, and how far back it is: the common one, or as far behind it as
-    /// the pictures of the server are.
+    /// Displayed time of the view and its total delay: the common time, minus the lag of a thin view.
     pub(super) fn moment_shown(&self, now: ClientTime) -> Option<(ServerTime, Span)> {
         let (s, delay) = self.moment(now)?;
         let lag = self.replica.thin_view().map_or(Span::ZERO, ThinView::lag);
