@@ -1,4 +1,4 @@
-//! The model that an experiment is about: a file, a scene or a sample, made into a file once.
+//! The model under test: a file, scene or sample, stored in a model file once.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -8,30 +8,30 @@ use palpate_tissue::{
     BuildError, FileError, Model, ModelFile, SceneError, SceneInput, WriteError, build,
 };
 
-/// Why there is no model.
+/// Failure to prepare a model.
 #[derive(Debug, thiserror::Error)]
 pub enum SubjectError {
     /// Neither a file nor a sample.
-    #[error("\"{name}\" is no file, and {source}")]
+    #[error("\"{name}\" is not a file, and {source}")]
     Unknown {
-        /// What was asked for.
+        /// The requested name.
         name: String,
-        /// Why it is no sample.
+        /// Error of the sample lookup.
         source: SampleError,
     },
     /// A file that is neither a model nor a scene.
-    #[error("{}: a model ends with .palp and a scene with .toml", .0.display())]
+    #[error("unsupported file {}: use a model (.palp) or a scene (.toml)", .0.display())]
     Kind(PathBuf),
-    /// The scene.
+    /// The scene is invalid.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// Building.
+    /// The build failed.
     #[error(transparent)]
     Build(#[from] BuildError),
-    /// The model file.
+    /// The model file is invalid.
     #[error(transparent)]
     File(#[from] FileError),
-    /// The model file can not be written.
+    /// The model file cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
 }
@@ -41,7 +41,7 @@ pub enum SubjectError {
 pub struct Subject {
     /// The model.
     pub model: Arc<Model>,
-    /// The file that the server is given.
+    /// The file for the server.
     pub file: PathBuf,
 }
 
@@ -76,7 +76,7 @@ impl Subject {
         Self::write(ModelFile { model, report_json }, dir)
     }
 
-    /// A model that is not from a file, written into `dir`.
+    /// An in-memory model, written into `dir`.
     pub fn of(model: Model, dir: &Path) -> Result<Self, SubjectError> {
         let report_json = String::new();
         Self::write(ModelFile { model, report_json }, dir)
@@ -97,7 +97,7 @@ mod tests {
     use super::Subject;
 
     #[test]
-    fn what_is_nothing_is_answered_with_the_samples() {
+    fn unknown_model_error_lists_the_samples() {
         let dir = tempfile::tempdir().unwrap();
         let error = Subject::prepare("thight", dir.path())
             .unwrap_err()
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sample_becomes_a_file_that_reads_back() {
+    fn sample_round_trips_through_its_file() {
         let dir = tempfile::tempdir().unwrap();
         let made = Subject::prepare("handle", dir.path()).unwrap();
         let name = made.file.display().to_string();
