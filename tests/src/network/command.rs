@@ -7,7 +7,7 @@ use clap::Args;
 use super::{Jitter, Link, Profile};
 use crate::cli::say;
 
-/// What `palpate-lab profiles --help` shows at its end: every key of a profile's file.
+/// Text at the end of `palpate-lab profiles --help`: every key of a profile file.
 pub(crate) const HELP: &str = "\
 Examples:
   palpate-lab profiles
@@ -33,10 +33,10 @@ Every key of a profile's file; [up] (to the server) and [down] say what is diffe
   [up]
   trace = \"recorded.csv\"     # time_ms,delay_ms,lost; begins again when it ends; added to the rest";
 
-/// What can be said to it.
+/// Arguments of `profiles`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// The one to print as TOML: a name, or a file to check
+    /// The profile to print as TOML: a name, or a file to check
     name: Option<String>,
 }
 
@@ -54,7 +54,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// What a link is like, in a line.
+/// Description of a link in a line.
 fn sentence(link: &Link) -> String {
     let mut words = vec![match &link.steps {
         Some(steps) => {
