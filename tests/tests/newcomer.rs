@@ -1,4 +1,4 @@
-//! The first minutes of a newcomer: scripts that start at joining, hosts that are restarted, programs that crash.
+//! First use: scripts that start at joining, host restarts, program crashes.
 
 #![allow(clippy::unwrap_used)]
 #![cfg(unix)]
@@ -14,10 +14,10 @@ use palpate_server::host::Listening;
 
 use table::{Table, alone, executable};
 
-/// Longer than any of these programs needs.
+/// Timeout for every program.
 const SOON: Duration = Duration::from_secs(60);
 
-/// A table with a state folder per user.
+/// A session with a state folder per user.
 struct Place {
     table: Table,
 }
@@ -46,13 +46,13 @@ impl Place {
         (host, listening)
     }
 
-    /// A participant who stays until it is asked to leave.
+    /// A participant that stays until it is asked to leave.
     fn join(&self, user: &str, link: &str, options: &[&str]) -> Program {
         let words = ["client", "join", link, "--json", "--no-realtime"];
         self.start(user, &[&words, options].concat())
     }
 
-    /// A script with a probe of 5 mm that moves between two heights above the block, which is 40 mm high.
+    /// A script of a probe of 5 mm that moves between two heights above the block, which is 40 mm high.
     fn script(&self, from_mm: f64, to_mm: f64) -> String {
         let path = self.table.path(&format!("script-{from_mm}-{to_mm}.toml"));
         let way = |t: f64, z: f64| format!("[[way]]\nt_s = {t:?}\nat_mm = [50.0, 50.0, {z:?}]\n");
@@ -81,7 +81,7 @@ fn says(program: &mut Program, phrase: &str) {
     }
 }
 
-/// Waits for the end of a program that fails, and takes its last lines.
+/// Waits for a program to fail; returns its last lines.
 fn failed(mut program: Program) -> String {
     let status = program.wait(SOON).unwrap();
     std::thread::sleep(Duration::from_millis(200));
@@ -95,7 +95,7 @@ fn left(mut program: Program) -> Summary {
 }
 
 #[test]
-fn a_script_starts_at_joining_however_late_that_is() {
+fn script_starts_at_joining() {
     let _alone = alone();
     let place = Place::new();
     let (_host, listening) = place.host(&["--listen", "127.0.0.1:0"]);
@@ -115,7 +115,7 @@ fn a_script_starts_at_joining_however_late_that_is() {
 }
 
 #[test]
-fn a_tool_that_touches_nothing_is_reported_with_its_distance() {
+fn tool_without_contact_is_reported_with_its_distance() {
     let _alone = alone();
     let place = Place::new();
     let (_host, listening) = place.host(&["--listen", "127.0.0.1:0"]);
@@ -123,7 +123,7 @@ fn a_tool_that_touches_nothing_is_reported_with_its_distance() {
     let options = ["--name", "ann", "--duration", "5", "--script", &script];
     let summary = left(place.join("ann", &listening.links["trainee"], &options));
     let nearest = summary.nearest_mm.unwrap();
-    // 17 mm above the block, less its radius; the hand follows the script through a spring.
+    // 17 mm above the block minus the radius; the hand follows the script through a spring.
     assert!((nearest - 12.0).abs() < 1.5, "{nearest}");
     let text = summary.to_string();
     assert!(
@@ -133,7 +133,7 @@ fn a_tool_that_touches_nothing_is_reported_with_its_distance() {
 }
 
 #[test]
-fn a_host_that_is_restarted_is_the_same_host_and_its_links_stay_valid() {
+fn host_restart_keeps_identity_and_links() {
     let _alone = alone();
     let place = Place::new();
     let (mut host, first) = place.host(&["--listen", "127.0.0.1:0"]);
@@ -157,14 +157,14 @@ fn a_host_that_is_restarted_is_the_same_host_and_its_links_stay_valid() {
 }
 
 #[test]
-fn the_same_user_takes_the_seat_again_at_once_and_another_does_not() {
+fn rejoin_after_crash_keeps_the_seat_of_the_same_user_only() {
     let _alone = alone();
     let place = Place::new();
     let (_host, listening) = place.host(&["--listen", "127.0.0.1:0"]);
     let link = &listening.links["spectator"];
     let mut first = place.join("ann", link, &["--name", "ann"]);
     says(&mut first, "joined as ann");
-    // Of two programs that run at the same time the second one takes no seat.
+    // Of two simultaneous programs the second one gets no seat.
     let said = failed(place.join("ann", link, &["--name", "ann"]));
     assert!(said.contains("already in the session"), "{said}");
     let number = |summary: &Summary| summary.participant;
@@ -180,7 +180,7 @@ fn the_same_user_takes_the_seat_again_at_once_and_another_does_not() {
 }
 
 #[test]
-fn a_slice_that_misses_the_model_is_answered_with_the_range() {
+fn slice_outside_the_model_error_names_the_range() {
     let place = Place::new();
     let model = place.table.subject.file.display().to_string();
     let png = place.table.path("m.png").display().to_string();

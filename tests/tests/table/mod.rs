@@ -1,4 +1,4 @@
-//! A small model, scripts for it, and a session around it, for tests of whole programs.
+//! A small model with scripts and a session, for tests of whole programs.
 
 // Each test file uses a part of it.
 #![allow(dead_code)]
@@ -18,13 +18,13 @@ pub(crate) fn executable() -> &'static Path {
     Path::new(env!("CARGO_BIN_EXE_palpate-lab"))
 }
 
-/// Sessions at the same time would take the processors from each other.
+/// Serialises sessions, which would compete for the processors.
 pub(crate) fn alone() -> MutexGuard<'static, ()> {
     static TABLE: Mutex<()> = Mutex::new(());
     TABLE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A block of soft tissue and a folder for all that comes of it.
+/// A block of soft tissue and a folder for all output.
 pub(crate) struct Table {
     pub(crate) dir: tempfile::TempDir,
     pub(crate) subject: Subject,
@@ -60,7 +60,7 @@ impl Table {
         files
     }
 
-    /// A session behind a network.
+    /// Starts a session on an emulated network.
     pub(crate) fn host(&self, profile: &str, start_when: u16) -> Session {
         Session::start(&Hosting {
             executable: executable(),
@@ -73,7 +73,7 @@ impl Table {
         .unwrap()
     }
 
-    /// Both trainees, in the session.
+    /// Both trainees, after joining.
     pub(crate) fn trainees(&self, session: &Session, seconds: f64) -> [Participant; 2] {
         let [holder, cutter] = self.scripts(seconds);
         let join = |name, script: &Path| {
