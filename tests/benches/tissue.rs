@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use divan::Bencher;
 use palpate_lab::bench::wound::Wound;
-use palpate_lab::place::Place;
+use palpate_lab::tool_location::ToolLocation;
 use palpate_tissue::sample::Sample;
 use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block, build};
 
@@ -62,7 +62,7 @@ fn cube_from_rest(bencher: Bencher<'_, '_>, n: usize) {
 #[divan::bench(args = [false, true], sample_count = 200, sample_size = 1)]
 fn press_tick_on_the_thigh(bencher: Bencher<'_, '_>, wound: bool) {
     let mut topology = thigh();
-    let mut place = Place::find(&topology).unwrap();
+    let mut place = ToolLocation::find(&topology).unwrap();
     if wound {
         Wound::open(&mut topology, &mut place).unwrap();
     }
@@ -94,7 +94,7 @@ fn build_of_the_thigh(bencher: Bencher<'_, '_>) {
 #[divan::bench(sample_count = 20)]
 fn cut_into_the_thigh(bencher: Bencher<'_, '_>) {
     let topology = thigh();
-    let place = Place::find(&topology).unwrap();
+    let place = ToolLocation::find(&topology).unwrap();
     bencher
         .with_inputs(|| (topology.clone(), place.clone()))
         .bench_refs(|(topology, place)| Wound::open(topology, place).unwrap().doubled);

@@ -19,7 +19,6 @@ use crate::delay_figures::{self, DelayFigures};
 use crate::disagreement::{CoursePoint, Disagreement};
 use crate::dropout::{Dropouts, longest_gap_ms};
 use crate::force_error::{ForceError, over_script};
-use crate::place::{Place, PlaceError};
 use crate::plots::{self, Felt};
 use crate::progress::{Interrupt, Progress};
 use crate::reference::{self, Reference};
@@ -31,6 +30,7 @@ use crate::scripts::{SECONDS_MAX, SECONDS_MIN, Scripts};
 use crate::session::{Hosting, Left, Participant, Session, SessionError};
 use crate::stress::Stress;
 use crate::subject::{Subject, SubjectError};
+use crate::tool_location::{ToolLocation, ToolLocationError};
 
 /// Time from the last join to the start of the scripts, as in the room.
 const START_LEAD: Duration = Duration::from_secs(1);
@@ -78,7 +78,7 @@ pub enum DemoError {
     Subject(Box<SubjectError>),
     /// No location for tools.
     #[error(transparent)]
-    Place(#[from] PlaceError),
+    ToolLocation(#[from] ToolLocationError),
     /// The scripts.
     #[error("the generated scripts are invalid: {0}")]
     Script(#[from] ScriptError),
@@ -182,7 +182,7 @@ fn script_file(dir: &Path, name: &str) -> PathBuf {
 
 fn make_scripts(subject: &Subject, seconds: f64) -> Result<Scripts, DemoError> {
     let topology = Topology::new(subject.model.clone());
-    let mut place = Place::find(&topology)?;
+    let mut place = ToolLocation::find(&topology)?;
     if subject.model.gravity != [0.0; 3] {
         place.sag(&topology, &Solver::new(&topology));
     }

@@ -7,7 +7,7 @@
 //! | task | modules |
 //! | --- | --- |
 //! | emulate a bad network, for state machines or for programs | [`network`], [`relay`] |
-//! | find locations to press and cut on any model, and write scripts for them | [`place`], [`scripts`] |
+//! | find locations to press and cut on any model, and write scripts for them | [`tool_location`], [`scripts`] |
 //! | use a hand with a known continuous motion | [`hand`] |
 //! | run a server and clients as processes | [`program`], [`session`], [`stress`] |
 //! | compute the forces without a network | [`mod@reference`] |
@@ -41,7 +41,6 @@ pub mod hand;
 pub mod haptic_faults;
 mod nearest;
 pub mod network;
-pub mod place;
 pub mod plots;
 pub mod program;
 pub mod progress;
@@ -53,4 +52,5 @@ pub mod scripts;
 pub mod session;
 pub mod stress;
 pub mod subject;
+pub mod tool_location;
 pub mod trial;

@@ -16,7 +16,7 @@ use palpate_device::script::{Hand, Tool, WayPoint};
 use palpate_device::{Script, ScriptError};
 use palpate_tissue::Vec3;
 
-use crate::place::{Place, SurfacePoint};
+use crate::tool_location::{SurfacePoint, ToolLocation};
 
 /// Shortest scripts, s. In less time the stroke would be faster than a hand.
 pub const SECONDS_MIN: f64 = 4.0;
@@ -80,7 +80,7 @@ struct Sizes {
 }
 
 impl Sizes {
-    fn of(place: &Place) -> Self {
+    fn of(place: &ToolLocation) -> Self {
         let scale = place.scale();
         let soft = place.depth_m;
         // A cut has to sever some cells; a press uses at most a third of the soft depth.
@@ -138,7 +138,7 @@ impl Path {
 
 impl Scripts {
     /// Scripts of `seconds` for a location on a model.
-    pub fn for_place(place: &Place, seconds: f64) -> Result<Self, ScriptError> {
+    pub fn for_place(place: &ToolLocation, seconds: f64) -> Result<Self, ScriptError> {
         let sizes = Sizes::of(place);
         Ok(Self {
             holder: holder(place, &sizes, seconds)?,
@@ -152,7 +152,7 @@ fn ball(point: &SurfacePoint, radius: f64, depth: f64) -> Vec3 {
     point.at + point.normal * (radius - depth)
 }
 
-fn holder(place: &Place, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptError> {
+fn holder(place: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptError> {
     let r = sizes.probe_radius;
     let spot = place.spot(-place.separation_m() / 2.0, 0.0, r);
     let along = (place.v - spot.normal * place.v.dot(&spot.normal)).normalize();
@@ -176,7 +176,7 @@ fn holder(place: &Place, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptEr
     Script::new(tool, Hand::default(), path.ways, false)
 }
 
-fn cutter(place: &Place, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptError> {
+fn cutter(place: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptError> {
     let r = BLADE_RADIUS_M;
     let spot = place.spot(place.separation_m() / 2.0, 0.0, 2.0 * r);
     let gentle = sizes.press_depth / 2.0;
@@ -204,7 +204,7 @@ fn cutter(place: &Place, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptEr
 }
 
 /// The stroke from above the surface through the tissue and out again, with the button held.
-fn stroke(place: &Place, sizes: &Sizes, path: &mut Path) {
+fn stroke(place: &ToolLocation, sizes: &Sizes, path: &mut Path) {
     // The tip dives in the first fifth and rises in the last one.
     let ramp = |x: f64| (x / 0.2).min((1.0 - x) / 0.2).clamp(0.0, 1.0);
     let tip = |x: f64| {
@@ -241,7 +241,7 @@ mod tests {
     use palpate_tissue::{Material, Model, Topology, Vec3, block, sample};
 
     use super::{SECONDS_MIN, Scripts};
-    use crate::place::Place;
+    use crate::tool_location::ToolLocation;
 
     fn soft_block(cells: [usize; 3], spacing: f64) -> Model {
         let soft = Material {
@@ -265,7 +265,7 @@ mod tests {
 
     fn check(model: Model) {
         let topology = Topology::new(Arc::new(model));
-        let place = Place::find(&topology).unwrap();
+        let place = ToolLocation::find(&topology).unwrap();
         for seconds in [SECONDS_MIN, 20.0] {
             let scripts = Scripts::for_place(&place, seconds).unwrap();
             for script in [&scripts.holder, &scripts.cutter] {
@@ -318,7 +318,7 @@ mod tests {
     }
 
     /// Height of the tip over the surface while the button is held: above, deep inside, above.
-    fn stroke_passes_through(place: &Place, scripts: &Scripts) {
+    fn stroke_passes_through(place: &ToolLocation, scripts: &Scripts) {
         let held: Vec<&WayPoint> = scripts.cutter.ways().iter().filter(|w| w.button).collect();
         let height = |w: &WayPoint| {
             let d: Vec3 = w.position - place.middle;

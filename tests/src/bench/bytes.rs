@@ -15,11 +15,11 @@ use serde::Serialize;
 
 use super::quic;
 use crate::network::{Direction, Profile};
-use crate::place::Place;
 use crate::progress::Progress;
 use crate::rehearsal::{Part, Rehearsal, Rehearsed, Sent};
 use crate::scripts::{SECONDS_MIN, Scripts};
 use crate::subject::Subject;
+use crate::tool_location::ToolLocation;
 
 /// Maximum bandwidth of a full subscriber, kbit/s of UDP payload, uplink and downlink.
 pub const LIMIT_KBIT_S: [f64; 2] = [100.0, 150.0];
@@ -143,7 +143,8 @@ impl Bytes {
         model: &Arc<Model>,
         progress: &mut dyn FnMut(&str),
     ) -> Result<BytesReport, String> {
-        let place = Place::find(&Topology::new(Arc::clone(model))).map_err(|e| e.to_string())?;
+        let place =
+            ToolLocation::find(&Topology::new(Arc::clone(model))).map_err(|e| e.to_string())?;
         let scripts = Scripts::for_place(&place, self.seconds).map_err(|e| e.to_string())?;
         let rehearsal = Rehearsal {
             model,

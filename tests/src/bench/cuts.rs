@@ -32,9 +32,9 @@ use palpate_tissue::{Budget, Model, Topology, cut};
 use serde::Serialize;
 
 use super::quantile;
-use crate::place::Place;
 use crate::progress::Progress;
 use crate::subject::Subject;
+use crate::tool_location::ToolLocation;
 
 /// Arguments of `bench cuts`.
 #[derive(Debug, Args)]
@@ -205,7 +205,7 @@ impl Cuts {
         progress: &mut dyn FnMut(&str),
     ) -> Result<CutsReport, String> {
         let topology = Topology::new(Arc::clone(model));
-        let place = Place::find(&topology).map_err(|e| e.to_string())?;
+        let place = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
         progress("making the cuts");
         let mut operations = self.operations(topology.clone(), &place)?;
         let mut site = Site::new(&welcome(&topology, self.delay), Arc::clone(model), None);
@@ -260,7 +260,11 @@ impl Cuts {
     }
 
     /// Cuts beside the press as log operations, with the resulting hashes.
-    fn operations(&self, mut topology: Topology, place: &Place) -> Result<Vec<Operation>, String> {
+    fn operations(
+        &self,
+        mut topology: Topology,
+        place: &ToolLocation,
+    ) -> Result<Vec<Operation>, String> {
         let mut operations = Vec::new();
         let spacing = place.spacing_m;
         // Candidates on both sides of the press, at increasing distances.
@@ -309,7 +313,7 @@ impl Cuts {
     }
 
     /// Probe pose at `t` seconds after the beginning.
-    fn pose(&self, place: &Place, t: f64) -> Pose {
+    fn pose(&self, place: &ToolLocation, t: f64) -> Pose {
         let wave = |(amplitude, hz): (f64, f64)| amplitude * (std::f64::consts::TAU * hz * t).sin();
         let reached = (t / 0.15).min(1.0);
         let depth = self.depth_m * (2.0 * reached - 1.0) + wave(TREMOR);

@@ -12,7 +12,7 @@ use palpate_tissue::{Budget, Model, Shape, Solver, StepReport, Tool, Topology};
 use serde::Serialize;
 
 use super::wound::Wound;
-use crate::place::Place;
+use crate::tool_location::ToolLocation;
 
 /// Radius of the sphere, m.
 const RADIUS_M: f64 = 8e-3;
@@ -132,7 +132,7 @@ pub struct PressSceneReport {
 /// A model and its tool poses.
 struct Prepared {
     topology: Topology,
-    place: Place,
+    place: ToolLocation,
     first: Solver,
     setup_ms: f64,
     wound: Option<Wound>,
@@ -173,7 +173,7 @@ impl PressScene {
 
     fn prepare(&self, model: Arc<Model>) -> Result<Prepared, String> {
         let mut topology = Topology::new(model);
-        let mut place = Place::find(&topology).map_err(|e| e.to_string())?;
+        let mut place = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
         let wound = if self.wound {
             Some(Wound::open(&mut topology, &mut place)?)
         } else {
@@ -254,7 +254,7 @@ impl PressScene {
     }
 }
 
-fn along(report: &StepReport, place: &Place) -> f64 {
+fn along(report: &StepReport, place: &ToolLocation) -> f64 {
     report.reactions[0].force.dot(&place.normal)
 }
 

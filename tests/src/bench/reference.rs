@@ -11,11 +11,11 @@ use palpate_tissue::{Model, Solver, Topology};
 use serde::Serialize;
 
 use crate::force_error::ForceError;
-use crate::place::Place;
 use crate::progress::Progress;
 use crate::reference::{self, CHECKS, Effort, MOVED_M, Reference};
 use crate::scripts::{SECONDS_MAX, SECONDS_MIN, Scripts};
 use crate::subject::Subject;
+use crate::tool_location::ToolLocation;
 
 /// Arguments of `bench reference`.
 #[derive(Debug, Args)]
@@ -72,7 +72,7 @@ pub fn run(arguments: &Arguments) -> Result<ReferenceBench, String> {
         .map_err(|e| e.to_string())?
         .model;
     let topology = Topology::new(Arc::clone(&model));
-    let mut place = Place::find(&topology).map_err(|e| e.to_string())?;
+    let mut place = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
     if model.gravity != [0.0; 3] {
         place.sag(&topology, &Solver::new(&topology));
     }

@@ -3,7 +3,7 @@
 use palpate_tissue::{BladePoint, CutStroke, Topology, cut};
 use serde::Serialize;
 
-use crate::place::Place;
+use crate::tool_location::ToolLocation;
 
 /// Maximum length of the wound, m: that of the demo stroke.
 const LENGTH_M: f64 = 0.050;
@@ -37,7 +37,7 @@ impl Wound {
     /// # Errors
     ///
     /// If the cut severs nothing.
-    pub fn open(topology: &mut Topology, place: &mut Place) -> Result<Self, String> {
+    pub fn open(topology: &mut Topology, place: &mut ToolLocation) -> Result<Self, String> {
         let depth = (DEPTH_SHARE * place.depth_m).min(DEPTH_MAX_M);
         let length = (LENGTH_M * place.scale()).max(5.0 * place.spacing_m);
         let points = (0..=POINTS).map(|i| {
@@ -74,14 +74,14 @@ mod tests {
     use palpate_tissue::{Topology, build};
 
     use super::Wound;
-    use crate::place::Place;
+    use crate::tool_location::ToolLocation;
 
     #[test]
     fn thigh_wound_reaches_the_muscle_and_the_press_is_beside_it() {
         let input = Sample::Thigh.input().unwrap();
         let (model, _) = build(&input, &mut |_, _| ()).unwrap();
         let mut topology = Topology::new(Arc::new(model));
-        let mut place = Place::find(&topology).unwrap();
+        let mut place = ToolLocation::find(&topology).unwrap();
         let middle = place.middle;
         let wound = Wound::open(&mut topology, &mut place).unwrap();
         assert!(wound.doubled > 50, "{wound:?}");

@@ -10,7 +10,7 @@ use serde_json::json;
 
 use super::{Bench, Outcome, felt_and_true, panel, without_friction};
 use crate::chart::{BLUE, Chart, ORANGE};
-use crate::place::Place;
+use crate::tool_location::ToolLocation;
 use crate::trial::{Course, Trial, path};
 
 const RADIUS_M: f64 = 8e-3;
@@ -22,8 +22,8 @@ const SHARE: f64 = 0.8;
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let model = Arc::new(without_friction(&*bench.model_or("leg")?));
     let topology = Topology::new(Arc::clone(&model));
-    let muscle = Place::find(&topology).map_err(|e| e.to_string())?;
-    let bone = Place::find_thin(&topology).map_err(|e| e.to_string())?;
+    let muscle = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
+    let bone = ToolLocation::find_thin(&topology).map_err(|e| e.to_string())?;
     let spots = [("over muscle", muscle, BLUE), ("over bone", bone, ORANGE)];
     let (mut lines, mut figures, mut tables) = (Vec::new(), Vec::new(), Vec::new());
     for (name, place, colour) in spots {

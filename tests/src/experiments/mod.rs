@@ -32,7 +32,7 @@ use serde_json::Value;
 use crate::chart::{Chart, Line, Panel, Scale};
 use crate::hand::{Hand, Random, Recorded, Temper};
 use crate::network::Profile;
-use crate::place::Place;
+use crate::tool_location::ToolLocation;
 use crate::trial::{Course, Trial};
 
 /// An experiment that can be asked for.
@@ -382,9 +382,9 @@ fn with_friction(model: &Model, [still, sliding]: [f64; 2]) -> Model {
 }
 
 /// A place to press in the middle of a model.
-fn place(model: &std::sync::Arc<Model>) -> Result<Place, String> {
+fn place(model: &std::sync::Arc<Model>) -> Result<ToolLocation, String> {
     let topology = Topology::new(std::sync::Arc::clone(model));
-    Place::find(&topology).map_err(|e| e.to_string())
+    ToolLocation::find(&topology).map_err(|e| e.to_string())
 }
 
 /// What was felt in a colour, and the converged answer in grey dashes.

@@ -10,7 +10,7 @@ use serde_json::json;
 
 use super::{Bench, Outcome, felt_and_true, panel, place, without_friction};
 use crate::chart::{BLUE, Chart, GREEN, ORANGE, PURPLE};
-use crate::place::Place;
+use crate::tool_location::ToolLocation;
 use crate::trial::{Trial, path};
 
 const RADIUS_M: f64 = 8e-3;
@@ -46,7 +46,7 @@ const CURVES: [(&str, Curve, &str); 4] = [
     ),
 ];
 
-fn along(place: &Place, curve: Curve) -> Result<Script, String> {
+fn along(place: &ToolLocation, curve: Curve) -> Result<Script, String> {
     let at = |s: f64| -> Vec3 {
         let [depth, aside] = curve(s);
         place.middle

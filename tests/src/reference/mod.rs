@@ -248,8 +248,8 @@ mod tests {
 
     use super::run;
     use crate::force_error::{ForceError, norm};
-    use crate::place::Place;
     use crate::scripts::Scripts;
+    use crate::tool_location::ToolLocation;
 
     #[test]
     fn reference_presses_cuts_once_and_is_deterministic() {
@@ -263,7 +263,7 @@ mod tests {
             ..Material::default()
         };
         let model = Arc::new(block([24, 24, 8], 0.005, &soft, 1));
-        let place = Place::find(&Topology::new(Arc::clone(&model))).unwrap();
+        let place = ToolLocation::find(&Topology::new(Arc::clone(&model))).unwrap();
         let scripts = Scripts::for_place(&place, 4.0).unwrap();
         let once = || run(&model, [&scripts.holder, &scripts.cutter], &[], |_| true).unwrap();
         let (a, b) = (once(), once());

@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use palpate_lab::network::Profile;
-use palpate_lab::place::Place;
 use palpate_lab::scripts::Scripts;
 use palpate_lab::session::{Hosting, Participant, Session};
 use palpate_lab::subject::Subject;
+use palpate_lab::tool_location::ToolLocation;
 use palpate_tissue::{Material, Topology, block};
 
 /// The program under test, in all its roles.
@@ -52,7 +52,7 @@ impl Table {
 
     /// Writes the scripts of the holder and the cutter.
     pub(crate) fn scripts(&self, seconds: f64) -> [PathBuf; 2] {
-        let place = Place::find(&Topology::new(self.subject.model.clone())).unwrap();
+        let place = ToolLocation::find(&Topology::new(self.subject.model.clone())).unwrap();
         let scripts = Scripts::for_place(&place, seconds).unwrap();
         let files = [self.path("holder.toml"), self.path("cutter.toml")];
         std::fs::write(&files[0], scripts.holder.to_toml()).unwrap();

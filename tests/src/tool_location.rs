@@ -44,7 +44,7 @@ const SEPARATIONS: usize = 16;
 
 /// Failure to find a location.
 #[derive(Debug, thiserror::Error)]
-pub enum PlaceError {
+pub enum ToolLocationError {
     /// No node qualifies.
     #[error(
         "the model has no place to press and cut: every part of its outer surface is pinned, or \
@@ -55,7 +55,7 @@ pub enum PlaceError {
 
 /// A frame on the outer surface, with its clearance and depth.
 #[derive(Debug, Clone)]
-pub struct Place {
+pub struct ToolLocation {
     /// The centre, a point of the surface, m.
     pub middle: Vec3,
     /// Outward normal.
@@ -204,7 +204,7 @@ fn normal_of(topology: &Topology, triangle: usize) -> Vec3 {
         .unwrap_or_else(Vec3::zeros)
 }
 
-impl Place {
+impl ToolLocation {
     /// Moves the frame with the sag of the tissue under gravity, by the displacement of the nearest node.
     pub fn sag(&mut self, topology: &Topology, solver: &Solver) {
         let nodes = topology.boundary().triangles.iter().flatten().copied();
@@ -218,7 +218,7 @@ impl Place {
     }
 
     /// Finds the best location on a model at rest.
-    pub fn find(topology: &Topology) -> Result<Self, PlaceError> {
+    pub fn find(topology: &Topology) -> Result<Self, ToolLocationError> {
         let skin = Skin::new(topology);
         let found = skin.middle(|clearance, depth| {
             let room = (clearance / CLEARANCE_ENOUGH_M).min(1.0);
@@ -229,7 +229,7 @@ impl Place {
 
     /// Finds the location with the thinnest tissue (at least two spacings) above a pinned part, with room for a
     /// tool.
-    pub fn find_thin(topology: &Topology) -> Result<Self, PlaceError> {
+    pub fn find_thin(topology: &Topology) -> Result<Self, ToolLocationError> {
         let skin = Skin::new(topology);
         let least = 2.0 * topology.model().spacing_m;
         let found = skin.middle(|clearance, depth| {
@@ -241,7 +241,7 @@ impl Place {
 
     /// Surface points with room for a tool each, by farthest-point sampling. Returns fewer than `n` if the
     /// surface has no more.
-    pub fn spread(topology: &Topology, n: usize) -> Result<Vec<SurfacePoint>, PlaceError> {
+    pub fn spread(topology: &Topology, n: usize) -> Result<Vec<SurfacePoint>, ToolLocationError> {
         let skin = Skin::new(topology);
         let at = |node: u32| topology.rest(node);
         let is_good = |node: &&u32| !skin.nodes[*node].is_bad;
@@ -254,7 +254,7 @@ impl Place {
         let some: Vec<u32> = good.iter().copied().step_by(step).collect();
         let roomy: Vec<u32> = some.iter().copied().filter(has_room).collect();
         let candidates = if roomy.is_empty() { some } else { roomy };
-        let first = *candidates.first().ok_or(PlaceError::Nowhere)?;
+        let first = *candidates.first().ok_or(ToolLocationError::Nowhere)?;
         let apart = |a: u32, b: u32| (at(a) - at(b)).norm();
         let mut chosen = vec![first];
         let mut distance: Vec<f64> = candidates.iter().map(|c| apart(*c, first)).collect();
@@ -280,8 +280,8 @@ impl Place {
         topology: &Topology,
         skin: &Skin<'_>,
         found: Option<(u32, f64, f64)>,
-    ) -> Result<Self, PlaceError> {
-        let (node, clearance_m, depth_m) = found.ok_or(PlaceError::Nowhere)?;
+    ) -> Result<Self, ToolLocationError> {
+        let (node, clearance_m, depth_m) = found.ok_or(ToolLocationError::Nowhere)?;
         let middle = topology.rest(node);
         let reach = clearance_m.min(CLEARANCE_ENOUGH_M);
         let normal = mean_normal(skin, middle, reach).unwrap_or(skin.nodes[&node].normal);
@@ -432,7 +432,7 @@ mod tests {
 
     use palpate_tissue::{Material, Topology, block};
 
-    use super::Place;
+    use super::ToolLocation;
 
     #[test]
     fn block_location_is_the_centre_of_the_free_side() {
@@ -446,7 +446,7 @@ mod tests {
             ..Material::default()
         };
         let topology = Topology::new(Arc::new(block([30, 30, 10], 0.004, &soft, 1)));
-        let place = Place::find(&topology).unwrap();
+        let place = ToolLocation::find(&topology).unwrap();
         assert!((place.normal.z - 1.0).abs() < 1e-9, "{}", place.normal);
         assert!((place.middle.z - 0.04).abs() < 1e-9);
         assert!((place.middle.x - 0.06).abs() < 0.02 && (place.middle.y - 0.06).abs() < 0.02);
