@@ -28,7 +28,7 @@ use crate::program::die_with_parent;
 use crate::progress::{Interrupt, Progress};
 use crate::relay;
 use crate::stress;
-use crate::subject::Subject;
+use crate::test_model::TestModel;
 
 /// The named networks, for `--help`.
 macro_rules! networks {
@@ -451,7 +451,7 @@ fn run_press_scene(arguments: &PressSceneArguments) -> Result<ExitCode, String> 
     {
         let place = dir.path().join(k.to_string());
         std::fs::create_dir(&place).map_err(|e| format!("no temporary folder: {e}"))?;
-        let subject = Subject::prepare(name, &place).map_err(|e| e.to_string())?;
+        let subject = TestModel::prepare(name, &place).map_err(|e| e.to_string())?;
         models.push(subject.model);
     }
     let bench = PressScene {

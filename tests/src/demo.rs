@@ -29,7 +29,7 @@ use crate::report::{
 use crate::scripts::{SECONDS_MAX, SECONDS_MIN, Scripts};
 use crate::session::{Hosting, Left, Participant, Session, SessionError};
 use crate::stress::Stress;
-use crate::subject::{Subject, SubjectError};
+use crate::test_model::{TestModel, TestModelError};
 use crate::tool_location::{ToolLocation, ToolLocationError};
 
 /// Time from the last join to the start of the scripts, as in the room.
@@ -75,7 +75,7 @@ pub enum DemoError {
     Seconds(f64),
     /// The model.
     #[error("{0}")]
-    Subject(Box<SubjectError>),
+    TestModel(Box<TestModelError>),
     /// No location for tools.
     #[error(transparent)]
     ToolLocation(#[from] ToolLocationError),
@@ -95,9 +95,9 @@ pub enum DemoError {
     },
 }
 
-impl From<SubjectError> for DemoError {
-    fn from(error: SubjectError) -> Self {
-        Self::Subject(Box::new(error))
+impl From<TestModelError> for DemoError {
+    fn from(error: TestModelError) -> Self {
+        Self::TestModel(Box::new(error))
     }
 }
 
@@ -125,7 +125,7 @@ pub fn run(
     let dir = options.report.as_deref().unwrap_or(scratch.path());
     std::fs::create_dir_all(dir).map_err(|source| file_error(dir, source))?;
     progress.stage(&format!("preparing the model {}", options.model));
-    let subject = Subject::prepare(&options.model, dir)?;
+    let subject = TestModel::prepare(&options.model, dir)?;
     let scripts = make_scripts(&subject, options.seconds)?;
     let files = [&scripts.holder, &scripts.cutter].map(Script::to_toml);
     for (name, text) in NAMES.iter().zip(&files) {
@@ -180,7 +180,7 @@ fn script_file(dir: &Path, name: &str) -> PathBuf {
     dir.join(format!("{name}.toml"))
 }
 
-fn make_scripts(subject: &Subject, seconds: f64) -> Result<Scripts, DemoError> {
+fn make_scripts(subject: &TestModel, seconds: f64) -> Result<Scripts, DemoError> {
     let topology = Topology::new(subject.model.clone());
     let mut place = ToolLocation::find(&topology)?;
     if subject.model.gravity != [0.0; 3] {
@@ -204,7 +204,7 @@ fn strokes(script: &Script) -> u64 {
 fn session(
     options: &DemoOptions,
     dir: &Path,
-    subject: &Subject,
+    subject: &TestModel,
     progress: &mut Progress,
     interrupt: &Interrupt,
 ) -> Result<Run, DemoError> {
@@ -325,7 +325,7 @@ struct Pictures {
 /// Computes the report; the reference comes with its computation time in s.
 fn conclude(
     options: &DemoOptions,
-    subject: &Subject,
+    subject: &TestModel,
     run: Run,
     reference: Result<(Reference, f64), reference::ReferenceError>,
     strokes: u64,

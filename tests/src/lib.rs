@@ -51,6 +51,6 @@ pub mod report;
 pub mod scripts;
 pub mod session;
 pub mod stress;
-pub mod subject;
+pub mod test_model;
 pub mod tool_location;
 pub mod trial;

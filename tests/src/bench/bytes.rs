@@ -18,7 +18,7 @@ use crate::network::{Direction, Profile};
 use crate::progress::Progress;
 use crate::rehearsal::{Part, Rehearsal, Rehearsed, Sent};
 use crate::scripts::{SECONDS_MIN, Scripts};
-use crate::subject::Subject;
+use crate::test_model::TestModel;
 use crate::tool_location::ToolLocation;
 
 /// Maximum bandwidth of a full subscriber, kbit/s of UDP payload, uplink and downlink.
@@ -59,7 +59,7 @@ pub fn run(arguments: &Arguments) -> Result<BytesReport, String> {
     let dir = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
     let mut progress = Progress::new();
     progress.stage(&format!("preparing the model \"{}\"", arguments.model));
-    let subject = Subject::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
+    let subject = TestModel::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
     let bench = Bytes {
         seconds: arguments.seconds,
         profile: arguments.profile.clone(),

@@ -33,7 +33,7 @@ use serde::Serialize;
 
 use super::quantile;
 use crate::progress::Progress;
-use crate::subject::Subject;
+use crate::test_model::TestModel;
 use crate::tool_location::ToolLocation;
 
 /// Arguments of `bench cuts`.
@@ -97,7 +97,7 @@ pub fn run(arguments: &Arguments) -> Result<CutsReport, String> {
     let dir = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
     let mut progress = Progress::new();
     progress.stage(&format!("preparing the model \"{}\"", arguments.model));
-    let subject = Subject::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
+    let subject = TestModel::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
     let bench = Cuts {
         cuts: usize::from(arguments.cuts),
         delay: Span::from_millis(i64::from(arguments.delay_ms)),

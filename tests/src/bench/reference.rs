@@ -14,7 +14,7 @@ use crate::force_error::ForceError;
 use crate::progress::Progress;
 use crate::reference::{self, CHECKS, Effort, MOVED_M, Reference};
 use crate::scripts::{SECONDS_MAX, SECONDS_MIN, Scripts};
-use crate::subject::Subject;
+use crate::test_model::TestModel;
 use crate::tool_location::ToolLocation;
 
 /// Arguments of `bench reference`.
@@ -68,7 +68,7 @@ pub fn run(arguments: &Arguments) -> Result<ReferenceBench, String> {
     let dir = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
     let mut progress = Progress::new();
     progress.stage(&format!("preparing the model \"{}\"", arguments.model));
-    let model = Subject::prepare(&arguments.model, dir.path())
+    let model = TestModel::prepare(&arguments.model, dir.path())
         .map_err(|e| e.to_string())?
         .model;
     let topology = Topology::new(Arc::clone(&model));

@@ -279,7 +279,7 @@ impl Bench<'_> {
             return Ok(std::sync::Arc::clone(model));
         }
         (self.progress)(&format!("building the sample \"{sample}\""), 0.0);
-        let subject = crate::subject::Subject::prepare(sample, self.dir);
+        let subject = crate::test_model::TestModel::prepare(sample, self.dir);
         Ok(subject.map_err(|e| e.to_string())?.model)
     }
 }

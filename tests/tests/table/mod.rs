@@ -9,7 +9,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use palpate_lab::network::Profile;
 use palpate_lab::scripts::Scripts;
 use palpate_lab::session::{Hosting, Participant, Session};
-use palpate_lab::subject::Subject;
+use palpate_lab::test_model::TestModel;
 use palpate_lab::tool_location::ToolLocation;
 use palpate_tissue::{Material, Topology, block};
 
@@ -27,7 +27,7 @@ pub(crate) fn alone() -> MutexGuard<'static, ()> {
 /// A block of soft tissue and a folder for all output.
 pub(crate) struct Table {
     pub(crate) dir: tempfile::TempDir,
-    pub(crate) subject: Subject,
+    pub(crate) subject: TestModel,
 }
 
 impl Table {
@@ -42,7 +42,7 @@ impl Table {
             source: "test".into(),
             ..Material::default()
         };
-        let subject = Subject::of(block([20, 20, 8], 0.005, &soft, 1), dir.path()).unwrap();
+        let subject = TestModel::of(block([20, 20, 8], 0.005, &soft, 1), dir.path()).unwrap();
         Self { dir, subject }
     }
 

@@ -10,7 +10,7 @@ use palpate_tissue::{
 
 /// Failure to prepare a model.
 #[derive(Debug, thiserror::Error)]
-pub enum SubjectError {
+pub enum TestModelError {
     /// Neither a file nor a sample.
     #[error("\"{name}\" is not a file, and {source}")]
     Unknown {
@@ -38,16 +38,16 @@ pub enum SubjectError {
 
 /// A model with its file.
 #[derive(Debug, Clone)]
-pub struct Subject {
+pub struct TestModel {
     /// The model.
     pub model: Arc<Model>,
     /// The file for the server.
     pub file: PathBuf,
 }
 
-impl Subject {
+impl TestModel {
     /// The model `name`: a `.palp` file as it is; a `.toml` scene or a sample, built into `dir`.
-    pub fn prepare(name: &str, dir: &Path) -> Result<Self, SubjectError> {
+    pub fn prepare(name: &str, dir: &Path) -> Result<Self, TestModelError> {
         let path = Path::new(name);
         let ends_with = |end: &str| path.extension().is_some_and(|e| e == end);
         if ends_with("palp") {
@@ -62,27 +62,27 @@ impl Subject {
         }
         match name.parse::<Sample>() {
             Ok(sample) => Self::build(&sample.input()?, dir),
-            Err(_) if path.exists() => Err(SubjectError::Kind(path.to_owned())),
-            Err(source) => Err(SubjectError::Unknown {
+            Err(_) if path.exists() => Err(TestModelError::Kind(path.to_owned())),
+            Err(source) => Err(TestModelError::Unknown {
                 name: name.to_owned(),
                 source,
             }),
         }
     }
 
-    fn build(input: &SceneInput, dir: &Path) -> Result<Self, SubjectError> {
+    fn build(input: &SceneInput, dir: &Path) -> Result<Self, TestModelError> {
         let (model, report) = build(input, &mut |_, _| ())?;
         let report_json = serde_json::to_string(&report).expect("a report is plain data");
         Self::write(ModelFile { model, report_json }, dir)
     }
 
     /// An in-memory model, written into `dir`.
-    pub fn of(model: Model, dir: &Path) -> Result<Self, SubjectError> {
+    pub fn of(model: Model, dir: &Path) -> Result<Self, TestModelError> {
         let report_json = String::new();
         Self::write(ModelFile { model, report_json }, dir)
     }
 
-    fn write(file: ModelFile, dir: &Path) -> Result<Self, SubjectError> {
+    fn write(file: ModelFile, dir: &Path) -> Result<Self, TestModelError> {
         let path = dir.join("model.palp");
         file.write(&path)?;
         Ok(Self {
@@ -94,27 +94,27 @@ impl Subject {
 
 #[cfg(test)]
 mod tests {
-    use super::Subject;
+    use super::TestModel;
 
     #[test]
     fn unknown_model_error_lists_the_samples() {
         let dir = tempfile::tempdir().unwrap();
-        let error = Subject::prepare("thight", dir.path())
+        let error = TestModel::prepare("thight", dir.path())
             .unwrap_err()
             .to_string();
         assert!(error.contains("did you mean \"thigh\"?"), "{error}");
         let file = dir.path().join("notes.txt");
         std::fs::write(&file, "x").unwrap();
-        let error = Subject::prepare(&file.display().to_string(), dir.path()).unwrap_err();
+        let error = TestModel::prepare(&file.display().to_string(), dir.path()).unwrap_err();
         assert!(error.to_string().contains(".palp"), "{error}");
     }
 
     #[test]
     fn sample_round_trips_through_its_file() {
         let dir = tempfile::tempdir().unwrap();
-        let made = Subject::prepare("handle", dir.path()).unwrap();
+        let made = TestModel::prepare("handle", dir.path()).unwrap();
         let name = made.file.display().to_string();
-        let read = Subject::prepare(&name, dir.path()).unwrap();
+        let read = TestModel::prepare(&name, dir.path()).unwrap();
         assert_eq!(made.model.nodes.len(), read.model.nodes.len());
     }
 }
