@@ -39,7 +39,7 @@ pub mod experiments;
 pub mod force_error;
 pub mod hand;
 pub mod haptic_faults;
-mod nearest;
+mod name_suggestion;
 pub mod network;
 pub mod plots;
 pub mod program;

@@ -8,7 +8,7 @@ use super::{ALL, Bench, Experiment, Outcome, named};
 use crate::bench::on_threads;
 use crate::cli::{note, say};
 use crate::hand::Recorded;
-use crate::nearest::did_you_mean;
+use crate::name_suggestion::did_you_mean;
 use crate::network::Profile;
 use crate::progress::Progress;
 use crate::test_model::TestModel;

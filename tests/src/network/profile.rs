@@ -9,7 +9,7 @@ use super::checked;
 use super::link::{Bursts, Jitter, Link, Outage, Outages, Rate, Step, Steps};
 use super::path::Direction;
 use super::trace::{Trace, TraceError};
-use crate::nearest::{did_you_mean, with_nearest};
+use crate::name_suggestion::{did_you_mean, with_nearest};
 
 /// Maximum size of a profile file, bytes. Longer recordings belong into a trace file.
 const FILE_BYTES_MAX: u64 = 1_000_000;
