@@ -16,7 +16,7 @@
 //! | compare recordings | [`disagreement`], [`force_error`], [`dropout`], [`delay_figures`], [`cpu`] |
 //! | judge a session | [`criteria`] |
 //! | measure the solver | [`mod@bench`] |
-//! | compare rendered and converged forces of a tool | [`trial`], [`experiments`] |
+//! | compare rendered and converged forces of a tool | [`scenario`], [`experiments`] |
 //! | inject faults into the haptic chain | [`haptic_faults`] |
 //! | test and fuzz the decoders | [`decoders`] |
 //! | run all of it at once | [`demo`], [`report`], [`plots`] |
@@ -48,9 +48,9 @@ pub mod reference;
 pub mod rehearsal;
 pub mod relay;
 pub mod report;
+pub mod scenario;
 pub mod scripts;
 pub mod session;
 pub mod stress;
 pub mod test_model;
 pub mod tool_location;
-pub mod trial;

@@ -42,7 +42,7 @@ const SLID_TICKS: usize = 20;
 
 /// Input of a simulated contact.
 #[derive(Debug, Clone)]
-pub struct Trial {
+pub struct Scenario {
     /// The tissue.
     pub model: Arc<Model>,
     /// The tool.
@@ -161,7 +161,7 @@ pub fn path(ways: Vec<WayPoint>) -> Result<Script, String> {
     Script::new(ScriptTool::probe(1e-3), Hand::default(), ways, false).map_err(|e| e.to_string())
 }
 
-impl Trial {
+impl Scenario {
     /// Runs the simulation; `progress` receives the completed share.
     pub fn run(&self, progress: &mut (dyn FnMut(f64) + Send)) -> Course {
         let (mut points, counters, solve_ms) = self.feel(&mut |done| progress(0.5 * done));
