@@ -332,7 +332,8 @@ pub(crate) fn note(line: &str) {
 }
 
 fn run_haptic_faults(arguments: &HapticFaultsArguments) -> Result<ExitCode, String> {
-    let interrupt = Interrupt::listen().map_err(|e| format!("no signals can be caught: {e}"))?;
+    let interrupt =
+        Interrupt::listen().map_err(|e| format!("cannot install the signal handlers: {e}"))?;
     let mut progress = Progress::new();
     let (seeds, of) = match arguments.seed {
         Some(seed) => (seed..seed.saturating_add(1), 1),

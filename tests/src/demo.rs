@@ -233,7 +233,7 @@ fn session(
         came_in.inspect_err(|_| {
             let said = session.server.tail();
             if !said.is_empty() {
-                progress.stage(&format!("the server said:\n{said}"));
+                progress.stage(&format!("server log:\n{said}"));
             }
         })?;
     }
@@ -344,7 +344,9 @@ fn conclude(
             Some(reference)
         }
         Err(error) => {
-            report.notes.push(format!("there is no reference: {error}"));
+            report
+                .notes
+                .push(format!("the reference is missing: {error}"));
             None
         }
     };

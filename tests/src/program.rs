@@ -79,7 +79,7 @@ fn said(tail: &str) -> String {
     if tail.is_empty() {
         "; its standard error is empty".to_owned()
     } else {
-        format!("; it said:\n    {}", tail.replace('\n', "\n    "))
+        format!("; its last output:\n    {}", tail.replace('\n', "\n    "))
     }
 }
 

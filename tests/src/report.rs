@@ -543,16 +543,16 @@ impl Report {
 /// Definitions of the figures, for readers of the report.
 pub const DEFINITIONS: &str = "\
 disagreement of views     at the same instant of real time (a grid of 10 ms, views interpolated
-                          linearly): distance between where two participants see the same tool or
-                          the same node; all pairs; an item counts while it moves or is displaced
-                          by more than 0.05 mm at either side
+                          linearly): distance between the positions of the same tool or node at
+                          two participants; all pairs; an item counts while it moves or is displaced
+                          by more than 0.05 mm on either side
 disagreement of contents  the same for the same moment s of the session, whenever it is shown
 force error               rms of |F - F_ref| over rms of |F_ref| in contact, aligned on the time of
-                          the script; F_ref is felt by the same hands with the same scripts at one
-                          table, without a network
+                          the script; F_ref is the force on the same hands with the same
+                          scripts, without a network
 dropout                   more than 20 ms in which F_ref is in contact (above 0.05 N and above 20 % of
                           its largest value) and |F| is below 80 % of |F_ref|; F_ref is the smallest
                           within 8 ms to both sides
-playout delay D           by how much views are delayed so that all participants see the same; from
-                          one second after the scripts' start to their end, over all views
+playout delay D           delay of views at which all participants see the same; over all views from
+                          one second after the start of the scripts to their end
 measured round trip       by the client's clock probes; it includes the time in both programs";

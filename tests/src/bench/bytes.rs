@@ -56,7 +56,8 @@ pub fn run(arguments: &Arguments) -> Result<BytesReport, String> {
             arguments.seconds
         ));
     }
-    let dir = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
+    let dir = tempfile::tempdir()
+        .map_err(|e| format!("cannot create a temporary folder for models: {e}"))?;
     let mut progress = Progress::new();
     progress.stage(&format!("preparing the model \"{}\"", arguments.model));
     let subject = TestModel::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;

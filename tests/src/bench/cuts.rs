@@ -94,7 +94,8 @@ pub fn run(arguments: &Arguments) -> Result<CutsReport, String> {
         let depth = arguments.depth_mm;
         return Err(format!("--depth-mm {depth} must be from 0.5 to 30"));
     }
-    let dir = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
+    let dir = tempfile::tempdir()
+        .map_err(|e| format!("cannot create a temporary folder for models: {e}"))?;
     let mut progress = Progress::new();
     progress.stage(&format!("preparing the model \"{}\"", arguments.model));
     let subject = TestModel::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;

@@ -37,7 +37,7 @@ pub fn on_threads<T: Send>(threads: usize, run: impl FnOnce() -> T + Send) -> Re
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
-        .map_err(|e| format!("no {threads} threads: {e}"))?;
+        .map_err(|e| format!("cannot start {threads} threads: {e}"))?;
     Ok(pool.install(run))
 }
 

@@ -36,7 +36,7 @@ pub(super) fn send_again(
         .worker_threads(2)
         .enable_all()
         .build()
-        .map_err(|e| format!("no threads for a connection: {e}"))?;
+        .map_err(|e| format!("cannot start the connection runtime: {e}"))?;
     runtime.block_on(over_a_connection(sent, profile, seed))
 }
 

@@ -65,7 +65,8 @@ pub fn run(arguments: &Arguments) -> Result<ReferenceBench, String> {
             "--seconds {seconds} must be from {SECONDS_MIN} to {SECONDS_MAX}"
         ));
     }
-    let dir = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
+    let dir = tempfile::tempdir()
+        .map_err(|e| format!("cannot create a temporary folder for models: {e}"))?;
     let mut progress = Progress::new();
     progress.stage(&format!("preparing the model \"{}\"", arguments.model));
     let model = TestModel::prepare(&arguments.model, dir.path())

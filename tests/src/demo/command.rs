@@ -80,9 +80,10 @@ pub(crate) struct Arguments {
 
 /// Runs `demo`.
 pub(crate) fn run(arguments: Arguments) -> Result<ExitCode, String> {
-    let interrupt = Interrupt::listen().map_err(|e| format!("no signals can be caught: {e}"))?;
+    let interrupt =
+        Interrupt::listen().map_err(|e| format!("cannot install the signal handlers: {e}"))?;
     let executable = std::env::current_exe()
-        .map_err(|e| format!("this program does not know where it is: {e}"))?;
+        .map_err(|e| format!("cannot find the path of this program: {e}"))?;
     let wants_files = arguments.report.is_some() || !arguments.json;
     let report_dir = wants_files.then(|| {
         arguments

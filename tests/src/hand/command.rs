@@ -17,8 +17,8 @@ Examples:
   palpate-lab hand --seed 7 --seconds 20 > hand.csv
   palpate-lab run table-7-1 --motion hand.csv
 
-The table has a line per sample: time_s,x_m,y_m,z_m,qw,qx,qy,qz; seconds, metres, a unit quaternion. A table of your own
-may leave the quaternion out. Times go forward, by any step.";
+The table has one row per sample: time_s,x_m,y_m,z_m,qw,qx,qy,qz; seconds, metres, a unit quaternion. The quaternion
+is optional in your own tables. Times increase, by any step.";
 
 /// Arguments of `hand`.
 #[derive(Debug, Args)]

@@ -373,11 +373,11 @@ impl<'a> Course<'a> {
         let (c, d) = (*self.hand.chain().counters(), self.hand.counts());
         let e = self.expected;
         let exactly = [
-            ("readings that failed", log.unread, d.faults),
-            ("refused writes", log.refused, d.rejected),
+            ("failed readings", log.unread, d.faults),
+            ("rejected writes", log.refused, d.rejected),
             ("clamped writes", log.clamped, d.saturated),
-            ("models that are none", e.bad_models, c.bad_models),
-            ("times the clock was put back", e.put_back, d.clock_put_back),
+            ("invalid models", e.bad_models, c.bad_models),
+            ("backward jumps of the clock", e.put_back, d.clock_put_back),
             ("ticks without a link", e.link_lost, c.link_lost),
         ];
         let wrong = exactly.into_iter().filter(|(_, there, seen)| there != seen);
@@ -385,9 +385,13 @@ impl<'a> Course<'a> {
             .map(|(what, there, seen)| format!("{there} {what}, {seen} counted"))
             .collect();
         let at_all = [
-            ("a bad pose", log.bad_poses > 0, c.bad_samples + c.faulted),
-            ("an old model", e.is_stale, c.stale),
-            ("a force that the device took away", e.cuts > 0, d.cuts),
+            (
+                "an invalid pose",
+                log.bad_poses > 0,
+                c.bad_samples + c.faulted,
+            ),
+            ("a stale model", e.is_stale, c.stale),
+            ("a force drop by the device", e.cuts > 0, d.cuts),
             ("a pause", e.skips, self.pace.missed()),
         ];
         for (what, happened, counted) in at_all {
@@ -399,13 +403,13 @@ impl<'a> Course<'a> {
             self.oracle.accuse(Law::Counted, self.at_us, detail);
         }
         let told = [
-            ("written", log.nan_written, Law::FiniteWrites),
-            ("told", log.times_back, Law::TimeGoesOn),
+            ("non-finite writes", log.nan_written, Law::FiniteWrites),
+            ("decreasing time stamps", log.times_back, Law::TimeGoesOn),
         ];
         for (what, times, law) in told {
             if times > 0 {
                 self.oracle
-                    .accuse(law, self.at_us, format!("{what} {times} times"));
+                    .accuse(law, self.at_us, format!("{what}: {times}"));
             }
         }
     }

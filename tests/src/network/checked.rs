@@ -90,7 +90,7 @@ pub(super) fn steps<'de, D: Deserializer<'de>>(d: D) -> Result<Vec<Step>, D::Err
     for pair in steps.windows(2) {
         if pair[1].at_s <= pair[0].at_s {
             return Err(D::Error::custom(format!(
-                "the step at {} s stands behind the one at {} s: write them in the order of time",
+                "steps are not sorted: {} s follows {} s; write them in the order of time",
                 pair[1].at_s, pair[0].at_s
             )));
         }

@@ -58,7 +58,7 @@ pub enum ReferenceError {
     #[error("the reference was interrupted at {:.0} % of its work", .0 * 100.0)]
     Stopped(f64),
     /// The recording cannot be replayed.
-    #[error("what was recorded of {name} can not be replayed: {what}")]
+    #[error("the recording of {name} can not be replayed: {what}")]
     Recording {
         /// The participant.
         name: String,

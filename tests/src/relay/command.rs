@@ -52,7 +52,8 @@ fn seconds(name: &str, given: Option<f64>) -> Result<Option<Duration>, String> {
 pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
     let duration = seconds("--duration", arguments.duration)?;
     let rebind_every = seconds("--rebind-every", arguments.rebind_every)?;
-    let interrupt = Interrupt::listen().map_err(|e| format!("no signals can be caught: {e}"))?;
+    let interrupt =
+        Interrupt::listen().map_err(|e| format!("cannot install the signal handlers: {e}"))?;
     let profile = arguments.profile.clone();
     let relay = Relay::start(arguments.listen, arguments.to, profile, arguments.seed)
         .map_err(|e| format!("cannot listen on {}: {e}", arguments.listen))?;
