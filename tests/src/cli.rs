@@ -35,11 +35,11 @@ macro_rules! networks {
     () => {
         "\
 Network profiles: none, lan (0.3 ms), metro (5 ms), transatlantic (60 ms one way, 2 % loss),
-  intercontinental (120 ms, 2 %), satellite (300 ms, 1 %), wifi-bursts (8 ms with bad moments),
-  lte (35 ms with bad moments), lossy (40 ms, 20 % loss), gamma (25 ms and a tail of 5 ms),
-  bursts (50 and 120 ms), outages (25 ms, at times no link),
+  intercontinental (120 ms, 2 %), satellite (300 ms, 1 %), wifi-bursts (8 ms with loss bursts),
+  lte (35 ms with loss bursts), lossy (40 ms, 20 % loss), gamma (25 ms and a tail of 5 ms),
+  bursts (50 and 120 ms), outages (25 ms, with outages of the link),
   steps (15, 40, 60 ms, 10 s each: 30, 80, 120 ms from one participant to another), far-steps (30, 80, 120 ms),
-  or a TOML file of your own, for which `palpate-lab profiles NAME` prints a beginning"
+  or a TOML file of your own, for which `palpate-lab profiles NAME` prints a template"
     };
 }
 pub(crate) use networks;

@@ -1,8 +1,8 @@
 //! Disagreement between the views of two participants.
 //!
-//! Every participant records its views: the session time s of the view, its display time (on the monotonic
-//! clock, which all processes of one machine share), each tool position, and the displacement of each node that
-//! moved by more than 0.05 mm.
+//! A view has the session time s and the display time on the monotonic clock, which all processes of one
+//! machine share. It also has each tool position, and the displacement of each node that moved by more than
+//! 0.05 mm.
 //!
 //! - The DISAGREEMENT OF VIEWS compares two participants at the same instant of real time. On a grid of 10 ms
 //!   each recording is interpolated linearly between two views. It covers every tool that both show and every

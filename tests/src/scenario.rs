@@ -62,7 +62,7 @@ pub struct Point {
     pub position: Vector3<f64>,
     /// Rendered wrench.
     pub felt: Wrench,
-    /// Whether the tool has slid for [`SLID_TICKS`] ticks.
+    /// Whether the tool has slid for `SLID_TICKS` ticks.
     pub slides: bool,
     /// Converged wrench, at checked ticks.
     pub truth: Option<Truth>,

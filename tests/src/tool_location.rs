@@ -1,9 +1,9 @@
 //! Locations for tools on a model: two points on its outer surface with room for a stroke between them.
 //!
-//! A location is suitable if the surface around it is one region without pinned parts and without edges (the
-//! end of a limb, the rim of a block), and nothing pinned is close below. Of a sample of surface nodes, the
-//! node with the best clearance and depth is the centre. The stroke direction v is that of the smallest surface
-//! curvature, so that a straight blade keeps its depth. The two locations P and Q are at ±u, across the stroke.
+//! The surface around a suitable location is one region without pinned parts and without edges (the end of a
+//! limb, the rim of a block). Nothing pinned is close below. Of a sample of surface nodes, the node with the
+//! best clearance and depth is the centre. The stroke direction v is that of the smallest surface curvature, so
+//! that a straight blade keeps its depth. The two locations P and Q are at ±u, across the stroke.
 //!
 //! ```text
 //!            v
@@ -35,8 +35,8 @@ const DEPTH_ENOUGH_M: f64 = 0.040;
 /// Separation of the two locations if there is room.
 const SEPARATION_M: f64 = 0.055;
 
-/// A location is pressable if the cosine between its normal and that of the centre is above this, and its
-/// surface is not farther below the centre than it is beside it.
+/// Minimum cosine between the normals of a pressable location and of the centre. Its surface must also not be
+/// farther below the centre than it is beside it.
 const LEANS_COS: f64 = 0.6;
 
 /// Number of separations to try, from the wanted one down.
