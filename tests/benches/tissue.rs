@@ -1,6 +1,6 @@
-//! What the tissue costs: a step from rest, a tick of a press, a build, a cut. `cargo bench -p palpate-lab`.
+//! Cost of the tissue: a solve from rest, a tick of a press, a build, a cut. `cargo bench -p palpate-lab`.
 //!
-//! For the accuracy that goes with these times see `palpate-lab bench`.
+//! `palpate-lab bench` has the accuracy that goes with these times.
 
 #![allow(clippy::unwrap_used)]
 
@@ -8,16 +8,16 @@ use std::sync::Arc;
 
 use divan::Bencher;
 use palpate_lab::bench::wound::Wound;
-use palpate_lab::place::Place;
+use palpate_lab::tool_location::ToolLocation;
 use palpate_tissue::sample::Sample;
 use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block, build};
 
 const MM: f64 = 1e-3;
-/// Side of the cube, how far its top is held down, and where.
+/// Side of the cube, displacement of its top, and radius of the disc.
 const SIDE: f64 = 0.1;
 const DEPTH: f64 = 1.0 * MM;
 const DISC: f64 = 12.5 * MM;
-/// The sphere of a press, how far it goes per tick, and the depths between which it goes to and fro.
+/// Radius of the sphere, its step per tick, and its depth range.
 const RADIUS: f64 = 8.0 * MM;
 const PER_TICK: f64 = 0.4 * MM;
 const DEPTHS: [f64; 2] = [2.0 * MM, 8.0 * MM];
@@ -32,7 +32,7 @@ fn thigh() -> Topology {
     Topology::new(Arc::new(model))
 }
 
-/// A pinned cube of so many nodes per edge, from rest to a residual of 1e-3 under a disc held down.
+/// A pinned cube with this many nodes per edge, from rest to a residual of 1e-3 under a displaced disc.
 #[divan::bench(args = [20, 40], sample_count = 20)]
 fn cube_from_rest(bencher: Bencher<'_, '_>, n: usize) {
     let spacing = SIDE / (n as f64 - 1.0);
@@ -58,11 +58,11 @@ fn cube_from_rest(bencher: Bencher<'_, '_>, n: usize) {
     });
 }
 
-/// A tick with the budget of a hand but for the clock: one iteration, near the tool only.
+/// A tick with the limits of a hand except for time: one iteration, near the tool.
 #[divan::bench(args = [false, true], sample_count = 200, sample_size = 1)]
 fn press_tick_on_the_thigh(bencher: Bencher<'_, '_>, wound: bool) {
     let mut topology = thigh();
-    let mut place = Place::find(&topology).unwrap();
+    let mut place = ToolLocation::find(&topology).unwrap();
     if wound {
         Wound::open(&mut topology, &mut place).unwrap();
     }
@@ -83,7 +83,7 @@ fn press_tick_on_the_thigh(bencher: Bencher<'_, '_>, wound: bool) {
     });
 }
 
-/// The sample thigh at 4 mm, without reading files.
+/// The sample thigh at 4 mm, without file input.
 #[divan::bench(sample_count = 10)]
 fn build_of_the_thigh(bencher: Bencher<'_, '_>) {
     let input = Sample::Thigh.input().unwrap();
@@ -94,7 +94,7 @@ fn build_of_the_thigh(bencher: Bencher<'_, '_>) {
 #[divan::bench(sample_count = 20)]
 fn cut_into_the_thigh(bencher: Bencher<'_, '_>) {
     let topology = thigh();
-    let place = Place::find(&topology).unwrap();
+    let place = ToolLocation::find(&topology).unwrap();
     bencher
         .with_inputs(|| (topology.clone(), place.clone()))
         .bench_refs(|(topology, place)| Wound::open(topology, place).unwrap().doubled);

@@ -1,5 +1,5 @@
-//! All targets: the one whose name the program has. Input that was good or not is all the same; panics, leaks and
-//! more memory than `-rss_limit_mb` are not.
+//! All targets: the program name selects the decoder. Valid and invalid input are both fine; panics, leaks and
+//! memory above `-rss_limit_mb` are failures.
 
 #![no_main]
 

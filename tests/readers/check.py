@@ -1,11 +1,11 @@
-"""Reads files of Palpate with readers of others and says what is in them, as one JSON object.
+"""Reads files of Palpate with independent packages and prints their content as one JSON object.
 
-    check.py versions           which readers there are; fails when one is missing
+    check.py versions           versions of the packages; fails if one is missing
     check.py vtu FILE           cells of a .vtu by meshio
     check.py stl FILE...        surfaces by trimesh
-    check.py make-labels FILE   makes a small label volume by nibabel and says what is in it
+    check.py make-labels FILE   makes a small label volume by nibabel and prints its content
 
-Everything is computed here from points and corners alone, never from what Palpate wrote about them.
+All figures are computed from points and cells, never from metadata that Palpate wrote.
 """
 
 import json

@@ -1,12 +1,12 @@
 //! Charts of courses over time, as SVG text.
 //!
-//! One chart is a stack of panels that share the x axis. Every panel has its title, its axis with
-//! a unit, a legend above the plot, where it can hide nothing, and vertical marks with labels
-//! at their tops. Lines with more points than the plot is wide are drawn as their range per column.
+//! A chart is a stack of panels with a common x axis. Each panel has a title, a y axis with a unit, a legend
+//! above the plot, and labelled vertical marks. A line with more points than the plot has columns is drawn as
+//! its range per column.
 
 use std::fmt::Write as _;
 
-/// Width of the whole picture, px.
+/// Width of the image, px.
 const WIDTH: f64 = 960.0;
 /// Height of the plot of one panel, px.
 const PLOT_HEIGHT: f64 = 190.0;
@@ -24,40 +24,40 @@ const RIGHT: f64 = 24.0;
 const TOP: f64 = 36.0;
 /// Room at the bottom for the label of the x axis, px.
 const BOTTOM: f64 = 30.0;
-/// Columns of the plot in which a line is thinned out.
+/// Columns of the plot for thinning of a line.
 const COLUMNS: usize = 800;
-/// Room at an end of the y axis where lines go, as a share of its length.
+/// Margin at an end of the y axis, as a share of its length.
 const MARGIN: f64 = 0.08;
-/// A panel whose values are all smaller than this shows nothing but zeros.
+/// A panel with all values below this is all zero.
 const NOTHING: f64 = 1e-9;
-/// Decades of a logarithmic axis that still have numbers at 2 and 5.
+/// Decades up to which a logarithmic axis has labels at 2 and 5.
 const DECADES_CLOSE: f64 = 4.0;
-/// Width of a character of the legend, px, as good as it can be known without the font.
+/// Estimated width of a legend character, px.
 const CHARACTER: f64 = 6.6;
 
-/// Colours that stay apart for most eyes (Okabe and Ito 2008).
+/// Blue of the colour-blind safe palette of Okabe and Ito (2008).
 pub const BLUE: &str = "#0072b2";
-/// Orange of the same set.
+/// Orange of the palette.
 pub const ORANGE: &str = "#d55e00";
-/// Grey for what others are compared with.
+/// Grey for baselines.
 pub const GREY: &str = "#808080";
-/// Green of the same set.
+/// Green of the palette.
 pub const GREEN: &str = "#009e73";
-/// Reddish purple of the same set.
+/// Reddish purple of the palette.
 pub const PURPLE: &str = "#cc79a7";
-/// Sky blue of the same set.
+/// Sky blue of the palette.
 pub const SKY: &str = "#56b4e9";
-/// Black of the same set.
+/// Black of the palette.
 pub const BLACK: &str = "#000000";
 
 /// One line.
 #[derive(Debug, Clone)]
 pub struct Line {
-    /// What it is, for the legend; empty for a line that another one's entry stands for.
+    /// Legend entry; empty if another line has it.
     pub name: String,
     /// Its colour.
     pub colour: &'static str,
-    /// Whether it is drawn with dashes.
+    /// Whether it is dashed.
     pub dashed: bool,
     /// x and y, x not decreasing.
     pub points: Vec<(f64, f64)>,
@@ -66,60 +66,60 @@ pub struct Line {
 /// A plot.
 #[derive(Debug, Clone)]
 pub struct Panel {
-    /// What it shows.
+    /// Title.
     pub title: String,
     /// Quantity and unit of y.
     pub y_label: String,
     /// The lines, later ones on top.
     pub lines: Vec<Line>,
-    /// How y is drawn.
+    /// Scale of y.
     pub scale: Scale,
 }
 
-/// How values become heights.
+/// Scale of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Scale {
-    /// From zero on, in proportion.
+    /// Linear, including zero.
     #[default]
     Linear,
-    /// By their logarithms: for values of which some are a hundred times the others, all above zero. Others are left out.
+    /// Logarithmic, for positive values over several decades. Other values are left out.
     Logarithmic,
 }
 
-/// A moment worth a vertical line.
+/// A vertical mark.
 #[derive(Debug, Clone)]
 pub struct Mark {
-    /// Where.
+    /// Position on the x axis.
     pub x: f64,
-    /// What it was.
+    /// Label.
     pub label: String,
 }
 
-/// Panels above each other.
+/// A stack of panels.
 #[derive(Debug, Clone)]
 pub struct Chart {
-    /// What it shows.
+    /// Title.
     pub title: String,
     /// Quantity and unit of x.
     pub x_label: String,
     /// The panels.
     pub panels: Vec<Panel>,
-    /// Moments marked in every panel.
+    /// Marks in every panel.
     pub marks: Vec<Mark>,
 }
 
-/// Numbers along an axis.
+/// Ticks of an axis.
 #[derive(Debug, Clone, Copy)]
 struct Axis {
     from: f64,
     until: f64,
-    /// Between two numbers; of a logarithmic one it has no meaning.
+    /// Distance of two ticks; unused on a logarithmic axis.
     step: f64,
     scale: Scale,
 }
 
 impl Axis {
-    /// An axis over a range, at steps of 1, 2 or 5 times a power of ten.
+    /// An axis over a range, with steps of 1, 2 or 5 times a power of ten.
     fn over(from: f64, until: f64, steps: f64) -> Self {
         let length = if until - from > 1e-12 {
             until - from
@@ -140,7 +140,7 @@ impl Axis {
         }
     }
 
-    /// An axis on which these heights, and zero, lie with some room where they end.
+    /// An axis that contains these values and zero, with a margin.
     fn of_heights(values: impl Iterator<Item = f64>, scale: Scale) -> Self {
         if scale == Scale::Logarithmic {
             let (low, high) = range(values.filter(|v| *v > 0.0));
@@ -238,7 +238,7 @@ fn plot_width() -> f64 {
     WIDTH - LEFT - RIGHT
 }
 
-/// Smallest and largest of some numbers; 0 to 1 of none.
+/// Minimum and maximum; 0 and 1 without values.
 fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let (low, high) = values
         .filter(|v| v.is_finite())
@@ -269,7 +269,7 @@ impl Panel {
         draw_marks(svg, plot, x, marks);
     }
 
-    /// Room above the plot, px.
+    /// Height above the plot, px.
     fn head(&self) -> f64 {
         let rows = self.entries().last().map_or(0, |(row, ..)| *row);
         HEAD + LEGEND_ROW * rows as f64
@@ -279,7 +279,7 @@ impl Panel {
         self.head() + PLOT_HEIGHT + FOOT
     }
 
-    /// Lines that the legend names, each with its row and its place in it, px: as many in a row as fit.
+    /// Legend entries, each with its row and its position in it, px.
     fn entries(&self) -> Vec<(usize, f64, &Line)> {
         let (mut row, mut at) = (0, LEFT);
         let mut entries = Vec::new();
@@ -310,7 +310,7 @@ impl Panel {
 }
 
 impl Line {
-    /// Whether the legend names it: it has a name, and something is drawn of it.
+    /// Whether the legend lists it: it has a name and a visible point.
     fn is_named(&self) -> bool {
         !self.name.is_empty() && !self.points.is_empty()
     }
@@ -348,7 +348,7 @@ fn dash(dashed: bool) -> &'static str {
     }
 }
 
-/// Of more points than columns, the first, lowest, highest and last of each column.
+/// Thins more points than columns to the first, lowest, highest and last of each column.
 fn thinned(points: &[(f64, f64)], x: Axis) -> Vec<(f64, f64)> {
     let finite: Vec<(f64, f64)> = (points.iter().copied())
         .filter(|p| p.0.is_finite() && p.1.is_finite())
@@ -398,7 +398,7 @@ fn grid(svg: &mut String, plot: f64, x: Axis, y: Axis) {
     );
 }
 
-/// Marks, their labels in as many rows as it takes for them not to meet.
+/// Draws marks, with labels in as many rows as needed to avoid overlap.
 fn draw_marks(svg: &mut String, plot: f64, x: Axis, marks: &[Mark]) {
     let mut rows: Vec<f64> = Vec::new();
     for mark in marks.iter().filter(|m| (0.0..=1.0).contains(&x.share(m.x))) {
@@ -443,7 +443,7 @@ fn text(svg: &mut String, x: f64, y: f64, anchor: &str, size: u32, words: &str) 
     );
 }
 
-/// Words as they may stand in XML.
+/// Escapes text for XML.
 pub fn escape(words: &str) -> String {
     words
         .replace('&', "&amp;")
@@ -507,7 +507,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_to_show_and_bad_numbers_still_make_a_picture() {
+    fn empty_and_non_finite_data_still_give_a_chart() {
         for scale in [Scale::Linear, Scale::Logarithmic] {
             for points in [
                 vec![(0.0, f64::NAN), (f64::INFINITY, 1.0)],
@@ -526,7 +526,7 @@ mod tests {
     }
 
     #[test]
-    fn every_line_lies_within_its_axis_with_room_at_its_ends() {
+    fn lines_lie_within_the_axis_with_a_margin() {
         for heights in [[-5.0, -1.0], [-1.0, 3.0], [2.0, 2.0], [0.0, 4e-4]] {
             let y = Axis::of_heights(heights.into_iter(), Scale::Linear);
             let shares = heights.map(|v| y.share(v));
@@ -539,7 +539,7 @@ mod tests {
     }
 
     #[test]
-    fn a_logarithmic_axis_gives_each_decade_the_same_room_and_has_round_numbers() {
+    fn logarithmic_axis_has_equal_decades_and_round_labels() {
         let y = Axis::of_heights([0.003, 5.0].into_iter(), Scale::Logarithmic);
         let decade = y.share(1.0) - y.share(0.1);
         assert!((decade - (y.share(0.1) - y.share(0.01))).abs() < 1e-9);
@@ -553,7 +553,7 @@ mod tests {
     }
 
     #[test]
-    fn a_legend_that_is_too_long_goes_on_in_a_row_of_its_own() {
+    fn long_legend_wraps_into_rows() {
         let lines =
             (0..6).map(|k| line(&format!("{k} and a long name of a line"), vec![(0.0, 1.0)]));
         let panel = chart(lines.collect(), Scale::Linear).panels.remove(0);
@@ -563,7 +563,7 @@ mod tests {
     }
 
     #[test]
-    fn the_legend_leaves_out_what_is_not_drawn() {
+    fn legend_omits_lines_without_points() {
         let lines = vec![line("drawn", vec![(0.0, 1.0)]), line("absent", vec![])];
         let svg = chart(lines, Scale::Linear).to_svg();
         assert!(svg.contains("drawn") && !svg.contains("absent"));

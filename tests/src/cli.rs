@@ -28,23 +28,23 @@ use crate::program::die_with_parent;
 use crate::progress::{Interrupt, Progress};
 use crate::relay;
 use crate::stress;
-use crate::subject::Subject;
+use crate::test_model::TestModel;
 
-/// The networks that have names, for `--help`.
+/// The named networks, for `--help`.
 macro_rules! networks {
     () => {
         "\
 Network profiles: none, lan (0.3 ms), metro (5 ms), transatlantic (60 ms one way, 2 % loss),
-  intercontinental (120 ms, 2 %), satellite (300 ms, 1 %), wifi-bursts (8 ms with bad moments),
-  lte (35 ms with bad moments), lossy (40 ms, 20 % loss), gamma (25 ms and a tail of 5 ms),
-  bursts (50 and 120 ms), outages (25 ms, at times no link),
+  intercontinental (120 ms, 2 %), satellite (300 ms, 1 %), wifi-bursts (8 ms with loss bursts),
+  lte (35 ms with loss bursts), lossy (40 ms, 20 % loss), gamma (25 ms and a tail of 5 ms),
+  bursts (50 and 120 ms), outages (25 ms, with outages of the link),
   steps (15, 40, 60 ms, 10 s each: 30, 80, 120 ms from one participant to another), far-steps (30, 80, 120 ms),
-  or a TOML file of your own, for which `palpate-lab profiles NAME` prints a beginning"
+  or a TOML file of your own, for which `palpate-lab profiles NAME` prints a template"
     };
 }
 pub(crate) use networks;
 
-/// The end of `--help`.
+/// Text at the end of `--help`.
 const EXAMPLES: &str = concat!(
     "\
 Examples:
@@ -61,7 +61,7 @@ Examples:
 
 PALPATE_LOG=debug (or RUST_LOG) logs more to standard error, also of the programs that the demo starts.
 
-The exit code is 0 when all is well, 2 when the command line is wrong, 1 otherwise."
+The exit code is 0 on success, 2 when the command line is wrong, 1 otherwise."
 );
 
 const BENCHES: &str = "\
@@ -71,20 +71,20 @@ Examples:
   palpate-lab bench coding --round-trip-ms 200
   palpate-lab bench bytes --model thigh.palp
 
-Compare figures of one run on one machine only: other work on it changes them.";
+Compare only figures of one run on one machine; other load changes them.";
 
 const FAULTS: &str = "\
-A simulated hand presses into a tissue of springs (200 N/m to bone, 20 kN/m) at up to 0.5 m/s, through the force
-loop that clients run, in virtual time, and something breaks: the solver stalls, the link is lost, contact models or
-poses hold numbers that are none, the device is unplugged, refuses, or clamps, the process is stopped, the clock jumps;
-or several at once. Looked at is what the device renders:
+A simulated hand presses into a spring tissue (200 N/m to 20 kN/m, which is bone) at up to 0.5 m/s, through the force
+loop of the client, in virtual time. Faults: the solver stalls, the link is lost, contact models or poses contain
+non-finite numbers, the device is unplugged, rejects writes or clamps, the process is stopped, the clock jumps, or
+several of these at once. The rendered force must obey four laws:
 
-  - it changes by no more than the slew limit per tick
+  - it changes by at most the slew limit per tick
   - it is zero within 150 ms of the loss of its source
-  - it is a number, and within the limit
-  - what broke is counted, and the force comes back when it is over
+  - it is finite and within the force limit
+  - every fault is counted, and the force returns after the fault
 
-Seeds take the classes of faults in turns, and one seed always is the same run.
+Seeds cycle through the classes of faults; equal seeds give equal runs.
 
 Examples:
   palpate-lab haptic-faults                       1,000 runs, a quarter of a minute
@@ -107,27 +107,27 @@ enum Command {
     /// Run a session of two trainees and a spectator over a bad network, and report how well it went
     #[command(after_help = demo::command::HELP)]
     Demo(demo::command::Arguments),
-    /// Pass UDP packets on, late and not all of them
+    /// Relay UDP packets with delay, loss and reordering
     #[command(after_help = EXAMPLES)]
     Relay(relay::command::Arguments),
-    /// List the networks that have names, or print one as the file of your own to begin with
+    /// List the named networks, or print one as a template for your own file
     #[command(after_help = network::command::HELP)]
     Profiles(network::command::Arguments),
     /// Write the motion of a random hand as a table, for `run --motion`
     #[command(after_help = hand::command::HELP)]
     Hand(hand::command::Arguments),
-    /// Run an experiment on the network or on what a hand feels
+    /// Run an experiment on the network or on the rendered forces
     #[command(after_help = command::RUN_HELP)]
     Run(command::RunArguments),
     /// List the experiments
     List,
-    /// Run every experiment and make one page of it, readable without a network
+    /// Run every experiment and write one page of it, readable offline
     #[command(after_help = command::RUN_HELP)]
     All(tour::AllArguments),
-    /// Break what a hand depends on, and see that no fault jerks it
+    /// Inject faults into the haptic chain, and check that no fault jerks the hand
     #[command(after_help = FAULTS)]
     HapticFaults(HapticFaultsArguments),
-    /// Measure the equilibrium against its own converged answer
+    /// Measure the equilibrium against its own converged solution
     #[command(subcommand, after_help = BENCHES)]
     Bench(Bench),
 }
@@ -138,9 +138,9 @@ enum Bench {
     PressCube(PressCubeArguments),
     /// A sphere of 8 mm pressed into a model at the speed of a hand: force error and time per tick
     PressScene(PressSceneArguments),
-    /// Bits per pose and per node on the wire: ours, deflate, raw
+    /// Bits per pose and per node on the wire: this codec, deflate, raw
     Coding {
-        /// Round trip after which both ends know what was sent, in ms
+        /// Round trip after which both ends know the sent data, in ms
         #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(i64).range(0..=400))]
         round_trip_ms: i64,
         /// Seed of the hand
@@ -150,11 +150,11 @@ enum Bench {
         #[arg(long)]
         json: bool,
     },
-    /// What a session takes of a network during press and cut: kbit/s per direction and part, with what QUIC adds
+    /// Bandwidth of a session during press and cut: kbit/s per direction and part, including QUIC
     Bytes(Box<bench_bytes::Arguments>),
-    /// Work of a trainee's threads while others cut beside the press
+    /// Load of a trainee's threads while other trainees cut beside the press
     Cuts(bench_cuts::Arguments),
-    /// Compute the reference of a demo, and how far it is from a finer one
+    /// Compute the reference of a demo, and compare it with a finer one
     Reference(bench_reference::Arguments),
     /// Time one tick of the force loop: read, compute, write
     HapticTick {
@@ -191,27 +191,26 @@ struct PressSceneArguments {
     /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
     #[arg(default_value = "thigh")]
     model: String,
-    /// How deep, mm
+    /// Depth, mm
     #[arg(long, default_value_t = 15.0)]
     depth_mm: f64,
-    /// How fast, mm/s
+    /// Speed, mm/s
     #[arg(long, default_value_t = 100.0)]
     speed_mm_s: f64,
-    /// Time a tick may take before its last iteration begins, ms
+    /// Time budget of a tick until its last iteration begins, ms
     #[arg(long, default_value_t = 1.0)]
     budget_ms: f64,
-    /// Tolerance of the answers it is compared with: 1e-3 leaves a fifth of a percent of the force, and is found
-    /// in minutes on half a million nodes
+    /// Tolerance of the converged solutions: 1e-3 leaves 0.2 % of the force, and takes minutes on half a
+    /// million nodes
     #[arg(long, default_value_t = 1e-5)]
     converged: f64,
-    /// How many times to press, each from rest
+    /// Number of presses, each from rest
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]
     repeats: u16,
-    /// Another model to press in turns with the first, so that a machine's slow minutes slow both: how much more
-    /// does a tick of the first take?
+    /// A second model, pressed alternately with the first; reports the ratio of their tick times
     #[arg(long, value_name = "MODEL")]
     against: Option<String>,
-    /// First cut through the tissue, and press beside the wound
+    /// Cut through the tissue first, and press beside the wound
     #[arg(long)]
     wound: bool,
     /// Threads
@@ -224,24 +223,24 @@ struct PressSceneArguments {
 
 #[derive(Debug, Args)]
 struct HapticFaultsArguments {
-    /// How many runs; their seeds are 0, 1, 2, ...
+    /// Number of runs; their seeds are 0, 1, 2, ...
     #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
     seeds: u64,
-    /// Replay one seed and tell all about it
+    /// Replay one seed and print all details
     #[arg(long, value_name = "S", conflicts_with = "seeds")]
     seed: Option<u64>,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
-    /// Where a table (CSV) and a chart (SVG) of one run per class go, every tick in them
+    /// Folder for a table (CSV) and a chart (SVG) of one run per class, with every tick
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
 }
 
-/// Runs the command line `args`, the program's name first.
+/// Runs the command line `args`, including the program name.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     let args: Vec<OsString> = args.into_iter().collect();
-    // The demo starts this program again in its other roles; they are not for people.
+    // The demo starts this program in its other roles, which are not for users.
     match args.get(1).map(OsString::as_os_str) {
         Some(role) if role == OsStr::new("server") => {
             die_with_parent();
@@ -261,7 +260,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     let cli = match Cli::try_parse_from(args) {
         Ok(cli) => cli,
         Err(error) => {
-            // Help goes to standard output with code 0, mistakes to standard error with 2.
+            // Help goes to standard output with code 0, errors to standard error with code 2.
             let _ = error.print();
             return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
         }
@@ -309,14 +308,13 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     })
 }
 
-/// The command line of another role: its name, and what follows the role here.
+/// Command line of another role: its program name, and the arguments after the role.
 fn role_line(name: &str, args: &[OsString]) -> Vec<OsString> {
     let rest = args.iter().skip(2).cloned();
     std::iter::once(OsString::from(name)).chain(rest).collect()
 }
 
-/// Writes a line for whoever reads our standard output. A reader that has seen enough and closed its end is no
-/// mistake: what else there is to do is done.
+/// Writes a line to standard output. A closed pipe is not an error: the remaining work is still done.
 pub(crate) fn say(line: &str) -> Result<(), String> {
     let mut out = std::io::stdout().lock();
     match writeln!(out, "{line}").and_then(|()| out.flush()) {
@@ -327,14 +325,15 @@ pub(crate) fn say(line: &str) -> Result<(), String> {
     }
 }
 
-/// Writes a line for a person, beside the results.
+/// Writes a line for the user to standard error.
 pub(crate) fn note(line: &str) {
-    // Nobody is left to be told when standard error is gone.
+    // A closed standard error is ignored.
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
 fn run_haptic_faults(arguments: &HapticFaultsArguments) -> Result<ExitCode, String> {
-    let interrupt = Interrupt::listen().map_err(|e| format!("no signals can be caught: {e}"))?;
+    let interrupt =
+        Interrupt::listen().map_err(|e| format!("cannot install the signal handlers: {e}"))?;
     let mut progress = Progress::new();
     let (seeds, of) = match arguments.seed {
         Some(seed) => (seed..seed.saturating_add(1), 1),
@@ -378,7 +377,7 @@ fn run_haptic_faults(arguments: &HapticFaultsArguments) -> Result<ExitCode, Stri
     })
 }
 
-/// A seed's runs with every tick kept.
+/// The runs of a seed with every tick recorded.
 fn kept(seed: u64) -> Result<Trial, String> {
     let setup = Setup {
         keep: true,
@@ -387,7 +386,7 @@ fn kept(seed: u64) -> Result<Trial, String> {
     Trial::of(seed, &setup).map_err(|e| e.to_string())
 }
 
-/// All about one seed.
+/// Prints all details of one seed.
 fn tell_of(seed: u64) -> Result<(), String> {
     let trial = kept(seed)?;
     let (plan, tissue) = (&trial.plan, &trial.plan.tissue);
@@ -453,7 +452,7 @@ fn run_press_scene(arguments: &PressSceneArguments) -> Result<ExitCode, String> 
     {
         let place = dir.path().join(k.to_string());
         std::fs::create_dir(&place).map_err(|e| format!("no temporary folder: {e}"))?;
-        let subject = Subject::prepare(name, &place).map_err(|e| e.to_string())?;
+        let subject = TestModel::prepare(name, &place).map_err(|e| e.to_string())?;
         models.push(subject.model);
     }
     let bench = PressScene {
@@ -472,11 +471,11 @@ fn run_press_scene(arguments: &PressSceneArguments) -> Result<ExitCode, String> 
     match (reports.next(), reports.next()) {
         (Some(report), Some(against)) => give(&Comparison::of(report, against), arguments.json),
         (Some(report), None) => give(&report, arguments.json),
-        _ => Err("there was no model to press".to_owned()),
+        _ => Err("no model to press".to_owned()),
     }
 }
 
-/// Prints a report, for a person or as one JSON object.
+/// Prints a report as text or as one JSON object.
 fn give(
     report: &(impl serde::Serialize + std::fmt::Display),
     json: bool,

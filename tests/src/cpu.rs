@@ -1,4 +1,4 @@
-//! CPU time of the roles of a session, as their own summaries give it.
+//! CPU time of the processes of a session, from their summaries.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -11,15 +11,13 @@ pub struct CpuRow {
     /// The process: "server" or a participant's name.
     #[serde(default)]
     pub process: String,
-    /// All threads together.
+    /// Total of all threads.
     pub cores: f64,
     /// Per class of threads.
     pub classes: BTreeMap<String, f64>,
 }
 
-/// The CPU time in a summary of a client or of a server: its field `cpu`. `None` where there is none.
-///
-/// This is the one place that knows where summaries keep it.
+/// CPU time in the summary of a client or server (its field `cpu`); `None` without that field.
 pub fn cpu_of(process: &str, summary: &impl Serialize) -> Option<CpuRow> {
     let summary = serde_json::to_value(summary).ok()?;
     let row: CpuRow = serde_json::from_value(summary.get("cpu")?.clone()).ok()?;
@@ -29,7 +27,7 @@ pub fn cpu_of(process: &str, summary: &impl Serialize) -> Option<CpuRow> {
     })
 }
 
-/// A table of rows, for people.
+/// Text table of CPU rows.
 pub struct CpuTable<'a>(pub &'a [CpuRow]);
 
 impl fmt::Display for CpuTable<'_> {
@@ -61,7 +59,7 @@ mod tests {
     use super::{CpuTable, cpu_of};
 
     #[test]
-    fn the_field_of_a_summary_becomes_a_row_and_a_summary_without_it_none() {
+    fn summary_without_cpu_field_has_no_row() {
         let summary = json!({"name": "holder", "cpu": {"cores": 0.27, "classes": {"force": 0.02, "solver": 0.15}}});
         let row = cpu_of("holder", &summary).unwrap();
         assert_eq!((row.cores, row.classes["solver"]), (0.27, 0.15));

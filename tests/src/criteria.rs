@@ -1,6 +1,6 @@
 //! The criteria of a demo: a table of figures and their limits.
 //!
-//! A figure that is missing fails its criterion: nothing is in order that was not measured.
+//! A missing figure fails its criterion.
 
 use std::fmt;
 
@@ -8,25 +8,25 @@ use serde::{Deserialize, Serialize};
 
 use crate::report::{ParticipantReport, Report};
 
-/// The largest error of the contact force, percent rms.
+/// Maximum error of the contact force, percent rms.
 pub const FORCE_ERROR_PERCENT: f64 = 10.0;
 
-/// The longest dropout, ms; and with busy processes beside the session.
+/// Maximum dropout, ms; without and with busy processes beside the session.
 pub const DROPOUT_MS: [f64; 2] = [40.0, 60.0];
 
-/// The force that a hand must have felt at least, N: forces of air are right whatever the network does.
+/// Minimum peak force, N: without contact every force is correct on any network.
 pub const TOUCH_N: f64 = crate::dropout::CONTACT_MIN_N;
 
-/// The largest relative residual of a check of the reference.
+/// Maximum relative residual of a check of the reference.
 pub const RESIDUAL: f64 = 0.03;
 
-/// The largest error of the reference by its own estimate, percent: half of what a session may have.
+/// Maximum estimated error of the reference, percent: half of the limit of a session.
 pub const REFERENCE_ERROR_PERCENT: f64 = 5.0;
 
-/// Largest distance of a cut from where the reference's hands cut, mm: half the spacing of the finest lattice in use.
+/// Maximum distance of a cut from that of the reference, mm: half the finest lattice spacing in use.
 pub const CUT_APART_MM: f64 = 2.0;
 
-/// On which side of its limit a figure has to be.
+/// Side of a limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Bound {
@@ -41,7 +41,7 @@ pub enum Bound {
 pub struct Criterion {
     /// The figure.
     pub criterion: String,
-    /// Its value; `None` when it is missing.
+    /// Its value; `None` if missing.
     pub value: Option<f64>,
     /// Its limit.
     pub limit: f64,
@@ -49,7 +49,7 @@ pub struct Criterion {
     pub bound: Bound,
     /// The unit of both; empty for counts.
     pub unit: String,
-    /// Whether the figure is there and within its limit.
+    /// Whether the figure exists and is within its limit.
     pub ok: bool,
 }
 
@@ -62,7 +62,7 @@ impl Criterion {
         unit: &str,
     ) -> Self {
         let ok = value.is_some_and(|v| match bound {
-            // A comparison with a number that is none is false.
+            // A comparison with NaN is false.
             Bound::AtMost => v <= limit,
             Bound::AtLeast => v >= limit,
         });
@@ -81,7 +81,7 @@ impl Criterion {
         Self::new(criterion, value, Bound::AtMost, limit, unit)
     }
 
-    /// Something that must not be at all.
+    /// A count that must be zero.
     fn none_of(criterion: impl Into<String>, count: Option<u64>) -> Self {
         Self::at_most(criterion, count.map(|n| n as f64), 0.0, "")
     }
@@ -121,22 +121,22 @@ impl fmt::Display for Short {
     }
 }
 
-/// What a session should have had.
+/// Expected figures of a session.
 #[derive(Debug, Clone, Copy)]
 pub struct Expected<'a> {
-    /// Those who press.
+    /// Names of the trainees.
     pub trainees: &'a [&'a str],
-    /// All others.
+    /// Names of all other participants.
     pub others: &'a [&'a str],
-    /// Strokes of the blade in the scripts: each is a cut.
+    /// Strokes of the blade in the scripts; each one is a cut.
     pub strokes: u64,
-    /// The largest D, ms; `None` where D is not judged.
+    /// Maximum D, ms; `None` if D is not judged.
     pub delay_limit_ms: Option<f64>,
-    /// Whether the delay's cap covers the network, so that nobody may be demoted.
+    /// Whether the maximum delay covers the network, so that no participant may be demoted.
     pub is_covered: bool,
 }
 
-/// All criteria of a report, in the order of a reader's interest.
+/// All criteria of a report, the most important first.
 pub fn judge(report: &Report, expected: &Expected<'_>) -> Vec<Criterion> {
     let mut table = Vec::new();
     for name in expected.trainees {
@@ -151,7 +151,7 @@ fn find<'a>(report: &'a Report, name: &str) -> Option<&'a ParticipantReport> {
     report.participants.iter().find(|p| p.name == name)
 }
 
-/// Criteria of what a hand felt.
+/// Criteria of the force on one trainee.
 fn hand(report: &Report, name: &str, table: &mut Vec<Criterion>) {
     let longest_ms = DROPOUT_MS[usize::from(report.stress > 0)];
     let p = find(report, name);
@@ -185,7 +185,7 @@ fn hand(report: &Report, name: &str, table: &mut Vec<Criterion>) {
     ]);
 }
 
-/// Criteria of what all participants have in common.
+/// Criteria of the whole session.
 fn shared(report: &Report, expected: &Expected<'_>, table: &mut Vec<Criterion>) {
     let participants = &report.participants;
     if let Some(limit_ms) = expected.delay_limit_ms {
@@ -223,7 +223,7 @@ fn shared(report: &Report, expected: &Expected<'_>, table: &mut Vec<Criterion>) 
     ));
 }
 
-/// Criteria of the figures themselves.
+/// Criteria of completeness.
 fn complete(report: &Report, expected: &Expected<'_>, table: &mut Vec<Criterion>) {
     let everyone = || expected.trainees.iter().chain(expected.others);
     let count = |is_missing: &dyn Fn(&str) -> bool| {
@@ -238,7 +238,7 @@ fn complete(report: &Report, expected: &Expected<'_>, table: &mut Vec<Criterion>
             count(&|name| find(report, name).is_none()),
         ),
         Criterion::none_of(
-            "records that found no room in a recording",
+            "records dropped from full recordings",
             (!report.participants.is_empty())
                 .then(|| report.participants.iter().map(|p| p.records_dropped).sum()),
         ),
@@ -268,7 +268,7 @@ fn complete(report: &Report, expected: &Expected<'_>, table: &mut Vec<Criterion>
     ]);
 }
 
-/// The server's name in the table of CPU figures.
+/// Name of the server in the CPU table.
 pub const SERVER: &str = "server";
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The playout delay D of a session, and the most that its network needs.
+//! Playout delay D of a session, and the limit for its network.
 
 use palpate_client::Recording;
 use palpate_protocol::compensation::CAP_DEFAULT;
@@ -7,24 +7,24 @@ use serde::{Deserialize, Serialize};
 use crate::bench::quantile;
 use crate::network::Profile;
 
-/// D is looked at from so long after the scripts' start, s: clocks and estimates settle first.
+/// Start of the D statistics after the start of the scripts, s: clocks and estimators settle first.
 pub const SETTLED_S: f64 = 1.0;
 
-/// The largest D that is in order on a network without any delay, ms.
+/// Maximum D on a network without delay, ms.
 pub const LEAST_MS: f64 = 20.0;
 
-/// The largest D that is in order, in parts of round trip and jitter.
+/// Maximum D as a multiple of round trip and jitter.
 pub const FACTOR: f64 = 1.3;
 
 /// Standard deviations of the round trip that count as jitter.
 pub const DEVIATIONS: f64 = 4.0;
 
-/// D over the scripts of a session, over the views of all participants.
+/// D during the scripts, over the views of all participants.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DelayFigures {
-    /// Half of the views had less, ms.
+    /// Median, ms.
     pub median_ms: f64,
-    /// The largest, ms.
+    /// Maximum, ms.
     pub max_ms: f64,
 }
 
@@ -47,15 +47,14 @@ impl DelayFigures {
     }
 }
 
-/// The largest D that is in order on a profile, ms; `None` where mean and standard deviation do not tell what the network
-/// needs.
+/// Maximum D on a profile, ms; `None` if mean and standard deviation do not describe the network.
 pub fn limit_ms(profile: &Profile) -> Option<f64> {
     let r = profile.round_trip();
     let limit = LEAST_MS.max(FACTOR * (r.mean_ms + DEVIATIONS * r.deviation_ms));
     (profile.is_steady() && limit.is_finite()).then_some(limit)
 }
 
-/// Whether the cap of the adaptive delay is above all that the profile needs: then nobody may be demoted.
+/// Whether the maximum adaptive delay covers the profile, so that no participant may be demoted.
 pub fn is_covered(profile: &Profile) -> bool {
     let r = profile.round_trip();
     r.mean_ms + r.at_worst_ms + DEVIATIONS * r.deviation_ms < CAP_DEFAULT.as_millis_f64()
@@ -84,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn the_cap_covers_all_but_the_longest_and_broken_networks() {
+    fn maximum_delay_covers_all_but_the_longest_and_broken_networks() {
         for name in Profile::names() {
             let expected = !["satellite", "outages"].contains(name);
             assert_eq!(is_covered(&named(name)), expected, "{name}");
@@ -92,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn delays_count_from_a_second_after_the_start_to_the_end() {
+    fn delay_statistics_start_one_second_after_the_scripts() {
         let view = |shown_s: f64, delay_us| ViewRecord {
             shown_us: 7_000_000 + (shown_s * 1e6) as i64,
             delay_us,

@@ -1,5 +1,5 @@
-//! The main job from end to end: two trainees feel and cut one model over a bad network, a third
-//! participant joins late as a spectator, and a report judges the session.
+//! The main use case from end to end: two trainees press and cut one model over a bad network, a spectator
+//! joins late, and a report judges the session.
 
 pub(crate) mod command;
 
@@ -19,7 +19,6 @@ use crate::delay_figures::{self, DelayFigures};
 use crate::disagreement::{CoursePoint, Disagreement};
 use crate::dropout::{Dropouts, longest_gap_ms};
 use crate::force_error::{ForceError, over_script};
-use crate::place::{Place, PlaceError};
 use crate::plots::{self, Felt};
 use crate::progress::{Interrupt, Progress};
 use crate::reference::{self, Reference};
@@ -30,24 +29,25 @@ use crate::report::{
 use crate::scripts::{SECONDS_MAX, SECONDS_MIN, Scripts};
 use crate::session::{Hosting, Left, Participant, Session, SessionError};
 use crate::stress::Stress;
-use crate::subject::{Subject, SubjectError};
+use crate::test_model::{TestModel, TestModelError};
+use crate::tool_location::{ToolLocation, ToolLocationError};
 
-/// From the last tool's coming to the start of the scripts, as the room does it.
+/// Time from the last join to the start of the scripts, as in the room.
 const START_LEAD: Duration = Duration::from_secs(1);
 
-/// After the scripts, until everybody leaves: what is on its way arrives, and is shown.
+/// Time after the scripts until the participants leave: packets arrive and views are shown.
 const SETTLE: Duration = Duration::from_millis(1500);
 
-/// The trainees, in the order of the scripts.
+/// The trainees, in script order.
 const NAMES: [&str; 2] = ["holder", "cutter"];
 
-/// The participant that joins late.
+/// The late participant.
 const LATE_NAME: &str = "spectator";
 
-/// What to do.
+/// Options of a demo.
 #[derive(Debug, Clone)]
 pub struct DemoOptions {
-    /// The laboratory's own program, which plays all roles.
+    /// The laboratory program, which plays all roles.
     pub executable: PathBuf,
     /// Sample, scene or model file.
     pub model: String,
@@ -55,32 +55,32 @@ pub struct DemoOptions {
     pub seconds: f64,
     /// The network.
     pub profile: Profile,
-    /// The seed of the packets' fates.
+    /// Seed of the packet fates.
     pub seed: u64,
     /// `adaptive`, `fixed:MS` or `none`.
     pub compensation: String,
-    /// The share of the scripts after which the spectator comes.
+    /// Share of the scripts after which the spectator joins.
     pub late_join: f64,
     /// Busy processes beside the session.
     pub stress: u16,
-    /// Where the report goes; files in between go there too. Without, they are thrown away.
+    /// Folder of the report and its intermediate files; without it they are temporary.
     pub report: Option<PathBuf>,
 }
 
-/// Why there is no report.
+/// Failure of a demo.
 #[derive(Debug, thiserror::Error)]
 pub enum DemoError {
-    /// The length is none.
+    /// Invalid length.
     #[error("{0} seconds are not between {SECONDS_MIN} and {SECONDS_MAX}")]
     Seconds(f64),
     /// The model.
     #[error("{0}")]
-    Subject(Box<SubjectError>),
-    /// No place to work.
+    TestModel(Box<TestModelError>),
+    /// No location for tools.
     #[error(transparent)]
-    Place(#[from] PlaceError),
+    ToolLocation(#[from] ToolLocationError),
     /// The scripts.
-    #[error("the scripts that were made can not be used: {0}")]
+    #[error("the generated scripts are invalid: {0}")]
     Script(#[from] ScriptError),
     /// The session.
     #[error(transparent)]
@@ -88,20 +88,20 @@ pub enum DemoError {
     /// A file.
     #[error("{}: {source}", path.display())]
     File {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the operating system.
         source: std::io::Error,
     },
 }
 
-impl From<SubjectError> for DemoError {
-    fn from(error: SubjectError) -> Self {
-        Self::Subject(Box::new(error))
+impl From<TestModelError> for DemoError {
+    fn from(error: TestModelError) -> Self {
+        Self::TestModel(Box::new(error))
     }
 }
 
-/// What a session gave before anything is computed from it.
+/// Raw results of a session.
 struct Run {
     host: HostSummary,
     network: RelayStats,
@@ -109,7 +109,7 @@ struct Run {
     problems: Vec<String>,
 }
 
-/// Runs the demo and writes the report's files, if they are wanted.
+/// Runs the demo and writes the report files if requested.
 pub fn run(
     options: &DemoOptions,
     progress: &mut Progress,
@@ -125,13 +125,13 @@ pub fn run(
     let dir = options.report.as_deref().unwrap_or(scratch.path());
     std::fs::create_dir_all(dir).map_err(|source| file_error(dir, source))?;
     progress.stage(&format!("preparing the model {}", options.model));
-    let subject = Subject::prepare(&options.model, dir)?;
+    let subject = TestModel::prepare(&options.model, dir)?;
     let scripts = make_scripts(&subject, options.seconds)?;
     let files = [&scripts.holder, &scripts.cutter].map(Script::to_toml);
     for (name, text) in NAMES.iter().zip(&files) {
         write(&script_file(dir, name), text)?;
     }
-    // Both sides follow what the file says, which is rounded.
+    // Both sides use the rounded numbers of the file.
     let scripts = [Script::from_toml(&files[0])?, Script::from_toml(&files[1])?];
     let run = session(options, dir, &subject, progress, interrupt)?;
     progress.stage("computing the reference: the same hands without a network");
@@ -156,7 +156,8 @@ pub fn run(
     Ok(report)
 }
 
-/// The strokes that the session cut. All have the same log; who has left early has less of it.
+/// The strokes that the session cut. All logs are equal, except that a participant who leaves early has fewer
+/// entries.
 fn strokes_cut(run: &Run) -> Vec<CutStroke> {
     let logs = run.left.iter().map(|l| &l.recording.operations);
     let longest = logs.max_by_key(|log| log.len());
@@ -179,16 +180,16 @@ fn script_file(dir: &Path, name: &str) -> PathBuf {
     dir.join(format!("{name}.toml"))
 }
 
-fn make_scripts(subject: &Subject, seconds: f64) -> Result<Scripts, DemoError> {
+fn make_scripts(subject: &TestModel, seconds: f64) -> Result<Scripts, DemoError> {
     let topology = Topology::new(subject.model.clone());
-    let mut place = Place::find(&topology)?;
+    let mut place = ToolLocation::find(&topology)?;
     if subject.model.gravity != [0.0; 3] {
         place.sag(&topology, &Solver::new(&topology));
     }
     Ok(Scripts::for_place(&place, seconds)?)
 }
 
-/// Strokes of the blade in a script: the times that its button is pressed.
+/// Number of strokes in a script: intervals with the button pressed.
 fn strokes(script: &Script) -> u64 {
     let mut was_held = false;
     let begins = script.ways().iter().filter(|way| {
@@ -199,11 +200,11 @@ fn strokes(script: &Script) -> u64 {
     begins.count() as u64
 }
 
-/// The session itself, from the server's start to its end.
+/// The session, from the start of the server to its end.
 fn session(
     options: &DemoOptions,
     dir: &Path,
-    subject: &Subject,
+    subject: &TestModel,
     progress: &mut Progress,
     interrupt: &Interrupt,
 ) -> Result<Run, DemoError> {
@@ -232,7 +233,7 @@ fn session(
         came_in.inspect_err(|_| {
             let said = session.server.tail();
             if !said.is_empty() {
-                progress.stage(&format!("the server said:\n{said}"));
+                progress.stage(&format!("server log:\n{said}"));
             }
         })?;
     }
@@ -264,23 +265,23 @@ fn session(
         progress.tick(&format!("{s} of {:.0} s", options.seconds));
         std::thread::sleep(Duration::from_millis(20));
     }
-    // Over a bad network the late one may still be on the way.
+    // On a bad network the late participant may still be joining.
     if let Some(last) = people
         .iter_mut()
         .find(|p| p.program.name().ends_with(LATE_NAME))
     {
         match last.wait_until_in(&|| interrupt.is_set()) {
             Err(SessionError::Interrupted) => return Err(SessionError::Interrupted.into()),
-            // A dead one is found and reported when all leave.
+            // A dead participant is reported when all leave.
             Ok(()) | Err(_) => std::thread::sleep(SETTLE),
         }
     }
-    progress.stage("the participants leave and write their recordings");
+    progress.stage("participants leave and write their recordings");
     drop(stress);
     finish(session, people, problems)
 }
 
-/// Takes away participants that died; the others go on.
+/// Removes participants that died; the others continue.
 fn bury(people: &mut Vec<Participant>, problems: &mut Vec<String>) {
     people.retain_mut(|p| match p.program.check_alive() {
         Ok(()) => true,
@@ -321,10 +322,10 @@ struct Pictures {
     views: String,
 }
 
-/// From what was recorded to figures; the reference comes with the seconds that it took.
+/// Computes the report; the reference comes with its computation time in s.
 fn conclude(
     options: &DemoOptions,
-    subject: &Subject,
+    subject: &TestModel,
     run: Run,
     reference: Result<(Reference, f64), reference::ReferenceError>,
     strokes: u64,
@@ -343,7 +344,9 @@ fn conclude(
             Some(reference)
         }
         Err(error) => {
-            report.notes.push(format!("there is no reference: {error}"));
+            report
+                .notes
+                .push(format!("the reference is missing: {error}"));
             None
         }
     };
@@ -376,14 +379,14 @@ fn conclude(
     (report, pictures)
 }
 
-/// Judges a report; a note names what is not judged.
+/// Judges a report; a note names the criteria that are not judged.
 fn judge(report: &mut Report, options: &DemoOptions) {
     let strokes = report.cut.strokes;
     let is_adaptive = options.compensation == "adaptive";
     let delay_limit_ms = delay_figures::limit_ms(&options.profile).filter(|_| is_adaptive);
     let is_covered = delay_figures::is_covered(&options.profile);
     if !is_adaptive {
-        let note = "the playout delay D is not judged: it was given on the command line";
+        let note = "the playout delay D is not judged: the command line sets it";
         report.notes.push(note.to_owned());
     } else if delay_limit_ms.is_none() {
         report.notes.push(format!(
@@ -406,7 +409,7 @@ fn judge(report: &mut Report, options: &DemoOptions) {
     });
 }
 
-/// The figures of a participant: its summary, and those of its recording.
+/// Figures of a participant: its summary, and those of its recording.
 fn participant(left: &Left, reference: Option<&Reference>, seconds: f64) -> ParticipantReport {
     let recording = &left.recording;
     let expected = reference_of(&recording.name, reference);
@@ -424,7 +427,7 @@ fn participant(left: &Left, reference: Option<&Reference>, seconds: f64) -> Part
     }
 }
 
-/// The course of the reference for a participant by its name.
+/// Reference force of a participant, by name.
 fn reference_of<'a>(
     name: &str,
     reference: Option<&'a Reference>,
@@ -433,8 +436,8 @@ fn reference_of<'a>(
     Some(&reference?.courses[seat])
 }
 
-/// When each participant had applied the first cut, after the first of them had. Late joiners had it
-/// with the log, and are left out.
+/// Time at which each participant applied the first cut, relative to the first one. Late participants, which
+/// receive the cut with the log, are excluded.
 fn applied_after(recordings: &[&Recording]) -> Vec<(String, f64)> {
     let cut = |r: &Recording| {
         let cut = r.operations.iter().find(|o| o.version == 1)?;

@@ -1,47 +1,45 @@
-//! How far apart two participants see the same thing.
+//! Disagreement between the views of two participants.
 //!
-//! Every participant records its views: the moment s of the session that a view shows, when it
-//! became visible (on the monotonic clock, which all processes of one machine share), where each
-//! tool is in it, and the displacement of each node that moved by more than 0.05 mm.
+//! A view has the session time s and the display time on the monotonic clock, which all processes of one
+//! machine share. It also has each tool position, and the displacement of each node that moved by more than
+//! 0.05 mm.
 //!
-//! - The DISAGREEMENT OF VIEWS compares what two participants see at the same instant of real
-//!   time. On a grid of 10 ms each recording is interpolated linearly between the two views around
-//!   the instant. Compared are every tool that both show and every recorded node (a node that one
-//!   side did not record is undisplaced there). An item counts at an instant when, at either side,
-//!   the tool moves or the node is displaced by more than 0.05 mm; the rest of the table agrees by
-//!   resting, and would only flatter the percentiles.
-//! - The DISAGREEMENT OF CONTENTS compares what two participants show for the same moment s,
-//!   whenever they show it. What is left of it is lost packets and solvers that stopped early;
-//!   what the views disagree by beyond it is time.
+//! - The DISAGREEMENT OF VIEWS compares two participants at the same instant of real time. On a grid of 10 ms
+//!   each recording is interpolated linearly between two views. It covers every tool that both show and every
+//!   recorded node (a node that one side did not record is undisplaced there). An item counts at an instant if,
+//!   on either side, the tool moves or the node is displaced by more than 0.05 mm. Resting items are excluded,
+//!   because they would only lower the percentiles.
+//! - The DISAGREEMENT OF CONTENTS compares two participants at the same session time s, whenever they display
+//!   it. It measures lost packets and solvers that stopped early; the rest of the disagreement of views is
+//!   delay.
 
 use std::collections::BTreeMap;
 
 use palpate_client::recording::{NODES_PER_VIEW_MAX, Recording, ViewRecord, node_rank};
 use serde::{Deserialize, Serialize};
 
-/// Distance of the instants that are compared, µs.
+/// Grid of compared instants, µs.
 const GRID_US: i64 = 10_000;
 
-/// What moved or is displaced by less does not count, mm. Recordings leave such nodes out.
+/// Displacements and motions below this do not count, mm. Recordings leave such nodes out.
 const MOVED_MM: f64 = 0.05;
 
-/// The longest pause between two views that is interpolated over, µs. Across a longer one nobody
-/// knows what was shown.
+/// Maximum pause between two views for interpolation, µs.
 const PAUSE_MAX_US: i64 = 250_000;
 
-/// Length of the pieces of the course over time, µs.
+/// Interval of the course over time, µs.
 const COURSE_US: i64 = 100_000;
 
 /// Percentiles of distances, mm.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct DistancesMm {
-    /// Half are smaller.
+    /// Median.
     pub p50: f64,
-    /// 95 of 100 are smaller.
+    /// 95th percentile.
     pub p95: f64,
-    /// The largest.
+    /// Maximum.
     pub max: f64,
-    /// How many there are.
+    /// Number of distances.
     pub count: usize,
 }
 
@@ -63,39 +61,39 @@ impl DistancesMm {
     }
 }
 
-/// A piece of the course over time.
+/// An interval of the course over time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CoursePoint {
-    /// The middle of the piece, monotonic, µs.
+    /// Middle of the interval, monotonic, µs.
     pub t_us: i64,
-    /// 95th percentile within it, mm.
+    /// 95th percentile, mm.
     pub p95_mm: f64,
-    /// The largest within it, mm.
+    /// Maximum, mm.
     pub max_mm: f64,
 }
 
-/// What the recordings of a session say about each other.
+/// Disagreement over all pairs of recordings.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Disagreement {
-    /// Of views, tools and nodes together.
+    /// Views, tools and nodes together.
     pub views: DistancesMm,
-    /// Of views, tools alone.
+    /// Views, tools alone.
     pub tools: DistancesMm,
-    /// Of views, nodes alone.
+    /// Views, nodes alone.
     pub nodes: DistancesMm,
-    /// Of contents at equal s.
+    /// Contents at equal s.
     pub contents: DistancesMm,
-    /// Of views over time.
+    /// Views over time.
     pub course: Vec<CoursePoint>,
 }
 
-/// A table as it is seen at one instant: positions in mm.
+/// A view interpolated at one instant: positions in mm.
 #[derive(Debug, Default)]
 struct Seen {
-    /// Where each tool is, and how far it moves between the views around the instant.
+    /// Position of each tool, and its motion between the views around the instant.
     tools: BTreeMap<u16, ([f64; 3], f64)>,
     nodes: BTreeMap<u32, [f64; 3]>,
-    /// Nodes of a higher rank found no room in the recording: nothing is known of them.
+    /// Highest recorded rank; nodes of a higher rank did not fit into the recording.
     rank_max: u64,
 }
 
@@ -139,7 +137,7 @@ impl Disagreement {
     }
 }
 
-/// Gives the distance in mm of every node that counts between two recordings, at every instant.
+/// Passes the distance in mm of every counted node at every instant to `give`.
 pub fn each_node(a: &Recording, b: &Recording, mut give: impl FnMut(f32)) {
     let mut views = Vec::new();
     compare_views(a, b, &mut views);
@@ -194,7 +192,7 @@ fn earliest(a: Option<&ViewRecord>, b: Option<&ViewRecord>) -> Option<i64> {
     Some(a?.shown_us.min(b?.shown_us))
 }
 
-/// What is seen at `t`. `index` is where the last search ended.
+/// The view at `t`; `index` is the result of the last search.
 fn seen_at(views: &[ViewRecord], index: &mut usize, t: i64) -> Option<Seen> {
     while views.get(*index + 1).is_some_and(|v| v.shown_us <= t) {
         *index += 1;
@@ -244,7 +242,7 @@ fn mm(metres: f64) -> f64 {
     metres * 1e3
 }
 
-/// The highest rank about which a view says something.
+/// Highest rank in a view.
 fn rank_max(view: &ViewRecord) -> u64 {
     if view.nodes.len() < NODES_PER_VIEW_MAX {
         return u64::MAX;
@@ -297,7 +295,7 @@ fn compare_contents(a: &Recording, b: &Recording, out: &mut Vec<f32>) {
         if j == 0 || a.views[i - 1].s_us != b.views[j - 1].s_us {
             continue;
         }
-        // The views before tell which tools move.
+        // The previous view shows which tools move.
         let x = blend(&a.views[i - 1], view, 1.0);
         let y = blend(&b.views[j - 1], &b.views[j], 1.0);
         distances(&x, &y, |d| out.push(d.mm()));
@@ -310,8 +308,7 @@ mod tests {
 
     use super::Disagreement;
 
-    /// A tool that moves along x at `speed` m/s, shown `late_us` after the moment that is shown,
-    /// with one node that follows it in mm.
+    /// A tool that moves along x at `speed` m/s, displayed `late_us` late, and a node that follows it in mm.
     fn recording(late_us: i64, speed: f64) -> Recording {
         let view = |i: i64| {
             let s_us = i * 20_000;
@@ -336,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn who_sees_the_same_at_the_same_time_agrees() {
+    fn equal_views_have_no_disagreement() {
         let a = recording(0, 0.1);
         let d = Disagreement::between(&[&a, &a.clone(), &a.clone()]);
         assert_eq!(d.views.max, 0.0);
@@ -344,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn who_sees_it_late_is_off_by_what_moved_meanwhile_and_agrees_on_contents() {
+    fn late_view_disagrees_by_its_motion_and_agrees_on_contents() {
         let (a, b) = (recording(0, 0.1), recording(30_000, 0.1));
         let d = Disagreement::between(&[&a, &b]);
         assert!((d.tools.p50 - 3.0).abs() < 1e-3, "{:?}", d.tools);
@@ -354,13 +351,13 @@ mod tests {
     }
 
     #[test]
-    fn what_rests_everywhere_does_not_count() {
+    fn resting_items_do_not_count() {
         let a = recording(0, 0.0);
         assert_eq!(Disagreement::between(&[&a, &a.clone()]).views.count, 0);
     }
 
     #[test]
-    fn a_node_that_one_side_did_not_record_is_at_rest_there() {
+    fn unrecorded_node_is_undisplaced() {
         let a = recording(0, 0.1);
         let mut b = a.clone();
         for view in &mut b.views {
@@ -373,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_to_compare_with_is_no_disagreement() {
+    fn single_recording_has_no_disagreement() {
         let empty = Recording::default();
         let a = recording(0, 0.1);
         assert_eq!(

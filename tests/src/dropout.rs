@@ -1,47 +1,47 @@
-//! Moments in which a hand that presses feels nothing, or far too little.
+//! Dropouts: intervals of contact with no force or far too little.
 
 use serde::{Deserialize, Serialize};
 
 use crate::force_error::{ForcePoint, norm};
 
-/// Contact is where the reference is above this, N: the forces of smaller presses are within the noise of a device.
+/// A reference force above this is contact, N: smaller forces are within the noise of a device.
 pub const CONTACT_MIN_N: f64 = 0.05;
 
-/// Contact is also above this share of the largest force of the reference. At the edge of a press the force depends on
-/// tenths of a millimetre of where the hand is: a difference there is an error, which the rms counts, and no dropout.
+/// Contact is also above this share of the largest reference force. At the edge of a press the force depends on
+/// tenths of a millimetre; a difference there counts as rms error, not as dropout.
 pub const CONTACT_SHARE: f64 = 0.2;
 
-/// A force below this share of the reference is too small.
+/// Forces below this share of the reference are too small.
 pub const FORCE_SHARE: f64 = 0.8;
 
-/// Stretches up to this are no dropouts, ms.
+/// Shorter intervals are not dropouts, ms.
 pub const SHORTEST_MS: f64 = 20.0;
 
-/// The reference of a moment is its minimum over this to both sides, s. While a tool enters or leaves the tissue, a
-/// session that is two solves of 4 ms ahead or behind is right and nevertheless below the reference of that instant.
+/// The reference is its minimum within this window to both sides, s. While a tool enters or leaves the tissue,
+/// a correct session may be two solves of 4 ms early or late.
 pub const WINDOW_S: f64 = 8e-3;
 
-/// The dropouts of a course of force: stretches of more than [`SHORTEST_MS`] in which the reference is in contact and
+/// Dropouts of a force course: intervals longer than [`SHORTEST_MS`] in which the reference is in contact and
 /// the force is below [`FORCE_SHARE`] of it.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Dropouts {
-    /// How many.
+    /// Number of dropouts.
     pub count: usize,
-    /// The longest, ms; zero without any.
+    /// Longest dropout, ms; zero without any.
     pub longest_ms: f64,
-    /// All together, ms.
+    /// Total duration, ms.
     pub total_ms: f64,
-    /// Force of the reference above which a moment is in contact, N.
+    /// Reference force above which an instant is in contact, N.
     pub contact_n: f64,
-    /// Seconds in contact that were looked at.
+    /// Time in contact, s.
     pub contact_s: f64,
-    /// Beginnings and ends, seconds of script.
+    /// Begins and ends, seconds of script.
     pub spans_s: Vec<(f64, f64)>,
 }
 
 impl Dropouts {
-    /// Compares a course with its reference, both in the order of time. `None` where the reference is never in contact:
-    /// then there is nothing to find out.
+    /// Compares a course with its reference, both in the order of time. `None` if the reference is never in
+    /// contact.
     pub fn between(course: &[ForcePoint], reference: &[ForcePoint]) -> Option<Self> {
         let largest = reference
             .iter()
@@ -89,7 +89,7 @@ impl Dropouts {
     }
 }
 
-/// The smallest force of a course around moments that do not decrease.
+/// Sliding minimum of a force course, for increasing times.
 struct Floor<'a> {
     course: &'a [ForcePoint],
     from: usize,
@@ -100,7 +100,7 @@ impl<'a> Floor<'a> {
         Self { course, from: 0 }
     }
 
-    /// `None` outside of the course.
+    /// `None` outside the course.
     fn at(&mut self, t_s: f64) -> Option<f64> {
         let until = self.course.last()?.t_s;
         while self.course.get(self.from)?.t_s < t_s - WINDOW_S {
@@ -115,7 +115,7 @@ impl<'a> Floor<'a> {
     }
 }
 
-/// The longest time without a recorded force between the beginning and the end of a script of `seconds`, ms.
+/// Longest time without a recorded force during a script of `seconds`, ms.
 pub fn longest_gap_ms(course: &[ForcePoint], seconds: f64) -> f64 {
     let inside = course.iter().map(|p| p.t_s);
     let mut last = 0.0;
@@ -161,14 +161,14 @@ mod tests {
     }
 
     #[test]
-    fn a_session_like_its_reference_has_no_dropout() {
+    fn course_equal_to_its_reference_has_no_dropout() {
         let found = Dropouts::between(&press(4, 0.0), &press(1, 0.0)).unwrap();
         assert_eq!((found.count, found.total_ms), (0, 0.0));
         assert!((found.contact_s - 0.93).abs() < 0.05, "{found:?}");
     }
 
     #[test]
-    fn holes_of_more_than_20_ms_are_counted_with_their_lengths() {
+    fn gaps_above_20_ms_are_counted_with_their_lengths() {
         let found = Dropouts::between(&with_hole(1.0, 1.06, 0.0), &press(1, 0.0)).unwrap();
         assert_eq!(found.count, 1);
         assert!((found.longest_ms - 60.0).abs() <= 4.0, "{found:?}");
@@ -186,14 +186,14 @@ mod tests {
     }
 
     #[test]
-    fn a_force_that_never_comes_back_is_one_long_dropout() {
+    fn force_that_never_returns_is_one_long_dropout() {
         let found = Dropouts::between(&with_hole(0.8, 9.0, 0.0), &press(1, 0.0)).unwrap();
         assert_eq!(found.count, 1);
         assert!((found.longest_ms - 676.0).abs() < 30.0, "{found:?}");
     }
 
     #[test]
-    fn without_contact_in_the_reference_there_is_nothing_to_find_out() {
+    fn reference_without_contact_gives_no_figures() {
         let mut air = press(1, 0.0);
         for p in &mut air {
             p.force_n = [0.0; 3];
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn gaps_count_from_the_beginning_to_the_end_of_the_script() {
+    fn recording_gaps_count_over_the_whole_script() {
         assert!((longest_gap_ms(&press(4, 0.0), 2.0) - 4.0).abs() < 1e-9);
         assert!((longest_gap_ms(&press(4, 0.0), 3.0) - 1004.0).abs() < 1e-6);
         let late: Vec<ForcePoint> = press(4, 0.0).split_off(50);
@@ -212,7 +212,7 @@ mod tests {
     }
 
     proptest! {
-        /// Ramps at both ends of a press are no dropouts for a session that is a solve or two ahead or behind.
+        /// A session that is one or two solves early or late has no dropout on the ramps of a press.
         #[test]
         fn a_small_shift_in_time_makes_no_dropout(late_ms in -8.0..8.0f64) {
             let found = Dropouts::between(&press(4, late_ms), &press(1, 0.0)).unwrap();

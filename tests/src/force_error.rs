@@ -1,9 +1,9 @@
-//! How far the forces of a session are from those without a network.
+//! Force error of a session against the reference without a network.
 
 use palpate_client::recording::HapticPoint;
 use serde::{Deserialize, Serialize};
 
-/// Contact is where either force is larger than this, N.
+/// Contact: either force is above this, N.
 const CONTACT_N: f64 = 0.05;
 
 /// A force over the time of a script.
@@ -43,8 +43,7 @@ pub fn over_script(points: &[HapticPoint], started_us: i64) -> Vec<ForcePoint> {
         .collect()
 }
 
-/// The points of a course at which either side touches, with those of its reference; both in the
-/// order of time.
+/// Points of a course in contact on either side, with those of its reference; both in the order of time.
 fn touching(course: &[ForcePoint], reference: &[ForcePoint]) -> Vec<(ForcePoint, ForcePoint)> {
     let mut index = 0;
     let mut both = |p: &ForcePoint| {
@@ -87,7 +86,7 @@ impl ForceError {
     }
 }
 
-/// The point of a course at `t_s`, interpolated; `None` outside of it.
+/// The point of a course at `t_s`, interpolated; `None` outside it.
 fn at(course: &[ForcePoint], index: &mut usize, t_s: f64) -> Option<ForcePoint> {
     while course.get(*index + 1).is_some_and(|p| p.t_s <= t_s) {
         *index += 1;
@@ -146,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn without_contact_there_is_nothing_to_compare() {
+    fn course_without_contact_gives_no_figures() {
         assert_eq!(ForceError::between(&course(4, 0.0), &course(1, 0.0)), None);
     }
 }

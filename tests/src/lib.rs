@@ -1,25 +1,25 @@
-//! The laboratory: emulated networks, scripted hands, a session on one machine, and what its
-//! recordings say.
+//! The laboratory: emulated networks, scripted hands, sessions on one machine, and the analysis of their
+//! recordings.
 //!
-//! This crate is imported by nobody, decides nothing about tissue, hands or the wire, and takes no
-//! part in a session that is not its own: it starts the real programs and looks at what they leave.
+//! No other crate imports this one. It has no logic of tissue, hands or the wire, and joins only its own
+//! sessions: it starts the real programs and analyses their output.
 //!
-//! | to | look in |
+//! | task | modules |
 //! | --- | --- |
-//! | make a network bad, for pure machines or for programs | [`network`], [`relay`] |
-//! | find where to press and cut on any model, and make scripts of it | [`place`], [`scripts`] |
-//! | have a hand whose motion is known at every moment | [`hand`] |
+//! | emulate a bad network, for state machines or for programs | [`network`], [`relay`] |
+//! | find locations to press and cut on any model, and write scripts for them | [`tool_location`], [`scripts`] |
+//! | use a hand with a known continuous motion | [`hand`] |
 //! | run a server and clients as processes | [`program`], [`session`], [`stress`] |
-//! | know what would be felt without a network | [`mod@reference`] |
-//! | run a whole session in virtual time | [`rehearsal`] |
-//! | fill all seats of a server and see what it costs | [`crowd`] |
-//! | compare | [`disagreement`], [`force_error`], [`dropout`], [`delay_figures`], [`cpu`] |
+//! | compute the forces without a network | [`mod@reference`] |
+//! | simulate a whole session in virtual time | [`rehearsal`] |
+//! | load a server with all its seats | [`crowd`] |
+//! | compare recordings | [`disagreement`], [`force_error`], [`dropout`], [`delay_figures`], [`cpu`] |
 //! | judge a session | [`criteria`] |
-//! | measure the equilibrium | [`mod@bench`] |
-//! | know what a hand feels of a tool, and what is true | [`trial`], [`experiments`] |
-//! | break what a hand depends on, and see that it is not jerked | [`haptic_faults`] |
-//! | know that no bytes of others break a reader | [`decoders`] |
-//! | see all of it at once | [`demo`], [`report`], [`plots`] |
+//! | measure the solver | [`mod@bench`] |
+//! | compare rendered and converged forces of a tool | [`scenario`], [`experiments`] |
+//! | inject faults into the haptic chain | [`haptic_faults`] |
+//! | test and fuzz the decoders | [`decoders`] |
+//! | run all of it at once | [`demo`], [`report`], [`plots`] |
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -39,9 +39,8 @@ pub mod experiments;
 pub mod force_error;
 pub mod hand;
 pub mod haptic_faults;
-mod nearest;
+mod name_suggestion;
 pub mod network;
-pub mod place;
 pub mod plots;
 pub mod program;
 pub mod progress;
@@ -49,8 +48,9 @@ pub mod reference;
 pub mod rehearsal;
 pub mod relay;
 pub mod report;
+pub mod scenario;
 pub mod scripts;
 pub mod session;
 pub mod stress;
-pub mod subject;
-pub mod trial;
+pub mod test_model;
+pub mod tool_location;

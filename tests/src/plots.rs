@@ -1,23 +1,23 @@
-//! The pictures of a report.
+//! Plots of a report.
 
 use crate::chart::{BLUE, Chart, GREEN, GREY, Line, Mark, ORANGE, PURPLE, Panel, Scale};
 use crate::disagreement::CoursePoint;
 use crate::force_error::{ForcePoint, norm};
 
-/// One trainee's forces.
+/// Forces of one trainee.
 #[derive(Debug, Clone)]
 pub struct Felt<'a> {
     /// The name.
     pub name: &'a str,
     /// In the session, over the time of the script.
     pub session: &'a [ForcePoint],
-    /// Without a network; empty when there is none.
+    /// Without a network; empty without a reference.
     pub reference: &'a [ForcePoint],
-    /// Beginnings and ends of dropouts, seconds of script.
+    /// Begins and ends of dropouts, seconds of script.
     pub dropouts: &'a [(f64, f64)],
 }
 
-/// Force over time of every trainee, with the reference. `marks` in seconds of script.
+/// Force over time of every trainee, with the reference. `marks` are in seconds of script.
 pub fn forces(felt: &[Felt<'_>], marks: Vec<Mark>) -> Chart {
     let colours = [BLUE, ORANGE, GREEN];
     let panel = |(i, f): (usize, &Felt<'_>)| {
@@ -32,7 +32,7 @@ pub fn forces(felt: &[Felt<'_>], marks: Vec<Mark>) -> Chart {
             y_label: "force (N)".to_owned(),
             lines: vec![
                 line("in the session", colours[i % 3], false, f.session),
-                // On top and with dashes: where the two agree, both can be seen.
+                // Dashed and on top, so that both curves stay visible where they coincide.
                 line("without a network", GREY, true, f.reference),
                 dropouts(f),
             ]
@@ -63,7 +63,7 @@ fn dropouts(felt: &Felt<'_>) -> Line {
     }
 }
 
-/// View disagreement over time. `zero_us` is the script's start on the monotonic clock.
+/// View disagreement over time. `zero_us` is the start of the script on the monotonic clock.
 pub fn views(course: &[CoursePoint], zero_us: i64, marks: Vec<Mark>) -> Chart {
     let line = |name: &str, colour, value: fn(&CoursePoint) -> f64| Line {
         name: name.to_owned(),

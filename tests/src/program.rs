@@ -1,9 +1,8 @@
-//! A program of ours as a process of its own, which never outlives us.
+//! A program of this project as a child process with a bounded life.
 //!
-//! What it writes is read by two threads, so that it never waits for us: its standard output line
-//! by line, of its standard error the last lines, which are what a person wants to see when it
-//! died. Dropping a [`Program`] kills it; should this process itself be killed, the system ends
-//! the program (see [`die_with_parent`]).
+//! Two threads drain its output, so that it never blocks: every line of standard output, and the first and last
+//! lines of standard error for error messages. Dropping a [`Program`] kills the process. If the laboratory is
+//! killed, the operating system ends the child (see [`die_with_parent`]).
 
 use std::collections::VecDeque;
 use std::ffi::OsString;
@@ -16,70 +15,71 @@ use std::time::{Duration, Instant};
 
 use serde::de::DeserializeOwned;
 
-/// Lines of standard error that are kept: enough for a sentence and a backtrace's beginning.
+/// Kept last lines of standard error: an error message and the beginning of a backtrace.
 const TAIL_LINES_MAX: usize = 12;
 
-/// First lines of standard error that are kept: what a program says when it has come up.
+/// Kept first lines of standard error: the startup messages.
 const HEAD_LINES_MAX: usize = 24;
 
-/// Longest kept line, in characters. The rest of it is left out.
+/// Maximum length of a kept line, in characters; longer lines are truncated.
 const LINE_CHARS_MAX: usize = 400;
 
-/// How often a program is asked whether it has ended.
+/// Poll interval for the exit status.
 const POLL: Duration = Duration::from_millis(10);
 
-/// What went wrong with a program.
+/// Failure of a child process.
 #[derive(Debug, thiserror::Error)]
 pub enum ProgramError {
-    /// The system did not start it.
+    /// The operating system did not start it.
     #[error("the {name} could not be started: {source}")]
     Start {
-        /// Which program.
+        ///
+        /// The program.
         name: String,
-        /// What the system said.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// It ended when it should not have.
+    /// It ended early.
     #[error("the {name} ended early ({status}){}", said(.tail))]
     Died {
-        /// Which program.
+        /// The program.
         name: String,
-        /// How it ended.
+        /// Exit status.
         status: String,
         /// Its last lines on standard error.
         tail: String,
     },
-    /// It did not do in time what it had to.
+    /// Timeout.
     #[error("the {name} did not {what} within {seconds:.0} s{}", said(.tail))]
     Late {
-        /// Which program.
+        /// The program.
         name: String,
-        /// What it should have done.
+        /// Expected action.
         what: &'static str,
-        /// How long it had.
+        /// Timeout, s.
         seconds: f64,
         /// Its last lines on standard error.
         tail: String,
     },
-    /// It wrote something else than it should.
+    /// Unexpected output.
     #[error("the {name} wrote \"{line}\" where {what} was expected ({error})")]
     Output {
-        /// Which program.
+        /// The program.
         name: String,
-        /// What was expected.
+        /// Expected output.
         what: &'static str,
-        /// What it wrote.
+        /// Received line.
         line: String,
-        /// What is wrong with it.
+        /// Parse error.
         error: String,
     },
 }
 
 fn said(tail: &str) -> String {
     if tail.is_empty() {
-        "; it said nothing".to_owned()
+        "; its standard error is empty".to_owned()
     } else {
-        format!("; it said:\n    {}", tail.replace('\n', "\n    "))
+        format!("; its last output:\n    {}", tail.replace('\n', "\n    "))
     }
 }
 
@@ -93,7 +93,7 @@ pub struct Program {
     said: Arc<Mutex<Said>>,
 }
 
-/// What a program said on standard error.
+/// Kept lines of standard error.
 #[derive(Default)]
 struct Said {
     head: Vec<String>,
@@ -114,7 +114,7 @@ impl Said {
 }
 
 fn lock(said: &Mutex<Said>) -> MutexGuard<'_, Said> {
-    // A reader that failed left whole lines behind.
+    // A panicked reader leaves complete lines behind.
     said.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -159,12 +159,12 @@ impl Program {
         })
     }
 
-    /// What errors call it.
+    /// Its name in errors.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Its number in the system.
+    /// Its process id.
     pub fn id(&self) -> u32 {
         self.child.id()
     }
@@ -199,7 +199,7 @@ impl Program {
         &mut self,
         what: &'static str,
     ) -> Result<T, ProgramError> {
-        // The reader ends with the pipe, and so does this.
+        // The reader ends with the pipe, and this loop with the reader.
         while let Ok(line) = self.stdout.recv_timeout(Duration::from_secs(5)) {
             self.last = Some(line);
         }
@@ -220,7 +220,7 @@ impl Program {
         })
     }
 
-    /// Refuses a program that has ended.
+    /// Returns an error if the program has ended.
     pub fn check_alive(&mut self) -> Result<(), ProgramError> {
         match self.child.try_wait() {
             Ok(None) => Ok(()),
@@ -229,19 +229,19 @@ impl Program {
         }
     }
 
-    /// Asks it politely to end.
+    /// Requests termination (SIGTERM).
     pub fn ask_to_end(&self) {
         #[cfg(unix)]
         self.signal(rustix::process::Signal::TERM);
     }
 
-    /// Stops it where it is: nothing of it runs until [`go_on`](Self::go_on).
+    /// Stops the process (SIGSTOP) until [`go_on`](Self::go_on).
     #[cfg(unix)]
     pub fn stand_still(&self) {
         self.signal(rustix::process::Signal::STOP);
     }
 
-    /// Lets it go on after [`stand_still`](Self::stand_still).
+    /// Continues it after [`stand_still`](Self::stand_still).
     #[cfg(unix)]
     pub fn go_on(&self) {
         self.signal(rustix::process::Signal::CONT);
@@ -252,14 +252,14 @@ impl Program {
         if let Ok(id) = i32::try_from(self.child.id())
             && let Some(pid) = rustix::process::Pid::from_raw(id)
         {
-            // It may have ended by itself.
+            // The process may have ended already.
             let _ = rustix::process::kill_process(pid, signal);
         }
     }
 
-    /// Ends it without a chance to say anything.
+    /// Kills it (SIGKILL).
     pub fn kill(&mut self) {
-        // Both fail only when it is gone already.
+        // Both calls fail only if the process has ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -277,7 +277,7 @@ impl Program {
         }
     }
 
-    /// Waits until it ends, and refuses an exit code other than 0.
+    /// Waits until it ends; an exit code other than 0 is an error.
     pub fn wait_for_success(&mut self, within: Duration) -> Result<(), ProgramError> {
         let status = self.wait(within)?;
         if status.success() {
@@ -293,7 +293,7 @@ impl Program {
         said.tail.iter().cloned().collect::<Vec<_>>().join("\n")
     }
 
-    /// Whether a phrase was among its first or last lines on standard error.
+    /// Whether a phrase occurs in its first or last lines on standard error.
     pub fn has_said(&self, phrase: &str) -> bool {
         let said = lock(&self.said);
         said.head
@@ -312,7 +312,7 @@ impl Program {
     }
 
     fn died(&self, status: String) -> ProgramError {
-        // What it said last may still be on its way through the pipe.
+        // Its last output may still be in the pipe.
         std::thread::sleep(5 * POLL);
         ProgramError::Died {
             name: self.name.clone(),
@@ -332,8 +332,8 @@ fn describe(status: ExitStatus) -> String {
     status.to_string()
 }
 
-/// Reads until the end or until `take` returns `false`. A status line that is rewritten in place
-/// ends with a carriage return.
+/// Reads lines until the end or until `take` returns `false`. A status line that is rewritten in place ends
+/// with a carriage return.
 fn each_line(input: impl Read, mut take: impl FnMut(String) -> bool) {
     let mut input = BufReader::new(input);
     let mut line = Vec::new();
@@ -360,13 +360,12 @@ fn each_line(input: impl Read, mut take: impl FnMut(String) -> bool) {
     }
 }
 
-/// Lets the system end this process when the one that started it is gone. For the roles that the
-/// laboratory starts itself in, called first.
+/// Ends this process when its parent ends. The roles that the laboratory starts call it first.
 pub fn die_with_parent() {
     #[cfg(target_os = "linux")]
     {
         use rustix::process::{Signal, set_parent_process_death_signal};
-        // Without it the process ends with its session or by its own duration.
+        // Without it the process ends with its session or its duration.
         let _ = set_parent_process_death_signal(Some(Signal::TERM));
     }
 }
@@ -385,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn who_dies_is_reported_with_the_last_words() {
+    fn early_exit_reports_status_and_last_lines() {
         let mut program = shell("echo all is well; echo the roof is on fire >&2; exit 3");
         assert_eq!(program.line("greet", SOON).unwrap(), "all is well");
         let error = program.line("greet again", SOON).unwrap_err();
@@ -396,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn who_does_nothing_is_late() {
+    fn silent_program_times_out() {
         let mut program = shell("exec sleep 60");
         let error = program
             .line("speak", Duration::from_millis(50))
@@ -405,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_line_counts() {
+    fn last_json_returns_last_line() {
         let mut program = shell("echo 1; echo 2; echo '{\"a\": 3}'");
         program.wait_for_success(SOON).unwrap();
         let last: serde_json::Value = program.last_json("a number").unwrap();
@@ -413,11 +412,11 @@ mod tests {
     }
 
     #[test]
-    fn who_stands_still_says_nothing_until_it_goes_on() {
+    fn stopped_program_prints_only_after_it_continues() {
         let mut program = shell("echo up; while :; do sleep 0.02; echo tick; done");
         program.line("come up", SOON).unwrap();
         program.stand_still();
-        // What was on its way, and then nothing.
+        // Drains the lines in flight.
         while program.line("tick", Duration::from_millis(500)).is_ok() {}
         program.go_on();
         assert_eq!(program.line("tick", SOON).unwrap(), "tick");
@@ -426,7 +425,7 @@ mod tests {
         drop(program);
         assert!(
             !Path::new(&proc_entry).exists(),
-            "a still one is ended, too"
+            "a stopped process ends too"
         );
     }
 
@@ -439,7 +438,7 @@ mod tests {
     }
 
     #[test]
-    fn asking_is_enough_for_a_program_that_listens() {
+    fn program_that_handles_sigterm_ends_on_request() {
         let mut program =
             shell("trap 'echo bye; exit 0' TERM; echo up; while :; do sleep 0.05; done");
         program.line("come up", SOON).unwrap();

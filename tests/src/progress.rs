@@ -1,25 +1,25 @@
-//! What a person sees while an experiment runs, on standard error; and the wish to end it.
+//! Progress of an experiment on standard error, and interruption by the user.
 
 use std::io::{IsTerminal, Write, stderr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Where nothing can be rewritten in place, a line comes this often: a log says that all goes on, and stays short.
+/// Interval of progress lines if standard error is not a terminal: a log stays short.
 const LINE_EVERY: Duration = Duration::from_secs(10);
 
-/// Shows stages and how far they are.
+/// Progress output.
 #[derive(Debug)]
 pub struct Progress {
     began: Instant,
     is_terminal: bool,
     shown: String,
-    /// When the last line was written.
+    /// Time of the last line.
     said: Instant,
 }
 
 impl Progress {
-    /// For a person.
+    /// Starts the clock.
     pub fn new() -> Self {
         Self {
             began: Instant::now(),
@@ -29,7 +29,7 @@ impl Progress {
         }
     }
 
-    /// A new stage begins.
+    /// Begins a stage.
     pub fn stage(&mut self, what: &str) {
         self.clear();
         self.said = Instant::now();
@@ -39,7 +39,7 @@ impl Progress {
         ));
     }
 
-    /// How far the stage is; rewritten in place on a terminal, and a line now and then elsewhere.
+    /// Progress within the stage; rewritten in place on a terminal, otherwise a line now and then.
     pub fn tick(&mut self, how_far: &str) {
         if !self.is_terminal {
             if self.said.elapsed() >= LINE_EVERY {
@@ -61,7 +61,7 @@ impl Progress {
 
     fn write(text: &str) {
         let mut err = stderr().lock();
-        // Nobody is left to be told when standard error is gone.
+        // A closed standard error is ignored.
         let _ = err.write_all(text.as_bytes()).and_then(|()| err.flush());
     }
 }
@@ -78,12 +78,12 @@ impl Drop for Progress {
     }
 }
 
-/// Set when the user or the system wants us to end.
+/// Set when the user or the operating system requests termination.
 #[derive(Debug, Clone, Default)]
 pub struct Interrupt(Arc<AtomicBool>);
 
 impl Interrupt {
-    /// Listens for SIGINT and SIGTERM from now on; from then on they no longer end the process.
+    /// Listens for SIGINT and SIGTERM, which then no longer end the process.
     pub fn listen() -> std::io::Result<Self> {
         let interrupt = Self::default();
         let flag = interrupt.clone();
@@ -99,7 +99,7 @@ impl Interrupt {
         Ok(interrupt)
     }
 
-    /// Whether it is time to end.
+    /// Whether termination was requested.
     pub fn is_set(&self) -> bool {
         self.0.load(Ordering::Acquire)
     }
@@ -119,7 +119,7 @@ async fn wanted() {
 
 #[cfg(not(unix))]
 async fn wanted() {
-    // Without it the process ends as the system wants it.
+    // Without a handler the signal ends the process.
     if tokio::signal::ctrl_c().await.is_err() {
         std::future::pending::<()>().await;
     }

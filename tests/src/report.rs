@@ -1,4 +1,4 @@
-//! The report of a demo: one JSON object, and the same for people.
+//! The report of a demo: one JSON object, and its text form.
 
 use std::fmt;
 
@@ -38,17 +38,17 @@ pub struct Report {
     pub content_disagreement_mm: DistancesMm,
     /// The network between them.
     pub network: NetworkReport,
-    /// What was cut.
+    /// The cuts.
     pub cut: CutReport,
     /// The playout delay D over the scripts; `None` when no view was recorded.
     pub delay: Option<DelayFigures>,
-    /// CPU time of the processes that gave it.
+    /// CPU time per process, if measured.
     pub cpu: Vec<CpuRow>,
-    /// The run without a network; `None` when it failed.
+    /// The run without a network; `None` if it failed.
     pub reference: Option<ReferenceReport>,
-    /// Processes that died, a sentence each.
+    /// Processes that died, one sentence each.
     pub problems: Vec<String>,
-    /// What a reader should know, one sentence each.
+    /// Notes for the reader, one sentence each.
     pub notes: Vec<String>,
     /// Every figure that has a limit.
     pub criteria: Vec<Criterion>,
@@ -63,88 +63,87 @@ pub struct ParticipantReport {
     pub name: String,
     /// The role.
     pub role: String,
-    /// Ticks of the force loop; 0 for who only looks.
+    /// Ticks of the force loop; 0 for a spectator.
     pub ticks: u64,
     /// Ticks per second.
     pub rate_hz: f64,
-    /// How late ticks began, µs.
+    /// Lateness of ticks, µs.
     pub lateness_us: Lateness,
-    /// Deadlines that were skipped.
+    /// Skipped deadlines.
     pub missed: u64,
     /// Round trip time, as the client measured it.
     pub rtt_ms: Option<f64>,
     /// Share of the server's datagrams that did not arrive, 0 to 1, as the client measured it.
     pub loss: f64,
-    /// The artificial delay D in the end.
+    /// Artificial delay D at the end.
     pub compensation_ms: f64,
-    /// Hash of its topology in the end.
+    /// Hash of its topology at the end.
     pub topology_hash: String,
-    /// Version of its topology in the end.
+    /// Version of its topology at the end.
     pub topology_version: u32,
-    /// Error of the contact force against the run without a network, percent rms; `None` for who
-    /// only looks.
+    /// Error of the contact force against the run without a network, percent rms; `None` for a spectator.
     pub force_error_rms: Option<f64>,
-    /// The same in more detail.
+    /// Details of the force error.
     pub force_error: Option<ForceError>,
-    /// Moments in which the hand lost its force; `None` without a reference or a script.
+    /// Dropouts of the force; `None` without a reference or a script.
     pub dropouts: Option<Dropouts>,
-    /// The longest time of the script without a recorded force, ms; `None` without a script.
+    /// Longest time of the script without a recorded force, ms; `None` without a script.
     pub recording_gap_ms: Option<f64>,
-    /// Points, views and operations that found no room in the recording.
+    /// Points, views and operations dropped from a full recording.
     pub records_dropped: u64,
-    /// All figures that the client gave.
+    /// The summary of the client.
     pub summary: Summary,
 }
 
 /// The server's figures.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct ServerReport {
-    /// Ticks done.
+    /// Number of ticks.
     pub ticks: u64,
-    /// How long they took.
+    /// Duration of the ticks.
     pub tick_ms: TickTimes,
-    /// Time between two.
+    /// Tick period.
     pub tick_period_ms: f64,
     /// Operations in the log.
     pub operations: usize,
-    /// How often a participant was made a spectator because of the network.
+    /// Demotions to spectator because of the network.
     pub demotions: u64,
-    /// Hash of its topology in the end.
+    /// Hash of its topology at the end.
     pub topology_hash: String,
-    /// Version of its topology in the end.
+    /// Version of its topology at the end.
     pub topology_version: u32,
 }
 
-/// The network: what the relay was told to do and what it did.
+/// The network: settings and measurements of the relay.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct NetworkReport {
     /// The profile's name.
     pub profile: String,
     /// The seed.
     pub seed: u64,
-    /// Packets that came to the relay, both directions.
+    /// Packets into the relay, both directions.
     pub sent: u64,
-    /// Packets that it lost on purpose.
+    /// Packets dropped by the profile.
     pub dropped: u64,
-    /// Packets that it let overtake others.
+    /// Reordered packets.
     pub reordered: u64,
-    /// What became of packets to the server.
+    /// Counts of packets to the server.
     #[serde(default)]
     pub up: WayStats,
-    /// What became of packets to clients.
+    /// Counts of packets to clients.
     #[serde(default)]
     pub down: WayStats,
-    /// Share of packets it lost, 0 to 1.
+    /// Share of dropped packets, 0 to 1.
     pub loss: f64,
-    /// Mean delay it gave, one way, ms.
+    /// Mean one-way delay, ms.
     pub delay_mean_ms: f64,
-    /// 99th percentile of that delay, ms.
+    /// 99th percentile of the one-way delay, ms.
     pub delay_p99_ms: f64,
-    /// How late it was itself, 99th percentile, ms.
+    /// Lateness of the relay itself, 99th percentile, ms.
     pub lateness_p99_ms: f64,
 }
 
-/// What was cut.
+/// The cuts.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct CutReport {
     /// Strokes of the blade in the scripts.
@@ -155,20 +154,21 @@ pub struct CutReport {
     pub components: usize,
     /// Whether the outer surface is closed, wounds included.
     pub boundary_closed: bool,
-    /// When each participant had applied the first cut, ms after the first of them had.
+    /// Time at which each participant applied the first cut, ms after the first one.
     pub applied_after_ms: Vec<(String, f64)>,
 }
 
 /// The run without a network.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct ReferenceReport {
-    /// How long computing it took, s.
+    /// Computation time, s.
     pub seconds: f64,
-    /// Moments of its cuts, seconds of script.
+    /// Times of its cuts, seconds of script.
     pub cuts_s: Vec<f64>,
-    /// Largest distance of the session's cuts, which the reference makes, from where its own hands cut, mm.
+    /// Largest distance between the cuts of the session, which the reference uses, and those of its own hands,
+    /// mm.
     pub cut_apart_mm: f64,
-    /// Solves around the tools.
+    /// Solves near the tools.
     pub solves: usize,
     /// Converged solves of the whole tissue.
     pub checks: usize,
@@ -179,7 +179,7 @@ pub struct ReferenceReport {
 }
 
 impl ReferenceReport {
-    /// The figures of a reference that was computed in so many seconds.
+    /// The figures of a reference with this computation time.
     pub fn of(reference: &Reference, seconds: f64) -> Self {
         let q = reference.quality;
         Self {
@@ -213,7 +213,7 @@ impl From<RelayStats> for NetworkReport {
 }
 
 impl ServerReport {
-    /// The server's part of its summary.
+    /// The figures of a server summary.
     pub fn of(s: &HostSummary) -> Self {
         Self {
             ticks: s.ticks,
@@ -228,7 +228,7 @@ impl ServerReport {
 }
 
 impl ParticipantReport {
-    /// A participant's summary, with the error of its force where there is one; nothing of its recording.
+    /// The figures of a client summary and its force error; those of its recording stay empty.
     pub fn of(summary: Summary, force_error: Option<ForceError>) -> Self {
         let s = summary.clone();
         Self {
@@ -254,7 +254,7 @@ impl ParticipantReport {
 }
 
 impl Report {
-    /// A report of nothing but the server's figures.
+    /// A report with the figures of the server only.
     pub fn new(server: ServerReport) -> Self {
         Self {
             nodes: 0,
@@ -285,7 +285,7 @@ impl Report {
         self.ok = self.criteria.iter().all(|c| c.ok);
     }
 
-    /// Takes the figures of views.
+    /// Sets the figures of view disagreement.
     pub fn take_disagreement(&mut self, d: &Disagreement) -> Vec<CoursePoint> {
         self.view_disagreement_mm = d.views;
         self.tool_disagreement_mm = d.tools;
@@ -310,7 +310,7 @@ impl fmt::Display for Report {
         self.write_disagreement(f)?;
         self.write_topologies(f)?;
         writeln!(f, "\n{} criteria", self.criteria.len())?;
-        // Those that failed stand in the summary.
+        // Failed criteria are in the summary.
         for criterion in self.criteria.iter().filter(|c| c.ok) {
             let line = criterion.to_string();
             writeln!(f, "  {}", line.trim_start_matches("passed: "))?;
@@ -322,11 +322,11 @@ impl fmt::Display for Report {
     }
 }
 
-/// The first lines of a report: the result, and the figures that it is about.
+/// The first lines of a report: result and main figures.
 pub struct Brief<'a>(&'a Report);
 
 impl Report {
-    /// The result in ten lines, and a line for each criterion that is not met.
+    /// The result in ten lines, and a line for each failed criterion.
     pub fn summary(&self) -> Brief<'_> {
         Brief(self)
     }
@@ -459,7 +459,7 @@ impl fmt::Display for Brief<'_> {
     }
 }
 
-/// Error and dropouts of a hand's force, in a line.
+/// Force error and dropouts of a trainee, in a line.
 struct Felt<'a>(&'a ParticipantReport);
 
 impl fmt::Display for Felt<'_> {
@@ -532,7 +532,7 @@ impl Report {
         let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;
         writeln!(
             f,
-            "measured       round trip {:.1} ms (injected {:.1}), loss of what the server sent {:.2} %",
+            "measured       round trip {:.1} ms (injected {:.1}), loss on the downlink {:.2} %",
             mean(&rtts),
             2.0 * n.delay_mean_ms,
             mean(&losses) * 100.0
@@ -540,19 +540,19 @@ impl Report {
     }
 }
 
-/// What the figures of a report mean, for people.
+/// Definitions of the figures, for readers of the report.
 pub const DEFINITIONS: &str = "\
 disagreement of views     at the same instant of real time (a grid of 10 ms, views interpolated
-                          linearly): distance between where two participants see the same tool or
-                          the same node; all pairs; an item counts while it moves or is displaced
-                          by more than 0.05 mm at either side
+                          linearly): distance between the positions of the same tool or node at
+                          two participants; all pairs; an item counts while it moves or is displaced
+                          by more than 0.05 mm on either side
 disagreement of contents  the same for the same moment s of the session, whenever it is shown
 force error               rms of |F - F_ref| over rms of |F_ref| in contact, aligned on the time of
-                          the script; F_ref is felt by the same hands with the same scripts at one
-                          table, without a network
+                          the script; F_ref is the force on the same hands with the same
+                          scripts, without a network
 dropout                   more than 20 ms in which F_ref is in contact (above 0.05 N and above 20 % of
                           its largest value) and |F| is below 80 % of |F_ref|; F_ref is the smallest
                           within 8 ms to both sides
-playout delay D           by how much views are delayed so that all participants see the same; from
-                          one second after the scripts' start to their end, over all views
+playout delay D           delay of views at which all participants see the same; over all views from
+                          one second after the start of the scripts to their end
 measured round trip       by the client's clock probes; it includes the time in both programs";

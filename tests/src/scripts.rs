@@ -1,9 +1,9 @@
-//! What the two simulated trainees do, made for any model and any length.
+//! Scripts of the two simulated trainees, for any model and length.
 //!
-//! The HOLDER presses a probe into the first place and holds it with slow small motion, lifts, and
-//! presses again. The CUTTER presses gently beside the second place, lifts, draws the blade with
-//! the button held once through the tissue between the places, beginning and ending outside it,
-//! and then presses beside the wound. Times are shares of the whole length T:
+//! The HOLDER presses a probe at the first location, holds it with slow small motion, lifts, and presses again.
+//! The CUTTER presses gently beside the second location and lifts. It draws the blade once, with the button
+//! held, through the tissue between the locations, beginning and ending outside; then it presses beside the
+//! wound. Times are shares of the length T:
 //!
 //! ```text
 //! share of T   0    .1   .2   .3   .4   .5   .6   .7   .8   .9   1
@@ -16,59 +16,57 @@ use palpate_device::script::{Hand, Tool, WayPoint};
 use palpate_device::{Script, ScriptError};
 use palpate_tissue::Vec3;
 
-use crate::place::{Place, SurfacePoint};
+use crate::tool_location::{SurfacePoint, ToolLocation};
 
-/// The shortest scripts, s. In less time the stroke would be faster than any hand.
+/// Shortest scripts, s. In less time the stroke would be faster than a hand.
 pub const SECONDS_MIN: f64 = 4.0;
 
-/// The longest scripts, s: what a client records of them has to fit into memory.
+/// Longest scripts, s: the recording of a client has to fit into memory.
 pub const SECONDS_MAX: f64 = 600.0;
 
-/// The share of the script's length at which the blade begins to part the tissue, and at which it
-/// has left it.
+/// Begin and end of the stroke in the tissue, as shares of the script length.
 pub const STROKE_SHARES: (f64, f64) = (0.32, 0.48);
 
-/// Radius of the holder's probe where there is room for it, m.
+/// Maximum radius of the holder's probe, m.
 const PROBE_RADIUS_M: f64 = 0.008;
 
-/// Radius of the blunt end that the cutter presses with while the blade's button is not held, m.
+/// Radius of the blunt end for presses of the cutter without the button, m.
 const BLADE_RADIUS_M: f64 = 0.006;
 
-/// Length of the blade's edge, m, for a stroke of [`STROKE_DEPTH_M`]: it stands out of the tissue
-/// while it cuts.
+/// Length of the blade edge for a stroke of [`STROKE_DEPTH_M`], m: it stands out of the tissue while cutting.
 const BLADE_LENGTH_M: f64 = 0.012;
 
-/// How deep the script presses the probe, m.
+/// Depth of the press, m.
 const PRESS_DEPTH_M: f64 = 0.008;
 
-/// How deep the blade's tip goes, m.
+/// Depth of the blade tip, m.
 const STROKE_DEPTH_M: f64 = 0.010;
 
-/// Length of the stroke within the tissue, m.
+/// Length of the stroke in the tissue, m.
 const STROKE_LENGTH_M: f64 = 0.050;
 
-/// How far above the surface a hand waits, m.
+/// Height of a waiting hand above the surface, m.
 const HOVER_M: f64 = 0.020;
 
-/// Distance of the last presses from the wound, m.
+/// Distance of the last press from the wound, m.
 const BESIDE_M: f64 = 0.012;
 
-/// Way points along the stroke.
+/// Way points of the stroke.
 const STROKE_POINTS: usize = 24;
 
-/// The period of the slow motion while holding, s.
+/// Period of the slow motion while holding, s.
 const SWAY_PERIOD_S: f64 = 2.5;
 
 /// The scripts of the two trainees.
 #[derive(Debug, Clone)]
 pub struct Scripts {
-    /// Presses and holds.
+    /// Script of the holder.
     pub holder: Script,
-    /// Presses, cuts, presses.
+    /// Script of the cutter.
     pub cutter: Script,
 }
 
-/// Lengths that fit the model.
+/// Dimensions adapted to the model.
 #[derive(Debug, Clone, Copy)]
 struct Sizes {
     probe_radius: f64,
@@ -82,10 +80,10 @@ struct Sizes {
 }
 
 impl Sizes {
-    fn of(place: &Place) -> Self {
+    fn of(place: &ToolLocation) -> Self {
         let scale = place.scale();
         let soft = place.depth_m;
-        // A cut needs some cells to part, or it is none; a press at most a third of what is soft.
+        // A cut has to sever some cells; a press uses at most a third of the soft depth.
         let stroke_depth = (STROKE_DEPTH_M * scale)
             .min(soft / 2.0)
             .max(1.5 * place.spacing_m);
@@ -105,7 +103,7 @@ impl Sizes {
     }
 }
 
-/// Way points as they are collected.
+/// Way points of a script.
 struct Path {
     ways: Vec<WayPoint>,
     turn: UnitQuaternion<f64>,
@@ -139,8 +137,8 @@ impl Path {
 }
 
 impl Scripts {
-    /// Scripts of `seconds` for a place on a model.
-    pub fn for_place(place: &Place, seconds: f64) -> Result<Self, ScriptError> {
+    /// Scripts of `seconds` for a location on a model.
+    pub fn for_place(place: &ToolLocation, seconds: f64) -> Result<Self, ScriptError> {
         let sizes = Sizes::of(place);
         Ok(Self {
             holder: holder(place, &sizes, seconds)?,
@@ -149,13 +147,12 @@ impl Scripts {
     }
 }
 
-/// The centre of a ball of `radius` whose script is `depth` deep at a point of the surface;
-/// negative depths are above it.
+/// Centre of a sphere of `radius` at `depth` below a surface point; negative depths are above it.
 fn ball(point: &SurfacePoint, radius: f64, depth: f64) -> Vec3 {
     point.at + point.normal * (radius - depth)
 }
 
-fn holder(place: &Place, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptError> {
+fn holder(place: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptError> {
     let r = sizes.probe_radius;
     let spot = place.spot(-place.separation_m() / 2.0, 0.0, r);
     let along = (place.v - spot.normal * place.v.dot(&spot.normal)).normalize();
@@ -179,7 +176,7 @@ fn holder(place: &Place, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptEr
     Script::new(tool, Hand::default(), path.ways, false)
 }
 
-fn cutter(place: &Place, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptError> {
+fn cutter(place: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptError> {
     let r = BLADE_RADIUS_M;
     let spot = place.spot(place.separation_m() / 2.0, 0.0, 2.0 * r);
     let gentle = sizes.press_depth / 2.0;
@@ -206,9 +203,9 @@ fn cutter(place: &Place, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptEr
     Script::new(tool, Hand::default(), path.ways, false)
 }
 
-/// From above the surface through the tissue and out again, the button held.
-fn stroke(place: &Place, sizes: &Sizes, path: &mut Path) {
-    // The tip dives within the first and rises within the last fifth.
+/// The stroke from above the surface through the tissue and out again, with the button held.
+fn stroke(place: &ToolLocation, sizes: &Sizes, path: &mut Path) {
+    // The tip dives in the first fifth and rises in the last one.
     let ramp = |x: f64| (x / 0.2).min((1.0 - x) / 0.2).clamp(0.0, 1.0);
     let tip = |x: f64| {
         let point = place.surface(0.0, (x - 0.5) * sizes.stroke_length);
@@ -227,7 +224,7 @@ fn stroke(place: &Place, sizes: &Sizes, path: &mut Path) {
     path.to(until + 0.03, high(1.0)).button = false;
 }
 
-/// The turn that puts the tool's z along `normal` and its x as near to `along` as can be.
+/// The rotation with the tool z along `normal` and its x as near to `along` as possible.
 fn upright(normal: &Vec3, along: &Vec3) -> UnitQuaternion<f64> {
     let x = (along - normal * along.dot(normal)).normalize();
     let y = normal.cross(&x);
@@ -244,7 +241,7 @@ mod tests {
     use palpate_tissue::{Material, Model, Topology, Vec3, block, sample};
 
     use super::{SECONDS_MIN, Scripts};
-    use crate::place::Place;
+    use crate::tool_location::ToolLocation;
 
     fn soft_block(cells: [usize; 3], spacing: f64) -> Model {
         let soft = Material {
@@ -259,7 +256,7 @@ mod tests {
         block(cells, spacing, &soft, 1)
     }
 
-    /// The fastest that a script moves: minimum jerk peaks at 15/8 of the mean.
+    /// Peak speed of a script: 15/8 of the mean for a minimum-jerk motion.
     fn top_speed(ways: &[WayPoint]) -> f64 {
         ways.windows(2)
             .map(|w| 1.875 * (w[1].position - w[0].position).norm() / (w[1].t_s - w[0].t_s))
@@ -268,7 +265,7 @@ mod tests {
 
     fn check(model: Model) {
         let topology = Topology::new(Arc::new(model));
-        let place = Place::find(&topology).unwrap();
+        let place = ToolLocation::find(&topology).unwrap();
         for seconds in [SECONDS_MIN, 20.0] {
             let scripts = Scripts::for_place(&place, seconds).unwrap();
             for script in [&scripts.holder, &scripts.cutter] {
@@ -296,7 +293,7 @@ mod tests {
         }
     }
 
-    /// Before and after the stroke the ball of the tool is at times nearer to the tissue than its radius.
+    /// Whether the sphere of the tool contacts the tissue before and after the stroke.
     fn presses_into_it(topology: &Topology, script: &Script) {
         let radius = script.tool().radius_m;
         let skin = topology.boundary().triangles.iter().flat_map(|triangle| {
@@ -320,8 +317,8 @@ mod tests {
         }
     }
 
-    /// Heights of the tip over the surface while the button is held: above, deep inside, above.
-    fn stroke_passes_through(place: &Place, scripts: &Scripts) {
+    /// Height of the tip over the surface while the button is held: above, deep inside, above.
+    fn stroke_passes_through(place: &ToolLocation, scripts: &Scripts) {
         let held: Vec<&WayPoint> = scripts.cutter.ways().iter().filter(|w| w.button).collect();
         let height = |w: &WayPoint| {
             let d: Vec3 = w.position - place.middle;
@@ -344,14 +341,14 @@ mod tests {
     }
 
     #[test]
-    fn on_blocks_of_many_sizes_the_stroke_goes_in_and_comes_out() {
+    fn stroke_enters_and_leaves_blocks_of_many_sizes() {
         check(soft_block([30, 30, 10], 0.004));
         check(soft_block([12, 12, 6], 0.005));
         check(soft_block([10, 8, 4], 0.002));
     }
 
     #[test]
-    fn on_every_sample_the_stroke_goes_in_and_comes_out() {
+    fn stroke_enters_and_leaves_every_sample() {
         for sample in sample::Sample::ALL {
             let mut input = sample.input().unwrap();
             input.scene.spacing_m *= 1.5;

@@ -1,8 +1,7 @@
-//! A session on this machine: a real server and real clients as processes of their own, and a bad
-//! network between them.
+//! A session on one machine: a server and clients as child processes, with a bad network between them.
 //!
-//! The laboratory's program plays all roles: started as `palpate-lab server ...` it is the server,
-//! as `palpate-lab client ...` a client, so that one build serves for everything.
+//! The laboratory program plays all roles: `palpate-lab server ...` is the server, `palpate-lab client ...` a
+//! client. One build serves for all.
 
 use std::ffi::OsString;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -17,93 +16,92 @@ use palpate_server::host::{HostSummary, Listening};
 use crate::program::{Program, ProgramError};
 use crate::relay::{Profile, Relay, RelayStats};
 
-/// How long a server may take to read its model and listen.
+/// Maximum time of a server until it listens.
 const LISTEN_WITHIN: Duration = Duration::from_secs(60);
 
-/// How long a participant may take from its start to its first view: the model has to come through
-/// a bad network.
+/// Maximum time of a participant from its start to its first view: the model download over a bad network.
 const JOIN_WITHIN: Duration = Duration::from_secs(60);
 
-/// What a client says on standard error when it is in.
+/// Message of a client on standard error after it has joined.
 const JOINED: &str = "joined as";
 
-/// How long a process may take to end once it was asked to: it writes its recording.
+/// Maximum time of a process from the request to its end: it writes its recording.
 const END_WITHIN: Duration = Duration::from_secs(30);
 
-/// Longest recording that is read, bytes: what the bounds of a recording allow, as JSON.
+/// Maximum size of a recording as JSON, bytes.
 const RECORDING_BYTES_MAX: u64 = 1 << 30;
 
-/// Where everything listens.
+/// Loopback with any free port.
 const HERE: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 
-/// Why a session did not work.
+/// Failure of a session.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
-    /// One of the processes.
+    /// A process failed.
     #[error(transparent)]
     Program(#[from] ProgramError),
-    /// The relay.
+    /// The relay failed.
     #[error("the relay could not be started: {0}")]
     Relay(std::io::Error),
-    /// The server's link.
-    #[error("the server printed a join link that can not be read: {0}")]
+    /// Invalid join link of the server.
+    #[error("the server printed an invalid join link: {0}")]
     Link(#[from] LinkError),
-    /// The server gave no link for a role.
+    /// No join link for a role.
     #[error("the server printed no join link for the role {0}")]
     NoLink(&'static str),
-    /// A recording.
+    /// Unreadable recording.
     #[error("the recording {} can not be read: {why}", path.display())]
     Recording {
-        /// Its file.
+        /// Path of the recording.
         path: PathBuf,
-        /// What is wrong.
+        /// Error.
         why: String,
     },
-    /// The user wants to end.
+    /// Interrupted by the user.
     #[error("interrupted")]
     Interrupted,
 }
 
-/// What to host, and behind what network.
+/// Settings of the server and its network.
 #[derive(Debug, Clone)]
 pub struct Hosting<'a> {
-    /// The program to start in all roles: the laboratory itself.
+    /// The laboratory program, which plays all roles.
     pub executable: &'a Path,
     /// The model file.
     pub model: &'a Path,
     /// The network between server and clients.
     pub profile: Profile,
-    /// The seed of the packets' fates.
+    /// Seed of the packet fates.
     pub seed: u64,
     /// `adaptive`, `fixed:MS` or `none`.
     pub compensation: &'a str,
-    /// Scripts begin when so many tools are there.
+    /// Start the scripts once this many tools have joined.
     pub start_when: u16,
 }
 
 /// A running server behind a relay. Dropping it ends both.
 pub struct Session {
     executable: PathBuf,
-    /// The server's process.
+    /// The server process.
     pub server: Program,
-    /// What it said first.
+    /// Its startup message.
     pub listening: Listening,
     relay: Relay,
 }
 
-/// A participant's process and where it records to.
+/// A participant and its recording.
 pub struct Participant {
     /// The process.
     pub program: Program,
     record: PathBuf,
 }
 
-/// What a participant left behind.
+/// Results of a participant.
 #[derive(Debug, Clone)]
 pub struct Left {
-    /// Its figures.
+    /// Its summary.
     pub summary: Summary,
-    /// What it felt and saw.
+    /// Its recording of forces and views.
     pub recording: Recording,
 }
 
@@ -149,7 +147,7 @@ impl Session {
         Ok(link)
     }
 
-    /// Lets somebody join, recording into `dir`.
+    /// Starts a participant that records into `dir`.
     pub fn join(
         &self,
         name: &str,
@@ -174,19 +172,19 @@ impl Session {
         if let Some(script) = script {
             arguments.push("--script".into());
             arguments.push(script.into());
-            // The scripts of a session belong together.
+            // Scripts of a session start at the same session time.
             arguments.extend(["--at", "session"].map(OsString::from));
         }
         let program = Program::start(format!("client {name}"), &self.executable, arguments)?;
         Ok(Participant { program, record })
     }
 
-    /// What the relay did so far.
+    /// Statistics of the relay so far.
     pub fn network(&self) -> RelayStats {
         self.relay.stats()
     }
 
-    /// Asks the server to end, and takes its figures.
+    /// Requests the server to end; returns its summary.
     pub fn end(mut self) -> Result<(HostSummary, RelayStats), SessionError> {
         self.server.ask_to_end();
         self.server.wait_for_success(END_WITHIN)?;
@@ -196,7 +194,7 @@ impl Session {
 }
 
 impl Participant {
-    /// Waits until it is in the session, which it says in a line of its own.
+    /// Waits until the client reports that it has joined.
     pub fn wait_until_in(&mut self, interrupted: &dyn Fn() -> bool) -> Result<(), SessionError> {
         let began = Instant::now();
         while !self.program.has_said(JOINED) {
@@ -212,8 +210,7 @@ impl Participant {
         Ok(())
     }
 
-    /// Takes what it leaves behind, after [`ask_to_end`](Program::ask_to_end) or when it ended by
-    /// itself.
+    /// Collects the results, after [`ask_to_end`](Program::ask_to_end) or after the process ended by itself.
     pub fn leave(mut self) -> Result<Left, SessionError> {
         self.program.wait_for_success(END_WITHIN)?;
         Ok(Left {

@@ -1,4 +1,4 @@
-//! What people type or feed wrongly is answered with a sentence and an exit code, never a panic.
+//! Invalid command lines and files give an error message and an exit code, never a panic.
 
 #![allow(clippy::unwrap_used)]
 
@@ -14,7 +14,7 @@ fn run(arguments: &[&str]) -> Output {
     Command::new(executable()).args(arguments).output().unwrap()
 }
 
-/// Runs and expects failure with all of `words` on standard error.
+/// Runs the program and expects failure with all of `words` on standard error.
 fn refused(arguments: &[&str], code: i32, words: &[&str]) {
     let out = run(arguments);
     let said = String::from_utf8_lossy(&out.stderr);
@@ -29,7 +29,7 @@ fn refused(arguments: &[&str], code: i32, words: &[&str]) {
 }
 
 #[test]
-fn an_unknown_profile_is_answered_with_the_nearest() {
+fn unknown_profile_error_suggests_the_nearest() {
     refused(
         &["demo", "--profile", "transatlantik"],
         2,
@@ -38,7 +38,7 @@ fn an_unknown_profile_is_answered_with_the_nearest() {
 }
 
 #[test]
-fn a_demo_of_nothing_is_refused() {
+fn demo_without_a_model_is_rejected() {
     refused(
         &["demo", "--json", "--model", "tigh"],
         1,
@@ -76,7 +76,7 @@ fn scene(dir: &Path, surface: &str, extra: &str) -> String {
     path.display().to_string()
 }
 
-/// The triangles of a box in mm, some of them left out.
+/// The triangles of a box in mm, without the first `leave_out`.
 fn box_stl(side: f64, leave_out: usize) -> String {
     let corner = |i: usize| [i & 1, i >> 1 & 1, i >> 2 & 1].map(|b| b as f64 * side);
     let quads = [
@@ -102,7 +102,7 @@ fn box_stl(side: f64, leave_out: usize) -> String {
 }
 
 #[test]
-fn surfaces_that_are_none_are_refused_with_what_is_wrong() {
+fn invalid_surfaces_are_rejected_with_their_error() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
     let out = dir.join("out.palp").display().to_string();
@@ -126,7 +126,7 @@ fn surfaces_that_are_none_are_refused_with_what_is_wrong() {
         1,
         &["absent.toml"],
     );
-    // The same box, whole: it builds, and the demo could run on it.
+    // The complete box builds, and the demo could run on it.
     let good = scene(dir, "box.stl", "");
     let done = run(&["server", "build", &good, "-o", &out, "--json"]);
     assert!(
@@ -139,7 +139,7 @@ fn surfaces_that_are_none_are_refused_with_what_is_wrong() {
 }
 
 #[test]
-fn a_damaged_model_is_refused() {
+fn damaged_model_is_rejected() {
     let table = table::Table::new();
     let bytes = std::fs::read(&table.subject.file).unwrap();
     for (name, bytes) in [
@@ -160,7 +160,7 @@ fn a_damaged_model_is_refused() {
 }
 
 #[test]
-fn links_and_scripts_that_are_none_are_refused() {
+fn invalid_links_and_scripts_are_rejected() {
     refused(
         &["client", "join", "http://example.org"],
         2,
@@ -193,7 +193,7 @@ fn links_and_scripts_that_are_none_are_refused() {
 }
 
 #[test]
-fn options_of_a_host_that_can_not_be_are_a_wrong_command_line() {
+fn invalid_host_options_are_command_line_errors() {
     for (options, words) in [
         (&["--tick-hz", "0"][..], "between 1 and 500"),
         (&["--compensation", "magic"], "fixed:MS"),
@@ -209,7 +209,7 @@ fn options_of_a_host_that_can_not_be_are_a_wrong_command_line() {
 }
 
 #[test]
-fn a_relay_counts_what_it_passed_on() {
+fn relay_reports_its_packet_counts() {
     let out = run(&[
         "relay",
         "--listen",
@@ -239,7 +239,7 @@ fn a_relay_counts_what_it_passed_on() {
 }
 
 #[test]
-fn a_profile_that_can_not_be_is_refused_with_its_line() {
+fn invalid_profile_error_names_the_line() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("mine.toml");
     let path = file.display().to_string();
@@ -258,7 +258,7 @@ fn a_profile_that_can_not_be_is_refused_with_its_line() {
 }
 
 #[test]
-fn a_printed_profile_is_a_file_to_begin_with() {
+fn printed_profile_reads_back() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("mine.toml");
     let printed = run(&["profiles", "wifi-bursts"]);

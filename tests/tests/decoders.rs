@@ -1,5 +1,4 @@
-//! Whatever stands in a file or comes over the wire, what reads it gives an error or something valid, and
-//! takes no more memory than its bound.
+//! Decoders return an error or a valid value for any input, within their memory bound.
 
 #![allow(clippy::unwrap_used)]
 
@@ -11,19 +10,19 @@ use palpate_lab::decoders::{ALL, Decoder};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-/// Damaged inputs per decoder besides cut and flipped ones.
+/// Mixed inputs per decoder, in addition to truncated and bit-flipped ones.
 const MIXED: usize = 1500;
 
-/// Examples that are longer are cut and flipped at every n-th place only.
+/// Longer examples are truncated and flipped at every n-th position only.
 const WHOLLY: usize = 1500;
 
 thread_local! {
-    /// Bytes that this thread holds now, and the most since the last look.
+    /// Bytes allocated by this thread, and the maximum since the last reset.
     static HELD: Cell<(isize, isize)> = const { Cell::new((0, 0)) };
 }
 
 fn note(bytes: isize) {
-    // A thread that is being torn down has no counter any more, and none is needed.
+    // A thread that is being destroyed has no counter.
     let _ = HELD.try_with(|held| {
         let (now, most) = held.get();
         held.set((now + bytes, most.max(now + bytes)));
@@ -32,8 +31,8 @@ fn note(bytes: isize) {
 
 struct Counting;
 
-// SAFETY: every call is handed to the system's allocator with the caller's own arguments, so its
-// contract holds unchanged; `note` allocates nothing (a const thread-local without a destructor).
+// SAFETY: every call forwards the caller's arguments to the system allocator, so its contract holds unchanged.
+// `note` does not allocate (a const thread-local without a destructor).
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         note(layout.size() as isize);
@@ -51,7 +50,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Reads it, and whether it was good.
+/// Decodes the input; returns whether it was valid.
 fn check(decoder: &Decoder, bytes: &[u8]) -> bool {
     let before = HELD.with(|held| {
         let (now, _) = held.get();
@@ -70,7 +69,7 @@ fn check(decoder: &Decoder, bytes: &[u8]) -> bool {
     good
 }
 
-/// What a fuzzer found worth keeping.
+/// The fuzzing corpus of a decoder.
 fn corpus(decoder: &Decoder) -> Vec<Vec<u8>> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus");
     let Ok(entries) = std::fs::read_dir(folder.join(decoder.name)) else {
@@ -81,7 +80,7 @@ fn corpus(decoder: &Decoder) -> Vec<Vec<u8>> {
     files.iter().map(|f| std::fs::read(f).unwrap()).collect()
 }
 
-/// Two inputs mixed, and bytes overwritten, doubled or left out.
+/// A mixture of two inputs, with bytes overwritten, doubled or removed.
 fn mixed(rng: &mut impl Rng, all: &[Vec<u8>]) -> Vec<u8> {
     let mut bytes = all[rng.random_range(0..all.len())].clone();
     for _ in 0..rng.random_range(1..6) {
@@ -106,7 +105,7 @@ fn mixed(rng: &mut impl Rng, all: &[Vec<u8>]) -> Vec<u8> {
 }
 
 #[test]
-fn every_example_is_good() {
+fn every_example_is_valid() {
     let mut bad = Vec::new();
     for decoder in ALL {
         for (k, example) in (decoder.examples)().iter().enumerate() {
@@ -119,7 +118,7 @@ fn every_example_is_good() {
 }
 
 #[test]
-fn examples_cut_at_every_byte_and_with_every_bit_flipped_are_errors_or_valid() {
+fn truncated_and_bit_flipped_examples_are_errors_or_valid() {
     for decoder in ALL {
         for example in (decoder.examples)() {
             let step = example.len().div_ceil(WHOLLY).max(1);
@@ -136,7 +135,7 @@ fn examples_cut_at_every_byte_and_with_every_bit_flipped_are_errors_or_valid() {
 }
 
 #[test]
-fn what_a_fuzzer_found_and_mixtures_of_it_are_errors_or_valid() {
+fn corpus_and_its_mixtures_are_errors_or_valid() {
     for decoder in ALL {
         let mut all = (decoder.examples)();
         all.extend(corpus(decoder));

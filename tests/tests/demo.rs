@@ -1,6 +1,6 @@
-//! The main job, through the program: a short demo on a small model.
+//! The main use case through the program: a short demo on a small model.
 //!
-//! Criteria that a busy machine can break are not asserted here: they judge a demo that runs alone.
+//! Criteria that depend on machine load are not asserted here; a demo that runs alone is judged by them.
 
 #![allow(clippy::unwrap_used)]
 
@@ -12,7 +12,7 @@ use palpate_lab::report::Report;
 
 use table::{Table, executable};
 
-/// Beginnings of the criteria that depend on the machine's time.
+/// Prefixes of the criteria that depend on machine load.
 const TIMED: [&str; 5] = [
     "force error",
     "longest dropout",
@@ -58,7 +58,7 @@ fn demo(table: &Table, profile: &str, seconds: &str, stress: u16) -> Report {
 }
 
 #[test]
-fn two_trainees_and_a_late_spectator_share_one_cut_tissue() {
+fn trainees_and_late_spectator_share_one_cut_tissue() {
     let table = Table::new();
     let report = demo(&table, "lan", "6", 1);
     let names: Vec<&str> = report
@@ -88,22 +88,22 @@ fn two_trainees_and_a_late_spectator_share_one_cut_tissue() {
 }
 
 #[test]
-fn over_a_lossy_network_everybody_has_the_same_tissue_in_the_end() {
+fn topologies_are_equal_after_a_lossy_session() {
     let table = Table::new();
     let report = demo(&table, "lossy", "5", 0);
     assert!(report.network.dropped > 0 && report.network.reordered > 0);
 }
 
-/// A busy process that outlived the laboratory would be busy for ever.
+/// A busy process must not outlive the laboratory.
 #[test]
-fn a_busy_process_ends_with_the_process_that_started_it() {
+fn busy_process_ends_with_its_parent() {
     let busy = |parent: u32| {
         Command::new(executable())
             .args(["busy", &parent.to_string()])
             .spawn()
             .unwrap()
     };
-    // The number of another process, and none at all.
+    // The id of another process, and no id.
     for parent in [1, 0] {
         assert!(busy(parent).wait().unwrap().success());
     }

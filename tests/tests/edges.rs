@@ -1,5 +1,5 @@
-//! What stands at the edges of the programs: files that are none, folders that are files, pipes that close, disks that
-//! are full, and limits that are not kept. A sentence and an exit code, before the work where that can be.
+//! Edge cases of the programs: invalid paths, closed pipes, full disks, values out of range. Each gives an
+//! error message and an exit code, if possible before the work begins.
 
 #![allow(clippy::unwrap_used)]
 
@@ -31,7 +31,7 @@ fn file(dir: &Path, name: &str, text: &str) -> String {
 }
 
 #[test]
-fn over_a_network_that_lets_nothing_through_nothing_is_compared() {
+fn network_without_arrivals_gives_an_error() {
     let dir = tempfile::tempdir().unwrap();
     let gone = file(
         dir.path(),
@@ -57,7 +57,7 @@ fn over_a_network_that_lets_nothing_through_nothing_is_compared() {
 }
 
 #[test]
-fn a_recipe_has_the_ranges_of_the_command_line() {
+fn recipe_and_command_line_have_equal_ranges() {
     let dir = tempfile::tempdir().unwrap();
     for line in ["seeds = 0", "seeds = 99999999999999", "real = 0"] {
         let text = format!("experiment = \"replicas\"\n{line}\n");
@@ -71,7 +71,7 @@ fn a_recipe_has_the_ranges_of_the_command_line() {
 }
 
 #[test]
-fn a_file_in_the_place_of_the_folder_is_refused_before_the_work() {
+fn file_in_place_of_the_folder_is_rejected_early() {
     let dir = tempfile::tempdir().unwrap();
     let taken = file(dir.path(), "taken", "");
     for line in [
@@ -84,7 +84,7 @@ fn a_file_in_the_place_of_the_folder_is_refused_before_the_work() {
 
 #[cfg(unix)]
 #[test]
-fn what_is_no_file_is_not_read() {
+fn non_regular_files_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let device = dir.path().join("endless.toml");
     std::os::unix::fs::symlink("/dev/zero", &device).unwrap();
@@ -100,7 +100,7 @@ fn what_is_no_file_is_not_read() {
 
 #[cfg(unix)]
 #[test]
-fn a_reader_that_has_seen_enough_is_no_mistake() {
+fn closed_pipe_is_not_an_error() {
     let host = [
         "server",
         "host",
@@ -116,7 +116,7 @@ fn a_reader_that_has_seen_enough_is_no_mistake() {
         let (reader, writer) = std::io::pipe().unwrap();
         drop(reader);
         let mut program = Command::new(executable());
-        // Standard error is gone as well, as behind `2>&1 | head -1`.
+        // Standard error is closed too, as behind `2>&1 | head -1`.
         let said = writer.try_clone().unwrap();
         let status = program.args(line).stdout(writer).stderr(said).status();
         assert_eq!(status.unwrap().code(), Some(0), "{line:?}");
@@ -125,7 +125,7 @@ fn a_reader_that_has_seen_enough_is_no_mistake() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_full_disk_is_said() {
+fn full_disk_is_reported() {
     let host = [
         "server",
         "host",

@@ -1,4 +1,4 @@
-//! What goes wrong while a session runs stays where it went wrong.
+//! Faults in a running session stay local.
 
 #![allow(clippy::unwrap_used)]
 
@@ -25,13 +25,13 @@ fn sleep(seconds: f64) {
     std::thread::sleep(Duration::from_secs_f64(seconds));
 }
 
-/// Seconds from both being in until the middle of the stroke.
+/// Time from both trainees being in the session until the middle of the stroke, s.
 fn until_stroke(seconds: f64) -> f64 {
     1.0 + seconds * f64::midpoint(STROKE_SHARES.0, STROKE_SHARES.1)
 }
 
 #[test]
-fn a_client_killed_mid_stroke_is_gone_within_two_seconds_and_the_others_go_on() {
+fn client_killed_mid_stroke_leaves_within_two_seconds() {
     let _alone = alone();
     let table = Table::new();
     let session = table.host("metro", 2);
@@ -64,7 +64,7 @@ fn a_client_killed_mid_stroke_is_gone_within_two_seconds_and_the_others_go_on() 
     );
 }
 
-/// The largest change of force per tick that a client's chain gives a simulated hand, N.
+/// Maximum force change per tick of a client chain with a simulated hand, N.
 fn slew_step_n() -> f64 {
     let script = Script::resting_probe(Vec3::zeros(), 0.004).unwrap();
     let hand = SimHand::new(script, ScriptStart::not_yet());
@@ -72,7 +72,7 @@ fn slew_step_n() -> f64 {
 }
 
 #[test]
-fn a_client_that_is_stopped_while_it_presses_goes_on_without_a_jerk() {
+fn client_stopped_in_contact_continues_without_a_force_step() {
     let _alone = alone();
     let table = Table::new();
     let session = table.host("lan", 1);
@@ -82,7 +82,7 @@ fn a_client_that_is_stopped_while_it_presses_goes_on_without_a_jerk() {
         .join("holder", "trainee", Some(&script), dir)
         .unwrap();
     holder.wait_until_in(&|| false).unwrap();
-    // The first press lasts from 2.2 to 4.6 s, the second from 5.5 s on.
+    // The first press lasts from 2.2 to 4.6 s; the second one begins at 5.5 s.
     sleep(3.2);
     holder.program.stand_still();
     sleep(0.3);
@@ -100,7 +100,7 @@ fn a_client_that_is_stopped_while_it_presses_goes_on_without_a_jerk() {
         "a step of {largest} N"
     );
     assert!(left.summary.missed >= 250, "{} missed", left.summary.missed);
-    // Of every few ticks one is recorded; they too are no farther apart, also across the pause.
+    // The recording has every few ticks; they obey the limit too, also across the pause.
     let hand = &left.recording.haptic;
     let between_n = step_n * f64::from(RealtimeConfig::default().trace_every) * (1.0 + 1e-9);
     for pair in hand.windows(2) {
@@ -129,7 +129,7 @@ fn a_client_that_is_stopped_while_it_presses_goes_on_without_a_jerk() {
 }
 
 #[test]
-fn when_the_server_is_killed_clients_take_the_force_away_and_say_so() {
+fn clients_remove_the_force_after_a_server_crash() {
     let _alone = alone();
     let table = Table::new();
     let mut session = table.host("lan", 2);
@@ -160,7 +160,7 @@ fn when_the_server_is_killed_clients_take_the_force_away_and_say_so() {
 }
 
 #[test]
-fn a_server_with_another_certificate_is_not_trusted() {
+fn server_with_another_certificate_is_rejected() {
     let _alone = alone();
     let table = Table::new();
     let session = table.host("none", 1);
@@ -180,7 +180,7 @@ fn a_server_with_another_certificate_is_not_trusted() {
 }
 
 #[test]
-fn noise_at_the_port_does_not_disturb_a_session() {
+fn noise_at_the_port_does_not_affect_a_session() {
     let _alone = alone();
     let table = Table::new();
     let session = table.host("lan", 2);
@@ -194,7 +194,7 @@ fn noise_at_the_port_does_not_disturb_a_session() {
                 (x >> 24) as u8
             })
             .collect();
-        // Straight at the server: the relay would give every sender a place of its own.
+        // Directly to the server: the relay would give every sender an own address.
         let _ = noise.send_to(&bytes, session.listening.listening);
         std::thread::sleep(Duration::from_millis(1));
     }
@@ -210,7 +210,7 @@ fn noise_at_the_port_does_not_disturb_a_session() {
 }
 
 #[test]
-fn a_port_that_is_taken_is_a_sentence() {
+fn occupied_port_gives_an_error_message() {
     let table = Table::new();
     let taken = UdpSocket::bind("127.0.0.1:0").unwrap();
     let address: SocketAddr = taken.local_addr().unwrap();
@@ -233,7 +233,7 @@ fn a_port_that_is_taken_is_a_sentence() {
 }
 
 #[test]
-fn an_interrupted_demo_leaves_no_process_behind() {
+fn interrupted_demo_ends_its_processes() {
     let _alone = alone();
     let table = Table::new();
     let model = table.subject.file.display().to_string();
@@ -264,7 +264,7 @@ fn an_interrupted_demo_leaves_no_process_behind() {
     }
 }
 
-/// The processes that a process started, by their numbers.
+/// Child process ids of a process.
 fn children_of(parent: u32) -> Vec<u32> {
     let mut children = Vec::new();
     for task in std::fs::read_dir(format!("/proc/{parent}/task")).unwrap() {

@@ -1,4 +1,4 @@
-//! Experiments by the command line: files that people write, what comes out, and what they get wrong.
+//! Experiments by the command line: recipe files, results, and errors.
 
 #![allow(clippy::unwrap_used)]
 
@@ -40,7 +40,7 @@ fn examples() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("examples")
 }
 
-/// A file in a folder.
+/// Writes a file into a folder.
 fn file(dir: &Path, name: &str, text: &str) -> String {
     let path = dir.join(name);
     std::fs::write(&path, text).unwrap();
@@ -48,7 +48,7 @@ fn file(dir: &Path, name: &str, text: &str) -> String {
 }
 
 #[test]
-fn every_example_runs_and_every_profile_among_them_is_one() {
+fn every_example_runs_and_every_profile_is_valid() {
     let mut runs = 0;
     for entry in std::fs::read_dir(examples()).unwrap() {
         let path = entry.unwrap().path();
@@ -71,7 +71,7 @@ fn every_example_runs_and_every_profile_among_them_is_one() {
 }
 
 #[test]
-fn a_run_leaves_figures_table_and_chart_and_says_them_in_json() {
+fn run_writes_figures_table_and_chart_and_prints_json() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out").display().to_string();
     let hand = examples().join("hand.csv").display().to_string();
@@ -115,7 +115,7 @@ fn a_run_leaves_figures_table_and_chart_and_says_them_in_json() {
 }
 
 #[test]
-fn all_of_them_make_one_page_and_one_that_fails_stops_none() {
+fn all_writes_one_page_and_continues_after_a_failure() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("report").display().to_string();
     let short = file(
@@ -161,7 +161,7 @@ fn all_of_them_make_one_page_and_one_that_fails_stops_none() {
 }
 
 #[test]
-fn files_that_can_not_be_run_are_refused_with_what_is_wrong() {
+fn invalid_recipes_are_rejected_with_their_error() {
     let dir = tempfile::tempdir().unwrap();
     let recipe = |name: &str, text: &str| file(dir.path(), name, text);
     let key = recipe("key.toml", "experiment = \"table-7-1\"\nsede = 7\n");
@@ -215,7 +215,7 @@ fn files_that_can_not_be_run_are_refused_with_what_is_wrong() {
 }
 
 #[test]
-fn motions_that_are_none_are_refused_with_their_line() {
+fn invalid_motion_error_names_the_line() {
     let dir = tempfile::tempdir().unwrap();
     let head = "time_s,x_m,y_m,z_m\n";
     for (text, words) in [
@@ -256,7 +256,7 @@ fn motions_that_are_none_are_refused_with_their_line() {
 }
 
 #[test]
-fn a_hand_that_was_written_is_a_motion() {
+fn written_hand_is_a_valid_motion() {
     let dir = tempfile::tempdir().unwrap();
     let text = done(&["hand", "--seed", "3", "--seconds", "2", "--rate-hz", "500"]);
     assert_eq!(

@@ -1,4 +1,4 @@
-//! The first minutes of a newcomer: scripts that start at joining, hosts that are restarted, programs that crash.
+//! First use: scripts that start at joining, host restarts, program crashes.
 
 #![allow(clippy::unwrap_used)]
 #![cfg(unix)]
@@ -14,15 +14,15 @@ use palpate_server::host::Listening;
 
 use table::{Table, alone, executable};
 
-/// Longer than any of these programs needs.
+/// Timeout for every program.
 const SOON: Duration = Duration::from_secs(60);
 
-/// A table with a state folder per user.
-struct Place {
+/// A session with a state folder per user.
+struct UserTable {
     table: Table,
 }
 
-impl Place {
+impl UserTable {
     fn new() -> Self {
         Self {
             table: Table::new(),
@@ -46,13 +46,13 @@ impl Place {
         (host, listening)
     }
 
-    /// A participant who stays until it is asked to leave.
+    /// A participant that stays until it is asked to leave.
     fn join(&self, user: &str, link: &str, options: &[&str]) -> Program {
         let words = ["client", "join", link, "--json", "--no-realtime"];
         self.start(user, &[&words, options].concat())
     }
 
-    /// A script with a probe of 5 mm that moves between two heights above the block, which is 40 mm high.
+    /// A script of a probe of 5 mm that moves between two heights above the block, which is 40 mm high.
     fn script(&self, from_mm: f64, to_mm: f64) -> String {
         let path = self.table.path(&format!("script-{from_mm}-{to_mm}.toml"));
         let way = |t: f64, z: f64| format!("[[way]]\nt_s = {t:?}\nat_mm = [50.0, 50.0, {z:?}]\n");
@@ -81,7 +81,7 @@ fn says(program: &mut Program, phrase: &str) {
     }
 }
 
-/// Waits for the end of a program that fails, and takes its last lines.
+/// Waits for a program to fail; returns its last lines.
 fn failed(mut program: Program) -> String {
     let status = program.wait(SOON).unwrap();
     std::thread::sleep(Duration::from_millis(200));
@@ -95,35 +95,35 @@ fn left(mut program: Program) -> Summary {
 }
 
 #[test]
-fn a_script_starts_at_joining_however_late_that_is() {
+fn script_starts_at_joining() {
     let _alone = alone();
-    let place = Place::new();
-    let (_host, listening) = place.host(&["--listen", "127.0.0.1:0"]);
+    let users = UserTable::new();
+    let (_host, listening) = users.host(&["--listen", "127.0.0.1:0"]);
     let link = &listening.links["trainee"];
-    let script = place.script(60.0, 36.0);
-    let mut first = place.join("ann", link, &["--name", "ann", "--script", &script]);
+    let script = users.script(60.0, 36.0);
+    let mut first = users.join("ann", link, &["--name", "ann", "--script", &script]);
     says(&mut first, "joined as ann");
     // The session runs for longer than the script.
     std::thread::sleep(Duration::from_secs(3));
     let options = ["--name", "bob", "--duration", "6", "--script", &script];
-    let late = left(place.join("bob", link, &options));
+    let late = left(users.join("bob", link, &options));
     assert!(late.force_max_n > 0.05, "{late}");
     assert_eq!(late.nearest_mm, None);
     let together = [&options[..], &["--at", "session"]].concat();
-    let over = left(place.join("bob", link, &together));
+    let over = left(users.join("bob", link, &together));
     assert_eq!(over.force_max_n, 0.0, "the session's script is over");
 }
 
 #[test]
-fn a_tool_that_touches_nothing_is_reported_with_its_distance() {
+fn tool_without_contact_is_reported_with_its_distance() {
     let _alone = alone();
-    let place = Place::new();
-    let (_host, listening) = place.host(&["--listen", "127.0.0.1:0"]);
-    let script = place.script(70.0, 57.0);
+    let users = UserTable::new();
+    let (_host, listening) = users.host(&["--listen", "127.0.0.1:0"]);
+    let script = users.script(70.0, 57.0);
     let options = ["--name", "ann", "--duration", "5", "--script", &script];
-    let summary = left(place.join("ann", &listening.links["trainee"], &options));
+    let summary = left(users.join("ann", &listening.links["trainee"], &options));
     let nearest = summary.nearest_mm.unwrap();
-    // 17 mm above the block, less its radius; the hand follows the script through a spring.
+    // 17 mm above the block minus the radius; the hand follows the script through a spring.
     assert!((nearest - 12.0).abs() < 1.5, "{nearest}");
     let text = summary.to_string();
     assert!(
@@ -133,22 +133,22 @@ fn a_tool_that_touches_nothing_is_reported_with_its_distance() {
 }
 
 #[test]
-fn a_host_that_is_restarted_is_the_same_host_and_its_links_stay_valid() {
+fn host_restart_keeps_identity_and_links() {
     let _alone = alone();
-    let place = Place::new();
-    let (mut host, first) = place.host(&["--listen", "127.0.0.1:0"]);
+    let users = UserTable::new();
+    let (mut host, first) = users.host(&["--listen", "127.0.0.1:0"]);
     says(&mut host, "preparing the model");
     host.kill();
     let port = first.listening.port().to_string();
     let at = format!("127.0.0.1:{port}");
-    let (mut host, second) = place.host(&["--listen", &at]);
+    let (mut host, second) = users.host(&["--listen", &at]);
     assert_eq!(first.links, second.links);
     let spectator = &first.links["spectator"];
-    left(place.join("eve", spectator, &["--duration", "1"]));
-    let mut stays = place.join("eve", spectator, &["--reconnect", "3600"]);
+    left(users.join("eve", spectator, &["--duration", "1"]));
+    let mut stays = users.join("eve", spectator, &["--reconnect", "3600"]);
     says(&mut stays, "joined as");
     host.kill();
-    let (_other, _) = place.host(&["--listen", &at, "--identity", "new"]);
+    let (_other, _) = users.host(&["--listen", &at, "--identity", "new"]);
     let said = failed(stays);
     assert!(
         said.contains("certificate") && said.contains("link"),
@@ -157,36 +157,36 @@ fn a_host_that_is_restarted_is_the_same_host_and_its_links_stay_valid() {
 }
 
 #[test]
-fn the_same_user_takes_the_seat_again_at_once_and_another_does_not() {
+fn rejoin_after_crash_keeps_the_seat_of_the_same_user_only() {
     let _alone = alone();
-    let place = Place::new();
-    let (_host, listening) = place.host(&["--listen", "127.0.0.1:0"]);
+    let users = UserTable::new();
+    let (_host, listening) = users.host(&["--listen", "127.0.0.1:0"]);
     let link = &listening.links["spectator"];
-    let mut first = place.join("ann", link, &["--name", "ann"]);
+    let mut first = users.join("ann", link, &["--name", "ann"]);
     says(&mut first, "joined as ann");
-    // Of two programs that run at the same time the second one takes no seat.
-    let said = failed(place.join("ann", link, &["--name", "ann"]));
+    // Of two simultaneous programs the second one gets no seat.
+    let said = failed(users.join("ann", link, &["--name", "ann"]));
     assert!(said.contains("already in the session"), "{said}");
     let number = |summary: &Summary| summary.participant;
     first.kill();
-    let said = failed(place.join("eve", link, &["--name", "ann"]));
+    let said = failed(users.join("eve", link, &["--name", "ann"]));
     assert!(said.contains("\"ann\""), "{said}");
-    let again = left(place.join("ann", link, &["--name", "ann", "--duration", "1"]));
+    let again = left(users.join("ann", link, &["--name", "ann", "--duration", "1"]));
     assert_eq!(number(&again), 1, "the seat of the run that crashed");
-    let seats: PathBuf = place.table.path("state-of-ann").join("palpate/seats");
+    let seats: PathBuf = users.table.path("state-of-ann").join("palpate/seats");
     assert_eq!(std::fs::read_dir(seats).unwrap().count(), 0, "it left");
-    let next = left(place.join("eve", link, &["--name", "ann", "--duration", "1"]));
+    let next = left(users.join("eve", link, &["--name", "ann", "--duration", "1"]));
     assert_eq!(number(&next), 2, "the name is free");
 }
 
 #[test]
-fn a_slice_that_misses_the_model_is_answered_with_the_range() {
-    let place = Place::new();
-    let model = place.table.subject.file.display().to_string();
-    let png = place.table.path("m.png").display().to_string();
+fn slice_outside_the_model_error_names_the_range() {
+    let users = UserTable::new();
+    let model = users.table.subject.file.display().to_string();
+    let png = users.table.path("m.png").display().to_string();
     let words = [
         "server", "inspect", &model, "--png", &png, "--slice", "z=580",
     ];
-    let said = failed(place.start("ann", &words));
+    let said = failed(users.start("ann", &words));
     assert!(said.contains("0.0 to 40.0 mm"), "{said}");
 }

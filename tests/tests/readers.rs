@@ -1,7 +1,7 @@
-//! What Palpate writes, read back by readers of others: meshio, trimesh and nibabel in Python.
+//! Exported files, read back by independent Python packages: meshio, trimesh and nibabel.
 //!
-//! `PALPATE_PYTHON` names a Python that has them (`bash .ci/readers` makes one and prints its path;
-//! `.ci/run` sets the variable). Without it these tests pass and say that they did nothing.
+//! `PALPATE_PYTHON` names a Python with these packages (`bash .ci/readers` creates one and prints its path;
+//! `.ci/run` sets the variable). Without it these tests pass and print that they were skipped.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -15,7 +15,7 @@ fn executable() -> &'static Path {
     Path::new(env!("CARGO_BIN_EXE_palpate-lab"))
 }
 
-/// Says what the readers find; `None` when there are none.
+/// Result of the reader script; `None` without Python.
 fn readers(command: &str, paths: &[&Path]) -> Option<Value> {
     let Some(python) = std::env::var_os("PALPATE_PYTHON") else {
         println!("PALPATE_PYTHON is not set: nothing was tested");
@@ -33,7 +33,7 @@ fn readers(command: &str, paths: &[&Path]) -> Option<Value> {
     Some(serde_json::from_slice(&out.stdout).unwrap())
 }
 
-/// Runs a command of the server and gives what it prints with `--json`.
+/// Runs a server command with `--json` and returns its output.
 fn server(arguments: &[&str]) -> Value {
     let mut command = Command::new(executable());
     let out = command.arg("server").args(arguments).output().unwrap();
@@ -42,7 +42,7 @@ fn server(arguments: &[&str]) -> Value {
     serde_json::from_slice(&out.stdout).unwrap_or_default()
 }
 
-/// A sample as files for others: the report of its build, and the folder.
+/// Exports a sample; returns its build report and the folder.
 fn exported(sample: &str) -> (Value, tempfile::TempDir) {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name).display().to_string();
@@ -73,7 +73,7 @@ fn assert_near(a: f64, b: f64, part: f64, what: &str) {
 }
 
 #[test]
-fn meshio_finds_the_nodes_cells_and_volumes_of_the_report() {
+fn meshio_reads_the_reported_nodes_cells_and_volumes() {
     if readers("versions", &[]).is_none() {
         return;
     }
@@ -108,7 +108,7 @@ fn meshio_finds_the_nodes_cells_and_volumes_of_the_report() {
 }
 
 #[test]
-fn trimesh_finds_closed_surfaces_of_the_same_volume() {
+fn trimesh_reads_closed_surfaces_of_equal_volume() {
     if readers("versions", &[]).is_none() {
         return;
     }
@@ -130,7 +130,7 @@ fn trimesh_finds_closed_surfaces_of_the_same_volume() {
         assert_eq!(surface["watertight"], true, "{name}: {surface}");
         assert_eq!(surface["wound_alike"], true, "{name}: {surface}");
         let volume = number(&region["volume_mm3"]);
-        // Faces of cells are curved, triangles are flat; all of a surface nearly evens out.
+        // Cell faces are curved and triangles flat; over a surface the difference nearly cancels.
         assert_near(number(&surface["volume_mm3"]), volume, 2e-3, &name);
         whole += number(&surface["volume_mm3"]);
     }
@@ -146,7 +146,7 @@ fn trimesh_finds_closed_surfaces_of_the_same_volume() {
 }
 
 #[test]
-fn a_label_volume_of_nibabel_builds_to_the_volumes_it_counts() {
+fn nibabel_label_volume_builds_to_its_voxel_volumes() {
     let dir = tempfile::tempdir().unwrap();
     let volume = dir.path().join("labels.nii.gz");
     let Some(labels) = readers("make-labels", &[&volume]) else {
@@ -177,7 +177,7 @@ fn a_label_volume_of_nibabel_builds_to_the_volumes_it_counts() {
         assert_near(volume, counted, 0.01, label);
     }
     for axis in 0..3 {
-        // The box and what it holds have the same middle; so has all that was built.
+        // The outer box and its contents are concentric, and so is the built model.
         let [low, high] = ["low_mm", "high_mm"].map(|k| number(&built[k][axis]));
         let centre = number(&labels["2"]["centre_mm"][axis]);
         assert!((0.5 * (low + high) - centre).abs() < 2.0, "axis {axis}");

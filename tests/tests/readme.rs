@@ -1,12 +1,13 @@
 //! Every command in the README works as printed.
 //!
-//! Its lines run in a shell, in order, in an empty folder that has the project's `tests` folder. The differences are:
+//! Its lines run in a shell, in order, in an empty folder with the project's `tests` folder. Exceptions:
 //!
-//! - a line whose comment says "minutes" or "seconds" gets `--help`, which still reads all of its arguments before that word
-//! - `cargo demo` starts the program under test; other lines of `cargo` are not run
-//! - `host` runs in the background, with `--listen 127.0.0.1:0 --identity new`
-//! - a join uses the link that it printed instead of 'palpate://...', with `--duration 5 --forget-seat`; one without
-//!   script and motion must name the device that is missing
+//! - A line with "minutes" or "seconds" in its comment gets `--help`, which still parses all arguments before
+//!   it.
+//! - `cargo demo` starts the program under test; other `cargo` lines are skipped.
+//! - `host` runs in the background with `--listen 127.0.0.1:0 --identity new`.
+//! - A join uses the printed link instead of 'palpate://...', with `--duration 5 --forget-seat`. A join without
+//!   script and motion must name the missing device.
 
 #![allow(clippy::unwrap_used)]
 #![cfg(unix)]
@@ -24,10 +25,10 @@ use palpate_server::host::Listening;
 
 use table::executable;
 
-/// How long a sample may take to be built without optimisation.
+/// Timeout for the unoptimised build of a sample.
 const LISTEN: Duration = Duration::from_secs(120);
 
-/// The link that stands for the one that a host printed.
+/// Placeholder of the printed link.
 const LINK: &str = "'palpate://...'";
 
 fn root() -> PathBuf {
@@ -37,7 +38,7 @@ fn root() -> PathBuf {
         .to_owned()
 }
 
-/// The lines of all blocks of a language.
+/// Lines of all code blocks of a language.
 fn blocks(readme: &str, language: &str) -> Vec<String> {
     let fence = format!("```{language}\n");
     let blocks = readme.split(&fence).skip(1);
@@ -152,7 +153,7 @@ fn every_command_works_as_printed() {
 }
 
 #[test]
-fn its_scene_is_read_and_it_is_short() {
+fn scene_is_valid_and_readme_is_short() {
     let readme = std::fs::read_to_string(root().join("README.md")).unwrap();
     let shell = Shell::new();
     assert!(

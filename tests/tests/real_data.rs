@@ -1,6 +1,6 @@
-//! Real anatomy, when there is some: set `PALPATE_DATA` to a folder with `leg_bp3d`, `abdomen_ct` and
-//! `tool_otoscope` in it (closed surfaces in millimetres: `leg_bp3d/thigh_skin.stl` and so on).
-//! Without it these tests pass and say that they did nothing.
+//! Real anatomy: set `PALPATE_DATA` to a folder with `leg_bp3d`, `abdomen_ct` and `tool_otoscope` (closed
+//! surfaces in millimetres: `leg_bp3d/thigh_skin.stl` and so on). Without it these tests pass and print that
+//! they were skipped.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -47,8 +47,8 @@ fn build(regions: &[(&str, &str, PathBuf)], pinned: &str, spacing_mm: f64) -> se
     serde_json::from_slice(&out.stdout).unwrap()
 }
 
-/// What a person may rely on: closed surfaces, good cells, the input's volumes, and surfaces where
-/// they belong but for the parts that the report lists.
+/// Guarantees of a build: closed surfaces, good cells, the input volumes, and small surface distances except
+/// for the parts that the report lists.
 fn assert_faithful(report: &serde_json::Value) {
     let number = |value: &serde_json::Value| value.as_f64().unwrap();
     let spacing = number(&report["spacing_mm"]);
@@ -72,7 +72,7 @@ fn assert_faithful(report: &serde_json::Value) {
 }
 
 #[test]
-fn a_real_thigh_keeps_its_volumes_and_closes() {
+fn real_thigh_keeps_volumes_and_closed_surfaces() {
     let Some(folder) = data() else { return };
     let surface = |part: &str| folder.join(format!("leg_bp3d/thigh_{part}.stl"));
     let regions = [
@@ -84,7 +84,7 @@ fn a_real_thigh_keeps_its_volumes_and_closes() {
 }
 
 #[test]
-fn a_real_shank_keeps_its_volumes_and_closes() {
+fn real_shank_keeps_volumes_and_closed_surfaces() {
     let Some(folder) = data() else { return };
     let surface = |part: &str| folder.join(format!("leg_bp3d/shank_{part}.stl"));
     let regions = [
@@ -96,7 +96,7 @@ fn a_real_shank_keeps_its_volumes_and_closes() {
 }
 
 #[test]
-fn a_real_leg_of_six_regions_keeps_its_volumes_and_closes() {
+fn real_leg_of_six_regions_keeps_volumes_and_closed_surfaces() {
     let Some(folder) = data() else { return };
     let surface = |part: &str| folder.join(format!("leg_bp3d/full_{part}.stl"));
     let regions = [
@@ -111,7 +111,7 @@ fn a_real_leg_of_six_regions_keeps_its_volumes_and_closes() {
 }
 
 #[test]
-fn a_real_liver_among_its_neighbours_keeps_its_volume() {
+fn real_liver_keeps_its_volume() {
     let Some(folder) = data() else { return };
     let surface = |part: &str| folder.join(format!("abdomen_ct/{part}.stl"));
     let regions = [
@@ -124,9 +124,9 @@ fn a_real_liver_among_its_neighbours_keeps_its_volume() {
 }
 
 #[test]
-fn the_parts_of_a_real_instrument_are_rigid_regions() {
+fn real_instrument_parts_are_rigid_regions() {
     let Some(folder) = data() else { return };
-    // The specula's wall is half a millimetre thick: at 0.4 mm it is there.
+    // The specula wall is 0.5 mm thick: a spacing of 0.4 mm resolves it.
     let parts = [
         ("handle", 2.0),
         ("head", 1.5),

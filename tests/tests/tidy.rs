@@ -1,7 +1,7 @@
-//! The rules of the house that no compiler checks: who may import whom, who may name what,
-//! where things stand, how long a file may be.
+//! Project rules that no compiler checks: imports between packages, confined names, file locations, file
+//! lengths.
 //!
-//! Every rule lists all its offenders at once, each with the file and line, and says what to do.
+//! Every rule lists all violations at once, with file and line, and the remedy.
 
 #![allow(clippy::unwrap_used)]
 
@@ -23,7 +23,7 @@ const LEVELS: [(&str, u8); 9] = [
     ("palpate-lab", 4),
 ];
 
-/// What may stand at the top beside files that begin with a dot.
+/// Allowed top-level entries, besides those that begin with a dot.
 const TOP_LEVEL: [&str; 14] = [
     "ARCHITECTURE.md",
     "CHANGELOG.md",
@@ -41,10 +41,10 @@ const TOP_LEVEL: [&str; 14] = [
     "tests",
 ];
 
-/// What programs leave there and `.gitignore` names.
+/// Output folders of programs, listed in `.gitignore`.
 const LEFT_BY_PROGRAMS: [&str; 2] = ["palpate-report", "target"];
 
-/// What a fuzzer made, which nobody writes and nobody reads.
+/// The fuzzing corpus, which is generated.
 const MADE_BY_FUZZERS: &str = "tests/fuzz/corpus";
 
 /// External crates that only some packages may name.
@@ -64,8 +64,7 @@ const CONFINED: [(&str, &[&str]); 5] = [
     ),
 ];
 
-/// Where a clock may be read, as beginnings of paths; a program in `examples/` or `benches/` may
-/// read one too.
+/// Path prefixes of code that may read a clock; programs in `examples/` and `benches/` may too.
 const SHELLS: [&str; 5] = [
     "server/src/",
     "client/src/",
@@ -74,10 +73,10 @@ const SHELLS: [&str; 5] = [
     "tests/",
 ];
 
-/// Most lines in a file. A longer one holds two nouns.
+/// Maximum lines per file; split a longer one.
 const LINES_MAX: usize = 600;
 
-/// Files that grow with the project and are not read from top to bottom.
+/// Files that grow with the project and are not read sequentially.
 const LONG_BY_NATURE: [&str; 2] = ["Cargo.lock", "CHANGELOG.md"];
 
 fn root() -> PathBuf {
@@ -97,7 +96,7 @@ fn metadata() -> Metadata {
 
 /// A text file of the project.
 struct File {
-    /// Its path from the top, with forward slashes.
+    /// Path from the top, with forward slashes.
     path: String,
     text: String,
 }
@@ -107,7 +106,7 @@ impl File {
         Path::new(&self.path).extension().is_some_and(|e| e == "rs")
     }
 
-    /// Its lines without comments and literals, each with its number.
+    /// Numbered lines without comments and literals.
     fn code(&self) -> Vec<(usize, String)> {
         let code = without_comments_and_literals(&self.text);
         code.lines()
@@ -117,7 +116,7 @@ impl File {
     }
 }
 
-/// Every text file of the project, in the order of paths.
+/// Every text file of the project, sorted by path.
 fn files() -> Vec<File> {
     fn walk(dir: &Path, root: &Path, found: &mut Vec<File>) {
         let mut entries: Vec<PathBuf> = std::fs::read_dir(dir)
@@ -137,7 +136,7 @@ fn files() -> Vec<File> {
             if entry.is_dir() {
                 walk(&entry, root, found);
             } else if let Ok(text) = std::fs::read_to_string(&entry) {
-                // A file that is no text is a picture or a model, and has no lines.
+                // A file that is not text (image, model) has no lines.
                 let path = entry
                     .strip_prefix(root)
                     .unwrap()
@@ -150,11 +149,11 @@ fn files() -> Vec<File> {
     let root = root();
     let mut found = Vec::new();
     walk(&root, &root, &mut found);
-    assert!(found.len() > 20, "the walk found the project");
+    assert!(found.len() > 20, "no project files found");
     found
 }
 
-/// The package a file belongs to: the one whose folder is nearest above it.
+/// The package of a file: that of the nearest folder above it.
 fn package_of<'a>(path: &str, metadata: &'a Metadata) -> Option<&'a str> {
     let file = root().join(path);
     metadata
@@ -227,7 +226,7 @@ fn end_of_string(chars: &[char], start: usize) -> usize {
     i + 1
 }
 
-/// The end of `r"..."` or `r#"..."#`; `start` itself when it is a raw identifier.
+/// The end of `r"..."` or `r#"..."#`; `start` itself for a raw identifier.
 fn end_of_raw_string(chars: &[char], start: usize) -> usize {
     let hashes = chars[start + 1..].iter().take_while(|c| **c == '#').count();
     if chars.get(start + 1 + hashes) != Some(&'"') {
@@ -247,7 +246,7 @@ fn is_word(c: char) -> bool {
     c.is_alphanumeric() || c == '_'
 }
 
-/// Does `line` hold `name` as whole words?
+/// Whether `line` contains `name` as whole words.
 fn names(line: &str, name: &str) -> bool {
     line.match_indices(name).any(|(at, _)| {
         let before = line[..at].chars().next_back().is_some_and(is_word);
@@ -257,7 +256,7 @@ fn names(line: &str, name: &str) -> bool {
 }
 
 fn refuse(offenders: &[String], what_to_do: &str) {
-    /// Offenders shown at once; the rest shows when these are mended.
+    /// Maximum violations printed at once.
     const SHOWN_MAX: usize = 50;
     let shown = &offenders[..offenders.len().min(SHOWN_MAX)];
     let more = offenders.len() - shown.len();
@@ -295,7 +294,7 @@ fn packages_depend_on_lower_levels_only() {
 }
 
 #[test]
-fn every_level_belongs_to_a_package() {
+fn every_level_names_a_package() {
     let metadata = metadata();
     let missing: Vec<String> = LEVELS
         .iter()
@@ -309,7 +308,7 @@ fn every_level_belongs_to_a_package() {
 }
 
 #[test]
-fn only_agreed_entries_stand_at_the_top() {
+fn top_level_has_only_allowed_entries() {
     let offenders: Vec<String> = std::fs::read_dir(root())
         .unwrap()
         .map(|e| e.unwrap().file_name().to_string_lossy().into_owned())
@@ -328,7 +327,7 @@ fn only_agreed_entries_stand_at_the_top() {
 }
 
 #[test]
-fn confined_crates_are_dependencies_of_their_packages_only() {
+fn only_allowed_packages_depend_on_confined_crates() {
     let mut offenders = Vec::new();
     for package in &metadata().packages {
         for dependency in &package.dependencies {
@@ -346,7 +345,7 @@ fn confined_crates_are_dependencies_of_their_packages_only() {
 }
 
 #[test]
-fn confined_crates_are_named_by_their_packages_only() {
+fn only_allowed_packages_name_confined_crates() {
     let metadata = metadata();
     let mut offenders = Vec::new();
     for file in files().iter().filter(|f| f.is_rust()) {
@@ -369,14 +368,14 @@ fn confined_crates_are_named_by_their_packages_only() {
 }
 
 #[test]
-fn unsafe_code_stands_where_the_system_is_met() {
+fn unsafe_code_is_limited_to_system_interfaces() {
     let is_allowed = |file: &File| {
         let parts: Vec<&str> = file.path.split('/').collect();
         let is_driver = matches!(parts[..], ["device", "src", "backend", _, "sys.rs"]);
-        // An allocator that counts cannot be written without it.
+        // A counting allocator requires unsafe code.
         let is_test_allocator = parts.contains(&"tests")
             && names(&without_comments_and_literals(&file.text), "GlobalAlloc");
-        // A stand-in for a maker's library has its C functions, and a test talks to it behind the driver's back.
+        // A mock of a vendor library exports C functions, which its test calls directly.
         let is_stand_in = file.path.starts_with("device/tests/mock/");
         is_driver
             || is_stand_in
@@ -422,8 +421,8 @@ fn only_shells_read_a_clock() {
 }
 
 #[test]
-fn no_file_names_a_thing_outside_the_project() {
-    // Put together here, or this file would be the first offender.
+fn no_file_names_a_path_outside_the_project() {
+    // Assembled here, so that this file does not violate the rule.
     let absolute: Vec<String> = ["home", "root", "work", "Users"]
         .iter()
         .map(|name| ["/", name, "/"].concat())
@@ -459,7 +458,7 @@ fn no_file_names_a_thing_outside_the_project() {
 }
 
 #[test]
-fn no_file_is_longer_than_one_noun_needs() {
+fn files_have_a_maximum_length() {
     let offenders: Vec<String> = files()
         .iter()
         .filter(|f| !LONG_BY_NATURE.iter().any(|name| f.path.ends_with(name)))
@@ -469,12 +468,12 @@ fn no_file_is_longer_than_one_noun_needs() {
         .collect();
     refuse(
         &offenders,
-        &format!("At most {LINES_MAX} lines; find the second noun and split:"),
+        &format!("At most {LINES_MAX} lines; split these files:"),
     );
 }
 
 #[test]
-fn every_crate_opens_with_what_it_is() {
+fn every_crate_root_has_documentation() {
     let mut offenders = Vec::new();
     for package in &metadata().packages {
         for target in &package.targets {
@@ -486,7 +485,7 @@ fn every_crate_opens_with_what_it_is() {
     }
     refuse(
         &offenders,
-        "A crate root opens with //! and says what it is and never does:",
+        "A crate root begins with //! documentation of its scope:",
     );
 }
 

@@ -1,4 +1,4 @@
-//! A file that is written is whole or is not there, whatever happens to the disk.
+//! A file is written completely or not at all, even on a full disk.
 
 #![allow(clippy::unwrap_used)]
 
@@ -22,10 +22,10 @@ fn scene(dir: &Path) -> String {
     String::from_utf8(out.stdout).unwrap().trim().to_owned()
 }
 
-/// A disk that takes no more than a few kB, as a limit on the size of files.
+/// A disk of a few kB, emulated by a file size limit.
 #[cfg(unix)]
 #[test]
-fn a_full_disk_is_named_and_leaves_everything_as_it_was() {
+fn full_disk_is_reported_and_changes_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let scene = scene(dir.path());
     let out = dir.path().join("out");
@@ -58,7 +58,7 @@ fn a_full_disk_is_named_and_leaves_everything_as_it_was() {
 }
 
 #[test]
-fn a_folder_that_is_not_there_is_named_before_anything_is_in_place() {
+fn missing_folder_is_reported_before_any_write() {
     let dir = tempfile::tempdir().unwrap();
     let scene = scene(dir.path());
     let path = |name: &str| dir.path().join(name).display().to_string();
@@ -74,7 +74,7 @@ fn a_folder_that_is_not_there_is_named_before_anything_is_in_place() {
 }
 
 #[test]
-fn a_picture_is_drawn_and_a_slice_that_misses_is_answered() {
+fn slice_is_drawn_and_slice_outside_the_model_is_an_error() {
     let table = table::Table::new();
     let model = table.subject.file.display().to_string();
     let png = table.path("m.png");

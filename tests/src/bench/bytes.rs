@@ -1,10 +1,8 @@
-//! What a full subscriber's session takes of a network while people press and cut: bytes per direction
-//! and part.
+//! Bandwidth of a full subscriber's session while trainees press and cut, per direction and part.
 //!
-//! Two trainees press, cut and press again in a [rehearsal](crate::rehearsal), which gives every packet of
-//! the sessions with its moment. The packets of each are then sent once more with the same lengths at the
-//! same moments over a real connection through a relay, which gives what QUIC adds to them. The model's
-//! own download is not part of it.
+//! Two trainees press, cut and press again in a [simulated session](crate::rehearsal), which records every
+//! packet and its send time. The packets of each trainee are then sent again with equal lengths at equal times
+//! over a real connection through a relay; this measures the overhead of QUIC. The model download is excluded.
 
 use std::fmt;
 use std::sync::Arc;
@@ -17,17 +15,16 @@ use serde::Serialize;
 
 use super::quic;
 use crate::network::{Direction, Profile};
-use crate::place::Place;
 use crate::progress::Progress;
 use crate::rehearsal::{Part, Rehearsal, Rehearsed, Sent};
 use crate::scripts::{SECONDS_MIN, Scripts};
-use crate::subject::Subject;
+use crate::test_model::TestModel;
+use crate::tool_location::ToolLocation;
 
-/// The most that a full subscriber may take, kbit/s of UDP payload, up and down.
+/// Maximum bandwidth of a full subscriber, kbit/s of UDP payload, uplink and downlink.
 pub const LIMIT_KBIT_S: [f64; 2] = [100.0, 150.0];
 
-/// The delay that compensation begins with, and the most it may be, µs: a host's that is told nothing
-/// else.
+/// Initial and maximum delay of the compensation, µs: the defaults of a host.
 const DELAY_US: u32 = 60_000;
 const DELAY_CAP_US: u32 = 400_000;
 
@@ -40,10 +37,10 @@ pub struct Arguments {
     /// Length of the scripts, s: presses, a cut, presses
     #[arg(long, default_value_t = 8.0, value_name = "S")]
     seconds: f64,
-    /// The network between the server and each of them
+    /// The network between the server and each trainee
     #[arg(long, default_value = "metro", value_parser = Profile::parse)]
     profile: Profile,
-    /// Seed of packets' fates and of clocks
+    /// Seed of packet fates and clocks
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Print one JSON object
@@ -59,10 +56,11 @@ pub fn run(arguments: &Arguments) -> Result<BytesReport, String> {
             arguments.seconds
         ));
     }
-    let dir = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
+    let dir = tempfile::tempdir()
+        .map_err(|e| format!("cannot create a temporary folder for models: {e}"))?;
     let mut progress = Progress::new();
     progress.stage(&format!("preparing the model \"{}\"", arguments.model));
-    let subject = Subject::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
+    let subject = TestModel::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
     let bench = Bytes {
         seconds: arguments.seconds,
         profile: arguments.profile.clone(),
@@ -71,82 +69,83 @@ pub fn run(arguments: &Arguments) -> Result<BytesReport, String> {
     bench.run(&subject.model, &mut |what| progress.tick(what))
 }
 
-/// The bench.
+/// Settings of the bench.
 #[derive(Debug, Clone)]
 pub struct Bytes {
     /// Length of the scripts, s.
     pub seconds: f64,
-    /// The network between the server and each of them.
+    /// The network between the server and each trainee.
     pub profile: Profile,
-    /// The seed of packets' fates and of clocks.
+    /// Seed of packet fates and clocks.
     pub seed: u64,
 }
 
 /// One direction of one session, kbit/s.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Flow {
-    /// Up or down.
+    /// Uplink or downlink.
     pub direction: &'static str,
-    /// Where tools are.
+    /// Tool motion.
     pub motion: f64,
     /// The operations stream.
     pub operations: f64,
-    /// Where nodes are.
+    /// Node corrections.
     pub corrections: f64,
-    /// Questions for the clock and their answers.
+    /// Clock requests and responses.
     pub clock: f64,
-    /// What participants need of the artificial delay, and heartbeats.
+    /// Delay reports of participants, and heartbeats.
     pub delays: f64,
-    /// What of all these is acknowledgements.
+    /// Share of acknowledgements in all of these.
     pub acknowledgements: f64,
-    /// What QUIC adds: headers, seals, its own acknowledgements.
+    /// Overhead of QUIC: headers, encryption tags, acknowledgements.
     pub quic: f64,
-    /// All of it: UDP payload.
+    /// Total UDP payload.
     pub udp: f64,
     /// UDP packets per second.
     pub packets_per_s: f64,
-    /// The second with most, without what QUIC adds.
+    /// Peak over one second, without the overhead of QUIC.
     pub worst_second: f64,
-    /// The most that is allowed.
+    /// Limit.
     pub limit: f64,
-    /// Whether all of it is within.
+    /// Whether the total is within the limit.
     pub ok: bool,
 }
 
 /// One session.
 #[derive(Debug, Clone, Serialize)]
 pub struct Subscriber {
-    /// What they did.
+    /// Actions of the trainee.
     pub does: &'static str,
-    /// Up, then down.
+    /// Uplink, then downlink.
     pub flows: [Flow; 2],
 }
 
-/// What was found.
+/// Result.
 #[derive(Debug, Clone, Serialize)]
 pub struct BytesReport {
     /// Nodes of the model.
     pub nodes: usize,
     /// The network.
     pub network: String,
-    /// Length of the scripts with what follows them, s.
+    /// Length of the scripts including the settling time, s.
     pub seconds: f64,
-    /// Where the figures are from.
+    /// Origin of the figures.
     pub method: &'static str,
-    /// Who pressed and held, then who pressed, cut and pressed.
+    /// The holder (presses and holds), then the cutter (presses, cuts and presses).
     pub subscribers: Vec<Subscriber>,
-    /// Whether everybody was within the limits.
+    /// Whether both trainees are within the limits.
     pub ok: bool,
 }
 
 impl Bytes {
-    /// Measures.
+    /// Runs the measurement.
     pub fn run(
         &self,
         model: &Arc<Model>,
         progress: &mut dyn FnMut(&str),
     ) -> Result<BytesReport, String> {
-        let place = Place::find(&Topology::new(Arc::clone(model))).map_err(|e| e.to_string())?;
+        let place =
+            ToolLocation::find(&Topology::new(Arc::clone(model))).map_err(|e| e.to_string())?;
         let scripts = Scripts::for_place(&place, self.seconds).map_err(|e| e.to_string())?;
         let rehearsal = Rehearsal {
             model,
@@ -168,14 +167,14 @@ impl Bytes {
             true
         })?;
         if let Some(trouble) = rehearsed.troubles.first() {
-            return Err(format!("the rehearsal went wrong: {trouble}"));
+            return Err(format!("the simulated session failed: {trouble}"));
         }
         let mut subscribers = Vec::new();
         for (seat, does) in ["presses and holds", "presses, cuts and presses"]
             .into_iter()
             .enumerate()
         {
-            progress(&format!("sending once more over QUIC: who {does}"));
+            progress(&format!("sending again over QUIC: the trainee that {does}"));
             subscribers.push(self.subscriber(&rehearsed, seat, does)?);
         }
         let ok = subscribers.iter().flat_map(|s| &s.flows).all(|f| f.ok);
@@ -310,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_and_what_quic_adds_make_the_whole() {
+    fn parts_and_quic_overhead_add_up_to_the_total() {
         let packets = [
             sent(Direction::Up, Part::Motion, 0, 400),
             sent(Direction::Up, Part::Clock, 1_500_000, 100),

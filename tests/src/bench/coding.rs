@@ -1,10 +1,10 @@
-//! `bench coding`: what a pose and a node cost on the wire, ours against deflate and against raw numbers.
+//! `bench coding`: bits per pose and per node on the wire, compared with deflate and with raw numbers.
 //!
-//! A hand of 87 mm/s rms with a tremor of 0.1 mm, turning at some 40 degrees a second, in batches of four
-//! new 1 kHz samples and the last one before; and a block of 4,096 nodes that is pressed and released by
-//! the solver, 60 frames a second. Both ends know what is older than a round trip. Deflate is given the
-//! same integers as differences from the same older ones, each datagram or frame by itself as loss
-//! demands; raw are four-byte numbers.
+//! The hand moves at 87 mm/s rms with a tremor of 0.1 mm and rotates at about 40 degrees per second. Its
+//! batches have four new 1 kHz samples and the last one before. A block of 4,096 nodes is pressed and released
+//! by the solver, at 60 frames per second. Both ends know all data older than a round trip. Deflate encodes the
+//! same integers as differences from the same older data, each datagram or frame independently because of loss.
+//! Raw numbers have four bytes.
 
 use std::fmt;
 use std::io::Write as _;
@@ -22,79 +22,79 @@ use serde::Serialize;
 
 use crate::hand::{Hand, Random, Temper};
 
-/// New samples in a batch; the last one before goes along.
+/// New samples per batch; the last older one is repeated.
 const BATCH: usize = 4;
 
-/// Batches that are sent: 20 s.
+/// Number of batches: 20 s.
 const BATCHES: usize = 5000;
 
-/// Nodes per edge of the block, and its side in m.
+/// Nodes per edge of the block, and its side, m.
 const NODES: usize = 16;
 const SIDE_M: f64 = 0.1;
 
-/// Radius of the disc that presses, and how deep, m.
+/// Radius of the pressing disc, and its depth, m.
 const DISC_M: f64 = 0.02;
 const DEPTH_M: f64 = 6e-3;
 
-/// Frames per second, and of the whole press and release.
+/// Frames per second, and frames of the press and release.
 const FRAME_HZ: i64 = 60;
 const FRAMES: usize = 120;
 
-/// Step of the displacements, µm: what looks smooth.
+/// Quantisation of displacements, µm: visually smooth.
 const STEP_UM: u16 = 50;
 
 /// Levels of deflate: the fastest and the smallest.
 const LEVELS: [u32; 2] = [1, 9];
 
-/// How fast the hand turns for how fast it moves, rad/m.
+/// Rotation per travel of the hand, rad/m.
 const TURN_RAD_PER_M: f64 = 8.0;
 
-/// What is to be measured.
+/// Settings of the bench.
 #[derive(Debug, Clone, Copy)]
 pub struct Coding {
-    /// Round trip in ms.
+    /// Round trip, ms.
     pub round_trip_ms: i64,
-    /// Of the hand.
+    /// Seed of the hand.
     pub seed: u64,
 }
 
-/// Bits for one pose or one node, headers included.
+/// Bits per pose or node, headers included.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Bits {
-    /// Ours.
+    /// The codec of this project.
     pub ours: f64,
-    /// Deflate level 1 of the same differences.
+    /// Deflate level 1 of the differences.
     pub deflate_1: f64,
-    /// Deflate level 9.
+    /// Deflate level 9 of the differences.
     pub deflate_9: f64,
-    /// As four-byte numbers.
+    /// Four-byte numbers.
     pub raw: f64,
 }
 
 /// Figures of a run.
 #[derive(Debug, Clone, Serialize)]
 pub struct CodingReport {
-    /// Round trip in ms.
+    /// Round trip, ms.
     pub round_trip_ms: i64,
     /// Seed of the hand.
     pub seed: u64,
-    /// Poses that were sent.
+    /// Number of poses.
     pub poses: usize,
-    /// Bits per new pose: place, rotation, time, buttons.
+    /// Bits per new pose: position, rotation, time, buttons.
     pub pose: Bits,
-    /// Bytes of a datagram of ours with poses.
+    /// Bytes of a motion datagram of this project.
     pub motion_datagram_bytes: f64,
     /// Nodes of the block.
     pub nodes: usize,
-    /// Frames that were sent.
+    /// Number of frames.
     pub frames: usize,
     /// Bits per node and frame.
     pub node: Bits,
-    /// kbit/s of ours at 60 frames a second, without what QUIC adds.
+    /// kbit/s of this project at 60 frames per second, without the overhead of QUIC.
     pub node_kbit_per_s: f64,
 }
 
-/// Bytes of each way, added up.
+/// Total bytes per coding.
 #[derive(Debug, Default)]
 struct Sums {
     ours: usize,
@@ -126,7 +126,7 @@ impl Sums {
     }
 }
 
-/// One direction of a connection: numbers its datagrams, and learns of their arrival a round trip later.
+/// One direction of a connection: numbers its datagrams and receives acknowledgements one round trip later.
 struct Direction {
     memory: Memory,
     sequence: u32,
@@ -173,7 +173,7 @@ impl Direction {
     }
 }
 
-/// A sample as seven integers: time, place, and rotation as a vector.
+/// A sample as seven integers: time, position, rotation vector.
 fn integers(sample: &ToolSample) -> [i32; 7] {
     let mut out = [0; 7];
     out[0] = (sample.time.as_micros() / TIME_STEP_US) as i32;
@@ -181,18 +181,18 @@ fn integers(sample: &ToolSample) -> [i32; 7] {
     let turn = UnitQuaternion::new_normalize(nalgebra::Quaternion::new(w, i, j, k)).scaled_axis();
     for axis in 0..3 {
         out[1 + axis] = (sample.pose.position_m[axis] / POSITION_STEP_M).round() as i32;
-        // Half an angle is what a part of a quaternion is, in the steps that those have.
+        // A quaternion component is half an angle, in the quantisation of the codec.
         out[4 + axis] = (0.5 * turn[axis] / 2e-4).round() as i32;
     }
     out
 }
 
 impl Coding {
-    /// Runs it.
+    /// Runs the bench.
     ///
     /// # Errors
     ///
-    /// When something can not be coded: a sentence with what.
+    /// If a message cannot be encoded.
     pub fn run(&self) -> Result<CodingReport, String> {
         let poses = BATCH * BATCHES;
         let motion = self.motion()?;
@@ -239,7 +239,7 @@ impl Coding {
                 (0..7).flat_map(move |i| (now[i] - known[i]).to_le_bytes())
             });
             sums.add_deflate(&differences.collect::<Vec<u8>>())?;
-            // Time, place, quaternion; buttons in one byte.
+            // Time, position, quaternion; buttons in one byte.
             sums.raw += samples.len() * (4 * 8 + 1);
             let track = ToolTrack {
                 participant: ParticipantId(1),
@@ -252,7 +252,7 @@ impl Coding {
         Ok(sums)
     }
 
-    /// The nodes, and the bytes of all frames.
+    /// The number of nodes, and the bytes of all frames.
     fn press(&self) -> Result<(usize, Sums), String> {
         let spacing = SIDE_M / (NODES as f64 - 1.0);
         let material = Material {
@@ -346,7 +346,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_way_is_counted_and_ours_takes_less_than_deflate_and_half_of_raw() {
+    fn codec_beats_deflate_and_half_of_raw() {
         let run = Coding {
             round_trip_ms: 50,
             seed: 1,

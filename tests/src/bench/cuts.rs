@@ -1,9 +1,9 @@
-//! `bench cuts`: the work of the threads of a trainee while others cut beside the press.
+//! `bench cuts`: thread load of a trainee while other trainees cut beside the press.
 //!
-//! A probe presses a model, slides slowly and trembles, while short cuts arrive from the log every half second,
-//! 14 mm and more beside it: 250 steps of the hand and 30 views per second of virtual time. Site, cut worker and view
-//! take turns on one thread, so that another program on the machine counts only by the caches that it empties; the cut
-//! worker is busy in virtual time for as long as its work took. All times are processor time.
+//! A probe presses a model, slides slowly and trembles. Every half second a short cut arrives from the
+//! operation log, at least 14 mm away: 250 solver steps and 30 views per second of virtual time. Site, cut
+//! worker and view run in turn on one thread, so that load of other programs matters only through the caches.
+//! The cut worker is busy in virtual time for the duration of its work. All times are processor time.
 
 use std::fmt;
 use std::sync::Arc;
@@ -32,9 +32,9 @@ use palpate_tissue::{Budget, Model, Topology, cut};
 use serde::Serialize;
 
 use super::quantile;
-use crate::place::Place;
 use crate::progress::Progress;
-use crate::subject::Subject;
+use crate::test_model::TestModel;
+use crate::tool_location::ToolLocation;
 
 /// Arguments of `bench cuts`.
 #[derive(Debug, Args)]
@@ -58,17 +58,17 @@ pub struct Arguments {
 
 /// Radius of the probe, m.
 const RADIUS_M: f64 = 8e-3;
-/// Time of the press before the first cut, between two cuts and after the last one, ms.
+/// Time before the first cut, between cuts and after the last one, ms.
 const APART_MS: i64 = 500;
-/// Steps of the hand after which the press counts as begun.
+/// Solver steps of the initial press.
 const BEGINNING: usize = 50;
-/// Steps around the exchange that belong to a cut, half of them before it.
+/// Steps around the application of a cut that belong to it, half of them before.
 const AROUND: usize = 10;
-/// Slow slide along the surface: half its way in m, and its frequency in Hz.
+/// Slow slide along the surface: amplitude in m, and frequency in Hz.
 const SLIDE: (f64, f64) = (3e-3, 0.4);
 /// Tremor along the normal: amplitude in m, and frequency in Hz.
 const TREMOR: (f64, f64) = (0.05e-3, 9.0);
-/// Views per second, and the limits of one.
+/// Views per second, and the limits of a view.
 const VIEW_HZ: u32 = 30;
 const VIEW_ITERATIONS: usize = 2;
 const VIEW_WORK: Span = Span::from_millis(5);
@@ -76,7 +76,7 @@ const VIEW_WORK: Span = Span::from_millis(5);
 const CUT_LENGTH_M: f64 = 0.02;
 const CUT_DEPTH_M: f64 = 0.012;
 const BESIDE_M: f64 = 0.014;
-/// How far the blade stands out of the tissue, m.
+/// Blade length outside the tissue, m.
 const OUTSIDE_M: f64 = 0.006;
 /// Points of a stroke.
 const POINTS: usize = 20;
@@ -88,16 +88,17 @@ const SURGEON: ParticipantId = ParticipantId(2);
 ///
 /// # Errors
 ///
-/// When there is no such model, no place to press and cut on it, or no thread.
+/// If the model, a location to press and cut, or a thread is missing.
 pub fn run(arguments: &Arguments) -> Result<CutsReport, String> {
     if !(0.5..=30.0).contains(&arguments.depth_mm) {
         let depth = arguments.depth_mm;
         return Err(format!("--depth-mm {depth} must be from 0.5 to 30"));
     }
-    let dir = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
+    let dir = tempfile::tempdir()
+        .map_err(|e| format!("cannot create a temporary folder for models: {e}"))?;
     let mut progress = Progress::new();
     progress.stage(&format!("preparing the model \"{}\"", arguments.model));
-    let subject = Subject::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
+    let subject = TestModel::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
     let bench = Cuts {
         cuts: usize::from(arguments.cuts),
         delay: Span::from_millis(i64::from(arguments.delay_ms)),
@@ -106,7 +107,7 @@ pub fn run(arguments: &Arguments) -> Result<CutsReport, String> {
     bench.run(&subject.model, &mut |what| progress.stage(what))
 }
 
-/// The bench.
+/// Settings of the bench.
 #[derive(Debug, Clone)]
 pub struct Cuts {
     /// Number of cuts.
@@ -117,18 +118,18 @@ pub struct Cuts {
     pub depth_m: f64,
 }
 
-/// Processor time of some pieces of work, ms.
+/// Processor time per work item, ms.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Work {
-    /// Pieces.
+    /// Number of items.
     pub count: usize,
     /// Mean.
     pub mean_ms: f64,
-    /// Half take less.
+    /// Median.
     pub p50_ms: f64,
-    /// 99 of 100 take less.
+    /// 99th percentile.
     pub p99_ms: f64,
-    /// Longest.
+    /// Maximum.
     pub max_ms: f64,
 }
 
@@ -144,16 +145,16 @@ impl Work {
     }
 }
 
-/// One cut, as the hand met it.
+/// One cut, seen from the solver.
 #[derive(Debug, Clone, Serialize)]
 pub struct AtCut {
     /// Time from its due time to the step that applied it, ms.
     pub late_ms: f64,
-    /// Longest step of the ten around it, processor time in ms.
+    /// Longest of the ten steps around it, processor time in ms.
     pub worst_ms: f64,
-    /// Step in which the state was copied for the cut worker, ms.
+    /// Step that copied the state for the cut worker, ms.
     pub copied_ms: f64,
-    /// Change of the force in the step that applied it, N.
+    /// Force change in the step that applied it, N.
     pub jump_n: f64,
     /// Force before it, N.
     pub force_n: f64,
@@ -164,48 +165,48 @@ pub struct AtCut {
 pub struct CutsReport {
     /// Nodes of the model.
     pub nodes: usize,
-    /// Steps of the hand without a cut.
+    /// Solver steps without a cut.
     pub steps: Work,
-    /// Processor time of the hand's thread per second, in cores.
+    /// Processor time of the solver thread per second, in cores.
     pub hand_cores: f64,
     /// Views.
     pub views: Work,
-    /// Processor time of the view's thread per second, in cores.
+    /// Processor time of the view thread per second, in cores.
     pub view_cores: f64,
     /// Processor time of the cut worker per cut, ms.
     pub worker_ms: f64,
-    /// Steps of the hand in contact that gave no usable model.
+    /// Solver steps in contact without a usable model.
     pub unusable: usize,
-    /// Worst step of all cuts, ms.
+    /// Longest step around all cuts, ms.
     pub worst_ms: f64,
     /// Cuts.
     pub cuts: Vec<AtCut>,
 }
 
-/// One step of the hand.
+/// One solver step.
 struct Step {
     ms: f64,
     force: Vector3<f64>,
     is_usable: bool,
     version: u32,
-    /// Whether the state was copied in it.
+    /// Whether it copied the state.
     copies: bool,
     at: ServerTime,
 }
 
 impl Cuts {
-    /// Runs it.
+    /// Runs the bench.
     ///
     /// # Errors
     ///
-    /// When there is no place to press and cut, or a copy differs.
+    /// If there is no location to press and cut, or a replica differs.
     pub fn run(
         &self,
         model: &Arc<Model>,
         progress: &mut dyn FnMut(&str),
     ) -> Result<CutsReport, String> {
         let topology = Topology::new(Arc::clone(model));
-        let place = Place::find(&topology).map_err(|e| e.to_string())?;
+        let place = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
         progress("making the cuts");
         let mut operations = self.operations(topology.clone(), &place)?;
         let mut site = Site::new(&welcome(&topology, self.delay), Arc::clone(model), None);
@@ -259,11 +260,15 @@ impl Cuts {
         ))
     }
 
-    /// Cuts of the log beside the place of the press, with the hashes that they lead to.
-    fn operations(&self, mut topology: Topology, place: &Place) -> Result<Vec<Operation>, String> {
+    /// Cuts beside the press as log operations, with the resulting hashes.
+    fn operations(
+        &self,
+        mut topology: Topology,
+        place: &ToolLocation,
+    ) -> Result<Vec<Operation>, String> {
         let mut operations = Vec::new();
         let spacing = place.spacing_m;
-        // Candidates on both sides of the press, farther and farther away and along.
+        // Candidates on both sides of the press, at increasing distances.
         for i in 0.. {
             if operations.len() == self.cuts {
                 break;
@@ -271,7 +276,7 @@ impl Cuts {
             if i == 20 * self.cuts {
                 let (made, wanted) = (operations.len(), self.cuts);
                 return Err(format!(
-                    "the model has room for {made} cuts, not for {wanted}"
+                    "the model has room for only {made} of {wanted} cuts"
                 ));
             }
             let side = if i % 2 == 0 { 1.0 } else { -1.0 };
@@ -308,8 +313,8 @@ impl Cuts {
         Ok(operations)
     }
 
-    /// Where the hand holds its probe, t s after the beginning.
-    fn pose(&self, place: &Place, t: f64) -> Pose {
+    /// Probe pose at `t` seconds after the beginning.
+    fn pose(&self, place: &ToolLocation, t: f64) -> Pose {
         let wave = |(amplitude, hz): (f64, f64)| amplitude * (std::f64::consts::TAU * hz * t).sin();
         let reached = (t / 0.15).min(1.0);
         let depth = self.depth_m * (2.0 * reached - 1.0) + wave(TREMOR);
@@ -351,10 +356,10 @@ fn welcome(topology: &Topology, delay: Span) -> Welcome {
     }
 }
 
-/// The cut worker, as if on a thread of its own.
+/// The cut worker, simulated as a separate thread.
 struct Worker {
     ahead: Prefetch,
-    /// Result of the latest piece of work, and when it is there.
+    /// Result of the latest work item, and its completion time.
     news: Option<CutNews>,
     busy_until: ClientTime,
     worked: Span,
@@ -370,7 +375,7 @@ impl Worker {
         }
     }
 
-    /// Works until `now`; gives what is done by then.
+    /// Works until `now`; returns the results completed by then.
     fn work(&mut self, now: ClientTime) -> Result<Vec<CutNews>, String> {
         let mut done = Vec::new();
         while self.busy_until <= now {
@@ -390,7 +395,7 @@ impl Worker {
 }
 
 impl Step {
-    /// One turn of the hand's thread.
+    /// One iteration of the solver thread.
     fn make(
         site: &mut Site,
         worker: &mut Worker,
@@ -424,7 +429,7 @@ impl Step {
     }
 }
 
-/// Solves the newest view, if it is due; gives what it took in ms.
+/// Solves the newest view if it is due; returns its duration in ms.
 fn show(site: &mut Site, view: &mut View, now: ClientTime) -> Option<f64> {
     let from = worked();
     while let Some(news) = site.poll_view_news() {

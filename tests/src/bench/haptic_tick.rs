@@ -1,9 +1,10 @@
-//! `bench haptic-tick`: what one tick of the force loop costs.
+//! `bench haptic-tick`: duration of one tick of the force loop.
 //!
-//! A hand presses, slides and tilts a line of 1, 4 and 16 stations on a linear tissue whose model is renewed every fourth
-//! tick. Timed are the reading of the device, the chain, and the writing: all that happens between two waits; and the
-//! chain alone, as simulated motors and links are no part of it. Both devices render torques: the simulated hand is
-//! given six degrees of freedom (its turn is its script's, whatever turns it), the 5-DOF device has two of its own.
+//! A hand presses, slides and tilts a line of 1, 4 and 16 stations on a linear tissue; its contact model is
+//! renewed every fourth tick. One time covers the device read, the chain and the device write, that is all work
+//! between two waits. The other covers the chain alone, because simulated motors and links are not part of it.
+//! Both devices render torques: the simulated hand has six degrees of freedom (the script sets its rotation),
+//! the 5-DOF device two rotational ones.
 
 use std::fmt;
 use std::time::Instant;
@@ -17,32 +18,32 @@ use palpate_haptics::{Chain, ChainConfig, ContactModel, Touch};
 use palpate_protocol::ClientTime;
 use serde::Serialize;
 
-/// Ticks before the clock runs: the soft start.
+/// Untimed ticks at the beginning: the soft start.
 const WARM: usize = 2000;
 
-/// Stations of the tools.
+/// Station counts of the tools.
 const CONTACTS: [usize; 3] = [1, 4, 16];
 
 /// Length of a line, m.
 const LENGTH_M: f64 = 0.04;
 
-/// What is to be measured.
+/// Settings of the bench.
 #[derive(Debug, Clone, Copy)]
 pub struct HapticTick {
-    /// Ticks of each device and tool.
+    /// Ticks per device and tool.
     pub ticks: usize,
 }
 
-/// Times of some part of a tick, in µs.
+/// Times of a part of a tick, µs.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Quantiles {
-    /// Half are shorter.
+    /// Median.
     pub p50_us: f64,
-    /// 99 of 100.
+    /// 99th percentile.
     pub p99_us: f64,
-    /// 999 of 1000.
+    /// 99.9th percentile.
     pub p999_us: f64,
-    /// The longest.
+    /// Maximum.
     pub max_us: f64,
 }
 
@@ -61,11 +62,11 @@ impl Quantiles {
 /// Times of one device and tool.
 #[derive(Debug, Clone, Serialize)]
 pub struct Times {
-    /// What the device calls itself.
+    /// Name of the device.
     pub device: String,
     /// Stations of the tool.
     pub contacts: usize,
-    /// Reading, chain and writing.
+    /// Read, chain and write.
     #[serde(flatten)]
     pub tick: Quantiles,
     /// The chain alone.
@@ -74,25 +75,25 @@ pub struct Times {
     pub in_contact: u64,
     /// Ticks in which a station slid.
     pub slip: u64,
-    /// The largest torque, N·m.
+    /// Largest torque, N·m.
     pub max_torque_nm: f64,
 }
 
 /// Times of all devices and tools.
 #[derive(Debug, Clone, Serialize)]
 pub struct HapticTickReport {
-    /// Ticks of each.
+    /// Ticks per device and tool.
     pub ticks: usize,
     /// One row per device and tool.
     pub devices: Vec<Times>,
 }
 
 impl HapticTick {
-    /// Runs it.
+    /// Runs the bench.
     ///
     /// # Errors
     ///
-    /// When a device can not follow the script.
+    /// If a device cannot follow the script.
     pub fn run(self) -> Result<HapticTickReport, String> {
         let start = || ScriptStart::at(DeviceTime::ZERO);
         let script = script().map_err(|e| e.to_string())?;
@@ -152,7 +153,7 @@ impl HapticTick {
     }
 }
 
-/// A press that slides and tilts, over and over.
+/// A repeated press with slide and tilt.
 fn script() -> Result<Script, palpate_device::ScriptError> {
     let tool = Tool::probe(4e-3);
     let tremor = Hand {
@@ -170,7 +171,7 @@ fn script() -> Result<Script, palpate_device::ScriptError> {
     Script::new(tool, tremor, ways.into(), true)
 }
 
-/// What a line along the probe's axis (y) feels of 300 N/m below z = 0.
+/// Contact model of a line along the probe axis (y) on a half-space of 300 N/m below z = 0.
 fn tissue(now: ClientTime, pose: &Pose, contacts: usize) -> ContactModel {
     let mut model = ContactModel {
         topology_version: 1,

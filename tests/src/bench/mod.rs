@@ -1,9 +1,8 @@
-//! Benches: of the equilibrium, what it costs and how far it is from the converged answer; of the force loop, what a
-//! tick costs; of a session, what it takes of a network, and what a pose and a node take; of a demo's reference, what
-//! it takes and how exact it is.
+//! Benchmarks: solver cost and force error, force-loop tick, bandwidth and coding of a session, cost and
+//! accuracy of the reference of a demo.
 //!
-//! They are no tests: nothing here fails because a machine is slow. Figures that are to be compared
-//! (two models, two commits) belong into one run on one machine.
+//! They are not tests: a slow machine does not fail. Compare figures (two models, two commits) within one run
+//! on one machine.
 
 pub mod bytes;
 pub mod coding;
@@ -15,12 +14,12 @@ mod quic;
 pub mod reference;
 pub mod wound;
 
-/// Middle of some times in ms.
+/// Median of times in ms.
 fn median(times: &[f64]) -> f64 {
     quantile(times, 0.5)
 }
 
-/// The value that the share `q` of some times does not exceed, in their unit.
+/// The quantile `q` of times, in their unit.
 pub(crate) fn quantile(times: &[f64], q: f64) -> f64 {
     let mut sorted = times.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -29,16 +28,16 @@ pub(crate) fn quantile(times: &[f64], q: f64) -> f64 {
     sorted.get(at).copied().unwrap_or(f64::NAN)
 }
 
-/// Runs on this many threads.
+/// Runs a closure on this many threads.
 ///
 /// # Errors
 ///
-/// When the system has no threads to give.
+/// If the operating system cannot create the threads.
 pub fn on_threads<T: Send>(threads: usize, run: impl FnOnce() -> T + Send) -> Result<T, String> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
-        .map_err(|e| format!("no {threads} threads: {e}"))?;
+        .map_err(|e| format!("cannot start {threads} threads: {e}"))?;
     Ok(pool.install(run))
 }
 

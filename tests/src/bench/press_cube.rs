@@ -1,9 +1,8 @@
-//! `bench press-cube`: a cube pressed by a disc, the case that other engines were measured on.
+//! `bench press-cube`: a cube pressed by a disc, a published case of other engines.
 //!
-//! A cube of side 0.1 m with `n` nodes per edge and E = 10 kPa stands on a pinned base; the nodes
-//! within 12.5 mm of the middle of its top are prescribed 1 mm down. Cold: from rest, until the rms
-//! displacement error against the converged answer stays below 1 %. Moving: ten steps of 0.1 mm, each
-//! to 0.5 %.
+//! A cube of side 0.1 m with `n` nodes per edge and E = 10 kPa stands on a pinned base. The nodes within 12.5
+//! mm of the centre of its top are displaced 1 mm down. Cold start: from rest until the rms displacement error
+//! against the converged solution stays below 1 %. Moving: ten steps of 0.1 mm, each to 0.5 %.
 
 use std::fmt;
 use std::sync::Arc;
@@ -12,38 +11,38 @@ use std::time::Instant;
 use palpate_tissue::{Budget, Material, Shape, Solver, Topology, Vec3, block};
 use serde::Serialize;
 
-/// Side of the cube in m.
+/// Side of the cube, m.
 const SIDE_M: f64 = 0.1;
-/// Radius of the disc in m.
+/// Radius of the disc, m.
 const DISC_M: f64 = 0.0125;
-/// How far it goes down in m.
+/// Displacement of the disc, m.
 const DEPTH_M: f64 = 1e-3;
 /// Steps of the moving press.
 const STEPS: usize = 10;
-/// Error allowed when cold, and per step when moving.
+/// Maximum error of the cold start, and per step when moving.
 const ERRORS: [f64; 2] = [0.01, 0.005];
-/// Tolerance of what starts from rest and has its iterations counted.
+/// Tolerance of the cold start with counted iterations.
 const TOLERANCE: f64 = 1e-3;
-/// Tolerances that a step of the moving press may be asked for, from the first to the last, each so many times the one
-/// before; the loosest that keeps all errors within bounds is taken.
+/// Candidate tolerances of a moving step: first, last, and ratio. The loosest one that keeps all errors within
+/// bounds is used.
 const TOLERANCES: [f64; 3] = [3e-2, 1e-4, 0.9];
-/// Tolerance of the first step of the moving press, which the others carry on: what it is off they are, too.
+/// Tolerance of the first moving step; later steps extrapolate from it and inherit its error.
 const FIRST: f64 = 1e-4;
-/// Residual that counts as converged.
+/// Converged residual.
 const CONVERGED: f64 = 1e-6;
-/// Iterations at most.
+/// Maximum iterations.
 const ITERATIONS_MAX: usize = 100;
-/// Timed runs, of which the median counts.
+/// Timed runs; the median counts.
 const RUNS: usize = 5;
 
-/// What is to be measured.
+/// Settings of the bench.
 #[derive(Debug, Clone, Copy)]
 pub struct PressCube {
     /// Nodes per edge.
     pub nodes: usize,
-    /// Poisson's ratio; 0.25 is springs alone.
+    /// Poisson's ratio; 0.25 uses springs alone.
     pub poisson: f64,
-    /// Also the moving press.
+    /// Whether to run the moving press too.
     pub moving: bool,
 }
 
@@ -52,25 +51,25 @@ pub struct PressCube {
 pub struct PressCubeReport {
     /// Nodes of the cube.
     pub nodes: usize,
-    /// Springs of the cube and of the layer it stands on.
+    /// Springs of the cube and of its base layer.
     pub springs: usize,
     /// Poisson's ratio.
     pub poisson: f64,
-    /// Making bricks and coarse lattices, once per topology, ms.
+    /// Setup of bricks and coarse lattices, once per topology, ms.
     pub setup_ms: f64,
-    /// From rest to an rms error below 1 %, ms; none when it was not reached.
+    /// Time from rest to an rms error below 1 %, ms; `None` if not reached.
     pub ms_to_one_percent: Option<f64>,
-    /// Iterations of it.
+    /// Its iterations.
     pub iterations_to_one_percent: usize,
-    /// Error that was left, in parts of one.
+    /// Remaining error, relative.
     pub error: f64,
-    /// From rest to a relative residual of 1e-6, ms; none when it was not reached.
+    /// Time from rest to a relative residual of 1e-6, ms; `None` if not reached.
     pub ms_to_converged: Option<f64>,
-    /// Iterations of it.
+    /// Its iterations.
     pub iterations_to_converged: usize,
-    /// Residual that was left.
+    /// Remaining residual.
     pub residual: f64,
-    /// Force on the disc when converged, N.
+    /// Converged force on the disc, N.
     pub force_n: f64,
     /// The moving press.
     pub moving: Option<MovingReport>,
@@ -79,17 +78,17 @@ pub struct PressCubeReport {
 /// Figures of the moving press.
 #[derive(Debug, Clone, Serialize)]
 pub struct MovingReport {
-    /// The first step, from rest, in ms, and its iterations.
+    /// Duration of the first step, from rest, ms.
     pub first_ms: f64,
-    /// Iterations of it.
+    /// Its iterations.
     pub first_iterations: usize,
-    /// Relative residual that the other steps were asked for.
+    /// Relative residual requested in the other steps.
     pub tolerance: f64,
-    /// Iterations of each of them; none where the last step's change carried on was good enough.
+    /// Iterations of each step; 0 if the extrapolation was sufficient.
     pub iterations: Vec<usize>,
-    /// Median, mean and longest of them, ms.
+    /// Median, mean and maximum of their durations, ms.
     pub ms_per_step: [f64; 3],
-    /// Largest rms displacement error after a step, in parts of one.
+    /// Largest rms displacement error after a step, relative.
     pub worst_error: f64,
 }
 
@@ -138,7 +137,7 @@ impl Cube {
         began.elapsed().as_secs_f64() * 1e3
     }
 
-    /// From rest in so many iterations: the shape and the ms.
+    /// Solves from rest with a number of iterations; returns the shape and the duration in ms.
     fn cold(&self, like: &Solver, iterations: usize, tolerance: f64) -> (Shape, Solver, f64) {
         let mut solver = like.another(&self.topology);
         let mut shape = Shape::rest(&self.topology);
@@ -160,7 +159,7 @@ fn error(shape: &Shape, exact: &Shape) -> f64 {
 }
 
 impl PressCube {
-    /// Runs it.
+    /// Runs the bench.
     pub fn run(&self, progress: &mut dyn FnMut(&str)) -> PressCubeReport {
         progress("making the cube");
         let cube = Cube::new(self.nodes, self.poisson);
@@ -205,8 +204,8 @@ impl PressCube {
     }
 }
 
-/// Presses in steps: the first from rest to a residual of 1e-4, so that the others begin at an equilibrium, and
-/// those to the loosest tolerance that keeps every error within bounds.
+/// Presses in steps. The first one solves from rest to a residual of 1e-4, so that the others begin at an
+/// equilibrium; those use the loosest tolerance that keeps every error within bounds.
 fn moving(cube: &Cube, like: &Solver, progress: &mut dyn FnMut(&str)) -> MovingReport {
     progress("converging the moving press");
     let depth = |step: usize| DEPTH_M * (step + 1) as f64 / STEPS as f64;

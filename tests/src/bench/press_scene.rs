@@ -1,8 +1,8 @@
 //! `bench press-scene`: a sphere pressed into any model at the speed of a hand.
 //!
-//! A sphere of 8 mm radius goes 15 mm deep at 100 mm/s where the model has room for it, solved 250
-//! times a second with the budget of a hand, several times from rest, and draws back as fast. Afterwards another
-//! solver converges at every place of the tool, and the forces are compared.
+//! A sphere of 8 mm radius moves 15 mm deep at 100 mm/s, if the model has room, and back. It is solved at 250
+//! Hz with the budget of a hand, several times from rest. A second solver converges at every tool position, and
+//! the forces are compared.
 
 use std::fmt;
 use std::sync::Arc;
@@ -12,33 +12,33 @@ use palpate_tissue::{Budget, Model, Shape, Solver, StepReport, Tool, Topology};
 use serde::Serialize;
 
 use super::wound::Wound;
-use crate::place::Place;
+use crate::tool_location::ToolLocation;
 
-/// Radius of the sphere in m.
+/// Radius of the sphere, m.
 const RADIUS_M: f64 = 8e-3;
-/// Time between two ticks in s.
+/// Tick, s.
 const TICK_S: f64 = 4e-3;
-/// Ticks at rest at the end.
+/// Ticks at the full depth.
 const REST: usize = 5;
-/// Force below which a relative error says nothing, in N.
+/// Minimum force for a relative error, N.
 const LEAST_N: f64 = 2e-3;
 
-/// What is to be measured.
+/// Settings of the bench.
 #[derive(Debug, Clone, Copy)]
 pub struct PressScene {
-    /// How deep in m.
+    /// Depth, m.
     pub depth_m: f64,
-    /// How fast in m/s.
+    /// Speed, m/s.
     pub speed_m_s: f64,
-    /// Time a tick may take before its last iteration begins, in ms.
+    /// Time budget of a tick until its last iteration begins, ms.
     pub budget_ms: f64,
     /// Tolerance of a tick.
     pub tolerance: f64,
-    /// Tolerance of what it is compared with.
+    /// Tolerance of the converged solution.
     pub converged: f64,
-    /// How many times the press is made, each from rest.
+    /// Number of presses, each from rest.
     pub repeats: usize,
-    /// Whether to press beside a fresh wound.
+    /// Whether to press beside a fresh cut.
     pub wound: bool,
 }
 
@@ -59,39 +59,39 @@ impl Default for PressScene {
 /// One tick.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Tick {
-    /// Which of the presses it belongs to, from 1.
+    /// Index of its press, from 1.
     pub press: usize,
-    /// Whether the tool draws back.
+    /// Whether the tool retracts.
     pub draws_back: bool,
-    /// Which of the tools of a press it is.
+    /// Index of its tool pose.
     #[serde(skip)]
     tool: usize,
-    /// Depth in mm.
+    /// Depth, mm.
     pub depth_mm: f64,
-    /// Force along the normal in N.
+    /// Force along the normal, N.
     pub force_n: f64,
-    /// The converged one.
+    /// Converged force, N.
     pub converged_n: f64,
-    /// Their difference in parts of the converged one.
+    /// Relative force error.
     pub error: f64,
-    /// What it took.
+    /// Duration, ms.
     pub ms: f64,
-    /// Iterations it had time for.
+    /// Iterations within the budget.
     pub iterations: usize,
-    /// Nodes that took part.
+    /// Active nodes.
     pub active: usize,
-    /// Residual of the converged one.
+    /// Residual of the converged solution.
     pub converged_residual: f64,
 }
 
 /// Figures of some ticks.
 #[derive(Debug, Clone, Serialize)]
 pub struct Figures {
-    /// Median and 99th percentile of a tick, ms.
+    /// Median and 99th percentile of the tick duration, ms.
     pub ms: [f64; 2],
     /// Largest relative force error.
     pub worst_error: f64,
-    /// Root of the mean square of it.
+    /// Rms of the relative force error.
     pub rms_error: f64,
 }
 
@@ -110,45 +110,45 @@ impl Figures {
 /// Figures of a run.
 #[derive(Debug, Clone, Serialize)]
 pub struct PressSceneReport {
-    /// The wound it was pressed beside.
+    /// The wound beside the press.
     pub wound: Option<Wound>,
     /// Nodes of the model.
     pub nodes: usize,
-    /// Bricks and coarse lattices, once, ms.
+    /// Setup of bricks and coarse lattices, ms.
     pub setup_ms: f64,
-    /// Of ticks of pressing, and of being there.
+    /// Figures of pressing and of rest at depth.
     #[serde(flatten)]
     pub press: Figures,
-    /// Of ticks of drawing back.
+    /// Figures of retraction.
     pub back: Figures,
-    /// Most nodes that took part.
+    /// Maximum number of active nodes.
     pub active: usize,
-    /// Slope of the converged force over the last fifth of the depth over that of the first.
+    /// Slope of the converged force over the last fifth of the depth, divided by that of the first fifth.
     pub stiffening: f64,
     /// All ticks.
     pub ticks: Vec<Tick>,
 }
 
-/// A model with its tools, ready to be pressed.
+/// A model and its tool poses.
 struct Prepared {
     topology: Topology,
-    place: Place,
+    place: ToolLocation,
     first: Solver,
     setup_ms: f64,
     wound: Option<Wound>,
     tools: Vec<Tool>,
-    /// How many of the tools are on their way down.
+    /// Number of tool poses on the way down.
     moving: usize,
     ticks: Vec<Tick>,
 }
 
 impl PressScene {
-    /// Runs it; one report per model. Presses of several models take turns, so that their times can be compared
-    /// on a machine with better and worse minutes.
+    /// Runs the bench; one report per model. Presses of several models alternate, so that their times stay
+    /// comparable under varying machine load.
     ///
     /// # Errors
     ///
-    /// When there is no place for a sphere on a model.
+    /// If a model has no location for a sphere.
     pub fn run(
         &self,
         models: Vec<Arc<Model>>,
@@ -158,7 +158,7 @@ impl PressScene {
         let prepared: Result<Vec<Prepared>, String> =
             models.into_iter().map(|m| self.prepare(m)).collect();
         let mut prepared = prepared?;
-        // Presses first: between two ticks of a hand nothing else has to be in the caches.
+        // Presses first, so that the caches hold only what a session uses.
         for repeat in 1..=self.repeats {
             progress(&format!("press {repeat} of {}", self.repeats));
             for model in &mut prepared {
@@ -173,7 +173,7 @@ impl PressScene {
 
     fn prepare(&self, model: Arc<Model>) -> Result<Prepared, String> {
         let mut topology = Topology::new(model);
-        let mut place = Place::find(&topology).map_err(|e| e.to_string())?;
+        let mut place = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
         let wound = if self.wound {
             Some(Wound::open(&mut topology, &mut place)?)
         } else {
@@ -206,7 +206,7 @@ impl PressScene {
         })
     }
 
-    /// One press from rest and back.
+    /// One press from rest, and the retraction.
     fn press(&self, model: &mut Prepared, repeat: usize) {
         let (topology, place) = (&model.topology, &model.place);
         let (mut hand, mut shape) = (model.first.another(topology), Shape::rest(topology));
@@ -237,7 +237,7 @@ impl PressScene {
         }
     }
 
-    /// Another solver converges at every place of the tool.
+    /// Converges a second solver at every tool pose.
     fn converge(&self, model: &mut Prepared, progress: &mut dyn FnMut(&str)) {
         let (topology, count) = (&model.topology, model.tools.len());
         let (mut exact, mut shape) = (model.first.another(topology), Shape::rest(topology));
@@ -254,7 +254,7 @@ impl PressScene {
     }
 }
 
-fn along(report: &StepReport, place: &Place) -> f64 {
+fn along(report: &StepReport, place: &ToolLocation) -> f64 {
     report.reactions[0].force.dot(&place.normal)
 }
 
@@ -281,20 +281,20 @@ fn summary(model: Prepared) -> PressSceneReport {
     }
 }
 
-/// Two models that were pressed in turns.
+/// Two models pressed alternately.
 #[derive(Debug, Clone, Serialize)]
 pub struct Comparison {
-    /// The one that was asked for.
+    /// The model under test.
     #[serde(flatten)]
     pub report: PressSceneReport,
-    /// What it is compared with.
+    /// The model it is compared with.
     pub against: PressSceneReport,
-    /// Times of the first over those of the second: median and 99th percentile.
+    /// Times of the first model divided by those of the second: median and 99th percentile.
     pub ratio: [f64; 2],
 }
 
 impl Comparison {
-    /// Compares.
+    /// Compares two reports.
     pub fn of(report: PressSceneReport, against: PressSceneReport) -> Self {
         let ratio = [0, 1].map(|q| report.press.ms[q] / against.press.ms[q]);
         Self {
@@ -351,7 +351,7 @@ impl fmt::Display for PressSceneReport {
 }
 
 impl PressSceneReport {
-    /// All but the ticks, in a line.
+    /// All figures except the ticks, in a line.
     fn figures(&self) -> String {
         format!(
             "{} nodes; tick p50 {:.2} ms, p99 {:.2} ms; force error worst {:.1} %, rms {:.1} %; at \

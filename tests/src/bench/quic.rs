@@ -1,4 +1,4 @@
-//! What QUIC adds to packets of given lengths at given moments.
+//! Overhead of QUIC for packets of given lengths and send times.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
@@ -12,21 +12,21 @@ use crate::network::{Direction, Profile};
 use crate::rehearsal::{Part, Sent};
 use crate::relay::Relay;
 
-/// After the connection stands and after the last packet: what is on its way arrives.
+/// Settling time after the connection is established and after the last packet.
 const SETTLE: Duration = Duration::from_millis(500);
 
 const HERE: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 
-/// What QUIC adds in one direction.
+/// Overhead in one direction.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Added {
-    /// Bytes beside those that it was given.
+    /// Bytes in addition to the payload.
     pub(super) bytes: f64,
-    /// UDP packets in all.
+    /// Total UDP packets.
     pub(super) packets: f64,
 }
 
-/// Sends packets once more over a connection through a relay; what was added up and down.
+/// Sends packets again over a connection through a relay; returns the overhead of uplink and downlink.
 pub(super) fn send_again(
     sent: &[Sent],
     profile: &Profile,
@@ -36,7 +36,7 @@ pub(super) fn send_again(
         .worker_threads(2)
         .enable_all()
         .build()
-        .map_err(|e| format!("no threads for a connection: {e}"))?;
+        .map_err(|e| format!("cannot start the connection runtime: {e}"))?;
     runtime.block_on(over_a_connection(sent, profile, seed))
 }
 
@@ -57,7 +57,7 @@ async fn over_a_connection(
         grant: Grant([0; 16]),
     };
     let mut client = connect(&link).await.map_err(|e| e.to_string())?;
-    // A stream is known to the other side with its first byte.
+    // The first byte announces a stream to the peer.
     client.write(&[0]).await?;
     let peer = server.accept().await.ok_or("the server does not listen")?;
     tokio::time::sleep(SETTLE).await;
@@ -83,7 +83,7 @@ async fn over_a_connection(
     Ok([up??, down??])
 }
 
-/// Sends one side's packets at their moments and reads what comes, until `end`.
+/// Sends the packets of one side at their times and reads incoming ones until `end`.
 async fn send(
     mut connection: Connection,
     packets: Vec<Sent>,

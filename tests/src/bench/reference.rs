@@ -1,6 +1,6 @@
-//! The reference of a demo: what it takes, and how far it is from one of more work.
+//! The reference of a demo: its cost, and its distance from a finer one.
 //!
-//! The comparison takes twice as many solves and four times as many checks, and so about four times as long.
+//! The finer one has twice as many solves and four times as many checks, and takes about four times as long.
 
 use std::fmt;
 use std::sync::Arc;
@@ -11,11 +11,11 @@ use palpate_tissue::{Model, Solver, Topology};
 use serde::Serialize;
 
 use crate::force_error::ForceError;
-use crate::place::Place;
 use crate::progress::Progress;
 use crate::reference::{self, CHECKS, Effort, MOVED_M, Reference};
 use crate::scripts::{SECONDS_MAX, SECONDS_MIN, Scripts};
-use crate::subject::Subject;
+use crate::test_model::TestModel;
+use crate::tool_location::ToolLocation;
 
 /// Arguments of `bench reference`.
 #[derive(Debug, Args)]
@@ -34,26 +34,26 @@ pub struct Arguments {
     pub json: bool,
 }
 
-/// The figures.
+/// Result.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReferenceBench {
     /// Nodes of the model.
     pub nodes: usize,
     /// Length of the scripts, s.
     pub script_s: f64,
-    /// How long it took, s.
+    /// Duration, s.
     pub seconds: f64,
-    /// Solves around the tools.
+    /// Solves near the tools.
     pub solves: usize,
     /// Converged solves of the whole tissue.
     pub checks: usize,
     /// The largest residual of a check.
     pub residual_max: f64,
-    /// What the checks changed, percent rms of the force: an upper estimate of the error; per hand.
+    /// Change of the force by the checks, percent rms per hand: an upper estimate of the error.
     pub error_percent: [f64; 2],
-    /// How long the finer one took, s.
+    /// Duration of the finer reference, s.
     pub finer_seconds: Option<f64>,
-    /// The difference of the two, percent rms; per hand.
+    /// Difference of the two references, percent rms per hand.
     pub finer_error_percent: Option<[f64; 2]>,
 }
 
@@ -65,14 +65,15 @@ pub fn run(arguments: &Arguments) -> Result<ReferenceBench, String> {
             "--seconds {seconds} must be from {SECONDS_MIN} to {SECONDS_MAX}"
         ));
     }
-    let dir = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
+    let dir = tempfile::tempdir()
+        .map_err(|e| format!("cannot create a temporary folder for models: {e}"))?;
     let mut progress = Progress::new();
     progress.stage(&format!("preparing the model \"{}\"", arguments.model));
-    let model = Subject::prepare(&arguments.model, dir.path())
+    let model = TestModel::prepare(&arguments.model, dir.path())
         .map_err(|e| e.to_string())?
         .model;
     let topology = Topology::new(Arc::clone(&model));
-    let mut place = Place::find(&topology).map_err(|e| e.to_string())?;
+    let mut place = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
     if model.gravity != [0.0; 3] {
         place.sag(&topology, &Solver::new(&topology));
     }

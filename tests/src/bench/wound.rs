@@ -1,44 +1,43 @@
-//! A wound to press beside: the cut of the demo, but through every layer down to half of what is soft.
+//! A wound beside the press: the cut of the demo, but through every layer down to half of the soft tissue.
 
 use palpate_tissue::{BladePoint, CutStroke, Topology, cut};
 use serde::Serialize;
 
-use crate::place::Place;
+use crate::tool_location::ToolLocation;
 
-/// Length of the wound where there is room for it, m: that of the demo's stroke.
+/// Maximum length of the wound, m: that of the demo stroke.
 const LENGTH_M: f64 = 0.050;
-/// Deepest wound, m: on a thigh through skin, fat and into the muscle.
+/// Maximum depth, m: through skin and fat into the muscle of a thigh.
 const DEPTH_MAX_M: f64 = 0.030;
-/// Share of the soft tissue that it goes through.
+/// Depth as a share of the soft tissue.
 const DEPTH_SHARE: f64 = 0.5;
-/// How far the blade stands out of the tissue, m.
+/// Blade length outside the tissue, m.
 const OUTSIDE_M: f64 = 0.006;
-/// Distance of the press from it where there is room, m.
+/// Maximum distance of the press from the wound, m.
 const BESIDE_M: f64 = 0.012;
-/// Width of the wound at its top, m: a scalpel's.
+/// Width of the wound at its top, m: that of a scalpel.
 const WIDTH_M: f64 = 0.5e-3;
 /// Points of the stroke.
 const POINTS: usize = 50;
 
-/// What was cut.
+/// Description of the cut.
 #[derive(Debug, Clone, Serialize)]
 pub struct Wound {
-    /// Its depth in mm.
+    /// Depth, mm.
     pub depth_mm: f64,
-    /// Nodes that were doubled.
+    /// Duplicated nodes.
     pub doubled: usize,
-    /// Names of the regions that it goes through.
+    /// Names of the cut regions.
     pub regions: Vec<String>,
 }
 
 impl Wound {
-    /// Cuts through the middle of a place along its stroke's direction, and moves the place to beside
-    /// the wound.
+    /// Cuts through the centre of a location along its stroke, and moves the location beside the wound.
     ///
     /// # Errors
     ///
-    /// When there is nothing to cut.
-    pub fn open(topology: &mut Topology, place: &mut Place) -> Result<Self, String> {
+    /// If the cut severs nothing.
+    pub fn open(topology: &mut Topology, place: &mut ToolLocation) -> Result<Self, String> {
         let depth = (DEPTH_SHARE * place.depth_m).min(DEPTH_MAX_M);
         let length = (LENGTH_M * place.scale()).max(5.0 * place.spacing_m);
         let points = (0..=POINTS).map(|i| {
@@ -75,14 +74,14 @@ mod tests {
     use palpate_tissue::{Topology, build};
 
     use super::Wound;
-    use crate::place::Place;
+    use crate::tool_location::ToolLocation;
 
     #[test]
-    fn on_the_thigh_the_wound_goes_into_the_muscle_and_the_press_is_beside_it() {
+    fn thigh_wound_reaches_the_muscle_and_the_press_is_beside_it() {
         let input = Sample::Thigh.input().unwrap();
         let (model, _) = build(&input, &mut |_, _| ()).unwrap();
         let mut topology = Topology::new(Arc::new(model));
-        let mut place = Place::find(&topology).unwrap();
+        let mut place = ToolLocation::find(&topology).unwrap();
         let middle = place.middle;
         let wound = Wound::open(&mut topology, &mut place).unwrap();
         assert!(wound.doubled > 50, "{wound:?}");

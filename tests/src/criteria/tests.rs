@@ -50,7 +50,7 @@ fn server() -> ServerReport {
     }
 }
 
-/// A report in which all is in order.
+/// A report that passes every criterion.
 fn good() -> Report {
     let names = ["holder", "cutter", "spectator"];
     let cpu = names.iter().chain(&["server"]).map(|name| CpuRow {
@@ -105,7 +105,7 @@ fn fails(spoil: impl FnOnce(&mut Report), criteria: &[&str]) {
 }
 
 #[test]
-fn a_good_report_passes_every_criterion_and_lists_all_of_them_in_json() {
+fn good_report_passes_and_lists_every_criterion_in_json() {
     let mut report = good();
     assert_eq!(failed(&mut report), [""; 0]);
     let json = serde_json::to_value(&report).unwrap();
@@ -119,7 +119,7 @@ fn a_good_report_passes_every_criterion_and_lists_all_of_them_in_json() {
 }
 
 #[test]
-fn a_hand_that_loses_its_force_fails() {
+fn lost_force_fails() {
     fails(
         |r| r.participants[1].force_error_rms = Some(10.2),
         &["force error of the cutter"],
@@ -139,7 +139,7 @@ fn a_hand_that_loses_its_force_fails() {
 }
 
 #[test]
-fn under_stress_a_dropout_may_last_60_ms() {
+fn dropout_limit_under_stress_is_60_ms() {
     for (stress, longest_ms, ok) in [(0, 50.0, false), (2, 50.0, true), (2, 61.0, false)] {
         let mut report = good();
         report.stress = stress;
@@ -149,7 +149,7 @@ fn under_stress_a_dropout_may_last_60_ms() {
 }
 
 #[test]
-fn a_delay_above_its_band_and_a_demotion_fail_where_they_are_judged() {
+fn large_delay_and_demotion_fail_if_judged() {
     let late = |r: &mut Report| r.delay.as_mut().unwrap().max_ms = 326.0;
     fails(late, &["largest playout delay D"]);
     fails(|r| r.server.demotions = 1, &["demotions to spectator"]);
@@ -169,7 +169,7 @@ fn a_delay_above_its_band_and_a_demotion_fail_where_they_are_judged() {
 }
 
 #[test]
-fn a_cut_that_is_missing_anywhere_fails() {
+fn missing_cut_fails() {
     fails(|r| r.cut.operations = 0, &["lost cuts"]);
     fails(|r| r.participants[2].summary.cuts = 0, &["lost cuts"]);
     fails(
@@ -180,7 +180,7 @@ fn a_cut_that_is_missing_anywhere_fails() {
 }
 
 #[test]
-fn a_process_that_died_fails_with_all_figures_that_it_leaves_missing() {
+fn dead_process_fails_with_all_its_missing_figures() {
     fails(
         |r| {
             r.problems.push("the client cutter ended early".to_owned());
@@ -200,7 +200,7 @@ fn a_process_that_died_fails_with_all_figures_that_it_leaves_missing() {
 }
 
 #[test]
-fn every_missing_figure_fails() {
+fn each_missing_figure_fails() {
     fails(
         |r| r.participants[0].force_error_rms = None,
         &["force error of the holder"],
@@ -220,7 +220,7 @@ fn every_missing_figure_fails() {
     fails(|r| r.delay = None, &["largest playout delay D"]);
     fails(
         |r| r.participants[2].records_dropped = 7,
-        &["records that found no room in a recording"],
+        &["records dropped from full recordings"],
     );
     for process in 0..4 {
         fails(
@@ -251,14 +251,14 @@ fn every_missing_figure_fails() {
 }
 
 #[test]
-fn a_session_that_leaves_nothing_fails_nearly_everything() {
+fn empty_session_fails_nearly_every_criterion() {
     let mut report = Report::new(server());
     let failed = failed(&mut report);
     assert!(failed.len() >= 15, "{failed:?}");
 }
 
 #[test]
-fn a_failed_criterion_is_one_line_with_value_and_limit() {
+fn failed_criterion_prints_value_and_limit() {
     let mut report = good();
     report.participants[0].force_error_rms = Some(47.25);
     report.participants[1].force_error_rms = None;

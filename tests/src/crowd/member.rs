@@ -7,7 +7,7 @@ use palpate_protocol::{ClientTime, Grant, LocalSample, Pose, Role};
 use palpate_tissue::Vec3;
 
 use crate::hand::{Hand, Random, Temper};
-use crate::place::SurfacePoint;
+use crate::tool_location::SurfacePoint;
 
 /// Radius of the ball that everybody holds, m.
 const RADIUS_M: f64 = 0.008;

@@ -17,9 +17,9 @@ use palpate_room::{RoomConfig, SimulatedRoom};
 use palpate_tissue::{Model, Topology};
 
 use crate::network::{Direction, Profile};
-use crate::place::{Place, SurfacePoint};
 use crate::rehearsal::clock::SiteClock;
 use crate::rehearsal::wires::{Arrived, Wires};
+use crate::tool_location::{SurfacePoint, ToolLocation};
 use member::{Member, Motion};
 use server::Server;
 
@@ -50,7 +50,7 @@ pub fn touching(participants: usize) -> usize {
 /// The motions of a crowd over a surface.
 pub(crate) fn motions(model: &Arc<Model>, n: usize, seed: u64) -> Result<Vec<Motion>, String> {
     let topology = Topology::new(Arc::clone(model));
-    let spots = Place::spread(&topology, n).map_err(|e| e.to_string())?;
+    let spots = ToolLocation::spread(&topology, n).map_err(|e| e.to_string())?;
     // Who touches is spread over the surface as well: the first points are the farthest apart.
     let of = |k: usize| -> SurfacePoint { spots[k % spots.len()] };
     let motion = |k: usize| Motion::new(of(k), k < touching(n), seed.wrapping_add(k as u64));

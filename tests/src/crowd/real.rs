@@ -21,7 +21,7 @@ use serde::Serialize;
 use super::member::{Motion, hello};
 use super::{motions, touching};
 use crate::program::Program;
-use crate::subject::Subject;
+use crate::test_model::TestModel;
 
 /// How long a server may take to read its model and listen, and to end.
 const LISTEN_WITHIN: Duration = Duration::from_secs(60);
@@ -88,7 +88,7 @@ pub struct Row {
 impl Real<'_> {
     /// Runs it.
     pub fn run(&self) -> Result<Row, String> {
-        let subject = Subject::of(self.model.as_ref().clone(), self.dir);
+        let subject = TestModel::of(self.model.as_ref().clone(), self.dir);
         let file = subject.map_err(|e| e.to_string())?.file;
         let executable = std::env::current_exe()
             .map_err(|e| format!("this program does not know where it is: {e}"))?;

@@ -1,4 +1,4 @@
-//! Files that people or other programs wrote.
+//! Decoders of files.
 
 use std::io::Write;
 use std::path::Path;
@@ -12,21 +12,21 @@ use crate::experiments::recipe::Recipe;
 use crate::hand::{Hand, Recorded};
 use crate::network::{Profile, Trace};
 
-/// What a text may hold while it is read, for each byte of it: tables of numbers take several times
-/// what they are written with.
+/// Memory per byte of a text: number tables take several times their text size.
 const TEXT_SHARE: usize = 128;
 
-/// What a reader may hold besides.
+/// Additional memory of a reader, bytes.
 const BESIDES: usize = 8 << 20;
 
-/// What zlib makes of a byte at most, several times over: each number is checked and copied.
+/// Memory per compressed byte: maximum zlib ratio, times several copies of each number.
 const UNPACKED_SHARE: usize = 8 * 1032;
 
 const fn of_text(len: usize) -> usize {
     BESIDES + TEXT_SHARE * len
 }
 
-/// What a byte of a model may hold: a cell is some forty bytes of the file, and a hundred or two with what it is joined to.
+/// Memory per byte of a model: a cell has about forty bytes in the file, and one to two hundred in memory with
+/// its connectivity.
 const CONTENT_SHARE: usize = 64;
 
 const fn of_content(len: usize) -> usize {
@@ -51,7 +51,7 @@ pub(super) const MODEL: Decoder = Decoder {
     holds_max: of_packed,
 };
 
-/// What stands within a model file's envelope: no checksum keeps a fuzzer from it.
+/// The content of a model file without its envelope, so that the checksum does not stop a fuzzer.
 pub(super) const MODEL_CONTENT: Decoder = Decoder {
     name: "model-content",
     read: |bytes| {
@@ -162,9 +162,9 @@ pub(super) const LABELS_NIFTI: Decoder = Decoder {
         ] {
             nii[at..at + 4].copy_from_slice(&value.to_le_bytes());
         }
-        // Millimetres.
+        // Units: millimetres.
         nii[123] = 2;
-        // From voxels to the world: the sform, whose rows begin at 280.
+        // The sform (voxel to world); its rows begin at byte 280.
         nii[254] = 1;
         for at in [280, 300, 320] {
             nii[at..at + 4].copy_from_slice(&20.0_f32.to_le_bytes());
@@ -341,12 +341,12 @@ fn look_at(motion: &Motion) {
     }
 }
 
-/// Lets a reader of files read these bytes.
+/// Writes the bytes to a temporary file for readers of files.
 fn with_file(extension: &str, bytes: &[u8], read: impl FnOnce(&Path) -> bool) -> bool {
     let file = tempfile::Builder::new()
         .suffix(&format!(".{extension}"))
         .tempfile();
-    // A disk without room is not the reader's fault.
+    // A full disk is not an error of the reader.
     let Ok(mut file) = file else { return false };
     file.write_all(bytes).is_ok() && read(file.path())
 }

@@ -1,27 +1,26 @@
-//! Everything of ours that reads what others wrote, as functions of bytes: the wire, files, links.
+//! All decoders of foreign input as functions of bytes: wire, files, links.
 //!
-//! Each takes any bytes, and gives an error or something valid; it must not panic, must not take more
-//! memory than its bound, and what it accepted must be good for use. A fuzzer drives them
-//! (`tests/fuzz`), and the suite runs each over its examples, damaged, and over what a fuzzer found
-//! worth keeping (`tests/fuzz/corpus`).
+//! Each accepts any bytes and returns an error or a valid value. It must not panic, must respect its memory
+//! bound, and its values must be usable. A fuzzer drives them (`tests/fuzz`). The test suite runs each over its
+//! examples, damaged examples, and the fuzzing corpus (`tests/fuzz/corpus`).
 
 mod files;
 mod wire;
 
-/// Something that reads bytes.
+/// A decoder.
 #[derive(Debug, Clone, Copy)]
 pub struct Decoder {
-    /// Its name: of the fuzz target, and of the folder of its corpus.
+    /// Name of the fuzz target and of its corpus folder.
     pub name: &'static str,
-    /// Reads any bytes, and says whether they were good; a law that does not hold panics.
+    /// Decodes any bytes and returns whether they were valid; panics if a law fails.
     pub read: fn(&[u8]) -> bool,
-    /// Bytes to begin with, all of them good.
+    /// Valid examples.
     pub examples: fn() -> Vec<Vec<u8>>,
-    /// The most bytes that reading may hold at a time, for so many bytes of input.
+    /// Maximum memory in use, as a function of the input length.
     pub holds_max: fn(usize) -> usize,
 }
 
-/// All of them.
+/// All decoders.
 pub const ALL: &[Decoder] = &[
     wire::DATAGRAMS,
     wire::CLIENT_STREAM,
@@ -46,12 +45,12 @@ pub const ALL: &[Decoder] = &[
     files::RECIPE,
 ];
 
-/// The one of that name.
+/// The decoder with this name.
 pub fn named(name: &str) -> Option<&'static Decoder> {
     ALL.iter().find(|d| d.name == name)
 }
 
-/// Calls `read` on the text, if it is one: other bytes are refused before any parser of text.
+/// Calls `read` on valid UTF-8 text; other bytes are rejected.
 fn text(bytes: &[u8], read: impl FnOnce(&str) -> bool) -> bool {
     std::str::from_utf8(bytes).is_ok_and(read)
 }

@@ -1,4 +1,4 @@
-//! What comes over the network, and the link that names a session.
+//! Decoders of network input and of join links.
 
 use palpate_protocol::codec::{FRAME_MAX_BYTES, FrameDecoder, Message, PREFIX_BYTES, encode_frame};
 use palpate_protocol::datagram::{DATAGRAM_MAX_BYTES, Datagram, Memory};
@@ -13,18 +13,17 @@ use palpate_protocol::{
 
 use super::{Decoder, text};
 
-/// The most that a receiver of datagrams holds: of one that is being read, and of what it remembers.
+/// Memory bound of a datagram receiver: the current datagram and its history.
 const DATAGRAMS_HOLD_MAX: usize = 4 << 20;
 
-/// The most that an end of a session holds at a time: a frame, the events that came of what was
-/// pushed, and what it remembers of datagrams.
+/// Memory bound of a session endpoint: a frame, pending events, and the datagram history.
 const SESSION_HOLDS_MAX: usize = 16 << 20;
 
 pub(super) const DATAGRAMS: Decoder = Decoder {
     name: "datagrams",
     read: read_datagrams,
     examples: || {
-        // Each is told apart from what came before it.
+        // Each datagram differs from the previous one.
         let all = datagrams();
         let all: Vec<_> = all.iter().map(|d| (true, &d[..])).collect();
         (1..=all.len()).map(|n| pieces(&all[..n])).collect()
@@ -89,8 +88,8 @@ pub(super) const JOIN_LINK: Decoder = Decoder {
     holds_max: |len| (64 << 10) + 8 * len,
 };
 
-/// What arrives piece by piece: two bytes that say how long a piece is and, in the highest bit, whether
-/// it is a datagram, and the piece.
+/// Length-prefixed pieces: two bytes with the length and, in the highest bit, the datagram flag, followed by
+/// the piece.
 fn pieces(all: &[(bool, &[u8])]) -> Vec<u8> {
     let mut out = Vec::new();
     for (is_datagram, piece) in all {
@@ -101,7 +100,7 @@ fn pieces(all: &[(bool, &[u8])]) -> Vec<u8> {
     out
 }
 
-/// The pieces of any bytes; the last one is what is left.
+/// Splits any bytes into pieces; the last one takes the remaining bytes.
 fn each_piece(mut bytes: &[u8], mut take: impl FnMut(bool, &[u8])) {
     while let [low, high, rest @ ..] = bytes {
         let head = u16::from_le_bytes([*low, *high]);
@@ -117,7 +116,7 @@ fn datagrams() -> Vec<Vec<u8>> {
     all.into_iter().map(|d| d.message).collect()
 }
 
-/// Of the client (0) or of the server (1).
+/// Frames of the client (0) or the server (1).
 fn frames(side: usize) -> Vec<Vec<u8>> {
     let all = examples::frames().expect("examples can be written");
     all[side].iter().map(|f| f.message.clone()).collect()
@@ -142,7 +141,7 @@ fn read_datagrams(bytes: &[u8]) -> bool {
 
 fn read_frames<M: Message + PartialEq + std::fmt::Debug>(bytes: &[u8]) -> bool {
     let mut decoder = FrameDecoder::<M>::new(FRAME_MAX_BYTES);
-    // In uneven pieces, as a stream brings them.
+    // In uneven chunks, as a stream delivers them.
     for piece in bytes.chunks(977) {
         decoder.push(piece);
         loop {
@@ -159,7 +158,7 @@ fn read_frames<M: Message + PartialEq + std::fmt::Debug>(bytes: &[u8]) -> bool {
     true
 }
 
-/// What a client writes in a session that goes well, then what it sends as datagrams.
+/// The frames of a client in a successful session, followed by its datagrams.
 fn as_a_client() -> Vec<Vec<u8>> {
     let all = examples::client_messages().into_iter();
     let stays = |name: &str| !matches!(name, "Hello again" | "Leave");
@@ -167,7 +166,7 @@ fn as_a_client() -> Vec<Vec<u8>> {
     session(messages)
 }
 
-/// What a server writes in a session that goes well, then what it sends as datagrams.
+/// The frames of a server in a successful session, followed by its datagrams.
 fn as_a_server() -> Vec<Vec<u8>> {
     let mut next = 0;
     let mut messages = Vec::new();
@@ -185,7 +184,7 @@ fn as_a_server() -> Vec<Vec<u8>> {
     session(messages.into_iter())
 }
 
-/// The preamble with the first message; and all of them, with every datagram there is.
+/// The preamble with the first message; and all messages with every kind of datagram.
 fn session<M: Message>(messages: impl Iterator<Item = M>) -> Vec<Vec<u8>> {
     let frames: Vec<_> = messages
         .map(|m| encode_frame(&m).expect("examples can be written"))
@@ -200,7 +199,7 @@ fn session<M: Message>(messages: impl Iterator<Item = M>) -> Vec<Vec<u8>> {
     vec![pieces(&[(false, &stream)]), pieces(&whole)]
 }
 
-/// Every piece arrives a millisecond after the one before; now and then somebody looks at the clock.
+/// Pieces arrive 1 ms apart, with a clock tick now and then.
 fn read_as_server(bytes: &[u8]) -> bool {
     let mut now = ServerTime::ZERO;
     let mut peer = ServerPeer::new(now);
@@ -214,7 +213,7 @@ fn read_as_server(bytes: &[u8]) -> bool {
         peer.handle_timeout(now);
         while let Some(event) = peer.poll_event() {
             if let PeerEvent::Hello(_) = event {
-                // It is let in, as by a room that has a seat.
+                // The peer is admitted, as by a room with a free seat.
                 let _ = peer.send(&PeerMessage::Welcome(Box::new(welcome())), now);
             }
         }

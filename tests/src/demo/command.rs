@@ -11,25 +11,25 @@ use crate::network::Profile;
 use crate::progress::{Interrupt, Progress};
 use crate::stress::PROCESSES_MAX;
 
-/// The folder of the report without `--report`.
+/// Report folder without `--report`.
 const REPORT_DIR: &str = "palpate-report";
 
-/// The end of `demo --help`.
+/// Text at the end of `demo --help`.
 pub(crate) const HELP: &str = concat!(
     "\
-The demo starts a server and two clients as processes of their own, with an emulated network between them. Each client
-moves a simulated hand along a script: the holder presses and holds; the cutter presses, cuts between the two places, and
-presses beside the wound. A spectator joins late. Afterwards the same hands are simulated at one table without a network.
-That is the reference: a force that differs from it was changed by the network or by a slow machine.
+The demo starts a server and two clients as separate processes, with an emulated network between them. Each client
+moves a simulated hand along a script: the holder presses and holds; the cutter presses, cuts between the two locations,
+and presses beside the wound. A spectator joins late. The reference simulates the same hands without a network; a force
+that differs from it was changed by the network or by a slow machine.
 
-It takes the length of the scripts and the time of the reference, and ends with a summary of ten lines. The folder of the report
-holds report.html (open it first: figures, definitions, plots), the same as text, JSON and SVG, and the recordings.
+The demo takes the length of the scripts plus the time of the reference. It prints a summary of ten lines. The report
+folder has report.html (open it first: figures, definitions, plots), the same as text, JSON and SVG, and the recordings.
 
 Each figure below that is missing or beyond its limit is a line \"FAILED: criterion, value, limit\":
   force error 10 % rms; dropouts (force below 80 % for more than 20 ms in contact) 40 ms, with --stress 60 ms
   playout delay D 20 ms, or 1.3 times (round trip + 4 standard deviations of its jitter) if that is more; networks with
     bursts, steps or outages are not judged by D
-  nobody demoted to spectator where round trip and jitter are below the 400 ms cap
+  no demotion to spectator where round trip and jitter are below the 400 ms cap
   no lost cut, no dead process, equal topologies, contact of both hands, nothing left out of recordings and reference
 
 Examples:
@@ -58,7 +58,7 @@ pub(crate) struct Arguments {
     /// The network between server and clients
     #[arg(long, default_value = "transatlantic", value_parser = Profile::parse)]
     profile: Profile,
-    /// Seed of what happens to which packet
+    /// Seed of the packet fates
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Artificial time compensation: adaptive, fixed:MS or none
@@ -70,20 +70,20 @@ pub(crate) struct Arguments {
     /// Print the report as one JSON object
     #[arg(long)]
     json: bool,
-    /// Where report.txt, report.json, report.html and the plots go [default: palpate-report; with
-    /// --json nowhere]
+    /// Folder of report.txt, report.json, report.html and the plots [default: palpate-report; none with --json]
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
-    /// The share of the scripts after which the spectator comes
+    /// The share of the scripts after which the spectator joins
     #[arg(long, default_value_t = 0.4, hide = true)]
     late_join: f64,
 }
 
 /// Runs `demo`.
 pub(crate) fn run(arguments: Arguments) -> Result<ExitCode, String> {
-    let interrupt = Interrupt::listen().map_err(|e| format!("no signals can be caught: {e}"))?;
+    let interrupt =
+        Interrupt::listen().map_err(|e| format!("cannot install the signal handlers: {e}"))?;
     let executable = std::env::current_exe()
-        .map_err(|e| format!("this program does not know where it is: {e}"))?;
+        .map_err(|e| format!("cannot find the path of this program: {e}"))?;
     let wants_files = arguments.report.is_some() || !arguments.json;
     let report_dir = wants_files.then(|| {
         arguments

@@ -15,7 +15,7 @@ use crate::bench::press_cube::PressCube;
 use crate::haptic_faults;
 use crate::haptic_faults::course::Setup;
 use crate::network::Profile;
-use crate::subject::Subject;
+use crate::test_model::TestModel;
 
 /// Ticks of each device: four times fewer than by default, where the 99.9th percentile still stands on 50 of them.
 const TICKS: usize = 50_000;
@@ -129,7 +129,7 @@ fn coding_table(report: &CodingReport) -> String {
 
 fn bytes(dir: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
     told(&format!("building the sample \"{BYTES_MODEL}\""), 0.0);
-    let subject = Subject::prepare(BYTES_MODEL, dir).map_err(|e| e.to_string())?;
+    let subject = TestModel::prepare(BYTES_MODEL, dir).map_err(|e| e.to_string())?;
     let bench = Bytes {
         seconds: BYTES_SECONDS,
         profile: Profile::named(BYTES_NETWORK).map_err(|e| e.to_string())?,

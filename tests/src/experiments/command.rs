@@ -8,10 +8,10 @@ use super::{ALL, Bench, Experiment, Outcome, named};
 use crate::bench::on_threads;
 use crate::cli::{note, say};
 use crate::hand::Recorded;
-use crate::nearest::did_you_mean;
+use crate::name_suggestion::did_you_mean;
 use crate::network::Profile;
 use crate::progress::Progress;
-use crate::subject::Subject;
+use crate::test_model::TestModel;
 use clap::Args;
 
 /// Where everything goes when nothing is said.
@@ -141,7 +141,7 @@ impl Given {
             given.motion = Some(std::sync::Arc::new(hand));
         }
         if let Some(name) = &recipe.model {
-            let subject = Subject::prepare(name, dir).map_err(|e| e.to_string())?;
+            let subject = TestModel::prepare(name, dir).map_err(|e| e.to_string())?;
             given.model = Some(subject.model);
         }
         Ok(given)

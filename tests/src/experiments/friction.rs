@@ -10,7 +10,7 @@ use serde_json::json;
 
 use super::{Bench, Outcome, converged, line, panel, with_friction};
 use crate::chart::{BLUE, Chart, GREEN, ORANGE};
-use crate::trial::{Course, Trial, path};
+use crate::scenario::{Course, Scenario, path};
 
 const SPACING_M: f64 = 4e-3;
 const CELLS: [usize; 3] = [26, 14, 8];
@@ -78,7 +78,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             let above = Vec3::new(28e-3, beside, top + tool.radius_m);
             let down = above - Vec3::z() * DEPTH_M;
             let to = down + Vec3::x() * DRAG_M;
-            let trial = Trial {
+            let scenario = Scenario {
                 model: Arc::new(with_friction(&tissue, friction)),
                 tool,
                 path: path(vec![
@@ -90,13 +90,13 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
                 ])?,
                 chain: ChainConfig::default(),
             };
-            let course = bench.run(&format!("{name}, {mu}"), &trial);
-            let moved = |p: &crate::trial::Point| (p.position.x - down.x) * 1e3;
+            let course = bench.run(&format!("{name}, {mu}"), &scenario);
+            let moved = |p: &crate::scenario::Point| (p.position.x - down.x) * 1e3;
             let dragged = || course.points.iter().filter(|p| p.t_s >= PRESS_S);
-            let felt = |of: &dyn Fn(&crate::trial::Point) -> f64| {
+            let felt = |of: &dyn Fn(&crate::scenario::Point) -> f64| {
                 dragged().map(|p| (moved(p), of(p))).collect()
             };
-            let truth = |of: &dyn Fn(&crate::trial::Truth) -> f64| {
+            let truth = |of: &dyn Fn(&crate::scenario::Truth) -> f64| {
                 let checked = course.checked().filter(|(p, _)| p.t_s >= PRESS_S);
                 checked.map(|(p, t)| (moved(p), of(&t))).collect()
             };

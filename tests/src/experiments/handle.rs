@@ -10,7 +10,7 @@ use serde_json::json;
 
 use super::{Bench, Outcome, felt_and_true, panel, place, without_friction};
 use crate::chart::{BLUE, Chart, GREEN, ORANGE};
-use crate::trial::{Trial, path};
+use crate::scenario::{Scenario, path};
 
 const RADIUS_M: f64 = 6e-3;
 const SPEED_M_S: f64 = 0.02;
@@ -43,7 +43,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     for (name, young_pa, colour) in GRIPS {
         let top = place.middle + place.normal * RADIUS_M;
         let takes = depth / SPEED_M_S;
-        let trial = Trial {
+        let scenario = Scenario {
             model: Arc::new(with_grip(&sample, young_pa)),
             tool: ToolDescription::probe(RADIUS_M),
             path: path(vec![
@@ -53,8 +53,8 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             ])?,
             chain: ChainConfig::default(),
         };
-        let course = bench.run(name, &trial);
-        let deep = |p: &crate::trial::Point| 1e3 * (top - p.position).dot(&place.normal);
+        let course = bench.run(name, &scenario);
+        let deep = |p: &crate::scenario::Point| 1e3 * (top - p.position).dot(&place.normal);
         lines.extend(felt_and_true(name, colour, &course, |p, truth| {
             let force = truth.map_or(p.felt.force, |t| t.plain.force);
             (deep(p), force.dot(&place.normal))

@@ -10,8 +10,8 @@ use serde_json::json;
 
 use super::{Bench, Outcome, felt_and_true, panel, without_friction};
 use crate::chart::{BLUE, Chart, ORANGE};
-use crate::place::Place;
-use crate::trial::{Course, Trial, path};
+use crate::scenario::{Course, Scenario, path};
+use crate::tool_location::ToolLocation;
 
 const RADIUS_M: f64 = 8e-3;
 const SPEED_M_S: f64 = 0.05;
@@ -22,14 +22,14 @@ const SHARE: f64 = 0.8;
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let model = Arc::new(without_friction(&*bench.model_or("leg")?));
     let topology = Topology::new(Arc::clone(&model));
-    let muscle = Place::find(&topology).map_err(|e| e.to_string())?;
-    let bone = Place::find_thin(&topology).map_err(|e| e.to_string())?;
+    let muscle = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
+    let bone = ToolLocation::find_thin(&topology).map_err(|e| e.to_string())?;
     let spots = [("over muscle", muscle, BLUE), ("over bone", bone, ORANGE)];
     let (mut lines, mut figures, mut tables) = (Vec::new(), Vec::new(), Vec::new());
     for (name, place, colour) in spots {
         let depth = DEPTH_M.min(SHARE * place.depth_m);
         let top = place.middle + place.normal * RADIUS_M;
-        let trial = Trial {
+        let scenario = Scenario {
             model: Arc::clone(&model),
             tool: ToolDescription::probe(RADIUS_M),
             path: path(vec![
@@ -39,8 +39,8 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             ])?,
             chain: ChainConfig::default(),
         };
-        let course = bench.run(name, &trial);
-        let deep = |p: &crate::trial::Point| 1e3 * (top - p.position).dot(&place.normal);
+        let course = bench.run(name, &scenario);
+        let deep = |p: &crate::scenario::Point| 1e3 * (top - p.position).dot(&place.normal);
         lines.extend(felt_and_true(name, colour, &course, |p, truth| {
             let force = truth.map_or(p.felt.force, |t| t.plain.force);
             (deep(p), force.dot(&place.normal))
@@ -73,7 +73,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
 }
 
 /// Slope of the converged force over the last quarter of the depth over that of the second.
-fn stiffening(course: &Course, deep: &impl Fn(&crate::trial::Point) -> f64) -> f64 {
+fn stiffening(course: &Course, deep: &impl Fn(&crate::scenario::Point) -> f64) -> f64 {
     let all: Vec<(f64, f64)> = course
         .checked()
         .map(|(p, t)| (deep(p), t.plain.force.norm()))

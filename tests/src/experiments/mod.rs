@@ -1,6 +1,6 @@
 //! Experiments: what a hand feels of a tool on tissue, against what is true.
 //!
-//! Each is a few [trials](crate::trial) and gives figures, tables (CSV) and charts (SVG). The figures of the
+//! Each is a few [trials](crate::scenario) and gives figures, tables (CSV) and charts (SVG). The figures of the
 //! dissertation that they stand for are named at each. All together make one page, [`gallery`](mod@gallery).
 
 mod atc;
@@ -32,8 +32,8 @@ use serde_json::Value;
 use crate::chart::{Chart, Line, Panel, Scale};
 use crate::hand::{Hand, Random, Recorded, Temper};
 use crate::network::Profile;
-use crate::place::Place;
-use crate::trial::{Course, Trial};
+use crate::scenario::{Course, Scenario};
+use crate::tool_location::ToolLocation;
 
 /// An experiment that can be asked for.
 #[derive(Debug, Clone, Copy)]
@@ -261,8 +261,8 @@ pub struct Bench<'a> {
 
 impl Bench<'_> {
     /// Makes a trial and says so.
-    fn run(&mut self, what: &str, trial: &Trial) -> Course {
-        trial.run(&mut |done| (self.progress)(what, done))
+    fn run(&mut self, what: &str, scenario: &Scenario) -> Course {
+        scenario.run(&mut |done| (self.progress)(what, done))
     }
 
     /// The hand asked for, or a random one of 87 mm/s with a tremor of 0.1 mm.
@@ -279,7 +279,7 @@ impl Bench<'_> {
             return Ok(std::sync::Arc::clone(model));
         }
         (self.progress)(&format!("building the sample \"{sample}\""), 0.0);
-        let subject = crate::subject::Subject::prepare(sample, self.dir);
+        let subject = crate::test_model::TestModel::prepare(sample, self.dir);
         Ok(subject.map_err(|e| e.to_string())?.model)
     }
 }
@@ -382,9 +382,9 @@ fn with_friction(model: &Model, [still, sliding]: [f64; 2]) -> Model {
 }
 
 /// A place to press in the middle of a model.
-fn place(model: &std::sync::Arc<Model>) -> Result<Place, String> {
+fn place(model: &std::sync::Arc<Model>) -> Result<ToolLocation, String> {
     let topology = Topology::new(std::sync::Arc::clone(model));
-    Place::find(&topology).map_err(|e| e.to_string())
+    ToolLocation::find(&topology).map_err(|e| e.to_string())
 }
 
 /// What was felt in a colour, and the converged answer in grey dashes.
@@ -392,7 +392,7 @@ fn felt_and_true(
     name: &str,
     colour: &'static str,
     course: &Course,
-    of: impl Fn(&crate::trial::Point, Option<crate::trial::Truth>) -> (f64, f64),
+    of: impl Fn(&crate::scenario::Point, Option<crate::scenario::Truth>) -> (f64, f64),
 ) -> [Line; 2] {
     let felt = course.points.iter().map(|p| of(p, None)).collect();
     let truth = course.checked().map(|(p, t)| of(p, Some(t))).collect();

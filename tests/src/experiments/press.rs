@@ -10,7 +10,7 @@ use serde_json::json;
 
 use super::{Bench, Outcome, felt_and_true, panel, place, without_friction};
 use crate::chart::{BLUE, Chart, ORANGE};
-use crate::trial::{Course, Trial, path, upright};
+use crate::scenario::{Course, Scenario, path, upright};
 
 const SPEED_M_S: f64 = 0.1;
 const DEPTH_M: f64 = 15e-3;
@@ -33,7 +33,7 @@ fn ball(bench: &mut Bench<'_>, model: &Arc<palpate_tissue::Model>) -> Result<Cou
     let top = place.middle + place.normal * RADIUS_M;
     let down = top - place.normal * DEPTH_M;
     let takes = DEPTH_M / SPEED_M_S;
-    let trial = Trial {
+    let scenario = Scenario {
         model: Arc::new(without_friction(model)),
         tool: ToolDescription::probe(RADIUS_M),
         path: path(vec![
@@ -44,7 +44,7 @@ fn ball(bench: &mut Bench<'_>, model: &Arc<palpate_tissue::Model>) -> Result<Cou
         ])?,
         chain: ChainConfig::default(),
     };
-    Ok(bench.run("ball", &trial))
+    Ok(bench.run("ball", &scenario))
 }
 
 fn line(
@@ -72,13 +72,13 @@ fn line(
         ways.push(WayPoint::new(0.15 + pressed, down).turned(turn));
         ("line", Arc::new(without_friction(model)))
     };
-    let trial = Trial {
+    let scenario = Scenario {
         model,
         tool: LINE,
         path: path(ways)?,
         chain: ChainConfig::default(),
     };
-    Ok(bench.run(what, &trial))
+    Ok(bench.run(what, &scenario))
 }
 
 /// When the line is pressed in and begins to slide, s.

@@ -16,7 +16,7 @@ use palpate_device::text_file::{self, TextFileError};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
 
-use crate::nearest::with_nearest;
+use crate::name_suggestion::with_nearest;
 
 /// The largest file that is read, bytes: it names an experiment and its options.
 const BYTES_MAX: u64 = 64 << 10;

@@ -10,7 +10,7 @@ use serde_json::json;
 
 use super::{Bench, Outcome, felt_and_true, panel, without_friction};
 use crate::chart::{BLUE, Chart, GREEN, ORANGE};
-use crate::trial::{Course, Trial, path};
+use crate::scenario::{Course, Scenario, path};
 
 const SPACING_M: f64 = 4e-3;
 const CELLS: [usize; 3] = [24, 12, 9];
@@ -64,13 +64,13 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let (mut lines, mut figures, mut tables) = (Vec::new(), Vec::new(), Vec::new());
     let mut largest = Vec::new();
     for (name, share, colour) in spots {
-        let trial = Trial {
+        let scenario = Scenario {
             model: Arc::clone(&model),
             tool: ToolDescription::probe(RADIUS_M),
             path: press_at(share)?,
             chain: ChainConfig::default(),
         };
-        let course = bench.run(name, &trial);
+        let course = bench.run(name, &scenario);
         lines.extend(felt_and_true(name, colour, &course, |p, truth| {
             (p.t_s, truth.map_or(p.felt.force.z, |t| t.plain.force.z))
         }));

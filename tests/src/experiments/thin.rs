@@ -14,9 +14,9 @@ use super::cells::of_file;
 use super::replicas::soft_block;
 use super::{Bench, Outcome, missed_by};
 use crate::network::Profile;
-use crate::place::Place;
 use crate::rehearsal::{Onlooked, Rehearsal, Rehearsed};
 use crate::scripts::Scripts;
+use crate::tool_location::ToolLocation;
 
 /// Length of a session's scripts, s.
 const SECONDS: f64 = 6.0;
@@ -40,7 +40,8 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         .model
         .clone()
         .unwrap_or_else(|| Arc::new(soft_block()));
-    let place = Place::find(&Topology::new(Arc::clone(&model))).map_err(|e| e.to_string())?;
+    let place =
+        ToolLocation::find(&Topology::new(Arc::clone(&model))).map_err(|e| e.to_string())?;
     let scripts = Scripts::for_place(&place, SECONDS).map_err(|e| e.to_string())?;
     let scripts = [&scripts.holder, &scripts.cutter];
     let networks: Vec<Profile> = match &bench.profile {

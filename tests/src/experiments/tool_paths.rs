@@ -10,8 +10,8 @@ use serde_json::json;
 
 use super::{Bench, Outcome, felt_and_true, panel, place, without_friction};
 use crate::chart::{BLUE, Chart, GREEN, ORANGE, PURPLE};
-use crate::place::Place;
-use crate::trial::{Trial, path};
+use crate::scenario::{Scenario, path};
+use crate::tool_location::ToolLocation;
 
 const RADIUS_M: f64 = 8e-3;
 const DEPTH_M: f64 = 12e-3;
@@ -46,7 +46,7 @@ const CURVES: [(&str, Curve, &str); 4] = [
     ),
 ];
 
-fn along(place: &Place, curve: Curve) -> Result<Script, String> {
+fn along(place: &ToolLocation, curve: Curve) -> Result<Script, String> {
     let at = |s: f64| -> Vec3 {
         let [depth, aside] = curve(s);
         place.middle
@@ -68,13 +68,13 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let (mut into, mut aside) = (Vec::new(), Vec::new());
     let (mut figures, mut tables, mut ends) = (Vec::new(), Vec::new(), Vec::new());
     for (name, curve, colour) in CURVES {
-        let trial = Trial {
+        let scenario = Scenario {
             model: Arc::clone(&model),
             tool: ToolDescription::probe(RADIUS_M),
             path: along(&place, curve)?,
             chain: ChainConfig::default(),
         };
-        let course = bench.run(name, &trial);
+        let course = bench.run(name, &scenario);
         for (lines, direction) in [(&mut into, place.normal), (&mut aside, place.u)] {
             lines.extend(felt_and_true(name, colour, &course, |p, truth| {
                 let force = truth.map_or(p.felt.force, |t| t.plain.force);

@@ -8,25 +8,25 @@ use clap::Args;
 use super::{Hand, Random, Temper};
 use crate::cli::say;
 
-/// Rows of the longest table, three hours at a kilohertz: what is read again has a limit too.
+/// Maximum rows of a table, three hours at 1 kHz: the limit of the reader.
 const ROWS_MAX: f64 = 1.1e7;
 
-/// What `palpate-lab hand --help` shows at its end.
+/// Text at the end of `palpate-lab hand --help`.
 pub(crate) const HELP: &str = "\
 Examples:
   palpate-lab hand --seed 7 --seconds 20 > hand.csv
   palpate-lab run table-7-1 --motion hand.csv
 
-The table has a line per sample: time_s,x_m,y_m,z_m,qw,qx,qy,qz; seconds, metres, a unit quaternion. A table of your own
-may leave the quaternion out. Times go forward, by any step.";
+The table has one row per sample: time_s,x_m,y_m,z_m,qw,qx,qy,qz; seconds, metres, a unit quaternion. The quaternion
+is optional in your own tables. Times increase, by any step.";
 
-/// What can be said to it.
+/// Arguments of `hand`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// Which hand
+    /// Seed of the hand
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// How long, s
+    /// Length, s
     #[arg(long, default_value_t = 10.0, value_name = "S")]
     seconds: f64,
     /// Samples per second
@@ -75,8 +75,8 @@ fn table(arguments: &Arguments) -> Result<String, String> {
             let pose = hand.at(t_s);
             (pose.position_m, pose.orientation)
         };
-        // To a tenth of a micrometre and a microradian: a hundredth of the wire's step.
-        // Writing to a string can not fail.
+        // Resolution of 0.1 µm and 1 µrad: a hundredth of the wire quantisation.
+        // Writing to a string cannot fail.
         let _ = writeln!(
             table,
             "{t_s:.6},{x:.7},{y:.7},{z:.7},{w:.6},{i:.6},{j:.6},{l:.6}"
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_as_the_same_motion() {
+    fn written_motion_reads_back_equal() {
         let read = Recorded::parse(&table(&arguments()).unwrap()).unwrap();
         let hand = Random::new(Temper::default(), 3);
         for k in 1..200 {
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn a_length_that_is_none_is_refused() {
+    fn invalid_length_is_rejected() {
         for seconds in [f64::NAN, -1.0, 1e9] {
             let said = table(&Arguments {
                 seconds,

@@ -1,8 +1,8 @@
-//! Hands whose motion is known at every moment, so that what a network makes of it can be compared with what it was.
+//! Hands with a known continuous motion, to compare with the motion after a network.
 //!
 //! | | motion |
 //! | --- | --- |
-//! | [`Recorded`] | what somebody's hand did, from a table of times and places |
+//! | [`Recorded`] | a recorded hand, from a table of times and positions |
 //! | [`Random`] | band-limited, with tremor, from a seed |
 //! | [`Script`] | way points, as the demo and the experiments use them |
 
@@ -18,11 +18,10 @@ pub use recorded::{MotionFileError, Recorded};
 
 /// A motion that is known at every moment.
 pub trait Hand: Send + Sync {
-    /// Where the tool is `t_s` seconds after the motion began. Before that it is where it begins, after the end where
-    /// it ends.
+    /// Pose `t_s` seconds after the start of the motion; constant before the start and after the end.
     fn at(&self, t_s: f64) -> Pose;
 
-    /// How long it goes on, s; infinity for one without an end.
+    /// Length, s; infinite for an endless motion.
     fn length_s(&self) -> f64;
 }
 
@@ -40,7 +39,7 @@ impl Hand for Script {
     }
 }
 
-/// A device's pose as the wire knows it.
+/// Converts a device pose to a wire pose.
 fn pose(pose: &palpate_device::Pose) -> Pose {
     let q = pose.orientation;
     Pose {

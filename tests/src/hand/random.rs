@@ -1,12 +1,13 @@
-//! A hand that wanders: slow motion of a given rms speed, with physiological tremor on top, from a seed.
+//! A random hand: slow motion of a given rms speed plus physiological tremor, from a seed.
 //!
-//! Along every axis the slow part is a sum of sines with frequencies spread over 0.2 to 1.6 Hz (the band of deliberate
-//! motion; tracking ends at 2 Hz) whose amplitudes fall as 1/f, so that every octave has its share of the speed; the
-//! tremor is a sum of sines between 8 and 12 Hz. Sums of sines are known with all their derivatives at every moment,
-//! and reach what was asked for to the rounding, not only in the mean of many seeds.
+//! On every axis the slow part is a sum of sines between 0.2 and 1.6 Hz (the band of deliberate motion;
+//! tracking ends at 2 Hz). Amplitudes fall as 1/f, so that every octave has an equal share of the speed. The
+//! tremor is a sum of sines between 8 and 12 Hz. Sums of sines have exact derivatives, and every seed reaches
+//! the requested rms up to rounding.
 //!
-//! It turns in the same way: the three parts of its rotation vector are such sums, of an angular speed and a tremor in
-//! radians. The turn stays below half a radian, where the vector's rate is the angular speed within some per cent.
+//! The three components of the rotation vector are such sums too, with an angular speed and a tremor in
+//! radians. The rotation stays below 0.5 rad, where the rate of the vector is the angular speed within a few
+//! per cent.
 
 use std::f64::consts::TAU;
 
@@ -17,34 +18,34 @@ use rand_pcg::Pcg64;
 
 use super::Hand;
 
-/// The band of deliberate motion, Hz.
+/// Band of deliberate motion, Hz.
 const SLOW_HZ: (f64, f64) = (0.2, 1.6);
 
-/// The band of physiological tremor, Hz.
+/// Band of physiological tremor, Hz.
 const TREMOR_HZ: (f64, f64) = (8.0, 12.0);
 
-/// Sines of the slow part along each axis.
+/// Sines of the slow part per axis.
 const SLOW: usize = 6;
 
-/// Sines of the tremor along each axis: enough that it waxes and wanes.
+/// Sines of the tremor per axis: enough for a varying amplitude.
 const TREMOR: usize = 3;
 
-/// What a hand is like.
+/// Parameters of a random hand.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Temper {
-    /// Root mean square of the speed of the slow part, m/s.
+    /// Rms speed of the slow part, m/s.
     pub speed_rms_m_s: f64,
-    /// Amplitude of the tremor along each axis, m: √2 times its rms, as of one sine.
+    /// Amplitude of the tremor on each axis, m: √2 times its rms, as for one sine.
     pub tremor_m: f64,
-    /// Root mean square of the rate of the rotation vector's slow part, rad/s.
+    /// Rms rate of the slow rotation vector, rad/s.
     pub turn_rms_rad_s: f64,
-    /// Amplitude of the tremor about each axis, rad, as [`tremor_m`](Self::tremor_m).
+    /// Amplitude of the tremor about each axis, rad, as in [`tremor_m`](Self::tremor_m).
     pub tremor_rad: f64,
 }
 
 impl Default for Temper {
-    /// The hand of the stand-in for table 7.1: 87 mm/s and 0.1 mm. It turns as if that were the motion about a wrist
-    /// 0.1 m away (reconstructed: nothing is known of turns there): 0.87 rad/s and 1 mrad.
+    /// The hand that reproduces table 7.1: 87 mm/s and 0.1 mm. Its rotation is that about a wrist 0.1 m away
+    /// (reconstructed; the source has no rotations): 0.87 rad/s and 1 mrad.
     fn default() -> Self {
         Self {
             speed_rms_m_s: 0.087,
@@ -57,13 +58,13 @@ impl Default for Temper {
 
 #[derive(Debug, Clone, Copy)]
 struct Sine {
-    /// In m along an axis, in rad about one.
+    /// Metres along an axis, radians about one.
     amplitude: f64,
     omega: f64,
     phase: f64,
 }
 
-/// A wandering hand. It has no end.
+/// A random hand; its motion is endless.
 #[derive(Debug, Clone)]
 pub struct Random {
     along: [Vec<Sine>; 3],
@@ -71,21 +72,21 @@ pub struct Random {
 }
 
 impl Random {
-    /// The hand of that temper and seed.
+    /// The hand with these parameters and this seed.
     pub fn new(temper: Temper, seed: u64) -> Self {
         let mut rng = Pcg64::seed_from_u64(seed);
-        // Places first, so that a seed's places are the same whether or not it turns.
+        // Positions first, so that they do not depend on the rotation.
         let along = sines(&mut rng, temper.speed_rms_m_s, temper.tremor_m);
         let about = sines(&mut rng, temper.turn_rms_rad_s, temper.tremor_rad);
         Self { along, about }
     }
 }
 
-/// Slow part and tremor along three axes: root mean square of the rate of all three together, and amplitude along each.
+/// Slow part and tremor on three axes: rms rate of all three together, and amplitude on each.
 fn sines(rng: &mut Pcg64, rate_rms: f64, tremor: f64) -> [Vec<Sine>; 3] {
     std::array::from_fn(|_| {
         let mut sines = Vec::with_capacity(SLOW + TREMOR);
-        // A sine of amplitude A has the mean square speed (Aω)²/2; with A ~ 1/ω all share alike.
+        // A sine of amplitude A has the mean square speed (Aω)²/2; with A ~ 1/ω all have an equal share.
         let speed = rate_rms * (2.0 / (3.0 * SLOW as f64)).sqrt();
         for k in 0..SLOW {
             let omega = TAU * strewn(rng, SLOW_HZ, k, SLOW);
@@ -107,7 +108,7 @@ fn sines(rng: &mut Pcg64, rate_rms: f64, tremor: f64) -> [Vec<Sine>; 3] {
     })
 }
 
-/// A frequency in part `k` of `n` equal parts of the logarithm of a band: a band is filled whatever the seed.
+/// A frequency in part `k` of `n` equal logarithmic parts of a band, so that every seed fills the band.
 fn strewn(rng: &mut Pcg64, (low, high): (f64, f64), k: usize, n: usize) -> f64 {
     let share = (k as f64 + rng.random_range(0.0..1.0)) / n as f64;
     low * (high / low).powf(share)
@@ -137,7 +138,7 @@ impl Hand for Random {
 mod tests {
     use super::*;
 
-    /// Root mean square over 1000 s, in steps that share no period with the band.
+    /// Rms over 1000 s, with a step that shares no period with the band.
     fn rms(of: impl Fn(f64) -> f64) -> f64 {
         let n = 100_000;
         let sum: f64 = (0..n).map(|i| of(f64::from(i) * 0.010_07).powi(2)).sum();
@@ -153,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn speed_and_tremor_come_out_as_they_were_asked_for() {
+    fn speed_and_tremor_match_the_parameters() {
         for seed in 0..4 {
             let calm = Temper {
                 tremor_m: 0.0,
@@ -175,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn it_turns_as_fast_as_was_asked_for() {
+    fn angular_speed_matches_the_parameters() {
         let turned = |hand: &Random, t_s: f64| {
             let q = |t_s: f64| {
                 let [i, j, k, w] = hand.at(t_s).orientation;
@@ -194,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn a_seed_is_a_hand() {
+    fn equal_seeds_give_equal_hands() {
         let at = |seed| Random::new(Temper::default(), seed).at(1.234);
         assert_eq!(at(3), at(3));
         assert_ne!(at(3), at(4));

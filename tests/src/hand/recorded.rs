@@ -1,4 +1,4 @@
-//! The motion of a hand as it was recorded, from a table.
+//! A recorded hand motion, from a table.
 //!
 //! ```text
 //! time_s,x_m,y_m,z_m[,qw,qx,qy,qz]
@@ -6,8 +6,8 @@
 //! 0.001,0.0102,0.0200,0.1503
 //! ```
 //!
-//! Between rows it is the cubic that a replayed device follows; with rows a millisecond apart that is less than a
-//! micrometre from any hand.
+//! Between rows the motion is the cubic of a replayed device; with rows 1 ms apart its error is below a
+//! micrometre for any hand.
 
 use std::path::Path;
 
@@ -20,19 +20,19 @@ use thiserror::Error;
 
 use super::{Hand, pose};
 
-/// The largest file that is read: three hours at a kilohertz.
+/// Maximum file size: three hours at 1 kHz.
 const BYTES_MAX: u64 = 1 << 29;
 
-/// With fewer rows there is no acceleration to be known.
+/// Minimum rows, for an acceleration.
 const ROWS_MIN: usize = 3;
 
-/// Columns: time and place, which every table has, and how the tool is turned.
+/// Columns: time and position (required), and rotation (optional).
 const COLUMNS: [&str; 8] = ["time_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"];
 
-/// What the column of time may also be called: so the tables of a replayed device do.
+/// Alternative name of the time column, as in tables of a replayed device.
 const TIME_ALSO: &str = "t_s";
 
-/// A column that those tables may end with.
+/// Optional last column of those tables.
 const BUTTONS: &str = "buttons";
 
 /// A recorded motion.
@@ -41,16 +41,16 @@ pub struct Recorded {
     motion: Motion,
 }
 
-/// Why a file is no motion of a hand. Who shows it says which file.
+/// Failure to load a motion. The caller adds the file name.
 #[derive(Debug, Error)]
 pub enum MotionFileError {
-    /// It can not be read.
+    /// Unreadable file.
     #[error("it can not be read: {source}")]
     Read {
-        /// What the system said.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// Too large to be one.
+    /// File too large.
     #[error(
         "it has {bytes} bytes, and a motion at most {BYTES_MAX}; leave rows out, or give a part of it"
     )]
@@ -58,27 +58,27 @@ pub enum MotionFileError {
         /// Its size.
         bytes: u64,
     },
-    /// Nothing in it.
+    /// Empty file.
     #[error("it is empty; its first line names the columns: time_s,x_m,y_m,z_m[,qw,qx,qy,qz]")]
     Empty,
-    /// The first line names other columns.
+    /// Unknown columns.
     #[error(
         "line 1: the columns should be time_s,x_m,y_m,z_m (time_s may be called t_s), and where turns are known also \
          qw,qx,qy,qz; {0}"
     )]
     Columns(String),
-    /// A row is wrong.
+    /// Invalid row.
     #[error("line {line}: {what}")]
     Row {
-        /// Which, from 1.
+        /// Line number, from 1.
         line: usize,
-        /// What is wrong, and what to do.
+        /// Error and remedy.
         what: String,
     },
-    /// Not enough of them.
+    /// Too few rows.
     #[error("there are {0} rows of numbers; a motion needs at least {ROWS_MIN}")]
     TooFew(usize),
-    /// What can not be a hand's motion as a whole.
+    /// Invalid motion as a whole.
     #[error(transparent)]
     Motion(#[from] MotionError),
 }
@@ -93,7 +93,7 @@ impl Recorded {
         Self::parse(&text)
     }
 
-    /// From the text of a table.
+    /// Parses a table.
     pub fn parse(text: &str) -> Result<Self, MotionFileError> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         if text.trim().is_empty() {
@@ -120,7 +120,7 @@ impl Recorded {
         Ok(Self { motion })
     }
 
-    /// Rows of the table.
+    /// Number of rows.
     pub fn rows(&self) -> usize {
         self.motion.moments().len()
     }
@@ -128,7 +128,7 @@ impl Recorded {
 
 impl Hand for Recorded {
     fn at(&self, t_s: f64) -> Pose {
-        // The search begins at the row before that moment, so that asking anywhere costs the same.
+        // The search begins at the row before that time, so that random access is cheap.
         let mut near = (self.motion.moments())
             .partition_point(|m| m.t_s <= t_s)
             .saturating_sub(1);
@@ -140,21 +140,21 @@ impl Hand for Recorded {
     }
 }
 
-/// What a row holds.
+/// Columns of a table.
 #[derive(Debug, Clone, Copy)]
 struct Columns {
-    /// How many there are.
+    /// Total number.
     all: usize,
-    /// How many of them say when and where, the first ones.
+    /// Number of leading columns with time and pose.
     of_pose: usize,
 }
 
-/// The columns, when they are the known ones in their order.
+/// Parses the header; columns must have their order.
 fn columns(line: &str) -> Result<Columns, MotionFileError> {
     let mut names: Vec<&str> = line.trim().split(',').map(str::trim).collect();
     let wrong = |what: String| MotionFileError::Columns(what);
     let all = names.len();
-    // A motion to be replayed may say what is held; nothing here is moved by it.
+    // A motion for a replayed device may have buttons; they are ignored.
     names.pop_if(|name| *name == BUTTONS && all > 1);
     for (k, name) in names.iter().enumerate() {
         let name: String = name.chars().take(40).collect();
@@ -191,10 +191,10 @@ fn moment(line: &str, columns: Columns) -> Result<Moment, String> {
             Ok(v) if v.is_finite() => v,
             Ok(_) => {
                 return Err(format!(
-                    "{name} is {short}, which is no place and no time; leave the row out"
+                    "{name} is {short}, which is not finite; leave the row out"
                 ));
             }
-            Err(_) => return Err(format!("{name} is \"{short}\", which is no number")),
+            Err(_) => return Err(format!("{name} is \"{short}\", which is not a number")),
         };
     }
     let [t_s, x, y, z, qw, qx, qy, qz] = row;
@@ -223,7 +223,7 @@ mod tests {
         "time_s,x_m,y_m,z_m\n5.0,0.0,0,0\n5.1,0.01,0,0\n5.2,0.02,0,0\n5.3,0.03,0,0\n";
 
     #[test]
-    fn a_table_for_a_replayed_device_is_the_same_motion() {
+    fn replayed_device_table_is_the_same_motion() {
         let hand = Recorded::parse(GOOD).unwrap();
         let theirs = GOOD.replace("time_s", "t_s");
         assert_eq!(Recorded::parse(&theirs).unwrap(), hand);
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_is_followed_from_its_first_row_on() {
+    fn motion_starts_with_the_first_row() {
         let hand = Recorded::parse(GOOD).unwrap();
         assert_eq!((hand.rows(), hand.at(-1.0).position_m[0]), (4, 0.0));
         assert!((hand.length_s() - 0.3).abs() < 1e-12);
@@ -244,14 +244,14 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_is_read_where_there_are_columns_for_it() {
+    fn rotation_columns_are_read() {
         let text = "time_s,x_m,y_m,z_m,qw,qx,qy,qz\n0,0,0,0,1,0,0,0\n1,0,0,0,0.8,0.6,0,0\n2,0,0,0,1,0,0,0\n";
         let q = Recorded::parse(text).unwrap().at(1.0).orientation;
         assert!((q[0] - 0.6).abs() < 1e-12 && (q[3] - 0.8).abs() < 1e-12);
     }
 
     #[test]
-    fn what_is_no_motion_is_refused_with_its_line_and_what_is_wrong() {
+    fn invalid_motion_error_names_line_and_cause() {
         let bad = [
             (
                 GOOD.replace("5.2", "5.05"),
@@ -261,7 +261,7 @@ mod tests {
             (GOOD.replace("0.02", "inf"), "line 4: x_m is inf"),
             (
                 GOOD.replace("0.02", "two"),
-                "line 4: x_m is \"two\", which is no number",
+                "line 4: x_m is \"two\", which is not a number",
             ),
             (
                 GOOD.replace("0.02,0,0", "0.02,0"),

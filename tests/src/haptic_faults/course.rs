@@ -1,8 +1,8 @@
-//! One run in virtual time: the loop that users run, a solver beside it, and a fault in the middle.
+//! One run in virtual time: the force loop of the client, a solver beside it, and a fault in the middle.
 //!
-//! There are two times. That of the run never jumps: the hand lives in it. The clock of the machine
-//! is what the loop and the solver see; it may jump. While the process is stopped neither of the two does
-//! anything, and the device goes on by itself.
+//! There are two clocks. The run time never jumps; the hand moves in it. The machine clock, which the loop and
+//! the solver read, may jump. While the process is stopped, the loop and the solver pause and the device
+//! continues.
 
 use palpate_client::realtime::{DeviceCounts, HandLoop, Pace, Turned, Wishes};
 use palpate_device::backend::sim::{ScriptStart, SimHand};
@@ -18,79 +18,78 @@ use super::plan::Plan;
 use super::rig::{Hold, Jerk, Log, Rig};
 use super::tissue::{SOLVE_EVERY_US, Tissue, spoilt};
 
-/// The machine has been up for a while when a run begins, µs.
+/// Machine uptime when a run begins, µs.
 const BOOT_US: i64 = 60_000_000;
 
-/// Models of this age count as missed: five of them, µs.
+/// Age from which a contact model counts as missed: five solve periods, µs.
 const MISSED_US: i64 = 5 * SOLVE_EVERY_US;
 
-/// What of the force without faults has to be back afterwards. Not all of it: a hand that goes on
-/// while forces are withheld is elsewhere, and one that rests in bone then is left a tenth of it by the
-/// passivity controller, as nobody knows what it has put in.
+/// Share of the fault-free force that has to return after the fault. It is small: a hand that moves while
+/// forces are withheld is elsewhere, and the passivity controller returns only a tenth of the force in bone.
 const BACK_SHARE: f64 = 0.05;
 
-/// Ticks that are farther apart than this, s, have a pause between them.
+/// Two ticks farther apart than this enclose a pause, s.
 const PAUSE_S: f64 = 0.02;
 
-/// A force that is worth looking for, N.
+/// Smallest force at which its return is checked, N.
 const WORTH_N: f64 = 0.5;
 
-/// How a run is made; other than by default only to see that those who look can see.
+/// Variations of a run, for tests of the oracle.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Setup {
-    /// The chain.
+    /// Constants of the chain.
     pub chain: ChainConfig,
-    /// Of the slew limit, what the oracle allows; `None`: all of it.
+    /// Share of the slew limit that the oracle allows; `None`: all of it.
     pub step_share: Option<f64>,
-    /// A device that jerks.
+    /// Fault injection: a device that jerks.
     pub jerk: Option<Jerk>,
     /// Whether every tick is kept.
     pub keep: bool,
 }
 
-/// A tick that was kept.
+/// A recorded tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Point {
-    /// When, s of the run.
+    /// Run time, s.
     pub t_s: f64,
-    /// What was asked of the device, N.
+    /// Commanded force, N.
     pub asked_n: f64,
-    /// What it rendered, N.
+    /// Rendered force, N.
     pub rendered_n: f64,
-    /// What of the change since the last tick was ours, N.
+    /// Force change since the last tick, without that of the device itself, N.
     pub changed_n: f64,
-    /// How far the tool was above the surface, mm; below zero it presses.
+    /// Height of the tool above the surface, mm; negative in contact.
     pub above_mm: f64,
-    /// What happened.
+    /// Events of the tick.
     pub events: Events,
 }
 
-/// What a run was like.
+/// Result of a run.
 #[derive(Debug, Clone)]
 pub struct Run {
     /// The largest change per tick that is allowed, N.
     pub step_n: f64,
-    /// The largest there was, N.
+    /// Largest change per tick, N.
     pub max_delta_n: f64,
-    /// From losses of the source to zero force, ms.
+    /// Times from a loss of the source to zero force, ms.
     pub to_zero_ms: Vec<f64>,
-    /// From the wish to stop, at the end, to zero force, ms.
+    /// Time from the stop request at the end to zero force, ms.
     pub stop_ms: f64,
-    /// The largest force when everything should be well again, N.
+    /// Largest force in the recovery window, N.
     pub force_after_n: f64,
-    /// What the chain counted until then.
+    /// Counters of the chain up to the recovery window.
     pub counters: Counters,
-    /// What the loop counted.
+    /// Counters of the loop.
     pub device: DeviceCounts,
     /// Deadlines that were skipped.
     pub missed: u64,
-    /// Laws that were broken.
+    /// Broken laws.
     pub broken: Vec<Broken>,
-    /// The ticks, where they were kept.
+    /// The ticks, if recorded.
     pub points: Vec<Point>,
 }
 
-/// What has to be counted, as the run has seen it from outside.
+/// Expected minimum counts, derived from the injected faults.
 #[derive(Debug, Clone, Copy, Default)]
 struct Expected {
     bad_models: u64,
@@ -110,9 +109,9 @@ struct Course<'a> {
     plan: &'a Plan,
     keep: bool,
     rng: Pcg64,
-    /// The time of the run, µs.
+    /// Run time, µs.
     at_us: i64,
-    /// How much of it the process was stopped.
+    /// Time for which the process was stopped, µs.
     stopped_us: i64,
     pace: Pace,
     hand: HandLoop,
@@ -120,7 +119,7 @@ struct Course<'a> {
     solver: Solver,
     oracle: Oracle,
     expected: Expected,
-    /// Since when the device says nothing that can be used, in running time.
+    /// Time since when the device returns no usable reading, in running time.
     blind_since_us: Option<i64>,
     unlinked_since_us: Option<i64>,
     last_woke: ClientTime,
@@ -143,7 +142,7 @@ impl<'a> Course<'a> {
         Self {
             plan,
             keep: setup.keep,
-            // Another stream than the plan's own.
+            // An independent stream, so that the plan of a seed stays the same.
             rng: Pcg64::seed_from_u64(!plan.seed),
             at_us: 0,
             stopped_us: 0,
@@ -206,13 +205,13 @@ impl<'a> Course<'a> {
         ClientTime::from_micros(BOOT_US + self.at_us + jumps.sum::<i64>())
     }
 
-    /// What is broken now.
+    /// Active faults.
     fn broken_now(&self) -> Vec<What> {
         let on = self.plan.faults.iter().filter(|f| f.is_on(self.at_us));
         on.map(|f| f.what).collect()
     }
 
-    /// Sleeps until the next deadline, takes a turn, and looks at it.
+    /// Sleeps until the next deadline, runs a turn, and checks it.
     fn step(&mut self, stop: bool) -> Turned {
         let sleeps_us = (self.pace.deadline() - self.clock()).as_micros().max(0);
         let late_us = self.lateness_us();
@@ -238,7 +237,7 @@ impl<'a> Course<'a> {
         turned
     }
 
-    /// Ticks are late by a little, and now and then by more.
+    /// Random lateness of a tick: usually small, sometimes larger.
     fn lateness_us(&mut self) -> i64 {
         if self.rng.random_bool(0.002) {
             self.rng.random_range(500..4_000)
@@ -247,7 +246,7 @@ impl<'a> Course<'a> {
         }
     }
 
-    /// Lets time pass in which the solver works, or in which nobody does.
+    /// Advances the time; the solver works unless the process is stopped.
     fn pass(&mut self, us: i64) {
         let until = self.at_us + us;
         let stopped = self.plan.faults.iter().find_map(|f| {
@@ -261,7 +260,7 @@ impl<'a> Course<'a> {
             self.solver.was_stopped_until(continued_us);
             self.at_us = continued_us;
             self.expected.skips |= continued_us - from_us > 5_000;
-            // Of its sleep the rest has mostly passed.
+            // Most of the rest of the sleep has passed.
             self.pass(left_us.min(100));
             return;
         }
@@ -278,7 +277,7 @@ impl<'a> Course<'a> {
         self.at_us = until;
     }
 
-    /// What a tick has to have counted.
+    /// Adds the expected counts of a tick.
     fn note(&mut self, turned: &Turned, woke: ClientTime, unlinked: bool, before: &Log, log: &Log) {
         let skip_us = (woke - self.last_woke).as_micros();
         self.expected.put_back += u64::from(skip_us < 0);
@@ -290,7 +289,7 @@ impl<'a> Course<'a> {
         let saw_model = was_read && !events.contains(Events::FAULTED);
         let model = self.solver.newest;
         self.expected.bad_models += u64::from(saw_model && !model.is_usable());
-        // What a cut took has to stand out from what a tick may change.
+        // A force drop by the device must exceed the change that a tick may make.
         let is_cut = log.cut_n > 1.5 * self.hand.chain().slew_step_n();
         self.expected.cuts += u64::from(is_cut);
         let running_us = self.at_us - self.stopped_us;
@@ -345,7 +344,7 @@ impl<'a> Course<'a> {
         }
     }
 
-    /// Two points of a pause that ends at `until_s`, in which the device rendered on, or cut the force down to `left_n`.
+    /// Two points of a pause that ends at `until_s`: the device kept its force, or dropped it to `left_n`.
     fn keep_pause(&mut self, until_s: f64, left_n: f64) {
         let Some(last) = self.points.last().copied() else {
             return;
@@ -369,16 +368,16 @@ impl<'a> Course<'a> {
         }
     }
 
-    /// Compares what was counted with what happened.
+    /// Compares the counters with the injected faults.
     fn count(&mut self, log: &Log) {
         let (c, d) = (*self.hand.chain().counters(), self.hand.counts());
         let e = self.expected;
         let exactly = [
-            ("readings that failed", log.unread, d.faults),
-            ("refused writes", log.refused, d.rejected),
+            ("failed readings", log.unread, d.faults),
+            ("rejected writes", log.refused, d.rejected),
             ("clamped writes", log.clamped, d.saturated),
-            ("models that are none", e.bad_models, c.bad_models),
-            ("times the clock was put back", e.put_back, d.clock_put_back),
+            ("invalid models", e.bad_models, c.bad_models),
+            ("backward jumps of the clock", e.put_back, d.clock_put_back),
             ("ticks without a link", e.link_lost, c.link_lost),
         ];
         let wrong = exactly.into_iter().filter(|(_, there, seen)| there != seen);
@@ -386,9 +385,13 @@ impl<'a> Course<'a> {
             .map(|(what, there, seen)| format!("{there} {what}, {seen} counted"))
             .collect();
         let at_all = [
-            ("a bad pose", log.bad_poses > 0, c.bad_samples + c.faulted),
-            ("an old model", e.is_stale, c.stale),
-            ("a force that the device took away", e.cuts > 0, d.cuts),
+            (
+                "an invalid pose",
+                log.bad_poses > 0,
+                c.bad_samples + c.faulted,
+            ),
+            ("a stale model", e.is_stale, c.stale),
+            ("a force drop by the device", e.cuts > 0, d.cuts),
             ("a pause", e.skips, self.pace.missed()),
         ];
         for (what, happened, counted) in at_all {
@@ -400,27 +403,27 @@ impl<'a> Course<'a> {
             self.oracle.accuse(Law::Counted, self.at_us, detail);
         }
         let told = [
-            ("written", log.nan_written, Law::FiniteWrites),
-            ("told", log.times_back, Law::TimeGoesOn),
+            ("non-finite writes", log.nan_written, Law::FiniteWrites),
+            ("decreasing time stamps", log.times_back, Law::TimeGoesOn),
         ];
         for (what, times, law) in told {
             if times > 0 {
                 self.oracle
-                    .accuse(law, self.at_us, format!("{what} {times} times"));
+                    .accuse(law, self.at_us, format!("{what}: {times}"));
             }
         }
     }
 }
 
 impl Run {
-    /// The part of the force without faults that is back; `None` where there is none worth looking for.
+    /// Share of the fault-free force that has returned; `None` if that force is too small to check.
     pub fn back_share(&self, without: &Self) -> Option<f64> {
         let there_n = without.force_after_n;
         (there_n > WORTH_N).then(|| self.force_after_n / there_n)
     }
 }
 
-/// Whether the force is back after a run, compared with the same run without faults.
+/// Checks that the force returns after a fault, compared with the fault-free run.
 pub fn comes_back(plan: &Plan, run: &mut Run, without: &Run) {
     if run
         .back_share(without)
@@ -439,7 +442,7 @@ pub fn comes_back(plan: &Plan, run: &mut Run, without: &Run) {
     }
 }
 
-/// Solves at 250 Hz what the loop feels: begins with the newest pose, and is done a little later.
+/// A solver at 250 Hz: a solve begins with the newest pose and ends a little later.
 struct Solver {
     tissue: Tissue,
     next_us: i64,
@@ -447,9 +450,9 @@ struct Solver {
     x: nalgebra::Vector3<f64>,
     turns: u32,
     newest: ContactModel,
-    /// When the newest usable model was solved, in running time.
+    /// Solve time of the newest usable model, in running time.
     good_since_us: i64,
-    /// Whether that one was in contact.
+    /// Whether that model was in contact.
     was_in_contact: bool,
 }
 
@@ -473,7 +476,7 @@ impl Solver {
         }
     }
 
-    /// The next moment at which it has something to do, if that is before `until`.
+    /// The next event of the solver before `until`.
     fn next_until(&self, until: i64) -> Option<i64> {
         let done = self.solving.as_ref().map(|s| s.done_us);
         let next = done.map_or(self.next_us, |done| done.min(self.next_us));
@@ -484,7 +487,7 @@ impl Solver {
         self.x = *x;
     }
 
-    /// What it would have done meanwhile, it does now.
+    /// Postpones due events to the end of a stop.
     fn was_stopped_until(&mut self, us: i64) {
         self.next_us = self.next_us.max(us);
         if let Some(solving) = &mut self.solving {
@@ -494,7 +497,7 @@ impl Solver {
 
     fn turn(&mut self, at_us: i64, clock: ClientTime, running_us: i64, what: &[What]) {
         if what.contains(&What::SolverStall) {
-            // Whatever holds it up is over with the stall, a millisecond more or less.
+            // A stall ends with the fault; a delay of 1 ms is enough.
             self.was_stopped_until(at_us + 1_000);
             return;
         }

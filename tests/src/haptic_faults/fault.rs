@@ -1,4 +1,4 @@
-//! The faults: what breaks, for how long, and how badly.
+//! The faults: kind, duration and severity.
 
 use std::fmt;
 
@@ -6,31 +6,31 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 use serde::Serialize;
 
-/// What kind of thing breaks.
+/// Class of a fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Class {
-    /// The solver gives no contact model for a while.
+    /// The solver delivers no contact model for a while.
     SolverStall,
     /// The link to the session is lost and comes back.
     LinkLost,
-    /// Contact models hold numbers that are none, or beyond all measure.
+    /// Contact models contain non-finite or absurdly large numbers.
     BadModels,
-    /// Poses hold numbers that are none, or beyond all measure.
+    /// Poses contain non-finite or absurdly large numbers.
     BadPoses,
-    /// The device is unplugged in contact, and plugged in again.
+    /// The device is unplugged in contact and plugged in again.
     Unplugged,
-    /// The device refuses what is written.
+    /// The device rejects writes.
     Refused,
-    /// The device gives less than it is asked for.
+    /// The device renders less force than commanded.
     Clamped,
     /// The process is stopped and continued.
     Stopped,
-    /// The machine's clock jumps ahead.
+    /// The machine clock jumps forward.
     ClockAhead,
-    /// The machine's clock is put back.
+    /// The machine clock jumps back.
     ClockBack,
-    /// Two to four of the others, at once.
+    /// Two to four of the other classes at once.
     Several,
 }
 
@@ -50,7 +50,7 @@ impl Class {
         Self::Several,
     ];
 
-    /// The class of a seed: they take turns.
+    /// The class of a seed: seeds cycle through the classes.
     pub fn of_seed(seed: u64) -> Self {
         Self::ALL[(seed % Self::ALL.len() as u64) as usize]
     }
@@ -79,24 +79,24 @@ impl fmt::Display for Class {
     }
 }
 
-/// How a contact model is wrong.
+/// Defect of a contact model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BadModel {
-    /// A force that is not a number.
+    /// NaN force.
     ForceNan,
-    /// A stiffness that is not finite.
+    /// Infinite stiffness.
     StiffnessInfinite,
-    /// A normal that is none.
+    /// Zero normal.
     NormalZero,
-    /// A force as large as numbers go.
+    /// Force of the largest finite number.
     ForceMax,
-    /// A force a thousand times too large, which is still a number one could mean.
+    /// Force a thousand times too large, but of a plausible magnitude.
     ForceThousandfold,
-    /// A normal that points anywhere.
+    /// Random normal.
     NormalAnywhere,
-    /// Stamped an hour ahead.
+    /// Time stamp one hour ahead.
     FromTheFuture,
-    /// Work of others that nobody has done.
+    /// External work that no other participant has done.
     WorkOfOthers,
 }
 
@@ -113,16 +113,16 @@ impl BadModel {
     ];
 }
 
-/// How a pose is wrong.
+/// Defect of a pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BadPose {
-    /// A position that is not a number.
+    /// NaN position.
     PositionNan,
-    /// A velocity without end.
+    /// Infinite velocity.
     VelocityInfinite,
-    /// A position on the moon.
+    /// Position as far as the moon.
     FarAway,
-    /// A turn that is not a number.
+    /// NaN rotation.
     TurnNan,
 }
 
@@ -135,30 +135,30 @@ impl BadPose {
     ];
 }
 
-/// What breaks.
+/// A fault with its parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum What {
     /// See [`Class::SolverStall`].
     SolverStall,
     /// See [`Class::LinkLost`].
     LinkLost,
-    /// See [`Class::BadModels`]; every `every`-th of them.
+    /// See [`Class::BadModels`]; every `every`-th model.
     BadModels {
-        /// How.
+        /// Defect.
         how: BadModel,
         /// 1 for all.
         every: u32,
     },
-    /// See [`Class::BadPoses`]; every `every`-th of them.
+    /// See [`Class::BadPoses`]; every `every`-th pose.
     BadPoses {
-        /// How.
+        /// Defect.
         how: BadPose,
         /// 1 for all.
         every: u32,
     },
     /// See [`Class::Unplugged`].
     Unplugged {
-        /// Whether its motors are off when it is back, until they are switched on.
+        /// Whether its motors are off after plugging in, until they are enabled.
         forgets: bool,
     },
     /// See [`Class::Refused`]; every `every`-th write.
@@ -168,20 +168,20 @@ pub enum What {
     },
     /// See [`Class::Clamped`].
     Clamped {
-        /// To so many newtons.
+        /// Force limit, N.
         to_n: f64,
     },
     /// See [`Class::Stopped`].
     Stopped,
-    /// The clock goes on `by_us` µs later or, below zero, earlier.
+    /// The clock jumps by `by_us` µs; negative values put it back.
     Clock {
-        /// µs.
+        /// Jump, µs.
         by_us: i64,
     },
 }
 
 impl What {
-    /// Its kind.
+    /// Its class.
     pub fn class(self) -> Class {
         match self {
             Self::SolverStall => Class::SolverStall,
@@ -198,14 +198,14 @@ impl What {
     }
 }
 
-/// A fault and its time.
+/// A fault and its interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fault {
-    /// What breaks.
+    /// The fault.
     pub what: What,
-    /// When it begins, µs of the run.
+    /// Begin, µs of the run.
     pub from_us: i64,
-    /// When it is over, µs of the run.
+    /// End, µs of the run.
     pub until_us: i64,
 }
 
@@ -227,7 +227,7 @@ impl Fault {
         }
     }
 
-    /// Whether it is there at `us`. A jump of the clock has no length.
+    /// Whether the fault is active at `us`. A clock jump has no length.
     pub fn is_on(&self, us: i64) -> bool {
         (self.from_us..self.until_us).contains(&us)
     }
@@ -267,7 +267,7 @@ fn what(class: Class, rng: &mut Pcg64) -> What {
     }
 }
 
-/// From 2 ms to 10 s, the small ones as likely as the large: 2 ms is hardly more than a late tick.
+/// Log-uniform from 2 ms to 10 s; 2 ms is hardly more than a late tick.
 fn jump_us(rng: &mut Pcg64) -> i64 {
     10f64.powf(rng.random_range(3.3..7.0)) as i64
 }

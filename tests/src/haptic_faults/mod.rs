@@ -1,26 +1,25 @@
-//! `haptic-faults`: no fault ever jerks the hand.
+//! `haptic-faults`: no fault jerks the hand.
 //!
-//! A simulated hand presses into a tissue of springs while something breaks: the solver, the link, the
-//! device, the process, the clock. What is run is the loop that users run ([`HandLoop`]), in virtual time; what is
-//! looked at is what the device renders. In every run, whatever breaks:
+//! A simulated hand presses into a spring tissue while a component fails: the solver, the link, the device, the
+//! process, the clock. The runs use the force loop of the client ([`HandLoop`]) in virtual time and check the
+//! force that the device renders. Four laws hold in every run:
 //!
-//! - the force changes by no more than the slew limit per tick, as written and as rendered;
-//! - it is zero within 150 ms of the loss of its source (no usable contact model, no link, no reading);
-//! - no number that is none reaches the device, and no force above the limit;
-//! - what broke is counted, and when it is over the force comes back.
+//! - Written and rendered forces change by at most the slew limit per tick.
+//! - The force is zero within 150 ms of the loss of its source (no usable contact model, no link, no reading).
+//! - No non-finite number and no force above the limit reaches the device.
+//! - Every fault is counted, and the force returns after the fault.
 //!
-//! A device that lets go by itself (it is unplugged, refuses, clamps, its own watchdog acts) makes a step that nobody
-//! can prevent; held against us is what comes after. While the process is stopped no time counts: nobody could have
-//! written anything.
+//! A force drop by the device itself (unplugged, rejecting, clamping, own watchdog) is exempt; the following
+//! ticks are not. Time in which the process is stopped does not count.
 //!
 //! | file | |
 //! | --- | --- |
-//! | `fault` | what breaks |
-//! | `plan` | what a seed stands for |
-//! | `rig` | a device that breaks when it is told to |
-//! | `tissue` | what is pressed, and contact models of it |
+//! | `fault` | classes and parameters of faults |
+//! | `plan` | the run of a seed |
+//! | `rig` | the device with fault injection |
+//! | `tissue` | the spring tissue and its contact models |
 //! | `course` | one run in virtual time |
-//! | `oracle` | who looks, and the laws |
+//! | `oracle` | the laws and their check per tick |
 //! | `outcome` | the figures per class of fault |
 //! | `picture` | one run as a table and a chart |
 //!
@@ -45,20 +44,20 @@ use course::{Run, Setup, comes_back, run};
 use outcome::Outcome;
 use plan::Plan;
 
-/// A desktop device's abilities.
+/// Capabilities of a desktop device.
 fn desktop() -> Result<DeviceCaps, ScriptError> {
     let script = Script::resting_probe(Vector3::zeros(), 4e-3)?;
     Ok(SimHand::new(script, ScriptStart::not_yet()).caps().clone())
 }
 
-/// A seed's plan, and its runs with and without faults.
+/// The plan of a seed, and its runs with and without faults.
 #[derive(Debug, Clone)]
 pub struct Trial {
-    /// What it stands for.
+    /// The plan.
     pub plan: Plan,
-    /// With the faults.
+    /// The run with faults.
     pub run: Run,
-    /// The same hand, tissue and device without.
+    /// The run of the same hand, tissue and device without faults.
     pub without: Run,
 }
 
@@ -67,13 +66,13 @@ impl Trial {
     ///
     /// # Errors
     ///
-    /// When the seed's hand can not go its way.
+    /// If the script of the seed is invalid.
     pub fn of(seed: u64, setup: &Setup) -> Result<Self, ScriptError> {
         let plan = Plan::of(seed, &desktop()?)?;
         let mut faulty = run(&plan, setup);
         let mut without = run(&plan.without_faults(), setup);
         comes_back(&plan, &mut faulty, &without);
-        // Without faults the laws hold as well.
+        // The laws hold without faults too.
         faulty.broken.append(&mut without.broken);
         Ok(Self {
             plan,
@@ -83,11 +82,11 @@ impl Trial {
     }
 }
 
-/// Runs `seeds`, and says how far it is; ends early when `told` says so by `false`.
+/// Runs `seeds` and reports progress; ends early when `told` returns `false`.
 ///
 /// # Errors
 ///
-/// When a seed's hand can not go its way.
+/// If the script of a seed is invalid.
 pub fn all(
     seeds: std::ops::Range<u64>,
     setup: &Setup,

@@ -1,4 +1,4 @@
-//! Who looks at every tick, and says which law it broke.
+//! The oracle: checks every tick and names the broken law.
 
 use std::fmt;
 
@@ -8,70 +8,70 @@ use serde::Serialize;
 
 use super::rig::Write;
 
-/// Numbers that are equal but for rounding.
+/// Relative tolerance for rounding.
 const ROUNDING: f64 = 1.0 + 1e-9;
 
-/// No force, N.
+/// Forces below this count as zero, N.
 const ZERO_N: f64 = 1e-9;
 
-/// After the loss of its source the force is zero within so long, µs.
+/// Maximum time from the loss of the source to zero force, µs.
 pub(super) const ZERO_WITHIN_US: i64 = 150_000;
 
-/// Broken laws that a run keeps; more say nothing new.
+/// Maximum number of recorded violations per run.
 const KEPT_MAX: usize = 8;
 
-/// What holds for a hand in any fault.
+/// Laws that hold under any fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Law {
-    /// What is written steps no further than the slew limit from what stands at the device.
+    /// A write changes the force at the device by at most the slew limit.
     WrittenStep,
-    /// What is rendered steps no further than the slew limit, unless the device itself lets go.
+    /// The rendered force changes by at most the slew limit, except by the device itself.
     RenderedStep,
     /// The force is zero within 150 ms of the loss of its source.
     ZeroInTime,
-    /// No number that is none is written.
+    /// No non-finite number is written.
     FiniteWrites,
     /// The force stays within the limit.
     ForceLimit,
-    /// The device is told no time before that of the call before.
+    /// Time stamps passed to the device do not decrease.
     TimeGoesOn,
-    /// What broke is counted.
+    /// Every fault is counted.
     Counted,
-    /// The force comes back when the fault is over.
+    /// The force returns after the fault.
     ComesBack,
-    /// A stop takes the force away and ends the loop.
+    /// A stop request removes the force and ends the loop.
     Ends,
 }
 
 impl fmt::Display for Law {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::WrittenStep => "what is written steps from what stands at the device",
-            Self::RenderedStep => "what the hand feels steps",
+            Self::WrittenStep => "the written force steps from the force at the device",
+            Self::RenderedStep => "the rendered force steps",
             Self::ZeroInTime => "the force outlives its source by more than 150 ms",
-            Self::FiniteWrites => "a number that is none was written",
+            Self::FiniteWrites => "a non-finite number was written",
             Self::ForceLimit => "the force is above its limit",
-            Self::TimeGoesOn => "the device was told a time that had passed",
+            Self::TimeGoesOn => "the device received a time stamp in the past",
             Self::Counted => "a fault was not counted",
-            Self::ComesBack => "the force did not come back",
-            Self::Ends => "a stop did not end with zero force",
+            Self::ComesBack => "the force did not return",
+            Self::Ends => "the loop did not end with zero force after a stop request",
         })
     }
 }
 
-/// A law that was broken.
+/// A broken law.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Broken {
-    /// Which.
+    /// The law.
     pub law: Law,
-    /// When, ms of the run.
+    /// Time, ms of the run.
     pub at_ms: f64,
-    /// How.
+    /// Details.
     pub detail: String,
 }
 
-/// What a tick may do.
+/// Limits of a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {
     /// Largest change of force per tick, N.
@@ -83,7 +83,7 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// Those that a chain promises.
+    /// The limits that a chain guarantees.
     pub fn of(chain: &Chain) -> Self {
         Self {
             step_n: chain.slew_step_n(),
@@ -92,52 +92,52 @@ impl Bounds {
         }
     }
 
-    /// Whether `to` is a step from `from`.
+    /// Whether the change from `from` to `to` is a step.
     fn is_step(&self, from: &Wrench, to: &Wrench) -> bool {
         let (df, dt) = (to.force - from.force, to.torque - from.torque);
         df.norm() > self.step_n * ROUNDING || dt.norm() > self.step_nm * ROUNDING + ZERO_N
     }
 }
 
-/// One tick as it is looked at.
+/// Observation of one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Look {
-    /// When, µs of the run.
+    /// Run time, µs.
     pub at_us: i64,
-    /// When, µs of the run in which the process was not stopped.
+    /// Run time without stops of the process, µs.
     pub running_us: i64,
     /// The write.
     pub write: Write,
-    /// What the device took away by itself since the last write, N.
+    /// Force that the device dropped by itself since the last write, N.
     pub cut_n: f64,
-    /// Since when the force has no source, in the time of `running_us`.
+    /// Time since when the force has no source, on the scale of `running_us`.
     pub lost_since_us: Option<i64>,
 }
 
-/// A stretch without a source.
+/// An interval without a source.
 #[derive(Debug, Clone, Copy)]
 struct Loss {
     since_us: i64,
-    /// Whether there was any force when it began, and none was seen to be zero since.
+    /// Whether the force was nonzero at its beginning and has not reached zero since.
     is_felt: bool,
 }
 
-/// Looks at a run.
+/// The oracle of a run.
 #[derive(Debug, Clone)]
 pub struct Oracle {
     bounds: Bounds,
     last: Wrench,
     loss: Option<Loss>,
-    /// Largest change between two ticks that was ours, N.
+    /// Largest change between two ticks, without that of the device itself, N.
     pub max_delta_n: f64,
-    /// From losses of the source to zero force, ms.
+    /// Times from a loss of the source to zero force, ms.
     pub to_zero_ms: Vec<f64>,
-    /// The laws that were broken, the first ones.
+    /// The first broken laws.
     pub broken: Vec<Broken>,
 }
 
 impl Oracle {
-    /// One that has seen nothing yet.
+    /// An oracle without observations.
     pub fn new(bounds: Bounds) -> Self {
         Self {
             bounds,
@@ -149,7 +149,7 @@ impl Oracle {
         }
     }
 
-    /// Notes that a law was broken.
+    /// Records a broken law.
     pub fn accuse(&mut self, law: Law, at_us: i64, detail: String) {
         if self.broken.len() < KEPT_MAX {
             self.broken.push(Broken {
@@ -160,7 +160,7 @@ impl Oracle {
         }
     }
 
-    /// Looks at a tick; the change of force that was ours, N.
+    /// Checks a tick; returns the force change without that of the device itself, N.
     pub fn look(&mut self, look: &Look) -> f64 {
         let delta_n = self.look_at_steps(look);
         let Write { asked, after, .. } = look.write;
@@ -198,13 +198,13 @@ impl Oracle {
                 self.bounds.step_n
             )
         };
-        // Motors that come up render a share of what they are asked for, so the two can not be compared.
+        // Ramping motors render only a share of the command, so the two are not comparable.
         if is_on && self.bounds.is_step(&before, &asked) {
             let detail = say("written", &before, &asked);
             self.accuse(Law::WrittenStep, look.at_us, detail);
             return (asked.force - before.force).norm();
         }
-        // What the device lets go of by itself is its own. From there on it is ours again.
+        // A force drop by the device is exempt; later changes count again.
         let from = if look.cut_n > 0.0 { before } else { self.last };
         if obeyed {
             let delta = (after.force - from.force).norm();
@@ -228,7 +228,7 @@ impl Oracle {
             self.loss = None;
             return;
         };
-        // One source may be back when another is lost: that is another loss, and has its own time.
+        // A source may return while another one is lost: a second loss with its own deadline.
         if self.loss.is_some_and(|loss| loss.since_us < since_us) {
             self.loss = None;
         }

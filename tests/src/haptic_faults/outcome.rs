@@ -9,58 +9,58 @@ use super::Trial;
 use super::fault::Class;
 use super::oracle::Broken;
 
-/// Failures that are listed; more say nothing new.
+/// Maximum number of listed failures.
 const LISTED_MAX: usize = 12;
 
 /// A run that broke a law.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Failure {
-    /// Replays it.
+    /// Seed that replays it.
     pub seed: u64,
-    /// What was broken in it.
+    /// Class of its faults.
     pub class: Class,
-    /// The laws that it broke, the first ones.
+    /// Its first broken laws.
     pub broken: Vec<Broken>,
 }
 
 /// The runs of one class.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct ClassOutcome {
-    /// How many.
+    /// Number of runs.
     pub runs: u64,
-    /// Those that broke a law.
+    /// Runs that broke a law.
     pub failed: u64,
     /// Largest change of force per tick as a share of its limit; 1 is the limit.
     pub step_share_max: f64,
     /// Largest change of force per tick, N.
     pub step_max_n: f64,
-    /// Losses of the source under force, and none came back before the force was zero.
+    /// Losses of the source under force that lasted until the force was zero.
     pub losses: u64,
-    /// From the loss of a source to zero force, ms: the longest.
+    /// Longest time from the loss of a source to zero force, ms.
     pub to_zero_max_ms: f64,
-    /// The same, 99 of 100.
+    /// 99th percentile of it, ms.
     pub to_zero_p99_ms: f64,
-    /// The smallest part of the force without faults that was back afterwards, at most 1.
+    /// Smallest share of the fault-free force that returned, at most 1.
     pub back_min: f64,
-    /// Ticks with an old model.
+    /// Ticks with a stale model.
     pub stale: u64,
     /// Ticks without a link.
     pub link_lost: u64,
-    /// Models that were refused.
+    /// Rejected models.
     pub bad_models: u64,
-    /// Samples that were refused.
+    /// Rejected samples.
     pub bad_samples: u64,
-    /// Readings that failed.
+    /// Failed readings.
     pub unread: u64,
-    /// Writes that the device refused.
+    /// Writes that the device rejected.
     pub refused: u64,
-    /// Writes that it clamped.
+    /// Writes that the device clamped.
     pub clamped: u64,
-    /// Times that it took its force away by itself.
+    /// Force drops by the device itself.
     pub cuts: u64,
-    /// Deadlines that were skipped.
+    /// Skipped deadlines.
     pub missed: u64,
-    /// Times that the clock was put back.
+    /// Backward jumps of the clock.
     pub put_back: u64,
     #[serde(skip)]
     to_zero_ms: Vec<f64>,
@@ -69,15 +69,15 @@ pub struct ClassOutcome {
 /// All runs.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Outcome {
-    /// How many.
+    /// Number of runs.
     pub runs: u64,
     /// Whether no law was broken.
     pub ok: bool,
-    /// The longest from the wish to stop, at the end of a run, to zero force, ms.
+    /// Longest time from the stop request to zero force, ms.
     pub stop_max_ms: f64,
-    /// Per class.
+    /// Results per class.
     pub classes: BTreeMap<Class, ClassOutcome>,
-    /// Runs that broke a law, the first ones.
+    /// The first runs that broke a law.
     pub failures: Vec<Failure>,
 }
 
@@ -124,12 +124,12 @@ impl Outcome {
         }
     }
 
-    /// Runs that broke a law so far.
+    /// Number of runs that broke a law.
     pub fn failed(&self) -> u64 {
         self.classes.values().map(|row| row.failed).sum()
     }
 
-    /// Adds up, when all runs are there.
+    /// Computes the totals after the last run.
     pub fn settle(&mut self) {
         self.ok = self.failed() == 0;
         for row in self.classes.values_mut() {
@@ -144,7 +144,7 @@ impl Outcome {
 }
 
 impl ClassOutcome {
-    /// What the chain and the loop counted, without what was counted never.
+    /// Nonzero counters of the chain and the loop.
     fn counted(&self) -> String {
         let all = [
             ("stale", self.stale),

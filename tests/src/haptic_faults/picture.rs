@@ -1,4 +1,4 @@
-//! One run to look at: every tick as a line of a table, and a chart.
+//! Table and chart of one run.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -10,8 +10,8 @@ use crate::chart::{BLUE, Chart, GREEN, GREY, Line, Mark, ORANGE, Panel, Scale};
 use super::Trial;
 use super::course::Point;
 
-/// The ticks of a run, one line each, and three for a pause of the process, in which the device went on by itself. The
-/// same hand without faults is not among them.
+/// The ticks of a run, one row each. A pause of the process has three rows, because the device continues. The
+/// fault-free run is not included.
 pub fn table(points: &[Point]) -> String {
     let mut text = String::from("t_s,asked_n,rendered_n,changed_n,above_mm,events\n");
     for p in points {
@@ -29,7 +29,7 @@ pub fn table(points: &[Point]) -> String {
     text
 }
 
-/// A run and the same without faults.
+/// A run with and without faults.
 pub fn chart(trial: &Trial) -> Chart {
     let line = |name: &str, colour, dashed, points: &[Point], value: fn(&Point) -> f64| Line {
         name: name.to_owned(),
@@ -59,7 +59,7 @@ pub fn chart(trial: &Trial) -> Chart {
             scale: Scale::Linear,
         },
         Panel {
-            title: "What of its change per tick was not the device's own doing".to_owned(),
+            title: "Its change per tick, without that of the device itself".to_owned(),
             y_label: "force (N)".to_owned(),
             lines: vec![
                 limit,
@@ -68,7 +68,7 @@ pub fn chart(trial: &Trial) -> Chart {
             scale: Scale::Linear,
         },
         Panel {
-            title: "The tool above the surface".to_owned(),
+            title: "Height of the tool above the surface".to_owned(),
             y_label: "distance (mm)".to_owned(),
             lines: vec![line("tool", GREEN, false, &run.points, |p| p.above_mm)],
             scale: Scale::Linear,
@@ -93,7 +93,7 @@ pub fn chart(trial: &Trial) -> Chart {
     }
 }
 
-/// Writes table and chart of a run, kept tick by tick, into `dir`; the name of the chart.
+/// Writes table and chart of a recorded run into `dir`; returns the file name of the chart.
 pub fn write(trial: &Trial, dir: &Path) -> std::io::Result<String> {
     let name = format!("{}-{}", trial.plan.class, trial.plan.seed);
     std::fs::create_dir_all(dir)?;

@@ -1,4 +1,4 @@
-//! What a seed stands for: a hand, a tissue, a device, and the faults that they meet.
+//! The run of a seed: hand, tissue, device and faults.
 
 use nalgebra::{Unit, Vector3};
 use palpate_client::realtime::ENABLE_EVERY;
@@ -11,20 +11,19 @@ use super::fault::{Class, Fault};
 use super::rig::{Driver, SelfCut};
 use super::tissue::Tissue;
 
-/// Stiffnesses that are pressed, N/m: fat, muscle, cartilage, bone.
+/// Tissue stiffnesses, N/m: fat, muscle, cartilage, bone.
 const STIFFNESSES: [f64; 5] = [200.0, 600.0, 1500.0, 5000.0, 20_000.0];
 
-/// The fastest a tool goes, m/s.
+/// Maximum speed of a tool, m/s.
 const SPEED_MAX: f64 = 0.5;
 
-/// After the last fault, the time that the soft start may take, µs; then it is looked whether the force
-/// is back.
+/// Time from the last fault to the check of the returned force, µs: it covers the soft start.
 const RECOVERY_US: i64 = 1_300_000;
 
-/// The same for a device that has to be switched on again, which is tried once a second.
+/// The same for a device that has to be enabled again; the loop retries once a second.
 const SWITCHED_ON_US: i64 = RECOVERY_US + ENABLE_EVERY.as_micros();
 
-/// How long it is looked for, µs: two presses.
+/// Length of the recovery window, µs: two presses.
 const LOOK_US: i64 = 1_000_000;
 
 /// A run, as a function of its seed.
@@ -32,32 +31,32 @@ const LOOK_US: i64 = 1_000_000;
 pub struct Plan {
     /// The seed.
     pub seed: u64,
-    /// What breaks.
+    /// Class of the faults.
     pub class: Class,
-    /// The faults, in the order of their beginnings.
+    /// The faults, ordered by begin.
     pub faults: Vec<Fault>,
-    /// Where the hand goes.
+    /// Path of the hand.
     pub script: Script,
-    /// What it presses.
+    /// The tissue.
     pub tissue: Tissue,
-    /// How its device behaves.
+    /// Behaviour of the driver.
     pub driver: Driver,
-    /// What its device can do.
+    /// Capabilities of the device.
     pub caps: DeviceCaps,
-    /// When the last fault is over, µs of the run.
+    /// End of the last fault, µs of the run.
     pub over_us: i64,
-    /// When the force has to be back, µs of the run.
+    /// Time at which the force must have returned, µs of the run.
     pub back_us: i64,
     /// Length of the run, µs.
     pub length_us: i64,
 }
 
 impl Plan {
-    /// The run of a seed.
+    /// The plan of a seed.
     ///
     /// # Errors
     ///
-    /// When the hand's path is none that a script may have.
+    /// If the path of the hand is not a valid script.
     pub fn of(seed: u64, caps: &DeviceCaps) -> Result<Self, ScriptError> {
         let mut rng = Pcg64::seed_from_u64(seed);
         let class = Class::of_seed(seed);
@@ -95,7 +94,7 @@ impl Plan {
         })
     }
 
-    /// The same run without faults.
+    /// The same plan without faults.
     #[must_use]
     pub fn without_faults(&self) -> Self {
         Self {
@@ -106,7 +105,7 @@ impl Plan {
 }
 
 fn faults(class: Class, rng: &mut Pcg64) -> Vec<Fault> {
-    // The soft start is over after a second; some faults begin within it.
+    // The soft start ends after one second; some faults begin within it.
     let from_us = rng.random_range(900_000..2_000_000);
     if class != Class::Several {
         return vec![Fault::random(class, from_us, rng)];
@@ -159,7 +158,7 @@ fn driver(rng: &mut Pcg64) -> Driver {
     }
 }
 
-/// In, about, and out again, until the end of the run. The last press of all begins anew and holds.
+/// Presses in, slides and retracts until the end of the run. The last press starts from outside and holds.
 fn script(tissue: &Tissue, length_us: i64, rng: &mut Pcg64) -> Result<Script, ScriptError> {
     let tool = Tool::probe(4e-3);
     let hand = Hand {
@@ -187,7 +186,7 @@ fn script(tissue: &Tissue, length_us: i64, rng: &mut Pcg64) -> Result<Script, Sc
             0.0,
         );
         let to = tissue.above(away, side.x, side.y);
-        // Peak speed of a minimum jerk is 15/8 of the mean.
+        // Peak speed of a minimum-jerk motion is 15/8 of the mean.
         let shortest_s = 1.875 * (to - at).norm() / SPEED_MAX;
         t_s += rng.random_range(shortest_s.max(0.06)..shortest_s.max(0.06) + 0.5);
         let way = WayPoint::new(t_s, to);

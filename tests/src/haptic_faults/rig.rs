@@ -1,6 +1,6 @@
-//! A device that breaks when it is told to, and remembers what it was told.
+//! A device with fault injection that records all calls.
 //!
-//! The hand in it lives in the time of the run, whatever the clock of the program says.
+//! Its hand moves in run time, independent of the machine clock.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -12,82 +12,82 @@ use palpate_device::{
 
 use super::fault::{BadPose, What};
 
-/// What a driver answers while its device is not there.
+/// Error of a driver whose device is absent.
 const GONE: Rejection = Rejection::Driver { code: -1 };
 
-/// A device's own watchdog: without a write it takes the force away.
+/// Watchdog of the device: it drops the force without writes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SelfCut {
-    /// After so long, µs.
+    /// Timeout, µs.
     pub after_us: i64,
-    /// Whether the motors stay off until they are switched on.
+    /// Whether the motors stay off until they are enabled.
     pub turns_off: bool,
 }
 
-/// How a device and its driver behave.
+/// Behaviour of a device and its driver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Driver {
-    /// Whether forces come up over 100 ms after they were switched on, or at once.
+    /// Whether forces ramp up over 100 ms after enabling, or at once.
     pub ramps: bool,
-    /// Whether the hand is somewhere else, and says so, after a pause of more than a second.
+    /// Whether the reported position jumps after a pause of more than a second.
     pub leaps_after_pause: bool,
-    /// What it does without writes; `None`: it renders the last wrench for ever.
+    /// Watchdog without writes; `None`: the device renders the last wrench for ever.
     pub watchdog: Option<SelfCut>,
 }
 
-/// What a write did.
+/// Effect of a write.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Write {
-    /// What was asked for.
+    /// Commanded wrench.
     pub asked: Wrench,
-    /// What the device rendered right before.
+    /// Rendered wrench right before the write.
     pub before: Wrench,
-    /// What it rendered right after.
+    /// Rendered wrench right after the write.
     pub after: Wrench,
-    /// Whether the device did as it was asked: it neither refused nor clamped.
+    /// Whether the device neither rejected nor clamped the command.
     pub obeyed: bool,
     /// Whether the motors were on and not ramping.
     pub is_on: bool,
 }
 
-/// What happened at the device so far.
+/// Events at the device.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Log {
-    /// The last write; taken by who looks.
+    /// The last write; the oracle takes it.
     pub write: Option<Write>,
-    /// Readings that failed.
+    /// Failed readings.
     pub unread: u64,
-    /// Readings with numbers that are none.
+    /// Readings with non-finite numbers.
     pub bad_poses: u64,
-    /// Writes that it refused while its forces were on.
+    /// Writes rejected while the forces were on.
     pub refused: u64,
-    /// Writes that it clamped.
+    /// Clamped writes.
     pub clamped: u64,
-    /// The force that it took away by itself since who looks took this, N.
+    /// Force that the device dropped by itself since the last check, N.
     pub cut_n: f64,
-    /// Writes that were no numbers.
+    /// Non-finite writes.
     pub nan_written: u64,
-    /// Calls with a time before that of the call before.
+    /// Calls with a decreasing time stamp.
     pub times_back: u64,
 }
 
-/// What the run does to the device, and what it sees of it.
+/// Interface between a run and its device.
 #[derive(Debug, Clone, Default)]
 pub struct Bench {
-    /// The time of the run, µs.
+    /// Run time, µs.
     pub now_us: i64,
-    /// What is broken now.
+    /// Active faults.
     pub faults: Vec<What>,
-    /// What happened.
+    /// Recorded events.
     pub log: Log,
 }
 
-/// The run's hold on its device.
+/// Handle of the run to its device.
 #[derive(Debug, Clone, Default)]
 pub struct Hold(Arc<Mutex<Bench>>);
 
 impl Hold {
-    /// The bench; nobody holds it for long.
+    /// Locks the shared state; each lock is short.
     pub fn bench(&self) -> MutexGuard<'_, Bench> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -98,7 +98,7 @@ pub struct Rig {
     hand: SimHand,
     driver: Driver,
     hold: Hold,
-    /// For a driver without a ramp, whose hand is always on.
+    /// For a driver without a ramp, whose hand is always enabled.
     on: bool,
     is_plugged: bool,
     last_write_us: i64,
@@ -106,21 +106,21 @@ pub struct Rig {
     last_told: DeviceTime,
     reads: u32,
     writes: u32,
-    /// Added to every write: a device that jerks, for tests of those who look.
+    /// Added to every write: a jerking device, for tests of the oracle.
     jerk: Option<Jerk>,
 }
 
-/// A device that does what nobody asked it to.
+/// Fault injection for tests of the oracle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Jerk {
-    /// With this write.
+    /// Index of the write.
     pub write: u32,
-    /// By so many newtons.
+    /// Added force, N.
     pub by_n: f64,
 }
 
 impl Rig {
-    /// A rig around a hand, from the run's time `now_us` on.
+    /// A rig around a hand; the run time begins at `now_us`.
     pub fn new(hand: SimHand, driver: Driver, jerk: Option<Jerk>) -> (Self, Hold) {
         let hold = Hold::default();
         let rig = Self {
@@ -152,7 +152,7 @@ impl Rig {
         self.hold.bench().faults.iter().find_map(find)
     }
 
-    /// The force is gone at `at`, by the device's own doing.
+    /// Drops the force at `at` on the part of the device.
     fn drop_force(&mut self, at: DeviceTime, turns_off: bool) {
         let stood = self.hand.rendered().force.norm();
         let _ = self.hand.write(at, Wrench::ZERO);
@@ -160,7 +160,7 @@ impl Rig {
         if turns_off {
             self.on = false;
             if self.driver.ramps {
-                // A simulated hand can be switched off at any time.
+                // A simulated hand can be disabled at any time.
                 let _ = self.hand.enable_forces(false);
             }
         }
@@ -179,7 +179,7 @@ impl Rig {
         self.is_plugged = gone.is_none();
     }
 
-    /// Lets the hand live until `now`, with the watchdog at its time.
+    /// Simulates the hand until `now`, including the watchdog.
     fn live_until(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
         if let Some(watchdog) = self.driver.watchdog {
             let at = DeviceTime::from_micros(self.last_write_us + watchdog.after_us);
@@ -233,7 +233,7 @@ impl HapticDevice for Rig {
         }
         if self.hand.force_state() == ForceState::Off {
             self.hand.enable_forces(true)?;
-            // Its ramp runs while nothing is asked for yet, before the run begins.
+            // The ramp runs before the run begins, without a command.
             let now = self.now();
             let _ = self
                 .hand

@@ -1,4 +1,4 @@
-//! The laws hold, and who looks can see.
+//! The laws hold, and the oracle detects violations.
 
 use palpate_haptics::{ChainConfig, WatchdogConfig};
 use palpate_protocol::Span;
@@ -10,14 +10,14 @@ use super::plan::Plan;
 use super::rig::Jerk;
 use super::{Trial, all, desktop};
 
-/// Seeds of the plain test: every class several times.
+/// Seeds of the default test: every class several times.
 const SEEDS: u64 = 44;
 
 fn laws(run: &Run) -> Vec<Law> {
     run.broken.iter().map(|b| b.law).collect()
 }
 
-/// The laws that runs of a class break under a setup, over some seeds.
+/// Laws that a class breaks under a setup, over some seeds.
 fn broken_under(setup: &Setup, class: Class) -> Vec<Law> {
     let classes = Class::ALL.len() as u64;
     let first = (0..classes).find(|s| Class::of_seed(*s) == class).unwrap();
@@ -27,7 +27,7 @@ fn broken_under(setup: &Setup, class: Class) -> Vec<Law> {
 }
 
 #[test]
-fn no_fault_jerks_the_hand() {
+fn all_laws_hold_under_every_fault_class() {
     let outcome = all(0..SEEDS, &Setup::default(), &mut |_, _| true).unwrap();
     assert!(outcome.ok, "{outcome}");
     assert_eq!(outcome.classes.len(), Class::ALL.len());
@@ -36,7 +36,7 @@ fn no_fault_jerks_the_hand() {
 }
 
 #[test]
-fn a_seed_replays_its_run() {
+fn equal_seeds_give_equal_runs() {
     let [a, b] = [0, 1].map(|_| {
         let setup = Setup {
             keep: true,
@@ -48,7 +48,7 @@ fn a_seed_replays_its_run() {
 }
 
 #[test]
-fn an_oracle_of_half_the_limit_sees_the_slew_limit_at_work() {
+fn oracle_with_half_limit_detects_slew_limited_steps() {
     let setup = Setup {
         step_share: Some(0.5),
         ..Setup::default()
@@ -57,7 +57,7 @@ fn an_oracle_of_half_the_limit_sees_the_slew_limit_at_work() {
 }
 
 #[test]
-fn a_device_that_jerks_is_seen() {
+fn oracle_detects_jerking_device() {
     let setup = Setup {
         jerk: Some(Jerk {
             write: 700,
@@ -69,7 +69,7 @@ fn a_device_that_jerks_is_seen() {
 }
 
 #[test]
-fn a_watchdog_that_sleeps_is_seen() {
+fn oracle_detects_late_watchdog() {
     let watchdog = WatchdogConfig {
         stale_from: Span::from_millis(400),
         stale_zero: Span::from_millis(600),
@@ -92,14 +92,14 @@ fn a_watchdog_that_sleeps_is_seen() {
 }
 
 #[test]
-fn a_fault_without_end_is_seen() {
+fn oracle_detects_force_that_does_not_return() {
     let mut plan = Plan::of(1, &desktop().unwrap()).unwrap();
     assert_eq!(plan.faults[0].what, What::LinkLost);
     let without = run(&plan.without_faults(), &Setup::default());
     let mut cured = run(&plan, &Setup::default());
     comes_back(&plan, &mut cured, &without);
     assert_eq!(laws(&cured), []);
-    // Of the same length, looked at at the same time, but the link never comes back.
+    // Equal length and check time, but the link stays lost.
     plan.faults[0].until_us = i64::MAX;
     let mut lost = run(&plan, &Setup::default());
     comes_back(&plan, &mut lost, &without);

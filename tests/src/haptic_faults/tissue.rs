@@ -1,4 +1,4 @@
-//! A tissue that needs no solving: a half-space of springs, and what a solver would say of it.
+//! An analytic tissue: a half-space of springs, and the contact models that a solver would return for it.
 
 use nalgebra::{Matrix3, Unit, Vector3};
 use palpate_haptics::{ContactModel, Touch};
@@ -6,40 +6,40 @@ use palpate_protocol::ClientTime;
 
 use super::fault::BadModel;
 
-/// From one solve to the next, µs: what a client's solver keeps.
+/// Solve period, µs: that of the client's solver.
 pub(super) const SOLVE_EVERY_US: i64 = 4_000;
 
-/// How far from the solved position a model may be believed, m.
+/// Validity radius of a model around the solved position, m.
 const RADIUS_M: f64 = 8e-3;
 
 /// A half-space through the origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tissue {
-    /// Out of the tissue.
+    /// Outward normal.
     pub normal: Unit<Vector3<f64>>,
-    /// N/m.
+    /// Stiffness, N/m.
     pub stiffness: f64,
-    /// N·s/m.
+    /// Damping, N·s/m.
     pub damping: f64,
-    /// Static friction.
+    /// Static friction coefficient.
     pub mu_static: f64,
-    /// Dynamic friction.
+    /// Dynamic friction coefficient.
     pub mu_dynamic: f64,
-    /// How long a solve takes, µs.
+    /// Duration of a solve, µs.
     pub delay_us: i64,
-    /// When the first solve begins, µs of the run.
+    /// Begin of the first solve, µs of the run.
     pub phase_us: i64,
 }
 
 impl Tissue {
-    /// The point `away` (m) above the surface, `x` and `y` (m) to the side.
+    /// The point at height `away` (m), `x` and `y` (m) along the surface.
     pub fn above(&self, away: f64, x: f64, y: f64) -> Vector3<f64> {
         let side = Vector3::new(x, y, 0.0);
         side - *self.normal * self.normal.dot(&side) + *self.normal * away
     }
 
-    /// What a solver says of a tool at `x` (m), solved at `now` on the clock of the client. Every
-    /// contact model of the experiment is made here.
+    /// Contact model of a tool at `x` (m), solved at `now` on the client clock. Every contact model of the
+    /// experiment is made here.
     pub fn model(&self, now: ClientTime, x: &Vector3<f64>) -> ContactModel {
         let depth = -self.normal.dot(x);
         let normal = *self.normal;
@@ -63,7 +63,7 @@ impl Tissue {
     }
 }
 
-/// `model`, gone wrong.
+/// `model` with a defect.
 pub fn spoilt(model: &ContactModel, how: BadModel) -> ContactModel {
     let mut bad = *model;
     let touch = &mut bad.touches[0];

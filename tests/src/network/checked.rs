@@ -1,13 +1,13 @@
-//! Numbers of a profile's file, refused where they stand when they can not be.
+//! Range checks for the numbers of a profile file.
 //!
-//! The sentences name what would be right; the reader of the file adds the place.
+//! An error names the valid range; the file reader adds the position.
 
 use serde::de::{Deserialize, Deserializer, Error};
 
 use super::link::{Outage, Step};
 use super::path::DELAY_MAX_MS;
 
-/// A number between two others, both included; not-a-number is between none.
+/// A number within inclusive bounds; NaN is rejected.
 fn between<'de, D: Deserializer<'de>>(
     deserializer: D,
     (low, high): (f64, f64),
@@ -27,7 +27,7 @@ pub(super) fn share<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
     between(d, (0.0, 1.0), "a share of packets")
 }
 
-/// [`share`] of a key that may be left out.
+/// [`share`] of an optional key.
 pub(super) fn maybe_share<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f64>, D::Error> {
     share(d).map(Some)
 }
@@ -37,22 +37,22 @@ pub(super) fn delay_ms<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error>
     between(d, (0.0, DELAY_MAX_MS), "a delay in milliseconds")
 }
 
-/// [`delay_ms`] of a key that may be left out.
+/// [`delay_ms`] of an optional key.
 pub(super) fn maybe_delay_ms<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f64>, D::Error> {
     delay_ms(d).map(Some)
 }
 
-/// A length in milliseconds that something is divided by.
+/// A positive length in milliseconds, used as a divisor.
 pub(super) fn spread_ms<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
     between(d, (0.001, DELAY_MAX_MS), "a spread in milliseconds")
 }
 
-/// The exponent of a heavy tail. Below 1 there is no mean, and from 100 on it is no tail.
+/// Exponent of a heavy tail. Below 1 the mean does not exist; from 100 on the tail vanishes.
 pub(super) fn exponent<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
     between(d, (1.0, 100.0), "an exponent")
 }
 
-/// A mean number of packets in a row.
+/// A mean run length in packets.
 pub(super) fn packets<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
     between(d, (1.0, 1e9), "a mean number of packets in a row")
 }
@@ -62,7 +62,7 @@ pub(super) fn bits_per_s<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Erro
     between(d, (1e3, 1e12), "a rate in bits per second")
 }
 
-/// Bytes of a queue; less than one full packet would let none through.
+/// Queue size in bytes; a queue below one full packet would drop every packet.
 pub(super) fn queue_bytes<'de, D: Deserializer<'de>>(d: D) -> Result<u64, D::Error> {
     let bytes = u64::deserialize(d)?;
     if (1500..=1 << 32).contains(&bytes) {
@@ -74,7 +74,7 @@ pub(super) fn queue_bytes<'de, D: Deserializer<'de>>(d: D) -> Result<u64, D::Err
     }
 }
 
-/// A moment or a length in seconds, up to a week.
+/// A time or length in seconds, up to a week.
 pub(super) fn seconds<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
     between(d, (0.0, 604_800.0), "a moment in seconds")
 }
@@ -84,13 +84,13 @@ pub(super) fn maybe_period_s<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f
     between(d, (1e-3, 604_800.0), "a period in seconds").map(Some)
 }
 
-/// Steps, the earlier first.
+/// Steps in increasing order.
 pub(super) fn steps<'de, D: Deserializer<'de>>(d: D) -> Result<Vec<Step>, D::Error> {
     let steps = Vec::<Step>::deserialize(d)?;
     for pair in steps.windows(2) {
         if pair[1].at_s <= pair[0].at_s {
             return Err(D::Error::custom(format!(
-                "the step at {} s stands behind the one at {} s: write them in the order of time",
+                "steps are not sorted: {} s follows {} s; write them in the order of time",
                 pair[1].at_s, pair[0].at_s
             )));
         }
@@ -98,7 +98,7 @@ pub(super) fn steps<'de, D: Deserializer<'de>>(d: D) -> Result<Vec<Step>, D::Err
     Ok(steps)
 }
 
-/// Outages, the earlier first, none within another.
+/// Outages in increasing order, without overlap.
 pub(super) fn outages<'de, D: Deserializer<'de>>(d: D) -> Result<Vec<Outage>, D::Error> {
     let outages = Vec::<Outage>::deserialize(d)?;
     let mut free_from_s = 0.0;

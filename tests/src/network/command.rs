@@ -7,36 +7,36 @@ use clap::Args;
 use super::{Jitter, Link, Profile};
 use crate::cli::say;
 
-/// What `palpate-lab profiles --help` shows at its end: every key of a profile's file.
+/// Text at the end of `palpate-lab profiles --help`: every key of a profile file.
 pub(crate) const HELP: &str = "\
 Examples:
   palpate-lab profiles
   palpate-lab profiles wifi-bursts > mine.toml
   palpate-lab demo --profile mine.toml
 
-Every key of a profile's file; [up] (to the server) and [down] say what is different from [both]:
+Every key of a profile file; [up] (to the server) and [down] override [both]:
 
   name = \"mine\"
   [both]
   delay_ms = 40.0
-  reorder = true             # a packet with less delay overtakes the one before
+  reorder = true             # a packet with less delay overtakes an earlier one
   loss = 0.01                # shares of packets, 0 to 1
   duplicate = 0.001
-  corrupt = 0.001            # bits are flipped
+  corrupt = 0.001            # flipped bits
   jitter = { kind = \"gamma\", mean_ms = 8.0, deviation_ms = 4.0 }
     # or { kind = \"uniform\", reach_ms = 5.0 }, { kind = \"normal\", deviation_ms = 2.0 },
     # { kind = \"pareto\", scale_ms = 2.0, exponent = 2.5 }
   bursts = { good_packets = 480, bad_packets = 20, loss = 0.4, delay_ms = 60.0 }  # Gilbert and Elliott
-  rate = { bits_per_s = 10e6, queue_bytes = 65536 }                               # what finds it full is lost
+  rate = { bits_per_s = 10e6, queue_bytes = 65536 }                               # drop-tail queue
   steps = { repeat_s = 20.0, delays = [{ at_s = 0.0, delay_ms = 30.0 }, { at_s = 10.0, delay_ms = 80.0 }] }
   outages = { repeat_s = 60.0, times = [{ from_s = 5.0, to_s = 5.5 }] }           # the link is down
   [up]
-  trace = \"recorded.csv\"     # time_ms,delay_ms,lost; begins again when it ends; added to the rest";
+  trace = \"recorded.csv\"     # time_ms,delay_ms,lost; repeats; added to the rest";
 
-/// What can be said to it.
+/// Arguments of `profiles`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// The one to print as TOML: a name, or a file to check
+    /// The profile to print as TOML: a name, or a file to check
     name: Option<String>,
 }
 
@@ -54,7 +54,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// What a link is like, in a line.
+/// Description of a link in a line.
 fn sentence(link: &Link) -> String {
     let mut words = vec![match &link.steps {
         Some(steps) => {
@@ -63,7 +63,7 @@ fn sentence(link: &Link) -> String {
                 .iter()
                 .map(|s| s.delay_ms.to_string())
                 .collect();
-            format!("{} ms one way in turns", delays.join(", "))
+            format!("{} ms one way by turns", delays.join(", "))
         }
         None => format!("{} ms one way", link.delay_ms),
     }];
@@ -71,7 +71,7 @@ fn sentence(link: &Link) -> String {
         Jitter::None => {}
         Jitter::Uniform { reach_ms } => words.push(format!("±{reach_ms} ms")),
         Jitter::Normal { deviation_ms } => words.push(format!("σ {deviation_ms} ms")),
-        Jitter::Gamma { mean_ms, .. } => words.push(format!("{mean_ms} ms more in the mean")),
+        Jitter::Gamma { mean_ms, .. } => words.push(format!("mean jitter {mean_ms} ms")),
         Jitter::Pareto { scale_ms, .. } => words.push(format!("a tail of {scale_ms} ms")),
     }
     if link.reorder {
@@ -82,7 +82,7 @@ fn sentence(link: &Link) -> String {
     }
     if let Some(bursts) = link.bursts {
         words.push(format!(
-            "moments of {} packets with {} ms more and {} % lost",
+            "bursts of {} packets with {} ms more delay and {} % loss",
             bursts.bad_packets,
             bursts.delay_ms,
             bursts.loss * 100.0

@@ -1,7 +1,7 @@
-//! Random numbers that belong to a packet.
+//! Random numbers per packet.
 //!
-//! Every use of chance has a stream of its own for every packet, found by its number. So what one
-//! use draws changes nothing for another: more loss leaves the delays as they are.
+//! Every purpose has an independent stream for every packet, derived from the packet number. A draw for one
+//! purpose does not affect the others: more loss leaves the delays unchanged.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -9,7 +9,7 @@ use rand_pcg::Pcg64;
 use super::link::Jitter;
 use super::path::Direction;
 
-/// What a random number is for.
+/// Purpose of a random number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Purpose {
     Loss = 1,
@@ -21,14 +21,14 @@ pub(super) enum Purpose {
     CopyCorrupt = 7,
 }
 
-/// Spreads the bits of a number (the finaliser of splitmix64).
+/// Bit mixing (the finaliser of splitmix64).
 fn mix(mut x: u64) -> u64 {
     x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     x ^ (x >> 31)
 }
 
-/// The random numbers of one direction of one flow.
+/// Random numbers of one direction of one flow.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Draw {
     key: u64,
@@ -51,14 +51,14 @@ impl Draw {
         Pcg64::seed_from_u64(mix(key ^ n.wrapping_mul(0x9e37_79b9_7f4a_7c15)))
     }
 
-    /// A number from 0 up to 1.
+    /// A uniform number in [0, 1).
     pub(super) fn share(self, n: u64, purpose: Purpose) -> f64 {
         self.stream(n, purpose).random()
     }
 }
 
 impl Jitter {
-    /// What is added to a delay, milliseconds.
+    /// Random addition to the delay, ms.
     pub(super) fn draw_ms(&self, rng: &mut Pcg64) -> f64 {
         match *self {
             Self::None => 0.0,
@@ -79,15 +79,15 @@ impl Jitter {
     }
 }
 
-/// Box and Muller's transform.
+/// Box-Muller transform.
 fn standard_normal(rng: &mut Pcg64) -> f64 {
     let u: f64 = 1.0 - rng.random::<f64>();
     let v: f64 = rng.random();
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 
-/// Gamma with scale 1 by rejection (Marsaglia and Tsang 2000, "A simple method for generating gamma
-/// variables"); a shape below 1 is one above it times a power of a uniform number, as they say.
+/// Gamma distribution with scale 1 by rejection (Marsaglia and Tsang 2000, "A simple method for generating
+/// gamma variables"). A shape below 1 is drawn with shape + 1 and multiplied by a power of a uniform number.
 fn standard_gamma(shape: f64, rng: &mut Pcg64) -> f64 {
     if shape < 1.0 {
         let u: f64 = 1.0 - rng.random::<f64>();
@@ -99,7 +99,7 @@ fn standard_gamma(shape: f64, rng: &mut Pcg64) -> f64 {
         let x = standard_normal(rng);
         let v = (1.0 + c * x).powi(3);
         let u: f64 = 1.0 - rng.random::<f64>();
-        // At least 95 of 100 are taken whatever the shape, so this ends.
+        // The acceptance probability is at least 0.95 for any shape, so the loop ends.
         if v > 0.0 && u.ln() < 0.5 * x * x + d - d * v + d * v.ln() {
             return d * v;
         }

@@ -1,4 +1,4 @@
-//! Laws of the emulator, measured on packets that went through it in virtual time.
+//! Laws of the emulator, measured on packets in virtual time.
 
 use std::path::Path as File;
 
@@ -6,22 +6,21 @@ use proptest::prelude::*;
 
 use super::*;
 
-/// Packets of a measurement.
+/// Packets per measurement.
 const PACKETS: usize = 10_000;
 
-/// What Kolmogorov's statistic times √n exceeds in one of a thousand samples that are what they
-/// should be (Kolmogorov 1933).
+/// Critical value of Kolmogorov's statistic times √n at a significance of 0.001 (Kolmogorov 1933).
 const KOLMOGOROV: f64 = 1.949;
 
-/// How many standard deviations a count may be off: one of fifteen thousand sound samples is more.
+/// Maximum deviation of a count in standard deviations; one of 15,000 correct samples exceeds it.
 const SIGMAS: f64 = 4.0;
 
-/// A path with one link both ways.
+/// A path with the same link in both directions.
 fn path(link: Link, seed: u64) -> Path {
     Path::new(&Profile::both("measured", link), seed, 3, Direction::Up)
 }
 
-/// Delays in milliseconds of packets sent every 20 ms, the lost left out.
+/// Delays in ms of packets sent every 20 ms, without lost packets.
 fn delays_ms(link: Link, seed: u64) -> Vec<f64> {
     let mut path = path(link, seed);
     (0..PACKETS as u64)
@@ -31,7 +30,7 @@ fn delays_ms(link: Link, seed: u64) -> Vec<f64> {
         .collect()
 }
 
-/// The greatest distance between a sample's distribution and the one asked for, times √n.
+/// Maximum distance between the sample distribution and the requested one, times √n.
 fn kolmogorov(mut sample: Vec<f64>, cdf: impl Fn(f64) -> f64) -> f64 {
     sample.sort_by(f64::total_cmp);
     let n = sample.len() as f64;
@@ -42,8 +41,8 @@ fn kolmogorov(mut sample: Vec<f64>, cdf: impl Fn(f64) -> f64) -> f64 {
     distance.fold(0.0, f64::max) * n.sqrt()
 }
 
-/// The distribution of a density by integration (Simpson's rule on a fine grid), not by anything
-/// the emulator draws with.
+/// Cumulative distribution of a density by Simpson's rule on a fine grid, independent of the emulator's
+/// sampling.
 fn distribution(density: impl Fn(f64) -> f64, from: f64, to: f64) -> impl Fn(f64) -> f64 {
     const CELLS: usize = 20_000;
     let h = (to - from) / CELLS as f64;
@@ -61,7 +60,7 @@ fn distribution(density: impl Fn(f64) -> f64, from: f64, to: f64) -> impl Fn(f64
     }
 }
 
-/// A link whose packets are not held up by those before them.
+/// A reordering link: packets do not wait for earlier ones.
 fn free(delay_ms: f64, jitter: Jitter) -> Link {
     Link {
         delay_ms,
@@ -76,29 +75,29 @@ fn assert_distributed(name: &str, link: &Link, cdf: impl Fn(f64) -> f64) {
         let distance = kolmogorov(delays_ms(link.clone(), seed), &cdf);
         assert!(distance < KOLMOGOROV, "{name}, seed {seed}: {distance}");
     }
-    // A distribution that lies 0.3 ms aside is seen, so the test can fail.
+    // A distribution shifted by 0.3 ms is detected, so the test can fail.
     let off = kolmogorov(delays_ms(link.clone(), 1), |x| cdf(x - 0.3));
     assert!(
         off > KOLMOGOROV,
-        "{name} can not be told from another: {off}"
+        "{name}: a shifted distribution is not detected: {off}"
     );
 }
 
 #[test]
-fn uniform_delays_are_distributed_as_asked_for() {
+fn uniform_delays_follow_their_distribution() {
     let link = free(20.0, Jitter::Uniform { reach_ms: 5.0 });
     assert_distributed("uniform", &link, |x| ((x - 15.0) / 10.0).clamp(0.0, 1.0));
 }
 
 #[test]
-fn normal_delays_are_distributed_as_asked_for() {
+fn normal_delays_follow_their_distribution() {
     let link = free(30.0, Jitter::Normal { deviation_ms: 4.0 });
     let cdf = distribution(|x| (-0.5 * ((x - 30.0) / 4.0).powi(2)).exp(), 0.0, 70.0);
     assert_distributed("normal", &link, cdf);
 }
 
 #[test]
-fn gamma_delays_are_distributed_as_asked_for() {
+fn gamma_delays_follow_their_distribution() {
     for (mean_ms, deviation_ms) in [(8.0, 4.0), (5.0, 5.0), (2.0, 2.5)] {
         let jitter = Jitter::Gamma {
             mean_ms,
@@ -106,7 +105,7 @@ fn gamma_delays_are_distributed_as_asked_for() {
         };
         let shape = f64::powi(mean_ms / deviation_ms, 2);
         let scale = mean_ms / shape;
-        // In y with x = y^2, where the density has no pole for the shapes at hand.
+        // Substitution x = y²: the density has no pole for the tested shapes.
         let root = distribution(
             move |y| y.powf(2.0 * shape - 1.0) * (-y * y / scale).exp(),
             0.0,
@@ -119,7 +118,7 @@ fn gamma_delays_are_distributed_as_asked_for() {
 }
 
 #[test]
-fn pareto_delays_are_distributed_as_asked_for() {
+fn pareto_delays_follow_their_distribution() {
     let jitter = Jitter::Pareto {
         scale_ms: 6.0,
         exponent: 2.5,
@@ -130,7 +129,7 @@ fn pareto_delays_are_distributed_as_asked_for() {
 }
 
 #[test]
-fn independent_losses_doubles_and_flips_are_as_many_as_asked_for() {
+fn loss_duplicate_and_corruption_rates_match_the_profile() {
     let link = Link {
         loss: 0.05,
         duplicate: 0.02,
@@ -152,19 +151,19 @@ fn independent_losses_doubles_and_flips_are_as_many_as_asked_for() {
     near("doubled", counts.duplicated, arrived, 0.02);
     let arrivals = arrived + counts.duplicated as f64;
     near("flipped", counts.corrupted, arrivals, 0.03);
-    // No memory: after a loss the next is lost as often as any.
+    // No memory: loss is equally likely after a loss.
     let in_a_row = lost.windows(2).filter(|p| p[0] && p[1]).count() as u64;
     near("lost after a loss", in_a_row, counts.lost as f64, 0.05);
 }
 
-/// Lengths of runs of a value.
+/// Run lengths of a value.
 fn runs(values: &[bool], of: bool) -> Vec<usize> {
     let runs = values.chunk_by(|a, b| a == b).filter(|run| run[0] == of);
     runs.map(<[bool]>::len).collect()
 }
 
-/// The statistic of Pearson's test that lengths are geometrically distributed with a mean, in six
-/// classes of about the same share.
+/// Pearson's statistic for geometrically distributed lengths with a given mean, in six classes of about equal
+/// share.
 fn chi_square_of_geometric(lengths: &[usize], mean: f64) -> f64 {
     let stays: f64 = 1.0 - 1.0 / mean;
     let longer = |k: usize| stays.powf(k as f64);
@@ -190,8 +189,8 @@ fn chi_square_of_geometric(lengths: &[usize], mean: f64) -> f64 {
 }
 
 #[test]
-fn bursts_and_the_times_between_are_geometrically_long() {
-    // What chi square of five degrees of freedom exceeds in one of a thousand sound samples.
+fn burst_and_gap_lengths_are_geometric() {
+    // Critical value of chi square with five degrees of freedom at a significance of 0.001.
     const CHI_SQUARE: f64 = 20.52;
     let bursts = Bursts {
         good_packets: 200.0,
@@ -209,7 +208,7 @@ fn bursts_and_the_times_between_are_geometrically_long() {
         .collect();
     for (of, mean) in [(true, 20.0), (false, 200.0)] {
         let mut lengths = runs(&bad, of);
-        // The last run is cut off by the end.
+        // The end truncates the last run.
         lengths.pop();
         assert!(lengths.len() > 1500);
         let statistic = chi_square_of_geometric(&lengths, mean);
@@ -222,7 +221,7 @@ fn bursts_and_the_times_between_are_geometrically_long() {
 }
 
 #[test]
-fn a_bad_moment_has_its_own_loss_and_delay() {
+fn bad_state_has_its_own_loss_and_delay() {
     let bursts = Bursts {
         good_packets: 100.0,
         bad_packets: 100.0,
@@ -242,7 +241,7 @@ fn a_bad_moment_has_its_own_loss_and_delay() {
 }
 
 #[test]
-fn a_bottleneck_passes_its_rate_and_its_queue_waits_as_long_as_it_takes() {
+fn bottleneck_limits_the_rate_and_queues_packets() {
     let rate = Rate {
         bits_per_s: 1e6,
         queue_bytes: 12_800,
@@ -252,7 +251,7 @@ fn a_bottleneck_passes_its_rate_and_its_queue_waits_as_long_as_it_takes() {
         rate: Some(rate),
         ..Link::default()
     };
-    // 1,228 bytes on the wire every 5 ms are twice what it can.
+    // 1,228 bytes on the wire every 5 ms are twice the link rate.
     let mut path = path(link, 1);
     let arrived: Vec<(u64, u64)> = (0..4000)
         .map(|n| n * 5000)
@@ -262,7 +261,7 @@ fn a_bottleneck_passes_its_rate_and_its_queue_waits_as_long_as_it_takes() {
     let seconds = (arrived[arrived.len() - 1].1 - 10_000) as f64 * 1e-6;
     assert!((bits / seconds / 1e6 - 1.0).abs() < 0.001);
     assert_eq!(path.counts().queue_full, 4000 - arrived.len() as u64);
-    // An empty queue costs the packet's own length, a full one its own.
+    // With an empty queue a packet waits for its own transmission only.
     assert_eq!(arrived[0].1, 10_000 + 9824);
     let longest = arrived
         .iter()
@@ -271,13 +270,13 @@ fn a_bottleneck_passes_its_rate_and_its_queue_waits_as_long_as_it_takes() {
         .unwrap();
     let full_us = 12_800 * 8;
     assert!(longest <= 10_000 + full_us && longest > 10_000 + full_us - 9824);
-    // When it has run empty everything is as before.
+    // After the queue has drained, the delay is as before.
     let later = path.send(60_000_000, 1200).into_iter().next().unwrap();
     assert_eq!(later.at_us, 60_000_000 + 10_000 + 9824);
 }
 
 #[test]
-fn an_outage_loses_everything_and_nothing_else_does() {
+fn packets_are_lost_in_outages_only() {
     let text = "name = \"x\"\n[both]\noutages = { repeat_s = 2, times = [{ from_s = 0.5, to_s = 0.75 }] }\n";
     let profile = Profile::from_toml(text, File::new("x.toml")).unwrap();
     let mut path = Path::new(&profile, 1, 0, Direction::Down);
@@ -289,14 +288,14 @@ fn an_outage_loses_everything_and_nothing_else_does() {
 }
 
 #[test]
-fn steps_come_at_their_times_and_again() {
+fn delay_steps_occur_on_time_and_repeat() {
     let mut path = Path::new(&Profile::named("far-steps").unwrap(), 1, 0, Direction::Up);
     for n in 0..6000 {
         let at = n * 10_000;
         let asked_ms = [30.0, 80.0, 120.0][(n / 1000 % 3) as usize];
         let arrival = path.send(at, 10).into_iter().next().unwrap();
         let delay_ms = (arrival.at_us - at) as f64 * 1e-3;
-        // Packets that are sent after the way got shorter wait for those before.
+        // Packets sent after the delay decreased wait for earlier ones.
         let waits = n >= 3000 && (n - 3000) < 12;
         assert!(
             waits || (delay_ms - asked_ms).abs() <= 2.0,
@@ -306,7 +305,7 @@ fn steps_come_at_their_times_and_again() {
 }
 
 #[test]
-fn a_trace_is_replayed_exactly_and_begins_again() {
+fn trace_is_replayed_exactly_and_repeats() {
     let dir = tempfile::tempdir().unwrap();
     let rows = [
         (100.0, 12.5, false),
@@ -341,7 +340,7 @@ fn a_trace_is_replayed_exactly_and_begins_again() {
 }
 
 #[test]
-fn a_trace_that_can_not_be_is_refused_with_its_line() {
+fn invalid_trace_error_names_the_line() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("p.toml");
     std::fs::write(&file, "name = \"x\"\n[down]\ntrace = \"t.csv\"\n").unwrap();
@@ -376,7 +375,7 @@ fn a_trace_that_can_not_be_is_refused_with_its_line() {
 }
 
 #[test]
-fn more_loss_leaves_the_delays_and_another_jitter_leaves_the_losses() {
+fn loss_and_delay_draws_are_independent() {
     let fates = |link: Link| {
         let mut path = path(link, 9);
         (0..5000)
@@ -401,7 +400,7 @@ fn more_loss_leaves_the_delays_and_another_jitter_leaves_the_losses() {
     );
 }
 
-/// Sends packets through a network and takes them out as they arrive.
+/// Sends packets through a network and collects them on arrival.
 fn through(profile: &Profile, seed: u64) -> Vec<Delivery<u64>> {
     let mut network = VirtualNetwork::new(profile.clone(), seed);
     let mut arrived = Vec::new();
@@ -421,7 +420,7 @@ fn through(profile: &Profile, seed: u64) -> Vec<Delivery<u64>> {
 }
 
 #[test]
-fn a_seed_is_the_same_run_and_another_seed_is_another() {
+fn equal_seeds_give_equal_deliveries_and_other_seeds_differ() {
     for name in Profile::names() {
         let profile = Profile::named(name).unwrap();
         assert_eq!(through(&profile, 7), through(&profile, 7));
@@ -432,7 +431,7 @@ fn a_seed_is_the_same_run_and_another_seed_is_another() {
 }
 
 #[test]
-fn flows_and_directions_have_fates_of_their_own_and_may_have_networks_of_their_own() {
+fn flows_and_directions_are_independent_and_may_have_own_profiles() {
     let lossy = Profile::named("lossy").unwrap();
     let fates = |flow, direction| {
         let mut path = Path::new(&lossy, 7, flow, direction);
@@ -450,7 +449,7 @@ fn flows_and_directions_have_fates_of_their_own_and_may_have_networks_of_their_o
 
 proptest! {
     #[test]
-    fn nothing_arrives_before_it_was_sent_and_order_is_kept_where_it_is_asked_for(
+    fn delays_are_not_negative_and_order_is_kept_without_reordering(
         seed: u64,
         reorder: bool,
         name in prop::sample::select(Profile::names().to_vec()),
@@ -474,7 +473,7 @@ proptest! {
     }
 
     #[test]
-    fn flipped_bits_are_one_to_four_and_never_out_of_the_packet(seed: u64, len in 0_usize..64) {
+    fn corruption_flips_one_to_four_bits_within_the_packet(seed: u64, len in 0_usize..64) {
         let mut path = path(Link { corrupt: 1.0, ..Link::default() }, seed);
         let arrival = path.send(0, len).into_iter().next().unwrap();
         let mut bytes = vec![0; len];

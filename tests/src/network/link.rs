@@ -1,120 +1,120 @@
-//! What one direction of a network is like.
+//! Properties of one direction of a network.
 
 use serde::{Deserialize, Serialize};
 
 use super::checked;
 use super::trace::Trace;
 
-/// One direction of a network. Everything that is not said is as on a wire that does nothing.
+/// One direction of a network. The default link is ideal.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Link {
     /// Delay of every packet, milliseconds.
     pub delay_ms: f64,
-    /// Delays that take the place of [`delay_ms`](Self::delay_ms) from given times on.
+    /// Delays that replace [`delay_ms`](Self::delay_ms) from given times on.
     pub steps: Option<Steps>,
-    /// What is added to the delay, packet by packet.
+    /// Random delay added per packet.
     pub jitter: Jitter,
-    /// Whether a packet with less delay overtakes the one before. Without, it waits for it.
+    /// Whether a packet with less delay overtakes an earlier one; otherwise it waits.
     pub reorder: bool,
-    /// Share of packets that are lost, each for itself, 0 to 1.
+    /// Independent packet loss, 0 to 1.
     pub loss: f64,
-    /// Bad moments.
+    /// Burst losses.
     pub bursts: Option<Bursts>,
-    /// Share of packets that arrive twice, 0 to 1.
+    /// Share of duplicated packets, 0 to 1.
     pub duplicate: f64,
-    /// Share of packets that arrive with flipped bits, 0 to 1.
+    /// Share of packets with flipped bits, 0 to 1.
     pub corrupt: f64,
     /// The bottleneck.
     pub rate: Option<Rate>,
-    /// Times without a link.
+    /// Outages of the link.
     pub outages: Option<Outages>,
-    /// Recorded delays and losses, added to the others.
+    /// Recorded delays and losses, in addition to the others.
     pub trace: Option<Trace>,
 }
 
-/// What is added to the delay. A packet never arrives before it was sent.
+/// Random addition to the delay. A packet never arrives before it was sent.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Jitter {
-    /// Nothing.
+    /// None.
     #[default]
     None,
-    /// Anything within plus or minus so much.
+    /// Uniform within ± `reach_ms`.
     Uniform {
-        /// The reach to both sides, milliseconds.
+        /// Half width, ms.
         #[serde(deserialize_with = "checked::delay_ms")]
         reach_ms: f64,
     },
-    /// Normally distributed about nothing.
+    /// Normal with mean zero.
     Normal {
-        /// Standard deviation, milliseconds.
+        /// Standard deviation, ms.
         #[serde(deserialize_with = "checked::delay_ms")]
         deviation_ms: f64,
     },
-    /// Gamma distributed: what queues in a row add. Never negative.
+    /// Gamma distribution, never negative: a model of several queues in series.
     Gamma {
-        /// Mean, milliseconds.
+        /// Mean, ms.
         #[serde(deserialize_with = "checked::spread_ms")]
         mean_ms: f64,
-        /// Standard deviation, milliseconds.
+        /// Standard deviation, ms.
         #[serde(deserialize_with = "checked::spread_ms")]
         deviation_ms: f64,
     },
-    /// Pareto's distribution shifted to begin at zero (Lomax 1954): P(more than x) =
-    /// (1 + x / scale)^-exponent. Mostly little and sometimes very much.
+    /// Shifted Pareto distribution (Lomax 1954): P(X > x) = (1 + x / scale)^-exponent. Usually small and
+    /// sometimes very large.
     Pareto {
-        /// The scale, milliseconds; the mean is this over (exponent - 1).
+        /// Scale, ms; the mean is scale / (exponent - 1).
         #[serde(deserialize_with = "checked::spread_ms")]
         scale_ms: f64,
-        /// How fast the tail falls.
+        /// Decay of the tail.
         #[serde(deserialize_with = "checked::exponent")]
         exponent: f64,
     },
 }
 
-/// A link of two states with memory (Gilbert 1960, Elliott 1963): after every packet the state
-/// may change, so that both states last geometrically distributed numbers of packets.
+/// A two-state link with memory (Gilbert 1960, Elliott 1963). The state may change after every packet, so run
+/// lengths are geometrically distributed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Bursts {
-    /// Mean number of packets in a row in the good state.
+    /// Mean run length of the good state, packets.
     #[serde(deserialize_with = "checked::packets")]
     pub good_packets: f64,
-    /// Mean number of packets in a row in the bad state.
+    /// Mean run length of the bad state, packets.
     #[serde(deserialize_with = "checked::packets")]
     pub bad_packets: f64,
-    /// Share of packets that are lost in the bad state, 0 to 1; in the good one it is the link's.
+    /// Packet loss in the bad state, 0 to 1; the good state has that of the link.
     #[serde(deserialize_with = "checked::share")]
     pub loss: f64,
-    /// Delay added in the bad state, milliseconds.
+    /// Additional delay in the bad state, ms.
     #[serde(default, deserialize_with = "checked::delay_ms")]
     pub delay_ms: f64,
 }
 
-/// A bottleneck with a queue in front of it that drops what comes when it is full.
+/// A bottleneck with a drop-tail queue.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Rate {
-    /// Bits per second, headers included.
+    /// Rate in bits per second, headers included.
     #[serde(deserialize_with = "checked::bits_per_s")]
     pub bits_per_s: f64,
-    /// Room of the queue, bytes, the packet on the wire included.
+    /// Queue capacity in bytes, including the packet in transmission.
     #[serde(deserialize_with = "checked::queue_bytes")]
     pub queue_bytes: u64,
 }
 
-/// Delays that change at given times, as when a route changes.
+/// Delays that change at given times, as after a route change.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Steps {
-    /// After so many seconds it begins again; without it the last delay stays.
+    /// Period in seconds; without it the last delay stays.
     #[serde(
         default,
         skip_serializing_if = "Option::is_none",
         deserialize_with = "checked::maybe_period_s"
     )]
     pub repeat_s: Option<f64>,
-    /// The steps, the earlier first.
+    /// The steps in increasing order.
     #[serde(deserialize_with = "checked::steps")]
     pub delays: Vec<Step>,
 }
@@ -123,55 +123,54 @@ pub struct Steps {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Step {
-    /// When, seconds after the network began.
+    /// Begin, seconds after the start of the network.
     #[serde(deserialize_with = "checked::seconds")]
     pub at_s: f64,
-    /// The delay from then on, milliseconds.
+    /// Delay from then on, ms.
     #[serde(deserialize_with = "checked::delay_ms")]
     pub delay_ms: f64,
 }
 
-/// Times in which every packet is lost.
+/// Intervals in which every packet is lost.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outages {
-    /// After so many seconds it begins again.
+    /// Period in seconds.
     #[serde(
         default,
         skip_serializing_if = "Option::is_none",
         deserialize_with = "checked::maybe_period_s"
     )]
     pub repeat_s: Option<f64>,
-    /// The outages, the earlier first.
+    /// The outages in increasing order.
     #[serde(deserialize_with = "checked::outages")]
     pub times: Vec<Outage>,
 }
 
-/// One time without a link.
+/// One outage.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outage {
-    /// Its beginning, seconds after the network began; a packet sent then is lost.
+    /// Begin, seconds after the start of the network; inclusive.
     #[serde(deserialize_with = "checked::seconds")]
     pub from_s: f64,
-    /// Its end; a packet sent then is not.
+    /// End; exclusive.
     #[serde(deserialize_with = "checked::seconds")]
     pub to_s: f64,
 }
 
-/// Seconds in whole microseconds, in which things happen exactly when their file says.
+/// Seconds in whole microseconds, so that events occur exactly at the time in their file.
 fn micros(s: f64) -> u64 {
     (s * 1e6).round() as u64
 }
 
-/// A time within the period, when there is one; microseconds.
+/// A time in microseconds, modulo the period if there is one.
 fn within(at_us: u64, repeat_s: Option<f64>) -> u64 {
     repeat_s.map_or(at_us, |period| at_us % micros(period).max(1))
 }
 
 impl Steps {
-    /// The delay at a time in microseconds after the network began, in milliseconds; before the
-    /// first step `otherwise`.
+    /// Delay in ms at a time in microseconds after the start of the network; before the first step `otherwise`.
     pub fn delay_ms(&self, at_us: u64, otherwise: f64) -> f64 {
         let at_us = within(at_us, self.repeat_s);
         let passed = self.delays.partition_point(|s| micros(s.at_s) <= at_us);
@@ -182,7 +181,7 @@ impl Steps {
 }
 
 impl Outages {
-    /// Whether there is no link at a time in microseconds after the network began.
+    /// Whether the link is down at a time in microseconds after the start of the network.
     pub fn covers(&self, at_us: u64) -> bool {
         let at_us = within(at_us, self.repeat_s);
         let begun = self.times.partition_point(|o| micros(o.from_s) <= at_us);

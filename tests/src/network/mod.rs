@@ -1,21 +1,20 @@
-//! A bad network, as pure machines: what becomes of a packet is a matter of the profile, the seed,
-//! the flow, the direction, the packet's number and the time at which it is sent, and of nothing
-//! else.
+//! Emulated network as pure state machines. The fate of a packet depends only on the profile, the seed, the
+//! flow, the direction, the packet number and the send time.
 //!
 //! | to | look in |
 //! | --- | --- |
-//! | say what a network is like, in code or in a TOML file | [`Profile`], [`Link`] |
-//! | know what becomes of one packet after the other | [`Path`] |
-//! | let pure machines talk to each other in virtual time | [`VirtualNetwork`] |
-//! | let a site's clock be wrong | [`VirtualClock`] |
+//! | describe a network, in code or in a TOML file | [`Profile`], [`Link`] |
+//! | compute the fate of each packet | [`Path`] |
+//! | connect pure state machines in virtual time | [`VirtualNetwork`] |
+//! | give a site a wrong clock | [`VirtualClock`] |
 //!
-//! A packet meets, in this order:
+//! A packet passes these stages in order:
 //!
 //! ```text
 //! outage -> bottleneck and its queue -> loss -> delay, jitter, burst, trace -> order -> copy, flipped bits
 //! ```
 //!
-//! The relay for real sockets, [`relay`](crate::relay), stands on the same [`Path`].
+//! The relay for real sockets, [`relay`](crate::relay), uses the same [`Path`].
 
 mod checked;
 pub(crate) mod command;

@@ -1,4 +1,4 @@
-//! One direction of one flow: what becomes of its packets, one after the other.
+//! One direction of one flow: the fate of each packet in sequence.
 
 use rand::RngExt;
 
@@ -6,14 +6,13 @@ use super::draw::{Draw, Purpose};
 use super::link::Link;
 use super::profile::Profile;
 
-/// The longest delay, milliseconds. A heavy tail has no end of its own; a packet of a minute ago
-/// is lost to everybody, and a queue that keeps it is not short.
+/// Maximum delay, ms. It bounds heavy tails and the queue that stores packets.
 pub const DELAY_MAX_MS: f64 = 60_000.0;
 
-/// What a packet has on the wire beside its payload: 20 B of IPv4 and 8 B of UDP.
+/// Header bytes per packet on the wire: 20 B of IPv4 and 8 B of UDP.
 pub const HEADER_BYTES: usize = 28;
 
-/// Which way a packet goes.
+/// Direction of a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Direction {
     /// From a client to the server.
@@ -25,26 +24,26 @@ pub enum Direction {
 /// One arrival of a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Arrival {
-    /// When, microseconds after the network began.
+    /// Time, microseconds after the start of the network.
     pub at_us: u64,
-    /// What happened to its bits.
+    /// Corruption of its bits.
     pub corrupted: Option<Corruption>,
 }
 
-/// Flipped bits: one to four of a packet's.
+/// One to four flipped bits of a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Corruption {
     random: u64,
 }
 
 impl Corruption {
-    /// Flips the bits; in an empty packet there are none.
+    /// Flips the bits; an empty packet stays empty.
     pub fn apply(self, bytes: &mut [u8]) {
         let bits = bytes.len() as u64 * 8;
         if bits == 0 {
             return;
         }
-        // Neighbours, as a disturbed moment makes them, so that they never undo each other.
+        // Adjacent bits, as in a burst error, so that flips never cancel.
         let first = (self.random >> 2) % bits;
         for bit in first..(first + 1 + (self.random & 3)).min(bits) {
             bytes[(bit / 8) as usize] ^= 1 << (bit % 8);
@@ -52,7 +51,7 @@ impl Corruption {
     }
 }
 
-/// The arrivals of a packet, the earlier first: none when it is lost, two when it is doubled.
+/// Arrivals of a packet in order: none if it is lost, two if it is duplicated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Arrivals([Option<Arrival>; 2]);
 
@@ -62,7 +61,7 @@ impl Arrivals {
         self.0.iter().flatten()
     }
 
-    /// How many: 0, 1 or 2.
+    /// Number of arrivals: 0, 1 or 2.
     pub fn len(&self) -> usize {
         self.iter().count()
     }
@@ -82,7 +81,7 @@ impl IntoIterator for Arrivals {
     }
 }
 
-/// What became of a path's packets.
+/// Packet counts of a path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct PathCounts {
     /// Packets sent.
@@ -106,26 +105,24 @@ impl PathCounts {
     }
 }
 
-/// One direction of one flow through an emulated network. Pure: the same sends get the same
-/// arrivals.
+/// One direction of one flow through an emulated network. Pure: equal sends give equal arrivals.
 #[derive(Debug, Clone)]
 pub struct Path {
     link: Link,
     draw: Draw,
     counts: PathCounts,
-    /// The latest time so far; time does not go back.
+    /// Latest time so far; time does not decrease.
     now_us: u64,
-    /// Whether the link of two states is in its bad one.
+    /// Whether the two-state link is in its bad state.
     is_bad: bool,
-    /// Until when the bottleneck has work, microseconds; in parts of them, because at 1 Gbit/s a
-    /// packet takes ten.
+    /// Time until which the bottleneck is busy, in fractional microseconds: at 1 Gbit/s a packet takes ten.
     busy_until_us: f64,
-    /// The latest arrival, for networks that keep the order.
+    /// Latest arrival, for networks that keep the order.
     last_arrival_us: u64,
 }
 
 impl Path {
-    /// The path of a flow's packets in one direction. Packets count from this call on.
+    /// Path of a flow in one direction. Packet numbers start with this call.
     pub fn new(profile: &Profile, seed: u64, flow: u64, direction: Direction) -> Self {
         Self {
             link: profile.link(direction).clone(),
@@ -138,18 +135,18 @@ impl Path {
         }
     }
 
-    /// What became of the packets so far.
+    /// Packet counts so far.
     pub fn counts(&self) -> PathCounts {
         self.counts
     }
 
-    /// Sends a packet with `bytes` of payload at a time in microseconds after the network began,
-    /// and says when it arrives. A time before the last one counts as the last.
+    /// Sends a packet with `bytes` of payload at a time in microseconds after the start of the network; returns
+    /// its arrivals. An earlier time than the last one counts as the last.
     pub fn send(&mut self, at_us: u64, bytes: usize) -> Arrivals {
         self.now_us = self.now_us.max(at_us);
         let n = self.counts.sent;
         self.counts.sent += 1;
-        // The state changes with every packet, whatever else becomes of it.
+        // The state changes with every packet, lost or not.
         let was_bad = self.change_state(n);
         let now_us = self.now_us;
         if self.link.outages.as_ref().is_some_and(|o| o.covers(now_us)) {
@@ -175,7 +172,7 @@ impl Path {
         self.arrivals(n, leaves_us, fixed_ms)
     }
 
-    /// Whether the state is bad for the `n`-th packet; afterwards it may change.
+    /// State of the link for the `n`-th packet; it may change afterwards.
     fn change_state(&mut self, n: u64) -> bool {
         let was_bad = self.is_bad;
         if let Some(bursts) = self.link.bursts {
@@ -189,7 +186,7 @@ impl Path {
         was_bad
     }
 
-    /// When the last bit of a packet has left the bottleneck, or nothing when its queue is full.
+    /// Time at which the last bit of a packet leaves the bottleneck; `None` if its queue is full.
     fn pass_bottleneck(&mut self, bytes: usize) -> Option<f64> {
         let now_us = self.now_us as f64;
         let Some(rate) = self.link.rate else {
@@ -217,7 +214,7 @@ impl Path {
         let mut copy_us = is_double.then(|| arrives_us(Purpose::CopyDelay));
         if !self.link.reorder {
             at_us = at_us.max(self.last_arrival_us);
-            // Right behind the packet: a copy must not hold up those that follow.
+            // A duplicate follows its packet directly and does not delay later ones.
             copy_us = copy_us.map(|_| at_us);
         }
         self.last_arrival_us = self.last_arrival_us.max(at_us);

@@ -1,4 +1,4 @@
-//! What a network is like, by name or from a file.
+//! Network profiles, by name or from a file.
 
 use std::path::{Path, PathBuf};
 
@@ -9,40 +9,40 @@ use super::checked;
 use super::link::{Bursts, Jitter, Link, Outage, Outages, Rate, Step, Steps};
 use super::path::Direction;
 use super::trace::{Trace, TraceError};
-use crate::nearest::{did_you_mean, with_nearest};
+use crate::name_suggestion::{did_you_mean, with_nearest};
 
-/// The largest file of a profile, bytes. A long list of steps fits; a trace has a file of its own.
+/// Maximum size of a profile file, bytes. Longer recordings belong into a trace file.
 const FILE_BYTES_MAX: u64 = 1_000_000;
 
 /// A network.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Profile {
-    /// What it is called.
+    /// Name.
     pub name: String,
-    /// What becomes of packets to the server.
+    /// Link to the server.
     pub up: Link,
-    /// What becomes of packets to a client.
+    /// Link to a client.
     pub down: Link,
 }
 
-/// Why there is no profile.
+/// Failure to load a profile.
 #[derive(Debug, thiserror::Error)]
 pub enum ProfileError {
-    /// A name that no profile has.
-    #[error("there is no network profile \"{name}\"{}. Known profiles: {}; or give a TOML file's path, which ends in .toml", did_you_mean(name, &NAMES), NAMES.join(", "))]
+    /// Unknown name.
+    #[error("unknown network profile \"{name}\"{}. Known profiles: {}; or give a TOML file's path, which ends in .toml", did_you_mean(name, &NAMES), NAMES.join(", "))]
     Unknown {
         /// The name.
         name: String,
     },
-    /// The file can not be read.
+    /// Unreadable file.
     #[error("the network profile {} can not be read: {why}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the operating system.
         why: std::io::Error,
     },
-    /// It is too large.
+    /// File too large.
     #[error("the network profile {} has {bytes} bytes, more than {FILE_BYTES_MAX}: long recordings go into a trace", path.display())]
     TooLarge {
         /// The file.
@@ -50,20 +50,20 @@ pub enum ProfileError {
         /// Its size.
         bytes: u64,
     },
-    /// Something in it is wrong.
+    /// Invalid content.
     #[error("{}: {why}", path.display())]
     Content {
         /// The file.
         path: PathBuf,
-        /// What is wrong and where: the line, the column, and what would be right.
+        /// Error with line, column and the valid form.
         why: String,
     },
-    /// Its trace is wrong.
+    /// Invalid trace.
     #[error("{}: {why}", path.display())]
     Trace {
-        /// The profile's file.
+        /// The profile file.
         path: PathBuf,
-        /// What is wrong with the trace.
+        /// Error of the trace.
         why: TraceError,
     },
 }
@@ -86,7 +86,7 @@ const NAMES: [&str; 14] = [
     "far-steps",
 ];
 
-/// A profile as it stands in a file.
+/// The profile in a file.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Document {
@@ -99,7 +99,7 @@ struct Document {
     down: Option<LinkDocument>,
 }
 
-/// One direction as it stands in a file: what is not said is taken from elsewhere.
+/// One direction in a file; omitted keys are inherited.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct LinkDocument {
@@ -140,7 +140,7 @@ struct LinkDocument {
 }
 
 impl LinkDocument {
-    /// The document that says all about a link and nothing that goes without saying.
+    /// The file form of a link, without default values.
     fn of(link: &Link) -> Self {
         let unless_zero = |x: f64| (x != 0.0).then_some(x);
         Self {
@@ -158,7 +158,7 @@ impl LinkDocument {
         }
     }
 
-    /// This, and `other` where this says nothing.
+    /// Fills omitted keys from `other`.
     fn or(self, other: &Self) -> Self {
         let other = other.clone();
         Self {
@@ -176,7 +176,7 @@ impl LinkDocument {
         }
     }
 
-    /// The link; a trace is looked for in `folder`.
+    /// Converts to a link; `folder` is the base of the trace path.
     fn into_link(self, folder: &Path) -> Result<Link, TraceError> {
         let trace = self.trace.map(|file| Trace::read(&file, folder));
         Ok(Link {
@@ -196,17 +196,17 @@ impl LinkDocument {
 }
 
 impl Profile {
-    /// The names that [`named`](Self::named) knows.
+    /// Names that [`named`](Self::named) accepts.
     pub fn names() -> &'static [&'static str] {
         &NAMES
     }
 
-    /// A network that changes nothing.
+    /// An ideal network.
     pub fn none() -> Self {
         Self::both("none", Link::default())
     }
 
-    /// A network that is the same in both directions.
+    /// A symmetric network.
     pub fn both(name: &str, link: Link) -> Self {
         Self {
             name: name.to_owned(),
@@ -215,7 +215,7 @@ impl Profile {
         }
     }
 
-    /// One of its directions.
+    /// The link of a direction.
     pub fn link(&self, direction: Direction) -> &Link {
         match direction {
             Direction::Up => &self.up,
@@ -223,7 +223,7 @@ impl Profile {
         }
     }
 
-    /// A profile by its name, or from the file of that path, which ends in `.toml`.
+    /// A profile by name, or from the `.toml` file with this path.
     pub fn parse(name_or_path: &str) -> Result<Self, ProfileError> {
         let path = Path::new(name_or_path);
         if path.extension().is_some_and(|e| e == "toml") {
@@ -233,7 +233,7 @@ impl Profile {
         }
     }
 
-    /// A profile from a TOML file. The files of traces are looked for beside it.
+    /// A profile from a TOML file. Trace paths are relative to it.
     pub fn read(path: &Path) -> Result<Self, ProfileError> {
         let text = text_file::read(path, FILE_BYTES_MAX).map_err(|e| {
             let path = path.to_owned();
@@ -245,8 +245,7 @@ impl Profile {
         Self::from_toml(&text, path)
     }
 
-    /// A profile from the text of the file `path`, which is only named in errors and says where
-    /// traces are.
+    /// A profile from TOML text. `path` is used in errors and as the base of trace paths.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, ProfileError> {
         let document: Document = toml::from_str(text).map_err(|why| ProfileError::Content {
             path: path.to_owned(),
@@ -268,7 +267,7 @@ impl Profile {
         })
     }
 
-    /// The profile as the text of a file.
+    /// The profile as TOML text.
     pub fn to_toml(&self) -> String {
         let of = |link| Some(LinkDocument::of(link));
         let (both, up, down) = if self.up == self.down {
@@ -289,7 +288,7 @@ impl Profile {
     pub fn named(name: &str) -> Result<Self, ProfileError> {
         let uniform = |reach_ms| Jitter::Uniform { reach_ms };
         let normal = |deviation_ms| Jitter::Normal { deviation_ms };
-        // Of shape 1, so that two ways add up to shape 2.
+        // Shape 1, so that uplink and downlink add up to shape 2.
         let gamma = |mean_ms| Jitter::Gamma {
             mean_ms,
             deviation_ms: mean_ms,
@@ -351,7 +350,7 @@ impl Profile {
                 reorder: true,
                 ..plain(25.0, gamma(5.0), 0.0)
             },
-            // 50 ms, and 120 ms for a fifth of a second in every two at 250 packets a second.
+            // 50 ms, and 120 ms for 0.2 s in every 2 s at 250 packets per second.
             "bursts" => Link {
                 bursts: Some(Bursts {
                     good_packets: 450.0,
@@ -361,7 +360,7 @@ impl Profile {
                 }),
                 ..plain(50.0, uniform(2.0), 0.0)
             },
-            // Half a second without a link in every twenty: a radio that changes its cell.
+            // An outage of 0.5 s in every 20 s: a radio handover.
             "outages" => Link {
                 outages: Some(Outages {
                     repeat_s: Some(20.0),
@@ -372,9 +371,9 @@ impl Profile {
                 }),
                 ..plain(25.0, uniform(3.0), 0.002)
             },
-            // 30, 80 and 120 ms from one participant to another, half of it on each way to the server.
+            // 30, 80 and 120 ms from one participant to another, half of it on each link to the server.
             "steps" => stepping([15.0, 40.0, 60.0], gamma(0.25)),
-            // The same on every way, so that it is 60, 160 and 240 ms from one to another.
+            // The full delay on every link: 60, 160 and 240 ms from one participant to another.
             "far-steps" => stepping([30.0, 80.0, 120.0], uniform(2.0)),
             _ => {
                 return Err(ProfileError::Unknown {
@@ -391,7 +390,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_name_is_a_profile_and_its_file_is_the_same() {
+    fn named_profiles_round_trip_through_their_files() {
         for name in Profile::names() {
             let profile = Profile::parse(name).unwrap();
             assert_eq!(profile.name, *name);
@@ -402,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_name_is_answered_with_the_nearest_and_all() {
+    fn unknown_name_error_suggests_the_nearest_and_lists_all() {
         let sentence = Profile::parse("transatlantik").unwrap_err().to_string();
         assert!(
             sentence.contains("did you mean \"transatlantic\"?"),
@@ -414,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn a_direction_says_what_is_different() {
+    fn direction_overrides_both() {
         let text = "name = \"dsl\"\n\
             [both]\ndelay_ms = 12\nloss = 0.01\njitter = { kind = \"gamma\", mean_ms = 4, deviation_ms = 2 }\n\
             [up]\nrate = { bits_per_s = 1e6, queue_bytes = 20000 }\n\
@@ -428,7 +427,7 @@ mod tests {
     }
 
     #[test]
-    fn what_can_not_be_is_refused_with_file_line_and_what_would_be_right() {
+    fn invalid_value_error_names_file_line_and_valid_range() {
         let cases = [
             ("delay_ms = -3", "from 0 to 60000"),
             ("delay_ms = nan", "from 0 to 60000"),

@@ -1,15 +1,15 @@
-//! Mean and spread of the delay of a profile, from its laws.
+//! Mean and deviation of the delay of a profile, computed from its distributions.
 
 use super::{Jitter, Link, Profile};
 
-/// The delay of a link or of a way there and back.
+/// Delay of a link or a round trip.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spread {
     /// Mean, ms.
     pub mean_ms: f64,
-    /// Standard deviation, ms; infinite where the law has none.
+    /// Standard deviation, ms; infinite for distributions without one.
     pub deviation_ms: f64,
-    /// What bursts, steps, queues and recordings add to the mean at most, ms; infinite with outages.
+    /// Maximum increase of the mean by bursts, steps, queues and traces, ms; infinite with outages.
     pub at_worst_ms: f64,
 }
 
@@ -43,7 +43,7 @@ impl Jitter {
 }
 
 impl Link {
-    /// Whether its delay is a constant and jitter alone, so that mean and standard deviation tell all about it.
+    /// Whether the delay is a constant plus jitter, so that mean and standard deviation describe it.
     pub fn is_steady(&self) -> bool {
         self.steps.is_none()
             && self.bursts.is_none()
@@ -52,7 +52,7 @@ impl Link {
             && self.trace.is_none()
     }
 
-    /// Its delay, without what keeping the order of packets adds.
+    /// Its delay, without the additional delay of keeping the order.
     pub fn spread(&self) -> Spread {
         let (mean_ms, deviation_ms) = self.jitter.moments_ms();
         let steps = self.steps.iter().flat_map(|s| &s.delays);
@@ -83,7 +83,7 @@ impl Profile {
         self.up.is_steady() && self.down.is_steady()
     }
 
-    /// The way to the server and back.
+    /// Uplink plus downlink.
     pub fn round_trip(&self) -> Spread {
         let [up, down] = [self.up.spread(), self.down.spread()];
         Spread {
@@ -102,7 +102,7 @@ mod tests {
     use super::{Jitter, Profile};
 
     #[test]
-    fn the_moments_of_jitter_are_those_of_what_is_drawn() {
+    fn jitter_moments_match_the_samples() {
         let jitters = [
             Jitter::Uniform { reach_ms: 10.0 },
             Jitter::Normal { deviation_ms: 3.0 },
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn a_round_trip_adds_means_and_variances() {
+    fn round_trip_adds_means_and_variances() {
         let t = Profile::named("transatlantic").unwrap();
         assert!(t.is_steady());
         let r = t.round_trip();

@@ -1,4 +1,4 @@
-//! Delays and losses as they were recorded on a real network.
+//! Delays and losses recorded on a real network.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -6,46 +6,46 @@ use std::sync::Arc;
 
 use palpate_device::text_file::{self, TextFileError};
 
-/// Rows of a trace: 17 minutes at 1 kHz, and 24 MB.
+/// Maximum rows of a trace: 17 minutes at 1 kHz, and 24 MB.
 pub const TRACE_ROWS_MAX: usize = 1_000_000;
 
-/// Bytes of a trace's file: [`TRACE_ROWS_MAX`] rows of 64.
+/// Maximum size of a trace file: [`TRACE_ROWS_MAX`] rows of 64 bytes.
 const TRACE_BYTES_MAX: u64 = 64_000_000;
 
-/// The first line of a trace.
+/// First line of a trace file.
 const HEADER: &str = "time_ms,delay_ms,lost";
 
-/// A recorded network. It begins again when it ends, a row's length after its last row.
+/// A recorded network. It repeats one row length after its last row.
 #[derive(Clone, PartialEq)]
 pub struct Trace {
-    /// The file it came from, as the profile names it.
+    /// Its file name in the profile.
     pub file: PathBuf,
     rows: Arc<[TraceRow]>,
 }
 
-/// What was seen from a time on.
+/// Observation from a time on.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TraceRow {
-    /// When, milliseconds.
+    /// Time, ms.
     pub time_ms: f64,
-    /// Delay of a packet sent then, milliseconds.
+    /// Delay of a packet sent then, ms.
     pub delay_ms: f64,
     /// Whether it was lost.
     pub lost: bool,
 }
 
-/// Why a trace can not be used.
+/// Failure to load a trace.
 #[derive(Debug, thiserror::Error)]
 pub enum TraceError {
-    /// The file can not be read.
+    /// Unreadable file.
     #[error("the trace {} can not be read: {why}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the operating system.
         why: std::io::Error,
     },
-    /// It is too large.
+    /// File too large.
     #[error("the trace {} has {bytes} bytes, more than {TRACE_BYTES_MAX}: cut it shorter", path.display())]
     TooLarge {
         /// The file.
@@ -53,14 +53,14 @@ pub enum TraceError {
         /// Its size.
         bytes: u64,
     },
-    /// A row is wrong.
+    /// Invalid row.
     #[error("{} line {line}: {why}", path.display())]
     Row {
         /// The file.
         path: PathBuf,
-        /// The line, from 1.
+        /// Line number, from 1.
         line: usize,
-        /// What is wrong and what would be right.
+        /// Error and the valid form.
         why: String,
     },
 }
@@ -73,8 +73,8 @@ impl fmt::Debug for Trace {
 }
 
 impl Trace {
-    /// Reads a CSV file with the columns `time_ms,delay_ms,lost`, from `folder` unless the name is
-    /// a whole path. A delay may be left empty where a packet was lost.
+    /// Reads a CSV file with the columns `time_ms,delay_ms,lost`; a relative path starts at `folder`. The delay
+    /// of a lost packet may be empty.
     pub fn read(file: &Path, folder: &Path) -> Result<Self, TraceError> {
         let path = folder.join(file);
         let text = text_file::read(&path, TRACE_BYTES_MAX).map_err(|e| {
@@ -100,20 +100,20 @@ impl Trace {
         &self.rows
     }
 
-    /// After how long it begins again, microseconds.
+    /// Period, microseconds.
     pub fn period_us(&self) -> u64 {
         match *self.rows {
             [ref first, .., ref before, ref last] => {
                 (last.starts_us() - first.starts_us()) + (last.starts_us() - before.starts_us())
             }
             [ref first, ref last] => 2 * (last.starts_us() - first.starts_us()),
-            // One row is for ever; the length does not matter.
+            // A single row lasts for ever; the length does not matter.
             _ => 1,
         }
     }
 
-    /// The row that a packet meets at a time after the network began, microseconds: the last one
-    /// not later.
+    /// The row of a packet sent at a time in microseconds after the start of the network: the last one not
+    /// later.
     pub fn at(&self, at_us: u64) -> TraceRow {
         let at_us = self.rows[0].starts_us() + at_us % self.period_us().max(1);
         let passed = self.rows.partition_point(|row| row.starts_us() <= at_us);
@@ -122,13 +122,13 @@ impl Trace {
 }
 
 impl TraceRow {
-    /// Its time in whole microseconds, in which a row begins exactly where its file says.
+    /// Its time in whole microseconds, so that a row begins exactly at the time in its file.
     fn starts_us(&self) -> u64 {
         (self.time_ms * 1e3).round() as u64
     }
 }
 
-/// The rows of a file, or the line that is wrong and why.
+/// The rows of a file, or the invalid line and its error.
 fn rows_of(text: &str) -> Result<Vec<TraceRow>, (usize, String)> {
     let mut lines = text
         .lines()

@@ -1,30 +1,29 @@
-//! A clock that is wrong, in virtual time.
+//! A wrong clock in virtual time.
 
-/// The clock of a simulated site: it began at another time, runs too fast or too slow, and
-/// somebody sets it now and then.
+/// The clock of a simulated site, with offset, drift and steps.
 ///
 /// ```text
 /// reading(t) = offset + t (1 + drift) + the steps up to t
 /// ```
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct VirtualClock {
-    /// What it shows when the network begins, microseconds.
+    /// Reading at the start of the network, microseconds.
     pub offset_us: i64,
-    /// How much it runs too fast, parts per million; a quartz does up to 100.
+    /// Drift, parts per million; a quartz has up to 100.
     pub drift_ppm: f64,
-    /// When it is set, in microseconds of true time and in their order, and by how much.
+    /// Steps: true times in microseconds, in increasing order, and the size of each.
     pub steps: Vec<(u64, i64)>,
 }
 
 impl VirtualClock {
-    /// What it shows at a true time, microseconds.
+    /// Reading at a true time, microseconds.
     pub fn reading(&self, true_us: u64) -> i64 {
         let set = self.steps.iter().take_while(|(at, _)| *at <= true_us);
         let set: i64 = set.map(|(_, by)| *by).fold(0, i64::saturating_add);
         self.running(true_us).saturating_add(set)
     }
 
-    /// What it would show if nobody had set it.
+    /// Reading without steps.
     fn running(&self, true_us: u64) -> i64 {
         let gained = (true_us as f64 * self.drift_ppm * 1e-6).round() as i64;
         self.offset_us
@@ -32,14 +31,13 @@ impl VirtualClock {
             .saturating_add(gained)
     }
 
-    /// The first true time, not before `from_us`, at which it shows `reading` or more: when a site
-    /// that waits for a time of its own clock wakes up. Nothing when that is never.
+    /// First true time, not before `from_us`, with a reading of at least `reading`: the wake-up time of a site
+    /// that waits on its clock. `None` if that never happens.
     pub fn when(&self, reading: i64, from_us: u64) -> Option<u64> {
         if self.reading(from_us) >= reading {
             return Some(from_us);
         }
-        // Between two settings the clock runs straight on, so the first stretch that gets there
-        // is searched by halves.
+        // The clock is linear between steps, so the first interval that reaches the reading is bisected.
         let later = self
             .steps
             .iter()
@@ -59,7 +57,7 @@ impl VirtualClock {
         None
     }
 
-    /// The first time in a stretch without settings that shows `reading`; its end does.
+    /// First time with at least `reading` in an interval without steps; its end satisfies this.
     fn first_within(&self, reading: i64, mut low: u64, mut high: u64) -> u64 {
         while low + 1 < high {
             let middle = low + (high - low) / 2;
@@ -83,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_clock_drifts_and_is_set() {
+    fn clock_drifts_and_steps() {
         let clock = VirtualClock {
             offset_us: -500,
             drift_ppm: 50.0,
@@ -97,7 +95,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_site_wakes_at_the_first_moment_its_clock_shows_the_time(
+        fn site_wakes_at_the_first_time_its_clock_reaches_the_reading(
             offset_us in -10_000_000_i64..10_000_000,
             drift_ppm in -500.0..500.0_f64,
             step in (1_u64..5_000_000, -2_000_000_i64..2_000_000),

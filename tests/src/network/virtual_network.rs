@@ -1,4 +1,4 @@
-//! A network in virtual time, for machines without sockets and clocks.
+//! A network in virtual time, for state machines without sockets and clocks.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -6,28 +6,28 @@ use std::collections::{BTreeMap, BinaryHeap};
 use super::path::{Arrival, Corruption, Direction, Path, PathCounts};
 use super::profile::Profile;
 
-/// Packets on the way at once; further ones are dropped and counted as overflowed. It is 300 ms of
-/// 200,000 packets a second.
+/// Maximum packets in flight; more are dropped and counted as overflowed. It is 300 ms of 200,000 packets per
+/// second.
 pub const PACKETS_MAX: usize = 65_536;
 
-/// Flows of one network; packets of further ones are dropped and counted as overflowed. It is many
-/// times the most participants of a session.
+/// Maximum flows of a network; packets of more flows are dropped and counted as overflowed. It is many times
+/// the maximum number of participants.
 pub const FLOWS_MAX: usize = 1024;
 
-/// A packet that has arrived.
+/// An arrived packet.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Delivery<T> {
-    /// When it was sent, microseconds after the network began.
+    /// Send time, microseconds after the start of the network.
     pub sent_us: u64,
-    /// When it arrived.
+    /// Arrival time.
     pub at_us: u64,
-    /// Whose it is.
+    /// Flow.
     pub flow: u64,
-    /// Which way it went.
+    /// Direction.
     pub direction: Direction,
-    /// What happened to its bits. The payload is as it was sent: whoever has bytes applies it.
+    /// Corruption of its bits. The payload is unchanged; a receiver with bytes applies it.
     pub corrupted: Option<Corruption>,
-    /// What was sent.
+    /// Payload.
     pub payload: T,
 }
 
@@ -36,7 +36,7 @@ pub struct Delivery<T> {
 pub struct VirtualNetwork<T> {
     profile: Profile,
     seed: u64,
-    /// Flows with a network of their own.
+    /// Flows with an own profile.
     own: BTreeMap<u64, Profile>,
     paths: BTreeMap<(u64, Direction), Path>,
     queue: BinaryHeap<Reverse<InFlight<T>>>,
@@ -46,7 +46,7 @@ pub struct VirtualNetwork<T> {
 
 #[derive(Debug, Clone)]
 struct InFlight<T> {
-    /// Breaks ties in favour of the packet that was sent first.
+    /// Breaks ties in favour of the packet sent first.
     order: u64,
     delivery: Delivery<T>,
 }
@@ -73,7 +73,7 @@ impl<T> Ord for InFlight<T> {
 }
 
 impl<T: Clone> VirtualNetwork<T> {
-    /// A network on which every flow has the same profile and fates of its own.
+    /// A network in which every flow has this profile and independent fates.
     pub fn new(profile: Profile, seed: u64) -> Self {
         Self {
             profile,
@@ -86,9 +86,8 @@ impl<T: Clone> VirtualNetwork<T> {
         }
     }
 
-    /// Gives a flow a network of its own, before its first packet or for those from now on, which
-    /// count from 0 again. At most [`FLOWS_MAX`] flows have one; a further one is counted as
-    /// overflowed.
+    /// Sets the profile of a flow. Its packet numbers restart at 0. At most [`FLOWS_MAX`] flows have one; more
+    /// are counted as overflowed.
     pub fn set_profile(&mut self, flow: u64, profile: Profile) {
         if self.own.len() >= FLOWS_MAX && !self.own.contains_key(&flow) {
             self.overflowed += 1;
@@ -100,7 +99,7 @@ impl<T: Clone> VirtualNetwork<T> {
         self.own.insert(flow, profile);
     }
 
-    /// Sends a packet with `bytes` of payload at a time in microseconds after the network began.
+    /// Sends a packet with `bytes` of payload at a time in microseconds after the start of the network.
     pub fn send(&mut self, at_us: u64, flow: u64, direction: Direction, bytes: usize, payload: T) {
         let is_new = !self.paths.contains_key(&(flow, direction));
         if is_new && self.paths.len() >= 2 * FLOWS_MAX {
@@ -134,13 +133,12 @@ impl<T: Clone> VirtualNetwork<T> {
         }
     }
 
-    /// When the next packet arrives.
+    /// Time of the next arrival.
     pub fn next_at(&self) -> Option<u64> {
         self.queue.peek().map(|Reverse(p)| p.delivery.at_us)
     }
 
-    /// Takes the next packet that has arrived by now, the earliest first; call it until there is
-    /// none.
+    /// Takes the earliest packet that has arrived by now; call it until it returns `None`.
     pub fn pop_due(&mut self, now_us: u64) -> Option<Delivery<T>> {
         if self.next_at()? > now_us {
             return None;
@@ -148,13 +146,13 @@ impl<T: Clone> VirtualNetwork<T> {
         self.queue.pop().map(|Reverse(p)| p.delivery)
     }
 
-    /// What became of a flow's packets in one direction so far.
+    /// Packet counts of a flow in one direction.
     pub fn counts(&self, flow: u64, direction: Direction) -> PathCounts {
         let path = self.paths.get(&(flow, direction));
         path.map(Path::counts).unwrap_or_default()
     }
 
-    /// Packets and flows for which there was no room; not part of any fate, and 0 in a sound run.
+    /// Packets and flows without room; independent of the fates, and 0 in a valid run.
     pub fn overflowed(&self) -> u64 {
         self.overflowed
     }

@@ -1,26 +1,25 @@
-//! Converged solves at some moments of a reference, and by how much they change the forces.
+//! Converged solves during a reference run, and the force change by them.
 
 use palpate_haptics::ContactModel;
 
-/// Relative residual over the whole tissue at which a check ends. With a third of it forces on the thigh change by
-/// 0.5 %.
+/// Relative residual of a check. A third of it changes forces on the thigh by 0.5 %.
 pub(super) const TOLERANCE: f64 = 1e-2;
 
-/// Iterations of a check at most.
+/// Maximum iterations of a check.
 pub(super) const ITERATIONS: usize = 30;
 
-/// What the checks say so far.
+/// Statistics of the checks.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Checks {
     pub(super) count: usize,
-    /// The largest relative residual of one.
+    /// Largest relative residual.
     pub(super) residual_max: f64,
-    /// Sums of squares per hand: of what a check changed, and of the force, N².
+    /// Sums of squares per hand: force change by the checks, and force, N².
     squares: [[f64; 2]; 2],
 }
 
 impl Checks {
-    /// Takes in a check: its residual, and what both hands felt before it and after it.
+    /// Records a check: its residual, and the forces on both hands before and after it.
     pub(super) fn note(
         &mut self,
         residual: f64,
@@ -35,7 +34,7 @@ impl Checks {
         }
     }
 
-    /// Change of the force by the checks, root mean square in percent of the force; per hand.
+    /// Rms force change by the checks in percent of the force, per hand.
     pub(super) fn changed_percent(&self) -> [f64; 2] {
         self.squares.map(|[changed, force]| {
             if force > 0.0 {
@@ -63,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn what_checks_changed_is_relative_to_the_force_and_told_per_hand() {
+    fn check_change_is_relative_to_the_force_of_each_hand() {
         let mut checks = Checks::default();
         assert_eq!(checks.changed_percent(), [0.0; 2]);
         let (two, off) = (model([0.0, 0.0, 2.0]), model([0.0, 0.1, 2.0]));

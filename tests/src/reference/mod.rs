@@ -1,13 +1,15 @@
-//! The same two scripts without a network: the forces that both trainees would feel at one table.
+//! The same two scripts without a network: reference forces of both trainees.
 //!
-//! In virtual time, with the client's own parts and without threads that wait, clocks or delay. Two simulated hands
-//! and their haptic chains tick at 1 kHz over one copy of the tissue, which is solved around the tools whenever one of
-//! them has moved by [`MOVED_M`], and every [`SOLVE_AT_LEAST`] ticks. Tissue far from the tools lags behind such solves,
-//! so that forces drift by a few percent. At [`CHECKS`] moments the whole tissue is solved to a relative residual of
-//! `check::TOLERANCE`, which ends the drift. A cut happens in the moment in which its stroke ends.
+//! The run uses the components of the client in virtual time, without waiting threads, clocks or delay. Two
+//! simulated hands with their haptic chains tick at 1 kHz on one replica of the tissue. The replica is solved
+//! near the tools when a tool has moved by [`MOVED_M`], and at least every [`SOLVE_AT_LEAST`] ticks. Distant
+//! tissue lags behind such solves, so that forces drift by a few percent. At [`CHECKS`] times the whole tissue
+//! is solved to a relative residual of `check::TOLERANCE`, which removes the drift. A cut is applied at the end
+//! of its stroke.
 //!
-//! The work is bounded by the motion and by the number of checks. What checks change is the drift at its largest, and
-//! so an upper estimate of the error of the result; it is part of it, with the largest residual of a check.
+//! The work is bounded by the motion and the number of checks. The force change by a check is the drift at its
+//! largest, and so an upper estimate of the error. The result has this estimate and the largest residual of a
+//! check.
 
 mod check;
 mod seat;
@@ -29,82 +31,82 @@ use crate::force_error::ForcePoint;
 use seat::Seat;
 use table::{Pace, Table};
 
-/// Hands and chains run so long before the scripts begin, µs: longer than any soft start.
+/// Time of hands and chains before the scripts begin, µs: longer than any soft start.
 const LEAD_US: i64 = 2_000_000;
 
-/// A tool that has moved so far is solved for again, m. Without that threshold forces change by no more than two runs
-/// differ whose tools slip at other moments.
+/// Tool motion that triggers a solve, m. Without this threshold forces change by no more than two runs differ
+/// whose tools slip at different times.
 pub const MOVED_M: f64 = 0.2e-3;
 
-/// Ticks between two solves at most while something touches: what is near relaxes over some solves.
+/// Maximum ticks between two solves in contact: the neighbourhood relaxes over several solves.
 pub const SOLVE_AT_LEAST: i64 = 20;
 
-/// Converged solves in the course of a script, at equal distances while something touches. With 64 the checks change
-/// forces on the thigh of 57,000 nodes by 0.7 and 2.4 % over scripts of 20 s, with 128 by 0.6 and 1.8 %.
+/// Converged solves during a script, evenly spaced in contact. With 64, checks change forces on the thigh of
+/// 57,000 nodes by 0.7 and 2.4 % over scripts of 20 s; with 128, by 0.6 and 1.8 %.
 pub const CHECKS: usize = 96;
 
-/// Why there is no reference.
+/// Failure of a reference run.
 #[derive(Debug, thiserror::Error)]
 pub enum ReferenceError {
-    /// The simulated hand refused.
+    /// The simulated hand failed.
     #[error("the simulated hand of the reference failed: {0}")]
     Hand(#[from] DeviceFault),
-    /// The cut did not work.
+    /// The cut failed.
     #[error("the cut of the reference failed: {0}")]
     Cut(String),
-    /// The caller wants no reference any more.
+    /// The caller requested termination.
     #[error("the reference was interrupted at {:.0} % of its work", .0 * 100.0)]
     Stopped(f64),
-    /// What was recorded can not be replayed.
-    #[error("what was recorded of {name} can not be replayed: {what}")]
+    /// The recording cannot be replayed.
+    #[error("the recording of {name} can not be replayed: {what}")]
     Recording {
         /// The participant.
         name: String,
-        /// What is wrong.
+        /// Cause.
         what: String,
     },
-    /// The copy of the tissue refused.
+    /// The replica failed.
     #[error("the tissue of the reference failed: {0}")]
     Replica(#[from] ReplicaError),
 }
 
-/// What the two trainees would have felt.
+/// Reference forces of the two trainees.
 #[derive(Debug, Clone)]
 pub struct Reference {
-    /// Force and position of each, in the order of the scripts, every millisecond of script.
+    /// Force and position per trainee, in script order, every millisecond of script.
     pub courses: [Vec<ForcePoint>; 2],
-    /// Moments of the cuts, seconds of script.
+    /// Times of the cuts, seconds of script.
     pub cuts_s: Vec<f64>,
     /// Strokes of the cuts, in the rest frame.
     pub strokes: Vec<CutStroke>,
-    /// Largest distance of a point of a hand's own stroke from the stroke that was cut in its place, m.
+    /// Largest distance between a hand's own stroke and the stroke cut in its place, m.
     pub cut_apart_m: f64,
-    /// The topology in the end.
+    /// Final topology.
     pub topology_hash: TissueHash,
-    /// How good it is.
+    /// Quality of the result.
     pub quality: Quality,
 }
 
-/// How good a reference is.
+/// Quality of a reference.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Quality {
-    /// Solves around the tools.
+    /// Solves near the tools.
     pub solves: usize,
     /// Checks: converged solves of the whole tissue.
     pub checks: usize,
     /// The largest relative residual of a check.
     pub residual_max: f64,
-    /// Change of the force by the checks, root mean square in percent; per hand. Between two checks the error grows up
-    /// to that, so this is an upper estimate of it.
+    /// Rms force change by the checks in percent, per hand. The error grows up to this between two checks, so
+    /// this is an upper estimate.
     pub error_percent: [f64; 2],
 }
 
-/// Runs two scripts against a model: hands that answer to what they feel, one copy of the tissue. `progress`
-/// is given the share that is done, and returns whether to go on.
+/// Simulates two scripted hands, which yield to the forces, on one replica. `progress` receives the completed
+/// share and returns whether to continue.
 ///
-/// Strokes of the session in `cuts`, in the rest frame and in order, are cut in place of the hands' own ones: forces
-/// beside a cut depend on which springs it severs, and a tenth of a millimetre makes 3 to 9 % of them. How far apart the
-/// two are is told in [`Reference::cut_apart_m`].
+/// `cuts` are strokes of a session in the rest frame, in order; they replace the strokes of the hands. Forces
+/// beside a cut depend on the severed springs: 0.1 mm changes them by 3 to 9 %. [`Reference::cut_apart_m`] is
+/// the distance between the two.
 pub fn run(
     model: &Arc<Model>,
     scripts: [&Script; 2],
@@ -114,10 +116,10 @@ pub fn run(
     run_with(model, scripts, cuts, &Effort::default(), progress)
 }
 
-/// How much work a reference is.
+/// Effort of a reference.
 #[derive(Debug, Clone, Copy)]
 pub struct Effort {
-    /// A tool that has moved so far is solved for again, m.
+    /// Tool motion that triggers a solve, m.
     pub moved_m: f64,
     /// Converged solves of the whole tissue.
     pub checks: usize,
@@ -132,7 +134,7 @@ impl Default for Effort {
     }
 }
 
-/// The same with another effort, which tells how much the result depends on it.
+/// Like [`run`] with another effort, to measure its influence on the result.
 pub fn run_with(
     model: &Arc<Model>,
     scripts: [&Script; 2],
@@ -157,13 +159,12 @@ pub fn run_with(
     Ok(table.into_reference())
 }
 
-/// Lets both hands of a session go their ways again, as they were recorded, without what is between
-/// them: each feels its own copy of the tissue, solved as in a session, with the other's tool where it is at that
-/// moment; a stroke cuts when it ends.
+/// Replays the recorded motion of both hands of a session without a network. Each hand has its own replica,
+/// solved as in a session, with the other tool at its position at that time. A stroke cuts when it ends.
 ///
-/// Hands that follow a script answer to what they feel, and a stick that slips a moment earlier leads
-/// them elsewhere: two sessions over the same network differ by it more than by the network. Hands whose
-/// ways are given feel nothing but the difference.
+/// Scripted hands yield to forces, and a tool that slips earlier moves elsewhere: two sessions over the same
+/// network differ more by this than by the network. Replayed hands keep their path, so that only the forces
+/// differ.
 pub fn replay(
     model: &Arc<Model>,
     scripts: [&Script; 2],
@@ -172,7 +173,7 @@ pub fn replay(
 ) -> Result<Reference, ReferenceError> {
     let first = |r: &&Recording| r.haptic.first().map_or(0, |p| p.t_us);
     let last = |r: &&Recording| r.haptic.last().map_or(0, |p| p.t_us);
-    // Both clocks tell the same time; ticks of a session and of the table fall together.
+    // Both clocks show the same time; ticks of session and reference coincide.
     let zero_us = recordings.iter().map(first).min().unwrap_or(0) + LEAD_US;
     let end_us = recordings.iter().map(last).max().unwrap_or(0) - zero_us + LEAD_US;
     let seat = |k: usize| Seat::of_recording(recordings[k], scripts[k], k as u16 + 1, zero_us);
@@ -182,7 +183,7 @@ pub fn replay(
     Ok(table.into_reference())
 }
 
-/// The stroke as the room takes it to the rest frame.
+/// Transforms the stroke to the rest frame, as the room does.
 fn stroke_at_rest(replica: &Replica, request: &CutRequest) -> CutStroke {
     let topology = replica.topology();
     let shape = replica.haptic_shape();
@@ -203,7 +204,7 @@ fn stroke_at_rest(replica: &Replica, request: &CutRequest) -> CutStroke {
     }
 }
 
-/// Largest distance of a point of one stroke's tip from the path of the other's, m.
+/// Largest distance of the tip of one stroke from the path of the other, m.
 fn apart_m(stroke: &CutStroke, other: &CutStroke) -> f64 {
     let from_path = |p: &BladePoint| {
         let p = Vec3::from(p.tip_m);
@@ -218,7 +219,7 @@ fn apart_m(stroke: &CutStroke, other: &CutStroke) -> f64 {
     stroke.points.iter().map(from_path).fold(0.0, f64::max)
 }
 
-/// A cut as the room makes it.
+/// A cut operation, as the room makes it.
 fn operation(
     replica: &Replica,
     stroke: CutStroke,
@@ -247,11 +248,11 @@ mod tests {
 
     use super::run;
     use crate::force_error::{ForceError, norm};
-    use crate::place::Place;
     use crate::scripts::Scripts;
+    use crate::tool_location::ToolLocation;
 
     #[test]
-    fn the_reference_presses_cuts_once_and_is_the_same_every_time() {
+    fn reference_presses_cuts_once_and_is_deterministic() {
         let soft = Material {
             name: "soft".into(),
             young_pa: 1e4,
@@ -262,7 +263,7 @@ mod tests {
             ..Material::default()
         };
         let model = Arc::new(block([24, 24, 8], 0.005, &soft, 1));
-        let place = Place::find(&Topology::new(Arc::clone(&model))).unwrap();
+        let place = ToolLocation::find(&Topology::new(Arc::clone(&model))).unwrap();
         let scripts = Scripts::for_place(&place, 4.0).unwrap();
         let once = || run(&model, [&scripts.holder, &scripts.cutter], &[], |_| true).unwrap();
         let (a, b) = (once(), once());
@@ -277,7 +278,7 @@ mod tests {
             assert_eq!(error.rms_percent, 0.0);
         }
         assert_eq!(a.cut_apart_m, 0.0);
-        // The cut of the session replaces the cut of the script, and the report has the distance.
+        // The session's cut replaces the scripted one, and the report has the distance.
         let mut moved = a.strokes[0].clone();
         for point in &mut moved.points {
             point.tip_m[2] -= 0.4e-3;

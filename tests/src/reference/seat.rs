@@ -1,4 +1,4 @@
-//! A seat at the table: a hand, its haptic chain, its tool and the stroke of its blade.
+//! A hand with its haptic chain, its tool and the stroke of its blade.
 
 use nalgebra::{Quaternion, Unit};
 use palpate_client::ToolAt;
@@ -17,14 +17,14 @@ use palpate_protocol::{ClientTime, ParticipantId, Pose, ServerTime};
 use super::{LEAD_US, ReferenceError};
 use crate::force_error::ForcePoint;
 
-/// Far below a tick, far above what rounding makes of the seconds of a session.
+/// Offset against rounding of session times: far below a tick, s.
 const EARLY_S: f64 = 1e-7;
 
-/// A hand with all that is its own.
+/// A simulated trainee.
 pub(super) struct Seat {
     hand: Box<dyn HapticDevice>,
     chain: Box<Chain>,
-    /// When the script begins, µs of the table.
+    /// Start of the script, µs of the run.
     script_us: i64,
     pub(super) contact: ContactModel,
     pub(super) tool: ToolAt,
@@ -33,7 +33,7 @@ pub(super) struct Seat {
 }
 
 impl Seat {
-    /// Somebody who follows a script, which begins after [`LEAD_US`].
+    /// A trainee that follows a script, which begins after [`LEAD_US`].
     pub(super) fn of_script(script: &Script, number: u16) -> Result<Self, DeviceFault> {
         let start = ScriptStart::at(DeviceTime::from_micros(LEAD_US));
         let hand = SimHand::new(script.clone(), start);
@@ -41,8 +41,8 @@ impl Seat {
         Self::new(Box::new(hand), chain, script, number, LEAD_US)
     }
 
-    /// Somebody whose hand goes where it went in a session, whatever pushes it; `zero_us` of the session's
-    /// clock is [`LEAD_US`] at the table. It renders what the hand of the session did.
+    /// A trainee whose hand replays a recorded motion, independent of the force. `zero_us` of the session clock
+    /// is [`LEAD_US`] of the run.
     pub(super) fn of_recording(
         recording: &Recording,
         script: &Script,
@@ -60,8 +60,8 @@ impl Seat {
         let moments = recording.haptic.iter().map(|p| {
             let [x, y, z, w] = p.orientation;
             Moment {
-                // All but the first a hair early, so that a tick that falls on a point finds it, however both are
-                // rounded: a button that is pressed a solve later is another force.
+                // All but the first point are slightly early, so that a tick at the time of a point finds it
+                // despite rounding. A button pressed one solve later changes the force.
                 t_s: ((p.t_us - first) as f64 * 1e-6 - EARLY_S).max(0.0),
                 pose: DevicePose {
                     position: p.position_m.into(),
@@ -106,19 +106,19 @@ impl Seat {
         })
     }
 
-    /// Seconds of its script at a moment of the table.
+    /// Script time in seconds at a run time.
     pub(super) fn script_s(&self, us: i64) -> f64 {
         (us - self.script_us) as f64 * 1e-6
     }
 
-    /// A millisecond of the hand and its chain.
+    /// Simulates the hand and its chain for one millisecond.
     pub(super) fn tick(&mut self, us: i64) -> Result<Sample, DeviceFault> {
         let now = DeviceTime::from_micros(us);
         let sample = self.hand.read(now)?;
         let tick = self
             .chain
             .tick(ClientTime::from_micros(us), &sample, &self.contact);
-        // What the hand can not render it clamps; the chain clamps below that.
+        // The hand clamps forces beyond its limit; the chain clamps below that.
         let _ = self.hand.write(now, tick.wrench);
         if us >= self.script_us {
             self.course.push(ForcePoint {
@@ -130,13 +130,13 @@ impl Seat {
         Ok(sample)
     }
 
-    /// Makes the contact model as young as a solve of `us`: nothing has moved since it was solved, and a model that ages
-    /// fades.
+    /// Refreshes the time stamp of the contact model: nothing has moved since its solve, and the chain fades
+    /// out old models.
     pub(super) fn renew(&mut self, us: i64) {
         self.contact.solved_at = ClientTime::from_micros(us);
     }
 
-    /// Takes over where the tool is; gives the stroke that has just ended.
+    /// Updates the tool pose; returns a stroke that has just ended.
     pub(super) fn take(&mut self, us: i64, sample: &Sample) -> Option<CutRequest> {
         self.tool.position = sample.pose.position;
         self.tool.orientation = sample.pose.orientation;

@@ -1,4 +1,4 @@
-//! The table: two hands over one copy of the tissue, or over one each.
+//! Two hands on one replica of the tissue, or on one each.
 
 use palpate_client::replica::hand_budget;
 use palpate_client::{Replica, ToolAt};
@@ -13,34 +13,34 @@ use super::check::{self, Checks};
 use super::seat::Seat;
 use super::{Quality, Reference, ReferenceError, apart_m, operation, stroke_at_rest};
 
-/// The tick of hands and chains, µs.
+/// Tick of hands and chains, µs.
 const TICK_US: i64 = 1000;
 
-/// Ticks between two solves at least: those of a session.
+/// Minimum ticks between two solves: those of a session.
 const SOLVE_EVERY: i64 = 4;
 
-/// Ticks between two calls about the progress.
+/// Ticks between two progress calls.
 const PROGRESS_EVERY: i64 = 20;
 
-/// Iterations of a solve near the tools at most.
+/// Maximum iterations of a solve near the tools.
 const ITERATIONS: usize = 4;
 
 /// Residual at which a solve near the tools ends.
 const TOLERANCE: f64 = 2e-2;
 
-/// When the tissue is solved again.
+/// Solve schedule.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Pace {
-    /// A tool that has moved so far, m.
+    /// Tool motion that triggers a solve, m.
     pub(super) moved_m: f64,
-    /// Ticks since the last solve.
+    /// Maximum ticks since the last solve.
     pub(super) at_least: i64,
     /// Ticks between two checks.
     pub(super) check_every: i64,
 }
 
 impl Pace {
-    /// As a session solves, without checks.
+    /// The schedule of a session, without checks.
     pub(super) const STEADY: Self = Self {
         moved_m: 0.0,
         at_least: SOLVE_EVERY,
@@ -48,18 +48,18 @@ impl Pace {
     };
 }
 
-/// Both hands and the tissue between them.
+/// Both hands and their tissue.
 pub(super) struct Table {
     pub(super) seats: [Seat; 2],
-    /// One for both, or one for each.
+    /// One replica for both hands, or one each.
     copies: Vec<Replica>,
     pace: Pace,
-    /// The tools as they were last solved for.
+    /// Tool poses at the last solve.
     solved: [ToolAt; 2],
     solves: usize,
     checked: i64,
     checks: Checks,
-    /// Strokes to cut in place of the hands' own ones, in order.
+    /// Strokes that replace those of the hands, in order.
     given: Vec<CutStroke>,
     strokes: Vec<CutStroke>,
     cut_apart_m: f64,
@@ -134,7 +134,7 @@ impl Table {
         Ok(())
     }
 
-    /// Takes over where the tools are, and cuts; returns whether a stroke has ended.
+    /// Updates the tool poses, and cuts; returns whether a stroke has ended.
     fn take(&mut self, us: i64, samples: &[Sample; 2]) -> Result<bool, ReferenceError> {
         let mut is_cut = false;
         for (k, sample) in samples.iter().enumerate() {
@@ -147,7 +147,7 @@ impl Table {
         Ok(is_cut)
     }
 
-    /// Whether a tool is elsewhere than at the last solve, or its buttons are.
+    /// Whether a tool or its buttons changed since the last solve.
     fn has_moved(&self) -> bool {
         let tools = self.seats.iter().map(|seat| &seat.tool);
         let mut both = tools.zip(&self.solved);
@@ -179,14 +179,14 @@ impl Table {
         }
         let others = [b.tool, a.tool];
         for ((copy, seat), other) in self.copies.iter_mut().zip(&mut self.seats).zip(others) {
-            // It ends by iterations and residual, which every run repeats, and not by time.
+            // Iterations and residual end the solve, not time, so that it is reproducible.
             let mut never = || false;
             let budget = hand_budget(&mut never);
             seat.contact = copy.haptic_step(now, Some(&seat.tool), &[other], budget);
         }
     }
 
-    /// Cuts every copy by the stroke of the hand at seat `author`, or by the one that was given in its place.
+    /// Cuts every replica with the stroke of the hand `author`, or with its replacement.
     fn cut(&mut self, author: usize, request: &CutRequest) -> Result<(), ReferenceError> {
         let own = &self.copies[author.min(self.copies.len() - 1)];
         let stroke = stroke_at_rest(own, request);
@@ -205,7 +205,7 @@ impl Table {
     }
 }
 
-/// Solves for both hands; gives what each feels.
+/// Solves for both hands; returns their forces.
 fn feel(
     copy: &mut Replica,
     now: ClientTime,
@@ -214,7 +214,7 @@ fn feel(
 ) -> [ContactModel; 2] {
     let near = budget.near;
     let first = copy.haptic_step(now, Some(a), &[*b], budget);
-    // The shape is solved for both: the second call only asks what the other hand feels.
+    // The first call solves for both hands; the second one only reads the force of the other.
     let nothing = Budget {
         near,
         ..Budget::new(0, f64::INFINITY)

@@ -6,9 +6,9 @@ use super::*;
 use crate::disagreement::Disagreement;
 use crate::force_error::{ForceError, over_script};
 use crate::network::{Link, Step, Steps};
-use crate::place::Place;
 use crate::reference;
 use crate::scripts::Scripts;
+use crate::tool_location::ToolLocation;
 
 fn model() -> Arc<Model> {
     let soft = Material {
@@ -57,7 +57,7 @@ fn rehearse_with(
 #[test]
 fn one_seed_is_one_session_and_everybody_has_the_same_topology_in_the_end() {
     let model = model();
-    let place = Place::find(&Topology::new(Arc::clone(&model))).unwrap();
+    let place = ToolLocation::find(&Topology::new(Arc::clone(&model))).unwrap();
     let scripts = Scripts::for_place(&place, 4.0).unwrap();
     let profile = Profile::named("transatlantic").unwrap();
     let a = rehearse(&model, &scripts, &profile, 5);
@@ -91,7 +91,7 @@ fn one_seed_is_one_session_and_everybody_has_the_same_topology_in_the_end() {
 }
 
 fn scripts_of(model: &Arc<Model>, seconds: f64) -> Scripts {
-    let place = Place::find(&Topology::new(Arc::clone(model))).unwrap();
+    let place = ToolLocation::find(&Topology::new(Arc::clone(model))).unwrap();
     Scripts::for_place(&place, seconds).unwrap()
 }
 

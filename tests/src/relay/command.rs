@@ -11,26 +11,26 @@ use crate::cli::say;
 use crate::network::Profile;
 use crate::progress::Interrupt;
 
-/// What can be said to it.
+/// Arguments of `relay`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// Where clients send to; port 0 takes any free one
+    /// Address for clients; port 0 takes any free one
     #[arg(long, value_name = "ADDRESS")]
     listen: SocketAddr,
-    /// Where the server listens
+    /// Address of the server
     #[arg(long, value_name = "ADDRESS")]
     to: SocketAddr,
-    /// The network to be: a name, or a TOML file
+    /// The emulated network: a name, or a TOML file
     #[arg(long, default_value = "transatlantic", value_parser = Profile::parse)]
     profile: Profile,
-    /// Seed of what happens to which packet
+    /// Seed of the packet fates
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// End after so many seconds; without it, on Ctrl-C
+    /// Length of the run in seconds; without it, until Ctrl-C
     #[arg(long, value_name = "S")]
     duration: Option<f64>,
-    /// Every so many seconds let the server see every client at a new address, as when a router
-    /// forgets whom an address belonged to
+    /// Period of address changes in seconds: the server sees every client at a new address, as after a NAT
+    /// rebinding
     #[arg(long, value_name = "S")]
     rebind_every: Option<f64>,
     /// Print one JSON object when listening and one with the figures at the end
@@ -38,7 +38,7 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
-/// A number of seconds that is given, checked.
+/// Checks an optional number of seconds.
 fn seconds(name: &str, given: Option<f64>) -> Result<Option<Duration>, String> {
     match given {
         Some(s) if !(1e-3..1e9).contains(&s) => Err(format!(
@@ -48,11 +48,12 @@ fn seconds(name: &str, given: Option<f64>) -> Result<Option<Duration>, String> {
     }
 }
 
-/// Runs it until its time is over or Ctrl-C.
+/// Runs the relay until its time is over or Ctrl-C.
 pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
     let duration = seconds("--duration", arguments.duration)?;
     let rebind_every = seconds("--rebind-every", arguments.rebind_every)?;
-    let interrupt = Interrupt::listen().map_err(|e| format!("no signals can be caught: {e}"))?;
+    let interrupt =
+        Interrupt::listen().map_err(|e| format!("cannot install the signal handlers: {e}"))?;
     let profile = arguments.profile.clone();
     let relay = Relay::start(arguments.listen, arguments.to, profile, arguments.seed)
         .map_err(|e| format!("cannot listen on {}: {e}", arguments.listen))?;

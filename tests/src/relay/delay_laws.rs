@@ -1,8 +1,8 @@
-//! Delays through real sockets are distributed as asked for.
+//! Delays through real sockets follow the requested distribution.
 //!
-//! A machine that others use is late at times and never early. So what is early is judged by the law itself, with
-//! Kolmogorov's bound, and what is late by a relay beside it whose delay is fixed: it has the same timers, threads and
-//! neighbours, and sees the same moments.
+//! A loaded machine delivers late at times and never early. Early packets are judged by Kolmogorov's bound.
+//! Late packets are judged against a second relay with a constant delay, which has the same timers, threads and
+//! load.
 
 #![allow(clippy::print_stdout)]
 
@@ -18,21 +18,21 @@ use crate::network::{Direction, Jitter, Link, Path};
 /// Packets through each relay.
 const PACKETS: u64 = 10_000;
 
-/// What Kolmogorov's statistic times √n exceeds in one of a thousand samples that are what they should be.
+/// Critical value of Kolmogorov's statistic times √n at a significance of 0.001.
 const KOLMOGOROV: f64 = 1.949;
 
-/// Packets that may wait in a socket: the system keeps some 250 small ones, and drops what comes then.
+/// Maximum packets waiting in a socket: the operating system keeps about 250 small ones and drops more.
 const WAITING_MAX: u64 = 60;
 
-/// The share of packets that may be later than the slowest hundredth of those whose delay is fixed.
+/// Maximum share of packets later than the slowest hundredth of the constant-delay relay.
 const LATER: f64 = 0.1;
 
 const HERE: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 
-/// A name, what is asked for, and its distribution over ms.
+/// Name, jitter, and its cumulative distribution over ms.
 type Law = (&'static str, Jitter, fn(f64) -> f64);
 
-/// A relay of one law, what is sent into it and what comes out.
+/// A relay of one distribution, its sender and its receiver.
 struct Line {
     relay: Relay,
     profile: Profile,
@@ -86,18 +86,18 @@ impl Line {
         self.client.send(&packet).unwrap();
     }
 
-    /// Whether any socket has more waiting in it than is safe after `sent` packets.
+    /// Whether any socket holds more packets than is safe after `sent` packets.
     fn is_full(&self, sent: u64) -> bool {
         let stats = self.relay.stats();
         let received = self.received.load(Ordering::Relaxed);
         sent - stats.sent > WAITING_MAX || stats.delivered.saturating_sub(received) > WAITING_MAX
     }
 
-    /// The delays that were measured, and how much later than its fate each packet was, ms.
+    /// Measured delays, and the lateness of each packet against its fate, ms.
     fn end(self) -> (Vec<f64>, Vec<f64>) {
         let all = self.reader.join().unwrap();
         let mut path = Path::new(&self.profile, 6, 0, Direction::Up);
-        // Far apart, as the fate of a packet goes by its number and here by nothing else.
+        // Send times are irrelevant here: the fate of a packet depends on its number.
         let fates: Vec<f64> = (0..PACKETS)
             .map(|n| {
                 let arrival = path.send(n * 1_000_000, 16).into_iter().next().unwrap();
@@ -111,8 +111,8 @@ impl Line {
     }
 }
 
-/// The greatest excess of one distribution over another: of the sample over the law, and of the law over the sample
-/// when every packet is allowed to be `late_ms` late.
+/// Maximum excess of the sample distribution over the law, and of the law over the sample if every packet may
+/// be `late_ms` late.
 fn early_and_late(sample: &[f64], law: impl Fn(f64) -> f64, late_ms: f64) -> (f64, f64) {
     let mut sorted = sample.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -126,10 +126,10 @@ fn early_and_late(sample: &[f64], law: impl Fn(f64) -> f64, late_ms: f64) -> (f6
 }
 
 #[test]
-fn delays_through_real_sockets_are_distributed_as_asked_for() {
+fn delays_through_real_sockets_follow_their_distribution() {
     let began = Instant::now();
     let uniform = Jitter::Uniform { reach_ms: 10.0 };
-    // Of shape 2, whose distribution is known without an integral.
+    // Shape 2 has a closed-form distribution.
     let gamma = Jitter::Gamma {
         mean_ms: 8.0,
         deviation_ms: 8.0 / 2f64.sqrt(),
@@ -166,7 +166,7 @@ fn delays_through_real_sockets_are_distributed_as_asked_for() {
     for (line, (name, _, law)) in lines.into_iter().zip(laws) {
         let (delays, lateness) = line.end();
         let earliest = lateness.iter().copied().fold(f64::INFINITY, f64::min);
-        // Both clocks are the same one; the packet was stamped before the relay saw it.
+        // Both clocks are the same; the packet is stamped before the relay receives it.
         assert!(earliest > -0.01, "{name}: a packet was {earliest} ms early");
         let (early, late) = early_and_late(&delays, law, slow_ms);
         println!(
@@ -176,7 +176,7 @@ fn delays_through_real_sockets_are_distributed_as_asked_for() {
         assert!(early * root < KOLMOGOROV, "{name}: {early}");
         assert!(late < LATER, "{name}: {late}, allowed {slow_ms} ms");
     }
-    // A law that lies 1 ms aside is told apart on the early side.
+    // A law shifted by 1 ms is detected on the early side.
     let shifted = |x: f64| ((x - 11.0) / 20.0).clamp(0.0, 1.0);
     let exact: Vec<f64> = (0..1000).map(|i| 10.0 + 0.02 * f64::from(i)).collect();
     assert!(early_and_late(&exact, shifted, 0.0).0 * root > KOLMOGOROV);

@@ -1,4 +1,4 @@
-//! What the relay owes, through real sockets.
+//! Laws of the relay, through real sockets.
 
 #![allow(clippy::print_stdout)]
 
@@ -11,12 +11,12 @@ use std::time::Duration;
 use super::{Profile, RebindError, Relay, RelayStats};
 use crate::network::{Direction, Jitter, Link, Path};
 
-/// How often the echo looks whether it is to stop.
+/// Stop check interval of the echo server.
 const STOP_PERIOD: Duration = Duration::from_millis(50);
 
 const HERE: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 
-/// A server that answers every packet with itself.
+/// A server that echoes every packet.
 fn echo() -> (SocketAddr, Arc<AtomicBool>, JoinHandle<()>) {
     let socket = UdpSocket::bind(HERE).unwrap();
     socket.set_read_timeout(Some(STOP_PERIOD)).unwrap();
@@ -34,7 +34,7 @@ fn echo() -> (SocketAddr, Arc<AtomicBool>, JoinHandle<()>) {
     (address, stop, thread)
 }
 
-/// Sends `count` numbered packets one by one and gives the numbers that came back, in order.
+/// Sends `count` numbered packets one by one; returns the received numbers in order.
 fn run(profile: Profile, seed: u64, count: u32) -> (Vec<u32>, RelayStats) {
     let (server, stop, thread) = echo();
     let relay = Relay::start(HERE, server, profile, seed).unwrap();
@@ -43,7 +43,7 @@ fn run(profile: Profile, seed: u64, count: u32) -> (Vec<u32>, RelayStats) {
     client
         .set_read_timeout(Some(Duration::from_millis(400)))
         .unwrap();
-    // Read while sending: the system keeps only some 250 small packets for a socket.
+    // Read while sending: the operating system keeps only about 250 small packets per socket.
     let reader = client.try_clone().unwrap();
     let reader = std::thread::spawn(move || {
         let mut back = Vec::new();
@@ -64,7 +64,7 @@ fn run(profile: Profile, seed: u64, count: u32) -> (Vec<u32>, RelayStats) {
 }
 
 #[test]
-fn without_loss_and_reordering_everything_comes_back_in_order() {
+fn lossless_relay_keeps_all_packets_in_order() {
     let link = Link {
         delay_ms: 5.0,
         jitter: Jitter::Uniform { reach_ms: 3.0 },
@@ -80,12 +80,12 @@ fn without_loss_and_reordering_everything_comes_back_in_order() {
 }
 
 #[test]
-fn what_comes_back_is_what_the_path_says() {
+fn relay_losses_equal_those_of_the_path() {
     let mut profile = Profile::named("lossy").unwrap();
     profile.up.duplicate = 0.0;
     profile.down.duplicate = 0.0;
     let (back, stats) = run(profile.clone(), 42, 400);
-    // Its losses go by the packets' numbers, so virtual time tells what they were.
+    // Losses depend on packet numbers only, so virtual time predicts them.
     let pass = |direction, count| {
         let mut path = Path::new(&profile, 42, 0, direction);
         (0..count).map(|n| path.send(n, 4).len() as u64).sum()
@@ -99,7 +99,7 @@ fn what_comes_back_is_what_the_path_says() {
 }
 
 #[test]
-fn after_a_rebind_the_server_sees_another_address_and_the_client_none() {
+fn rebind_changes_the_address_at_the_server_only() {
     let server = UdpSocket::bind(HERE).unwrap();
     let relay = Relay::start(HERE, server.local_addr().unwrap(), Profile::none(), 1).unwrap();
     let client = UdpSocket::bind(HERE).unwrap();
@@ -122,7 +122,7 @@ fn after_a_rebind_the_server_sees_another_address_and_the_client_none() {
     let after = there_and_back(b"after");
     assert_ne!(before, after);
     assert_eq!(after.port(), address.port());
-    // The old address is gone: what is sent there does not arrive before what is sent later.
+    // Packets to the old address are lost; later packets to the new one arrive.
     server.send_to(b"too late", before).unwrap();
     there_and_back(b"again");
     let stats = relay.stats();
@@ -130,7 +130,7 @@ fn after_a_rebind_the_server_sees_another_address_and_the_client_none() {
 }
 
 #[test]
-fn flipped_bits_reach_the_server() {
+fn corrupted_packets_reach_the_server() {
     let link = Link {
         corrupt: 1.0,
         ..Link::default()

@@ -1,13 +1,12 @@
-//! A bad network on one machine: a relay for UDP that delays, loses, doubles and reorders.
+//! A bad network on one machine: a UDP relay with delay, loss, duplication and reordering.
 //!
 //! ```text
 //! client <-> relay's listening socket <-> one socket per client <-> server
 //! ```
 //!
-//! What happens to a packet is what a [`Path`](crate::network::Path) says of it, the same as in
-//! virtual time: the same profile and seed give the same fates. The sockets and the threads around
-//! it are in [`Relay`]. It needs no privileges and no queueing discipline of the kernel, and it
-//! never looks into a packet.
+//! A [`Path`](crate::network::Path) decides the fate of every packet, as in virtual time: equal profile and
+//! seed give equal fates. [`Relay`] has the sockets and threads. It needs no privileges and no kernel queueing
+//! discipline, and does not inspect payloads.
 
 pub(crate) mod command;
 mod socket;

@@ -1,9 +1,9 @@
-//! The relay's sockets and threads.
+//! Sockets and threads of the relay.
 //!
-//! One thread listens, one thread per client listens to the server's answers, and one thread
-//! delivers: it sleeps until the next packet is due, on a condition variable with an absolute
-//! deadline, which wakes within some 0.1 ms. (A timer of an asynchronous runtime counts in
-//! milliseconds and would add its own jitter.)
+//! One thread receives from clients, one thread per client receives from the server, and one thread delivers.
+//! The delivery thread sleeps until the next packet is due, on a condition variable with an absolute deadline,
+//! which wakes within about 0.1 ms. (Timers of an asynchronous runtime have a resolution of 1 ms and would add
+//! jitter.)
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -19,18 +19,18 @@ use palpate_transport::threads::{self, ThreadClass};
 use super::stats::{Histogram, RelayStats};
 use crate::network::{Arrivals, Direction, Path, Profile};
 
-/// Packets on the way at once; further ones are dropped and counted as overflowed. At 1200 B it is
-/// 80 MB, and 300 ms of 200,000 packets a second.
+/// Maximum packets in flight; more are dropped and counted as overflowed. At 1200 B this is 80 MB, and 300 ms
+/// of 200,000 packets per second.
 pub const QUEUE_MAX_PACKETS: usize = 65_536;
 
-/// Clients that a relay serves, each with a socket and a thread; packets of further ones are
-/// dropped and counted as overflowed.
+/// Maximum clients, each with a socket and a thread; packets of more clients are dropped and counted as
+/// overflowed.
 pub const CLIENTS_MAX: usize = 64;
 
-/// How often the listening threads look whether they are to stop.
+/// Stop check interval of the receiving threads.
 const STOP_PERIOD: Duration = Duration::from_millis(50);
 
-/// The largest UDP payload.
+/// Maximum UDP payload.
 const PACKET_MAX_BYTES: usize = 65_536;
 
 /// A running relay. Dropping it stops it.
@@ -40,23 +40,23 @@ pub struct Relay {
     threads: Vec<JoinHandle<()>>,
 }
 
-/// Why a flow can not change its address.
+/// Failure to change the address of a flow.
 #[derive(Debug, thiserror::Error)]
 pub enum RebindError {
-    /// There is no such flow.
+    /// Unknown flow.
     #[error("there is no flow {flow}: the relay has seen {flows} clients, and the first is flow 0")]
     NoFlow {
-        /// What was asked for.
+        /// The requested flow.
         flow: usize,
         /// Clients so far.
         flows: usize,
     },
-    /// The system gives no socket.
+    /// No socket available.
     #[error("no socket for a new address of flow {flow}: {why}")]
     Socket {
         /// The flow.
         flow: usize,
-        /// What the system says.
+        /// Error of the operating system.
         why: io::Error,
     },
 }
@@ -64,9 +64,9 @@ pub enum RebindError {
 struct Shared {
     profile: Profile,
     seed: u64,
-    /// Where the server listens.
+    /// Address of the server.
     server: SocketAddr,
-    /// When the network began.
+    /// Start of the network.
     began: Instant,
     flows: Mutex<Vec<Arc<Flow>>>,
     queue: Mutex<Queue>,
@@ -84,14 +84,14 @@ struct Queue {
     lateness: Histogram,
 }
 
-/// A packet on its way.
+/// A packet in flight.
 struct Parcel {
     due: Instant,
     /// Breaks ties in favour of the packet that came first.
     order: u64,
     arrived: Instant,
     way: Arc<Way>,
-    /// Its number on this way.
+    /// Its number in this direction.
     n: u64,
     bytes: Vec<u8>,
 }
@@ -104,7 +104,7 @@ struct Flow {
     rebinds: AtomicU64,
 }
 
-/// Who listens to the server's answers to one client.
+/// The thread that receives the server's packets for one client.
 struct Answers {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -112,15 +112,15 @@ struct Answers {
 
 /// One direction of one flow.
 struct Way {
-    /// What it goes out of: the flow's own socket towards the server, which changes when the flow
-    /// gets a new address, or the one that all clients send to.
+    /// Sending socket: that of the flow towards the server, which changes with its address, or the one that all
+    /// clients send to.
     socket: Mutex<Arc<UdpSocket>>,
     /// `None` for a connected socket.
     to: Option<SocketAddr>,
     path: Mutex<Path>,
-    /// One more than the highest number that went out.
+    /// Highest sent packet number plus one.
     newest_out: AtomicU64,
-    /// Packets that went out after one with a higher number.
+    /// Packets sent after one with a higher number.
     reordered: AtomicU64,
 }
 
@@ -144,13 +144,13 @@ impl Ord for Parcel {
     }
 }
 
-/// A poisoned lock means that another relay thread failed; the figures are still worth having.
+/// A poisoned lock means that another relay thread failed; the figures remain valid.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Relay {
-    /// Listens on `listen` and passes on to `to` what arrives there, and back what is answered.
+    /// Listens on `listen`, and relays to `to` and back.
     pub fn start(
         listen: SocketAddr,
         to: SocketAddr,
@@ -185,15 +185,14 @@ impl Relay {
         })
     }
 
-    /// Where it listens, with the port that was chosen when 0 was asked for.
+    /// Listening address, with the actual port.
     pub fn local_addr(&self) -> SocketAddr {
         self.address
     }
 
-    /// Lets the server see another address of a client from now on, as when a laptop changes from
-    /// a cable to a radio or a router forgets whom an address belonged to. What is sent to the old
-    /// address is lost, and so is nothing else. Flows count from 0 in the order in which clients
-    /// came. Gives the new address.
+    /// Changes the address of a client as seen by the server, as after a NAT rebinding or a change of the
+    /// network interface. Packets to the old address are lost, and no others. Flows count from 0 in the order
+    /// of their first packet. Returns the new address.
     pub fn rebind(&self, flow: usize) -> Result<SocketAddr, RebindError> {
         let (flows, found) = {
             let flows = lock(&self.shared.flows);
@@ -211,7 +210,7 @@ impl Relay {
         Ok(address)
     }
 
-    /// What it did so far.
+    /// Statistics so far.
     pub fn stats(&self) -> RelayStats {
         let mut stats = RelayStats {
             profile: self.shared.profile.name.clone(),
@@ -253,7 +252,7 @@ impl Drop for Relay {
         self.shared.stop.store(true, Ordering::Relaxed);
         self.shared.due.notify_all();
         for thread in self.threads.drain(..) {
-            // A thread that failed has nothing more to say.
+            // A failed thread has no result.
             let _ = thread.join();
         }
         for flow in lock(&self.shared.flows).drain(..) {
@@ -263,7 +262,7 @@ impl Drop for Relay {
 }
 
 impl Answers {
-    /// Ends it now, while the relay goes on.
+    /// Ends this flow while the relay continues.
     fn end(mut self) {
         self.stop.store(true, Ordering::Relaxed);
         self.wait();
@@ -277,11 +276,11 @@ impl Answers {
 }
 
 fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> io::Result<JoinHandle<()>> {
-    // A network is not delayed by the load of the machines that it joins.
+    // Emulated delays must not depend on the load of the machine.
     threads::spawn(ThreadClass::Network, name, work)
 }
 
-/// Receives until it is time to stop, whatever errors the system reports about single packets.
+/// Receives until stopped; socket errors about single packets are ignored.
 fn receive(
     is_over: impl Fn() -> bool,
     socket: &UdpSocket,
@@ -289,7 +288,7 @@ fn receive(
 ) {
     let mut buffer = vec![0; PACKET_MAX_BYTES];
     while !is_over() {
-        // A timeout, or the echo of a closed port: both pass.
+        // A timeout, or an ICMP error of a closed port: both are transient.
         if let Ok((len, from)) = socket.recv_from(&mut buffer) {
             handle(&buffer[..len], from);
         }
@@ -317,7 +316,7 @@ fn listen_to_clients(shared: &Arc<Shared>, socket: &Arc<UdpSocket>) {
     });
 }
 
-/// A socket towards the server, of an address that nobody had.
+/// A socket towards the server with a new local address.
 fn towards(server: SocketAddr) -> io::Result<Arc<UdpSocket>> {
     let any: SocketAddr = if server.is_ipv4() {
         (Ipv4Addr::UNSPECIFIED, 0).into()
@@ -330,7 +329,7 @@ fn towards(server: SocketAddr) -> io::Result<Arc<UdpSocket>> {
     Ok(Arc::new(socket))
 }
 
-/// A socket towards the server for one client, and the thread that takes the answers.
+/// The socket of one client towards the server, and its receiving thread.
 fn open_flow(
     shared: &Arc<Shared>,
     listening: &Arc<UdpSocket>,
@@ -358,7 +357,7 @@ fn open_flow(
     }))
 }
 
-/// Takes the answers that come to a socket.
+/// Receives the server's packets for one client.
 fn answers(
     shared: &Arc<Shared>,
     upstream: &Arc<UdpSocket>,
@@ -370,7 +369,7 @@ fn answers(
     let thread = spawn("relay-answers", move || {
         let is_over = || shared.stop.load(Ordering::Relaxed) || stopped.load(Ordering::Relaxed);
         receive(is_over, &upstream, |bytes, _| {
-            // One that came while the address changed was sent to an address that is gone.
+            // A packet that arrived during a rebind was sent to the old address.
             if !stopped.load(Ordering::Relaxed) {
                 shared.take(&down, bytes);
             }
@@ -383,7 +382,7 @@ fn answers(
 }
 
 impl Shared {
-    /// Takes a packet in: it meets its fate, and waits.
+    /// Accepts a packet, decides its fate, and queues it.
     fn take(&self, way: &Arc<Way>, bytes: &[u8]) {
         let arrived = Instant::now();
         let (n, arrivals) = {
@@ -419,7 +418,7 @@ impl Shared {
         }
     }
 
-    /// Sends what is due, until it is time to stop.
+    /// Sends due packets until stopped.
     fn deliver(&self) {
         let mut queue = lock(&self.queue);
         while !self.stop.load(Ordering::Relaxed) {
@@ -438,7 +437,7 @@ impl Shared {
             queue.note_delivery(&parcel, now);
             drop(queue);
             let socket = lock(&parcel.way.socket).clone();
-            // The receiver may be gone; then the packet is lost like any other.
+            // If the receiver is gone, the packet is lost.
             let _ = match parcel.way.to {
                 Some(to) => socket.send_to(&parcel.bytes, to),
                 None => socket.send(&parcel.bytes),

@@ -1,4 +1,4 @@
-//! What a relay did.
+//! Statistics of a relay.
 
 use std::fmt;
 
@@ -6,28 +6,28 @@ use serde::{Deserialize, Serialize};
 
 use crate::network::PathCounts;
 
-/// What a relay did to the packets of one direction, all clients together.
+/// Packet counts of one direction, over all clients.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct WayStats {
-    /// Packets that came in.
+    /// Packets received.
     pub sent: u64,
-    /// Packets that were lost on purpose.
+    /// Packets dropped by the profile.
     pub dropped: u64,
-    /// Those of them that were lost because the link was down.
+    /// Dropped packets because the link was down.
     pub in_outage: u64,
-    /// Those of them that were lost because the bottleneck's queue was full.
+    /// Dropped packets because the bottleneck queue was full.
     pub queue_full: u64,
-    /// Packets that went out twice.
+    /// Duplicated packets.
     pub duplicated: u64,
-    /// Packets that went out with flipped bits.
+    /// Corrupted packets.
     pub corrupted: u64,
-    /// Packets that went out after one that came in later.
+    /// Packets sent after one that was received later.
     pub reordered: u64,
 }
 
 impl WayStats {
-    /// Adds what became of one flow's packets.
+    /// Adds the counts of one flow.
     pub(super) fn add(&mut self, counts: PathCounts, reordered: u64) {
         self.sent += counts.sent;
         self.dropped += counts.dropped();
@@ -55,7 +55,7 @@ impl fmt::Display for WayStats {
     }
 }
 
-/// What a relay did, both directions together.
+/// Statistics of a relay, both directions together.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct RelayStats {
     /// The profile's name.
@@ -64,39 +64,39 @@ pub struct RelayStats {
     pub seed: u64,
     /// Clients seen.
     pub clients: u64,
-    /// Packets that came in.
+    /// Packets received.
     pub sent: u64,
-    /// Packets that were lost on purpose: by chance, in an outage, at a full bottleneck.
+    /// Packets dropped by the profile: by chance, in an outage, at a full queue.
     pub dropped: u64,
-    /// Those of them that were lost because the link was down.
+    /// Dropped packets because the link was down.
     #[serde(default)]
     pub in_outage: u64,
-    /// Those of them that were lost because the bottleneck's queue was full.
+    /// Dropped packets because the bottleneck queue was full.
     #[serde(default)]
     pub queue_full: u64,
-    /// Packets that the relay had no room for; not part of the fates.
+    /// Packets dropped because the relay was full; independent of the profile.
     pub overflowed: u64,
-    /// Packets that went out, doubles included.
+    /// Packets sent, duplicates included.
     pub delivered: u64,
-    /// Packets that went out after one that came in later.
+    /// Packets sent after one that was received later.
     pub reordered: u64,
-    /// Packets that went out twice.
+    /// Duplicated packets.
     pub duplicated: u64,
-    /// Packets that went out with flipped bits.
+    /// Corrupted packets.
     #[serde(default)]
     pub corrupted: u64,
-    /// How often a client got a new address towards the server.
+    /// Address changes of clients towards the server.
     #[serde(default)]
     pub rebinds: u64,
-    /// Measured delay inside the relay, mean, milliseconds.
+    /// Measured delay in the relay, mean, ms.
     pub delay_mean_ms: f64,
     /// Measured delay, median, to 0.1 ms.
     pub delay_p50_ms: f64,
     /// Measured delay, 99th percentile, to 0.1 ms.
     pub delay_p99_ms: f64,
-    /// How late packets went out against their fate, 99th percentile, to 0.1 ms.
+    /// Lateness of packets against their fate, 99th percentile, to 0.1 ms.
     pub lateness_p99_ms: f64,
-    /// Measured share of packets that were lost, 0 to 1.
+    /// Measured packet loss, 0 to 1.
     pub loss: f64,
     /// Packets to the server.
     #[serde(default)]
@@ -106,13 +106,13 @@ pub struct RelayStats {
     pub down: WayStats,
 }
 
-/// Width of a bucket in microseconds.
+/// Bucket width, microseconds.
 const BUCKET_US: u64 = 100;
 
-/// Buckets: up to 2 s; what is longer counts as that.
+/// Number of buckets: up to 2 s; longer times count as 2 s.
 const BUCKETS: usize = 20_000;
 
-/// Counts of times by length.
+/// Histogram of times.
 #[derive(Debug)]
 pub(super) struct Histogram {
     counts: Vec<u32>,
@@ -146,7 +146,7 @@ impl Histogram {
         }
     }
 
-    /// The upper edge of the bucket that holds the share `q` of all.
+    /// Upper edge of the bucket that contains the quantile `q`.
     pub(super) fn quantile_ms(&self, q: f64) -> f64 {
         if self.total == 0 {
             return 0.0;

@@ -1,4 +1,4 @@
-//! A small model, scripts for it, and a session around it, for tests of whole programs.
+//! A small model with scripts and a session, for tests of whole programs.
 
 // Each test file uses a part of it.
 #![allow(dead_code)]
@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use palpate_lab::network::Profile;
-use palpate_lab::place::Place;
 use palpate_lab::scripts::Scripts;
 use palpate_lab::session::{Hosting, Participant, Session};
-use palpate_lab::subject::Subject;
+use palpate_lab::test_model::TestModel;
+use palpate_lab::tool_location::ToolLocation;
 use palpate_tissue::{Material, Topology, block};
 
 /// The program under test, in all its roles.
@@ -18,16 +18,16 @@ pub(crate) fn executable() -> &'static Path {
     Path::new(env!("CARGO_BIN_EXE_palpate-lab"))
 }
 
-/// Sessions at the same time would take the processors from each other.
+/// Serialises sessions, which would compete for the processors.
 pub(crate) fn alone() -> MutexGuard<'static, ()> {
     static TABLE: Mutex<()> = Mutex::new(());
     TABLE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A block of soft tissue and a folder for all that comes of it.
+/// A block of soft tissue and a folder for all output.
 pub(crate) struct Table {
     pub(crate) dir: tempfile::TempDir,
-    pub(crate) subject: Subject,
+    pub(crate) subject: TestModel,
 }
 
 impl Table {
@@ -42,7 +42,7 @@ impl Table {
             source: "test".into(),
             ..Material::default()
         };
-        let subject = Subject::of(block([20, 20, 8], 0.005, &soft, 1), dir.path()).unwrap();
+        let subject = TestModel::of(block([20, 20, 8], 0.005, &soft, 1), dir.path()).unwrap();
         Self { dir, subject }
     }
 
@@ -52,7 +52,7 @@ impl Table {
 
     /// Writes the scripts of the holder and the cutter.
     pub(crate) fn scripts(&self, seconds: f64) -> [PathBuf; 2] {
-        let place = Place::find(&Topology::new(self.subject.model.clone())).unwrap();
+        let place = ToolLocation::find(&Topology::new(self.subject.model.clone())).unwrap();
         let scripts = Scripts::for_place(&place, seconds).unwrap();
         let files = [self.path("holder.toml"), self.path("cutter.toml")];
         std::fs::write(&files[0], scripts.holder.to_toml()).unwrap();
@@ -60,7 +60,7 @@ impl Table {
         files
     }
 
-    /// A session behind a network.
+    /// Starts a session on an emulated network.
     pub(crate) fn host(&self, profile: &str, start_when: u16) -> Session {
         Session::start(&Hosting {
             executable: executable(),
@@ -73,7 +73,7 @@ impl Table {
         .unwrap()
     }
 
-    /// Both trainees, in the session.
+    /// Both trainees, after joining.
     pub(crate) fn trainees(&self, session: &Session, seconds: f64) -> [Participant; 2] {
         let [holder, cutter] = self.scripts(seconds);
         let join = |name, script: &Path| {

@@ -24,10 +24,10 @@ use crate::chart::{BLACK, BLUE, Chart, GREEN, Line, ORANGE, PURPLE, SKY};
 use crate::disagreement::CoursePoint;
 use crate::force_error::ForcePoint;
 use crate::network::{Jitter, Link, Profile};
-use crate::place::Place;
 use crate::reference;
 use crate::rehearsal::Rehearsal;
 use crate::scripts::Scripts;
+use crate::tool_location::ToolLocation;
 use tally::{Sat, Tally};
 
 /// Sessions per network when nothing is said: each takes five seconds of a processor, half of them for the same hands at
@@ -90,7 +90,8 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         .model
         .clone()
         .unwrap_or_else(|| Arc::new(soft_block()));
-    let place = Place::find(&Topology::new(Arc::clone(&model))).map_err(|e| e.to_string())?;
+    let place =
+        ToolLocation::find(&Topology::new(Arc::clone(&model))).map_err(|e| e.to_string())?;
     let scripts = Scripts::for_place(&place, SECONDS).map_err(|e| e.to_string())?;
     // Both sides follow what the file says, which is rounded.
     let files = [&scripts.holder, &scripts.cutter].map(Script::to_toml);

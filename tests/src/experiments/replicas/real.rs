@@ -11,7 +11,7 @@ use super::tally::{Sat, Tally};
 use crate::experiments::Bench;
 use crate::network::Profile;
 use crate::session::{Hosting, Left, Participant, Session, SessionError};
-use crate::subject::Subject;
+use crate::test_model::TestModel;
 
 /// From the moment in which everybody is in to the end of the scripts, and what is on its way then.
 const AROUND: Duration = Duration::from_millis(2500);
@@ -27,7 +27,7 @@ pub(super) fn sessions(
 ) -> Result<Tally, String> {
     let executable = std::env::current_exe()
         .map_err(|e| format!("the program to start as server and clients is not known: {e}"))?;
-    let subject = Subject::of(Model::clone(model), bench.dir).map_err(|e| e.to_string())?;
+    let subject = TestModel::of(Model::clone(model), bench.dir).map_err(|e| e.to_string())?;
     let mut files = Vec::new();
     for (name, text) in NAMES.into_iter().zip(scripts) {
         let file = bench.dir.join(format!("{name}.toml"));

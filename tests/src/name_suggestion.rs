@@ -1,22 +1,22 @@
-//! The known word that a wrong one is meant to be.
+//! Suggests the known name that is nearest to a misspelt one.
 
-/// Letters of a wrong word that are looked at; more is no slip of the fingers.
+/// Maximum number of compared letters; a longer name is not a typing error.
 const LETTERS_MAX: usize = 64;
 
-/// The known word nearest to `word`, when fewer than half of its letters are wrong.
+/// The known name nearest to `word`, if fewer than half of its letters differ.
 pub(crate) fn nearest<'a>(word: &str, known: &[&'a str]) -> Option<&'a str> {
     let nearest = known.iter().copied().min_by_key(|n| edits(word, n));
     nearest.filter(|n| edits(word, n) <= n.chars().count() / 2)
 }
 
-/// `; did you mean "..."?`, or nothing.
+/// `; did you mean "..."?`, or an empty string.
 pub(crate) fn did_you_mean(word: &str, known: &[&str]) -> String {
     let nearest = nearest(word, known);
     nearest.map_or(String::new(), |n| format!("; did you mean \"{n}\"?"))
 }
 
-/// What serde says of a key or a kind that it does not know, with the one that is meant. It names the wrong word first and
-/// then the known ones, each between two backquotes.
+/// A serde error for an unknown key or variant, with a suggestion. serde prints the unknown name first and then
+/// the known ones, each in backquotes.
 pub(crate) fn with_nearest(said: &str) -> String {
     let said = said.trim_end();
     let Some(from) = (said.find("unknown field")).or_else(|| said.find("unknown variant")) else {
@@ -29,7 +29,7 @@ pub(crate) fn with_nearest(said: &str) -> String {
     }
 }
 
-/// How many letters must be changed, added or taken away to make one word of the other.
+/// Edit distance: letters changed, added or removed.
 fn edits(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();
@@ -50,7 +50,7 @@ mod tests {
     use super::{nearest, with_nearest};
 
     #[test]
-    fn a_slip_of_the_fingers_is_found_and_another_word_is_not() {
+    fn typing_error_gets_a_suggestion_and_another_word_does_not() {
         let known = ["delay_ms", "loss", "jitter"];
         assert_eq!(nearest("deley_ms", &known), Some("delay_ms"));
         assert_eq!(nearest("los", &known), Some("loss"));
@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_in_a_file_comes_with_what_is_meant() {
+    fn serde_error_gets_a_suggestion() {
         let said = with_nearest("line 3: unknown field `sede`, expected one of `seed`, `seeds`\n");
         assert!(said.ends_with("did you mean \"seed\"?"), "{said}");
         assert_eq!(with_nearest("invalid type"), "invalid type");

@@ -1,4 +1,4 @@
-//! The model that an experiment is about: a file, a scene or a sample, made into a file once.
+//! The model under test: a file, scene or sample, stored in a model file once.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -8,46 +8,46 @@ use palpate_tissue::{
     BuildError, FileError, Model, ModelFile, SceneError, SceneInput, WriteError, build,
 };
 
-/// Why there is no model.
+/// Failure to prepare a model.
 #[derive(Debug, thiserror::Error)]
-pub enum SubjectError {
+pub enum TestModelError {
     /// Neither a file nor a sample.
-    #[error("\"{name}\" is no file, and {source}")]
+    #[error("\"{name}\" is not a file, and {source}")]
     Unknown {
-        /// What was asked for.
+        /// The requested name.
         name: String,
-        /// Why it is no sample.
+        /// Error of the sample lookup.
         source: SampleError,
     },
     /// A file that is neither a model nor a scene.
-    #[error("{}: a model ends with .palp and a scene with .toml", .0.display())]
+    #[error("unsupported file {}: use a model (.palp) or a scene (.toml)", .0.display())]
     Kind(PathBuf),
-    /// The scene.
+    /// The scene is invalid.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// Building.
+    /// The build failed.
     #[error(transparent)]
     Build(#[from] BuildError),
-    /// The model file.
+    /// The model file is invalid.
     #[error(transparent)]
     File(#[from] FileError),
-    /// The model file can not be written.
+    /// The model file cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
 }
 
 /// A model with its file.
 #[derive(Debug, Clone)]
-pub struct Subject {
+pub struct TestModel {
     /// The model.
     pub model: Arc<Model>,
-    /// The file that the server is given.
+    /// The file for the server.
     pub file: PathBuf,
 }
 
-impl Subject {
+impl TestModel {
     /// The model `name`: a `.palp` file as it is; a `.toml` scene or a sample, built into `dir`.
-    pub fn prepare(name: &str, dir: &Path) -> Result<Self, SubjectError> {
+    pub fn prepare(name: &str, dir: &Path) -> Result<Self, TestModelError> {
         let path = Path::new(name);
         let ends_with = |end: &str| path.extension().is_some_and(|e| e == end);
         if ends_with("palp") {
@@ -62,27 +62,27 @@ impl Subject {
         }
         match name.parse::<Sample>() {
             Ok(sample) => Self::build(&sample.input()?, dir),
-            Err(_) if path.exists() => Err(SubjectError::Kind(path.to_owned())),
-            Err(source) => Err(SubjectError::Unknown {
+            Err(_) if path.exists() => Err(TestModelError::Kind(path.to_owned())),
+            Err(source) => Err(TestModelError::Unknown {
                 name: name.to_owned(),
                 source,
             }),
         }
     }
 
-    fn build(input: &SceneInput, dir: &Path) -> Result<Self, SubjectError> {
+    fn build(input: &SceneInput, dir: &Path) -> Result<Self, TestModelError> {
         let (model, report) = build(input, &mut |_, _| ())?;
         let report_json = serde_json::to_string(&report).expect("a report is plain data");
         Self::write(ModelFile { model, report_json }, dir)
     }
 
-    /// A model that is not from a file, written into `dir`.
-    pub fn of(model: Model, dir: &Path) -> Result<Self, SubjectError> {
+    /// An in-memory model, written into `dir`.
+    pub fn of(model: Model, dir: &Path) -> Result<Self, TestModelError> {
         let report_json = String::new();
         Self::write(ModelFile { model, report_json }, dir)
     }
 
-    fn write(file: ModelFile, dir: &Path) -> Result<Self, SubjectError> {
+    fn write(file: ModelFile, dir: &Path) -> Result<Self, TestModelError> {
         let path = dir.join("model.palp");
         file.write(&path)?;
         Ok(Self {
@@ -94,27 +94,27 @@ impl Subject {
 
 #[cfg(test)]
 mod tests {
-    use super::Subject;
+    use super::TestModel;
 
     #[test]
-    fn what_is_nothing_is_answered_with_the_samples() {
+    fn unknown_model_error_lists_the_samples() {
         let dir = tempfile::tempdir().unwrap();
-        let error = Subject::prepare("thight", dir.path())
+        let error = TestModel::prepare("thight", dir.path())
             .unwrap_err()
             .to_string();
         assert!(error.contains("did you mean \"thigh\"?"), "{error}");
         let file = dir.path().join("notes.txt");
         std::fs::write(&file, "x").unwrap();
-        let error = Subject::prepare(&file.display().to_string(), dir.path()).unwrap_err();
+        let error = TestModel::prepare(&file.display().to_string(), dir.path()).unwrap_err();
         assert!(error.to_string().contains(".palp"), "{error}");
     }
 
     #[test]
-    fn a_sample_becomes_a_file_that_reads_back() {
+    fn sample_round_trips_through_its_file() {
         let dir = tempfile::tempdir().unwrap();
-        let made = Subject::prepare("handle", dir.path()).unwrap();
+        let made = TestModel::prepare("handle", dir.path()).unwrap();
         let name = made.file.display().to_string();
-        let read = Subject::prepare(&name, dir.path()).unwrap();
+        let read = TestModel::prepare(&name, dir.path()).unwrap();
         assert_eq!(made.model.nodes.len(), read.model.nodes.len());
     }
 }

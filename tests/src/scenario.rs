@@ -1,13 +1,13 @@
-//! A tool led along a path: what the hand feels of it, and what is true.
+//! A tool led along a path: the rendered force and the converged force.
 //!
-//! The haptic path is the real one: a [`Replica`] solved 250 times a second with the budget of a hand, and the 1 kHz
-//! [`Chain`] between its answers, on a device that follows the path whatever it is given. Time is virtual but for one thing:
-//! a model is there for the chain when the processor time has passed that its solve took on one thread, so a
-//! machine that is too slow shows, and one that is busy with others does not.
+//! The haptic path is that of the client: a [`Replica`] solved at 250 Hz with the budget of a hand, and the 1
+//! kHz [`Chain`] between solves. The device follows the path whatever force it renders. Time is virtual; a
+//! model becomes available after the processor time of its solve on one thread. A machine that is too slow
+//! therefore shows in the result, and one with other load does not.
 //!
-//! The truth is another solver that converges at a place of the path every [`CHECK_MS`] milliseconds, in every phase of
-//! the haptic path's period. Of friction it knows what a tool that slides is held back by: at each place that touches,
-//! μd times what presses there, against the motion (Coulomb).
+//! The reference is a second solver that converges every [`CHECK_MS`] milliseconds along the path, at every
+//! phase of the haptic period. Its friction is that of a sliding tool: at each active contact point μd times
+//! the normal force, against the motion (Coulomb).
 
 use std::sync::Arc;
 
@@ -24,65 +24,65 @@ use palpate_protocol::{ClientTime, ParticipantId, Span};
 use palpate_tissue::{Budget, Model, Reaction, Shape, Solver, Tool, Topology};
 use serde::Serialize;
 
-/// From one tick of the chain to the next.
+/// Tick of the chain.
 const TICK: Span = Span::from_millis(1);
-/// From one converged answer to the next, ms. It has no part in common with the haptic path's period.
+/// Period of the converged solves, ms; coprime to the haptic period.
 pub const CHECK_MS: i64 = 11;
-/// Rest before the path begins: the soft start of the chain is over then.
+/// Rest before the path begins: longer than the soft start of the chain.
 const LEAD: Span = Span::from_millis(1200);
-/// Residual of what counts as converged: 1e-3 leaves a fifth of a percent of the force, and a thigh would take a second
-/// per place for 1e-4.
+/// Relative residual of a converged solve. 1e-3 leaves 0.2 % of the force; 1e-4 takes a second per position on
+/// the thigh.
 const CONVERGED: f64 = 5e-4;
-/// Iterations for it at most; a table says what residual was left.
+/// Maximum iterations; the result table lists the remaining residual.
 const ITERATIONS: usize = 60;
-/// Slower than this a tool does not slide, m/s.
+/// Sliding threshold, m/s.
 const SLIDES_M_S: f64 = 5e-3;
-/// Ticks for which it must have slid.
+/// Ticks for which the tool must have slid.
 const SLID_TICKS: usize = 20;
 
-/// What is to be tried.
+/// Input of a simulated contact.
 #[derive(Debug, Clone)]
-pub struct Trial {
+pub struct Scenario {
     /// The tissue.
     pub model: Arc<Model>,
-    /// What is pressed into it.
+    /// The tool.
     pub tool: ToolDescription,
-    /// Along where.
+    /// The path of the tool.
     pub path: Script,
-    /// The constants of the chain.
+    /// Constants of the chain.
     pub chain: ChainConfig,
 }
 
 /// One tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Point {
-    /// Since the beginning of the path, s.
+    /// Time since the beginning of the path, s.
     pub t_s: f64,
-    /// Where the pivot is, m.
+    /// Position of the pivot, m.
     pub position: Vector3<f64>,
-    /// What the hand is given.
+    /// Rendered wrench.
     pub felt: Wrench,
-    /// Whether the tool slides, and has done so for a while.
+    /// Whether the tool has slid for `SLID_TICKS` ticks.
     pub slides: bool,
-    /// The truth, where it was asked for.
+    /// Converged wrench, at checked ticks.
     pub truth: Option<Truth>,
 }
 
-/// What a converged solution says.
+/// Converged solution.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Truth {
-    /// On the tool without friction.
+    /// Wrench on the tool without friction.
     pub plain: Wrench,
-    /// What friction adds where the tool slides.
+    /// Friction wrench if the tool slides.
     pub friction: Wrench,
-    /// What presses on all places, N.
+    /// Sum of the normal forces, N.
     pub pressed_n: f64,
-    /// Its residual.
+    /// Relative residual.
     pub residual: f64,
 }
 
 impl Truth {
-    /// All of it.
+    /// Wrench with friction.
     pub fn sliding(&self) -> Wrench {
         Wrench {
             force: self.plain.force + self.friction.force,
@@ -91,32 +91,32 @@ impl Truth {
     }
 }
 
-/// A trial that was made.
+/// Result.
 #[derive(Debug, Clone)]
 pub struct Course {
-    /// One per tick.
+    /// One point per tick.
     pub points: Vec<Point>,
-    /// What the chain counted.
+    /// Counters of the chain.
     pub counters: Counters,
     /// Processor time of the solves, ms: median and 99th percentile.
     pub solve_ms: [f64; 2],
 }
 
-/// How far what was felt is from the truth.
+/// Deviation of the rendered from the converged values.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Deviation {
-    /// Root mean square of the difference over that of the truth.
+    /// Rms of the difference over the rms of the converged value.
     pub rms: f64,
-    /// Largest difference over the largest truth.
+    /// Largest difference over the largest converged value.
     pub worst: f64,
-    /// Largest truth, N or N·m.
+    /// Largest converged value, N or N·m.
     pub largest: f64,
-    /// Points that were compared. Without any the shares are none.
+    /// Number of compared points; if zero, the shares are NaN.
     pub n: usize,
 }
 
 impl Deviation {
-    /// Of pairs of what was felt and what is true.
+    /// Deviation over pairs of rendered and converged values.
     pub fn of(pairs: impl Iterator<Item = (Vector3<f64>, Vector3<f64>)>) -> Self {
         let (mut off, mut all, mut worst, mut largest, mut n) = (0.0, 0.0, 0.0_f64, 0.0_f64, 0);
         for (felt, truth) in pairs {
@@ -137,7 +137,7 @@ impl Deviation {
     }
 }
 
-/// A device without limits of its own: it follows the path whatever it is given.
+/// A device without limits, which follows the path exactly.
 fn caps() -> DeviceCaps {
     let half = Vector3::repeat(10.0);
     DeviceCaps {
@@ -156,16 +156,16 @@ fn caps() -> DeviceCaps {
     }
 }
 
-/// A path from its way points. The hand of a script has no part in it: the tool is led.
+/// A path from way points, without the dynamics of a simulated hand.
 pub fn path(ways: Vec<WayPoint>) -> Result<Script, String> {
     Script::new(ScriptTool::probe(1e-3), Hand::default(), ways, false).map_err(|e| e.to_string())
 }
 
-impl Trial {
-    /// Makes it; `progress` is told the share that is done.
+impl Scenario {
+    /// Runs the simulation; `progress` receives the completed share.
     pub fn run(&self, progress: &mut (dyn FnMut(f64) + Send)) -> Course {
         let (mut points, counters, solve_ms) = self.feel(&mut |done| progress(0.5 * done));
-        // The truth may take all cores.
+        // The converged solves may use all cores.
         let all = std::thread::available_parallelism().map_or(1, usize::from);
         let mut converge = || self.converge(&mut points, &mut |done| progress(0.5 + 0.5 * done));
         if crate::bench::on_threads(all, &mut converge).is_err() {
@@ -193,7 +193,7 @@ impl Trial {
         }
     }
 
-    /// The haptic path.
+    /// Simulates the haptic path.
     fn feel(&self, progress: &mut dyn FnMut(f64)) -> (Vec<Point>, Counters, [f64; 2]) {
         let mut replica = Replica::new(Arc::clone(&self.model), true);
         let mut chain = Chain::new(self.chain, &caps());
@@ -242,7 +242,7 @@ impl Trial {
         (points, *chain.counters(), [quantile(0.5), quantile(0.99)])
     }
 
-    /// The truth at every place that is checked.
+    /// Computes the converged solution at every checked position.
     fn converge(&self, points: &mut [Point], progress: &mut dyn FnMut(f64)) {
         let topology = Topology::new(Arc::clone(&self.model));
         let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
@@ -258,7 +258,7 @@ impl Trial {
     }
 }
 
-/// What these reactions say about the pivot of a tool that moves so.
+/// Converged wrench about the pivot, from the reactions of a moving tool.
 fn truth(reactions: &[Reaction], at: &ScriptPose, residual: f64) -> Truth {
     let mut truth = Truth {
         plain: Wrench::ZERO,
@@ -284,40 +284,40 @@ fn truth(reactions: &[Reaction], at: &ScriptPose, residual: f64) -> Truth {
 }
 
 impl Course {
-    /// The points with a truth.
+    /// The points with a converged solution.
     pub fn checked(&self) -> impl Iterator<Item = (&Point, Truth)> {
         self.points.iter().filter_map(|p| Some((p, p.truth?)))
     }
 
-    /// Force felt against the converged one, friction left out on both sides: for tissue without any.
+    /// Rendered against converged force without friction, for frictionless tissue.
     pub fn plain(&self) -> Deviation {
         Deviation::of(self.checked().map(|(p, t)| (p.felt.force, t.plain.force)))
     }
 
-    /// The same for torques about the pivot.
+    /// The same for the torque about the pivot.
     pub fn plain_torque(&self) -> Deviation {
         Deviation::of(self.checked().map(|(p, t)| (p.felt.torque, t.plain.torque)))
     }
 
-    /// Force while the tool slides, friction and all.
+    /// Force with friction while the tool slides.
     pub fn sliding(&self) -> Deviation {
         let slides = self.checked().filter(|(p, _)| p.slides);
         Deviation::of(slides.map(|(p, t)| (p.felt.force, t.sliding().force)))
     }
 
-    /// The same for torques.
+    /// The same for the torque.
     pub fn sliding_torque(&self) -> Deviation {
         let slides = self.checked().filter(|(p, _)| p.slides);
         Deviation::of(slides.map(|(p, t)| (p.felt.torque, t.sliding().torque)))
     }
 
-    /// Of the checks from `from_s` on, the share at which the tool slid.
+    /// Share of sliding checks from `from_s` on.
     pub fn slid(&self, from_s: f64) -> f64 {
         let all = || self.checked().filter(|(p, _)| p.t_s >= from_s);
         all().filter(|(p, _)| p.slides).count() as f64 / all().count() as f64
     }
 
-    /// The worst residual of what counts as converged, and at how many checks it was more than asked for.
+    /// Largest residual, and the number of checks above the requested one.
     pub fn residuals(&self) -> serde_json::Value {
         let worst = self.checked().map(|(_, t)| t.residual).fold(0.0, f64::max);
         let over = self
@@ -327,7 +327,7 @@ impl Course {
         serde_json::json!({ "worst": worst, "over": over, "checks": self.checked().count() })
     }
 
-    /// The course as a table.
+    /// The course as CSV.
     pub fn csv(&self) -> String {
         use std::fmt::Write as _;
         let mut csv = String::from(
@@ -336,7 +336,7 @@ impl Course {
         );
         for p in &self.points {
             let (x, f, t) = (p.position * 1e3, p.felt.force, p.felt.torque * 1e3);
-            // Writing to a string can not fail.
+            // Writing to a string cannot fail.
             let _ = write!(
                 csv,
                 "{:.3},{:.4},{:.4},{:.4},{:.5},{:.5},{:.5},{:.4},{:.4},{:.4},{}",
@@ -373,7 +373,7 @@ impl Course {
     }
 }
 
-/// A turn that takes z to `normal`: how a tool's handle points away from tissue.
+/// A rotation of z to `normal`: the tool handle points out of the tissue.
 pub fn upright(normal: &Vector3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::rotation_between(&Vector3::z(), normal).unwrap_or_else(|| {
         UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)

@@ -1,10 +1,9 @@
-//! Where to work on a model: two places on its outer surface with room for a stroke between them.
+//! Locations for tools on a model: two points on its outer surface with room for a stroke between them.
 //!
-//! A place is good when the surface around it is one region, without pinned parts and without
-//! edges (the ends of a limb, the rim of a block), and when nothing pinned lies close beneath. Of
-//! a sample of the surface's nodes the one with the best clearance and depth becomes the middle.
-//! There the normals say which way the surface is flattest: that is the stroke's direction v, so
-//! that a blade moved straight stays near one depth; the two places lie across it, at ±u.
+//! The surface around a suitable location is one region without pinned parts and without edges (the end of a
+//! limb, the rim of a block). Nothing pinned is close below. Of a sample of surface nodes, the node with the
+//! best clearance and depth is the centre. The stroke direction v is that of the smallest surface curvature, so
+//! that a straight blade keeps its depth. The two locations P and Q are at ±u, across the stroke.
 //!
 //! ```text
 //!            v
@@ -17,35 +16,35 @@ use std::collections::BTreeMap;
 
 use palpate_tissue::{RegionId, Solver, Topology, Vec3};
 
-/// Nodes of the surface that are tried as the middle. Each costs one pass over the bad and the
-/// pinned nodes; more are not better, because neighbours are alike.
+/// Maximum number of candidate nodes for the centre. Each costs one pass over the unsuitable and pinned nodes.
+/// More do not improve the result, because adjacent candidates are similar.
 const CANDIDATES_MAX: usize = 400;
 
-/// A face that leans more than this from the normal of its node marks an edge (cosine).
+/// Cosine between face and node normal below which the face belongs to an edge.
 const EDGE_COS: f64 = 0.75;
 
-/// Clearance that is enough: half of the distance of the places, a tool's radius and some rest.
+/// Sufficient clearance: half the separation, a tool radius and a reserve.
 const CLEARANCE_ENOUGH_M: f64 = 0.045;
 
-/// Clearance that a tool needs that presses without sliding.
+/// Clearance for a tool that presses without sliding.
 const ROOM_FOR_A_TOOL_M: f64 = 0.015;
 
-/// Depth of soft tissue that is enough.
+/// Sufficient depth of soft tissue.
 const DEPTH_ENOUGH_M: f64 = 0.040;
 
-/// Distance of the two places where there is room for it.
+/// Separation of the two locations if there is room.
 const SEPARATION_M: f64 = 0.055;
 
-/// A place is one to press along the middle's normal while the surface leans less than this there (cosine), and is no
-/// farther below the middle than it is beside it.
+/// Minimum cosine between the normals of a pressable location and of the centre. Its surface must also not be
+/// farther below the centre than it is beside it.
 const LEANS_COS: f64 = 0.6;
 
-/// How many distances of the two places are tried, from the one that is wished for down.
+/// Number of separations to try, from the wanted one down.
 const SEPARATIONS: usize = 16;
 
-/// Why there is no place to work.
+/// Failure to find a location.
 #[derive(Debug, thiserror::Error)]
-pub enum PlaceError {
+pub enum ToolLocationError {
     /// No node qualifies.
     #[error(
         "the model has no place to press and cut: every part of its outer surface is pinned, or \
@@ -54,41 +53,41 @@ pub enum PlaceError {
     Nowhere,
 }
 
-/// A frame on the outer surface, with what is around it.
+/// A frame on the outer surface, with its clearance and depth.
 #[derive(Debug, Clone)]
-pub struct Place {
-    /// The middle, a point of the surface, m.
+pub struct ToolLocation {
+    /// The centre, a point of the surface, m.
     pub middle: Vec3,
-    /// Out of the tissue.
+    /// Outward normal.
     pub normal: Vec3,
-    /// From the middle towards the second place.
+    /// Unit vector towards the second location.
     pub u: Vec3,
-    /// Along the stroke; u × v points along the normal.
+    /// Unit vector along the stroke; u × v is the normal.
     pub v: Vec3,
-    /// How far the surface goes on without an edge, m.
+    /// Distance to the nearest edge, m.
     pub clearance_m: f64,
-    /// How deep the nearest pinned part is, m.
+    /// Depth of the nearest pinned part, m.
     pub depth_m: f64,
     /// Lattice spacing of the model, m.
     pub spacing_m: f64,
-    /// How far the places are from the middle, m.
+    /// Distance of the two locations from the centre, m.
     beside_m: f64,
     triangles: Vec<[Vec3; 3]>,
 }
 
-/// A point of the surface and its outward normal there.
+/// A surface point and its outward normal.
 #[derive(Debug, Clone, Copy)]
 pub struct SurfacePoint {
-    /// Where, m.
+    /// Position, m.
     pub at: Vec3,
-    /// Unit vector out of the tissue.
+    /// Outward unit normal.
     pub normal: Vec3,
 }
 
-/// The surface seen from its nodes.
+/// Nodes of the outer surface.
 struct Skin<'a> {
     topology: &'a Topology,
-    /// Area-weighted normal, triangles and whether it is clear of other regions and edges.
+    /// Area-weighted normal, triangles, and whether the node is clear of other regions and edges.
     nodes: BTreeMap<u32, SkinNode>,
 }
 
@@ -128,7 +127,7 @@ impl<'a> Skin<'a> {
         Self { topology, nodes }
     }
 
-    /// The middle with the best score of clearance and depth: node, clearance, depth.
+    /// The centre with the best score of clearance and depth: node, clearance, depth.
     fn middle(&self, score: impl Fn(f64, f64) -> f64) -> Option<(u32, f64, f64)> {
         let at = |n: u32| self.topology.rest(n);
         let good: Vec<u32> = self
@@ -169,7 +168,7 @@ impl<'a> Skin<'a> {
         best.map(|b| b.1)
     }
 
-    /// The diagonal of the box around the surface, m.
+    /// Diagonal of the bounding box of the surface, m.
     fn extent(&self) -> f64 {
         let (mut low, mut high) = (Vec3::repeat(f64::INFINITY), Vec3::repeat(f64::NEG_INFINITY));
         for n in self.nodes.keys() {
@@ -180,7 +179,7 @@ impl<'a> Skin<'a> {
     }
 }
 
-/// The unpinned region that shows most of itself outside.
+/// The unpinned region with the largest outer surface.
 fn main_region(topology: &Topology) -> Option<RegionId> {
     let boundary = topology.boundary();
     let mut areas: BTreeMap<RegionId, f64> = BTreeMap::new();
@@ -205,8 +204,8 @@ fn normal_of(topology: &Topology, triangle: usize) -> Vec3 {
         .unwrap_or_else(Vec3::zeros)
 }
 
-impl Place {
-    /// Follows the surface to where it hangs by its own weight: the nearest node leads all of it.
+impl ToolLocation {
+    /// Moves the frame with the sag of the tissue under gravity, by the displacement of the nearest node.
     pub fn sag(&mut self, topology: &Topology, solver: &Solver) {
         let nodes = topology.boundary().triangles.iter().flatten().copied();
         let apart = |node: &u32| (topology.rest(*node) - self.middle).norm();
@@ -218,8 +217,8 @@ impl Place {
         }
     }
 
-    /// Looks for the best place of a model at rest.
-    pub fn find(topology: &Topology) -> Result<Self, PlaceError> {
+    /// Finds the best location on a model at rest.
+    pub fn find(topology: &Topology) -> Result<Self, ToolLocationError> {
         let skin = Skin::new(topology);
         let found = skin.middle(|clearance, depth| {
             let room = (clearance / CLEARANCE_ENOUGH_M).min(1.0);
@@ -228,8 +227,9 @@ impl Place {
         Self::around(topology, &skin, found)
     }
 
-    /// Looks for where the least tissue, but two spacings of it, lies over what is pinned, with room for a tool.
-    pub fn find_thin(topology: &Topology) -> Result<Self, PlaceError> {
+    /// Finds the location with the thinnest tissue (at least two spacings) above a pinned part, with room for a
+    /// tool.
+    pub fn find_thin(topology: &Topology) -> Result<Self, ToolLocationError> {
         let skin = Skin::new(topology);
         let least = 2.0 * topology.model().spacing_m;
         let found = skin.middle(|clearance, depth| {
@@ -239,10 +239,9 @@ impl Place {
         Self::around(topology, &skin, found)
     }
 
-    /// Points of the surface with room for a tool each, as far from each other as can be: one, and then
-    /// always the point that is farthest from those before. Fewer than `n` where the
+    /// Surface points with room for a tool each, by farthest-point sampling. Returns fewer than `n` if the
     /// surface has no more.
-    pub fn spread(topology: &Topology, n: usize) -> Result<Vec<SurfacePoint>, PlaceError> {
+    pub fn spread(topology: &Topology, n: usize) -> Result<Vec<SurfacePoint>, ToolLocationError> {
         let skin = Skin::new(topology);
         let at = |node: u32| topology.rest(node);
         let is_good = |node: &&u32| !skin.nodes[*node].is_bad;
@@ -255,7 +254,7 @@ impl Place {
         let some: Vec<u32> = good.iter().copied().step_by(step).collect();
         let roomy: Vec<u32> = some.iter().copied().filter(has_room).collect();
         let candidates = if roomy.is_empty() { some } else { roomy };
-        let first = *candidates.first().ok_or(PlaceError::Nowhere)?;
+        let first = *candidates.first().ok_or(ToolLocationError::Nowhere)?;
         let apart = |a: u32, b: u32| (at(a) - at(b)).norm();
         let mut chosen = vec![first];
         let mut distance: Vec<f64> = candidates.iter().map(|c| apart(*c, first)).collect();
@@ -281,8 +280,8 @@ impl Place {
         topology: &Topology,
         skin: &Skin<'_>,
         found: Option<(u32, f64, f64)>,
-    ) -> Result<Self, PlaceError> {
-        let (node, clearance_m, depth_m) = found.ok_or(PlaceError::Nowhere)?;
+    ) -> Result<Self, ToolLocationError> {
+        let (node, clearance_m, depth_m) = found.ok_or(ToolLocationError::Nowhere)?;
         let middle = topology.rest(node);
         let reach = clearance_m.min(CLEARANCE_ENOUGH_M);
         let normal = mean_normal(skin, middle, reach).unwrap_or(skin.nodes[&node].normal);
@@ -311,9 +310,8 @@ impl Place {
         Ok(place)
     }
 
-    /// The farthest from the middle, up to half of [`SEPARATION_M`], at which there is a surface on both sides that
-    /// faces the way the middle does. Around a handle, whose surface has no edge, it ends where its side falls away: a
-    /// hand that went on along the tangent pressed the air.
+    /// The largest distance from the centre, up to half of [`SEPARATION_M`], with a surface on both sides that
+    /// faces like the centre. On a handle, whose surface has no edge, it ends where the side falls away.
     fn farthest_beside(&self) -> f64 {
         let wished = SEPARATION_M * self.scale() / 2.0;
         let step = wished / SEPARATIONS as f64;
@@ -328,18 +326,18 @@ impl Place {
         fits.next().unwrap_or(step)
     }
 
-    /// How much room there is, 1 where a hand finds all it wants.
+    /// Scale of the available room; 1 if both locations have the wanted separation.
     pub fn scale(&self) -> f64 {
         (self.clearance_m / CLEARANCE_ENOUGH_M).min(1.0)
     }
 
-    /// Distance of the two places, m.
+    /// Separation of the two locations, m.
     pub fn separation_m(&self) -> f64 {
         2.0 * self.beside_m
     }
 
-    /// The surface at `a` metres along u and `b` along v from the middle, seen along the normal;
-    /// the tangent plane where there is none.
+    /// The surface at `a` metres along u and `b` along v from the centre, projected along the normal; the
+    /// tangent plane if the line misses.
     pub fn surface(&self, a: f64, b: f64) -> SurfacePoint {
         self.hit(a, b).unwrap_or(SurfacePoint {
             at: self.middle + self.u * a + self.v * b,
@@ -347,7 +345,7 @@ impl Place {
         })
     }
 
-    /// The surface there, where there is one.
+    /// The surface at that position, if the line hits it.
     fn hit(&self, a: f64, b: f64) -> Option<SurfacePoint> {
         let base = self.middle + self.u * a + self.v * b;
         let hit = self
@@ -361,7 +359,7 @@ impl Place {
         })
     }
 
-    /// The surface there, with its normal averaged over a tool's radius.
+    /// The surface at that position, with its normal averaged over a tool radius.
     pub fn spot(&self, a: f64, b: f64, radius_m: f64) -> SurfacePoint {
         let around = [(0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)];
         let sum: Vec3 = around
@@ -375,7 +373,7 @@ impl Place {
     }
 }
 
-/// How far along `d` from `p` the line meets a triangle that faces along `d`.
+/// Distance along `d` from `p` to a triangle that faces along `d`.
 fn height([a, b, c]: &[Vec3; 3], p: &Vec3, d: &Vec3) -> Option<f64> {
     let (e, f) = (b - a, c - a);
     let normal = e.cross(&f);
@@ -390,7 +388,7 @@ fn height([a, b, c]: &[Vec3; 3], p: &Vec3, d: &Vec3) -> Option<f64> {
         q.cross(&f).dot(&normal) / square,
         e.cross(&q).dot(&normal) / square,
     );
-    // A line along an edge belongs to both sides.
+    // A line along an edge hits both triangles.
     let slack = -1e-9;
     (s >= slack && t >= slack && s + t <= 1.0 - slack).then_some(h)
 }
@@ -407,7 +405,7 @@ fn mean_normal(skin: &Skin<'_>, at: Vec3, reach: f64) -> Option<Vec3> {
     sum.try_normalize(0.1)
 }
 
-/// The tangent along which normals turn least.
+/// The tangent direction with the smallest change of the normal.
 fn flattest(skin: &Skin<'_>, at: Vec3, reach: f64, normal: Vec3) -> Vec3 {
     let axis = if normal.x.abs() < 0.7 {
         Vec3::x()
@@ -423,7 +421,7 @@ fn flattest(skin: &Skin<'_>, at: Vec3, reach: f64, normal: Vec3) -> Vec3 {
         st += x * y;
         tt += y * y;
     }
-    // The smaller principal axis of [[ss, st], [st, tt]]: the larger one stands at this angle.
+    // The smaller principal axis of [[ss, st], [st, tt]]; the larger one is at this angle.
     let angle = 0.5 * (2.0 * st).atan2(ss - tt);
     t * angle.cos() - s * angle.sin()
 }
@@ -434,10 +432,10 @@ mod tests {
 
     use palpate_tissue::{Material, Topology, block};
 
-    use super::Place;
+    use super::ToolLocation;
 
     #[test]
-    fn on_a_block_the_place_is_the_middle_of_the_side_away_from_the_base() {
+    fn block_location_is_the_centre_of_the_free_side() {
         let soft = Material {
             name: "soft".into(),
             young_pa: 1e4,
@@ -448,7 +446,7 @@ mod tests {
             ..Material::default()
         };
         let topology = Topology::new(Arc::new(block([30, 30, 10], 0.004, &soft, 1)));
-        let place = Place::find(&topology).unwrap();
+        let place = ToolLocation::find(&topology).unwrap();
         assert!((place.normal.z - 1.0).abs() < 1e-9, "{}", place.normal);
         assert!((place.middle.z - 0.04).abs() < 1e-9);
         assert!((place.middle.x - 0.06).abs() < 0.02 && (place.middle.y - 0.06).abs() < 0.02);
