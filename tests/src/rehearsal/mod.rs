@@ -1,5 +1,5 @@
-//! A whole session in virtual time: the room, both ends of every session, sites, force loops and
-//! simulated hands over an emulated network, all of them the parts that users run.
+//! A simulated session: the product's room, protocol sessions, sites, force loops and simulated hands over
+//! an emulated network, in virtual time.
 //!
 //! ```text
 //! hand -> force loop -> session -> wires -> peer -> room        1 ms per turn
@@ -8,9 +8,9 @@
 //!    thin site <--------+<------ wires <-----+  displacements
 //! ```
 //!
-//! There are no threads and no clocks, and solves end by iterations and residual and not by time, so
-//! that one seed always is the same session. What is left out is what a machine that is too slow
-//! does; for that there is the [real session](crate::session).
+//! A run uses no threads and no wall clock. Solves end by iterations and residual, so a seed reproduces the
+//! session exactly. Overload of a slow machine is not simulated; the [real session](crate::session) covers
+//! it.
 
 pub(crate) mod clock;
 mod guest;
@@ -41,38 +41,38 @@ use wires::{Arrived, Wires};
 pub use mishap::Mishap;
 pub use wires::{Part, Sent};
 
-/// From one turn to the next, µs.
+/// Simulation step, µs.
 const TURN_US: i64 = 1000;
 
-/// A session in which scripts have not begun after this time never begins, µs.
+/// Limit for the start of the scripts, µs.
 const BEGIN_WITHIN_US: i64 = 20_000_000;
 
-/// After the scripts, µs: what is on its way arrives, and is shown.
+/// Time after the scripts in which packets in flight arrive and are shown, µs.
 const SETTLE_US: i64 = 1_500_000;
 
-/// What is to be rehearsed.
+/// Configuration of a simulated session.
 #[derive(Debug, Clone)]
 pub struct Rehearsal<'a> {
     /// The tissue.
     pub model: &'a Arc<Model>,
-    /// One trainee per script, named by its place.
+    /// One trainee per script, named by its index.
     pub scripts: &'a [&'a Script],
-    /// Whether they only move, and neither feel nor compute the tissue: where only the server's shape
-    /// is looked at, for a fraction of the time.
+    /// Trainees only move; they render no force and solve no tissue. This is faster where only the server's
+    /// shape counts.
     pub motion_only: bool,
-    /// Thin spectators beside them.
+    /// Number of thin spectators.
     pub onlookers: usize,
-    /// The network between the server and each of them.
+    /// The network between the server and each participant.
     pub profile: &'a Profile,
-    /// The seed of packets' fates and of clocks.
+    /// Seed of the networks and the clocks.
     pub seed: u64,
-    /// Artificial time compensation.
+    /// Time compensation settings.
     pub compensation: CompensationSettings,
-    /// Views per second.
+    /// Server ticks per second.
     pub tick_hz: u32,
 }
 
-/// Bytes of UDP payload that one participant causes per second of the session, without those of QUIC.
+/// Mean UDP payload of one participant, bytes/s, without QUIC overhead.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct BytesPerSecond {
     /// To the server.
@@ -81,44 +81,44 @@ pub struct BytesPerSecond {
     pub down: f64,
 }
 
-/// What came of it.
+/// Results of a simulated session.
 #[derive(Debug, Clone)]
 pub struct Rehearsed {
-    /// What each participant saw and felt; times are true ones.
+    /// Recording of each trainee, in true time.
     pub recordings: Vec<Recording>,
-    /// What each thin spectator was shown.
+    /// Results of each thin spectator.
     pub onlooked: Vec<Onlooked>,
-    /// Version and hash of the topology: the server's, then each participant's.
+    /// Version and hash of the topology: first the server's, then each participant's.
     pub topologies: Vec<(u32, u64)>,
-    /// What each participant's site counted.
+    /// Site counters of each trainee.
     pub counters: Vec<SiteCounters>,
-    /// How often the server made somebody a spectator.
+    /// Number of demotions to spectator.
     pub demotions: u64,
-    /// The mean over those with a script, from the beginning of the scripts.
+    /// Mean over the trainees, from the start of the scripts.
     pub bytes_per_s: BytesPerSecond,
-    /// Every packet from the beginning of the scripts.
+    /// Every packet from the start of the scripts.
     pub sent: Vec<Sent>,
-    /// The same length of time, s.
+    /// Time from the start of the scripts, s.
     pub seconds: f64,
-    /// What went wrong; nothing, when all is well.
+    /// Errors of the run; empty on success.
     pub troubles: Vec<String>,
 }
 
 impl Rehearsed {
-    /// Whether everybody has the server's topology.
+    /// Whether all participants have the server's topology.
     pub fn hashes_equal(&self) -> bool {
         self.topologies.windows(2).all(|w| w[0] == w[1])
     }
 }
 
 impl Rehearsal<'_> {
-    /// Runs it to the end of the longest script. `progress` is told the share that is done, and gives
-    /// whether to go on.
+    /// Runs the session to the end of the longest script. `progress` receives the completed share;
+    /// returning `false` interrupts the run.
     pub fn run(&self, progress: impl FnMut(f64) -> bool) -> Result<Rehearsed, String> {
         self.run_with(&[], progress)
     }
 
-    /// The same, with what goes wrong besides.
+    /// Like [`Self::run`], with injected faults.
     pub fn run_with(
         &self,
         mishaps: &[Mishap],
@@ -188,7 +188,7 @@ impl Rehearsal<'_> {
         let mut troubles: Vec<String> = guests.iter().filter_map(|g| g.trouble.clone()).collect();
         troubles.extend(of_onlookers);
         if began_us.is_none() {
-            troubles.push("the scripts did not begin".to_owned());
+            troubles.push("the scripts did not start within 20 s of simulated time".to_owned());
         }
         let seconds = (at_us - began_us.unwrap_or(0)) as f64 * 1e-6;
         let share = 1.0 / (seconds.max(1e-3) * guests.len().max(1) as f64);
@@ -216,7 +216,7 @@ impl Rehearsal<'_> {
         })
     }
 
-    /// The network of every seat.
+    /// The network profile of each seat.
     fn profiles<'a>(&'a self, mishaps: &'a [Mishap]) -> Vec<&'a Profile> {
         let mut profiles = vec![self.profile; self.scripts.len() + self.onlookers];
         for mishap in mishaps {
@@ -239,14 +239,14 @@ impl Rehearsal<'_> {
             tick_hz: self.tick_hz,
             compensation: self.compensation,
             start_when_tools: self.scripts.len() as u16,
-            // Nobody else is here who could guess.
+            // A predictable token is safe: the simulation has no attacker.
             fresh_token: |who| ResumeToken([who.0 as u8; 16]),
         }
     }
 }
 
-/// Hands over what has arrived until `at_us`, each at its own moment. What the server passes on
-/// leaves at once, as from its event loop.
+/// Delivers packets due by `at_us`, each at its arrival time. The server forwards them at once, as its
+/// event loop does.
 fn deliver(
     host: &mut Host,
     guests: &mut [Guest],
