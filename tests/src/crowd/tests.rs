@@ -24,7 +24,7 @@ fn crowd_of(participants: usize) -> Crowded {
 }
 
 #[test]
-fn a_crowd_comes_in_and_who_touches_is_solved_for() {
+fn all_participants_join_and_touching_tools_are_solved() {
     let crowded = crowd_of(8);
     assert!(crowded.troubles.is_empty(), "{:?}", crowded.troubles);
     assert!(crowded.rounds.len() > 20, "{}", crowded.rounds.len());
@@ -38,13 +38,13 @@ fn a_crowd_comes_in_and_who_touches_is_solved_for() {
 }
 
 #[test]
-fn what_somebody_sends_does_not_grow_with_the_crowd() {
+fn uplink_per_participant_is_independent_of_their_number() {
     let up = |n: usize| crowd_of(n).bytes[0] as f64 / n as f64;
     let (few, many) = (up(2), up(8));
     assert!(many < 1.3 * few, "{few} B, then {many} B");
 }
 
 #[test]
-fn a_quarter_touches_and_one_at_least() {
+fn one_quarter_of_participants_touches_but_at_least_one() {
     assert_eq!([1, 2, 4, 8, 32, 64].map(touching), [1, 1, 1, 2, 8, 16]);
 }
