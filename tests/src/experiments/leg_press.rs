@@ -1,4 +1,4 @@
-//! A leg with rigid bones (Lin 2007, fig 7.11): over muscle it gives way, over bone it bottoms out.
+//! Press into a leg with rigid bones (Lin 2007, fig 7.11), over muscle and over bone.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use crate::trial::{Course, Trial, path};
 const RADIUS_M: f64 = 8e-3;
 const SPEED_M_S: f64 = 0.05;
 const DEPTH_M: f64 = 15e-3;
-/// Of the tissue over bone.
+/// Maximum press depth as a share of the tissue's thickness.
 const SHARE: f64 = 0.8;
 
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
@@ -72,7 +72,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     })
 }
 
-/// Slope of the converged force over the last quarter of the depth over that of the second.
+/// Slope of the converged force over the last quarter of the depth, relative to the second quarter.
 fn stiffening(course: &Course, deep: &impl Fn(&crate::trial::Point) -> f64) -> f64 {
     let all: Vec<(f64, f64)> = course
         .checked()

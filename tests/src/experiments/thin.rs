@@ -1,8 +1,8 @@
-//! Somebody looks on while two people press and cut, and computes no tissue: how far is what is shown from
-//! the server's own shape, and what does it cost?
+//! A thin spectator, without tissue solver, of two trainees who press and cut: error of the shown shape and
+//! bandwidth.
 //!
-//! A whole session is [rehearsed](crate::rehearsal) in virtual time per network. Distances are of every
-//! displaced node of the surface, at every view, from where the server had it at the moment that is shown.
+//! One [session](crate::rehearsal) is simulated per network. Distances are measured at every view, from the
+//! server's shape at the shown time, over all displaced surface nodes.
 
 use std::sync::Arc;
 
@@ -18,21 +18,21 @@ use crate::place::Place;
 use crate::rehearsal::{Onlooked, Rehearsal, Rehearsed};
 use crate::scripts::Scripts;
 
-/// Length of a session's scripts, s.
+/// Length of the session's scripts, s.
 const SECONDS: f64 = 6.0;
 
-/// Views per second, as a server's that is told nothing else.
+/// Server ticks per second.
 const TICK_HZ: u32 = 60;
 
-/// The most that the artificial delay may be, µs.
+/// Maximum playout delay, µs.
 const CAP_US: u32 = 500_000;
 
-/// What is asked: the rate in any second, bits/s, with a twentieth for what is saved up ...
+/// Limit of the rate in any second, bit/s, with 5 % for accumulated rate budget.
 const RATE_MAX: f64 = 1.05e6;
-/// ... and distances when all rests, mm, with what single precision adds.
+/// Limit of the distance at rest, mm, with a margin for single precision.
 const REST_MM: f64 = 0.0501;
 
-/// The networks when nothing is said.
+/// Default networks.
 const NETWORKS: [&str; 4] = ["lan", "transatlantic", "intercontinental", "wifi-bursts"];
 
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
@@ -105,28 +105,28 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     })
 }
 
-/// Which of the limits are not kept over a network, a sentence each.
+/// Descriptions of the missed limits over a network.
 fn missed(profile: &Profile, thin: &Onlooked, done: &Rehearsed) -> Vec<String> {
     let (rate, rest_mm) = (thin.bits_per_s_max, thin.rest_mm.max);
     let mut missed = Vec::new();
     let mut say = |what: String| missed.push(format!("{}: {what}", profile.name));
-    // What is no number keeps no limit.
+    // NaN also misses the limit.
     if rate.is_nan() || rate > RATE_MAX {
         say(format!(
-            "{rate:.0} bit/s in one second, more than {RATE_MAX:.0}"
+            "{rate:.0} bit/s in one second, limit {RATE_MAX:.0}"
         ));
     }
     if rest_mm.is_nan() || rest_mm > REST_MM {
         say(format!(
-            "what is shown of tissue at rest is {rest_mm:.4} mm off, more than {REST_MM}"
+            "the shown tissue at rest is off by {rest_mm:.4} mm, limit {REST_MM}"
         ));
     }
     if !done.hashes_equal() {
-        say("topologies differ in the end".to_owned());
+        say("topologies differ at the end".to_owned());
     }
     if let [first, ..] = &done.troubles[..] {
         let n = done.troubles.len();
-        say(format!("{n} troubles; the first: {first}"));
+        say(format!("{n} errors; the first: {first}"));
     }
     missed
 }
