@@ -116,8 +116,8 @@ impl Seen {
             "none" => Mode::None,
             "fixed" => Mode::Fixed(safe_ms.ok_or_else(|| {
                 format!(
-                    "on the network {network} no fixed delay up to 1 s brings two sites within 0.1 mm for 95 % of the \
-                     time; choose one that loses less, or atc-adaptive",
+                    "on the network {network} no fixed delay up to 1 s keeps two sites within 0.1 mm for 95 \
+                     % of the time; choose a network with less loss, or atc-adaptive",
                 )
             })?),
             "predicted" => Mode::Predicted,
@@ -229,8 +229,8 @@ fn aligned(bench: &mut Bench<'_>, name: &str) -> Result<Outcome, String> {
     let panels = alignment_panels(moments, name);
     Ok(Outcome {
         caption: format!(
-            "Two sites align a part over the network {}, compensation {name}: the distance between what they show \
-             of the same tool at the same time{}.",
+            "Two sites align a part over the network {}, compensation {name}: the distance between the \
+             positions they show for one tool at one time{}.",
             profile.name,
             match name {
                 "none" => "",
@@ -283,8 +283,8 @@ pub(super) fn transmission(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     }];
     Ok(Outcome {
         caption: format!(
-            "The age of the newest sample at the other site over the network {}, and of what is shown under adaptive \
-             compensation; the first {DRAWN_S} s of them.",
+            "Age of the newest sample at the other site over the network {}, and of the shown sample under \
+             adaptive compensation; the first {DRAWN_S} s.",
             profile.name
         ),
         figures,
@@ -327,8 +327,8 @@ pub(super) fn jitter(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     ];
     Ok(Outcome {
         caption: format!(
-            "How much the other's tool jerks from one millisecond to the next (second difference of what is shown) over \
-             the network {}.",
+            "Jitter of the other site's tool (second difference of the shown position over 1 ms) over the \
+             network {}.",
             profile.name
         ),
         figures,

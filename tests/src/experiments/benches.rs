@@ -106,9 +106,10 @@ fn coding(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
         seed: SEED,
     }
     .run()?;
-    let caption = "A random hand of 87 mm/s rms in batches of four new 1 kHz samples, and a block that is pressed and released, 60 \
-                   frames a second to 0.05 mm. Deflate is given the same integers as differences from what the other end is known \
-                   to have, each datagram or frame by itself; raw are four-byte numbers. Headers are counted.";
+    let caption = "A random hand of 87 mm/s rms in batches of four new 1 kHz samples, and a block that is \
+                   pressed and released, at 60 frames per second and 0.05 mm. Deflate compresses the same \
+                   integers, as differences from the acknowledged state, per datagram or frame. Raw uses \
+                   four-byte numbers. Headers are included.";
     Ok(Outcome {
         tables: vec![("coding".to_owned(), coding_table(&report))],
         ..outcome(caption, &report)?
@@ -138,9 +139,10 @@ fn bytes(dir: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
     };
     let report = bench.run(&subject.model, &mut |what| told(what, 0.0))?;
     let caption = format!(
-        "Two full subscribers press and cut a thigh of {} nodes over the network {}: kbit/s of each by part, over the whole of \
-         their scripts. udp is all parts and what QUIC adds, and has to stay below limit; acknowledgements stand within the \
-         parts. The worst second is without what QUIC adds. From {}.",
+        "Two full subscribers press and cut a thigh of {} nodes over the network {}: kbit/s of each by \
+             purpose, over the length of their scripts. The column udp is the total with QUIC overhead and \
+             must stay below limit. The other columns include acknowledgements. The worst second excludes \
+             QUIC overhead. Method: {}.",
         report.nodes, report.network, report.method
     );
     Ok(Outcome {
@@ -181,8 +183,8 @@ fn haptic_tick(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
     told("ticks", 0.0);
     let report = HapticTick { ticks: TICKS }.run()?;
     outcome(
-        "Times of a tick, by device and by the places on the tool that touch. It is one run on this machine: other \
-         work on it changes the rare ticks.",
+        "Durations of a tick, by device and number of active contact points. One run on this machine: other \
+         load changes the rare long ticks.",
         &report,
     )
 }
@@ -195,8 +197,8 @@ fn press_cube(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
     };
     let report = cube.run(&mut |what| told(what, 0.0));
     outcome(
-        "A cube of side 0.1 m pressed by a disc on one thread: from rest to 1 % of its displacement and to \
-         convergence, and then in ten steps of 0.1 mm.",
+        "A cube of side 0.1 m pressed by a disc, on one thread: from rest to 1 % displacement error and to \
+         convergence, then in ten steps of 0.1 mm.",
         &report,
     )
 }
@@ -216,8 +218,8 @@ fn faults(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
         ));
     }
     outcome(
-        "In virtual time a hand presses through the loop that clients run, and something breaks. The force may change \
-         by the slew limit per tick, and is zero within 150 ms of the loss of its source.",
+        "Faults during a press through the client's force loop, in virtual time. The force changes by at \
+         most the slew-rate limit per tick and is zero within 150 ms after the loss of its source.",
         &all,
     )
 }

@@ -23,19 +23,19 @@ Examples:
   palpate-lab list
   palpate-lab run friction                       figures here, charts and tables in ./palpate-experiments
   palpate-lab run press --model thigh.palp --json
-  palpate-lab run table-7-1 --motion hand.csv    a table time_s,x_m,y_m,z_m[,qw,qx,qy,qz]; see `palpate-lab hand`
+  palpate-lab run table-7-1 --motion hand.csv    columns time_s,x_m,y_m,z_m[,qw,qx,qy,qz]; see `palpate-lab hand`
   palpate-lab run replicas --seeds 1000 --real 20 --json
-  palpate-lab run mine.toml                      its experiment, and seed, profile, motion, model as lines of it;
-                                                 what is said here as well counts more than what is said there
-  palpate-lab all --out report                   every experiment, and report/index.html with all tables and charts
+  palpate-lab run mine.toml                      experiment and options from a file;
+                                                 command-line options override the file's
+  palpate-lab all --out report                   all experiments, and report/index.html with all tables and charts
   palpate-lab all --only atc-fixed,atc-adaptive --profile mine-too.toml --out report
 
-A file that names an experiment (files in it are looked for beside it):
+An experiment file (its paths are relative to the file):
   experiment = \"table-7-1\"
-  seed = 7                                       and seeds, profile, model, where `palpate-lab list` names them
+  seed = 7                                       also seeds, real, profile, model, if the experiment accepts them
   motion = \"hand.csv\"
 
-One JSON object comes with --json, and stands in NAME.json where --out says:
+--json prints one JSON object; --out writes it to NAME.json:
   table-7-1     {experiment, seed, speed_rms_mm_s, rows [{kind: interpolation|extrapolation, method, rate_hz, gap_ms,
                 rms_mm, max_mm, rms_deg, force_percent, n}]}
   missing-data  {experiment, rate_hz, gap_ms, methods [{kind, method, rms_mm, max_mm, rms_deg}]}
@@ -45,15 +45,15 @@ One JSON object comes with --json, and stands in NAME.json where --out says:
   transmission  {profile, seed, without_ms {mean, deviation}, with_ms {mean, deviation}}
   jitter        {profile, seed, without_um, with_um}
   replicas      {profile, seeds, shape_disagreement_mm {p50, p95, max}, force_error_rms, force_error_p95, hashes_equal,
-                bytes_per_s {up, down}, ok, missed [a sentence for each limit that was not kept], networks [the same for
-                each network]}; thin and scale have ok and missed too, and the exit code is 1 where ok is false
+                bytes_per_s {up, down}, ok, missed [one message per missed limit], networks [the same for each network]};
+                thin and scale also have ok and missed; the exit code is 1 if ok is false
   on tissue     {experiment, spots | cases | materials | paths [{..., deviation {largest, n, rms, worst}}]}: largest force
-                (N) or torque (N m), rms and worst deviation from the converged answer as shares of it
+                (N) or torque (N m), rms and worst deviation from the converged solution as shares of it
 Lengths end in _mm or _um, times in _ms, angles in _deg; shares are 0 to 1 unless they end in _percent.
 
-What a hand feels comes from the haptic path as clients run it: models solved 250 times a second with 1 ms of work
-each, on one thread, and the 1 kHz chain between them. It is compared with a solver that converges every eleventh
-millisecond. rms is the root mean square of the difference over that of the converged answer.";
+Rendered forces come from the client's haptic path: contact models solved 250 times per second with 1 ms of work each,
+on one thread, and the 1 kHz haptic chain. The reference is a solver that converges every 11 ms. rms is the root mean
+square of the difference, relative to that of the converged solution.";
 
 /// Default seed.
 pub(super) const SEED: u64 = 1;

@@ -127,9 +127,10 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         charts.push((format!("friction-{name}"), chart));
     }
     Ok(Outcome {
-        caption: "Legends give the coefficients of static and dynamic friction; the converged answer is that of a tool that slides. The tool sticks until what it is dragged with \
-                  is more than the static one holds, and slides on with the dynamic one. The line is held at one end: friction \
-                  along it turns the hand."
+        caption: "Legends give the coefficients of static and dynamic friction. The converged solution is \
+                  that of a sliding tool. The tool sticks until the drag force exceeds the static friction, \
+                  then slides with the dynamic friction. The line is held at one end, so friction along it \
+                  exerts a torque."
             .to_owned(),
         figures: json!({ "experiment": "friction", "cases": figures }),
         charts,

@@ -64,11 +64,11 @@ pub fn page(parts: &[Part], origin: &Origin) -> String {
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
          <meta name=\"viewport\" content=\"width=device-width\"><title>Palpate: experiments</title>\n\
          <style>{STYLE}</style></head><body>\n<h1>Experiments</h1>\n\
-         <p>What people feel and see of one tissue that they share over a network. The experiments on the network \
-         compare what two sites show at the same instant, over emulated networks in virtual time: with a seed every \
-         packet has the same fate again. Those on tissue compare what a hand feels at 1 kHz with converged solutions \
-         that know nothing of the haptic path; they depend a little on how fast the machine is. Figures and tables \
-         named in brackets are those of the dissertation (Lin 2007) that an experiment stands for.</p>\n"
+         <p>Forces and views of participants who share one tissue over a network. The network experiments \
+         compare the views of two sites at one shared time, over emulated networks in virtual time; a seed \
+         reproduces every packet. The tissue experiments compare the force rendered at 1 kHz with \
+         independent converged solutions; they depend slightly on the machine's speed. Figures and tables in \
+         brackets are the corresponding ones of the dissertation (Lin 2007).</p>\n"
     );
     // Writing to a string cannot fail.
     let _ = writeln!(
@@ -118,7 +118,7 @@ fn time(s: f64) -> String {
 fn section(html: &mut String, part: &Part) {
     let _ = writeln!(
         html,
-        "<h2 id=\"{}\">{}</h2>\n<p><b>{}</b></p>\n<p class=\"aside\">Repeat it: <code>{}</code> (took {})</p>",
+        "<h2 id=\"{}\">{}</h2>\n<p><b>{}</b></p>\n<p class=\"aside\">Command: <code>{}</code> (took {})</p>",
         part.name,
         escape(&part.name),
         escape(&part.about),
@@ -128,7 +128,7 @@ fn section(html: &mut String, part: &Part) {
     let outcome = match &part.result {
         Ok(outcome) => outcome,
         Err(why) => {
-            let _ = writeln!(html, "<p class=\"failed\">It failed: {}</p>", escape(why));
+            let _ = writeln!(html, "<p class=\"failed\">Error: {}</p>", escape(why));
             return;
         }
     };
@@ -337,7 +337,7 @@ mod tests {
         let html = page(&parts, &origin());
         for expected in [
             "Failed: <a href=\"#bad\">bad</a>",
-            "It failed: no &lt;room&gt;",
+            "Error: no &lt;room&gt;",
             "<h2 id=\"good\">good</h2>",
             "what it shows",
             "a &lt; b (fig 7.26)",

@@ -74,7 +74,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     };
     Ok(Outcome {
         caption: format!(
-            "A ball of 6 mm pressed {:.1} mm into the grip of a handle, of {:.1} mm over its core, at 20 mm/s.",
+            "A ball of 6 mm pressed {:.1} mm into a grip of {:.1} mm thickness over its core, at 20 mm/s.",
             depth * 1e3,
             place.depth_m * 1e3
         ),

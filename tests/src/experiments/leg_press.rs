@@ -63,8 +63,9 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         marks: Vec::new(),
     };
     Ok(Outcome {
-        caption: "Pressed at 50 mm/s where the tissue over bone is thickest and where it is thinnest (to 80 % of it). \
-                  Over bone springs turn extreme and hand the force on (section 3.5): it bottoms out."
+        caption: "A ball pressed at 50 mm/s where the tissue over bone is thickest and where it is thinnest \
+                  (to 80 % of the thickness). Over bone, springs become extreme and pass the force on \
+                  (section 3.5), so the tissue bottoms out."
             .to_owned(),
         figures: json!({ "experiment": "leg-press", "nodes": model.nodes.len(), "spots": figures }),
         charts: vec![("leg-press".to_owned(), chart)],

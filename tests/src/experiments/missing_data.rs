@@ -162,10 +162,11 @@ fn outcome(panels: Vec<Panel>, figures: &[Value], table: String) -> Outcome {
         marks: vec![mark(0, "last sample"), mark(GAP_MS, "next sample")],
     };
     Outcome {
-        caption: "One gap in a hand's motion, at the place in ten seconds where a straight line is farthest off, and what is shown of it by \
-                  each method: beyond the last sample, and between samples once the next ones are there. Places and turns. A method whose line would \
-                  flatten all others (hold where errors are drawn, the raw second difference where it is far off) is left out of that picture and \
-                  stands in the figures."
+        caption: "One gap in a hand's motion and its reconstruction by each method, in position and \
+                  orientation: extrapolation beyond the last sample, and interpolation once the next samples \
+                  have arrived. The gap is the one in ten seconds with the largest error of linear \
+                  extrapolation. A method whose error would hide the others (hold in the error panels, the \
+                  raw second difference if it is large) is omitted from the panel but not from the figures."
             .to_owned(),
         figures: json!({ "experiment": "missing-data", "rate_hz": RATE_HZ, "gap_ms": GAP_MS, "methods": figures }),
         charts: vec![("missing-data".to_owned(), chart)],

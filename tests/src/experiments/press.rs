@@ -128,8 +128,9 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         marks: Vec::new(),
     };
     Ok(Outcome {
-        caption: "The haptic path (a model every 4 ms at best, 1 ms of work each, solved on one thread) against an independent solver \
-                  that converges every eleventh millisecond. Converged friction is drawn where the tool slides."
+        caption: "The haptic path (a model every 4 ms at best, 1 ms of work each, solved on one thread) \
+                  against an independent solver that converges every 11 ms. Converged friction is drawn \
+                  where the tool slides."
             .to_owned(),
         figures: json!({
             "experiment": "press", "nodes": model.nodes.len(),

@@ -125,11 +125,11 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let missed = asked.map_or_else(Vec::new, missed);
     Ok(Outcome {
         caption: format!(
-            "A quarter of the participants palpates {} nodes, the others move their tools through the air; nobody but the \
-             server solves. Work per tick is counted in time of one thread's processor: solving (tick), reading what comes \
-             (decode), sending what goes (fan_out), and all three, as if one thread did everything. Bytes are those of one \
-             participant. The first table is in virtual time; in the second everybody has a QUIC connection to a server's \
-             process. The processes' participants run on the same machine as their server and take processors from it.",
+            "A quarter of the participants palpates {} nodes, the others move their tools through the air; \
+             only the server solves. Work per tick is CPU time of one thread: the solver (tick), input \
+             (decode), output (fan_out) and their sum (all). Bandwidth is per participant. The first table \
+             is in virtual time. In the second, each participant has a QUIC connection to a server process \
+             and shares the machine with it.",
             model.nodes.len()
         ),
         charts: vec![("scale".to_owned(), chart(&rows))],

@@ -92,7 +92,8 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     };
     Ok(Outcome {
         caption: "Fat and muscle side by side on a rigid base, pressed 8 mm deep at 50 mm/s by a ball of 8 mm. \
-                  Between the two the force lies between, and points towards the softer side."
+                  Between the two, the force has an intermediate magnitude and points towards the softer \
+                  side."
             .to_owned(),
         figures: json!({
             "experiment": "soft-hard", "spots": figures, "stiff_over_soft": largest[2] / largest[0],

@@ -180,11 +180,10 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let listed: Vec<Value> = rows.iter().map(Row::json).collect();
     Ok(Outcome {
         caption: format!(
-            "Errors of what is made up for missing samples, against the motion itself. The stream is rounded as on the \
-             wire, places to {} mm. Each method is shown as far as the gap goes; in a session what is beyond 50 ms is \
-             held. rms_deg is the angle between the turn that is shown and the true one. Force is that of a spring \
-             behind a plane through the motion's mean, in percent of its own root mean square. The scales of the \
-             pictures are logarithmic.",
+            "Errors of reconstructed samples against the true motion. The stream is quantised as on the \
+             wire, positions to {} mm. Each method covers the whole gap; a session holds the pose after 50 \
+             ms. rms_deg is the orientation error. The force error is that of a spring behind a plane \
+             through the motion's mean, in percent of the rms force. The charts have logarithmic scales.",
             1e3 * POSITION_STEP_M
         ),
         figures: json!({

@@ -92,11 +92,12 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     figures["missed"] = json!(missed);
     Ok(Outcome {
         caption: format!(
-            "Two trainees press, cut and press again on {} nodes, and a spectator looks on who computes no tissue, in virtual \
-             time over emulated networks: how far what is shown is from the server's own shape at the moment that is shown, \
-             while it moves and when all rests, and what it costs. Bits are all that the server sends to the spectator, \
-             without those of QUIC, and are shared out among the nodes that it tells of. A row is ok when no second takes \
-             more than 1 Mbit/s and what rests is within the step of 0.05 mm.",
+            "Two trainees press, cut and press again on {} nodes, watched by a spectator without tissue \
+             solver, in virtual time over emulated networks. Columns give the distance of the shown shape \
+             from the server's shape at the shown time, during motion and at rest, and the bandwidth. Bits \
+             include all data that the server sends to the spectator, without QUIC overhead, also per sent \
+             node. A row is ok if no second exceeds 1 Mbit/s and the shape at rest is within the \
+             quantisation step of 0.05 mm.",
             model.nodes.len()
         ),
         figures,

@@ -103,9 +103,10 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         marks: Vec::new(),
     };
     Ok(Outcome {
-        caption: "Without friction an elastic tissue does not remember the way: all paths end with one force, and differ \
-                  on the way there."
-            .to_owned(),
+        caption:
+            "Without friction, an elastic tissue has no memory of the path: all paths end with one \
+                  force and differ before."
+                .to_owned(),
         figures: json!({ "experiment": "tool-paths", "paths": figures, "spread_of_ends": spread }),
         charts: vec![("tool-paths".to_owned(), chart)],
         tables,

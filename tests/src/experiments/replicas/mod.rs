@@ -158,10 +158,11 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     figures["missed"] = json!(missed);
     Ok(Outcome {
         caption: format!(
-            "Two trainees press, cut and press again on {} nodes, in virtual time over emulated networks: distance of the \
-             shapes that they see at the same instant, and of what they feel from what the same hands feel at one table, as \
-             a share of its root mean square. Figures are those of the network of {}. Bytes are without those of QUIC. A row \
-             is ok when 95 of 100 distances are within 0.1 mm, forces within 5 % rms, and all topologies equal.",
+            "Two trainees press, cut and press again on {} nodes, in virtual time over emulated networks: \
+             distance of their shapes at one shared time, and error of their forces against a replay of the \
+             same hand motions without a network, relative to the rms force. The single figures are those of \
+             the network {}. Bandwidth excludes QUIC overhead. A row is ok if the 95th percentile of the \
+             distance is within 0.1 mm, the force error within 5 % rms, and all topologies are equal.",
             model.nodes.len(),
             networks[asked].name
         ),
