@@ -11,7 +11,7 @@
 //! | have a hand whose motion is known at every moment | [`hand`] |
 //! | run a server and clients as processes | [`program`], [`session`], [`stress`] |
 //! | know what would be felt without a network | [`mod@reference`] |
-//! | run a whole session in virtual time | [`rehearsal`] |
+//! | run a whole session in virtual time | [`simulated_session`] |
 //! | fill all seats of a server and see what it costs | [`crowd`] |
 //! | compare | [`disagreement`], [`force_error`], [`dropout`], [`delay_figures`], [`cpu`] |
 //! | judge a session | [`criteria`] |
@@ -46,11 +46,11 @@ pub mod plots;
 pub mod program;
 pub mod progress;
 pub mod reference;
-pub mod rehearsal;
 pub mod relay;
 pub mod report;
 pub mod scripts;
 pub mod session;
+pub mod simulated_session;
 pub mod stress;
 pub mod subject;
 pub mod trial;

@@ -1,7 +1,7 @@
 //! What a full subscriber's session takes of a network while people press and cut: bytes per direction
 //! and part.
 //!
-//! Two trainees press, cut and press again in a [rehearsal](crate::rehearsal), which gives every packet of
+//! Two trainees press, cut and press again in a [rehearsal](crate::simulated_session), which gives every packet of
 //! the sessions with its moment. The packets of each are then sent once more with the same lengths at the
 //! same moments over a real connection through a relay, which gives what QUIC adds to them. The model's
 //! own download is not part of it.
@@ -19,8 +19,8 @@ use super::quic;
 use crate::network::{Direction, Profile};
 use crate::place::Place;
 use crate::progress::Progress;
-use crate::rehearsal::{Part, Rehearsal, Rehearsed, Sent};
 use crate::scripts::{SECONDS_MIN, Scripts};
+use crate::simulated_session::{Part, Rehearsal, Rehearsed, Sent};
 use crate::subject::Subject;
 
 /// The most that a full subscriber may take, kbit/s of UDP payload, up and down.

@@ -18,8 +18,8 @@ use palpate_tissue::{Model, Topology};
 
 use crate::network::{Direction, Profile};
 use crate::place::{Place, SurfacePoint};
-use crate::rehearsal::clock::SiteClock;
-use crate::rehearsal::wires::{Arrived, Wires};
+use crate::simulated_session::clock::SiteClock;
+use crate::simulated_session::wires::{Arrived, Wires};
 use member::{Member, Motion};
 use server::Server;
 

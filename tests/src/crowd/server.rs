@@ -12,7 +12,7 @@ use palpate_protocol::{ServerTime, Span};
 use palpate_room::{Output, PeerKey, RoomConfig, SimulatedRoom};
 
 use crate::network::Direction;
-use crate::rehearsal::wires::{Arrived, Wires};
+use crate::simulated_session::wires::{Arrived, Wires};
 
 /// Cost of one server period, µs of CPU time on one thread.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]

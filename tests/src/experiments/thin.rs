@@ -1,7 +1,7 @@
 //! A thin spectator, without tissue solver, of two trainees who press and cut: error of the shown shape and
 //! bandwidth.
 //!
-//! One [session](crate::rehearsal) is simulated per network. Distances are measured at every view, from the
+//! One [session](crate::simulated_session) is simulated per network. Distances are measured at every view, from the
 //! server's shape at the shown time, over all displaced surface nodes.
 
 use std::sync::Arc;
@@ -15,8 +15,8 @@ use super::replicas::soft_block;
 use super::{Bench, Outcome, missed_by};
 use crate::network::Profile;
 use crate::place::Place;
-use crate::rehearsal::{Onlooked, Rehearsal, Rehearsed};
 use crate::scripts::Scripts;
+use crate::simulated_session::{Onlooked, Rehearsal, Rehearsed};
 
 /// Length of the session's scripts, s.
 const SECONDS: f64 = 6.0;

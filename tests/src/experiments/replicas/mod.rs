@@ -1,7 +1,7 @@
 //! Two trainees press, cut and release one tissue over a network: error of their shapes against each other
 //! and of their forces against a reference without a network.
 //!
-//! One session is [simulated](crate::rehearsal) per seed and network. The disagreement counts every node
+//! One session is [simulated](crate::simulated_session) per seed and network. The disagreement counts every node
 //! that is displaced by more than 0.05 mm at either site, every 10 ms. The force reference without a
 //! network is the [replay](reference::replay) of the same hand motions, and a [run](reference::run) of the
 //! scripts.
@@ -26,8 +26,8 @@ use crate::force_error::ForcePoint;
 use crate::network::{Jitter, Link, Profile};
 use crate::place::Place;
 use crate::reference;
-use crate::rehearsal::Rehearsal;
 use crate::scripts::Scripts;
+use crate::simulated_session::Rehearsal;
 use tally::{Sat, Tally};
 
 /// Default number of sessions per network. Each takes five seconds of CPU time, half of it for the

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use crate::disagreement::{CoursePoint, Disagreement, each_node};
 use crate::force_error::{ForcePoint, difference, over_script};
 use crate::network::Profile;
-use crate::rehearsal::{BytesPerSecond, Rehearsed};
+use crate::simulated_session::{BytesPerSecond, Rehearsed};
 
 /// Width of a histogram bucket, mm, and number of buckets: up to 20 mm.
 const BUCKET_MM: f64 = 5e-4;
