@@ -12,7 +12,7 @@
 //! | run a server and clients as processes | [`program`], [`session`], [`stress`] |
 //! | know what would be felt without a network | [`mod@reference`] |
 //! | run a whole session in virtual time | [`simulated_session`] |
-//! | fill all seats of a server and see what it costs | [`crowd`] |
+//! | fill all seats of a server and see what it costs | [`load_test`] |
 //! | compare | [`disagreement`], [`force_error`], [`dropout`], [`delay_figures`], [`cpu`] |
 //! | judge a session | [`criteria`] |
 //! | measure the equilibrium | [`mod@bench`] |
@@ -29,7 +29,6 @@ pub mod chart;
 pub mod cli;
 pub mod cpu;
 pub mod criteria;
-pub mod crowd;
 pub mod decoders;
 pub mod delay_figures;
 pub mod demo;
@@ -39,6 +38,7 @@ pub mod experiments;
 pub mod force_error;
 pub mod hand;
 pub mod haptic_faults;
+pub mod load_test;
 mod nearest;
 pub mod network;
 pub mod place;

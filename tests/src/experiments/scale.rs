@@ -1,7 +1,7 @@
 //! Server load of 1 to 64 participants in one session, a quarter of them in contact.
 //!
 //! Participants move a tool and solve no tissue; room and solver are the product's. Every row is a [load
-//! test](crate::crowd) in virtual time on one thread. With [`REAL`] participants, a server process with
+//! test](crate::load_test) in virtual time on one thread. With [`REAL`] participants, a server process with
 //! QUIC connections is measured too.
 
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use super::cells::of_file;
 use super::{Bench, Outcome, line, panel};
 use crate::bench::quantile;
 use crate::chart::{BLACK, BLUE, Chart, GREEN, GREY, ORANGE};
-use crate::crowd::{Crowd, Crowded, Round, real, touching};
+use crate::load_test::{LoadTest, LoadTestResult, Round, real, touching};
 use crate::network::Profile;
 
 /// Numbers of participants.
@@ -53,9 +53,9 @@ fn shares(values: &[f64]) -> Value {
     })
 }
 
-fn row(n: usize, crowded: &Crowded) -> Value {
+fn row(n: usize, result: &LoadTestResult) -> Value {
     let period_ms = 1e3 / f64::from(TICK_HZ);
-    let rounds = &crowded.rounds;
+    let rounds = &result.rounds;
     let ms = |of: fn(&Round) -> i64| -> Vec<f64> {
         rounds.iter().map(|r| of(r) as f64 * 1e-3).collect()
     };
@@ -64,7 +64,7 @@ fn row(n: usize, crowded: &Crowded) -> Value {
     let late = ms(|r| r.late_us);
     let all = ms(|r| r.decode_us + r.tick_us + r.fan_out_us);
     let residual: Vec<f64> = rounds.iter().map(|r| r.residual).collect();
-    let kbit = |bytes: u64| bytes as f64 * 8e-3 / crowded.seconds / n as f64;
+    let kbit = |bytes: u64| bytes as f64 * 8e-3 / result.seconds / n as f64;
     let late_ticks = late.iter().filter(|ms| **ms > LATE_MS).count();
     let p99 = quantile(&tick, 0.99);
     json!({
@@ -81,9 +81,9 @@ fn row(n: usize, crowded: &Crowded) -> Value {
         "late_ticks": late_ticks,
         "iterations_p50": quantile(&rounds.iter().map(|r| r.iterations as f64).collect::<Vec<_>>(), 0.5),
         "residual": shares(&residual),
-        "kbit_s": { "up": kbit(crowded.bytes[0]), "down": kbit(crowded.bytes[1]) },
-        "troubles": crowded.troubles,
-        "ok": p99 < period_ms && crowded.troubles.is_empty() && !rounds.is_empty(),
+        "kbit_s": { "up": kbit(result.bytes[0]), "down": kbit(result.bytes[1]) },
+        "troubles": result.troubles,
+        "ok": p99 < period_ms && result.troubles.is_empty() && !rounds.is_empty(),
     })
 }
 
@@ -98,7 +98,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     };
     let mut rows = Vec::new();
     for n in PARTICIPANTS {
-        let crowd = Crowd {
+        let load_test = LoadTest {
             model: &model,
             participants: n,
             profile: &profile,
@@ -106,8 +106,8 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             seconds: SECONDS,
             tick_hz: TICK_HZ,
         };
-        let crowded = crowd.run(|done| (bench.progress)(&format!("{n} participants"), done))?;
-        rows.push(row(n, &crowded));
+        let result = load_test.run(|done| (bench.progress)(&format!("{n} participants"), done))?;
+        rows.push(row(n, &result));
     }
     let mut processes = Vec::new();
     for n in REAL {

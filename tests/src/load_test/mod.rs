@@ -1,7 +1,7 @@
 //! Load test: many participants of one session move their tools and solve no tissue. It measures the
 //! server's load with the product's room and solver.
 //!
-//! [`Crowd::run`] uses virtual time and an emulated network on one thread. Work is measured in CPU time, so
+//! [`LoadTest::run`] uses virtual time and an emulated network on one thread. Work is measured in CPU time, so
 //! other processes do not affect the figures. The [real load test](real) starts a server process and one
 //! QUIC connection per participant.
 
@@ -58,7 +58,7 @@ pub(crate) fn motions(model: &Arc<Model>, n: usize, seed: u64) -> Result<Vec<Mot
 
 /// Configuration of a load test in virtual time.
 #[derive(Debug, Clone)]
-pub struct Crowd<'a> {
+pub struct LoadTest<'a> {
     /// The tissue.
     pub model: &'a Arc<Model>,
     /// Number of participants.
@@ -75,7 +75,7 @@ pub struct Crowd<'a> {
 
 /// Results of a load test in virtual time.
 #[derive(Debug, Clone)]
-pub struct Crowded {
+pub struct LoadTestResult {
     /// Cost of every server period.
     pub rounds: Vec<Round>,
     /// Measured time, s.
@@ -86,9 +86,9 @@ pub struct Crowded {
     pub troubles: Vec<String>,
 }
 
-impl Crowd<'_> {
+impl LoadTest<'_> {
     /// Runs the load test. `progress` receives the completed share.
-    pub fn run(&self, mut progress: impl FnMut(f64)) -> Result<Crowded, String> {
+    pub fn run(&self, mut progress: impl FnMut(f64)) -> Result<LoadTestResult, String> {
         let n = self.participants;
         let grant = Grant(*b"a rehearsal only");
         let config = self.config(grant);
@@ -134,7 +134,7 @@ impl Crowd<'_> {
         if counted_from.is_none() {
             troubles.push("not all participants joined within 10 s of simulated time".to_owned());
         }
-        Ok(Crowded {
+        Ok(LoadTestResult {
             rounds: server.rounds,
             seconds: self.seconds,
             bytes: [Direction::Up, Direction::Down].map(|d| wires.counted(d, n)),
