@@ -8,10 +8,10 @@
 //! The disagreement is the distance between the positions that the two sites show for one tool at one true
 //! time (Lin 2007, figs 7.26 to 7.28).
 
-pub mod course;
 pub mod emulated;
-mod foresight;
 mod motion;
+mod predictor;
+pub mod simulation;
 mod site;
 pub mod way;
 
@@ -24,8 +24,8 @@ use rand_pcg::Pcg64;
 use serde::Serialize;
 
 use crate::hand::Hand;
-use course::{Course, Moment};
 use motion::hands;
+use simulation::{Moment, Simulation};
 use way::{Law, LawfulWay, Way};
 
 /// Warm-up that is not measured, microseconds: clocks and delays settle.
@@ -213,7 +213,7 @@ impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
     /// All measured moments.
     pub fn moments(&self, mode: Mode) -> Vec<Moment> {
         let mut moments = Vec::with_capacity((COUNTED_US / 1000) as usize);
-        self.course(mode)
+        self.simulation(mode)
             .run(WARM_UP_US, WARM_UP_US + COUNTED_US, &mut |m| {
                 moments.push(m);
             });
@@ -221,17 +221,17 @@ impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
     }
 
     /// The session before its start.
-    pub fn course(&self, mode: Mode) -> Course {
+    pub fn simulation(&self, mode: Mode) -> Simulation {
         let mut rng = Pcg64::seed_from_u64(self.seed ^ 0x70_61_74_68);
         let air = Pcg64::seed_from_u64(rng.random());
         let mut way = |number| (self.ways)(number, Pcg64::seed_from_u64(rng.random()), air.clone());
         let ways = [[way(0), way(1)], [way(2), way(3)]];
         let (settings, rule) = mode.settings();
         let hands = hands(self.motion.as_ref(), self.seed);
-        let course = Course::new(&settings, rule, ways, hands, self.seed);
+        let simulation = Simulation::new(&settings, rule, ways, hands, self.seed);
         match mode {
-            Mode::Predicted => course.predicted(),
-            Mode::None | Mode::Fixed(_) | Mode::Adaptive(_) => course,
+            Mode::Predicted => simulation.predicted(),
+            Mode::None | Mode::Fixed(_) | Mode::Adaptive(_) => simulation,
         }
     }
 
@@ -240,11 +240,11 @@ impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
     pub fn arrivals(&self) -> Arrivals {
         let lasts_us = WARM_UP_US + COUNTED_US;
         let of = 2 * (lasts_us / 1000) as u64;
-        let mut course = self.course(Mode::None);
+        let mut simulation = self.simulation(Mode::None);
         let mut arrivals = Arrivals { arrived: 0, of };
         for second in 1..=lasts_us / 1_000_000 {
-            course.run(i64::MAX, second * 1_000_000, &mut |_| {});
-            arrivals.arrived = course.arrived();
+            simulation.run(i64::MAX, second * 1_000_000, &mut |_| {});
+            arrivals.arrived = simulation.arrived();
             if arrivals.are_enough() {
                 break;
             }

@@ -117,14 +117,14 @@ fn network_delay_steps_cause_no_shown_steps() {
 fn session_recovers_from_a_clock_set_by_hours() {
     for by_us in [7_200_000_000, -7_200_000_000] {
         let alignment = over(Law::Gamma, 3);
-        let mut course = alignment.course(ADAPTIVE);
-        course.run(WARM_UP_US, WARM_UP_US + 10_000_000, &mut |_| {});
-        course.set_clock(1, by_us);
+        let mut simulation = alignment.simulation(ADAPTIVE);
+        simulation.run(WARM_UP_US, WARM_UP_US + 10_000_000, &mut |_| {});
+        simulation.set_clock(1, by_us);
         let mut moments = Vec::new();
-        course.run(WARM_UP_US + 30_000_000, WARM_UP_US + 40_000_000, &mut |m| {
+        simulation.run(WARM_UP_US + 30_000_000, WARM_UP_US + 40_000_000, &mut |m| {
             moments.push(m);
         });
-        assert_eq!(course.clock_steps(), [0, 1]);
+        assert_eq!(simulation.clock_steps(), [0, 1]);
         let figures = Figures::of(&moments);
         assert!(figures.is_safe(), "clock set by {by_us} us: {figures:?}");
         assert!(figures.compensation_ms.mean < 70.0, "{figures:?}");
@@ -164,7 +164,7 @@ fn session_terminates_on_a_network_that_loses_every_packet() {
         motion: None,
     };
     let mut shown = 0;
-    let mut course = alignment.course(ADAPTIVE);
-    course.run(0, 5_000_000, &mut |_| shown += 1);
-    assert_eq!((course.arrived(), shown), (0, 0));
+    let mut simulation = alignment.simulation(ADAPTIVE);
+    simulation.run(0, 5_000_000, &mut |_| shown += 1);
+    assert_eq!((simulation.arrived(), shown), (0, 0));
 }

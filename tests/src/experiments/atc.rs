@@ -5,8 +5,8 @@ use std::sync::Arc;
 use serde_json::{Value, json};
 
 use super::{Bench, Outcome, line};
-use crate::alignment::course::Moment;
 use crate::alignment::emulated::emulated;
+use crate::alignment::simulation::Moment;
 use crate::alignment::way::Way;
 use crate::alignment::{Alignment, Figures, Mode};
 use crate::chart::{BLUE, Chart, Line, ORANGE, Panel};

@@ -15,7 +15,7 @@ use palpate_protocol::{ParticipantId, ServerTime, Span, ToolSample};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::foresight::Foresight;
+use super::predictor::Predictor;
 use super::site::Site;
 use super::way::Way;
 use crate::hand::Hand;
@@ -104,7 +104,7 @@ impl Moment {
 }
 
 /// A simulated session of two sites and a server.
-pub struct Course {
+pub struct Simulation {
     sites: [Site; 2],
     /// Uplink and downlink of the first site, then of the second.
     ways: [[Box<dyn Way>; 2]; 2],
@@ -113,7 +113,7 @@ pub struct Course {
     measured: [DelayEstimator; 2],
     schedule: DelaySchedule,
     /// The server's predictor in prediction mode.
-    foresight: Option<Foresight>,
+    predictor: Option<Predictor>,
     parcels: VecDeque<(usize, Parcel)>,
     first_parcel: usize,
     due: BinaryHeap<Reverse<(i64, usize)>>,
@@ -124,7 +124,7 @@ pub struct Course {
     now_us: i64,
 }
 
-impl Course {
+impl Simulation {
     /// A session of two hands over the given paths.
     pub fn new(
         settings: &CompensationSettings,
@@ -145,7 +145,7 @@ impl Course {
             group: GroupDelay::new(settings),
             measured: [DelayEstimator::new(rule), DelayEstimator::new(rule)],
             schedule: DelaySchedule::new(settings),
-            foresight: None,
+            predictor: None,
             parcels: VecDeque::new(),
             first_parcel: 0,
             due: BinaryHeap::new(),
@@ -161,7 +161,7 @@ impl Course {
     /// the receiving site.
     #[must_use]
     pub fn predicted(mut self) -> Self {
-        self.foresight = Some(Foresight::default());
+        self.predictor = Some(Predictor::default());
         self
     }
 
@@ -209,7 +209,7 @@ impl Course {
         let ([a_own, a_other], [b_own, b_other]) = (a.shown(now)?, b.shown(now)?);
         let here = a.server_time(now)?;
         let delay = a.schedule.delay_at(here);
-        let known = match &self.foresight {
+        let known = match &self.predictor {
             None => a.views[1].newest()?,
             Some(_) => a.predicted_from?,
         };
@@ -320,9 +320,9 @@ impl Course {
                     let arrival = MotionArrival::on_time(newest.time, server_now);
                     self.measured[k].handle_arrival(arrival, in_force);
                 }
-                let parcel = match &mut self.foresight {
+                let parcel = match &mut self.predictor {
                     None => Some(Parcel::SamplesDown(samples)),
-                    Some(foresight) => foresight
+                    Some(predictor) => predictor
                         .handle_samples(k, &samples, server_now)
                         .map(|(sample, newest)| Parcel::PredictedDown(sample, newest)),
                 };
@@ -351,8 +351,8 @@ impl Course {
                 self.sites[k].clock.handle_reply(reply, here);
             }
             Parcel::ReportUp(report) => {
-                if let Some(foresight) = &mut self.foresight {
-                    foresight.handle_report(k, report, server_now);
+                if let Some(predictor) = &mut self.predictor {
+                    predictor.handle_report(k, report, server_now);
                 }
                 self.group
                     .handle_report(ParticipantId(k as u16 + 1), report);

@@ -6,14 +6,14 @@ use palpate_protocol::timeline::{Method, Timeline};
 use palpate_protocol::{ServerTime, ToolSample};
 
 /// The server's predictor.
-pub(super) struct Foresight {
+pub(super) struct Predictor {
     /// Each site's tool from the samples at the server.
     tools: [Timeline; 2],
     /// Prediction horizon for each receiving site.
     ahead: [Prediction; 2],
 }
 
-impl Default for Foresight {
+impl Default for Predictor {
     fn default() -> Self {
         let tool = || Timeline::new(Method::default(), PREDICTION_MAX);
         Self {
@@ -23,7 +23,7 @@ impl Default for Foresight {
     }
 }
 
-impl Foresight {
+impl Predictor {
     /// Receives a site's delay report.
     pub(super) fn handle_report(&mut self, site: usize, report: DelayReport, now: ServerTime) {
         self.ahead[site].handle_report(report, now);
