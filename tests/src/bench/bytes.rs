@@ -20,7 +20,7 @@ use crate::network::{Direction, Profile};
 use crate::place::Place;
 use crate::progress::Progress;
 use crate::scripts::{SECONDS_MIN, Scripts};
-use crate::simulated_session::{Part, Rehearsal, Rehearsed, Sent};
+use crate::simulated_session::{Part, Sent, SessionResult, SimulatedSession};
 use crate::subject::Subject;
 
 /// The most that a full subscriber may take, kbit/s of UDP payload, up and down.
@@ -148,7 +148,7 @@ impl Bytes {
     ) -> Result<BytesReport, String> {
         let place = Place::find(&Topology::new(Arc::clone(model))).map_err(|e| e.to_string())?;
         let scripts = Scripts::for_place(&place, self.seconds).map_err(|e| e.to_string())?;
-        let rehearsal = Rehearsal {
+        let rehearsal = SimulatedSession {
             model,
             scripts: &[&scripts.holder, &scripts.cutter],
             profile: &self.profile,
@@ -192,7 +192,7 @@ impl Bytes {
 
     fn subscriber(
         &self,
-        rehearsed: &Rehearsed,
+        rehearsed: &SessionResult,
         seat: usize,
         does: &'static str,
     ) -> Result<Subscriber, String> {

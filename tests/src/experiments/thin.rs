@@ -16,7 +16,7 @@ use super::{Bench, Outcome, missed_by};
 use crate::network::Profile;
 use crate::place::Place;
 use crate::scripts::Scripts;
-use crate::simulated_session::{Onlooked, Rehearsal, Rehearsed};
+use crate::simulated_session::{SessionResult, SimulatedSession, ThinSpectatorResult};
 
 /// Length of the session's scripts, s.
 const SECONDS: f64 = 6.0;
@@ -52,7 +52,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     };
     let (mut rows, mut table) = (Vec::new(), String::from(HEADER));
     for (k, profile) in networks.iter().enumerate() {
-        let rehearsal = Rehearsal {
+        let session = SimulatedSession {
             model: &model,
             scripts: &scripts,
             motion_only: true,
@@ -66,11 +66,11 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             tick_hz: TICK_HZ,
         };
         let all = networks.len() as f64;
-        let done = rehearsal.run(|share| {
+        let done = session.run(|share| {
             (bench.progress)(&profile.name, (k as f64 + share) / all);
             true
         })?;
-        let thin = done.onlooked.first().copied().unwrap_or_default();
+        let thin = done.thin_results.first().copied().unwrap_or_default();
         let missed = missed(profile, &thin, &done);
         let row = json!({
             "profile": profile.name,
@@ -107,7 +107,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
 }
 
 /// Descriptions of the missed limits over a network.
-fn missed(profile: &Profile, thin: &Onlooked, done: &Rehearsed) -> Vec<String> {
+fn missed(profile: &Profile, thin: &ThinSpectatorResult, done: &SessionResult) -> Vec<String> {
     let (rate, rest_mm) = (thin.bits_per_s_max, thin.rest_mm.max);
     let mut missed = Vec::new();
     let mut say = |what: String| missed.push(format!("{}: {what}", profile.name));

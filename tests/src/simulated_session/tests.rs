@@ -23,20 +23,20 @@ fn model() -> Arc<Model> {
     Arc::new(block([18, 18, 6], 0.005, &soft, 1))
 }
 
-fn rehearse(model: &Arc<Model>, scripts: &Scripts, profile: &Profile, seed: u64) -> Rehearsed {
-    rehearse_with(model, scripts, profile, seed, 500, &[])
+fn simulate(model: &Arc<Model>, scripts: &Scripts, profile: &Profile, seed: u64) -> SessionResult {
+    simulate_with(model, scripts, profile, seed, 500, &[])
 }
 
-fn rehearse_with(
+fn simulate_with(
     model: &Arc<Model>,
     scripts: &Scripts,
     profile: &Profile,
     seed: u64,
     cap_ms: u32,
     mishaps: &[Mishap],
-) -> Rehearsed {
+) -> SessionResult {
     let scripts = [&scripts.holder, &scripts.cutter];
-    let rehearsal = Rehearsal {
+    let session = SimulatedSession {
         model,
         scripts: &scripts,
         motion_only: false,
@@ -51,7 +51,7 @@ fn rehearse_with(
         },
         tick_hz: 60,
     };
-    rehearsal.run_with(mishaps, |_| true).unwrap()
+    session.run_with(mishaps, |_| true).unwrap()
 }
 
 #[test]
@@ -60,7 +60,7 @@ fn equal_seeds_give_equal_sessions_and_topologies_agree_at_the_end() {
     let place = Place::find(&Topology::new(Arc::clone(&model))).unwrap();
     let scripts = Scripts::for_place(&place, 4.0).unwrap();
     let profile = Profile::named("transatlantic").unwrap();
-    let a = rehearse(&model, &scripts, &profile, 5);
+    let a = simulate(&model, &scripts, &profile, 5);
     assert_eq!(a.troubles, Vec::<String>::new());
     assert!(
         a.hashes_equal() && a.topologies[0].0 == 1,
@@ -70,7 +70,7 @@ fn equal_seeds_give_equal_sessions_and_topologies_agree_at_the_end() {
     // The thin spectator matches the server's resting shape within one quantisation step and keeps its rate
     // limit.
     assert_eq!(a.topologies.len(), 4);
-    let thin = a.onlooked[0];
+    let thin = a.thin_results[0];
     assert!(
         thin.rest_mm.count > 0 && thin.rest_mm.max <= 0.0501,
         "{thin:?}"
@@ -86,9 +86,9 @@ fn equal_seeds_give_equal_sessions_and_topologies_agree_at_the_end() {
         let error = ForceError::between(&felt, course).unwrap();
         assert!(error.rms_percent < 8.0, "{error:?}");
     }
-    let b = rehearse(&model, &scripts, &profile, 5);
+    let b = simulate(&model, &scripts, &profile, 5);
     assert_eq!(a.recordings, b.recordings);
-    assert_eq!(a.onlooked, b.onlooked);
+    assert_eq!(a.thin_results, b.thin_results);
 }
 
 fn scripts_of(model: &Arc<Model>, seconds: f64) -> Scripts {
@@ -126,7 +126,7 @@ fn trainee_with_500_ms_delay_is_demoted_then_restored() {
         seat: 1,
         profile: Box::new(worsens),
     };
-    let r = rehearse_with(&model, &scripts, &near, 3, 400, &[slow]);
+    let r = simulate_with(&model, &scripts, &near, 3, 400, &[slow]);
     assert_eq!(r.troubles, Vec::<String>::new());
     assert!(r.hashes_equal(), "{:?}", r.topologies);
     let words = |who: usize| -> Vec<(&str, i64)> {
@@ -180,7 +180,7 @@ fn diverged_cut_causes_one_resync_and_second_divergence_is_an_error() {
         by_m: [0.007, 0.006, 0.0],
         times,
     };
-    let r = rehearse_with(&model, &scripts, &profile, 5, 500, &[elsewhere(1)]);
+    let r = simulate_with(&model, &scripts, &profile, 5, 500, &[elsewhere(1)]);
     assert_eq!(r.troubles, Vec::<String>::new());
     assert!(
         r.hashes_equal() && r.topologies[0].0 == 1,
@@ -196,7 +196,7 @@ fn diverged_cut_causes_one_resync_and_second_divergence_is_an_error() {
             .count(),
         1
     );
-    let again = rehearse_with(&model, &scripts, &profile, 5, 500, &[elsewhere(2)]);
+    let again = simulate_with(&model, &scripts, &profile, 5, 500, &[elsewhere(2)]);
     assert!(
         again.troubles[..]
             .iter()
@@ -217,7 +217,7 @@ fn diverged_shape_causes_a_limited_number_of_resyncs() {
         from_s: 3.0,
         until_s,
     };
-    let r = rehearse_with(&model, &scripts, &profile, 5, 500, &[spoilt(5.5)]);
+    let r = simulate_with(&model, &scripts, &profile, 5, 500, &[spoilt(5.5)]);
     assert_eq!(r.troubles, Vec::<String>::new());
     assert!(r.hashes_equal(), "{:?}", r.topologies);
     assert_eq!((r.counters[0].resyncs, r.counters[1].resyncs), (0, 1));
@@ -228,7 +228,7 @@ fn diverged_shape_causes_a_limited_number_of_resyncs() {
         step.iter().map(|f| f * f).sum::<f64>().sqrt()
     });
     assert!(steps.fold(0.0, f64::max) < 0.5);
-    let for_ever = rehearse_with(&model, &scripts, &profile, 5, 500, &[spoilt(1e3)]);
+    let for_ever = simulate_with(&model, &scripts, &profile, 5, 500, &[spoilt(1e3)]);
     assert_eq!(for_ever.troubles, Vec::<String>::new());
     let resyncs = for_ever.counters[1].resyncs as usize;
     assert!((1..=RESYNCS_MAX).contains(&resyncs), "{resyncs}");

@@ -27,7 +27,7 @@ use crate::network::{Jitter, Link, Profile};
 use crate::place::Place;
 use crate::reference;
 use crate::scripts::Scripts;
-use crate::simulated_session::Rehearsal;
+use crate::simulated_session::SimulatedSession;
 use tally::{Sat, Tally};
 
 /// Default number of sessions per network. Each takes five seconds of CPU time, half of it for the
@@ -180,7 +180,7 @@ fn session(
     seed: u64,
     scripted: &[Vec<ForcePoint>; 2],
 ) -> Result<Tally, String> {
-    let rehearsal = Rehearsal {
+    let session = SimulatedSession {
         model,
         scripts,
         motion_only: false,
@@ -196,7 +196,7 @@ fn session(
     compared(
         model,
         scripts,
-        rehearsal.run(|_| true)?.try_into()?,
+        session.run(|_| true)?.try_into()?,
         scripted,
         seed,
     )

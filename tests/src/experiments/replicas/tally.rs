@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use crate::disagreement::{CoursePoint, Disagreement, each_node};
 use crate::force_error::{ForcePoint, difference, over_script};
 use crate::network::Profile;
-use crate::simulated_session::{BytesPerSecond, Rehearsed};
+use crate::simulated_session::{BytesPerSecond, SessionResult};
 
 /// Width of a histogram bucket, mm, and number of buckets: up to 20 mm.
 const BUCKET_MM: f64 = 5e-4;
@@ -116,17 +116,17 @@ pub(super) struct Sat {
     pub(super) troubles: Vec<String>,
 }
 
-impl TryFrom<Rehearsed> for Sat {
+impl TryFrom<SessionResult> for Sat {
     type Error = String;
 
-    fn try_from(rehearsed: Rehearsed) -> Result<Self, String> {
-        let hashes_equal = rehearsed.hashes_equal();
-        let recordings = <[Recording; 2]>::try_from(rehearsed.recordings);
+    fn try_from(result: SessionResult) -> Result<Self, String> {
+        let hashes_equal = result.hashes_equal();
+        let recordings = <[Recording; 2]>::try_from(result.recordings);
         Ok(Self {
             recordings: recordings.map_err(|r| format!("{} recordings of two", r.len()))?,
             hashes_equal,
-            bytes_per_s: Some(rehearsed.bytes_per_s),
-            troubles: rehearsed.troubles,
+            bytes_per_s: Some(result.bytes_per_s),
+            troubles: result.troubles,
         })
     }
 }

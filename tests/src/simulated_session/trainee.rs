@@ -35,7 +35,7 @@ const VIEW_ITERATIONS: usize = 2;
 pub(super) type Trouble = String;
 
 /// A trainee.
-pub(super) struct Guest {
+pub(super) struct Trainee {
     seat: usize,
     clock: SiteClock,
     model: Arc<Model>,
@@ -61,7 +61,7 @@ pub(super) struct Guest {
     pub(super) trouble: Option<Trouble>,
 }
 
-impl Guest {
+impl Trainee {
     /// A trainee that follows a script and requests to join.
     pub(super) fn new(
         seat: usize,

@@ -30,7 +30,7 @@ const COUNTS_PER_S: usize = 20;
 
 /// Accuracy and bandwidth of a thin spectator.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Onlooked {
+pub struct ThinSpectatorResult {
     /// Distance of each displaced node from the server's position at the shown time.
     pub apart_mm: DistancesMm,
     /// The same at the end, at rest.
@@ -52,7 +52,7 @@ pub struct Onlooked {
 }
 
 /// A spectator.
-pub(super) struct Onlooker {
+pub(super) struct ThinSpectator {
     seat: usize,
     clock: SiteClock,
     model: Arc<Model>,
@@ -71,7 +71,7 @@ pub(super) struct Onlooker {
     pub(super) trouble: Option<String>,
 }
 
-impl Onlooker {
+impl ThinSpectator {
     /// A spectator that requests to join.
     pub(super) fn new(
         seat: usize,
@@ -207,7 +207,7 @@ impl Onlooker {
     }
 
     /// Results until `at_us`; `last` is the server's shape at that time.
-    pub(super) fn onlooked(&mut self, at_us: i64, last: Option<&Picture>) -> Onlooked {
+    pub(super) fn result(&mut self, at_us: i64, last: Option<&Picture>) -> ThinSpectatorResult {
         let (began_us, bytes, told) = self.began.unwrap_or((at_us, self.bytes, 0));
         let seconds = ((at_us - began_us) as f64 * 1e-6).max(1e-3);
         let bits_per_s = (self.bytes - bytes) as f64 * 8.0 / seconds;
@@ -219,7 +219,7 @@ impl Onlooker {
         let thin = self.site.as_ref().and_then(|s| s.replica().thin_view());
         let counters = thin.map(ThinView::counters).unwrap_or_default();
         let nodes = (counters.told - told) as f64 / seconds;
-        Onlooked {
+        ThinSpectatorResult {
             apart_mm: DistancesMm::of(&mut self.apart_mm),
             rest_mm: DistancesMm::of(&mut rest),
             bits_per_s,
