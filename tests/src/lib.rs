@@ -11,8 +11,8 @@
 //! | use a hand with a known continuous motion | [`hand`] |
 //! | run a server and clients as processes | [`program`], [`session`], [`stress`] |
 //! | compute the forces without a network | [`mod@reference`] |
-//! | simulate a whole session in virtual time | [`rehearsal`] |
-//! | load a server with all its seats | [`crowd`] |
+//! | simulate a whole session in virtual time | [`simulated_session`] |
+//! | load a server with all its seats | [`load_test`] |
 //! | compare recordings | [`disagreement`], [`force_error`], [`dropout`], [`delay_figures`], [`cpu`] |
 //! | judge a session | [`criteria`] |
 //! | measure the solver | [`mod@bench`] |
@@ -29,7 +29,6 @@ pub mod chart;
 pub mod cli;
 pub mod cpu;
 pub mod criteria;
-pub mod crowd;
 pub mod decoders;
 pub mod delay_figures;
 pub mod demo;
@@ -39,18 +38,19 @@ pub mod experiments;
 pub mod force_error;
 pub mod hand;
 pub mod haptic_faults;
+pub mod load_test;
 mod name_suggestion;
 pub mod network;
 pub mod plots;
 pub mod program;
 pub mod progress;
 pub mod reference;
-pub mod rehearsal;
 pub mod relay;
 pub mod report;
 pub mod scenario;
 pub mod scripts;
 pub mod session;
+pub mod simulated_session;
 pub mod stress;
 pub mod test_model;
 pub mod tool_location;

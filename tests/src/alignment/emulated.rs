@@ -1,4 +1,4 @@
-//! Alignments over the laboratory's emulated network.
+//! Alignments over emulated networks.
 
 use rand::RngExt;
 use rand_pcg::Pcg64;
@@ -7,10 +7,10 @@ use super::Alignment;
 use super::way::Way;
 use crate::network::{Direction, Path, Profile};
 
-/// Bytes of a packet of four samples, for links with a rate.
+/// Size of a packet of four samples in bytes, for links with limited bandwidth.
 const PACKET_BYTES: usize = 120;
 
-/// One direction of a site's path. What arrives damaged is thrown away by its checksum.
+/// One direction of a site's path. A checksum rejects damaged packets, so they count as lost.
 struct Emulated(Path);
 
 impl Way for Emulated {
@@ -22,8 +22,8 @@ impl Way for Emulated {
     }
 }
 
-/// An alignment in which each site reaches the server over a network of this profile: what one
-/// shows of the other has gone up and down.
+/// An alignment whose sites both reach the server over a network of this profile. Each tool's samples pass
+/// an uplink and a downlink.
 pub fn emulated(
     profile: &Profile,
     seed: u64,

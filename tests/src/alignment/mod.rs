@@ -1,17 +1,17 @@
-//! Two sites align a shared part, in virtual time: how far apart do they see it?
+//! Disagreement of two sites that align a shared part, in virtual time.
 //!
-//! Each site moves its own hand; the samples go up to the server in packets of four and down to the
-//! other site, and both show both tools at s = t - D through the timelines of the protocol. The
-//! machines are the real ones (clock, estimator, group, schedule, timeline); only the network and the
-//! hands are made up, so that a minute takes a fraction of a second and a seed replays it.
+//! Each site moves its own tool. Samples travel to the server in packets of four and on to the other site.
+//! Both sites show both tools at s = t - D through the protocol's timelines. Clock, estimator, group,
+//! schedule and timeline are the product's; network and hands are simulated. One minute takes a fraction of
+//! a second and a seed reproduces it.
 //!
-//! The disagreement is the distance between what the two sites show of the same tool at the same
-//! true time (Lin 2007, figs 7.26 to 7.28).
+//! The disagreement is the distance between the positions that the two sites show for one tool at one true
+//! time (Lin 2007, figs 7.26 to 7.28).
 
-pub mod course;
 pub mod emulated;
-mod foresight;
 mod motion;
+mod predictor;
+pub mod simulation;
 mod site;
 pub mod way;
 
@@ -24,35 +24,35 @@ use rand_pcg::Pcg64;
 use serde::Serialize;
 
 use crate::hand::Hand;
-use course::{Course, Moment};
 use motion::hands;
+use simulation::{Moment, Simulation};
 use way::{Law, LawfulWay, Way};
 
-/// What is not counted at the beginning, microseconds: clocks and delays settle.
+/// Warm-up that is not measured, microseconds: clocks and delays settle.
 pub const WARM_UP_US: i64 = 10_000_000;
 
-/// What is counted, microseconds.
+/// Measured time, microseconds.
 pub const COUNTED_US: i64 = 60_000_000;
 
-/// The disagreement that is safe for 95 % of the time, millimetres.
+/// Maximum 95th percentile of a safe disagreement, millimetres.
 pub const SAFE_MM: f64 = 0.1;
 
-/// The largest step shown that is safe, millimetres.
+/// Maximum shown step that is safe, millimetres.
 pub const STEP_SAFE_MM: f64 = 1.0;
 
-/// The largest fixed delay looked at, milliseconds.
+/// Maximum fixed delay that is tried, milliseconds.
 const FIXED_MAX_MS: u32 = 1000;
 
-/// What compensates.
+/// Compensation mode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mode {
-    /// Nothing.
+    /// No compensation.
     None,
-    /// One delay, milliseconds.
+    /// Fixed delay, milliseconds.
     Fixed(u32),
-    /// The delay that a rule gives.
+    /// Adaptive delay from a rule.
     Adaptive(DelayRule),
-    /// The server's prediction instead of a delay: the other reading of the source.
+    /// The server's prediction instead of a delay: the alternative reading of the source.
     Predicted,
 }
 
@@ -74,18 +74,18 @@ impl Mode {
     }
 }
 
-/// Root mean square, 95th percentile and largest, millimetres.
+/// Disagreement in millimetres.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Disagreement {
     /// Root mean square.
     pub rms: f64,
     /// 95th percentile.
     pub p95: f64,
-    /// The largest.
+    /// Maximum.
     pub max: f64,
 }
 
-/// Mean and 95th percentile of D, milliseconds.
+/// Playout delay D in milliseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Compensation {
     /// Mean.
@@ -94,26 +94,26 @@ pub struct Compensation {
     pub p95: f64,
 }
 
-/// What came of an alignment.
+/// Results of an alignment.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Figures {
-    /// Between what the two sites show.
+    /// Distance between the two sites' shown positions.
     pub disagreement_mm: Disagreement,
-    /// The delay.
+    /// Playout delay.
     pub compensation_ms: Compensation,
-    /// Steps of the disagreement from one millisecond to the next by more than 1 mm.
+    /// Number of changes of the disagreement by more than 1 mm in one millisecond.
     pub corrections_over_1mm: u64,
-    /// Milliseconds in which a tool was shown that nothing was known of.
+    /// Milliseconds in which a shown tool had no current samples.
     pub stale_ticks: u64,
 }
 
 impl Figures {
-    /// Whether two people can work with it.
+    /// Whether two participants can work together safely.
     pub fn is_safe(&self) -> bool {
         self.disagreement_mm.p95 <= SAFE_MM && self.corrections_over_1mm == 0
     }
 
-    /// The figures of these moments.
+    /// Results of a series of moments.
     pub fn of(moments: &[Moment]) -> Self {
         let mut distances = Vec::with_capacity(2 * moments.len());
         let (mut over, mut stale) = (0, 0);
@@ -149,21 +149,21 @@ impl Figures {
     }
 }
 
-/// Samples that arrived, of those that both hands make.
+/// Delivered share of the samples of both hands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Arrivals {
-    /// At the other site, each once.
+    /// Samples that arrived at the other site, each counted once.
     pub arrived: u64,
-    /// What the hands make in a session, a thousand per second.
+    /// Samples that both hands produce in a session, 1000 per second and hand.
     pub of: u64,
 }
 
 impl Arrivals {
-    /// The share that has to arrive, 0 to 1: over the worst network with a name it is more than half, and with one of a
-    /// hundred what is shown is mostly what stands still.
+    /// Minimum share of delivered samples, 0 to 1. The worst named network delivers more than half; at 1 %
+    /// most of the shown motion would be at rest.
     const SHARE_MIN: f64 = 0.01;
 
-    /// Whether what the sites show can be compared.
+    /// Whether the sites can be compared.
     pub fn are_enough(self) -> bool {
         self.arrived as f64 >= Self::SHARE_MIN * self.of as f64
     }
@@ -185,19 +185,19 @@ fn percentile(values: &mut [f64], p: f64) -> f64 {
     *values.select_nth_unstable_by(index, f64::total_cmp).1
 }
 
-/// An alignment over paths made by `ways`, which gets the number of a path (up and down of the first
-/// site, up and down of the second), a generator of its own and one of the whole network.
+/// An alignment over paths made by `ways`. Its arguments are the path's index (uplink and downlink of the
+/// first site, then of the second), the path's random generator and the shared generator of the network.
 #[derive(Clone)]
 pub struct Alignment<W> {
-    /// Makes a path.
+    /// Creates a path.
     pub ways: W,
-    /// What replays it.
+    /// Seed that reproduces the alignment.
     pub seed: u64,
-    /// A recorded motion for both hands, each at another place of it, instead of random ones.
+    /// Recorded motion for both hands with different offsets; `None` selects random motions.
     pub motion: Option<Arc<dyn Hand>>,
 }
 
-/// An alignment over paths that follow a law.
+/// An alignment over paths with a known delay law.
 pub fn over(law: Law, seed: u64) -> Alignment<impl Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> {
     let ways = move |_: usize, own: Pcg64, air: Pcg64| -> Box<dyn Way> {
         Box::new(LawfulWay::new(law, own, air, WARM_UP_US + COUNTED_US))
@@ -210,41 +210,41 @@ pub fn over(law: Law, seed: u64) -> Alignment<impl Fn(usize, Pcg64, Pcg64) -> Bo
 }
 
 impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
-    /// Every moment that counts.
+    /// All measured moments.
     pub fn moments(&self, mode: Mode) -> Vec<Moment> {
         let mut moments = Vec::with_capacity((COUNTED_US / 1000) as usize);
-        self.course(mode)
+        self.simulation(mode)
             .run(WARM_UP_US, WARM_UP_US + COUNTED_US, &mut |m| {
                 moments.push(m);
             });
         moments
     }
 
-    /// The session, not begun.
-    pub fn course(&self, mode: Mode) -> Course {
+    /// The session before its start.
+    pub fn simulation(&self, mode: Mode) -> Simulation {
         let mut rng = Pcg64::seed_from_u64(self.seed ^ 0x70_61_74_68);
         let air = Pcg64::seed_from_u64(rng.random());
         let mut way = |number| (self.ways)(number, Pcg64::seed_from_u64(rng.random()), air.clone());
         let ways = [[way(0), way(1)], [way(2), way(3)]];
         let (settings, rule) = mode.settings();
         let hands = hands(self.motion.as_ref(), self.seed);
-        let course = Course::new(&settings, rule, ways, hands, self.seed);
+        let simulation = Simulation::new(&settings, rule, ways, hands, self.seed);
         match mode {
-            Mode::Predicted => course.predicted(),
-            Mode::None | Mode::Fixed(_) | Mode::Adaptive(_) => course,
+            Mode::Predicted => simulation.predicted(),
+            Mode::None | Mode::Fixed(_) | Mode::Adaptive(_) => simulation,
         }
     }
 
-    /// How many samples of the two hands arrived at the other site. Counting ends with the first second in which
-    /// there are enough to be compared.
+    /// Number of samples delivered to the other site. Counting stops after the first second with enough
+    /// samples.
     pub fn arrivals(&self) -> Arrivals {
         let lasts_us = WARM_UP_US + COUNTED_US;
         let of = 2 * (lasts_us / 1000) as u64;
-        let mut course = self.course(Mode::None);
+        let mut simulation = self.simulation(Mode::None);
         let mut arrivals = Arrivals { arrived: 0, of };
         for second in 1..=lasts_us / 1_000_000 {
-            course.run(i64::MAX, second * 1_000_000, &mut |_| {});
-            arrivals.arrived = course.arrived();
+            simulation.run(i64::MAX, second * 1_000_000, &mut |_| {});
+            arrivals.arrived = simulation.arrived();
             if arrivals.are_enough() {
                 break;
             }
@@ -252,17 +252,17 @@ impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
         arrivals
     }
 
-    /// The figures of a mode.
+    /// Results of a mode.
     pub fn figures(&self, mode: Mode) -> Figures {
         Figures::of(&self.moments(mode))
     }
 
-    /// The smallest fixed delay, whole milliseconds, that is safe; `None` when none is.
+    /// Smallest safe fixed delay in whole milliseconds, if any.
     pub fn smallest_safe_fixed_ms(&self) -> Option<u32> {
         self.smallest_safe_fixed_ms_told(&mut |_| {})
     }
 
-    /// The same; `told` is given each delay that is tried, milliseconds.
+    /// Like [`Self::smallest_safe_fixed_ms`]; `told` receives each tried delay in milliseconds.
     pub fn smallest_safe_fixed_ms_told(&self, told: &mut dyn FnMut(u32)) -> Option<u32> {
         let mut safe = |ms| {
             told(ms);

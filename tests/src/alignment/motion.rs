@@ -1,4 +1,4 @@
-//! What the two hands of an alignment do.
+//! Motions of the two hands.
 
 use std::sync::Arc;
 
@@ -6,11 +6,11 @@ use palpate_protocol::Pose;
 
 use crate::hand::{Hand, Random, Temper};
 
-/// A motion there and back again without an end: a recording is shorter than a session, and a hand
-/// that jumped from its end to its beginning would be no hand.
+/// Endless back-and-forth motion along a recording, which is shorter than a session. A jump from end to
+/// start would be unrealistic.
 struct ThereAndBack {
     motion: Arc<dyn Hand>,
-    /// How far into it this hand begins, seconds.
+    /// Start offset in the recording, seconds.
     from_s: f64,
 }
 
@@ -30,8 +30,8 @@ impl Hand for ThereAndBack {
     }
 }
 
-/// Two hands: of one recorded motion, half of it apart, or random ones of 87 mm/s with a tremor of
-/// 0.1 mm.
+/// Two hands: a recorded motion with offsets half a recording apart, or random motions of 87 mm/s with 0.1
+/// mm tremor.
 pub(super) fn hands(motion: Option<&Arc<dyn Hand>>, seed: u64) -> [Arc<dyn Hand>; 2] {
     [0_u64, 1].map(|k| -> Arc<dyn Hand> {
         let Some(motion) = motion else {
@@ -54,7 +54,7 @@ pub(super) fn hands(motion: Option<&Arc<dyn Hand>>, seed: u64) -> [Arc<dyn Hand>
 mod tests {
     use super::*;
 
-    /// Along x by 0.1 m/s for 3 s.
+    /// Motion along x at 0.1 m/s for 3 s.
     struct Straight;
 
     impl Hand for Straight {
@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recorded_motion_goes_there_and_back_without_a_jump_and_the_two_hands_are_apart() {
+    fn recorded_motion_loops_without_jumps_and_hands_have_different_offsets() {
         let motion: Arc<dyn Hand> = Arc::new(Straight);
         let [first, second] = hands(Some(&motion), 1);
         let x = |hand: &Arc<dyn Hand>, t_s: f64| hand.at(t_s).position_m[0];

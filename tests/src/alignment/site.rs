@@ -1,4 +1,4 @@
-//! One of the two people: a clock of their own, a hand, and what they are shown.
+//! A site: a clock, a hand and the shown tools.
 
 use std::sync::Arc;
 
@@ -16,12 +16,12 @@ pub(super) struct Site {
     pub clock: ClockEstimate,
     pub estimator: DelayEstimator,
     pub schedule: DelaySchedule,
-    /// One's own tool and the other's, as seen here.
+    /// Timelines of the own tool and the other site's tool.
     pub views: [Timeline; 2],
     pub batch: Vec<ToolSample>,
-    /// The moment of the sample that the newest prediction rests on.
+    /// Time of the real sample behind the newest prediction.
     pub predicted_from: Option<ServerTime>,
-    /// How far that goes beyond it.
+    /// Horizon of that prediction.
     pub predicted_ahead: Option<Span>,
     offset_us: i64,
     drift: f64,
@@ -48,24 +48,24 @@ impl Site {
         }
     }
 
-    /// One's own clock at a moment of true time.
+    /// The local clock at a true time.
     pub(super) fn clock_at(&self, true_us: i64) -> ClientTime {
         let drifted = (self.drift * true_us as f64).round() as i64;
         ClientTime::from_micros(true_us + drifted + self.offset_us)
     }
 
-    /// Somebody sets it.
+    /// Sets the local clock.
     pub(super) fn set_clock(&mut self, by_us: i64) {
         self.offset_us += by_us;
     }
 
-    /// The server's time as it is known here.
+    /// Estimated server time.
     pub(super) fn server_time(&self, true_us: i64) -> Option<ServerTime> {
         let map: ClockMap = self.clock.map()?;
         Some(map.to_server(self.clock_at(true_us)))
     }
 
-    /// Takes a sample of the hand; `None` until the clock is known.
+    /// Takes a sample of the hand; `None` before the clock lock.
     pub(super) fn sample(&mut self, true_us: i64) -> Option<()> {
         let time = self.server_time(true_us)?;
         let pose = self.hand.at(true_us as f64 * 1e-6);
@@ -79,7 +79,7 @@ impl Site {
         Some(())
     }
 
-    /// Samples of the other's tool have come.
+    /// Receives samples of the other tool.
     pub(super) fn handle_samples(&mut self, samples: &[ToolSample], true_us: i64) {
         let (Some(newest), Some(now)) = (samples.last(), self.server_time(true_us)) else {
             return;
@@ -92,8 +92,8 @@ impl Site {
         }
     }
 
-    /// The other's tool has come as the server predicts it from a sample of the moment `from`. Its age is that sample's:
-    /// what was predicted is to have none.
+    /// Receives the other tool as predicted from a sample at `from`. The delay estimator uses `from`,
+    /// because the prediction should cancel the sample's age.
     pub(super) fn handle_predicted(&mut self, sample: ToolSample, from: ServerTime, true_us: i64) {
         let Some(now) = self.server_time(true_us) else {
             return;
@@ -108,7 +108,7 @@ impl Site {
         self.views[1].insert(sample);
     }
 
-    /// A change of D has come.
+    /// Receives a change of D.
     pub(super) fn handle_change(&mut self, delay_us: u32, effective_at: ServerTime, true_us: i64) {
         match self.server_time(true_us) {
             Some(now) => (self.schedule).handle_late_change(delay_us, effective_at, now),
@@ -116,7 +116,7 @@ impl Site {
         }
     }
 
-    /// Both tools as they are shown now.
+    /// Both tools as shown now.
     pub(super) fn shown(&mut self, true_us: i64) -> Option<[Shown; 2]> {
         let moment = self.schedule.shown_at(self.server_time(true_us)?);
         let [own, other] = &mut self.views;

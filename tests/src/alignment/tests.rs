@@ -1,4 +1,4 @@
-//! What artificial time compensation has to hold, over seeds, in virtual time.
+//! Laws of adaptive compensation, over seeds, in virtual time.
 
 use super::emulated::emulated;
 use super::way::Law;
@@ -8,12 +8,12 @@ use crate::network::Profile;
 use palpate_protocol::compensation::DelayRule;
 use rand_pcg::Pcg64;
 
-/// Half the step to which a position is rounded on the wire, mm: what nobody can see.
+/// Half the wire quantisation of a position, mm: an invisible difference.
 const NOTHING_MM: f64 = 0.005;
 
 const ADAPTIVE: Mode = Mode::Adaptive(DelayRule::Bridged);
 
-/// No fixed delay that is shorter than the mean of the adaptive one by this factor is safe.
+/// Checks that fixed delays below the adaptive mean divided by `factor` are unsafe.
 fn lag_is_within<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
     factor: f64,
     figures: &Figures,
@@ -21,7 +21,10 @@ fn lag_is_within<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
 ) {
     let shorter_ms = (figures.compensation_ms.mean / factor).ceil() as u32 - 1;
     let fixed = alignment.figures(Mode::Fixed(shorter_ms));
-    assert!(!fixed.is_safe(), "{shorter_ms} ms would do: {fixed:?}");
+    assert!(
+        !fixed.is_safe(),
+        "a fixed delay of {shorter_ms} ms is safe: {fixed:?}"
+    );
 }
 
 fn times_nearer<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
@@ -32,7 +35,7 @@ fn times_nearer<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
 }
 
 #[test]
-fn on_steady_jitter_two_sites_agree_at_a_tenth_more_than_the_least_lag_at_most() {
+fn steady_jitter_costs_at_most_a_tenth_more_lag_than_the_smallest_safe_delay() {
     for seed in 1..=2 {
         let alignment = over(Law::Gamma, seed);
         let figures = alignment.figures(ADAPTIVE);
@@ -43,7 +46,7 @@ fn on_steady_jitter_two_sites_agree_at_a_tenth_more_than_the_least_lag_at_most()
 }
 
 #[test]
-fn on_steps_two_sites_agree_at_less_lag_than_any_fixed_one_that_is_safe() {
+fn delay_steps_cost_less_lag_than_any_safe_fixed_delay() {
     for seed in 1..=2 {
         let alignment = over(Law::Steps, seed);
         let figures = alignment.figures(ADAPTIVE);
@@ -54,7 +57,7 @@ fn on_steps_two_sites_agree_at_less_lag_than_any_fixed_one_that_is_safe() {
 }
 
 #[test]
-fn on_bursts_nothing_more_is_seen_than_at_a_fixed_delay_of_the_same_mean() {
+fn bursts_disagree_at_most_as_at_a_fixed_delay_of_equal_mean() {
     for seed in 1..=3 {
         let alignment = over(Law::Bursts, seed);
         let figures = alignment.figures(ADAPTIVE);
@@ -70,19 +73,22 @@ fn on_bursts_nothing_more_is_seen_than_at_a_fixed_delay_of_the_same_mean() {
 }
 
 #[test]
-fn a_prediction_is_nearer_than_nothing_and_no_match_for_a_delay_where_a_hand_can_not_be_foreseen() {
+fn prediction_beats_no_compensation_but_not_an_adaptive_delay() {
     let profile = Profile::named("transatlantic").unwrap();
     let alignment = emulated(&profile, 1);
     let [predicted, delayed] = [Mode::Predicted, ADAPTIVE].map(|m| alignment.figures(m));
     assert!(times_nearer(&predicted, &alignment) >= 2.0, "{predicted:?}");
     assert!(predicted.disagreement_mm.rms >= 10.0 * delayed.disagreement_mm.rms);
-    assert_eq!(predicted.compensation_ms.mean, 0.0, "nobody waits");
+    assert_eq!(
+        predicted.compensation_ms.mean, 0.0,
+        "prediction must not add a playout delay"
+    );
     let near = emulated(&Profile::named("lan").unwrap(), 1).figures(Mode::Predicted);
     assert!(near.is_safe(), "{near:?}");
 }
 
 #[test]
-fn on_short_steady_paths_two_sites_agree_at_a_tenth_more_than_the_least_lag() {
+fn short_steady_paths_cost_at_most_a_tenth_more_lag_than_the_smallest_safe_delay() {
     let profile = Profile::named("metro").unwrap();
     let (mut mean_ms, mut safe_ms) = (0.0, 0);
     for seed in 1..=3 {
@@ -99,7 +105,7 @@ fn on_short_steady_paths_two_sites_agree_at_a_tenth_more_than_the_least_lag() {
 }
 
 #[test]
-fn no_step_of_the_network_makes_a_shown_one() {
+fn network_delay_steps_cause_no_shown_steps() {
     let profile = Profile::named("far-steps").unwrap();
     for seed in 1..=2 {
         let figures = emulated(&profile, seed).figures(ADAPTIVE);
@@ -108,25 +114,25 @@ fn no_step_of_the_network_makes_a_shown_one() {
 }
 
 #[test]
-fn a_session_goes_on_when_somebody_sets_a_clock_by_hours() {
+fn session_recovers_from_a_clock_set_by_hours() {
     for by_us in [7_200_000_000, -7_200_000_000] {
         let alignment = over(Law::Gamma, 3);
-        let mut course = alignment.course(ADAPTIVE);
-        course.run(WARM_UP_US, WARM_UP_US + 10_000_000, &mut |_| {});
-        course.set_clock(1, by_us);
+        let mut simulation = alignment.simulation(ADAPTIVE);
+        simulation.run(WARM_UP_US, WARM_UP_US + 10_000_000, &mut |_| {});
+        simulation.set_clock(1, by_us);
         let mut moments = Vec::new();
-        course.run(WARM_UP_US + 30_000_000, WARM_UP_US + 40_000_000, &mut |m| {
+        simulation.run(WARM_UP_US + 30_000_000, WARM_UP_US + 40_000_000, &mut |m| {
             moments.push(m);
         });
-        assert_eq!(course.clock_steps(), [0, 1]);
+        assert_eq!(simulation.clock_steps(), [0, 1]);
         let figures = Figures::of(&moments);
-        assert!(figures.is_safe(), "set by {by_us} us: {figures:?}");
+        assert!(figures.is_safe(), "clock set by {by_us} us: {figures:?}");
         assert!(figures.compensation_ms.mean < 70.0, "{figures:?}");
     }
 }
 
 #[test]
-fn a_session_goes_on_through_outages_and_recorded_losses() {
+fn session_survives_outages_and_recorded_losses() {
     let lost = "time_ms,delay_ms,lost\n0,20,0\n9000,,1\n9500,20,0\n20000,20,0\n";
     let dir = tempfile::tempdir().unwrap();
     std::fs::write(dir.path().join("lost.csv"), lost).unwrap();
@@ -134,14 +140,14 @@ fn a_session_goes_on_through_outages_and_recorded_losses() {
     let recorded = Profile::from_toml(text, &dir.path().join("recorded.toml")).unwrap();
     for profile in [Profile::named("outages").unwrap(), recorded] {
         let figures = emulated(&profile, 1).figures(ADAPTIVE);
-        // Outside of the outages, which are 2.5 % and 5 % of the time, the sites agree.
+        // The outages cover 2.5 % and 5 % of the time; the sites agree otherwise.
         assert!(figures.disagreement_mm.p95 <= 1.0, "{figures:?}");
         let delay_ms = figures.compensation_ms;
         assert!((40.0..400.0).contains(&delay_ms.mean), "{figures:?}");
     }
 }
 
-/// Loses everything.
+/// A path that loses every packet.
 struct Dead;
 
 impl Way for Dead {
@@ -151,14 +157,14 @@ impl Way for Dead {
 }
 
 #[test]
-fn a_session_ends_in_time_over_a_network_that_loses_everything() {
+fn session_terminates_on_a_network_that_loses_every_packet() {
     let alignment = Alignment {
         ways: |_, _, _| -> Box<dyn Way> { Box::new(Dead) },
         seed: 1,
         motion: None,
     };
     let mut shown = 0;
-    let mut course = alignment.course(ADAPTIVE);
-    course.run(0, 5_000_000, &mut |_| shown += 1);
-    assert_eq!((course.arrived(), shown), (0, 0));
+    let mut simulation = alignment.simulation(ADAPTIVE);
+    simulation.run(0, 5_000_000, &mut |_| shown += 1);
+    assert_eq!((simulation.arrived(), shown), (0, 0));
 }

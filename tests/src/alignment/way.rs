@@ -1,29 +1,29 @@
-//! What a packet's way takes, for sessions in virtual time.
+//! Packet delays of simulated paths.
 
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
 /// A one-way path.
 pub trait Way {
-    /// What the next packet, sent at a moment of true time, takes, microseconds; `None` is lost.
+    /// One-way delay in microseconds of the next packet, sent at a true time; `None` means lost.
     fn delay_us(&mut self, sent_us: i64) -> Option<i64>;
 }
 
-/// Paths whose laws are known: half of the way from site to site, the other half being the same.
+/// Known delay laws of one path. The path from site to site consists of two such paths.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Law {
-    /// 25 ms and an exponential of 5 ms: from site to site 50 ms and gamma jitter of shape 2.
+    /// 25 ms plus an exponential of mean 5 ms; from site to site 50 ms and gamma jitter of shape 2.
     Gamma,
-    /// From site to site 30, 80 and 120 ms for ten seconds each, and 0.5 ms of gamma jitter.
+    /// From site to site 30, 80 and 120 ms for ten seconds each, with 0.5 ms of gamma jitter.
     Steps,
-    /// From site to site 50 ms, and now and then 120 ms for 0.1 to 0.4 s.
+    /// From site to site 50 ms, with occasional bursts of 120 ms that last 0.1 to 0.4 s.
     Bursts,
-    /// From site to site 120 ms, uniform jitter of 15 ms and 2 % loss, each way to the server.
+    /// 120 ms, uniform jitter of 15 ms and 2 % loss on each path to or from the server.
     Intercontinental,
 }
 
 impl Law {
-    /// All of them.
+    /// All laws.
     pub const ALL: [Self; 4] = [
         Self::Gamma,
         Self::Steps,
@@ -31,7 +31,7 @@ impl Law {
         Self::Intercontinental,
     ];
 
-    /// What it is called.
+    /// Name of the law.
     pub fn name(self) -> &'static str {
         match self {
             Self::Gamma => "gamma",
@@ -41,13 +41,13 @@ impl Law {
         }
     }
 
-    /// The law of that name.
+    /// The law with this name.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|l| l.name() == name)
     }
 }
 
-/// A path that follows a law.
+/// A path with a delay law.
 #[derive(Debug, Clone)]
 pub struct LawfulWay {
     law: Law,
@@ -56,8 +56,7 @@ pub struct LawfulWay {
 }
 
 impl LawfulWay {
-    /// A path for a session of so many microseconds. Bursts come at moments of `air`, which all
-    /// paths of a session share: they are what happens to the network, not to a packet.
+    /// A path for a session of `lasts_us`. All paths of a session share `air`, so their bursts coincide.
     pub fn new(law: Law, rng: Pcg64, mut air: Pcg64, lasts_us: i64) -> Self {
         let mut bursts_us = Vec::new();
         let mut at = 0;

@@ -1,6 +1,6 @@
 //! Bandwidth of a full subscriber's session while trainees press and cut, per direction and part.
 //!
-//! Two trainees press, cut and press again in a [simulated session](crate::rehearsal), which records every
+//! Two trainees press, cut and press again in a [simulated session](crate::simulated_session), which records every
 //! packet and its send time. The packets of each trainee are then sent again with equal lengths at equal times
 //! over a real connection through a relay; this measures the overhead of QUIC. The model download is excluded.
 
@@ -16,8 +16,8 @@ use serde::Serialize;
 use super::quic;
 use crate::network::{Direction, Profile};
 use crate::progress::Progress;
-use crate::rehearsal::{Part, Rehearsal, Rehearsed, Sent};
 use crate::scripts::{SECONDS_MIN, Scripts};
+use crate::simulated_session::{Part, Sent, SessionResult, SimulatedSession};
 use crate::test_model::TestModel;
 use crate::tool_location::ToolLocation;
 
@@ -147,7 +147,7 @@ impl Bytes {
         let place =
             ToolLocation::find(&Topology::new(Arc::clone(model))).map_err(|e| e.to_string())?;
         let scripts = Scripts::for_place(&place, self.seconds).map_err(|e| e.to_string())?;
-        let rehearsal = Rehearsal {
+        let rehearsal = SimulatedSession {
             model,
             scripts: &[&scripts.holder, &scripts.cutter],
             profile: &self.profile,
@@ -191,7 +191,7 @@ impl Bytes {
 
     fn subscriber(
         &self,
-        rehearsed: &Rehearsed,
+        rehearsed: &SessionResult,
         seat: usize,
         does: &'static str,
     ) -> Result<Subscriber, String> {

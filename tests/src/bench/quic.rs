@@ -9,8 +9,8 @@ use palpate_transport::{Connection, PathStats, Server, ServerIdentity, connect};
 use tokio::time::{Instant, sleep_until};
 
 use crate::network::{Direction, Profile};
-use crate::rehearsal::{Part, Sent};
 use crate::relay::Relay;
+use crate::simulated_session::{Part, Sent};
 
 /// Settling time after the connection is established and after the last packet.
 const SETTLE: Duration = Duration::from_millis(500);

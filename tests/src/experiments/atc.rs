@@ -1,12 +1,12 @@
-//! Two sites align a shared part, with artificial time compensation and without (figs 7.24 to 7.28).
+//! Two sites align a shared part with and without artificial time compensation (figs 7.24 to 7.28).
 
 use std::sync::Arc;
 
 use serde_json::{Value, json};
 
 use super::{Bench, Outcome, line};
-use crate::alignment::course::Moment;
 use crate::alignment::emulated::emulated;
+use crate::alignment::simulation::Moment;
 use crate::alignment::way::Way;
 use crate::alignment::{Alignment, Figures, Mode};
 use crate::chart::{BLUE, Chart, Line, ORANGE, Panel};
@@ -15,13 +15,13 @@ use crate::network::Profile;
 use palpate_protocol::compensation::DelayRule;
 use rand_pcg::Pcg64;
 
-/// The network when none is asked for.
+/// Default network.
 const PROFILE: &str = "transatlantic";
 
-/// Sessions that one seed takes, about: those in search of a safe delay, and those that are compared.
+/// Approximate number of sessions per seed: the search for a safe delay, then the comparison.
 const SESSIONS: f64 = 12.0;
 
-/// Seconds drawn of what changes from packet to packet: more would be a solid bar.
+/// Drawn seconds of a quantity that changes with each packet; a longer plot would be a solid bar.
 const DRAWN_S: f64 = 1.0;
 
 fn profile(bench: &Bench<'_>) -> Result<Profile, String> {
@@ -31,27 +31,27 @@ fn profile(bench: &Bench<'_>) -> Result<Profile, String> {
     }
 }
 
-/// Nothing compensates.
+/// Runs an alignment without compensation.
 pub(super) fn none(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     aligned(bench, "none")
 }
 
-/// The smallest fixed delay that is safe.
+/// Runs an alignment with the smallest safe fixed delay.
 pub(super) fn fixed(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     aligned(bench, "fixed")
 }
 
-/// The delay of the default rule.
+/// Runs an alignment with the default delay rule.
 pub(super) fn adaptive(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     aligned(bench, "adaptive")
 }
 
-/// The server's prediction, the other reading of the source.
+/// Runs an alignment with server-side prediction, the alternative reading of the source.
 pub(super) fn predicted(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     aligned(bench, "predicted")
 }
 
-/// An alignment over the network asked for, with the hands asked for.
+/// An alignment with the selected network and motion.
 fn alignment(
     bench: &Bench<'_>,
     profile: &Profile,
@@ -65,7 +65,7 @@ fn alignment(
     alignment
 }
 
-/// Refuses a network over which nothing can be compared: figures of views that were never filled say that all is well.
+/// Rejects a network without enough arrivals: views that never received samples would show no disagreement.
 fn refuse_silence<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
     alignment: &Alignment<W>,
     network: &str,
@@ -75,23 +75,23 @@ fn refuse_silence<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
         return Ok(());
     }
     Err(format!(
-        "{} of {} samples arrived on {network}: nothing can be compared; choose a network with less delay and less loss",
+        "{} of {} samples arrived on {network}, too few to compare the sites; choose a network with less delay and loss",
         arrivals.arrived, arrivals.of
     ))
 }
 
-/// What came of one seed.
+/// Results of one seed.
 struct Seen {
     safe_ms: Option<u32>,
     moments: Vec<Moment>,
     figures: Figures,
-    /// Root mean square of the disagreement without compensation, mm.
+    /// Rms disagreement without compensation, mm.
     none_rms_mm: f64,
-    /// With a fixed delay that is as long as this one's mean.
+    /// Results with a fixed delay equal to this mode's mean.
     equal_lag: Figures,
-    /// Beside a prediction: with the delay of the default rule.
+    /// Results of the default delay rule; only in prediction mode.
     delayed: Option<Figures>,
-    /// How far ahead the server predicted on the mean, ms.
+    /// Mean prediction horizon, ms.
     ahead_ms: f64,
 }
 
@@ -116,8 +116,8 @@ impl Seen {
             "none" => Mode::None,
             "fixed" => Mode::Fixed(safe_ms.ok_or_else(|| {
                 format!(
-                    "on the network {network} no fixed delay up to 1 s brings two sites within 0.1 mm for 95 % of the \
-                     time; choose one that loses less, or atc-adaptive",
+                    "on the network {network} no fixed delay up to 1 s keeps two sites within 0.1 mm for 95 \
+                     % of the time; choose a network with less loss, or atc-adaptive",
                 )
             })?),
             "predicted" => Mode::Predicted,
@@ -167,7 +167,7 @@ impl Seen {
     }
 }
 
-/// Several seeds in one: squares averaged, the worst 95th percentile and maximum, counts added.
+/// Combines several seeds: root of the mean square, worst 95th percentile and maximum, sums of counts.
 fn all_seeds(seen: &[Seen], name: &str, network: &str, first_seed: u64) -> Value {
     let n = seen.len().max(1) as f64;
     let most = |of: fn(&Seen) -> f64| seen.iter().map(of).fold(0.0, f64::max);
@@ -216,7 +216,7 @@ fn aligned(bench: &mut Bench<'_>, name: &str) -> Result<Outcome, String> {
         };
         let mut one = Seen::of(&alignment, name, &profile.name, &mut told)?;
         if k > 0 {
-            // Drawn is the first; a thousand times a minute of moments would be gigabytes.
+            // Only the first seed is drawn; the moments of 1000 seeds would take gigabytes.
             one.moments = Vec::new();
         }
         seen.push(one);
@@ -229,13 +229,13 @@ fn aligned(bench: &mut Bench<'_>, name: &str) -> Result<Outcome, String> {
     let panels = alignment_panels(moments, name);
     Ok(Outcome {
         caption: format!(
-            "Two sites align a part over the network {}, compensation {name}: the distance between what they show \
-             of the same tool at the same time{}.",
+            "Two sites align a part over the network {}, compensation {name}: the distance between the \
+             positions they show for one tool at one time{}.",
             profile.name,
             match name {
                 "none" => "",
-                "predicted" => ", and how far ahead the server predicts so that nobody waits",
-                _ => ", and the delay",
+                "predicted" => ", and the server's prediction horizon",
+                _ => ", and the playout delay",
             },
         ),
         figures: value,
@@ -247,8 +247,8 @@ fn aligned(bench: &mut Bench<'_>, name: &str) -> Result<Outcome, String> {
     })
 }
 
-/// What a motion takes from site to site: without compensation what the network makes of it, with
-/// it the same for all.
+/// Time from a motion to its view at the other site: the network delay without compensation, the playout
+/// delay with it.
 pub(super) fn transmission(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let profile = profile(bench)?;
     let alignment = alignment(bench, &profile, bench.seed);
@@ -273,8 +273,8 @@ pub(super) fn transmission(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         "with_ms": { "mean": mean(&delay), "deviation": spread(&delay) },
     });
     let panels = vec![Panel {
-        title: "from a motion to its picture at the other site".to_owned(),
-        y_label: "age of what is shown / ms".to_owned(),
+        title: "delay of the view at the other site".to_owned(),
+        y_label: "age of the shown sample / ms".to_owned(),
         lines: vec![
             line("without compensation", ORANGE, first_seconds(&age)),
             line("with", BLUE, first_seconds(&delay)),
@@ -283,8 +283,8 @@ pub(super) fn transmission(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     }];
     Ok(Outcome {
         caption: format!(
-            "The age of the newest sample at the other site over the network {}, and of what is shown under adaptive \
-             compensation; the first {DRAWN_S} s of them.",
+            "Age of the newest sample at the other site over the network {}, and of the shown sample under \
+             adaptive compensation; the first {DRAWN_S} s.",
             profile.name
         ),
         figures,
@@ -296,7 +296,7 @@ pub(super) fn transmission(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     })
 }
 
-/// How a tool shakes at the other site: the second difference of what is shown over 1 ms.
+/// Jitter of a tool at the other site: the second difference of the shown position over 1 ms.
 pub(super) fn jitter(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let profile = profile(bench)?;
     let alignment = alignment(bench, &profile, bench.seed);
@@ -316,28 +316,28 @@ pub(super) fn jitter(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let panels = vec![
         panel(
             "without compensation",
-            "change of its step / µm",
+            "second difference / µm",
             line("shaking", ORANGE, first_seconds(&without)),
         ),
         panel(
             "with adaptive compensation",
-            "change of its step / µm",
+            "second difference / µm",
             line("shaking", BLUE, first_seconds(&with)),
         ),
     ];
     Ok(Outcome {
         caption: format!(
-            "How much the other's tool jerks from one millisecond to the next (second difference of what is shown) over \
-             the network {}.",
+            "Jitter of the other site's tool (second difference of the shown position over 1 ms) over the \
+             network {}.",
             profile.name
         ),
         figures,
-        charts: vec![("jitter".to_owned(), chart("jitter of a tool shown", panels))],
+        charts: vec![("jitter".to_owned(), chart("jitter of a shown tool", panels))],
         tables: Vec::new(),
     })
 }
 
-/// The same session without compensation and with the default rule.
+/// The moments without compensation and with the default rule.
 fn both<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
     alignment: &Alignment<W>,
 ) -> (Vec<Moment>, Vec<Moment>) {
@@ -345,7 +345,7 @@ fn both<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
     (alignment.moments(Mode::None), alignment.moments(adaptive))
 }
 
-/// What is drawn of a course.
+/// The drawn part of a series.
 fn first_seconds(course: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let until = course.first().map_or(0.0, |p| p.0) + DRAWN_S;
     (course.iter().copied())
@@ -353,7 +353,7 @@ fn first_seconds(course: &[(f64, f64)]) -> Vec<(f64, f64)> {
         .collect()
 }
 
-/// Second differences of the first tool at the other site, micrometres.
+/// Second differences of the first tool's position at the other site, micrometres.
 fn shaking(moments: &[Moment]) -> Vec<(f64, f64)> {
     let jerked = moments.windows(3).map(|w| {
         let [a, b, c] = [w[0].first[1], w[1].first[1], w[2].first[1]];
@@ -365,23 +365,23 @@ fn shaking(moments: &[Moment]) -> Vec<(f64, f64)> {
     jerked.collect()
 }
 
-/// The distance, and beside it what is done about it: nothing is no panel.
+/// Panels of the disagreement and of the delay or prediction horizon, if any.
 fn alignment_panels(moments: &[Moment], name: &str) -> Vec<Panel> {
     let course = |of: fn(&Moment) -> f64| moments.iter().map(|m| (m.time_s, of(m))).collect();
     let mut panels = vec![panel(
-        "what two sites show of one tool is apart by",
+        "disagreement of the two sites",
         "distance / mm",
         line("disagreement", ORANGE, course(Moment::apart_mm)),
     )];
     match name {
         "none" => {}
         "predicted" => panels.push(panel(
-            "how far the server's prediction goes beyond what it knows",
+            "horizon of the server's prediction",
             "ahead / ms",
             line("A", BLUE, course(|m| m.ahead_ms)),
         )),
         _ => panels.push(panel(
-            "artificial delay: how much later than it was everything is shown",
+            "playout delay",
             "delay / ms",
             line("D", BLUE, course(|m| m.delay_ms)),
         )),
@@ -401,7 +401,7 @@ fn panel(title: &str, y_label: &str, line: Line) -> Panel {
 fn chart(title: &str, panels: Vec<Panel>) -> Chart {
     Chart {
         title: title.to_owned(),
-        x_label: "time since the session began / s".to_owned(),
+        x_label: "session time / s".to_owned(),
         panels,
         marks: Vec::new(),
     }

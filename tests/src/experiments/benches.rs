@@ -1,4 +1,4 @@
-//! Benches that belong on the page of all experiments: what the figures there cost.
+//! Benchmarks on the page of all experiments.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -17,74 +17,74 @@ use crate::haptic_faults::course::Setup;
 use crate::network::Profile;
 use crate::test_model::TestModel;
 
-/// Ticks of each device: four times fewer than by default, where the 99.9th percentile still stands on 50 of them.
+/// Ticks of each device, a quarter of the default: 50 samples remain above the 99.9th percentile.
 const TICKS: usize = 50_000;
 
-/// Nodes per edge of the cube that is pressed.
+/// Nodes per edge of the pressed cube.
 const CUBE_NODES: usize = 20;
 
-/// Hands for which something breaks.
+/// Number of fault injection runs.
 const FAULTS: u64 = 500;
 
-/// Round trip for which the coding is measured, ms: what is older is known to both ends.
+/// Round trip of the coding benchmark, ms: both ends know older data.
 const ROUND_TRIP_MS: i64 = 50;
 
-/// Length of the scripts of which bytes are counted, s, and their tissue and network.
+/// Length of the bandwidth benchmark's scripts, s, and its tissue and network.
 const BYTES_SECONDS: f64 = 8.0;
 const BYTES_MODEL: &str = "thigh";
 const BYTES_NETWORK: &str = "metro";
 
-/// Who is told what is done, and its share.
+/// Callback for progress: the activity and the completed share.
 pub(super) type Told<'a> = dyn FnMut(&str, f64) + Send + 'a;
 
-/// A bench on the page.
+/// A benchmark on the page.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Measured {
-    /// Its name.
+    /// Name.
     pub(super) name: &'static str,
-    /// What it measures, in a line.
+    /// One-line description.
     pub(super) about: &'static str,
-    /// What repeats it.
+    /// Command that repeats it.
     pub(super) command: &'static str,
-    /// Runs it, with a folder for models; tells what it does.
+    /// Runs the benchmark with a directory for models and a progress callback.
     pub(super) run: fn(&Path, &mut Told<'_>) -> Result<Outcome, String>,
 }
 
-/// In the order of the page.
+/// All benchmarks in page order.
 pub(super) const ALL: &[Measured] = &[
     Measured {
         name: "coding",
-        about: "bits per pose and per node on the wire: ours, deflate, raw",
+        about: "bits per pose and per node on the wire: this codec, deflate, raw",
         command: "palpate-lab bench coding --round-trip-ms 50 --seed 1",
         run: coding,
     },
     Measured {
         name: "bytes",
-        about: "what a session of people who press and cut takes of a network, part by part, with what QUIC adds",
+        about: "bandwidth of a session while pressing and cutting, by purpose, with QUIC overhead",
         command: "palpate-lab bench bytes --model thigh --seconds 8 --profile metro --seed 1",
         run: bytes,
     },
     Measured {
         name: "haptic-tick",
-        about: "what a tick of the 1 kHz loop takes: read, compute, write",
+        about: "duration of a tick of the 1 kHz loop: read, compute, write",
         command: "palpate-lab bench haptic-tick --ticks 50000",
         run: haptic_tick,
     },
     Measured {
         name: "press-cube",
-        about: "what solving takes for a cube of 8,000 nodes that a disc is pressed into",
+        about: "solver time for a disc pressed into a cube of 8,000 nodes",
         command: "palpate-lab bench press-cube --moving",
         run: press_cube,
     },
     Measured {
         name: "haptic-faults",
-        about: "hands for which something breaks: no fault may jerk them",
+        about: "injected faults during haptic contact: no fault may cause a force jump",
         command: "palpate-lab haptic-faults --seeds 500",
         run: faults,
     },
 ];
 
-/// A bench of that name.
+/// The benchmark with this name.
 pub(super) fn named(name: &str) -> Option<Measured> {
     ALL.iter().find(|b| b.name == name).copied()
 }
@@ -92,7 +92,8 @@ pub(super) fn named(name: &str) -> Option<Measured> {
 fn outcome(caption: &str, report: &impl Serialize) -> Result<Outcome, String> {
     Ok(Outcome {
         caption: caption.to_owned(),
-        figures: serde_json::to_value(report).map_err(|e| format!("no figures: {e}"))?,
+        figures: serde_json::to_value(report)
+            .map_err(|e| format!("cannot serialise the figures: {e}"))?,
         charts: Vec::new(),
         tables: Vec::new(),
     })
@@ -105,9 +106,10 @@ fn coding(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
         seed: SEED,
     }
     .run()?;
-    let caption = "A random hand of 87 mm/s rms in batches of four new 1 kHz samples, and a block that is pressed and released, 60 \
-                   frames a second to 0.05 mm. Deflate is given the same integers as differences from what the other end is known \
-                   to have, each datagram or frame by itself; raw are four-byte numbers. Headers are counted.";
+    let caption = "A random hand of 87 mm/s rms in batches of four new 1 kHz samples, and a block that is \
+                   pressed and released, at 60 frames per second and 0.05 mm. Deflate compresses the same \
+                   integers, as differences from the acknowledged state, per datagram or frame. Raw uses \
+                   four-byte numbers. Headers are included.";
     Ok(Outcome {
         tables: vec![("coding".to_owned(), coding_table(&report))],
         ..outcome(caption, &report)?
@@ -117,7 +119,7 @@ fn coding(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
 fn coding_table(report: &CodingReport) -> String {
     let mut table = String::from("bits,ours,deflate_1,deflate_9,raw\n");
     for (per, bits) in [("per pose", report.pose), ("per node", report.node)] {
-        // Writing to a string can not fail.
+        // Writing to a string cannot fail.
         let _ = writeln!(
             table,
             "{per},{},{},{},{}",
@@ -137,9 +139,10 @@ fn bytes(dir: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
     };
     let report = bench.run(&subject.model, &mut |what| told(what, 0.0))?;
     let caption = format!(
-        "Two full subscribers press and cut a thigh of {} nodes over the network {}: kbit/s of each by part, over the whole of \
-         their scripts. udp is all parts and what QUIC adds, and has to stay below limit; acknowledgements stand within the \
-         parts. The worst second is without what QUIC adds. From {}.",
+        "Two full subscribers press and cut a thigh of {} nodes over the network {}: kbit/s of each by \
+             purpose, over the length of their scripts. The column udp is the total with QUIC overhead and \
+             must stay below limit. The other columns include acknowledgements. The worst second excludes \
+             QUIC overhead. Method: {}.",
         report.nodes, report.network, report.method
     );
     Ok(Outcome {
@@ -180,8 +183,8 @@ fn haptic_tick(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
     told("ticks", 0.0);
     let report = HapticTick { ticks: TICKS }.run()?;
     outcome(
-        "Times of a tick, by device and by the places on the tool that touch. It is one run on this machine: other \
-         work on it changes the rare ticks.",
+        "Durations of a tick, by device and number of active contact points. One run on this machine: other \
+         load changes the rare long ticks.",
         &report,
     )
 }
@@ -194,8 +197,8 @@ fn press_cube(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
     };
     let report = cube.run(&mut |what| told(what, 0.0));
     outcome(
-        "A cube of side 0.1 m pressed by a disc on one thread: from rest to 1 % of its displacement and to \
-         convergence, and then in ten steps of 0.1 mm.",
+        "A cube of side 0.1 m pressed by a disc, on one thread: from rest to 1 % displacement error and to \
+         convergence, then in ten steps of 0.1 mm.",
         &report,
     )
 }
@@ -209,14 +212,14 @@ fn faults(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
         haptic_faults::all(0..FAULTS, &Setup::default(), &mut each).map_err(|e| e.to_string())?;
     if !all.ok {
         return Err(format!(
-            "{} of {} runs broke a law; palpate-lab haptic-faults tells which",
+            "{} of {} runs violated a law; palpate-lab haptic-faults lists them",
             all.failed(),
             all.runs
         ));
     }
     outcome(
-        "In virtual time a hand presses through the loop that clients run, and something breaks. The force may change \
-         by the slew limit per tick, and is zero within 150 ms of the loss of its source.",
+        "Faults during a press through the client's force loop, in virtual time. The force changes by at \
+         most the slew-rate limit per tick and is zero within 150 ms after the loss of its source.",
         &all,
     )
 }

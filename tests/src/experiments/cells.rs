@@ -1,21 +1,22 @@
-//! Cells of tables, as they stand in a file and as people read them.
+//! Cells of CSV, terminal and HTML tables.
 //!
-//! Figures have sixteen digits, of which a reader wants four. In a column all numbers have the same number of decimals, so
-//! that they can be compared by their places.
+//! Displayed numbers have four significant digits. All numbers of a column have the same number of
+//! decimals.
 
 use serde_json::Value;
 
-/// Numbers of a list that are written out.
+/// Maximum number of displayed list elements.
 const LIST_MAX: usize = 16;
 
-/// Digits that count of the largest number of a column, of its smallest, and of one that stands alone.
+/// Significant digits of a column's largest number or a single number, and minimum for the column's
+/// smallest.
 const DIGITS: i32 = 4;
 const DIGITS_MIN: i32 = 2;
 
-/// The most that the smallest number of a column adds to the decimals of its largest.
+/// Maximum number of decimals that the smallest number of a column adds.
 const MORE_MAX: i32 = 3;
 
-/// The cells of a line of a CSV file. What is quoted may have commas, and two quotes for one.
+/// Splits a line of a CSV file. Quoted cells may contain commas and doubled quotes.
 pub(super) fn split(line: &str) -> Vec<String> {
     let mut cells = vec![String::new()];
     let mut is_quoted = false;
@@ -35,7 +36,7 @@ pub(super) fn split(line: &str) -> Vec<String> {
     cells
 }
 
-/// A cell for a CSV file: words that have commas or quotes are quoted, nothing is empty.
+/// A CSV cell: strings with commas or quotes are quoted, null is empty.
 pub(super) fn of_file(value: &Value) -> String {
     match value {
         Value::Null => String::new(),
@@ -47,7 +48,7 @@ pub(super) fn of_file(value: &Value) -> String {
     }
 }
 
-/// What a figure says with all its digits; [`aligned`] shortens whole columns.
+/// A figure with all digits; [`aligned`] shortens whole columns.
 pub(super) fn whole(value: &Value) -> String {
     match value {
         Value::Null => "–".to_owned(),
@@ -57,7 +58,7 @@ pub(super) fn whole(value: &Value) -> String {
     }
 }
 
-/// A figure that has no others beside it.
+/// A single figure, outside a column.
 pub(super) fn alone(value: &Value) -> String {
     match value {
         Value::Number(n) if n.is_f64() => n.as_f64().map_or(String::new(), number),
@@ -77,7 +78,7 @@ fn truth(yes: bool) -> &'static str {
     if yes { "yes" } else { "no" }
 }
 
-/// A number alone, to four digits that count.
+/// A single number with four significant digits.
 pub(super) fn number(x: f64) -> String {
     if x == 0.0 {
         return "0".to_owned();
@@ -89,12 +90,12 @@ pub(super) fn number(x: f64) -> String {
     format!("{x:.digits$}")
 }
 
-/// The decimals that show so many digits of `x`.
+/// Decimals that show `digits` significant digits of `x`.
 fn decimals(x: f64, digits: i32) -> i32 {
     digits - 1 - x.abs().log10().floor() as i32
 }
 
-/// Numbers of each column with the same decimals; yes and no for what is true and false.
+/// Gives the numbers of each column equal decimals and replaces booleans by yes and no.
 pub(super) fn aligned(rows: &mut [Vec<String>]) {
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
     for k in 0..columns {
@@ -115,7 +116,7 @@ pub(super) fn aligned(rows: &mut [Vec<String>]) {
     }
 }
 
-/// The decimals of a column: none of whole numbers.
+/// Decimals of a column; whole numbers have none.
 fn of_column(numbers: &[f64]) -> usize {
     if numbers.iter().all(|x| x.fract() == 0.0) {
         return 0;
@@ -126,7 +127,7 @@ fn of_column(numbers: &[f64]) -> usize {
     smallest.clamp(largest, largest + MORE_MAX) as usize
 }
 
-/// A CSV file as a table of a terminal: words on the left of their columns, numbers on the right.
+/// Formats CSV as a terminal table: words left-aligned, numbers right-aligned.
 pub(super) fn in_columns(text: &str) -> String {
     let mut rows: Vec<Vec<String>> = text.lines().map(split).collect();
     let Some((head, body)) = rows.split_first_mut() else {
@@ -157,7 +158,7 @@ pub(super) fn in_columns(text: &str) -> String {
     rows.iter().map(line).collect()
 }
 
-/// Whether a cell makes its column one of words.
+/// Whether the cell makes its column a text column.
 pub(super) fn is_word(cell: &str) -> bool {
     cell.parse::<f64>().is_err() && cell.chars().any(char::is_alphabetic)
 }
@@ -170,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_have_four_digits_that_count() {
+    fn single_numbers_have_four_significant_digits() {
         let shown = [1234.56, 0.012_345_6, -2.0, 0.0, 1e-9, 3e8].map(number);
         assert_eq!(
             shown,
@@ -185,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_of_a_column_have_the_same_decimals() {
+    fn numbers_of_a_column_have_equal_decimals() {
         assert_eq!(column(&["0.00361234", "5.10406"]), ["0.0036", "5.1041"]);
         assert_eq!(column(&["1.0000", "64.0000"]), ["1", "64"]);
         assert_eq!(column(&["97.4", "324.1972", "0"]), ["97.4", "324.2", "0.0"]);
@@ -197,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_of_a_terminal_has_its_numbers_under_each_other() {
+    fn terminal_tables_align_numbers() {
         let shown = in_columns("network,sessions,mm\n\"200 ms, 5 %\",20,0.05123\nlan,4,1.25\n");
         let lines: Vec<&str> = shown.lines().collect();
         assert_eq!(lines[1], "200 ms, 5 %        20  0.051");
@@ -207,13 +208,13 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_line_of_words_and_numbers_is_read_back(words in prop::collection::vec("[a-z,\" ]{0,8}", 1..6)) {
+        fn csv_cells_survive_a_round_trip(words in prop::collection::vec("[a-z,\" ]{0,8}", 1..6)) {
             let line: Vec<String> = words.iter().map(|w| of_file(&json!(w))).collect();
             prop_assert_eq!(split(&line.join(",")), words);
         }
 
         #[test]
-        fn no_column_of_numbers_has_more_than_its_digits(numbers in prop::collection::vec(-1e6..1e6f64, 1..9)) {
+        fn column_rounding_error_is_bounded_by_the_largest_number(numbers in prop::collection::vec(-1e6..1e6f64, 1..9)) {
             let cells: Vec<String> = numbers.iter().map(ToString::to_string).collect();
             let shown = column(&cells.iter().map(String::as_str).collect::<Vec<_>>());
             for (shown, x) in shown.iter().zip(&numbers) {

@@ -14,28 +14,28 @@ use crate::progress::Progress;
 use crate::test_model::TestModel;
 use clap::Args;
 
-/// Where everything goes when nothing is said.
+/// Default output directory.
 pub(super) const DIR: &str = "palpate-experiments";
 
-/// What `run --help` ends with.
+/// Text at the end of `run --help`.
 pub const RUN_HELP: &str = "\
 Examples:
   palpate-lab list
   palpate-lab run friction                       figures here, charts and tables in ./palpate-experiments
   palpate-lab run press --model thigh.palp --json
-  palpate-lab run table-7-1 --motion hand.csv    a table time_s,x_m,y_m,z_m[,qw,qx,qy,qz]; see `palpate-lab hand`
+  palpate-lab run table-7-1 --motion hand.csv    columns time_s,x_m,y_m,z_m[,qw,qx,qy,qz]; see `palpate-lab hand`
   palpate-lab run replicas --seeds 1000 --real 20 --json
-  palpate-lab run mine.toml                      its experiment, and seed, profile, motion, model as lines of it;
-                                                 what is said here as well counts more than what is said there
-  palpate-lab all --out report                   every experiment, and report/index.html with all tables and charts
+  palpate-lab run mine.toml                      experiment and options from a file;
+                                                 command-line options override the file's
+  palpate-lab all --out report                   all experiments, and report/index.html with all tables and charts
   palpate-lab all --only atc-fixed,atc-adaptive --profile mine-too.toml --out report
 
-A file that names an experiment (files in it are looked for beside it):
+An experiment file (its paths are relative to the file):
   experiment = \"table-7-1\"
-  seed = 7                                       and seeds, profile, model, where `palpate-lab list` names them
+  seed = 7                                       also seeds, real, profile, model, if the experiment accepts them
   motion = \"hand.csv\"
 
-One JSON object comes with --json, and stands in NAME.json where --out says:
+--json prints one JSON object; --out writes it to NAME.json:
   table-7-1     {experiment, seed, speed_rms_mm_s, rows [{kind: interpolation|extrapolation, method, rate_hz, gap_ms,
                 rms_mm, max_mm, rms_deg, force_percent, n}]}
   missing-data  {experiment, rate_hz, gap_ms, methods [{kind, method, rms_mm, max_mm, rms_deg}]}
@@ -45,52 +45,53 @@ One JSON object comes with --json, and stands in NAME.json where --out says:
   transmission  {profile, seed, without_ms {mean, deviation}, with_ms {mean, deviation}}
   jitter        {profile, seed, without_um, with_um}
   replicas      {profile, seeds, shape_disagreement_mm {p50, p95, max}, force_error_rms, force_error_p95, hashes_equal,
-                bytes_per_s {up, down}, ok, missed [a sentence for each limit that was not kept], networks [the same for
-                each network]}; thin and scale have ok and missed too, and the exit code is 1 where ok is false
+                bytes_per_s {up, down}, ok, missed [one message per missed limit], networks [the same for each network]};
+                thin and scale also have ok and missed; the exit code is 1 if ok is false
   on tissue     {experiment, spots | cases | materials | paths [{..., deviation {largest, n, rms, worst}}]}: largest force
-                (N) or torque (N m), rms and worst deviation from the converged answer as shares of it
+                (N) or torque (N m), rms and worst deviation from the converged solution as shares of it
 Lengths end in _mm or _um, times in _ms, angles in _deg; shares are 0 to 1 unless they end in _percent.
 
-What a hand feels comes from the haptic path as clients run it: models solved 250 times a second with 1 ms of work
-each, on one thread, and the 1 kHz chain between them. It is compared with a solver that converges every eleventh
-millisecond. rms is the root mean square of the difference over that of the converged answer.";
+Rendered forces come from the client's haptic path: contact models solved 250 times per second with 1 ms of work each,
+on one thread, and the 1 kHz haptic chain. The reference is a solver that converges every 11 ms. rms is the root mean
+square of the difference, relative to that of the converged solution.";
 
-/// The seed when nothing is said.
+/// Default seed.
 pub(super) const SEED: u64 = 1;
 
 /// Arguments of `run`.
 #[derive(Debug, Args)]
 pub struct RunArguments {
-    /// Which experiment (`palpate-lab list` names them), or a file (.toml) that names one with its options
+    /// Experiment (see `palpate-lab list`), or a file (.toml) with an experiment and its options
     #[arg(value_parser = which, value_name = "NAME|FILE.toml")]
     experiment: Which,
-    /// Other tissue than the experiment's own: a model file (.palp), a scene (.toml), or a sample
+    /// Tissue instead of the default: a model file (.palp), a scene (.toml), or a sample
     #[arg(long)]
     model: Option<String>,
-    /// Seed of what is left to chance [default: 1]
+    /// Seed of the random numbers [default: 1]
     #[arg(long)]
     seed: Option<u64>,
-    /// How many sessions with seeds of their own, where the experiment tries several
+    /// Number of simulated sessions, each with its own seed
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=SEEDS_MAX))]
     seeds: Option<u64>,
-    /// Run so many sessions in real time as well, with processes and QUIC, where the experiment can
+    /// Number of additional sessions in real time, with processes and QUIC
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=REAL_MAX))]
     real: Option<u64>,
-    /// A network instead of the experiment's own ones: a name, or a file (.toml)
+    /// Network instead of the default: a name, or a file (.toml)
     #[arg(long)]
     profile: Option<String>,
-    /// A recorded motion of a hand (CSV) instead of the experiment's own
+    /// Recorded hand motion (CSV) instead of the default
     #[arg(long, value_name = "FILE.csv")]
     motion: Option<String>,
-    /// Print one line of JSON, and write charts and tables only where -o says
+    /// Print one line of JSON; write charts and tables only with -o
     #[arg(long)]
     json: bool,
-    /// Where figures (JSON), charts (SVG) and tables (CSV) go [default: palpate-experiments; with --json nowhere]
+    /// Directory for figures (JSON), charts (SVG) and tables (CSV) [default: palpate-experiments; with
+    /// --json none]
     #[arg(short, long = "out", value_name = "DIR")]
     out: Option<PathBuf>,
 }
 
-/// What is asked for.
+/// The requested experiment.
 #[derive(Debug, Clone)]
 enum Which {
     Named(Experiment),
@@ -104,16 +105,16 @@ fn which(word: &str) -> Result<Which, String> {
     experiment(word).map(Which::Named)
 }
 
-/// The experiment of that name.
+/// The experiment with this name.
 pub(super) fn experiment(name: &str) -> Result<Experiment, String> {
     named(name).ok_or_else(|| {
         let names: Vec<&str> = ALL.iter().map(|e| e.name).collect();
         let (meant, names) = (did_you_mean(name, &names), names.join(", "));
-        format!("there is no experiment \"{name}\"{meant}; there are {names}")
+        format!("unknown experiment \"{name}\"{meant}; known experiments: {names}")
     })
 }
 
-/// What an experiment is given.
+/// Loaded inputs of an experiment.
 #[derive(Debug, Default)]
 pub(super) struct Given {
     model: Option<std::sync::Arc<palpate_tissue::Model>>,
@@ -125,7 +126,7 @@ pub(super) struct Given {
 }
 
 impl Given {
-    /// Reads the files of a recipe; what is built of a model goes into `dir`.
+    /// Loads the files of a recipe; built models go into `dir`.
     pub(super) fn load(recipe: &Recipe, dir: &Path) -> Result<Self, String> {
         let mut given = Self {
             seed: recipe.seed,
@@ -149,7 +150,7 @@ impl Given {
 }
 
 impl RunArguments {
-    /// The experiment and its options, from here and from the file.
+    /// The experiment and its options, from the command line and the file.
     fn recipe(&self) -> Result<(Experiment, Recipe), String> {
         let (experiment, file) = match &self.experiment {
             Which::Named(experiment) => (*experiment, Recipe::default()),
@@ -173,44 +174,44 @@ impl RunArguments {
     }
 }
 
-/// Refuses options that the experiment would not look at.
+/// Rejects options that the experiment does not use.
 fn refuse_idle(experiment: Experiment, recipe: &Recipe) -> Result<(), String> {
     let (name, takes) = (experiment.name, experiment.takes);
     let idle = [
         (
             "model",
             recipe.model.is_some() && !takes.model,
-            "has tissue of its own",
+            "has a fixed tissue",
         ),
         (
             "seed",
             recipe.seed.is_some() && !takes.seed,
-            "leaves nothing to chance",
+            "uses no random numbers",
         ),
         (
             "seeds",
             recipe.seeds.is_some() && !takes.seeds,
-            "is one run",
+            "has a single run",
         ),
         (
             "real",
             recipe.real.is_some() && !takes.real,
-            "has no sessions in real time",
+            "has no real-time sessions",
         ),
         (
             "profile",
             recipe.profile.is_some() && !takes.profile,
-            "has no network, or its own ones",
+            "has no network or a fixed set of networks",
         ),
         (
             "motion",
             recipe.motion.is_some() && !takes.motion,
-            "moves its tools along paths of its own",
+            "has fixed tool paths",
         ),
     ];
     match idle.into_iter().find(|(_, idle, _)| *idle) {
         Some((option, _, why)) => Err(format!(
-            "\"{name}\" {why}; leave {option} out (--{option}, or its line in the file)"
+            "\"{name}\" {why}; remove --{option} or the line `{option}` in the file"
         )),
         None => Ok(()),
     }
@@ -224,7 +225,7 @@ pub fn list() -> Result<ExitCode, String> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Runs one.
+/// Runs an experiment.
 pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
     let (experiment, recipe) = arguments.recipe()?;
     refuse_idle(experiment, &recipe)?;
@@ -233,13 +234,14 @@ pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
         (None, true) => None,
         (None, false) => Some(PathBuf::from(DIR)),
     };
-    let kept = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
+    let kept = tempfile::tempdir()
+        .map_err(|e| format!("cannot create a temporary directory for models: {e}"))?;
     let mut progress = Progress::new();
     if let Some(name) = &recipe.model {
         progress.stage(&format!("preparing the model \"{name}\""));
     }
     let given = Given::load(&recipe, kept.path())?;
-    // After what is given, which may be refused, and before the work.
+    // Created after the inputs are validated and before the work.
     out.as_deref().map_or(Ok(()), make_folder)?;
     progress.stage(&format!("{}: {}", experiment.name, experiment.about));
     let mut told = |what: &str, share: f64| {
@@ -247,7 +249,7 @@ pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
     };
     let outcome = made(experiment, given, kept.path(), &mut told)?;
     drop(progress);
-    // Figures first: a disk that is full takes nothing from who reads them here.
+    // Printed first, so a full disk cannot lose the figures.
     if arguments.json {
         say(&outcome.figures.to_string())?;
     } else {
@@ -267,18 +269,18 @@ pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
     Err(format!("not ok: {}", missed.join("; ")))
 }
 
-/// Makes the folder for what comes out, and looks whether files can be written there: after hours of work it is too late.
+/// Creates the output directory and checks that it is writable, before hours of work.
 pub(super) fn make_folder(dir: &Path) -> Result<(), String> {
     let shown = dir.display();
     if dir.is_file() {
-        return Err(format!("--out {shown} is a file, name a folder"));
+        return Err(format!("--out {shown} is a file; choose a directory"));
     }
     std::fs::create_dir_all(dir)
         .and_then(|()| tempfile::tempfile_in(dir).map(drop))
-        .map_err(|e| format!("--out {shown}: {e}; name a folder that can be written"))
+        .map_err(|e| format!("--out {shown}: {e}; choose a writable directory"))
 }
 
-/// One experiment on one thread, as the haptic path is measured.
+/// Runs an experiment on one thread, as the haptic path requires.
 pub(super) fn made(
     experiment: Experiment,
     given: Given,

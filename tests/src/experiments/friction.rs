@@ -1,4 +1,4 @@
-//! Stick and slip of a ball and of a line (Lin 2007, figs 4.11 to 4.13).
+//! Stick and slip of a ball and of a line tool (Lin 2007, figs 4.11 to 4.13).
 
 use std::sync::Arc;
 
@@ -16,12 +16,12 @@ const SPACING_M: f64 = 4e-3;
 const CELLS: [usize; 3] = [26, 14, 8];
 const DEPTH_M: f64 = 5e-3;
 const DRAG_M: f64 = 30e-3;
-/// Slow, so that what is stretched before it slips shows.
+/// Drag speed; a slow drag shows the elastic stretch before the slip.
 const SPEED_M_S: f64 = 0.03;
-/// Pressing takes so long, s.
+/// Duration of the press, s.
 const PRESS_S: f64 = 0.25;
 
-/// Static and dynamic.
+/// Name, friction coefficients (static, dynamic) and colour.
 const SURFACES: [(&str, [f64; 2], &str); 3] = [
     ("0.2 / 0.1", [0.2, 0.1], BLUE),
     ("0.4 / 0.3", [0.4, 0.3], GREEN),
@@ -32,7 +32,7 @@ fn ball() -> ToolDescription {
     ToolDescription::probe(8e-3)
 }
 
-/// Lies along y, across the way it is dragged, and is held at its tip.
+/// Line tool along y, across the drag direction, held at its tip.
 fn bar() -> ToolDescription {
     ToolDescription {
         kind: ToolKind::Needle,
@@ -42,7 +42,7 @@ fn bar() -> ToolDescription {
     }
 }
 
-/// What was seen of the slip.
+/// Figures of stick and slip.
 fn slip(course: &Course, [still, sliding]: [f64; 2]) -> serde_json::Value {
     let ratios = |slides: bool| {
         let points = course.checked().filter(move |(p, _)| p.slides == slides);
@@ -120,16 +120,17 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         }
         let chart = Chart {
             title: format!("Friction: a {name} pressed 5 mm into muscle and dragged over it"),
-            x_label: "way (mm)".to_owned(),
+            x_label: "distance (mm)".to_owned(),
             panels,
             marks: Vec::new(),
         };
         charts.push((format!("friction-{name}"), chart));
     }
     Ok(Outcome {
-        caption: "Legends give the coefficients of static and dynamic friction; the converged answer is that of a tool that slides. The tool sticks until what it is dragged with \
-                  is more than the static one holds, and slides on with the dynamic one. The line is held at one end: friction \
-                  along it turns the hand."
+        caption: "Legends give the coefficients of static and dynamic friction. The converged solution is \
+                  that of a sliding tool. The tool sticks until the drag force exceeds the static friction, \
+                  then slides with the dynamic friction. The line is held at one end, so friction along it \
+                  exerts a torque."
             .to_owned(),
         figures: json!({ "experiment": "friction", "cases": figures }),
         charts,

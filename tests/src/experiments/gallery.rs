@@ -1,4 +1,4 @@
-//! One page with every chart and every table, readable without a network.
+//! One page with all charts and tables, readable offline.
 
 use std::fmt::Write as _;
 
@@ -7,10 +7,11 @@ use serde_json::{Map, Value};
 use super::{Outcome, cells};
 use crate::chart::escape;
 
-/// Rows of a table that are shown at once; of a longer one, when it is unfolded.
+/// Maximum number of rows of an initially open table.
 pub(super) const ROWS_OPEN: usize = 48;
 
-/// Rows of the longest table on the page. What is longer is a course over time, which is drawn, and stands in its file.
+/// Maximum number of rows of a table on the page. Longer tables are time series; they are drawn and stay in
+/// their files.
 const ROWS_MAX: usize = 400;
 
 const STYLE: &str = "body{font-family:sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222;line-height:1.4}\
@@ -23,53 +24,53 @@ th:first-child,td:first-child,td.word,th.word{text-align:left}\
 .failed{border-left:4px solid #d55e00;padding:.4em .8em;background:#fdf1ea}\
 .aside{color:#666;font-size:.9em}@media print{details{display:none}}";
 
-/// What is known of an experiment that was run, or of a bench.
+/// An experiment or benchmark after its run.
 #[derive(Debug, Clone)]
 pub struct Part {
-    /// Its name.
+    /// Name.
     pub name: String,
-    /// What it shows, in a line, and which figure of the dissertation that stands for.
+    /// One-line description with the dissertation's figure.
     pub about: String,
-    /// What repeats it.
+    /// Command that repeats it.
     pub command: String,
-    /// How long it took, s.
+    /// Duration, s.
     pub took_s: f64,
-    /// What came of it, or why nothing did.
+    /// Result, or the error message.
     pub result: Result<Outcome, String>,
 }
 
 impl Part {
-    /// Whether it was run and its figures say themselves that they are not what they have to be.
+    /// Whether it ran and its figures report a missed limit.
     fn is_short(&self) -> bool {
         let outcome = self.result.as_ref().ok();
         outcome.is_some_and(|o| o.figures["ok"] == Value::Bool(false))
     }
 }
 
-/// What the page says of itself.
+/// Description of the whole page.
 #[derive(Debug, Clone)]
 pub struct Origin {
-    /// Programs and formats, with their versions.
+    /// Versions of the program and the protocol.
     pub versions: String,
-    /// What it was made on.
+    /// Machine of the run.
     pub machine: String,
-    /// How many parts there will be.
+    /// Number of planned parts.
     pub planned: usize,
 }
 
-/// The page.
+/// The page as HTML.
 pub fn page(parts: &[Part], origin: &Origin) -> String {
     let mut html = format!(
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
          <meta name=\"viewport\" content=\"width=device-width\"><title>Palpate: experiments</title>\n\
          <style>{STYLE}</style></head><body>\n<h1>Experiments</h1>\n\
-         <p>What people feel and see of one tissue that they share over a network. The experiments on the network \
-         compare what two sites show at the same instant, over emulated networks in virtual time: with a seed every \
-         packet has the same fate again. Those on tissue compare what a hand feels at 1 kHz with converged solutions \
-         that know nothing of the haptic path; they depend a little on how fast the machine is. Figures and tables \
-         named in brackets are those of the dissertation (Lin 2007) that an experiment stands for.</p>\n"
+         <p>Forces and views of participants who share one tissue over a network. The network experiments \
+         compare the views of two sites at one shared time, over emulated networks in virtual time; a seed \
+         reproduces every packet. The tissue experiments compare the force rendered at 1 kHz with \
+         independent converged solutions; they depend slightly on the machine's speed. Figures and tables in \
+         brackets are the corresponding ones of the dissertation (Lin 2007).</p>\n"
     );
-    // Writing to a string can not fail.
+    // Writing to a string cannot fail.
     let _ = writeln!(
         html,
         "<p class=\"aside\">{}. {}. {} of {} parts in {}.</p>",
@@ -92,11 +93,7 @@ pub fn page(parts: &[Part], origin: &Origin) -> String {
         }
     };
     named(&mut html, "Failed", &|p| p.result.is_err());
-    named(
-        &mut html,
-        "Something in these is not as it is asked to be",
-        &Part::is_short,
-    );
+    named(&mut html, "Limits missed", &Part::is_short);
     html.push_str("<ul>\n");
     for p in parts {
         let (name, about) = (escape(&p.name), escape(&p.about));
@@ -121,7 +118,7 @@ fn time(s: f64) -> String {
 fn section(html: &mut String, part: &Part) {
     let _ = writeln!(
         html,
-        "<h2 id=\"{}\">{}</h2>\n<p><b>{}</b></p>\n<p class=\"aside\">Repeat it: <code>{}</code> (took {})</p>",
+        "<h2 id=\"{}\">{}</h2>\n<p><b>{}</b></p>\n<p class=\"aside\">Command: <code>{}</code> (took {})</p>",
         part.name,
         escape(&part.name),
         escape(&part.about),
@@ -131,7 +128,7 @@ fn section(html: &mut String, part: &Part) {
     let outcome = match &part.result {
         Ok(outcome) => outcome,
         Err(why) => {
-            let _ = writeln!(html, "<p class=\"failed\">It failed: {}</p>", escape(why));
+            let _ = writeln!(html, "<p class=\"failed\">Error: {}</p>", escape(why));
             return;
         }
     };
@@ -161,7 +158,7 @@ fn section(html: &mut String, part: &Part) {
             has_table = true;
         }
     }
-    // Tables are the same figures for people.
+    // The tables contain the same figures in readable form.
     for (name, objects) in lists.iter().filter(|_| !has_table) {
         let (head, rows) = of_objects(objects);
         folded(html, &format!("{name}: {} rows", rows.len()), &head, &rows);
@@ -169,7 +166,7 @@ fn section(html: &mut String, part: &Part) {
     files(html, part, outcome);
 }
 
-/// What stands beside the page.
+/// Links to the part's files.
 fn files(html: &mut String, part: &Part, outcome: &Outcome) {
     let charts = outcome.charts.iter().map(|(n, _)| format!("{n}.svg"));
     let tables = outcome.tables.iter().map(|(n, _)| format!("{n}.csv"));
@@ -182,7 +179,7 @@ fn files(html: &mut String, part: &Part, outcome: &Outcome) {
     let _ = writeln!(html, "<p class=\"aside\">Files: {}</p>", links.join(", "));
 }
 
-/// Single figures by their path, and lists of objects.
+/// Collects single figures by their path, and lists of objects.
 fn flatten(
     path: &str,
     value: &Value,
@@ -194,7 +191,7 @@ fn flatten(
         _ => format!("{path}.{key}"),
     };
     match value {
-        // Things of one kind by their names are a list.
+        // An object whose values all have the same keys is a list.
         Value::Object(object) if !path.is_empty() && is_list(object) => {
             let named = object.iter().map(|(name, value)| {
                 let mut row = value.clone();
@@ -217,7 +214,7 @@ fn flatten(
     }
 }
 
-/// Whether all that is in it has the same keys, more than one.
+/// Whether all values have the same keys, at least two.
 fn is_list(object: &Map<String, Value>) -> bool {
     let mut keys = (object.values()).map(|v| v.as_object().map(|o| o.keys().collect::<Vec<_>>()));
     let Some(Some(first)) = keys.next() else {
@@ -226,7 +223,7 @@ fn is_list(object: &Map<String, Value>) -> bool {
     object.len() > 2 && first.len() > 1 && keys.all(|k| k.as_ref() == Some(&first))
 }
 
-/// Objects as rows, with a column for every path that any of them has.
+/// Objects as rows, with one column for each path in any object.
 fn of_objects(objects: &[Value]) -> (Vec<String>, Vec<Vec<String>>) {
     let flat: Vec<Map<String, Value>> = (objects.iter())
         .map(|object| {
@@ -244,7 +241,7 @@ fn of_objects(objects: &[Value]) -> (Vec<String>, Vec<Vec<String>>) {
             head.push(key.clone());
         }
     }
-    // What a row is called comes before its numbers.
+    // Text columns come first.
     let is_word = |key: &String| {
         let values = flat.iter().filter_map(|row| row.get(key));
         values.clone().next().is_some() && values.into_iter().all(Value::is_string)
@@ -259,7 +256,7 @@ fn of_objects(objects: &[Value]) -> (Vec<String>, Vec<Vec<String>>) {
     (head, rows)
 }
 
-/// A table, folded away when it is long.
+/// A table that is folded if it is long.
 fn folded(html: &mut String, name: &str, head: &[String], rows: &[Vec<String>]) {
     let open = if rows.len() <= ROWS_OPEN { " open" } else { "" };
     let _ = writeln!(html, "<details{open}><summary>{}</summary>", escape(name));
@@ -268,7 +265,7 @@ fn folded(html: &mut String, name: &str, head: &[String], rows: &[Vec<String>]) 
 }
 
 fn table(html: &mut String, head: &[String], rows: &[Vec<String>]) {
-    // Columns of words begin on the left, as their heads do.
+    // Text columns and their headings are left-aligned.
     let is_word = |k: usize| {
         let mut column = rows.iter().filter_map(|row| row.get(k));
         column.any(|cell| cells::is_word(cell))
@@ -332,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn a_failed_part_stands_on_the_page_beside_the_others() {
+    fn page_shows_failed_parts() {
         let parts = [
             part("good", Ok(outcome())),
             part("bad", Err("no <room>".to_owned())),
@@ -340,7 +337,7 @@ mod tests {
         let html = page(&parts, &origin());
         for expected in [
             "Failed: <a href=\"#bad\">bad</a>",
-            "It failed: no &lt;room&gt;",
+            "Error: no &lt;room&gt;",
             "<h2 id=\"good\">good</h2>",
             "what it shows",
             "a &lt; b (fig 7.26)",
@@ -352,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn what_falls_short_is_named_above_the_contents() {
+    fn parts_with_missed_limits_are_listed_at_the_top() {
         let short = Outcome {
             figures: json!({ "ok": false }),
             ..outcome()
@@ -361,12 +358,12 @@ mod tests {
             &[part("good", Ok(outcome())), part("short", Ok(short))],
             &origin(),
         );
-        assert!(html.contains("not as it is asked to be: <a href=\"#short\">short</a>.<"));
+        assert!(html.contains("Limits missed: <a href=\"#short\">short</a>.<"));
         assert!(!html.contains("Failed"));
     }
 
     #[test]
-    fn the_page_loads_nothing_from_anywhere() {
+    fn page_loads_no_external_resources() {
         let html = page(&[part("good", Ok(outcome()))], &origin());
         for loading in ["<script", "src=", "<link", "@import", "url("] {
             assert!(!html.contains(loading), "{loading}");
@@ -374,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_are_tables_whatever_their_shape() {
+    fn nested_figures_become_tables() {
         let html = page(&[part("good", Ok(outcome()))], &origin());
         for expected in [
             "apart_mm.p95",
@@ -387,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn things_of_one_kind_by_name_are_rows() {
+    fn objects_with_equal_keys_become_rows() {
         let figures = json!({ "classes": { "x": { "a": 1, "b": 2 }, "y": { "a": 3, "b": 4 }, "z": { "a": 5, "b": 6 } } });
         let outcome = Outcome {
             figures,
@@ -402,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_of_a_thousand_rows_stands_in_its_file_only() {
+    fn long_tables_are_only_linked() {
         let rows = "1,2\n".repeat(1000);
         let long = Outcome {
             tables: vec![("course".to_owned(), format!("t_s,x\n{rows}"))],

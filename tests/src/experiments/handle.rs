@@ -1,4 +1,4 @@
-//! A product: a soft grip around a hard core, of three materials (Lin 2007, fig 7.4).
+//! A soft grip of three materials around a hard core (Lin 2007, fig 7.4).
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use crate::scenario::{Scenario, path};
 
 const RADIUS_M: f64 = 6e-3;
 const SPEED_M_S: f64 = 0.02;
-/// Of the grip's thickness over the core.
+/// Press depth as a share of the grip's thickness.
 const SHARE: f64 = 0.6;
 
 /// Young's moduli of the grip, Pa: soft foam, firm foam, soft silicone rubber.
@@ -74,7 +74,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     };
     Ok(Outcome {
         caption: format!(
-            "A ball of 6 mm pressed {:.1} mm into the grip of a handle, of {:.1} mm over its core, at 20 mm/s.",
+            "A ball of 6 mm pressed {:.1} mm into a grip of {:.1} mm thickness over its core, at 20 mm/s.",
             depth * 1e3,
             place.depth_m * 1e3
         ),

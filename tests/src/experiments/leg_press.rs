@@ -1,4 +1,4 @@
-//! A leg with rigid bones (Lin 2007, fig 7.11): over muscle it gives way, over bone it bottoms out.
+//! Press into a leg with rigid bones (Lin 2007, fig 7.11), over muscle and over bone.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use crate::tool_location::ToolLocation;
 const RADIUS_M: f64 = 8e-3;
 const SPEED_M_S: f64 = 0.05;
 const DEPTH_M: f64 = 15e-3;
-/// Of the tissue over bone.
+/// Maximum press depth as a share of the tissue's thickness.
 const SHARE: f64 = 0.8;
 
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
@@ -63,8 +63,9 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         marks: Vec::new(),
     };
     Ok(Outcome {
-        caption: "Pressed at 50 mm/s where the tissue over bone is thickest and where it is thinnest (to 80 % of it). \
-                  Over bone springs turn extreme and hand the force on (section 3.5): it bottoms out."
+        caption: "A ball pressed at 50 mm/s where the tissue over bone is thickest and where it is thinnest \
+                  (to 80 % of the thickness). Over bone, springs become extreme and pass the force on \
+                  (section 3.5), so the tissue bottoms out."
             .to_owned(),
         figures: json!({ "experiment": "leg-press", "nodes": model.nodes.len(), "spots": figures }),
         charts: vec![("leg-press".to_owned(), chart)],
@@ -72,7 +73,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     })
 }
 
-/// Slope of the converged force over the last quarter of the depth over that of the second.
+/// Slope of the converged force over the last quarter of the depth, relative to the second quarter.
 fn stiffening(course: &Course, deep: &impl Fn(&crate::scenario::Point) -> f64) -> f64 {
     let all: Vec<(f64, f64)> = course
         .checked()

@@ -1,4 +1,4 @@
-//! A stretch of a hand's motion with a gap, and what each method makes of it (Lin 2007, fig 6.9).
+//! One gap in a hand's motion and its reconstruction by each method (Lin 2007, fig 6.9).
 
 use std::fmt::Write as _;
 
@@ -10,20 +10,20 @@ use super::samples::{HISTORY_US, Sampled, angle_deg, distance, look};
 use super::{Bench, Outcome, line};
 use crate::chart::{BLACK, Chart, Mark, Panel, Scale};
 
-/// Samples per second of the stream.
+/// Sample rate of the stream.
 const RATE_HZ: u32 = 1000;
 
-/// The length of the gap, ms.
+/// Length of the gap, ms.
 const GAP_MS: i64 = 50;
 
-/// What is drawn before and after the gap, ms: more of it would leave the gap itself too narrow to see.
+/// Drawn time before and after the gap, ms; a longer time would make the gap too narrow.
 const AROUND_MS: i64 = 20;
 
-/// From one moment drawn to the next, µs.
+/// Time step of the drawing, µs.
 const STEP_US: i64 = 250;
 
-/// Where gaps are looked for, ms: the one that is drawn is where the straight line is worst, so that there is something
-/// to see.
+/// Step of the search for a gap, ms. The drawn gap is the one with the largest error of linear
+/// extrapolation.
 const SEARCH_MS: i64 = 10;
 
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
@@ -50,7 +50,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         for method in Method::ALL {
             let course = course(&sampled, method, began, kind == "interpolation")?;
             for p in &course {
-                // Writing to a string can not fail.
+                // Writing to a string cannot fail.
                 let _ = writeln!(
                     table,
                     "{kind},{},{},{},{},{}",
@@ -82,14 +82,14 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
                     course.iter().map(|p| (ms(p.t_us), y(p))).collect(),
                 )
             };
-            // The raw second difference leaves every picture in which the others can be told apart.
+            // The raw second difference is omitted if its error would hide the other methods.
             if method != Method::VerletRaw || worst < 3.0 {
                 places.push(of(&|p| place(p.position_m)));
             }
             if method != Method::Hold && (method != Method::VerletRaw || worst < 1.0) {
                 errors.push(of(&|p| p.error_mm));
             }
-            // All others turn as the straight line does.
+            // Orientation errors are equal for all methods except hold.
             if method == Method::Linear {
                 let all = of(&|p| p.turn_error_deg);
                 let name = "all but hold".to_owned();
@@ -103,25 +103,17 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             scale: Scale::Linear,
         };
         panels.push(panel(
-            "along the axis that moves most",
+            "position along the axis of largest motion",
             "place (mm)",
             places,
         ));
-        panels.push(panel(
-            "distance to the hand, without hold",
-            "error (mm)",
-            errors,
-        ));
-        panels.push(panel(
-            "angle between the turn that is shown and the hand's",
-            "error (°)",
-            turns,
-        ));
+        panels.push(panel("position error, without hold", "error (mm)", errors));
+        panels.push(panel("orientation error", "error (°)", turns));
     }
     Ok(outcome(panels, &figures, table))
 }
 
-/// What a method shows at a moment, and how far off it is.
+/// Reconstruction of a method at one time, and its error.
 struct Point {
     t_us: i64,
     position_m: [f64; 3],
@@ -129,7 +121,7 @@ struct Point {
     turn_error_deg: f64,
 }
 
-/// What a method shows around a gap; beyond its end only where the next samples are known.
+/// Reconstruction of a method around a gap. Without samples after the gap it stops at the gap's end.
 fn course(
     sampled: &Sampled<'_>,
     method: Method,
@@ -170,10 +162,11 @@ fn outcome(panels: Vec<Panel>, figures: &[Value], table: String) -> Outcome {
         marks: vec![mark(0, "last sample"), mark(GAP_MS, "next sample")],
     };
     Outcome {
-        caption: "One gap in a hand's motion, at the place in ten seconds where a straight line is farthest off, and what is shown of it by \
-                  each method: beyond the last sample, and between samples once the next ones are there. Places and turns. A method whose line would \
-                  flatten all others (hold where errors are drawn, the raw second difference where it is far off) is left out of that picture and \
-                  stands in the figures."
+        caption: "One gap in a hand's motion and its reconstruction by each method, in position and \
+                  orientation: extrapolation beyond the last sample, and interpolation once the next samples \
+                  have arrived. The gap is the one in ten seconds with the largest error of linear \
+                  extrapolation. A method whose error would hide the others (hold in the error panels, the \
+                  raw second difference if it is large) is omitted from the panel but not from the figures."
             .to_owned(),
         figures: json!({ "experiment": "missing-data", "rate_hz": RATE_HZ, "gap_ms": GAP_MS, "methods": figures }),
         charts: vec![("missing-data".to_owned(), chart)],
@@ -181,7 +174,7 @@ fn outcome(panels: Vec<Panel>, figures: &[Value], table: String) -> Outcome {
     }
 }
 
-/// Where a straight line is farthest off at the end of a gap, µs.
+/// Start of the gap with the largest error of linear extrapolation, µs.
 fn worst_gap(sampled: &Sampled<'_>) -> Result<i64, String> {
     let (first, last) = sampled.room(GAP_MS * 1000 + AROUND_MS * 1000)?;
     let mut worst = (first, -1.0);
@@ -199,7 +192,7 @@ fn worst_gap(sampled: &Sampled<'_>) -> Result<i64, String> {
     Ok(worst.0)
 }
 
-/// The axis along which it moves farthest in the gap.
+/// The axis of the largest motion during the gap.
 fn liveliest(sampled: &Sampled<'_>, began: i64, ended: i64) -> usize {
     let range = |axis: usize| {
         let along = || {

@@ -1,7 +1,8 @@
-//! Experiments: what a hand feels of a tool on tissue, against what is true.
+//! Experiments that compare simulated forces and views with reference solutions.
 //!
-//! Each is a few [trials](crate::scenario) and gives figures, tables (CSV) and charts (SVG). The figures of the
-//! dissertation that they stand for are named at each. All together make one page, [`gallery`](mod@gallery).
+//! An experiment returns figures, tables (CSV) and charts (SVG). Those on haptics consist of
+//! [trials](crate::scenario). Descriptions name the corresponding figures of the dissertation. The
+//! [`gallery`](mod@gallery) presents all results on one page.
 
 mod atc;
 mod benches;
@@ -35,39 +36,39 @@ use crate::network::Profile;
 use crate::scenario::{Course, Scenario};
 use crate::tool_location::ToolLocation;
 
-/// An experiment that can be asked for.
+/// An experiment of the command line.
 #[derive(Debug, Clone, Copy)]
 pub struct Experiment {
-    /// What to call it.
+    /// Name on the command line.
     pub name: &'static str,
-    /// What it shows, in a line.
+    /// One-line description.
     pub about: &'static str,
-    /// Which options it takes. Others are refused.
+    /// Accepted options; others are rejected.
     pub takes: Takes,
     run: fn(&mut Bench<'_>) -> Result<Outcome, String>,
 }
 
-/// The options that an experiment takes.
-// Options that have nothing to do with each other, and no states of one thing.
+/// The options that an experiment accepts.
+// The options are independent, so an enum does not fit.
 #[allow(clippy::struct_excessive_bools)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Takes {
-    /// Another model than its own.
+    /// Another tissue model.
     pub model: bool,
-    /// A seed of what is left to chance.
+    /// Seed of the random numbers.
     pub seed: bool,
-    /// How many seeds to try.
+    /// Number of seeds.
     pub seeds: bool,
-    /// Sessions in real time, with processes and sockets.
+    /// Number of sessions in real time, with processes and sockets.
     pub real: bool,
     /// A network.
     pub profile: bool,
-    /// A recorded motion of a hand.
+    /// Recorded hand motion.
     pub motion: bool,
 }
 
 impl Takes {
-    /// None of them.
+    /// No options.
     pub const NOTHING: Self = Self {
         model: false,
         seed: false,
@@ -77,27 +78,27 @@ impl Takes {
         motion: false,
     };
 
-    /// A network and what its chances come from.
+    /// A network and a seed.
     pub const NETWORKS: Self = Self {
         seed: true,
         profile: true,
         ..Self::NOTHING
     };
 
-    /// Only another model.
+    /// Only a tissue model.
     pub const MODELS: Self = Self {
         model: true,
         ..Self::NOTHING
     };
 
-    /// Two sites over a network, what their hands do, and several seeds.
+    /// Two sites over a network, with hand motions and several seeds.
     pub const ALIGNMENTS: Self = Self {
         seeds: true,
         motion: true,
         ..Self::NETWORKS
     };
 
-    /// A hand: a recorded one, or the seed of a random one.
+    /// A recorded hand motion, or the seed of a random one.
     pub const HANDS: Self = Self {
         seed: true,
         motion: true,
@@ -105,17 +106,17 @@ impl Takes {
     };
 }
 
-/// All of them, in the order in which they are run.
+/// All experiments in run order.
 pub const ALL: &[Experiment] = &[
     Experiment {
         name: "soft-hard",
-        about: "a ball on soft, on stiff tissue and between them (Lin 2007, fig 4.8)",
+        about: "a ball on soft tissue, on stiff tissue and between them (Lin 2007, fig 4.8)",
         takes: Takes::NOTHING,
         run: soft_hard::run,
     },
     Experiment {
         name: "friction",
-        about: "a ball and a line dragged over tissue: stick, slip and the torque of it (figs 4.11 to 4.13)",
+        about: "a ball and a line dragged over tissue: stick, slip and torque (figs 4.11 to 4.13)",
         takes: Takes::NOTHING,
         run: friction::run,
     },
@@ -127,7 +128,7 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "tool-paths",
-        about: "the same place reached along four paths (fig 7.10)",
+        about: "one target point reached along four paths (fig 7.10)",
         takes: Takes::MODELS,
         run: tool_paths::run,
     },
@@ -139,7 +140,7 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "press",
-        about: "a ball and a line pressed in at 100 mm/s, the line dragged on: what one solving thread and 1 kHz make of it",
+        about: "force error of the haptic path: a ball and a line pressed at 100 mm/s, the line then dragged",
         takes: Takes::MODELS,
         run: press::run,
     },
@@ -151,25 +152,25 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "atc-fixed",
-        about: "two sites align a part, everything shown at the smallest fixed delay that is safe (fig 7.27)",
+        about: "two sites align a part with the smallest safe fixed playout delay (fig 7.27)",
         takes: Takes::ALIGNMENTS,
         run: atc::fixed,
     },
     Experiment {
         name: "atc-adaptive",
-        about: "two sites align a part, the delay follows what the network needs (fig 7.28)",
+        about: "two sites align a part with an adaptive playout delay (fig 7.28)",
         takes: Takes::ALIGNMENTS,
         run: atc::adaptive,
     },
     Experiment {
         name: "atc-predicted",
-        about: "two sites align a part, nobody waits and the server predicts: the other reading of the source",
+        about: "two sites align a part with server-side prediction instead of a delay",
         takes: Takes::ALIGNMENTS,
         run: atc::predicted,
     },
     Experiment {
         name: "transmission",
-        about: "what a motion takes from site to site, with the delay and without (fig 7.24)",
+        about: "delay of a motion from site to site, with and without compensation (fig 7.24)",
         takes: Takes {
             motion: true,
             ..Takes::NETWORKS
@@ -178,7 +179,7 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "jitter",
-        about: "how a tool shakes that jitter has come over, with compensation and without (fig 7.25)",
+        about: "jitter of a shown tool, with and without compensation (fig 7.25)",
         takes: Takes {
             motion: true,
             ..Takes::NETWORKS
@@ -187,7 +188,7 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "replicas",
-        about: "two people press, cut and let go: how far apart are their shapes and forces, over networks to 400 ms",
+        about: "two trainees press and cut: error of their shapes and forces, over networks to 400 ms",
         takes: Takes {
             model: true,
             seed: true,
@@ -200,7 +201,7 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "thin",
-        about: "a spectator who computes no tissue: how far what is shown is from the server's shape, and what it costs",
+        about: "a spectator without tissue solver: error of the shown shape and bandwidth",
         takes: Takes {
             model: true,
             ..Takes::NETWORKS
@@ -209,7 +210,7 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "scale",
-        about: "1 to 64 participants who only move, a quarter of them touching: what their server has to do",
+        about: "server load of 1 to 64 participants, a quarter of them in contact",
         takes: Takes {
             model: true,
             seed: true,
@@ -222,50 +223,50 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "table-7-1",
-        about: "what is made up for missing samples of a hand, against its true motion (table 7.1)",
+        about: "error of reconstructed samples against the true hand motion (table 7.1)",
         takes: Takes::HANDS,
         run: table_7_1::run,
     },
     Experiment {
         name: "missing-data",
-        about: "one gap in a hand's motion, as every method fills it (fig 6.9)",
+        about: "one gap in a hand's motion, reconstructed by each method (fig 6.9)",
         takes: Takes::HANDS,
         run: missing_data::run,
     },
 ];
 
-/// The experiment of that name.
+/// The experiment with this name.
 pub fn named(name: &str) -> Option<Experiment> {
     ALL.iter().find(|e| e.name == name).copied()
 }
 
-/// What an experiment works with.
+/// Inputs of an experiment.
 pub struct Bench<'a> {
-    /// A model instead of the experiment's own, for those that press any tissue.
+    /// Tissue model instead of the default.
     pub model: Option<std::sync::Arc<Model>>,
-    /// The seed of everything that is left to chance.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// How many seeds to try, where the experiment tries several.
+    /// Number of seeds.
     pub seeds: Option<u64>,
-    /// How many sessions in real time too.
+    /// Number of sessions in real time.
     pub real: Option<u64>,
-    /// A network instead of the experiment's own ones.
+    /// Network instead of the default.
     pub profile: Option<Profile>,
-    /// A recorded motion instead of the experiment's own hand.
+    /// Recorded motion instead of the default hand.
     pub motion: Option<std::sync::Arc<Recorded>>,
-    /// Where built models may be kept.
+    /// Directory for built models.
     pub dir: &'a Path,
-    /// Told what is done, and its share.
+    /// Progress callback: the activity and the completed share.
     pub progress: &'a mut (dyn FnMut(&str, f64) + Send),
 }
 
 impl Bench<'_> {
-    /// Makes a trial and says so.
-    fn run(&mut self, what: &str, scenario: &Scenario) -> Course {
-        scenario.run(&mut |done| (self.progress)(what, done))
+    /// Runs a trial and reports its progress.
+    fn run(&mut self, what: &str, trial: &Scenario) -> Course {
+        trial.run(&mut |done| (self.progress)(what, done))
     }
 
-    /// The hand asked for, or a random one of 87 mm/s with a tremor of 0.1 mm.
+    /// The given motion, or a random hand of 87 mm/s with 0.1 mm tremor.
     fn hand(&self) -> std::sync::Arc<dyn Hand> {
         match &self.motion {
             Some(recorded) => std::sync::Arc::<Recorded>::clone(recorded),
@@ -273,7 +274,7 @@ impl Bench<'_> {
         }
     }
 
-    /// The model asked for, or a built-in sample.
+    /// The given model, or a built-in sample.
     fn model_or(&mut self, sample: &str) -> Result<std::sync::Arc<Model>, String> {
         if let Some(model) = &self.model {
             return Ok(std::sync::Arc::clone(model));
@@ -284,32 +285,32 @@ impl Bench<'_> {
     }
 }
 
-/// What came of an experiment.
+/// Results of an experiment.
 #[derive(Debug, Clone)]
 pub struct Outcome {
-    /// What it shows, for a reader of its page.
+    /// Description for readers of the page.
     pub caption: String,
-    /// Its figures: an object.
+    /// Figures, a JSON object.
     pub figures: Value,
-    /// Charts, by the name of their file.
+    /// Charts by file name, without extension.
     pub charts: Vec<(String, Chart)>,
-    /// Tables, by the name of their file.
+    /// Tables by file name, without extension.
     pub tables: Vec<(String, String)>,
 }
 
 impl Experiment {
-    /// Runs it.
+    /// Runs the experiment.
     pub fn run(&self, bench: &mut Bench<'_>) -> Result<Outcome, String> {
         (self.run)(bench)
     }
 }
 
 impl Outcome {
-    /// Writes charts and tables into `dir`, which is made when it is not there.
+    /// Writes charts and tables into `dir`, which is created if necessary.
     pub fn write(&self, dir: &Path) -> Result<(), String> {
         std::fs::create_dir_all(dir).map_err(|e| {
             format!(
-                "{}: {e}; check that the folder can be written and has room",
+                "{}: {e}; check that the directory is writable and has free space",
                 dir.display()
             )
         })?;
@@ -325,7 +326,7 @@ impl Outcome {
     }
 }
 
-/// What rows of figures say that was missed.
+/// The missed limits in rows of figures.
 fn missed_by<'a>(rows: impl IntoIterator<Item = &'a Value>) -> Vec<String> {
     let missed = rows.into_iter().filter_map(|row| row["missed"].as_array());
     let sentence = |what: &Value| what.as_str().map(str::to_owned);
@@ -333,7 +334,7 @@ fn missed_by<'a>(rows: impl IntoIterator<Item = &'a Value>) -> Vec<String> {
 }
 
 impl Outcome {
-    /// What it shows, and its tables or, where none is short, its figures.
+    /// The caption with the short tables, or with the figures if there are none.
     pub fn for_people(&self) -> String {
         let short = |table: &&(String, String)| table.1.lines().count() <= 1 + gallery::ROWS_OPEN;
         let tables: Vec<String> = (self.tables.iter().filter(short))
@@ -347,12 +348,12 @@ impl Outcome {
         format!("{}\n\n{}", self.caption, below.trim_end())
     }
 
-    /// Which limits were not kept, a sentence each; experiments without limits miss none.
+    /// Descriptions of the missed limits; empty for experiments without limits.
     pub fn missed(&self) -> Vec<String> {
         missed_by([&self.figures])
     }
 
-    /// Writes charts, tables, and the figures as `name.json` into `dir`.
+    /// Writes charts, tables and the figures as `name.json` into `dir`.
     pub fn write_all(&self, dir: &Path, name: &str) -> Result<(), String> {
         self.write(dir)?;
         let path = dir.join(format!("{name}.json"));
@@ -361,7 +362,7 @@ impl Outcome {
     }
 }
 
-/// The same tissue without friction.
+/// The model without friction.
 fn without_friction(model: &Model) -> Model {
     let mut model = model.clone();
     for region in &mut model.regions {
@@ -371,7 +372,7 @@ fn without_friction(model: &Model) -> Model {
     model
 }
 
-/// The same tissue with this friction everywhere, static and dynamic.
+/// The model with uniform friction coefficients, static and dynamic.
 fn with_friction(model: &Model, [still, sliding]: [f64; 2]) -> Model {
     let mut model = model.clone();
     for region in &mut model.regions {
@@ -381,13 +382,13 @@ fn with_friction(model: &Model, [still, sliding]: [f64; 2]) -> Model {
     model
 }
 
-/// A place to press in the middle of a model.
+/// A place to press in the middle of the model.
 fn place(model: &std::sync::Arc<Model>) -> Result<ToolLocation, String> {
     let topology = Topology::new(std::sync::Arc::clone(model));
     ToolLocation::find(&topology).map_err(|e| e.to_string())
 }
 
-/// What was felt in a colour, and the converged answer in grey dashes.
+/// The rendered force in colour, and the converged solution in dashed grey.
 fn felt_and_true(
     name: &str,
     colour: &'static str,
@@ -408,7 +409,7 @@ fn line(name: &str, colour: &'static str, points: Vec<(f64, f64)>) -> Line {
     }
 }
 
-/// A line of what converged. [`panel`] names the first.
+/// A line of the converged solution. [`panel`] names the first one.
 fn converged(points: Vec<(f64, f64)>) -> Line {
     Line {
         name: String::new(),

@@ -1,4 +1,5 @@
-//! What the force loop makes of a press at 100 mm/s: a ball, and a line that is dragged on with friction.
+//! Force error of the haptic path in a press at 100 mm/s: a ball, and a line that is then dragged with
+//! friction.
 
 use std::sync::Arc;
 
@@ -16,11 +17,11 @@ const SPEED_M_S: f64 = 0.1;
 const DEPTH_M: f64 = 15e-3;
 const LINE_DEPTH_M: f64 = 8e-3;
 const DRAG_M: f64 = 30e-3;
-/// A line has several times the contacts of a ball; a model of it takes longer.
+/// Drag speed of the line. A line has several times the contacts of a ball, so its model takes longer.
 const DRAG_M_S: f64 = 0.05;
 const RADIUS_M: f64 = 8e-3;
 
-/// Lies along v, and is held at one end.
+/// Line tool along v, held at one end.
 const LINE: ToolDescription = ToolDescription {
     kind: ToolKind::Needle,
     radius_m: 8e-3,
@@ -53,7 +54,8 @@ fn line(
     slides: bool,
 ) -> Result<Course, String> {
     let place = place(model)?;
-    // The tool's z along v: its middle over the place, its handle's end half a length before it.
+    // The tool's z axis lies along v. Its centre is over the place, and the handle end lies half a length
+    // before it.
     let turn = upright(&place.v);
     let held = place.middle - place.v * (0.5 * LINE.length_m) - place.u * (0.5 * DRAG_M);
     let top = held + place.normal * LINE.radius_m;
@@ -67,7 +69,7 @@ fn line(
     let (what, model) = if slides {
         let to = WayPoint::new(dragged_from() + DRAG_M / DRAG_M_S, down + place.u * DRAG_M);
         ways.push(to.turned(turn).linear());
-        ("line that is dragged", Arc::clone(model))
+        ("dragged line", Arc::clone(model))
     } else {
         ways.push(WayPoint::new(0.15 + pressed, down).turned(turn));
         ("line", Arc::new(without_friction(model)))
@@ -81,7 +83,7 @@ fn line(
     Ok(bench.run(what, &scenario))
 }
 
-/// When the line is pressed in and begins to slide, s.
+/// Start time of the drag after the press, s.
 fn dragged_from() -> f64 {
     0.05 + LINE_DEPTH_M / SPEED_M_S
 }
@@ -118,7 +120,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
                 of_line.to_vec(),
             ),
             panel(
-                "Torque about the end at which the line is held",
+                "Torque about the held end of the line",
                 "torque (mN·m)",
                 torque.to_vec(),
             ),
@@ -126,8 +128,9 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         marks: Vec::new(),
     };
     Ok(Outcome {
-        caption: "The haptic path (a model every 4 ms at best, 1 ms of work each, solved on one thread) against an independent solver \
-                  that converges every eleventh millisecond. Converged friction is drawn where the tool slides."
+        caption: "The haptic path (a model every 4 ms at best, 1 ms of work each, solved on one thread) \
+                  against an independent solver that converges every 11 ms. Converged friction is drawn \
+                  where the tool slides."
             .to_owned(),
         figures: json!({
             "experiment": "press", "nodes": model.nodes.len(),

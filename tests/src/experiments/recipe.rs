@@ -1,4 +1,4 @@
-//! An experiment with its options, as a file.
+//! A TOML file with an experiment and its options.
 //!
 //! ```toml
 //! experiment = "table-7-1"
@@ -18,13 +18,13 @@ use serde::{Deserialize, Deserializer};
 
 use crate::name_suggestion::with_nearest;
 
-/// The largest file that is read, bytes: it names an experiment and its options.
+/// Maximum file size, bytes.
 const BYTES_MAX: u64 = 64 << 10;
 
-/// The most seeds that are tried, days of work; the command line has the same bounds.
+/// Maximum number of seeds, days of work; also the limit of the command line.
 pub const SEEDS_MAX: u64 = 1_000_000;
 
-/// The most sessions in real time, a day of them.
+/// Maximum number of sessions in real time, about a day.
 pub const REAL_MAX: u64 = 10_000;
 
 fn seeds<'de, D: Deserializer<'de>>(value: D) -> Result<Option<u64>, D::Error> {
@@ -41,46 +41,48 @@ fn between_one_and<'de, D: Deserializer<'de>>(max: u64, value: D) -> Result<Opti
         return Ok(Some(n));
     }
     Err(D::Error::custom(format!(
-        "{n} is not a number from 1 to {max}"
+        "{n} is out of range; use a number from 1 to {max}"
     )))
 }
 
-/// What is to be run, and with what.
+/// An experiment and its options.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Recipe {
     /// The experiment's name.
     pub experiment: String,
-    /// Of everything that is left to chance.
+    /// Seed of the random numbers.
     pub seed: Option<u64>,
-    /// How many seeds to try, 1 to [`SEEDS_MAX`].
+    /// Number of seeds, 1 to [`SEEDS_MAX`].
     #[serde(default, deserialize_with = "seeds")]
     pub seeds: Option<u64>,
-    /// How many sessions in real time, 1 to [`REAL_MAX`].
+    /// Number of sessions in real time, 1 to [`REAL_MAX`].
     #[serde(default, deserialize_with = "real")]
     pub real: Option<u64>,
     /// The network.
     pub profile: Option<String>,
     /// A recorded motion (CSV).
     pub motion: Option<String>,
-    /// Other tissue than the experiment's own.
+    /// Tissue model.
     pub model: Option<String>,
 }
 
 impl Recipe {
-    /// Reads one. Files that it names are looked for in its folder.
+    /// Loads a recipe. Relative paths in it refer to its directory.
     pub fn load(path: &Path) -> Result<Self, String> {
         let shown = path.display();
         let text = text_file::read(path, BYTES_MAX).map_err(|e| match e {
-            TextFileError::Read(why) => format!("{shown} can not be read: {why}"),
+            TextFileError::Read(why) => format!("cannot read {shown}: {why}"),
             TextFileError::TooLarge { bytes } => {
-                format!("{shown} has {bytes} bytes; a file that names an experiment has at most {BYTES_MAX}")
+                format!(
+                    "{shown} has {bytes} bytes; an experiment file may have at most {BYTES_MAX}"
+                )
             }
         })?;
         let mut recipe = Self::parse(&text).map_err(|e| format!("{shown}: {e}"))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let beside = |name: &mut String| {
-            // What is no file there is a name, as of a sample.
+            // A value that is no file there may be a name, such as a sample.
             let file = folder.join(&*name);
             if file.is_file() {
                 *name = file.display().to_string();
@@ -92,7 +94,7 @@ impl Recipe {
         Ok(recipe)
     }
 
-    /// From the text of one.
+    /// Parses a recipe.
     pub fn parse(text: &str) -> Result<Self, String> {
         toml::from_str(text).map_err(|e| with_nearest(&e.to_string()))
     }
@@ -103,7 +105,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_names_an_experiment_and_its_options() {
+    fn recipe_contains_experiment_and_options() {
         let recipe = Recipe::parse("experiment = \"table-7-1\"\nseed = 7\nmotion = \"a.csv\"\n");
         let recipe = recipe.unwrap();
         assert_eq!(
@@ -117,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_known_or_can_not_be_is_refused_with_its_line() {
+    fn invalid_recipes_are_rejected_with_their_line() {
         for (text, expected) in [
             (
                 "experiment = \"press\"\nsede = 7\n",
@@ -128,7 +130,7 @@ mod tests {
             ("experiment = press\n", "line 1"),
             (
                 "experiment = \"replicas\"\nseeds = 0\n",
-                "0 is not a number from 1 to 1000000",
+                "0 is out of range; use a number from 1 to 1000000",
             ),
             (
                 "experiment = \"replicas\"\nseeds = 99999999999999\n",
@@ -137,12 +139,15 @@ mod tests {
             ("experiment = \"replicas\"\n\nreal = 0\n", "line 3"),
         ] {
             let said = Recipe::parse(text).unwrap_err();
-            assert!(said.contains(expected), "{said:?} should say {expected:?}");
+            assert!(
+                said.contains(expected),
+                "{said:?} should contain {expected:?}"
+            );
         }
     }
 
     #[test]
-    fn files_are_looked_for_beside_the_one_that_names_them() {
+    fn paths_are_relative_to_the_recipe() {
         let dir = tempfile::tempdir().unwrap();
         std::fs::write(dir.path().join("hand.csv"), "").unwrap();
         let path = dir.path().join("mine.toml");

@@ -1,4 +1,4 @@
-//! A hand's motion as a stream of samples brings it, beside what it truly is.
+//! Sampled hand motion and its ground truth.
 
 use nalgebra::{Quaternion, UnitQuaternion};
 use palpate_protocol::datagram::as_sent;
@@ -8,10 +8,10 @@ use palpate_protocol::{Pose, ServerTime, ToolSample};
 use crate::chart::{BLUE, GREEN, GREY, ORANGE, PURPLE};
 use crate::hand::Hand;
 
-/// Samples before a gap that any method may look at, µs.
+/// Time span of the samples before a gap that a method may use, µs.
 pub(super) const HISTORY_US: i64 = 60_000;
 
-/// A hand and how often it is sampled.
+/// A hand motion with a sample rate.
 pub(super) struct Sampled<'a> {
     hand: &'a dyn Hand,
     pub(super) period_us: i64,
@@ -19,7 +19,7 @@ pub(super) struct Sampled<'a> {
 }
 
 impl<'a> Sampled<'a> {
-    /// A hand that is sampled so often. Only the first hour of it is looked at.
+    /// Samples a hand motion at `rate_hz`. At most its first hour is used.
     pub(super) fn new(hand: &'a dyn Hand, rate_hz: u32) -> Result<Self, String> {
         let end_us = (hand.length_s().min(3600.0) * 1e6) as i64;
         let sampled = Self {
@@ -31,12 +31,12 @@ impl<'a> Sampled<'a> {
         Ok(sampled)
     }
 
-    /// The first and the last moment, µs, at which there is history before and `after_us` beyond.
+    /// The first and last time, µs, with enough history before and `after_us` after.
     pub(super) fn room(&self, after_us: i64) -> Result<(i64, i64), String> {
         let last = self.end_us - after_us - HISTORY_US;
         if last < 2 * HISTORY_US {
             return Err(format!(
-                "the motion lasts {:.3} s; {:.3} s are needed for samples before and after a gap",
+                "the motion lasts {:.3} s; samples before and after a gap need {:.3} s",
                 self.end_us as f64 * 1e-6,
                 (after_us + 3 * HISTORY_US) as f64 * 1e-6
             ));
@@ -44,20 +44,20 @@ impl<'a> Sampled<'a> {
         Ok((2 * HISTORY_US, last))
     }
 
-    /// Where the hand truly is and how it is turned.
+    /// The true pose.
     pub(super) fn truth(&self, t_us: i64) -> Pose {
         self.hand.at(t_us as f64 * 1e-6)
     }
 
-    /// Puts the samples from one moment to another, both included, into a timeline, as the wire rounds them; an error
-    /// when the hand goes where no sample may be.
+    /// Inserts the samples of a closed time interval into a timeline, quantised as on the wire. A pose
+    /// outside the valid range is an error.
     pub(super) fn fill(
         &self,
         timeline: &mut Timeline,
         from_us: i64,
         until_us: i64,
     ) -> Result<(), String> {
-        // Counted back from the end, so that the last one is known to the moment.
+        // Counted back from the end, so the last sample is at `until_us` exactly.
         let n = (until_us - from_us) / self.period_us;
         for k in (0..=n).rev() {
             let t_us = until_us - k * self.period_us;
@@ -68,7 +68,7 @@ impl<'a> Sampled<'a> {
             };
             let sent = as_sent(&sample).map_err(|e| {
                 format!(
-                    "the motion at {:.3} s can not be sent: {e}",
+                    "the motion at {:.3} s cannot be encoded: {e}",
                     t_us as f64 * 1e-6
                 )
             })?;
@@ -78,8 +78,7 @@ impl<'a> Sampled<'a> {
     }
 }
 
-/// The colour of a method's line in every picture, and whether it is dashed: what is there for comparison is, and lies on
-/// top where it is one with another.
+/// Colour of a method's line, and whether it is dashed. Lines for comparison are dashed and drawn on top.
 pub(super) fn look(method: Method) -> (&'static str, bool) {
     match method {
         Method::Hold => (GREY, true),
@@ -90,12 +89,12 @@ pub(super) fn look(method: Method) -> (&'static str, bool) {
     }
 }
 
-/// Between two places, m.
+/// Distance of two positions, m.
 pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>()).sqrt()
 }
 
-/// Between two turns as the wire knows them (x, y, z, w), the shortest way on SO(3), degrees.
+/// Angle between two orientations (x, y, z, w) on SO(3), degrees.
 pub(super) fn angle_deg(a: [f64; 4], b: [f64; 4]) -> f64 {
     let unit = |[x, y, z, w]: [f64; 4]| UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
     unit(a).angle_to(&unit(b)).to_degrees()
@@ -106,7 +105,7 @@ mod tests {
     use super::angle_deg;
 
     #[test]
-    fn a_quaternion_and_its_negative_are_one_turn() {
+    fn quaternion_and_its_negative_are_one_rotation() {
         let quarter = [0.0, 0.0, 0.5_f64.sqrt(), 0.5_f64.sqrt()];
         assert!(angle_deg(quarter, quarter.map(|c| -c)) < 1e-6);
         assert!((angle_deg([0.0, 0.0, 0.0, 1.0], quarter) - 90.0).abs() < 1e-9);

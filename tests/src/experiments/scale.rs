@@ -1,8 +1,8 @@
-//! How many people a server bears: 1 to 64 participants of one session, a quarter of them touching.
+//! Server load of 1 to 64 participants in one session, a quarter of them in contact.
 //!
-//! Everybody moves a tool and solves nothing; room and solver are those of users. Every row is a
-//! [crowd](crate::crowd) in virtual time on one thread, and then, with [`REAL`] participants, a server's
-//! process with a QUIC connection for everybody.
+//! Participants move a tool and solve no tissue; room and solver are the product's. Every row is a [load
+//! test](crate::load_test) in virtual time on one thread. With [`REAL`] participants, a server process with
+//! QUIC connections is measured too.
 
 use std::sync::Arc;
 
@@ -14,23 +14,22 @@ use super::cells::of_file;
 use super::{Bench, Outcome, line, panel};
 use crate::bench::quantile;
 use crate::chart::{BLACK, BLUE, Chart, GREEN, GREY, ORANGE};
-use crate::crowd::{Crowd, Crowded, Round, real, touching};
+use crate::load_test::{LoadTest, LoadTestResult, Round, real, touching};
 use crate::network::Profile;
 
-/// How many come.
+/// Numbers of participants.
 const PARTICIPANTS: [usize; 7] = [1, 2, 4, 8, 16, 32, 64];
 
-/// How many come to a server's process: what is asked of a server, and all of its seats.
+/// Numbers of participants with a server process: the required number, and the maximum number of seats.
 const REAL: [usize; 2] = [32, 64];
 
-/// The row that has to keep its period.
+/// Number of participants whose ticks must fit the period.
 const ASKED: usize = 32;
 
-/// How long is counted, s.
+/// Measured time, s.
 const SECONDS: f64 = 5.0;
 
-/// A tick that begins this long after its moment is late, ms: the step of the virtual time, and a
-/// thirtieth of the period.
+/// Minimum delay of a late tick's start, ms: one step of virtual time, a thirtieth of the period.
 const LATE_MS: f64 = 1.0;
 
 fn soft_block() -> Model {
@@ -54,9 +53,9 @@ fn shares(values: &[f64]) -> Value {
     })
 }
 
-fn row(n: usize, crowded: &Crowded) -> Value {
+fn row(n: usize, result: &LoadTestResult) -> Value {
     let period_ms = 1e3 / f64::from(TICK_HZ);
-    let rounds = &crowded.rounds;
+    let rounds = &result.rounds;
     let ms = |of: fn(&Round) -> i64| -> Vec<f64> {
         rounds.iter().map(|r| of(r) as f64 * 1e-3).collect()
     };
@@ -65,7 +64,7 @@ fn row(n: usize, crowded: &Crowded) -> Value {
     let late = ms(|r| r.late_us);
     let all = ms(|r| r.decode_us + r.tick_us + r.fan_out_us);
     let residual: Vec<f64> = rounds.iter().map(|r| r.residual).collect();
-    let kbit = |bytes: u64| bytes as f64 * 8e-3 / crowded.seconds / n as f64;
+    let kbit = |bytes: u64| bytes as f64 * 8e-3 / result.seconds / n as f64;
     let late_ticks = late.iter().filter(|ms| **ms > LATE_MS).count();
     let p99 = quantile(&tick, 0.99);
     json!({
@@ -82,9 +81,9 @@ fn row(n: usize, crowded: &Crowded) -> Value {
         "late_ticks": late_ticks,
         "iterations_p50": quantile(&rounds.iter().map(|r| r.iterations as f64).collect::<Vec<_>>(), 0.5),
         "residual": shares(&residual),
-        "kbit_s": { "up": kbit(crowded.bytes[0]), "down": kbit(crowded.bytes[1]) },
-        "troubles": crowded.troubles,
-        "ok": p99 < period_ms && crowded.troubles.is_empty() && !rounds.is_empty(),
+        "kbit_s": { "up": kbit(result.bytes[0]), "down": kbit(result.bytes[1]) },
+        "troubles": result.troubles,
+        "ok": p99 < period_ms && result.troubles.is_empty() && !rounds.is_empty(),
     })
 }
 
@@ -99,7 +98,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     };
     let mut rows = Vec::new();
     for n in PARTICIPANTS {
-        let crowd = Crowd {
+        let load_test = LoadTest {
             model: &model,
             participants: n,
             profile: &profile,
@@ -107,12 +106,12 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             seconds: SECONDS,
             tick_hz: TICK_HZ,
         };
-        let crowded = crowd.run(|done| (bench.progress)(&format!("{n} participants"), done))?;
-        rows.push(row(n, &crowded));
+        let result = load_test.run(|done| (bench.progress)(&format!("{n} participants"), done))?;
+        rows.push(row(n, &result));
     }
     let mut processes = Vec::new();
     for n in REAL {
-        (bench.progress)(&format!("{n} participants of a server's process"), 0.0);
+        (bench.progress)(&format!("{n} participants of a server process"), 0.0);
         let real = real::Real {
             model: &model,
             participants: n,
@@ -126,11 +125,11 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let missed = asked.map_or_else(Vec::new, missed);
     Ok(Outcome {
         caption: format!(
-            "A quarter of the participants palpates {} nodes, the others move their tools through the air; nobody but the \
-             server solves. Work per tick is counted in time of one thread's processor: solving (tick), reading what comes \
-             (decode), sending what goes (fan_out), and all three, as if one thread did everything. Bytes are those of one \
-             participant. The first table is in virtual time; in the second everybody has a QUIC connection to a server's \
-             process. The processes' participants run on the same machine as their server and take processors from it.",
+            "A quarter of the participants palpates {} nodes, the others move their tools through the air; \
+             only the server solves. Work per tick is CPU time of one thread: the solver (tick), input \
+             (decode), output (fan_out) and their sum (all). Bandwidth is per participant. The first table \
+             is in virtual time. In the second, each participant has a QUIC connection to a server process \
+             and shares the machine with it.",
             model.nodes.len()
         ),
         charts: vec![("scale".to_owned(), chart(&rows))],
@@ -153,7 +152,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     })
 }
 
-/// Why the row that is asked for is not well, a sentence each.
+/// The missed limits of the required row.
 fn missed(row: &Value) -> Vec<String> {
     let (p99, period) = (
         number(row, &["tick_ms", "p99"]),
@@ -161,10 +160,10 @@ fn missed(row: &Value) -> Vec<String> {
     );
     let mut missed = Vec::new();
     if row["ticks"] == json!(0) {
-        missed.push(format!("{ASKED} participants: no tick was counted"));
+        missed.push(format!("{ASKED} participants: no tick was measured"));
     } else if p99.is_nan() || p99 >= period {
         missed.push(format!(
-            "{ASKED} participants: 99 of 100 ticks take up to {p99:.1} ms, and a period is {period:.1} ms"
+            "{ASKED} participants: the 99th percentile of the tick is {p99:.1} ms, the limit is {period:.1} ms"
         ));
     }
     for trouble in row["troubles"].as_array().into_iter().flatten().take(1) {
@@ -184,22 +183,22 @@ fn chart(rows: &[Value]) -> Chart {
         rows.iter().map(point).collect()
     };
     Chart {
-        title: "What a server does per tick for so many participants".to_owned(),
+        title: "Server load against the number of participants".to_owned(),
         x_label: "participants".to_owned(),
         panels: vec![
             panel(
-                "Work of one thread, 99 of 100 ticks below",
+                "CPU time on one thread, 99th percentile",
                 "time per tick (ms)",
                 vec![
                     line("tick", BLUE, over(&["tick_ms", "p99"])),
-                    line("what comes", GREEN, over(&["decode_ms", "p99"])),
-                    line("what goes", ORANGE, over(&["fan_out_ms", "p99"])),
-                    line("all three", BLACK, over(&["all_ms", "p99"])),
+                    line("decode", GREEN, over(&["decode_ms", "p99"])),
+                    line("fan-out", ORANGE, over(&["fan_out_ms", "p99"])),
+                    line("total", BLACK, over(&["all_ms", "p99"])),
                     line("period", GREY, over(&["period_ms"])),
                 ],
             ),
             panel(
-                "What one participant takes of the network, without what QUIC adds",
+                "Bandwidth of one participant, without QUIC overhead",
                 "rate (kbit/s)",
                 vec![
                     line("up", BLUE, over(&["kbit_s", "up"])),
@@ -211,7 +210,7 @@ fn chart(rows: &[Value]) -> Chart {
     }
 }
 
-/// The heads of a table's columns, and where in a row their figures are.
+/// Column headings of a table, and the paths of their figures in a row.
 type Columns<'a> = [(&'a str, &'a [&'a str])];
 
 const COLUMNS: [(&str, &[&str]); 14] = [

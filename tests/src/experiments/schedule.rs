@@ -1,7 +1,8 @@
-//! How far a list of experiments is, and how long the rest of it takes.
+//! Progress of a list of experiments and the estimated remaining time.
 
-/// What experiments take, s: of the processor or, where they wait for real time, of the clock, on two cores that nobody else
-/// wants; eleven and a half minutes in all. Only their proportions matter, as what has been done says how fast this machine is.
+/// Durations of the experiments on two idle cores, s; eleven and a half minutes in total. They are CPU
+/// time, or wall time for real-time experiments. Only ratios matter, because completed parts calibrate the
+/// machine's speed.
 const TOOK_S: &[(&str, f64)] = &[
     ("soft-hard", 1.0),
     ("friction", 6.3),
@@ -27,19 +28,19 @@ const TOOK_S: &[(&str, f64)] = &[
     ("haptic-faults", 12.0),
 ];
 
-/// Of one that is not listed, s.
+/// Assumed duration of an unlisted experiment, s.
 const OTHER_S: f64 = 20.0;
 
-/// How far a machine may be from the one of the list; more is a disturbance at the beginning.
+/// Limits of the machine's speed factor; values outside are disturbances of the first parts.
 const FACTOR: (f64, f64) = (0.2, 20.0);
 
-/// A running one that takes longer than expected has at least this share of its time left.
+/// Minimum remaining share of the running experiment, if it takes longer than expected.
 const LEFT_MIN: f64 = 0.05;
 
-/// Characters of the bar.
+/// Width of the progress bar in characters.
 const BAR: usize = 20;
 
-/// A list of experiments, done one after the other.
+/// A list of experiments that run one after the other.
 #[derive(Debug, Clone)]
 pub struct Schedule {
     expected_s: Vec<f64>,
@@ -48,7 +49,7 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Of these, in their order.
+    /// A schedule of the named experiments in order.
     pub fn new<'a>(names: impl IntoIterator<Item = &'a str>) -> Self {
         let expected = |name: &str| {
             let listed = TOOK_S.iter().find(|(n, _)| *n == name);
@@ -61,13 +62,13 @@ impl Schedule {
         }
     }
 
-    /// The next one is done; it took so long.
+    /// Marks the next experiment as completed after `took_s`.
     pub fn done(&mut self, took_s: f64) {
         self.done = (self.done + 1).min(self.expected_s.len());
         self.took_s += took_s;
     }
 
-    /// What is left when the present one has been running so long, s.
+    /// Remaining time after the current experiment has run for `running_s`, s.
     pub fn left_s(&self, running_s: f64) -> f64 {
         let (done, rest) = self.expected_s.split_at(self.done);
         let expected: f64 = done.iter().sum();
@@ -83,7 +84,7 @@ impl Schedule {
         (present - running_s).max(LEFT_MIN * present) + factor * later.iter().sum::<f64>()
     }
 
-    /// A bar, how many are done, and the time left, for a person.
+    /// Progress bar, number of completed experiments and remaining time.
     pub fn line(&self, running_s: f64) -> String {
         let left_s = self.left_s(running_s);
         let spent_s = self.took_s + running_s;
@@ -110,7 +111,7 @@ mod tests {
     use crate::experiments::{ALL, benches};
 
     #[test]
-    fn what_is_run_by_itself_is_listed_and_takes_less_than_twelve_minutes() {
+    fn all_experiments_are_listed_and_take_less_than_twelve_minutes() {
         let names = ALL.iter().map(|e| e.name);
         for name in names.chain(benches::ALL.iter().map(|b| b.name)) {
             assert!(TOOK_S.iter().any(|(n, _)| *n == name), "{name}");
@@ -119,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn a_machine_twice_as_slow_takes_twice_as_long_for_the_rest() {
+    fn half_the_machine_speed_doubles_the_remaining_time() {
         let mut schedule = Schedule::new(["friction", "handle", "unheard-of"]);
         assert!((schedule.left_s(0.0) - (6.3 + 4.6 + OTHER_S)).abs() < 1e-9);
         schedule.done(2.0 * 6.3);
@@ -127,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn there_is_some_time_left_until_all_is_done() {
+    fn remaining_time_is_positive_until_all_experiments_are_done() {
         let mut schedule = Schedule::new(["friction", "handle"]);
         assert!(schedule.left_s(1e6) > 0.0 && schedule.line(1e6).contains("0 of 2 done"));
         schedule.done(1.0);
@@ -139,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn a_list_of_nothing_is_done() {
+    fn empty_schedule_is_done() {
         assert!(Schedule::new([]).line(0.0).contains("0 of 0"));
     }
 }

@@ -1,4 +1,4 @@
-//! Soft and hard tissue side by side (Lin 2007, fig 4.8): the same press is answered by what is beneath it.
+//! Equal presses on soft and on stiff tissue side by side (Lin 2007, fig 4.8).
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ const RADIUS_M: f64 = 8e-3;
 const DEPTH_M: f64 = 8e-3;
 const SPEED_M_S: f64 = 0.05;
 
-/// Fat on the left, muscle on the right, on a base that is pinned.
+/// Fat on the left and muscle on the right, on a pinned base.
 fn tissue() -> Result<Model, String> {
     let of = |name: &str| Material::resolve(name, None).map_err(|e| e.to_string());
     let mut model = block(CELLS, SPACING_M, &of("fat")?, 1);
@@ -39,7 +39,7 @@ fn tissue() -> Result<Model, String> {
     Ok(without_friction(&model))
 }
 
-/// Straight down, a rest, and up again.
+/// A vertical press with a rest and a release.
 fn press_at(share: f64) -> Result<palpate_device::script::Script, String> {
     let [x, y, z] = [0, 1, 2].map(|i| CELLS[i] as f64 * SPACING_M);
     let top = Vec3::new(share * x, 0.5 * y, z + RADIUS_M);
@@ -92,7 +92,8 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     };
     Ok(Outcome {
         caption: "Fat and muscle side by side on a rigid base, pressed 8 mm deep at 50 mm/s by a ball of 8 mm. \
-                  Between the two the force lies between, and points towards the softer side."
+                  Between the two, the force has an intermediate magnitude and points towards the softer \
+                  side."
             .to_owned(),
         figures: json!({
             "experiment": "soft-hard", "spots": figures, "stiff_over_soft": largest[2] / largest[0],

@@ -1,17 +1,17 @@
-//! How far each method of making up samples is from a hand's true motion (Lin 2007, table 7.1; only its caption is
-//! known, so lengths of gaps and packet rates are ours).
+//! Errors of the methods that reconstruct missing samples (Lin 2007, table 7.1). Only the table's caption
+//! is known, so gap lengths and sample rates are our choice.
 //!
-//! Gaps are spread over the motion, each at a random moment of its share, so that no period of motion and gaps agrees.
-//! Before a gap 60 ms of samples are known, rounded as on the wire; for interpolation also 60 ms after it, which begin at
-//! the first whole period at or beyond the gap's end. What the timeline answers is compared with the motion itself,
-//! every half millisecond of the gap.
+//! Gaps are stratified over the motion, one at a random time of each stratum, which avoids aliasing with
+//! periods of the motion. Before a gap, 60 ms of samples are known, quantised as on the wire. Interpolation
+//! also has 60 ms of samples after the gap, from the first whole period at or beyond the gap's end. The
+//! timeline is compared with the true motion every half millisecond of the gap.
 //!
-//! Turns are compared on SO(3): the angle of the one rotation that is between what is shown and what is true. All methods
-//! but hold turn alike, by slerp between samples and at the latest angular velocity beyond them.
+//! The orientation error is the angle of the rotation on SO(3) between shown and true orientation. All
+//! methods but hold use slerp between samples and the latest angular velocity beyond them.
 //!
-//! Force is what a tool would feel that is pressed into tissue of one stiffness k, whose surface is a plane through the
-//! motion's mean, across the axis along which it moves most: F = k max(0, depth). The percentage is the root mean
-//! square of the error of F over that of F where the hand truly is; k cancels out of it.
+//! The force is that of a tool in tissue of uniform stiffness k. Its surface is a plane through the
+//! motion's mean, normal to the axis of largest motion: F = k max(0, depth). The percentage is the rms
+//! error of F relative to the rms of the true F, so k cancels.
 
 use std::fmt::Write as _;
 
@@ -27,22 +27,22 @@ use super::{Bench, Outcome, line};
 use crate::chart::{Chart, Panel, Scale};
 use crate::hand::Hand;
 
-/// Lengths of gaps, ms.
+/// Lengths of the gaps, ms.
 const GAPS_MS: [i64; 6] = [5, 10, 20, 33, 50, 100];
 
-/// Samples per second.
+/// Sample rates.
 const RATES_HZ: [u32; 4] = [100, 250, 500, 1000];
 
-/// Gaps of each length and rate.
+/// Number of gaps per length and rate.
 const GAPS: usize = 300;
 
-/// From one moment asked for to the next, µs.
+/// Time step of the comparison, µs.
 const STEP_US: i64 = 500;
 
-/// Of how much of an endless motion, µs.
+/// Maximum evaluated length of a motion, µs.
 const LONGEST_US: i64 = 300_000_000;
 
-/// A line of the table.
+/// A row of the table.
 #[derive(Debug, Clone, Copy)]
 struct Row {
     interpolation: bool,
@@ -74,12 +74,12 @@ impl Row {
     }
 }
 
-/// Errors of one row on their way.
+/// Error sums of one row.
 #[derive(Debug, Clone, Copy, Default)]
 struct Sum {
     squares: f64,
     max: f64,
-    /// Squares of angles, degrees.
+    /// Sum of squared angles, degrees squared.
     turn_squares: f64,
     force_squares: f64,
     true_force_squares: f64,
@@ -87,7 +87,7 @@ struct Sum {
 }
 
 impl Sum {
-    /// `wall` says how deep a place is, m.
+    /// Adds an error; `wall` returns the depth of a position, m.
     fn add(&mut self, shown: &Pose, truth: &Pose, wall: impl Fn([f64; 3]) -> f64) {
         self.turn_squares += angle_deg(shown.orientation, truth.orientation).powi(2);
         let (shown, truth) = (shown.position_m, truth.position_m);
@@ -115,7 +115,7 @@ impl Sum {
     }
 }
 
-/// The plane that stands for tissue, and how fast the hand moves.
+/// Surface plane of the tissue and speed of the hand.
 #[derive(Debug, Clone, Copy)]
 struct Overall {
     axis: usize,
@@ -162,7 +162,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let mut table =
         String::from("kind,method,rate_hz,gap_ms,rms_mm,max_mm,rms_deg,force_percent,n\n");
     for r in &rows {
-        // Writing to a string can not fail.
+        // Writing to a string cannot fail.
         let _ = writeln!(
             table,
             "{},{},{},{},{:.6},{:.6},{:.6},{:.4},{}",
@@ -180,11 +180,10 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let listed: Vec<Value> = rows.iter().map(Row::json).collect();
     Ok(Outcome {
         caption: format!(
-            "Errors of what is made up for missing samples, against the motion itself. The stream is rounded as on the \
-             wire, places to {} mm. Each method is shown as far as the gap goes; in a session what is beyond 50 ms is \
-             held. rms_deg is the angle between the turn that is shown and the true one. Force is that of a spring \
-             behind a plane through the motion's mean, in percent of its own root mean square. The scales of the \
-             pictures are logarithmic.",
+            "Errors of reconstructed samples against the true motion. The stream is quantised as on the \
+             wire, positions to {} mm. Each method covers the whole gap; a session holds the pose after 50 \
+             ms. rms_deg is the orientation error. The force error is that of a spring behind a plane \
+             through the motion's mean, in percent of the rms force. The charts have logarithmic scales.",
             1e3 * POSITION_STEP_M
         ),
         figures: json!({
@@ -198,14 +197,14 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     })
 }
 
-/// The same for a reader: root mean squares in mm, a column for each length of a gap.
+/// The table for a reader: rms in mm, with one column per gap length.
 fn by_gap(rows: &[Row]) -> String {
     let mut table = String::from("rms_mm,rate_hz,method");
     for gap_ms in GAPS_MS {
         let _ = write!(table, ",{gap_ms} ms");
     }
     table.push('\n');
-    // Gaps are the innermost but one of the loops that made the rows.
+    // Rows of one method differ in the gap length; the order of the gaps is preserved.
     let mut of_gaps: Vec<(&Row, Vec<f64>)> = Vec::new();
     for row in rows {
         let key = |r: &Row| (r.interpolation, r.rate_hz, r.method);
@@ -230,7 +229,7 @@ fn by_gap(rows: &[Row]) -> String {
     table
 }
 
-/// The whole table.
+/// All rows of the table.
 fn rows(
     hand: &dyn Hand,
     seed: u64,
@@ -257,7 +256,7 @@ fn rows(
     Ok((rows, overall))
 }
 
-/// Errors of each method, of extrapolation and of interpolation.
+/// Error sums of each method, for extrapolation and for interpolation.
 fn sums(
     sampled: &Sampled<'_>,
     overall: Overall,
@@ -266,7 +265,7 @@ fn sums(
     rng: &mut Pcg64,
 ) -> Result<[[Sum; 5]; 2], String> {
     let gap_us = gap_ms * 1000;
-    // The next sample comes a whole number of periods after the last.
+    // The next sample follows a whole number of periods after the last.
     let missing_us = (gap_us + sampled.period_us - 1) / sampled.period_us * sampled.period_us;
     let (first, last) = sampled.room(missing_us + HISTORY_US)?;
     let share = (last.min(LONGEST_US) - first) as f64 / gaps as f64;
@@ -305,7 +304,7 @@ fn sums(
     Ok(sums)
 }
 
-/// The errors over the length of the gap, for the slowest and the fastest stream.
+/// Error against the gap length, for the lowest and the highest sample rate.
 fn chart(rows: &[Row]) -> Chart {
     let panel = |interpolation: bool, rate_hz: u32| {
         let lines = Method::ALL.into_iter().map(|method| {
@@ -331,14 +330,14 @@ fn chart(rows: &[Row]) -> Chart {
                 }
             ),
             y_label: "rms distance (mm)".to_owned(),
-            // From microns to millimetres: in proportion, hold's errors would flatten all others.
+            // Errors range from micrometres to millimetres.
             scale: Scale::Logarithmic,
             lines,
         }
     };
     Chart {
-        title: "Missing samples made up: distance to the true motion".to_owned(),
-        x_label: "length of the gap (ms)".to_owned(),
+        title: "Missing samples: distance to the true motion".to_owned(),
+        x_label: "gap length (ms)".to_owned(),
         panels: vec![
             panel(false, RATES_HZ[0]),
             panel(false, RATES_HZ[3]),
@@ -379,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn verlet_is_nearer_than_lines_in_every_row_whatever_the_seed() {
+    fn verlet_is_more_accurate_than_linear_for_any_seed() {
         for seed in 1..=4 {
             let rows = table(&Random::new(Temper::default(), seed), seed, 100);
             beats(&rows, false, 50);
@@ -394,7 +393,7 @@ mod tests {
     }
 
     #[test]
-    fn turns_carried_on_are_nearer_than_turns_held() {
+    fn extrapolated_orientations_are_more_accurate_than_held_ones() {
         let rows = table(&Random::new(Temper::default(), 1), 1, 50);
         for row in rows.iter().filter(|r| r.method == Method::Verlet) {
             let held = (rows.iter())
@@ -409,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_by_gaps_has_a_line_per_method_and_a_cell_per_gap() {
+    fn table_by_gap_has_one_row_per_method_and_one_cell_per_gap() {
         let rows = table(&Random::new(Temper::default(), 1), 1, 5);
         let text = by_gap(&rows);
         assert_eq!(
@@ -423,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_of_a_motion_that_is_too_short_says_how_long_it_has_to_be() {
+    fn too_short_motion_is_rejected_with_its_length() {
         let text = "time_s,x_m,y_m,z_m\n0,0,0,0\n0.05,0,0,0\n0.1,0,0,0\n";
         let hand = Recorded::parse(text).unwrap();
         let said = rows(&hand, 1, 10, &mut |_| ()).unwrap_err();

@@ -1,8 +1,8 @@
-//! Somebody looks on while two people press and cut, and computes no tissue: how far is what is shown from
-//! the server's own shape, and what does it cost?
+//! A thin spectator, without tissue solver, of two trainees who press and cut: error of the shown shape and
+//! bandwidth.
 //!
-//! A whole session is [rehearsed](crate::rehearsal) in virtual time per network. Distances are of every
-//! displaced node of the surface, at every view, from where the server had it at the moment that is shown.
+//! One [session](crate::simulated_session) is simulated per network. Distances are measured at every view, from the
+//! server's shape at the shown time, over all displaced surface nodes.
 
 use std::sync::Arc;
 
@@ -14,25 +14,25 @@ use super::cells::of_file;
 use super::replicas::soft_block;
 use super::{Bench, Outcome, missed_by};
 use crate::network::Profile;
-use crate::rehearsal::{Onlooked, Rehearsal, Rehearsed};
 use crate::scripts::Scripts;
+use crate::simulated_session::{SessionResult, SimulatedSession, ThinSpectatorResult};
 use crate::tool_location::ToolLocation;
 
-/// Length of a session's scripts, s.
+/// Length of the session's scripts, s.
 const SECONDS: f64 = 6.0;
 
-/// Views per second, as a server's that is told nothing else.
+/// Server ticks per second.
 const TICK_HZ: u32 = 60;
 
-/// The most that the artificial delay may be, µs.
+/// Maximum playout delay, µs.
 const CAP_US: u32 = 500_000;
 
-/// What is asked: the rate in any second, bits/s, with a twentieth for what is saved up ...
+/// Limit of the rate in any second, bit/s, with 5 % for accumulated rate budget.
 const RATE_MAX: f64 = 1.05e6;
-/// ... and distances when all rests, mm, with what single precision adds.
+/// Limit of the distance at rest, mm, with a margin for single precision.
 const REST_MM: f64 = 0.0501;
 
-/// The networks when nothing is said.
+/// Default networks.
 const NETWORKS: [&str; 4] = ["lan", "transatlantic", "intercontinental", "wifi-bursts"];
 
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
@@ -53,7 +53,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     };
     let (mut rows, mut table) = (Vec::new(), String::from(HEADER));
     for (k, profile) in networks.iter().enumerate() {
-        let rehearsal = Rehearsal {
+        let session = SimulatedSession {
             model: &model,
             scripts: &scripts,
             motion_only: true,
@@ -67,11 +67,11 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             tick_hz: TICK_HZ,
         };
         let all = networks.len() as f64;
-        let done = rehearsal.run(|share| {
+        let done = session.run(|share| {
             (bench.progress)(&profile.name, (k as f64 + share) / all);
             true
         })?;
-        let thin = done.onlooked.first().copied().unwrap_or_default();
+        let thin = done.thin_results.first().copied().unwrap_or_default();
         let missed = missed(profile, &thin, &done);
         let row = json!({
             "profile": profile.name,
@@ -93,11 +93,12 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     figures["missed"] = json!(missed);
     Ok(Outcome {
         caption: format!(
-            "Two trainees press, cut and press again on {} nodes, and a spectator looks on who computes no tissue, in virtual \
-             time over emulated networks: how far what is shown is from the server's own shape at the moment that is shown, \
-             while it moves and when all rests, and what it costs. Bits are all that the server sends to the spectator, \
-             without those of QUIC, and are shared out among the nodes that it tells of. A row is ok when no second takes \
-             more than 1 Mbit/s and what rests is within the step of 0.05 mm.",
+            "Two trainees press, cut and press again on {} nodes, watched by a spectator without tissue \
+             solver, in virtual time over emulated networks. Columns give the distance of the shown shape \
+             from the server's shape at the shown time, during motion and at rest, and the bandwidth. Bits \
+             include all data that the server sends to the spectator, without QUIC overhead, also per sent \
+             node. A row is ok if no second exceeds 1 Mbit/s and the shape at rest is within the \
+             quantisation step of 0.05 mm.",
             model.nodes.len()
         ),
         figures,
@@ -106,28 +107,28 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     })
 }
 
-/// Which of the limits are not kept over a network, a sentence each.
-fn missed(profile: &Profile, thin: &Onlooked, done: &Rehearsed) -> Vec<String> {
+/// Descriptions of the missed limits over a network.
+fn missed(profile: &Profile, thin: &ThinSpectatorResult, done: &SessionResult) -> Vec<String> {
     let (rate, rest_mm) = (thin.bits_per_s_max, thin.rest_mm.max);
     let mut missed = Vec::new();
     let mut say = |what: String| missed.push(format!("{}: {what}", profile.name));
-    // What is no number keeps no limit.
+    // NaN also misses the limit.
     if rate.is_nan() || rate > RATE_MAX {
         say(format!(
-            "{rate:.0} bit/s in one second, more than {RATE_MAX:.0}"
+            "{rate:.0} bit/s in one second, limit {RATE_MAX:.0}"
         ));
     }
     if rest_mm.is_nan() || rest_mm > REST_MM {
         say(format!(
-            "what is shown of tissue at rest is {rest_mm:.4} mm off, more than {REST_MM}"
+            "the shown tissue at rest is off by {rest_mm:.4} mm, limit {REST_MM}"
         ));
     }
     if !done.hashes_equal() {
-        say("topologies differ in the end".to_owned());
+        say("topologies differ at the end".to_owned());
     }
     if let [first, ..] = &done.troubles[..] {
         let n = done.troubles.len();
-        say(format!("{n} troubles; the first: {first}"));
+        say(format!("{n} errors; the first: {first}"));
     }
     missed
 }

@@ -1,4 +1,4 @@
-//! The same place reached along different paths (Lin 2007, fig 7.10).
+//! One target point reached along different paths (Lin 2007, fig 7.10).
 
 use std::sync::Arc;
 
@@ -15,14 +15,15 @@ use crate::tool_location::ToolLocation;
 
 const RADIUS_M: f64 = 8e-3;
 const DEPTH_M: f64 = 12e-3;
-/// How far aside the slanted paths begin, and the sweep goes.
+/// Lateral offset of the paths' start, and length of the sweep.
 const ASIDE_M: f64 = 12e-3;
-/// How long each takes to get there, s.
+/// Duration of a path, s.
 const TAKES_S: f64 = 0.4;
-/// Way points of a curve.
+/// Waypoints of a curve.
 const POINTS: usize = 40;
 
-/// A path in depth and along u, both 0 to 1, over its own share of time.
+/// A path as depth and offset along u, in units of the target depth and of [`ASIDE_M`], against relative
+/// time.
 type Curve = fn(f64) -> [f64; 2];
 
 const CURVES: [(&str, Curve, &str); 4] = [
@@ -93,7 +94,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         .iter()
         .fold(0.0_f64, |m, e| m.max((e / ends[0] - 1.0).abs()));
     let chart = Chart {
-        title: "Four paths of a ball of 8 mm to one place, 12 mm deep".to_owned(),
+        title: "Four paths of a ball of 8 mm to one point, 12 mm deep".to_owned(),
         x_label: "time (s)".to_owned(),
         panels: vec![
             panel("Force out of the tissue", "force (N)", into),
@@ -102,9 +103,10 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         marks: Vec::new(),
     };
     Ok(Outcome {
-        caption: "Without friction an elastic tissue does not remember the way: all paths end with one force, and differ \
-                  on the way there."
-            .to_owned(),
+        caption:
+            "Without friction, an elastic tissue has no memory of the path: all paths end with one \
+                  force and differ before."
+                .to_owned(),
         figures: json!({ "experiment": "tool-paths", "paths": figures, "spread_of_ends": spread }),
         charts: vec![("tool-paths".to_owned(), chart)],
         tables,

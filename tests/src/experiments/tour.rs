@@ -1,6 +1,6 @@
-//! `palpate-lab all`: every experiment and the benches beside them, one after the other, and a page of it.
+//! `palpate-lab all`: all experiments and benchmarks, and a page with the results.
 //!
-//! What fails, or misses what is asked of it, is said on the page and by the exit code; the others are run all the same.
+//! The page and the exit code report failures and missed limits; the remaining experiments still run.
 
 use std::fmt::Write as _;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -26,27 +26,27 @@ use crate::progress::Progress;
 /// Arguments of `all`.
 #[derive(Debug, Args)]
 pub struct AllArguments {
-    /// Where the page (index.html), charts and tables go
+    /// Directory of the page (index.html), charts and tables
     #[arg(short, long = "out", value_name = "DIR", default_value = DIR)]
     out: PathBuf,
-    /// Only these, parted by commas
+    /// Only these experiments, separated by commas
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = item)]
     only: Vec<Item>,
-    /// Seed of what is left to chance, for those that leave something to it [default: 1]
+    /// Seed for experiments with random numbers [default: 1]
     #[arg(long)]
     seed: Option<u64>,
-    /// A network for those that have one, instead of their own: a name, or a file (.toml)
+    /// Network for experiments with a network: a name, or a file (.toml)
     #[arg(long)]
     profile: Option<String>,
-    /// A recorded motion of a hand (CSV) for those that follow one
+    /// Recorded hand motion (CSV) for experiments with a hand motion
     #[arg(long, value_name = "FILE.csv")]
     motion: Option<String>,
-    /// Print one line of JSON for each: its name, whether it is ok, its time, and its figures or what is wrong
+    /// Print one line of JSON per experiment: name, ok, duration, and figures or error
     #[arg(long)]
     json: bool,
 }
 
-/// What can stand on the page.
+/// An experiment or benchmark on the page.
 #[derive(Debug, Clone, Copy)]
 enum Item {
     Experiment(Experiment),
@@ -87,7 +87,7 @@ impl AllArguments {
             .collect()
     }
 
-    /// What one of them is given of what was said for all.
+    /// The common options that the experiment accepts.
     fn recipe(&self, experiment: Experiment) -> Recipe {
         let takes = experiment.takes;
         Recipe {
@@ -99,7 +99,7 @@ impl AllArguments {
         }
     }
 
-    /// What repeats one of them.
+    /// The command that repeats an item.
     fn command(&self, item: Item) -> String {
         let experiment = match item {
             Item::Bench(bench) => return bench.command.to_owned(),
@@ -108,7 +108,7 @@ impl AllArguments {
         let recipe = self.recipe(experiment);
         let mut command = format!("palpate-lab run {}", experiment.name);
         if experiment.takes.seed {
-            // Writing to a string can not fail.
+            // Writing to a string cannot fail.
             let _ = write!(command, " --seed {}", recipe.seed.unwrap_or(SEED));
         }
         for (option, value) in [("profile", recipe.profile), ("motion", recipe.motion)] {
@@ -135,9 +135,10 @@ impl AllArguments {
     }
 }
 
-/// Runs all of them and makes a page of it.
+/// Runs all items and writes the page.
 pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
-    let kept = tempfile::tempdir().map_err(|e| format!("no folder for models: {e}"))?;
+    let kept = tempfile::tempdir()
+        .map_err(|e| format!("cannot create a temporary directory for models: {e}"))?;
     make_folder(&arguments.out)?;
     let items = arguments.items();
     let page = arguments.out.join("index.html");
@@ -165,7 +166,7 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
             progress.tick(&format!("{line}; {what}: {:3.0} %", share * 100.0));
         };
         let run = AssertUnwindSafe(|| arguments.run(item, kept.path(), &mut told));
-        // What a fault in one of them leaves behind is thrown away with it.
+        // The temporary state of an item is dropped after a panic.
         let result = catch_unwind(run).unwrap_or_else(|fault| Err(panicked(fault.as_ref())));
         let took_s = began.elapsed().as_secs_f64();
         schedule.done(took_s);
@@ -176,7 +177,7 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
             took_s,
             result,
         };
-        // Figures first: a disk that is full takes nothing from who reads them here.
+        // Printed first, so a full disk cannot lose the figures.
         if arguments.json {
             say(&line(&part).to_string())?;
         }
@@ -185,7 +186,7 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
             Err(why) => progress.stage(&format!("{} failed: {why}", part.name)),
         }
         parts.push(part);
-        // After each, so that what is done can be looked at.
+        // Written after each item, so partial results are readable.
         std::fs::create_dir_all(&arguments.out)
             .and_then(|()| {
                 let written = write_file(&page, gallery::page(&parts, &origin));
@@ -193,7 +194,7 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
             })
             .map_err(|e| {
                 format!(
-                    "{}: {e}; check that the folder can be written and has room",
+                    "{}: {e}; check that the directory is writable and has free space",
                     page.display()
                 )
             })?;
@@ -204,13 +205,10 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
     let failed = parts.iter().filter(|p| p.result.is_err()).count();
     if !arguments.json {
         let done = parts.len() - failed;
-        say(&format!("{done} of {} are done", parts.len()))?;
+        say(&format!("{done} of {} completed", parts.len()))?;
     }
-    note(&format!("the page is {}", page.display()));
-    let sentences = [
-        (failed, "failed"),
-        (missed, "missed what was asked of them"),
-    ];
+    note(&format!("wrote the page {}", page.display()));
+    let sentences = [(failed, "failed"), (missed, "missed their limits")];
     let said: Vec<String> = (sentences.iter().filter(|(n, _)| *n > 0))
         .map(|(n, what)| format!("{n} {what}"))
         .collect();
@@ -218,13 +216,13 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
         return Ok(ExitCode::SUCCESS);
     }
     note(&format!(
-        "palpate-lab: {}; the page says why",
+        "palpate-lab: {}; the page shows the reasons",
         said.join(", ")
     ));
     Ok(ExitCode::FAILURE)
 }
 
-/// A part for programs.
+/// One line of JSON output.
 fn line(part: &Part) -> Value {
     let (key, value, ok) = match &part.result {
         Ok(outcome) => (
@@ -246,12 +244,12 @@ fn machine() -> String {
     )
 }
 
-/// What a fault in the program says.
+/// The message of a panic.
 fn panicked(fault: &(dyn std::any::Any + Send)) -> String {
     let words = (fault.downcast_ref::<String>().map(String::as_str))
         .or_else(|| fault.downcast_ref::<&str>().copied());
     format!(
-        "a fault in the program: {}; please report it with the command above",
-        words.unwrap_or("it said nothing")
+        "internal error: {}; please report it with the command above",
+        words.unwrap_or("no message")
     )
 }

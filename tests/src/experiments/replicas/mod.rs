@@ -1,10 +1,10 @@
-//! Two people press, cut and let go of the same tissue over a network: how far apart are the shapes
-//! that they see, and how far is what they feel from the same without a network?
+//! Two trainees press, cut and release one tissue over a network: error of their shapes against each other
+//! and of their forces against a reference without a network.
 //!
-//! Whole sessions are [rehearsed](crate::rehearsal) in virtual time, one per seed, over several
-//! networks. The disagreement counts every node that is displaced by more than 0.05 mm on either
-//! side, every 10 ms. Forces are compared with those of the same hands on the same ways at [one
-//! table](reference::replay), and with hands that [follow their scripts](reference::run) there.
+//! One session is [simulated](crate::simulated_session) per seed and network. The disagreement counts every node
+//! that is displaced by more than 0.05 mm at either site, every 10 ms. The force reference without a
+//! network is the [replay](reference::replay) of the same hand motions, and a [run](reference::run) of the
+//! scripts.
 
 mod real;
 mod tally;
@@ -25,32 +25,33 @@ use crate::disagreement::CoursePoint;
 use crate::force_error::ForcePoint;
 use crate::network::{Jitter, Link, Profile};
 use crate::reference;
-use crate::rehearsal::Rehearsal;
 use crate::scripts::Scripts;
-use crate::tool_location::ToolLocation;
+use crate::simulated_session::SimulatedSession;
 use tally::{Sat, Tally};
 
-/// Sessions per network when nothing is said: each takes five seconds of a processor, half of them for the same hands at
-/// one table.
+/// Default number of sessions per network. Each takes five seconds of CPU time, half of it for the
+/// reference.
 const SEEDS: u64 = 12;
 
-/// Of how many sessions per network forces are compared: the same hands at one table take as long as the session.
+/// Maximum number of sessions per network with a force comparison; its reference takes as long as the
+/// session.
 const FELT: u64 = 100;
 
-/// Sessions between two words about the progress.
+/// Sessions between two progress reports.
 const CHUNK: u64 = 16;
 
-/// Length of a session's scripts, s.
+/// Length of the session's scripts, s.
 const SECONDS: f64 = 6.0;
 
-/// Views per second, as a server's that is told nothing else.
+/// Server ticks per second.
 const TICK_HZ: u32 = 60;
 
-/// The most that the artificial delay may be: at 400 ms of round trip to the server an event of one
-/// participant is 400 ms old when it reaches the other.
+/// Maximum playout delay, µs. At 400 ms round trip to the server, an event is 400 ms old when it reaches
+/// the other trainee.
 const CAP_US: u32 = 700_000;
 
-/// A network with this round trip to the server, 5 % loss and 20 ms of jitter, but for one without delay.
+/// A network with this round trip to the server, 5 % loss and up to 20 ms of jitter; without delay it has
+/// no jitter.
 fn far(round_trip_ms: f64) -> Profile {
     let one_way = round_trip_ms / 2.0;
     let link = Link {
@@ -65,11 +66,11 @@ fn far(round_trip_ms: f64) -> Profile {
     Profile::both(&format!("{round_trip_ms:.0} ms round trip, 5 % loss"), link)
 }
 
-/// Round trips to the server when nothing is said, ms, and the place in the list of the one whose figures stand for all.
+/// Default round trips to the server, ms, and the index of the one that the summary reports.
 const ROUND_TRIPS_MS: [f64; 6] = [0.0, 50.0, 100.0, 200.0, 300.0, 400.0];
 const ASKED: usize = 3;
 
-/// Their lines, and of networks that are asked for.
+/// Line colours of the networks.
 const COLOURS: [&str; 6] = [BLACK, SKY, GREEN, BLUE, PURPLE, ORANGE];
 
 pub(super) fn soft_block() -> Model {
@@ -93,11 +94,11 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let place =
         ToolLocation::find(&Topology::new(Arc::clone(&model))).map_err(|e| e.to_string())?;
     let scripts = Scripts::for_place(&place, SECONDS).map_err(|e| e.to_string())?;
-    // Both sides follow what the file says, which is rounded.
+    // Both sides follow the scripts as rounded in the file.
     let files = [&scripts.holder, &scripts.cutter].map(Script::to_toml);
     let read = |text: &String| Script::from_toml(text).map_err(|e| e.to_string());
     let scripts = [&read(&files[0])?, &read(&files[1])?];
-    (bench.progress)("one table", 0.0);
+    (bench.progress)("reference", 0.0);
     let truth = reference::run(&model, scripts, &[], |_| true).map_err(|e| e.to_string())?;
     let (networks, asked) = match bench.profile.clone() {
         Some(profile) => (vec![profile], 0),
@@ -128,7 +129,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         rows.push(row);
     }
     let chart = Chart {
-        title: "Two people press, cut and let go: how far apart their views are".to_owned(),
+        title: "Two trainees press and cut: disagreement of their views".to_owned(),
         x_label: "time (s)".to_owned(),
         panels: vec![panel(
             "95th percentile of tools and nodes, seed 0 of each network",
@@ -150,17 +151,18 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         let row = tally.row(&networks[asked]);
         table.push_str(&csv(&row, " (processes, QUIC)"));
         let in_real_time = missed_by([&row]).into_iter();
-        missed.extend(in_real_time.map(|what| format!("in real time: {what}")));
+        missed.extend(in_real_time.map(|what| format!("real time: {what}")));
         figures["real"] = row;
     }
     figures["ok"] = json!(missed.is_empty());
     figures["missed"] = json!(missed);
     Ok(Outcome {
         caption: format!(
-            "Two trainees press, cut and press again on {} nodes, in virtual time over emulated networks: distance of the \
-             shapes that they see at the same instant, and of what they feel from what the same hands feel at one table, as \
-             a share of its root mean square. Figures are those of the network of {}. Bytes are without those of QUIC. A row \
-             is ok when 95 of 100 distances are within 0.1 mm, forces within 5 % rms, and all topologies equal.",
+            "Two trainees press, cut and press again on {} nodes, in virtual time over emulated networks: \
+             distance of their shapes at one shared time, and error of their forces against a replay of the \
+             same hand motions without a network, relative to the rms force. The single figures are those of \
+             the network {}. Bandwidth excludes QUIC overhead. A row is ok if the 95th percentile of the \
+             distance is within 0.1 mm, the force error within 5 % rms, and all topologies are equal.",
             model.nodes.len(),
             networks[asked].name
         ),
@@ -178,7 +180,7 @@ fn session(
     seed: u64,
     scripted: &[Vec<ForcePoint>; 2],
 ) -> Result<Tally, String> {
-    let rehearsal = Rehearsal {
+    let session = SimulatedSession {
         model,
         scripts,
         motion_only: false,
@@ -194,13 +196,13 @@ fn session(
     compared(
         model,
         scripts,
-        rehearsal.run(|_| true)?.try_into()?,
+        session.run(|_| true)?.try_into()?,
         scripted,
         seed,
     )
 }
 
-/// A session beside the same hands at one table.
+/// Compares a session with the reference of the same hand motions.
 fn compared(
     model: &Arc<Model>,
     scripts: &[&Script; 2],
@@ -223,7 +225,7 @@ fn compared(
 
 const HEADER: &str = "network,sessions,shape_p50_mm,shape_p95_mm,shape_max_mm,force_rms_percent,force_p95_percent,hashes_equal,up_kbit_s,down_kbit_s,ok\n";
 
-/// A line of the table; `how` is said behind the network's name.
+/// A line of the table; `how` is appended to the network's name.
 fn csv(row: &Value, how: &str) -> String {
     let shape = &row["shape_disagreement_mm"];
     let network = json!(row["profile"].as_str().unwrap_or_default().to_owned() + how);
@@ -243,7 +245,7 @@ fn csv(row: &Value, how: &str) -> String {
     cells.map(of_file).join(",") + "\n"
 }
 
-/// A figure in another unit; nothing stays nothing.
+/// A figure in another unit; null stays null.
 fn times(figure: &Value, factor: f64) -> Value {
     json!(figure.as_f64().map(|x| x * factor))
 }

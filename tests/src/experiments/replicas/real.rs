@@ -1,4 +1,4 @@
-//! The same sessions in real time: a server and two clients as processes, over QUIC and a relay.
+//! The same sessions in real time: a server and two client processes over QUIC and a relay.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -13,10 +13,11 @@ use crate::network::Profile;
 use crate::session::{Hosting, Left, Participant, Session, SessionError};
 use crate::test_model::TestModel;
 
-/// From the moment in which everybody is in to the end of the scripts, and what is on its way then.
+/// Time beyond the scripts' length: their start after both clients have joined, and packets in flight at
+/// the end.
 const AROUND: Duration = Duration::from_millis(2500);
 
-/// Runs `n` sessions one after the other; `compared` says what came of one.
+/// Runs `n` sessions one after the other; `compared` evaluates a session.
 pub(super) fn sessions(
     bench: &mut Bench<'_>,
     model: &Arc<Model>,
@@ -26,7 +27,7 @@ pub(super) fn sessions(
     compared: impl Fn(Sat, u64) -> Result<Tally, String>,
 ) -> Result<Tally, String> {
     let executable = std::env::current_exe()
-        .map_err(|e| format!("the program to start as server and clients is not known: {e}"))?;
+        .map_err(|e| format!("cannot find this program's executable: {e}"))?;
     let subject = TestModel::of(Model::clone(model), bench.dir).map_err(|e| e.to_string())?;
     let mut files = Vec::new();
     for (name, text) in NAMES.into_iter().zip(scripts) {
@@ -36,7 +37,7 @@ pub(super) fn sessions(
     }
     let mut tally = Tally::default();
     for k in 0..n {
-        (bench.progress)("real sessions over QUIC", k as f64 / n as f64);
+        (bench.progress)("real-time sessions over QUIC", k as f64 / n as f64);
         let hosting = Hosting {
             executable: &executable,
             model: &subject.file,

@@ -1,4 +1,4 @@
-//! What many sessions have in common: distances of shapes, errors of forces.
+//! Statistics over many sessions: distances of shapes and errors of forces.
 
 use palpate_client::Recording;
 use serde_json::{Value, json};
@@ -6,18 +6,18 @@ use serde_json::{Value, json};
 use crate::disagreement::{CoursePoint, Disagreement, each_node};
 use crate::force_error::{ForcePoint, difference, over_script};
 use crate::network::Profile;
-use crate::rehearsal::{BytesPerSecond, Rehearsed};
+use crate::simulated_session::{BytesPerSecond, SessionResult};
 
-/// Width of a bucket of distances, mm, and how many there are: to 20 mm.
+/// Width of a histogram bucket, mm, and number of buckets: up to 20 mm.
 const BUCKET_MM: f64 = 5e-4;
 const BUCKETS: usize = 40_000;
 
-/// What is asked of views: 95 of 100 distances below this, mm ...
+/// Limit of the shapes' 95th percentile distance, mm.
 const SHAPE_P95_MM: f64 = 0.1;
-/// ... and of forces, as a share.
+/// Limit of the relative rms force error.
 const FORCE_RMS: f64 = 0.05;
 
-/// Distances, counted by size.
+/// Histogram of distances.
 #[derive(Debug, Clone)]
 struct Distances {
     counts: Vec<u64>,
@@ -48,7 +48,7 @@ impl Distances {
         self
     }
 
-    /// The upper edge of the bucket in which the share `q` is reached.
+    /// Upper edge of the bucket that reaches the share `q`.
     fn quantile(&self, q: f64) -> f64 {
         let all: u64 = self.counts.iter().sum();
         let rank = (q * all as f64).ceil().max(1.0) as u64;
@@ -61,10 +61,10 @@ impl Distances {
     }
 }
 
-/// Differences of forces over the contact.
+/// Force errors during contact.
 #[derive(Debug, Clone, Default)]
 struct ForceErrors {
-    /// `|F - F_ref|²` and `|F_ref|²`, summed, N².
+    /// Sums of `|F - F_ref|²` and `|F_ref|²`, N².
     off: f64,
     size: f64,
     /// `|F - F_ref|`, N.
@@ -96,7 +96,7 @@ impl ForceErrors {
         (self.off / self.size).sqrt()
     }
 
-    /// The error that 95 of 100 moments of contact stay below, over the rms of the force.
+    /// The 95th percentile of the error during contact, relative to the rms force.
     fn p95(&mut self) -> f64 {
         if self.errors.is_empty() {
             return f64::NAN;
@@ -107,50 +107,50 @@ impl ForceErrors {
     }
 }
 
-/// A session of two, when it is over.
+/// A completed session of two trainees.
 pub(super) struct Sat {
     pub(super) recordings: [Recording; 2],
     pub(super) hashes_equal: bool,
-    /// Nothing where it was not measured.
+    /// `None` if not measured.
     pub(super) bytes_per_s: Option<BytesPerSecond>,
     pub(super) troubles: Vec<String>,
 }
 
-impl TryFrom<Rehearsed> for Sat {
+impl TryFrom<SessionResult> for Sat {
     type Error = String;
 
-    fn try_from(rehearsed: Rehearsed) -> Result<Self, String> {
-        let hashes_equal = rehearsed.hashes_equal();
-        let recordings = <[Recording; 2]>::try_from(rehearsed.recordings);
+    fn try_from(result: SessionResult) -> Result<Self, String> {
+        let hashes_equal = result.hashes_equal();
+        let recordings = <[Recording; 2]>::try_from(result.recordings);
         Ok(Self {
             recordings: recordings.map_err(|r| format!("{} recordings of two", r.len()))?,
             hashes_equal,
-            bytes_per_s: Some(rehearsed.bytes_per_s),
-            troubles: rehearsed.troubles,
+            bytes_per_s: Some(result.bytes_per_s),
+            troubles: result.troubles,
         })
     }
 }
 
-/// What the sessions over one network gave.
+/// Statistics of the sessions over one network.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Tally {
     sessions: u64,
     apart: Distances,
-    /// From the same hands at one table.
+    /// Errors against the replay of the same hand motions.
     felt: ForceErrors,
-    /// From hands that follow their scripts there.
+    /// Errors against a run of the scripts without a network.
     scripted: ForceErrors,
     equal: u64,
-    /// Summed over the sessions of which it is known.
+    /// Sum over the measured sessions.
     bytes: Option<BytesPerSecond>,
     troubles: Vec<String>,
-    /// Of the first seed.
+    /// Disagreement over time of the first seed.
     pub(super) course: Vec<CoursePoint>,
 }
 
 impl Tally {
-    /// One session, whose forces at two tables are `tables`: the same hands', and those of hands that follow
-    /// the scripts; without them forces are not compared.
+    /// The statistics of one session. `tables` are two references without a network: the replay of the same
+    /// hand motions, and the run of the scripts. Without them forces are not compared.
     pub(super) fn of(
         session: Sat,
         tables: Option<[&[Vec<ForcePoint>; 2]; 2]>,
@@ -202,7 +202,7 @@ impl Tally {
         }
     }
 
-    /// As JSON.
+    /// The statistics as JSON.
     pub(super) fn row(&mut self, profile: &Profile) -> Value {
         let n = self.sessions.max(1) as f64;
         let (p50, p95) = (self.apart.quantile(0.5), self.apart.quantile(0.95));
@@ -224,32 +224,32 @@ impl Tally {
         })
     }
 
-    /// Which of the limits are not kept, a sentence each.
+    /// Descriptions of the missed limits.
     fn missed(&self, profile: &Profile, shape_p95_mm: f64, force_rms: f64) -> Vec<String> {
         let mut missed = Vec::new();
         let mut say = |what: String| missed.push(format!("{}: {what}", profile.name));
         if shape_p95_mm > SHAPE_P95_MM {
             say(format!(
-                "shapes are {shape_p95_mm:.3} mm apart (p95), more than {SHAPE_P95_MM}"
+                "shapes differ by {shape_p95_mm:.3} mm (p95), limit {SHAPE_P95_MM}"
             ));
         }
         let (percent, most) = (force_rms * 100.0, FORCE_RMS * 100.0);
         if force_rms.is_nan() {
-            say("nobody felt anything that could be compared".to_owned());
+            say("no force was available for comparison".to_owned());
         } else if force_rms > FORCE_RMS {
             say(format!(
-                "forces are off by {percent:.1} % (rms), more than {most:.0}"
+                "forces differ by {percent:.1} % (rms), limit {most:.0} %"
             ));
         }
         if self.equal < self.sessions {
             let (others, all) = (self.sessions - self.equal, self.sessions);
             say(format!(
-                "topologies differ in the end in {others} of {all} sessions"
+                "topologies differ at the end of {others} of {all} sessions"
             ));
         }
         if let [first, ..] = &self.troubles[..] {
             let n = self.troubles.len();
-            say(format!("{n} troubles; the first: {first}"));
+            say(format!("{n} errors; the first: {first}"));
         }
         missed
     }

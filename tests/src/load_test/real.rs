@@ -1,8 +1,7 @@
-//! A crowd of a server's process: a QUIC connection for everybody, in real time.
+//! Load test of a server process in real time, with one QUIC connection per participant.
 //!
-//! The members are tasks of this process. They share the machine with the server, so what matters is the
-//! server's own time of the processor, and that the ticks of its summary hold although others wanted the
-//! processors, too.
+//! The participants are tasks of this process and share the machine with the server. The figures are
+//! therefore the server's CPU time and its tick times under this competition.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -23,75 +22,75 @@ use super::{motions, touching};
 use crate::program::Program;
 use crate::test_model::TestModel;
 
-/// How long a server may take to read its model and listen, and to end.
+/// Time limits for the server's start, with reading of the model, and for its end.
 const LISTEN_WITHIN: Duration = Duration::from_secs(60);
 const END_WITHIN: Duration = Duration::from_secs(30);
 
-/// How long somebody may take to come in.
+/// Time limit for a participant to join.
 const IN_WITHIN: Duration = Duration::from_secs(20);
 
-/// Between two deliveries of samples to everybody, and the samples in one.
+/// Interval between two batches of samples, and samples per batch.
 const EVERY: Duration = Duration::from_millis(4);
 const SAMPLES: i64 = 4;
 
-/// Before counting begins: clocks are locked and delays found.
+/// Time before the measurement: clocks lock and delays settle.
 const SETTLE: Duration = Duration::from_secs(1);
 
-/// What is tried.
+/// Configuration of a load test in real time.
 #[derive(Debug, Clone, Copy)]
 pub struct Real<'a> {
     /// The tissue.
     pub model: &'a Arc<Model>,
-    /// How many come.
+    /// Number of participants.
     pub participants: usize,
-    /// The seed of the motions.
+    /// Seed of the motions.
     pub seed: u64,
-    /// How long is counted, s.
+    /// Measured time, s.
     pub seconds: f64,
-    /// Where the model's file may be kept.
+    /// Directory for the model's file.
     pub dir: &'a Path,
 }
 
-/// What came of it.
+/// Results of a load test in real time.
 #[derive(Debug, Clone, Serialize)]
 pub struct Row {
-    /// How many came, and how many of them touch.
+    /// Number of participants.
     pub participants: usize,
-    /// How many of them touch.
+    /// Number of participants that touch the tissue.
     pub touching: usize,
-    /// Time between two ticks, ms.
+    /// Tick period, ms.
     pub period_ms: f64,
-    /// Time that passed in a tick, ms.
+    /// Duration of a tick, ms.
     pub tick_ms: TickTimes,
-    /// How long after its moment a tick began, ms.
+    /// Delay of a tick's start, ms.
     pub late_ms: TickTimes,
-    /// Processors that the thread of the room and solver kept busy, and the other threads of the server.
+    /// Cores that the server's room and solver thread kept busy.
     pub room_cores: f64,
-    /// Processors that the other threads of the server kept busy.
+    /// Cores that the server's other threads kept busy.
     pub network_cores: f64,
-    /// Processors that the members kept busy, which the server did not have.
+    /// Cores that the participants kept busy and the server could not use.
     pub member_cores: f64,
-    /// UDP payload of one member, with everything that QUIC adds, kbit/s.
+    /// Uplink UDP payload per participant with QUIC overhead, kbit/s.
     pub up_kbit_s: f64,
-    /// The same, from the server.
+    /// Downlink UDP payload per participant with QUIC overhead, kbit/s.
     pub down_kbit_s: f64,
-    /// Datagrams that the server had no room for, over the whole session.
+    /// Datagrams the server skipped for lack of send capacity, over the whole session.
     pub datagrams_skipped: u64,
-    /// The largest that the server's process was, MB.
+    /// Peak memory of the server process, MB.
     pub memory_mb: Option<f64>,
-    /// What one more was told who found all seats taken.
+    /// Error that a participant received when all seats were taken.
     pub one_more: String,
-    /// Whether 99 of 100 ticks took less than the period.
+    /// Whether the 99th percentile of tick durations is below the period.
     pub ok: bool,
 }
 
 impl Real<'_> {
-    /// Runs it.
+    /// Runs the load test.
     pub fn run(&self) -> Result<Row, String> {
         let subject = TestModel::of(self.model.as_ref().clone(), self.dir);
         let file = subject.map_err(|e| e.to_string())?.file;
         let executable = std::env::current_exe()
-            .map_err(|e| format!("this program does not know where it is: {e}"))?;
+            .map_err(|e| format!("cannot find this program's executable: {e}"))?;
         let seats = self.participants.to_string();
         let mut arguments: Vec<OsString> = vec!["server".into(), "host".into(), file.into()];
         let options = [
@@ -111,15 +110,15 @@ impl Real<'_> {
             .map_err(|e| e.to_string())?;
         let link = listening.links.get("trainee");
         let link: JoinLink = link
-            .ok_or("the server printed no link for trainees")?
+            .ok_or("the server printed no trainee link")?
             .parse()
-            .map_err(|e| format!("the server printed a link that can not be read: {e}"))?;
+            .map_err(|e| format!("the server printed an invalid trainee link: {e}"))?;
         let motions = motions(self.model, self.participants, self.seed)?;
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()
             .build()
-            .map_err(|e| format!("no threads for the members: {e}"))?;
+            .map_err(|e| format!("cannot start the participants' runtime: {e}"))?;
         let counted = runtime.block_on(self.live(&link, motions, server.id()))?;
         let memory_mb = peak_mb(server.id());
         server.ask_to_end();
@@ -143,7 +142,9 @@ impl Real<'_> {
             members.push((come_in(link, seat).await?, motion));
         }
         let Err(one_more) = come_in(link, self.participants).await else {
-            return Err("a server with all seats taken let one more in".to_owned());
+            return Err(
+                "the server accepted a participant although all seats were taken".to_owned(),
+            );
         };
         let began = Instant::now();
         let mut counting: Option<(Instant, Cpu, [u64; 2])> = None;
@@ -158,11 +159,13 @@ impl Real<'_> {
                     motion.sample(time, (time - start).as_micros() as f64 * 1e-6)
                 };
                 let samples = (0..SAMPLES).map(sample).collect();
-                // What does not fit is dropped, as next to a real device.
+                // A full queue drops samples, as for a real device.
                 let _ = handle.commands.try_send(ClientCommand::Motion(samples));
                 while let Ok(event) = handle.events.try_recv() {
                     if let ClientEvent::Closed(reason) = event {
-                        return Err(format!("somebody was closed: {reason}"));
+                        return Err(format!(
+                            "the server closed a participant's session: {reason}"
+                        ));
                     }
                 }
             }
@@ -212,7 +215,7 @@ struct Counted {
     one_more: String,
 }
 
-/// Bytes of UDP payload that members sent and received.
+/// Uplink and downlink UDP payload of all participants, bytes.
 fn bytes(members: &[(ClientHandle, Motion)]) -> [u64; 2] {
     let mut sum = [0; 2];
     for (handle, _) in members {
@@ -236,16 +239,19 @@ async fn come_in(link: &JoinLink, seat: usize) -> Result<ClientHandle, String> {
                 _ => {}
             }
         }
-        Err("the session ended without a word".to_owned())
+        Err("the session ended without a reason".to_owned())
     };
     match tokio::time::timeout(IN_WITHIN, welcomed).await {
         Ok(Ok(())) => Ok(handle),
         Ok(Err(sentence)) => Err(sentence),
-        Err(_) => Err(format!("no answer within {} s", IN_WITHIN.as_secs())),
+        Err(_) => Err(format!(
+            "no reply to the join request within {} s",
+            IN_WITHIN.as_secs()
+        )),
     }
 }
 
-/// Time of processors, s. Linux tells it per thread; elsewhere it is not known and zero.
+/// CPU time, s. Linux reports it per thread; on other systems it is zero.
 #[derive(Debug, Clone, Copy, Default)]
 struct Cpu {
     room: f64,
@@ -273,8 +279,8 @@ impl Cpu {
     }
 }
 
-/// Seconds of processor that every thread of a process has had: `/proc/PID/task/TID/schedstat` begins with
-/// them in ns.
+/// CPU time of each thread of a process, s. It is the first number of `/proc/PID/task/TID/schedstat`, in
+/// ns.
 fn threads_s(process: u32) -> BTreeMap<u32, f64> {
     let Ok(tasks) = std::fs::read_dir(format!("/proc/{process}/task")) else {
         return BTreeMap::new();
@@ -287,7 +293,7 @@ fn threads_s(process: u32) -> BTreeMap<u32, f64> {
     tasks.filter_map(Result::ok).filter_map(of).collect()
 }
 
-/// The largest that a process was, MB; Linux tells it.
+/// Peak memory of a process, MB; Linux only.
 fn peak_mb(process: u32) -> Option<f64> {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;

@@ -1,4 +1,4 @@
-//! The server's side of a rehearsal: the room and its end of every session, without socket or clock.
+//! The server in a simulated session: the room and its protocol sessions, without sockets or wall clock.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,24 +11,24 @@ use palpate_tissue::Model;
 use super::wires::Wires;
 use crate::network::Direction;
 
-/// Connections of one seat are so far apart in their numbers.
+/// Stride between the connection numbers of one seat.
 const SEATS_MAX: u64 = 1000;
 
 /// The server.
 pub(super) struct Host {
     room: SimulatedRoom,
     peers: BTreeMap<PeerKey, ServerPeer>,
-    /// The connection of every seat.
+    /// The current connection of each seat.
     current: Vec<PeerKey>,
-    /// The shapes of its last [`PICTURES_MAX`] ticks, where anybody is told them.
+    /// Shapes of the last [`PICTURES_MAX`] ticks, kept if a thin spectator is subscribed.
     pictures: BTreeMap<ServerTime, Arc<Picture>>,
 }
 
-/// Shapes that are kept to compare with what is shown of the past: four seconds at 60 Hz.
+/// Shapes kept for comparison with delayed views: four seconds at 60 Hz.
 const PICTURES_MAX: usize = 240;
 
 impl Host {
-    /// A server for `seats` guests, numbered from 0 as flows of the network.
+    /// A server for `seats` participants, numbered from 0.
     pub(super) fn new(model: Arc<Model>, config: RoomConfig, seats: usize) -> Self {
         let now = ServerTime::ZERO;
         let peers = (0..seats).map(|seat| (key(seat), ServerPeer::new(now)));
@@ -40,7 +40,7 @@ impl Host {
         }
     }
 
-    /// A new connection of a guest takes the place of the old one, whose end the server does not hear of.
+    /// Replaces the connection of a participant; the server is not notified of the old one's end.
     pub(super) fn renew(&mut self, seat: usize, now: ServerTime) {
         self.peers.remove(&self.current[seat]);
         let next = PeerKey(self.current[seat].0 + SEATS_MAX);
@@ -48,21 +48,21 @@ impl Host {
         self.peers.insert(next, ServerPeer::new(now));
     }
 
-    /// Bytes of a guest's operations stream.
+    /// Receives bytes of a participant's operations stream.
     pub(super) fn handle_stream(&mut self, seat: usize, bytes: &[u8], now: ServerTime) {
         if let Some(peer) = self.peers.get_mut(&self.current[seat]) {
             peer.handle_stream(bytes, now);
         }
     }
 
-    /// A guest's datagram.
+    /// Receives a participant's datagram.
     pub(super) fn handle_datagram(&mut self, seat: usize, bytes: &[u8], now: ServerTime) {
         if let Some(peer) = self.peers.get_mut(&self.current[seat]) {
             peer.handle_datagram(bytes, now);
         }
     }
 
-    /// Ticks when it is time to, and sends what there is to send.
+    /// Runs the tick if it is due and sends all pending output.
     pub(super) fn turn(&mut self, now: ServerTime, wires: &mut Wires) {
         for peer in self.peers.values_mut() {
             if peer.poll_timeout().is_some_and(|due| due <= now) {
@@ -71,7 +71,7 @@ impl Host {
         }
         self.take_events(now);
         if self.room.poll_timeout() <= now {
-            // What a tick may cost is counted in iterations, which one seed repeats, and not in time.
+            // Iterations limit the tick instead of time, so a seed reproduces it.
             self.room.handle_tick(now, &mut || false);
         }
         self.give_outputs(now);
@@ -100,7 +100,7 @@ impl Host {
             match output {
                 Output::Message(key, message) => {
                     if let Some(peer) = self.peers.get_mut(&key) {
-                        // An error closes the session, which its event says.
+                        // A send error closes the session, which raises an event.
                         let _ = peer.send(&message, now);
                     }
                 }
@@ -119,17 +119,17 @@ impl Host {
         }
     }
 
-    /// How often somebody became a spectator because of their network.
+    /// Number of demotions to spectator because of lateness.
     pub(super) fn demotions(&self) -> u64 {
         self.room.demotion_count()
     }
 
-    /// The server's own shapes of the last ticks.
+    /// The server's shapes of the last ticks.
     pub(super) fn pictures(&self) -> &BTreeMap<ServerTime, Arc<Picture>> {
         &self.pictures
     }
 
-    /// Bytes to a thin subscriber so far, with what is around them.
+    /// Bytes sent to a thin spectator so far, including protocol overhead.
     pub(super) fn bytes_to(&self, seat: usize) -> u64 {
         let stats = self
             .peers

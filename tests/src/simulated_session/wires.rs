@@ -1,5 +1,4 @@
-//! What lies between the two ends of every session: an emulated network, and for the operations
-//! stream what a reliable transport makes of it.
+//! Emulated network links of all sessions. The operations stream is made reliable by retransmission.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -8,38 +7,39 @@ use serde::Serialize;
 
 use crate::network::{Direction, Path, Profile};
 
-/// The bit in a datagram's first byte that says that it acknowledges, and the bytes that does in it.
+/// Bit of a datagram's first byte that announces an acknowledgement, and the acknowledgement's size in
+/// bytes.
 const ACKNOWLEDGES: u8 = 0x08;
 const ACKNOWLEDGEMENT_BYTES: u16 = 6;
 
-/// Bytes of a stream that go as one packet.
+/// Largest segment of a stream, bytes.
 const SEGMENT_BYTES: usize = 1100;
 
-/// A lost segment is sent again after so long, µs: as a transport does that has seen a round trip of a
-/// quarter of a second. It is waited for; what came after it is kept.
+/// Retransmission timeout of a lost segment, µs: that of a transport with a round trip of 250 ms. The
+/// receiver buffers later segments until then.
 const AGAIN_US: u64 = 300_000;
 
-/// Packets that are remembered: an hour of one participant. Beyond it no more are.
+/// Maximum number of logged packets: one hour of one participant.
 const SENT_MAX: usize = 4_000_000;
 
-/// What a packet was for.
+/// Purpose of a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Part {
     /// The operations stream.
     Operations,
-    /// Where tools are.
+    /// Tool motion.
     Motion,
-    /// Where nodes are.
+    /// Node positions.
     Corrections,
-    /// Questions for the clock and their answers.
+    /// Clock probes and replies.
     Clock,
-    /// What participants need of the artificial delay, and heartbeats.
+    /// Delay reports and heartbeats.
     Delays,
 }
 
 impl Part {
-    /// All of them.
+    /// All purposes.
     pub const ALL: [Self; 5] = [
         Self::Operations,
         Self::Motion,
@@ -48,7 +48,7 @@ impl Part {
         Self::Delays,
     ];
 
-    /// What a datagram is for, from the kind in its first byte.
+    /// The purpose of a datagram, from the kind in its first byte.
     fn of_datagram(bytes: &[u8]) -> Self {
         match bytes.first().map_or(0, |b| b & 0x07) {
             1 => Self::Motion,
@@ -62,21 +62,21 @@ impl Part {
 /// A packet that was sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sent {
-    /// When, µs of true time.
+    /// Send time, µs of true time.
     pub at_us: u64,
-    /// Whose session.
+    /// Seat of the session.
     pub seat: usize,
-    /// Which way.
+    /// Uplink or downlink.
     pub direction: Direction,
-    /// What for.
+    /// Purpose.
     pub part: Part,
-    /// Bytes of it that are an acknowledgement.
+    /// Bytes of the acknowledgement it carries.
     pub acknowledgement: u16,
-    /// All its bytes, without those of QUIC.
+    /// Total size in bytes, without QUIC overhead.
     pub bytes: u16,
 }
 
-/// What arrives.
+/// Content of an arrival.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Arrived {
     /// Bytes of the operations stream, in order.
@@ -85,20 +85,20 @@ pub(crate) enum Arrived {
     Datagram(Vec<u8>),
 }
 
-/// What is on its way.
+/// A packet in flight.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 enum Packet {
     Datagram(Vec<u8>),
-    /// Its place in the stream.
+    /// Segment with its index in the stream.
     Segment(u64, Vec<u8>),
-    /// It was lost; its sender notices, and sends it again.
+    /// A lost segment that is due for retransmission.
     Again(u64, Vec<u8>),
 }
 
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct OnTheWay {
     at_us: u64,
-    /// Of two that arrive together the one that was sent first comes first.
+    /// Send order; it decides between simultaneous arrivals.
     order: u64,
     seat: usize,
     direction: Direction,
@@ -115,10 +115,10 @@ struct Way {
     bytes: u64,
 }
 
-/// All sessions' wires.
+/// The links of all sessions.
 #[derive(Debug)]
 pub(crate) struct Wires {
-    /// Of every seat, up and down.
+    /// Uplink and downlink of each seat.
     ways: Vec<[Way; 2]>,
     queue: BinaryHeap<Reverse<OnTheWay>>,
     order: u64,
@@ -126,7 +126,7 @@ pub(crate) struct Wires {
 }
 
 impl Wires {
-    /// Wires for participants, one network each.
+    /// One pair of links per network profile.
     pub(crate) fn new(profiles: &[&Profile], seed: u64) -> Self {
         let way = |seat: usize, direction| Way {
             path: Path::new(profiles[seat], seed, seat as u64, direction),
@@ -144,8 +144,8 @@ impl Wires {
         }
     }
 
-    /// A new connection takes the place of a seat's old one: what is on its way arrives nowhere, and streams
-    /// begin anew. That setting it up takes a round trip is left out.
+    /// Replaces the connection of a seat. Packets in flight are dropped and streams restart. The round trip
+    /// of the connection setup is not simulated.
     pub(super) fn renew(&mut self, seat: usize) {
         self.queue.retain(|Reverse(p)| p.seat != seat);
         for way in &mut self.ways[seat] {
@@ -158,7 +158,7 @@ impl Wires {
         &mut self.ways[seat][usize::from(direction == Direction::Down)]
     }
 
-    /// Sends a datagram, which may get lost.
+    /// Sends a datagram, which may be lost.
     pub(crate) fn send_datagram(
         &mut self,
         seat: usize,
@@ -195,7 +195,7 @@ impl Wires {
         let way = self.way(seat, direction);
         way.bytes += len as u64;
         let mut arrived = false;
-        // What is damaged fails its authentication, and is lost.
+        // Authentication rejects a damaged packet, so it counts as lost.
         for arrival in way
             .path
             .send(at_us, len)
@@ -251,7 +251,7 @@ impl Wires {
         }));
     }
 
-    /// The next that has arrived by `until_us`: when, at which end of whose session, and what.
+    /// The next arrival by `until_us`: time, seat, direction and content.
     pub(crate) fn pop_due(&mut self, until_us: u64) -> Option<(u64, usize, Direction, Arrived)> {
         while self
             .queue
@@ -275,7 +275,7 @@ impl Wires {
         None
     }
 
-    /// Counts bytes from now on.
+    /// Starts counting bytes and logging packets.
     pub(crate) fn count_from_here(&mut self) {
         for way in self.ways.iter_mut().flatten() {
             way.bytes = 0;
@@ -283,12 +283,12 @@ impl Wires {
         self.sent.clear();
     }
 
-    /// What was sent since, in order.
+    /// Takes the packets sent since counting started, in order.
     pub(crate) fn take_sent(&mut self) -> Vec<Sent> {
         std::mem::take(&mut self.sent)
     }
 
-    /// Bytes of the first `seats` participants in a direction; what was sent again counts again.
+    /// Bytes of the first `seats` participants in a direction, including retransmissions.
     pub(crate) fn counted(&self, direction: Direction, seats: usize) -> u64 {
         let of = |ways: &[Way; 2]| ways[usize::from(direction == Direction::Down)].bytes;
         self.ways.iter().take(seats).map(of).sum()
@@ -296,7 +296,7 @@ impl Wires {
 }
 
 impl Way {
-    /// Takes a segment; gives what follows without a hole on what was given before.
+    /// Accepts a segment and returns the bytes that are now complete in order.
     fn take(&mut self, n: u64, bytes: Vec<u8>) -> Option<Vec<u8>> {
         if n >= self.next_in {
             self.early.insert(n, bytes);
@@ -318,7 +318,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_datagram_is_for_is_told_as_the_protocol_writes_it() {
+    fn datagram_purpose_matches_protocol_encoding() {
         let bytes = examples::datagram_bytes().unwrap();
         for (example, bytes) in examples::datagrams().into_iter().zip(bytes) {
             let (header, body) = (example.message.header, example.message.body);
@@ -335,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_arrives_whole_and_in_order_over_a_network_that_loses_and_reorders() {
+    fn stream_is_complete_and_ordered_despite_loss_and_reordering() {
         let lossy = Profile::named("lossy").unwrap();
         let mut wires = Wires::new(&[&lossy; 2], 3);
         let sent: Vec<u8> = (0..40_000_u32).map(|i| (i % 251) as u8).collect();

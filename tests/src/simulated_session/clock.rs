@@ -1,16 +1,16 @@
-//! A participant's clock against true time.
+//! A participant's local clock in relation to true time.
 
 use palpate_protocol::ClientTime;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-/// The most that a crystal is off, parts per million.
+/// Maximum drift of a quartz clock, parts per million.
 const DRIFT_PPM: f64 = 50.0;
 
-/// The largest difference between two machines' monotonic clocks, s: they count from the boot.
+/// Maximum offset between two machines' monotonic clocks, s; each counts from its boot.
 const OFFSET_S: f64 = 1e6;
 
-/// A clock that began at some time and is a little too fast or too slow.
+/// A local clock with constant offset and drift.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SiteClock {
     offset_us: i64,
@@ -18,7 +18,7 @@ pub(crate) struct SiteClock {
 }
 
 impl SiteClock {
-    /// The clock of a seat under a seed.
+    /// The clock of a seat, reproducible from the seed.
     pub(crate) fn of(seed: u64, seat: usize) -> Self {
         let mut rng = Pcg64::seed_from_u64(seed ^ (seat as u64 + 1).wrapping_mul(0x9e37_79b9));
         Self {
@@ -27,13 +27,13 @@ impl SiteClock {
         }
     }
 
-    /// What it shows at a moment of true time, µs.
+    /// The local time at a true time in µs.
     pub(crate) fn at(&self, true_us: i64) -> ClientTime {
         let ran = (true_us as f64 * self.rate).round() as i64;
         ClientTime::from_micros(self.offset_us + ran)
     }
 
-    /// The moment of true time at which it shows `t`, µs.
+    /// The true time in µs at which the local clock shows `t`.
     pub(crate) fn true_us(&self, t: ClientTime) -> i64 {
         ((t.as_micros() - self.offset_us) as f64 / self.rate).round() as i64
     }
@@ -44,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_it_shows_can_be_taken_back() {
+    fn true_time_survives_round_trip_through_local_time() {
         for seat in 0..20 {
             let clock = SiteClock::of(7, seat);
             for us in [0, 1, 999_999, 3_600_000_000] {

@@ -1,9 +1,9 @@
-//! A crowd: many participants of one session who move their tools and solve nothing, against the room
-//! and the solver that users run. What does the server take for them?
+//! Load test: many participants of one session move their tools and solve no tissue. It measures the
+//! server's load with the product's room and solver.
 //!
-//! [`Crowd::run`] is in virtual time over an emulated network, on one thread, whose work is counted in
-//! time of the processor: the figures are those of the machine, but not of who else uses it. The
-//! [real one](real) has a server's process, and a socket for everybody.
+//! [`LoadTest::run`] uses virtual time and an emulated network on one thread. Work is measured in CPU time, so
+//! other processes do not affect the figures. The [real load test](real) starts a server process and one
+//! QUIC connection per participant.
 
 mod member;
 pub mod real;
@@ -17,79 +17,78 @@ use palpate_room::{RoomConfig, SimulatedRoom};
 use palpate_tissue::{Model, Topology};
 
 use crate::network::{Direction, Profile};
-use crate::rehearsal::clock::SiteClock;
-use crate::rehearsal::wires::{Arrived, Wires};
+use crate::simulated_session::clock::SiteClock;
+use crate::simulated_session::wires::{Arrived, Wires};
 use crate::tool_location::{SurfacePoint, ToolLocation};
 use member::{Member, Motion};
 use server::Server;
 
 pub use server::Round;
 
-/// From one turn to the next, µs.
+/// Simulation step, µs.
 const TURN_US: i64 = 1000;
 
-/// A crowd that is not in after this time never will be, µs.
+/// Limit for all participants to join, µs.
 const IN_WITHIN_US: i64 = 10_000_000;
 
-/// Before counting begins, µs: clocks are locked, delays found, baselines acknowledged.
+/// Time before the measurement, µs: clocks lock, delays settle and baselines are acknowledged.
 const SETTLE_US: i64 = 1_000_000;
 
-/// Of so many participants one touches the tissue, and the first always does.
+/// One of this many participants touches the tissue, and always at least one.
 const ONE_TOUCHES_OF: usize = 4;
 
-/// The delay that adaptive compensation begins with, and the most it may be, µs: a host's that is told
-/// nothing else.
+/// Initial and maximum delay of adaptive compensation, µs: the defaults of the host.
 const DELAY_US: u32 = 10_000;
 const DELAY_CAP_US: u32 = 400_000;
 
-/// How many of a crowd touch.
+/// Number of participants that touch the tissue.
 pub fn touching(participants: usize) -> usize {
     (participants / ONE_TOUCHES_OF).max(1).min(participants)
 }
 
-/// The motions of a crowd over a surface.
+/// The motions of all participants, spread over the surface.
 pub(crate) fn motions(model: &Arc<Model>, n: usize, seed: u64) -> Result<Vec<Motion>, String> {
     let topology = Topology::new(Arc::clone(model));
     let spots = ToolLocation::spread(&topology, n).map_err(|e| e.to_string())?;
-    // Who touches is spread over the surface as well: the first points are the farthest apart.
+    // The first points are the farthest apart, so the touching participants are spread as well.
     let of = |k: usize| -> SurfacePoint { spots[k % spots.len()] };
     let motion = |k: usize| Motion::new(of(k), k < touching(n), seed.wrapping_add(k as u64));
     Ok((0..n).map(motion).collect())
 }
 
-/// What is tried.
+/// Configuration of a load test in virtual time.
 #[derive(Debug, Clone)]
-pub struct Crowd<'a> {
+pub struct LoadTest<'a> {
     /// The tissue.
     pub model: &'a Arc<Model>,
-    /// How many come.
+    /// Number of participants.
     pub participants: usize,
-    /// The network between the server and each of them.
+    /// The network between the server and each participant.
     pub profile: &'a Profile,
-    /// The seed of motions, clocks and packets' fates.
+    /// Seed of motions, clocks and networks.
     pub seed: u64,
-    /// How long is counted, s.
+    /// Measured time, s.
     pub seconds: f64,
     /// Ticks per second of the server.
     pub tick_hz: u32,
 }
 
-/// What came of it.
+/// Results of a load test in virtual time.
 #[derive(Debug, Clone)]
-pub struct Crowded {
-    /// What every period took.
+pub struct LoadTestResult {
+    /// Cost of every server period.
     pub rounds: Vec<Round>,
-    /// How long was counted, s.
+    /// Measured time, s.
     pub seconds: f64,
-    /// Bytes to the server and from it of all, without those of QUIC.
+    /// Uplink and downlink bytes of all participants, without QUIC overhead.
     pub bytes: [u64; 2],
-    /// What went wrong; nothing, when all is well.
+    /// Errors of the run; empty on success.
     pub troubles: Vec<String>,
 }
 
-impl Crowd<'_> {
-    /// Runs it. `progress` is told the share that is done.
-    pub fn run(&self, mut progress: impl FnMut(f64)) -> Result<Crowded, String> {
+impl LoadTest<'_> {
+    /// Runs the load test. `progress` receives the completed share.
+    pub fn run(&self, mut progress: impl FnMut(f64)) -> Result<LoadTestResult, String> {
         let n = self.participants;
         let grant = Grant(*b"a rehearsal only");
         let config = self.config(grant);
@@ -133,9 +132,9 @@ impl Crowd<'_> {
         }
         let mut troubles: Vec<String> = members.into_iter().filter_map(|m| m.trouble).collect();
         if counted_from.is_none() {
-            troubles.push("not everybody came in".to_owned());
+            troubles.push("not all participants joined within 10 s of simulated time".to_owned());
         }
-        Ok(Crowded {
+        Ok(LoadTestResult {
             rounds: server.rounds,
             seconds: self.seconds,
             bytes: [Direction::Up, Direction::Down].map(|d| wires.counted(d, n)),
@@ -160,13 +159,13 @@ impl Crowd<'_> {
                 initial_delay_us: DELAY_US,
             },
             start_when_tools: 0,
-            // Nobody else is here who could guess.
+            // A predictable token is safe: the simulation has no attacker.
             fresh_token: |who| ResumeToken([who.0 as u8; 16]),
         }
     }
 }
 
-/// Hands over what has arrived.
+/// Delivers the packets that are due.
 fn deliver(
     server: &mut Server,
     members: &mut [Member],

@@ -1,10 +1,8 @@
-//! The server's side of a crowd: the room and its end of every session, and what each part of its
-//! work takes.
+//! The server in a load test: the room and its protocol sessions, with the CPU time of each part.
 //!
-//! As in the host's program there are two workers. The network's takes datagrams apart and makes
-//! them, the moment that they are there; the room's takes what was said, solves, and says what is to be
-//! sent. Time is virtual, but the room's worker is busy in it for as long as its work took in truth: ticks
-//! begin late when those before took too long.
+//! As in the host program, there are two workers. The network worker decodes and encodes datagrams as soon
+//! as they are available. The room worker handles events, solves and produces output. Time is virtual, but
+//! the room worker stays busy for the CPU time of its work, so a tick starts late after an overrun.
 
 use std::time::Duration;
 
@@ -14,24 +12,24 @@ use palpate_protocol::{ServerTime, Span};
 use palpate_room::{Output, PeerKey, RoomConfig, SimulatedRoom};
 
 use crate::network::Direction;
-use crate::rehearsal::wires::{Arrived, Wires};
+use crate::simulated_session::wires::{Arrived, Wires};
 
-/// What one period of the server took, µs of one thread's work.
+/// Cost of one server period, µs of CPU time on one thread.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Round {
-    /// Taking apart what came, and giving it to the room.
+    /// Decoding of input and its handling by the room.
     pub decode_us: i64,
-    /// The room's tick: gathering the tools, and bringing the tissue into equilibrium.
+    /// The room's tick: collecting the tools and solving the tissue's equilibrium.
     pub tick_us: i64,
-    /// Giving everybody what is new, and making datagrams of it.
+    /// Distribution of updates to all participants, with encoding.
     pub fan_out_us: i64,
-    /// Of all this, what the room's own thread did.
+    /// Share of the room's thread in these costs.
     pub room_us: i64,
-    /// How long after its moment the tick began, µs of virtual time.
+    /// Delay of the tick's start, µs of virtual time.
     pub late_us: i64,
     /// Iterations of the solver.
     pub iterations: usize,
-    /// What they left of the imbalance, as a share.
+    /// Relative residual after the solve.
     pub residual: f64,
 }
 
@@ -41,7 +39,7 @@ pub(super) struct Server {
     peers: Vec<ServerPeer>,
     heard: Vec<(PeerKey, PeerEvent, ServerTime)>,
     solver_limit: Duration,
-    /// When the room's worker has done what it does.
+    /// Time at which the room worker becomes idle.
     free_at: ServerTime,
     round: Round,
     pub(super) rounds: Vec<Round>,
@@ -63,7 +61,7 @@ impl Server {
         }
     }
 
-    /// What has arrived from a seat.
+    /// Receives a packet from a seat.
     pub(super) fn handle(&mut self, seat: usize, arrived: &Arrived, now: ServerTime) {
         let began = worked();
         let peer = &mut self.peers[seat];
@@ -78,7 +76,7 @@ impl Server {
         self.round.decode_us += (worked() - began).as_micros();
     }
 
-    /// Does what there is to do, if the room's worker is free.
+    /// Handles timeouts, runs the room worker if it is idle, and sends pending output.
     pub(super) fn turn(&mut self, now: ServerTime, wires: &mut Wires) {
         for (seat, peer) in self.peers.iter_mut().enumerate() {
             if peer.poll_timeout().is_some_and(|due| due <= now) {
@@ -95,7 +93,7 @@ impl Server {
         self.send(now, wires);
     }
 
-    /// What the room's worker does; how long it took.
+    /// Runs the room worker once and returns its CPU time.
     fn room_turn(&mut self, now: ServerTime) -> Span {
         let began = worked();
         for (key, event, at) in std::mem::take(&mut self.heard) {
@@ -133,7 +131,7 @@ impl Server {
             match output {
                 Output::Message(key, message) => {
                     if let Some(peer) = self.peers.get_mut(key.0 as usize) {
-                        // An error closes the session, which its event says.
+                        // A send error closes the session, which raises an event.
                         let _ = peer.send(&message, now);
                     }
                 }
@@ -171,7 +169,7 @@ impl Server {
         }
     }
 
-    /// Forgets what it took so far.
+    /// Discards the measurements so far.
     pub(super) fn count_from_here(&mut self) {
         self.rounds.clear();
         self.round = Round::default();

@@ -23,20 +23,20 @@ fn model() -> Arc<Model> {
     Arc::new(block([18, 18, 6], 0.005, &soft, 1))
 }
 
-fn rehearse(model: &Arc<Model>, scripts: &Scripts, profile: &Profile, seed: u64) -> Rehearsed {
-    rehearse_with(model, scripts, profile, seed, 500, &[])
+fn simulate(model: &Arc<Model>, scripts: &Scripts, profile: &Profile, seed: u64) -> SessionResult {
+    simulate_with(model, scripts, profile, seed, 500, &[])
 }
 
-fn rehearse_with(
+fn simulate_with(
     model: &Arc<Model>,
     scripts: &Scripts,
     profile: &Profile,
     seed: u64,
     cap_ms: u32,
     mishaps: &[Mishap],
-) -> Rehearsed {
+) -> SessionResult {
     let scripts = [&scripts.holder, &scripts.cutter];
-    let rehearsal = Rehearsal {
+    let session = SimulatedSession {
         model,
         scripts: &scripts,
         motion_only: false,
@@ -51,25 +51,26 @@ fn rehearse_with(
         },
         tick_hz: 60,
     };
-    rehearsal.run_with(mishaps, |_| true).unwrap()
+    session.run_with(mishaps, |_| true).unwrap()
 }
 
 #[test]
-fn one_seed_is_one_session_and_everybody_has_the_same_topology_in_the_end() {
+fn equal_seeds_give_equal_sessions_and_topologies_agree_at_the_end() {
     let model = model();
     let place = ToolLocation::find(&Topology::new(Arc::clone(&model))).unwrap();
     let scripts = Scripts::for_place(&place, 4.0).unwrap();
     let profile = Profile::named("transatlantic").unwrap();
-    let a = rehearse(&model, &scripts, &profile, 5);
+    let a = simulate(&model, &scripts, &profile, 5);
     assert_eq!(a.troubles, Vec::<String>::new());
     assert!(
         a.hashes_equal() && a.topologies[0].0 == 1,
         "{:?}",
         a.topologies
     );
-    // Who computes nothing shows what the server has, within a step when all rests, and within its rate.
+    // The thin spectator matches the server's resting shape within one quantisation step and keeps its rate
+    // limit.
     assert_eq!(a.topologies.len(), 4);
-    let thin = a.onlooked[0];
+    let thin = a.thin_results[0];
     assert!(
         thin.rest_mm.count > 0 && thin.rest_mm.max <= 0.0501,
         "{thin:?}"
@@ -81,13 +82,13 @@ fn one_seed_is_one_session_and_everybody_has_the_same_topology_in_the_end() {
     let r = reference::run(&model, [&scripts.holder, &scripts.cutter], &[], |_| true).unwrap();
     for (recording, course) in a.recordings.iter().zip(&r.courses) {
         let felt = over_script(&recording.haptic, recording.script_started_us.unwrap());
-        // A blade lets go when its button is pressed, up to a solve earlier or later.
+        // A cut may release the force up to one solve earlier or later than in the reference.
         let error = ForceError::between(&felt, course).unwrap();
         assert!(error.rms_percent < 8.0, "{error:?}");
     }
-    let b = rehearse(&model, &scripts, &profile, 5);
+    let b = simulate(&model, &scripts, &profile, 5);
     assert_eq!(a.recordings, b.recordings);
-    assert_eq!(a.onlooked, b.onlooked);
+    assert_eq!(a.thin_results, b.thin_results);
 }
 
 fn scripts_of(model: &Arc<Model>, seconds: f64) -> Scripts {
@@ -105,7 +106,7 @@ fn delay_ms_at(recording: &Recording, second: f64) -> f64 {
 }
 
 #[test]
-fn who_is_at_500_ms_for_ten_seconds_watches_and_nobody_waits_and_then_takes_part_again() {
+fn trainee_with_500_ms_delay_is_demoted_then_restored() {
     let model = model();
     let scripts = scripts_of(&model, 30.0);
     let near = Profile::named("metro").unwrap();
@@ -125,7 +126,7 @@ fn who_is_at_500_ms_for_ten_seconds_watches_and_nobody_waits_and_then_takes_part
         seat: 1,
         profile: Box::new(worsens),
     };
-    let r = rehearse_with(&model, &scripts, &near, 3, 400, &[slow]);
+    let r = simulate_with(&model, &scripts, &near, 3, 400, &[slow]);
     assert_eq!(r.troubles, Vec::<String>::new());
     assert!(r.hashes_equal(), "{:?}", r.topologies);
     let words = |who: usize| -> Vec<(&str, i64)> {
@@ -136,7 +137,11 @@ fn who_is_at_500_ms_for_ten_seconds_watches_and_nobody_waits_and_then_takes_part
     let [("demoted", lifted_us), ("restored", back_us)] = words(0)[..] else {
         panic!("{:?}", words(0));
     };
-    assert_eq!(words(0), words(1), "the log says it to both");
+    assert_eq!(
+        words(0),
+        words(1),
+        "both trainees log the same role changes"
+    );
     assert!(
         (12.0..14.5).contains(&(lifted_us as f64 * 1e-6)),
         "{lifted_us}"
@@ -146,14 +151,14 @@ fn who_is_at_500_ms_for_ten_seconds_watches_and_nobody_waits_and_then_takes_part
     assert_eq!((r.counters[0].demotions, r.counters[1].demotions), (0, 1));
     assert_eq!(
         r.counters[1].cuts_refused, 1,
-        "a stroke while the tool is lifted"
+        "a demoted trainee's stroke must be rejected once"
     );
     assert_eq!(r.topologies[0].0, 0);
     assert_eq!(
         r.counters[1].resyncs, 0,
-        "a network that is slow is no copy that differs"
+        "a slow network must not cause a resync"
     );
-    // D shrinks by 20 ms per second at most.
+    // The playout delay D shrinks by at most 20 ms per second.
     let lifted_s = lifted_us as f64 * 1e-6;
     let (then, later) = (
         delay_ms_at(&r.recordings[0], lifted_s),
@@ -166,7 +171,7 @@ fn who_is_at_500_ms_for_ten_seconds_watches_and_nobody_waits_and_then_takes_part
 }
 
 #[test]
-fn a_guest_who_cut_elsewhere_comes_back_equal_and_one_who_does_so_again_is_told() {
+fn diverged_cut_causes_one_resync_and_second_divergence_is_an_error() {
     let model = model();
     let scripts = scripts_of(&model, 4.0);
     let profile = Profile::named("transatlantic").unwrap();
@@ -175,7 +180,7 @@ fn a_guest_who_cut_elsewhere_comes_back_equal_and_one_who_does_so_again_is_told(
         by_m: [0.007, 0.006, 0.0],
         times,
     };
-    let r = rehearse_with(&model, &scripts, &profile, 5, 500, &[elsewhere(1)]);
+    let r = simulate_with(&model, &scripts, &profile, 5, 500, &[elsewhere(1)]);
     assert_eq!(r.troubles, Vec::<String>::new());
     assert!(
         r.hashes_equal() && r.topologies[0].0 == 1,
@@ -191,7 +196,7 @@ fn a_guest_who_cut_elsewhere_comes_back_equal_and_one_who_does_so_again_is_told(
             .count(),
         1
     );
-    let again = rehearse_with(&model, &scripts, &profile, 5, 500, &[elsewhere(2)]);
+    let again = simulate_with(&model, &scripts, &profile, 5, 500, &[elsewhere(2)]);
     assert!(
         again.troubles[..]
             .iter()
@@ -202,7 +207,7 @@ fn a_guest_who_cut_elsewhere_comes_back_equal_and_one_who_does_so_again_is_told(
 }
 
 #[test]
-fn a_guest_who_saw_the_others_elsewhere_is_made_anew_and_not_without_end() {
+fn diverged_shape_causes_a_limited_number_of_resyncs() {
     let model = model();
     let scripts = scripts_of(&model, 12.0);
     let profile = Profile::named("metro").unwrap();
@@ -212,18 +217,18 @@ fn a_guest_who_saw_the_others_elsewhere_is_made_anew_and_not_without_end() {
         from_s: 3.0,
         until_s,
     };
-    let r = rehearse_with(&model, &scripts, &profile, 5, 500, &[spoilt(5.5)]);
+    let r = simulate_with(&model, &scripts, &profile, 5, 500, &[spoilt(5.5)]);
     assert_eq!(r.troubles, Vec::<String>::new());
     assert!(r.hashes_equal(), "{:?}", r.topologies);
     assert_eq!((r.counters[0].resyncs, r.counters[1].resyncs), (0, 1));
-    // The force is taken away meanwhile, in steps that a hand can bear.
+    // The force is faded out during the resync, without steps above 0.5 N.
     let felt = &r.recordings[1].haptic;
     let steps = felt.windows(2).map(|w| {
         let step = [0, 1, 2].map(|k| w[1].force_n[k] - w[0].force_n[k]);
         step.iter().map(|f| f * f).sum::<f64>().sqrt()
     });
     assert!(steps.fold(0.0, f64::max) < 0.5);
-    let for_ever = rehearse_with(&model, &scripts, &profile, 5, 500, &[spoilt(1e3)]);
+    let for_ever = simulate_with(&model, &scripts, &profile, 5, 500, &[spoilt(1e3)]);
     assert_eq!(for_ever.troubles, Vec::<String>::new());
     let resyncs = for_ever.counters[1].resyncs as usize;
     assert!((1..=RESYNCS_MAX).contains(&resyncs), "{resyncs}");

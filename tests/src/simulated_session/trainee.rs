@@ -1,4 +1,4 @@
-//! One participant of a rehearsal: hand, force loop, session and site, on a clock of its own.
+//! A participant of a simulated session: hand, force loop, protocol session and site, with its own clock.
 
 use std::sync::Arc;
 
@@ -22,33 +22,33 @@ use super::mishap::Mishap;
 use super::wires::Wires;
 use crate::network::Direction;
 
-/// From one turn of the force loop to the next.
+/// Period of the force loop.
 const TICK: Span = Span::from_millis(1);
 
-/// Ticks from one model of the hand to the next, as in the client.
+/// Force loop ticks per contact model, as in the client.
 const HAPTIC_EVERY: u64 = 4;
 
-/// Iterations of one view: as many as the client makes.
+/// Solver iterations per view, as in the client.
 const VIEW_ITERATIONS: usize = 2;
 
-/// Why a guest can not go on, for a report.
+/// Error message of a participant that cannot continue.
 pub(super) type Trouble = String;
 
-/// A participant.
-pub(super) struct Guest {
+/// A trainee.
+pub(super) struct Trainee {
     seat: usize,
     clock: SiteClock,
     model: Arc<Model>,
     script: ScriptStart,
     blade_length_m: Option<f64>,
-    /// Whether it has a tissue of its own.
+    /// Whether it solves its own tissue.
     solves: bool,
     hand: HandLoop,
     contact: ContactModel,
     hello: Hello,
     session: ClientSession,
     requests: Requests,
-    /// The seat and what of the log is here.
+    /// Seat and position in the operation log, for a reconnect.
     resume: Option<Resume>,
     wants_connection: bool,
     site: Option<Site>,
@@ -56,13 +56,13 @@ pub(super) struct Guest {
     first_view: Option<ClientTime>,
     ticks: u64,
     link_lost: bool,
-    /// What it saw and felt, in true time.
+    /// Views and forces of the trainee, in true time.
     pub(super) recording: Recording,
     pub(super) trouble: Option<Trouble>,
 }
 
-impl Guest {
-    /// A trainee who follows a script and asks to be let in.
+impl Trainee {
+    /// A trainee that follows a script and requests to join.
     pub(super) fn new(
         seat: usize,
         name: &str,
@@ -114,7 +114,7 @@ impl Guest {
         })
     }
 
-    /// Lets it only move: it computes no tissue, feels nothing and sees what nobody looks at.
+    /// Makes the trainee move only: it solves no tissue and renders no force, and its views are unused.
     pub(super) fn only_moving(self) -> Self {
         Self {
             solves: false,
@@ -122,19 +122,19 @@ impl Guest {
         }
     }
 
-    /// Bytes of the operations stream, at a moment of true time.
+    /// Receives bytes of the operations stream at a true time.
     pub(super) fn handle_stream(&mut self, bytes: &[u8], at_us: i64) {
         self.session.handle_stream(bytes, self.clock.at(at_us));
         self.take_events(at_us);
     }
 
-    /// A datagram.
+    /// Receives a datagram at a true time.
     pub(super) fn handle_datagram(&mut self, bytes: &[u8], at_us: i64) {
         self.session.handle_datagram(bytes, self.clock.at(at_us));
         self.take_events(at_us);
     }
 
-    /// One millisecond of its life.
+    /// Simulates one millisecond.
     pub(super) fn turn(&mut self, at_us: i64, wires: &mut Wires) {
         let now = self.clock.at(at_us);
         self.feel(now, at_us);
@@ -156,7 +156,7 @@ impl Guest {
 
     fn feel(&mut self, now: ClientTime, at_us: i64) {
         let wishes = Wishes {
-            // Of a copy that differs no force is believed.
+            // During a resync the replica is wrong, so its force is treated as lost.
             link_lost: self.link_lost || self.site.as_ref().is_some_and(Site::is_resyncing),
             stop: false,
         };
@@ -178,7 +178,7 @@ impl Guest {
             && let Some(site) = &mut self.site
         {
             let buttons = (frame.sample.buttons.bits() & 0xff) as u8;
-            // It ends by iterations and residual, which one seed repeats, and not by time.
+            // The solve ends by iterations and residual instead of time, so a seed reproduces it.
             let mut never = || false;
             let budget = hand_budget(&mut never);
             if let Some(model) = site.haptic_step(now, frame.sample.pose, buttons, budget) {
@@ -232,7 +232,7 @@ impl Guest {
         }
     }
 
-    /// What the client's replica thread does every 4 ms, but for the hand.
+    /// The work of the client's replica thread every 4 ms, without the haptic step.
     fn live(&mut self, now: ClientTime, at_us: i64) {
         let Some(site) = &mut self.site else { return };
         if let Err(error) = site.advance(now) {
@@ -270,12 +270,12 @@ impl Guest {
         while site.poll_notice().is_some() {}
     }
 
-    /// Whether it is to get a new connection.
+    /// Whether the site requests a new connection.
     pub(super) fn wants_connection(&self) -> bool {
         self.wants_connection
     }
 
-    /// Takes the seat again over a new connection, with nothing of the log in hand.
+    /// Reconnects to its seat and requests the whole operation log.
     pub(super) fn come_back(&mut self, at_us: i64) {
         self.wants_connection = false;
         let hello = Hello {
@@ -295,12 +295,12 @@ impl Guest {
         }
     }
 
-    /// What its site counted.
+    /// Counters of the site.
     pub(super) fn counters(&self) -> SiteCounters {
         self.site.as_ref().map(Site::counters).unwrap_or_default()
     }
 
-    /// Version and hash of its own topology; `None` before it was let in.
+    /// Version and hash of its topology; `None` before the join.
     pub(super) fn topology(&self) -> Option<(u32, u64)> {
         let topology = self.site.as_ref()?.replica().topology();
         Some((topology.version(), topology.hash().0))

@@ -2,7 +2,7 @@ use palpate_tissue::{Material, block};
 
 use super::*;
 
-fn crowd_of(participants: usize) -> Crowded {
+fn load_test_of(participants: usize) -> LoadTestResult {
     let soft = Material {
         name: "soft".into(),
         young_pa: 1e4,
@@ -12,7 +12,7 @@ fn crowd_of(participants: usize) -> Crowded {
     };
     let model = Arc::new(block([24, 24, 6], 5e-3, &soft, 1));
     let profile = Profile::named("lan").unwrap();
-    let crowd = Crowd {
+    let load_test = LoadTest {
         model: &model,
         participants,
         profile: &profile,
@@ -20,17 +20,17 @@ fn crowd_of(participants: usize) -> Crowded {
         seconds: 1.0,
         tick_hz: 60,
     };
-    crowd.run(|_| ()).unwrap()
+    load_test.run(|_| ()).unwrap()
 }
 
 #[test]
-fn a_crowd_comes_in_and_who_touches_is_solved_for() {
-    let crowded = crowd_of(8);
-    assert!(crowded.troubles.is_empty(), "{:?}", crowded.troubles);
-    assert!(crowded.rounds.len() > 20, "{}", crowded.rounds.len());
-    assert!(crowded.rounds.iter().any(|r| r.iterations > 0));
+fn all_participants_join_and_touching_tools_are_solved() {
+    let result = load_test_of(8);
+    assert!(result.troubles.is_empty(), "{:?}", result.troubles);
+    assert!(result.rounds.len() > 20, "{}", result.rounds.len());
+    assert!(result.rounds.iter().any(|r| r.iterations > 0));
     assert!(
-        crowded
+        result
             .rounds
             .iter()
             .all(|r| r.decode_us >= 0 && r.tick_us > 0)
@@ -38,13 +38,13 @@ fn a_crowd_comes_in_and_who_touches_is_solved_for() {
 }
 
 #[test]
-fn what_somebody_sends_does_not_grow_with_the_crowd() {
-    let up = |n: usize| crowd_of(n).bytes[0] as f64 / n as f64;
+fn uplink_per_participant_is_independent_of_their_number() {
+    let up = |n: usize| load_test_of(n).bytes[0] as f64 / n as f64;
     let (few, many) = (up(2), up(8));
     assert!(many < 1.3 * few, "{few} B, then {many} B");
 }
 
 #[test]
-fn a_quarter_touches_and_one_at_least() {
+fn one_quarter_of_participants_touches_but_at_least_one() {
     assert_eq!([1, 2, 4, 8, 32, 64].map(touching), [1, 1, 1, 2, 8, 16]);
 }

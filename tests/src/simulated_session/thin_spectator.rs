@@ -1,5 +1,5 @@
-//! A thin spectator of a rehearsal: session and site, on a clock of its own, and how far what it shows is
-//! from the server's own shape.
+//! A thin spectator in a simulated session, with its own clock. Its error is the distance of shown nodes
+//! from the server's shape.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -17,44 +17,42 @@ use super::wires::Wires;
 use crate::disagreement::DistancesMm;
 use crate::network::Direction;
 
-/// What is displaced by less than this, from where it was at first, does not count: the rest of the
-/// tissue agrees by resting, and would only flatter the percentiles, m.
+/// Minimum displacement of a compared node from its first position, m. Resting nodes always agree and would
+/// lower the percentiles.
 const MOVED_M: f32 = 5e-5;
 
-/// Turns from one look at the site to the next, as in the client.
+/// Turns between two updates of the site, as in the client.
 const LIVE_EVERY: u64 = 4;
 
-/// Turns from one look at the bytes to the next, and looks in a second.
+/// Turns between two byte counts, and counts per second.
 const COUNT_EVERY: u64 = 50;
 const COUNTS_PER_S: usize = 20;
 
-/// What a thin spectator was shown, and what it cost.
+/// Accuracy and bandwidth of a thin spectator.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Onlooked {
-    /// Distance of every displaced node that is shown from where the server had it at the moment that is
-    /// shown.
+pub struct ThinSpectatorResult {
+    /// Distance of each displaced node from the server's position at the shown time.
     pub apart_mm: DistancesMm,
-    /// The same at the end, when all rests.
+    /// The same at the end, at rest.
     pub rest_mm: DistancesMm,
-    /// Bits per second of the session from the server, with what UDP, IP and QUIC add: the mean, and the
-    /// most in any second.
+    /// Mean downlink rate, bit/s, with UDP, IP and QUIC overhead.
     pub bits_per_s: f64,
-    /// See above.
+    /// Maximum downlink rate over one second, bit/s.
     pub bits_per_s_max: f64,
-    /// Nodes told per second, and bits for each of them.
+    /// Nodes received per second.
     pub nodes_per_s: f64,
-    /// See above.
+    /// Downlink bits per received node.
     pub bits_per_node: f64,
-    /// The most nodes that waited for room.
+    /// Maximum number of nodes waiting for bandwidth.
     pub waiting_max: u32,
-    /// How far it was behind the common moment at the end, ms.
+    /// Lag behind the shared time at the end, ms.
     pub lag_ms: f64,
-    /// Views of which the server's own shape was not known any more, or was of another topology.
+    /// Views that were not compared: the server's shape was unknown or had another topology.
     pub not_compared: u64,
 }
 
 /// A spectator.
-pub(super) struct Onlooker {
+pub(super) struct ThinSpectator {
     seat: usize,
     clock: SiteClock,
     model: Arc<Model>,
@@ -64,17 +62,17 @@ pub(super) struct Onlooker {
     at_first: BTreeMap<u32, [f32; 3]>,
     apart_mm: Vec<f32>,
     not_compared: u64,
-    /// Bytes and nodes told when the scripts began.
+    /// Start of the scripts: time, bytes and nodes received by then.
     began: Option<(i64, u64, u64)>,
-    /// Bytes at the last looks, oldest first.
+    /// Byte counts of the last second, oldest first.
     looks: VecDeque<u64>,
     most: u64,
     bytes: u64,
     pub(super) trouble: Option<String>,
 }
 
-impl Onlooker {
-    /// A spectator who asks to be let in.
+impl ThinSpectator {
+    /// A spectator that requests to join.
     pub(super) fn new(
         seat: usize,
         grant: Grant,
@@ -107,13 +105,13 @@ impl Onlooker {
         })
     }
 
-    /// Bytes of the operations stream, at a moment of true time.
+    /// Receives bytes of the operations stream at a true time.
     pub(super) fn handle_stream(&mut self, bytes: &[u8], at_us: i64) {
         self.session.handle_stream(bytes, self.clock.at(at_us));
         self.take_events(at_us);
     }
 
-    /// A datagram.
+    /// Receives a datagram at a true time.
     pub(super) fn handle_datagram(&mut self, bytes: &[u8], at_us: i64) {
         self.session.handle_datagram(bytes, self.clock.at(at_us));
         self.take_events(at_us);
@@ -139,8 +137,8 @@ impl Onlooker {
         }
     }
 
-    /// One millisecond of its life. `bytes` is what the server has sent to it so far, `pictures` are the
-    /// server's own shapes; they are compared from the moment on when the scripts have begun.
+    /// Simulates one millisecond. `bytes` counts the server's output so far. Views are compared with
+    /// `pictures`, the server's shapes, once the scripts have started.
     pub(super) fn turn(
         &mut self,
         at_us: i64,
@@ -208,8 +206,8 @@ impl Onlooker {
         while site.poll_notice().is_some() {}
     }
 
-    /// What it was shown until `at_us`; `last` is the server's own shape then.
-    pub(super) fn onlooked(&mut self, at_us: i64, last: Option<&Picture>) -> Onlooked {
+    /// Results until `at_us`; `last` is the server's shape at that time.
+    pub(super) fn result(&mut self, at_us: i64, last: Option<&Picture>) -> ThinSpectatorResult {
         let (began_us, bytes, told) = self.began.unwrap_or((at_us, self.bytes, 0));
         let seconds = ((at_us - began_us) as f64 * 1e-6).max(1e-3);
         let bits_per_s = (self.bytes - bytes) as f64 * 8.0 / seconds;
@@ -221,7 +219,7 @@ impl Onlooker {
         let thin = self.site.as_ref().and_then(|s| s.replica().thin_view());
         let counters = thin.map(ThinView::counters).unwrap_or_default();
         let nodes = (counters.told - told) as f64 / seconds;
-        Onlooked {
+        ThinSpectatorResult {
             apart_mm: DistancesMm::of(&mut self.apart_mm),
             rest_mm: DistancesMm::of(&mut rest),
             bits_per_s,
@@ -234,7 +232,7 @@ impl Onlooker {
         }
     }
 
-    /// Version and hash of its own topology; `None` before it was let in.
+    /// Version and hash of its topology; `None` before the join.
     pub(super) fn topology(&self) -> Option<(u32, u64)> {
         let topology = self.site.as_ref()?.replica().topology();
         Some((topology.version(), topology.hash().0))

@@ -1,4 +1,4 @@
-//! The course of an alignment: everything in the order of true time.
+//! Discrete-event simulation of an alignment.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
@@ -15,52 +15,52 @@ use palpate_protocol::{ParticipantId, ServerTime, Span, ToolSample};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::foresight::Foresight;
+use super::predictor::Predictor;
 use super::site::Site;
 use super::way::Way;
 use crate::hand::Hand;
 
-/// One tick of a hand and of a picture, microseconds.
+/// Period of hand samples and views, microseconds.
 const TICK_US: i64 = 1000;
-/// Samples in a packet.
+/// Samples per packet.
 const BATCH: usize = 4;
-/// Between reports of the delay that a site needs, microseconds, as the client does.
+/// Interval between a site's delay reports, microseconds, as in the client.
 const REPORT_US: i64 = 250_000;
-/// Between clock probes, microseconds: until the clock is known, and then.
+/// Interval between clock probes, microseconds: before and after the clock lock.
 const PROBE_US: [i64; 2] = [20_000, 100_000];
-/// A packet of the ordered stream that is lost is sent again after this, microseconds.
+/// Retransmission timeout of the ordered stream, microseconds.
 const RESEND_US: i64 = 100_000;
-/// Clocks of the sites run faster or slower by at most this (50 ppm).
+/// Maximum drift of a site's clock (50 ppm).
 const DRIFT_MAX: f64 = 50e-6;
 
-/// Something on its way.
+/// A packet in flight or a retransmission timer.
 #[derive(Debug)]
 enum Parcel {
     SamplesUp(Vec<ToolSample>),
     SamplesDown(Vec<ToolSample>),
-    /// A tool as it will be, and the moment of the sample that this rests on.
+    /// Predicted tool sample, and the time of the real sample it is based on.
     PredictedDown(ToolSample, ServerTime),
     ProbeUp(Probe),
     ReplyDown(Reply),
     ReportUp(DelayReport),
     ChangeDown(u32, ServerTime),
-    /// A packet of the ordered stream in a direction is sent again: the one of this number.
+    /// Retransmission on the ordered stream: direction and packet index.
     Resend(usize, usize),
 }
 
-/// One direction of the ordered stream of a site: nothing overtakes, and what is lost is sent again.
+/// One direction of a site's ordered stream, with in-order delivery and retransmission.
 #[derive(Debug, Default)]
 struct Stream {
-    /// Packets that have not been delivered, in order: their content, and when they arrive, if they do.
+    /// Undelivered packets in order, each with its arrival time if it was not lost.
     waiting: VecDeque<(Parcel, Option<i64>)>,
-    /// The number of the first of them.
+    /// Index of the first undelivered packet.
     first: usize,
-    /// When the last one was delivered, microseconds.
+    /// Time of the last delivery, microseconds.
     delivered_us: i64,
 }
 
 impl Stream {
-    /// Takes the packets that can be delivered in order, each with its moment.
+    /// Removes the packets that can be delivered in order, with their delivery times.
     fn deliver(&mut self) -> Vec<(i64, Parcel)> {
         let mut out = Vec::new();
         while let Some((_, Some(arrives_us))) = self.waiting.front() {
@@ -73,27 +73,27 @@ impl Stream {
     }
 }
 
-/// What is shown of both tools by both sites at one moment.
+/// Both tools as both sites show them at one time.
 #[derive(Debug, Clone, Copy)]
 pub struct Moment {
     /// True time, seconds.
     pub time_s: f64,
-    /// Where the first tool is shown by its own site, metres, and by the other.
+    /// Position of the first tool as shown by its own site and by the other site, metres.
     pub first: [[f64; 3]; 2],
-    /// The same of the second tool.
+    /// Position of the second tool, in the same order.
     pub second: [[f64; 3]; 2],
-    /// Whether a tool shown is stale.
+    /// Whether a shown tool is stale.
     pub stale: bool,
-    /// D as it is at the first site, milliseconds.
+    /// Playout delay D at the first site, milliseconds.
     pub delay_ms: f64,
-    /// How old the newest sample of the second tool is at the first site, milliseconds.
+    /// Age of the second tool's newest sample at the first site, milliseconds.
     pub age_ms: f64,
-    /// How far beyond what it knows of the second tool the server predicts it for the first site, milliseconds.
+    /// Horizon of the server's prediction of the second tool for the first site, milliseconds.
     pub ahead_ms: f64,
 }
 
 impl Moment {
-    /// How far apart the two sites show the tools, the farther of the two, millimetres.
+    /// Distance between the sites' shown positions, maximum over both tools, millimetres.
     pub fn apart_mm(&self) -> f64 {
         let apart = [self.first, self.second].map(|[own, other]| {
             let square: f64 = own.iter().zip(other).map(|(a, b)| (a - b).powi(2)).sum();
@@ -103,17 +103,17 @@ impl Moment {
     }
 }
 
-/// A session of two sites and a server.
-pub struct Course {
+/// A simulated session of two sites and a server.
+pub struct Simulation {
     sites: [Site; 2],
-    /// Up and down of the first site, up and down of the second.
+    /// Uplink and downlink of the first site, then of the second.
     ways: [[Box<dyn Way>; 2]; 2],
     group: GroupDelay,
-    /// What the server measures of each site's samples, and what it makes of its own decisions.
+    /// The server's delay estimate of each site's samples.
     measured: [DelayEstimator; 2],
     schedule: DelaySchedule,
-    /// What predicts, when the server does.
-    foresight: Option<Foresight>,
+    /// The server's predictor in prediction mode.
+    predictor: Option<Predictor>,
     parcels: VecDeque<(usize, Parcel)>,
     first_parcel: usize,
     due: BinaryHeap<Reverse<(i64, usize)>>,
@@ -124,8 +124,8 @@ pub struct Course {
     now_us: i64,
 }
 
-impl Course {
-    /// A session of these hands over these paths.
+impl Simulation {
+    /// A session of two hands over the given paths.
     pub fn new(
         settings: &CompensationSettings,
         rule: DelayRule,
@@ -145,7 +145,7 @@ impl Course {
             group: GroupDelay::new(settings),
             measured: [DelayEstimator::new(rule), DelayEstimator::new(rule)],
             schedule: DelaySchedule::new(settings),
-            foresight: None,
+            predictor: None,
             parcels: VecDeque::new(),
             first_parcel: 0,
             due: BinaryHeap::new(),
@@ -157,14 +157,15 @@ impl Course {
         }
     }
 
-    /// Nobody waits; the server predicts each tool ahead by what it takes to whoever is to see it.
+    /// Replaces the playout delay by the server's prediction. The horizon is the delay from the server to
+    /// the receiving site.
     #[must_use]
     pub fn predicted(mut self) -> Self {
-        self.foresight = Some(Foresight::default());
+        self.predictor = Some(Predictor::default());
         self
     }
 
-    /// Goes on until `until_us`, and gives every moment from `from_us` on.
+    /// Runs until `until_us` and reports every moment from `from_us` on.
     pub fn run(&mut self, from_us: i64, until_us: i64, moment: &mut dyn FnMut(Moment)) {
         while self.now_us < until_us {
             let now = self.now_us;
@@ -188,17 +189,17 @@ impl Course {
         }
     }
 
-    /// Somebody sets the clock of a site.
+    /// Sets the clock of a site.
     pub fn set_clock(&mut self, site: usize, by_us: i64) {
         self.sites[site].set_clock(by_us);
     }
 
-    /// How often each site has noticed that a clock was set.
+    /// Number of clock steps that each site has detected.
     pub fn clock_steps(&self) -> [u64; 2] {
         [0, 1].map(|k| self.sites[k].clock.steps())
     }
 
-    /// How many samples of a hand have come to the other site so far, both sites together.
+    /// Samples that arrived at the other site so far, over both sites.
     pub fn arrived(&self) -> u64 {
         self.arrived
     }
@@ -208,7 +209,7 @@ impl Course {
         let ([a_own, a_other], [b_own, b_other]) = (a.shown(now)?, b.shown(now)?);
         let here = a.server_time(now)?;
         let delay = a.schedule.delay_at(here);
-        let known = match &self.foresight {
+        let known = match &self.predictor {
             None => a.views[1].newest()?,
             Some(_) => a.predicted_from?,
         };
@@ -269,7 +270,7 @@ impl Course {
         }
     }
 
-    /// On the ordered stream: what is lost is sent again, and nothing overtakes.
+    /// Sends on the ordered stream, with in-order delivery and retransmission.
     fn send_reliably(&mut self, k: usize, direction: usize, now: i64, parcel: Parcel) {
         let stream = &mut self.streams[k][direction];
         let number = stream.first + stream.waiting.len();
@@ -277,8 +278,8 @@ impl Course {
         self.transmit(k, direction, now, number);
     }
 
-    /// Sends a packet of the ordered stream. A lost one is sent again later and not in this moment: a path is asked in
-    /// the order of time, and at the time of an outage it loses whatever is sent.
+    /// Sends a packet of the ordered stream. Loss schedules a retransmission as an event, because a path
+    /// accepts packets in time order only and an outage would lose an immediate retry.
     fn transmit(&mut self, k: usize, direction: usize, now: i64, number: usize) {
         let Some(delay_us) = self.ways[k][direction].delay_us(now) else {
             return self.post(k, now + RESEND_US, Parcel::Resend(direction, number));
@@ -296,7 +297,7 @@ impl Course {
         self.due.push(Reverse((at, number)));
     }
 
-    /// A parcel arrives: at the server from site k, or at site k.
+    /// Delivers a parcel: at the server from site `k`, or at site `k`.
     fn arrive(&mut self, at: i64, number: usize) {
         let nothing = Parcel::SamplesDown(Vec::new());
         let place = &mut self.parcels[number - self.first_parcel];
@@ -310,7 +311,7 @@ impl Course {
         let server_now = ServerTime::from_micros(at);
         match parcel {
             Parcel::SamplesUp(samples) => {
-                // As the session does it: a clock that was set is noise.
+                // As in the product's session, samples from a clock that was set are ignored.
                 if samples.iter().any(|s| s.time > server_now + FUTURE_MAX) {
                     return;
                 }
@@ -319,9 +320,9 @@ impl Course {
                     let arrival = MotionArrival::on_time(newest.time, server_now);
                     self.measured[k].handle_arrival(arrival, in_force);
                 }
-                let parcel = match &mut self.foresight {
+                let parcel = match &mut self.predictor {
                     None => Some(Parcel::SamplesDown(samples)),
-                    Some(foresight) => foresight
+                    Some(predictor) => predictor
                         .handle_samples(k, &samples, server_now)
                         .map(|(sample, newest)| Parcel::PredictedDown(sample, newest)),
                 };
@@ -350,8 +351,8 @@ impl Course {
                 self.sites[k].clock.handle_reply(reply, here);
             }
             Parcel::ReportUp(report) => {
-                if let Some(foresight) = &mut self.foresight {
-                    foresight.handle_report(k, report, server_now);
+                if let Some(predictor) = &mut self.predictor {
+                    predictor.handle_report(k, report, server_now);
                 }
                 self.group
                     .handle_report(ParticipantId(k as u16 + 1), report);

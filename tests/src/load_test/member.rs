@@ -1,4 +1,4 @@
-//! One of a crowd: a session and a hand that moves, without tissue of its own.
+//! A participant of a load test: a protocol session and a moving hand, without tissue.
 
 use palpate_protocol::handshake::{Hello, Subscription};
 use palpate_protocol::session::{ClientEvent, ClientSession};
@@ -9,20 +9,20 @@ use palpate_tissue::Vec3;
 use crate::hand::{Hand, Random, Temper};
 use crate::tool_location::SurfacePoint;
 
-/// Radius of the ball that everybody holds, m.
+/// Radius of each participant's ball tool, m.
 const RADIUS_M: f64 = 0.008;
 
-/// How deep who touches presses in the mean, and how far that goes up and down, m.
+/// Mean depth of a press and its amplitude, m.
 const DEPTH_M: f64 = 0.005;
 const DEPTH_SWING_M: f64 = 0.003;
 
-/// One press and release, s.
+/// Period of a press and release, s.
 const PRESS_PERIOD_S: f64 = 2.5;
 
-/// Speed of a hand that palpates, rms, m/s, along the surface and across it.
+/// Rms speed of a palpating hand along and across the surface, m/s.
 const PALPATING_M_S: f64 = 0.01;
 
-/// How far above the surface who does not touch moves, m: more than the hand wanders.
+/// Height of a tool that does not touch, m; larger than the hand's random motion.
 const ABOVE_M: f64 = 0.15;
 
 /// The motion of one hand.
@@ -31,12 +31,12 @@ pub(crate) struct Motion {
     spot: SurfacePoint,
     touches: bool,
     hand: Random,
-    /// Share of a press at which it begins, so that not all press at once.
+    /// Initial phase of the press as a share of its period, so presses are not synchronous.
     phase: f64,
 }
 
 impl Motion {
-    /// Of a hand over a spot.
+    /// A hand over a point of the surface.
     pub(crate) fn new(spot: SurfacePoint, touches: bool, seed: u64) -> Self {
         let temper = if touches {
             Temper {
@@ -54,7 +54,7 @@ impl Motion {
         }
     }
 
-    /// Where the tool is, `t_s` seconds after the beginning.
+    /// Pose of the tool `t_s` seconds after the start.
     pub(crate) fn at(&self, t_s: f64) -> Pose {
         let wander = Vec3::from(self.hand.at(t_s).position_m);
         let height = if self.touches {
@@ -63,7 +63,7 @@ impl Motion {
         } else {
             ABOVE_M
         };
-        // Along the normal a hand that presses is as steady as its tremor.
+        // Along the normal, a pressing hand is as steady as its tremor.
         let wander = if self.touches {
             wander - self.spot.normal * (0.9 * wander.dot(&self.spot.normal))
         } else {
@@ -75,7 +75,7 @@ impl Motion {
         }
     }
 
-    /// One sample, as a device of 1 kHz gives it.
+    /// One sample of a 1 kHz device.
     pub(crate) fn sample(&self, time: ClientTime, t_s: f64) -> LocalSample {
         LocalSample {
             time,
@@ -90,7 +90,7 @@ impl Motion {
     }
 }
 
-/// What somebody of the crowd says when they come.
+/// The join request of a participant.
 pub(crate) fn hello(seat: usize, grant: Grant) -> Hello {
     Hello {
         name: format!("member-{}", seat + 1),
@@ -102,7 +102,7 @@ pub(crate) fn hello(seat: usize, grant: Grant) -> Hello {
     }
 }
 
-/// Somebody of the crowd in virtual time.
+/// A participant in virtual time.
 pub(super) struct Member {
     pub(super) session: ClientSession,
     motion: Motion,
@@ -125,7 +125,7 @@ impl Member {
         })
     }
 
-    /// One millisecond of its life; what it has to send is to be polled from its session.
+    /// Simulates one millisecond; the caller polls the session's output.
     pub(super) fn turn(&mut self, now: ClientTime, t_s: f64) {
         while let Some(event) = self.session.poll_event() {
             match event {
@@ -144,7 +144,7 @@ impl Member {
         }
     }
 
-    /// Whether it has been let in and knows the server's clock.
+    /// Whether it has joined and knows the server's clock.
     pub(super) fn is_settled(&self) -> bool {
         self.is_in && self.session.clock().is_some()
     }

@@ -1,19 +1,19 @@
-//! What a server does that predicts: two tools, each foreseen for the other site.
+//! Server-side prediction of two tools, each extrapolated for the other site.
 
 use palpate_protocol::compensation::{PREDICTION_MAX, Prediction};
 use palpate_protocol::request::DelayReport;
 use palpate_protocol::timeline::{Method, Timeline};
 use palpate_protocol::{ServerTime, ToolSample};
 
-/// The server's side of prediction.
-pub(super) struct Foresight {
-    /// The tool of each site as the server knows it.
+/// The server's predictor.
+pub(super) struct Predictor {
+    /// Each site's tool from the samples at the server.
     tools: [Timeline; 2],
-    /// How far ahead each site is to be shown the other's tool.
+    /// Prediction horizon for each receiving site.
     ahead: [Prediction; 2],
 }
 
-impl Default for Foresight {
+impl Default for Predictor {
     fn default() -> Self {
         let tool = || Timeline::new(Method::default(), PREDICTION_MAX);
         Self {
@@ -23,13 +23,14 @@ impl Default for Foresight {
     }
 }
 
-impl Foresight {
-    /// A site says what it measures.
+impl Predictor {
+    /// Receives a site's delay report.
     pub(super) fn handle_report(&mut self, site: usize, report: DelayReport, now: ServerTime) {
         self.ahead[site].handle_report(report, now);
     }
 
-    /// Samples of a site's tool have come: what the other is sent, and the moment of the sample that it rests on.
+    /// Receives samples of a site's tool. Returns the predicted sample for the other site and the time of
+    /// the newest real sample.
     pub(super) fn handle_samples(
         &mut self,
         site: usize,

@@ -1,4 +1,4 @@
-//! What goes wrong in a rehearsal besides the network of all.
+//! Faults of single participants in a simulated session.
 
 use palpate_protocol::Span;
 use palpate_protocol::operation::OperationKind;
@@ -6,40 +6,40 @@ use palpate_protocol::session::ClientEvent;
 
 use crate::network::Profile;
 
-/// Something that goes wrong for one guest, numbered from 0.
+/// A fault of one trainee; seats count from 0.
 #[derive(Debug, Clone)]
 pub enum Mishap {
-    /// A network of its own.
+    /// The trainee has its own network.
     Network {
-        /// Whose.
+        /// Seat of the trainee.
         seat: usize,
-        /// What it is like.
+        /// Profile of that network.
         profile: Box<Profile>,
     },
-    /// It makes the next cut elsewhere, and so has another topology than everybody.
+    /// The trainee applies its next cuts at a shifted position, so its topology diverges.
     OtherCut {
-        /// Who.
+        /// Seat of the trainee.
         seat: usize,
-        /// By how much the stroke is moved, m.
+        /// Shift of the stroke, m.
         by_m: [f64; 3],
-        /// How often.
+        /// Number of shifted cuts.
         times: usize,
     },
-    /// It sees the tools of the others elsewhere for a while, and so has another shape than everybody.
+    /// The trainee receives other tools at shifted positions for a while, so its shape diverges.
     OtherTools {
-        /// Who.
+        /// Seat of the trainee.
         seat: usize,
-        /// By how much, m.
+        /// Shift, m.
         by_m: [f64; 3],
-        /// From when on after its first view, s.
+        /// Start after the first view, s.
         from_s: f64,
-        /// Until when, s.
+        /// End after the first view, s.
         until_s: f64,
     },
 }
 
 impl Mishap {
-    /// Whom it happens to.
+    /// Seat of the affected trainee.
     pub(super) fn seat(&self) -> usize {
         match self {
             Self::Network { seat, .. }
@@ -48,7 +48,7 @@ impl Mishap {
         }
     }
 
-    /// Changes what a guest hears, `since` its first view, if it has come.
+    /// Modifies an event before the trainee receives it; `since` is the time since the first view, if any.
     pub(super) fn spoil(&mut self, event: &mut ClientEvent, since: Option<Span>) {
         match (self, event) {
             (Self::OtherCut { by_m, times, .. }, ClientEvent::Operation(operation)) => {

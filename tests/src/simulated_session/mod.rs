@@ -1,5 +1,5 @@
-//! A whole session in virtual time: the room, both ends of every session, sites, force loops and
-//! simulated hands over an emulated network, all of them the parts that users run.
+//! A simulated session: the product's room, protocol sessions, sites, force loops and simulated hands over
+//! an emulated network, in virtual time.
 //!
 //! ```text
 //! hand -> force loop -> session -> wires -> peer -> room        1 ms per turn
@@ -8,15 +8,15 @@
 //!    thin site <--------+<------ wires <-----+  displacements
 //! ```
 //!
-//! There are no threads and no clocks, and solves end by iterations and residual and not by time, so
-//! that one seed always is the same session. What is left out is what a machine that is too slow
-//! does; for that there is the [real session](crate::session).
+//! A run uses no threads and no wall clock. Solves end by iterations and residual, so a seed reproduces the
+//! session exactly. Overload of a slow machine is not simulated; the [real session](crate::session) covers
+//! it.
 
 pub(crate) mod clock;
-mod guest;
 mod host;
 mod mishap;
-mod onlooker;
+mod thin_spectator;
+mod trainee;
 pub(crate) mod wires;
 
 use std::sync::Arc;
@@ -32,47 +32,47 @@ use serde::Serialize;
 
 use crate::network::{Direction, Profile};
 use clock::SiteClock;
-use guest::Guest;
 use host::Host;
-pub use onlooker::Onlooked;
-use onlooker::Onlooker;
+use thin_spectator::ThinSpectator;
+pub use thin_spectator::ThinSpectatorResult;
+use trainee::Trainee;
 use wires::{Arrived, Wires};
 
 pub use mishap::Mishap;
 pub use wires::{Part, Sent};
 
-/// From one turn to the next, µs.
+/// Simulation step, µs.
 const TURN_US: i64 = 1000;
 
-/// A session in which scripts have not begun after this time never begins, µs.
+/// Limit for the start of the scripts, µs.
 const BEGIN_WITHIN_US: i64 = 20_000_000;
 
-/// After the scripts, µs: what is on its way arrives, and is shown.
+/// Time after the scripts in which packets in flight arrive and are shown, µs.
 const SETTLE_US: i64 = 1_500_000;
 
-/// What is to be rehearsed.
+/// Configuration of a simulated session.
 #[derive(Debug, Clone)]
-pub struct Rehearsal<'a> {
+pub struct SimulatedSession<'a> {
     /// The tissue.
     pub model: &'a Arc<Model>,
-    /// One trainee per script, named by its place.
+    /// One trainee per script, named by its index.
     pub scripts: &'a [&'a Script],
-    /// Whether they only move, and neither feel nor compute the tissue: where only the server's shape
-    /// is looked at, for a fraction of the time.
+    /// Trainees only move; they render no force and solve no tissue. This is faster where only the server's
+    /// shape counts.
     pub motion_only: bool,
-    /// Thin spectators beside them.
+    /// Number of thin spectators.
     pub onlookers: usize,
-    /// The network between the server and each of them.
+    /// The network between the server and each participant.
     pub profile: &'a Profile,
-    /// The seed of packets' fates and of clocks.
+    /// Seed of the networks and the clocks.
     pub seed: u64,
-    /// Artificial time compensation.
+    /// Time compensation settings.
     pub compensation: CompensationSettings,
-    /// Views per second.
+    /// Server ticks per second.
     pub tick_hz: u32,
 }
 
-/// Bytes of UDP payload that one participant causes per second of the session, without those of QUIC.
+/// Mean UDP payload of one participant, bytes/s, without QUIC overhead.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct BytesPerSecond {
     /// To the server.
@@ -81,97 +81,104 @@ pub struct BytesPerSecond {
     pub down: f64,
 }
 
-/// What came of it.
+/// Results of a simulated session.
 #[derive(Debug, Clone)]
-pub struct Rehearsed {
-    /// What each participant saw and felt; times are true ones.
+pub struct SessionResult {
+    /// Recording of each trainee, in true time.
     pub recordings: Vec<Recording>,
-    /// What each thin spectator was shown.
-    pub onlooked: Vec<Onlooked>,
-    /// Version and hash of the topology: the server's, then each participant's.
+    /// Results of each thin spectator.
+    pub thin_results: Vec<ThinSpectatorResult>,
+    /// Version and hash of the topology: first the server's, then each participant's.
     pub topologies: Vec<(u32, u64)>,
-    /// What each participant's site counted.
+    /// Site counters of each trainee.
     pub counters: Vec<SiteCounters>,
-    /// How often the server made somebody a spectator.
+    /// Number of demotions to spectator.
     pub demotions: u64,
-    /// The mean over those with a script, from the beginning of the scripts.
+    /// Mean over the trainees, from the start of the scripts.
     pub bytes_per_s: BytesPerSecond,
-    /// Every packet from the beginning of the scripts.
+    /// Every packet from the start of the scripts.
     pub sent: Vec<Sent>,
-    /// The same length of time, s.
+    /// Time from the start of the scripts, s.
     pub seconds: f64,
-    /// What went wrong; nothing, when all is well.
+    /// Errors of the run; empty on success.
     pub troubles: Vec<String>,
 }
 
-impl Rehearsed {
-    /// Whether everybody has the server's topology.
+impl SessionResult {
+    /// Whether all participants have the server's topology.
     pub fn hashes_equal(&self) -> bool {
         self.topologies.windows(2).all(|w| w[0] == w[1])
     }
 }
 
-impl Rehearsal<'_> {
-    /// Runs it to the end of the longest script. `progress` is told the share that is done, and gives
-    /// whether to go on.
-    pub fn run(&self, progress: impl FnMut(f64) -> bool) -> Result<Rehearsed, String> {
+impl SimulatedSession<'_> {
+    /// Runs the session to the end of the longest script. `progress` receives the completed share;
+    /// returning `false` interrupts the run.
+    pub fn run(&self, progress: impl FnMut(f64) -> bool) -> Result<SessionResult, String> {
         self.run_with(&[], progress)
     }
 
-    /// The same, with what goes wrong besides.
+    /// Like [`Self::run`], with injected faults.
     pub fn run_with(
         &self,
         mishaps: &[Mishap],
         mut progress: impl FnMut(f64) -> bool,
-    ) -> Result<Rehearsed, String> {
+    ) -> Result<SessionResult, String> {
         let grant = Grant(*b"a rehearsal only");
-        let trainees = self.scripts.len();
-        let seats = trainees + self.onlookers;
+        let trainee_count = self.scripts.len();
+        let seats = trainee_count + self.onlookers;
         let mut wires = Wires::new(&self.profiles(mishaps), self.seed);
         let mut host = Host::new(Arc::clone(self.model), self.config(grant), seats);
-        let mut guests = Vec::new();
+        let mut trainees = Vec::new();
         for (seat, script) in self.scripts.iter().enumerate() {
             let name = format!("trainee-{}", seat + 1);
             let clock = SiteClock::of(self.seed, seat);
             let model = Arc::clone(self.model);
-            let mut guest = Guest::new(seat, &name, grant, model, script, clock)?;
+            let mut trainee = Trainee::new(seat, &name, grant, model, script, clock)?;
             let of_seat = mishaps.iter().filter(|m| m.seat() == seat);
-            guest.mishaps = of_seat.cloned().collect();
-            guests.push(if self.motion_only {
-                guest.only_moving()
+            trainee.mishaps = of_seat.cloned().collect();
+            trainees.push(if self.motion_only {
+                trainee.only_moving()
             } else {
-                guest
+                trainee
             });
         }
-        let onlooker = |seat| {
+        let thin_spectator = |seat| {
             let clock = SiteClock::of(self.seed, seat);
-            Onlooker::new(seat, grant, Arc::clone(self.model), clock)
+            ThinSpectator::new(seat, grant, Arc::clone(self.model), clock)
         };
-        let mut onlookers: Vec<Onlooker> =
-            (trainees..seats).map(onlooker).collect::<Result<_, _>>()?;
+        let mut thin_spectators: Vec<ThinSpectator> = (trainee_count..seats)
+            .map(thin_spectator)
+            .collect::<Result<_, _>>()?;
         let script_us = self.scripts.iter().map(|s| s.end_s()).fold(0.0, f64::max) * 1e6;
         let (mut at_us, mut began_us) = (0_i64, None::<i64>);
         loop {
-            deliver(&mut host, &mut guests, &mut onlookers, &mut wires, at_us);
+            deliver(
+                &mut host,
+                &mut trainees,
+                &mut thin_spectators,
+                &mut wires,
+                at_us,
+            );
             host.turn(ServerTime::from_micros(at_us), &mut wires);
-            for (seat, guest) in guests.iter_mut().enumerate() {
-                if guest.wants_connection() {
+            for (seat, trainee) in trainees.iter_mut().enumerate() {
+                if trainee.wants_connection() {
                     wires.renew(seat);
                     host.renew(seat, ServerTime::from_micros(at_us));
-                    guest.come_back(at_us);
+                    trainee.come_back(at_us);
                 }
-                guest.turn(at_us, &mut wires);
+                trainee.turn(at_us, &mut wires);
             }
-            for (onlooker, seat) in onlookers.iter_mut().zip(trainees..) {
+            for (thin_spectator, seat) in thin_spectators.iter_mut().zip(trainee_count..) {
                 let bytes = host.bytes_to(seat);
-                onlooker.turn(at_us, &mut wires, bytes, host.pictures());
+                thin_spectator.turn(at_us, &mut wires, bytes, host.pictures());
             }
             if began_us.is_none() {
-                began_us = guests.iter().find_map(|g| g.recording.script_started_us);
+                began_us = trainees.iter().find_map(|t| t.recording.script_started_us);
                 wires.count_from_here();
             }
             let end_us = began_us.map(|b| b + script_us as i64 + SETTLE_US);
-            if guests.iter().any(|g| g.trouble.is_some())
+            if trainees.iter().any(|t| t.trouble.is_some())
                 || end_us.map_or(at_us > BEGIN_WITHIN_US, |end| at_us >= end)
             {
                 break;
@@ -184,31 +191,31 @@ impl Rehearsal<'_> {
             }
             at_us += TURN_US;
         }
-        let of_onlookers = onlookers.iter().filter_map(|o| o.trouble.clone());
-        let mut troubles: Vec<String> = guests.iter().filter_map(|g| g.trouble.clone()).collect();
-        troubles.extend(of_onlookers);
+        let of_thin = thin_spectators.iter().filter_map(|t| t.trouble.clone());
+        let mut troubles: Vec<String> = trainees.iter().filter_map(|t| t.trouble.clone()).collect();
+        troubles.extend(of_thin);
         if began_us.is_none() {
-            troubles.push("the scripts did not begin".to_owned());
+            troubles.push("the scripts did not start within 20 s of simulated time".to_owned());
         }
         let seconds = (at_us - began_us.unwrap_or(0)) as f64 * 1e-6;
-        let share = 1.0 / (seconds.max(1e-3) * guests.len().max(1) as f64);
+        let share = 1.0 / (seconds.max(1e-3) * trainees.len().max(1) as f64);
         let (version, hash) = host.topology();
-        let own = guests.iter().filter_map(Guest::topology);
-        let own = own.chain(onlookers.iter().filter_map(Onlooker::topology));
+        let own = trainees.iter().filter_map(Trainee::topology);
+        let own = own.chain(thin_spectators.iter().filter_map(ThinSpectator::topology));
         let topologies = std::iter::once((version, hash.0)).chain(own).collect();
         let last = host.pictures().last_key_value().map(|(_, p)| p.as_ref());
-        Ok(Rehearsed {
-            onlooked: onlookers
+        Ok(SessionResult {
+            thin_results: thin_spectators
                 .iter_mut()
-                .map(|o| o.onlooked(at_us, last))
+                .map(|t| t.result(at_us, last))
                 .collect(),
             topologies,
-            counters: guests.iter().map(Guest::counters).collect(),
+            counters: trainees.iter().map(Trainee::counters).collect(),
             demotions: host.demotions(),
-            recordings: guests.into_iter().map(|g| g.recording).collect(),
+            recordings: trainees.into_iter().map(|t| t.recording).collect(),
             bytes_per_s: BytesPerSecond {
-                up: wires.counted(Direction::Up, trainees) as f64 * share,
-                down: wires.counted(Direction::Down, trainees) as f64 * share,
+                up: wires.counted(Direction::Up, trainee_count) as f64 * share,
+                down: wires.counted(Direction::Down, trainee_count) as f64 * share,
             },
             sent: wires.take_sent(),
             seconds,
@@ -216,7 +223,7 @@ impl Rehearsal<'_> {
         })
     }
 
-    /// The network of every seat.
+    /// The network profile of each seat.
     fn profiles<'a>(&'a self, mishaps: &'a [Mishap]) -> Vec<&'a Profile> {
         let mut profiles = vec![self.profile; self.scripts.len() + self.onlookers];
         for mishap in mishaps {
@@ -239,22 +246,22 @@ impl Rehearsal<'_> {
             tick_hz: self.tick_hz,
             compensation: self.compensation,
             start_when_tools: self.scripts.len() as u16,
-            // Nobody else is here who could guess.
+            // A predictable token is safe: the simulation has no attacker.
             fresh_token: |who| ResumeToken([who.0 as u8; 16]),
         }
     }
 }
 
-/// Hands over what has arrived until `at_us`, each at its own moment. What the server passes on
-/// leaves at once, as from its event loop.
+/// Delivers packets due by `at_us`, each at its arrival time. The server forwards them at once, as its
+/// event loop does.
 fn deliver(
     host: &mut Host,
-    guests: &mut [Guest],
-    onlookers: &mut [Onlooker],
+    trainees: &mut [Trainee],
+    thin_spectators: &mut [ThinSpectator],
     wires: &mut Wires,
     at_us: i64,
 ) {
-    let trainees = guests.len();
+    let trainee_count = trainees.len();
     while let Some((when_us, seat, direction, arrived)) = wires.pop_due(at_us.unsigned_abs()) {
         let when_us = when_us as i64;
         match (direction, arrived) {
@@ -266,18 +273,18 @@ fn deliver(
                 }
                 host.turn(then, wires);
             }
-            (Direction::Down, arrived) if seat >= trainees => {
-                let onlooker = &mut onlookers[seat - trainees];
+            (Direction::Down, arrived) if seat >= trainee_count => {
+                let thin_spectator = &mut thin_spectators[seat - trainee_count];
                 match arrived {
-                    Arrived::Stream(bytes) => onlooker.handle_stream(&bytes, when_us),
-                    Arrived::Datagram(bytes) => onlooker.handle_datagram(&bytes, when_us),
+                    Arrived::Stream(bytes) => thin_spectator.handle_stream(&bytes, when_us),
+                    Arrived::Datagram(bytes) => thin_spectator.handle_datagram(&bytes, when_us),
                 }
             }
             (Direction::Down, Arrived::Stream(bytes)) => {
-                guests[seat].handle_stream(&bytes, when_us);
+                trainees[seat].handle_stream(&bytes, when_us);
             }
             (Direction::Down, Arrived::Datagram(bytes)) => {
-                guests[seat].handle_datagram(&bytes, when_us);
+                trainees[seat].handle_datagram(&bytes, when_us);
             }
         }
     }
