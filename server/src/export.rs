@@ -9,7 +9,7 @@ use palpate_tissue::{Model, Shape, Staged, Topology, WriteError};
 
 use crate::ServerError;
 
-/// Which files beside the model itself.
+/// Requested export files.
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct Exports {
     /// Also write the cells as a VTK unstructured grid (lengths in mm)
@@ -21,17 +21,17 @@ pub(crate) struct Exports {
 }
 
 impl Exports {
-    /// Whether anything is asked for.
+    /// Whether an export is requested.
     pub(crate) fn any(&self) -> bool {
         self.vtu.is_some() || self.stl.is_some()
     }
 
-    /// The single files that are asked for.
+    /// The requested single files.
     pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
         self.vtu.as_deref().into_iter()
     }
 
-    /// Writes what is asked for, without putting it in its place yet.
+    /// Writes the requested files beside their destination; [`put_in_place`] moves them.
     pub(crate) fn stage(&self, model: &Model) -> Result<Vec<Staged>, WriteError> {
         let mut staged = Vec::new();
         if !self.any() {
@@ -49,7 +49,7 @@ impl Exports {
     }
 }
 
-/// Puts files in place when all of them are complete, and none is for the place of one that was `read`.
+/// Moves the files to their destination once all are complete, unless a destination is one of the files that were `read`.
 pub(crate) fn put_in_place(staged: Vec<Staged>, read: &[&Path]) -> Result<(), ServerError> {
     let places: Vec<&Path> = staged.iter().map(Staged::path).collect();
     keep_apart(&places, read)?;
@@ -59,7 +59,7 @@ pub(crate) fn put_in_place(staged: Vec<Staged>, read: &[&Path]) -> Result<(), Se
     Ok(())
 }
 
-/// Refuses places for files that are those of what is read, or twice the same.
+/// Rejects destinations that equal an input file or each other.
 pub(crate) fn keep_apart(places: &[&Path], read: &[&Path]) -> Result<(), ServerError> {
     let read: Vec<PathBuf> = read.iter().map(|p| place(p)).collect();
     let mut taken: Vec<PathBuf> = Vec::new();
@@ -81,7 +81,7 @@ pub(crate) fn keep_apart(places: &[&Path], read: &[&Path]) -> Result<(), ServerE
     Ok(())
 }
 
-/// The same for all names of one file, whether it is there or not.
+/// A canonical path that is equal for all names of one file, whether it exists or not.
 fn place(path: &Path) -> PathBuf {
     let known = path.canonicalize().ok();
     let beside = || {

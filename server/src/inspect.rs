@@ -1,4 +1,4 @@
-//! `palpate-server inspect`: what a model file or a label volume holds.
+//! `palpate-server inspect`: contents of a model file or a label volume.
 
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -13,7 +13,7 @@ use crate::build::{BuildSummary, describe};
 use crate::export::{Exports, keep_apart, put_in_place};
 use crate::picture::{self, Slice};
 
-/// A picture of a cross-section, when one is asked for.
+/// Options of the cross-section.
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct Picture {
     /// Also draw a cross-section with regions, springs and poor cells
@@ -44,8 +44,8 @@ impl Picture {
     }
 }
 
-/// What a file holds: as one JSON object, and for a person. Writes what else is asked for, which only
-/// a model can give. Everything that is no model file by its name is taken for a label volume.
+/// Contents of a file as a JSON object and as text. Also writes the requested exports and picture, for models only.
+/// A file without the extension of a model is read as a label volume.
 pub(crate) fn inspect(
     path: &Path,
     exports: &Exports,
@@ -162,7 +162,7 @@ fn inspect_model(
     Ok((value, text))
 }
 
-/// What is out of the common about a region's material.
+/// The material properties of a region that differ from the default.
 fn special(region: &Region) -> String {
     let m = &region.material;
     let plain = Material::default();

@@ -1,8 +1,7 @@
-//! A picture of a cross-section of a model: regions in colour, springs, poor cells, a legend and a
-//! scale, to look at before a model is used.
+//! The picture of a cross-section of a model: coloured regions, springs, poor cells, legend and scale.
 //!
-//! The raster is tiny-skia's and the letters are the bitmap fonts of embedded-graphics: both are
-//! small, need nothing of the system and draw the same bits everywhere.
+//! tiny-skia draws the raster and embedded-graphics provides bitmap fonts. Both are small, need no system library and
+//! draw equal bits everywhere.
 
 mod canvas;
 mod colour;
@@ -17,12 +16,12 @@ use palpate_tissue::ModelFile;
 use crate::ServerError;
 use section::Section;
 
-/// Where a model is cut through for its picture.
+/// The plane of a cross-section.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Slice {
-    /// The axis it is at right angles to.
+    /// The axis normal to the plane.
     pub(crate) axis: usize,
-    /// Where on that axis, in mm; in the middle of the model when nothing is said.
+    /// Position on the axis in mm; default: the middle of the model.
     pub(crate) at_mm: Option<f64>,
 }
 
