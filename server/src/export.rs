@@ -66,9 +66,9 @@ pub(crate) fn keep_apart(places: &[&Path], read: &[&Path]) -> Result<(), ServerE
     for path in places {
         let place = place(path);
         let why = if read.contains(&place) {
-            "is what is read here, and would be lost"
+            "is an input of this command and would be overwritten"
         } else if taken.contains(&place) {
-            "is asked for twice, for different files"
+            "is the destination of two outputs"
         } else {
             taken.push(place);
             continue;
@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_file_is_for_the_place_of_another_or_of_what_is_read() {
+    fn outputs_overwrite_neither_inputs_nor_each_other() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         std::fs::create_dir(at("b")).unwrap();

@@ -29,7 +29,7 @@ pub(crate) fn load(what: &str) -> Result<Loaded, ServerError> {
         )));
     } else {
         let sample: Sample = what.parse().map_err(|error| {
-            ServerError::NoModel(format!("there is no file {what}, and as a sample: {error}"))
+            ServerError::NoModel(format!("there is no file {what} and {error}"))
         })?;
         build_input(&sample.input()?)?
     };

@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn links_stay_valid_over_a_restart_until_they_are_renewed() {
+    fn links_survive_a_restart_until_they_are_renewed() {
         let dir = tempfile::tempdir().unwrap();
         let place = at(&dir.path().join("a/b"));
         let first = links(&Identity::obtain(&place, false).unwrap());
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn hosts_that_start_together_take_one_identity() {
+    fn concurrently_started_hosts_share_one_identity() {
         let dir = tempfile::tempdir().unwrap();
         let place = at(dir.path());
         let hosts: Vec<_> = std::thread::scope(|scope| {
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_file_is_named_without_its_secrets() {
+    fn damaged_identity_is_reported_without_its_secrets() {
         let dir = tempfile::tempdir().unwrap();
         let place = at(dir.path());
         Identity::obtain(&place, false).unwrap();
@@ -256,7 +256,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn a_key_that_others_may_read_is_refused() {
+    fn key_readable_by_other_users_is_rejected() {
         use std::os::unix::fs::PermissionsExt as _;
         let dir = tempfile::tempdir().unwrap();
         let place = at(dir.path());

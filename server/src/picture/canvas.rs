@@ -50,7 +50,7 @@ impl Canvas {
     /// A white sheet.
     pub(super) fn new(width: u32, height: u32) -> Result<Self, String> {
         let mut pixels = Pixmap::new(width, height)
-            .ok_or_else(|| format!("{width} x {height} pixels are no picture"))?;
+            .ok_or_else(|| format!("invalid image size {width} x {height}"))?;
         pixels.fill(colour(PAPER, 1.0));
         Ok(Self(pixels))
     }

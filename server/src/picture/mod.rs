@@ -39,7 +39,9 @@ impl FromStr for Slice {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let wrong = || {
-            format!("\"{text}\" is no slice; write x, y or z, or with a place in mm as in z=100")
+            format!(
+                "invalid slice \"{text}\"; use x, y or z, optionally with a position in mm (z=100)"
+            )
         };
         let (axis, at) = match text.split_once('=') {
             Some((axis, at)) => (axis, Some(at)),
@@ -69,7 +71,7 @@ pub(crate) fn draw(
 ) -> Result<Vec<u8>, ServerError> {
     let section = Section::through(&file.model, slice).map_err(ServerError::Option)?;
     sheet::draw(&file.model, &section, name, springs)
-        .map_err(|what| ServerError::Option(format!("the picture can not be drawn: {what}")))
+        .map_err(|what| ServerError::Option(format!("cannot draw the picture: {what}")))
 }
 
 #[cfg(test)]
@@ -78,7 +80,7 @@ mod tests {
     use palpate_tissue::{Material, block};
 
     #[test]
-    fn a_slice_is_an_axis_with_or_without_a_place() {
+    fn slice_is_an_axis_with_an_optional_position() {
         let slice = |axis, at_mm| Ok(Slice { axis, at_mm });
         assert_eq!("z=580".parse(), slice(2, Some(580.0)));
         assert_eq!("x = -1.5 mm".parse(), slice(0, Some(-1.5)));
@@ -89,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_is_drawn_of_every_axis_and_the_same_each_time() {
+    fn picture_of_every_axis_is_drawn_deterministically() {
         let model = block([7, 3, 4], 0.004, &Material::default(), 1);
         let file = ModelFile {
             model,
@@ -104,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slice_beside_the_model_is_answered_with_where_it_is() {
+    fn slice_outside_the_model_is_rejected_with_its_extent() {
         let model = block([7, 3, 4], 0.004, &Material::default(), 1);
         let slice = "y=50".parse().unwrap();
         let said = Section::through(&model, slice).unwrap_err();

@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn the_pieces_fill_the_section_without_gap_or_overlap() {
+    fn pieces_fill_the_section_without_gap_or_overlap() {
         let mut model = block([6, 5, 4], 0.004, &Material::default(), 1);
         for (i, p) in model.nodes.iter_mut().enumerate() {
             // Only inner nodes, so that the section stays a rectangle.
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cell_turned_inside_out_is_graded_so() {
+    fn inverted_cell_is_graded_as_inverted() {
         let mut model = block([3, 3, 3], 0.004, &Material::default(), 1);
         let slice = Slice::default();
         let grades = Section::through(&model, slice).unwrap().grades;
