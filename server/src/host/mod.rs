@@ -4,8 +4,8 @@
 //! threads own the tissue. Messages of peers reach the room through one bounded inbox. Its outputs leave through
 //! bounded queues that never block it.
 
+mod announcements;
 mod identity;
-mod news;
 mod options;
 mod serve;
 mod summary;

@@ -17,7 +17,7 @@ use palpate_transport::{
 use tokio::runtime::Runtime;
 use tokio::sync::mpsc;
 
-use super::news::Announcements;
+use super::announcements::Announcements;
 use super::options::HostOptions;
 use super::summary::{HostSummary, Refused, TickTimes};
 use super::tissue::{Answer, TissueThreads};

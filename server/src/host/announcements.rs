@@ -84,7 +84,7 @@ impl Announcements {
         let (lines, waiting) = sync_channel::<String>(WAITING_MAX);
         // The thread ends with the channel. Without the thread all announcements are dropped.
         let _ = std::thread::Builder::new()
-            .name("news".to_owned())
+            .name("announcements".to_owned())
             .spawn(move || {
                 for line in waiting {
                     // A closed standard error is ignored.
