@@ -8,7 +8,6 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
-mod asked;
 mod authority;
 mod config;
 mod convert;
@@ -16,6 +15,7 @@ mod fan_out;
 mod log;
 mod participant;
 mod pictures;
+mod request_history;
 mod room;
 mod simulated;
 #[cfg(test)]

@@ -10,7 +10,7 @@ use palpate_protocol::{ParticipantId, ResumeToken, Role, ServerTime, Span};
 use palpate_tissue::{Form, Tool, Vec3};
 
 use crate::PeerKey;
-use crate::asked::Asked;
+use crate::request_history::RequestHistory;
 
 /// Bit of the primary button in a sample.
 const PRIMARY_BUTTON: u8 = 1;
@@ -44,7 +44,7 @@ pub(crate) struct Participant {
     /// Samples of the tool, for the authoritative shape.
     pub(crate) timeline: Timeline,
     /// Requests of the seat, for the detection of repetitions.
-    pub(crate) asked: Asked,
+    pub(crate) requests: RequestHistory,
     /// Age of its samples on arrival at the server.
     pub(crate) delay: DelayEstimator,
     /// The last delay report of the client, with its time of reception.
@@ -81,7 +81,7 @@ impl Participant {
             tool,
             subscription: Subscription::Full,
             timeline: Timeline::default(),
-            asked: Asked::default(),
+            requests: RequestHistory::default(),
             delay: DelayEstimator::new(DelayRule::default()),
             report: None,
             down_us: 0,

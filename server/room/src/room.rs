@@ -17,12 +17,12 @@ use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{OperationId, ParticipantId, RequestId, ServerTime, Span, TopologyHash};
 use palpate_tissue::Tool;
 
-use crate::asked::Repetition;
 use crate::authority::{CutOrder, Settling, TissueOrder, TissueReport};
 use crate::config::RoomConfig;
 use crate::fan_out::FanOut;
 use crate::log::Log;
 use crate::participant::Participant;
+use crate::request_history::Repetition;
 
 /// Time from the arrival of the last tool to the start of scripts.
 const START_LEAD: Span = Span::from_millis(1000);
@@ -151,7 +151,7 @@ impl Room {
         let Some(participant) = self.participants.get_mut(&who) else {
             return;
         };
-        match participant.asked.take(request.id) {
+        match participant.requests.take(request.id) {
             Repetition::New => {}
             Repetition::Done => {
                 self.repetitions += 1;
@@ -181,7 +181,7 @@ impl Room {
     fn note_refusal(&mut self, who: ParticipantId, id: RequestId, reason: RequestRefusal) {
         let refused = RequestRefused { id, reason };
         if let Some(participant) = self.participants.get_mut(&who) {
-            participant.asked.note_refusal(refused.clone());
+            participant.requests.note_refusal(refused.clone());
         }
         self.refuse(who, refused);
     }

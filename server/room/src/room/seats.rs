@@ -144,7 +144,7 @@ impl Room {
             return;
         };
         seat.resumed += 1;
-        seat.asked.next_connection();
+        seat.requests.next_connection();
         let before = std::mem::replace(&mut seat.place, Place::Here(peer));
         if !seat.demotion.is_demoted() && seat.is_lifted() {
             seat.set_down(now);

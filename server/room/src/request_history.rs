@@ -10,7 +10,7 @@ const REFUSALS_MAX: usize = 64;
 
 /// The requests of one seat.
 #[derive(Debug, Default)]
-pub(crate) struct Asked {
+pub(crate) struct RequestHistory {
     newest: Option<RequestId>,
     /// The newest request of an earlier connection. All requests up to it have been answered.
     before: Option<RequestId>,
@@ -28,7 +28,7 @@ pub(crate) enum Repetition {
     Refused(RequestRefused),
 }
 
-impl Asked {
+impl RequestHistory {
     /// Classifies a received request.
     pub(crate) fn take(&mut self, id: RequestId) -> Repetition {
         if Some(id) > self.before {
@@ -61,34 +61,34 @@ mod tests {
 
     #[test]
     fn only_requests_of_earlier_connections_are_repetitions() {
-        let mut asked = Asked::default();
+        let mut history = RequestHistory::default();
         let refused = |n| RequestRefused {
             id: RequestId(n),
             reason: RequestRefusal::NothingCut,
         };
-        assert_eq!(asked.take(RequestId(1)), Repetition::New);
-        asked.take(RequestId(2));
-        asked.note_refusal(refused(2));
+        assert_eq!(history.take(RequestId(1)), Repetition::New);
+        history.take(RequestId(2));
+        history.note_refusal(refused(2));
         assert_eq!(
-            asked.take(RequestId(2)),
+            history.take(RequestId(2)),
             Repetition::New,
             "a stream delivers each request once"
         );
-        asked.next_connection();
-        assert_eq!(asked.take(RequestId(1)), Repetition::Done);
-        assert_eq!(asked.take(RequestId(2)), Repetition::Refused(refused(2)));
-        assert_eq!(asked.take(RequestId(3)), Repetition::New);
+        history.next_connection();
+        assert_eq!(history.take(RequestId(1)), Repetition::Done);
+        assert_eq!(history.take(RequestId(2)), Repetition::Refused(refused(2)));
+        assert_eq!(history.take(RequestId(3)), Repetition::New);
     }
 
     #[test]
     fn stored_refusals_are_bounded() {
-        let mut asked = Asked::default();
+        let mut history = RequestHistory::default();
         for n in 0..1000 {
-            asked.note_refusal(RequestRefused {
+            history.note_refusal(RequestRefused {
                 id: RequestId(n),
                 reason: RequestRefusal::TooMany,
             });
         }
-        assert_eq!(asked.refusals.len(), REFUSALS_MAX);
+        assert_eq!(history.refusals.len(), REFUSALS_MAX);
     }
 }
