@@ -12,7 +12,7 @@ use palpate_room::SEATS_MAX;
 use crate::export::Exports;
 use crate::host::{self, HostOptions, IdentityPlace};
 use crate::inspect::Picture;
-use crate::say::say;
+use crate::output::print_result;
 use crate::{ServerError, build, inspect, sample};
 
 /// The end of `build --help`.
@@ -198,7 +198,7 @@ fn execute(command: Command) -> Result<(), ServerError> {
             force,
         } => {
             let scene = sample::write(&name, &output, force)?;
-            say(&scene.display().to_string())?;
+            print_result(&scene.display().to_string())?;
         }
         Command::Build {
             scene,
@@ -208,10 +208,10 @@ fn execute(command: Command) -> Result<(), ServerError> {
         } => {
             let summary = build::build_file(&scene, &output, &exports)?;
             if json {
-                say(&serde_json::json!(summary).to_string())?;
+                print_result(&serde_json::json!(summary).to_string())?;
             } else {
                 let text = build::describe(&summary);
-                say(&format!("{text}\nwritten to {}", output.display()))?;
+                print_result(&format!("{text}\nwritten to {}", output.display()))?;
             }
         }
         Command::Inspect {
@@ -221,7 +221,7 @@ fn execute(command: Command) -> Result<(), ServerError> {
             json,
         } => {
             let (value, text) = inspect::inspect(&file, &exports, &picture)?;
-            say(&if json { value.to_string() } else { text })?;
+            print_result(&if json { value.to_string() } else { text })?;
         }
         Command::Host(args) => host::host(&options(args)?)?,
     }

@@ -13,8 +13,8 @@ pub mod host;
 mod inspect;
 mod load;
 mod memory;
+mod output;
 mod picture;
 mod sample;
-mod say;
 
 pub use error::ServerError;

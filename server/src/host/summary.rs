@@ -9,7 +9,7 @@ use palpate_transport::threads::CpuUsage;
 use serde::{Deserialize, Serialize};
 
 use crate::ServerError;
-use crate::say::say;
+use crate::output::print_result;
 
 /// The first object of `host --json`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -138,7 +138,7 @@ pub struct TickTimes {
 /// Prints address and join links.
 pub(super) fn announce(json: bool, listening: &Listening) -> Result<(), ServerError> {
     if json {
-        return say(&serde_json::json!(listening).to_string());
+        return print_result(&serde_json::json!(listening).to_string());
     }
     let mut text = format!(
         "listening on {} with a model of {} nodes ({:.1} MB); end with Ctrl-C",
@@ -150,15 +150,15 @@ pub(super) fn announce(json: bool, listening: &Listening) -> Result<(), ServerEr
         // Writing to a string can not fail.
         let _ = write!(text, "\n{role:>11}  {link}");
     }
-    say(&text)
+    print_result(&text)
 }
 
 /// Prints the statistics of the session.
 pub(super) fn finish(json: bool, s: &HostSummary) -> Result<(), ServerError> {
     if json {
-        return say(&serde_json::json!(s).to_string());
+        return print_result(&serde_json::json!(s).to_string());
     }
-    say(&format!(
+    print_result(&format!(
         "{} after {:.1} s: {} participants, {} operations with {} cuts; {} ticks of \
          {:.1} ms (p99 {:.1}, period {:.1}); topology {} (version {}), {} piece(s); {}",
         s.ended,
