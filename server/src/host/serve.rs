@@ -242,7 +242,7 @@ impl Session {
         let peer = PeerKey(input.peer.0);
         let closed = matches!(input.event, PeerEvent::Closed(_));
         if let PeerEvent::Closed(reason) = &input.event {
-            tracing::info!(peer = peer.0, %reason, "a peer is gone");
+            tracing::info!(peer = peer.0, %reason, "peer disconnected");
         }
         let before = self.room.participant_count();
         self.room.handle_event(peer, input.event, input.at);

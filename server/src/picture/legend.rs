@@ -113,7 +113,7 @@ impl Legend {
             (POOR, poor.as_str(), grade(Grade::Poor)),
             (
                 INVERTED,
-                "inside out, or a corner of it",
+                "inverted, wholly or at a corner",
                 grade(Grade::Inverted),
             ),
         ] {

@@ -129,13 +129,13 @@ fn participant_beyond_the_cap_is_demoted_and_no_longer_raises_the_delay() {
     assert_eq!(s.tools, 3);
     (s.movers[2].up_ms, s.movers[2].down_ms) = (500, 500);
     s.run_until(2000 + DEMOTE_AFTER.as_micros() / 1000 - 300);
-    assert_eq!(s.lifted(), [], "a burst may be over by then");
-    assert!(s.target_ms().unwrap() > 300, "and is waited for");
+    assert_eq!(s.lifted(), [], "a short burst does not demote");
+    assert!(s.target_ms().unwrap() > 300, "the group delay covers it");
     s.run_until(7000);
     assert_eq!(s.lifted(), [ParticipantId(3)], "the slow participant alone");
     assert!(s.target_ms().unwrap() < 100, "{:?} ms", s.target_ms());
     s.run_until(9000);
-    assert_eq!(s.tools, 2, "the tool presses nowhere");
+    assert_eq!(s.tools, 2, "the demoted tool does not press");
     let motion = |room: &mut SimulatedRoom| {
         let outputs = drain(room);
         outputs.iter().any(|o| {
@@ -146,7 +146,7 @@ fn participant_beyond_the_cap_is_demoted_and_no_longer_raises_the_delay() {
     s.room
         .handle_event(PeerKey(3), pressing_at(8000, 8004, ms(9001)), ms(9001));
     s.room.handle_tick(ms(9020), &mut || true);
-    assert!(!motion(&mut s.room), "and is not passed on");
+    assert!(!motion(&mut s.room), "its motion is not relayed");
     for kind in [
         stroke(),
         RequestKind::SetTool(ToolDescription::probe(0.003)),
@@ -233,14 +233,14 @@ fn full_log_takes_no_demotion_but_restores_demoted_participants() {
     (s.movers[2].up_ms, s.movers[2].down_ms) = (30, 30);
     let recovered = s.now_ms;
     s.run_until(recovered + RESTORE_AFTER.as_micros() / 1000 + 6000);
-    assert_eq!(s.lifted(), [], "what is lifted comes back");
+    assert_eq!(s.lifted(), [], "the demoted participant is restored");
     s.movers[1].up_ms = 900;
     s.run_until(s.now_ms + 2 * DEMOTE_AFTER.as_micros() / 1000);
     assert_eq!(s.lifted(), []);
     let newcomer = hello("eve", Role::Trainee, ToolKind::Probe);
     s.room.handle_event(PeerKey(9), newcomer, ms(s.now_ms));
     let outputs = drain(&mut s.room);
-    assert_eq!(refusal(&outputs), None, "and newcomers are greeted");
+    assert_eq!(refusal(&outputs), None, "new clients are admitted");
     let log = operations(&outputs, PeerKey(9));
     assert_eq!(log.len(), s.room.operation_count());
 }
@@ -275,6 +275,6 @@ fn two_demoted_participants_without_motion_are_not_both_restored() {
     );
     (session.movers[0].up_ms, session.movers[0].down_ms) = (304, 304);
     session.run_until(80_000);
-    assert_eq!(session.lifted().len(), 1, "which of the two is the same");
+    assert_eq!(session.lifted().len(), 1, "only one of the two");
     assert_eq!(session.room.demotion_count(), 2);
 }

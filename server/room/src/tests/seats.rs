@@ -96,14 +96,14 @@ fn reconnect_keeps_id_role_and_tool_and_sends_the_missing_log() {
     assert_eq!(
         later.next_operation.0 as usize,
         room.operation_count(),
-        "everything that was missed, and that she is back"
+        "all missed operations and the resumption"
     );
     let to_bob = operations(&outputs, PeerKey(2));
     assert!(
         matches!(to_bob[..], [ref o] if o.kind == OperationKind::Back { participant: ParticipantId(1) })
     );
     cut_as(&mut room, PeerKey(3), 2, ms(31_100));
-    assert!(room.topology().0 >= 1, "her blade is hers again");
+    assert!(room.topology().0 >= 1, "the resumed seat cuts");
 }
 
 /// Ann with a probe that has pressed for 200 ms; her seat. Clients remove a tool in the view of the log time, and D is
@@ -137,7 +137,7 @@ fn tool_resumed_within_the_delay_leaves_earlier_views_unchanged() {
     let before = room.handle_tick(ms(220), &mut || false).unwrap();
     assert_eq!(before.tools, 1, "the view of 200 ms");
     let away = room.handle_tick(ms(240), &mut || false).unwrap();
-    assert_eq!(away.tools, 0, "nothing was heard since");
+    assert_eq!(away.tools, 0, "no samples since the loss");
     room.handle_event(PeerKey(3), pressing(230, 250), ms(250));
     let again = room.handle_tick(ms(260), &mut || false).unwrap();
     assert_eq!(again.tools, 1);
@@ -149,7 +149,7 @@ fn tool_keeps_pressing_over_a_replaced_connection() {
     room.handle_event(PeerKey(3), probe_back(seat), ms(210));
     for t in [220, 240] {
         let report = room.handle_tick(ms(t), &mut || false).unwrap();
-        assert_eq!(report.tools, 1, "as at every site, who heard of no loss");
+        assert_eq!(report.tools, 1, "the tool stays in use as at every client");
     }
 }
 
@@ -174,7 +174,7 @@ fn kept_seat_occupies_its_name_and_place_until_it_expires() {
     assert_eq!(
         refusal(&drain(&mut room)),
         Some(RefusalReason::NoSuchSeat),
-        "too late"
+        "the seat has expired"
     );
     room.handle_event(PeerKey(5), other, end);
     assert_eq!(refusal(&drain(&mut room)), None, "the name is free");
@@ -274,7 +274,11 @@ fn wrong_token_name_or_id_resumes_no_seat() {
         );
     }
     room.handle_event(PeerKey(20), back("ann", seat), ms(1600));
-    assert_eq!(refusal(&drain(&mut room)), None, "the right one still does");
+    assert_eq!(
+        refusal(&drain(&mut room)),
+        None,
+        "the right token still resumes"
+    );
 }
 
 #[test]
@@ -284,7 +288,7 @@ fn new_connection_replaces_an_undetected_dead_one() {
     let outputs = drain(&mut room);
     assert_eq!(welcome(&outputs, PeerKey(3)).participant, ParticipantId(1));
     let is_told = |o: &Output| matches!(o, Output::Message(PeerKey(1), PeerMessage::Goodbye(_)));
-    assert!(outputs.iter().any(is_told), "the old one is closed");
+    assert!(outputs.iter().any(is_told), "the old connection is closed");
     // Further messages of the old connection, and its end, have no effect.
     let before = room.operation_count();
     cut(&mut room, PeerKey(1), ms(1600));
@@ -388,5 +392,5 @@ fn request_before_a_reconnect_is_executed_once_and_answered_again() {
     let refused = outputs.iter().filter(|o| {
         matches!(o, Output::Message(PeerKey(3), PeerMessage::RequestRefused(r)) if r.id == RequestId(2))
     });
-    assert_eq!(refused.count(), 1, "what was refused is refused again");
+    assert_eq!(refused.count(), 1, "the refusal is repeated");
 }

@@ -139,7 +139,7 @@ fn seat_transitions_match_the_state_document() {
         assert!(rows.iter().any(|r| r[1] == state), "{state} is missing");
         assert!(
             rows.iter().any(|r| r[3] == state),
-            "nothing leads to {state}"
+            "no transition leads to {state}"
         );
     }
     for row in &rows {
