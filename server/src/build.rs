@@ -10,15 +10,15 @@ use serde::{Deserialize, Serialize};
 use crate::export::{Exports, keep_apart, put_in_place};
 use crate::{ServerError, memory};
 
-/// What `build --json` prints.
+/// Output of `build --json`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct BuildSummary {
-    /// What the builder reports.
+    /// Report of the builder.
     #[serde(flatten)]
     pub report: BuildReport,
     /// Seconds from the first file read to the model in memory.
     pub seconds: f64,
-    /// Largest resident memory of the process in bytes; 0 where the system does not tell.
+    /// Peak resident memory of the process in bytes; 0 if the system does not report it.
     pub peak_memory_bytes: u64,
 }
 
@@ -43,7 +43,7 @@ pub fn build_model(
     Ok((ModelFile { model, report_json }, summary))
 }
 
-/// Builds a scene and writes the model file and what else is asked for: all of it, or nothing.
+/// Builds a scene and writes the model file and the requested exports: all files or none.
 pub(crate) fn build_file(
     scene: &Path,
     output: &Path,
@@ -56,7 +56,7 @@ pub(crate) fn build_file(
         .collect();
     let mut read: Vec<&Path> = sources.iter().map(PathBuf::as_path).collect();
     read.push(scene);
-    // Before the work, too: it can take a minute.
+    // Checked before the build, which can take a minute, and again afterwards.
     let places: Vec<&Path> = exports.files().chain([output]).collect();
     keep_apart(&places, &read)?;
     let (file, summary) = build_model(&input, since)?;
@@ -67,7 +67,7 @@ pub(crate) fn build_file(
 }
 
 fn progress_bar() -> ProgressBar {
-    // indicatif draws on standard error, and nothing at all when that is no terminal.
+    // indicatif draws on standard error, and only on a terminal.
     let bar = ProgressBar::new(100);
     if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} % {msg}") {
         bar.set_style(style);
@@ -75,10 +75,10 @@ fn progress_bar() -> ProgressBar {
     bar
 }
 
-/// Thin and lost parts that are printed for a person; all that the report holds are in `--json`.
+/// Maximum thin and lost parts in the text report; `--json` lists all.
 const THIN_PARTS_SHOWN: usize = 10;
 
-/// The report as a table for a person.
+/// The report as a text table.
 pub(crate) fn describe(summary: &BuildSummary) -> String {
     use std::fmt::Write as _;
     let r = &summary.report;
@@ -168,7 +168,7 @@ fn describe_regions(r: &BuildReport, text: &mut String) {
     );
     for region in &r.regions {
         let error = 100.0 * (region.volume_mm3 / region.input_volume_mm3 - 1.0);
-        // The model's surface is looked for no farther than so many spacings.
+        // The search for the model's surface ends at this number of spacings.
         let reach = DISTANCE_REACH * r.spacing_mm;
         let at_least = if region.input_distance_max_mm < reach * (1.0 - 1e-9) {
             ""

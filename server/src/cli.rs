@@ -12,7 +12,7 @@ use palpate_room::SEATS_MAX;
 use crate::export::Exports;
 use crate::host::{self, HostOptions, IdentityPlace};
 use crate::inspect::Picture;
-use crate::say::say;
+use crate::output::print_result;
 use crate::{ServerError, build, inspect, sample};
 
 /// The end of `build --help`.
@@ -48,18 +48,18 @@ A [[region]] takes the keys of a material too, for itself alone.";
 const HOST: &str = "\
 Roles, each with a join link of its own:
   instructor, trainee   hold a tool, feel and cut
-  spectator             only looks
+  spectator             watches without a tool
   recorder              a program that records the session: a spectator with `--record FILE`
 
 The certificate, its key and the secrets in the links are kept in one file that only its owner may read. So links stay
-valid when the host is restarted. The tissue starts anew with the host.
+valid when the host is restarted. A restarted host begins with uncut tissue.
 
 Examples:
   palpate-server host thigh                          on port 4433 of all addresses
   palpate-server host thigh.palp --listen 5000       on another port
   palpate-server host thigh --public host.example.org
-  palpate-server host thigh --new-links              yesterday's links admit nobody any more
-  palpate-server host thigh --identity new           nothing is kept";
+  palpate-server host thigh --new-links              earlier links become invalid
+  palpate-server host thigh --identity new           a temporary identity";
 
 /// Hosts shared haptic sessions: build a model, host it, send the join links.
 #[derive(Debug, Parser)]
@@ -87,10 +87,10 @@ enum Command {
     Sample {
         /// thigh, abdominal-wall, leg or handle
         name: String,
-        /// Folder to write into; it is made when it is not there
+        /// Folder to write into; created if missing
         #[arg(short, long, value_name = "DIR")]
         output: PathBuf,
-        /// Overwrite files that are there already
+        /// Overwrite existing files
         #[arg(long)]
         force: bool,
     },
@@ -109,7 +109,7 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
-    /// Show what a model file or a label volume holds
+    /// Show the contents of a model file or a label volume
     Inspect {
         /// The model file (.palp), or a label volume: .nii, .nii.gz, .nrrd, .nhdr, a DICOM folder
         file: PathBuf,
@@ -133,33 +133,32 @@ struct HostArgs {
     /// Address and UDP port to listen on, or a port alone for all addresses; port 0 takes any free one
     #[arg(long, value_name = "[ADDRESS:]PORT", default_value = "0.0.0.0:4433", value_parser = host::parse_listen)]
     listen: SocketAddr,
-    /// Folder of the host's certificate, its key and the secrets of the links, or new for ones that end with this host
+    /// Folder of the host's certificate, its key and the secrets of the links, or new for a temporary identity
     /// [default: `$XDG_STATE_HOME/palpate/host` or `~/.local/state/palpate/host`]
     #[arg(long, value_name = "DIR|new")]
     identity: Option<IdentityPlace>,
-    /// Make new join links: the old ones admit nobody any more
+    /// Make new join links and invalidate the old ones
     #[arg(long)]
     new_links: bool,
     /// Host name or address to put into the join links [default: this machine's]
     #[arg(long, value_name = "HOST")]
     public: Option<String>,
-    /// Ticks per second of the authoritative tissue and of everybody's view
+    /// Ticks per second of the authoritative tissue and of all views
     #[arg(long, default_value_t = host::TICK_HZ, value_name = "HZ")]
     tick_hz: u32,
     /// Artificial time compensation: adaptive, fixed:MS or none
     #[arg(long, default_value = "adaptive", value_name = "MODE")]
     compensation: String,
-    /// Most that adaptive compensation may delay, in ms: an event goes to the server and on, and so is as old as two
-    /// ways together
+    /// Maximum adaptive delay in ms (uplink plus downlink)
     #[arg(long, default_value_t = 400, value_name = "MS")]
     delay_cap: u32,
-    /// Seats in the session, spectators' among them: 1 to 64
+    /// Seats in the session, including spectators: 1 to 64
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u16).range(1..=i64::from(SEATS_MAX)))]
     seats: u16,
-    /// Scripts of clients with `--at session` begin when so many tools are in the session
+    /// Start scripts of clients with `--at session` once N tools have joined
     #[arg(long, default_value_t = 1, value_name = "N")]
     start_when: u16,
-    /// End by itself after so many seconds
+    /// End after S seconds
     #[arg(long, value_name = "S")]
     duration: Option<f64>,
     /// Print one JSON object when listening and one at the end
@@ -167,12 +166,12 @@ struct HostArgs {
     json: bool,
 }
 
-/// Runs the command line `args`, the program's name first.
+/// Runs the command line `args`, whose first element is the program name.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     let cli = match Cli::try_parse_from(args) {
         Ok(cli) => cli,
         Err(error) => {
-            // Help goes to standard output with code 0, mistakes to standard error with 2.
+            // clap prints help to standard output (code 0) and errors to standard error (code 2).
             let _ = error.print();
             return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
         }
@@ -181,7 +180,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     match execute(cli.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // Nobody is left to be told when standard error is gone.
+            // A closed standard error is ignored.
             let _ = writeln!(std::io::stderr(), "palpate-server: {error}");
             match error {
                 ServerError::CommandLine(_) => ExitCode::from(2),
@@ -199,7 +198,7 @@ fn execute(command: Command) -> Result<(), ServerError> {
             force,
         } => {
             let scene = sample::write(&name, &output, force)?;
-            say(&scene.display().to_string())?;
+            print_result(&scene.display().to_string())?;
         }
         Command::Build {
             scene,
@@ -209,10 +208,10 @@ fn execute(command: Command) -> Result<(), ServerError> {
         } => {
             let summary = build::build_file(&scene, &output, &exports)?;
             if json {
-                say(&serde_json::json!(summary).to_string())?;
+                print_result(&serde_json::json!(summary).to_string())?;
             } else {
                 let text = build::describe(&summary);
-                say(&format!("{text}\nwritten to {}", output.display()))?;
+                print_result(&format!("{text}\nwritten to {}", output.display()))?;
             }
         }
         Command::Inspect {
@@ -222,7 +221,7 @@ fn execute(command: Command) -> Result<(), ServerError> {
             json,
         } => {
             let (value, text) = inspect::inspect(&file, &exports, &picture)?;
-            say(&if json { value.to_string() } else { text })?;
+            print_result(&if json { value.to_string() } else { text })?;
         }
         Command::Host(args) => host::host(&options(args)?)?,
     }

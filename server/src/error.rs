@@ -1,10 +1,10 @@
-//! What can go wrong before or while serving.
+//! Errors of the server's commands.
 
 use palpate_tissue::sample::SampleError;
 use palpate_tissue::{BuildError, FileError, LabelError, SceneError, WriteError};
 use palpate_transport::TransportError;
 
-/// Why a command of the server ended without its result.
+/// Error of a command of the server.
 #[derive(Debug, thiserror::Error)]
 pub enum ServerError {
     /// The scene or one of its surfaces is not usable.
@@ -33,24 +33,24 @@ pub enum ServerError {
     Identity {
         /// Its file.
         path: std::path::PathBuf,
-        /// What is wrong and what to do, without any secret.
+        /// Problem and remedy, without any secret.
         why: String,
     },
-    /// What was named is neither a file nor a sample.
+    /// The name is neither a model file, nor a scene, nor a sample.
     #[error("{0}")]
     NoModel(String),
-    /// An option does not make sense, whatever the files hold.
+    /// An option is invalid, independent of any file.
     #[error("{0}")]
     CommandLine(String),
-    /// An option does not fit what a file holds.
+    /// An option does not fit the contents of a file.
     #[error("{0}")]
     Option(String),
-    /// The operating system refused.
+    /// An operation of the system failed.
     #[error("{doing}: {source}")]
     Io {
-        /// What was being done.
+        /// The failed action.
         doing: String,
-        /// What it said.
+        /// Error of the system.
         source: std::io::Error,
     },
 }

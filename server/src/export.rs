@@ -9,7 +9,7 @@ use palpate_tissue::{Model, Shape, Staged, Topology, WriteError};
 
 use crate::ServerError;
 
-/// Which files beside the model itself.
+/// Requested export files.
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct Exports {
     /// Also write the cells as a VTK unstructured grid (lengths in mm)
@@ -21,17 +21,17 @@ pub(crate) struct Exports {
 }
 
 impl Exports {
-    /// Whether anything is asked for.
+    /// Whether an export is requested.
     pub(crate) fn any(&self) -> bool {
         self.vtu.is_some() || self.stl.is_some()
     }
 
-    /// The single files that are asked for.
+    /// The requested single files.
     pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
         self.vtu.as_deref().into_iter()
     }
 
-    /// Writes what is asked for, without putting it in its place yet.
+    /// Writes the requested files beside their destination; [`put_in_place`] moves them.
     pub(crate) fn stage(&self, model: &Model) -> Result<Vec<Staged>, WriteError> {
         let mut staged = Vec::new();
         if !self.any() {
@@ -49,7 +49,7 @@ impl Exports {
     }
 }
 
-/// Puts files in place when all of them are complete, and none is for the place of one that was `read`.
+/// Moves the files to their destination once all are complete, unless a destination is one of the files that were `read`.
 pub(crate) fn put_in_place(staged: Vec<Staged>, read: &[&Path]) -> Result<(), ServerError> {
     let places: Vec<&Path> = staged.iter().map(Staged::path).collect();
     keep_apart(&places, read)?;
@@ -59,16 +59,16 @@ pub(crate) fn put_in_place(staged: Vec<Staged>, read: &[&Path]) -> Result<(), Se
     Ok(())
 }
 
-/// Refuses places for files that are those of what is read, or twice the same.
+/// Rejects destinations that equal an input file or each other.
 pub(crate) fn keep_apart(places: &[&Path], read: &[&Path]) -> Result<(), ServerError> {
     let read: Vec<PathBuf> = read.iter().map(|p| place(p)).collect();
     let mut taken: Vec<PathBuf> = Vec::new();
     for path in places {
         let place = place(path);
         let why = if read.contains(&place) {
-            "is what is read here, and would be lost"
+            "is an input of this command and would be overwritten"
         } else if taken.contains(&place) {
-            "is asked for twice, for different files"
+            "is the destination of two outputs"
         } else {
             taken.push(place);
             continue;
@@ -81,7 +81,7 @@ pub(crate) fn keep_apart(places: &[&Path], read: &[&Path]) -> Result<(), ServerE
     Ok(())
 }
 
-/// The same for all names of one file, whether it is there or not.
+/// A canonical path that is equal for all names of one file, whether it exists or not.
 fn place(path: &Path) -> PathBuf {
     let known = path.canonicalize().ok();
     let beside = || {
@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_file_is_for_the_place_of_another_or_of_what_is_read() {
+    fn outputs_overwrite_neither_inputs_nor_each_other() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         std::fs::create_dir(at("b")).unwrap();

@@ -1,4 +1,4 @@
-//! `palpate-server inspect`: what a model file or a label volume holds.
+//! `palpate-server inspect`: contents of a model file or a label volume.
 
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -13,13 +13,13 @@ use crate::build::{BuildSummary, describe};
 use crate::export::{Exports, keep_apart, put_in_place};
 use crate::picture::{self, Slice};
 
-/// A picture of a cross-section, when one is asked for.
+/// Options of the cross-section.
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct Picture {
     /// Also draw a cross-section with regions, springs and poor cells
     #[arg(long, value_name = "FILE.png")]
     png: Option<PathBuf>,
-    /// Where the picture cuts: x, y or z, with a place in mm [default: z, in the middle]
+    /// Plane of the cross-section: x, y or z, optionally with a position in mm [default: z, in the middle]
     #[arg(
         long,
         value_name = "AXIS=MM",
@@ -27,7 +27,7 @@ pub(crate) struct Picture {
         allow_hyphen_values = true
     )]
     slice: Option<Slice>,
-    /// Draw the springs however small they come out
+    /// Draw the springs at any scale
     #[arg(long, requires = "png")]
     springs: bool,
 }
@@ -44,8 +44,8 @@ impl Picture {
     }
 }
 
-/// What a file holds: as one JSON object, and for a person. Writes what else is asked for, which only
-/// a model can give. Everything that is no model file by its name is taken for a label volume.
+/// Contents of a file as a JSON object and as text. Also writes the requested exports and picture, for models only.
+/// A file without the extension of a model is read as a label volume.
 pub(crate) fn inspect(
     path: &Path,
     exports: &Exports,
@@ -162,7 +162,7 @@ fn inspect_model(
     Ok((value, text))
 }
 
-/// What is out of the common about a region's material.
+/// The material properties of a region that differ from the default.
 fn special(region: &Region) -> String {
     let m = &region.material;
     let plain = Material::default();
@@ -222,7 +222,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_label_volume_is_told_by_its_name_and_shown_with_its_labels() {
+    fn label_volume_is_recognised_by_name_and_its_labels_are_listed() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.nrrd");
         let text = "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 2 2 2\nencoding: ascii\n\
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_neither_a_model_nor_a_label_volume_is_refused() {
+    fn file_that_is_neither_model_nor_label_volume_is_rejected() {
         let dir = tempfile::tempdir().unwrap();
         let refusal = |name: &str| {
             let path = dir.path().join(name);

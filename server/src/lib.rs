@@ -1,7 +1,7 @@
-//! The host: builds models from surfaces, and serves sessions over them.
+//! The server program: builds models from surfaces and serves sessions.
 //!
-//! This crate never decides what a cut does or what is felt: the tissue and the room do. It reads
-//! the command line, the clock and the files, and moves messages.
+//! This crate handles the command line, clocks, files and messages. Cuts and forces are decided by the tissue and
+//! room crates.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -13,8 +13,8 @@ pub mod host;
 mod inspect;
 mod load;
 mod memory;
+mod output;
 mod picture;
 mod sample;
-mod say;
 
 pub use error::ServerError;

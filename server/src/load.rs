@@ -1,4 +1,4 @@
-//! What `host` serves: a model file, a scene, or a sample by its name.
+//! Loads the model of a session from a model file, a scene or a sample.
 
 use std::path::Path;
 use std::time::Instant;
@@ -9,13 +9,13 @@ use palpate_tissue::{Model, ModelFile, SceneInput, decode_model, encode_model};
 use crate::ServerError;
 use crate::build::build_model;
 
-/// A model with the bytes that clients are sent.
+/// A model with its encoding for clients.
 pub(crate) struct Loaded {
     pub(crate) model: Model,
     pub(crate) bytes: Vec<u8>,
 }
 
-/// Loads or builds what `what` names.
+/// Loads or builds the model named `what`.
 pub(crate) fn load(what: &str) -> Result<Loaded, ServerError> {
     let path = Path::new(what);
     let model = if path.extension().is_some_and(|e| e == "palp") {
@@ -29,11 +29,11 @@ pub(crate) fn load(what: &str) -> Result<Loaded, ServerError> {
         )));
     } else {
         let sample: Sample = what.parse().map_err(|error| {
-            ServerError::NoModel(format!("there is no file {what}, and as a sample: {error}"))
+            ServerError::NoModel(format!("there is no file {what} and {error}"))
         })?;
         build_input(&sample.input()?)?
     };
-    // Everybody decodes the same bytes, the host too: so all start from the same bits.
+    // The server decodes the same bytes as the clients, so all start from equal bits.
     let bytes = encode_model(&model);
     let model = decode_model(&bytes)?;
     Ok(Loaded { model, bytes })

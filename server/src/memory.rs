@@ -1,6 +1,6 @@
-//! How much memory the process has needed.
+//! Peak memory of the process.
 
-/// Largest resident size of this process so far in bytes, where the system tells it (Linux does).
+/// Peak resident size of this process in bytes, if the system reports it (Linux).
 pub(crate) fn peak_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;

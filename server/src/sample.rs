@@ -1,4 +1,4 @@
-//! `palpate-server sample`: generated anatomy and products to begin with.
+//! `palpate-server sample`: generated example models of anatomy and products.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use palpate_tissue::sample::Sample;
 
 use crate::ServerError;
 
-/// Writes the scene and the surfaces of a sample; gives the scene file.
+/// Writes the scene and the surfaces of a sample. Returns the scene file.
 pub(crate) fn write(name: &str, dir: &Path, force: bool) -> Result<PathBuf, ServerError> {
     let sample: Sample = name.parse()?;
     Ok(sample.generate().write(dir, force)?)

@@ -1,14 +1,14 @@
-//! The authoritative tissue as two machines: the shape in equilibrium, and the cuts ahead of it.
+//! The authoritative tissue as two state machines: the shape in equilibrium, and the preparation of cuts.
 //!
 //! ```text
 //! Room --TissueOrder::Settle--> Authority --TissueReport::Settled--> Room
 //! Room --TissueOrder::Cut-----> Authority --CutJob--> Cutter --TissueReport::Cut--> Room (log, at = now)
 //!                                          <--PreparedCut--
-//! Room --TissueOrder::Apply---> Authority: the prepared cut enters the first view whose moment has reached `at`
+//! Room --TissueOrder::Apply---> Authority: the prepared cut enters the first view whose time has reached `at`
 //! ```
 //!
-//! A cut takes a hundred milliseconds to make, an equilibrium up to ten. A server therefore runs each of the two on a
-//! thread of its own, and the room, which relays motion, waits for neither.
+//! A cut takes a hundred milliseconds, an equilibrium up to ten. A server therefore runs each on its own thread, and
+//! the room, which relays motion, waits for neither.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -26,31 +26,31 @@ use palpate_tissue::{
 use crate::convert;
 use crate::pictures::Pictures;
 
-/// Relative residual at which a tick's equilibrium is good enough: forces are then within a few
-/// percent, and shapes within a tenth of a millimetre of each other from site to site.
+/// Relative residual at which a tick has converged: forces are within a few percent, and shapes of replicas within
+/// 0.1 mm of each other.
 const TOLERANCE: f64 = 2e-2;
 
-/// Iterations of one tick at most, should the shell's time limit never come.
+/// Maximum iterations of one tick, independent of the time limit of the server.
 const ITERATIONS_MAX: usize = 1;
 
-/// A displacement below this needs no correction: it can not be seen.
+/// Smaller displacements are invisible and need no correction.
 const DISPLACED_M: f64 = 5e-5;
 
-/// Nodes of one round of corrections: they fit into one datagram.
+/// Nodes of one round of corrections; they fit into one datagram.
 const CORRECTIONS_MAX: usize = 120;
 
-/// Work for the tissue, in this order.
+/// Orders for the tissue, executed in sequence.
 #[derive(Debug, Clone)]
 pub enum TissueOrder {
-    /// Bring the tissue into equilibrium under the tools of a moment.
+    /// Solve the equilibrium under the tools of one view time.
     Settle(Settling),
     /// Make a cut.
     Cut(CutOrder),
-    /// Let the prepared cut that leads to a topology version take effect.
+    /// Apply the prepared cut that leads to a topology version.
     Apply {
         /// The version after the cut.
         version: u32,
-        /// Views of this moment and later show it.
+        /// The first view time that shows it.
         at: ServerTime,
     },
 }
@@ -58,20 +58,20 @@ pub enum TissueOrder {
 /// One tick of the tissue.
 #[derive(Debug, Clone)]
 pub struct Settling {
-    /// The moment that the tissue is brought to.
+    /// The view time to solve for.
     pub view_time: ServerTime,
-    /// The tools that press at that moment.
+    /// The tools that press at that time.
     pub tools: Vec<Tool>,
     /// Whether corrections are due.
     pub wants_corrections: bool,
-    /// When the tick was due, if somebody is sent the surface.
+    /// Due time of the tick, if there is a thin subscriber.
     pub wants_picture: Option<ServerTime>,
 }
 
-/// A request to cut, as the room passes it on.
+/// A request to cut.
 #[derive(Debug, Clone)]
 pub struct CutOrder {
-    /// Whose.
+    /// The participant that cuts.
     pub author: ParticipantId,
     /// The number of the request.
     pub request: RequestId,
@@ -79,21 +79,21 @@ pub struct CutOrder {
     pub cut: CutRequest,
 }
 
-/// An answer to an order. An [`Apply`](TissueOrder::Apply) has none.
+/// Report on an order. [`Apply`](TissueOrder::Apply) has none.
 #[derive(Debug, Clone)]
 pub enum TissueReport {
     /// A tick is done.
     Settled {
-        /// Its figures.
+        /// Statistics of the tick.
         tick: TickReport,
-        /// Displacements to compare with, if they were due.
+        /// Displacements for comparison by clients, if they were due.
         corrections: Option<Arc<Corrections>>,
         /// The surface, if it was due.
         picture: Option<Arc<Picture>>,
     },
     /// A cut is prepared, or refused.
     Cut {
-        /// Whose.
+        /// The participant that cuts.
         author: ParticipantId,
         /// The number of the request.
         request: RequestId,
@@ -113,37 +113,37 @@ pub struct LoggedCut {
     pub hash: TopologyHash,
 }
 
-/// What a tick did.
+/// Statistics of a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TickReport {
-    /// The moment that the tissue now stands at.
+    /// The view time that was solved for.
     pub view_time: ServerTime,
     /// Tools that pressed.
     pub tools: usize,
     /// Iterations of the solver.
     pub iterations: usize,
-    /// Relative residual that is left.
+    /// Relative residual.
     pub residual: f64,
-    /// Nodes still active.
+    /// Active nodes.
     pub active_nodes: usize,
 }
 
-/// The one shape that counts.
+/// The authoritative shape.
 ///
-/// Calling order: [`settle`](Self::settle) with ascending moments; [`take_cut`](Self::take_cut) every cut that the
-/// [`Cutter`] prepared, in its order, and [`apply`](Self::apply) once the log has it.
+/// Calling order: [`settle`](Self::settle) with ascending times; [`take_cut`](Self::take_cut) for every cut that the
+/// [`Cutter`] prepared, in order; [`apply`](Self::apply) once the cut is in the log.
 pub struct Authority {
     topology: Arc<Topology>,
     shape: Shape,
     solver: Solver,
     view_time: ServerTime,
     prepared: VecDeque<PreparedCut>,
-    /// From when on cuts take effect, by topology version; the cut itself may still be on its way.
+    /// Times at which cuts take effect, by topology version. The prepared cut may arrive later.
     due: VecDeque<(u32, ServerTime)>,
     pictures: Pictures,
 }
 
-/// A cut that the cutter has to make.
+/// A cut for the cutter to prepare.
 #[derive(Debug, Clone)]
 pub struct CutJob {
     author: ParticipantId,
@@ -158,14 +158,14 @@ pub struct PreparedCut {
     successor: Successor,
 }
 
-/// The newest topology of the log, ahead of the shape by the cuts that wait.
+/// The newest topology of the log, ahead of the shape by the cuts that are not yet in effect.
 pub struct Cutter {
     topology: Arc<Topology>,
     follower: Follower,
 }
 
 impl Authority {
-    /// The uncut tissue, and what makes its cuts.
+    /// The uncut tissue and its cutter.
     pub fn new(model: Arc<Model>) -> (Self, Cutter) {
         let topology = Arc::new(Topology::new(model));
         let shape = Shape::rest(&topology);
@@ -186,8 +186,7 @@ impl Authority {
         (authority, cutter)
     }
 
-    /// Brings the tissue into equilibrium under the tools of a moment; `stop` ends it early. Cuts that are due by then
-    /// take effect first.
+    /// Applies the cuts that are due, then solves the equilibrium under the tools. `stop` ends the solve early.
     pub fn settle(&mut self, order: &Settling, stop: &mut dyn FnMut() -> bool) -> TissueReport {
         self.take_effect(order.view_time);
         let mut budget = Budget::new(ITERATIONS_MAX, TOLERANCE);
@@ -212,7 +211,7 @@ impl Authority {
         }
     }
 
-    /// A request to cut, with its stroke in the rest frame.
+    /// Maps the stroke of a request to the rest frame.
     pub fn job(&self, order: &CutOrder) -> CutJob {
         CutJob {
             author: order.author,
@@ -221,12 +220,12 @@ impl Authority {
         }
     }
 
-    /// A cut is prepared; it waits for [`apply`](Self::apply).
+    /// Stores a prepared cut until [`apply`](Self::apply).
     pub fn take_cut(&mut self, cut: PreparedCut) {
         self.prepared.push_back(cut);
     }
 
-    /// The cut that leads to `version` takes effect for views of the moment `at` and later.
+    /// Schedules the cut that leads to `version` for views from time `at` on.
     pub fn apply(&mut self, version: u32, at: ServerTime) {
         self.due.push_back((version, at));
     }
@@ -247,7 +246,7 @@ impl Authority {
         }
     }
 
-    /// The surface of the newest tick, if it is time for one.
+    /// The surface of the newest tick, if a picture is due.
     fn picture(&mut self, due: ServerTime) -> Option<Arc<Picture>> {
         let topology = &self.topology;
         let nodes = self.pictures.poll(topology, due)?;
@@ -263,7 +262,7 @@ impl Authority {
         }))
     }
 
-    /// Displacements for others to compare with: an even choice of the nodes that have moved.
+    /// Displacements for comparison by clients: an even selection of the displaced nodes.
     fn corrections(&self) -> Option<Corrections> {
         let moved: Vec<u32> = (0..self.shape.displacement.len() as u32)
             .filter(|&n| {
@@ -289,7 +288,7 @@ impl Authority {
 }
 
 impl Cutter {
-    /// Makes a cut. The report is for the room; the prepared cut, if there is one, for the [`Authority`].
+    /// Prepares a cut. The report is for the room; the prepared cut, if there is one, for the [`Authority`].
     pub fn make(&mut self, job: &CutJob) -> (TissueReport, Option<PreparedCut>) {
         let report = |result| TissueReport::Cut {
             author: job.author,

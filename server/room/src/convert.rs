@@ -1,10 +1,10 @@
-//! Between the words on the wire and the tissue.
+//! Conversion between wire types and tissue types.
 
 use palpate_protocol::operation::{BladePoint, CutStroke};
 use palpate_protocol::request::CutRequest;
 use palpate_tissue::{Shape, Topology, Vec3};
 
-/// A stroke in the rest frame as the tissue takes it.
+/// Converts a stroke in the rest frame to the tissue's type.
 pub(crate) fn stroke_to_tissue(stroke: &CutStroke) -> palpate_tissue::CutStroke {
     palpate_tissue::CutStroke {
         points: stroke.points.iter().map(point_to_tissue).collect(),
@@ -12,8 +12,8 @@ pub(crate) fn stroke_to_tissue(stroke: &CutStroke) -> palpate_tissue::CutStroke 
     }
 }
 
-/// Takes a stroke from the deformed into the rest frame, through the inverse of the deformation.
-/// Where the blade is outside the tissue there is no deformation, and its place stays as it is.
+/// Maps a stroke from the deformed to the rest frame by the inverse deformation. Points outside the tissue stay
+/// unchanged.
 pub(crate) fn stroke_at_rest(
     request: &CutRequest,
     topology: &Topology,

@@ -1,8 +1,8 @@
-//! Motion on its way from everybody to everybody.
+//! Relay of motion from every participant to all other participants.
 //!
 //! ```text
-//! passed on at once          32 participants x 250 datagrams/s x 31 others = 250,000 a second
-//! collected for a period T   32 participants x 1/T                         =   3,333 a second at 9.6 ms
+//! relayed at once            32 participants x 250 datagrams/s x 31 receivers = 250,000 per second
+//! collected for a period T   32 participants x 1/T                            =   3,333 per second at 9.6 ms
 //! T(n) = 4 ms up to 4 moving tools, then linear up to 16 ms at 64
 //! ```
 //!
@@ -15,32 +15,31 @@ use palpate_protocol::lateness::Lateness;
 use palpate_protocol::session::{MotionRound, PeerMotion};
 use palpate_protocol::{ParticipantId, ServerTime, Span, ToolSample, ToolTrack};
 
-/// Between two rounds while few tools move: the length of a client's own batch.
+/// Period while few tools move: the length of a client's batch.
 const PERIOD_MIN: Span = Span::from_millis(4);
 
-/// Between two rounds with all seats moving: still four rounds within the longest gap that is
-/// extrapolated.
+/// Period with all seats moving: four rounds fit into the longest gap that is extrapolated.
 const PERIOD_MAX: Span = Span::from_millis(16);
 
-/// Up to so many tools the period is the shortest.
+/// Number of tools up to which the period is the shortest.
 const FEW_TOOLS: i64 = 4;
 
-/// With so many tools it is the longest: one per seat.
+/// Number of tools at which the period is the longest: one per seat.
 const MANY_TOOLS: i64 = 64;
 
-/// Samples of one tool that may wait for a round: four of the longest at 1 kHz. Beyond, the oldest goes.
+/// Samples of one tool that may wait: four of the longest rounds at 1 kHz. Beyond it the oldest is dropped.
 const WAITING_MAX: usize = 64;
 
 /// Motion of one tool that waits for the next round.
 #[derive(Debug, Default)]
 struct Waiting {
     samples: Vec<ToolSample>,
-    /// When the newest sample and the oldest news would have come, had no machine delayed them.
+    /// Arrival times of the newest sample and of the oldest update, without delays by machines.
     came: Option<[ServerTime; 2]>,
 }
 
 impl Waiting {
-    /// Notes motion of which the newest sample has this age, without what machines made of it.
+    /// Notes motion whose newest sample has this age, without delays by machines.
     fn note(&mut self, motion: &PeerMotion, age: Span) {
         let Some(newest) = motion.samples.last().map(|s| s.time + age) else {
             return;
@@ -53,22 +52,22 @@ impl Waiting {
     }
 }
 
-/// What waits for the next round.
+/// Motion of all tools that waits for the next round.
 #[derive(Debug, Default)]
 pub(crate) struct FanOut {
     waiting: BTreeMap<ParticipantId, Waiting>,
-    /// The earliest moment of the next round.
+    /// The earliest time of the next round.
     next: ServerTime,
 }
 
 impl FanOut {
-    /// Takes motion of one tool, of which the newest sample has this age without what machines made of it.
+    /// Queues motion of one tool whose newest sample has this age, without delays by machines.
     pub(crate) fn push(&mut self, who: ParticipantId, motion: &PeerMotion, age: Span) {
         let tool = self.waiting.entry(who).or_default();
         tool.note(motion, age);
         let waiting = &mut tool.samples;
         for sample in &motion.samples {
-            // Late news go where they belong; what is known already is not sent twice.
+            // Late samples are sorted in; duplicates are dropped.
             let at = waiting.partition_point(|s| s.time < sample.time);
             if waiting.get(at).is_none_or(|s| s.time != sample.time) {
                 waiting.insert(at, *sample);
@@ -78,17 +77,17 @@ impl FanOut {
         waiting.drain(..surplus);
     }
 
-    /// Somebody's tool is no more.
+    /// Drops the waiting motion of a tool.
     pub(crate) fn remove(&mut self, who: ParticipantId) {
         self.waiting.remove(&who);
     }
 
-    /// When the next round is due; `None` while nothing waits.
+    /// Time of the next round; `None` while no motion waits.
     pub(crate) fn due(&self) -> Option<ServerTime> {
         (!self.waiting.is_empty()).then_some(self.next)
     }
 
-    /// Everything that waits, when its round has come.
+    /// The waiting motion, if its round is due.
     pub(crate) fn poll(&mut self, now: ServerTime) -> Option<MotionRound> {
         if self.due().is_none_or(|due| now < due) {
             return None;
@@ -110,7 +109,7 @@ impl FanOut {
     }
 }
 
-/// Between two rounds with so many tools moving.
+/// Time between two rounds with this number of moving tools.
 fn period(tools: usize) -> Span {
     let tools = i64::try_from(tools)
         .unwrap_or(MANY_TOOLS)
@@ -120,8 +119,8 @@ fn period(tools: usize) -> Span {
     PERIOD_MIN + Span::from_micros(more)
 }
 
-/// At most as many samples as a datagram takes of one tool: the newest always, because what is shown
-/// beyond it is guessed, and of the others an even choice, between which sites interpolate.
+/// At most as many samples as a datagram takes of one tool. The newest is always kept, because poses beyond it are
+/// extrapolated. The rest is decimated evenly, because clients interpolate between samples.
 fn thinned(samples: &[ToolSample]) -> Vec<ToolSample> {
     let step = samples.len().div_ceil(TRACK_MAX_SAMPLES).max(1);
     let mut some: Vec<ToolSample> = samples.iter().rev().step_by(step).copied().collect();
@@ -146,13 +145,13 @@ mod tests {
         }
     }
 
-    /// Motion with samples of these moments that no machine delayed.
+    /// Motion with samples of these times, without delays by machines.
     fn motion(times: &[i64], arrived: i64) -> PeerMotion {
         PeerMotion::on_time(times.iter().map(|t| sample(*t)).collect(), us(arrived))
     }
 
     #[test]
-    fn the_lateness_of_a_track_is_that_of_sender_socket_and_room_beyond_the_round() {
+    fn track_lateness_is_sender_plus_socket_plus_room_beyond_the_round() {
         let (who, ms) = (ParticipantId(1), Span::from_millis);
         let mut fan = FanOut::default();
         let late = |fan: &mut FanOut, now| fan.poll(us(now)).unwrap().tracks[0].late;
@@ -160,7 +159,7 @@ mod tests {
         assert_eq!(late(&mut fan, 1_000_000), Lateness::NONE);
         fan.push(who, &motion(&[1_000_000], 1_004_000), ms(4));
         assert_eq!(late(&mut fan, 1_008_000), Lateness::NONE, "its round");
-        // The room stalls; meanwhile more arrives.
+        // The room stalls while further motion arrives.
         fan.push(who, &motion(&[1_005_000], 1_010_000), ms(5));
         fan.push(who, &motion(&[1_206_000], 1_210_000), ms(4));
         let expected = Lateness {
@@ -194,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_sample_after_a_pause_leaves_at_once_and_the_next_waits_for_its_round() {
+    fn first_sample_after_a_pause_leaves_at_once_and_the_next_waits() {
         let mut fan = FanOut::default();
         assert_eq!(fan.due(), None);
         fan.push(ParticipantId(1), &motion(&[900_000], 1_000_000), Span::ZERO);
@@ -212,7 +211,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_round_has_every_tool_its_newest_sample_in_order_and_within_bounds(
+        fn a_round_holds_the_newest_sample_of_every_tool_in_order_and_within_bounds(
             pushes in prop::collection::vec((1_u16..70, prop::collection::vec(0_i64..100_000, 1..40)), 1..80),
         ) {
             let mut fan = FanOut::default();

@@ -1,15 +1,13 @@
-//! One authoritative session as a pure machine: who is in it, what they hold, what has been cut, in
-//! which order everything happened.
+//! One authoritative session as a pure state machine: participants, tools, cuts and the operation log.
 //!
-//! [`Room`] owns participants and the log, [`Authority`] and [`Cutter`] own the tissue; they meet through
-//! [`TissueOrder`] and [`TissueReport`], so that a server can run each on a thread of its own.
+//! [`Room`] owns participants and the log; [`Authority`] and [`Cutter`] own the tissue. They exchange
+//! [`TissueOrder`] and [`TissueReport`], so that a server can run each on its own thread.
 //!
-//! This crate never opens a socket, never reads a clock and never spawns. It is the only one that
-//! knows both the words on the wire and the tissue, and converts between them.
+//! This crate opens no socket, reads no clock and spawns no thread. It is the only crate that knows both wire types
+//! and tissue types, and converts between them.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
-mod asked;
 mod authority;
 mod config;
 mod convert;
@@ -17,6 +15,7 @@ mod fan_out;
 mod log;
 mod participant;
 mod pictures;
+mod request_history;
 mod room;
 mod simulated;
 #[cfg(test)]

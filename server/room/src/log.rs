@@ -1,15 +1,14 @@
-//! The operations log, and how much of it is left for whom.
+//! The operation log and its limits by kind of operation.
 //!
-//! Every newcomer is sent the whole log at once, and so is who makes a copy anew: it has to fit what may
-//! wait for one peer, in number and in bytes. What a person can do without is refused first, and what
-//! undoes something is always written:
+//! A client that joins or resyncs receives the whole log at once, so the log must fit the backlog of one peer, in
+//! number and in bytes. The least necessary operations are rejected first. Operations that end something are always
+//! written:
 //!
 //! ```text
-//! changes of the artificial delay            up to  8,000 operations
-//! cuts, other tools, tools that are lifted   up to 16,000 operations and 28 MiB
-//! somebody joins or comes back               up to 18,000 operations and 30 MiB
-//! somebody leaves, is away, gets the tool back, the session starts: always; at most three per seat that
-//!                                            is taken are left to be written
+//! change of the playout delay                     up to  8,000 operations
+//! cut, tool change, demotion                      up to 16,000 operations and 28 MiB
+//! join, resumption                                up to 18,000 operations and 30 MiB
+//! leave, disconnect, restored tool, session start always; at most three per occupied seat are outstanding
 //! ```
 
 use std::sync::Arc;
@@ -19,22 +18,21 @@ use palpate_protocol::operation::Operation;
 use palpate_protocol::request::ServerMessage;
 use palpate_protocol::session::STREAM_BACKLOG_MAX_BYTES;
 
-/// Changes of the delay end with so many operations: it stays as it is, and half of the log is left for
-/// the tissue. At four changes a second, which no network asks for all the time, this is half an hour.
+/// Limit for changes of the playout delay; beyond it the delay is constant. Half of the log is left for the tissue.
+/// At a constant four changes per second, more than networks need, this is half an hour.
 const DELAYS_MAX: usize = 8_000;
 
-/// What is done to the tissue ends with so many operations. The session is to be saved as a model of its
-/// own then.
+/// Limit for cuts and tool changes. The host should then save the tissue as a new model.
 const OPERATIONS_MAX: usize = 16_000;
 
-/// Nobody comes any more with so many operations; the transport lets 20,000 wait for a peer.
+/// Limit for joins and resumptions. The transport lets 20,000 operations wait for a peer.
 const GREETED_MAX: usize = 18_000;
 
-/// Left of what may wait for a peer where nothing is done to the tissue any more: two thousand operations
-/// of the longest that are no stroke, with a name of 64 B and a tool, take half of it.
+/// Bytes of a peer's backlog reserved beyond cuts: two thousand of the longest operations without stroke (a name of
+/// 64 B and a tool) take half of it.
 const BYTES_LEFT_FOR_SEATS: usize = 4 * 1024 * 1024;
 
-/// Left of it where nobody comes any more: a welcome, and what is always written.
+/// Bytes reserved beyond joins: a welcome and the operations that are always written.
 const BYTES_LEFT_FOR_ENDS: usize = 2 * 1024 * 1024;
 
 /// The operations of a session.
@@ -45,45 +43,45 @@ pub(crate) struct Log {
 }
 
 impl Log {
-    /// Adds the next one.
+    /// Appends an operation.
     pub(crate) fn push(&mut self, operation: Arc<Operation>) {
         let message = ServerMessage::Operation(operation.as_ref().clone());
-        // One that has no frame is sent to nobody, and counts as the longest.
+        // An operation that fits no frame is never sent, and counts as the longest.
         self.bytes += encode_frame(&message).map_or(FRAME_MAX_BYTES, |frame| frame.len());
         self.operations.push(operation);
     }
 
-    /// How many there are.
+    /// Number of operations.
     pub(crate) fn len(&self) -> usize {
         self.operations.len()
     }
 
-    /// The one of that number.
+    /// The operation with this number.
     pub(crate) fn get(&self, number: usize) -> Option<&Arc<Operation>> {
         self.operations.get(number)
     }
 
-    /// Those from a number on.
+    /// The operations from this number on.
     pub(crate) fn since(&self, first: usize) -> &[Arc<Operation>] {
         self.operations.get(first..).unwrap_or_default()
     }
 
-    /// Whether the delay may change once more.
+    /// Whether a change of the delay fits.
     pub(crate) fn takes_delay(&self) -> bool {
         self.len() < DELAYS_MAX && self.takes_bytes(BYTES_LEFT_FOR_SEATS)
     }
 
-    /// Whether something may be done to the tissue, with the tools or to somebody's tool.
+    /// Whether a cut, a tool change or a demotion fits.
     pub(crate) fn takes_work(&self) -> bool {
         self.len() < OPERATIONS_MAX && self.takes_bytes(BYTES_LEFT_FOR_SEATS)
     }
 
-    /// Whether somebody may join or come back.
+    /// Whether a join or a resumption fits.
     pub(crate) fn takes_seat(&self) -> bool {
         self.len() < GREETED_MAX && self.takes_bytes(BYTES_LEFT_FOR_ENDS)
     }
 
-    /// Whether the longest operation leaves so much of what may wait for a peer.
+    /// Whether the longest operation leaves `left` bytes of a peer's backlog.
     fn takes_bytes(&self, left: usize) -> bool {
         self.bytes + FRAME_MAX_BYTES + left <= STREAM_BACKLOG_MAX_BYTES
     }
@@ -109,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn the_longest_strokes_end_while_a_newcomer_can_still_be_sent_them_all() {
+    fn a_log_full_of_longest_strokes_still_fits_a_new_client() {
         let blade = BladePoint {
             tip_m: [0.123; 3],
             axis: [0.0, 0.0, 1.0],
@@ -129,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn the_delay_ends_first_then_work_then_seats() {
+    fn delay_changes_are_rejected_first_then_cuts_then_joins() {
         let back = operation(OperationKind::Back {
             participant: ParticipantId(1),
         });

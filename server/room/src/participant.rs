@@ -10,54 +10,54 @@ use palpate_protocol::{ParticipantId, ResumeToken, Role, ServerTime, Span};
 use palpate_tissue::{Form, Tool, Vec3};
 
 use crate::PeerKey;
-use crate::asked::Asked;
+use crate::request_history::RequestHistory;
 
 /// Bit of the primary button in a sample.
 const PRIMARY_BUTTON: u8 = 1;
 
-/// Where somebody with a seat is.
+/// Connection state of a seat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Place {
     /// Connected.
     Here(PeerKey),
-    /// Their connection was lost; the seat is kept.
+    /// The connection was lost; the seat is kept.
     Away {
-        /// Until then.
+        /// End of the time for which the seat is kept.
         until: ServerTime,
     },
 }
 
-/// Somebody in the session.
+/// A participant of the session.
 #[derive(Debug)]
 pub(crate) struct Participant {
     pub(crate) place: Place,
-    /// What takes the seat again.
+    /// Token that resumes the seat.
     pub(crate) token: ResumeToken,
-    /// How often the seat was taken again.
+    /// Number of resumptions.
     pub(crate) resumed: u16,
     pub(crate) id: ParticipantId,
     pub(crate) name: String,
     pub(crate) role: Role,
     pub(crate) tool: Option<ToolDescription>,
-    /// What of the tissue they are sent.
+    /// Full or thin subscription to the tissue.
     pub(crate) subscription: Subscription,
-    /// Where the tool was, for the server's own view.
+    /// Samples of the tool, for the authoritative shape.
     pub(crate) timeline: Timeline,
-    /// What it asked for.
-    pub(crate) asked: Asked,
-    /// How late its samples come.
+    /// Requests of the seat, for the detection of repetitions.
+    pub(crate) requests: RequestHistory,
+    /// Age of its samples on arrival at the server.
     pub(crate) delay: DelayEstimator,
-    /// What its site said last that it needs, and when.
+    /// The last delay report of the client, with its time of reception.
     pub(crate) report: Option<(ServerTime, DelayReport)>,
-    /// Its way down when it last said what it needs, µs.
+    /// Its downlink at the last delay report, µs.
     pub(crate) down_us: i64,
-    /// Whether it takes part or, because of its network, only watches.
+    /// Whether it is demoted to spectator because of its network.
     pub(crate) demotion: Demotion,
-    /// Before this moment the tool does not press, nor from `lifted` on: the moments are those of the
-    /// log, so that it is lifted here in the view in which everybody lifts it.
+    /// The tool presses from this time until `lifted`. Both are times of the log, so that server and clients lift
+    /// the tool in the same view.
     presses_from: ServerTime,
     lifted: Option<ServerTime>,
-    /// Until when it pressed before it was lifted last, and where it was: the view is D behind.
+    /// End and samples of the previous pressing interval, which views still show for D.
     before: Option<(ServerTime, Timeline)>,
 }
 
@@ -81,7 +81,7 @@ impl Participant {
             tool,
             subscription: Subscription::Full,
             timeline: Timeline::default(),
-            asked: Asked::default(),
+            requests: RequestHistory::default(),
             delay: DelayEstimator::new(DelayRule::default()),
             report: None,
             down_us: 0,
@@ -92,7 +92,7 @@ impl Participant {
         }
     }
 
-    /// The tool presses no more from a moment on. One that is lifted already stays so.
+    /// Lifts the tool from a time on. A lifted tool stays lifted.
     pub(crate) fn lift(&mut self, at: ServerTime) {
         if self.lifted.is_none() {
             self.lifted = Some(at);
@@ -100,18 +100,18 @@ impl Participant {
         }
     }
 
-    /// The tool presses again from a moment on.
+    /// Lets the tool press again from a time on.
     pub(crate) fn set_down(&mut self, at: ServerTime) {
         (self.lifted, self.presses_from) = (None, at);
         self.timeline = Timeline::default();
     }
 
-    /// Whether the tool presses nowhere, because its owner watches or is away.
+    /// Whether the tool is lifted, because its owner is demoted or disconnected.
     pub(crate) fn is_lifted(&self) -> bool {
         self.lifted.is_some()
     }
 
-    /// The connection, while there is one.
+    /// The connection, if there is one.
     pub(crate) fn peer(&self) -> Option<PeerKey> {
         match self.place {
             Place::Here(peer) => Some(peer),
@@ -119,12 +119,12 @@ impl Participant {
         }
     }
 
-    /// Whether the seat was kept for long enough.
+    /// Whether the time for which the seat is kept is over.
     pub(crate) fn is_given_up(&self, now: ServerTime) -> bool {
         matches!(self.place, Place::Away { until } if now >= until)
     }
 
-    /// The connection is lost: the tool is lifted, and how late its samples came says nothing of the next
+    /// Handles a lost connection: lifts the tool and resets the delay estimate, which does not apply to the next
     /// connection.
     pub(crate) fn lose(&mut self, at: ServerTime) {
         self.lift(at);
@@ -141,8 +141,8 @@ impl Participant {
         }
     }
 
-    /// The parts of the tool as they press at a moment; none when it has none, nothing is known of it, it has
-    /// been silent for too long, it is a blade that is cutting and so goes through, or it is lifted.
+    /// The parts of the tool that press at time t. Empty if there is no tool, no sample, only stale samples, a cutting
+    /// blade, or a lifted tool.
     pub(crate) fn pressing_at(&mut self, t: ServerTime) -> Vec<Tool> {
         self.before.take_if(|(until, _)| t >= *until);
         let shown = match &mut self.before {

@@ -1,35 +1,34 @@
-//! The pictures that thin subscribers are sent: where the surface is, made once for all of them.
+//! Surface displacements for thin subscribers, computed once for all of them.
 //!
-//! What of a picture is told to whom, and when, is each [session's](palpate_protocol::session::Picture)
-//! business: only that knows what has arrived and what there is room for.
+//! Each [session](palpate_protocol::session::Picture) selects the nodes that it sends, because it knows
+//! acknowledgements and byte budget.
 
 use std::sync::Arc;
 
 use palpate_protocol::{ServerTime, Span};
 use palpate_tissue::Topology;
 
-/// Between two pictures at least: 60 a second look smooth, and more would share the same rate.
+/// Minimum time between two pictures: 60 per second look smooth, and more would share the same bit rate.
 const PERIOD: Span = Span::from_micros(1_000_000 / 60);
 
-/// How much earlier than that a picture may leave, so that ticks of 60 Hz, which are rounded to
-/// microseconds and come a little early or late, are each worth one.
+/// Tolerance for early pictures: each tick of 60 Hz, with rounding and jitter, yields one picture.
 const EARLY: Span = Span::from_millis(4);
 
 /// See the module.
 #[derive(Debug, Default)]
 pub(crate) struct Pictures {
-    /// The nodes in view, and the topology version that they are of.
+    /// The surface nodes and their topology version.
     nodes: Option<(u32, Arc<[u32]>)>,
     next: ServerTime,
 }
 
 impl Pictures {
-    /// The nodes of the next picture, ascending, if one is due: those of the outer surface, cuts included.
+    /// The nodes of the next picture, ascending, if one is due: the outer surface, including cut faces.
     pub(crate) fn poll(&mut self, topology: &Topology, now: ServerTime) -> Option<Arc<[u32]>> {
         if now + EARLY < self.next {
             return None;
         }
-        // On a raster of its own, unless it was missed: early ones do not add up to more of them.
+        // The due times form a fixed raster, so early pictures do not raise the rate. A missed picture restarts it.
         self.next = (self.next + PERIOD).max(now + PERIOD - EARLY);
         let version = topology.version();
         if self.nodes.as_ref().is_none_or(|(v, _)| *v != version) {

@@ -1,4 +1,4 @@
-//! The session machine.
+//! The state machine of a session.
 
 mod demotion;
 mod seats;
@@ -17,45 +17,45 @@ use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{OperationId, ParticipantId, RequestId, ServerTime, Span, TopologyHash};
 use palpate_tissue::Tool;
 
-use crate::asked::Repetition;
 use crate::authority::{CutOrder, Settling, TissueOrder, TissueReport};
 use crate::config::RoomConfig;
 use crate::fan_out::FanOut;
 use crate::log::Log;
 use crate::participant::Participant;
+use crate::request_history::Repetition;
 
-/// Scripts begin so much after the last tool has come.
+/// Time from the arrival of the last tool to the start of scripts.
 const START_LEAD: Span = Span::from_millis(1000);
 
-/// Displacements are sent so often.
+/// Time between two corrections of displacements.
 const CORRECTION_PERIOD: Span = Span::from_millis(100);
 
-/// Cuts of one session that may be in preparation; further ones are refused. Each takes a tenth of a second or more.
+/// Maximum cuts in preparation; further ones are refused. Each takes 0.1 s or more.
 const CUTS_IN_PREPARATION_MAX: usize = 16;
 
-/// One connection, as the shell numbers them.
+/// Number of a connection, assigned by the server program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PeerKey(pub u64);
 
-/// Something for one connection.
+/// A message for one connection.
 #[derive(Debug, Clone)]
 pub enum Output {
     /// Reliable and in order.
     Message(PeerKey, PeerMessage),
-    /// May get lost.
+    /// Unreliable.
     Datagram(PeerKey, PeerDatagram),
 }
 
 /// One session.
 ///
-/// Calling order: [`handle_event`](Self::handle_event) for everything that peers send, in the order
-/// of arrival; [`handle_tick`](Self::handle_tick) when [`poll_timeout`](Self::poll_timeout) has come;
-/// [`handle_report`](Self::handle_report) for every answer of the tissue; after each of them
-/// [`poll_order`](Self::poll_order) and [`poll_output`](Self::poll_output) until `None`. Nothing in it computes
+/// Calling order: [`handle_event`](Self::handle_event) for every event of a peer, in order of arrival;
+/// [`handle_tick`](Self::handle_tick) when [`poll_timeout`](Self::poll_timeout) is due;
+/// [`handle_report`](Self::handle_report) for every report of the tissue; after each of them
+/// [`poll_order`](Self::poll_order) and [`poll_output`](Self::poll_output) until `None`. The room computes no
 /// tissue, so that it relays motion at once.
 pub struct Room {
     config: RoomConfig,
-    /// Topology hash by version; the last is that of the newest cut in the log.
+    /// Topology hash by version; the last one belongs to the newest cut in the log.
     hashes: Vec<TopologyHash>,
     participants: BTreeMap<ParticipantId, Participant>,
     by_peer: BTreeMap<PeerKey, ParticipantId>,
@@ -69,14 +69,14 @@ pub struct Room {
     next_tick: ServerTime,
     next_correction: ServerTime,
     next_judgement: ServerTime,
-    /// Before this moment reports do not count for the group.
+    /// Delay reports before this time do not count for the group.
     heard_from: ServerTime,
     cuts: u64,
     demotions: u64,
     repetitions: u64,
     refused: u64,
     fan_out: FanOut,
-    /// Whether a tick of the tissue is under way.
+    /// Whether the tissue is solving a tick.
     is_settling: bool,
     ticks_skipped: u64,
     cuts_in_preparation: usize,
@@ -85,7 +85,7 @@ pub struct Room {
 }
 
 impl Room {
-    /// An empty session over tissue whose uncut topology has this hash.
+    /// An empty session over tissue with this hash of the uncut topology.
     pub fn new(uncut: TopologyHash, config: RoomConfig, now: ServerTime) -> Self {
         Self {
             hashes: vec![uncut],
@@ -115,7 +115,7 @@ impl Room {
         }
     }
 
-    /// Something that a peer's session learned.
+    /// Handles an event of a peer's session.
     pub fn handle_event(&mut self, peer: PeerKey, event: PeerEvent, now: ServerTime) {
         match (event, self.by_peer.get(&peer).copied()) {
             (PeerEvent::Hello(hello), None) => self.handle_hello(peer, hello, now),
@@ -123,15 +123,15 @@ impl Room {
             (PeerEvent::Motion(motion), Some(who)) => self.handle_motion(who, &motion, now),
             (PeerEvent::Delay(report), Some(who)) => self.note_report(who, report, now),
             (PeerEvent::Closed(reason), Some(who)) => self.handle_leave(who, &reason, now),
-            // A second hello is the session's business; the rest comes from nobody we know.
+            // The session machine handles a second hello. Other events belong to unknown peers.
             _ => {}
         }
     }
 
-    /// Scripts begin when enough tools have been heard of: a site that still builds its copy of the
-    /// tissue has joined, but would miss the beginning.
+    /// Starts scripts once enough tools have sent samples: a client that still builds its replica has joined, but
+    /// would miss the start.
     fn start_if_due(&mut self, now: ServerTime) {
-        // Everybody's motion comes through here, thousands of times a second.
+        // All motion passes here, thousands of times per second.
         if self.started_at.is_some() {
             return;
         }
@@ -151,7 +151,7 @@ impl Room {
         let Some(participant) = self.participants.get_mut(&who) else {
             return;
         };
-        match participant.asked.take(request.id) {
+        match participant.requests.take(request.id) {
             Repetition::New => {}
             Repetition::Done => {
                 self.repetitions += 1;
@@ -181,7 +181,7 @@ impl Room {
     fn note_refusal(&mut self, who: ParticipantId, id: RequestId, reason: RequestRefusal) {
         let refused = RequestRefused { id, reason };
         if let Some(participant) = self.participants.get_mut(&who) {
-            participant.asked.note_refusal(refused.clone());
+            participant.requests.note_refusal(refused.clone());
         }
         self.refuse(who, refused);
     }
@@ -215,7 +215,7 @@ impl Room {
         Ok(())
     }
 
-    /// An answer of the tissue.
+    /// Handles a report of the tissue.
     pub fn handle_report(&mut self, report: TissueReport, now: ServerTime) {
         match report {
             TissueReport::Settled {
@@ -256,7 +256,7 @@ impl Room {
         }
     }
 
-    /// The next work for the tissue.
+    /// The next order for the tissue.
     pub fn poll_order(&mut self) -> Option<TissueOrder> {
         self.orders.pop_front()
     }
@@ -316,7 +316,7 @@ impl Room {
             return;
         };
         let age = participant.delay.handle_arrival(arrival, in_force);
-        // The samples of who only watches are measured, so that it is seen when they come in time again.
+        // Samples of a demoted participant are only measured, for its restoration.
         if participant.demotion.is_demoted() {
             return;
         }
@@ -328,7 +328,7 @@ impl Room {
         self.send_motion(now);
     }
 
-    /// Passes motion on, when its round has come, to all but its author.
+    /// Relays the waiting motion, if its round is due, to all participants but its author.
     fn send_motion(&mut self, now: ServerTime) {
         let Some(round) = self.fan_out.poll(now).map(Arc::new) else {
             return;
@@ -342,8 +342,8 @@ impl Room {
         }
     }
 
-    /// Relays waiting motion and, when a tick is due, orders the tissue to settle at the newest moment of the common
-    /// grid. A tick that finds the tissue still at the last one is skipped and counted.
+    /// Relays waiting motion. If a tick is due, orders a solve for the newest time of the shared grid. A tick that finds
+    /// the tissue busy is skipped and counted.
     pub fn handle_tick(&mut self, now: ServerTime) {
         self.send_motion(now);
         if now < self.next_tick {
@@ -386,7 +386,7 @@ impl Room {
         }));
     }
 
-    /// The connections of those who have this subscription.
+    /// The connections with this subscription.
     fn peers_with(&self, subscription: Subscription) -> impl Iterator<Item = PeerKey> + '_ {
         let here = self.participants.values();
         let of = here.filter(move |p| p.subscription == subscription);
@@ -401,7 +401,7 @@ impl Room {
         let own = playing.filter_map(|p| p.delay.report());
         match own.max_by_key(|r: &DelayReport| r.wanted_us) {
             Some(worst) => self.group.handle_report(ParticipantId::SERVER, worst),
-            // What somebody needed who is gone binds nobody.
+            // The requirement ends with the last participant that caused it.
             None => self.group.remove(ParticipantId::SERVER),
         }
         if !self.log.takes_delay() {
@@ -418,7 +418,7 @@ impl Room {
         }
     }
 
-    /// Says goodbye to everybody.
+    /// Sends a goodbye to all participants.
     pub fn handle_close(&mut self, sentence: &str) {
         let peers: Vec<PeerKey> = self.by_peer.keys().copied().collect();
         for peer in peers {
@@ -426,28 +426,28 @@ impl Room {
         }
     }
 
-    /// When [`handle_tick`](Self::handle_tick) is due: for the next tick, or for motion that waits.
+    /// Due time of [`handle_tick`](Self::handle_tick): the next tick or the next round of motion.
     pub fn poll_timeout(&self) -> ServerTime {
         let motion = self.fan_out.due();
         motion.map_or(self.next_tick, |due| due.min(self.next_tick))
     }
 
-    /// The moment of the next tick.
+    /// Time of the next tick.
     pub fn next_tick(&self) -> ServerTime {
         self.next_tick
     }
 
-    /// The next thing to send.
+    /// The next message to send.
     pub fn poll_output(&mut self) -> Option<Output> {
         self.outputs.pop_front()
     }
 
-    /// Number of participants, with those whose seat is kept.
+    /// Number of participants, including kept seats.
     pub fn participant_count(&self) -> usize {
         self.participants.len()
     }
 
-    /// The operations of the log from that number on, the first being 0.
+    /// The operations of the log from this number on, counted from 0.
     pub fn operations_since(&self, first: usize) -> &[Arc<Operation>] {
         self.log.since(first)
     }
@@ -462,12 +462,12 @@ impl Room {
         self.cuts
     }
 
-    /// Number of requests that came a second time and were not done again.
+    /// Number of repeated requests, which were not executed again.
     pub fn repetition_count(&self) -> u64 {
         self.repetitions
     }
 
-    /// Number of hellos that were not let in.
+    /// Number of refused hellos.
     pub fn refused_count(&self) -> u64 {
         self.refused
     }
@@ -485,12 +485,12 @@ impl Room {
         self.hashes[self.hashes.len() - 1]
     }
 
-    /// Number of ticks that found the tissue still at the last one.
+    /// Number of ticks skipped because the tissue was busy.
     pub fn skipped_tick_count(&self) -> u64 {
         self.ticks_skipped
     }
 
-    /// The artificial delay at a moment.
+    /// The playout delay at a time.
     pub fn delay_at(&self, now: ServerTime) -> Span {
         self.schedule.delay_at(now)
     }

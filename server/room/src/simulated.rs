@@ -1,4 +1,4 @@
-//! A room whose tissue answers at once, on one thread: for simulated sessions and tests.
+//! A room with synchronous tissue on one thread, for simulated sessions and tests.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
@@ -35,7 +35,7 @@ impl SimulatedRoom {
         self.answer(now, &mut || false);
     }
 
-    /// See [`Room::handle_tick`]; `stop` ends the equilibrium early. The figures of the tick, if one was due.
+    /// See [`Room::handle_tick`]; `stop` ends the solve early. Returns the statistics of the tick, if one was due.
     pub fn handle_tick(
         &mut self,
         now: ServerTime,

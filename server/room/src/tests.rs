@@ -1,4 +1,4 @@
-//! The session machine against scripted peers, in virtual time.
+//! The room with scripted peers in virtual time.
 
 use std::sync::Arc;
 
@@ -126,7 +126,7 @@ fn stroke() -> RequestKind {
 }
 
 #[test]
-fn who_has_no_grant_no_name_of_their_own_or_no_seat_is_refused_politely() {
+fn wrong_grant_duplicate_name_and_full_session_are_refused() {
     let mut room = room(1);
     let bad = PeerEvent::Hello(Hello {
         name: "eve".into(),
@@ -178,7 +178,7 @@ fn who_has_no_grant_no_name_of_their_own_or_no_seat_is_refused_politely() {
 }
 
 #[test]
-fn scripts_start_once_and_only_when_all_tools_have_been_heard_of() {
+fn scripts_start_once_after_samples_of_all_tools() {
     let mut room = room(2);
     let started = |outputs: &[Output], to| {
         let ops = operations(outputs, PeerKey(to));
@@ -215,7 +215,7 @@ fn scripts_start_once_and_only_when_all_tools_have_been_heard_of() {
 }
 
 #[test]
-fn everybody_gets_the_same_operations_in_the_same_order_and_the_late_one_too() {
+fn all_clients_receive_equal_operations_in_order_including_late_ones() {
     let mut room = room(1);
     room.handle_event(
         PeerKey(1),
@@ -263,7 +263,7 @@ fn everybody_gets_the_same_operations_in_the_same_order_and_the_late_one_too() {
 }
 
 #[test]
-fn a_probe_may_not_cut_and_a_stroke_through_air_cuts_nothing() {
+fn probe_may_not_cut_and_a_stroke_through_air_cuts_nothing() {
     let mut room = room(1);
     room.handle_event(
         PeerKey(1),
@@ -312,7 +312,7 @@ fn pressing(from: i64, until: i64) -> PeerEvent {
     pressing_at(from, until, ms(until))
 }
 
-/// The same, arriving at a moment.
+/// The same samples with a time of arrival.
 fn pressing_at(from: i64, until: i64, arrived: ServerTime) -> PeerEvent {
     let sample = |t: i64| ToolSample {
         time: ms(t),
@@ -330,7 +330,7 @@ fn pressing_at(from: i64, until: i64, arrived: ServerTime) -> PeerEvent {
 }
 
 #[test]
-fn a_tool_that_presses_is_passed_on_deforms_the_tissue_and_is_gone_with_its_owner() {
+fn pressing_tool_is_relayed_deforms_tissue_and_leaves_with_its_owner() {
     let mut room = room(1);
     room.handle_event(
         PeerKey(1),

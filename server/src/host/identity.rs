@@ -22,10 +22,10 @@ const FORMAT: &str = "palpate-identity/1";
 /// The name of the file in its folder.
 const FILE: &str = "identity.json";
 
-/// Bytes of a file. More was not written by this program.
+/// Maximum size of the file in bytes. A larger file is not from this program.
 const BYTES_MAX: u64 = 64 * 1024;
 
-/// Which identity a host takes.
+/// Location of the host's identity.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum IdentityPlace {
     /// The one in the user's state folder.
@@ -33,7 +33,7 @@ pub enum IdentityPlace {
     Kept,
     /// The one in this folder.
     Folder(PathBuf),
-    /// A new one, which ends with the host.
+    /// A temporary identity that is not stored.
     New,
 }
 
@@ -49,7 +49,7 @@ impl FromStr for IdentityPlace {
     }
 }
 
-/// The identity of a host with the secret of each role. It has no `Debug`: logs are read by many.
+/// The identity of a host with the secret of each role. It has no `Debug`, to keep secrets out of logs.
 pub(super) struct Identity {
     pub(super) server: ServerIdentity,
     pub(super) grants: Vec<(Role, Grant)>,
@@ -62,12 +62,12 @@ struct Kept {
     format: String,
     certificate: String,
     key: String,
-    /// By the word for the role.
+    /// Secrets by name of the role.
     grants: BTreeMap<String, String>,
 }
 
 impl Identity {
-    /// Loads an identity, or makes it where there is none. `new_links` replaces the secrets of the links.
+    /// Loads an identity, or creates a missing one. `new_links` replaces the secrets of the links.
     pub(super) fn obtain(place: &IdentityPlace, new_links: bool) -> Result<Self, ServerError> {
         let folder = match place {
             IdentityPlace::New => return Self::generate(),
@@ -94,7 +94,7 @@ impl Identity {
             let identity = Self::generate()?;
             match write_private(&path, &identity.to_file(), false) {
                 Ok(()) => return Ok(identity),
-                // Another host was faster.
+                // Another host created the file first.
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => {
                     Self::load(&path)?.ok_or_else(|| failed(ErrorKind::NotFound.into()))?
                 }
@@ -131,7 +131,7 @@ impl Identity {
                 "it is damaged ({why}); remove it for a new identity, with new links"
             ))
         };
-        // The position alone: the text around it may be the key.
+        // The error holds only the position, because the text around it may be the key.
         let kept: Kept = serde_json::from_str(&text)
             .map_err(|e| damaged(&format!("line {}, column {}", e.line(), e.column())))?;
         if kept.format != FORMAT {
@@ -196,7 +196,7 @@ fn io_reason(error: &io::Error) -> String {
 mod tests {
     use super::*;
 
-    /// What a link holds.
+    /// The secrets and the certificate hash in the links.
     fn links(identity: &Identity) -> ([u8; 32], Vec<[u8; 16]>) {
         let grants = identity.grants.iter().map(|(_, grant)| grant.0).collect();
         (identity.server.certificate_hash().0, grants)
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn links_stay_valid_over_a_restart_until_they_are_renewed() {
+    fn links_survive_a_restart_until_they_are_renewed() {
         let dir = tempfile::tempdir().unwrap();
         let place = at(&dir.path().join("a/b"));
         let first = links(&Identity::obtain(&place, false).unwrap());
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn hosts_that_start_together_take_one_identity() {
+    fn concurrently_started_hosts_share_one_identity() {
         let dir = tempfile::tempdir().unwrap();
         let place = at(dir.path());
         let hosts: Vec<_> = std::thread::scope(|scope| {
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_file_is_named_without_its_secrets() {
+    fn damaged_identity_is_reported_without_its_secrets() {
         let dir = tempfile::tempdir().unwrap();
         let place = at(dir.path());
         Identity::obtain(&place, false).unwrap();
@@ -256,7 +256,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn a_key_that_others_may_read_is_refused() {
+    fn key_readable_by_other_users_is_rejected() {
         use std::os::unix::fs::PermissionsExt as _;
         let dir = tempfile::tempdir().unwrap();
         let place = at(dir.path());

@@ -1,11 +1,11 @@
-//! `palpate-server host`: one session, served until somebody ends it.
+//! `palpate-server host`: serves one session until it is interrupted.
 //!
-//! Three kinds of threads: a small tokio runtime moves bytes for all peers, the thread that called [`host`] owns the
-//! room, and two threads own the tissue. Messages of peers reach the room through one bounded inbox; its decisions
-//! leave through bounded queues that never block it.
+//! Threads: a small tokio runtime does the I/O of all peers, the thread that called [`host`] owns the room, and two
+//! threads own the tissue. Messages of peers reach the room through one bounded inbox. Its outputs leave through
+//! bounded queues that never block it.
 
+mod announcements;
 mod identity;
-mod news;
 mod options;
 mod serve;
 mod summary;
@@ -27,7 +27,7 @@ pub use summary::{HostSummary, Listening, ListeningModel, Refused, TickTimes};
 use crate::{ServerError, load};
 use identity::Identity;
 
-/// Hosts a session until it is interrupted, or its duration is over.
+/// Hosts a session until it is interrupted or its duration is over.
 pub fn host(options: &HostOptions) -> Result<(), ServerError> {
     progress(&format!("preparing the model {}", options.model));
     let loaded = load::load(&options.model)?;
@@ -88,14 +88,13 @@ pub fn host(options: &HostOptions) -> Result<(), ServerError> {
     summary::finish(options.json, &summary)
 }
 
-/// Writes a stage of the preparation to standard error, where it mixes with no result.
+/// Prints a stage of the preparation to standard error, apart from results.
 fn progress(stage: &str) {
-    // Nobody is left to be told when standard error is gone.
+    // A closed standard error is ignored.
     let _ = writeln!(std::io::stderr(), "{stage} ...");
 }
 
-/// What clients should call this machine: what the host said, the address it listens on, or the one
-/// that leads out of here.
+/// Host name for join links: option `--public`, the address it listens on, or the address of the default route.
 fn public_host(options: &HostOptions, address: SocketAddr) -> String {
     if let Some(host) = &options.public {
         return host.clone();
@@ -103,8 +102,8 @@ fn public_host(options: &HostOptions, address: SocketAddr) -> String {
     if !address.ip().is_unspecified() {
         return address.ip().to_string();
     }
-    // Connecting a UDP socket sends nothing; it only chooses the interface. The address is one of
-    // those set aside for documentation (RFC 5737).
+    // Connecting a UDP socket only selects the interface and sends nothing. The address is reserved for documentation
+    // (RFC 5737).
     let chosen = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))
         .and_then(|s| {
             s.connect((Ipv4Addr::new(192, 0, 2, 1), 9))

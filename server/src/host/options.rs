@@ -1,4 +1,4 @@
-//! What a host may choose.
+//! Options of `palpate-server host`.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
@@ -7,16 +7,15 @@ use palpate_protocol::operation::{CompensationMode, CompensationSettings};
 use super::IdentityPlace;
 use crate::ServerError;
 
-/// Delay that adaptive compensation begins with, before anything is measured: a local network needs no more.
-/// D grows by a quarter of a second per second and shrinks by a fiftieth, so a low start reaches 150 ms within
-/// a second, and a high one would stay for seconds.
+/// Initial delay of adaptive compensation, enough for a local network. D grows by 250 ms per second and shrinks by
+/// 20 ms per second: a low start reaches 150 ms within a second, a high one would stay for seconds.
 const INITIAL_DELAY_US: u32 = 10_000;
 
-/// Most that any compensation may delay, in ms: beyond a second nobody works together.
+/// Maximum delay of any compensation, in ms; collaboration fails beyond a second.
 const DELAY_MAX_MS: u32 = 1000;
 
-/// Ticks per second when nothing is said: as fast as an eye follows, and twice the time of a screen's
-/// period for a solver with many tools.
+/// Default ticks per second: fast enough for the eye, and twice the period of a 60 Hz screen for a solve with many
+/// tools.
 pub const TICK_HZ: u32 = 30;
 
 /// The options of `palpate-server host`.
@@ -30,7 +29,7 @@ pub struct HostOptions {
     pub identity: IdentityPlace,
     /// Whether to replace the secrets of the links.
     pub new_links: bool,
-    /// What join links call this machine.
+    /// Host name in join links.
     pub public: Option<String>,
     /// Ticks per second.
     pub tick_hz: u32,
@@ -38,11 +37,11 @@ pub struct HostOptions {
     pub compensation: CompensationSettings,
     /// Seats in the session.
     pub seats: u16,
-    /// Scripts begin when so many tools are there.
+    /// Start scripts once this number of tools have joined.
     pub start_when_tools: u16,
-    /// Seconds after which it ends by itself.
+    /// Duration in seconds.
     pub duration_s: Option<f64>,
-    /// JSON instead of text.
+    /// Print JSON instead of text.
     pub json: bool,
 }
 
@@ -110,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_port_or_an_address_alone_is_enough() {
+    fn port_or_address_alone_is_accepted() {
         for (text, address) in [
             ("4433", "0.0.0.0:4433"),
             (":5000", "0.0.0.0:5000"),
@@ -132,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn every_mode_is_read_and_nonsense_is_refused_with_the_choices() {
+    fn every_mode_parses_and_invalid_ones_are_rejected() {
         let adaptive = parse_compensation("adaptive", 200).unwrap();
         assert_eq!(
             adaptive.mode,

@@ -17,15 +17,15 @@ use palpate_transport::{
 use tokio::runtime::Runtime;
 use tokio::sync::mpsc;
 
-use super::news::News;
+use super::announcements::Announcements;
 use super::options::HostOptions;
 use super::summary::{HostSummary, Refused, TickTimes};
 use super::tissue::{Answer, TissueThreads};
 use crate::ServerError;
 
-/// Messages from all peers that may wait for the room. Four samples every 4 ms from 64 participants
-/// are 16,000 a second, so this is a quarter of a second; beyond it the peers' own tasks wait, and
-/// their sessions drop motion first.
+/// Messages from all peers that may wait for the room. Four samples every 4 ms from 64 participants are 16,000
+/// datagrams per second, so this is a quarter of a second. Beyond it the tasks of the peers wait, and their sessions
+/// drop motion first.
 const INBOX_MAX: usize = 4096;
 
 /// Part of the tick's period that the solver may use.
@@ -34,18 +34,18 @@ const SOLVER_SHARE: f64 = 0.5;
 /// CPU time of a tick after which no further iteration begins, so that sessions on one machine share it.
 const SOLVER_LIMIT: Duration = Duration::from_millis(10);
 
-/// Longest tick that is told apart from longer ones, in µs.
+/// Upper bound of the histogram of tick times, in µs.
 const TICK_US_MAX: u64 = 10_000_000;
 
-/// Threads that move bytes for all peers: more than two find nothing to do.
+/// I/O threads for all peers; more than two are idle.
 const NETWORK_THREADS: usize = 2;
 
-/// CPU time that the solver may use for a tick of that period before its last iteration begins.
+/// CPU time of a tick after which no further iteration begins, for this tick period.
 pub fn solver_limit(period: Duration) -> Duration {
     period.mul_f64(SOLVER_SHARE).min(SOLVER_LIMIT)
 }
 
-/// What moves the loop.
+/// Events of the loop.
 enum Moved {
     Peer(PeerInput),
     Joined(Box<PeerHandle>),
@@ -58,7 +58,7 @@ struct Session {
     room: Room,
     tissue: TissueThreads,
     peers: BTreeMap<PeerKey, PeerHandle>,
-    /// Peers are numbered in the order in which their handles come.
+    /// Peers are numbered in the order of their handles.
     newest_peer: u64,
     began: Instant,
     cpu_began: CpuTime,
@@ -67,12 +67,12 @@ struct Session {
     cuts_us: Histogram<u64>,
     participants: u64,
     skipped: u64,
-    /// Of those who are gone.
+    /// Counters of closed connections.
     refused: Refused,
-    news: News,
+    announcements: Announcements,
 }
 
-/// Serves one session. `announce` is told the address once it listens; where it can not tell anybody, nothing is served.
+/// Serves one session. `announce` receives the address once the server listens; if it fails, no session is served.
 pub(super) fn serve(
     options: &HostOptions,
     identity: &ServerIdentity,
@@ -112,12 +112,12 @@ pub(super) fn serve(
         participants: 0,
         skipped: 0,
         refused: Refused::default(),
-        news: News::new(),
+        announcements: Announcements::new(),
     };
     let server = Arc::new(server);
     let (joined, inbox) = accept(&network, Arc::clone(&server), began);
     announce(server.local_addr())?;
-    // The room has a thread of its own, this one: it relays motion and never computes tissue.
+    // This thread runs the room: it relays motion and computes no tissue.
     let _membership = threads::enter(ThreadClass::Network);
     let here = tokio::runtime::Builder::new_current_thread()
         .enable_all()
@@ -175,7 +175,7 @@ fn server_time(began: Instant) -> ServerTime {
 }
 
 impl Session {
-    /// Runs until the session is over; says why.
+    /// Runs until the session is over. Returns the reason.
     async fn run(
         &mut self,
         options: &HostOptions,
@@ -199,14 +199,14 @@ impl Session {
                 Moved::Over(why) => {
                     self.room.handle_close("the host ended the session");
                     self.deliver();
-                    // A moment for the farewell to leave.
+                    // Leaves time to send the goodbye.
                     tokio::time::sleep(Duration::from_millis(100)).await;
                     return why;
                 }
                 Moved::Joined(handle) => self.handle_joined(*handle),
                 Moved::Peer(input) => {
-                    // A peer's first words may overtake its handle, which comes another way; an
-                    // answer without the handle would be lost.
+                    // The first messages of a peer may overtake its handle, which takes another path. A reply
+                    // without the handle would be lost.
                     while input.peer.0 > self.newest_peer
                         && let Some(handle) = joined.recv().await
                     {
@@ -217,7 +217,7 @@ impl Session {
                 Moved::Tissue(answer) => self.handle_answer(*answer),
                 Moved::Time => {}
             }
-            // Motion that keeps coming must not put the tick off.
+            // Continuous motion must not delay the tick.
             if server_time(self.began) >= self.room.poll_timeout() {
                 self.tick();
             }
@@ -228,8 +228,8 @@ impl Session {
                 }
             }
             self.deliver();
-            let news = self.room.operations_since(self.news.told());
-            self.news.tell(news);
+            let new = self.room.operations_since(self.announcements.announced());
+            self.announcements.announce(new);
         }
     }
 
@@ -242,7 +242,7 @@ impl Session {
         let peer = PeerKey(input.peer.0);
         let closed = matches!(input.event, PeerEvent::Closed(_));
         if let PeerEvent::Closed(reason) = &input.event {
-            tracing::info!(peer = peer.0, %reason, "a peer is gone");
+            tracing::info!(peer = peer.0, %reason, "peer disconnected");
         }
         let before = self.room.participant_count();
         self.room.handle_event(peer, input.event, input.at);
@@ -257,7 +257,7 @@ impl Session {
     fn tick(&mut self) {
         let now = server_time(self.began);
         let late = now - self.room.next_tick();
-        // Waiting motion moves the loop, too.
+        // Waiting motion wakes the loop, too.
         if late >= Span::ZERO {
             let late_us = u64::try_from(late.as_micros()).unwrap_or(0);
             self.late_us.saturating_record(late_us.max(1));
@@ -286,7 +286,7 @@ impl Session {
             match output {
                 Output::Message(peer, message) => {
                     if let Some(handle) = self.peers.get(&peer) {
-                        // A peer that is too slow is closed by its own task, which tells us.
+                        // The task of a slow peer closes the connection and reports it.
                         handle.send(message);
                     }
                 }
@@ -343,7 +343,7 @@ impl Session {
     }
 }
 
-/// Completes when the session is to end, with the reason.
+/// Completes with the reason when the session must end.
 async fn over(duration_s: Option<f64>) -> String {
     let time = async {
         match duration_s {

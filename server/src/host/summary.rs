@@ -1,4 +1,4 @@
-//! What a host prints: first where it listens, last how it went.
+//! Output of a host: address and links at the start, statistics at the end.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -9,14 +9,14 @@ use palpate_transport::threads::CpuUsage;
 use serde::{Deserialize, Serialize};
 
 use crate::ServerError;
-use crate::say::say;
+use crate::output::print_result;
 
 /// The first object of `host --json`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Listening {
-    /// Where.
+    /// Address and port.
     pub listening: SocketAddr,
-    /// What is served.
+    /// The model of the session.
     pub model: ListeningModel,
     /// A join link per role.
     pub links: BTreeMap<String, String>,
@@ -29,26 +29,26 @@ pub struct ListeningModel {
     pub nodes: usize,
     /// Its hash, hexadecimal.
     pub hash: String,
-    /// What a client downloads, in bytes.
+    /// Download size in bytes.
     pub bytes: u64,
 }
 
 /// The last object of `host --json`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct HostSummary {
-    /// Ticks done.
+    /// Solved ticks.
     pub ticks: u64,
-    /// How long they took.
+    /// Duration of a tick.
     pub tick_ms: TickTimes,
-    /// How long after their moments they began.
+    /// Delay of the start of a tick behind its due time.
     pub late_ms: TickTimes,
-    /// Ticks that found the tissue still at the last one.
+    /// Ticks skipped because the tissue was busy.
     #[serde(default)]
     pub ticks_skipped: u64,
-    /// How long cuts took to prepare, beside the ticks.
+    /// Preparation time of a cut, beside the ticks.
     #[serde(default)]
     pub cut_ms: TickTimes,
-    /// Mean use of the processor over the session, by thread class.
+    /// Mean CPU use of the session by thread class.
     #[serde(default)]
     pub cpu: CpuUsage,
     /// Time between two ticks in ms.
@@ -67,49 +67,49 @@ pub struct HostSummary {
     pub boundary_closed: bool,
     /// Participants over the whole session.
     pub participants: u64,
-    /// The artificial delay at the end, in ms.
+    /// The playout delay at the end, in ms.
     pub compensation_ms: f64,
     /// Datagrams that found their queue full.
     pub datagrams_skipped: u64,
-    /// How often somebody became a spectator because of their network.
+    /// Demotions to spectator because of the network.
     pub demotions: u64,
-    /// What came and was not taken.
+    /// Refused joins and rejected datagrams.
     pub refused: Refused,
     /// Length of the session in s.
     pub seconds: f64,
-    /// Why it ended.
+    /// Reason for the end.
     pub ended: String,
 }
 
-/// What came from all peers and was not taken, by reason; their sessions went on.
+/// Refused joins, repeated requests and rejected datagrams of all peers, by reason. Rejections do not end a session.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refused {
-    /// Who was not let in: without a grant, a seat, or a name of their own.
+    /// Refused joins: wrong grant, no free seat, or duplicate name.
     pub joins: u64,
-    /// Requests that came a second time over a new connection.
+    /// Requests repeated over a new connection.
     pub repetitions: u64,
-    /// Datagrams beyond the most that one peer may send.
+    /// Datagrams above the rate limit of a peer.
     pub over_rate: u64,
-    /// Datagrams that are none.
+    /// Malformed datagrams.
     pub malformed: u64,
-    /// Datagrams of an earlier or unknown life of the session.
+    /// Datagrams of another session epoch.
     pub other_epoch: u64,
-    /// Datagrams of somebody else's connection, or of a kind that a server does not take.
+    /// Datagrams of another connection, or of a kind that servers do not accept.
     pub misdirected: u64,
-    /// Datagrams that were seen before.
+    /// Duplicate datagrams.
     pub duplicate: u64,
-    /// Datagrams that came too late.
+    /// Datagrams that arrived too late.
     pub old: u64,
-    /// Datagrams before their sender was let in.
+    /// Datagrams received before their sender was admitted.
     pub early: u64,
-    /// Datagrams that tell differences from what did not arrive.
+    /// Datagrams whose baseline did not arrive.
     pub no_baseline: u64,
-    /// Acknowledgements of what was never sent.
+    /// Acknowledgements of datagrams that were never sent.
     pub false_acknowledgement: u64,
 }
 
 impl Refused {
-    /// Adds what one peer's connection counted.
+    /// Adds the counters of one peer's connection.
     pub(super) fn add(&mut self, stats: &DriverStats) {
         let noise = stats.link.noise;
         self.over_rate += stats.path.refused_datagrams;
@@ -135,10 +135,10 @@ pub struct TickTimes {
     pub max: f64,
 }
 
-/// Says where the session can be joined.
+/// Prints address and join links.
 pub(super) fn announce(json: bool, listening: &Listening) -> Result<(), ServerError> {
     if json {
-        return say(&serde_json::json!(listening).to_string());
+        return print_result(&serde_json::json!(listening).to_string());
     }
     let mut text = format!(
         "listening on {} with a model of {} nodes ({:.1} MB); end with Ctrl-C",
@@ -150,15 +150,15 @@ pub(super) fn announce(json: bool, listening: &Listening) -> Result<(), ServerEr
         // Writing to a string can not fail.
         let _ = write!(text, "\n{role:>11}  {link}");
     }
-    say(&text)
+    print_result(&text)
 }
 
-/// Says how it went.
+/// Prints the statistics of the session.
 pub(super) fn finish(json: bool, s: &HostSummary) -> Result<(), ServerError> {
     if json {
-        return say(&serde_json::json!(s).to_string());
+        return print_result(&serde_json::json!(s).to_string());
     }
-    say(&format!(
+    print_result(&format!(
         "{} after {:.1} s: {} participants, {} operations with {} cuts; {} ticks of \
          {:.1} ms (p99 {:.1}, period {:.1}); topology {} (version {}), {} piece(s); {}",
         s.ended,

@@ -1,4 +1,4 @@
-//! The threads of the authoritative tissue: one settles it tick by tick, one makes cuts ahead of it.
+//! The threads of the authoritative tissue: one solves the ticks, one prepares cuts.
 //!
 //! The room's thread relays motion and waits for neither.
 
@@ -16,14 +16,14 @@ use tokio::sync::mpsc as async_mpsc;
 
 use crate::ServerError;
 
-/// An answer of the tissue, with what it cost.
+/// A report of the tissue with its cost.
 pub(super) struct Answer {
     pub(super) report: TissueReport,
-    /// Wall time from the order to the answer, without waiting in line.
+    /// Wall time of the order, without queueing.
     pub(super) took: Duration,
 }
 
-/// Work of the thread that settles.
+/// Commands for the thread that solves the ticks.
 enum Work {
     Order(TissueOrder),
     Prepared(Box<PreparedCut>),
@@ -33,7 +33,7 @@ enum Work {
 /// The two threads.
 pub(super) struct TissueThreads {
     work: Sender<Work>,
-    /// Bounded by the room: one tick and a few cuts are under way at most.
+    /// Bounded by the room, which allows one tick and a few cuts at a time.
     pub(super) answers: async_mpsc::UnboundedReceiver<Answer>,
     cuts: JoinHandle<Cutter>,
 }
@@ -78,20 +78,20 @@ impl TissueThreads {
         Ok((threads, uncut))
     }
 
-    /// Passes an order on. Whether a thread was there to take it; it is missing only after a panic.
+    /// Sends an order to its thread. Returns `false` if the thread has ended, which happens only after a panic.
     pub(super) fn order(&self, order: TissueOrder) -> bool {
         self.work.send(Work::Order(order)).is_ok()
     }
 
-    /// Ends both threads. The newest topology, with every cut of the log; `None` after a panic.
+    /// Ends both threads. Returns the newest topology, with every cut of the log; `None` after a panic.
     pub(super) fn finish(self) -> Option<Cutter> {
-        // Each thread has a queue of the other, so none ends by a queue that closes.
+        // Each thread holds a sender of the other's queue, so neither queue closes by itself.
         let _ = self.work.send(Work::End);
         self.cuts.join().ok()
     }
 }
 
-/// Solver threads: half the processors, because views and networks of other sessions share the machine.
+/// Solver threads: half the processors, because other sessions share the machine.
 fn solver_pool() -> Result<rayon::ThreadPool, ServerError> {
     let cores = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
     rayon::ThreadPoolBuilder::new()
@@ -124,7 +124,7 @@ impl Settler {
                     self.authority.apply(version, at);
                 }
                 Work::Order(TissueOrder::Cut(order)) => {
-                    // The cut thread lives for as long as this one holds its queue.
+                    // The cut thread lives while this one holds a sender of its queue.
                     let _ = self.jobs.send(self.authority.job(&order));
                 }
                 Work::Order(TissueOrder::Settle(order)) => {
@@ -145,7 +145,7 @@ impl Settler {
     }
 }
 
-/// Makes cuts until the queue closes; the newest topology is left over.
+/// Prepares cuts until the queue closes. Returns the newest topology.
 fn cut_all(
     mut cutter: Cutter,
     jobs: &Receiver<CutJob>,
@@ -155,7 +155,7 @@ fn cut_all(
     for job in jobs {
         let began_ns = threads::monotonic_ns();
         let (report, cut) = cutter.make(&job);
-        // Before the room hears of it, so that the cut is there when it takes effect.
+        // Sent before the report to the room, so that the cut is present when it takes effect.
         if let Some(cut) = cut {
             let _ = prepared.send(Work::Prepared(Box::new(cut)));
         }

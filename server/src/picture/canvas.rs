@@ -50,12 +50,12 @@ impl Canvas {
     /// A white sheet.
     pub(super) fn new(width: u32, height: u32) -> Result<Self, String> {
         let mut pixels = Pixmap::new(width, height)
-            .ok_or_else(|| format!("{width} x {height} pixels are no picture"))?;
+            .ok_or_else(|| format!("invalid image size {width} x {height}"))?;
         pixels.fill(colour(PAPER, 1.0));
         Ok(Self(pixels))
     }
 
-    /// Fills a shape. Without soft edges, so that neighbours leave no seam between them.
+    /// Fills a shape without anti-aliasing, so that neighbours leave no seam.
     pub(super) fn fill(&mut self, corners: &[[f32; 2]], with: Colour, opacity: f32) {
         let mut path = PathBuilder::new();
         for (i, [x, y]) in corners.iter().enumerate() {
@@ -82,7 +82,7 @@ impl Canvas {
         }
     }
 
-    /// Draws lines of one kind.
+    /// Draws lines of one style.
     pub(super) fn lines(
         &mut self,
         lines: impl IntoIterator<Item = [[f32; 2]; 2]>,
@@ -107,7 +107,7 @@ impl Canvas {
         }
     }
 
-    /// Writes a line of text with its upper left corner at a place.
+    /// Draws a line of text with its upper left corner at a point.
     pub(super) fn text(&mut self, text: &str, [x, y]: [f32; 2], letters: Letters, with: Colour) {
         let [r, g, b] = with;
         let style = MonoTextStyle::new(letters.font(), Rgb888::new(r, g, b));

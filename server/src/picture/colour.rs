@@ -1,4 +1,4 @@
-//! Colours of regions: near to what the tissue looks like, apart from each other where it matters.
+//! Colours of regions: similar to the tissue, and distinguishable where it matters.
 
 use palpate_tissue::Model;
 
@@ -11,7 +11,7 @@ pub(super) const PAPER: Colour = [255, 255, 255];
 pub(super) const POOR: Colour = [255, 140, 0];
 pub(super) const INVERTED: Colour = [225, 0, 200];
 
-/// Materials without a colour of their own take these in turn.
+/// Colours for other materials, in turn.
 const OTHERS: [Colour; 8] = [
     [102, 166, 214],
     [140, 198, 120],
@@ -69,7 +69,7 @@ pub(super) fn of_regions(model: &Model) -> Vec<Colour> {
         .collect()
 }
 
-/// The `number`th shade of a colour, away from the end of the scale that it is near to.
+/// The `number`th shade of a colour: darker for light colours, lighter for dark ones.
 fn shade(base: Colour, number: usize) -> Colour {
     let part = 0.15 * number.min(4) as f64;
     let is_light = base.iter().map(|v| u32::from(*v)).sum::<u32>() > 3 * 128;

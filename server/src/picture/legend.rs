@@ -1,4 +1,4 @@
-//! Which colour is what.
+//! The legend: colours of regions, springs and cell quality.
 
 use palpate_tissue::{Model, cell_volume};
 
@@ -11,7 +11,7 @@ pub(super) const WIDTH: f32 = 350.0;
 const ENTRY: f32 = 52.0;
 const SWATCH: f32 = 30.0;
 const TEXT: f32 = 42.0;
-/// Most regions that are named; more would make the sheet taller than a screen. The rest is counted.
+/// Maximum named regions; more would exceed the height of a screen. Further regions are counted.
 const REGIONS_MAX: usize = 16;
 
 /// A region's lines.
@@ -57,7 +57,7 @@ impl Legend {
                 ),
             })
             .collect();
-        // Those that are seen first; within, in scene order.
+        // Visible regions first, each group in scene order.
         entries.sort_by_key(|e| !e.is_in_section);
         let more = entries.len().saturating_sub(REGIONS_MAX);
         entries.truncate(REGIONS_MAX);
@@ -68,7 +68,7 @@ impl Legend {
         }
     }
 
-    /// Pixels it needs.
+    /// Height in pixels.
     pub(super) fn height(&self) -> f32 {
         ENTRY * (self.entries.len() + usize::from(self.more > 0)) as f32 + 210.0
     }
@@ -113,7 +113,7 @@ impl Legend {
             (POOR, poor.as_str(), grade(Grade::Poor)),
             (
                 INVERTED,
-                "inside out, or a corner of it",
+                "inverted, wholly or at a corner",
                 grade(Grade::Inverted),
             ),
         ] {
@@ -145,7 +145,7 @@ impl Legend {
     }
 }
 
-/// A line of text, ending where the legend does.
+/// A line of text, truncated to the legend's width.
 fn line(canvas: &mut Canvas, text: &str, at: [f32; 2], letters: Letters, with: Colour) {
     let most = ((WIDTH - TEXT) / letters.width()) as usize;
     if text.chars().count() <= most {
@@ -166,7 +166,7 @@ fn modulus(pa: f64) -> String {
     format!("{} {unit}", Figures(value))
 }
 
-/// A number with three figures or all before its point.
+/// A number with three significant digits, or with all digits before the point.
 pub(super) struct Figures(pub(super) f64);
 
 impl std::fmt::Display for Figures {

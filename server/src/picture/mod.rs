@@ -1,8 +1,7 @@
-//! A picture of a cross-section of a model: regions in colour, springs, poor cells, a legend and a
-//! scale, to look at before a model is used.
+//! The picture of a cross-section of a model: coloured regions, springs, poor cells, legend and scale.
 //!
-//! The raster is tiny-skia's and the letters are the bitmap fonts of embedded-graphics: both are
-//! small, need nothing of the system and draw the same bits everywhere.
+//! tiny-skia draws the raster and embedded-graphics provides bitmap fonts. Both are small, need no system library and
+//! draw equal bits everywhere.
 
 mod canvas;
 mod colour;
@@ -17,12 +16,12 @@ use palpate_tissue::ModelFile;
 use crate::ServerError;
 use section::Section;
 
-/// Where a model is cut through for its picture.
+/// The plane of a cross-section.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Slice {
-    /// The axis it is at right angles to.
+    /// The axis normal to the plane.
     pub(crate) axis: usize,
-    /// Where on that axis, in mm; in the middle of the model when nothing is said.
+    /// Position on the axis in mm; default: the middle of the model.
     pub(crate) at_mm: Option<f64>,
 }
 
@@ -40,7 +39,9 @@ impl FromStr for Slice {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let wrong = || {
-            format!("\"{text}\" is no slice; write x, y or z, or with a place in mm as in z=100")
+            format!(
+                "invalid slice \"{text}\"; use x, y or z, optionally with a position in mm (z=100)"
+            )
         };
         let (axis, at) = match text.split_once('=') {
             Some((axis, at)) => (axis, Some(at)),
@@ -70,7 +71,7 @@ pub(crate) fn draw(
 ) -> Result<Vec<u8>, ServerError> {
     let section = Section::through(&file.model, slice).map_err(ServerError::Option)?;
     sheet::draw(&file.model, &section, name, springs)
-        .map_err(|what| ServerError::Option(format!("the picture can not be drawn: {what}")))
+        .map_err(|what| ServerError::Option(format!("cannot draw the picture: {what}")))
 }
 
 #[cfg(test)]
@@ -79,7 +80,7 @@ mod tests {
     use palpate_tissue::{Material, block};
 
     #[test]
-    fn a_slice_is_an_axis_with_or_without_a_place() {
+    fn slice_is_an_axis_with_an_optional_position() {
         let slice = |axis, at_mm| Ok(Slice { axis, at_mm });
         assert_eq!("z=580".parse(), slice(2, Some(580.0)));
         assert_eq!("x = -1.5 mm".parse(), slice(0, Some(-1.5)));
@@ -90,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_is_drawn_of_every_axis_and_the_same_each_time() {
+    fn picture_of_every_axis_is_drawn_deterministically() {
         let model = block([7, 3, 4], 0.004, &Material::default(), 1);
         let file = ModelFile {
             model,
@@ -105,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slice_beside_the_model_is_answered_with_where_it_is() {
+    fn slice_outside_the_model_is_rejected_with_its_extent() {
         let model = block([7, 3, 4], 0.004, &Material::default(), 1);
         let slice = "y=50".parse().unwrap();
         let said = Section::through(&model, slice).unwrap_err();

@@ -1,4 +1,4 @@
-//! What a plane at right angles to an axis cuts out of a model.
+//! The cross-section of a model with a plane normal to an axis.
 
 use std::collections::BTreeSet;
 
@@ -8,20 +8,19 @@ use super::Slice;
 
 const MM: f64 = 1e3;
 
-/// Scaled Jacobian below which a cell is marked as poor: springs along its edges can hardly tell its
-/// diagonals apart there.
+/// Scaled Jacobian below which a cell is marked as poor: its edge springs hardly resist a change of its diagonals.
 pub(super) const POOR: f64 = 0.2;
 
-/// A point of the section in mm: to the right and up.
+/// A point of the section in mm: right and up.
 pub(super) type Point = [f64; 2];
 
-/// How well shaped a cell is.
+/// Quality of a cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Grade {
     Good,
     /// Scaled Jacobian below [`POOR`].
     Poor,
-    /// Inside out at a corner, or as a whole.
+    /// Inverted at a corner or as a whole.
     Inverted,
 }
 
@@ -32,32 +31,31 @@ pub(super) struct CellCut {
     pub(super) grade: Grade,
     /// Convex pieces that fill it.
     pub(super) pieces: Vec<Vec<Point>>,
-    /// Its outline, each line with whether something else than its own region is behind it. Faces
-    /// that look along the axis have no line, unless they are such a border: where they meet the
-    /// plane at all they wind along it.
+    /// Its outline. The flag marks lines that border another region. Faces normal to the axis have a line only if
+    /// they are such a border.
     pub(super) outline: Vec<([Point; 2], bool)>,
 }
 
 /// A cross-section of a model.
 #[derive(Debug, Clone)]
 pub(super) struct Section {
-    /// The axis it is at right angles to.
+    /// The axis normal to the section.
     pub(super) axis: usize,
-    /// Where on it, in mm.
+    /// Position on the axis, in mm.
     pub(super) at_mm: f64,
     pub(super) cells: Vec<CellCut>,
     /// Edges of cells in the layer nearest to the plane.
     pub(super) structural: Vec<[Point; 2]>,
     /// Their face diagonals.
     pub(super) shear: Vec<[Point; 2]>,
-    /// Low and high corner of everything in mm.
+    /// Lower and upper corner of the section in mm.
     pub(super) bounds: [Point; 2],
     /// Cells of each grade in the section, and in the model.
     pub(super) grades: [[usize; 2]; 3],
 }
 
 impl Section {
-    /// Cuts through a model; the error says where the model is.
+    /// Cuts through a model. The error for a miss contains the extent of the model.
     pub(super) fn through(model: &Model, slice: Slice) -> Result<Self, String> {
         let axis = slice.axis;
         let along = || model.nodes.iter().map(|p| p[axis] * MM);
@@ -74,7 +72,7 @@ impl Section {
         if !(low..=high).contains(&at_mm) {
             return Err(misses);
         }
-        // On the rim of the model only what lies inside counts as cut.
+        // A plane on the boundary of the model cuts only cells on its inner side.
         let inset = (high - low) * 1e-9;
         let at = at_mm.clamp(low + inset, high - inset) / MM;
         let mut section = Self {
@@ -125,7 +123,7 @@ impl Section {
             }
         }
         self.cells.push(cell);
-        // The side of the cell that is nearer to the plane.
+        // The side of the cell nearer to the plane.
         let distance = |face: usize| {
             let sum: f64 = FACES[face].iter().map(|&c| corners[c][self.axis]).sum();
             (sum / 4.0 - at).abs()
@@ -154,8 +152,8 @@ fn grade(corners: &[Vec3; 8]) -> Grade {
     }
 }
 
-/// Cuts the tetrahedra between a cell's middle and the halves of its faces. Neighbours halve the
-/// face between them alike, so their pieces fit.
+/// Cuts the tetrahedra between a cell's centre and the halves of its faces. Neighbours halve their common face
+/// alike, so the pieces fit.
 fn cut_cell(model: &Model, index: usize, axis: usize, at: f64, grade: Grade) -> CellCut {
     let corners = model.corners_of(index);
     let cell = &model.cells[index];
@@ -177,7 +175,7 @@ fn cut_cell(model: &Model, index: usize, axis: usize, at: f64, grade: Grade) -> 
             {
                 outline.push(([from, to], is_border));
             }
-            // In an order that goes around the piece: opposite edges are never neighbours.
+            // Ordered around the piece: opposite edges are never neighbours.
             let m = middle;
             let edges = [[p, q], [p, r], [r, m], [q, m], [q, r], [p, m]];
             let piece = around(&crossings(&edges));
@@ -194,7 +192,7 @@ fn cut_cell(model: &Model, index: usize, axis: usize, at: f64, grade: Grade) -> 
     }
 }
 
-/// Where an edge crosses the plane; ends on it count as below, so that no crossing counts twice.
+/// Intersection of an edge with the plane. End points on the plane count as below, so that no crossing counts twice.
 fn crossing(axis: usize, at: f64, [from, to]: [Vec3; 2]) -> Option<Point> {
     if (from[axis] > at) == (to[axis] > at) {
         return None;
@@ -213,7 +211,7 @@ fn around(points: &[Point]) -> Vec<Point> {
     sorted
 }
 
-/// A point seen along the axis, in mm: x to the right when there is one, z up when there is one.
+/// Projection of a point along the axis, in mm: x to the right and z up where they exist.
 fn flat(axis: usize, p: Vec3) -> Point {
     let [right, up] = [[1, 2], [0, 2], [0, 1]][axis];
     [p[right] * MM, p[up] * MM]
@@ -235,10 +233,10 @@ mod tests {
     }
 
     #[test]
-    fn the_pieces_fill_the_section_without_gap_or_overlap() {
+    fn pieces_fill_the_section_without_gap_or_overlap() {
         let mut model = block([6, 5, 4], 0.004, &Material::default(), 1);
         for (i, p) in model.nodes.iter_mut().enumerate() {
-            // Inside only, so that the section stays a rectangle.
+            // Only inner nodes, so that the section stays a rectangle.
             let inside = (0..3).all(|a| p[a] > 0.001 && p[a] < [0.023, 0.019, 0.015][a]);
             if inside {
                 *p += Vec3::new(3e-4, -2e-4, 7e-4) * f64::from(i as u32 % 3);
@@ -259,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cell_turned_inside_out_is_graded_so() {
+    fn inverted_cell_is_graded_as_inverted() {
         let mut model = block([3, 3, 3], 0.004, &Material::default(), 1);
         let slice = Slice::default();
         let grades = Section::through(&model, slice).unwrap().grades;

@@ -7,16 +7,16 @@ use super::colour::{self, Colour, INK, INVERTED, PALE_INK, POOR};
 use super::legend::{self, Figures, Legend};
 use super::section::{Grade, Point, Section};
 
-/// Room for the section itself, in pixels; it fills it one way or the other.
+/// Area of the section in pixels; the section fills its width or its height.
 const ROOM: [f32; 2] = [1150.0, 1000.0];
 /// Around the section: left (numbers), top (title), right, bottom (numbers and scale).
 const LEFT: f32 = 70.0;
 const TOP: f32 = 76.0;
 const GAP: f32 = 40.0;
 const BOTTOM: f32 = 84.0;
-/// Room between the section and its frame, as a part of it.
+/// Margin between section and frame, relative to the section.
 const MARGIN: f64 = 0.03;
-/// Springs are drawn by themselves from so many pixels per spacing on, outlines of cells from fewer.
+/// Minimum pixels per spacing at which springs are drawn by default; outlines of cells need fewer.
 const SPRINGS_FROM: f64 = 12.0;
 const OUTLINES_FROM: f64 = 4.0;
 /// Pixels between the numbers of the scale.
@@ -57,7 +57,7 @@ struct Frame {
     scale: f64,
     /// Pixels of the frame.
     size: [f32; 2],
-    /// What stands at the frame's lower left corner, in mm.
+    /// Coordinates of the frame's lower left corner, in mm.
     origin: Point,
 }
 
@@ -123,7 +123,7 @@ fn draw_springs(canvas: &mut Canvas, frame: &Frame, section: &Section, spacing: 
 
 /// Cells of poor shape, over everything else.
 fn marks(canvas: &mut Canvas, frame: &Frame, section: &Section) {
-    // Where most cells of a layer are poor, its colour must still be told.
+    // The colour of a layer must stay visible when most of its cells are poor.
     for (grade, with, opacity) in [(Grade::Poor, POOR, 0.3), (Grade::Inverted, INVERTED, 0.5)] {
         for cell in section.cells.iter().filter(|c| c.grade == grade) {
             for piece in &cell.pieces {
@@ -176,7 +176,7 @@ fn scale(canvas: &mut Canvas, frame: &Frame, axis: usize) {
     let caption = label.chars().count() as f32 * small.width();
     let bar = round_length(f64::from(frame.size[0]) / frame.scale / 5.0);
     let length = (bar * frame.scale) as f32;
-    // Beside a bar that leaves no room for it the caption goes below.
+    // The caption goes below the bar if it does not fit beside it.
     let beside = x0 + caption + GAP < x1 - length;
     let line = if beside { below } else { below + 24.0 };
     canvas.text(&label, [x0, line], small, PALE_INK);
@@ -187,7 +187,7 @@ fn scale(canvas: &mut Canvas, frame: &Frame, axis: usize) {
     canvas.text(&label, place, Letters::Bold, INK);
 }
 
-/// The round number (1, 2 or 5 times a power of ten) that is next above a length.
+/// The smallest round number (1, 2 or 5 times a power of ten) above a length.
 fn round_length(at_least: f64) -> f64 {
     let power = 10_f64.powf(at_least.max(f64::MIN_POSITIVE).log10().floor());
     let steps = [1.0, 2.0, 5.0, 10.0].map(|m| m * power);

@@ -1,22 +1,22 @@
-//! Who watches for a while because of their network, so that the group's delay does not follow them.
+//! Demotion to spectator: a participant with a slow network does not raise the playout delay of the group.
 //!
-//! A report says what somebody needs to see the others, and so holds the others' way up too: who is slow
-//! makes everybody need more. Therefore ways are told apart, and what two need of each other is put down
-//! to the one with the longer way (a rule of our own making):
+//! A delay report of x covers the path from every other participant to x, so it includes their uplinks. The
+//! server therefore separates uplink and downlink. The requirement of a pair counts for the participant with the
+//! longer round trip (our own rule):
 //!
 //! ```text
-//! up(x)      age of x's samples on arrival here, measured here
-//! down(x)    what x reports, less the largest up of the others
+//! up(x)      age of x's samples on arrival at the server, measured by the server
+//! down(x)    reported requirement of x, less the largest up of the other participants
 //! pair(x,y)  max( up(x) + down(y), up(y) + down(x) )
-//! need(x)    max( up(x), pair(x,y) for every y whose up + down is shorter than x's )
+//! need(x)    max( up(x), pair(x,y) for every y with a shorter up + down than x )
 //! ```
 //!
-//! All of them are ages without what machines made of them ([`palpate_protocol::lateness`]): a machine that stalls
-//! is no reason to demote. The wanted delay remembers bursts; demoted participants are judged on current lateness, mean
-//! and four deviations. Who watches may hear nobody, and reports nothing then: the way down is as long as it was,
-//! or as the way up is by now, if that is shorter.
+//! All ages exclude stalls of machines ([`palpate_protocol::lateness`]): a stalled machine is no reason to demote.
+//! The requirement of an active participant remembers bursts. Demoted participants are judged on current lateness, mean
+//! plus four deviations. A demoted participant may receive no motion and so report nothing: its downlink is then the
+//! last known one or the current uplink, whichever is shorter.
 //!
-//! An error of a clock makes up longer by what it makes down shorter, and so changes no sum.
+//! A clock error lengthens up by the amount by which it shortens down, so it changes no sum.
 
 use palpate_protocol::compensation::{REPORT_OLD, Verdict};
 use palpate_protocol::operation::{CompensationMode, OperationKind};
@@ -26,32 +26,32 @@ use palpate_protocol::{ParticipantId, ServerTime, Span};
 use super::Room;
 use crate::participant::Participant;
 
-/// Between two judgements: as often as reports come.
+/// Time between two decisions: the period of delay reports.
 const JUDGE_PERIOD: Span = Span::from_millis(250);
 
-/// After somebody is lifted the others' reports are passed over for so long: until they know of it, have
-/// forgotten what they measured, and say so.
+/// After a demotion, delay reports of all participants are ignored for this time, because they still include the
+/// demoted one.
 const STILL_SPOKEN_OF: Span = Span::from_millis(1000);
 
-/// What is known of somebody's way to the server and back, µs.
+/// Uplink and downlink of a participant, µs.
 #[derive(Debug, Clone, Copy)]
 struct Way {
     who: ParticipantId,
     up: i64,
     down: i64,
     is_demoted: bool,
-    /// Whether anything was measured; who is not known is as near as can be to the others, and not judged.
+    /// Whether any delay was measured. An unknown path counts as zero and is not judged.
     is_known: bool,
 }
 
 impl Way {
-    /// Whether what the two need of each other is put down to this one: the longer way, of equal ones that
-    /// of who came later.
+    /// Whether the requirement of the pair counts for this participant: the longer round trip, of equal ones the
+    /// participant that joined later.
     fn answers_for(&self, other: &Self) -> bool {
         self.is_demoted || (self.up + self.down, self.who) > (other.up + other.down, other.who)
     }
 
-    /// What is put down to this one, µs.
+    /// Delay requirement that counts for this participant, µs.
     fn need(&self, all: &[Self]) -> i64 {
         let others = all
             .iter()
@@ -61,7 +61,7 @@ impl Way {
     }
 }
 
-/// What somebody needs, µs; of those who watch, what they would need now.
+/// Delay requirement of a participant, µs; of a demoted one the current requirement without memory.
 fn wanted_now(report: &DelayReport, of: &Participant) -> i64 {
     let wanted = i64::from(report.wanted_us);
     let late = i64::from(report.mean_us) + 4 * i64::from(report.deviation_us);
@@ -73,7 +73,7 @@ fn wanted_now(report: &DelayReport, of: &Participant) -> i64 {
 }
 
 impl Room {
-    /// A site says what it needs.
+    /// Handles a delay report of a client.
     pub(super) fn note_report(&mut self, who: ParticipantId, report: DelayReport, now: ServerTime) {
         let Some(participant) = self.participants.get_mut(&who) else {
             return;
@@ -84,7 +84,7 @@ impl Room {
         }
     }
 
-    /// Decides who watches from now on, and who gets the tool back.
+    /// Demotes and restores participants.
     pub(super) fn judge(&mut self, now: ServerTime) {
         if now < self.next_judgement {
             return;
@@ -95,7 +95,7 @@ impl Room {
             self.config.compensation.mode,
             CompensationMode::Adaptive { .. }
         );
-        // Without a cap nobody is beyond it.
+        // Only adaptive compensation has a cap.
         if !is_adaptive {
             return;
         }
@@ -104,7 +104,7 @@ impl Room {
             let Some(participant) = self.participants.get_mut(&way.who) else {
                 continue;
             };
-            // A log that is full lifts no tool any more; who was lifted before still gets it back.
+            // A full log takes no demotion, but still restores demoted participants.
             if !participant.demotion.is_demoted() && !self.log.takes_work() {
                 continue;
             }
@@ -117,7 +117,7 @@ impl Room {
         }
     }
 
-    /// What is no longer said is no longer needed: who hears nobody reports nothing.
+    /// Drops old reports: a client that receives no motion sends none.
     fn forget_old_reports(&mut self, now: ServerTime) {
         for participant in self.participants.values_mut() {
             if participant
@@ -130,7 +130,7 @@ impl Room {
         }
     }
 
-    /// The ways of those that are connected.
+    /// Uplinks and downlinks of the connected participants.
     fn ways(&mut self) -> Vec<Way> {
         let here = || self.participants.values().filter(|p| p.peer().is_some());
         let up = |p: &Participant| p.delay.report().map(|r| wanted_now(&r, p));
@@ -170,7 +170,7 @@ impl Room {
         participant.lift(now);
         self.fan_out.remove(who);
         self.demotions += 1;
-        // What the others say for a while still speaks of this one.
+        // Reports on the way still include the demoted participant.
         self.heard_from = now + STILL_SPOKEN_OF;
         let ids: Vec<ParticipantId> = self.participants.keys().copied().collect();
         for id in ids {
@@ -194,7 +194,7 @@ impl Room {
         self.append(ParticipantId::SERVER, kind, now);
     }
 
-    /// How often somebody became a spectator because of their network.
+    /// Number of demotions.
     pub fn demotion_count(&self) -> u64 {
         self.demotions
     }

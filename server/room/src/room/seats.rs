@@ -1,4 +1,4 @@
-//! Who gets a seat, who keeps it without a connection, and who takes it again.
+//! Seats: admission, retention after a lost connection, and resumption.
 
 use palpate_protocol::handshake::{
     Hello, RefusalReason, Refused, Resume, SEAT_KEPT, Subscription, Welcome,
@@ -13,8 +13,8 @@ use crate::PeerKey;
 use crate::config::SEATS_MAX;
 use crate::participant::{Participant, Place};
 
-/// How often a seat can be taken again. Every time adds two operations to the log, which every newcomer
-/// is sent; a connection that breaks once a minute lasts for more than an hour and a half.
+/// Maximum resumptions of a seat. Each adds two operations to the log, which every new client receives. A connection
+/// that breaks once a minute lasts for more than an hour and a half.
 const RESUMES_MAX: u16 = 100;
 
 impl Room {
@@ -32,7 +32,7 @@ impl Room {
         }
     }
 
-    /// The sentence for a refusal. That of a name whose seat is kept says until when.
+    /// The text of a refusal. For a name with a kept seat it includes the remaining time.
     fn sentence(&self, reason: &RefusalReason, now: ServerTime) -> String {
         let RefusalReason::NameTaken { name } = reason else {
             return reason.to_string();
@@ -65,7 +65,7 @@ impl Room {
         {
             Err(RefusalReason::Full { seats })
         } else if self.participants.values().any(|p| p.name == hello.name) {
-            // A seat that is kept keeps its name too.
+            // A kept seat keeps its name.
             Err(RefusalReason::NameTaken {
                 name: hello.name.clone(),
             })
@@ -78,8 +78,8 @@ impl Room {
         }
     }
 
-    /// Whether somebody may take a seat again. A wrong token and a seat that is gone are answered alike,
-    /// so that who guesses learns nothing.
+    /// Whether a client may resume a seat. A wrong token and an expired seat get the same refusal, so that guessing
+    /// reveals nothing.
     fn admit_again(
         &self,
         hello: &Hello,
@@ -136,8 +136,7 @@ impl Room {
         self.start_if_due(now);
     }
 
-    /// Gives somebody their seat back: number, role and tool as they were, and of the log what they do
-    /// not have.
+    /// Resumes a seat with its number, role and tool, and sends the missing part of the log.
     fn take_again(&mut self, peer: PeerKey, hello: &Hello, resume: &Resume, now: ServerTime) {
         let id = resume.participant;
         let first = self.continues_at(resume);
@@ -145,22 +144,20 @@ impl Room {
             return;
         };
         seat.resumed += 1;
-        seat.asked.next_connection();
+        seat.requests.next_connection();
         let before = std::mem::replace(&mut seat.place, Place::Here(peer));
         if !seat.demotion.is_demoted() && seat.is_lifted() {
             seat.set_down(now);
         }
         if let Place::Here(old) = before {
-            // Nobody was told that the old connection is dead, so the tool goes on here as at every site,
-            // from what was heard last to what is heard next. How late its samples come is still known too.
-            // A dead connection that nobody noticed yet. Its end, when it comes, is nobody's.
+            // The old connection is dead but was not detected as lost. The tool therefore stays in use at the server
+            // and all clients, with its samples and delay estimate. The later end of the old connection is ignored.
             self.by_peer.remove(&old);
             self.group.remove(id);
-            let sentence = "you came back over another connection".to_owned();
+            let sentence = "the seat was resumed over another connection".to_owned();
             self.send(old, PeerMessage::Goodbye(sentence));
         }
-        // Who goes on does not read the changes of the delay again. It knows them, and where it does not it
-        // begins with the one in force.
+        // A client that continues its log does not replay changes of the delay, so it starts with the current one.
         let mut compensation = self.config.compensation;
         if first > OperationId(0) {
             let in_force = self.schedule.delay_at(now).as_micros();
@@ -177,7 +174,7 @@ impl Room {
         }
     }
 
-    /// A program that was started again may hold another tool than the one before it.
+    /// A restarted client may hold another tool than before.
     fn take_tool_of(&mut self, id: ParticipantId, hello: &Hello, now: ServerTime) {
         let Some(seat) = self.participants.get_mut(&id) else {
             return;
@@ -197,7 +194,7 @@ impl Room {
         }
     }
 
-    /// The first operation that somebody who returns does not have; 0 when what they have is not our log.
+    /// The first operation that a resuming client lacks; 0 if its log differs from the server's.
     fn continues_at(&self, resume: &Resume) -> OperationId {
         let last = resume
             .next_operation
@@ -240,7 +237,7 @@ impl Room {
             compensation,
             tick_hz: self.config.tick_hz,
             session_started_at: self.started_at,
-            // The same every time: a welcome that gets lost must not take the seat with it.
+            // Equal in every welcome, so that a lost welcome does not lose the seat.
             resume_token: seat.token,
         }
     }
@@ -254,7 +251,7 @@ impl Room {
         }
     }
 
-    /// The connection of somebody is over: who only lost it keeps the seat for a while.
+    /// Handles the end of a connection. After a lost connection the seat is kept for a while.
     pub(super) fn handle_leave(
         &mut self,
         who: ParticipantId,
@@ -263,7 +260,7 @@ impl Room {
     ) {
         match reason {
             CloseReason::Left => self.give_up(who, LeaveReason::Left, now),
-            // What it was sent it did not take; that is no fault of what it sent.
+            // The client received too slowly; its own messages were valid.
             CloseReason::Violation(ProtocolError::Backlog { .. }) => {
                 self.give_up(who, LeaveReason::TooSlow, now);
             }
@@ -307,7 +304,7 @@ impl Room {
         self.append(who, kind, now);
     }
 
-    /// Gives up the seats that were kept for long enough.
+    /// Gives up the kept seats whose time is over.
     pub(super) fn give_up_kept(&mut self, now: ServerTime) {
         let over: Vec<ParticipantId> = self
             .participants

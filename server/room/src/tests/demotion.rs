@@ -1,4 +1,4 @@
-//! Who watches because of their network, and comes back.
+//! Demotion to spectator because of the network, and restoration.
 
 use palpate_protocol::ParticipantId;
 use palpate_protocol::compensation::{DEMOTE_AFTER, RESTORE_AFTER};
@@ -8,21 +8,21 @@ use super::*;
 
 const CAP_MS: i64 = 400;
 
-/// One who moves a tool, and what the ways to the server and back take, ms.
+/// A participant with a moving tool, and its one-way delays, ms.
 struct Mover {
     peer: PeerKey,
     up_ms: i64,
     down_ms: i64,
 }
 
-/// A session in which everybody presses and reports what they need.
+/// A session in which all participants press and report their delay requirement.
 struct Session {
     room: SimulatedRoom,
     movers: Vec<Mover>,
     now_ms: i64,
     operations: Vec<Arc<Operation>>,
     refusals: Vec<RequestRefusal>,
-    /// The newest tick's tools.
+    /// Tools of the newest tick.
     tools: usize,
 }
 
@@ -56,7 +56,7 @@ impl Session {
         }
     }
 
-    /// What the others' samples are old when they come to `i`; those who are lifted are not heard of.
+    /// Age of the other active participants' samples on arrival at `i`.
     fn needed_by(&self, i: usize) -> Option<i64> {
         let lifted = self.lifted();
         let others = self.movers.iter().enumerate().filter(|(j, m)| {
@@ -123,23 +123,19 @@ impl Session {
 }
 
 #[test]
-fn who_needs_more_than_the_cap_watches_and_the_others_wait_for_them_no_more() {
+fn participant_beyond_the_cap_is_demoted_and_no_longer_raises_the_delay() {
     let mut s = Session::of(&[(30, 30), (30, 30), (30, 30)]);
     s.run_until(2000);
     assert_eq!(s.tools, 3);
     (s.movers[2].up_ms, s.movers[2].down_ms) = (500, 500);
     s.run_until(2000 + DEMOTE_AFTER.as_micros() / 1000 - 300);
-    assert_eq!(s.lifted(), [], "a burst may be over by then");
-    assert!(s.target_ms().unwrap() > 300, "and is waited for");
+    assert_eq!(s.lifted(), [], "a short burst does not demote");
+    assert!(s.target_ms().unwrap() > 300, "the group delay covers it");
     s.run_until(7000);
-    assert_eq!(
-        s.lifted(),
-        [ParticipantId(3)],
-        "the slow one and nobody else"
-    );
+    assert_eq!(s.lifted(), [ParticipantId(3)], "the slow participant alone");
     assert!(s.target_ms().unwrap() < 100, "{:?} ms", s.target_ms());
     s.run_until(9000);
-    assert_eq!(s.tools, 2, "the tool presses nowhere");
+    assert_eq!(s.tools, 2, "the demoted tool does not press");
     let motion = |room: &mut SimulatedRoom| {
         let outputs = drain(room);
         outputs.iter().any(|o| {
@@ -150,7 +146,7 @@ fn who_needs_more_than_the_cap_watches_and_the_others_wait_for_them_no_more() {
     s.room
         .handle_event(PeerKey(3), pressing_at(8000, 8004, ms(9001)), ms(9001));
     s.room.handle_tick(ms(9020), &mut || true);
-    assert!(!motion(&mut s.room), "and is not passed on");
+    assert!(!motion(&mut s.room), "its motion is not relayed");
     for kind in [
         stroke(),
         RequestKind::SetTool(ToolDescription::probe(0.003)),
@@ -175,7 +171,7 @@ fn who_needs_more_than_the_cap_watches_and_the_others_wait_for_them_no_more() {
 }
 
 #[test]
-fn everybody_who_is_slow_watches_and_who_is_quick_does_not() {
+fn all_slow_participants_are_demoted_and_no_fast_one() {
     let mut s = Session::of(&[(20, 20), (450, 450), (20, 20), (300, 300)]);
     s.run_until(15_000);
     let mut lifted = s.lifted();
@@ -193,14 +189,14 @@ fn everybody_who_is_slow_watches_and_who_is_quick_does_not() {
 }
 
 #[test]
-fn two_who_are_too_far_apart_give_way_by_the_one_that_came_later() {
+fn of_two_equally_slow_participants_the_later_one_is_demoted() {
     let mut s = Session::of(&[(240, 240), (240, 240), (20, 20)]);
     s.run_until(10_000);
     assert_eq!(s.lifted(), [ParticipantId(2)]);
 }
 
 #[test]
-fn a_delay_that_is_fixed_sends_nobody_away() {
+fn fixed_delay_demotes_no_participant() {
     let mut room = room_with(3, 0, CompensationMode::Fixed);
     for (peer, name) in [(1, "ann"), (2, "bob")] {
         let hello = hello(name, Role::Trainee, ToolKind::Probe);
@@ -218,11 +214,11 @@ fn a_delay_that_is_fixed_sends_nobody_away() {
 }
 
 #[test]
-fn a_full_log_lifts_nobody_any_more_and_gives_back_what_was_lifted() {
+fn full_log_takes_no_demotion_but_restores_demoted_participants() {
     let mut s = Session::of(&[(30, 30), (30, 30), (500, 500)]);
     s.run_until(6000);
     assert_eq!(s.lifted(), [ParticipantId(3)]);
-    // Requests come at any rate here; the session machine limits it.
+    // This test has no rate limit; the session machine applies it.
     for id in 1..=16_100 {
         let request = Request {
             id: RequestId(id),
@@ -237,22 +233,22 @@ fn a_full_log_lifts_nobody_any_more_and_gives_back_what_was_lifted() {
     (s.movers[2].up_ms, s.movers[2].down_ms) = (30, 30);
     let recovered = s.now_ms;
     s.run_until(recovered + RESTORE_AFTER.as_micros() / 1000 + 6000);
-    assert_eq!(s.lifted(), [], "what is lifted comes back");
+    assert_eq!(s.lifted(), [], "the demoted participant is restored");
     s.movers[1].up_ms = 900;
     s.run_until(s.now_ms + 2 * DEMOTE_AFTER.as_micros() / 1000);
     assert_eq!(s.lifted(), []);
     let newcomer = hello("eve", Role::Trainee, ToolKind::Probe);
     s.room.handle_event(PeerKey(9), newcomer, ms(s.now_ms));
     let outputs = drain(&mut s.room);
-    assert_eq!(refusal(&outputs), None, "and newcomers are greeted");
+    assert_eq!(refusal(&outputs), None, "new clients are admitted");
     let log = operations(&outputs, PeerKey(9));
     assert_eq!(log.len(), s.room.operation_count());
 }
 
 #[test]
-fn on_ways_that_stay_as_slow_as_they_are_nobody_is_lifted_and_let_back_in_turns() {
-    // Each way alone is below the cap, and both together are not; who is lifted hears of nobody that takes part
-    // when both are.
+fn constant_delays_do_not_alternate_demotion_and_restoration() {
+    // Uplink and downlink are each below the cap, but their sum is not. If both participants are demoted, neither
+    // receives motion.
     for ways in [
         &[(304, 304), (304, 304)][..],
         &[(350, 250), (340, 260)],
@@ -266,15 +262,19 @@ fn on_ways_that_stay_as_slow_as_they_are_nobody_is_lifted_and_let_back_in_turns(
 }
 
 #[test]
-fn two_who_watch_at_once_and_hear_nobody_are_not_let_back_together() {
+fn two_demoted_participants_without_motion_are_not_both_restored() {
     let mut session = Session::of(&[(304, 304), (304, 304)]);
     session.run_until(8000);
     assert_eq!(session.lifted(), [ParticipantId(2)]);
     (session.movers[0].up_ms, session.movers[0].down_ms) = (450, 450);
     session.run_until(14_000);
-    assert_eq!(session.lifted().len(), 2, "nobody hears of anybody now");
+    assert_eq!(
+        session.lifted().len(),
+        2,
+        "no participant receives motion now"
+    );
     (session.movers[0].up_ms, session.movers[0].down_ms) = (304, 304);
     session.run_until(80_000);
-    assert_eq!(session.lifted().len(), 1, "which of the two is the same");
+    assert_eq!(session.lifted().len(), 1, "only one of the two");
     assert_eq!(session.room.demotion_count(), 2);
 }

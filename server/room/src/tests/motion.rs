@@ -1,4 +1,4 @@
-//! Motion from everybody to everybody.
+//! Relay of motion between all participants.
 
 use std::collections::BTreeMap;
 
@@ -7,8 +7,8 @@ use palpate_protocol::ParticipantId;
 use super::*;
 use crate::SEATS_MAX;
 
-/// Everybody moves at 1 kHz in batches of 4 ms, for one second. The datagrams to each peer, and the newest
-/// sample of each tool that each was sent.
+/// All participants move at 1 kHz in batches of 4 ms for one second. Returns the datagrams to each peer and the newest
+/// sample of each tool that it received.
 fn second_of(
     participants: u16,
 ) -> (
@@ -24,7 +24,7 @@ fn second_of(
     let (mut sent, mut newest) = (BTreeMap::new(), BTreeMap::new());
     for now in 1..1020 {
         for who in 1..=u64::from(participants) {
-            // Each has a phase of its own.
+            // Each participant has its own phase.
             if (now + who as i64) % 4 == 0 && now <= 1000 {
                 let above = |t: i64| ToolSample {
                     time: ms(t),
@@ -53,7 +53,7 @@ fn second_of(
 }
 
 #[test]
-fn a_crowd_gets_rounds_and_not_every_batch_of_everybody() {
+fn many_participants_receive_rounds_instead_of_every_batch() {
     let (sent, newest) = second_of(32);
     assert_eq!(sent.len(), 32);
     for (peer, count) in &sent {
@@ -68,7 +68,7 @@ fn a_crowd_gets_rounds_and_not_every_batch_of_everybody() {
 }
 
 #[test]
-fn two_get_every_batch_of_each_other_within_four_milliseconds() {
+fn two_participants_receive_every_batch_within_four_milliseconds() {
     let (sent, _) = second_of(2);
     for (peer, count) in &sent {
         assert!((240..=260).contains(count), "{count} rounds to {peer:?}");
@@ -76,7 +76,7 @@ fn two_get_every_batch_of_each_other_within_four_milliseconds() {
 }
 
 #[test]
-fn with_all_seats_taken_one_more_is_told_so_and_everybody_goes_on() {
+fn full_session_refuses_another_client_and_continues() {
     let mut room = room_of(1000, 0);
     let come = |room: &mut SimulatedRoom, who: u16, role: Role| {
         let hello = hello(&format!("p{who}"), role, ToolKind::Probe);
@@ -86,7 +86,7 @@ fn with_all_seats_taken_one_more_is_told_so_and_everybody_goes_on() {
     for who in 1..=SEATS_MAX {
         assert_eq!(refusal(&come(&mut room, who, Role::Trainee)), None, "{who}");
     }
-    // Who only looks on takes a seat, too.
+    // A spectator takes a seat, too.
     for role in [Role::Trainee, Role::Spectator] {
         let reason = refusal(&come(&mut room, SEATS_MAX + 1, role)).unwrap();
         assert_eq!(reason, RefusalReason::Full { seats: SEATS_MAX });

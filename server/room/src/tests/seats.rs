@@ -1,4 +1,4 @@
-//! Seats that are kept without a connection, and taken again.
+//! Retention and resumption of seats.
 
 use palpate_protocol::handshake::{Resume, SEAT_KEPT, Subscription, Welcome};
 use palpate_protocol::{OperationId, ParticipantId, TopologyHash};
@@ -17,7 +17,7 @@ fn welcome(outputs: &[Output], to: PeerKey) -> Welcome {
     welcomes.next().expect("a welcome")
 }
 
-/// What a participant at `peer` has after everything that was sent to it.
+/// State of the participant at `peer` after all messages sent to it.
 fn seat_of(outputs: &[Output], peer: PeerKey, before: Option<Resume>) -> Resume {
     let mut seat = Resume::after_welcome(&welcome(outputs, peer), before);
     for operation in operations(outputs, peer) {
@@ -72,7 +72,7 @@ fn cut_as(room: &mut SimulatedRoom, peer: PeerKey, id: u32, now: ServerTime) {
 }
 
 #[test]
-fn who_lost_the_connection_finds_number_role_tool_and_the_rest_of_the_log() {
+fn reconnect_keeps_id_role_and_tool_and_sends_the_missing_log() {
     let (mut room, mut seat) = two();
     cut(&mut room, PeerKey(1), ms(200));
     for operation in operations(&drain(&mut room), PeerKey(1)) {
@@ -96,18 +96,18 @@ fn who_lost_the_connection_finds_number_role_tool_and_the_rest_of_the_log() {
     assert_eq!(
         later.next_operation.0 as usize,
         room.operation_count(),
-        "everything that was missed, and that she is back"
+        "all missed operations and the resumption"
     );
     let to_bob = operations(&outputs, PeerKey(2));
     assert!(
         matches!(to_bob[..], [ref o] if o.kind == OperationKind::Back { participant: ParticipantId(1) })
     );
     cut_as(&mut room, PeerKey(3), 2, ms(31_100));
-    assert!(room.topology().0 >= 1, "her blade is hers again");
+    assert!(room.topology().0 >= 1, "the resumed seat cuts");
 }
 
-/// Ann with a probe that has pressed for 200 ms; her seat. Sites remove a tool in the view of the moment
-/// of the log, and D is 20 ms.
+/// Ann with a probe that has pressed for 200 ms; her seat. Clients remove a tool in the view of the log time, and D is
+/// 20 ms.
 fn one_who_presses() -> (SimulatedRoom, Resume) {
     let mut room = room(1);
     let ann = hello("ann", Role::Trainee, ToolKind::Probe);
@@ -120,7 +120,7 @@ fn one_who_presses() -> (SimulatedRoom, Resume) {
 }
 
 #[test]
-fn a_tool_whose_connection_is_lost_presses_until_the_moment_of_the_log_is_seen() {
+fn disconnected_tool_presses_until_the_view_reaches_the_log_time() {
     let (mut room, _) = one_who_presses();
     room.handle_event(PeerKey(1), lost(), ms(210));
     let before = room.handle_tick(ms(220), &mut || false).unwrap();
@@ -130,31 +130,31 @@ fn a_tool_whose_connection_is_lost_presses_until_the_moment_of_the_log_is_seen()
 }
 
 #[test]
-fn a_tool_that_comes_back_within_the_delay_takes_nothing_from_the_view_before() {
+fn tool_resumed_within_the_delay_leaves_earlier_views_unchanged() {
     let (mut room, seat) = one_who_presses();
     room.handle_event(PeerKey(1), lost(), ms(210));
     room.handle_event(PeerKey(3), probe_back(seat), ms(212));
     let before = room.handle_tick(ms(220), &mut || false).unwrap();
     assert_eq!(before.tools, 1, "the view of 200 ms");
     let away = room.handle_tick(ms(240), &mut || false).unwrap();
-    assert_eq!(away.tools, 0, "nothing was heard since");
+    assert_eq!(away.tools, 0, "no samples since the loss");
     room.handle_event(PeerKey(3), pressing(230, 250), ms(250));
     let again = room.handle_tick(ms(260), &mut || false).unwrap();
     assert_eq!(again.tools, 1);
 }
 
 #[test]
-fn a_tool_goes_on_pressing_when_its_owner_comes_over_another_connection() {
+fn tool_keeps_pressing_over_a_replaced_connection() {
     let (mut room, seat) = one_who_presses();
     room.handle_event(PeerKey(3), probe_back(seat), ms(210));
     for t in [220, 240] {
         let report = room.handle_tick(ms(t), &mut || false).unwrap();
-        assert_eq!(report.tools, 1, "as at every site, who heard of no loss");
+        assert_eq!(report.tools, 1, "the tool stays in use as at every client");
     }
 }
 
 #[test]
-fn a_kept_seat_keeps_its_name_and_counts_until_it_is_given_up() {
+fn kept_seat_occupies_its_name_and_place_until_it_expires() {
     let (mut room, seat) = two();
     room.handle_event(PeerKey(1), lost(), ms(1000));
     drain(&mut room);
@@ -174,14 +174,14 @@ fn a_kept_seat_keeps_its_name_and_counts_until_it_is_given_up() {
     assert_eq!(
         refusal(&drain(&mut room)),
         Some(RefusalReason::NoSuchSeat),
-        "too late"
+        "the seat has expired"
     );
     room.handle_event(PeerKey(5), other, end);
     assert_eq!(refusal(&drain(&mut room)), None, "the name is free");
 }
 
 #[test]
-fn a_refusal_of_a_kept_name_says_until_when() {
+fn refusal_of_a_kept_name_states_the_remaining_time() {
     let (mut room, _) = two();
     let sentence = |room: &mut SimulatedRoom, at| {
         let eve = hello("ann", Role::Spectator, ToolKind::Probe);
@@ -201,7 +201,7 @@ fn a_refusal_of_a_kept_name_says_until_when() {
 }
 
 #[test]
-fn a_program_that_is_started_again_takes_the_seat_with_the_tool_that_it_holds_now() {
+fn restarted_client_resumes_its_seat_with_its_current_tool() {
     let (mut room, seat) = two();
     let fresh = Resume {
         next_operation: OperationId(0),
@@ -209,7 +209,7 @@ fn a_program_that_is_started_again_takes_the_seat_with_the_tool_that_it_holds_no
         topology_hash: TopologyHash(0),
         ..seat
     };
-    // The server has not noticed yet that the program before it is gone.
+    // The server has not yet detected the end of the previous program.
     room.handle_event(PeerKey(3), probe_back(fresh), ms(500));
     let outputs = drain(&mut room);
     let again = welcome(&outputs, PeerKey(3));
@@ -228,12 +228,12 @@ fn a_program_that_is_started_again_takes_the_seat_with_the_tool_that_it_holds_no
     assert_eq!(
         room.participant_count(),
         2,
-        "the end of the old connection is nobody's"
+        "the end of the old connection has no effect"
     );
 }
 
 #[test]
-fn a_seat_is_expired_for_who_returns_even_before_a_tick_has_given_it_up() {
+fn expired_seat_is_refused_even_before_a_tick_gives_it_up() {
     let (mut room, seat) = two();
     room.handle_event(PeerKey(1), lost(), ms(1000));
     drain(&mut room);
@@ -243,7 +243,7 @@ fn a_seat_is_expired_for_who_returns_even_before_a_tick_has_given_it_up() {
 }
 
 #[test]
-fn another_token_another_name_or_another_number_takes_nobodys_seat() {
+fn wrong_token_name_or_id_resumes_no_seat() {
     let (mut room, seat) = two();
     room.handle_event(PeerKey(1), lost(), ms(1000));
     drain(&mut room);
@@ -274,18 +274,22 @@ fn another_token_another_name_or_another_number_takes_nobodys_seat() {
         );
     }
     room.handle_event(PeerKey(20), back("ann", seat), ms(1600));
-    assert_eq!(refusal(&drain(&mut room)), None, "the right one still does");
+    assert_eq!(
+        refusal(&drain(&mut room)),
+        None,
+        "the right token still resumes"
+    );
 }
 
 #[test]
-fn a_dead_connection_that_nobody_noticed_gives_way_to_the_new_one() {
+fn new_connection_replaces_an_undetected_dead_one() {
     let (mut room, seat) = two();
     room.handle_event(PeerKey(3), back("ann", seat), ms(1500));
     let outputs = drain(&mut room);
     assert_eq!(welcome(&outputs, PeerKey(3)).participant, ParticipantId(1));
     let is_told = |o: &Output| matches!(o, Output::Message(PeerKey(1), PeerMessage::Goodbye(_)));
-    assert!(outputs.iter().any(is_told), "the old one is closed");
-    // What the old one still says, and its end, change nothing.
+    assert!(outputs.iter().any(is_told), "the old connection is closed");
+    // Further messages of the old connection, and its end, have no effect.
     let before = room.operation_count();
     cut(&mut room, PeerKey(1), ms(1600));
     room.handle_event(PeerKey(1), lost(), ms(1700));
@@ -295,7 +299,7 @@ fn a_dead_connection_that_nobody_noticed_gives_way_to_the_new_one() {
 }
 
 #[test]
-fn who_left_or_broke_the_protocol_has_no_seat_to_come_back_to() {
+fn no_seat_is_kept_after_leaving_or_a_violation() {
     let violation = palpate_protocol::ProtocolError::OutOfRange {
         what: "a test",
         detail: String::new(),
@@ -310,7 +314,7 @@ fn who_left_or_broke_the_protocol_has_no_seat_to_come_back_to() {
 }
 
 #[test]
-fn who_does_not_take_what_is_sent_is_said_to_be_too_slow() {
+fn full_backlog_ends_the_seat_as_too_slow() {
     let (mut room, _) = two();
     let backlog = palpate_protocol::ProtocolError::Backlog { bytes: 2, limit: 1 };
     let closed = PeerEvent::Closed(CloseReason::Violation(backlog));
@@ -326,7 +330,7 @@ fn who_does_not_take_what_is_sent_is_said_to_be_too_slow() {
 }
 
 #[test]
-fn a_log_that_is_not_ours_is_sent_anew_from_its_beginning() {
+fn client_with_a_different_log_receives_the_whole_log() {
     let (mut room, seat) = two();
     room.handle_event(PeerKey(1), lost(), ms(1000));
     drain(&mut room);
@@ -355,7 +359,7 @@ fn a_log_that_is_not_ours_is_sent_anew_from_its_beginning() {
 }
 
 #[test]
-fn a_seat_can_not_be_taken_again_without_end() {
+fn resumptions_of_a_seat_are_bounded() {
     let (mut room, seat) = two();
     let refused = (0..1000).find_map(|i| {
         let peer = PeerKey(100 + i);
@@ -367,11 +371,11 @@ fn a_seat_can_not_be_taken_again_without_end() {
 }
 
 #[test]
-fn what_was_asked_before_the_connection_broke_is_done_once_and_answered_again() {
+fn request_before_a_reconnect_is_executed_once_and_answered_again() {
     let (mut room, mut seat) = two();
     cut_as(&mut room, PeerKey(1), 1, ms(200));
     let before = room.operation_count();
-    // A stroke through where nothing is left to cut.
+    // A stroke along an existing cut.
     cut_as(&mut room, PeerKey(1), 2, ms(210));
     for operation in operations(&drain(&mut room), PeerKey(1)) {
         seat.note(&operation);
@@ -388,5 +392,5 @@ fn what_was_asked_before_the_connection_broke_is_done_once_and_answered_again() 
     let refused = outputs.iter().filter(|o| {
         matches!(o, Output::Message(PeerKey(3), PeerMessage::RequestRefused(r)) if r.id == RequestId(2))
     });
-    assert_eq!(refused.count(), 1, "what was refused is refused again");
+    assert_eq!(refused.count(), 1, "the refusal is repeated");
 }

@@ -1,7 +1,7 @@
-//! Sessions over a network, of machines that stall: the delay D follows the network and not the machines.
+//! Sessions of machines that stall: the playout delay D follows the network and not the machines.
 //!
-//! Sessions and room are the real ones; time is virtual. Each machine has its own stalls, in which it does nothing
-//! while samples and datagrams pile up.
+//! Session machines and room are those of the product; time is virtual. During its stalls a machine does nothing while
+//! samples and datagrams accumulate.
 
 use std::collections::VecDeque;
 
@@ -15,12 +15,12 @@ use super::*;
 /// One turn of every machine, µs.
 const TURN_US: i64 = 500;
 
-/// What the host's program begins with.
+/// Initial delay of the server program.
 const INITIAL_DELAY_US: u32 = 10_000;
 
 const CAP_US: u32 = 400_000;
 
-/// A machine, or the part of it that does not run.
+/// The part of a machine that stalls.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Part {
     /// The force loop of a client: no samples are taken.
@@ -68,7 +68,7 @@ struct Wire {
 }
 
 impl Wire {
-    /// Sends; `lost` takes one datagram in so many, 0 none.
+    /// Sends a packet; one datagram in `lost` is lost, none for 0.
     fn send(&mut self, packet: Packet, now: i64, delay: Delay, lost: u64) {
         self.sent += 1;
         let random = self.sent.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (self.sent << 7);
@@ -182,7 +182,7 @@ impl Session {
         self.room.delay_at(now).as_millis_f64()
     }
 
-    /// Runs over such a network, and gives the largest D, ms.
+    /// Runs over a network with this delay and returns the largest D, ms.
     fn run_until(&mut self, until_ms: i64, delay: Delay) -> f64 {
         let mut most = 0.0_f64;
         while self.now < until_ms * 1000 {
@@ -315,7 +315,7 @@ impl Session {
         self.outbox.extend(drain(&mut self.room));
     }
 
-    /// Stalls that the machines report themselves, the longest of each, ms.
+    /// The longest stall that each machine reports, ms.
     fn reported_ms(&self) -> Vec<f64> {
         let clients = self.clients.iter().map(|c| {
             let now = c.now(self.now);
@@ -349,7 +349,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn stalls_of_machines_on_a_lan_neither_raise_the_delay_nor_demote(stalls in any_stalls(6000)) {
+    fn machine_stalls_on_a_lan_neither_raise_the_delay_nor_demote(stalls in any_stalls(6000)) {
         let mut session = Session::new(2, stalls);
         session.run_until(1500, LAN);
         let most = session.run_until(8000, LAN);
@@ -359,7 +359,7 @@ proptest! {
 }
 
 #[test]
-fn one_machine_that_stalls_again_and_again_does_not_raise_the_delay() {
+fn repeated_stalls_of_one_machine_do_not_raise_the_delay() {
     for part in [
         Part::Hand(0),
         Part::Client(0),
@@ -377,7 +377,7 @@ fn one_machine_that_stalls_again_and_again_does_not_raise_the_delay() {
         assert!(most <= 20.0, "{part:?}: D rose to {most} ms");
         assert_eq!(session.room.demotion_count(), 0, "{part:?}");
         let reported = session.reported_ms();
-        // A hand that stalls leaves its machine's network thread alone.
+        // A stalled force loop does not stall the network thread.
         if !matches!(part, Part::Hand(_)) {
             assert!(
                 reported.iter().any(|ms| *ms > 45.0),
@@ -388,7 +388,7 @@ fn one_machine_that_stalls_again_and_again_does_not_raise_the_delay() {
 }
 
 #[test]
-fn two_on_a_lan_begin_with_a_short_delay_and_keep_it() {
+fn two_clients_on_a_lan_start_with_a_short_delay_and_keep_it() {
     let mut session = Session::new(2, Vec::new());
     let most = session.run_until(5000, LAN);
     assert!(most <= 20.0, "D rose to {most} ms");
@@ -397,7 +397,7 @@ fn two_on_a_lan_begin_with_a_short_delay_and_keep_it() {
 }
 
 #[test]
-fn over_an_ocean_the_delay_is_there_within_a_second_and_never_too_long() {
+fn transatlantic_delay_is_reached_within_a_second_without_excess() {
     let far = Delay {
         base_us: 50_000,
         jitter_us: 20_000,
@@ -405,7 +405,7 @@ fn over_an_ocean_the_delay_is_there_within_a_second_and_never_too_long() {
     let mut session = Session::new(2, Vec::new());
     session.lost = 50;
     let most = session.run_until(10_000, far);
-    // 120 ms for both ways and four deviations of their jitter, and a third more.
+    // Round trip of 120 ms plus four deviations of its jitter, plus one third.
     assert!(most <= 198.0, "D rose to {most} ms");
     let mut session = Session::new(2, Vec::new());
     session.lost = 50;
@@ -414,7 +414,7 @@ fn over_an_ocean_the_delay_is_there_within_a_second_and_never_too_long() {
 }
 
 #[test]
-fn a_step_of_the_network_is_followed_at_once_with_and_without_stalls() {
+fn delay_follows_a_network_step_at_once_with_and_without_stalls() {
     let stall = |i: i64| Stalled {
         part: [Part::Client(0), Part::Client(1), Part::SimulatedRoom][i as usize % 3],
         from_ms: 500 + 300 * i,
@@ -437,7 +437,7 @@ fn a_step_of_the_network_is_followed_at_once_with_and_without_stalls() {
 }
 
 #[test]
-fn a_burst_of_the_network_raises_the_delay_at_once_and_is_forgotten_within_seconds() {
+fn network_burst_raises_the_delay_at_once_and_is_forgotten_within_seconds() {
     let mut session = Session::new(2, Vec::new());
     session.run_until(4000, LAN);
     let burst = Delay {

@@ -1,4 +1,4 @@
-//! The document of the states, held against a seat.
+//! Transitions of a seat compared with the state document.
 
 use palpate_protocol::handshake::{Resume, SEAT_KEPT, Subscription};
 use palpate_protocol::request::DelayReport;
@@ -33,7 +33,7 @@ fn back(resume: Resume) -> PeerEvent {
     })
 }
 
-/// Where Ann's seat is, as the log tells it to everybody.
+/// State of Ann's seat according to the log.
 fn state_of(room: &mut SimulatedRoom, log: &mut Vec<Arc<Operation>>) -> &'static str {
     log.extend(operations(&drain(room), PeerKey(2)));
     let of_ann = |o: &Arc<Operation>| match &o.kind {
@@ -55,7 +55,7 @@ fn state_of(room: &mut SimulatedRoom, log: &mut Vec<Arc<Operation>>) -> &'static
     }
 }
 
-/// Ann needs so much of the artificial delay for some seconds, and says so. Gives the time after it.
+/// Ann reports this delay requirement for some seconds. Returns the time at the end.
 fn need(room: &mut SimulatedRoom, peer: PeerKey, wanted_ms: u32, from: i64, seconds: i64) -> i64 {
     let until = from + seconds * 1000;
     for t in (from..=until).step_by(250) {
@@ -100,7 +100,7 @@ fn run(from: &str, what: &str) -> &'static str {
             let token = ResumeToken([2; 16]);
             (PeerKey(3), back(Resume { token, ..seat() }))
         }
-        "somebody new with its name" => (PeerKey(3), ann),
+        "a new participant with its name" => (PeerKey(3), ann),
         "its network needs too much for 2 s" | "its network needs too much for 4 s" => {
             let seconds = if what.ends_with("2 s") { 2 } else { 4 };
             need(&mut room, PeerKey(1), 600, now, seconds);
@@ -128,7 +128,7 @@ fn run(from: &str, what: &str) -> &'static str {
 }
 
 #[test]
-fn a_seat_moves_as_the_document_says() {
+fn seat_transitions_match_the_state_document() {
     let section = DOCUMENT.split("## Seat\n").nth(1).unwrap();
     let section = section.split("\n## ").next().unwrap();
     let lines = section.lines().filter(|l| l.starts_with('|')).skip(2);
@@ -139,7 +139,7 @@ fn a_seat_moves_as_the_document_says() {
         assert!(rows.iter().any(|r| r[1] == state), "{state} is missing");
         assert!(
             rows.iter().any(|r| r[3] == state),
-            "nothing leads to {state}"
+            "no transition leads to {state}"
         );
     }
     for row in &rows {

@@ -29,7 +29,7 @@ fn pictures(outputs: &[Output], to: u64) -> Vec<Arc<Picture>> {
 }
 
 #[test]
-fn a_thin_subscription_is_for_who_holds_no_tool_and_the_refusal_says_why() {
+fn thin_subscription_with_a_tool_is_refused_with_the_reason() {
     let mut room = room(1);
     let refused = joins(&mut room, 1, Role::Trainee, Subscription::Thin);
     let reason = refusal(&refused).unwrap();
@@ -50,7 +50,7 @@ fn a_thin_subscription_is_for_who_holds_no_tool_and_the_refusal_says_why() {
 }
 
 #[test]
-fn who_is_thin_gets_the_surface_sixty_times_a_second_and_no_corrections() {
+fn thin_client_receives_sixty_surfaces_per_second_and_no_corrections() {
     let mut room = room(1);
     joins(&mut room, 1, Role::Trainee, Subscription::Full);
     joins(&mut room, 2, Role::Spectator, Subscription::Thin);
@@ -61,17 +61,17 @@ fn who_is_thin_gets_the_surface_sixty_times_a_second_and_no_corrections() {
     }
     assert!(pictures(&outputs, 1).is_empty());
     let theirs = pictures(&outputs, 2);
-    // This room ticks 50 times a second, so that is how many there are.
+    // This room ticks 50 times per second, which limits the pictures.
     assert!((97..=101).contains(&theirs.len()), "{}", theirs.len());
     assert!(theirs.windows(2).all(|w| w[0].view_time < w[1].view_time));
     let nodes = &theirs[0].nodes;
-    // 13 x 13 x 9 nodes, of which 11 x 11 x 7 are inside.
+    // 13 x 13 x 9 nodes, 11 x 11 x 7 of them inside.
     assert_eq!(nodes.len(), 13 * 13 * 9 - 11 * 11 * 7);
     assert!(nodes.windows(2).all(|w| w[0] < w[1]));
 }
 
 #[test]
-fn a_cut_brings_what_it_lays_open_into_view() {
+fn cut_faces_are_part_of_the_next_surface() {
     let mut room = room(1);
     joins(&mut room, 1, Role::Trainee, Subscription::Full);
     joins(&mut room, 2, Role::Spectator, Subscription::Thin);

@@ -1,4 +1,4 @@
-//! The room and its tissue on different threads: orders that are not answered yet.
+//! The room with asynchronous tissue: orders without a report yet.
 
 use super::*;
 use crate::room::Room;
@@ -58,7 +58,7 @@ fn motion_is_relayed_while_the_tissue_is_busy() {
         waiting[..],
         [TissueOrder::Settle(_), TissueOrder::Cut(_)]
     ));
-    // Neither is answered for two seconds: every 4 ms of motion still leaves by the next round.
+    // Neither order is completed for two seconds. Every 4 ms of motion still leave with the next round.
     let mut relayed = 0;
     for t in (4..2000).step_by(4) {
         room.handle_event(PeerKey(1), pressing(t - 4, t), ms(t));
@@ -73,7 +73,7 @@ fn motion_is_relayed_while_the_tissue_is_busy() {
 }
 
 #[test]
-fn a_cut_enters_the_log_when_it_is_prepared_and_its_order_names_that_moment() {
+fn prepared_cut_enters_the_log_and_its_order_has_that_time() {
     let mut room = table();
     asks_to_cut(&mut room, 1, ms(100));
     let logged = LoggedCut {
@@ -103,7 +103,7 @@ fn a_cut_enters_the_log_when_it_is_prepared_and_its_order_names_that_moment() {
 }
 
 #[test]
-fn cuts_in_preparation_are_bounded_and_a_refusal_makes_room() {
+fn cuts_in_preparation_are_bounded_and_a_refusal_frees_a_slot() {
     let mut room = table();
     for id in 0..20 {
         asks_to_cut(&mut room, id, ms(100));
@@ -123,7 +123,7 @@ fn cuts_in_preparation_are_bounded_and_a_refusal_makes_room() {
 }
 
 #[test]
-fn an_answer_for_an_author_who_has_left_is_nobodys() {
+fn report_for_a_departed_author_is_sent_to_no_peer() {
     let mut room = table();
     asks_to_cut(&mut room, 1, ms(100));
     room.handle_event(PeerKey(1), PeerEvent::Closed(CloseReason::Left), ms(110));
@@ -137,7 +137,7 @@ fn an_answer_for_an_author_who_has_left_is_nobodys() {
     assert!(refusals(&drained(&mut room)).is_empty());
 }
 
-/// Topology version of the surface that a tick of this moment gives.
+/// Topology version of the surface at this view time.
 fn version_seen(authority: &mut Authority, at: ServerTime) -> u32 {
     let order = Settling {
         view_time: at,
@@ -152,7 +152,7 @@ fn version_seen(authority: &mut Authority, at: ServerTime) -> u32 {
 }
 
 #[test]
-fn a_prepared_cut_takes_effect_in_the_first_view_of_its_moment_and_not_before() {
+fn prepared_cut_takes_effect_in_the_first_view_of_its_time() {
     let (mut authority, mut cutter) = Authority::new(model());
     let RequestKind::Cut(cut) = stroke() else {
         unreachable!()

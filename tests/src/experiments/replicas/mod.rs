@@ -27,6 +27,7 @@ use crate::network::{Jitter, Link, Profile};
 use crate::reference;
 use crate::scripts::Scripts;
 use crate::simulated_session::SimulatedSession;
+use crate::tool_location::ToolLocation;
 use tally::{Sat, Tally};
 
 /// Default number of sessions per network. Each takes five seconds of CPU time, half of it for the

@@ -1,4 +1,4 @@
-//! What a host is told of who comes and goes, cuts and watches: a line each, on standard error.
+//! Announcements of joins, leaves, cuts and demotions: one line each on standard error.
 
 use std::collections::BTreeMap;
 use std::io::Write as _;
@@ -8,15 +8,15 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 use palpate_protocol::ParticipantId;
 use palpate_protocol::operation::{LeaveReason, Operation, OperationKind};
 
-/// Lines that wait; what comes when so many do is not told. Nobody reads a pipe that is full.
+/// Maximum waiting lines; further ones are dropped, because a full pipe has no reader.
 const WAITING_MAX: usize = 256;
 
-/// Turns operations into sentences.
+/// Names of the participants, for the text of operations.
 #[derive(Debug, Default)]
 struct Names(BTreeMap<ParticipantId, String>);
 
 impl Names {
-    /// What a person wants to know of it, if anything.
+    /// The text of an operation; `None` for operations that are not announced.
     fn sentence(&mut self, operation: &Operation) -> Option<String> {
         match &operation.kind {
             OperationKind::Joined {
@@ -36,27 +36,28 @@ impl Names {
                 Some(match reason {
                     LeaveReason::Left => format!("{name} left"),
                     LeaveReason::Silent => {
-                        format!("{name} is gone: nothing was heard for too long")
+                        format!("{name} removed: no connection for too long")
                     }
                     LeaveReason::Violation => {
-                        format!("{name} was sent away: what came was not the protocol")
+                        format!("{name} disconnected: protocol violation")
                     }
                     LeaveReason::TooSlow => {
-                        format!("{name} was sent away: the connection there is too slow")
+                        format!("{name} disconnected: connection too slow")
                     }
-                    LeaveReason::Removed => format!("{name} was sent away"),
+                    LeaveReason::Removed => format!("{name} disconnected by the server"),
                 })
             }
             OperationKind::Away { participant } => {
                 self.of(*participant, "lost the connection; the seat is kept")
             }
-            OperationKind::Back { participant } => self.of(*participant, "is back"),
+            OperationKind::Back { participant } => self.of(*participant, "reconnected"),
             OperationKind::Cut(_) => self.of(operation.author, "made a cut"),
-            OperationKind::Demoted { participant, .. } => self.of(
-                *participant,
-                "watches for now: the network there is too slow",
-            ),
-            OperationKind::Restored { participant } => self.of(*participant, "takes part again"),
+            OperationKind::Demoted { participant, .. } => {
+                self.of(*participant, "demoted to spectator: network too slow")
+            }
+            OperationKind::Restored { participant } => {
+                self.of(*participant, "restored: tool active again")
+            }
             OperationKind::ToolChanged { .. }
             | OperationKind::Started { .. }
             | OperationKind::Compensation { .. } => None,
@@ -69,43 +70,43 @@ impl Names {
     }
 }
 
-/// Tells of new operations. A thread of its own writes, so that a terminal that stands still stops no session.
+/// Announces new operations. Its own thread prints, so that a blocked terminal does not stop the session.
 #[derive(Debug)]
-pub(super) struct News {
+pub(super) struct Announcements {
     names: Names,
-    told: usize,
+    announced: usize,
     lines: SyncSender<String>,
 }
 
-impl News {
-    /// Nothing has been told.
+impl Announcements {
+    /// Starts the thread that prints.
     pub(super) fn new() -> Self {
         let (lines, waiting) = sync_channel::<String>(WAITING_MAX);
-        // It ends with the channel; should there be no thread, nothing is told.
+        // The thread ends with the channel. Without the thread all announcements are dropped.
         let _ = std::thread::Builder::new()
-            .name("news".to_owned())
+            .name("announcements".to_owned())
             .spawn(move || {
                 for line in waiting {
-                    // Nobody is left to be told when standard error is gone.
+                    // A closed standard error is ignored.
                     let _ = writeln!(std::io::stderr(), "{line}");
                 }
             });
         Self {
             names: Names::default(),
-            told: 0,
+            announced: 0,
             lines,
         }
     }
 
-    /// The first operation that was not told.
-    pub(super) fn told(&self) -> usize {
-        self.told
+    /// Number of operations that were handled.
+    pub(super) fn announced(&self) -> usize {
+        self.announced
     }
 
-    /// Tells of the next ones.
-    pub(super) fn tell(&mut self, operations: &[Arc<Operation>]) {
+    /// Announces the next operations.
+    pub(super) fn announce(&mut self, operations: &[Arc<Operation>]) {
         for operation in operations {
-            self.told += 1;
+            self.announced += 1;
             if let Some(line) = self.names.sentence(operation) {
                 let _ = self.lines.try_send(line);
             }
@@ -120,10 +121,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_host_hears_who_comes_goes_and_watches() {
+    fn joins_leaves_and_lost_connections_are_announced() {
         let ann = ParticipantId(1);
         let mut names = Names::default();
-        let mut told = |kind: OperationKind| {
+        let mut line = |kind: OperationKind| {
             names.sentence(&Operation {
                 id: OperationId(0),
                 at: ServerTime::ZERO,
@@ -140,20 +141,20 @@ mod tests {
             role: Role::Trainee,
             tool: None,
         };
-        assert_eq!(told(joined).unwrap(), "ann joined (trainee)");
+        assert_eq!(line(joined).unwrap(), "ann joined (trainee)");
         let away = OperationKind::Away { participant: ann };
-        assert!(told(away).unwrap().starts_with("ann lost"));
+        assert!(line(away).unwrap().starts_with("ann lost"));
         let delay = OperationKind::Compensation {
             delay_us: 1,
             effective_at: ServerTime::ZERO,
         };
-        assert_eq!(told(delay), None);
+        assert_eq!(line(delay), None);
         let left = OperationKind::Left {
             participant: ann,
             reason: LeaveReason::Left,
         };
-        assert_eq!(told(left).unwrap(), "ann left");
+        assert_eq!(line(left).unwrap(), "ann left");
         let back = OperationKind::Back { participant: ann };
-        assert_eq!(told(back), None, "nobody of that number");
+        assert_eq!(line(back), None, "unknown participant");
     }
 }

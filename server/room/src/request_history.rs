@@ -1,35 +1,35 @@
-//! What a seat has asked for, so that what is asked again over a new connection is not done twice.
+//! Requests of one seat across connections. A request that is repeated after a reconnect is not executed twice.
 
 use std::collections::VecDeque;
 
 use palpate_protocol::RequestId;
 use palpate_protocol::request::RequestRefused;
 
-/// Refusals kept to be said again: as many as a client may have open.
+/// Refusals kept for repetition: as many as a client may have pending.
 const REFUSALS_MAX: usize = 64;
 
 /// The requests of one seat.
 #[derive(Debug, Default)]
-pub(crate) struct Asked {
+pub(crate) struct RequestHistory {
     newest: Option<RequestId>,
-    /// The newest of an earlier connection: up to it everything was answered already.
+    /// The newest request of an earlier connection. All requests up to it have been answered.
     before: Option<RequestId>,
     refusals: VecDeque<RequestRefused>,
 }
 
-/// Whether a request was there before.
+/// Whether a request was received before.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Repetition {
-    /// It was not, and is to be done.
+    /// First reception: execute it.
     New,
-    /// It was done: its operation is in the log.
+    /// Executed: its operation is in the log.
     Done,
-    /// It was refused.
+    /// Refused.
     Refused(RequestRefused),
 }
 
-impl Asked {
-    /// A request comes.
+impl RequestHistory {
+    /// Classifies a received request.
     pub(crate) fn take(&mut self, id: RequestId) -> Repetition {
         if Some(id) > self.before {
             self.newest = self.newest.max(Some(id));
@@ -39,7 +39,7 @@ impl Asked {
         refusal.map_or(Repetition::Done, |r| Repetition::Refused(r.clone()))
     }
 
-    /// One was refused.
+    /// Stores a refusal for repetition.
     pub(crate) fn note_refusal(&mut self, refused: RequestRefused) {
         if self.refusals.len() == REFUSALS_MAX {
             self.refusals.pop_front();
@@ -47,7 +47,7 @@ impl Asked {
         self.refusals.push_back(refused);
     }
 
-    /// Another connection takes the place of the one before.
+    /// Marks the change to a new connection.
     pub(crate) fn next_connection(&mut self) {
         self.before = self.newest;
     }
@@ -60,35 +60,35 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_what_an_earlier_connection_brought_is_a_repetition() {
-        let mut asked = Asked::default();
+    fn only_requests_of_earlier_connections_are_repetitions() {
+        let mut history = RequestHistory::default();
         let refused = |n| RequestRefused {
             id: RequestId(n),
             reason: RequestRefusal::NothingCut,
         };
-        assert_eq!(asked.take(RequestId(1)), Repetition::New);
-        asked.take(RequestId(2));
-        asked.note_refusal(refused(2));
+        assert_eq!(history.take(RequestId(1)), Repetition::New);
+        history.take(RequestId(2));
+        history.note_refusal(refused(2));
         assert_eq!(
-            asked.take(RequestId(2)),
+            history.take(RequestId(2)),
             Repetition::New,
-            "the stream repeats nothing"
+            "a stream delivers each request once"
         );
-        asked.next_connection();
-        assert_eq!(asked.take(RequestId(1)), Repetition::Done);
-        assert_eq!(asked.take(RequestId(2)), Repetition::Refused(refused(2)));
-        assert_eq!(asked.take(RequestId(3)), Repetition::New);
+        history.next_connection();
+        assert_eq!(history.take(RequestId(1)), Repetition::Done);
+        assert_eq!(history.take(RequestId(2)), Repetition::Refused(refused(2)));
+        assert_eq!(history.take(RequestId(3)), Repetition::New);
     }
 
     #[test]
-    fn refusals_do_not_grow() {
-        let mut asked = Asked::default();
+    fn stored_refusals_are_bounded() {
+        let mut history = RequestHistory::default();
         for n in 0..1000 {
-            asked.note_refusal(RequestRefused {
+            history.note_refusal(RequestRefused {
                 id: RequestId(n),
                 reason: RequestRefusal::TooMany,
             });
         }
-        assert_eq!(asked.refusals.len(), REFUSALS_MAX);
+        assert_eq!(history.refusals.len(), REFUSALS_MAX);
     }
 }
