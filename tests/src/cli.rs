@@ -319,7 +319,7 @@ pub(crate) fn say(line: &str) -> Result<(), String> {
     let mut out = std::io::stdout().lock();
     match writeln!(out, "{line}").and_then(|()| out.flush()) {
         Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
-            Err(format!("standard output can not be written: {e}"))
+            Err(format!("cannot print the result: {e}"))
         }
         _ => Ok(()),
     }

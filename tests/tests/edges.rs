@@ -50,7 +50,7 @@ fn network_without_arrivals_gives_an_error() {
         ("jitter", &late, "late"),
     ] {
         let out = run(&["run", experiment, "--json", "--profile", profile]);
-        let said = format!("0 of 140000 samples arrived on {name}: nothing can be compared");
+        let said = format!("0 of 140000 samples arrived on {name}, too few to compare the sites");
         refused(&out, experiment, &[&said]);
         assert!(out.stdout.is_empty(), "{experiment} gave figures");
     }
@@ -78,7 +78,7 @@ fn file_in_place_of_the_folder_is_rejected_early() {
         &["run", "replicas", "--out", &taken][..],
         &["all", "--only", "replicas", "--out", &taken],
     ] {
-        refused(&run(line), line[0], &["is a file, name a folder"]);
+        refused(&run(line), line[0], &["is a file; choose a directory"]);
     }
 }
 
@@ -145,6 +145,6 @@ fn full_disk_is_reported() {
             .stdout(full.unwrap())
             .stderr(Stdio::piped());
         let out = program.output().unwrap();
-        refused(&out, line[0], &["can not be", "No space left"]);
+        refused(&out, line[0], &["cannot print the result", "No space left"]);
     }
 }

@@ -73,10 +73,8 @@ struct Joined {
     news_at: ClientTime,
 }
 
-/// The client's end of a session: see [`crate::session`] for the calling order.
-///
-/// It is created with a [`Hello`] and writes the preamble and the hello at once. After
-/// [`ClientEvent::Closed`] it does nothing.
+/// The client's end of a session, see [`crate::session`] for the calling order. Created with a [`Hello`], it writes the
+/// preamble and the hello at once. After [`ClientEvent::Closed`] it does nothing.
 pub struct ClientSession {
     state: State,
     decoder: FrameDecoder<ServerMessage>,

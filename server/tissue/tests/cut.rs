@@ -206,7 +206,7 @@ fn rejected_stroke_returns_the_reason_and_changes_nothing() {
     bone.points.iter_mut().for_each(|p| p.depth_m = 2.5 * D);
     for (s, word) in [
         (with(|s| s.points.truncate(1)), "blade points"),
-        (with(|s| s.points[1].tip.x = f64::NAN), "not a place"),
+        (with(|s| s.points[1].tip.x = f64::NAN), "not finite"),
         (with(|s| s.points[1].axis *= 2.0), "unit vector"),
         (with(|s| s.points[0].depth_m = 0.0), "deep"),
         (with(|s| s.points[0].depth_m = 3.0), "deep"),

@@ -59,3 +59,14 @@ pub struct StepReport {
     /// One per tool, in the order in which tools first appeared.
     pub reactions: Vec<Reaction>,
 }
+
+/// Norm of a residual with this sum of squares, relative to the reference.
+pub(super) fn relative(sum: f64, reference: f64) -> f64 {
+    if sum == 0.0 {
+        0.0
+    } else if reference > 0.0 {
+        sum.sqrt() / reference
+    } else {
+        1.0
+    }
+}

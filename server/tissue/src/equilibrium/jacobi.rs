@@ -6,8 +6,9 @@
 //! shear is 2.5 times too stiff beside it, so spring constants are halved here to show E. It
 //! converges slowly: stopping it early overstates the force.
 
+use super::budget::relative;
 use super::coarse_level::List;
-use super::solver::{Solver, relative};
+use super::solver::Solver;
 use crate::{Shape, Topology, Vec3};
 
 /// The modulus of the offset law is twice that of the length law with the same springs.

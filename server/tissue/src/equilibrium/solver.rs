@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::active_set::{Criteria, Keeps};
-use super::budget::{Budget, StepReport};
+use super::budget::{Budget, StepReport, relative};
 use super::coarse_level::prolongate_changes;
 use super::coarse_stiffening::HELD_STIFFNESS;
 use super::contact_smoother::ContactSmoother;
@@ -67,9 +67,8 @@ const DEEPEN: f64 = 0.25;
 const DUE: usize = 3;
 /// Relative change of a tool's force in the last iteration above which a quick step iterates again; see DECISIONS.md.
 const STEADY: f64 = 5e-3;
-/// Every N-th quick step refines an element with a large deferred force. Without this, forces depend on the path: on
-/// the thigh they were 5 % off (rms) beside the dent of a released tool. With 4, 8 and 16 the error is 1.5, 1.9 and 3.2
-/// %, at 1.5, 1.2 and 1.1 times the work.
+/// Every N-th quick step refines an element with a large deferred force; without this, forces depend on the path. See
+/// DECISIONS.md.
 const REFINED_EVERY: u32 = 2;
 /// Displacement in spacings of the lattice above which an iterate counts as diverged.
 const BLOWN_UP: f64 = 1e4;
@@ -597,15 +596,5 @@ impl Solver {
             self.reference = self.reference_force();
             self.report.residual = 0.0;
         }
-    }
-}
-
-pub(super) fn relative(sum: f64, reference: f64) -> f64 {
-    if sum == 0.0 {
-        0.0
-    } else if reference > 0.0 {
-        sum.sqrt() / reference
-    } else {
-        1.0
     }
 }

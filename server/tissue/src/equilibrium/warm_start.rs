@@ -7,9 +7,10 @@
 
 use std::collections::BTreeMap;
 
+use super::budget::relative;
 use super::fine_level::SetChange;
 use super::predictor::Predictor;
-use super::solver::{Solver, relative};
+use super::solver::Solver;
 use crate::{Topology, Vec3};
 
 /// Cosine between two increments from which the second one continues the first.
