@@ -281,7 +281,7 @@ mod tests {
     fn normal_force(blend: &Blend, us: i64, motion: &Motion) -> f64 {
         let mut sum = 0.0;
         blend.for_each_contact(at(us), motion, |felt: ActiveContact| {
-            sum += felt.normal_force
+            sum += felt.normal_force;
         });
         sum
     }

@@ -108,7 +108,7 @@ pub(crate) struct MadeCut {
 /// A cut that is ready to be applied.
 pub struct ReadyCut {
     pub(crate) topology: Arc<Topology>,
-    /// ReplicaSummary hand's side, if this replica has one.
+    /// The hand's side, if this replica has one.
     pub(crate) hand: Option<Box<Side>>,
     pub(crate) view: Box<ViewCut>,
 }

@@ -432,7 +432,7 @@ mod tests {
 
     /// A loop that continues from the rendered force, in steps of at most `STEP_N`.
     struct Loop {
-        loop_end: LoopEnd,
+        end: LoopEnd,
         caps: DeviceCaps,
         us: i64,
         /// N, along the push.
@@ -446,12 +446,12 @@ mod tests {
         fn turn(&mut self, towards: f64) {
             // The step is short, so the last state stays valid: timeouts are tested elsewhere.
             self.us += 1;
-            self.loop_end.read(at(self.us)).unwrap();
-            let there = self.loop_end.rendered().force.y;
+            self.end.read(at(self.us)).unwrap();
+            let there = self.end.rendered().force.y;
             self.stands = there + (towards - there).clamp(-STEP_N, STEP_N);
             let wrench = Wrench::from_force(Vector3::new(0.0, self.stands, 0.0));
             assert_eq!(
-                self.loop_end.write(at(self.us), wrench, &self.caps),
+                self.end.write(at(self.us), wrench, &self.caps),
                 Written::Applied
             );
         }
@@ -463,7 +463,7 @@ mod tests {
             turns in prop::collection::vec((0..3_u8, -3.0..3.0_f64, 1..30_u32), 1..60),
         ) {
             let (loop_end, mut end, caps) = pushed();
-            let mut hand = Loop { loop_end, caps, us: 300_000, stands: 3.0 };
+            let mut hand = Loop { end: loop_end, caps, us: 300_000, stands: 3.0 };
             let (mut before, mut orders) = (3.0, 0);
             let mut driver = |end: &mut DriverEnd, orders: &mut u32| {
                 let now = end.order().wrench.force.y;

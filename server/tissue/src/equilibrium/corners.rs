@@ -9,7 +9,6 @@
 //! ```text
 //! -dW/dD = C E/8 x²/(max(J, 0) + ε)          x = θ - J > 0
 //! ```
-//! ```
 //!
 //! It depends on the shape of the corner alone, so it is invariant under rotation. It starts with zero first and second
 //! derivatives, rises more steeply the flatter the corner is, and pushes an inverted corner back. Corners with less

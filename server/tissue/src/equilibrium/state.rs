@@ -374,7 +374,7 @@ mod tests {
                 solver.fine.nodes.items.len(),
             );
             // A step leaves only what it has refined: one block in two steps.
-            let refined = BLOCK * (k as usize - 38) / 2;
+            let refined = BLOCK * (k - 38) / 2;
             assert!(far <= near + refined, "{far} far nodes, {near} near ones");
         }
     }
