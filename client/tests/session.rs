@@ -32,7 +32,7 @@ const ME: ParticipantId = ParticipantId(1);
 const TOKEN: ResumeToken = ResumeToken([5; 16]);
 const CELL: f64 = 4e-3;
 
-/// What the server does once somebody says hello.
+/// Behaviour of the server after a client's hello.
 #[derive(Clone, Copy, PartialEq)]
 enum Manner {
     Refuses,
@@ -414,7 +414,7 @@ fn another_certificate_and_a_missing_script_are_refused_here() {
 }
 
 #[test]
-fn a_copy_that_differs_is_made_anew_in_the_same_seat_and_the_run_goes_on() {
+fn a_replica_that_differs_resyncs_in_the_same_seat() {
     let fake = Fake::start(Manner::Errs, false);
     let options = JoinOptions {
         duration: Some(Duration::from_secs(5)),
@@ -469,7 +469,7 @@ fn a_server_that_dies_is_said_and_the_figures_are_kept() {
 }
 
 #[test]
-fn a_lost_connection_is_made_anew_and_the_same_copy_goes_on() {
+fn reconnect_keeps_seat_and_replica() {
     let fake = Fake::start(Manner::LosesIt, false);
     let options = JoinOptions {
         duration: Some(Duration::from_secs(5)),
@@ -548,7 +548,7 @@ fn a_signal_ends_the_program_politely_with_its_summary_as_json() {
 }
 
 #[test]
-fn a_device_that_somebody_holds_joins_without_a_script() {
+fn a_device_in_use_joins_without_a_script() {
     for (kind, source, called) in [
         (DeviceKind::Dhd, "drd.rs", "omega.7"),
         (DeviceKind::OpenHaptics, "hd.rs", "Touch"),

@@ -1,6 +1,6 @@
 //! Progress of a list of experiments and the estimated remaining time.
 
-/// Durations of the experiments on two idle cores, s; eleven and a half minutes in total. They are CPU
+/// Durations of the experiments on two idle cores, s. They are CPU
 /// time, or wall time for real-time experiments. Only ratios matter, because completed parts calibrate the
 /// machine's speed.
 const TOOK_S: &[(&str, f64)] = &[

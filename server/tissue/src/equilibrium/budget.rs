@@ -4,17 +4,17 @@ use crate::contact::Reaction;
 
 /// Limits of a step.
 pub struct Budget<'a> {
-    /// Maximum iterations (three at first touch with `near`, if that is more). One iteration is a coarse correction and
-    /// three smoothing steps over the active set.
+    /// Maximum iterations (three at first touch in a quick step, if that is more). One iteration is a coarse correction
+    /// and three smoothing steps over the active set.
     pub iterations: usize,
-    /// Relative residual at which to stop; 1e-6 counts as converged. From 0.02 a step under tools uses the method of
-    /// `near` and then prolongates to all nodes.
+    /// Relative residual at which to stop; 1e-6 counts as converged. From 0.02 a step without held nodes is quick:
+    /// elements beyond the active set defer their residual. Nodes follow the coarse levels to within 0.01 mm.
     pub tolerance: f64,
-    /// Solves only near the tools, with a tolerance of at least 0.02. The other nodes are updated by
+    /// A quick step that leaves the nodes far from the tools where they are. They are updated by
     /// [`Solver::prolongate_all`](crate::Solver::prolongate_all).
     pub near: bool,
     /// Called between iterations; `true` stops, for example at a time limit. One iteration is always made, and up to
-    /// three where a tool has jumped, or with `near` has just touched the tissue.
+    /// three where a tool has jumped, or in a quick step has just touched the tissue.
     pub stop: Option<&'a mut dyn FnMut() -> bool>,
 }
 

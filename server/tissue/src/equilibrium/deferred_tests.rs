@@ -99,3 +99,44 @@ fn quick_step_skips_invisible_displacements() {
         assert!(most > 0.0 && most < 20e-6, "{most} m after {steps} steps");
     }
 }
+
+#[test]
+fn views_feel_the_force_of_a_hand() {
+    let (topology, mut hand, mut felt) = soft_block();
+    let (mut view, mut seen) = (hand.another(&topology), felt.clone());
+    for k in 0..150 {
+        let t = f64::from(k) / 30.0;
+        let tool = ball(0.02 * (0.7 * t).sin(), 8e-3 * t.min(1.0));
+        let near = Budget {
+            near: true,
+            ..Budget::new(1, 0.02)
+        };
+        let [hand, view] = [
+            hand.step(&topology, &mut felt, &[tool], near).reactions[0].force,
+            view.step(&topology, &mut seen, &[tool], Budget::new(1, 0.02))
+                .reactions[0]
+                .force,
+        ];
+        let apart = (hand - view).norm();
+        assert!(apart <= 1e-3 * hand.norm(), "{apart} N in step {k}");
+    }
+}
+
+#[test]
+fn quick_steps_of_a_slide_stay_close_to_converged_ones() {
+    let (topology, mut view, mut seen) = soft_block();
+    let (mut converged, mut shape) = (view.another(&topology), seen.clone());
+    let (mut error, mut force) = (0.0, 0.0);
+    for k in 0..75 {
+        let t = f64::from(k) / 30.0;
+        let tool = [ball(0.02 * (0.7 * t).sin(), 8e-3 * t.min(1.0))];
+        let quick = view.step(&topology, &mut seen, &tool, Budget::new(1, 0.02));
+        let quick = quick.reactions[0].force;
+        let full = converged.step(&topology, &mut shape, &tool, Budget::new(30, 1e-3));
+        let full = full.reactions[0].force;
+        error += (quick - full).norm_squared();
+        force += full.norm_squared();
+    }
+    let error = f64::sqrt(error / force);
+    assert!(error < 0.01, "{error} of the converged force");
+}

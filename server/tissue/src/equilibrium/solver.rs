@@ -69,7 +69,7 @@ const DUE: usize = 3;
 const STEADY: f64 = 5e-3;
 /// Every N-th quick step refines an element with a large deferred force; without this, forces depend on the path. See
 /// DECISIONS.md.
-const REFINED_EVERY: u32 = 2;
+pub(super) const REFINED_EVERY: u32 = 2;
 /// Displacement in spacings of the lattice above which an iterate counts as diverged.
 const BLOWN_UP: f64 = 1e4;
 
@@ -240,26 +240,25 @@ impl Solver {
         self.fine.clamped = 0;
         self.fine.visits = 0;
         self.coarse.visits = 0;
-        let near = budget.near;
-        if near {
+        if budget.near {
             // A tighter tolerance would exceed the time limit within one iteration.
             budget.tolerance = budget.tolerance.max(QUICK);
         }
+        let quick = budget.near || budget.tolerance >= QUICK && self.held.is_empty();
         let u = &mut shape.displacement;
         let by = |(&node, from): (&u32, &Vec3)| (node, u[node as usize] - from);
         self.led_displacements = self.led.iter().map(by).collect();
         self.led.clear();
         let lags = self.apply_warm_start(topology, u, carry);
-        self.iterate(topology, u, lags, &mut budget);
+        self.iterate(topology, u, lags, quick, &mut budget);
         if !self.is_sane(topology, &shape.displacement) {
             self.fine.undo(&self.hierarchy, &mut shape.displacement);
             let own = std::mem::take(&mut self.fine.own);
             self.restart(topology, own);
             self.report.fell_back = true;
-        } else if !near {
-            let is_quick = budget.tolerance >= QUICK;
-            self.prolongate_changes(shape, if is_quick { UNSEEN_M } else { 0.0 });
-            if !is_quick {
+        } else if !budget.near {
+            self.prolongate_changes(shape, if quick { UNSEEN_M } else { 0.0 });
+            if !quick {
                 // The next quick step must not process the small residuals that a full solve leaves everywhere.
                 self.settling = Some(0);
             }
@@ -273,9 +272,9 @@ impl Solver {
         topology: &Topology,
         u: &mut [Vec3],
         mut lags: bool,
+        quick: bool,
         budget: &mut Budget<'_>,
     ) {
-        let quick = budget.near || budget.tolerance >= QUICK && self.held.is_empty();
         let work_limit = if quick {
             self.prepare_quick()
         } else {

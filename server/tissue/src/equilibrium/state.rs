@@ -265,6 +265,7 @@ impl SolverState {
 
 #[cfg(test)]
 mod tests {
+    use super::super::solver::REFINED_EVERY;
     use super::*;
     use crate::{BladePoint, Budget, CutStroke, Material, Tool, block, cut};
 
@@ -367,14 +368,19 @@ mod tests {
             steps += 1;
             assert!(steps <= SETTLING[1], "{steps} steps");
         }
+        let counts = |solver: &Solver| {
+            let far = solver.fine.unbalanced_outer().count();
+            (far, solver.fine.nodes.items.len())
+        };
+        let (far, near) = counts(&solver);
+        assert!(far <= near, "{far} far nodes, {near} near ones");
+        let turns = |solver: &Solver| (solver.quick_steps / REFINED_EVERY) as usize;
+        let settled = turns(&solver);
         for k in 40..60 {
             solver.step(&topology, &mut shape, &[tool(k)], hand());
-            let (far, near) = (
-                solver.fine.unbalanced_outer().count(),
-                solver.fine.nodes.items.len(),
-            );
-            // A step leaves only what it has refined: one block in two steps.
-            let refined = BLOCK * (k - 38) / 2;
+            let (far, near) = counts(&solver);
+            // A block that was refined leaves the known forces of its nodes.
+            let refined = BLOCK * (turns(&solver) - settled);
             assert!(far <= near + refined, "{far} far nodes, {near} near ones");
         }
     }
