@@ -8,6 +8,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::bench::ablate as bench_ablate;
 use crate::bench::bytes as bench_bytes;
 use crate::bench::coding::Coding;
 use crate::bench::cuts as bench_cuts;
@@ -73,6 +74,13 @@ Examples:
 
 Compare only figures of one run on one machine; other load changes them.";
 
+const ABLATE: &str = "\
+Examples:
+  palpate-lab ablate
+  palpate-lab ablate thigh.toml abdominal-wall --mechanism warm-start --mechanism hardening --json
+
+The errors of two runs are equal; times are comparable within one run.";
+
 const FAULTS: &str = "\
 A simulated hand presses into a spring tissue (200 N/m to 20 kN/m, which is bone) at up to 0.5 m/s, through the force
 loop of the client, in virtual time. Faults: the solver stalls, the link is lost, contact models or poses contain
@@ -127,6 +135,9 @@ enum Command {
     /// Inject faults into the haptic chain, and check that no fault jerks the hand
     #[command(after_help = FAULTS)]
     HapticFaults(HapticFaultsArguments),
+    /// Switch off one mechanism of the solver at a time: force error and time of a press, slide and withdrawal
+    #[command(after_help = ABLATE)]
+    Ablate(bench_ablate::Arguments),
     /// Measure the equilibrium against its own converged solution
     #[command(subcommand, after_help = BENCHES)]
     Bench(Bench),
@@ -275,6 +286,9 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::List => command::list(),
         Command::All(arguments) => tour::all(&arguments),
         Command::HapticFaults(arguments) => run_haptic_faults(&arguments),
+        Command::Ablate(arguments) => {
+            bench_ablate::run(&arguments).and_then(|all| give(&all, arguments.json))
+        }
         Command::Bench(Bench::PressCube(arguments)) => run_press_cube(&arguments),
         Command::Bench(Bench::PressScene(arguments)) => run_press_scene(&arguments),
         Command::Bench(Bench::Coding {

@@ -45,7 +45,9 @@ pub use cut::{
     BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, BladePoint, CutError, CutOutcome, CutStroke, Moved,
     RestPoint, STROKE_LENGTH_MAX_M, WOUND_WIDTH_MAX_M, cut, to_rest,
 };
-pub use equilibrium::{Budget, Follower, Sag, Solver, SolverState, StepReport, Successor};
+pub use equilibrium::{
+    Budget, Follower, Mechanism, Sag, Solver, SolverState, StepReport, Successor,
+};
 pub use file::{
     CELLS_MAX, EnvelopeError, FileError, MODEL_FORMAT, ModelFile, NODES_MAX, REGIONS_MAX,
     decode_model, encode_model,

@@ -4,6 +4,7 @@
 //! They are not tests: a slow machine does not fail. Compare figures (two models, two commits) within one run
 //! on one machine.
 
+pub mod ablate;
 pub mod bytes;
 pub mod coding;
 pub mod cuts;

@@ -1,6 +1,6 @@
 //! A wound beside the press: the cut of the demo, but through every layer down to half of the soft tissue.
 
-use palpate_tissue::{BladePoint, CutStroke, Topology, cut};
+use palpate_tissue::{BladePoint, CutOutcome, CutStroke, Topology, cut};
 use serde::Serialize;
 
 use crate::tool_location::ToolLocation;
@@ -38,6 +38,14 @@ impl Wound {
     ///
     /// If the cut severs nothing.
     pub fn open(topology: &mut Topology, place: &mut ToolLocation) -> Result<Self, String> {
+        Self::open_with(topology, place).map(|(wound, _)| wound)
+    }
+
+    /// The same; also returns the outcome of the cut.
+    pub(super) fn open_with(
+        topology: &mut Topology,
+        place: &mut ToolLocation,
+    ) -> Result<(Self, CutOutcome), String> {
         let depth = (DEPTH_SHARE * place.depth_m).min(DEPTH_MAX_M);
         let length = (LENGTH_M * place.scale()).max(5.0 * place.spacing_m);
         let points = (0..=POINTS).map(|i| {
@@ -58,11 +66,12 @@ impl Wound {
         (place.middle, place.normal) = (spot.at, spot.normal);
         let regions = &topology.model().regions;
         let name = |id: &palpate_tissue::RegionId| regions[id.index()].name.clone();
-        Ok(Self {
+        let wound = Self {
             depth_mm: depth * 1e3,
             doubled: outcome.doubled.len(),
             regions: outcome.regions_cut.iter().map(name).collect(),
-        })
+        };
+        Ok((wound, outcome))
     }
 }
 

@@ -7,6 +7,7 @@ use super::proxy::Proxy;
 use super::surface::{Foot, Surface, blend};
 use super::surface_index::SurfaceIndex;
 use super::{TOOLS_MAX, Tool};
+use crate::equilibrium::{Disabled, Mechanism};
 use crate::{Topology, Vec3};
 
 const NONE: u32 = u32::MAX;
@@ -21,6 +22,8 @@ pub(crate) struct Contacts {
     place: Vec<u32>,
     /// Invalid or excess tools of the last step.
     pub(crate) ignored: usize,
+    /// Mechanisms that an ablation has switched off.
+    pub(crate) disabled: Disabled,
 }
 
 impl Contacts {
@@ -38,6 +41,7 @@ impl Contacts {
             nodes: Vec::new(),
             place: vec![NONE; topology.node_count()],
             ignored: 0,
+            disabled: Disabled::default(),
         }
     }
 
@@ -196,9 +200,10 @@ impl Contacts {
             let nearest = &mut nearest[sample.proxy as usize];
             *nearest = nearest.max(depth(v, radius).0);
         }
+        let retreats = self.disabled.allows(Mechanism::RetreatSearch);
         for (proxy, nearest) in self.proxies.iter_mut().zip(nearest) {
             proxy.depth = nearest.max(0.0);
-            if nearest.is_finite() {
+            if nearest.is_finite() && retreats {
                 proxy.gap = (-nearest).max(0.0);
             }
         }

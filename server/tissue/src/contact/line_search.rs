@@ -106,6 +106,13 @@ impl LineSearch {
         }
     }
 
+    /// Lets samples pass the middle of a tool.
+    pub(crate) fn ignore_cores(&mut self) {
+        for (_, pierces) in &mut self.rows {
+            *pierces = None;
+        }
+    }
+
     fn core(&self, row: &Row) -> &Core {
         &self.cores[row.tool as usize]
     }

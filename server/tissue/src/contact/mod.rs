@@ -48,6 +48,7 @@ pub use reaction::{Place, Reaction};
 pub use tool::{Form, TOOL_REACH_MAX_M, Tool};
 
 pub(crate) use contacts::Contacts;
+pub(crate) use line_search::LineSearch;
 pub(crate) use proxy::Proxy;
 pub(crate) use surface_index::SurfaceIndex;
 

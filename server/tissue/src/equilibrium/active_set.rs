@@ -5,6 +5,7 @@ use super::coarse_level::CoarseLevel;
 use super::cycle::Multigrid;
 use super::fine_level::{FineLevel, OuterForces, SetChange, square};
 use super::hierarchy::Hierarchy;
+use super::mechanism::Mechanism;
 use crate::Vec3;
 
 /// Fraction of the threshold below which a force is ignored, in quick and in full steps.
@@ -74,7 +75,8 @@ impl FineLevel {
         loop {
             self.collect_required(hierarchy, &coarse.grids[0], limit, quick);
             // NaN forces exceed any limit; the step is undone because of them.
-            if !quick || self.required.items.len() <= REQUIRED_MAX || !limit.is_finite() {
+            let limits = quick && self.disabled.allows(Mechanism::RequiredLimit);
+            if !limits || self.required.items.len() <= REQUIRED_MAX || !limit.is_finite() {
                 break;
             }
             limit *= 2.0;
@@ -150,6 +152,7 @@ impl FineLevel {
             // Beside a deferred element only half of the force is known; the coarse level has solved the rest.
             let around = hierarchy.around.row(node);
             let known = !quick
+                || !self.disabled.allows(Mechanism::KnownForces)
                 || self.free[n]
                 || self.disturbed.contains(node)
                 || !self.nodes.contains(node) && !around.iter().any(waits);

@@ -1,6 +1,14 @@
 //! Limits and report of a step.
 
+use super::solver::Solver;
 use crate::contact::Reaction;
+use crate::{Topology, Vec3};
+
+/// Relative change of a tool's force in the last iteration above which a quick step iterates again; see DECISIONS.md.
+const STEADY: f64 = 5e-3;
+
+/// Displacement in spacings of the lattice above which an iterate counts as diverged.
+const BLOWN_UP: f64 = 1e4;
 
 /// Limits of a step.
 pub struct Budget<'a> {
@@ -68,5 +76,59 @@ pub(super) fn relative(sum: f64, reference: f64) -> f64 {
         sum.sqrt() / reference
     } else {
         1.0
+    }
+}
+
+impl Solver {
+    pub(super) fn remember_forces(&mut self, u: &[Vec3]) {
+        self.last_forces.clear();
+        for i in 0..self.contacts.proxies.len() {
+            let (force, _) = self.contacts.force(u, i);
+            self.last_forces.push(force);
+        }
+    }
+
+    /// Whether the last iteration changed every tool's force by at most [`STEADY`].
+    pub(super) fn are_forces_steady(&self, u: &[Vec3]) -> bool {
+        self.last_forces.iter().enumerate().all(|(i, last)| {
+            let (force, _) = self.contacts.force(u, i);
+            (force - last).norm() <= STEADY * force.norm()
+        })
+    }
+
+    pub(super) fn is_sane(&self, topology: &Topology, u: &[Vec3]) -> bool {
+        let limit = BLOWN_UP * topology.model().spacing_m;
+        let is_finite = self.report.residual.is_finite();
+        is_finite && self.fine.is_within(u, limit) && self.coarse.is_within(limit)
+    }
+
+    /// Last stage: reactions and statistics.
+    pub(super) fn report_reactions(&mut self, topology: &Topology, u: &[Vec3]) {
+        let spacing = topology.model().spacing_m;
+        self.report.reactions.clear();
+        self.report.lag_m = 0.0;
+        let untouched = self
+            .reference_state
+            .as_ref()
+            .map(|h| h.displacement.as_slice());
+        for i in 0..self.contacts.proxies.len() {
+            let mut reaction = self.contacts.reaction(topology, u, untouched, i);
+            self.report.lag_m = self.report.lag_m.max(self.contacts.proxies[i].lag());
+            if reaction.contacts > 0 {
+                let own = self.fine.own[self.contacts.nodes[0] as usize];
+                reaction.stiffness = self.contacts.learn(u, i, &reaction, own, spacing);
+                if let Some(last) = self.last_forces.get(i) {
+                    reaction.force_error = (reaction.force - last).norm();
+                }
+            }
+            self.report.reactions.push(reaction);
+        }
+        self.report.active_nodes = self.fine.nodes.items.len();
+        self.report.visits = [self.fine.visits, self.coarse.visits];
+        self.report.clamped = self.fine.clamped;
+        if self.report.active_nodes == 0 && self.contacts.nodes.is_empty() && self.held.is_empty() {
+            self.reference = self.reference_force();
+            self.report.residual = 0.0;
+        }
     }
 }

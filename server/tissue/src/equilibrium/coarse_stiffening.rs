@@ -18,6 +18,7 @@ use super::fine_level::{FineLevel, contact_block};
 use super::hierarchy::Hierarchy;
 use super::law::invert;
 use super::matrix::{at, lane};
+use super::mechanism::Mechanism;
 use super::solver::Solver;
 use crate::Vec3;
 
@@ -39,8 +40,10 @@ impl Solver {
         coarse.clear_stiffness(hierarchy);
         let mut blocks: Vec<[f32; 6]> = vec![[0.0; 6]; self.contacts.nodes.len()];
         let contacts = &self.contacts;
+        let expected = expected && self.disabled.allows(Mechanism::ExpectedContacts);
+        let stiffens = self.disabled.allows(Mechanism::ContactStiffness);
         contacts.expected(u, |sample, depth, kappa, n| {
-            if depth <= 0.0 && !expected {
+            if depth <= 0.0 && !expected || !stiffens {
                 return;
             }
             for (&node, w) in sample.nodes.iter().zip(sample.weights) {
@@ -57,7 +60,7 @@ impl Solver {
             let k = (stiffness * self.fine.own[node as usize]) as f32;
             coarse.add_node_stiffness(hierarchy, node, &[k, k, k, 0.0, 0.0, 0.0]);
         }
-        if hierarchy.bottoms_out {
+        if hierarchy.bottoms_out && self.disabled.allows(Mechanism::Hardening) {
             for i in 0..coarse.grids[0].refined.items.len() {
                 let element = coarse.grids[0].refined.items[i];
                 if let Some(c) = self.fine.hardening(hierarchy, element) {

@@ -309,7 +309,7 @@ impl Multigrid {
 
     /// Starts a step: the accumulated correction of the last step becomes the candidate for the warm start. Rim points
     /// follow the coarser level, or deferred elements beside them would miss their moves.
-    pub(super) fn load_last_correction(&mut self, hierarchy: &Hierarchy) {
+    pub(super) fn load_last_correction(&mut self, hierarchy: &Hierarchy, rim: bool) {
         for l in (0..self.grids.len()).rev() {
             let (finer, coarser) = self.grids.split_at_mut(l + 1);
             let (grid, above) = (&mut finer[l], coarser.first());
@@ -317,7 +317,7 @@ impl Multigrid {
                 let p = point as usize;
                 let corrected = grid.corrected.contains(point);
                 grid.e[p] = match above {
-                    Some(above) if !grid.free[p] => {
+                    Some(above) if rim && !grid.free[p] => {
                         hierarchy.levels[l].prolongation.interpolate(p, &above.e)
                     }
                     _ if corrected => grid.step_correction[p],

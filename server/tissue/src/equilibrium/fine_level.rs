@@ -13,6 +13,7 @@ use super::cycle::Multigrid;
 use super::hierarchy::Hierarchy;
 use super::jacobi_blocks::JacobiBlocks;
 use super::kernel::{Ends, Forces};
+use super::mechanism::{Disabled, Mechanism};
 use super::quad::{Quad, ZERO, laid_out};
 use super::weight::weights;
 use crate::contact::Contacts;
@@ -118,6 +119,8 @@ pub(super) struct FineLevel {
     scratch: Box<Ends<3>>,
     pub(super) block_scratch: Box<Ends<6>>,
     pub(super) arch: Arch,
+    /// Mechanisms that an ablation has switched off.
+    pub(super) disabled: Disabled,
 }
 
 impl FineLevel {
@@ -170,6 +173,7 @@ impl FineLevel {
             scratch: Box::new(Ends::new()),
             block_scratch: Box::new(Ends::new()),
             arch: Arch::new(),
+            disabled: Disabled::default(),
         }
     }
 
@@ -310,6 +314,7 @@ impl FineLevel {
             self.computed.insert(brick);
         }
         let arch = self.arch;
+        let expands = self.disabled.allows(Mechanism::SmallStrain);
         let one = |brick: u32, to: &mut [[f32; LOCALS]; 3], scratch: &mut Ends<3>| {
             let b = &hierarchy.bricks[brick as usize];
             let form = &hierarchy.forms[b.form as usize];
@@ -319,6 +324,7 @@ impl FineLevel {
                 u,
                 to,
                 scratch,
+                expands,
             });
         };
         if list.len() < PARALLEL || rayon::current_num_threads() == 1 {
@@ -446,6 +452,7 @@ impl FineLevel {
                 u,
                 to: &mut f,
                 scratch: &mut Ends::new(),
+                expands: true,
             });
             sum += Vec3::new(f64::from(f[0][i]), f64::from(f[1][i]), f64::from(f[2][i]));
         }

@@ -132,6 +132,7 @@ impl Solver {
     fn replace_levels(&mut self, fine: FineLevel, coarse: Multigrid) {
         let (displaced, at_reference) = (self.fine.displaced, self.fine.at_reference);
         (self.fine, self.coarse) = (fine, coarse);
+        self.fine.disabled = self.disabled;
         self.contact_smoother = ContactSmoother::new(&self.hierarchy);
         self.warm_start = WarmStart::default();
         self.restore_state(displaced, at_reference);

@@ -9,6 +9,7 @@ use super::coarse_level::invert;
 use super::fine_level::{FineLevel, contact_block};
 use super::hierarchy::Hierarchy;
 use super::kernel::{LocalBlocks, Tangents};
+use super::mechanism::Mechanism;
 use crate::Vec3;
 use crate::contact::Contacts;
 
@@ -91,7 +92,8 @@ impl FineLevel {
         let form = b.form as usize;
         let mild = MILD / f64::from(hierarchy.per_spacing);
         let tame = hierarchy.shared[form] && hierarchy.forms[form].is_plain();
-        if !tame || hierarchy.change_of(brick, u) > mild {
+        let allowed = self.disabled.allows(Mechanism::BlocksAtRest);
+        if !allowed || !tame || hierarchy.change_of(brick, u) > mild {
             return None;
         }
         if self.blocks_at_rest[form].is_none() {
@@ -116,9 +118,11 @@ impl FineLevel {
         self.pressed.clear();
         let blocks = contacts.nodes.iter().map(|&n| self.blocks[n as usize]);
         self.pressed.extend(blocks);
+        let cautious = self.disabled.allows(Mechanism::ContactCaution);
+        let weight = if cautious { CAUTION } else { 1.0 };
         let (pressed, r) = (&mut self.pressed, &mut self.r);
         contacts.pressed(u, |sample, force, kappa, n| {
-            let whole = contact_block(CAUTION * kappa, &n);
+            let whole = contact_block(weight * kappa, &n);
             for (node, w) in sample.nodes.iter().zip(sample.weights) {
                 let place = &mut pressed[contacts.place(*node)];
                 for (to, v) in place.iter_mut().zip(whole) {

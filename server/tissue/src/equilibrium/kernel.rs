@@ -59,6 +59,8 @@ pub(crate) struct Forces<'a> {
     pub(crate) u: &'a [Vec3],
     pub(crate) to: &'a mut [[f32; LOCALS]; 3],
     pub(crate) scratch: &'a mut Ends<3>,
+    /// Whether small strains use the expansion.
+    pub(crate) expands: bool,
 }
 
 impl WithSimd for Forces<'_> {
@@ -67,7 +69,11 @@ impl WithSimd for Forces<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let local = gather(&self.brick.nodes, self.u);
-        let mut f = match small_strain_forces(simd, self.form, &local, self.scratch) {
+        let small = match self.expands {
+            true => small_strain_forces(simd, self.form, &local, self.scratch),
+            false => None,
+        };
+        let mut f = match small {
             Some(f) => f,
             None if self.form.curve.held => {
                 let (mut f, strained) = stabilised_forces(simd, self.form, &local, self.scratch);

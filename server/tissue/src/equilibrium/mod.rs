@@ -15,6 +15,7 @@
 //! | `reference_state`, `weight` | equilibrium without tools; gravity |
 //! | `warm_start`, `predictor` | extrapolation of the last step, along a parabola for held nodes |
 //! | `rigid_aggregation` | line search, with rigid groups where tissue is too stiff |
+//! | `mechanism` | mechanisms that an ablation can switch off |
 //! | `prescribed` | nodes with a prescribed displacement |
 //! | `follower`, `state` | update after a cut on another thread |
 //! | `solver` | one step and its stages |
@@ -66,6 +67,7 @@ mod kernel;
 mod lanes;
 mod law;
 mod matrix;
+mod mechanism;
 mod outer_residual;
 mod predictor;
 mod prescribed;
@@ -85,6 +87,8 @@ pub use budget::{Budget, StepReport};
 pub(crate) use fibres::dyad;
 pub use follower::{Follower, Successor};
 pub(crate) use law::Elastic;
+pub(crate) use mechanism::Disabled;
+pub use mechanism::Mechanism;
 pub use reference_state::Sag;
 pub use solver::Solver;
 pub use state::SolverState;

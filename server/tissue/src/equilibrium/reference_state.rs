@@ -13,6 +13,7 @@ use super::coarse_level::CoarseLevel;
 use super::cycle::Multigrid;
 use super::fine_level::{FineLevel, OuterForces, SetChange};
 use super::hierarchy::Hierarchy;
+use super::mechanism::Mechanism;
 use super::quad::ZERO;
 use super::solver::Solver;
 use super::warm_start::WarmStart;
@@ -141,7 +142,8 @@ impl Solver {
     ) -> bool {
         let sag = self.sag().map_or(0.0, |s| s.displaced_m);
         let clear = || self.contacts.are_clear(topology, &shape.displacement, sag);
-        if self.fine.at_reference || !self.held.is_empty() || !clear() {
+        let returns = self.uses(Mechanism::ReferenceReturn);
+        if !returns || self.fine.at_reference || !self.held.is_empty() || !clear() {
             return false;
         }
         let reference_state = self.reference_state.as_deref();

@@ -12,9 +12,11 @@ use std::collections::BTreeMap;
 use super::brick::LOCALS;
 use super::fine_level::FineLevel;
 use super::hierarchy::Hierarchy;
+use super::mechanism::Mechanism;
 use super::quad::{Quad, ZERO};
 use super::solver::Solver;
 use crate::Vec3;
+use crate::contact::LineSearch;
 
 /// Step length below which resisting bricks are aggregated.
 const AGGREGATE_BELOW: f64 = 0.5;
@@ -35,7 +37,8 @@ impl Solver {
     ) -> f64 {
         let (share, gain) = self.zero_work_step(u, increments, before, deferred, bounds);
         // Once: aggregating again after the second search brought no gain.
-        let short = share < AGGREGATE_BELOW && gain > 0.0;
+        let aggregates = self.uses(Mechanism::RigidAggregation);
+        let short = aggregates && share < AGGREGATE_BELOW && gain > 0.0;
         if !short
             || !self
                 .fine
@@ -60,10 +63,19 @@ impl Solver {
             let found = increments.binary_search_by_key(&n, |m| m.0);
             found.map_or_else(|_| Vec3::zeros(), |i| increments[i].1)
         };
-        let along = self.contacts.along(u, by, 1.0);
+        let mut along = self.contacts.along(u, by, 1.0);
+        if !self.uses(Mechanism::CoreGuard) {
+            along.ignore_cores();
+        }
         let here = deferred[0] + work(increments, |i, _| &before[i]);
         let r = &self.fine.r;
         let there = deferred[1] + work(increments, |_, node| &r[node as usize]);
+        if !self.uses(Mechanism::ContactLineSearch) {
+            let contacts = [0.0, 1.0].map(|s| along.work(s));
+            let work = [here + contacts[0], there + contacts[1]];
+            let none = LineSearch::new(Vec::new(), Vec::new());
+            return (none.zero_work(work, bounds), work[0]);
+        }
         (
             along.zero_work([here, there], bounds),
             here + along.work(0.0),

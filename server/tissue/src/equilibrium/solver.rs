@@ -11,6 +11,7 @@ use super::contact_smoother::ContactSmoother;
 use super::cycle::{Chebyshev, Effort, Multigrid};
 use super::fine_level::{FineLevel, SetChange, own_stiffness};
 use super::hierarchy::Hierarchy;
+use super::mechanism::{Disabled, Mechanism};
 use super::reference_state::ReferenceState;
 use super::warm_start::WarmStart;
 use super::work_limit::WorkLimit;
@@ -65,13 +66,9 @@ pub(super) const QUICK: f64 = 0.02;
 const DEEPEN: f64 = 0.25;
 /// Minimum iterations after a jump or at first touch, where no warm start exists.
 const DUE: usize = 3;
-/// Relative change of a tool's force in the last iteration above which a quick step iterates again; see DECISIONS.md.
-const STEADY: f64 = 5e-3;
 /// Every N-th quick step refines an element with a large deferred force; without this, forces depend on the path. See
 /// DECISIONS.md.
 pub(super) const REFINED_EVERY: u32 = 2;
-/// Displacement in spacings of the lattice above which an iterate counts as diverged.
-const BLOWN_UP: f64 = 1e4;
 
 /// Displacement in m that a step of low accuracy need not prolongate to distant nodes: the resolution of displacements
 /// on the network.
@@ -108,6 +105,8 @@ pub struct Solver {
     pub(super) settling: Option<usize>,
     /// Quick steps since the tissue was at rest.
     pub(super) quick_steps: u32,
+    /// Mechanisms that an ablation has switched off.
+    pub(super) disabled: Disabled,
 }
 
 impl Solver {
@@ -291,7 +290,8 @@ impl Solver {
         let touches = quick && !touched && !self.contacts.nodes.is_empty();
         // At least one iteration checks the warm start. After a jump the tissue needs more: after one iteration the
         // force is ten times too high.
-        let due = if jumped || touches { DUE } else { 1 };
+        let first = (jumped || touches) && self.uses(Mechanism::FirstTouch);
+        let due = if first { DUE } else { 1 };
         let (mut begun, mut smoothing) = (0.0, None);
         loop {
             self.fine.refresh(&self.hierarchy, u);
@@ -339,7 +339,8 @@ impl Solver {
                 outdated = true;
             }
             // The next quick step chooses the active set of a further iteration.
-            self.report.steady = quick && self.are_forces_steady(u);
+            let repeats = self.uses(Mechanism::SteadyForce);
+            self.report.steady = quick && (!repeats || self.are_forces_steady(u));
             let steady = self.report.steady && self.report.iterations >= due;
             if quick && (steady || self.is_over(budget, due, touches)) {
                 break;
@@ -374,7 +375,7 @@ impl Solver {
     /// Stage: a last smoothing around the contacts, then the residual.
     fn finish(&mut self, u: &mut [Vec3]) {
         let (hierarchy, fine, contacts) = (&self.hierarchy, &mut self.fine, &self.contacts);
-        if !contacts.nodes.is_empty() {
+        if !contacts.nodes.is_empty() && self.disabled.allows(Mechanism::ContactSmoothing) {
             fine.smooth_contacts(
                 hierarchy,
                 &mut self.contact_smoother,
@@ -429,18 +430,28 @@ impl Solver {
     fn prepare_quick(&mut self) -> f32 {
         let is_at_rest = self.fine.at_reference;
         self.quick_steps = if is_at_rest { 0 } else { self.quick_steps + 1 };
-        if self.quick_steps % REFINED_EVERY == REFINED_EVERY - 1 {
+        let turn = self.quick_steps % REFINED_EVERY == REFINED_EVERY - 1;
+        if turn && self.uses(Mechanism::Rotation) {
             self.coarse.refine_next(&self.hierarchy);
         }
         let elements = self.coarse.grids.iter().map(|p| p.set.items.len());
-        let work_limit = self
-            .work_limit
-            .update(self.fine.nodes.items.len(), elements.sum());
+        let nodes = self.fine.nodes.items.len();
+        let work_limit = match self.uses(Mechanism::WorkLimit) {
+            true => self.work_limit.update(nodes, elements.sum()),
+            false => 1.0,
+        };
         let deep = usize::from(self.hierarchy.bottoms_out);
-        self.coarse.pending = work_limit * PENDING[1];
-        self.coarse.strained = work_limit * STRAINED[deep];
-        self.coarse.slack = SLACK;
-        self.fine.keep_strained = work_limit * KEEP_STRAINED[deep];
+        let limit = |mechanism, limit: f32| match self.uses(mechanism) {
+            true => work_limit * limit,
+            false => f32::INFINITY,
+        };
+        let pending = limit(Mechanism::ForceLimit, PENDING[1]);
+        let strained = limit(Mechanism::StrainLimit, STRAINED[deep]);
+        let keep_strained = limit(Mechanism::StrainedStay, KEEP_STRAINED[deep]);
+        let reduced = self.uses(Mechanism::ReducedStiffness);
+        (self.coarse.pending, self.coarse.strained) = (pending, strained);
+        self.coarse.slack = if reduced { SLACK } else { [1.0; 2] };
+        self.fine.keep_strained = keep_strained;
         work_limit
     }
 
@@ -477,7 +488,7 @@ impl Solver {
         if sum > 0.0 {
             self.reference = sum.sqrt();
         }
-        if tolerance >= PROVEN {
+        if tolerance >= PROVEN && self.uses(Mechanism::LeastReference) {
             self.reference = self.reference.max(LEAST[usize::from(near)] * self.least);
         }
         tolerance * self.reference
@@ -487,6 +498,12 @@ impl Solver {
     fn correct(&mut self, u: &mut [Vec3], threshold: f64, work_limit: f32, quick: bool) {
         let mut effort = EFFORT[usize::from(quick)];
         effort.loaded *= work_limit;
+        if quick && !self.uses(Mechanism::PreSmoothing) {
+            effort.before = 0;
+        }
+        if quick && !self.uses(Mechanism::LoadRefinement) {
+            effort.loaded = f32::INFINITY;
+        }
         let follows_led_nodes = self.follows_led_nodes();
         let led_displacements = std::mem::take(&mut self.led_displacements);
         if follows_led_nodes {
@@ -499,7 +516,7 @@ impl Solver {
             }
         } else {
             self.fine.restrict(&self.hierarchy, &mut self.coarse);
-            if self.report.iterations == 1 {
+            if self.report.iterations == 1 && self.uses(Mechanism::ExpectedContacts) {
                 self.load_expected_contacts(u);
             }
         }
@@ -543,57 +560,5 @@ impl Solver {
             self.fine.relax_set(u, &mut factors);
         }
         factors
-    }
-
-    fn remember_forces(&mut self, u: &[Vec3]) {
-        self.last_forces.clear();
-        for i in 0..self.contacts.proxies.len() {
-            let (force, _) = self.contacts.force(u, i);
-            self.last_forces.push(force);
-        }
-    }
-
-    /// Whether the last iteration changed every tool's force by at most [`STEADY`].
-    fn are_forces_steady(&self, u: &[Vec3]) -> bool {
-        self.last_forces.iter().enumerate().all(|(i, last)| {
-            let (force, _) = self.contacts.force(u, i);
-            (force - last).norm() <= STEADY * force.norm()
-        })
-    }
-
-    fn is_sane(&self, topology: &Topology, u: &[Vec3]) -> bool {
-        let limit = BLOWN_UP * topology.model().spacing_m;
-        let is_finite = self.report.residual.is_finite();
-        is_finite && self.fine.is_within(u, limit) && self.coarse.is_within(limit)
-    }
-
-    /// Last stage: reactions and statistics.
-    fn report_reactions(&mut self, topology: &Topology, u: &[Vec3]) {
-        let spacing = topology.model().spacing_m;
-        self.report.reactions.clear();
-        self.report.lag_m = 0.0;
-        let untouched = self
-            .reference_state
-            .as_ref()
-            .map(|h| h.displacement.as_slice());
-        for i in 0..self.contacts.proxies.len() {
-            let mut reaction = self.contacts.reaction(topology, u, untouched, i);
-            self.report.lag_m = self.report.lag_m.max(self.contacts.proxies[i].lag());
-            if reaction.contacts > 0 {
-                let own = self.fine.own[self.contacts.nodes[0] as usize];
-                reaction.stiffness = self.contacts.learn(u, i, &reaction, own, spacing);
-                if let Some(last) = self.last_forces.get(i) {
-                    reaction.force_error = (reaction.force - last).norm();
-                }
-            }
-            self.report.reactions.push(reaction);
-        }
-        self.report.active_nodes = self.fine.nodes.items.len();
-        self.report.visits = [self.fine.visits, self.coarse.visits];
-        self.report.clamped = self.fine.clamped;
-        if self.report.active_nodes == 0 && self.contacts.nodes.is_empty() && self.held.is_empty() {
-            self.reference = self.reference_force();
-            self.report.residual = 0.0;
-        }
     }
 }

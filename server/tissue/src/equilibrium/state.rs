@@ -13,6 +13,7 @@ use super::cycle::Multigrid;
 use super::fine_level::{FineLevel, OuterForces, square};
 use super::follower::{Follower, Successor};
 use super::hierarchy::Hierarchy;
+use super::mechanism::{Disabled, Mechanism};
 use super::quad::laid_out;
 use super::reference_state::ReferenceState;
 use super::solver::{FIRST_SHARE, QUICK, Solver};
@@ -125,6 +126,9 @@ impl Solver {
             return;
         }
         self.settling = None;
+        if !self.uses(Mechanism::Settling) {
+            return;
+        }
         let threshold = (FIRST_SHARE * QUICK * self.reference) as f32;
         let FineLevel {
             unbalanced,
@@ -185,6 +189,7 @@ impl Solver {
             last_forces: Vec::new(),
             settling: None,
             quick_steps: 0,
+            disabled: Disabled::default(),
         }
     }
 }

@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 
 use super::budget::relative;
 use super::fine_level::SetChange;
+use super::mechanism::Mechanism;
 use super::predictor::Predictor;
 use super::solver::Solver;
 use crate::{Topology, Vec3};
@@ -89,7 +90,8 @@ impl Solver {
             self.reactivate(u);
         }
         self.coarse.clear_refined();
-        self.coarse.load_last_correction(&self.hierarchy);
+        let rim = self.uses(Mechanism::RimFollows);
+        self.coarse.load_last_correction(&self.hierarchy, rim);
         if led && self.warm_started {
             self.extrapolate_path(u, share, (share - guess).abs() <= FACTOR_TOLERANCE);
             return self.gather(topology, u);
@@ -103,6 +105,9 @@ impl Solver {
         }
         // Under tools only the increment near the contacts is extrapolated: the rest costs more than it gains.
         let lags = self.gather(topology, u);
+        if !self.uses(Mechanism::WarmStart) {
+            last.clear();
+        }
         let share = self.increment_line_search(u, &mut last);
         self.extrapolate(u, &last, share);
         // Contacts are gathered again if a tool lags, which updates their nodes.

@@ -92,6 +92,7 @@ fn same_bits(brick: &Brick, form: &Form, u: &[Vec3]) {
             u,
             to: &mut f,
             scratch,
+            expands: true,
         };
         if wide {
             Arch::new().dispatch(op);
@@ -178,6 +179,7 @@ fn forces(brick: &Brick, form: &Form, u: &[Vec3]) -> [[f32; LOCALS]; 3] {
         u,
         to: &mut forces,
         scratch: &mut Ends::new(),
+        expands: true,
     });
     forces
 }

@@ -1,0 +1,113 @@
+//! The mechanisms of a quick step beyond plain multigrid with a line search, each of which an ablation can switch off.
+//!
+//! A mechanism stays in the solver only while an ablation shows a loss of accuracy or speed without it; the table is in
+//! DECISIONS.md.
+
+use super::solver::Solver;
+
+macro_rules! mechanisms {
+    ($($(#[$doc:meta])* $variant:ident $name:literal,)*) => {
+        /// A mechanism of the solver.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        pub enum Mechanism {
+            $($(#[$doc])* $variant,)*
+        }
+
+        impl Mechanism {
+            /// All mechanisms.
+            pub const ALL: &'static [Self] = &[$(Self::$variant),*];
+
+            /// Its name on the command line.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $name,)*
+                }
+            }
+        }
+    };
+}
+
+mechanisms! {
+    /// Extrapolation of the last displacement increment under tools.
+    WarmStart "warm-start",
+    /// A smoothing step on each coarse level before the correction from the next coarser one.
+    PreSmoothing "pre-smoothing",
+    /// Three smoothing steps of the contact nodes at the end of a step.
+    ContactSmoothing "contact-smoothing",
+    /// Contacts count twice in the blocks of the smoother.
+    ContactCaution "contact-caution",
+    /// Exact contact forces in the line search, instead of the forces at both ends.
+    ContactLineSearch "contact-line-search",
+    /// The line search stops samples before the middle of a tool.
+    CoreGuard "core-guard",
+    /// A retreating tool searches as far as tissue may be behind it.
+    RetreatSearch "retreat-search",
+    /// Rigid groups of stiff bricks if the line search accepts less than half a step.
+    RigidAggregation "rigid-aggregation",
+    /// Contact stiffness on the coarse levels.
+    ContactStiffness "contact-stiffness",
+    /// Open contacts that are predicted to close count as closed on the coarse levels.
+    ExpectedContacts "expected-contacts",
+    /// Coarse levels follow hardened tissue.
+    Hardening "hardening",
+    /// Deferred elements respond with a part of their stiffness.
+    ReducedStiffness "reduced-stiffness",
+    /// Deferred elements with a large displacement difference are refined.
+    StrainLimit "strain-limit",
+    /// Strained bricks stay in the active set.
+    StrainedStay "strained-stay",
+    /// Deferred elements with a large force are refined.
+    ForceLimit "force-limit",
+    /// Every second step refines the block with a large deferred force, in rotation.
+    Rotation "rotation",
+    /// Coarse points with a large load from outside the active set have their elements refined.
+    LoadRefinement "load-refinement",
+    /// Nodes beside deferred elements do not require refinement.
+    KnownForces "known-forces",
+    /// Maximum number of elements that unbalanced nodes may add.
+    RequiredLimit "required-limit",
+    /// Limit of the active nodes.
+    WorkLimit "work-limit",
+    /// Three iterations at first touch and after a jump.
+    FirstTouch "first-touch",
+    /// Further iterations while the force of a tool changes.
+    SteadyForce "steady-force",
+    /// Points on the rim of a coarse level follow the last increment of the coarser level.
+    RimFollows "rim-follows",
+    /// Bricks with small strain use their blocks at rest in the smoother.
+    BlocksAtRest "blocks-at-rest",
+    /// Springs of bricks with small strain use a polynomial.
+    SmallStrain "small-strain",
+    /// Tissue out of reach of all tools returns to its equilibrium at rest.
+    ReferenceReturn "reference-return",
+    /// Lower bound of the force that residuals are relative to.
+    LeastReference "least-reference",
+    /// Small distant forces are dropped some steps after a cut.
+    Settling "settling",
+}
+
+/// Set of switched-off mechanisms.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Disabled(u32);
+
+impl Disabled {
+    /// Whether the mechanism is in use.
+    #[inline]
+    pub(crate) fn allows(self, mechanism: Mechanism) -> bool {
+        self.0 >> mechanism as u32 & 1 == 0
+    }
+}
+
+impl Solver {
+    /// Switches a mechanism off for an ablation.
+    pub fn disable(&mut self, mechanism: Mechanism) {
+        self.disabled.0 |= 1 << mechanism as u32;
+        self.fine.disabled = self.disabled;
+        self.contacts.disabled = self.disabled;
+    }
+
+    #[inline]
+    pub(super) fn uses(&self, mechanism: Mechanism) -> bool {
+        self.disabled.allows(mechanism)
+    }
+}

@@ -1,0 +1,367 @@
+//! `ablate`: force error and time of a hand's steps with one mechanism of the solver switched off at a time.
+//!
+//! A sphere presses, slides along the surface and withdraws at the speed of a hand; in one scene a cut is made
+//! beside it. The forces are compared with converged solutions at the same tool poses. Steps are limited by
+//! iterations and not by time, so the errors of two runs are equal.
+
+use std::fmt;
+use std::sync::Arc;
+use std::time::Instant;
+
+use clap::Args;
+use palpate_tissue::{Budget, CutOutcome, Mechanism, Model, Shape, Solver, Tool, Topology, Vec3};
+use serde::Serialize;
+
+use super::wound::Wound;
+use crate::progress::Progress;
+use crate::test_model::TestModel;
+use crate::tool_location::ToolLocation;
+
+/// Radius of the sphere, m.
+const RADIUS_M: f64 = 8e-3;
+/// Tick, s.
+const TICK_S: f64 = 4e-3;
+/// Maximum depth, m, and as a share of the soft tissue.
+const DEPTH_MAX_M: f64 = 15e-3;
+const DEPTH_SHARE: f64 = 0.5;
+/// Speed of pressing and withdrawing, and of sliding, m/s.
+const PRESS_M_S: f64 = 0.1;
+const SLIDE_M_S: f64 = 0.05;
+/// Speed of the fast strokes into the tissue and out, m/s, and their number.
+const FAST_M_S: f64 = 0.4;
+const FAST_STROKES: usize = 3;
+/// Strokes of a hand whose solver misses ticks, and their depths, in shares of the whole.
+const JUMPS: usize = 6;
+const JUMP_DEPTHS: [f64; 7] = [0.3, 0.6, 1.0, 1.0, 1.0, 0.4, 0.0];
+/// Ticks of a slide.
+const SLIDE: usize = 60;
+/// Maximum iterations and tolerance of a hand's step.
+const HAND: (usize, f64) = (10, 2.5e-2);
+/// Maximum iterations and tolerance of the converged solution.
+const CONVERGED: (usize, f64) = (200, 1e-4);
+/// Every N-th tick has a converged solution.
+const CONVERGED_EVERY: usize = 3;
+/// Times that each variant is measured; the fastest counts for every tick.
+const REPEATS: usize = 2;
+/// Phases of a course, in their order.
+const PHASES: [&str; 5] = ["press", "slide", "withdraw", "fast", "jump"];
+
+/// Errors and time of one phase.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct PhaseFigures {
+    /// Rms of the force error relative to the rms of the force, percent.
+    pub rms_percent: f64,
+    /// Largest force error relative to the largest force, percent.
+    pub max_percent: f64,
+    /// Mean time per tick, ms.
+    pub ms: f64,
+    /// Mean evaluations of bricks and of coarse elements per tick, which no other load changes.
+    pub visits: [f64; 2],
+}
+
+/// Figures of the solver without one mechanism, or of the whole solver.
+#[derive(Debug, Clone, Serialize)]
+pub struct Variant {
+    /// Name of the mechanism that is switched off; `none` for the whole solver.
+    pub without: &'static str,
+    /// Figures of press, slide, withdrawal, fast strokes and jumps.
+    pub phases: [PhaseFigures; PHASES.len()],
+}
+
+/// All variants of one scene.
+#[derive(Debug, Clone, Serialize)]
+pub struct Ablation {
+    /// Name of the scene.
+    pub scene: String,
+    /// Nodes of the model.
+    pub nodes: usize,
+    /// Largest residual of the converged solutions.
+    pub converged_residual: f64,
+    /// The whole solver first, then one variant per mechanism.
+    pub variants: Vec<Variant>,
+}
+
+/// A tool course on a model.
+struct Course {
+    name: String,
+    topology: Topology,
+    solver: Solver,
+    /// Tool pose and phase of every tick.
+    ticks: Vec<(Tool, usize)>,
+    /// The cut at the beginning of the slide: its topology and outcome.
+    cut: Option<(Topology, CutOutcome)>,
+}
+
+/// One step.
+#[derive(Debug, Clone, Copy)]
+struct Step {
+    /// Force on the tool, N.
+    force: Vec3,
+    ms: f64,
+    visits: [usize; 2],
+}
+
+/// The steps of a course; `None` where no step was made.
+type Run = Vec<Option<Step>>;
+
+impl Course {
+    fn new(name: &str, model: Arc<Model>, cuts: bool) -> Result<Self, String> {
+        let topology = Topology::new(model);
+        let mut place = ToolLocation::find(&topology).map_err(|e| format!("{name}: {e}"))?;
+        let solver = Solver::new(&topology);
+        place.sag(&topology, &solver);
+        let cut = if cuts {
+            let mut after = topology.clone();
+            let (_, outcome) = Wound::open_with(&mut after, &mut place)?;
+            Some((after, outcome))
+        } else {
+            None
+        };
+        let depth_max = DEPTH_MAX_M.min(DEPTH_SHARE * place.depth_m);
+        let down = (depth_max / (PRESS_M_S * TICK_S)).ceil() as usize;
+        let at = |depth: f64, along: f64| {
+            let from = place.middle + place.v * along;
+            Tool::ball(1, from + place.normal * (RADIUS_M - depth), RADIUS_M)
+        };
+        let depth = |k: usize| (k as f64 * PRESS_M_S * TICK_S).min(depth_max);
+        let end = SLIDE as f64 * SLIDE_M_S * TICK_S;
+        let press = (1..=down).map(|k| (at(depth(k), 0.0), 0));
+        let slide = (1..=SLIDE).map(|k| (at(depth_max, k as f64 * SLIDE_M_S * TICK_S), 1));
+        let withdraw = (0..down).rev().map(|k| (at(depth(k), end), 2));
+        let turn = (depth_max / (FAST_M_S * TICK_S)).ceil() as usize;
+        let stroke = (1..=turn).chain((0..turn).rev());
+        let fast = (0..FAST_STROKES).flat_map(|_| stroke.clone()).map(|k| {
+            let depth = (k as f64 * FAST_M_S * TICK_S).min(depth_max);
+            (at(depth, end), 3)
+        });
+        let jump = (0..JUMPS).flat_map(|n| JUMP_DEPTHS.map(|share| (n, share)));
+        let jump = jump.map(|(n, share)| {
+            let along = end * (n % 3) as f64 / 2.0 * share.max(0.5);
+            (at(depth_max * share, along), 4)
+        });
+        Ok(Self {
+            name: name.to_owned(),
+            ticks: press
+                .chain(slide)
+                .chain(withdraw)
+                .chain(fast)
+                .chain(jump)
+                .collect(),
+            topology,
+            solver,
+            cut,
+        })
+    }
+
+    /// Runs the course on a fresh solver. Returns the largest residual too.
+    fn run(
+        &self,
+        without: Option<Mechanism>,
+        (iterations, tolerance): (usize, f64),
+        every: usize,
+    ) -> (Run, f64) {
+        let mut topology = &self.topology;
+        let (mut solver, mut shape) = (self.solver.another(topology), Shape::rest(topology));
+        if let Some(mechanism) = without {
+            solver.disable(mechanism);
+        }
+        let mut residual = 0.0f64;
+        let mut run = Vec::with_capacity(self.ticks.len());
+        let mut phase_before = 0;
+        for &(tool, phase) in &self.ticks {
+            if let Some((after, outcome)) = self
+                .cut
+                .as_ref()
+                .filter(|_| phase == 1 && phase_before == 0)
+            {
+                solver.prolongate_all(&mut shape);
+                shape.follow(after, outcome);
+                solver.follow(after, &outcome.touched);
+                topology = after;
+            }
+            phase_before = phase;
+            if run.len() % every != 0 {
+                run.push(None);
+                continue;
+            }
+            let budget = Budget {
+                near: tolerance == HAND.1,
+                ..Budget::new(iterations, tolerance)
+            };
+            let began = Instant::now();
+            let report = solver.step(topology, &mut shape, &[tool], budget);
+            let ms = began.elapsed().as_secs_f64() * 1e3;
+            residual = residual.max(report.residual);
+            let force = report
+                .reactions
+                .first()
+                .map_or_else(Vec3::zeros, |r| r.force);
+            run.push(Some(Step {
+                force,
+                ms,
+                visits: report.visits,
+            }));
+        }
+        (run, residual)
+    }
+
+    /// Compares a run with the converged one, phase by phase.
+    fn figures(&self, run: &Run, converged: &Run) -> [PhaseFigures; PHASES.len()] {
+        std::array::from_fn(|phase| {
+            let in_phase = |run: &Run| -> Vec<Option<Step>> {
+                let all = self.ticks.iter().zip(run);
+                let of_phase = all.filter(|((_, p), _)| *p == phase);
+                of_phase.map(|(_, step)| *step).collect()
+            };
+            let (steps, exact) = (in_phase(run), in_phase(converged));
+            let (mut error, mut force, mut worst, mut most) = (0.0, 0.0, 0.0f64, 0.0f64);
+            for (step, exact) in steps.iter().zip(&exact) {
+                let Some((step, exact)) = step.zip(*exact) else {
+                    continue;
+                };
+                let off = (step.force - exact.force).norm();
+                error += off.powi(2);
+                force += exact.force.norm_squared();
+                worst = worst.max(off);
+                most = most.max(exact.force.norm());
+            }
+            let mean = |of: &dyn Fn(&Step) -> f64| {
+                steps.iter().flatten().map(of).sum::<f64>() / steps.len() as f64
+            };
+            PhaseFigures {
+                rms_percent: 100.0 * (error / force).sqrt(),
+                max_percent: 100.0 * worst / most,
+                ms: mean(&|step| step.ms),
+                visits: [0, 1].map(|k| mean(&|step| step.visits[k] as f64)),
+            }
+        })
+    }
+
+    fn ablate(&self, mechanisms: &[Mechanism], progress: &mut dyn FnMut(&str)) -> Ablation {
+        progress(&format!("{}: converged solutions", self.name));
+        let (converged, converged_residual) = self.run(None, CONVERGED, CONVERGED_EVERY);
+        let variants = [None]
+            .into_iter()
+            .chain(mechanisms.iter().copied().map(Some));
+        let variants = variants.map(|mechanism| {
+            let without = mechanism.map_or("none", Mechanism::name);
+            progress(&format!("{}: without {without}", self.name));
+            let (mut fastest, _) = self.run(mechanism, HAND, 1);
+            for _ in 1..REPEATS {
+                let (again, _) = self.run(mechanism, HAND, 1);
+                for (tick, again) in fastest.iter_mut().flatten().zip(again.iter().flatten()) {
+                    tick.ms = tick.ms.min(again.ms);
+                }
+            }
+            Variant {
+                without,
+                phases: self.figures(&fastest, &converged),
+            }
+        });
+        Ablation {
+            scene: self.name.clone(),
+            nodes: self.topology.node_count(),
+            converged_residual,
+            variants: variants.collect(),
+        }
+    }
+}
+
+/// Arguments of `ablate`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// Model files (.palp), scenes (.toml) or samples: thigh, abdominal-wall, leg, handle. The first is also cut
+    #[arg(default_values_t = ["thigh".to_owned(), "abdominal-wall".to_owned()])]
+    models: Vec<String>,
+    /// Switch off only this mechanism; may be repeated
+    #[arg(long = "mechanism", value_name = "NAME", value_parser = mechanism)]
+    mechanisms: Vec<Mechanism>,
+    /// Print one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+fn mechanism(name: &str) -> Result<Mechanism, String> {
+    let known = Mechanism::ALL.iter().find(|m| m.name() == name);
+    known.copied().ok_or_else(|| {
+        let names: Vec<&str> = Mechanism::ALL.iter().map(|m| m.name()).collect();
+        format!("unknown mechanism; use one of {}", names.join(", "))
+    })
+}
+
+/// The ablation on every scene.
+#[derive(Debug, Clone, Serialize)]
+pub struct Ablations {
+    /// One per scene.
+    pub scenes: Vec<Ablation>,
+}
+
+/// Runs `ablate`.
+///
+/// # Errors
+///
+/// If a model cannot be read, has no location for a sphere, or the cut severs nothing.
+pub fn run(arguments: &Arguments) -> Result<Ablations, String> {
+    let dir = tempfile::tempdir()
+        .map_err(|e| format!("cannot create a temporary folder for models: {e}"))?;
+    let mechanisms: &[Mechanism] = match &arguments.mechanisms[..] {
+        [] => Mechanism::ALL,
+        some => some,
+    };
+    let mut progress = Progress::new();
+    let mut scenes = Vec::new();
+    for (index, name) in arguments.models.iter().enumerate() {
+        progress.stage(&format!("preparing \"{name}\""));
+        let place = dir.path().join(index.to_string());
+        std::fs::create_dir(&place).map_err(|e| format!("no temporary folder: {e}"))?;
+        let model = TestModel::prepare(name, &place).map_err(|e| e.to_string())?;
+        let mut ablate = |name: &str, cuts: bool| {
+            let model = Arc::clone(&model.model);
+            let run = || -> Result<Ablation, String> {
+                let course = Course::new(name, model, cuts)?;
+                Ok(course.ablate(mechanisms, &mut |stage| progress.tick(stage)))
+            };
+            super::on_threads(1, run)?
+        };
+        scenes.push(ablate(name, false)?);
+        if index == 0 {
+            scenes.push(ablate(&format!("{name}, cut"), true)?);
+        }
+    }
+    Ok(Ablations { scenes })
+}
+
+impl fmt::Display for Ablations {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (index, scene) in self.scenes.iter().enumerate() {
+            write!(f, "{}{scene}", if index == 0 { "" } else { "\n\n" })?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Ablation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "{} ({} nodes): force error rms and max in %, ms, bricks and coarse elements per tick; converged to {:.0e}",
+            self.scene, self.nodes, self.converged_residual
+        )?;
+        write!(f, "{:<20}", "without")?;
+        for phase in PHASES {
+            write!(f, " | {phase:^33}")?;
+        }
+        for variant in &self.variants {
+            write!(f, "\n{:<20}", variant.without)?;
+            for p in variant.phases {
+                let [bricks, coarse] = p.visits;
+                write!(
+                    f,
+                    " | {:>6.2} {:>6.2} {:>6.2} {bricks:>5.0} {coarse:>6.0}",
+                    p.rms_percent, p.max_percent, p.ms
+                )?;
+            }
+        }
+        Ok(())
+    }
+}
