@@ -35,8 +35,8 @@ const JUMPS: usize = 6;
 const JUMP_DEPTHS: [f64; 7] = [0.3, 0.6, 1.0, 1.0, 1.0, 0.4, 0.0];
 /// Ticks of a slide.
 const SLIDE: usize = 60;
-/// Maximum iterations and tolerance of a hand's step.
-const HAND: (usize, f64) = (10, 2.5e-2);
+/// Tolerance of a quick step.
+const QUICK: f64 = 2.5e-2;
 /// Maximum iterations and tolerance of the converged solution.
 const CONVERGED: (usize, f64) = (200, 1e-4);
 /// Every N-th tick has a converged solution.
@@ -185,7 +185,7 @@ impl Course {
                 continue;
             }
             let budget = Budget {
-                near: tolerance == HAND.1,
+                near: tolerance == QUICK,
                 ..Budget::new(iterations, tolerance)
             };
             let began = Instant::now();
@@ -237,7 +237,12 @@ impl Course {
         })
     }
 
-    fn ablate(&self, mechanisms: &[Mechanism], progress: &mut dyn FnMut(&str)) -> Ablation {
+    fn ablate(
+        &self,
+        mechanisms: &[Mechanism],
+        iterations: usize,
+        progress: &mut dyn FnMut(&str),
+    ) -> Ablation {
         progress(&format!("{}: converged solutions", self.name));
         let (converged, converged_residual) = self.run(None, CONVERGED, CONVERGED_EVERY);
         let variants = [None]
@@ -246,9 +251,9 @@ impl Course {
         let variants = variants.map(|mechanism| {
             let without = mechanism.map_or("none", Mechanism::name);
             progress(&format!("{}: without {without}", self.name));
-            let (mut fastest, _) = self.run(mechanism, HAND, 1);
+            let (mut fastest, _) = self.run(mechanism, (iterations, QUICK), 1);
             for _ in 1..REPEATS {
-                let (again, _) = self.run(mechanism, HAND, 1);
+                let (again, _) = self.run(mechanism, (iterations, QUICK), 1);
                 for (tick, again) in fastest.iter_mut().flatten().zip(again.iter().flatten()) {
                     tick.ms = tick.ms.min(again.ms);
                 }
@@ -276,6 +281,9 @@ pub struct Arguments {
     /// Switch off only this mechanism; may be repeated
     #[arg(long = "mechanism", value_name = "NAME", value_parser = mechanism)]
     mechanisms: Vec<Mechanism>,
+    /// Maximum iterations per step: a hand has 10, a view 1
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u8).range(1..=100))]
+    iterations: u8,
     /// Print one JSON object
     #[arg(long)]
     pub json: bool,
@@ -308,6 +316,7 @@ pub fn run(arguments: &Arguments) -> Result<Ablations, String> {
         [] => Mechanism::ALL,
         some => some,
     };
+    let iterations = usize::from(arguments.iterations);
     let mut progress = Progress::new();
     let mut scenes = Vec::new();
     for (index, name) in arguments.models.iter().enumerate() {
@@ -319,7 +328,7 @@ pub fn run(arguments: &Arguments) -> Result<Ablations, String> {
             let model = Arc::clone(&model.model);
             let run = || -> Result<Ablation, String> {
                 let course = Course::new(name, model, cuts)?;
-                Ok(course.ablate(mechanisms, &mut |stage| progress.tick(stage)))
+                Ok(course.ablate(mechanisms, iterations, &mut |stage| progress.tick(stage)))
             };
             super::on_threads(1, run)?
         };

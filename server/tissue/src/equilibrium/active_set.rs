@@ -10,9 +10,6 @@ use crate::Vec3;
 
 /// Fraction of the threshold below which a force is ignored, in quick and in full steps.
 const SILENT: [f32; 2] = [0.02, 1e-4];
-/// Maximum elements that unbalanced nodes may add in a quick step; the largest forces come first. A millisecond
-/// suffices for about two thousand nodes.
-const REQUIRED_MAX: usize = 160;
 
 /// Rule by which elements stay in the set.
 #[derive(Clone, Copy, PartialEq)]
@@ -71,16 +68,7 @@ impl FineLevel {
                 self.outer_forces = OuterForces::Changed;
             }
         }
-        let mut limit = threshold;
-        loop {
-            self.collect_required(hierarchy, &coarse.grids[0], limit, quick);
-            // NaN forces exceed any limit; the step is undone because of them.
-            let limits = quick && self.disabled.allows(Mechanism::RequiredLimit);
-            if !limits || self.required.items.len() <= REQUIRED_MAX || !limit.is_finite() {
-                break;
-            }
-            limit *= 2.0;
-        }
+        self.collect_required(hierarchy, &coarse.grids[0], threshold, quick);
         for node in always {
             for &entry in hierarchy.around.row(node) {
                 let element = hierarchy.element_of[(entry / 32) as usize];

@@ -5,7 +5,7 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::coarse_level::{CoarseLevel, Deferred, apply, follow_coarser, square};
+use super::coarse_level::{CoarseLevel, Deferred, apply, follow_coarser};
 use super::element::Matrix;
 use super::hierarchy::{Hierarchy, Level};
 use super::matrix::Corners;
@@ -24,8 +24,6 @@ pub(super) struct Effort {
     pub(super) after: usize,
     /// Steps on the coarsest level, in place of a direct solve.
     pub(super) coarsest: usize,
-    /// Load in thresholds that activates a point outside the set.
-    pub(super) loaded: f32,
 }
 
 /// Coefficients of a Chebyshev iteration on [low, 1] times the bound.
@@ -224,7 +222,7 @@ impl Multigrid {
     }
 
     /// One V-cycle for the loads on level 1; leaves the correction in the `e` of every level.
-    pub(super) fn cycle(&mut self, hierarchy: &Hierarchy, threshold: f32, effort: Effort) {
+    pub(super) fn cycle(&mut self, hierarchy: &Hierarchy, effort: Effort) {
         let last = self.grids.len() - 1;
         for l in 0..=last {
             let level = &hierarchy.levels[l];
@@ -267,11 +265,6 @@ impl Multigrid {
                 if grid.inside[point as usize] == 0 {
                     let b = grid.b[point as usize];
                     restrict(&level.prolongation, point, &b, next);
-                    if square(&b) > (effort.loaded * threshold).powi(2) {
-                        for &element in level.around.row(point) {
-                            next.to_refine.insert(level.parent[element as usize]);
-                        }
-                    }
                 }
             }
         }

@@ -60,12 +60,8 @@ mechanisms! {
     ForceLimit "force-limit",
     /// Every second step refines the block with a large deferred force, in rotation.
     Rotation "rotation",
-    /// Coarse points with a large load from outside the active set have their elements refined.
-    LoadRefinement "load-refinement",
     /// Nodes beside deferred elements do not require refinement.
     KnownForces "known-forces",
-    /// Maximum number of elements that unbalanced nodes may add.
-    RequiredLimit "required-limit",
     /// Limit of the active nodes.
     WorkLimit "work-limit",
     /// Three iterations at first touch and after a jump.

@@ -26,13 +26,11 @@ const EFFORT: [Effort; 2] = [
         before: 3,
         after: 3,
         coarsest: 10,
-        loaded: 1.0,
     },
     Effort {
         before: 1,
         after: 1,
         coarsest: 10,
-        loaded: 8.0,
     },
 ];
 /// Force on a corner of an element, in thresholds, from which its pending displacement has it refined; of a full solve
@@ -274,11 +272,11 @@ impl Solver {
         quick: bool,
         budget: &mut Budget<'_>,
     ) {
-        let work_limit = if quick {
-            self.prepare_quick()
+        if quick {
+            self.prepare_quick();
         } else {
-            self.prepare_full()
-        };
+            self.prepare_full();
+        }
         self.coarse.follows = self.contacts.proxies.is_empty();
         self.fine.limit_moves(&self.hierarchy, quick);
         // With a warm start the last active set stays active, so the threshold starts low.
@@ -332,7 +330,7 @@ impl Solver {
                 self.stiffen_levels(u, self.report.iterations == 1);
                 outdated = false;
             }
-            self.correct(u, share * allowed, work_limit, quick);
+            self.correct(u, share * allowed, quick);
             smoothing = Some(self.smooth(u));
             if lags {
                 lags = self.gather(topology, u);
@@ -425,9 +423,8 @@ impl Solver {
         self.fine.square_over_unfixed()
     }
 
-    /// Sets the limits of a quick step: how much elements may defer. Returns the factor of these limits that bounds the
-    /// work.
-    fn prepare_quick(&mut self) -> f32 {
+    /// Sets the limits of a quick step: how much elements may defer.
+    fn prepare_quick(&mut self) {
         let is_at_rest = self.fine.at_reference;
         self.quick_steps = if is_at_rest { 0 } else { self.quick_steps + 1 };
         let turn = self.quick_steps % REFINED_EVERY == REFINED_EVERY - 1;
@@ -452,17 +449,15 @@ impl Solver {
         (self.coarse.pending, self.coarse.strained) = (pending, strained);
         self.coarse.slack = if reduced { SLACK } else { [1.0; 2] };
         self.fine.keep_strained = keep_strained;
-        work_limit
     }
 
     /// Sets the limits of a full solve.
-    fn prepare_full(&mut self) -> f32 {
+    fn prepare_full(&mut self) {
         self.work_limit = WorkLimit::NONE;
         self.coarse.pending = PENDING[0];
         self.coarse.strained = f32::INFINITY;
         self.coarse.slack = [1.0; 2];
         self.fine.keep_strained = f32::INFINITY;
-        1.0
     }
 
     /// Stage: moves proxies and gathers contact samples.
@@ -495,14 +490,10 @@ impl Solver {
     }
 
     /// Stage: coarse-grid correction with a line search.
-    fn correct(&mut self, u: &mut [Vec3], threshold: f64, work_limit: f32, quick: bool) {
+    fn correct(&mut self, u: &mut [Vec3], threshold: f64, quick: bool) {
         let mut effort = EFFORT[usize::from(quick)];
-        effort.loaded *= work_limit;
         if quick && !self.uses(Mechanism::PreSmoothing) {
             effort.before = 0;
-        }
-        if quick && !self.uses(Mechanism::LoadRefinement) {
-            effort.loaded = f32::INFINITY;
         }
         let follows_led_nodes = self.follows_led_nodes();
         let led_displacements = std::mem::take(&mut self.led_displacements);
@@ -521,7 +512,7 @@ impl Solver {
             }
         }
         let (hierarchy, coarse, fine) = (&self.hierarchy, &mut self.coarse, &mut self.fine);
-        coarse.cycle(hierarchy, threshold as f32, effort);
+        coarse.cycle(hierarchy, effort);
         fine.add_contacts(u, &self.contacts, -1.0);
         fine.keep_forces();
         fine.correct(hierarchy, coarse, u);
