@@ -87,6 +87,19 @@ pub struct Boundary {
     pub triangles: Vec<[u32; 3]>,
 }
 
+impl Boundary {
+    /// Whether every edge belongs to exactly two triangles.
+    pub fn is_closed(&self) -> bool {
+        let sides = self
+            .triangles
+            .iter()
+            .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+        let mut edges: Vec<[u32; 2]> = sides.map(|[a, b]| [a.min(b), a.max(b)]).collect();
+        edges.sort_unstable();
+        edges.chunk_by(|a, b| a == b).all(|uses| uses.len() == 2)
+    }
+}
+
 /// The mutable wiring of a [`Model`].
 #[derive(Debug, Clone)]
 pub struct Topology {
@@ -319,7 +332,7 @@ impl Topology {
     }
 
     /// Splits a face along its shorter diagonal at rest.
-    pub(crate) fn face_triangles(&self, face: FaceId) -> [[u32; 3]; 2] {
+    pub fn face_triangles(&self, face: FaceId) -> [[u32; 3]; 2] {
         let corners = self.corners(face.cell());
         let [a, b, c, d] = FACES[face.face()].map(|i| corners[i]);
         let ac = (self.rest(c) - self.rest(a)).norm_squared();

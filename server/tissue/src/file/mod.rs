@@ -26,8 +26,7 @@ use std::path::{Path, PathBuf};
 
 pub use container::EnvelopeError;
 pub(crate) use container::{open, seal};
-pub(crate) use model_check::POSITION_MAX_M;
-pub use model_check::{CELLS_MAX, NODES_MAX, REGIONS_MAX};
+pub use model_check::{CELLS_MAX, NODES_MAX, POSITION_MAX_M, REGIONS_MAX};
 pub(crate) use planes::{Content, Reader, Short};
 
 use crate::staged::{Staged, WriteError};

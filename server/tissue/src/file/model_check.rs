@@ -14,7 +14,7 @@ pub const REGIONS_MAX: usize = 1024;
 /// Farthest lattice coordinate from the origin, so that products of coordinates fit 64 bits.
 const LATTICE_MAX: u32 = 1 << 20;
 /// Farthest node from the origin in m; anything beyond is a mistaken unit.
-pub(crate) const POSITION_MAX_M: f64 = 1e4;
+pub const POSITION_MAX_M: f64 = 1e4;
 /// Range of lattice spacings in m: from a tenth of a micrometre to ten metres.
 const SPACING_RANGE_M: std::ops::RangeInclusive<f64> = 1e-7..=10.0;
 /// Largest gravity along an axis in m/s²; of the order of a centrifuge's.
