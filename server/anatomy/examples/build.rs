@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use palpate_anatomy::{BuildReport, Scene, SceneInput, Surface, build};
-use palpate_tissue::{Model, Vec3, cell_volume};
+use palpate_tissue::cell::cell_volume;
+use palpate_tissue::{Model, Vec3};
 
 /// Name, folder, and (file, material) of each region in order; the last one is pinned.
 type Set = (

@@ -5,7 +5,8 @@
 mod shapes;
 
 use palpate_anatomy::{BuildReport, Layers, SPRING_FLOOR, Surface, build, region_surface};
-use palpate_tissue::{Model, RegionId, Vec3, cell_volume};
+use palpate_tissue::cell::cell_volume;
+use palpate_tissue::{Model, RegionId, Vec3};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use shapes::{ball, cuboid, cylinder, placed, scene};

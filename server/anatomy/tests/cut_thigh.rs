@@ -9,8 +9,9 @@ use std::sync::Arc;
 
 use palpate_anatomy::build;
 use palpate_anatomy::sample::Sample;
+use palpate_tissue::cell::NO_CELL;
 use palpate_tissue::{
-    BladePoint, CutStroke, FaceId, ModelFile, NO_CELL, Topology, Vec3, block, cut, decode_model,
+    BladePoint, CutStroke, FaceId, ModelFile, Topology, Vec3, block, cut, decode_model,
     encode_model,
 };
 

@@ -9,7 +9,8 @@ use std::sync::Arc;
 use nalgebra::Rotation3;
 use palpate_anatomy::surface::Unit;
 use palpate_anatomy::{RegionSource, Scene, SceneInput, SceneRegion, Surface, build};
-use palpate_tissue::{Budget, MaterialOverride, Shape, Solver, Topology, Vec3};
+use palpate_tissue::material::MaterialOverride;
+use palpate_tissue::{Budget, Shape, Solver, Topology, Vec3};
 
 const MM: f64 = 1e-3;
 const YOUNG_PA: f64 = 10e3;
@@ -25,7 +26,7 @@ fn cuboid(low: Vec3, high: Vec3, turn: &Rotation3<f64>) -> Surface {
         let pick = |a: usize| if c >> a & 1 == 1 { high[a] } else { low[a] };
         turn * Vec3::new(pick(0), pick(1), pick(2))
     };
-    let faces = palpate_tissue::FACES;
+    let faces = palpate_tissue::cell::FACES;
     Surface {
         vertices: (0..8).map(corner).collect(),
         triangles: faces

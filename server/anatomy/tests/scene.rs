@@ -8,7 +8,8 @@ use std::path::Path;
 use palpate_anatomy::sample::Sample;
 use palpate_anatomy::scene::REGIONS_MAX;
 use palpate_anatomy::{RegionSource, Scene, SceneError, SceneInput, Unit};
-use palpate_tissue::{FibreAxis, MATERIAL_NAMES, Material, MaterialOverride};
+use palpate_tissue::material::{MATERIAL_NAMES, MaterialOverride};
+use palpate_tissue::{FibreAxis, Material};
 use proptest::prelude::*;
 
 const THIGH: &str = r#"format = "palpate-scene/1"

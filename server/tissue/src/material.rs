@@ -6,8 +6,10 @@
 //! and methods, so a scene may override every value.
 
 mod library;
+mod nearest_name;
 
 pub use library::MATERIAL_NAMES;
+pub use nearest_name::nearest_name;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -227,7 +229,7 @@ impl Material {
                 return built_in.with(change, "changed by the scene; built in");
             }
             (None, None) => {
-                let nearest = crate::nearest_name(name, MATERIAL_NAMES.iter().copied());
+                let nearest = nearest_name(name, MATERIAL_NAMES.iter().copied());
                 return Err(MaterialError::Unknown {
                     name: name.to_owned(),
                     nearest: nearest.map(str::to_owned),

@@ -8,9 +8,11 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::cell::{FACES, NO_CELL, cell_volume};
 use crate::equilibrium::Elastic;
 use crate::springs::{BODY_SHARE, DIAGONAL_SHARE, EDGE_SHARE, LENGTH_FLOOR};
-use crate::{FACES, Model, NO_CELL, RegionId, Spring, Springs, Vec3, cell_volume};
+use crate::springs::{Spring, Springs};
+use crate::{Model, RegionId, Vec3};
 
 /// Identifies a topology: equal hashes mean the same cells, wired alike, at the same rest
 /// positions, after the same number of cuts.

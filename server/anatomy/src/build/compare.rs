@@ -14,7 +14,8 @@ use super::report::{
 };
 use super::thin::Collector;
 use crate::Aabb;
-use palpate_tissue::{Model, NO_CELL, RegionId, Vec3};
+use palpate_tissue::cell::NO_CELL;
+use palpate_tissue::{Model, RegionId, Vec3};
 
 /// A node farther than this from its interface, in spacings, is listed with its position.
 const STRAY: f64 = 0.5;

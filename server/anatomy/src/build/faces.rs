@@ -3,7 +3,8 @@
 use rayon::prelude::*;
 
 use super::patch::Interface;
-use palpate_tissue::{Cell, FACES, NO_CELL, Vec3};
+use palpate_tissue::cell::{FACES, NO_CELL};
+use palpate_tissue::{Cell, Vec3};
 
 /// Stands for the outside where a region is named.
 pub(super) const OUTSIDE: u16 = u16::MAX;
@@ -46,7 +47,7 @@ impl Face {
     }
 
     /// A third of the flux of the position vector about `origin` through the bilinear face: summed
-    /// over a closed surface this is its volume, as [`palpate_tissue::cell_volume`] measures it.
+    /// over a closed surface this is its volume, as [`palpate_tissue::cell::cell_volume`] measures it.
     pub(super) fn flux(&self, positions: &[Vec3], origin: &Vec3) -> f64 {
         let [a, b, c, d] = self.corners(positions).map(|p| p - origin);
         let (ab, cd) = (a.cross(&b), c.cross(&d));

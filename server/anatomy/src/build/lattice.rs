@@ -9,7 +9,8 @@ use super::grid::Grid;
 use super::label::Labels;
 use super::walls::Walls;
 use crate::Aabb;
-use palpate_tissue::{Cell, EDGES, NO_CELL, RegionId, Vec3};
+use palpate_tissue::cell::{EDGES, NO_CELL};
+use palpate_tissue::{Cell, RegionId, Vec3};
 
 /// No node stands at this grid point.
 const NO_NODE: u32 = u32::MAX;

@@ -59,7 +59,8 @@ pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
 use crate::scene::SceneInput;
 use crate::{Aabb, Surface};
 use grid::Grid;
-use palpate_tissue::{Model, NO_CELL, TopologyHash, Vec3};
+use palpate_tissue::cell::NO_CELL;
+use palpate_tissue::{Model, TopologyHash, Vec3};
 
 /// Most grid cells of one build. A cell of the grid costs about 10 bytes while it is labelled, so
 /// this is 4 GB; beyond it the build is rejected with the spacing that would fit.
@@ -100,7 +101,7 @@ pub enum BuildError {
     #[error(
         "the input reaches {far_m:.0} m from the origin, where a model may reach {} m; is its unit \
          right? If it is in the frame of a site or a map, move it to the origin first",
-        palpate_tissue::POSITION_MAX_M
+        palpate_tissue::limits::POSITION_MAX_M
     )]
     TooFar {
         /// Its largest coordinate in m.

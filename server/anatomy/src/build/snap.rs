@@ -144,11 +144,11 @@ pub(super) fn mark_rims(
     for cell in &lattice.cells {
         for face in 0..6 {
             let across = cell.neighbours[face];
-            let inner = across != palpate_tissue::NO_CELL;
+            let inner = across != palpate_tissue::cell::NO_CELL;
             if inner && lattice.cells[across as usize].region >= cell.region {
                 continue;
             }
-            for c in palpate_tissue::FACES[face] {
+            for c in palpate_tissue::cell::FACES[face] {
                 seen[cell.corners[c] as usize][usize::from(inner)] |= 1 << face;
             }
         }

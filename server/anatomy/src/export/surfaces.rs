@@ -5,7 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use crate::Surface;
-use palpate_tissue::{FaceId, NO_CELL, RegionId, Shape, Topology};
+use palpate_tissue::cell::NO_CELL;
+use palpate_tissue::{FaceId, RegionId, Shape, Topology};
 use palpate_tissue::{Staged, WriteError};
 
 /// Longest file name made of region names, in characters. Reason: file systems end at 255 bytes,

@@ -19,7 +19,8 @@ use thiserror::Error;
 
 use crate::scene::{RegionSource, Scene, SceneError, SceneInput, SceneRegion};
 use crate::surface::{Surface, SurfaceError, Unit};
-use palpate_tissue::{MaterialOverride, WriteError, nearest_name, write_file};
+use palpate_tissue::material::{MaterialOverride, nearest_name};
+use palpate_tissue::{WriteError, write_file};
 
 /// A built-in sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -4,7 +4,7 @@ use toml::de::{DeTable, DeValue};
 use toml::{Spanned, de};
 
 use super::SceneError;
-use palpate_tissue::nearest_name;
+use palpate_tissue::material::nearest_name;
 
 /// The line, counted from 1, of the text after the given prefix.
 pub(super) fn line_after(before: &[u8]) -> usize {

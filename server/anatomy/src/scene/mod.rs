@@ -71,7 +71,8 @@ pub use source::RegionSource;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use palpate_tissue::{Material, MaterialOverride, Region};
+use palpate_tissue::material::MaterialOverride;
+use palpate_tissue::{Material, Region};
 
 /// The one format this version reads and writes.
 pub const SCENE_FORMAT: &str = "palpate-scene/1";

@@ -14,7 +14,8 @@ use super::{
     SceneRegion,
 };
 use crate::surface::Unit;
-use palpate_tissue::{Material, MaterialOverride, nearest_name};
+use palpate_tissue::Material;
+use palpate_tissue::material::{MaterialOverride, nearest_name};
 
 const SCENE_KEYS: [&str; 8] = [
     "format",

@@ -1,9 +1,10 @@
 //! Validation of a model from outside, so that no later code can panic on it.
 
+use crate::Model;
+use crate::cell::{EDGES, FACES, NO_CELL};
 use crate::material::{
     COMPRESS_LIMIT_RANGE, FIBRE_RATIO_RANGE, POISSON_RANGE, STIFFENING_RANGE, STRETCH_LIMIT_RANGE,
 };
-use crate::{EDGES, FACES, Model, NO_CELL};
 
 /// Most nodes of a model. At 16 million a topology takes about 12 GiB; a file with more is rejected.
 pub const NODES_MAX: usize = 16_000_000;
