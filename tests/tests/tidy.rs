@@ -295,6 +295,22 @@ fn packages_depend_on_lower_levels_only() {
 }
 
 #[test]
+fn client_depends_on_no_mesh_generation() {
+    let metadata = metadata();
+    let client = metadata
+        .packages
+        .iter()
+        .find(|p| p.name.as_str() == "palpate-client");
+    let dependencies = &client.unwrap().dependencies;
+    let offenders: Vec<String> = dependencies
+        .iter()
+        .filter(|d| d.name == "palpate-anatomy")
+        .map(|d| format!("palpate-client depends on {}", d.name))
+        .collect();
+    refuse(&offenders, "A client loads model files and builds none:");
+}
+
+#[test]
 fn every_level_names_a_package() {
     let metadata = metadata();
     let missing: Vec<String> = LEVELS

@@ -2,6 +2,28 @@
 //! mesh generation, and export of models for other programs.
 //!
 //! This crate never opens a socket, never reads a clock and reads only files of surfaces, label volumes and scenes.
+//!
+//! ```text
+//!  scene file           --> Scene ------------+
+//!  STL, OBJ, PLY        --> Surface ----------+--> SceneInput --build--> Model, BuildReport
+//!  NIfTI, NRRD, DICOM   --> LabelVolume ------+
+//!  name of a sample     --> sample::Sample ---+
+//!
+//!  Topology, Shape      --export--> VTU of cells, STL of surfaces
+//! ```
+//!
+//! Build a sample and write its model file:
+//!
+//! ```no_run
+//! use palpate_anatomy::{build, sample::Sample};
+//! use palpate_tissue::{encode_model, write_file};
+//!
+//! let input = Sample::Handle.input()?;
+//! let (model, report) = build(&input, &mut |_, _| {})?;
+//! println!("{} nodes, {} warnings", report.nodes, report.warnings.len());
+//! write_file("handle.palp".as_ref(), encode_model(&model))?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

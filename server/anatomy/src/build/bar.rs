@@ -12,11 +12,11 @@
 //! in all directions n the tensor is `C = 6 <s n n n n> + κ I I` (`springs.rs`, `equilibrium/law.rs`). Young's
 //! modulus along a is 1 / (aa : C⁻¹ : aa).
 
+use palpate_tissue::cell::NO_CELL;
+use palpate_tissue::{Budget, Cell, Model, RegionId, Shape, Solver, Topology, Vec3};
 use rayon::prelude::*;
 
 use super::report::BarReport;
-use palpate_tissue::cell::NO_CELL;
-use palpate_tissue::{Budget, Cell, Model, RegionId, Shape, Solver, Topology, Vec3};
 
 /// Widths of a bar in cells, tried from the first to the last. Wider bars are no more accurate; 5 x 5 x 20
 /// cells are found and pulled in a few milliseconds.

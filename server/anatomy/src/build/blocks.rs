@@ -1,8 +1,9 @@
 //! Blocks of space around one surface. A block that no triangle reaches into is all inside or all outside, and
 //! one line decides for all of it.
 
-use crate::Surface;
 use palpate_tissue::Vec3;
+
+use crate::Surface;
 
 /// Side of a block in lattice spacings.
 const SIDE: f64 = 2.0;

@@ -1,5 +1,7 @@
 //! Comparing the finished model with its input.
 
+use palpate_tissue::cell::NO_CELL;
+use palpate_tissue::{Model, RegionId, Vec3};
 use rayon::prelude::*;
 
 use super::faces::{Face, OUTSIDE, volumes};
@@ -14,8 +16,6 @@ use super::report::{
 };
 use super::thin::Collector;
 use crate::Aabb;
-use palpate_tissue::cell::NO_CELL;
-use palpate_tissue::{Model, RegionId, Vec3};
 
 /// A node farther than this from its interface, in spacings, is listed with its position.
 const STRAY: f64 = 0.5;

@@ -1,10 +1,10 @@
 //! The faces between cells of different regions, and at the outside: the interfaces of the model.
 
+use palpate_tissue::cell::{FACES, NO_CELL};
+use palpate_tissue::{Cell, Vec3};
 use rayon::prelude::*;
 
 use super::patch::Interface;
-use palpate_tissue::cell::{FACES, NO_CELL};
-use palpate_tissue::{Cell, Vec3};
 
 /// Stands for the outside where a region is named.
 pub(super) const OUTSIDE: u16 = u16::MAX;

@@ -1,7 +1,8 @@
 //! The lattice that the model is cut from: where its planes stand and how many there are.
 
-use crate::Surface;
 use palpate_tissue::Vec3;
+
+use crate::Surface;
 
 /// A grid of cubic cells of side `spacing` that covers the input with a margin of one cell.
 #[derive(Debug, Clone, Copy)]

@@ -1,5 +1,7 @@
 //! Validation of the input, and warnings about the result.
 
+use palpate_tissue::limits::POSITION_MAX_M;
+use palpate_tissue::{Model, Vec3};
 use rayon::prelude::*;
 
 use super::inside::PointQuery;
@@ -7,8 +9,6 @@ use super::lattice::Mending;
 use super::{BUILD_NODES_MAX, BuildError, GRID_CELLS_MAX, RegionReport};
 use crate::scene::SceneInput;
 use crate::{Aabb, Surface};
-use palpate_tissue::limits::POSITION_MAX_M;
-use palpate_tissue::{Model, Vec3};
 
 /// Relative difference between the volume of a region and its input above which the report warns.
 const VOLUME_WARNING: f64 = 0.01;

@@ -4,13 +4,13 @@
 //! face most. The tree keeps vertices in single precision, with all copies of a vertex rounded alike, so the
 //! surface stays closed.
 
+use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
 use super::blocks::Blocks;
 use super::bvh::{Bvh, Way};
 use super::rays::{Winding, hit_at};
 use crate::Surface;
-use palpate_tissue::Vec3;
 
 /// Finds the region that contains a point.
 #[derive(Debug)]

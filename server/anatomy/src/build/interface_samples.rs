@@ -1,13 +1,13 @@
 //! Samples of the input's interfaces: thickness of the layers beside them, and distance to the model's own
 //! interface.
 
+use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
 use super::bvh::Bvh;
 use super::faces::{Face, OUTSIDE};
 use super::inside::PointQuery;
 use super::patch::{Interface, Interfaces, halve, sides_of};
-use palpate_tissue::Vec3;
 
 /// Longest side, in spacings, of a piece that one sample stands for.
 const SIDE_MAX: f64 = 1.0;

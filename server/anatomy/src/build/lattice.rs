@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use palpate_tissue::cell::{EDGES, NO_CELL};
+use palpate_tissue::{Cell, RegionId, Vec3};
 use rayon::prelude::*;
 
 use super::bridge;
@@ -9,8 +11,6 @@ use super::grid::Grid;
 use super::label::Labels;
 use super::walls::Walls;
 use crate::Aabb;
-use palpate_tissue::cell::{EDGES, NO_CELL};
-use palpate_tissue::{Cell, RegionId, Vec3};
 
 /// No node stands at this grid point.
 const NO_NODE: u32 = u32::MAX;

@@ -11,8 +11,9 @@
 
 use std::collections::VecDeque;
 
-use super::faces::{Face, OUTSIDE, faces};
 use palpate_tissue::{Model, RegionId};
+
+use super::faces::{Face, OUTSIDE, faces};
 
 /// Most homogeneous neighbours of a node, `N_max`: four direct and four diagonal ones, as on a flat
 /// interface. The seed leaves the number open.

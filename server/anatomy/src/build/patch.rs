@@ -5,6 +5,7 @@
 //! piece belongs to the *outer* patch when nothing lies before it, else to the *inner* patch of its region.
 //! Pieces that a later region hides belong to neither.
 
+use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
 use super::bvh::{Bvh, Flat, NO_TAG};
@@ -13,7 +14,6 @@ use super::inside::PointQuery;
 use super::rim::{self, Rims};
 use crate::Surface;
 use crate::labels::Sides;
-use palpate_tissue::Vec3;
 
 /// Longest side, in spacings, of a piece that is classified as a whole.
 const PIECE_SIDE_MAX: f64 = 4.0;

@@ -5,11 +5,11 @@
 //! taken to be shifted by an infinitesimal (ε, ε²): two triangles that share an edge see the same
 //! shift, so every ray crosses a closed surface an even number of times, without exception.
 
+use palpate_tissue::Vec3;
 use rayon::prelude::*;
 use robust::{Coord, orient2d};
 
 use crate::Surface;
-use palpate_tissue::Vec3;
 
 /// A rectangular bundle of rays along one axis.
 #[derive(Debug, Clone, Copy)]

@@ -4,12 +4,12 @@
 //! interface move towards the mean of those neighbours that lie on at least the same interfaces,
 //! and are put back onto them.
 
+use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
 use super::lattice::Lattice;
 use super::patch::Interfaces;
 use super::snap::{Constraint, project_near};
-use palpate_tissue::Vec3;
 
 /// Sweeps over the nodes. Ten restore the spacing to within a few percent of what more would.
 const SWEEPS: usize = 10;

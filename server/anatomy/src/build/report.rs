@@ -1,9 +1,10 @@
 //! The report of a build.
 
+use palpate_tissue::Boundary;
 use serde::{Deserialize, Serialize};
 
+use super::parts::root;
 use super::thin::ThinParts;
-use palpate_tissue::Boundary;
 
 /// One object with the figures of a build.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -201,13 +202,13 @@ pub(crate) fn report_triangles(triangles: &[[u32; 3]]) -> SurfaceReport {
     let mut vertices: Vec<u32> = triangles.iter().flatten().copied().collect();
     vertices.sort_unstable();
     vertices.dedup();
-    let slot = |v: u32| vertices.partition_point(|&w| w < v);
+    let slot = |v: u32| vertices.partition_point(|&w| w < v) as u32;
     let mut parent: Vec<u32> = (0..vertices.len() as u32).collect();
     let mut components = vertices.len();
     for [a, b] in edges {
         let (a, b) = (root(&mut parent, slot(a)), root(&mut parent, slot(b)));
         if a != b {
-            parent[a.max(b)] = a.min(b) as u32;
+            parent[a.max(b) as usize] = a.min(b);
             components -= 1;
         }
     }
@@ -217,13 +218,4 @@ pub(crate) fn report_triangles(triangles: &[[u32; 3]]) -> SurfaceReport {
         closed,
         components,
     }
-}
-
-/// Root of a vertex in a union-find forest, with path halving.
-fn root(parent: &mut [u32], mut vertex: usize) -> usize {
-    while parent[vertex] as usize != vertex {
-        parent[vertex] = parent[parent[vertex] as usize];
-        vertex = parent[vertex] as usize;
-    }
-    vertex
 }

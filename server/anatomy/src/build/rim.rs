@@ -6,10 +6,10 @@
 
 use std::collections::BTreeMap;
 
+use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
 use crate::Surface;
-use palpate_tissue::Vec3;
 
 /// The cosine of the angle between the normals of two faces beyond which their edge is a rim
 /// (45°: marching-cubes staircases stay below, machined edges and caps lie above).

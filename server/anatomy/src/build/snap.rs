@@ -8,6 +8,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
 use super::grid::Grid;
@@ -16,7 +17,6 @@ use super::patch::{Interface, Interfaces};
 use super::rays::{Hits, Rays, cast};
 use super::rim::CORNER_REACH;
 use crate::Surface;
-use palpate_tissue::Vec3;
 
 /// Most alternating projections of a node that lies on several interfaces. Each round shortens the distance to
 /// their common curve by the cosine of the angle between them.

@@ -6,13 +6,13 @@
 //! Where surfaces coincide there is no layer, so distances below [`COINCIDENT`] are left out (reconstructed).
 //! The report includes the plain minimum.
 
+use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
 use super::label::Sweep;
 use super::rays::{Hits, Rays, cast};
 use super::{BUILD_NODES_MAX, GRID_CELLS_MAX, SpacingReport};
 use crate::{Aabb, Surface};
-use palpate_tissue::Vec3;
 
 /// Rays across the longest side of the input. Finer rays find no further layers, only more samples.
 const RAYS: f64 = 128.0;

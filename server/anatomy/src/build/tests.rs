@@ -4,9 +4,10 @@ use std::f64::consts::PI;
 
 use std::sync::Arc;
 
+use palpate_tissue::Topology;
+
 use super::*;
 use crate::scene::Scene;
-use palpate_tissue::Topology;
 
 /// A closed body of revolution about z with the given profile of (radius, z), capped flat.
 pub(super) fn turned(profile: &[(f64, f64)], sides: usize) -> Surface {

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use palpate_tissue::Vec3;
 use serde::{Deserialize, Serialize};
 
 use super::faces::OUTSIDE;
@@ -9,7 +10,6 @@ use super::grid::Grid;
 use super::interface_samples::{Sample, Thin};
 use super::lattice::Crumb;
 use crate::Aabb;
-use palpate_tissue::Vec3;
 
 /// Most parts that a report lists, the largest first; the rest is counted.
 pub const THIN_PARTS_MAX: usize = 64;

@@ -15,14 +15,14 @@
 //! number of threads. Cells that still fail are released: their nodes move back towards their lattice points,
 //! where every cell is a cube, until the cells pass.
 
+use palpate_tissue::Vec3;
+use palpate_tissue::cell::NO_CELL;
 use rayon::prelude::*;
 
 use super::lattice::Lattice;
 use super::patch::Interfaces;
 use super::quality::{CORNER_FLOOR, SPRING_FLOOR, passes};
 use super::snap::{Constraint, project};
-use palpate_tissue::Vec3;
-use palpate_tissue::cell::NO_CELL;
 
 /// Cells with a smaller determinant, in Δd³, or a shorter spring, in Δd, are visited.
 const GOOD: (f64, f64) = (0.03, 0.33);

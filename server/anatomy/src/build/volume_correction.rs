@@ -7,10 +7,10 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
+use palpate_tissue::Vec3;
 
 use super::faces::{Face, OUTSIDE, volumes};
 use super::untangle::Untangler;
-use palpate_tissue::Vec3;
 
 /// Most rounds of correction; later rounds make up for nodes that could not move. Three are enough for a limb;
 /// a skin of one cell's thickness takes eight.

@@ -4,10 +4,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use crate::Surface;
 use palpate_tissue::cell::NO_CELL;
 use palpate_tissue::{FaceId, RegionId, Shape, Topology};
 use palpate_tissue::{Staged, WriteError};
+
+use crate::Surface;
 
 /// Longest file name made of region names, in characters. Reason: file systems end at 255 bytes,
 /// and a character takes up to four.

@@ -8,11 +8,11 @@ use std::path::Path;
 
 use flate2::bufread::MultiGzDecoder;
 use nalgebra::Matrix3;
+use palpate_tissue::Vec3;
 
 use super::samples::{Coding, Gather, SampleType, read_fully};
 use super::volume::{checked_size, drain, open, surplus};
 use super::{Affine, LabelError, LabelVolume};
-use palpate_tissue::Vec3;
 
 /// Bytes of the header.
 const HEADER_BYTES: usize = 348;

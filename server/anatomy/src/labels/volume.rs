@@ -4,9 +4,10 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
+use palpate_tissue::Vec3;
+
 use super::{Affine, EXTENT_RANGE_M, LabelError, VOXELS_MAX, nifti, nrrd};
 use crate::Aabb;
-use palpate_tissue::Vec3;
 
 /// Labels listed individually in a message; beyond it the message gives their number.
 const NAMED_MAX: usize = 24;

@@ -9,8 +9,9 @@
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-use crate::surface::{Surface, Unit};
 use palpate_tissue::Vec3;
+
+use crate::surface::{Surface, Unit};
 
 /// A point of a section.
 pub(super) type Point = [f64; 2];

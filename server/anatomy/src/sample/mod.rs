@@ -15,12 +15,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use palpate_tissue::material::{MaterialOverride, nearest_name};
+use palpate_tissue::{WriteError, write_file};
 use thiserror::Error;
 
 use crate::scene::{RegionSource, Scene, SceneError, SceneInput, SceneRegion};
 use crate::surface::{Surface, SurfaceError, Unit};
-use palpate_tissue::material::{MaterialOverride, nearest_name};
-use palpate_tissue::{WriteError, write_file};
 
 /// A built-in sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -1,7 +1,8 @@
 //! Closed slabs between two height fields: layers of an excised block.
 
-use crate::surface::{Surface, Unit};
 use palpate_tissue::Vec3;
+
+use crate::surface::{Surface, Unit};
 
 /// A block over a rectangle of the X-Z plane, from `bottom(x, z)` up to `top(x, z)` along Y.
 /// Its four sides are plane, so layers of one block share them exactly. Lengths in mm.

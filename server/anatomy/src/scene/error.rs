@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
+use palpate_tissue::material::MaterialError;
 use thiserror::Error;
 
 use super::{SCENE_BYTES_MAX, SCENE_FORMAT};
 use crate::labels::LabelError;
 use crate::surface::SurfaceError;
-use palpate_tissue::material::MaterialError;
 
 /// The reason why a scene was rejected.
 #[derive(Debug, Error)]

@@ -1,10 +1,10 @@
 //! Walking a parsed TOML table key by key, with the line of every error.
 
+use palpate_tissue::material::nearest_name;
 use toml::de::{DeTable, DeValue};
 use toml::{Spanned, de};
 
 use super::SceneError;
-use palpate_tissue::material::nearest_name;
 
 /// The line, counted from 1, of the text after the given prefix.
 pub(super) fn line_after(before: &[u8]) -> usize {

@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use palpate_tissue::material::MaterialOverride;
+use palpate_tissue::{FibreAxis, Material};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::SceneError;
 use super::keys::Text;
-use palpate_tissue::material::MaterialOverride;
-use palpate_tissue::{FibreAxis, Material};
 
 /// Keys that change a material, in `[material.NAME]` and in `[[region]]` alike.
 pub(super) const MATERIAL_KEYS: [&str; 11] = [

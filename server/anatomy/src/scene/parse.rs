@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use palpate_tissue::Material;
+use palpate_tissue::material::{MaterialOverride, nearest_name};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
@@ -14,8 +16,6 @@ use super::{
     SceneRegion,
 };
 use crate::surface::Unit;
-use palpate_tissue::Material;
-use palpate_tissue::material::{MaterialOverride, nearest_name};
 
 const SCENE_KEYS: [&str; 8] = [
     "format",

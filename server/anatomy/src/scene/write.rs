@@ -2,10 +2,11 @@
 
 use std::fmt::{self, Write};
 
-use super::{RegionSource, SCENE_FORMAT, Scene};
-use crate::surface::Unit;
 use palpate_tissue::FibreAxis;
 use palpate_tissue::material::MaterialOverride;
+
+use super::{RegionSource, SCENE_FORMAT, Scene};
+use crate::surface::Unit;
 
 impl Scene {
     /// The scene as a TOML text that [`Scene::parse`] reads back as the same scene (up to the

@@ -3,10 +3,11 @@
 
 use std::collections::HashMap;
 
+use palpate_tissue::Vec3;
+
 use super::edges::{EdgeUse, Edges, Sets, in_mm, size_in_mm};
 use super::orient::{self, Orientation};
 use super::{Aabb, CheckReport, Surface, SurfaceError};
-use palpate_tissue::Vec3;
 
 /// A surface smaller than this in m is reported as a likely wrong unit. Reason: the smallest feature felt
 /// through a tool is some 5 mm; metres read as millimetres are a thousandth.

@@ -7,9 +7,10 @@
 //! *component* encloses a signed volume, and the sign says whether it is inside out. A component
 //! inside another one that faces inward is a cavity and stays as it is.
 
+use palpate_tissue::Vec3;
+
 use super::edges::{Edges, Sets, in_mm};
 use super::{Aabb, Surface, SurfaceError, signed_volume};
-use palpate_tissue::Vec3;
 
 /// Most triangles visited while computing the nesting of components. Reason: a second of work. Beyond the bound
 /// the boxes around the components decide instead.

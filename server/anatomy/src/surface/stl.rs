@@ -3,11 +3,11 @@
 use std::io::{Cursor, ErrorKind, Write};
 use std::path::Path;
 
+use palpate_tissue::Staged;
 use stl_io::{Normal, Triangle, Vertex};
 
 use super::weld::Welder;
 use super::{Surface, SurfaceError, TRIANGLES_MAX, Unit};
-use palpate_tissue::Staged;
 
 /// Bytes before the first triangle of a binary file: 80 of header, 4 of count.
 const HEADER_BYTES: u64 = 84;

@@ -2,8 +2,9 @@
 
 use std::collections::HashMap;
 
-use super::Surface;
 use palpate_tissue::Vec3;
+
+use super::Surface;
 
 /// Collects triangles corner by corner into a surface with welded vertices.
 ///

@@ -10,11 +10,11 @@ use std::path::{Path, PathBuf};
 
 use dicom_object::{InMemDicomObject, OpenFileOptions, Tag};
 use nalgebra::Matrix3;
+use palpate_tissue::Vec3;
 
 use crate::labels::samples::{Coding, Gather, SampleType};
 use crate::labels::volume::checked_size;
 use crate::labels::{Affine, LabelError, LabelVolume};
-use palpate_tissue::Vec3;
 
 /// Most files of a folder that are read. Reason: a whole body at 1 mm has 2000 slices. Beyond the bound the
 /// folder is rejected.

@@ -3,12 +3,12 @@
 
 use std::path::Path;
 
+use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
 use super::fans::{self, face};
 use super::voxel_grid::{BEYOND, Grid, OUTSIDE};
 use crate::labels::{Affine, LabelError};
-use palpate_tissue::Vec3;
 
 /// No vertex in this direction.
 pub(super) const NONE: u32 = u32::MAX;

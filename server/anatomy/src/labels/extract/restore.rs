@@ -7,11 +7,11 @@
 //! drops locked axes.
 
 use nalgebra::Matrix3;
+use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
 use super::net::Net;
 use super::smooth::confined;
-use palpate_tissue::Vec3;
 
 /// Newton steps towards the volumes; each squares the error unless vertices reach their limits.
 const STEPS: usize = 12;

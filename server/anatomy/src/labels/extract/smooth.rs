@@ -1,10 +1,10 @@
 //! Smoothing the voxel steps of the shared mesh.
 
+use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
 use super::net::{Corner, NONE, Net};
 use super::restore::push_towards;
-use palpate_tissue::Vec3;
 
 /// Largest distance of a vertex from its corner along each axis, in voxels. Below one half, so that the two
 /// faces of a layer one voxel thick never touch.

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 
 use nalgebra::Matrix3;
+use palpate_tissue::Vec3;
 use proptest::prelude::*;
 
 use super::*;
 use crate::labels::Affine;
 use crate::{Aabb, Surface};
-use palpate_tissue::Vec3;
 
 fn volume(size: [usize; 3], label: impl Fn([usize; 3]) -> u16) -> LabelVolume {
     let [nx, ny, nz] = size;

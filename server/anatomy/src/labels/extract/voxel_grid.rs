@@ -1,10 +1,10 @@
 //! The regions of a volume's voxels, cropped to the non-empty part plus a rim of one voxel.
 
 use nalgebra::Matrix3;
+use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
 use crate::labels::{Affine, LabelVolume};
-use palpate_tissue::Vec3;
 
 /// A voxel of no region.
 pub(super) const OUTSIDE: u8 = 0;

@@ -4,11 +4,11 @@ use std::io::{BufRead, Read};
 use std::path::Path;
 
 use nalgebra::Matrix3;
+use palpate_tissue::Vec3;
 
 use crate::labels::samples::SampleType;
 use crate::labels::volume::checked_size;
 use crate::labels::{Affine, LabelError};
-use palpate_tissue::Vec3;
 
 /// Largest header in bytes. Reason: with key/value pairs of a segmentation of hundreds of names it is some 100
 /// kB. Beyond the bound the file is rejected.
