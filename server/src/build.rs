@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use palpate_tissue::{BuildReport, DISTANCE_REACH, ModelFile, SceneInput, build};
+use palpate_anatomy::{BuildReport, DISTANCE_REACH, SceneInput, build};
+use palpate_tissue::ModelFile;
 use serde::{Deserialize, Serialize};
 
 use crate::export::{Exports, keep_apart, put_in_place};

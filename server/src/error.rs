@@ -1,7 +1,8 @@
 //! Errors of the server's commands.
 
-use palpate_tissue::sample::SampleError;
-use palpate_tissue::{BuildError, FileError, LabelError, SceneError, WriteError};
+use palpate_anatomy::sample::SampleError;
+use palpate_anatomy::{BuildError, LabelError, SceneError};
+use palpate_tissue::{FileError, WriteError};
 use palpate_transport::TransportError;
 
 /// Error of a command of the server.

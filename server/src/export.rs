@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::Args;
-use palpate_tissue::export::{stage_stl, stage_vtu};
+use palpate_anatomy::export::{stage_stl, stage_vtu};
 use palpate_tissue::{Model, Shape, Staged, Topology, WriteError};
 
 use crate::ServerError;

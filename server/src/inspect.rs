@@ -5,7 +5,8 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use palpate_tissue::{LabelVolume, Material, ModelFile, Region, Staged, model_hash};
+use palpate_anatomy::LabelVolume;
+use palpate_tissue::{Material, ModelFile, Region, Staged, model_hash};
 use serde_json::{Value, json};
 
 use crate::ServerError;

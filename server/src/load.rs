@@ -3,8 +3,9 @@
 use std::path::Path;
 use std::time::Instant;
 
-use palpate_tissue::sample::Sample;
-use palpate_tissue::{Model, ModelFile, SceneInput, decode_model, encode_model};
+use palpate_anatomy::SceneInput;
+use palpate_anatomy::sample::Sample;
+use palpate_tissue::{Model, ModelFile, decode_model, encode_model};
 
 use crate::ServerError;
 use crate::build::build_model;

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use palpate_tissue::sample::Sample;
+use palpate_anatomy::sample::Sample;
 
 use crate::ServerError;
 

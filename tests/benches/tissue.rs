@@ -7,10 +7,11 @@
 use std::sync::Arc;
 
 use divan::Bencher;
+use palpate_anatomy::build;
+use palpate_anatomy::sample::Sample;
 use palpate_lab::bench::wound::Wound;
 use palpate_lab::tool_location::ToolLocation;
-use palpate_tissue::sample::Sample;
-use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block, build};
+use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block};
 
 const MM: f64 = 1e-3;
 /// Side of the cube, displacement of its top, and radius of the disc.

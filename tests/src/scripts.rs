@@ -236,9 +236,10 @@ fn upright(normal: &Vec3, along: &Vec3) -> UnitQuaternion<f64> {
 mod tests {
     use std::sync::Arc;
 
+    use palpate_anatomy::sample;
     use palpate_device::Script;
     use palpate_device::script::WayPoint;
-    use palpate_tissue::{Material, Model, Topology, Vec3, block, sample};
+    use palpate_tissue::{Material, Model, Topology, Vec3, block};
 
     use super::{SECONDS_MIN, Scripts};
     use crate::tool_location::ToolLocation;
@@ -352,7 +353,7 @@ mod tests {
         for sample in sample::Sample::ALL {
             let mut input = sample.input().unwrap();
             input.scene.spacing_m *= 1.5;
-            let (model, _) = palpate_tissue::build(&input, &mut |_, _| ()).unwrap();
+            let (model, _) = palpate_anatomy::build(&input, &mut |_, _| ()).unwrap();
             check(model);
         }
     }

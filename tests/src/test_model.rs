@@ -3,10 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use palpate_tissue::sample::{Sample, SampleError};
-use palpate_tissue::{
-    BuildError, FileError, Model, ModelFile, SceneError, SceneInput, WriteError, build,
-};
+use palpate_anatomy::sample::{Sample, SampleError};
+use palpate_anatomy::{BuildError, SceneError, SceneInput, build};
+use palpate_tissue::{FileError, Model, ModelFile, WriteError};
 
 /// Failure to prepare a model.
 #[derive(Debug, thiserror::Error)]

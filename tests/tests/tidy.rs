@@ -11,10 +11,11 @@ use std::path::{Path, PathBuf};
 use cargo_metadata::{Metadata, MetadataCommand};
 
 /// A package may depend only on packages of a lower level.
-const LEVELS: [(&str, u8); 9] = [
+const LEVELS: [(&str, u8); 10] = [
     ("palpate-device", 0),
     ("palpate-protocol", 0),
     ("palpate-tissue", 0),
+    ("palpate-anatomy", 1),
     ("palpate-room", 1),
     ("palpate-haptics", 1),
     ("palpate-transport", 2),
@@ -291,6 +292,22 @@ fn packages_depend_on_lower_levels_only() {
         &offenders,
         "A package may import only from a lower level (ARCHITECTURE.md):",
     );
+}
+
+#[test]
+fn client_depends_on_no_mesh_generation() {
+    let metadata = metadata();
+    let client = metadata
+        .packages
+        .iter()
+        .find(|p| p.name.as_str() == "palpate-client");
+    let dependencies = &client.unwrap().dependencies;
+    let offenders: Vec<String> = dependencies
+        .iter()
+        .filter(|d| d.name == "palpate-anatomy")
+        .map(|d| format!("palpate-client depends on {}", d.name))
+        .collect();
+    refuse(&offenders, "A client loads model files and builds none:");
 }
 
 #[test]

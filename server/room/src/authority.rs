@@ -20,7 +20,6 @@ use palpate_protocol::session::Picture;
 use palpate_protocol::{ParticipantId, RequestId, ServerTime, TopologyHash};
 use palpate_tissue::{
     Budget, CutError, CutOutcome, Follower, Model, Shape, Solver, Successor, Tool, Topology, cut,
-    report_surface,
 };
 
 use crate::convert;
@@ -330,6 +329,6 @@ impl Cutter {
 
     /// Whether every edge of the boundary belongs to exactly two triangles. Visits the whole surface.
     pub fn boundary_closed(&self) -> bool {
-        report_surface(self.topology.boundary()).closed
+        self.topology.boundary().is_closed()
     }
 }

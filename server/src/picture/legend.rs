@@ -1,6 +1,7 @@
 //! The legend: colours of regions, springs and cell quality.
 
-use palpate_tissue::{Model, cell_volume};
+use palpate_tissue::Model;
+use palpate_tissue::cell::cell_volume;
 
 use super::canvas::{Canvas, Letters};
 use super::colour::{self, Colour, INK, INVERTED, PALE_INK, POOR};

@@ -2,7 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use palpate_tissue::{FACES, Model, NO_CELL, Vec3, cell_volume, scaled_jacobian};
+use palpate_tissue::cell::{FACES, NO_CELL, cell_volume, scaled_jacobian};
+use palpate_tissue::{Model, Vec3};
 
 use super::Slice;
 

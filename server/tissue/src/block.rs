@@ -1,6 +1,7 @@
 //! A homogeneous rectangular block of cells: the simplest model, for closed-form checks and benchmarks.
 
-use crate::{Cell, Material, Model, NO_CELL, Region, RegionId, Vec3};
+use crate::cell::NO_CELL;
+use crate::{Cell, Material, Model, Region, RegionId, Vec3};
 
 /// A block of `cells[0] x cells[1] x cells[2]` cubes of side `spacing_m` with its low corner at the
 /// origin. The lowest `pinned_layers` layers of cells along z form a region `base` that is pinned;

@@ -1,67 +1,84 @@
-//! The deformable model: building it from surfaces or label volumes, its equilibrium under tools, cutting,
-//! snapshots and hashes.
+//! The deformable model: its equilibrium under tools, cutting, model files, snapshots and hashes.
 //!
-//! This crate never opens a socket, never reads a clock and reads only files of surfaces, label volumes, scenes
-//! and models. Three kinds of data are kept apart: the [`Model`] (immutable, the content of a model file), the
-//! [`Topology`] (changed by cuts) with one [`Shape`] per view of it (changed by tools), and the scratch memory
-//! of the solvers.
+//! This crate never opens a socket, never reads a clock and reads only model files. Three kinds of data are kept
+//! apart: what was built, what cuts and tools change, and the scratch memory of the solvers.
+//!
+//! ```text
+//!  model file --decode_model--> Model   immutable: nodes, cells, regions with their Material
+//!                                 |
+//!         CutStroke --cut--> Topology   wiring and rest positions; cuts change it
+//!                 |               |
+//!           CutOutcome --follow-> Shape    displacement of each node; tools change it, one per view
+//!                 |               |
+//!                 +-----follow-> Solver   scratch memory, one per shape
+//!                                 |
+//!          Tool, Budget --step----+---> StepReport with one Reaction per tool
+//! ```
+//!
+//! Press a block of tissue, then cut it:
+//!
+//! ```
+//! use palpate_tissue::*;
+//!
+//! let model = block([10, 10, 6], 0.004, &Material::default(), 1);
+//! let mut topology = Topology::new(model.into());
+//! let mut shape = Shape::rest(&topology);
+//! let mut solver = Solver::new(&topology);
+//! let tool = Tool::ball(1, Vec3::new(0.02, 0.02, 0.03), 0.008);
+//! let report = solver.step(&topology, &mut shape, &[tool], Budget::new(100, 1e-3));
+//! assert!(report.reactions[0].force.z > 0.0);
+//!
+//! let point = |y| BladePoint { tip: Vec3::new(0.0201, y, 0.012), axis: Vec3::z(), depth_m: 0.02 };
+//! let stroke = CutStroke { points: vec![point(0.01), point(0.03)], width_m: 0.0 };
+//! let outcome = cut(&mut topology, &stroke)?;
+//! shape.follow(&topology, &outcome);
+//! solver.follow(&topology, &outcome.touched);
+//! assert_eq!(topology.version(), 1);
+//! # Ok::<(), CutError>(())
+//! ```
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod block;
-mod build;
-mod cell;
+pub mod cell;
 mod contact;
 mod cut;
 mod equilibrium;
-pub mod export;
 mod fibre;
-mod file;
+pub mod file;
 mod fit;
-pub mod labels;
-mod material;
+pub mod material;
 mod model;
-pub mod sample;
-pub mod scene;
 mod shape;
 mod snapshot;
-mod springs;
+pub mod springs;
 mod staged;
-pub mod surface;
 mod topology;
 
 pub use block::block;
-pub use build::{
-    BUILD_NODES_MAX, BarReport, BuildError, BuildReport, CORNER_FLOOR, DISTANCE_REACH,
-    GRID_CELLS_MAX, Layer, LayerReport, Layers, NEIGHBOURS_MAX, Progress, QualityReport,
-    RegionReport, SPRING_FLOOR, SpacingReport, SpringCounts, SurfaceReport, THIN_PARTS_MAX,
-    ThinKind, ThinPart, ThinParts, build, region_surface, report_surface,
-};
-pub use cell::{Cell, DIAGONALS, EDGES, FACES, NO_CELL, cell_volume, scaled_jacobian};
-pub use contact::{
-    Clearance, Form, PLACES_MAX, Place, Reaction, TOOL_REACH_MAX_M, TOOLS_MAX, Tool,
-};
-pub use cut::{
-    BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, BladePoint, CutError, CutOutcome, CutStroke, Moved,
-    RestPoint, STROKE_LENGTH_MAX_M, WOUND_WIDTH_MAX_M, cut, to_rest,
-};
+pub use cell::Cell;
+pub use contact::{Clearance, Form, Place, Reaction, Tool};
+pub use cut::{BladePoint, CutError, CutOutcome, CutStroke, Moved, RestPoint, cut, to_rest};
 pub use equilibrium::{
     Budget, Follower, Mechanism, Sag, Solver, SolverState, StepReport, Successor,
 };
-pub use file::{
-    CELLS_MAX, EnvelopeError, FileError, MODEL_FORMAT, ModelFile, NODES_MAX, REGIONS_MAX,
-    decode_model, encode_model,
-};
-pub use labels::{LabelError, LabelVolume};
-pub use material::{FibreAxis, MATERIAL_NAMES, Material, MaterialError, MaterialOverride};
+pub use file::{FileError, ModelFile, decode_model, encode_model};
+pub use material::{FibreAxis, Material};
 pub use model::{Model, Region, RegionId};
-pub use scene::{RegionSource, Scene, SceneError, SceneInput, SceneRegion};
 pub use shape::Shape;
 pub use snapshot::{SNAPSHOT_FORMAT, SnapshotError, model_hash, restore, snapshot};
-pub use springs::{SPRINGS_PER_NODE_MAX, Spring, Springs};
 pub use staged::{Staged, WriteError, write_file};
-pub use surface::{Aabb, CheckReport, Surface, SurfaceError, Unit};
 pub use topology::{Boundary, FaceId, Topology, TopologyHash};
 
 /// A vector or point of the model, in metres, newtons or the unit of its name.
 pub type Vec3 = nalgebra::Vector3<f64>;
+
+/// Bounds beyond which input is rejected.
+pub mod limits {
+    pub use crate::contact::{PLACES_MAX, TOOL_REACH_MAX_M, TOOLS_MAX};
+    pub use crate::cut::{
+        BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, STROKE_LENGTH_MAX_M, WOUND_WIDTH_MAX_M,
+    };
+    pub use crate::file::{CELLS_MAX, NODES_MAX, POSITION_MAX_M, REGIONS_MAX};
+    pub use crate::springs::SPRINGS_PER_NODE_MAX;
+}

@@ -6,8 +6,10 @@
 //! and methods, so a scene may override every value.
 
 mod library;
+mod nearest_name;
 
 pub use library::MATERIAL_NAMES;
+pub use nearest_name::nearest_name;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -106,6 +108,23 @@ pub struct MaterialOverride {
     pub friction_static: Option<f64>,
     /// Coefficient of dynamic friction.
     pub friction_dynamic: Option<f64>,
+}
+
+impl MaterialOverride {
+    /// Its numbers by scene key, in the units of a scene, in writing order.
+    pub fn numbers(&self) -> [(&'static str, Option<f64>); 9] {
+        [
+            ("young_kpa", self.young_pa.map(|pa| pa * 1e-3)),
+            ("poisson", self.poisson),
+            ("stiffening", self.stiffening),
+            ("fibre_ratio", self.fibre_ratio),
+            ("compress_limit", self.compress_limit),
+            ("stretch_limit", self.stretch_limit),
+            ("density_kg_m3", self.density_kg_m3),
+            ("friction_static", self.friction_static),
+            ("friction_dynamic", self.friction_dynamic),
+        ]
+    }
 }
 
 /// Range of Young's modulus in Pa. Reason: from the softest gel (1 Pa) to above diamond (1.2e12 Pa); a value
@@ -210,7 +229,7 @@ impl Material {
                 return built_in.with(change, "changed by the scene; built in");
             }
             (None, None) => {
-                let nearest = crate::scene::nearest(name, MATERIAL_NAMES.iter().copied());
+                let nearest = nearest_name(name, MATERIAL_NAMES.iter().copied());
                 return Err(MaterialError::Unknown {
                     name: name.to_owned(),
                     nearest: nearest.map(str::to_owned),
@@ -238,11 +257,7 @@ impl Material {
     }
 
     /// This material with a scene's changes; `by` names their origin and begins the new source.
-    pub(crate) fn with(
-        mut self,
-        change: &MaterialOverride,
-        by: &str,
-    ) -> Result<Self, MaterialError> {
+    pub fn with(mut self, change: &MaterialOverride, by: &str) -> Result<Self, MaterialError> {
         if *change == MaterialOverride::default() {
             return Ok(self);
         }

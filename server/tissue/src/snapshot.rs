@@ -18,9 +18,11 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use crate::cell::{FACES, NO_CELL};
 use crate::cut::derive_around;
 use crate::file::{Content, EnvelopeError, Reader, Short, open, seal};
-use crate::{FACES, FaceId, Model, NO_CELL, NODES_MAX, Shape, Topology, Vec3};
+use crate::limits::NODES_MAX;
+use crate::{FaceId, Model, Shape, Topology, Vec3};
 
 const MAGIC: [u8; 8] = *b"palpsnap";
 /// Version of the snapshot format that this program writes and reads.

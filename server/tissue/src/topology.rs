@@ -8,9 +8,11 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::cell::{FACES, NO_CELL, cell_volume};
 use crate::equilibrium::Elastic;
 use crate::springs::{BODY_SHARE, DIAGONAL_SHARE, EDGE_SHARE, LENGTH_FLOOR};
-use crate::{FACES, Model, NO_CELL, RegionId, Spring, Springs, Vec3, cell_volume};
+use crate::springs::{Spring, Springs};
+use crate::{Model, RegionId, Vec3};
 
 /// Identifies a topology: equal hashes mean the same cells, wired alike, at the same rest
 /// positions, after the same number of cuts.
@@ -85,6 +87,19 @@ pub struct Boundary {
     pub faces: Vec<FaceId>,
     /// Two triangles per face, as node indices.
     pub triangles: Vec<[u32; 3]>,
+}
+
+impl Boundary {
+    /// Whether every edge belongs to exactly two triangles.
+    pub fn is_closed(&self) -> bool {
+        let sides = self
+            .triangles
+            .iter()
+            .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+        let mut edges: Vec<[u32; 2]> = sides.map(|[a, b]| [a.min(b), a.max(b)]).collect();
+        edges.sort_unstable();
+        edges.chunk_by(|a, b| a == b).all(|uses| uses.len() == 2)
+    }
 }
 
 /// The mutable wiring of a [`Model`].
@@ -319,7 +334,7 @@ impl Topology {
     }
 
     /// Splits a face along its shorter diagonal at rest.
-    pub(crate) fn face_triangles(&self, face: FaceId) -> [[u32; 3]; 2] {
+    pub fn face_triangles(&self, face: FaceId) -> [[u32; 3]; 2] {
         let corners = self.corners(face.cell());
         let [a, b, c, d] = FACES[face.face()].map(|i| corners[i]);
         let ac = (self.rest(c) - self.rest(a)).norm_squared();

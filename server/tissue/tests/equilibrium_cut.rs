@@ -82,3 +82,48 @@ fn cut_block_takes_at_most_half_more_iterations() {
         }
     }
 }
+
+#[test]
+fn solver_updated_by_a_cut_agrees_with_a_new_one() {
+    let fat = Material::built_in("fat").unwrap();
+    let mut topology = Topology::new(Arc::new(block([14, 14, 8], 0.004, &fat, 1)));
+    let mut shape = Shape::rest(&topology);
+    let mut solver = Solver::new(&topology);
+    let tool = Tool::ball(1, Vec3::new(0.022, 0.028, 0.032 + RADIUS - 0.003), RADIUS);
+    solver.step(&topology, &mut shape, &[tool], Budget::new(60, 1e-4));
+    let stroke = CutStroke {
+        points: (0..8)
+            .map(|i| BladePoint {
+                tip: Vec3::new(0.0301, 0.012 + 0.004 * f64::from(i), 0.018),
+                axis: Vec3::z(),
+                depth_m: 0.03,
+            })
+            .collect(),
+        width_m: 0.0,
+    };
+    let outcome = cut(&mut topology, &stroke).unwrap();
+    assert!(!outcome.doubled.is_empty());
+    shape.follow(&topology, &outcome);
+    solver.follow(&topology, &outcome.touched);
+    let mut followed = 0.0;
+    for _ in 0..6 {
+        let report = solver.step(&topology, &mut shape, &[tool], Budget::new(100, 1e-6));
+        assert!(!report.fell_back);
+        followed = report.reactions[0].force.z;
+    }
+    assert!(solver.residual_over_all(&shape) < 1e-4);
+
+    let mut fresh_shape = Shape::rest(&topology);
+    let mut fresh = Solver::new(&topology);
+    let mut cold = 0.0;
+    for tenth in 0..=30 {
+        let mut tool = tool;
+        tool.centre.z += 0.003 - f64::from(tenth) * 1e-4;
+        let report = fresh.step(&topology, &mut fresh_shape, &[tool], Budget::new(100, 1e-6));
+        cold = report.reactions[0].force.z;
+    }
+    assert!(
+        (followed / cold - 1.0).abs() < 0.01,
+        "after following {followed} N, from scratch {cold} N"
+    );
+}

@@ -5,10 +5,8 @@
 use std::io::{Read, Write};
 use std::sync::Arc;
 
-use palpate_tissue::{
-    EnvelopeError, FibreAxis, FileError, MODEL_FORMAT, Material, Model, ModelFile, Topology, Vec3,
-    block,
-};
+use palpate_tissue::file::{EnvelopeError, MODEL_FORMAT};
+use palpate_tissue::{FibreAxis, FileError, Material, Model, ModelFile, Topology, Vec3, block};
 use proptest::prelude::*;
 
 fn rubber() -> Material {

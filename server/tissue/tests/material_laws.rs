@@ -5,8 +5,9 @@
 
 use std::sync::Arc;
 
+use palpate_tissue::springs::Spring;
 use palpate_tissue::{
-    Budget, FibreAxis, Material, Model, Shape, Solver, Spring, Tool, Topology, Vec3, block,
+    Budget, FibreAxis, Material, Model, Shape, Solver, Tool, Topology, Vec3, block,
 };
 
 const MM: f64 = 1e-3;

@@ -79,8 +79,9 @@ impl Wound {
 mod tests {
     use std::sync::Arc;
 
-    use palpate_tissue::sample::Sample;
-    use palpate_tissue::{Topology, build};
+    use palpate_anatomy::build;
+    use palpate_anatomy::sample::Sample;
+    use palpate_tissue::Topology;
 
     use super::Wound;
     use crate::tool_location::ToolLocation;

@@ -3,9 +3,10 @@
 use std::io::Write;
 use std::path::Path;
 
+use palpate_anatomy::{LabelVolume, Scene, Surface, Unit};
 use palpate_device::Script;
 use palpate_device::backend::replay::Motion;
-use palpate_tissue::{LabelVolume, Material, ModelFile, Scene, Surface, Unit, block};
+use palpate_tissue::{Material, ModelFile, block};
 
 use super::{Decoder, text};
 use crate::experiments::recipe::Recipe;

@@ -7,7 +7,8 @@
 use std::collections::HashMap;
 
 use super::DRIFT_MAX;
-use crate::{NO_CELL, Topology, Vec3};
+use crate::cell::NO_CELL;
+use crate::{Topology, Vec3};
 
 /// Smallest volume spanned at a corner of a cell, in cubed spacings (1 for a cube). Lower lets cuts
 /// come closer to a tilted blade where the lattice makes a step; higher keeps cells fatter.

@@ -6,7 +6,8 @@
 
 use std::collections::HashMap;
 
-use crate::{FaceId, NO_CELL, Topology};
+use crate::cell::NO_CELL;
+use crate::{FaceId, Topology};
 
 /// Fan of each slot of a node: the lowest slot in it, or [`NO_FAN`] for an empty slot.
 pub(crate) type Fans = [u8; 8];

@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use crate::{FaceId, NO_CELL, Topology};
+use crate::cell::NO_CELL;
+use crate::{FaceId, Topology};
 
 impl Topology {
     /// Volume in m³ of each connected component of the cells, where one passes from cell to cell

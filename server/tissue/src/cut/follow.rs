@@ -8,7 +8,8 @@
 use super::CutOutcome;
 use super::bounded_moves::Moves;
 use super::trilinear::{invert, weights};
-use crate::{NO_CELL, Shape, Topology, Vec3};
+use crate::cell::NO_CELL;
+use crate::{Shape, Topology, Vec3};
 
 /// How far outside a cell a displacement may be extrapolated, in cells.
 const OUTSIDE_MAX: f64 = 0.25;

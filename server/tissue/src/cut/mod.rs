@@ -49,7 +49,8 @@ pub use stroke::{
 };
 pub use to_rest::{RestPoint, to_rest};
 
-use crate::{NODES_MAX, RegionId, Topology};
+use crate::limits::NODES_MAX;
+use crate::{RegionId, Topology};
 use bounded_moves::Moves;
 use refine::Surroundings;
 use ribbon::Ribbon;

@@ -5,7 +5,8 @@ use std::collections::BTreeSet;
 
 use super::cell_fans::{Fans, NO_FAN, Opening};
 use super::sheet::nodes_of;
-use crate::{FACES, FaceId, NO_CELL, Topology, cell_volume};
+use crate::cell::{FACES, NO_CELL, cell_volume};
+use crate::{FaceId, Topology};
 
 /// Gives every fan of every node of the sheet a node of its own: the first fan keeps the old one, the
 /// others get new ones at the end. Returns pairs of new node and the node it was doubled from.

@@ -11,7 +11,8 @@ use std::collections::{BTreeSet, HashMap};
 
 use super::bounded_moves::Moves;
 use super::sheet_snap::{Freedom, freedom};
-use crate::{NO_CELL, Topology, Vec3};
+use crate::cell::NO_CELL;
+use crate::{Topology, Vec3};
 
 /// How many rings of neighbours around the cut take part.
 const RINGS: usize = 3;

@@ -17,7 +17,8 @@ use std::collections::{BTreeSet, HashMap};
 use super::CutError;
 use super::cell_fans::{Fans, Opening};
 use super::ribbon::{Ribbon, Triangle};
-use crate::{FACES, FaceId, NO_CELL, RegionId, Topology, Vec3};
+use crate::cell::{FACES, NO_CELL};
+use crate::{FaceId, RegionId, Topology, Vec3};
 
 /// Longest segment between centres of neighbours, in spacings.
 pub(crate) const SEGMENT_MAX: f64 = 2.5;

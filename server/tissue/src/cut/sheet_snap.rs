@@ -19,7 +19,8 @@ use nalgebra::{Matrix3, SymmetricEigen};
 
 use super::bounded_moves::Moves;
 use super::ribbon::{Foot, Ribbon};
-use crate::{FACES, FaceId, NO_CELL, Topology, Vec3};
+use crate::cell::{FACES, NO_CELL};
+use crate::{FaceId, Topology, Vec3};
 
 /// Farthest a node is snapped, in spacings: half the diagonal of a cell.
 const SNAP_MAX: f64 = 0.87;

@@ -7,7 +7,8 @@
 use nalgebra::Matrix3;
 
 use super::trilinear::{gradient, invert, point};
-use crate::{FaceId, NO_CELL, Shape, Topology, Vec3};
+use crate::cell::NO_CELL;
+use crate::{FaceId, Shape, Topology, Vec3};
 
 /// Steps of the guess. Displacements vary slowly from cell to cell, so a few will do.
 const GUESSES: usize = 8;

@@ -15,7 +15,8 @@ use super::bounded_moves::Moves;
 use super::ribbon::Ribbon;
 use super::sheet_snap::{Freedom, freedom};
 use super::stroke::CutStroke;
-use crate::{NO_CELL, Topology, Vec3};
+use crate::cell::NO_CELL;
+use crate::{Topology, Vec3};
 
 /// Largest offset of one side at rest, in spacings. An offset takes rest volume from the cells beside
 /// the wound; at this bound no more than a twentieth of each.

@@ -92,7 +92,7 @@ fn moduli(beta: f64, fibre: &Vec3) -> Option<(f64, f64)> {
 }
 
 /// n n as six components, off-diagonal ones times √2, so that products of tensors are products of vectors.
-pub(crate) fn dyad(n: &Vec3) -> Vector6<f64> {
+pub(super) fn dyad(n: &Vec3) -> Vector6<f64> {
     let root = 2.0_f64.sqrt();
     Vector6::new(
         n.x * n.x,

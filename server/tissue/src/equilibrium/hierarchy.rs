@@ -13,7 +13,8 @@ use super::brick::{Brick, Draft, Form, LOCALS};
 use super::coarsen::{Coarse, Joints, Piece, coarsen, octant};
 use super::element::{Matrix, Sum};
 use super::prolongation::{FREE, Prolongation};
-use crate::{FaceId, NO_CELL, Topology, Vec3};
+use crate::cell::NO_CELL;
+use crate::{FaceId, Topology, Vec3};
 
 /// Maximum of coarse levels: 8 halvings reduce 256 points per axis to one.
 const LEVELS_MAX: usize = 8;

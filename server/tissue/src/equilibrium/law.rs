@@ -130,7 +130,7 @@ impl Elastic {
     }
 
     /// Moduli of a region for springs in all directions, as specified by the material.
-    pub(crate) fn asked(region: &Region) -> Self {
+    pub(super) fn asked(region: &Region) -> Self {
         Self::with(region, |_| {
             fibres::in_all_directions(region.material.fibre_ratio)
         })

@@ -2,7 +2,7 @@
 //!
 //! | module | contents |
 //! | --- | --- |
-//! | `law`, `fibres` | spring laws of a material: length law, volume term, guard, extreme springs, fibres |
+//! | `law`, `fibres`, `modulus` | spring laws of a material: length law, volume term, guard, extreme springs, fibres |
 //! | `stabilisation`, `corners` | energies against buckling and collapse of deeply pressed tissue |
 //! | `brick`, `kernel`, `small_strain`, `lanes` | forces of eight cells at a time, in vectors |
 //! | `hierarchy`, `coarsen`, `element`, `matrix` | coarse lattices and their Galerkin operators, per element |
@@ -68,6 +68,7 @@ mod lanes;
 mod law;
 mod matrix;
 mod mechanism;
+mod modulus;
 mod outer_residual;
 mod predictor;
 mod prescribed;
@@ -84,7 +85,6 @@ mod weight;
 mod work_limit;
 
 pub use budget::{Budget, StepReport};
-pub(crate) use fibres::dyad;
 pub use follower::{Follower, Successor};
 pub(crate) use law::Elastic;
 pub(crate) use mechanism::Disabled;
@@ -92,4 +92,3 @@ pub use mechanism::Mechanism;
 pub use reference_state::Sag;
 pub use solver::Solver;
 pub use state::SolverState;
-pub(crate) use weight::adrift;

@@ -28,21 +28,23 @@ pub(super) fn weights(topology: &Topology) -> Vec<Quad> {
     all.map(of).collect()
 }
 
-/// Nodes without weight in spite of gravity, because their component has no pinned node.
-pub(crate) fn adrift(model: &Model) -> usize {
-    if model.gravity == [0.0; 3] {
-        return 0;
-    }
-    let mut pinned = vec![false; model.nodes.len()];
-    for cell in &model.cells {
-        if model.regions[cell.region.index()].pinned {
-            for &node in &cell.corners {
-                pinned[node as usize] = true;
+impl Model {
+    /// Number of nodes without weight in spite of gravity, because their component has no pinned node.
+    pub fn adrift_nodes(&self) -> usize {
+        if self.gravity == [0.0; 3] {
+            return 0;
+        }
+        let mut pinned = vec![false; self.nodes.len()];
+        for cell in &self.cells {
+            if self.regions[cell.region.index()].pinned {
+                for &node in &cell.corners {
+                    pinned[node as usize] = true;
+                }
             }
         }
+        let hangs = hanging(self.cells.iter().map(|c| c.corners), &pinned);
+        hangs.iter().filter(|hangs| !**hangs).count()
     }
-    let hangs = hanging(model.cells.iter().map(|c| c.corners), &pinned);
-    hangs.iter().filter(|hangs| !**hangs).count()
 }
 
 /// Whether each node is connected through cells to a pinned node.

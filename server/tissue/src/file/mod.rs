@@ -26,12 +26,12 @@ use std::path::{Path, PathBuf};
 
 pub use container::EnvelopeError;
 pub(crate) use container::{open, seal};
-pub(crate) use model_check::POSITION_MAX_M;
-pub use model_check::{CELLS_MAX, NODES_MAX, REGIONS_MAX};
+pub use model_check::{CELLS_MAX, NODES_MAX, POSITION_MAX_M, REGIONS_MAX};
 pub(crate) use planes::{Content, Reader, Short};
 
+use crate::cell::{FACES, NO_CELL};
 use crate::staged::{Staged, WriteError};
-use crate::{Cell, FACES, FibreAxis, Material, Model, NO_CELL, Region, RegionId, Vec3};
+use crate::{Cell, FibreAxis, Material, Model, Region, RegionId, Vec3};
 
 const MAGIC: [u8; 8] = *b"palpmodl";
 /// Version of the model format that this program writes and reads.

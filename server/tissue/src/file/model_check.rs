@@ -1,9 +1,10 @@
 //! Validation of a model from outside, so that no later code can panic on it.
 
+use crate::Model;
+use crate::cell::{EDGES, FACES, NO_CELL};
 use crate::material::{
     COMPRESS_LIMIT_RANGE, FIBRE_RATIO_RANGE, POISSON_RANGE, STIFFENING_RANGE, STRETCH_LIMIT_RANGE,
 };
-use crate::{EDGES, FACES, Model, NO_CELL};
 
 /// Most nodes of a model. At 16 million a topology takes about 12 GiB; a file with more is rejected.
 pub const NODES_MAX: usize = 16_000_000;
@@ -14,7 +15,7 @@ pub const REGIONS_MAX: usize = 1024;
 /// Farthest lattice coordinate from the origin, so that products of coordinates fit 64 bits.
 const LATTICE_MAX: u32 = 1 << 20;
 /// Farthest node from the origin in m; anything beyond is a mistaken unit.
-pub(crate) const POSITION_MAX_M: f64 = 1e4;
+pub const POSITION_MAX_M: f64 = 1e4;
 /// Range of lattice spacings in m: from a tenth of a micrometre to ten metres.
 const SPACING_RANGE_M: std::ops::RangeInclusive<f64> = 1e-7..=10.0;
 /// Largest gravity along an axis in m/s²; of the order of a centrifuge's.

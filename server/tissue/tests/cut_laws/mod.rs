@@ -7,10 +7,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use palpate_tissue::{
-    BladePoint, CutStroke, DIAGONALS, EDGES, FACES, FaceId, Material, NO_CELL, Topology, Vec3,
-    block, cell_volume,
-};
+use palpate_tissue::cell::{DIAGONALS, EDGES, FACES, NO_CELL, cell_volume};
+use palpate_tissue::{BladePoint, CutStroke, FaceId, Material, Topology, Vec3, block};
 
 pub(crate) fn rubber() -> Material {
     Material {

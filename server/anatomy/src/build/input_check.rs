@@ -1,0 +1,211 @@
+//! Validation of the input, and warnings about the result.
+
+use palpate_tissue::limits::POSITION_MAX_M;
+use palpate_tissue::{Model, Vec3};
+use rayon::prelude::*;
+
+use super::inside::PointQuery;
+use super::lattice::Mending;
+use super::{BUILD_NODES_MAX, BuildError, GRID_CELLS_MAX, RegionReport};
+use crate::scene::SceneInput;
+use crate::{Aabb, Surface};
+
+/// Relative difference between the volume of a region and its input above which the report warns.
+const VOLUME_WARNING: f64 = 0.01;
+
+/// Part of the cells of the grid that may be flipped without a warning.
+const FLIPPED_WARNING: f64 = 0.005;
+
+/// A region sticks out of the first one when it does so by more than this part of the spacing.
+const STICKING_OUT: f64 = 0.25;
+
+/// Extent in m above which an outermost surface was most likely not written in millimetres.
+const LARGE: f64 = 5.0;
+/// Extent in m below which an outermost surface was most likely written in metres.
+const SMALL: f64 = 0.003;
+
+/// Rejects input outside the allowed coordinates, and a spacing that exceeds the memory limits.
+pub(super) fn size(surfaces: &[&Surface], spacing: f64) -> Result<(), BuildError> {
+    let bounds = Aabb::around(surfaces.iter().flat_map(|s| &s.vertices));
+    let far = bounds.map_or(0.0, |b| b.min.abs().sup(&b.max.abs()).max());
+    if far > POSITION_MAX_M {
+        return Err(BuildError::TooFar { far_m: far });
+    }
+    let extent = bounds.map_or_else(Vec3::zeros, |b| b.extent());
+    let cells: f64 = extent.iter().map(|e| (e / spacing).ceil() + 2.0).product();
+    let volume = surfaces.iter().map(|s| s.volume()).fold(0.0, f64::max);
+    let nodes = volume / spacing.powi(3);
+    if cells <= GRID_CELLS_MAX && nodes <= BUILD_NODES_MAX {
+        return Ok(());
+    }
+    let factor = (cells / GRID_CELLS_MAX).max(nodes / BUILD_NODES_MAX).cbrt();
+    // Rounded up to the hundredth, with some room for the rim of the grid.
+    let suggestion_mm = (spacing * 1e3 * factor * 1.02 * 100.0).ceil() / 100.0;
+    let hint = if extent.max() > LARGE {
+        format!(
+            "; the input is {:.0} m across: was it written in millimetres and read as metres?",
+            extent.max()
+        )
+    } else {
+        String::new()
+    };
+    Err(BuildError::TooFine {
+        spacing_mm: spacing * 1e3,
+        nodes,
+        cells,
+        suggestion_mm,
+        hint,
+    })
+}
+
+/// Rejects regions that are far from all others, and warns of regions that stick out of the first one.
+pub(super) fn nesting(
+    input: &SceneInput,
+    spacing: f64,
+    query: &PointQuery,
+    warnings: &mut Vec<String>,
+) -> Result<(), BuildError> {
+    if input.voxels_m3.iter().all(Option::is_some) {
+        // Regions of one label volume: the first surface goes around the others by construction.
+        return Ok(());
+    }
+    let name = |r: usize| input.scene.regions[r].name.clone();
+    let boxes: Vec<Option<Aabb>> = input.surfaces.iter().map(Surface::aabb).collect();
+    for (r, surface) in input.surfaces.iter().enumerate().skip(1) {
+        let Some(own) = boxes[r] else { continue };
+        let others = boxes.iter().enumerate().filter(|(o, _)| *o != r);
+        let gap = others
+            .filter_map(|(_, b)| b.map(|b| gap(&own, &b)))
+            .fold(f64::INFINITY, f64::min);
+        if gap > spacing {
+            let side = |a: usize| format!("{:.0}..{:.0}", own.min[a] * 1e3, own.max[a] * 1e3);
+            let at = format!("x {}, y {}, z {} mm", side(0), side(1), side(2));
+            return Err(BuildError::Outside {
+                region: name(r),
+                outermost: name(0),
+                at,
+            });
+        }
+        let out = sticking_out(input, spacing, query, r);
+        let all = surface.triangles.len();
+        // A region that is all outside stands beside the first one; that is intended.
+        if out * 50 > all && out * 50 < all * 49 {
+            warnings.push(format!(
+                "{} % of the surface of region {:?} lies outside the outermost region {:?}; \
+                 what sticks out becomes part of the model",
+                100 * out / all,
+                name(r),
+                name(0)
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Warns of pieces of the model that gravity acts on and no pinned node holds.
+pub(super) fn hanging(model: &Model, warnings: &mut Vec<String>) {
+    let adrift = model.adrift_nodes();
+    if adrift > 0 {
+        warnings.push(format!(
+            "{adrift} of {} nodes are joined to nothing that is pinned: they would fall for ever, \
+             so gravity leaves them alone",
+            model.nodes.len()
+        ));
+    }
+}
+
+/// Distance in m between two boxes.
+fn gap(a: &Aabb, b: &Aabb) -> f64 {
+    (a.min - b.max)
+        .sup(&(b.min - a.max))
+        .sup(&Vec3::zeros())
+        .norm()
+}
+
+/// Triangles of region `r` that lie outside the first region by more than a part of the spacing. Areas that two
+/// surfaces share, as a flat end, count as outside or not by rounding.
+fn sticking_out(input: &SceneInput, spacing: f64, query: &PointQuery, r: usize) -> usize {
+    let surface = &input.surfaces[r];
+    let depth = spacing * STICKING_OUT;
+    (0..surface.triangles.len())
+        .into_par_iter()
+        .filter(|&t| {
+            let [a, b, c] = surface.corners(t);
+            let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) else {
+                return false;
+            };
+            !query.contains(0, (a + b + c) / 3.0 - normal * depth)
+        })
+        .count()
+}
+
+/// The error for a spacing at which no cell is left.
+pub(super) fn too_coarse(surfaces: &[&Surface], spacing: f64) -> BuildError {
+    let boxes = surfaces.iter().filter_map(|s| s.aabb());
+    let extent = boxes.map(|b| b.extent().max()).fold(0.0, f64::max);
+    let hint = if extent < SMALL {
+        "; that is very small: were the surfaces written in metres? Then set unit = \"m\""
+    } else {
+        ""
+    };
+    BuildError::TooCoarse {
+        spacing_mm: spacing * 1e3,
+        extent_mm: extent * 1e3,
+        hint: hint.to_owned(),
+    }
+}
+
+/// Warns of changes to the labels.
+pub(super) fn mending(mending: &Mending, cells: usize, warnings: &mut Vec<String>) {
+    if mending.dropped.0 > 0 {
+        warnings.push(format!(
+            "{} small pieces with {} cells in all were dropped: they are too thin or too small at \
+             this spacing",
+            mending.dropped.0, mending.dropped.1
+        ));
+    }
+    let flipped = mending.flipped_outer + mending.flipped_inner;
+    if flipped as f64 > cells as f64 * FLIPPED_WARNING {
+        warnings.push(format!(
+            "{flipped} cells were given to another region where the surface of one would have \
+             touched itself: the spacing is coarse for these shapes"
+        ));
+    }
+    if mending.pieces > 1 {
+        warnings.push(format!(
+            "the model is in {} separate pieces",
+            mending.pieces
+        ));
+    }
+}
+
+/// Warns of regions that differ from their input.
+pub(super) fn regions(regions: &[RegionReport], warnings: &mut Vec<String>) {
+    for region in regions {
+        let error = region.volume_mm3 / region.input_volume_mm3 - 1.0;
+        if region.input_volume_mm3 <= 0.0 {
+            warnings.push(format!(
+                "region {:?} is wholly covered by later regions; nothing of it is in the model",
+                region.name
+            ));
+        } else if region.nodes == 0 {
+            warnings.push(format!(
+                "region {:?} has no cell at this spacing: it is thinner than half the spacing everywhere",
+                region.name
+            ));
+        } else if error.abs() > VOLUME_WARNING {
+            warnings.push(format!(
+                "region {:?} has {:+.1} % of its input volume too much or too little; parts of it \
+                 are thinner than the spacing",
+                region.name,
+                100.0 * error
+            ));
+        } else if region.components > region.input_components {
+            warnings.push(format!(
+                "region {:?} is in {} pieces where its surface has {}: it is thinner than the \
+                 spacing between them, or later regions part it",
+                region.name, region.components, region.input_components
+            ));
+        }
+    }
+}

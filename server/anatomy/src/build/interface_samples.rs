@@ -1,0 +1,214 @@
+//! Samples of the input's interfaces: thickness of the layers beside them, and distance to the model's own
+//! interface.
+
+use palpate_tissue::Vec3;
+use rayon::prelude::*;
+
+use super::bvh::Bvh;
+use super::faces::{Face, OUTSIDE};
+use super::inside::PointQuery;
+use super::patch::{Interface, Interfaces, halve, sides_of};
+
+/// Longest side, in spacings, of a piece that one sample stands for.
+const SIDE_MAX: f64 = 1.0;
+/// Least area, in Δd², that one sample stands for: a finer input is not sampled more finely.
+const AREA_MIN: f64 = 0.4;
+/// Triangles sampled by one task.
+const CHUNK: usize = 1024;
+/// Offset from a surface at which a search ray starts, in spacings.
+const LOOK: f64 = 0.02;
+/// Search radius for the model's interface around the input's, in spacings. A reported distance of this size is
+/// a lower bound.
+pub const DISTANCE_REACH: f64 = 3.0;
+
+/// A point of an input interface.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sample {
+    /// Its position in m.
+    pub(super) at: Vec3,
+    /// Area that it stands for, in m².
+    pub(super) area: f64,
+    /// The region behind the interface.
+    pub(super) behind: u16,
+    /// The region before it, or [`OUTSIDE`].
+    pub(super) before: u16,
+    /// The layer beside it that is thinner than the spacing, if one is.
+    pub(super) thin: Option<Thin>,
+    /// Distance in m from the model's interface; [`DISTANCE_REACH`] spacings where there is none so near.
+    pub(super) distance: f64,
+}
+
+/// A layer that is thinner than the spacing.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Thin {
+    /// Its region, or [`OUTSIDE`] for a gap.
+    pub(super) region: u16,
+    /// The region beyond it.
+    pub(super) beyond: u16,
+    /// Thickness in m along the normal.
+    pub(super) thickness: f64,
+}
+
+/// Samples all interfaces of the input.
+pub(super) fn samples(
+    interfaces: &Interfaces,
+    query: &PointQuery,
+    faces: &[Face],
+    positions: &[Vec3],
+    middle: Vec3,
+) -> Vec<Sample> {
+    let mut samples = Vec::new();
+    for interface in interfaces.all() {
+        let patch = interfaces.patch(interface);
+        if patch.is_empty() {
+            continue;
+        }
+        let own = model_surface(interface, faces, positions, middle);
+        let chunks = patch.len().div_ceil(CHUNK);
+        let found: Vec<Vec<Sample>> = (0..chunks)
+            .into_par_iter()
+            .map(|chunk| {
+                let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(patch.len());
+                let mut points = Vec::new();
+                spread(patch, range, interfaces.spacing, &mut points);
+                points
+                    .into_iter()
+                    .map(|p| measure(&p, interfaces, query, &own))
+                    .collect()
+            })
+            .collect();
+        for mut more in found {
+            samples.append(&mut more);
+        }
+    }
+    samples
+}
+
+/// The model's own interface.
+fn model_surface(interface: Interface, faces: &[Face], positions: &[Vec3], middle: Vec3) -> Bvh {
+    let triangles = faces
+        .iter()
+        .filter(|f| f.interface() == interface)
+        .flat_map(|f| f.triangles(positions))
+        .map(|t| Bvh::flat(&middle, &t.map(|n| positions[n as usize])))
+        .collect();
+    Bvh::new(middle, triangles)
+}
+
+/// A point to probe.
+struct Point {
+    at: Vec3,
+    /// Unit normal.
+    normal: Vec3,
+    area: f64,
+    /// The regions behind and before it, if known.
+    sides: Option<[u16; 2]>,
+}
+
+fn spread(patch: &Bvh, range: std::ops::Range<usize>, spacing: f64, points: &mut Vec<Point>) {
+    let mut carried = 0.0;
+    let mut last = None;
+    for triangle in range {
+        let corners = patch.triangle(triangle);
+        let sides = sides_of(patch, triangle);
+        let vector = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])) / 2.0;
+        let Some(normal) = vector.try_normalize(0.0) else {
+            continue;
+        };
+        let mut stack = vec![corners];
+        while let Some(piece) = stack.pop() {
+            if let Some(halves) = halve(&piece, SIDE_MAX * spacing) {
+                stack.extend(halves);
+                continue;
+            }
+            let at = (piece[0] + piece[1] + piece[2]) / 3.0;
+            carried += (piece[1] - piece[0]).cross(&(piece[2] - piece[0])).norm() / 2.0;
+            if carried >= AREA_MIN * spacing * spacing {
+                points.push(Point {
+                    at,
+                    normal,
+                    area: carried,
+                    sides,
+                });
+                carried = 0.0;
+            }
+            last = Some((at, normal, sides));
+        }
+    }
+    if let Some((at, normal, sides)) = last
+        && carried > 0.0
+    {
+        points.push(Point {
+            at,
+            normal,
+            area: carried,
+            sides,
+        });
+    }
+}
+
+/// The first crossing along a direction.
+struct Wall {
+    /// Its distance in m.
+    depth: f64,
+    /// The region beyond it, if known.
+    beyond: Option<u16>,
+}
+
+fn first_wall(interfaces: &Interfaces, from: &Vec3, way: &Vec3) -> Option<Wall> {
+    let met = interfaces.all().filter_map(|i| {
+        let patch = interfaces.patch(i);
+        let (depth, triangle) = patch.first_along(from, way)?;
+        Some((depth, triangle, patch))
+    });
+    let (depth, triangle, patch) = met.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let [a, b, c] = patch.triangle(triangle);
+    let leaves = (b - a).cross(&(c - a)).dot(way) > 0.0;
+    let beyond = sides_of(patch, triangle).map(|sides| sides[usize::from(leaves)]);
+    Some(Wall { depth, beyond })
+}
+
+fn measure(
+    &Point {
+        at,
+        normal,
+        area,
+        sides,
+    }: &Point,
+    interfaces: &Interfaces,
+    query: &PointQuery,
+    own: &Bvh,
+) -> Sample {
+    let spacing = interfaces.spacing;
+    let look = normal * (LOOK * spacing);
+    let region = |p: Vec3| query.region_at(p).map_or(OUTSIDE, |r| r as u16);
+    let [behind, before] = sides.unwrap_or_else(|| [region(at - look), region(at + look)]);
+    let mut thin: Option<Thin> = None;
+    for (side, of) in [(1.0, before), (-1.0, behind)] {
+        let from = at + look * side;
+        let way = normal * (side * (1.0 - LOOK) * spacing);
+        let Some(wall) = first_wall(interfaces, &from, &way) else {
+            continue;
+        };
+        let thickness = wall.depth + LOOK * spacing;
+        if thin.is_none_or(|t| thickness < t.thickness) {
+            let beyond = wall.beyond;
+            let look_there = || region(at + normal * (side * (thickness + LOOK * spacing)));
+            thin = Some(Thin {
+                region: of,
+                beyond: beyond.unwrap_or_else(look_there),
+                thickness,
+            });
+        }
+    }
+    let reach = DISTANCE_REACH * spacing;
+    let distance = own.nearest(&at, reach).map_or(reach, |p| (p - at).norm());
+    Sample {
+        at,
+        area,
+        behind,
+        before,
+        thin,
+        distance,
+    }
+}

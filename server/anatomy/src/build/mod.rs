@@ -1,0 +1,356 @@
+//! From closed surfaces to a model: tri-ray node snapping (Lin 2007, section 3.3) and its completion.
+//!
+//! 1. A grid of cubes of side Δd is laid around the outermost surface.
+//! 2. Rays decide which region fills each cell ([`label`]). Thin layers and necks get the cells that they need
+//!    to stay connected ([`walls`], [`bridge`]). Doubtful cells are flipped until the surface of every region is a
+//!    manifold ([`lattice`]).
+//! 3. Nodes between regions are snapped onto the interface along rays in three directions; other interface
+//!    nodes are projected onto it, and all are relaxed ([`snap`], [`relax`]).
+//! 4. Cells are untangled until all meet the quality floors ([`untangle`]), and regions regain the volume that
+//!    straight faces have cut off ([`volume_correction`]).
+//! 5. The model is compared with its input ([`compare`]), and parts thinner than the spacing are listed with
+//!    their position ([`interface_samples`], [`thin`]).
+//!
+//! Interfaces are then the faces between cells of different regions: closed and conforming by
+//! construction.
+
+mod bar;
+mod blocks;
+mod bridge;
+mod bvh;
+mod compare;
+mod faces;
+mod grid;
+mod input_check;
+mod inside;
+mod interface_samples;
+mod label;
+mod lattice;
+mod layers;
+mod parts;
+mod patch;
+mod quality;
+mod rays;
+mod relax;
+mod report;
+mod rim;
+mod snap;
+mod spacing;
+mod strands;
+#[cfg(test)]
+mod tests;
+mod thin;
+mod untangle;
+mod volume_correction;
+mod walls;
+
+use thiserror::Error;
+
+pub use interface_samples::DISTANCE_REACH;
+pub use layers::{Layer, Layers, NEIGHBOURS_MAX, region_surface};
+pub use quality::{CORNER_FLOOR, SPRING_FLOOR};
+pub(crate) use report::report_triangles;
+pub use report::{
+    BarReport, BuildReport, LayerReport, QualityReport, RegionReport, SpacingReport, SpringCounts,
+    SurfaceReport, report_surface,
+};
+pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
+
+use crate::scene::SceneInput;
+use crate::{Aabb, Surface};
+use grid::Grid;
+use palpate_tissue::cell::NO_CELL;
+use palpate_tissue::{Model, TopologyHash, Vec3};
+
+/// Most grid cells of one build. A cell of the grid costs about 10 bytes while it is labelled, so
+/// this is 4 GB; beyond it the build is rejected with the spacing that would fit.
+pub const GRID_CELLS_MAX: f64 = 4e8;
+
+/// Most nodes of one model. A node costs about 600 bytes with its springs, so this is 5 GB; beyond
+/// it the build is rejected with the spacing that would fit.
+pub const BUILD_NODES_MAX: f64 = 8e6;
+
+/// A released node is reported when it is farther from its interface than this, in spacings.
+const STRAY: f64 = 0.25;
+
+/// Why a model could not be built.
+#[derive(Debug, Error)]
+pub enum BuildError {
+    /// A material of the scene is unknown or out of range.
+    #[error(transparent)]
+    Scene(#[from] crate::scene::SceneError),
+    /// The spacing is too fine for the memory limits.
+    #[error(
+        "a spacing of {spacing_mm} mm makes about {nodes:.0} nodes in a grid of {cells:.0} cells, \
+         above the limits of {BUILD_NODES_MAX:.0} nodes and {GRID_CELLS_MAX:.0} cells; \
+         use spacing_mm = {suggestion_mm:.2} or more{hint}"
+    )]
+    TooFine {
+        /// The spacing asked for.
+        spacing_mm: f64,
+        /// Nodes it would make.
+        nodes: f64,
+        /// Grid cells it would need.
+        cells: f64,
+        /// A spacing that fits.
+        suggestion_mm: f64,
+        /// Likely cause, or empty.
+        hint: String,
+    },
+    /// The input lies farther from the origin than a model may.
+    #[error(
+        "the input reaches {far_m:.0} m from the origin, where a model may reach {} m; is its unit \
+         right? If it is in the frame of a site or a map, move it to the origin first",
+        palpate_tissue::limits::POSITION_MAX_M
+    )]
+    TooFar {
+        /// Its largest coordinate in m.
+        far_m: f64,
+    },
+    /// No cell is at least half full.
+    #[error(
+        "a spacing of {spacing_mm} mm is too coarse: no cell of that size is half full of any \
+         region (the model is {extent_mm:.2} mm across); use a smaller spacing_mm{hint}"
+    )]
+    TooCoarse {
+        /// The spacing asked for.
+        spacing_mm: f64,
+        /// Largest extent of any surface.
+        extent_mm: f64,
+        /// Likely cause, or empty.
+        hint: String,
+    },
+    /// A region has nothing in common with the first one.
+    #[error(
+        "region {region:?} lies wholly outside the others, the outermost region {outermost:?} among \
+         them (it spans {at}); check its unit and whether all files are in one frame"
+    )]
+    Outside {
+        /// The region.
+        region: String,
+        /// The first region.
+        outermost: String,
+        /// Its bounding box in words.
+        at: String,
+    },
+}
+
+/// Receives the name of each stage as it begins and the part of the work done (0..1).
+pub type Progress<'a> = &'a mut dyn FnMut(&str, f64);
+
+/// Builds a model from a scene and its surfaces.
+pub fn build(
+    input: &SceneInput,
+    progress: Progress<'_>,
+) -> Result<(Model, BuildReport), BuildError> {
+    let regions = input.scene.model_regions()?;
+    let surfaces: Vec<&Surface> = input.surfaces.iter().collect();
+    let mut warnings = input.warnings.clone();
+
+    progress("measuring the input", 0.0);
+    let (spacing, spacing_search) = if input.scene.auto_spacing {
+        let (spacing, search) = spacing::find(&surfaces, input.scene.spacing_m);
+        (spacing, Some(search))
+    } else {
+        (input.scene.spacing_m, None)
+    };
+    input_check::size(&surfaces, spacing)?;
+    let grid = Grid::around(&surfaces, spacing);
+    let query = inside::PointQuery::new(&surfaces, grid.middle(), spacing);
+    input_check::nesting(input, spacing, &query, &mut warnings)?;
+    let mut walls = walls::Walls::default();
+    let mut input_volumes = label::resolved_volumes(&grid, &surfaces, &mut walls);
+    for (volume, voxels) in input_volumes.iter_mut().zip(&input.voxels_m3) {
+        // A label volume is authoritative for the regions that it alone describes.
+        *volume = voxels.unwrap_or(*volume);
+    }
+    let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
+
+    progress("casting rays", 0.1);
+    let mut labels = label::label(&grid, &surfaces, &mut walls);
+    let mending = lattice::mend_all(&grid, &mut labels, &walls, &parts);
+    let lost = walls.lost(&grid, &labels);
+    drop(walls);
+    input_check::mending(&mending, grid.cell_count(), &mut warnings);
+    let mut lattice = lattice::number(&grid, &labels);
+    drop(labels);
+    if lattice.cells.is_empty() {
+        return Err(input_check::too_coarse(&surfaces, spacing));
+    }
+
+    progress("sorting the interfaces", 0.2);
+    let interfaces =
+        patch::Interfaces::new(&surfaces, &input.sides, &query, spacing, grid.middle());
+    let faces = faces::faces(&lattice.cells);
+    let placed = place(
+        &grid,
+        &mut lattice,
+        &Input {
+            surfaces: &surfaces,
+            interfaces: &interfaces,
+            volumes: &input_volumes,
+        },
+        &faces,
+        progress,
+    );
+
+    progress("looking for thin parts", 0.8);
+    let nodes = &placed.positions;
+    let samples = interface_samples::samples(&interfaces, &query, &faces, nodes, grid.middle());
+    let mut collector = thin::Collector::of(&grid, &samples, &mending.crumbs, &lost, &parts);
+    collector.add_nodes(&placed.strays(&lattice, &interfaces));
+    let (around, tied, let_go) = (placed.around, placed.tied, placed.let_go.len());
+    drop(placed.constraints);
+    let mut model = Model {
+        spacing_m: spacing,
+        gravity: input.scene.gravity_m_s2,
+        regions,
+        nodes: placed.positions,
+        lattice: lattice.nodes,
+        cells: lattice.cells,
+    };
+    model.resolve_fibres();
+
+    progress("comparing with the input", 0.9);
+    let (regions, strays) = compare::regions(&compare::Compared {
+        model: &model,
+        around: &around,
+        faces: &faces,
+        interfaces: &interfaces,
+        samples: &samples,
+        thin: &collector,
+        parts: &parts,
+        input_volumes: &input_volumes,
+    });
+    collector.add_strays(&strays);
+    let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
+    input_check::regions(&regions, &mut warnings);
+    input_check::hanging(&model, &mut warnings);
+    let figures = figures(&model, &faces, &names);
+    let report = BuildReport {
+        nodes: model.nodes.len(),
+        cells: model.cells.len(),
+        layers: figures.layers,
+        springs: compare::count_springs(&model, &around, &faces),
+        spacing_mm: spacing * 1e3,
+        spacing_search,
+        regions,
+        outer_surface: figures.outer_surface,
+        quality: QualityReport {
+            nodes_let_go: let_go,
+            nodes_tied: tied,
+            cells_flipped: mending.flipped_outer + mending.flipped_inner,
+            ..compare::quality(&model)
+        },
+        bars: figures.bars,
+        thin: collector.finish(&names),
+        topology_hash: figures.topology_hash,
+        warnings,
+    };
+    progress("done", 1.0);
+    Ok((model, report))
+}
+
+/// Figures of a report that follow from a finished model alone.
+struct Figures {
+    layers: Vec<LayerReport>,
+    bars: Vec<BarReport>,
+    outer_surface: SurfaceReport,
+    topology_hash: String,
+}
+
+/// Computes them concurrently: each is mostly single-threaded.
+fn figures(model: &Model, faces: &[faces::Face], names: &[String]) -> Figures {
+    let layers = || compare::layers(&Layers::of_faces(model, faces), names);
+    let outer_surface = || report_triangles(&outer_triangles(faces, model));
+    let topology_hash = || TopologyHash::of_uncut(model).to_string();
+    let ((layers, bars), (outer_surface, topology_hash)) = rayon::join(
+        || rayon::join(layers, || bar::bars(model)),
+        || rayon::join(outer_surface, topology_hash),
+    );
+    Figures {
+        layers,
+        bars,
+        outer_surface,
+        topology_hash,
+    }
+}
+
+/// The outer surface over the model's nodes.
+fn outer_triangles(faces: &[faces::Face], model: &Model) -> Vec<[u32; 3]> {
+    let outside = |f: &&faces::Face| f.interface() == patch::Interface::Outer;
+    let outer = faces.iter().filter(outside);
+    outer.flat_map(|f| f.triangles(&model.nodes)).collect()
+}
+
+/// Input of node placement.
+struct Input<'a> {
+    surfaces: &'a [&'a Surface],
+    interfaces: &'a patch::Interfaces,
+    volumes: &'a [f64],
+}
+
+/// Positions of the nodes, and the record of their placement.
+struct Placed {
+    positions: Vec<Vec3>,
+    constraints: Vec<snap::Constraint>,
+    /// The cells around each node.
+    around: Vec<[u32; 8]>,
+    /// Nodes that two interfaces claimed.
+    tied: usize,
+    /// Nodes released from their interface.
+    let_go: Vec<u32>,
+}
+
+/// Snaps, relaxes, untangles, and restores the volumes.
+fn place(
+    grid: &Grid,
+    lattice: &mut lattice::Lattice,
+    input: &Input<'_>,
+    faces: &[faces::Face],
+    progress: Progress<'_>,
+) -> Placed {
+    let interfaces = input.interfaces;
+    progress("snapping nodes", 0.3);
+    let mut constraints = snap::constraints(lattice);
+    snap::mark_rims(grid, lattice, interfaces, &mut constraints);
+    let tied = snap::settle_ties(grid, lattice, interfaces, &mut constraints);
+    let mut positions = snap::snap(grid, lattice, input.surfaces, interfaces, &constraints);
+    progress("relaxing", 0.4);
+    relax::relax(lattice, interfaces, &constraints, &mut positions);
+    // The axis neighbours are not used after this point.
+    lattice.adjacent = Vec::new();
+    progress("making cells good", 0.5);
+    let untangler =
+        untangle::Untangler::new(lattice, interfaces, &constraints, grid.spacing, grid.origin);
+    let let_go = untangler.untangle(&mut positions);
+    progress("restoring volumes", 0.7);
+    volume_correction::restore_volumes(&untangler, faces, input.volumes, &mut positions);
+    let around = untangler.into_around();
+    Placed {
+        positions,
+        constraints,
+        around,
+        tied,
+        let_go,
+    }
+}
+
+impl Placed {
+    /// Released nodes that are off their interface: position, region, distance.
+    fn strays(
+        &self,
+        lattice: &lattice::Lattice,
+        interfaces: &patch::Interfaces,
+    ) -> Vec<compare::Stray> {
+        let strays = self.let_go.iter().filter_map(|&node| {
+            let node = node as usize;
+            let at = self.positions[node];
+            let off = compare::off_interface(interfaces, self.constraints[node].interfaces(), &at);
+            let cells = self.around[node].iter().filter(|c| **c != NO_CELL);
+            let region = cells.map(|&c| lattice.cells[c as usize].region.0).max()?;
+            (off > STRAY * interfaces.spacing).then_some((at, region, off))
+        });
+        strays.collect()
+    }
+}

@@ -1,0 +1,221 @@
+//! The report of a build.
+
+use palpate_tissue::Boundary;
+use serde::{Deserialize, Serialize};
+
+use super::parts::root;
+use super::thin::ThinParts;
+
+/// One object with the figures of a build.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BuildReport {
+    /// Number of nodes (mass points).
+    pub nodes: usize,
+    /// Number of hexahedral cells.
+    pub cells: usize,
+    /// Springs by kind.
+    pub springs: SpringCounts,
+    /// Lattice spacing in mm.
+    pub spacing_mm: f64,
+    /// How the spacing was found, when the scene left it to the builder.
+    #[serde(default)]
+    pub spacing_search: Option<SpacingReport>,
+    /// One entry per region, in scene order.
+    pub regions: Vec<RegionReport>,
+    /// One entry per interface.
+    #[serde(default)]
+    pub layers: Vec<LayerReport>,
+    /// The outer surface.
+    pub outer_surface: SurfaceReport,
+    /// Shape quality of the cells.
+    pub quality: QualityReport,
+    /// One virtual bar per region that is not pinned: the modulus of its material and the modulus of the model.
+    #[serde(default)]
+    pub bars: Vec<BarReport>,
+    /// Parts thinner than the spacing, and parts of the input that were lost.
+    #[serde(default)]
+    pub thin: ThinParts,
+    /// Topology hash of the uncut model, hexadecimal.
+    pub topology_hash: String,
+    /// Warnings for the user, one sentence each.
+    pub warnings: Vec<String>,
+}
+
+/// Springs by kind (Lin 2007, fig. 3.2), each counted once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct SpringCounts {
+    /// Along the edges of cells, within a tissue or within an interface.
+    pub structural: usize,
+    /// Across the faces of cells.
+    pub shear: usize,
+    /// Through the bodies of cells.
+    #[serde(default)]
+    pub body_diagonal: usize,
+    /// Along the edges that join an interface to the next layer of nodes on either side.
+    pub layer: usize,
+    /// Of the structural and shear ones, those within the mass-spring layer of an interface.
+    #[serde(default)]
+    pub within_interfaces: usize,
+}
+
+/// How an automatic spacing was found (Lin 2007, eq. 3.2).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct SpacingReport {
+    /// Distances between crossings of different interfaces that were measured along rays.
+    pub distances: usize,
+    /// The smallest of them in mm: in real data two surfaces that cross, hence near zero.
+    pub smallest_mm: f64,
+    /// The low quantile that stands for the smallest layer, `d_min`, in mm.
+    pub quantile_mm: f64,
+    /// Quantile of the distances that `d_min` is.
+    pub quantile: f64,
+    /// The least spacing that the scene allows, `d_threshold`, in mm.
+    pub threshold_mm: f64,
+    /// The least spacing that the limits of nodes and cells allow, in mm.
+    pub memory_mm: f64,
+}
+
+/// A region of the model against its input surface.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RegionReport {
+    /// Its name.
+    pub name: String,
+    /// Nodes of its cells, those on its interfaces included.
+    pub nodes: usize,
+    /// Volume of its cells in mm³.
+    pub volume_mm3: f64,
+    /// Volume of its input surface less what later regions take, in mm³.
+    pub input_volume_mm3: f64,
+    /// Pieces of cells that share faces.
+    #[serde(default)]
+    pub components: usize,
+    /// Its surface over the model's own nodes.
+    #[serde(default)]
+    pub surface: SurfaceReport,
+    /// Closed parts of its input surface.
+    #[serde(default)]
+    pub input_components: usize,
+    /// Mean distance of its interfaces from the input surfaces, in mm.
+    pub surface_distance_mean_mm: f64,
+    /// Largest such distance, in mm.
+    pub surface_distance_max_mm: f64,
+    /// Mean distance of the input surfaces from its interfaces, in mm.
+    #[serde(default)]
+    pub input_distance_mean_mm: f64,
+    /// Largest such distance, in mm.
+    #[serde(default)]
+    pub input_distance_max_mm: f64,
+    /// Mean distance outside of thin parts, in mm: the larger one of the two directions.
+    #[serde(default)]
+    pub distance_mean_outside_thin_mm: f64,
+    /// Largest distance in either direction outside of thin parts, in mm.
+    #[serde(default)]
+    pub distance_max_outside_thin_mm: f64,
+}
+
+/// A bar of cells cut out of a region and pulled.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BarReport {
+    /// The region.
+    pub region: String,
+    /// Cells of the bar along each axis of the lattice; none when the region is too thin for a bar.
+    pub cells: [usize; 3],
+    /// The axis of the lattice along which it was pulled: 0, 1, 2 for x, y, z.
+    pub axis: usize,
+    /// Young's modulus of the material in that direction, in kPa.
+    pub expected_kpa: f64,
+    /// Young's modulus of the bar, in kPa; none without a bar or without an equilibrium.
+    pub measured_kpa: Option<f64>,
+}
+
+/// The mass-spring layers of one interface.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LayerReport {
+    /// The later one of the two regions.
+    pub inside: String,
+    /// The other one; `None` is the outside.
+    pub outside: Option<String>,
+    /// Nodes of all its layers.
+    pub nodes: usize,
+    /// Springs of all its layers.
+    pub springs: usize,
+    /// Layers: connected components of the interface.
+    pub components: usize,
+    /// Of these, components of less than a hundredth of the nodes: islands at thin places.
+    pub small_components: usize,
+}
+
+/// A surface as a triangle mesh.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct SurfaceReport {
+    /// Number of vertices.
+    pub vertices: usize,
+    /// Number of triangles.
+    pub triangles: usize,
+    /// Whether every edge belongs to exactly two triangles.
+    pub closed: bool,
+    /// Number of connected parts.
+    pub components: usize,
+}
+
+/// Shape of the cells.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct QualityReport {
+    /// Shortest spring in spacings.
+    pub shortest_spring: f64,
+    /// Cells that miss the builder's floors: a corner determinant of 0.01 Δd³, springs of 0.3 Δd.
+    pub bad_cells: usize,
+    /// Cells with a corner that is flat or inside out.
+    pub inverted_cells: usize,
+    /// The least determinant at a corner, in Δd³.
+    #[serde(default)]
+    pub least_corner: f64,
+    /// Cells by their least scaled Jacobian: below 0.1, 0.1 to 0.2, ... 0.9 to 1.
+    #[serde(default)]
+    pub scaled_jacobian: [usize; 10],
+    /// Nodes released from their surface so that their cells meet the quality floors.
+    #[serde(default)]
+    pub nodes_let_go: usize,
+    /// Nodes that two interfaces claimed; the nearer interface got them.
+    #[serde(default)]
+    pub nodes_tied: usize,
+    /// Cells given to another region because the surface of their region would have touched itself.
+    #[serde(default)]
+    pub cells_flipped: usize,
+}
+
+/// Counts the vertices, edges and parts of the outer surface.
+pub fn report_surface(boundary: &Boundary) -> SurfaceReport {
+    report_triangles(&boundary.triangles)
+}
+
+/// Counts the vertices, edges and parts of a surface.
+pub(crate) fn report_triangles(triangles: &[[u32; 3]]) -> SurfaceReport {
+    let mut edges: Vec<[u32; 2]> = triangles
+        .iter()
+        .flat_map(|t| [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]])
+        .map(|[a, b]| [a.min(b), a.max(b)])
+        .collect();
+    edges.sort_unstable();
+    let closed = edges.chunk_by(|a, b| a == b).all(|uses| uses.len() == 2);
+    edges.dedup();
+    let mut vertices: Vec<u32> = triangles.iter().flatten().copied().collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    let slot = |v: u32| vertices.partition_point(|&w| w < v) as u32;
+    let mut parent: Vec<u32> = (0..vertices.len() as u32).collect();
+    let mut components = vertices.len();
+    for [a, b] in edges {
+        let (a, b) = (root(&mut parent, slot(a)), root(&mut parent, slot(b)));
+        if a != b {
+            parent[a.max(b) as usize] = a.min(b);
+            components -= 1;
+        }
+    }
+    SurfaceReport {
+        vertices: vertices.len(),
+        triangles: triangles.len(),
+        closed,
+        components,
+    }
+}

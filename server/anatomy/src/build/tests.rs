@@ -1,0 +1,274 @@
+//! The builder against shapes of known volume.
+
+use std::f64::consts::PI;
+
+use std::sync::Arc;
+
+use palpate_tissue::Topology;
+
+use super::*;
+use crate::scene::Scene;
+
+/// A closed body of revolution about z with the given profile of (radius, z), capped flat.
+pub(super) fn turned(profile: &[(f64, f64)], sides: usize) -> Surface {
+    let mut surface = Surface::default();
+    let ring = |at: usize, s: usize| (at * sides + s % sides) as u32;
+    for &(r, z) in profile {
+        for s in 0..sides {
+            let angle = 2.0 * PI * s as f64 / sides as f64;
+            surface
+                .vertices
+                .push(Vec3::new(r * angle.cos(), r * angle.sin(), z));
+        }
+    }
+    for at in 0..profile.len() - 1 {
+        for s in 0..sides {
+            let [a, b, c, d] = [
+                ring(at, s),
+                ring(at, s + 1),
+                ring(at + 1, s + 1),
+                ring(at + 1, s),
+            ];
+            surface.triangles.extend([[a, b, c], [a, c, d]]);
+        }
+    }
+    for (at, up) in [(0, false), (profile.len() - 1, true)] {
+        let middle = surface.vertices.len() as u32;
+        surface.vertices.push(Vec3::new(0.0, 0.0, profile[at].1));
+        for s in 0..sides {
+            let (a, b) = (ring(at, s), ring(at, s + 1));
+            surface
+                .triangles
+                .push(if up { [a, b, middle] } else { [b, a, middle] });
+        }
+    }
+    surface
+}
+
+fn ball(radius: f64) -> Surface {
+    let profile: Vec<(f64, f64)> = (1..48)
+        .map(|i| PI * f64::from(i) / 48.0)
+        .map(|a| (radius * a.sin(), -radius * a.cos()))
+        .collect();
+    turned(&profile, 96)
+}
+
+fn scene(spacing_mm: f64, regions: &[(&str, Surface)]) -> SceneInput {
+    let head = format!("format = \"palpate-scene/1\"\nspacing_mm = {spacing_mm}\n");
+    let tables = regions.iter().map(|(name, _)| {
+        format!("[[region]]\nname = \"{name}\"\nsurface = \"{name}.stl\"\nmaterial = \"fat\"\n")
+    });
+    let text: String = std::iter::once(head).chain(tables).collect();
+    let scene = Scene::parse(&text, std::path::Path::new(".")).unwrap();
+    SceneInput::new(scene, regions.iter().map(|r| r.1.clone()).collect()).unwrap()
+}
+
+fn built(spacing_mm: f64, regions: &[(&str, Surface)]) -> (Model, BuildReport) {
+    build(&scene(spacing_mm, regions), &mut |_, _| {}).unwrap()
+}
+
+fn assert_sound(model: &Model, report: &BuildReport) {
+    assert!(report.outer_surface.closed, "{report:?}");
+    assert_eq!(report.quality.inverted_cells, 0, "{report:?}");
+    assert_eq!(report.quality.bad_cells, 0, "{report:?}");
+    assert!(report.quality.shortest_spring >= SPRING_FLOOR, "{report:?}");
+    for region in &report.regions {
+        let error = region.volume_mm3 / region.input_volume_mm3 - 1.0;
+        assert!(error.abs() < 0.02, "{region:?}");
+    }
+    // The mass of the model must equal density times volume, regardless of the lattice.
+    let topology = Topology::new(Arc::new(model.clone()));
+    assert_eq!(report.topology_hash, topology.hash().to_string());
+    let kinds = report.springs;
+    let sum = kinds.structural + kinds.shear + kinds.body_diagonal + kinds.layer;
+    assert_eq!(sum, topology.springs().count());
+    assert_eq!(report.outer_surface, report_surface(topology.boundary()));
+    let mass: f64 = (0..topology.node_count() as u32)
+        .map(|n| topology.mass(n))
+        .sum();
+    let volumes: f64 = (0..model.cells.len())
+        .map(|c| topology.volume(c as u32) * model.material_of(c).density_kg_m3)
+        .sum();
+    assert!((mass / volumes - 1.0).abs() < 1e-12);
+}
+
+#[test]
+fn unpinned_pieces_under_gravity_are_reported() {
+    let beside = ball(0.008);
+    let mut apart = beside.clone();
+    for p in &mut apart.vertices {
+        *p += Vec3::new(0.014, 0.014, 0.0);
+    }
+    let mut input = scene(1.0, &[("held", beside), ("loose", apart)]);
+    let falls = |input: &SceneInput| {
+        let (_, report) = build(input, &mut |_, _| {}).unwrap();
+        let named = |w: &&String| w.contains("fall for ever");
+        report.warnings.iter().filter(named).count()
+    };
+    input.scene.pinned = vec!["held".to_owned()];
+    assert_eq!(falls(&input), 0, "without gravity no piece falls");
+    input.scene.gravity_m_s2 = [0.0, 0.0, -9.81];
+    assert_eq!(falls(&input), 1);
+    input.scene.pinned.push("loose".to_owned());
+    assert_eq!(falls(&input), 0);
+}
+
+#[test]
+fn ball_keeps_its_volume_and_surface_nodes_lie_on_it() {
+    for spacing in [4.0, 8.0] {
+        let (model, report) = built(spacing, &[("ball", ball(0.0375))]);
+        assert_sound(&model, &report);
+        assert_eq!(report.outer_surface.components, 1);
+        assert!(
+            report.regions[0].surface_distance_mean_mm < 0.1 * spacing,
+            "{report:?}"
+        );
+    }
+}
+
+#[test]
+fn parts_without_cells_are_reported_with_position() {
+    // A grain of a quarter of a cell, and a tip that never fills half a cell: the tip is not thin, and lost.
+    let tip = turned(
+        &[
+            (0.006, -0.02),
+            (0.006, 0.0),
+            (0.0018, 0.001),
+            (0.0018, 0.012),
+        ],
+        48,
+    );
+    let moved = |mut surface: Surface, by: Vec3| {
+        surface.vertices.iter_mut().for_each(|v| *v += by);
+        surface
+    };
+    let grain = moved(ball(0.0015), Vec3::new(0.0, 0.02, 0.0));
+    let regions = [("body", ball(0.04)), ("tip", tip), ("grain", grain)];
+    let (_, report) = built(4.0, &regions);
+    let kinds = |name: &str| -> Vec<ThinKind> {
+        let own = report.thin.parts.iter();
+        let own = own.filter(|p| p.region.as_deref() == Some(name));
+        own.map(|p| p.kind).collect()
+    };
+    assert!(kinds("grain").contains(&ThinKind::Speck), "{report:?}");
+    assert!(kinds("tip").contains(&ThinKind::Crumb), "{report:?}");
+    for region in &report.regions {
+        let off = region.distance_max_outside_thin_mm;
+        assert!(off <= 0.75 * 4.0, "{}: {off}", region.name);
+    }
+}
+
+#[test]
+fn nested_and_protruding_regions_share_conforming_interfaces() {
+    let skin = turned(&[(0.05, -0.06), (0.05, 0.06)], 128);
+    let bone = turned(&[(0.02, -0.06), (0.02, 0.06)], 64);
+    let (model, report) = built(4.0, &[("skin", skin), ("bone", bone)]);
+    assert_sound(&model, &report);
+    // Region volumes are measured on shared nodes, so they add up to the whole.
+    let whole: f64 = report.regions.iter().map(|r| r.volume_mm3).sum();
+    let exact = PI * 50.0 * 50.0 * 120.0;
+    assert!((whole / exact - 1.0).abs() < 0.01, "{whole} {exact}");
+}
+
+#[test]
+fn every_interface_has_one_layer_of_model_springs() {
+    let skin = turned(&[(0.05, -0.06), (0.05, 0.06)], 128);
+    let bone = turned(&[(0.02, -0.06), (0.02, 0.06)], 64);
+    let marrow = ball(0.012);
+    let regions = [("skin", skin), ("bone", bone), ("marrow", marrow)];
+    let (model, report) = built(4.0, &regions);
+    assert_sound(&model, &report);
+    let layers = Layers::new(&model);
+    let components: Vec<usize> = report.layers.iter().map(|l| l.components).collect();
+    // Skin and bone reach the outside, the bone at both of its ends.
+    let kinds: Vec<_> = layers
+        .layers
+        .iter()
+        .map(|l| (l.inside.0, l.outside))
+        .collect();
+    assert_eq!(components, [1, 1, 2, 1], "{kinds:?}");
+    let topology = Topology::new(Arc::new(model.clone()));
+    for layer in &layers.layers {
+        for [a, b] in &layer.springs {
+            let row = topology.springs().row(*a);
+            assert!(row.iter().any(|s| s.to == *b), "{a} {b}");
+        }
+        let mut degree = std::collections::BTreeMap::<u32, usize>::new();
+        for node in layer.springs.iter().flatten() {
+            *degree.entry(*node).or_default() += 1;
+        }
+        assert_eq!(degree.len(), layer.nodes.len());
+        assert!(degree.values().all(|d| (2..=12).contains(d)));
+        let all = layers.homogeneous(&model, layer.nodes[0]);
+        assert!(layer.nodes.iter().all(|n| all.binary_search(n).is_ok()));
+    }
+    for (r, region) in report.regions.iter().enumerate() {
+        let triangles = region_surface(&model, palpate_tissue::RegionId(r as u16));
+        assert!(report_triangles(&triangles).closed);
+        let surface = Surface {
+            vertices: model.nodes.clone(),
+            triangles,
+        };
+        let volume = surface.volume() * 1e9;
+        assert!(
+            (volume / region.volume_mm3 - 1.0).abs() < 0.02,
+            "{volume} {region:?}"
+        );
+    }
+    // An inner node selects the inner nodes of its own region.
+    let inner = (0..model.nodes.len() as u32)
+        .find(|n| layers.layers.iter().all(|l| !l.nodes.contains(n)))
+        .unwrap();
+    let selected = layers.homogeneous(&model, inner);
+    assert!(selected.contains(&inner) && selected.len() < model.nodes.len());
+}
+
+#[test]
+fn rims_stay_sharp() {
+    let (model, _) = built(5.0, &[("drum", turned(&[(0.04, 0.0), (0.04, 0.05)], 128))]);
+    let highest = model.nodes.iter().filter(|p| (p.z - 0.05).abs() < 1e-6);
+    let reach = highest.map(|p| p.xy().norm()).fold(0.0, f64::max);
+    assert!((reach - 0.04).abs() < 2e-4, "{reach}");
+}
+
+#[test]
+fn model_is_equal_on_any_thread_count() {
+    let hash = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| built(6.0, &[("ball", ball(0.04))]).1.topology_hash)
+    };
+    assert_eq!(hash(1), hash(3));
+}
+
+#[test]
+fn too_coarse_or_too_fine_spacing_is_rejected_with_a_remedy() {
+    let refuse = |spacing| {
+        build(&scene(spacing, &[("ball", ball(0.02))]), &mut |_, _| {})
+            .unwrap_err()
+            .to_string()
+    };
+    let coarse = refuse(100.0);
+    assert!(coarse.contains("too coarse"), "{coarse}");
+    let fine = refuse(0.01);
+    assert!(
+        fine.contains("limits") && fine.contains("use spacing_mm"),
+        "{fine}"
+    );
+}
+
+#[test]
+fn region_outside_the_outermost_is_rejected_by_name() {
+    let mut far = ball(0.01);
+    for v in &mut far.vertices {
+        v.x += 1.0;
+    }
+    let input = scene(4.0, &[("body", ball(0.03)), ("stray", far)]);
+    let error = build(&input, &mut |_, _| {}).unwrap_err().to_string();
+    assert!(
+        error.contains("stray") && error.contains("outside"),
+        "{error}"
+    );
+}

@@ -1,0 +1,357 @@
+//! Making every cell meet the quality floors (reconstructed).
+//!
+//! Where a step of the lattice lies on a smooth surface, a cell has two or three faces in one plane: its corner
+//! there is flat, and a little noise inverts it. Such a node has to leave the surface by a few hundredths of a
+//! spacing. With the other nodes held, the determinants at the corners that involve a node are linear in its
+//! position x, so
+//!
+//! ```text
+//! f(x) = w (n·(x - s))² + ε |x - x0|² + Σ max(0, D - det(x))² + Σ max(0, L - |x - y|)²
+//! ```
+//!
+//! (s the point of its surface, n the normal there) is convex except for the spring lengths, and a few Newton
+//! steps minimise it. Nodes of failing cells are visited in eight colours by the parity of their lattice point.
+//! No two nodes of one colour share a cell, so each colour runs in parallel and the result is the same on any
+//! number of threads. Cells that still fail are released: their nodes move back towards their lattice points,
+//! where every cell is a cube, until the cells pass.
+
+use palpate_tissue::Vec3;
+use palpate_tissue::cell::NO_CELL;
+use rayon::prelude::*;
+
+use super::lattice::Lattice;
+use super::patch::Interfaces;
+use super::quality::{CORNER_FLOOR, SPRING_FLOOR, passes};
+use super::snap::{Constraint, project};
+
+/// Cells with a smaller determinant, in Δd³, or a shorter spring, in Δd, are visited.
+const GOOD: (f64, f64) = (0.03, 0.33);
+/// Target of the minimisation: a margin above the floor, so that one visit suffices.
+const AIM: (f64, f64) = (0.08, 0.38);
+/// Limits that must hold at the end; slightly above the floors, to be safe from rounding.
+const FLOOR: (f64, f64) = (CORNER_FLOOR * 1.001, SPRING_FLOOR * 1.001);
+
+/// Sweeps, and their weights of the distance to the surface (w above). Later sweeps let nodes move farther off.
+const STAGES: [(usize, f64); 3] = [(10, 0.1), (12, 0.01), (16, 0.001)];
+/// Weight of the distance to the current position (ε above).
+const INERTIA: f64 = 0.02;
+/// Newton steps per visit.
+const NEWTON_STEPS: usize = 4;
+/// Longest move in one visit, in spacings.
+const MOVE_MAX: f64 = 0.25;
+/// Rounds in which nodes move half way back to their lattice points, each followed by sweeps.
+const HALVINGS: usize = 6;
+/// Sweeps after each of them.
+const SWEEPS_AFTER_HALVING: usize = 4;
+
+/// The cells around each node: slot `c` holds the cell of which it is corner `c`.
+pub(super) struct Untangler<'a> {
+    lattice: &'a Lattice,
+    interfaces: &'a Interfaces,
+    constraints: &'a [Constraint],
+    spacing: f64,
+    origin: Vec3,
+    around: Vec<[u32; 8]>,
+}
+
+impl<'a> Untangler<'a> {
+    /// Gathers the cells around each node. `origin` is the position of lattice point (0, 0, 0).
+    pub(super) fn new(
+        lattice: &'a Lattice,
+        interfaces: &'a Interfaces,
+        constraints: &'a [Constraint],
+        spacing: f64,
+        origin: Vec3,
+    ) -> Self {
+        let mut around = vec![[NO_CELL; 8]; lattice.nodes.len()];
+        for (index, cell) in lattice.cells.iter().enumerate() {
+            for (c, &node) in cell.corners.iter().enumerate() {
+                around[node as usize][c] = index as u32;
+            }
+        }
+        Self {
+            lattice,
+            interfaces,
+            constraints,
+            spacing,
+            origin,
+            around,
+        }
+    }
+
+    /// Moves nodes until every cell meets the floors; returns the released nodes, in order.
+    pub(super) fn untangle(&self, positions: &mut [Vec3]) -> Vec<u32> {
+        let mut bad = self.failing(0..self.lattice.cells.len() as u32, positions, GOOD);
+        for (sweeps, hold) in STAGES {
+            for _ in 0..sweeps {
+                bad = self.sweep(&bad, hold, positions);
+            }
+        }
+        let bad = self.failing(bad.into_iter(), positions, FLOOR);
+        self.let_go(bad, positions)
+    }
+
+    /// The cells around each node.
+    pub(super) fn into_around(self) -> Vec<[u32; 8]> {
+        self.around
+    }
+
+    /// Lattice spacing in m.
+    pub(super) fn spacing(&self) -> f64 {
+        self.spacing
+    }
+
+    /// The interfaces of each node.
+    pub(super) fn constraint(&self, node: u32) -> Constraint {
+        self.constraints[node as usize]
+    }
+
+    /// Moves each node by the first of the given fractions of its step that keeps the cells around it above the
+    /// floors, or not at all.
+    pub(super) fn move_while_it_holds(
+        &self,
+        moves: &[(u32, Vec3)],
+        parts: &[f64],
+        positions: &mut [Vec3],
+    ) {
+        for colour in 0..8 {
+            let moved: Vec<(u32, Vec3)> = moves
+                .par_iter()
+                .filter(|(n, _)| colour_of(self.lattice.nodes[*n as usize]) == colour)
+                .filter_map(|(node, by)| {
+                    let at = positions[*node as usize];
+                    let tried = parts.iter().map(|part| at + by * *part);
+                    let to = tried
+                        .into_iter()
+                        .find(|to| self.holds(*node, to, positions))?;
+                    Some((*node, to))
+                })
+                .collect();
+            for (node, at) in moved {
+                positions[node as usize] = at;
+            }
+        }
+    }
+
+    /// Whether all cells around a node would meet the floors with the node at `to`.
+    fn holds(&self, node: u32, to: &Vec3, positions: &[Vec3]) -> bool {
+        let slots = self.around[node as usize].iter().enumerate();
+        slots
+            .filter(|(_, cell)| **cell != NO_CELL)
+            .all(|(c, &cell)| {
+                let mut corners = self.corners(cell, positions);
+                corners[c] = *to;
+                passes(&corners, self.spacing, FLOOR.0, FLOOR.1)
+            })
+    }
+
+    fn corners(&self, cell: u32, positions: &[Vec3]) -> [Vec3; 8] {
+        self.lattice.cells[cell as usize]
+            .corners
+            .map(|n| positions[n as usize])
+    }
+
+    fn failing(
+        &self,
+        cells: impl Iterator<Item = u32>,
+        positions: &[Vec3],
+        (det, length): (f64, f64),
+    ) -> Vec<u32> {
+        let cells: Vec<u32> = cells.collect();
+        cells
+            .into_par_iter()
+            .filter(|&c| !passes(&self.corners(c, positions), self.spacing, det, length))
+            .collect()
+    }
+
+    fn nodes_of(&self, cells: &[u32]) -> Vec<u32> {
+        sorted(
+            cells
+                .iter()
+                .flat_map(|&c| self.lattice.cells[c as usize].corners),
+        )
+    }
+
+    fn cells_at(&self, nodes: &[u32]) -> Vec<u32> {
+        let cells = nodes.iter().flat_map(|&n| self.around[n as usize]);
+        sorted(cells.filter(|&c| c != NO_CELL))
+    }
+
+    /// Visits the nodes of `bad` cells once; returns the cells around them that fail afterwards.
+    fn sweep(&self, bad: &[u32], hold: f64, positions: &mut [Vec3]) -> Vec<u32> {
+        if bad.is_empty() {
+            return Vec::new();
+        }
+        let nodes = self.nodes_of(bad);
+        for colour in 0..8 {
+            let moved: Vec<(u32, Vec3)> = nodes
+                .par_iter()
+                .filter(|&&n| colour_of(self.lattice.nodes[n as usize]) == colour)
+                .map(|&n| (n, self.visited(n, hold, positions)))
+                .collect();
+            for (node, at) in moved {
+                positions[node as usize] = at;
+            }
+        }
+        self.failing(self.cells_at(&nodes).into_iter(), positions, GOOD)
+    }
+
+    /// New position of a node, which minimises f of the module docs with all others held.
+    fn visited(&self, node: u32, hold: f64, positions: &[Vec3]) -> Vec3 {
+        let at = positions[node as usize];
+        let constraint = self.constraints[node as usize];
+        let mut pull = (nalgebra::Matrix3::identity() * INERTIA, Vec3::zeros());
+        if !constraint.free() {
+            let off = (project(self.interfaces, constraint, at) - at) / self.spacing;
+            // Off the surface the normal is the direction back to it. On the surface the term vanishes; it acts
+            // at the next visit that finds the node off the surface.
+            if let Some(normal) = off.try_normalize(1e-9) {
+                pull.0 += normal * normal.transpose() * hold;
+                pull.1 += off * hold;
+            }
+        }
+        let stencil = Stencil::gather(self, node, positions);
+        at + stencil.minimise(&pull.0, &pull.1) * self.spacing
+    }
+
+    /// Moves the nodes of failing cells back towards their lattice points until none fails.
+    fn let_go(&self, mut bad: Vec<u32>, positions: &mut [Vec3]) -> Vec<u32> {
+        let mut gone = Vec::new();
+        let lattice_point = |node: u32| {
+            let at = self.lattice.nodes[node as usize];
+            self.origin + Vec3::from(at.map(f64::from)) * self.spacing
+        };
+        for _ in 0..HALVINGS {
+            if bad.is_empty() {
+                return sorted(gone.into_iter());
+            }
+            let nodes = self.nodes_of(&bad);
+            for &node in &nodes {
+                let at = positions[node as usize];
+                positions[node as usize] = (at + lattice_point(node)) / 2.0;
+            }
+            let mut touched = self.failing(self.cells_at(&nodes).into_iter(), positions, GOOD);
+            gone.extend(nodes);
+            for _ in 0..SWEEPS_AFTER_HALVING {
+                touched = self.sweep(&touched, 0.0, positions);
+            }
+            touched.extend(&bad);
+            bad = self.failing(sorted(touched.into_iter()).into_iter(), positions, FLOOR);
+        }
+        // Whole cells move back, then the cells that this spoils; in the limit all are cubes.
+        while !bad.is_empty() {
+            let nodes = self.nodes_of(&bad);
+            for &node in &nodes {
+                positions[node as usize] = lattice_point(node);
+            }
+            bad = self.failing(self.cells_at(&nodes).into_iter(), positions, FLOOR);
+            gone.extend(nodes);
+        }
+        sorted(gone.into_iter())
+    }
+}
+
+fn colour_of(at: [i32; 3]) -> i32 {
+    (at[0] & 1) | (at[1] & 1) << 1 | (at[2] & 1) << 2
+}
+
+fn sorted(numbers: impl Iterator<Item = u32>) -> Vec<u32> {
+    let mut numbers: Vec<u32> = numbers.collect();
+    numbers.sort_unstable();
+    numbers.dedup();
+    numbers
+}
+
+/// Terms that depend on a node's position, in spacings relative to its current one.
+struct Stencil {
+    /// Determinant here and its gradient, for each corner that involves the node.
+    dets: [(f64, Vec3); 32],
+    det_count: usize,
+    /// The other ends of springs that may become too short.
+    near: [Vec3; 56],
+    near_count: usize,
+}
+
+impl Stencil {
+    fn gather(untangler: &Untangler<'_>, node: u32, positions: &[Vec3]) -> Self {
+        let mut stencil = Self {
+            dets: [(0.0, Vec3::zeros()); 32],
+            det_count: 0,
+            near: [Vec3::zeros(); 56],
+            near_count: 0,
+        };
+        let at = positions[node as usize];
+        for (c, &cell) in untangler.around[node as usize].iter().enumerate() {
+            if cell == NO_CELL {
+                continue;
+            }
+            let corners = untangler
+                .corners(cell, positions)
+                .map(|p| (p - at) / untangler.spacing);
+            let sign = if c.count_ones() % 2 == 0 { 1.0 } else { -1.0 };
+            let [x, y, z] = [1, 2, 4].map(|bit| corners[c ^ bit]);
+            // det(x - p, y - p, z - p) at the node's own corner.
+            let gradient = -(y - x).cross(&(z - x)) * sign;
+            stencil.add_det(sign * x.dot(&y.cross(&z)), gradient);
+            for axis in 0..3 {
+                // The corner next to the node along `axis`; one of its edges leads to the node.
+                let d = c ^ (1 << axis);
+                let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+                let edge = |a: usize| corners[d ^ (1 << a)] - corners[d];
+                let normal = edge(u).cross(&edge(v)) * -sign;
+                stencil.add_det(-normal.dot(&corners[d]), normal);
+            }
+            for other in (0..8).filter(|&o| o != c) {
+                if corners[other].norm_squared() < (AIM.1 + 2.0 * MOVE_MAX).powi(2) {
+                    stencil.near[stencil.near_count] = corners[other];
+                    stencil.near_count += 1;
+                }
+            }
+        }
+        stencil
+    }
+
+    fn add_det(&mut self, det: f64, gradient: Vec3) {
+        self.dets[self.det_count] = (det, gradient);
+        self.det_count += 1;
+    }
+
+    /// The step, in spacings, that minimises the quadratic `1/2 x·A x - b·x` plus the penalties of determinants
+    /// and spring lengths.
+    fn minimise(&self, a: &nalgebra::Matrix3<f64>, b: &Vec3) -> Vec3 {
+        let mut x = Vec3::zeros();
+        for _ in 0..NEWTON_STEPS {
+            let mut matrix = *a;
+            let mut rhs = b - a * x;
+            for (det, gradient) in &self.dets[..self.det_count] {
+                let lacks = AIM.0 - (det + gradient.dot(&x));
+                if lacks > 0.0 {
+                    matrix += gradient * gradient.transpose();
+                    rhs += gradient * lacks;
+                }
+            }
+            for other in &self.near[..self.near_count] {
+                let away = x - other;
+                let length = away.norm();
+                if length < AIM.1 && length > 0.0 {
+                    let way = away / length;
+                    matrix += way * way.transpose();
+                    rhs += way * (AIM.1 - length);
+                }
+            }
+            let Some(inverse) = matrix.try_inverse() else {
+                break;
+            };
+            let step = inverse * rhs;
+            x += step;
+            let length = x.norm();
+            if length > MOVE_MAX {
+                return x * (MOVE_MAX / length);
+            }
+            if step.norm_squared() < 1e-8 {
+                break;
+            }
+        }
+        x
+    }
+}
