@@ -15,7 +15,6 @@ use super::fine_level::{FineLevel, OuterForces, SetChange};
 use super::hierarchy::Hierarchy;
 use super::quad::ZERO;
 use super::solver::Solver;
-use super::warm_start::WarmStart;
 use super::work_limit::WorkLimit;
 use crate::{Shape, Topology, Vec3};
 
@@ -152,7 +151,6 @@ impl Solver {
         self.fine.rest(&self.hierarchy, reference_state);
         self.coarse.rest();
         self.contacts.rest();
-        self.warm_start = WarmStart::default();
         self.led.clear();
         self.work_limit = WorkLimit::NONE;
         self.reference = self.reference_force();
