@@ -46,27 +46,6 @@ fn error(shape: &Shape, exact: &Shape) -> f64 {
 }
 
 #[test]
-fn equal_steps_need_few_iterations() {
-    let topology = cube(&Material::default());
-    let nodes = disc(&topology, 13e-3);
-    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
-    let mut iterations = 0;
-    for step in 1..=12 {
-        let to = Vec3::z() * (-1e-4 * f64::from(step));
-        lead(&topology, &mut solver, &mut shape, &nodes, to);
-        let tolerance = if step == 1 { 1e-4 } else { 4e-3 };
-        let report = solver.step(&topology, &mut shape, &[], Budget::new(100, tolerance));
-        assert!(report.residual <= tolerance);
-        if step > 1 {
-            iterations += report.iterations;
-            let off = error(&shape, &converged(&topology, &nodes, to));
-            assert!(off < 0.01, "{off} in step {step}");
-        }
-    }
-    assert!(iterations <= 3, "{iterations}");
-}
-
-#[test]
 fn uneven_and_reversing_motion_is_followed() {
     let topology = cube(&Material::default());
     let nodes = disc(&topology, 13e-3);

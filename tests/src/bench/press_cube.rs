@@ -26,7 +26,7 @@ const TOLERANCE: f64 = 1e-3;
 /// Candidate tolerances of a moving step: first, last, and ratio. The loosest one that keeps all errors within
 /// bounds is used.
 const TOLERANCES: [f64; 3] = [3e-2, 1e-4, 0.9];
-/// Tolerance of the first moving step; later steps extrapolate from it and inherit its error.
+/// Tolerance of the first moving step; later steps start from its shape.
 const FIRST: f64 = 1e-4;
 /// Converged residual.
 const CONVERGED: f64 = 1e-6;
@@ -84,7 +84,7 @@ pub struct MovingReport {
     pub first_iterations: usize,
     /// Relative residual requested in the other steps.
     pub tolerance: f64,
-    /// Iterations of each step; 0 if the extrapolation was sufficient.
+    /// Iterations of each step; 0 if the shape was within the tolerance.
     pub iterations: Vec<usize>,
     /// Median, mean and maximum of their durations, ms.
     pub ms_per_step: [f64; 3],

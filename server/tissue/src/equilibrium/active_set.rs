@@ -11,27 +11,8 @@ use crate::Vec3;
 /// Fraction of the threshold below which a force is ignored, in quick and in full steps.
 const SILENT: [f32; 2] = [0.02, 1e-4];
 
-/// Rule by which elements stay in the set.
-#[derive(Clone, Copy, PartialEq)]
-pub(super) enum Keeps {
-    /// All stay, within a quick step.
-    All,
-    /// Most stay, because the warm start includes them.
-    Most,
-    /// Only elements near the required ones stay.
-    Near,
-}
-
-impl Keeps {
-    /// Factor by which the set may exceed the required elements before it is rebuilt.
-    fn most(self) -> usize {
-        match self {
-            Self::All => usize::MAX,
-            Self::Most => 1000,
-            Self::Near => 2,
-        }
-    }
-}
+/// Factor by which the set may exceed the required elements before it is rebuilt.
+const ROOMY: usize = 2;
 
 /// Criteria of a choice.
 pub(super) struct Criteria {
@@ -39,7 +20,8 @@ pub(super) struct Criteria {
     pub(super) threshold: f32,
     /// Whether the step is quick.
     pub(super) quick: bool,
-    pub(super) keeps: Keeps,
+    /// Whether all elements stay, within a quick step; otherwise only those near the required ones.
+    pub(super) keeps_all: bool,
 }
 
 impl FineLevel {
@@ -57,7 +39,7 @@ impl FineLevel {
         let Criteria {
             threshold,
             quick,
-            keeps,
+            keeps_all,
         } = *criteria;
         for &node in &self.nodes.items {
             self.unbalanced.insert(node);
@@ -92,13 +74,13 @@ impl FineLevel {
         let to_refine = coarse.grids.iter().any(|p| !p.to_refine.items.is_empty());
         let (refined, required) = (&coarse.grids[0].refined, &self.required);
         let covered = required.items.iter().all(|&e| refined.contains(e));
-        let roomy = refined.items.len() / keeps.most() > required.items.len();
+        let roomy = !keeps_all && refined.items.len() / ROOMY > required.items.len();
         if covered && !roomy && !to_refine && !self.outdated {
             return false;
         }
         self.outdated = false;
         let grid = &mut coarse.grids[0];
-        if roomy || keeps == Keeps::Near {
+        if !keeps_all {
             let mut refined = std::mem::take(&mut grid.refined);
             refined.retain(|element| self.is_strained(hierarchy, element, u));
             grid.refined = refined;

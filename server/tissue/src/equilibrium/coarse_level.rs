@@ -103,8 +103,6 @@ impl List {
 pub(super) struct CoarseLevel {
     pub(super) set: List,
     pub(super) refined: List,
-    /// Elements refined at any time in this step.
-    pub(super) refined_in_step: List,
     /// Elements to be refined in the next cycle.
     pub(super) to_refine: List,
     /// Active points, and the number of active elements around each.
@@ -164,7 +162,6 @@ impl CoarseLevel {
         Self {
             set: List::new(elements),
             refined: List::new(elements),
-            refined_in_step: List::new(elements),
             to_refine: List::new(elements),
             points: List::new(points),
             inside: laid_out(0, points),
@@ -219,7 +216,6 @@ impl CoarseLevel {
             &mut self.corrected,
             &mut self.outer_points,
             &mut self.to_refine,
-            &mut self.refined_in_step,
         ] {
             list.clear();
         }

@@ -25,7 +25,7 @@ use crate::Vec3;
 /// Ratio to the stiffness at rest, over all axes, from which the coarse levels follow an element.
 const HARDENED: f32 = 1.5;
 /// Coarse penalty stiffness of a held node relative to its own: for nodes in place, and for the load that moves the
-/// levels after a node. In a warm-started cube 8 leaves 23 % of the error per iteration and 1 leaves 11 %; as a load, 4
+/// levels after a node. For nodes in place 8 leaves 23 % of the error per iteration and 1 leaves 11 %; as a load, 4
 /// to 12 reach 1 % in about three iterations.
 pub(super) const HELD_STIFFNESS: [f64; 2] = [1.0, 8.0];
 /// Iterations of the matrix root: for 100 times the identity the relative error is a thousandth.
@@ -73,7 +73,7 @@ impl Solver {
 
     /// Whether the levels are loaded after led nodes.
     pub(super) fn follows_led_nodes(&self) -> bool {
-        !self.led_displacements.is_empty() && !self.warm_started && self.contacts.nodes.is_empty()
+        !self.led_displacements.is_empty() && self.contacts.nodes.is_empty()
     }
 
     /// Loads level 1 with the pull of open contacts that are predicted to close.

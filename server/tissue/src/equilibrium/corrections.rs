@@ -4,7 +4,7 @@ use super::coarse_level::apply;
 use super::cycle::{Chebyshev, LOW, Multigrid};
 use super::fine_level::{FineLevel, SetChange};
 use super::hierarchy::Hierarchy;
-use super::quad::{ZERO, make_room, plus};
+use super::quad::{ZERO, plus};
 use crate::Vec3;
 
 /// Longest move of a node in one smoothing step, in spacings; longer ones are clamped and counted. Quick steps compute
@@ -73,17 +73,6 @@ impl FineLevel {
             }
         }
         increments
-    }
-
-    /// Starts a step after one that only extrapolated: its increments are [`increments`](Self::increments).
-    pub(super) fn keep_increments(&mut self) -> Vec<(u32, Vec3)> {
-        self.moved_on.clear();
-        std::mem::take(&mut self.increments)
-    }
-
-    /// Reserves memory for the increments of so many nodes, so that no warm start allocates.
-    pub(super) fn make_room(&mut self, nodes: usize) {
-        make_room(&mut self.increments, (0, Vec3::zeros()), nodes);
     }
 
     /// Moves nodes by `share` of these increments.

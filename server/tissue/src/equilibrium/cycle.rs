@@ -135,26 +135,6 @@ impl Multigrid {
                 .map(|p| (&hierarchy.levels[l + 1], &p.refined));
             finer[l].choose(&hierarchy.levels[l], above);
         }
-        for grid in &mut self.grids {
-            for &element in &grid.refined.items {
-                grid.refined_in_step.insert(element);
-            }
-        }
-    }
-
-    /// Refines again all elements that the last step refined. Returns whether that adds any.
-    pub(super) fn reactivate(&mut self, hierarchy: &Hierarchy) -> bool {
-        let mut more = false;
-        for grid in &mut self.grids {
-            for i in 0..grid.refined_in_step.items.len() {
-                more |= grid.refined.insert(grid.refined_in_step.items[i]);
-            }
-            grid.refined.sort();
-        }
-        if more {
-            self.select(hierarchy, true);
-        }
-        more
     }
 
     /// Marks the next element of level 1 with a large deferred force, and its neighbours, for refinement: nodes are
@@ -171,13 +151,6 @@ impl Multigrid {
                     grid.to_refine.insert(other);
                 }
             }
-        }
-    }
-
-    /// Clears the record of elements refined in the last step.
-    pub(super) fn clear_refined(&mut self) {
-        for grid in &mut self.grids {
-            grid.refined_in_step.clear();
         }
     }
 

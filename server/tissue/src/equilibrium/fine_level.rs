@@ -431,12 +431,6 @@ impl FineLevel {
         });
     }
 
-    /// Sum of the squares of the cached forces on the free nodes of the set.
-    pub(super) fn square_over_free(&self) -> f64 {
-        let free = self.nodes.items.iter().filter(|&&n| self.free[n as usize]);
-        free.map(|&n| f64::from(square(&self.r[n as usize]))).sum()
-    }
-
     /// Force of the bricks on one node plus its weight, evaluated at `u`.
     pub(super) fn force_on(&self, hierarchy: &Hierarchy, u: &[Vec3], node: u32) -> Vec3 {
         let [x, y, z, _] = *self.weights.get(node as usize).unwrap_or(&ZERO);

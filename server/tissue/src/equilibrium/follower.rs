@@ -12,7 +12,6 @@ use super::fine_level::{FineLevel, own_stiffness};
 use super::hierarchy::Hierarchy;
 use super::reference_state::ReferenceState;
 use super::solver::Solver;
-use super::warm_start::WarmStart;
 use crate::Topology;
 use crate::contact::SurfaceIndex;
 
@@ -134,7 +133,6 @@ impl Solver {
         (self.fine, self.coarse) = (fine, coarse);
         self.fine.disabled = self.disabled;
         self.contact_smoother = ContactSmoother::new(&self.hierarchy);
-        self.warm_start = WarmStart::default();
         self.restore_state(displaced, at_reference);
     }
 

@@ -13,13 +13,12 @@
 //! | `jacobi_blocks`, `contact_smoother` | block Jacobi preconditioner, additional smoothing at contacts |
 //! | `budget`, `work_limit` | limits and report of a step; bound on active nodes |
 //! | `reference_state`, `weight` | equilibrium without tools; gravity |
-//! | `warm_start`, `predictor` | extrapolation of the last step, along a parabola for held nodes |
+//! | `warm_start` | extrapolation of the last step under tools |
 //! | `rigid_aggregation` | line search, with rigid groups where tissue is too stiff |
 //! | `mechanism` | mechanisms that an ablation can switch off |
 //! | `prescribed` | nodes with a prescribed displacement |
 //! | `follower`, `state` | update after a cut on another thread |
 //! | `solver` | one step and its stages |
-//! | `jacobi` | the seed's iteration (3.10), a baseline |
 //!
 //! A step applies the warm start and gathers contacts. Each iteration then chooses the active set, computes its forces,
 //! corrects by a V-cycle with line search, and smooths with block Jacobi Chebyshev steps. Coarse operators belong to the
@@ -29,9 +28,9 @@
 //! # Performance
 //!
 //! `palpate-lab bench press-cube` and `press-scene`, one thread of a shared machine. Cube from rest to 1 %: 6.5 ms with
-//! 8,000 nodes, 44 ms with 64,000. A moving disc: 0.6 ms per step without an iteration, 3.3 ms with one. A real thigh of
-//! 70,000 nodes pressed at 100 mm/s: 1.25 ms per tick (99 % below 1.6 ms), force error 1.4 % rms, 3.1 % at most; in
-//! retreat 1.3 ms (1.7 ms), 6 % rms. With 528,000 nodes: 1.8 ms (2.2 to 2.5 ms), 7.5 % rms.
+//! 8,000 nodes, 44 ms with 64,000. A real thigh of 70,000 nodes pressed at 100 mm/s: 1.25 ms per tick (99 % below
+//! 1.6 ms), force error 1.4 % rms, 3.1 % at most; in retreat 1.3 ms (1.7 ms), 6 % rms. With 528,000 nodes: 1.8 ms (2.2 to
+//! 2.5 ms), 7.5 % rms.
 //!
 //! # Limits
 //!
@@ -61,7 +60,6 @@ mod fibres;
 mod fine_level;
 mod follower;
 mod hierarchy;
-mod jacobi;
 mod jacobi_blocks;
 mod kernel;
 mod lanes;
@@ -70,7 +68,6 @@ mod matrix;
 mod mechanism;
 mod modulus;
 mod outer_residual;
-mod predictor;
 mod prescribed;
 mod prolongation;
 mod quad;

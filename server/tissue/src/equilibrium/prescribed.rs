@@ -8,7 +8,7 @@ use crate::{Shape, Topology, Vec3};
 const HELD_MAX: usize = 4096;
 
 impl Solver {
-    /// Holds a node at a displacement in m until [`let_go`](Solver::let_go). Returns false for a pinned node, a
+    /// Holds a node at a displacement in m. Returns false for a pinned node, a
     /// displacement that is not finite, or too many held nodes.
     pub fn hold(&mut self, topology: &Topology, shape: &mut Shape, node: u32, at: Vec3) -> bool {
         let n = node as usize;
@@ -28,17 +28,5 @@ impl Solver {
         shape.displacement[n] = at;
         self.disturb(shape, &[node]);
         true
-    }
-
-    /// Releases a held node.
-    pub fn let_go(&mut self, topology: &Topology, node: u32) {
-        if let Some(i) = self.held.iter().position(|&n| n == node) {
-            self.held.swap_remove(i);
-            self.fine.fixed[node as usize] = topology.is_pinned(node);
-            self.fine.outer_forces = OuterForces::Changed;
-            self.fine.outdated = true;
-            self.fine.disturb(&self.hierarchy, node);
-            self.dirty = true;
-        }
     }
 }

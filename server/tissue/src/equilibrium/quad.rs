@@ -25,13 +25,3 @@ pub(super) fn laid_out<T: Clone>(value: T, len: usize) -> Vec<T> {
     values.resize(len, value);
     values
 }
-
-/// Resizes to `len` values in committed memory, with a quarter in reserve.
-pub(super) fn make_room<T: Clone>(values: &mut Vec<T>, filler: T, len: usize) {
-    if values.capacity() < len {
-        let mut roomy = laid_out(filler, len + len / 4);
-        roomy.clear();
-        roomy.append(values);
-        *values = roomy;
-    }
-}

@@ -16,7 +16,6 @@ use super::hierarchy::Hierarchy;
 use super::mechanism::Mechanism;
 use super::quad::ZERO;
 use super::solver::Solver;
-use super::warm_start::WarmStart;
 use super::work_limit::WorkLimit;
 use crate::{Shape, Topology, Vec3};
 
@@ -154,7 +153,6 @@ impl Solver {
         self.fine.rest(&self.hierarchy, reference_state);
         self.coarse.rest();
         self.contacts.rest();
-        self.warm_start = WarmStart::default();
         self.led.clear();
         self.work_limit = WorkLimit::NONE;
         self.reference = self.reference_force();

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::active_set::{Criteria, Keeps};
+use super::active_set::Criteria;
 use super::budget::{Budget, StepReport, relative};
 use super::coarse_level::prolongate_changes;
 use super::coarse_stiffening::HELD_STIFFNESS;
@@ -13,7 +13,6 @@ use super::fine_level::{FineLevel, SetChange, own_stiffness};
 use super::hierarchy::Hierarchy;
 use super::mechanism::{Disabled, Mechanism};
 use super::reference_state::ReferenceState;
-use super::warm_start::WarmStart;
 use super::work_limit::WorkLimit;
 use crate::contact::{Contacts, Tool};
 use crate::{Shape, Topology, Vec3};
@@ -80,9 +79,7 @@ pub struct Solver {
     pub(super) contacts: Contacts,
     pub(super) contact_smoother: ContactSmoother,
     pub(super) held: Vec<u32>,
-    pub(super) warm_start: WarmStart,
     pub(super) work_limit: WorkLimit,
-    pub(super) moved: Vec<Vec3>,
     pub(super) reference: f64,
     /// Equilibrium without tools, if it differs from the rest shape.
     pub(super) reference_state: Option<Arc<ReferenceState>>,
@@ -92,8 +89,6 @@ pub struct Solver {
     pub(super) least: f64,
     pub(super) report: StepReport,
     pub(super) dirty: bool,
-    /// Whether this step started from a complete warm start.
-    pub(super) warm_started: bool,
     /// Previous positions of the nodes that were held or moved since the last step.
     pub(super) led: BTreeMap<u32, Vec3>,
     /// Their displacements, until the coarse levels have followed.
@@ -230,10 +225,6 @@ impl Solver {
             return &self.report;
         }
         self.dirty = false;
-        let u = &mut shape.displacement;
-        let carry = self
-            .warm_start
-            .extrapolation_factor(&self.held, &self.led, u);
         self.fine.clamped = 0;
         self.fine.visits = 0;
         self.coarse.visits = 0;
@@ -246,7 +237,7 @@ impl Solver {
         let by = |(&node, from): (&u32, &Vec3)| (node, u[node as usize] - from);
         self.led_displacements = self.led.iter().map(by).collect();
         self.led.clear();
-        let lags = self.apply_warm_start(topology, u, carry);
+        let lags = self.apply_warm_start(topology, u);
         self.iterate(topology, u, lags, quick, &mut budget);
         if !self.is_sane(topology, &shape.displacement) {
             self.fine.undo(&self.hierarchy, &mut shape.displacement);
@@ -279,8 +270,7 @@ impl Solver {
         }
         self.coarse.follows = self.contacts.proxies.is_empty();
         self.fine.limit_moves(&self.hierarchy, quick);
-        // With a warm start the last active set stays active, so the threshold starts low.
-        let mut share = if self.warm_started { 0.0 } else { FIRST_SHARE };
+        let mut share = FIRST_SHARE;
         let jumped = lags;
         // The contact stiffness on the coarse levels belongs to earlier contacts.
         let mut outdated = true;
@@ -290,7 +280,7 @@ impl Solver {
         // force is ten times too high.
         let first = (jumped || touches) && self.uses(Mechanism::FirstTouch);
         let due = if first { DUE } else { 1 };
-        let (mut begun, mut smoothing) = (0.0, None);
+        let mut smoothing = None;
         loop {
             self.fine.refresh(&self.hierarchy, u);
             let allowed = self.allowed_residual(u, budget.tolerance, quick);
@@ -311,10 +301,6 @@ impl Solver {
                 .all(|p| p.to_refine.items.is_empty());
             let converged = sum.sqrt() <= allowed && !lags;
             let done = converged && share <= last && (whole || budget.tolerance >= PROVEN);
-            if self.report.iterations == 0 {
-                begun = self.report.residual;
-            }
-            self.warm_start.converged = done;
             if done || self.is_over(budget, due, touches) {
                 break;
             }
@@ -351,15 +337,13 @@ impl Solver {
             self.settle(budget.tolerance);
         }
         if !self.held.is_empty() {
-            // One more step with the forces of the residual check costs almost nothing. It halves the error of the
-            // extrapolated path.
+            // One more step with the forces of the residual check costs almost nothing.
             let alone = !quick
                 && self.contacts.proxies.is_empty()
                 && self.fine.since != SetChange::Replaced;
             if let Some(mut smoothing) = smoothing.filter(|_| alone) {
                 self.fine.relax_set(u, &mut smoothing);
             }
-            self.record_step(begun);
         }
     }
 
@@ -396,11 +380,6 @@ impl Solver {
         let (hierarchy, coarse) = (&self.hierarchy, &mut self.coarse);
         let touched = self.contacts.nodes.iter().chain(&self.held).copied();
         let limit = threshold as f32;
-        let keeps = match quick {
-            true if self.report.iterations > 0 => Keeps::All,
-            false if self.warm_started => Keeps::Most,
-            _ => Keeps::Near,
-        };
         let fine = &mut self.fine;
         // Nodes that leave the set keep their forces, which must match their final positions.
         fine.evaluate_bricks(hierarchy, u);
@@ -408,10 +387,10 @@ impl Solver {
         let criteria = Criteria {
             threshold: limit,
             quick,
-            keeps,
+            keeps_all: quick && self.report.iterations > 0,
         };
         if fine.select(hierarchy, coarse, touched, &criteria, u) {
-            coarse.select(hierarchy, keeps == Keeps::Most);
+            coarse.select(hierarchy, false);
             // Displacements that were prolongated may exceed the limits of the next level too.
             while coarse.prolongate_pending(hierarchy, limit) {
                 FineLevel::refine_marked(&mut coarse.grids[0]);

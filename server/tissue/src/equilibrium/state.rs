@@ -17,7 +17,6 @@ use super::mechanism::{Disabled, Mechanism};
 use super::quad::laid_out;
 use super::reference_state::ReferenceState;
 use super::solver::{FIRST_SHARE, QUICK, Solver};
-use super::warm_start::WarmStart;
 use super::work_limit::WorkLimit;
 use crate::contact::{Contacts, Proxy};
 use crate::{CutOutcome, Shape, StepReport, Topology, Vec3};
@@ -175,15 +174,12 @@ impl Solver {
             hierarchy,
             contacts,
             held: Vec::new(),
-            warm_start: WarmStart::default(),
             work_limit: WorkLimit::NONE,
-            moved: Vec::new(),
             reference: 0.0,
             reference_state,
             has_started: false,
             report: StepReport::default(),
             dirty: false,
-            warm_started: false,
             led: BTreeMap::new(),
             led_displacements: Vec::new(),
             last_forces: Vec::new(),
