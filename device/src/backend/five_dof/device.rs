@@ -11,8 +11,8 @@ use super::signals::{Drive, Encoder};
 use super::statics::{Torques, torques};
 use crate::motors::Motors;
 use crate::{
-    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice,
-    Pose, Rejection, Sample, Wrench, Written,
+    Calibration, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Pose,
+    Rejection, Sample, Wrench, Written,
 };
 
 /// Tolerance of the distance between the two ends against the probe's length, m. Six readings give five independent
@@ -161,9 +161,7 @@ impl<P: Port> HapticDevice for FiveDof<P> {
     /// Takes the present posture as the calibration posture: the probe in the middle of the workspace, along y.
     /// Hold it in its rest meanwhile.
     fn calibrate(&mut self) -> Result<Calibration, DeviceFault> {
-        if !self.motors.is_open() {
-            return Err(DeviceFault::Closed);
-        }
+        self.motors.check_open()?;
         let (encoder, at) = (self.config.encoder, self.middle.angles);
         let counts = six(|arm, k| encoder.count(at[arm][k]));
         // Codes computed for the old posture would push in another direction.
@@ -174,14 +172,8 @@ impl<P: Port> HapticDevice for FiveDof<P> {
         Ok(self.calibration())
     }
 
-    fn clock(&self) -> ClockOwner {
-        ClockOwner::Ours
-    }
-
     fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
-        if !self.motors.is_open() {
-            return Err(DeviceFault::Closed);
-        }
+        self.motors.check_open()?;
         self.stop()?;
         if on && !self.calibration().is_ready() {
             return Err(DeviceFault::NotCalibrated);
@@ -285,7 +277,7 @@ impl<P: Port> HapticDevice for FiveDof<P> {
     }
 
     fn close(&mut self) {
-        if self.motors.is_open() {
+        if self.motors.check_open().is_ok() {
             // A board that did not take the first zero may take the second; the port closes with zero, too.
             if self.stop().is_err() {
                 let _ = self.stop();
