@@ -56,7 +56,12 @@ pub fn invented() -> Config {
     Config {
         linkage: Linkage::default(),
         encoder: Encoder::default(),
-        drive: Drive::new(0.2, 10.0, 12, 1.5).expect("sound numbers"),
+        drive: Drive {
+            torque_per_volt_nm: 0.2,
+            full_scale_v: 10.0,
+            bits: 12,
+            limit_nm: 1.5,
+        },
         force_n: [8.0, 4.0],
         torque_nm: 0.1,
         stiffness_n_per_m: 1000.0,
